@@ -1,0 +1,1 @@
+"""HTML pages: everything that people look at after an inspection."""

@@ -1,0 +1,1 @@
+"""Height maps of surfaces: read, write, check, level, make ideal ones, spoil them."""

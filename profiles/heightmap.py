@@ -1,0 +1,67 @@
+"""The height map: a sampled surface with its scale."""
+
+from dataclasses import dataclass, field, replace
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.errors import HeightMapError
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class HeightMap:
+    """A surface sampled on a regular grid.
+
+    Rows run along y and columns along x: row index increases with **+y**, column index with +x, so that
+    ``height_um[i, j]`` stands at ``(x, y) = (j * pixel_x_um, i * pixel_y_um)``, z up.
+
+    Attributes:
+        height_um: (rows, cols) heights in µm; NaN where nothing was measured. Read-only.
+        pixel_x_um: distance of neighbouring columns in µm.
+        pixel_y_um: distance of neighbouring rows in µm.
+        origin: where the map comes from (file, instrument, date, what was corrected, ...), as plain
+            JSON-compatible data that travels with the map.
+
+    Raises:
+        HeightMapError: the array is not two-dimensional with at least 2 × 2 points, or a pixel size is
+            not a positive finite number.
+    """
+
+    height_um: FloatArray
+    pixel_x_um: float
+    pixel_y_um: float
+    origin: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        height = np.array(self.height_um, dtype=np.float64, order="C")
+        if height.ndim != 2 or min(height.shape) < 2:
+            raise HeightMapError(f"a height map needs at least 2 × 2 points, this array has shape {height.shape}")
+        for axis, pixel in (("x", self.pixel_x_um), ("y", self.pixel_y_um)):
+            if not (np.isfinite(pixel) and pixel > 0):
+                raise HeightMapError(f"the pixel size along {axis} must be a positive number of µm, not {pixel}")
+        height.flags.writeable = False
+        object.__setattr__(self, "height_um", height)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, cols)."""
+        rows, cols = self.height_um.shape
+        return rows, cols
+
+    @property
+    def missing_share(self) -> float:
+        """Share of points that were not measured, 0 to 1."""
+        return float(np.mean(~np.isfinite(self.height_um)))
+
+    @property
+    def extent_um(self) -> tuple[float, float]:
+        """(along y, along x): size of the sampled field in µm, one pixel per point."""
+        rows, cols = self.shape
+        return rows * self.pixel_y_um, cols * self.pixel_x_um
+
+    def with_height(self, height_um: FloatArray, **origin: Any) -> Self:  # noqa: ANN401 - free-form provenance
+        """The same grid with other heights; ``origin`` entries are added to the provenance."""
+        return replace(self, height_um=height_um, origin={**self.origin, **origin})

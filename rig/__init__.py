@@ -1,0 +1,1 @@
+"""The rig: stages, cameras, the transport under them, and the acquisition sequence."""

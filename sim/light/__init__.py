@@ -1,0 +1,1 @@
+"""Reflectance models: what light does on a surface. No hardware, no files."""
