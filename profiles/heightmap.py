@@ -38,10 +38,14 @@ class HeightMap:
     def __post_init__(self) -> None:
         height = np.array(self.height_um, dtype=np.float64, order="C")
         if height.ndim != 2 or min(height.shape) < 2:
-            raise HeightMapError(f"a height map needs at least 2 × 2 points, this array has shape {height.shape}")
+            raise HeightMapError(
+                f"a height map needs at least 2 × 2 points, this array has shape {height.shape}"
+            )
         for axis, pixel in (("x", self.pixel_x_um), ("y", self.pixel_y_um)):
             if not (np.isfinite(pixel) and pixel > 0):
-                raise HeightMapError(f"the pixel size along {axis} must be a positive number of µm, not {pixel}")
+                raise HeightMapError(
+                    f"the pixel size along {axis} must be a positive number of µm, not {pixel}"
+                )
         height.flags.writeable = False
         object.__setattr__(self, "height_um", height)
 

@@ -1,0 +1,82 @@
+"""The command line ``anisoscope``: a thin layer over the package.
+
+Commands import what they need when they run, so that ``--help`` answers at once.
+"""
+
+import os
+import signal
+import sys
+from types import FrameType
+from typing import NoReturn
+
+from cyclopts import App, Group
+from cyclopts.exceptions import CycloptsError
+
+from anisoscope.errors import AnisoscopeError, UsageError
+
+EXIT_INTERRUPTED = 130
+
+app = App(
+    name="anisoscope",
+    help="Inspect engineered surfaces: turn them under a camera, compare the contrasts with the prediction, decide.",
+    version_flags=["--version"],
+    help_flags=["--help", "-h"],
+    result_action="return_value",
+)
+_jobs = Group.create_ordered("Jobs")
+app.command("anisoscope.cli.demo:demo", group=_jobs)
+app.command("anisoscope.cli.inspection:inspect", group=_jobs)
+app.command("anisoscope.cli.predict:predict", group=_jobs)
+_parts = Group.create_ordered("Parts of the job")
+app.command("anisoscope.cli.profile:app", name="profile", group=_parts)
+app.command("anisoscope.cli.calibrate:app", name="calibrate", group=_parts)
+app.command("anisoscope.cli.rig:app", name="rig", group=_parts)
+
+
+def _version() -> str:
+    from importlib.metadata import version
+
+    return version("anisoscope")
+
+
+app.version = _version
+
+
+def _terminate(_signal: int, _frame: FrameType | None) -> NoReturn:
+    raise KeyboardInterrupt
+
+
+def _report(message: str, code: int) -> int:
+    print(f"anisoscope: {' '.join(message.split())}", file=sys.stderr)  # noqa: T201
+    return code
+
+
+def run(arguments: list[str]) -> int:
+    """Run one command line and return its exit code; errors raised on purpose become one line on stderr."""
+    debug = "--debug" in arguments
+    arguments = [token for token in arguments if token != "--debug"]
+    try:
+        result = app(arguments, exit_on_error=False, print_error=False)
+    except KeyboardInterrupt:
+        return _report("interrupted; the stage is stopped and the light is off", EXIT_INTERRUPTED)
+    except CycloptsError as error:
+        if debug:
+            raise
+        return _report(f"{error} (see anisoscope --help)", UsageError.exit_code)
+    except AnisoscopeError as error:
+        if debug:
+            raise
+        return _report(str(error), error.exit_code)
+    return result if isinstance(result, int) else 0
+
+
+def main() -> NoReturn:
+    """Entry point of the ``anisoscope`` command."""
+    signal.signal(signal.SIGTERM, _terminate)
+    try:
+        code = run(sys.argv[1:])
+        sys.stdout.flush()
+    except BrokenPipeError:  # the reader of our output went away, as `| head` does
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = 0
+    sys.exit(code)

@@ -1,0 +1,62 @@
+# make demo   sets up and runs the main job on the virtual rig
+# make test   sets up and runs everything that must hold
+# Needs Debian's python3 (3.11 or later) with python3-venv, and make; nothing else.
+
+PYTHON ?= python3
+VENV   ?= .venv
+BIN    := $(VENV)/bin
+SEED   ?= 1
+
+.PHONY: demo test check types lint contracts benchmark lock clean help
+
+help:
+	@echo "make demo       inspect three parts on the virtual rig; reports in demo-output/"
+	@echo "make test       formatting, lint, types, import contracts, tests"
+	@echo "make benchmark  speed against named alternatives"
+	@echo "make clean      remove what make made"
+
+demo: $(VENV)/.run
+	$(BIN)/anisoscope demo --out demo-output --seed $(SEED)
+
+test: lint contracts types
+	$(BIN)/python -Im pytest
+
+lint: $(VENV)/.dev
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+
+contracts: $(VENV)/.dev
+	$(BIN)/lint-imports
+
+# mypy follows packages only where they are installed as they will be: from a wheel.
+types: $(VENV)/.dev
+	rm -rf build/lib build/types
+	$(BIN)/pip install --quiet --no-deps --target build/types .
+	MYPYPATH=build/types $(BIN)/mypy -p anisoscope
+
+benchmark: $(VENV)/.dev
+	$(BIN)/python -Im pytest tests/benchmarks -s -m benchmark
+
+$(VENV)/.venv:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "anisoscope needs Python 3.11 or later; $(PYTHON) is $$($(PYTHON) --version 2>&1). Set PYTHON=..." >&2; exit 1; }
+	@$(PYTHON) -c 'import venv, ensurepip' 2>/dev/null || \
+	  { echo "Python's venv module is missing: apt-get install python3-venv" >&2; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+	@touch $@
+
+$(VENV)/.run: $(VENV)/.venv requirements.lock pyproject.toml
+	$(BIN)/pip install --quiet --disable-pip-version-check -r requirements.lock
+	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps -e .
+	@touch $@
+
+$(VENV)/.dev: $(VENV)/.run requirements-dev.lock
+	$(BIN)/pip install --quiet --disable-pip-version-check -r requirements-dev.lock
+	@touch $@
+
+# Resolves the newest versions within the ranges of pyproject.toml, in environments of their own.
+lock:
+	sh tools/lock.sh $(PYTHON)
+
+clean:
+	rm -rf $(VENV) build dist *.egg-info demo-output .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -1,0 +1,96 @@
+"""Taking calibrations on the rig."""
+
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Protocol
+
+from anisoscope.errors import UsageError
+from anisoscope.linear import stack
+from anisoscope.rig.frame import Frame, FrameKind
+from anisoscope.rig.rigfile import read_rig
+from anisoscope.rig.runner import Rig, open_rig
+from anisoscope.whitereference import make_reference, write_reference
+
+
+_KINDS: tuple[FrameKind, ...] = ("dark", "flat")
+
+
+class Progress(Protocol):
+    """Says how far the calibration is."""
+
+    def __call__(self, doing: str, done: int, total: int) -> None: ...
+
+
+def take_flat(
+    rig_path: Path,
+    out: Path,
+    *,
+    exposure_s: float,
+    frames: int = 16,
+    reflectance: float = 0.99,
+    on_progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Photograph a white tile that fills the picture and write the white reference; the stage does not move.
+
+    Args:
+        rig_path: rig file.
+        out: file to write (TIFF).
+        exposure_s: exposure in seconds.
+        frames: frames to average, as many again with the light off.
+        reflectance: reflectance of the tile, 0 to 1.
+        on_progress: called with what is being done, steps done and steps in all.
+
+    Returns:
+        The metadata of the reference.
+
+    Raises:
+        UsageError: a reflectance outside 0 to 1, or fewer than two frames.
+        RigFileError, RigError: the rig.
+        CalibrationError: the tile is saturated or dark.
+    """
+    if not 0.0 < reflectance <= 1.0:
+        raise UsageError(f"the reflectance of the tile must lie between 0 and 1, not {reflectance}")
+    if frames < 2:
+        raise UsageError(f"a flat needs at least 2 frames, not {frames}")
+    rig_file = read_rig(rig_path)
+    with open_rig(rig_file) as rig:
+        settings = rig.camera.configure(exposure_s, 1.0)
+        info = rig.camera.info
+        stacks = {}
+        for step, kind in enumerate(_KINDS):
+            (rig.light.on if kind == "flat" else rig.light.off)()
+            taken = []
+            for k in range(frames):
+                if on_progress:
+                    on_progress(f"{kind} frames", step * frames + k, 2 * frames)
+                taken.append(_frame(rig, kind, settings.exposure_s, settings.gain))
+            stacks[kind] = stack(taken)
+    reference = make_reference(
+        stacks["flat"],
+        stacks["dark"],
+        reflectance=reflectance,
+        light_angle_deg=rig_file.light.angle_deg,
+        camera=info.serial,
+        full_scale=2**info.bit_depth - 1,
+    )
+    out.parent.mkdir(parents=True, exist_ok=True)
+    write_reference(out, reference)
+    meta: dict[str, Any] = reference["meta"]
+    return meta
+
+
+def _frame(rig: Rig, kind: FrameKind, exposure_s: float, gain: float) -> Frame:
+    info = rig.camera.info
+    return Frame(
+        counts=rig.camera.grab(),
+        kind=kind,
+        bit_depth=info.bit_depth,
+        black_level=info.black_level,
+        exposure_s=exposure_s,
+        gain=gain,
+        stage_deg=0.0,
+        commanded_deg=0.0,
+        tilt_deg=rig.file.geometry.tilt_deg,
+        captured_at=datetime.now(UTC).isoformat(timespec="milliseconds"),
+        camera=info.serial,
+    )

@@ -1,0 +1,71 @@
+"""What the commands share: tables, number lists, progress."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Protocol
+
+from anisoscope.errors import UsageError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+def parse_numbers(text: str, option: str) -> tuple[float, ...]:
+    """Numbers of a comma-separated option.
+
+    Raises:
+        UsageError: the text is not a list of finite numbers.
+    """
+    try:
+        numbers = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise UsageError(f"{option} takes numbers separated by commas, such as 0,90,180, not {text!r}") from None
+    if not all(abs(number) < float("inf") for number in numbers):
+        raise UsageError(f"{option} takes finite numbers, not {text!r}")
+    return numbers
+
+
+def console(*, stderr: bool = False) -> "Console":
+    """A console that wraps at the width of the terminal, and at 120 columns where there is none."""
+    from rich.console import Console
+
+    found = Console(stderr=stderr)
+    return found if found.is_terminal else Console(stderr=stderr, width=120)
+
+
+def print_table(title: str, columns: list[str], rows: list[list[str]], caption: str | None = None) -> None:
+    """Print a table; the text of data never becomes markup."""
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", caption=caption and escape(caption), caption_justify="left")
+    for number, column in enumerate(columns):
+        table.add_column(column, justify="left" if number == 0 else "right")
+    for row in rows:
+        table.add_row(*(escape(cell) for cell in row))
+    console().print(table)
+
+
+class Advance(Protocol):
+    """Says how far a job is: what it does now, steps done, steps in all."""
+
+    def __call__(self, doing: str, done: int, total: int) -> None: ...
+
+
+@contextmanager
+def progress(label: str, *, quiet: bool = False) -> Iterator[Advance]:
+    """A progress bar on standard error; yields the function that moves it."""
+    if quiet:
+        yield lambda _doing, _done, _total: None
+        return
+    from rich.markup import escape
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.fields[label]}"), BarColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    with Progress(*columns, console=console(stderr=True)) as bar:
+        task = bar.add_task("", total=None, label=escape(label))
+
+        def advance(doing: str, done: int, total: int) -> None:
+            bar.update(task, description=escape(doing), completed=done, total=total)
+
+        yield advance

@@ -1,0 +1,74 @@
+"""``anisoscope demo``: the whole job on a virtual rig, with good and defective parts."""
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from anisoscope.cli.console import Advance, console, print_table, progress
+
+if TYPE_CHECKING:
+    from anisoscope.inspection import Inspected
+
+
+def demo(
+    *,
+    out: Annotated[Path, Parameter(help="Folder for recipe, rig files, frames and reports.")] = Path("demo-output"),
+    seed: Annotated[int, Parameter(help="Seed of everything random on the virtual rig.")] = 1,
+    json_: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")] = False,
+) -> int:
+    """Inspect three parts on a virtual rig: a good one, one with burrs, one with a wrong ridge angle.
+
+    Makes a reference height map, takes a flat of a white tile, then photographs every part at 0°, 90° and 180°
+    and judges it. Ends with exit code 0 when every verdict is the expected one.
+    """
+    from anisoscope.cli.demo_files import PARTS, lay_out
+
+    with progress("demo", quiet=json_) as advance:
+        folder = lay_out(out, seed, advance)
+        found = [(name, expected, _inspect(folder, name, advance)) for name, expected in PARTS.items()]
+    parts = [
+        {
+            "serial": inspected.record.serial,
+            "expected": expected,
+            "verdict": inspected.record.verdict,
+            "report": str(inspected.report),
+        }
+        for _, expected, inspected in found
+    ]
+    right = all(part["verdict"] == part["expected"] for part in parts)
+    if json_:
+        json.dump({"parts": parts}, sys.stdout, indent=2)
+        sys.stdout.write("\n")
+    else:
+        _print(parts, found, right)
+    return 0 if right else 1
+
+
+def _inspect(folder: Path, name: str, advance: Advance) -> "Inspected":
+    from anisoscope.inspection import inspect_part
+
+    return inspect_part(
+        folder / "recipe.toml",
+        folder / "bench" / name / "rig.toml",
+        f"DEMO-{name}",
+        folder / "inspections",
+        on_progress=lambda doing, done, total: advance(f"{name}: {doing}", done, total),
+    )
+
+
+def _print(parts: list[dict[str, Any]], found: "list[tuple[str, str, Inspected]]", right: bool) -> None:
+    print_table(
+        "Verdicts",
+        ["part", "expected", "verdict", "why"],
+        [
+            [part["serial"], part["expected"], part["verdict"], inspected.record.reasons[0]]
+            for part, (_, _, inspected) in zip(parts, found, strict=True)
+        ],
+    )
+    out = console()
+    for part in parts:
+        out.print(f"report of {part['serial']}: {part['report']}", highlight=False, soft_wrap=True)
+    out.print("Every verdict is the expected one." if right else "[bold]A verdict is not the expected one.[/bold]")

@@ -1,0 +1,82 @@
+"""``anisoscope inspect``: photograph one part and judge it."""
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from anisoscope.cli.console import console, print_table, progress
+
+if TYPE_CHECKING:
+    from anisoscope.inspection import Inspected
+
+
+def inspect(
+    *,
+    recipe: Annotated[Path, Parameter(name=["--recipe", "-r"], help="Recipe file (TOML).")],
+    rig: Annotated[Path, Parameter(name=["--rig", "-g"], help="Rig file (TOML).")],
+    serial: Annotated[str, Parameter(name=["--serial", "-s"], help="Serial number of the part.")],
+    out: Annotated[Path, Parameter(help="Folder that receives the inspection folder.")] = Path("inspections"),
+    json_: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")] = False,
+) -> int:
+    """Photograph a part at the recipe's angles, compare its contrasts with the prediction, and decide.
+
+    Exit codes: 0 PASS, 1 FAIL, 2 INCONCLUSIVE, 3 INVALID, 64 and above usage or hardware.
+    """
+    from anisoscope.decision import Verdict
+    from anisoscope.inspection import inspect_part
+
+    with progress(serial, quiet=json_) as advance:
+        inspected = inspect_part(recipe, rig, serial, out, on_progress=advance)
+    if json_:
+        json.dump(_as_json(inspected), sys.stdout, indent=2, allow_nan=False)
+        sys.stdout.write("\n")
+    else:
+        _print(inspected)
+    return Verdict(inspected.record.verdict).exit_code
+
+
+def _as_json(inspected: "Inspected") -> dict[str, Any]:
+    record = inspected.record
+    keys = ("from_deg", "to_deg", "tilt_deg", "kind", "measured", "predicted", "u", "tolerance", "verdict")
+    return {
+        "verdict": record.verdict,
+        "reasons": list(record.reasons),
+        "contrasts": [{key: getattr(contrast, key) for key in keys} for contrast in record.contrasts],
+        "area": None if record.area is None else record.area.model_dump(),
+        "p_value": record.p_value,
+        "folder": str(inspected.folder),
+        "report": str(inspected.report),
+    }
+
+
+def _print(inspected: "Inspected") -> None:
+    record = inspected.record
+    if record.contrasts:
+        print_table(
+            f"{record.serial}: {record.product}",
+            ["contrast", "from [°]", "to [°]", "tilt [°]", "measured", "predicted", "deviation", "u", "tolerance", ""],
+            [
+                [
+                    contrast.kind,
+                    f"{contrast.from_deg:g}",
+                    f"{contrast.to_deg:g}",
+                    f"{contrast.tilt_deg:g}",
+                    f"{contrast.measured:+.4f}",
+                    f"{contrast.predicted:+.4f}",
+                    f"{contrast.measured - contrast.predicted:+.4f}",
+                    f"{contrast.u:.4f}",
+                    "–" if contrast.tolerance is None else f"±{contrast.tolerance:g}",
+                    contrast.verdict if contrast.tolerance is not None else "",
+                ]
+                for contrast in record.contrasts
+            ],
+        )
+    out = console()
+    color = {"PASS": "green", "FAIL": "red", "INCONCLUSIVE": "yellow", "INVALID": "magenta"}[record.verdict]
+    out.print(f"[bold {color}]{record.verdict}[/]")
+    for reason in record.reasons:
+        out.print(f"  {reason}", markup=False, highlight=False, soft_wrap=True)
+    out.print(f"report: {inspected.report}", markup=False, highlight=False, soft_wrap=True)

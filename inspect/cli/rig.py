@@ -1,0 +1,81 @@
+"""``anisoscope rig``: the ports of this machine, and simulated devices for other programs."""
+
+from typing import TYPE_CHECKING, Annotated
+
+from anisoscope.errors import UsageError
+from cyclopts import App, Parameter
+
+if TYPE_CHECKING:
+    from anisoscope.sim.bench.serve import PtyServer, TcpServer
+
+app = App(name="rig", help="Look after the rig: list ports, serve simulated devices.")
+sim = App(name="sim", help="Serve a simulated device, byte by byte, to any program.")
+app.command(sim)
+
+
+@app.command
+def ports(*, json: Annotated[bool, Parameter(negative="")] = False) -> None:
+    """List the serial ports of this machine, without opening any.
+
+    Args:
+        json: print a JSON list instead of lines.
+    """
+    from json import dumps
+
+    from serial.tools import list_ports
+
+    found = [
+        {"port": port.device, "description": port.description or "", "serial": port.serial_number or ""}
+        for port in sorted(list_ports.comports())
+    ]
+    if json:
+        print(dumps(found, ensure_ascii=False))  # noqa: T201
+        return
+    for port in found:
+        print("  ".join(text for text in port.values() if text))  # noqa: T201
+    if not found:
+        print("no serial ports")  # noqa: T201
+
+
+@sim.command
+def elliptec(
+    *,
+    pty: Annotated[bool, Parameter(negative="")] = False,
+    tcp: int | None = None,
+    address: str = "0",
+    time_scale: float = 1.0,
+    fault: Annotated[tuple[str, ...], Parameter(negative="")] = (),
+) -> int:
+    """Serve a Thorlabs Elliptec ELL14 until Ctrl-C; the first line says where.
+
+    Args:
+        pty: serve on a new pseudo terminal.
+        tcp: serve on this TCP port of 127.0.0.1; 0 takes any free one.
+        address: bus address, 0 to 9 or A to F.
+        time_scale: stretch of time; 1 is real time, 0 ends every move at once.
+        fault: what is wrong with the device, as NAME or NAME:NUMBER; may be repeated.
+    """
+    from anisoscope.sim.bench.axis import RotaryAxis
+    from anisoscope.sim.bench.elliptec import ElliptecFirmware
+    from anisoscope.sim.bench.serve import PtyServer, TcpServer
+
+    if pty == (tcp is not None):
+        raise UsageError("rig sim elliptec: give exactly one of --pty and --tcp PORT")
+    if time_scale < 0.0:
+        raise UsageError("rig sim elliptec: --time-scale must be 0 or more")
+    if len(address) != 1 or address not in "0123456789ABCDEF":
+        raise UsageError(f"rig sim elliptec: --address {address}: expected one of 0…9, A…F")
+    firmware = ElliptecFirmware(RotaryAxis(time_scale=time_scale), address=address, faults=fault)
+    return _serve(PtyServer(firmware) if tcp is None else TcpServer(firmware, tcp))
+
+
+def _serve(server: "PtyServer | TcpServer") -> int:
+    """Serve until Ctrl-C or SIGTERM (which the command line turns into the same); that is a normal end."""
+    print(f"serving elliptec on {server.port}", flush=True)  # noqa: T201
+    try:
+        server.run()
+    except KeyboardInterrupt:
+        return 0
+    finally:
+        server.close()
+    return 0

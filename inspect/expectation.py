@@ -1,0 +1,171 @@
+"""What the part should show: predicted radiances with everything that makes them uncertain (V_model)."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.predicting import prepare_relief
+from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.load import read_height_map
+from anisoscope.recipe import Recipe
+from anisoscope.sim.light import corrected
+from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_rotation
+from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.relief import Relief
+from anisoscope.sim.light.relief import radiance as relief_radiance
+
+FloatArray = npt.NDArray[np.float64]
+
+_SAMPLED_ROWS = 160
+
+
+@dataclass(frozen=True)
+class Component:
+    """One source of uncertainty, as relative standard uncertainties of the pose radiances.
+
+    Attributes:
+        source: what it is, in words.
+        kind: "prediction" or "measurement".
+        relative: (P,) standard uncertainty of ln L; signed where it is shared.
+        shared: one error moves all poses together (rank one), else each pose has its own.
+    """
+
+    source: str
+    kind: str
+    relative: FloatArray
+    shared: bool
+
+    def covariance(self) -> FloatArray:
+        """(P, P) covariance of ln L."""
+        if self.shared:
+            return np.outer(self.relative, self.relative)
+        return np.diag(self.relative**2)
+
+
+@dataclass(frozen=True)
+class Expectation:
+    """Predicted radiances of the recipe's poses.
+
+    Attributes:
+        model: "relief" or "corrected".
+        poses: P poses.
+        radiance: (P,) in 1/sr.
+        components: sources of uncertainty.
+        per_degree: (P,) change of ln L per degree of stage angle.
+        surface: the height map, levelled, or None for a design.
+        convention: how the angles are counted.
+    """
+
+    model: str
+    poses: tuple[Pose, ...]
+    radiance: FloatArray
+    components: tuple[Component, ...]
+    per_degree: FloatArray
+    surface: HeightMap | None
+    convention: Convention
+
+
+@dataclass(frozen=True)
+class _State:
+    """Everything that a prediction depends on, for the differences."""
+
+    material: Material
+    light_angle_deg: float
+    seating_deg: tuple[float, float] = (0.0, 0.0)
+    turn_deg: float = 0.0
+
+
+Model = Callable[[FloatArray, FloatArray, Material], FloatArray]
+
+
+def expectation(recipe: Recipe, light_angle_deg: float) -> Expectation:
+    """Predict the poses of a recipe.
+
+    Args:
+        recipe: the recipe.
+        light_angle_deg: the rig's angle between light and camera.
+
+    Raises:
+        HeightMapError: the recipe's height map cannot be read or used.
+    """
+    poses = recipe.poses.poses()
+    convention = Convention(light_angle_deg, facet_azimuth_deg=recipe.poses.facet_azimuth_deg)
+    model, sampled, surface, name = _models(recipe)
+    nominal = _State(recipe.material.material(), light_angle_deg)
+    radiance = _evaluate(model, nominal, poses, convention)
+    components, per_degree = _sensitivities(recipe, sampled, nominal, poses, convention)
+    if surface is not None:
+        share = np.full(len(poses), recipe.uncertainty.height_map_share)
+        components.append(Component("height map (noise, pixel size)", "prediction", share, shared=False))
+    return Expectation(name, poses, radiance, tuple(components), per_degree, surface, convention)
+
+
+def _models(recipe: Recipe) -> tuple[Model, Model, HeightMap | None, str]:
+    """The predictor, a cheaper one for the sensitivities, the surface, and the model's name."""
+    if recipe.surface.design is not None:
+        design = recipe.surface.ridge_design()
+
+        def ideal(to_light: FloatArray, to_camera: FloatArray, material: Material) -> FloatArray:
+            return corrected.radiance(to_light, to_camera, design, material)
+
+        return ideal, ideal, None, "corrected"
+    assert recipe.surface.height_map is not None
+    surface = read_height_map(recipe.surface.height_map, pixel_um=recipe.surface.pixel_um, role=recipe.surface.role)
+    relief, _ = prepare_relief(surface)
+    rows = slice(0, min(relief.surface.shape[0], _SAMPLED_ROWS))
+    band = Relief(relief.surface.with_height(relief.surface.height_um[rows]), relief.pitch_um, max_missing_share=1.0)
+    return _relief_model(relief), _relief_model(band), relief.surface, "relief"
+
+
+def _relief_model(relief: Relief) -> Model:
+    def predict(to_light: FloatArray, to_camera: FloatArray, material: Material) -> FloatArray:
+        return relief_radiance(relief, to_light, to_camera, material)
+
+    return predict
+
+
+def _evaluate(model: Model, state: _State, poses: tuple[Pose, ...], convention: Convention) -> FloatArray:
+    turned = tuple(Pose(pose.stage_deg + state.turn_deg, pose.tilt_deg) for pose in poses)
+    to_light, to_camera = directions(turned, replace(convention, light_angle_deg=state.light_angle_deg))
+    seat = seating_rotation(*state.seating_deg)
+    return model(to_light @ seat, to_camera @ seat, state.material)
+
+
+def _sensitivities(
+    recipe: Recipe, model: Model, nominal: _State, poses: tuple[Pose, ...], convention: Convention
+) -> tuple[list[Component], FloatArray]:
+    """Central differences of ln L, each times its standard uncertainty."""
+    material, part, rig = nominal.material, recipe.material, recipe.uncertainty
+
+    def slope(low: _State, high: _State, span: float) -> FloatArray:
+        up, down = (_evaluate(model, state, poses, convention) for state in (high, low))
+        return np.asarray(np.log(up / down) / span, dtype=np.float64)
+
+    def material_slope(name: str, value: float, step: float) -> FloatArray:
+        low, high = (replace(nominal, material=replace(material, **{name: value + s})) for s in (-step, step))
+        return slope(low, high, 2.0 * step)
+
+    low_albedo, high_albedo = max(material.albedo - 0.01, 0.0), min(material.albedo + 0.01, 1.0)
+    by_albedo = slope(
+        *(replace(nominal, material=replace(material, albedo=a)) for a in (low_albedo, high_albedo)),
+        high_albedo - low_albedo,
+    )
+    light = nominal.light_angle_deg
+    found = [
+        ("roughness along the ridges", material_slope("alpha_along", part.alpha_along, 0.01 * part.alpha_along)
+         * part.u_alpha_share * part.alpha_along),
+        ("roughness across the ridges", material_slope("alpha_across", part.alpha_across, 0.01 * part.alpha_across)
+         * part.u_alpha_share * part.alpha_across),
+        ("albedo of the plastic", by_albedo * part.u_albedo),
+        ("refractive index", material_slope("index", part.index, 0.005) * part.u_index),
+        ("light angle", slope(replace(nominal, light_angle_deg=light - 0.1), replace(nominal, light_angle_deg=light + 0.1), 0.2)
+         * rig.light_angle_deg),
+        ("seating tilt about x", slope(replace(nominal, seating_deg=(-0.1, 0.0)), replace(nominal, seating_deg=(0.1, 0.0)), 0.2)
+         * rig.seating_tilt_deg),
+        ("seating tilt about y", slope(replace(nominal, seating_deg=(0.0, -0.1)), replace(nominal, seating_deg=(0.0, 0.1)), 0.2)
+         * rig.seating_tilt_deg),
+    ]
+    per_degree = slope(replace(nominal, turn_deg=-0.1), replace(nominal, turn_deg=0.1), 0.2)
+    return [Component(source, "prediction", relative, shared=True) for source, relative in found], per_degree

@@ -1,0 +1,214 @@
+"""From aligned pictures to pose radiances, their uncertainty (V_meas), and the map of contrasts."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.errors import MeasurementError, RegistrationError, Saturated
+from anisoscope.expectation import Component, Expectation
+from anisoscope.linear import RadianceImage
+from anisoscope.recipe import Recipe
+from anisoscope.registration import Grid, Placement, angle_between, resample
+
+FloatArray = npt.NDArray[np.float64]
+Image = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One pose as photographed: picture, place of the fixture, commanded angle."""
+
+    stage_deg: float
+    tilt_deg: float
+    image: RadianceImage
+    placement: Placement
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What the pictures say.
+
+    Attributes:
+        radiance: (P,) mean radiance of the region in 1/sr, whole pitches.
+        components: measurement uncertainties of ln L.
+        aligned: P pictures of the region on the sample's raster, (rows, cols), first row at the top.
+        cells: (P, cell rows, cell cols) mean radiance of cells one pitch by one pitch.
+        cell_noise: (P,) standard uncertainty of a cell's ln L from noise.
+        grid: raster of the aligned pictures.
+        drift: L(first pose, at the end)/L(first pose, at the start) − 1, or None.
+    """
+
+    radiance: FloatArray
+    components: tuple[Component, ...]
+    aligned: tuple[Image, ...]
+    cells: FloatArray
+    cell_noise: FloatArray
+    grid: Grid
+    drift: float | None
+
+
+def region_grid(recipe: Recipe, pixel_um: float) -> tuple[Grid, int]:
+    """Raster of the region: whole pitches, a whole number of pixels a pitch.
+
+    Returns:
+        The raster and the pixels per pitch.
+    """
+    pitch_mm = recipe.surface.pitch_um / 1000.0
+    per_pitch = max(1, round(recipe.surface.pitch_um / pixel_um))
+    step = pitch_mm / per_pitch
+    width, height = (int(size / pitch_mm + 1e-6) for size in recipe.region.size_mm)
+    x, y = recipe.region.center_mm
+    left, top = x - 0.5 * width * pitch_mm + 0.5 * step, y + 0.5 * height * pitch_mm - 0.5 * step
+    return Grid(left, top, (step, step), (height * per_pitch, width * per_pitch)), per_pitch
+
+
+def check_view(view: View, first: View, recipe: Recipe, pixel_um: float) -> None:
+    """Gates of one picture.
+
+    Raises:
+        RegistrationError: the markers do not fit, or stand elsewhere than stage and rig file say.
+        MeasurementError: no light.
+    """
+    limits, place = recipe.limits, view.placement
+    if place.residual_px > limits.registration_px:
+        raise RegistrationError(
+            f"at {view.stage_deg:g}° the fixture markers fit with {place.residual_px:.2f} px rms, limit "
+            f"{limits.registration_px:g} px: check focus, and that the markers stand where the rig file says"
+        )
+    off = angle_between(view.stage_deg, place.angle_deg - first.placement.angle_deg + first.stage_deg)
+    if abs(off) > limits.angle_deg:
+        raise RegistrationError(
+            f"the stage says {view.stage_deg:g}°, the markers {view.stage_deg + off:.2f}° (limit ±{limits.angle_deg:g}°): "
+            "check the rotation sense in the rig file and that the fixture sits tight"
+        )
+    zero = angle_between(view.stage_deg, place.angle_deg)
+    if abs(zero) > limits.angle_deg:
+        raise RegistrationError(
+            f"the fixture stands {zero:+.2f}° from where the stage says (limit ±{limits.angle_deg:g}°): "
+            "correct stage.zero_deg in the rig file, or seat the fixture again"
+        )
+    if abs(place.pixel_um / pixel_um - 1.0) > limits.scale_share:
+        raise RegistrationError(
+            f"the markers give {place.pixel_um:.3f} µm a pixel, the rig file {pixel_um:g} µm (limit "
+            f"{limits.scale_share:.0%}): correct camera.pixel_um or the fixture's measures"
+        )
+    moved = float(np.hypot(*np.subtract(place.axis_px, first.placement.axis_px)))
+    if moved > 5.0:
+        raise RegistrationError(
+            f"between {first.stage_deg:g}° and {view.stage_deg:g}° the fixture's centre moved by {moved:.1f} px "
+            "(limit 5 px): centre the fixture on the stage, and check that nothing slipped"
+        )
+
+
+def measure(views: list[View], closing: View | None, recipe: Recipe, expected: Expectation, pixel_um: float) -> Measured:
+    """Pose radiances over the recipe's region.
+
+    Args:
+        views: one a pose, in the recipe's order.
+        closing: the first pose photographed again at the end.
+        recipe: region and limits.
+        expected: the prediction; gives the change with stage angle.
+        pixel_um: size of a camera pixel on the sample according to the rig file.
+
+    Raises:
+        MeasurementError: INVALID, with the reason.
+    """
+    for view in [*views, *([closing] if closing else [])]:
+        check_light(view, recipe)
+        check_view(view, views[0], recipe, pixel_um)
+    grid, per_pitch = region_grid(recipe, pixel_um)
+    aligned = [resample(view.image.value, view.placement, grid) for view in views]
+    for view, picture in zip(views, aligned, strict=True):
+        _check_region(view, picture, grid, recipe)
+    radiance = np.array([np.nanmean(picture, dtype=np.float64) for picture in aligned])
+    if np.any(radiance <= 0):
+        raise MeasurementError("the part is darker than the dark frames: check light, exposure and dark frames")
+    drift = None
+    if closing is not None:
+        again = float(np.nanmean(resample(closing.image.value, closing.placement, grid), dtype=np.float64))
+        drift = again / radiance[0] - 1.0
+        if abs(drift) > recipe.limits.drift:
+            raise MeasurementError(
+                f"back at {views[0].stage_deg:g}° the part is {drift:+.1%} brighter than at the start (limit "
+                f"±{recipe.limits.drift:.1%}): let the lamp warm up, and check that the part sits tight"
+            )
+    noise = np.array([_mean_noise(view, grid) for view in views])
+    area_px = grid.shape[0] * grid.shape[1] * (grid.pixel_mm[0] * 1000.0 / pixel_um) ** 2
+    cell_px = per_pitch**2 * (grid.pixel_mm[0] * 1000.0 / pixel_um) ** 2
+    shape = (grid.shape[0] // per_pitch, per_pitch, grid.shape[1] // per_pitch, per_pitch)
+    cells = np.stack([np.nanmean(picture.reshape(shape), axis=(1, 3)) for picture in aligned]).astype(np.float64)
+    components = _components(recipe, expected, radiance, noise / np.sqrt(area_px), drift, views, aligned)
+    return Measured(radiance, components, tuple(aligned), cells, noise / np.sqrt(cell_px) / radiance, grid, drift)
+
+
+def check_light(view: View, recipe: Recipe) -> None:
+    """Is there any light in the picture?
+
+    Raises:
+        MeasurementError: next to none.
+    """
+    if view.image.signal_share < recipe.limits.min_signal_share:
+        raise MeasurementError(
+            f"at {view.stage_deg:g}° the brightest parts reach {view.image.signal_share:.1%} of full scale (limit "
+            f"{recipe.limits.min_signal_share:.0%}): is the lens cap on, the light off, the exposure too short?"
+        )
+
+
+def _check_region(view: View, picture: Image, grid: Grid, recipe: Recipe) -> None:
+    saturated = resample(view.image.saturated.astype(np.float32), view.placement, grid)
+    inside = np.isfinite(saturated)
+    if not inside.all():
+        raise RegistrationError(
+            f"at {view.stage_deg:g}° {1 - inside.mean():.1%} of the region lie outside the picture: "
+            "make region.size_mm smaller or centre the fixture"
+        )
+    share = float(np.mean(saturated > 0.01))
+    if share > recipe.limits.saturated_share:
+        raise Saturated(
+            f"at {view.stage_deg:g}° {share:.2%} of the region are saturated (limit "
+            f"{recipe.limits.saturated_share:.2%}): shorten acquisition.exposure_s in the recipe"
+        )
+    missing = float(np.mean(~np.isfinite(picture)))
+    if missing > 0.05 + 10 * recipe.limits.saturated_share:
+        raise MeasurementError(f"at {view.stage_deg:g}° {missing:.1%} of the region have no usable pixels")
+
+
+def _mean_noise(view: View, grid: Grid) -> float:
+    noise = resample(view.image.noise, view.placement, grid)
+    return float(np.sqrt(np.nanmean(noise.astype(np.float64) ** 2)))
+
+
+def _components(
+    recipe: Recipe,
+    expected: Expectation,
+    radiance: FloatArray,
+    noise: FloatArray,
+    drift: float | None,
+    views: list[View],
+    aligned: list[Image],
+) -> tuple[Component, ...]:
+    rig = recipe.uncertainty
+    ones = np.ones_like(radiance)
+    lamp = abs(drift) / np.sqrt(3.0) if drift is not None else recipe.limits.drift / np.sqrt(3.0)
+    shift = np.array([_shift_sensitivity(picture) for picture in aligned])
+    residual = np.array([view.placement.residual_px / np.sqrt(2 * view.placement.markers) for view in views])
+    found = (
+        ("noise of light and camera", noise / radiance, False),
+        ("flat field", rig.flat_share * ones, False),
+        ("linearity of the camera", rig.linearity_share * ones, False),
+        ("drift of the lamp", lamp * ones, False),
+        ("stray light", rig.stray_radiance / radiance, True),
+        ("stage angle", rig.stage_deg * expected.per_degree, False),
+        ("registration", shift * residual, False),
+    )
+    return tuple(Component(name, "measurement", relative, shared) for name, relative, shared in found)
+
+
+def _shift_sensitivity(picture: Image) -> float:
+    """Relative change of the region's mean per pixel of shift, from what enters and leaves at its edges."""
+    mean = np.nanmean(picture)
+    rows, cols = picture.shape
+    across = abs(np.nanmean(picture[:, 0]) - np.nanmean(picture[:, -1])) / cols
+    down = abs(np.nanmean(picture[0]) - np.nanmean(picture[-1])) / rows
+    return float(np.hypot(across, down) / mean)

@@ -1,0 +1,205 @@
+"""The recipe: what a part should look like, how it is photographed, and how it is judged."""
+
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from anisoscope.errors import ModelError, RecipeError
+from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.sim.light.geometry import Pose, pose_grid
+from anisoscope.sim.light.material import Material
+from anisoscope.tomlfile import read_toml_model
+
+ContrastKind = Literal["log_ratio", "michelson", "difference"]
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+Positive = Annotated[float, Field(gt=0.0)]
+NotNegative = Annotated[float, Field(ge=0.0)]
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class DesignPart(_Part):
+    """Ideal ridges."""
+
+    ridge_angle_deg: Annotated[float, Field(ge=0.0, lt=45.0)]
+    wall: Literal["perpendicular", "vertical"] = "perpendicular"
+
+
+class SurfacePart(_Part):
+    """What the part is compared with: a measured height map, or an ideal design.
+
+    ``pitch_um`` is needed in both cases: the contrast map is evaluated over whole pitches.
+    """
+
+    pitch_um: Positive
+    height_map: Path | None = None
+    pixel_um: tuple[Positive, Positive] | None = None
+    role: Literal["part", "tool"] = "part"
+    design: DesignPart | None = None
+
+    @model_validator(mode="after")
+    def _one_of_two(self) -> Self:
+        if (self.height_map is None) == (self.design is None):
+            raise ValueError("give either height_map (a file) or design (a table), not both and not neither")
+        return self
+
+    def ridge_design(self) -> RidgeDesign:
+        """The ideal design of this table; only where ``design`` is given."""
+        assert self.design is not None
+        return RidgeDesign(
+            pitch_um=self.pitch_um, ridge_angle_deg=self.design.ridge_angle_deg, wall=self.design.wall
+        )
+
+
+class MaterialPart(_Part):
+    """The plastic, with standard uncertainties: relative for the roughness, absolute for the rest."""
+
+    alpha_along: Positive
+    alpha_across: Positive
+    albedo: Share
+    index: Annotated[float, Field(gt=1.0, le=4.0)] = 1.5
+    internal_reflection: Literal["nonlinear", "linear"] = "nonlinear"
+    u_alpha_share: Share = 0.05
+    u_albedo: NotNegative = 0.01
+    u_index: NotNegative = 0.01
+
+    def material(self) -> Material:
+        """The material of the reflectance model."""
+        return Material(self.alpha_along, self.alpha_across, self.albedo, self.index, self.internal_reflection)
+
+
+class PosesPart(_Part):
+    """Stage angles in the order in which they are photographed, and tilts, in degrees."""
+
+    angles_deg: Annotated[tuple[float, ...], Field(min_length=2)] = (0.0, 90.0, 180.0)
+    tilts_deg: Annotated[tuple[float, ...], Field(min_length=1)] = (0.0,)
+    facet_azimuth_deg: float = 0.0
+
+    @model_validator(mode="after")
+    def _distinct(self) -> Self:
+        for name, values in (("angles_deg", self.angles_deg), ("tilts_deg", self.tilts_deg)):
+            if len(set(values)) != len(values):
+                raise ValueError(f"{name} names an angle twice")
+        return self
+
+    def poses(self) -> tuple[Pose, ...]:
+        """All poses, stage angles fastest."""
+        return pose_grid(self.angles_deg, self.tilts_deg)
+
+
+class AcquisitionPart(_Part):
+    """Exposure and repetition."""
+
+    exposure_s: Positive
+    gain: Positive = 1.0
+    frames_per_pose: Annotated[int, Field(ge=2, le=256)] = 4
+    dark_frames: Annotated[int, Field(ge=2, le=256)] = 4
+    settle_s: NotNegative = 0.1
+
+
+class RegionPart(_Part):
+    """The rectangle of the part that is judged, in mm about the rotation axis, at stage angle 0."""
+
+    center_mm: tuple[float, float] = (0.0, 0.0)
+    size_mm: tuple[Positive, Positive]
+
+
+class DecisionPart(_Part):
+    """How contrasts are judged.
+
+    ``tolerance`` is the largest deviation |measured − predicted| of a good part, one number for all pairs or
+    one a pair; without it a significant deviation at ``alpha`` fails the part. ``deviation`` says what a
+    significant deviation within the tolerance does.
+    """
+
+    contrast: ContrastKind = "log_ratio"
+    tolerance: Positive | tuple[Positive, ...] | None = None
+    alpha: Annotated[float, Field(gt=0.0, lt=0.5)] = 0.01
+    deviation: Literal["warn", "fail"] = "warn"
+    coverage: Positive = 1.645
+
+
+class AreaPart(_Part):
+    """How the contrast map is judged: cells of one pitch by one pitch, against the part's own median.
+
+    A cell deviates where its ln ratio is off by more than ``cell_deviation``; the part fails where more than
+    ``max_share`` of the cells do.
+    """
+
+    cell_deviation: Positive = 0.25
+    max_share: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.03
+
+
+class LimitsPart(_Part):
+    """What makes a measurement INVALID."""
+
+    saturated_share: Share = 0.001
+    registration_px: Positive = 0.5
+    angle_deg: Positive = 0.5
+    scale_share: Share = 0.02
+    drift: Positive = 0.02
+    min_signal_share: Share = 0.01
+
+
+class RigUncertainty(_Part):
+    """Standard uncertainties of the rig that one inspection cannot see."""
+
+    light_angle_deg: NotNegative = 0.1
+    stage_deg: NotNegative = 0.05
+    seating_tilt_deg: NotNegative = 0.1
+    flat_share: NotNegative = 0.002
+    linearity_share: NotNegative = 0.001
+    stray_radiance: NotNegative = 0.0003
+    height_map_share: NotNegative = 0.01
+
+
+class Recipe(_Part):
+    """A recipe, as read from its TOML file."""
+
+    schema_version: Annotated[Literal[1], Field(alias="schema")]
+    product: Annotated[str, Field(min_length=1, max_length=200)]
+    version: Annotated[int, Field(ge=1)] = 1
+    surface: SurfacePart
+    material: MaterialPart
+    poses: PosesPart = PosesPart()
+    acquisition: AcquisitionPart
+    region: RegionPart
+    decision: DecisionPart = DecisionPart()
+    area: AreaPart | None = AreaPart()
+    limits: LimitsPart = LimitsPart()
+    uncertainty: RigUncertainty = RigUncertainty()
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        pairs = len(self.poses.tilts_deg) * (len(self.poses.angles_deg) - 1)
+        tolerance = self.decision.tolerance
+        if isinstance(tolerance, tuple) and len(tolerance) != pairs:
+            raise ValueError(f"decision.tolerance lists {len(tolerance)} values for {pairs} pairs of angles")
+        smallest_mm = 2.0 * self.surface.pitch_um / 1000.0
+        if min(self.region.size_mm) < smallest_mm:
+            raise ValueError(f"region.size_mm must span at least two pitches ({smallest_mm:g} mm)")
+        return self
+
+    def tolerances(self) -> tuple[float, ...] | None:
+        """One tolerance a pair, or None."""
+        tolerance = self.decision.tolerance
+        if tolerance is None or isinstance(tolerance, tuple):
+            return tolerance
+        return (tolerance,) * (len(self.poses.tilts_deg) * (len(self.poses.angles_deg) - 1))
+
+
+def read_recipe(path: Path) -> Recipe:
+    """Read a recipe; ``${here}`` in it stands for its own folder.
+
+    Raises:
+        RecipeError: the file is missing or wrong; the message names file, key and what is expected.
+    """
+    recipe = read_toml_model(path, Recipe, error=RecipeError, substitutions={"here": str(path.resolve().parent)})
+    try:
+        recipe.material.material()
+    except ModelError as error:
+        raise RecipeError(f"{path}: material: {error}") from None
+    return recipe

@@ -1,0 +1,156 @@
+"""The record of an inspection: what was measured, with what, how it was judged, and who can check it."""
+
+import hashlib
+import json
+import os
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from anisoscope.errors import RecordError
+
+RECORD_NAME = "record.json"
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class InputFile(_Part):
+    """A file that the inspection used or made."""
+
+    name: str
+    sha256: str
+
+
+class FrameRecord(InputFile):
+    """One frame on disk; angles in degrees, exposure in seconds."""
+
+    kind: str
+    stage_deg: float
+    commanded_deg: float
+    exposure_s: float
+    gain: float
+    captured_at: str
+
+
+class PoseRecord(_Part):
+    """One pose: radiances in 1/sr, and where the markers stood."""
+
+    stage_deg: float
+    tilt_deg: float
+    measured: float
+    predicted: float
+    marker_angle_deg: float
+    pixel_um: float
+    residual_px: float
+    markers: int
+
+
+class ContrastRecord(_Part):
+    """One contrast of a pair of stage angles."""
+
+    from_deg: float
+    to_deg: float
+    tilt_deg: float
+    kind: str
+    measured: float
+    predicted: float
+    u: float
+    tolerance: float | None
+    guard: float | None
+    conformance_probability: float | None
+    verdict: str
+
+
+class AreaRecord(_Part):
+    """The contrast map judged."""
+
+    share: float
+    u: float
+    max_share: float
+    cells: int
+    verdict: str
+
+
+class BudgetRecord(_Part):
+    """One source of uncertainty: its standard contribution to every contrast."""
+
+    source: str
+    kind: str
+    contributions: tuple[float, ...]
+
+
+class Record(_Part):
+    """An inspection, complete; ``recipe`` and ``rig`` hold the files as they were."""
+
+    schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
+    software: str
+    created_at: str
+    serial: str
+    product: str
+    verdict: Literal["PASS", "FAIL", "INCONCLUSIVE", "INVALID"]
+    reasons: tuple[str, ...]
+    model: str
+    convention: dict[str, Any]
+    poses: tuple[PoseRecord, ...]
+    contrasts: tuple[ContrastRecord, ...]
+    d2: float | None
+    dof: int | None
+    p_value: float | None
+    area: AreaRecord | None
+    budget: tuple[BudgetRecord, ...]
+    drift: float | None
+    white_reference: dict[str, Any]
+    recipe: dict[str, Any]
+    rig: dict[str, Any]
+    camera: str
+    stage: str
+    inputs: tuple[InputFile, ...]
+    frames: tuple[FrameRecord, ...]
+
+
+def sha256_of(path: Path) -> str:
+    """SHA-256 of a file, hexadecimal."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def write_text_atomically(path: Path, text: str) -> None:
+    """Write a text file so that it is there whole or not at all.
+
+    Raises:
+        RecordError: the folder cannot be written.
+    """
+    partial = path.with_name(f".{path.name}.partial")
+    try:
+        with partial.open("w", encoding="utf-8") as stream:
+            stream.write(text)
+            stream.flush()
+            os.fsync(stream.fileno())
+        partial.replace(path)
+    except OSError as error:
+        raise RecordError(f"cannot write {path}: {error.strerror}") from error
+
+
+def write_record(record: Record, folder: Path) -> Path:
+    """Write ``record.json``, all or nothing."""
+    path = folder / RECORD_NAME
+    write_text_atomically(path, json.dumps(record.model_dump(mode="json", by_alias=True), indent=2, allow_nan=False))
+    return path
+
+
+def read_record(folder: Path) -> Record:
+    """Read the record of an inspection folder.
+
+    Raises:
+        RecordError: there is none, or it is damaged.
+    """
+    path = folder / RECORD_NAME
+    try:
+        return Record.model_validate_json(path.read_bytes())
+    except OSError as error:
+        raise RecordError(f"cannot read {path}: {error.strerror}: was this inspection finished?") from error
+    except ValueError as error:
+        raise RecordError(f"{path} is damaged: {str(error).splitlines()[0]}") from error

@@ -1,0 +1,138 @@
+"""Aligning the turned pictures by the ArUco markers of the fixture."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.errors import RegistrationError
+from anisoscope.rig.fixture import Fixture
+
+FloatArray = npt.NDArray[np.float64]
+Image = npt.NDArray[np.float32]
+
+MIN_MARKERS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """Where the fixture stands in one picture.
+
+    Attributes:
+        matrix: (2, 3) map from sample millimetres (x right, y up, at stage angle 0) to (column, row).
+        angle_deg: angle of the sample, counter-clockwise as seen, 0 to 360.
+        pixel_um: size of a pixel on the sample.
+        axis_px: (column, row) of the fixture's origin.
+        residual_px: rms distance of the marker corners from the fit.
+        markers: how many markers were found.
+    """
+
+    matrix: FloatArray
+    angle_deg: float
+    pixel_um: float
+    axis_px: tuple[float, float]
+    residual_px: float
+    markers: int
+
+
+def marker_corners_mm(fixture: Fixture) -> dict[int, FloatArray]:
+    """Corners of every marker in sample millimetres, (4, 2): top left first, clockwise as seen, as OpenCV counts."""
+    half = fixture.marker_mm / 2.0
+    offsets = np.array([[-half, half], [half, half], [half, -half], [-half, -half]])
+    return {marker.id: offsets + (marker.x_mm, marker.y_mm) for marker in fixture.markers}
+
+
+def _detect(image: Image, fixture: Fixture) -> list[tuple[int, FloatArray]]:
+    """Markers and their corners (4, 2). Found on a compressed picture, where dim markers show too; refined on
+    the linear one, because compression would move blurred edges toward the dark side.
+    """
+    filled = np.nan_to_num(image)
+    top = max(float(np.percentile(filled[::4, ::4], 99.5)), 1e-9)
+    seen = np.asarray(255.0 * np.sqrt(np.clip(filled / top, 0.0, 1.0)), dtype=np.uint8)
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, fixture.dictionary))
+    corners, ids, _ = cv2.aruco.ArucoDetector(dictionary, cv2.aruco.DetectorParameters()).detectMarkers(seen)
+    if ids is None:
+        return []
+    linear = np.clip(filled / top, 0.0, 2.0).astype(np.float32)
+    enough = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 60, 0.002)
+    refined = [cv2.cornerSubPix(linear, np.ascontiguousarray(c.reshape(4, 1, 2)), (6, 6), (-1, -1), enough) for c in corners]
+    return [(int(i), c.reshape(4, 2).astype(np.float64)) for i, c in zip(ids.ravel(), refined, strict=True)]
+
+
+def locate(image: Image, fixture: Fixture) -> Placement:
+    """Find the fixture in a picture and fit a similarity: rotation, scale, shift.
+
+    Args:
+        image: (rows, cols) linear picture.
+        fixture: the markers and where they stand.
+
+    Raises:
+        RegistrationError: fewer than three of the fixture's markers are seen.
+    """
+    known = marker_corners_mm(fixture)
+    found = [(i, c) for i, c in _detect(image, fixture) if i in known]
+    if len(found) < MIN_MARKERS:
+        raise RegistrationError(
+            f"only {len(found)} of {len(known)} fixture markers are seen (at least {MIN_MARKERS} needed): "
+            "check that the light is on, the lens is clear and in focus, and the fixture is the one in the rig file"
+        )
+    points = np.concatenate([known[i] for i, _ in found])
+    pixels = np.concatenate([c for _, c in found])
+    return _fit(points, pixels, len(found))
+
+
+def _fit(points_mm: FloatArray, pixels: FloatArray, markers: int) -> Placement:
+    """Least-squares similarity; rows run down, so y is mirrored first."""
+    source = points_mm[:, 0] - 1j * points_mm[:, 1]
+    target = pixels[:, 0] + 1j * pixels[:, 1]
+    centred = source - source.mean()
+    factor = np.vdot(centred, target - target.mean()) / np.vdot(centred, centred)
+    shift = target.mean() - factor * source.mean()
+    residual = float(np.sqrt(np.mean(np.abs(factor * source + shift - target) ** 2)))
+    matrix = np.array([[factor.real, factor.imag, shift.real], [factor.imag, -factor.real, shift.imag]])
+    return Placement(
+        matrix,
+        float(-np.degrees(np.angle(factor)) % 360.0),
+        float(1000.0 / abs(factor)),
+        (float(shift.real), float(shift.imag)),
+        residual,
+        markers,
+    )
+
+
+def angle_between(first_deg: float, second_deg: float) -> float:
+    """Signed smallest turn from the first angle to the second, −180 to 180."""
+    return (second_deg - first_deg + 180.0) % 360.0 - 180.0
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A raster on the sample: (rows, cols) points ``pixel_mm`` apart, the first row at the top (largest y)."""
+
+    left_mm: float
+    top_mm: float
+    pixel_mm: tuple[float, float]
+    shape: tuple[int, int]
+
+
+def resample(image: Image, placement: Placement, grid: Grid) -> Image:
+    """The picture on the sample's raster, warped once; NaN where the picture has no value.
+
+    Args:
+        image: (rows, cols) linear picture.
+        placement: where the fixture stands in it.
+        grid: the raster.
+
+    Returns:
+        ``grid.shape`` values; points outside the picture are NaN.
+    """
+    step_y, step_x = grid.pixel_mm
+    to_mm = np.array([[step_x, 0, grid.left_mm], [0, -step_y, grid.top_mm], [0, 0, 1]])
+    matrix = placement.matrix @ to_mm
+    rows, cols = grid.shape
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    warped = cv2.warpAffine(
+        image, matrix, (cols, rows), flags=flags, borderMode=cv2.BORDER_CONSTANT, borderValue=(float("nan"),)
+    )
+    return np.asarray(warped, dtype=np.float32)

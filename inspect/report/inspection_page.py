@@ -1,0 +1,148 @@
+"""The HTML report of one inspection: one self-contained file that opens offline and prints to A4."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.record import Record, write_text_atomically
+from anisoscope.report import figures
+from anisoscope.report.relief3d import Renderer
+
+FloatArray = npt.NDArray[np.float64]
+Image = npt.NDArray[np.float32]
+
+REPORT_NAME = "report.html"
+KIND_NAMES = {
+    "log_ratio": "ln ratio",
+    "michelson": "Michelson contrast",
+    "difference": "difference of radiance",
+}
+UNITS = {"log_ratio": "1", "michelson": "1", "difference": "1/sr"}
+MEANING = {
+    "PASS": "The part is as predicted, within the tolerance.",
+    "FAIL": "The part is not as it should be.",
+    "INCONCLUSIVE": "The deviation is too close to a limit to decide.",
+    "INVALID": "The measurement is unfit to judge the part.",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Pictures:
+    """Arrays that the report shows; all may be missing in an INVALID inspection.
+
+    Attributes:
+        aligned: one picture a pose on the sample's raster, radiance in 1/sr.
+        size_mm: (height, width) of the region.
+        ratios: (pairs, cell rows, cell cols) ln ratio of the contrast map.
+        deviating: (cell rows, cell cols) cells that deviate.
+        surface: the height map of the prediction, levelled.
+    """
+
+    aligned: tuple[Image, ...] = ()
+    size_mm: tuple[float, float] = (1.0, 1.0)
+    ratios: FloatArray | None = None
+    deviating: npt.NDArray[np.bool_] | None = None
+    surface: HeightMap | None = None
+    raw: tuple[tuple[str, Image], ...] = field(default=())
+
+
+def start_renderer(surface: HeightMap | None) -> Renderer | None:
+    """Begin drawing the height map in 3-D; the report collects the picture at the end."""
+    if surface is None:
+        return None
+    return Renderer(surface.height_um, (surface.pixel_y_um, surface.pixel_x_um))
+
+
+def write_report(record: Record, pictures: Pictures, folder: Path, renderer: Renderer | None = None) -> Path:
+    """Write ``report.html`` into an inspection folder, all or nothing.
+
+    Args:
+        record: the inspection.
+        pictures: what to show.
+        folder: the inspection folder.
+        renderer: the 3-D view being drawn, or None.
+
+    Raises:
+        RecordError: the folder cannot be written.
+    """
+    import jinja2
+
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("anisoscope.report"), autoescape=True, undefined=jinja2.StrictUndefined
+    )
+    environment.filters["signed"] = lambda value, digits=3: f"{value:+.{digits}f}".replace("-", "−")
+    page = environment.get_template("inspection.html").render(
+        record=record,
+        meaning=MEANING[record.verdict],
+        kind=KIND_NAMES.get(record.contrasts[0].kind, "") if record.contrasts else "",
+        unit=UNITS.get(record.contrasts[0].kind, "1") if record.contrasts else "1",
+        rule=record.recipe["decision"],
+        **_figures(record, pictures, renderer),
+    )
+    path = folder / REPORT_NAME
+    write_text_atomically(path, page)
+    return path
+
+
+def _figures(record: Record, pictures: Pictures, renderer: Renderer | None) -> dict[str, Any]:
+    labels = [_label(c.from_deg, c.to_deg, c.tilt_deg) for c in record.contrasts]
+    white = max((float(np.nanpercentile(p, 99.0)) for p in pictures.aligned), default=1.0)
+    found: dict[str, Any] = {
+        "white": white,
+        "labels": labels,
+        "photographs": [
+            (pose, figures.photograph(picture, white))
+            for pose, picture in zip(record.poses, pictures.aligned, strict=False)
+        ],
+        "raw": [(name, figures.photograph(image, _top(image))) for name, image in pictures.raw],
+        "maps": [],
+        "chart": None,
+        "budget_chart": None,
+        "surface_picture": None,
+        "surface_profile": None,
+        "surface_3d": None,
+        "surface_note": "",
+        "size_mm": pictures.size_mm,
+    }
+    if pictures.ratios is not None:
+        found["maps"] = [
+            (label, figures.contrast_map(ratio, pictures.deviating, pictures.size_mm))
+            for label, ratio in zip(labels, pictures.ratios, strict=True)
+        ]
+    if record.contrasts:
+        columns = ([getattr(c, name) for c in record.contrasts] for name in ("measured", "predicted", "u", "tolerance"))
+        found["chart"] = figures.contrast_chart(labels, *columns, unit=KIND_NAMES[record.contrasts[0].kind])
+        found["budget_chart"] = figures.budget_chart(
+            [row.source for row in record.budget],
+            np.array([row.contributions for row in record.budget]),
+            labels,
+            [row.kind for row in record.budget],
+        )
+    if pictures.surface is not None:
+        found |= _surface(pictures.surface, renderer)
+    return found
+
+
+def _top(image: Image) -> float:
+    return max(float(np.nanpercentile(image, 99.5)), 1e-9)
+
+
+def _surface(surface: HeightMap, renderer: Renderer | None) -> dict[str, Any]:
+    picture = renderer.result() if renderer else None
+    line = surface.height_um[surface.shape[0] // 2]
+    shown = min(line.size, round(600.0 / surface.pixel_x_um))
+    return {
+        "surface_picture": figures.height_picture(surface.height_um, (surface.pixel_y_um, surface.pixel_x_um)),
+        "surface_profile": figures.profile_chart(np.arange(shown) * surface.pixel_x_um, line[:shown]),
+        "surface_3d": figures.png_uri(picture.png) if picture and picture.png else None,
+        "surface_note": picture.note if picture else "",
+    }
+
+
+def _label(from_deg: float, to_deg: float, tilt_deg: float) -> str:
+    tilt = f", tilt {tilt_deg:g}°" if tilt_deg else ""
+    return f"{from_deg:g}° / {to_deg:g}°{tilt}".replace("-", "−")

@@ -1,0 +1,141 @@
+"""Plausibility checks that every imported height map must pass.
+
+A file that is damaged, or written in another unit than it says, often still decodes into numbers. The
+limits below are wider than any micro-ridged plastic part and any instrument that measures one, and narrower
+than the factors of 1000 or 10⁶ by which unit mistakes go wrong. Nothing is corrected here: a check passes,
+or it raises one line that names the file, the check, the value and the way out.
+"""
+
+from collections.abc import Sequence
+from typing import NoReturn
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.errors import HeightMapError
+from anisoscope.profiles.heightmap import FloatArray, HeightMap
+
+PIXEL_LIMITS_UM = (0.01, 1000.0)
+MAX_FIELD_UM = 0.5e6
+MAX_HEIGHT_UM = 10_000.0
+MAX_POINTS = 250_000_000
+DEFLATE_LIMIT = 1032
+AXIS_TOLERANCE = 0.05
+
+
+def refuse(name: str, check: str, value: object, advice: str) -> NoReturn:
+    """Refuse a file in one line.
+
+    Raises:
+        HeightMapError: always.
+    """
+    line = f"{name}: {check}: {value}; {advice}"
+    raise HeightMapError(" ".join(line.split()))
+
+
+def check_claim(name: str, rows: int, cols: int, bytes_per_point: float, available: float) -> None:
+    """Refuse a claimed size that the file cannot hold, before anything of that size is allocated.
+
+    Args:
+        name: name of the file.
+        rows: claimed number of rows.
+        cols: claimed number of columns.
+        bytes_per_point: least number of bytes that a point takes in the file.
+        available: bytes that the file can deliver at most.
+
+    Raises:
+        HeightMapError: fewer than 2 × 2 points, more than 250 million, or more than the file can hold.
+    """
+    if rows < 2 or cols < 2:
+        refuse(name, "size", f"{rows} × {cols} points", "a height map needs at least 2 × 2 points")
+    if rows * cols > MAX_POINTS:
+        refuse(
+            name,
+            "size",
+            f"{rows} × {cols} points",
+            f"at most {MAX_POINTS // 10**6} million are read; crop the map",
+        )
+    needed = rows * cols * bytes_per_point
+    if needed > available:
+        refuse(
+            name,
+            "size against file",
+            f"{rows} × {cols} points need {needed:.0f} bytes, the file can hold {available:.0f}",
+            "the file is truncated or its header is damaged; export it again",
+        )
+
+
+def check_pixel(name: str, pixel_um: Sequence[float], shape: tuple[int, int]) -> None:
+    """Check the pixel size (y, x) in µm and the field that it spans.
+
+    Raises:
+        HeightMapError: a pixel outside 0.01–1000 µm, or a field beyond 0.5 m.
+    """
+    low, high = PIXEL_LIMITS_UM
+    for axis, pixel, count in zip("yx", pixel_um, shape, strict=True):
+        if not low <= pixel <= high:
+            refuse(
+                name,
+                f"pixel size along {axis}",
+                f"{pixel:.6g} µm",
+                f"plausible are {low:g} to {high:g} µm; check the unit in which the pixel size was given",
+            )
+        if pixel * count > MAX_FIELD_UM:
+            refuse(
+                name,
+                f"field along {axis}",
+                f"{pixel * count * 1e-3:.6g} mm",
+                f"plausible are up to {MAX_FIELD_UM * 1e-3:g} mm; check the pixel size",
+            )
+
+
+def check_heights(name: str, height_um: npt.NDArray[np.floating]) -> None:
+    """Check the heights, (rows, cols) in µm, NaN where missing.
+
+    Raises:
+        HeightMapError: nothing was measured, or a height is beyond ±10 mm.
+    """
+    if not np.isfinite(height_um).any():
+        refuse(name, "measured points", "none", "every point is marked as missing; export the map again")
+    largest = float(np.nanmax(np.abs(height_um)))
+    if largest > MAX_HEIGHT_UM:
+        refuse(
+            name,
+            "largest height",
+            f"{largest:.6g} µm",
+            f"plausible are up to {MAX_HEIGHT_UM:g} µm; check the unit of the heights and the offset of z",
+        )
+
+
+def check_map(surface: HeightMap, name: str) -> HeightMap:
+    """Check pixel, field and heights of a map, and hand it back.
+
+    Raises:
+        HeightMapError: a check failed.
+    """
+    check_pixel(name, (surface.pixel_y_um, surface.pixel_x_um), surface.shape)
+    check_heights(name, surface.height_um)
+    return surface
+
+
+def equidistant_step(name: str, axis: str, positions_um: FloatArray) -> float:
+    """Step of an axis given by its n positions in µm; they must rise evenly, within 5 % of a step.
+
+    Raises:
+        HeightMapError: the axis is not strictly rising, or its steps differ.
+    """
+    steps = np.diff(positions_um)
+    if steps.size == 0:
+        refuse(name, f"{axis} axis", "a single position", "a height map needs at least two along each axis")
+    if not (np.isfinite(positions_um).all() and (steps > 0).all()):
+        refuse(name, f"{axis} axis", "positions do not rise", "the points must lie on a regular grid")
+    step = float((positions_um[-1] - positions_um[0]) / steps.size)
+    worst = float(np.max(np.abs(positions_um - positions_um[0] - step * np.arange(positions_um.size))))
+    if worst > AXIS_TOLERANCE * step:
+        refuse(
+            name,
+            f"{axis} axis",
+            f"a position is {worst:.4g} µm off a regular step of {step:.4g} µm",
+            "resample the map to a regular grid",
+        )
+    return step

@@ -1,0 +1,225 @@
+"""Pitch and direction of the ridges on a height map, and whether there are any.
+
+The spectrum of parallel ridges is a row of peaks at the multiples of one frequency vector. The vector with
+the largest power summed over its harmonics is searched on the grid of the FFT, then refined between the
+bins on the exact Fourier sums, where a harmonic of order k counts with k times the resolution. Missing
+points weigh nothing.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.profiles.checks import check_heights
+from anisoscope.profiles.heightmap import FloatArray, HeightMap
+
+HARMONICS = 8
+MIN_CYCLES = 4.0
+MIN_FUNDAMENTAL = 0.1
+MIN_SCORE = 0.5
+LOBE_BINS = 1
+CANDIDATES = 6
+STENCIL_BINS = 0.2
+NEWTON_STEPS = 6
+PHASE_BINS = 64
+FIT_SAMPLES = 60_000
+
+
+@dataclass(frozen=True)
+class Period:
+    """The period of a ridged surface.
+
+    Attributes:
+        pitch_um: distance of neighbouring ridges across them, in µm; NaN if not periodic.
+        direction_deg: direction of the ridge line, counted counter-clockwise from +y as seen from +z,
+            within (−90, 90]; 0 for ideal ridges; NaN if not periodic.
+        score: share of the variance that a repeated profile predicts: each ridge from all the others, 0 to 1.
+        is_periodic: whether the score reaches 0.5.
+    """
+
+    pitch_um: float
+    direction_deg: float
+    score: float
+    is_periodic: bool
+
+    def across(self) -> tuple[float, float]:
+        """Unit vector (x, y) across the ridges."""
+        angle = np.radians(self.direction_deg)
+        return float(np.cos(angle)), float(np.sin(angle))
+
+    def along(self) -> tuple[float, float]:
+        """Unit vector (x, y) along the ridges."""
+        angle = np.radians(self.direction_deg)
+        return float(-np.sin(angle)), float(np.cos(angle))
+
+
+def remove_form(surface: HeightMap) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+    """Heights without their least-squares paraboloid and spikes, 0 where missing, and the measured points."""
+    height = surface.height_um
+    known = np.isfinite(height)
+    rows, cols = surface.shape
+    y, x = np.linspace(-1.0, 1.0, rows)[:, None], np.linspace(-1.0, 1.0, cols)[None, :]
+    i, j = np.nonzero(known)
+    step = max(1, i.size // FIT_SAMPLES)
+    i, j = i[::step], j[::step]
+    ys, xs = y[i, 0], x[0, j]
+    design = np.stack([np.ones_like(xs), xs, ys, xs * xs, xs * ys, ys * ys], axis=1)
+    c = np.linalg.lstsq(design, height[i, j], rcond=None)[0]
+    residual = height - (c[0] + x * (c[1] + c[3] * x) + y * (c[2] + c[5] * y) + c[4] * x * y)
+    low, high = np.quantile(residual[i, j], (0.005, 0.995))
+    margin = 0.5 * (high - low)
+    return np.where(known, np.clip(residual, low - margin, high + margin), 0.0), known
+
+
+class _Spectrum:
+    """Power of the windowed heights, on the FFT's grid and between its bins. Frequencies are (x, y)."""
+
+    def __init__(
+        self, residual: FloatArray, known: npt.NDArray[np.bool_], pixel_y: float, pixel_x: float
+    ) -> None:
+        rows, cols = residual.shape
+        window = np.hanning(rows + 2)[1:-1, None] * np.hanning(cols + 2)[None, 1:-1]
+        weight = window * known
+        self.data = weight * (residual - float(np.sum(weight * residual) / np.sum(weight)))
+        self.y, self.x = np.arange(rows) * pixel_y, np.arange(cols) * pixel_x
+        self.step = np.array([1.0 / (cols * pixel_x), 1.0 / (rows * pixel_y)])
+        self.nyquist = np.array([0.5 / pixel_x, 0.5 / pixel_y])
+        half = np.abs(np.fft.rfft2(self.data)) ** 2
+        mirrored = half[-np.arange(rows), LOBE_BINS:0:-1]
+        self.power = np.fft.fftshift(np.concatenate([mirrored, half], axis=1), axes=0)
+        self.middle = rows // 2
+
+    def candidates(self) -> list[FloatArray]:
+        """Frequencies of the strongest separate peaks."""
+        rows, cols = self.power.shape
+        cycles = np.hypot(np.arange(rows)[:, None] - self.middle, np.arange(cols)[None, :] - LOBE_BINS)
+        power = np.where(cycles < MIN_CYCLES, 0.0, self.power)
+        power[:, :LOBE_BINS] = 0.0
+        found: list[FloatArray] = []
+        for _ in range(CANDIDATES):
+            i, j = np.unravel_index(int(power.argmax()), power.shape)
+            found.append(np.array([float(j - LOBE_BINS), float(i - self.middle)]) * self.step)
+            power[max(i - 2, 0) : i + 3, max(j - 2, 0) : j + 3] = 0.0
+        return found
+
+    def orders(self, frequency: FloatArray) -> int:
+        """Number of harmonics of a frequency that the sampling can hold, at most eight."""
+        limit = float(np.min(self.nyquist / np.maximum(np.abs(frequency), 1e-12)))
+        return int(np.clip(np.floor(limit * 0.98), 1, HARMONICS))
+
+    def lobe(self, frequency: FloatArray) -> float:
+        """Power within the main lobe of the window about a frequency."""
+        j, i = (frequency if frequency[0] >= 0 else -frequency) / self.step
+        row, col = round(float(i)) + self.middle, round(float(j)) + LOBE_BINS
+        part = self.power[
+            max(row - LOBE_BINS, 0) : row + LOBE_BINS + 1, col - LOBE_BINS : col + LOBE_BINS + 1
+        ]
+        return float(part.sum())
+
+    def harmonics(self, frequency: FloatArray) -> list[float]:
+        """Power of the harmonics of a frequency, from the first on."""
+        return [self.lobe(k * frequency) for k in range(1, 1 + self.orders(frequency))]
+
+    def sums(self, fx: FloatArray, fy: FloatArray) -> FloatArray:
+        """(n, m) exact power at n frequencies along y and m along x."""
+        ey = np.exp(-2j * np.pi * np.outer(fy, self.y))
+        ex = np.exp(-2j * np.pi * np.outer(self.x, fx))
+        half = ey.real @ self.data + 1j * (ey.imag @ self.data)
+        power: FloatArray = np.abs(half @ ex) ** 2
+        return power
+
+    def refine(self, frequency: FloatArray, orders: int) -> FloatArray:
+        """The maximum of the harmonic sum near a frequency, by Newton steps on 3 × 3 stencils."""
+        h = STENCIL_BINS / orders * self.step
+        offsets = np.arange(-1, 2)
+        for _ in range(NEWTON_STEPS):
+            total = np.zeros((3, 3))
+            for k in range(1, orders + 1):
+                total += self.sums(k * (frequency[0] + h[0] * offsets), k * (frequency[1] + h[1] * offsets))
+            move = _vertex(total)
+            frequency = frequency + h * move
+            if float(np.abs(move).max()) < 1e-3:
+                break
+        return frequency
+
+
+def _vertex(p: FloatArray) -> FloatArray:
+    """Offset (x, y) of the maximum of a 3 × 3 stencil in steps, by one Newton step within ±1.5."""
+    gx, gy = 0.5 * (p[1, 2] - p[1, 0]), 0.5 * (p[2, 1] - p[0, 1])
+    hxx, hyy = p[1, 2] - 2 * p[1, 1] + p[1, 0], p[2, 1] - 2 * p[1, 1] + p[0, 1]
+    hxy = 0.25 * (p[2, 2] - p[2, 0] - p[0, 2] + p[0, 0])
+    determinant = hxx * hyy - hxy * hxy
+    if determinant <= 0 or hxx >= 0:
+        i, j = np.unravel_index(int(p.argmax()), p.shape)
+        return np.array([j - 1.0, i - 1.0])
+    step = -np.array([hyy * gx - hxy * gy, hxx * gy - hxy * gx]) / determinant
+    move: FloatArray = np.clip(step, -1.5, 1.5)
+    return move
+
+
+def _strongest(spectrum: _Spectrum) -> FloatArray:
+    """The refined frequency with the largest power in its harmonics."""
+    best, best_power = spectrum.candidates()[0], -1.0
+    for candidate in spectrum.candidates():
+        refined = spectrum.refine(candidate, 1)
+        powers = spectrum.harmonics(refined)
+        if powers[0] >= MIN_FUNDAMENTAL * max(powers) and sum(powers) > best_power:
+            best, best_power = refined, sum(powers)
+    limit = spectrum.orders(best)
+    for orders in (2, 4, HARMONICS):
+        best = spectrum.refine(best, min(orders, limit))
+    return best if best[0] > 0 or (best[0] == 0 and best[1] > 0) else -best
+
+
+def _predicted_share(
+    residual: FloatArray, known: npt.NDArray[np.bool_], spectrum: _Spectrum, f: FloatArray
+) -> float:
+    """Share of the variance that the mean profile of all other ridges predicts for each ridge.
+
+    With c ridges, leaving one out scales its residual by c/(c − 1); the search for the best frequency uses up
+    another one, so that c/(c − 2) keeps the score of random surfaces near 0.
+    """
+    cycles = float(np.abs(f) @ np.array([spectrum.x[-1], spectrum.y[-1]]))
+    if cycles < MIN_CYCLES - 0.5:
+        return 0.0
+    phase = np.add.outer(f[1] * spectrum.y, f[0] * spectrum.x)[known]
+    z = residual[known]
+    bins = min(PHASE_BINS, max(4, round(1.0 / float(np.max(np.abs(f) / (2.0 * spectrum.nyquist))))))
+    index = ((phase - np.floor(phase)) * bins).astype(np.intp) % bins
+    count = np.maximum(np.bincount(index, minlength=bins), 1)
+    mean = np.bincount(index, z, minlength=bins) / count
+    total = float(np.var(z)) * z.size
+    unexplained = 1.0 - float(np.sum(count * (mean - z.mean()) ** 2)) / total
+    return 1.0 - (cycles / (cycles - 2.0)) ** 2 * unexplained
+
+
+def find_period(surface: HeightMap) -> Period:
+    """Pitch and direction of parallel ridges.
+
+    At least four pitches must lie within the map. Ridges whose first harmonic is weak are found as long as
+    it has a tenth of the power of the strongest one.
+
+    Args:
+        surface: (rows, cols) heights in µm, NaN where missing; pixels need not be square.
+
+    Returns:
+        The period; pitch and direction are NaN where the surface is not periodic.
+
+    Raises:
+        HeightMapError: nothing was measured.
+    """
+    check_heights("height map", surface.height_um)
+    none = Period(float("nan"), float("nan"), 0.0, False)
+    if min(surface.shape) < 8:
+        return none
+    residual, known = remove_form(surface)
+    if float(np.ptp(residual)) <= 1e-9:
+        return none
+    spectrum = _Spectrum(residual, known, surface.pixel_y_um, surface.pixel_x_um)
+    best = _strongest(spectrum)
+    score = float(np.clip(_predicted_share(residual, known, spectrum, best), 0.0, 1.0))
+    if score < MIN_SCORE:
+        return Period(float("nan"), float("nan"), score, False)
+    fx, fy = best.tolist()
+    return Period(float(1.0 / np.hypot(fx, fy)), float(np.degrees(np.arctan2(fy, fx))), score, True)

@@ -1,0 +1,64 @@
+"""What a camera is: linear raw counts, with the settings that were really used."""
+
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+import numpy.typing as npt
+
+
+@dataclass(frozen=True)
+class CameraInfo:
+    """What is fixed about a camera.
+
+    Attributes:
+        model: maker's name of the camera.
+        serial: serial number.
+        rows, cols: shape of its frames.
+        bit_depth: bits per pixel; full scale is 2**bit_depth − 1 counts.
+        black_level: counts of a pixel without light.
+        pixel_pitch_um: distance of pixels on the sensor, if known.
+        linear: whether counts grow in proportion to light.
+    """
+
+    model: str
+    serial: str
+    rows: int
+    cols: int
+    bit_depth: int
+    black_level: float
+    pixel_pitch_um: float | None = None
+    linear: bool = True
+
+
+@dataclass(frozen=True)
+class CameraSettings:
+    """Settings as the camera reports them after they were set: exposure in seconds, gain as a factor."""
+
+    exposure_s: float
+    gain: float
+
+
+@runtime_checkable
+class Camera(Protocol):
+    """A camera that delivers single frames. Every method may raise `CameraError` or `NotConnected`."""
+
+    @property
+    def info(self) -> CameraInfo:
+        """What is fixed about the camera."""
+        ...
+
+    def configure(self, exposure_s: float, gain: float) -> CameraSettings:
+        """Set exposure in seconds and gain as a factor; return what the camera really uses."""
+        ...
+
+    def grab(self) -> npt.NDArray[np.uint16]:
+        """Return the next frame that was exposed wholly under the present settings.
+
+        Linear raw counts, right-justified, (rows, cols).
+        """
+        ...
+
+    def close(self) -> None:
+        """Disconnect; closing twice is fine."""
+        ...

@@ -1,0 +1,56 @@
+"""Devices by name. Entry points name them, so that a third party's driver registers like a built-in one."""
+
+from importlib.metadata import EntryPoint, entry_points
+from inspect import signature
+from typing import cast
+
+from anisoscope.errors import RigFileError
+from anisoscope.rig.camera import Camera
+from anisoscope.rig.light import Light
+from anisoscope.rig.stage import RotationStage
+
+STAGES = "anisoscope.stages"
+CAMERAS = "anisoscope.cameras"
+LIGHTS = "anisoscope.lights"
+
+
+def installed(group: str) -> dict[str, EntryPoint]:
+    """The drivers of a group (`STAGES`, `CAMERAS`, `LIGHTS`) by name."""
+    return {entry.name: entry for entry in sorted(entry_points(group=group))}
+
+
+def open_stage(name: str, **options: object) -> RotationStage:
+    """Connect to a stage.
+
+    Raises:
+        RigFileError: no such driver is installed, or it does not know an option.
+        NotConnected: the driver does not find its device.
+    """
+    return cast("RotationStage", _open(STAGES, "stage", name, options))
+
+
+def open_camera(name: str, **options: object) -> Camera:
+    """Connect to a camera; errors as for `open_stage`."""
+    return cast("Camera", _open(CAMERAS, "camera", name, options))
+
+
+def open_light(name: str, **options: object) -> Light:
+    """Connect to a light; errors as for `open_stage`."""
+    return cast("Light", _open(LIGHTS, "light", name, options))
+
+
+def _open(group: str, what: str, name: str, options: dict[str, object]) -> object:
+    drivers = installed(group)
+    if name not in drivers:
+        names = ", ".join(drivers) or "none"
+        raise RigFileError(f"{what}.driver: there is no {what} driver '{name}'; installed: {names}")
+    try:
+        driver = drivers[name].load()
+    except ImportError as problem:
+        raise RigFileError(f"{what}.driver: the driver '{name}' does not load: {problem}") from problem
+    opener = getattr(driver, "open", driver)
+    try:
+        signature(opener).bind(**options)
+        return opener(**options)
+    except TypeError as problem:
+        raise RigFileError(f"{what}.options: the driver '{name}' does not take them: {problem}") from problem

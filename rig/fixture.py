@@ -1,0 +1,42 @@
+"""The sample holder: printed ArUco markers around the sample, to find position and angle by."""
+
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+
+class Marker(BaseModel):
+    """One marker: its number in the dictionary, and its centre in mm in the sample frame."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    id: Annotated[int, Field(ge=0)]
+    x_mm: float
+    y_mm: float
+
+
+class Fixture(BaseModel):
+    """The markers of a sample holder.
+
+    The sample frame has x to the right and y up as the camera sees it at sample angle 0, its origin on the
+    nominal axis.
+
+    Attributes:
+        dictionary: name of a predefined ArUco dictionary of OpenCV.
+        marker_mm: side of the black square of a marker.
+        markers: the markers.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    dictionary: Annotated[str, Field(pattern=r"^DICT_[A-Z0-9_h]+$")] = "DICT_4X4_50"
+    marker_mm: Annotated[float, Field(gt=0.0)]
+    markers: Annotated[tuple[Marker, ...], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _check_ids(self) -> "Fixture":
+        ids = [marker.id for marker in self.markers]
+        twice = sorted({number for number in ids if ids.count(number) > 1})
+        if twice:
+            raise ValueError(f"marker {twice[0]} is listed twice; every marker needs its own id")
+        return self

@@ -1,0 +1,137 @@
+"""A frame: linear raw counts with all that is known about how they were taken; and its file.
+
+The file is a 16-bit TIFF, with the metadata as JSON in its ImageDescription.
+"""
+
+import contextlib
+import json
+import os
+import tempfile
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import numpy.typing as npt
+import tifffile
+from anisoscope.errors import RecordError
+from pydantic import Field, TypeAdapter, ValidationError
+
+SCHEMA = 1
+SATURATION = 0.98
+FrameKind = Literal["sample", "dark", "flat"]
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One exposure.
+
+    Attributes:
+        counts: linear raw counts, (rows, cols), right-justified.
+        kind: what is in the picture: the sample, nothing (light off), or the flat reference.
+        bit_depth: bits per pixel.
+        black_level: counts of a pixel without light.
+        exposure_s: exposure in seconds, as the camera reported it.
+        gain: gain as a factor, as the camera reported it.
+        stage_deg: sample angle in degrees, read back from the stage.
+        commanded_deg: sample angle in degrees that was asked for.
+        tilt_deg: tilt of the camera arm in degrees.
+        captured_at: UTC time, ISO 8601.
+        camera: model and serial number.
+    """
+
+    counts: npt.NDArray[np.uint16]
+    kind: FrameKind
+    bit_depth: int
+    black_level: float
+    exposure_s: float
+    gain: float
+    stage_deg: float
+    commanded_deg: float
+    tilt_deg: float
+    captured_at: str
+    camera: str
+
+    @property
+    def full_scale(self) -> int:
+        """Largest count that the bit depth allows."""
+        return (1 << self.bit_depth) - 1
+
+    @property
+    def saturated_share(self) -> float:
+        """Share of pixels at or above 98 % of full scale."""
+        return float(np.mean(self.counts >= SATURATION * self.full_scale))
+
+
+@dataclass(frozen=True)
+class _Header:
+    """The metadata of a frame, as they stand in the file."""
+
+    anisoscope_frame: Literal[1]
+    kind: FrameKind
+    bit_depth: Annotated[int, Field(ge=1, le=16)]
+    black_level: float
+    exposure_s: float
+    gain: float
+    stage_deg: float
+    commanded_deg: float
+    tilt_deg: float
+    captured_at: str
+    camera: str
+
+
+_HEADER = TypeAdapter(_Header)
+_NAMES = tuple(field.name for field in fields(Frame) if field.name != "counts")
+
+
+def write_frame(frame: Frame, path: Path) -> None:
+    """Write a frame; the file appears whole or not at all.
+
+    Raises:
+        RecordError: the folder cannot be written to.
+    """
+    header = {"anisoscope_frame": SCHEMA} | {name: getattr(frame, name) for name in _NAMES}
+    temporary: str | None = None
+    try:
+        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=".frame-", delete=False) as file:
+            temporary = file.name
+            tifffile.imwrite(file, frame.counts, description=json.dumps(header), metadata=None)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)  # noqa: PTH105 - a path of our own making
+        temporary = None
+    except OSError as problem:
+        raise RecordError(f"{path}: cannot be written: {problem.strerror or problem}") from problem
+    finally:
+        if temporary is not None:
+            with contextlib.suppress(OSError):
+                Path(temporary).unlink()
+
+
+def read_frame(path: Path) -> Frame:
+    """Read a frame.
+
+    Raises:
+        RecordError: there is no such file, or it is not a frame that `write_frame` wrote.
+    """
+    try:
+        with tifffile.TiffFile(path) as tiff:
+            page = tiff.pages[0]
+            counts = page.asarray()
+            description = getattr(page, "description", "")
+    except FileNotFoundError:
+        raise RecordError(f"{path}: there is no such file") from None
+    except Exception as problem:  # a damaged TIFF fails in many ways
+        reason = str(problem).split("\n", maxsplit=1)[0]
+        raise RecordError(f"{path}: not a readable TIFF file: {reason}") from problem
+    try:
+        header = _HEADER.validate_json(description)
+    except ValidationError as problem:
+        first = problem.errors(include_url=False)[0]
+        where = ".".join(str(part) for part in first["loc"]) or "metadata"
+        raise RecordError(f"{path}: not a frame of anisoscope: {where}: {first['msg']}") from problem
+    if counts.dtype != np.uint16 or counts.ndim != 2:
+        raise RecordError(
+            f"{path}: a frame has 16-bit counts of shape (rows, cols), not {counts.dtype}{counts.shape}"
+        )
+    return Frame(counts=counts, **{name: getattr(header, name) for name in _NAMES})

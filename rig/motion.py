@@ -1,0 +1,247 @@
+"""The rules of motion that every driver of a stage keeps.
+
+A stage has arrived when it is not busy *and* stands at the target; the time for a move follows from distance
+and velocity, and running out of it raises and stops; limits are checked before the move; an absolute move
+needs a reference search first; stop works from another thread. Angles are in degrees.
+"""
+
+import contextlib
+import math
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from types import TracebackType
+from typing import Self
+
+from anisoscope.errors import LimitExceeded, MotionTimeout, NotHomed, RigError
+from anisoscope.rig.stage import MotionRules
+
+POLL_S = 0.1
+SETTLE_S = 0.2
+LOST_REFERENCE_TOLERANCES = 10.0
+
+
+class StageBase(ABC):
+    """The motion rules; a driver adds how to ask, to start, to stop.
+
+    Errors of every motion: `NotConnected`, `ProtocolError`, `Stalled` from the driver; `MotionTimeout`,
+    `LimitExceeded`, `NotHomed` from here; plain `RigError` for a move that was stopped by another thread.
+    """
+
+    home_deg = 0.0
+
+    def __init__(
+        self, name: str, rules: MotionRules, limits_deg: tuple[float, float], resolution_deg: float
+    ) -> None:
+        self._name = name
+        self.rules = rules
+        self._limits_deg = limits_deg
+        self._resolution_deg = resolution_deg
+        self._motion = threading.Lock()
+        # A driver whose device shares its port with others puts the lock of the port here.
+        self._bus: contextlib.AbstractContextManager[object] = contextlib.nullcontext()
+        self._stopping = threading.Event()
+        self._homed = False
+        self._left_at_deg: float | None = None
+
+    # What the driver adds.
+
+    @abstractmethod
+    def _read_deg(self) -> float:
+        """Ask for the angle in degrees."""
+
+    @abstractmethod
+    def _begin_home(self) -> None:
+        """Send the command that starts the reference search."""
+
+    @abstractmethod
+    def _begin_move(self, target_deg: float) -> None:
+        """Send the command that starts an absolute move."""
+
+    @abstractmethod
+    def _is_busy(self, wait_s: float) -> bool:
+        """Wait up to `wait_s` seconds for the end of the motion; return whether it still goes on."""
+
+    def _is_surely_busy(self) -> bool:
+        """Ask once more, at the end of a move's time, whether the stage still moves."""
+        return self._is_busy(0.0)
+
+    @abstractmethod
+    def _send_stop(self) -> None:
+        """Send the stop command without waiting for anything; called from any thread."""
+
+    @abstractmethod
+    def _disconnect(self) -> None:
+        """Close the connection."""
+
+    # What every stage does.
+
+    @property
+    def name(self) -> str:
+        """Model and serial number, for records."""
+        return self._name
+
+    @property
+    def limits_deg(self) -> tuple[float, float]:
+        """Lowest and highest angle in degrees that may be asked for."""
+        return self._limits_deg
+
+    @property
+    def resolution_deg(self) -> float:
+        """Smallest step in degrees."""
+        return self._resolution_deg
+
+    @property
+    def is_homed(self) -> bool:
+        """Whether the reference search was done since the connection was made, and not lost since."""
+        return self._homed
+
+    def position_deg(self) -> float:
+        """Read the angle in degrees; during a move of another thread this waits for its end."""
+        with self._motion, self._bus:
+            return self._read_deg()
+
+    def home(self) -> float:
+        """Search the reference and return the angle read back, in degrees."""
+        with self._one_motion():
+            self._homed = False
+            low, high = self._limits_deg
+            span = max(high - low, 360.0)
+            reached = self._move("home", self._begin_home, self.home_deg, 2.0 * self.rules.timeout_s(span))
+            self._homed = True
+            return reached
+
+    def move_to(self, angle_deg: float) -> float:
+        """Move to an angle in degrees and return the angle read back.
+
+        Raises:
+            NotHomed: no reference search yet, or the reference was lost.
+            LimitExceeded: the target is outside the limits; nothing was sent.
+            MotionTimeout: not there in the time that the distance needs; the stage was told to stop.
+        """
+        with self._one_motion():
+            return self._move_to(angle_deg)
+
+    def move_by(self, delta_deg: float) -> float:
+        """Move by an angle in degrees and return the angle read back; errors as for `move_to`."""
+        with self._one_motion():
+            return self._move_to(self._read_deg() + delta_deg)
+
+    def stop(self) -> None:
+        """Stop at once, from any thread; a move that waits in another thread ends with a `RigError`."""
+        self._stopping.set()
+        self._send_stop()
+        if self._motion.acquire(timeout=self.rules.margin_s):
+            try:
+                with self._bus:
+                    self._wait_until_still()
+            finally:
+                self._motion.release()
+
+    def close(self) -> None:
+        """Stop if a move is under way, and disconnect; closing twice is fine."""
+        if self._motion.locked():
+            with contextlib.suppress(RigError):
+                self.stop()
+        self._homed = False
+        self._disconnect()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @contextlib.contextmanager
+    def _one_motion(self) -> Iterator[None]:
+        if not self._motion.acquire(blocking=False):
+            raise RigError(f"{self.name} is moving already; wait for it, or stop it first")
+        try:
+            with self._bus:
+                self._stopping.clear()
+                yield
+        finally:
+            self._motion.release()
+
+    def _move_to(self, angle_deg: float) -> float:
+        if not math.isfinite(angle_deg):
+            raise LimitExceeded(f"{self.name}: {angle_deg} is not an angle")
+        if not self._homed:
+            raise NotHomed(f"{self.name} was not homed; search the reference before moving to an angle")
+        self._check_limits(angle_deg)
+        start = self._read_deg()
+        self._check_reference(start)
+        timeout_s = self.rules.timeout_s(angle_deg - start)
+        return self._move(
+            f"move to {angle_deg:.4g}°", lambda: self._begin_move(angle_deg), angle_deg, timeout_s
+        )
+
+    def _check_limits(self, angle_deg: float) -> None:
+        low, high = self._limits_deg
+        slack = 0.5 * self._resolution_deg
+        if not low - slack <= angle_deg <= high + slack:
+            raise LimitExceeded(
+                f"{self.name}: {angle_deg:.6g}° is outside {low:.6g}°…{high:.6g}°; nothing was moved"
+            )
+
+    def _check_reference(self, now_deg: float) -> None:
+        """A stage that does not stand where it was left has lost its count: a power cycle, or a hand."""
+        if self._left_at_deg is None:
+            return
+        if abs(now_deg - self._left_at_deg) > LOST_REFERENCE_TOLERANCES * self.rules.tolerance_deg:
+            self._homed = False
+            raise NotHomed(
+                f"{self.name} stands at {now_deg:.4g}° but was left at {self._left_at_deg:.4g}°: "
+                "it was switched off or turned by hand; home it again"
+            )
+
+    def _off_target(self, what: str, at_deg: float, target_deg: float) -> MotionTimeout:
+        away_deg = abs(at_deg - target_deg)
+        text = f"{self.name}: the {what} ended at {at_deg:.6g}°, {away_deg:.3g}° from {target_deg:.6g}°"
+        if away_deg > LOST_REFERENCE_TOLERANCES * self.rules.tolerance_deg:
+            self._homed = False
+            text += "; home it again"
+        return MotionTimeout(text)
+
+    def _move(self, what: str, begin: Callable[[], None], target_deg: float, timeout_s: float) -> float:
+        self._left_at_deg = None
+        try:
+            deadline = time.monotonic() + timeout_s
+            begin()
+            reached = self._await(what, target_deg, deadline, timeout_s)
+        except BaseException:
+            with contextlib.suppress(RigError):
+                self._send_stop()
+                self._wait_until_still()
+            raise
+        self._left_at_deg = reached
+        return reached
+
+    def _await(self, what: str, target_deg: float, deadline: float, timeout_s: float) -> float:
+        short_since: float | None = None
+        while True:
+            left_s = deadline - time.monotonic()
+            busy = self._is_busy(min(POLL_S, left_s)) if left_s > 0.0 else self._is_surely_busy()
+            if self._stopping.is_set():
+                self._send_stop()
+                self._wait_until_still()
+                raise RigError(f"{self.name}: the {what} was stopped at {self._read_deg():.4g}°")
+            at_deg = self._read_deg() if not busy else math.nan
+            if abs(at_deg - target_deg) <= self.rules.tolerance_deg:
+                return at_deg
+            now = time.monotonic()
+            short_since = None if busy else short_since or now
+            if short_since is not None and now - short_since >= SETTLE_S:
+                raise self._off_target(what, at_deg, target_deg)
+            if left_s <= 0.0:
+                raise MotionTimeout(f"{self.name}: the {what} did not end within {timeout_s:.1f} s")
+
+    def _wait_until_still(self) -> None:
+        """After a stop command: take what the device still has to say, until it stands."""
+        deadline = time.monotonic() + self.rules.margin_s
+        while self._is_busy(min(POLL_S, self.rules.margin_s)):
+            if time.monotonic() >= deadline:
+                return

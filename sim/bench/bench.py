@@ -1,0 +1,112 @@
+"""The virtual rig as a whole: one stage, one light, one sample, one sensor, that all see each other."""
+
+import threading
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.sim.bench.axis import RotaryAxis
+from anisoscope.sim.bench.benchfile import BenchFile, read_bench
+from anisoscope.sim.bench.elliptec import ElliptecFirmware
+from anisoscope.sim.bench.optics import image_of_fixture, image_of_surface, vignette
+from anisoscope.sim.bench.samples import build_surface, plastic
+from anisoscope.sim.bench.sensor import Sensor
+from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_rotation
+from anisoscope.sim.light.relief import Relief, radiance_maps
+
+FloatArray = npt.NDArray[np.float64]
+Counts = npt.NDArray[np.uint16]
+
+
+class Bench:
+    """A virtual rig built from a bench file.
+
+    The stage's firmware turns ``axis``; the camera sees the sample at the angle where the axis *really* is,
+    under the light if it is on. Everything random comes from the file's seed.
+    """
+
+    def __init__(self, file: BenchFile) -> None:
+        self.file = file
+        surface_rng, sensor_rng, self._light_rng = np.random.default_rng(file.seed).spawn(3)
+        self.axis = RotaryAxis(time_scale=file.stage.time_scale)
+        self.stage_firmware = ElliptecFirmware(self.axis, address=file.stage.address, faults=file.stage.faults)
+        self.sensor = Sensor(file.sensor, sensor_rng)
+        self.light_on = False
+        self._surface_rng = surface_rng
+        self._surface: Relief | None = None
+        self._frames_lit = 0
+        self._scene: tuple[float, FloatArray] | None = None
+        self._lock = threading.Lock()
+
+    @property
+    def sample_angle_deg(self) -> float:
+        """The angle at which the sample truly stands now."""
+        return self.axis.position() - self.file.stage.zero_deg
+
+    def photograph(self, exposure_s: float, gain: float) -> Counts:
+        """One frame of the sensor, (rows, cols) counts."""
+        with self._lock:
+            optics = self.file.optics
+            signal = np.zeros((self.file.sensor.rows, self.file.sensor.cols))
+            if self.light_on and not optics.lens_cap:
+                lamp = 1.0 + optics.lamp_noise * self._light_rng.standard_normal()
+                lamp *= 1.0 + optics.lamp_drift_per_frame * self._frames_lit
+                self._frames_lit += 1
+                signal = self._radiance_on_sensor() * (lamp * optics.electrons * exposure_s)
+            return self.sensor.expose(signal, exposure_s, gain)
+
+    def _radiance_on_sensor(self) -> FloatArray:
+        angle = self.sample_angle_deg
+        if self._scene is None or self._scene[0] != angle:
+            self._scene = (angle, self._render(angle))
+        return self._scene[1]
+
+    def _render(self, angle_deg: float) -> FloatArray:
+        file = self.file
+        cos_light = np.cos(np.radians(file.geometry.light_angle_deg))
+        shade = vignette(file.optics, file.sensor)
+        if file.sample.kind == "white-tile":
+            image = np.full(shade.shape, file.sample.reflectance / np.pi * cos_light)
+        else:
+            if self._surface is None:
+                self._surface = build_surface(file.sample, self._surface_rng)
+            height = self._surface.surface
+            picture, cover = image_of_surface(
+                self._radiance_of_sample(self._surface, angle_deg),
+                (height.pixel_y_um, height.pixel_x_um),
+                file.optics,
+                file.sensor,
+                angle_deg,
+            )
+            image = picture.astype(np.float64)
+            if file.fixture is not None:
+                around = image_of_fixture(file.fixture, file.optics, file.sensor, angle_deg) / np.pi * cos_light
+                image = image + (1.0 - cover) * around
+        return np.asarray((image + file.optics.stray_radiance) * shade, dtype=np.float64)
+
+    def _radiance_of_sample(self, surface: Relief, angle_deg: float) -> npt.NDArray[np.float32]:
+        convention = Convention(light_angle_deg=self.file.geometry.light_angle_deg)
+        to_light, to_camera = directions((Pose(angle_deg, self.file.geometry.tilt_deg),), convention)
+        seat = seating_rotation(*self.file.sample.seating_tilt_deg)
+        return next(radiance_maps(surface, to_light @ seat, to_camera @ seat, plastic(self.file.sample.material)))
+
+
+@lru_cache(maxsize=4)
+def _bench_of(path: Path, _modified_ns: int) -> Bench:
+    return Bench(read_bench(path))
+
+
+def shared_bench(path: Path | str) -> Bench:
+    """The bench of a file: stage, light and camera of one process get the same one.
+
+    A file that changed on disk makes a new bench.
+
+    Raises:
+        RigFileError: the file is missing or wrong.
+    """
+    resolved = Path(path).resolve()
+    if not resolved.is_file():
+        return Bench(read_bench(resolved))  # raises the error that names the file
+    return _bench_of(resolved, resolved.stat().st_mtime_ns)

@@ -1,0 +1,121 @@
+"""The bench file: what stands on the virtual rig, and how imperfect the rig is."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from anisoscope.errors import RigFileError
+from anisoscope.rig.fixture import Fixture
+from anisoscope.tomlfile import read_toml_model
+
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+Positive = Annotated[float, Field(gt=0.0)]
+NotNegative = Annotated[float, Field(ge=0.0)]
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class MaterialPart(_Part):
+    """The plastic of the sample; roughness is what the height map does not hold."""
+
+    alpha_along: Positive = 0.06
+    alpha_across: Positive = 0.10
+    albedo: Share = 0.2
+    index: Annotated[float, Field(gt=1.0, le=4.0)] = 1.5
+
+
+class SamplePart(_Part):
+    """The sample: made ridges, a height map from a file, or a white tile.
+
+    ``ridges`` are made from the fields below; ``height-map`` reads ``file`` and repeats it over the sample.
+    """
+
+    kind: Literal["ridges", "height-map", "white-tile"] = "ridges"
+    file: Path | None = None
+    size_mm: Positive = 2.4
+    pitch_um: Positive = 100.0
+    ridge_angle_deg: Annotated[float, Field(ge=0.0, lt=45.0)] = 10.0
+    resolved_alpha: NotNegative = 0.03
+    correlation_um: Positive = 8.0
+    burr_coverage: Share = 0.0
+    reflectance: Share = 0.99
+    seating_tilt_deg: tuple[float, float] = (0.0, 0.0)
+    material: MaterialPart = MaterialPart()
+
+
+class SensorPart(_Part):
+    """The sensor in the terms of EMVA 1288.
+
+    Units: electrons for wells and noise, electrons per second for the dark current, electrons per count for
+    ``gain_e_per_dn``, counts for the black level.
+    """
+
+    rows: Annotated[int, Field(ge=64, le=8192)] = 1024
+    cols: Annotated[int, Field(ge=64, le=8192)] = 1024
+    bit_depth: Annotated[int, Field(ge=8, le=16)] = 12
+    black_level: NotNegative = 64.0
+    full_well_e: Positive = 30_000.0
+    gain_e_per_dn: Positive = 7.5
+    read_noise_e: NotNegative = 6.0
+    dark_current_e_s: NotNegative = 20.0
+    prnu: Share = 0.004
+    dsnu_e: NotNegative = 2.0
+    hot_pixel_share: Share = 1e-5
+
+
+class OpticsPart(_Part):
+    """Lens and light: blur, vignetting, and how far the axis is off the picture's centre.
+
+    ``electrons`` is what one second of exposure at unit gain collects per pixel from a radiance of 1/sr.
+    """
+
+    pixel_um: Positive = 4.0
+    blur_um: NotNegative = 4.0
+    vignetting: Share = 0.15
+    axis_px: tuple[float, float] = (3.4, -2.2)
+    electrons: Positive = 6.0e6
+    lamp_noise: Share = 0.0005
+    lamp_drift_per_frame: float = 0.0
+    stray_radiance: NotNegative = 0.0002
+    lens_cap: bool = False
+
+
+class StagePart(_Part):
+    """The stage under the sample; ``zero_deg`` is its reading where the sample truly stands at 0°."""
+
+    zero_deg: float = 10.0
+    address: str = "0"
+    time_scale: NotNegative = 0.1
+    faults: tuple[str, ...] = ()
+
+
+class GeometryPart(_Part):
+    """Where camera and light truly stand."""
+
+    light_angle_deg: float = 10.0
+    tilt_deg: float = 0.0
+
+
+class BenchFile(_Part):
+    """A virtual rig: sample, sensor, optics, stage, fixture, and the seed of everything random."""
+
+    schema_version: Annotated[Literal[1], Field(alias="schema")]
+    seed: int = 1
+    sample: SamplePart = SamplePart()
+    sensor: SensorPart = SensorPart()
+    optics: OpticsPart = OpticsPart()
+    stage: StagePart = StagePart()
+    geometry: GeometryPart = GeometryPart()
+    fixture: Fixture | None = None
+
+
+def read_bench(path: Path) -> BenchFile:
+    """Read a bench file; ``${here}`` in it stands for its own folder.
+
+    Raises:
+        RigFileError: the file is missing or wrong; the message names the key.
+    """
+    return read_toml_model(path, BenchFile, error=RigFileError, substitutions={"here": str(path.resolve().parent)})

@@ -1,0 +1,106 @@
+"""What the lens makes of sample and fixture: an image of radiance on the sensor, for any angle of the stage."""
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.rig.fixture import Fixture
+from anisoscope.sim.bench.benchfile import OpticsPart, SensorPart
+
+FloatArray = npt.NDArray[np.float64]
+Image = npt.NDArray[np.float32]
+
+_PAPER_WHITE = 0.75
+_PAPER_BLACK = 0.03
+_PLATE = 0.04
+_SUPERSAMPLING = 4
+
+
+def pixel_from_mm(part: OpticsPart, sensor: SensorPart, angle_deg: float) -> FloatArray:
+    """(2, 3) affine map from sample millimetres (x right, y up) to pixels (column, row), pixel centres integer."""
+    turn = np.radians(angle_deg)
+    scale = 1000.0 / part.pixel_um
+    column = (sensor.cols - 1) / 2 + part.axis_px[0]
+    row = (sensor.rows - 1) / 2 + part.axis_px[1]
+    cos, sin = scale * np.cos(turn), scale * np.sin(turn)
+    return np.array([[cos, -sin, column], [-sin, -cos, row]])
+
+
+def vignette(part: OpticsPart, sensor: SensorPart) -> Image:
+    """Relative illumination, 1 at the centre and 1 − vignetting at the corners."""
+    y, x = np.meshgrid(np.linspace(-1, 1, sensor.rows), np.linspace(-1, 1, sensor.cols), indexing="ij")
+    return (1.0 - part.vignetting * (x**2 + y**2) / 2.0).astype(np.float32)
+
+
+def _blurred(image: Image, sigma_px: tuple[float, float]) -> Image:
+    if max(sigma_px) < 1e-3:
+        return image
+    sigma_x, sigma_y = (max(s, 1e-3) for s in sigma_px)
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigmaX=sigma_x, sigmaY=sigma_y, borderType=cv2.BORDER_REPLICATE))
+
+
+def image_of_surface(
+    radiance: Image, pixel_um: tuple[float, float], part: OpticsPart, sensor: SensorPart, angle_deg: float
+) -> tuple[Image, Image]:
+    """Image of the sample on the sensor.
+
+    Args:
+        radiance: (rows, cols) per facet, centred on the rotation axis; row index rises with +y.
+        pixel_um: facet size (y, x).
+        part: the optics.
+        sensor: the sensor.
+        angle_deg: true angle of the sample.
+
+    Returns:
+        The image, and the share of each pixel that the sample covers.
+    """
+    # lens blur, and the pixel's own width as a blur of equal variance
+    sigma_um = np.sqrt(part.blur_um**2 + part.pixel_um**2 / 12.0)
+    shown = _blurred(np.nan_to_num(radiance), (sigma_um / pixel_um[1], sigma_um / pixel_um[0]))
+    rows, cols = radiance.shape
+    index_to_mm = np.array(
+        [
+            [pixel_um[1] / 1000, 0, -(cols - 1) / 2 * pixel_um[1] / 1000],
+            [0, pixel_um[0] / 1000, -(rows - 1) / 2 * pixel_um[0] / 1000],
+            [0, 0, 1],
+        ]
+    )
+    matrix = pixel_from_mm(part, sensor, angle_deg) @ index_to_mm
+    size = (sensor.cols, sensor.rows)
+    image = cv2.warpAffine(shown, matrix, size, flags=cv2.INTER_LINEAR)
+    cover = cv2.warpAffine(np.ones_like(shown), matrix, size, flags=cv2.INTER_LINEAR)
+    return np.asarray(image, dtype=np.float32), np.asarray(cover, dtype=np.float32)
+
+
+def image_of_fixture(fixture: Fixture, part: OpticsPart, sensor: SensorPart, angle_deg: float) -> Image:
+    """Reflectance of the holder around the sample: a dark plate with white labels that carry the markers."""
+    n = _SUPERSAMPLING
+    fine = part.model_copy(
+        update={"pixel_um": part.pixel_um / n, "axis_px": ((part.axis_px[0] * n), (part.axis_px[1] * n))}
+    )
+    grid = sensor.model_copy(update={"rows": sensor.rows * n, "cols": sensor.cols * n})
+    canvas = np.full((grid.rows, grid.cols), _PLATE, dtype=np.float32)
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, fixture.dictionary))
+    modules = dictionary.markerSize + 2
+    to_pixel = pixel_from_mm(fine, grid, angle_deg)
+    for marker in fixture.markers:
+        code = np.asarray(cv2.aruco.generateImageMarker(dictionary, marker.id, modules, borderBits=1))
+        label = np.full((modules + 2, modules + 2), _PAPER_WHITE, dtype=np.float32)
+        label[1:-1, 1:-1] = np.where(code > 0, _PAPER_WHITE, _PAPER_BLACK)
+        module_mm = fixture.marker_mm / modules
+        corner = -(modules + 2) / 2 * module_mm
+        # label index (column, row from its top) → millimetres; the index counts from pixel centres
+        label_to_mm = np.array(
+            [
+                [module_mm, 0, marker.x_mm + corner + module_mm / 2],
+                [0, -module_mm, marker.y_mm - corner - module_mm / 2],
+                [0, 0, 1],
+            ]
+        )
+        size = (grid.cols, grid.rows)
+        cv2.warpAffine(
+            label, to_pixel @ label_to_mm, size, dst=canvas, flags=cv2.INTER_NEAREST, borderMode=cv2.BORDER_TRANSPARENT
+        )
+    coarse = cv2.resize(canvas, (sensor.cols, sensor.rows), interpolation=cv2.INTER_AREA)
+    sigma = part.blur_um / part.pixel_um
+    return _blurred(np.asarray(coarse), (sigma, sigma))

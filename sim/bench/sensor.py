@@ -1,0 +1,46 @@
+"""An image sensor after the linear model of EMVA 1288: photons to counts, with its noise and its flaws."""
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.sim.bench.benchfile import SensorPart
+
+FloatArray = npt.NDArray[np.float64]
+Counts = npt.NDArray[np.uint16]
+
+
+class Sensor:
+    """One sensor with its fixed pattern drawn once from ``rng``."""
+
+    def __init__(self, part: SensorPart, rng: np.random.Generator) -> None:
+        self.part = part
+        self._rng = rng
+        shape = (part.rows, part.cols)
+        self._response = 1.0 + part.prnu * rng.standard_normal(shape)
+        self._offset_e = part.dsnu_e * rng.standard_normal(shape)
+        self._dark_e_s = np.full(shape, part.dark_current_e_s)
+        hot = rng.random(shape) < part.hot_pixel_share
+        self._dark_e_s[hot] *= 2000.0
+
+    @property
+    def full_scale(self) -> int:
+        """Largest count."""
+        return int(2**self.part.bit_depth - 1)
+
+    def expose(self, signal_e: FloatArray, exposure_s: float, gain: float) -> Counts:
+        """Counts of one frame.
+
+        Args:
+            signal_e: (rows, cols) expected photo-electrons of a perfect sensor.
+            exposure_s: exposure in seconds.
+            gain: amplification, 1 is the sensor's native gain.
+
+        Returns:
+            (rows, cols) counts, right-justified.
+        """
+        expected = np.maximum(signal_e * self._response + self._dark_e_s * exposure_s, 0.0)
+        collected = self._rng.poisson(expected).astype(np.float64)
+        collected = np.minimum(collected, self.part.full_well_e)
+        collected += self._offset_e + self.part.read_noise_e * self._rng.standard_normal(expected.shape)
+        counts = np.rint(self.part.black_level + collected * gain / self.part.gain_e_per_dn)
+        return np.clip(counts, 0, self.full_scale).astype(np.uint16)

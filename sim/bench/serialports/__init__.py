@@ -1,0 +1,1 @@
+"""URL handlers for pyserial: `protocol_sim` serves ``sim://…`` in this process."""

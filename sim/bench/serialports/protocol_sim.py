@@ -1,0 +1,170 @@
+"""pyserial's handler for ``sim://…``: a simulated device in this process, without a port.
+
+``sim://elliptec?address=0&time_scale=0.1&fault=stall:30`` is a stage on its own;
+``sim://elliptec?bench=/path/bench.toml`` is the stage of a virtual rig, shared with its camera.
+Values are percent-decoded; ``fault`` may be given several times.
+"""
+
+import errno
+import math
+import threading
+import time
+from typing import TYPE_CHECKING, ClassVar
+from urllib.parse import unquote
+
+from anisoscope.errors import AnisoscopeError
+from anisoscope.sim.bench.axis import RotaryAxis
+from anisoscope.sim.bench.elliptec import ElliptecFirmware
+from anisoscope.sim.bench.faults import Fault
+from anisoscope.sim.bench.serve import Firmware
+from serial.serialutil import PortNotOpenError, SerialBase, SerialException, Timeout
+
+if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer
+
+POLL_S = 0.001
+OPTIONS = frozenset({"address", "time_scale", "fault", "bench"})
+
+
+class Serial(SerialBase):
+    """A port behind which a simulated device answers."""
+
+    _held: ClassVar[set[int]] = set()
+    _held_lock: ClassVar[threading.Lock] = threading.Lock()
+
+    def open(self) -> None:
+        """Connect to the device that the URL names.
+
+        Raises:
+            SerialException: the URL names no device, or somebody else holds the device.
+        """
+        if self.is_open:
+            raise SerialException("Port is already open.")
+        try:
+            firmware = device_of_url(self.port or "")
+        except (AnisoscopeError, ValueError) as problem:
+            raise SerialException(str(problem)) from problem
+        with Serial._held_lock:
+            if id(firmware) in Serial._held:
+                raise SerialException(errno.EBUSY, "the simulated device is in use")
+            Serial._held.add(id(firmware))
+        self._firmware = firmware
+        self._inbox = bytearray()
+        firmware.connect()
+        self.is_open = True
+
+    def close(self) -> None:
+        """Let go of the device; closing twice is fine."""
+        if self.is_open:
+            self.is_open = False
+            with Serial._held_lock:
+                Serial._held.discard(id(self._firmware))
+
+    @property
+    def in_waiting(self) -> int:
+        """Number of bytes that can be read without waiting."""
+        self._receive()
+        return len(self._inbox)
+
+    def read(self, size: int = 1, /) -> bytes:
+        """Read up to `size` bytes, waiting for them no longer than the timeout of the port."""
+        timeout = Timeout(math.inf if self.timeout is None else self.timeout)
+        self._receive()
+        while len(self._inbox) < size and not timeout.expired():
+            time.sleep(POLL_S)
+            self._receive()
+        taken = bytes(self._inbox[:size])
+        del self._inbox[:size]
+        return taken
+
+    def write(self, b: "ReadableBuffer", /) -> int:
+        """Send bytes to the device."""
+        self._check_open()
+        data = bytes(b)
+        try:
+            self._firmware.write(data)
+        except ConnectionError as problem:
+            raise SerialException(f"write failed: {problem}") from problem
+        return len(data)
+
+    def flush(self) -> None:
+        """Nothing to wait for: the device takes bytes at once."""
+        self._check_open()
+
+    def reset_input_buffer(self) -> None:
+        """Drop what was received."""
+        self._receive()
+        self._inbox.clear()
+
+    def reset_output_buffer(self) -> None:
+        """Nothing to drop: the device takes bytes at once."""
+        self._check_open()
+
+    @property
+    def cts(self) -> bool:
+        """Clear to send: always."""
+        return True
+
+    @property
+    def dsr(self) -> bool:
+        """Data set ready: always."""
+        return True
+
+    @property
+    def ri(self) -> bool:
+        """Ring indicator: never."""
+        return False
+
+    @property
+    def cd(self) -> bool:
+        """Carrier detect: always."""
+        return True
+
+    def _check_open(self) -> None:
+        if not self.is_open:
+            raise PortNotOpenError
+
+    def _receive(self) -> None:
+        self._check_open()
+        try:
+            self._inbox += self._firmware.read()
+        except ConnectionError as problem:
+            raise SerialException(f"read failed: {problem}") from problem
+
+    def _reconfigure_port(self, force_update: bool = False) -> None:
+        """Line settings mean nothing here."""
+
+    def _update_dtr_state(self) -> None:
+        """There is no such line here."""
+
+    def _update_rts_state(self) -> None:
+        """There is no such line here."""
+
+    def _update_break_state(self) -> None:
+        """There is no such line here."""
+
+
+def device_of_url(url: str) -> Firmware:
+    """Return the simulated device that a ``sim://`` URL names.
+
+    Raises:
+        ValueError: no such device, or a wrong option.
+        AnisoscopeError: the bench file is wrong, or there is no such fault.
+    """
+    name, _, query = url.partition("://")[2].partition("?")
+    if name.rstrip("/") != "elliptec":
+        raise ValueError(f"there is no simulated device '{name}'; there is: elliptec")
+    pairs = [item.partition("=")[::2] for item in query.split("&") if item]
+    options = {key: unquote(value) for key, value in pairs}
+    if unknown := options.keys() - OPTIONS:
+        raise ValueError(f"unknown option '{min(unknown)}'; known: {', '.join(sorted(OPTIONS))}")
+    if "bench" in options:
+        from anisoscope.sim.bench.bench import shared_bench  # noqa: PLC0415 - heavy, and needs light
+
+        firmware: Firmware = shared_bench(options["bench"]).stage_firmware
+        return firmware
+    return ElliptecFirmware(
+        RotaryAxis(time_scale=float(options.get("time_scale", "1"))),
+        address=options.get("address", "0"),
+        faults=[Fault.parse(unquote(value)) for key, value in pairs if key == "fault"],
+    )

@@ -1,0 +1,100 @@
+"""The corrected ridge model: rough plastic on facet and wall, with exact visibility of the ridge profile.
+
+One period of the profile is a polyline. In the sheared coordinate s = x − t·z, with t = ω_x/ω_z, a point is
+reached by light from direction ω exactly if no point further toward the light has a smaller s (t > 0), so a
+running extremum of s gives the visible part of every segment without approximation. For ridges with
+perpendicular walls this reduces to the one-sided G1 = 1/((1 + t·tan θr)·cos² θr) where t > tan θr.
+"""
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.sim.light.material import Material, facet_brdf
+
+FloatArray = npt.NDArray[np.float64]
+
+
+def ridge_polyline(design: RidgeDesign) -> tuple[FloatArray, FloatArray]:
+    """One period of the ridge profile, crest to crest.
+
+    Returns:
+        x, z in µm, both (K + 1,): the last point is the first one shifted by the pitch. Facets fall toward +x.
+    """
+    pitch, foot = design.pitch_um, design.facet_width_um
+    height = design.full_height_um
+    if height == 0.0:
+        return np.array([0.0, pitch]), np.zeros(2)
+    crest = (1.0 - design.height_loss) * height
+    cut_facet = design.height_loss * foot
+    cut_wall = design.height_loss * (pitch - foot)
+    x = np.array([cut_facet, foot, pitch - cut_wall, pitch + cut_facet])
+    z = np.array([crest, 0.0, crest, crest])
+    keep = np.append(True, (np.diff(x) > 0) | (np.diff(z) != 0))  # no plateau where nothing was cut
+    return x[keep], z[keep]
+
+
+def visible_shares(x_um: FloatArray, z_um: FloatArray, tangent: float) -> FloatArray:
+    """Signed visible share of every segment of a periodic polyline, seen along one direction.
+
+    Args:
+        x_um: (K + 1,) positions, not falling; the last point is one period after the first.
+        z_um: (K + 1,) heights.
+        tangent: t = ω_x/ω_z of the direction.
+
+    Returns:
+        (K,) shares 0 to 1. For t ≥ 0 the visible part is the low-x end of a segment, for t < 0 the high-x end.
+    """
+    if tangent < 0:  # mirror the profile
+        return visible_shares(-x_um[::-1], z_um[::-1], -tangent)[::-1]
+    period = x_um[-1] - x_um[0]
+    reach = 2 + int(np.ceil(tangent * np.ptp(z_um) / period))
+    sheared = x_um - tangent * z_um
+    start, end = sheared[:-1], sheared[1:]
+    ahead = np.concatenate([sheared[1:]] + [sheared[1:] + period * n for n in range(1, reach + 1)])
+    limit = np.minimum.accumulate(ahead[::-1])[::-1][: start.size]
+    length = end - start
+    facing = length > 1e-12 * period
+    return np.where(facing, np.clip((limit - start) / np.where(facing, length, 1.0), 0.0, 1.0), 0.0)
+
+
+def _seen_and_lit(lit: FloatArray, seen: FloatArray, light_tangent: float, camera_tangent: float) -> FloatArray:
+    if (light_tangent >= 0) == (camera_tangent >= 0):
+        return np.minimum(lit, seen)
+    return np.maximum(0.0, lit + seen - 1.0)
+
+
+def radiance(to_light: FloatArray, to_camera: FloatArray, design: RidgeDesign, material: Material) -> FloatArray:
+    """Radiance [1/sr] of the ridged surface per unit irradiance perpendicular to the beam, direct light.
+
+    L = Σ_j A_j V_j f_j cos_i,j cos_o,j / (A_macro · ω_o·n) over the facet, the wall and, with height loss, the
+    plateau; A_j the true area, V_j the share both lit and seen.
+
+    Args:
+        to_light: (P, 3) unit vectors in the sample frame, above the horizon.
+        to_camera: (P, 3) unit vectors in the sample frame, above the horizon.
+        design: the ridges.
+        material: the plastic.
+
+    Returns:
+        (P,) radiances.
+    """
+    x, z = ridge_polyline(design)
+    dx, dz = np.diff(x), np.diff(z)
+    length = np.hypot(dx, dz)
+    along = np.array([0.0, 1.0, 0.0])
+    result = np.zeros(len(to_light))
+    brdf, cosines = [], []
+    for run, rise, size in zip(dx, dz, length, strict=True):
+        normal = np.array([-rise, 0.0, run]) / size
+        across = np.cross(normal, along)
+        brdf.append(facet_brdf(to_light, to_camera, along, across, normal, material))
+        cosines.append(np.maximum(to_light @ normal, 0.0) * np.maximum(to_camera @ normal, 0.0))
+    weight = np.stack(brdf) * np.stack(cosines) * length[:, None]
+    for p, (light, camera) in enumerate(zip(to_light, to_camera, strict=True)):
+        light_tangent, camera_tangent = light[0] / light[2], camera[0] / camera[2]
+        lit = visible_shares(x, z, light_tangent)
+        seen = visible_shares(x, z, camera_tangent)
+        share = _seen_and_lit(lit, seen, light_tangent, camera_tangent)
+        result[p] = np.sum(weight[:, p] * share) / (design.pitch_um * camera[2])
+    return result

@@ -1,0 +1,109 @@
+"""Poses and directions: how sample, light and camera stand to each other.
+
+Sample frame at stage angle 0: z up, ridges along +y, the large facets lean toward +x. The stage turns the
+sample counter-clockwise as the camera sees it. The light stands ``light_angle_deg`` beside the camera, and
+both tilt together; in which plane is the convention that the ridge paper (Luongo et al. 2017, Fig. 7) leaves
+open. Only ``tilt_plane="perpendicular"`` with the facets facing the light reproduces its findings.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.errors import ModelError
+
+FloatArray = npt.NDArray[np.float64]
+TiltPlane = Literal["perpendicular", "in-plane"]
+RotationSense = Literal["ccw", "cw"]
+
+
+@dataclass(frozen=True)
+class Convention:
+    """How angles are counted.
+
+    Attributes:
+        light_angle_deg: angle θl between the directions to the light and to the camera.
+        tilt_plane: "perpendicular": camera and light tilt about the axis along the projected
+            camera-to-light direction (x). "in-plane": they tilt within the plane that holds both.
+        facet_azimuth_deg: azimuth toward which the large facets lean at stage angle 0; 0 is toward the light.
+        rotation_sense: sense of a positive stage angle, seen from the camera.
+    """
+
+    light_angle_deg: float = 10.0
+    tilt_plane: TiltPlane = "perpendicular"
+    facet_azimuth_deg: float = 0.0
+    rotation_sense: RotationSense = "ccw"
+
+    def __post_init__(self) -> None:
+        if not -90.0 < self.light_angle_deg < 90.0:
+            raise ModelError(f"the light angle must lie between -90° and 90°, not {self.light_angle_deg}°")
+        if self.tilt_plane not in ("perpendicular", "in-plane"):
+            raise ModelError(f"tilt plane is 'perpendicular' or 'in-plane', not {self.tilt_plane!r}")
+        if self.rotation_sense not in ("ccw", "cw"):
+            raise ModelError(f"rotation sense is 'ccw' or 'cw', not {self.rotation_sense!r}")
+
+
+@dataclass(frozen=True)
+class Pose:
+    """One photograph: the stage angle and the tilt of camera and light, in degrees."""
+
+    stage_deg: float
+    tilt_deg: float = 0.0
+
+
+def pose_grid(angles_deg: tuple[float, ...], tilts_deg: tuple[float, ...] = (0.0,)) -> tuple[Pose, ...]:
+    """Every stage angle at every tilt; stage angles run fastest."""
+    return tuple(Pose(angle, tilt) for tilt in tilts_deg for angle in angles_deg)
+
+
+def _turn_about_z(vectors: FloatArray, angle_rad: FloatArray) -> FloatArray:
+    cos, sin = np.cos(angle_rad), np.sin(angle_rad)
+    x, y, z = vectors.T
+    return np.stack([cos * x - sin * y, sin * x + cos * y, z], axis=-1)
+
+
+def directions(poses: tuple[Pose, ...], convention: Convention) -> tuple[FloatArray, FloatArray]:
+    """Unit vectors to the light and to the camera, in the frame of the sample.
+
+    Args:
+        poses: P poses.
+        convention: how the angles are counted.
+
+    Returns:
+        ``to_light``, ``to_camera``: each (P, 3).
+
+    Raises:
+        ModelError: light or camera stands at or below the horizon of the sample in some pose.
+    """
+    stage = np.radians([pose.stage_deg for pose in poses])
+    tilt = np.radians([pose.tilt_deg for pose in poses])
+    light = np.radians(convention.light_angle_deg)
+    if convention.tilt_plane == "perpendicular":
+        to_camera = np.stack([np.zeros_like(tilt), -np.sin(tilt), np.cos(tilt)], axis=-1)
+        to_light = np.stack(
+            [np.full_like(tilt, np.sin(light)), -np.cos(light) * np.sin(tilt), np.cos(light) * np.cos(tilt)], axis=-1
+        )
+    else:
+        to_camera = np.stack([np.sin(tilt), np.zeros_like(tilt), np.cos(tilt)], axis=-1)
+        to_light = np.stack([np.sin(tilt + light), np.zeros_like(tilt), np.cos(tilt + light)], axis=-1)
+    for name, vectors in (("light", to_light), ("camera", to_camera)):
+        low = vectors[:, 2] < 1e-3
+        if low.any():
+            pose = poses[int(np.argmax(low))]
+            raise ModelError(f"at tilt {pose.tilt_deg:g}° the {name} stands at or below the horizon of the sample")
+    sense = 1.0 if convention.rotation_sense == "ccw" else -1.0
+    turn = -(sense * stage + np.radians(convention.facet_azimuth_deg))
+    return _turn_about_z(to_light, turn), _turn_about_z(to_camera, turn)
+
+
+def seating_rotation(about_x_deg: float, about_y_deg: float) -> FloatArray:
+    """(3, 3) rotation of a sample seated askew by small turns about its x and y axes.
+
+    ``to_light @ rotation`` and ``to_camera @ rotation`` are the directions that such a sample sees.
+    """
+    about_x, about_y = np.radians(about_x_deg), np.radians(about_y_deg)
+    turn_x = np.array([[1, 0, 0], [0, np.cos(about_x), -np.sin(about_x)], [0, np.sin(about_x), np.cos(about_x)]])
+    turn_y = np.array([[np.cos(about_y), 0, np.sin(about_y)], [0, 1, 0], [-np.sin(about_y), 0, np.cos(about_y)]])
+    return np.asarray(turn_x @ turn_y, dtype=np.float64)

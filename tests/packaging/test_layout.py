@@ -1,0 +1,76 @@
+"""Guards against the traps of a folder named like a module of the standard library."""
+
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+FOLDERS = {"anisoscope": "inspect", "anisoscope.rig": "rig", "anisoscope.profiles": "profiles", "anisoscope.sim": "sim"}
+
+
+@pytest.fixture(scope="module")
+def setuptools_table():
+    return tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
+
+
+def python(*arguments):
+    done = subprocess.run([sys.executable, *arguments], cwd=ROOT, capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+def test_inspect_is_a_namespace_root_without_init():
+    assert not (ROOT / "inspect" / "__init__.py").exists()
+
+
+def test_tests_have_no_init_files():
+    assert list((ROOT / "tests").rglob("__init__.py")) == []
+
+
+def test_listed_packages_are_those_in_the_tree(setuptools_table):
+    found = {"anisoscope"}
+    for package, folder in FOLDERS.items():
+        for init in (ROOT / folder).rglob("__init__.py"):
+            parts = init.parent.relative_to(ROOT / folder).parts
+            found.add(".".join([package, *parts]))
+    assert set(setuptools_table["packages"]) == found
+    assert setuptools_table["package-dir"] == FOLDERS
+
+
+def test_no_folder_with_modules_lacks_an_init():
+    for folder in FOLDERS.values():
+        for module in (ROOT / folder).rglob("*.py"):
+            if module.parent != ROOT / "inspect":
+                assert (module.parent / "__init__.py").exists(), module
+
+
+def test_no_module_of_inspect_bears_a_name_of_the_standard_library():
+    names = {path.stem for path in (ROOT / "inspect").glob("*") if path.suffix in ("", ".py")} - {"__main__"}
+    assert names & sys.stdlib_module_names == set()
+
+
+def test_import_inspect_in_the_root_is_the_standard_library():
+    assert python("-c", "import inspect; print(inspect.signature(len))") == "(obj, /)"
+
+
+def test_python_m_anisoscope_works_in_the_root():
+    assert python("-m", "anisoscope", "--version") == "0.1.0"
+
+
+def test_help_is_cheap():
+    """No command's heavy library is loaded to print the help."""
+    script = (
+        "import sys, anisoscope.cli as cli\n"
+        "cli.run(['--help'])\n"
+        "heavy = {'scipy', 'cv2', 'pyvista', 'vtk', 'matplotlib', 'numba', 'skimage', 'tifffile'} & set(sys.modules)\n"
+        "print('heavy:', sorted(heavy))"
+    )
+    assert python("-c", script).endswith("heavy: []")
+
+
+def test_light_models_import_without_numba_and_scipy():
+    script = "import sys, anisoscope.sim.light.relief, anisoscope.sim.light.corrected\nprint({'numba', 'scipy'} & set(sys.modules))"
+    assert python("-c", script) == "set()"

@@ -1,0 +1,92 @@
+"""Frames survive the disk, and what is no frame is refused in one line."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+import tifffile
+from anisoscope.errors import RecordError
+from anisoscope.rig import frame as module
+from anisoscope.rig.frame import Frame, read_frame, write_frame
+
+
+@pytest.fixture
+def frame():
+    counts = np.arange(12, dtype=np.uint16).reshape(3, 4) * 300
+    return Frame(
+        counts, "sample", 12, 64.0, 0.02, 1.5, 89.9987, 90.0, 0.0, "2025-01-02T03:04:05.678+00:00", "Käm 7"
+    )
+
+
+def test_round_trip(frame, tmp_path):
+    path = tmp_path / "a.tif"
+    write_frame(frame, path)
+    again = read_frame(path)
+    np.testing.assert_array_equal(again.counts, frame.counts)
+    assert again.counts.dtype == np.uint16
+    for field in fields(Frame)[1:]:
+        assert getattr(again, field.name) == getattr(frame, field.name)
+    assert [file.name for file in tmp_path.iterdir()] == ["a.tif"]
+
+
+def test_any_program_can_read_the_picture(frame, tmp_path):
+    write_frame(frame, tmp_path / "a.tif")
+    np.testing.assert_array_equal(tifffile.imread(tmp_path / "a.tif"), frame.counts)
+
+
+def test_saturation_begins_at_98_percent_of_full_scale(frame):
+    assert frame.full_scale == 4095
+    counts = np.array([[4013, 4014, 4095, 0]], dtype=np.uint16)
+    assert replace(frame, counts=counts).saturated_share == 0.5
+
+
+def test_a_write_that_fails_leaves_the_old_file(frame, tmp_path, monkeypatch):
+    path = tmp_path / "a.tif"
+    write_frame(frame, path)
+    before = path.read_bytes()
+
+    def full(*_args, **_options):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(module.os, "fsync", full)
+    with pytest.raises(RecordError, match="No space left"):
+        write_frame(replace(frame, gain=9.0), path)
+    assert path.read_bytes() == before
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_folder_that_is_not_there(frame, tmp_path):
+    with pytest.raises(RecordError, match="cannot be written"):
+        write_frame(frame, tmp_path / "no" / "a.tif")
+
+
+def no_tiff(path):
+    path.write_bytes(b"hello")
+
+
+def cut_short(path):
+    tifffile.imwrite(path, np.zeros((64, 64), np.uint16), description="{}", metadata=None)
+    path.write_bytes(path.read_bytes()[:300])
+
+
+def foreign(path):
+    tifffile.imwrite(path, np.zeros((4, 4), np.uint16))
+
+
+def incomplete(path):
+    tifffile.imwrite(path, np.zeros((4, 4), np.uint16), description='{"anisoscope_frame": 1}', metadata=None)
+
+
+@pytest.mark.parametrize("spoil", [no_tiff, cut_short, foreign, incomplete, lambda path: None])
+def test_what_is_no_frame(spoil, tmp_path):
+    path = tmp_path / "a.tif"
+    spoil(path)
+    with pytest.raises(RecordError, match=r"a\.tif") as caught:
+        read_frame(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_eight_bits_are_not_enough(frame, tmp_path):
+    write_frame(replace(frame, counts=frame.counts.astype(np.uint8)), tmp_path / "a.tif")
+    with pytest.raises(RecordError, match="16-bit"):
+        read_frame(tmp_path / "a.tif")

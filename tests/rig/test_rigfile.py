@@ -1,0 +1,90 @@
+"""Rig files: the good one, and every mistake in one line."""
+
+import pytest
+from anisoscope.errors import RigFileError
+from anisoscope.rig.rigfile import StagePart, read_rig
+
+GOOD = """
+schema = 1
+name = "virtual rig"
+[stage]
+driver = "elliptec"
+port = "sim://elliptec?bench=${here}/bench.toml"
+zero_deg = 10.0
+turns = "ccw"
+approach_deg = 2.0
+[stage.options]
+address = "0"
+[camera]
+driver = "simulated"
+pixel_um = 4.0
+[camera.options]
+bench = "${here}/bench.toml"
+[light]
+driver = "simulated"
+angle_deg = 10.0
+[geometry]
+tilt_deg = 0
+[fixture]
+marker_mm = 0.5
+markers = [{id = 0, x_mm = 1.56, y_mm = 0.0}, {id = 1, x_mm = 0.0, y_mm = 1.56}]
+[calibration]
+flat = "${here}/flat.tif"
+"""
+
+
+def read(tmp_path, text):
+    path = tmp_path / "rig.toml"
+    path.write_text(text, encoding="utf-8")
+    return read_rig(path)
+
+
+def test_a_good_rig_file(tmp_path):
+    folder = tmp_path / "a b"
+    folder.mkdir()
+    rig = read(folder, GOOD)
+    assert rig.stage.port == f"sim://elliptec?bench={folder}/bench.toml"
+    assert rig.camera.options["bench"] == f"{folder}/bench.toml"
+    assert rig.calibration.flat == folder / "flat.tif"
+    assert rig.geometry.tilt_deg == 0.0
+    assert rig.fixture.dictionary == "DICT_4X4_50"
+    assert [marker.id for marker in rig.fixture.markers] == [0, 1]
+
+
+@pytest.mark.parametrize("turns", ["ccw", "cw"])
+def test_angles_and_readings(turns):
+    stage = StagePart(driver="elliptec", port="COM3", zero_deg=200.0, turns=turns)
+    assert stage.reading_deg(0.0) == 200.0
+    assert stage.reading_deg(90.0) == (290.0 if turns == "ccw" else 110.0)
+    assert stage.angle_deg(stage.reading_deg(33.0)) == 33.0
+
+
+@pytest.mark.parametrize(
+    ("wrong", "right", "message"),
+    [
+        ('port = "sim://elliptec?bench=${here}/bench.toml"\n', "", "stage.port: missing; expected a text"),
+        ("zero_deg", "zero_rad", "stage.zero_rad: unknown key; did you mean 'zero_deg'?"),
+        ("pixel_um", "pixel_mm", "camera.pixel_mm: unknown key; did you mean 'pixel_um'? (and 1 more)"),
+        ("pixel_um = 4.0", "", "camera.pixel_um: missing; expected a number"),
+        ("zero_deg = 10.0", 'zero_deg = "10"', 'stage.zero_deg: input should be a valid number, not "10"'),
+        ("pixel_um = 4.0", "pixel_um = -4.0", "camera.pixel_um: input should be greater than 0, not -4.0"),
+        ('"ccw"', '"left"', "stage.turns: input should be 'ccw' or 'cw', not \"left\""),
+        ("[light]", "[lamp]", "lamp: unknown key"),
+        ("y_mm = 0.0", "z_mm = 0.0", "fixture.markers[0].z_mm: unknown key; did you mean"),
+        ("id = 1", "id = 0", "fixture: marker 0 is listed twice"),
+        ("${here}/flat", "${home}/flat", "calibration.flat: unknown placeholder ${home}; known: ${here}"),
+        ("schema = 1", "schema = 2", "schema: input should be 1, not 2"),
+        ("schema = 1", "", "schema: missing; expected 1"),
+        ("[camera]", "[camera", "not valid TOML"),
+        ("tilt_deg = 0", "tilt_deg = nan", "geometry.tilt_deg: input should be"),
+        ("tilt_deg = 0", "tilt_deg = 1979-05-27", "geometry.tilt_deg: input should be a valid number"),
+    ],
+)
+def test_mistakes(tmp_path, wrong, right, message):
+    assert wrong in GOOD
+    with pytest.raises(RigFileError) as caught:
+        read(tmp_path, GOOD.replace(wrong, right, 1))
+    text = str(caught.value)
+    assert text.startswith(f"{tmp_path / 'rig.toml'}: ")
+    assert message in text
+    assert "\n" not in text

@@ -1,0 +1,91 @@
+import numpy as np
+import pytest
+
+from anisoscope.errors import ModelError
+from anisoscope.sim.light.material import (
+    Material,
+    beckmann,
+    diffuse_scale,
+    facet_brdf,
+    fresnel,
+    lobe_albedo,
+    smith_lambda,
+    transmittance,
+)
+
+X, Y, Z = np.eye(3)
+
+
+def test_fresnel_reference_values():
+    assert fresnel(np.array(1.0), 1.5) == pytest.approx(0.04)
+    assert fresnel(np.array(0.0), 1.5) == pytest.approx(1.0)
+    brewster = np.cos(np.arctan(1.5))
+    assert fresnel(np.array(brewster), 1.5) == pytest.approx(0.5 * ((1.5**2 - 1) / (1.5**2 + 1)) ** 2)
+    assert fresnel(np.array(0.2), 1 / 1.5) == 1.0  # beyond total reflection
+
+
+@pytest.mark.parametrize(("along", "across"), [(0.06, 0.10), (0.2, 0.1), (0.5, 0.5)])
+def test_beckmann_covers_the_macro_surface_exactly_once(along, across, hemisphere):
+    directions, solid_angle = hemisphere(600, 720)
+    density = beckmann(directions, Y, X, Z, Material(along, across))
+    assert np.sum(density * directions[:, 2] * solid_angle) == pytest.approx(1.0, rel=1e-4)
+
+
+def test_smith_lambda_is_the_shadowing_of_gaussian_slopes():
+    # Λ = ∫ over slopes q > cot θ of (q tan θ − 1) P(q): the definition, by brute force
+    alpha, tangent = 0.4, 2.5
+    slope = np.linspace(1 / tangent, 8.0, 200_001)
+    density = np.exp(-((slope / alpha) ** 2)) / (alpha * np.sqrt(np.pi))
+    assert smith_lambda(np.array(alpha * tangent)) == pytest.approx(
+        np.trapezoid((slope * tangent - 1) * density, slope), rel=1e-6
+    )
+
+
+@pytest.mark.parametrize("alpha", [0.05, 0.1, 0.3])
+def test_lobe_albedo_agrees_with_integration_over_the_hemisphere(alpha, hemisphere):
+    directions, solid_angle = hemisphere(500, 1000)
+    light = np.array([np.sin(0.5), 0.0, np.cos(0.5)])
+    material = Material(alpha, alpha, albedo=0.0)
+    brdf = facet_brdf(np.broadcast_to(light, directions.shape), directions, Y, X, Z, material)
+    integral = np.sum(brdf * directions[:, 2] * solid_angle)
+    assert lobe_albedo(np.array([np.cos(0.5)]), alpha, 1.5)[0] == pytest.approx(integral, rel=2e-3)
+
+
+@pytest.mark.parametrize(("alpha", "least"), [(0.05, 0.97), (0.1, 0.97), (0.3, 0.88)])
+@pytest.mark.parametrize("mu", [0.95, 0.7, 0.4])
+def test_white_plastic_reflects_no_more_than_it_receives_and_not_much_less(alpha, least, mu, hemisphere):
+    directions, solid_angle = hemisphere(300, 600)
+    light = np.broadcast_to([np.sqrt(1 - mu**2), 0.0, mu], directions.shape)
+    brdf = facet_brdf(light, directions, Y, X, Z, Material(alpha, alpha, albedo=1.0))
+    energy = np.sum(brdf * directions[:, 2] * solid_angle)
+    assert least <= energy <= 1.0 + 1e-3
+
+
+def test_brdf_is_reciprocal():
+    rng = np.random.default_rng(3)
+    first, second = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in np.abs(rng.normal(size=(2, 200, 3))) + 0.05)
+    material = Material(0.2, 0.4, 0.5)
+    there = facet_brdf(first, second, Y, X, Z, material)
+    np.testing.assert_allclose(there, facet_brdf(second, first, Y, X, Z, material), rtol=1e-12)
+
+
+def test_internal_reflection_brightens_the_diffuse_base_and_more_so_when_linear():
+    nonlinear, linear = (diffuse_scale(Material(albedo=0.3, internal_reflection=x)) for x in ("nonlinear", "linear"))
+    assert 0.3 / (np.pi * 1.5**2) < nonlinear < linear
+    one = [diffuse_scale(Material(albedo=1.0, internal_reflection=x)) for x in ("nonlinear", "linear")]
+    assert one[0] == pytest.approx(one[1])
+
+
+def test_transmittance_of_a_smooth_interface_is_one_minus_fresnel():
+    cosines = np.array([1.0, 0.8, 0.5])
+    smooth = transmittance(cosines, Material(0.005, 0.005))
+    np.testing.assert_allclose(smooth, 1 - fresnel(cosines, 1.5), atol=2e-4)
+
+
+@pytest.mark.parametrize(
+    "field",
+    [{"alpha_along": 0.0}, {"alpha_across": -0.1}, {"albedo": 1.5}, {"index": 1.0}, {"internal_reflection": "x"}],
+)
+def test_impossible_materials_are_refused(field):
+    with pytest.raises(ModelError):
+        Material(**field)

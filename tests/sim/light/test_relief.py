@@ -1,0 +1,122 @@
+import numpy as np
+import pytest
+
+from anisoscope.errors import HeightMapError
+from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.sim.light import corrected
+from anisoscope.sim.light.corrected import ridge_polyline
+from anisoscope.sim.light.geometry import Convention, directions, pose_grid
+from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.relief import Relief, radiance, radiance_maps, visible_shares
+
+RIDGE_ANGLES = (5.0, 10.0, 15.0, 20.0)
+TABLE = pose_grid((0, 90, 180), (-20, -10, 0, 10, 20))
+
+
+def sampled(design, pixel_um, rows=4, periods=1, pixel_y_um=1.0):
+    """Ideal ridges sampled by the tests themselves, one row repeated."""
+    x, z = ridge_polyline(design)
+    count = round(periods * design.pitch_um / pixel_um) + 1
+    line = np.interp(np.arange(count) * pixel_um, *_repeated(x, z, periods + 1))
+    return HeightMap(np.tile(line, (rows, 1)), pixel_um, pixel_y_um)
+
+
+def _repeated(x, z, periods):
+    period = x[-1] - x[0]
+    shift = np.repeat(np.arange(-1, periods) * period, x.size - 1)
+    return np.tile(x[:-1], periods + 1) + shift, np.tile(z[:-1], periods + 1)
+
+
+@pytest.mark.parametrize("angle", RIDGE_ANGLES)
+def test_relief_equals_corrected_on_ideal_ridges(angle):
+    design = RidgeDesign(100.0, angle)
+    to_light, to_camera = directions(TABLE, Convention())
+    expected = corrected.radiance(to_light, to_camera, design, Material())
+    found = radiance(Relief(sampled(design, 0.1), 100.0), to_light, to_camera, Material())
+    np.testing.assert_allclose(found, expected, rtol=0.005)
+
+
+@pytest.mark.parametrize("azimuth", [-140.0, -33.0, 17.0, 60.0, 133.0])
+@pytest.mark.parametrize("elevation", [20.0, 35.0, 70.0])
+def test_visibility_on_any_azimuth_matches_the_closed_form(azimuth, elevation):
+    """Straight ridges: what is visible depends on ω_x/ω_z alone, however oblique the slices run."""
+    design = RidgeDesign(100.0, 20.0)
+    surface = sampled(design, 0.25, rows=9, periods=2, pixel_y_um=0.7)
+    a, e = np.radians([azimuth, elevation])
+    direction = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+    shares = visible_shares(Relief(surface, 100.0), direction)
+    x, z = ridge_polyline(design)
+    facet = corrected.visible_shares(x, z, direction[0] / direction[2])[0]
+    on_facet = np.diff(surface.height_um[0]) < 0
+    assert shares[:, on_facet].mean() == pytest.approx(facet, abs=0.006)
+
+
+def test_a_step_casts_the_shadow_that_geometry_says():
+    height = np.zeros((6, 101))
+    height[:, 50:] = 10.0
+    direction = np.array([np.sin(0.7), 0.0, np.cos(0.7)])  # light from +x, over the step
+    shares = visible_shares(Relief(HeightMap(height, 1.0, 1.0)), direction)
+    length = 10.0 * np.tan(0.7)
+    assert (1.0 - shares[0, :49]).sum() == pytest.approx(length - 1.0, abs=1e-5)  # the step is one pixel wide
+    np.testing.assert_array_equal(shares[:, 50:], 1.0)
+    assert shares[0, 49] == 0.0
+
+
+@pytest.mark.parametrize("turn", [0, 1, 2, 3])
+def test_turning_map_and_directions_together_changes_nothing(turn):
+    """Quarter turns of the map are exact, so they check all four ways to march over it."""
+    rng = np.random.default_rng(2)
+    height = rng.normal(size=(40, 40))
+    to_light, to_camera = directions(pose_grid((20.0, 110.0), (25.0,)), Convention(35.0))
+    quarter = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # row vectors, a quarter turn of +z
+    rotation = np.linalg.matrix_power(quarter, turn)
+    # rows count +y, so that a counter-clockwise turn of the sample is a clockwise np.rot90
+    turned = np.rot90(height, -turn)
+    plain = list(radiance_maps(Relief(HeightMap(height, 1.0, 1.0)), to_light, to_camera, Material(0.2, 0.2)))
+    moved = radiance_maps(
+        Relief(HeightMap(turned, 1.0, 1.0)), to_light @ rotation, to_camera @ rotation, Material(0.2, 0.2)
+    )
+    for before, after in zip(plain, moved, strict=True):
+        np.testing.assert_allclose(np.rot90(before, -turn), after, rtol=2e-5, atol=1e-6)
+
+
+def test_missing_points_are_left_out_of_the_mean():
+    design = RidgeDesign(100.0, 10.0)
+    surface = sampled(design, 1.0, rows=60, periods=3)
+    to_light, to_camera = directions(pose_grid((0, 90, 180)), Convention())
+    whole = radiance(Relief(surface, 100.0), to_light, to_camera, Material())
+    height = surface.height_um.copy()
+    height[np.random.default_rng(1).random(height.shape) < 0.01] = np.nan
+    holed = radiance(Relief(surface.with_height(height), 100.0), to_light, to_camera, Material())
+    np.testing.assert_allclose(holed, whole, rtol=0.01)
+
+
+def test_mean_runs_over_whole_pitches():
+    design = RidgeDesign(100.0, 10.0)
+    to_light, to_camera = directions(pose_grid((0, 90, 180)), Convention())
+    whole = radiance(Relief(sampled(design, 0.5, periods=3), 100.0), to_light, to_camera, Material())
+    surface = sampled(design, 0.5, periods=4)
+    part = HeightMap(surface.height_um[:, :731], 0.5, 1.0)
+    np.testing.assert_allclose(radiance(Relief(part, 100.0), to_light, to_camera, Material()), whole, rtol=2e-3)
+
+
+def test_a_map_with_too_many_holes_is_refused():
+    height = np.zeros((50, 50))
+    height[::2, ::2] = np.nan
+    with pytest.raises(HeightMapError, match="missing"):
+        Relief(HeightMap(height, 1.0, 1.0))
+
+
+def test_a_map_narrower_than_a_pitch_is_refused():
+    with pytest.raises(HeightMapError, match="less than one pitch"):
+        Relief(HeightMap(np.zeros((10, 50)), 1.0, 1.0), 100.0)
+
+
+def test_rough_map_stays_below_the_white_furnace(hemisphere):
+    rng = np.random.default_rng(7)
+    surface = HeightMap(0.1 * rng.normal(size=(60, 60)), 1.0, 1.0)
+    out, solid_angle = hemisphere(16, 32)
+    light = np.broadcast_to([np.sin(0.6), 0.0, np.cos(0.6)], out.shape)
+    shown = radiance(Relief(surface), light, out, Material(0.3, 0.3, albedo=1.0))
+    assert 0.7 < np.sum(shown * out[:, 2] * solid_angle) / np.cos(0.6) <= 1.0
