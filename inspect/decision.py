@@ -241,7 +241,8 @@ def _judge_area(
     if rule is None:
         return None, None
     ratios = cell_log_ratios(measured, poses)
-    off = np.abs(ratios - np.median(ratios, axis=(1, 2), keepdims=True)).max(axis=0)
+    # each line of cells runs along one flank of one ridge, so its median is what that flank should show
+    off = np.abs(ratios - np.median(ratios, axis=1, keepdims=True)).max(axis=0)
     noise = float(max(np.hypot(measured.cell_noise[i], measured.cell_noise[j]) for i, j in consecutive_pairs(poses)))
     share, at_low, at_high = (float(np.mean(off > rule.cell_deviation + shift)) for shift in (0.0, -noise, noise))
     u = float(np.hypot(0.5 * (at_low - at_high), 0.5 / off.size))
@@ -267,7 +268,7 @@ def _combine(
         line = f"{where} deviates by {pair.deviation:+.3f} (tolerance ±{pair.tolerance:g}, guard band {pair.guard:.3f})"
         findings.append((pair.verdict, line))
     if area is not None:
-        line = f"{area.share:.1%} of {area.cells} cells of the contrast map deviate (limit {area.max_share:.1%})"
+        line = f"{area.share:.1%} of the area deviate in the contrast map (limit {area.max_share:.1%})"
         findings.append((area.verdict, line))
     significant = p_value < rule.alpha
     line = f"all contrasts together: p = {p_value:.2g} for a part as predicted (level {rule.alpha:g})"

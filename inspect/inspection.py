@@ -210,10 +210,9 @@ def _judge(setup: _Setup, taken: _Taken, folder: Path) -> tuple[Record, Pictures
         shown = tuple((f"{angle:g}°", first_of_pose[angle].counts.astype("float32")) for angle in sorted(first_of_pose))
         record = _record(setup, taken, folder, verdict="INVALID", reasons=(str(error),))
         return record, Pictures(raw=shown, surface=setup.expected.surface)
-    region = measured.grid
     pictures = Pictures(
         aligned=measured.aligned,
-        size_mm=(region.shape[0] * region.pixel_mm[0], region.shape[1] * region.pixel_mm[1]),
+        size_mm=measured.grid.size_mm,
         ratios=cell_log_ratios(measured, setup.expected.poses),
         deviating=decision.deviating,
         surface=setup.expected.surface,

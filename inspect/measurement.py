@@ -14,6 +14,8 @@ from anisoscope.registration import Grid, Placement, angle_between, resample
 FloatArray = npt.NDArray[np.float64]
 Image = npt.NDArray[np.float32]
 
+CELLS_PER_PITCH = 4
+
 
 @dataclass(frozen=True, eq=False)
 class View:
@@ -33,7 +35,7 @@ class Measured:
         radiance: (P,) mean radiance of the region in 1/sr, whole pitches.
         components: measurement uncertainties of ln L.
         aligned: P pictures of the region on the sample's raster, (rows, cols), first row at the top.
-        cells: (P, cell rows, cell cols) mean radiance of cells one pitch by one pitch.
+        cells: (P, cell rows, cell cols) mean radiance of square cells, a quarter of a pitch wide.
         cell_noise: (P,) standard uncertainty of a cell's ln L from noise.
         grid: raster of the aligned pictures.
         drift: L(first pose, at the end)/L(first pose, at the start) − 1, or None.
@@ -49,18 +51,16 @@ class Measured:
 
 
 def region_grid(recipe: Recipe, pixel_um: float) -> tuple[Grid, int]:
-    """Raster of the region: whole pitches, a whole number of pixels a pitch.
+    """Raster of the region: whole pitches across and along, a whole number of points a cell.
 
     Returns:
-        The raster and the pixels per pitch.
+        The raster and the points per side of a cell.
     """
     pitch_mm = recipe.surface.pitch_um / 1000.0
-    per_pitch = max(1, round(recipe.surface.pitch_um / pixel_um))
-    step = pitch_mm / per_pitch
-    width, height = (int(size / pitch_mm + 1e-6) for size in recipe.region.size_mm)
-    x, y = recipe.region.center_mm
-    left, top = x - 0.5 * width * pitch_mm + 0.5 * step, y + 0.5 * height * pitch_mm - 0.5 * step
-    return Grid(left, top, (step, step), (height * per_pitch, width * per_pitch)), per_pitch
+    per_cell = max(1, round(recipe.surface.pitch_um / CELLS_PER_PITCH / pixel_um))
+    across, along = (int(size / pitch_mm + 1e-6) * CELLS_PER_PITCH * per_cell for size in recipe.region.size_mm)
+    step = pitch_mm / CELLS_PER_PITCH / per_cell
+    return Grid(recipe.region.center_mm, step, (along, across), recipe.poses.facet_azimuth_deg), per_cell
 
 
 def check_view(view: View, first: View, recipe: Recipe, pixel_um: float) -> None:
@@ -117,7 +117,7 @@ def measure(views: list[View], closing: View | None, recipe: Recipe, expected: E
     for view in [*views, *([closing] if closing else [])]:
         check_light(view, recipe)
         check_view(view, views[0], recipe, pixel_um)
-    grid, per_pitch = region_grid(recipe, pixel_um)
+    grid, per_cell = region_grid(recipe, pixel_um)
     aligned = [resample(view.image.value, view.placement, grid) for view in views]
     for view, picture in zip(views, aligned, strict=True):
         _check_region(view, picture, grid, recipe)
@@ -134,10 +134,9 @@ def measure(views: list[View], closing: View | None, recipe: Recipe, expected: E
                 f"±{recipe.limits.drift:.1%}): let the lamp warm up, and check that the part sits tight"
             )
     noise = np.array([_mean_noise(view, grid) for view in views])
-    area_px = grid.shape[0] * grid.shape[1] * (grid.pixel_mm[0] * 1000.0 / pixel_um) ** 2
-    cell_px = per_pitch**2 * (grid.pixel_mm[0] * 1000.0 / pixel_um) ** 2
-    shape = (grid.shape[0] // per_pitch, per_pitch, grid.shape[1] // per_pitch, per_pitch)
-    cells = np.stack([np.nanmean(picture.reshape(shape), axis=(1, 3)) for picture in aligned]).astype(np.float64)
+    pixels_per_point = (grid.pixel_mm * 1000.0 / pixel_um) ** 2
+    area_px, cell_px = grid.shape[0] * grid.shape[1] * pixels_per_point, per_cell**2 * pixels_per_point
+    cells = np.stack([_cell_means(picture, per_cell) for picture in aligned])
     components = _components(recipe, expected, radiance, noise / np.sqrt(area_px), drift, views, aligned)
     return Measured(radiance, components, tuple(aligned), cells, noise / np.sqrt(cell_px) / radiance, grid, drift)
 
@@ -172,6 +171,16 @@ def _check_region(view: View, picture: Image, grid: Grid, recipe: Recipe) -> Non
     missing = float(np.mean(~np.isfinite(picture)))
     if missing > 0.05 + 10 * recipe.limits.saturated_share:
         raise MeasurementError(f"at {view.stage_deg:g}° {missing:.1%} of the region have no usable pixels")
+
+
+def _cell_means(picture: Image, side: int) -> FloatArray:
+    """Means of square cells; a cell without any usable pixel takes the mean of the picture."""
+    rows, cols = picture.shape
+    blocks = picture.reshape(rows // side, side, cols // side, side).astype(np.float64)
+    known = np.isfinite(blocks)
+    count = known.sum(axis=(1, 3))
+    total = np.where(known, blocks, 0.0).sum(axis=(1, 3))
+    return np.where(count > 0, total / np.maximum(count, 1), float(np.nanmean(picture)))
 
 
 def _mean_noise(view: View, grid: Grid) -> float:

@@ -101,7 +101,9 @@ class AcquisitionPart(_Part):
 
 
 class RegionPart(_Part):
-    """The rectangle of the part that is judged, in mm about the rotation axis, at stage angle 0."""
+    """The rectangle of the part that is judged, in mm: its centre (x, y) at stage angle 0 from the rotation
+    axis, and its size (across the ridges, along them).
+    """
 
     center_mm: tuple[float, float] = (0.0, 0.0)
     size_mm: tuple[Positive, Positive]
@@ -123,13 +125,13 @@ class DecisionPart(_Part):
 
 
 class AreaPart(_Part):
-    """How the contrast map is judged: cells of one pitch by one pitch, against the part's own median.
+    """How the contrast map is judged: cells a quarter of a pitch wide, against the median along their flank.
 
     A cell deviates where its ln ratio is off by more than ``cell_deviation``; the part fails where more than
-    ``max_share`` of the cells do.
+    ``max_share`` of the area does.
     """
 
-    cell_deviation: Positive = 0.25
+    cell_deviation: Positive = 0.3
     max_share: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.03
 
 

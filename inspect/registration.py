@@ -56,7 +56,13 @@ def _detect(image: Image, fixture: Fixture) -> list[tuple[int, FloatArray]]:
         return []
     linear = np.clip(filled / top, 0.0, 2.0).astype(np.float32)
     enough = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 60, 0.002)
-    refined = [cv2.cornerSubPix(linear, np.ascontiguousarray(c.reshape(4, 1, 2)), (6, 6), (-1, -1), enough) for c in corners]
+    refined = []
+    for found in corners:
+        # a blurred corner is round: a window of half a module sees mostly straight edges
+        side = float(np.linalg.norm(found[0, 0] - found[0, 1]))
+        window = int(np.clip(side / 10.0, 3, 15))
+        points = np.ascontiguousarray(found.reshape(4, 1, 2))
+        refined.append(cv2.cornerSubPix(linear, points, (window, window), (-1, -1), enough))
     return [(int(i), c.reshape(4, 2).astype(np.float64)) for i, c in zip(ids.ravel(), refined, strict=True)]
 
 
@@ -108,12 +114,33 @@ def angle_between(first_deg: float, second_deg: float) -> float:
 
 @dataclass(frozen=True)
 class Grid:
-    """A raster on the sample: (rows, cols) points ``pixel_mm`` apart, the first row at the top (largest y)."""
+    """A raster on the sample, its columns along the ridges.
 
-    left_mm: float
-    top_mm: float
-    pixel_mm: tuple[float, float]
+    Attributes:
+        center_mm: (x, y) of the raster's middle, in sample millimetres at stage angle 0.
+        pixel_mm: distance of neighbouring points.
+        shape: (rows, cols); the first row lies farthest along the ridges.
+        turn_deg: azimuth of the raster's x axis: the side toward which the facets lean.
+    """
+
+    center_mm: tuple[float, float]
+    pixel_mm: float
     shape: tuple[int, int]
+    turn_deg: float = 0.0
+
+    @property
+    def size_mm(self) -> tuple[float, float]:
+        """(along the ridges, across them)."""
+        return self.shape[0] * self.pixel_mm, self.shape[1] * self.pixel_mm
+
+    def to_mm(self) -> FloatArray:
+        """(3, 3) map from (column, row, 1) to sample millimetres."""
+        rows, cols = self.shape
+        step, turn = self.pixel_mm, np.radians(self.turn_deg)
+        centred = np.array([[step, 0, -step * (cols - 1) / 2], [0, -step, step * (rows - 1) / 2], [0, 0, 1]])
+        cos, sin = np.cos(turn), np.sin(turn)
+        x, y = self.center_mm
+        return np.asarray(np.array([[cos, -sin, x], [sin, cos, y], [0, 0, 1]]) @ centred, dtype=np.float64)
 
 
 def resample(image: Image, placement: Placement, grid: Grid) -> Image:
@@ -127,9 +154,7 @@ def resample(image: Image, placement: Placement, grid: Grid) -> Image:
     Returns:
         ``grid.shape`` values; points outside the picture are NaN.
     """
-    step_y, step_x = grid.pixel_mm
-    to_mm = np.array([[step_x, 0, grid.left_mm], [0, -step_y, grid.top_mm], [0, 0, 1]])
-    matrix = placement.matrix @ to_mm
+    matrix = placement.matrix @ grid.to_mm()
     rows, cols = grid.shape
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     warped = cv2.warpAffine(

@@ -84,7 +84,7 @@ def _recipe() -> dict[str, Any]:
         "acquisition": {"exposure_s": 0.006, "frames_per_pose": 4, "dark_frames": 8, "settle_s": 0.0},
         "region": {"size_mm": [2.0, 2.0]},
         "decision": {"contrast": "log_ratio", "tolerance": 0.25},
-        "area": {"cell_deviation": 0.25, "max_share": 0.03},
+        "area": {"cell_deviation": 0.3, "max_share": 0.03},
         "uncertainty": {"seating_tilt_deg": 0.05},
     }
 

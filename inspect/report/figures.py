@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.collections import LineCollection
     from matplotlib.figure import Figure
 
 FloatArray = npt.NDArray[np.float64]
@@ -79,7 +80,7 @@ def photograph(radiance: Image, white: float) -> str:
 
 
 def contrast_map(ratio: FloatArray, deviating: npt.NDArray[np.bool_] | None, size_mm: tuple[float, float]) -> str:
-    """Cells of the contrast map; cells that deviate are framed.
+    """Cells of the contrast map; where cells deviate, their patches are outlined.
 
     Args:
         ratio: (cell rows, cell cols) ln ratio, first row at the top.
@@ -92,10 +93,7 @@ def contrast_map(ratio: FloatArray, deviating: npt.NDArray[np.bool_] | None, siz
         extent = (-width / 2, width / 2, -height / 2, height / 2)
         shown = axes.imshow(ratio, cmap="cividis", vmin=low, vmax=max(high, low + 0.05), extent=extent)
         if deviating is not None:
-            rows, cols = ratio.shape
-            for r, c in np.argwhere(deviating):
-                x, y = -width / 2 + c * width / cols, height / 2 - (r + 1) * height / rows
-                axes.add_patch(_frame(x, y, width / cols, height / rows))
+            axes.add_collection(_outline(deviating, size_mm))
         axes.set_xlabel("x [mm]")
         axes.set_ylabel("y [mm]")
         axes.spines[:].set_visible(True)
@@ -103,10 +101,18 @@ def contrast_map(ratio: FloatArray, deviating: npt.NDArray[np.bool_] | None, siz
         return _svg_uri(figure)
 
 
-def _frame(x: float, y: float, width: float, height: float) -> "object":
-    from matplotlib.patches import Rectangle
+def _outline(mask: npt.NDArray[np.bool_], size_mm: tuple[float, float]) -> "LineCollection":
+    """The edges between cells that deviate and cells that do not."""
+    from matplotlib.collections import LineCollection
 
-    return Rectangle((x, y), width, height, fill=False, edgecolor=RED, linewidth=1.1)
+    padded = np.pad(mask, 1)
+    rows, cols = mask.shape
+    upright = [((c, r), (c, r + 1)) for r, c in np.argwhere(padded[1:-1, 1:] != padded[1:-1, :-1])]
+    level = [((c, r), (c + 1, r)) for r, c in np.argwhere(padded[1:, 1:-1] != padded[:-1, 1:-1])]
+    scale = np.array([size_mm[1] / cols, -size_mm[0] / rows])
+    corner = np.array([-size_mm[1] / 2, size_mm[0] / 2])
+    lines = np.array(upright + level, dtype=np.float64).reshape(-1, 2, 2) * scale + corner
+    return LineCollection(list(lines), colors=RED, linewidths=0.9)
 
 
 def contrast_chart(

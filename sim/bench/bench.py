@@ -43,7 +43,7 @@ class Bench:
     @property
     def sample_angle_deg(self) -> float:
         """The angle at which the sample truly stands now."""
-        return self.axis.position() - self.file.stage.zero_deg
+        return self.axis.load_deg() - self.file.stage.zero_deg
 
     def photograph(self, exposure_s: float, gain: float) -> Counts:
         """One frame of the sensor, (rows, cols) counts."""

@@ -13,7 +13,7 @@ Image = npt.NDArray[np.float32]
 _PAPER_WHITE = 0.75
 _PAPER_BLACK = 0.03
 _PLATE = 0.04
-_SUPERSAMPLING = 4
+_DOTS_PER_MODULE = 48
 
 
 def pixel_from_mm(part: OpticsPart, sensor: SensorPart, angle_deg: float) -> FloatArray:
@@ -74,33 +74,19 @@ def image_of_surface(
 
 def image_of_fixture(fixture: Fixture, part: OpticsPart, sensor: SensorPart, angle_deg: float) -> Image:
     """Reflectance of the holder around the sample: a dark plate with white labels that carry the markers."""
-    n = _SUPERSAMPLING
-    fine = part.model_copy(
-        update={"pixel_um": part.pixel_um / n, "axis_px": ((part.axis_px[0] * n), (part.axis_px[1] * n))}
-    )
-    grid = sensor.model_copy(update={"rows": sensor.rows * n, "cols": sensor.cols * n})
-    canvas = np.full((grid.rows, grid.cols), _PLATE, dtype=np.float32)
+    plate = np.full((sensor.rows, sensor.cols), _PLATE, dtype=np.float32)
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, fixture.dictionary))
     modules = dictionary.markerSize + 2
-    to_pixel = pixel_from_mm(fine, grid, angle_deg)
+    dot_mm = fixture.marker_mm / modules / _DOTS_PER_MODULE
+    sigma = np.sqrt(part.blur_um**2 + part.pixel_um**2 / 12.0) / (1000.0 * dot_mm)
+    margin = int(4 * sigma) + 1
+    to_pixel = pixel_from_mm(part, sensor, angle_deg)
     for marker in fixture.markers:
         code = np.asarray(cv2.aruco.generateImageMarker(dictionary, marker.id, modules, borderBits=1))
-        label = np.full((modules + 2, modules + 2), _PAPER_WHITE, dtype=np.float32)
-        label[1:-1, 1:-1] = np.where(code > 0, _PAPER_WHITE, _PAPER_BLACK)
-        module_mm = fixture.marker_mm / modules
-        corner = -(modules + 2) / 2 * module_mm
-        # label index (column, row from its top) → millimetres; the index counts from pixel centres
-        label_to_mm = np.array(
-            [
-                [module_mm, 0, marker.x_mm + corner + module_mm / 2],
-                [0, -module_mm, marker.y_mm - corner - module_mm / 2],
-                [0, 0, 1],
-            ]
-        )
-        size = (grid.cols, grid.rows)
-        cv2.warpAffine(
-            label, to_pixel @ label_to_mm, size, dst=canvas, flags=cv2.INTER_NEAREST, borderMode=cv2.BORDER_TRANSPARENT
-        )
-    coarse = cv2.resize(canvas, (sensor.cols, sensor.rows), interpolation=cv2.INTER_AREA)
-    sigma = part.blur_um / part.pixel_um
-    return _blurred(np.asarray(coarse), (sigma, sigma))
+        paper = np.pad(np.where(code > 0, _PAPER_WHITE, _PAPER_BLACK), 1, constant_values=_PAPER_WHITE)
+        dots = np.kron(paper, np.ones((_DOTS_PER_MODULE, _DOTS_PER_MODULE))).astype(np.float32)
+        label = _blurred(np.pad(dots - _PLATE, margin).astype(np.float32), (sigma, sigma))
+        half = (label.shape[0] - 1) / 2 * dot_mm
+        dot_to_mm = np.array([[dot_mm, 0, marker.x_mm - half], [0, -dot_mm, marker.y_mm + half], [0, 0, 1]])
+        plate += cv2.warpAffine(label, to_pixel @ dot_to_mm, (sensor.cols, sensor.rows), flags=cv2.INTER_LINEAR)
+    return plate
