@@ -25,14 +25,17 @@ lint: $(VENV)/.dev
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 
-contracts: $(VENV)/.dev
-	$(BIN)/lint-imports
+# mypy and import-linter follow packages only where they lie as a wheel lays them.
+build/wheel: $(VENV)/.dev $(shell find inspect rig profiles sim -name '*.py' -o -name '*.html') pyproject.toml
+	rm -rf build
+	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --target build/wheel .
+	@touch $@
 
-# mypy follows packages only where they are installed as they will be: from a wheel.
-types: $(VENV)/.dev
-	rm -rf build/lib build/types
-	$(BIN)/pip install --quiet --no-deps --target build/types .
-	MYPYPATH=build/types $(BIN)/mypy -p anisoscope
+contracts: build/wheel
+	PYTHONPATH=build/wheel $(BIN)/lint-imports
+
+types: build/wheel
+	MYPYPATH=build/wheel $(BIN)/mypy -p anisoscope
 
 benchmark: $(VENV)/.dev
 	$(BIN)/python -Im pytest tests/benchmarks -s -m benchmark

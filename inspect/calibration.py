@@ -2,23 +2,17 @@
 
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from anisoscope.errors import UsageError
 from anisoscope.linear import stack
+from anisoscope.progress import Advance, silent
 from anisoscope.rig.frame import Frame, FrameKind
 from anisoscope.rig.rigfile import read_rig
 from anisoscope.rig.runner import Rig, open_rig
 from anisoscope.whitereference import make_reference, write_reference
 
-
 _KINDS: tuple[FrameKind, ...] = ("dark", "flat")
-
-
-class Progress(Protocol):
-    """Says how far the calibration is."""
-
-    def __call__(self, doing: str, done: int, total: int) -> None: ...
 
 
 def take_flat(
@@ -28,7 +22,7 @@ def take_flat(
     exposure_s: float,
     frames: int = 16,
     reflectance: float = 0.99,
-    on_progress: Progress | None = None,
+    on_progress: Advance = silent,
 ) -> dict[str, Any]:
     """Photograph a white tile that fills the picture and write the white reference; the stage does not move.
 
@@ -61,8 +55,7 @@ def take_flat(
             (rig.light.on if kind == "flat" else rig.light.off)()
             taken = []
             for k in range(frames):
-                if on_progress:
-                    on_progress(f"{kind} frames", step * frames + k, 2 * frames)
+                on_progress(f"{kind} frames", step * frames + k, 2 * frames)
                 taken.append(_frame(rig, kind, settings.exposure_s, settings.gain))
             stacks[kind] = stack(taken)
     reference = make_reference(

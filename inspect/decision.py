@@ -243,8 +243,12 @@ def _judge_area(
     ratios = cell_log_ratios(measured, poses)
     # each line of cells runs along one flank of one ridge, so its median is what that flank should show
     off = np.abs(ratios - np.median(ratios, axis=1, keepdims=True)).max(axis=0)
-    noise = float(max(np.hypot(measured.cell_noise[i], measured.cell_noise[j]) for i, j in consecutive_pairs(poses)))
-    share, at_low, at_high = (float(np.mean(off > rule.cell_deviation + shift)) for shift in (0.0, -noise, noise))
+    noise = float(
+        max(np.hypot(measured.cell_noise[i], measured.cell_noise[j]) for i, j in consecutive_pairs(poses))
+    )
+    share, at_low, at_high = (
+        float(np.mean(off > rule.cell_deviation + shift)) for shift in (0.0, -noise, noise)
+    )
     u = float(np.hypot(0.5 * (at_low - at_high), 0.5 / off.size))
     guard = 1.645 * u
     verdict = Verdict.INCONCLUSIVE
@@ -259,7 +263,9 @@ def _combine(
     pairs: tuple[PairResult, ...], p_value: float, area: AreaResult | None, rule: DecisionPart
 ) -> tuple[Verdict, tuple[str, ...]]:
     """Precedence FAIL > INCONCLUSIVE > PASS over all criteria, with a line for each that speaks."""
-    name = {"log_ratio": "ln ratio", "michelson": "Michelson contrast", "difference": "difference"}[rule.contrast]
+    name = {"log_ratio": "ln ratio", "michelson": "Michelson contrast", "difference": "difference"}[
+        rule.contrast
+    ]
     findings: list[tuple[Verdict, str]] = []
     for pair in pairs:
         if pair.tolerance is None or pair.guard is None:
@@ -273,11 +279,16 @@ def _combine(
     significant = p_value < rule.alpha
     line = f"all contrasts together: p = {p_value:.2g} for a part as predicted (level {rule.alpha:g})"
     fails = significant and (pairs[0].tolerance is None or rule.deviation == "fail")
-    findings.append((Verdict.FAIL if fails else Verdict.PASS, line + (", a significant deviation" if significant else "")))
+    findings.append(
+        (Verdict.FAIL if fails else Verdict.PASS, line + (", a significant deviation" if significant else ""))
+    )
     order = [Verdict.FAIL, Verdict.INCONCLUSIVE, Verdict.PASS]
     findings.sort(key=lambda finding: order.index(finding[0]))
     verdict = findings[0][0]
     decisive = tuple(line for found, line in findings if found == verdict)
-    warning = ("warning: significant deviation within the tolerance",) if significant and verdict == Verdict.PASS else ()
+    warning = (
+        ("warning: significant deviation within the tolerance",)
+        if significant and verdict == Verdict.PASS
+        else ()
+    )
     return verdict, warning + decisive
-

@@ -112,10 +112,14 @@ def _models(recipe: Recipe) -> tuple[Model, Model, HeightMap | None, str]:
 
         return ideal, ideal, None, "corrected"
     assert recipe.surface.height_map is not None
-    surface = read_height_map(recipe.surface.height_map, pixel_um=recipe.surface.pixel_um, role=recipe.surface.role)
+    surface = read_height_map(
+        recipe.surface.height_map, pixel_um=recipe.surface.pixel_um, role=recipe.surface.role
+    )
     relief, _ = prepare_relief(surface)
     rows = slice(0, min(relief.surface.shape[0], _SAMPLED_ROWS))
-    band = Relief(relief.surface.with_height(relief.surface.height_um[rows]), relief.pitch_um, max_missing_share=1.0)
+    band = Relief(
+        relief.surface.with_height(relief.surface.height_um[rows]), relief.pitch_um, max_missing_share=1.0
+    )
     return _relief_model(relief), _relief_model(band), relief.surface, "relief"
 
 
@@ -143,29 +147,35 @@ def _sensitivities(
         up, down = (_evaluate(model, state, poses, convention) for state in (high, low))
         return np.asarray(np.log(up / down) / span, dtype=np.float64)
 
-    def material_slope(name: str, value: float, step: float) -> FloatArray:
-        low, high = (replace(nominal, material=replace(material, **{name: value + s})) for s in (-step, step))
+    def by_material(change: Callable[[float], Material], step: float) -> FloatArray:
+        low, high = (replace(nominal, material=change(s)) for s in (-step, step))
         return slope(low, high, 2.0 * step)
 
-    low_albedo, high_albedo = max(material.albedo - 0.01, 0.0), min(material.albedo + 0.01, 1.0)
-    by_albedo = slope(
-        *(replace(nominal, material=replace(material, albedo=a)) for a in (low_albedo, high_albedo)),
-        high_albedo - low_albedo,
-    )
+    def by_seating(about_x: float, about_y: float) -> FloatArray:
+        low, high = (replace(nominal, seating_deg=(s * about_x, s * about_y)) for s in (-1.0, 1.0))
+        return slope(low, high, 2.0 * max(about_x, about_y))
+
+    along, across = part.alpha_along, part.alpha_across
+    by_along = by_material(lambda s: replace(material, alpha_along=along + s), 0.01 * along)
+    by_across = by_material(lambda s: replace(material, alpha_across=across + s), 0.01 * across)
+    by_index = by_material(lambda s: replace(material, index=part.index + s), 0.005)
+    dark, bright = max(material.albedo - 0.01, 0.0), min(material.albedo + 0.01, 1.0)
+    darker, brighter = (replace(nominal, material=replace(material, albedo=a)) for a in (dark, bright))
     light = nominal.light_angle_deg
-    found = [
-        ("roughness along the ridges", material_slope("alpha_along", part.alpha_along, 0.01 * part.alpha_along)
-         * part.u_alpha_share * part.alpha_along),
-        ("roughness across the ridges", material_slope("alpha_across", part.alpha_across, 0.01 * part.alpha_across)
-         * part.u_alpha_share * part.alpha_across),
-        ("albedo of the plastic", by_albedo * part.u_albedo),
-        ("refractive index", material_slope("index", part.index, 0.005) * part.u_index),
-        ("light angle", slope(replace(nominal, light_angle_deg=light - 0.1), replace(nominal, light_angle_deg=light + 0.1), 0.2)
-         * rig.light_angle_deg),
-        ("seating tilt about x", slope(replace(nominal, seating_deg=(-0.1, 0.0)), replace(nominal, seating_deg=(0.1, 0.0)), 0.2)
-         * rig.seating_tilt_deg),
-        ("seating tilt about y", slope(replace(nominal, seating_deg=(0.0, -0.1)), replace(nominal, seating_deg=(0.0, 0.1)), 0.2)
-         * rig.seating_tilt_deg),
-    ]
+    by_light = slope(
+        replace(nominal, light_angle_deg=light - 0.1), replace(nominal, light_angle_deg=light + 0.1), 0.2
+    )
+    found = {
+        "roughness along the ridges": by_along * part.u_alpha_share * along,
+        "roughness across the ridges": by_across * part.u_alpha_share * across,
+        "albedo of the plastic": slope(darker, brighter, bright - dark) * part.u_albedo,
+        "refractive index": by_index * part.u_index,
+        "light angle": by_light * rig.light_angle_deg,
+        "seating tilt about x": by_seating(0.1, 0.0) * rig.seating_tilt_deg,
+        "seating tilt about y": by_seating(0.0, 0.1) * rig.seating_tilt_deg,
+    }
     per_degree = slope(replace(nominal, turn_deg=-0.1), replace(nominal, turn_deg=0.1), 0.2)
-    return [Component(source, "prediction", relative, shared=True) for source, relative in found], per_degree
+    components = [
+        Component(source, "prediction", relative, shared=True) for source, relative in found.items()
+    ]
+    return components, per_degree

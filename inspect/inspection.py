@@ -6,13 +6,21 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
-from anisoscope.decision import Decision, Verdict, cell_log_ratios, decide
-from anisoscope.errors import CalibrationError, CameraError, MeasurementError, RecordError, RigFileError, UsageError
+from anisoscope.decision import Decision, cell_log_ratios, decide
+from anisoscope.errors import (
+    CalibrationError,
+    CameraError,
+    MeasurementError,
+    RecordError,
+    RigFileError,
+    UsageError,
+)
 from anisoscope.expectation import Expectation, expectation
 from anisoscope.linear import RadianceImage, WhiteReference, linearise, stack
 from anisoscope.measurement import Measured, View, measure
+from anisoscope.progress import Advance, silent
 from anisoscope.recipe import Recipe, read_recipe
 from anisoscope.record import (
     AreaRecord,
@@ -37,12 +45,6 @@ from anisoscope.rig.runner import open_rig, run_plan
 from anisoscope.whitereference import read_reference
 
 SERIAL = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._+#-]{0,63}")
-
-
-class Progress(Protocol):
-    """Says how far the inspection is."""
-
-    def __call__(self, doing: str, done: int, total: int) -> None: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +84,7 @@ def check_serial(serial: str) -> str:
     """A serial number that can name a folder.
 
     Raises:
-        UsageError: it holds anything but letters, digits, blanks and ``. _ + # -``, or starts with none of the first two.
+        UsageError: it holds anything but letters, digits, blanks and ``. _ + # -``, or begins with a blank or a sign.
     """
     if not SERIAL.fullmatch(serial) or serial != serial.strip():
         raise UsageError(
@@ -93,7 +95,7 @@ def check_serial(serial: str) -> str:
 
 
 def inspect_part(
-    recipe_path: Path, rig_path: Path, serial: str, out: Path, on_progress: Progress | None = None
+    recipe_path: Path, rig_path: Path, serial: str, out: Path, on_progress: Advance = silent
 ) -> Inspected:
     """Photograph a part on a rig and judge it.
 
@@ -112,10 +114,9 @@ def inspect_part(
         RigError: hardware; the frames taken so far stay in the folder, no record is written.
         RecordError: the folder cannot be written.
     """
-    advance = on_progress or _silent
     check_serial(serial)
     recipe, rig = read_recipe(recipe_path), read_rig(rig_path)
-    advance("prediction", 0, 1)
+    on_progress("prediction", 0, 1)
     white_path = _white_path(rig, rig_path)
     _fixture(rig, rig_path)
     setup = _Setup(
@@ -130,13 +131,13 @@ def inspect_part(
     )
     renderer = start_renderer(setup.expected.surface)
     folder = _make_folder(out, serial)
-    taken = _photograph(setup, folder, advance)
-    advance("measurement", 0, 1)
+    taken = _photograph(setup, folder, on_progress)
+    on_progress("measurement", 0, 1)
     record, pictures = _judge(setup, taken, folder)
     write_record(record, folder)
-    advance("report", 0, 1)
+    on_progress("report", 0, 1)
     report = write_report(record, pictures, folder, renderer)
-    advance(record.verdict, 1, 1)
+    on_progress(record.verdict, 1, 1)
     return Inspected(record, folder, report)
 
 
@@ -153,10 +154,6 @@ def _fixture(rig: RigFile, path: Path) -> Fixture:
     if rig.fixture is None:
         raise RigFileError(f"{path} describes no [fixture]: the turned pictures are aligned by its markers")
     return rig.fixture
-
-
-def _silent(_doing: str, _done: int, _total: int) -> None:
-    return None
 
 
 def _make_folder(out: Path, serial: str) -> Path:
@@ -176,7 +173,7 @@ def _make_folder(out: Path, serial: str) -> Path:
     raise RecordError(f"{out} already holds a thousand inspections named {base}")
 
 
-def _photograph(setup: _Setup, folder: Path, advance: Progress) -> _Taken:
+def _photograph(setup: _Setup, folder: Path, advance: Advance) -> _Taken:
     acquisition = setup.recipe.acquisition
     plan = Plan(
         poses=tuple(RigPose(pose.stage_deg, pose.tilt_deg) for pose in setup.expected.poses),
@@ -207,7 +204,9 @@ def _judge(setup: _Setup, taken: _Taken, folder: Path) -> tuple[Record, Pictures
         decision = decide(setup.expected, measured, setup.recipe)
     except (MeasurementError, CameraError) as error:
         first_of_pose = {frame.commanded_deg: frame for frame in reversed(frames) if frame.kind == "sample"}
-        shown = tuple((f"{angle:g}°", first_of_pose[angle].counts.astype("float32")) for angle in sorted(first_of_pose))
+        shown = tuple(
+            (f"{angle:g}°", first_of_pose[angle].counts.astype("float32")) for angle in sorted(first_of_pose)
+        )
         record = _record(setup, taken, folder, verdict="INVALID", reasons=(str(error),))
         return record, Pictures(raw=shown, surface=setup.expected.surface)
     pictures = Pictures(
@@ -248,7 +247,9 @@ def _view(setup: _Setup, frame: Frame, image: RadianceImage) -> View:
             f"at {frame.commanded_deg:g}° the brightest parts reach {image.signal_share:.1%} of full scale (limit "
             f"{setup.recipe.limits.min_signal_share:.0%}): is the lens cap on, the light off, the exposure too short?"
         )
-    return View(frame.commanded_deg, frame.tilt_deg, image, locate(image.value, _fixture(setup.rig, setup.rig_path)))
+    return View(
+        frame.commanded_deg, frame.tilt_deg, image, locate(image.value, _fixture(setup.rig, setup.rig_path))
+    )
 
 
 def _results(setup: _Setup, views: list[View], measured: Measured, decision: Decision) -> dict[str, Any]:
@@ -292,14 +293,21 @@ def _results(setup: _Setup, views: list[View], measured: Measured, decision: Dec
             share=area.share, u=area.u, max_share=area.max_share, cells=area.cells, verdict=area.verdict.value
         ),
         "budget": tuple(
-            BudgetRecord(source=row.source, kind=row.kind, contributions=row.contributions) for row in decision.budget
+            BudgetRecord(source=row.source, kind=row.kind, contributions=row.contributions)
+            for row in decision.budget
         ),
         "drift": measured.drift,
     }
 
 
 def _record(
-    setup: _Setup, taken: _Taken, folder: Path, *, verdict: str, reasons: tuple[str, ...], **results: Any  # noqa: ANN401
+    setup: _Setup,
+    taken: _Taken,
+    folder: Path,
+    *,
+    verdict: str,
+    reasons: tuple[str, ...],
+    **results: Any,  # noqa: ANN401
 ) -> Record:
     inputs = [setup.recipe_path, setup.rig_path, setup.white_path]
     if setup.recipe.surface.height_map is not None:
@@ -347,5 +355,3 @@ def _frame_record(file: FrameFile, folder: Path) -> FrameRecord:
         gain=frame.gain,
         captured_at=frame.captured_at,
     )
-
-

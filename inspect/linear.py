@@ -49,7 +49,11 @@ def stack(frames: Iterable[Frame]) -> Stack:
         raise CalibrationError("no frames to average")
     first = frames[0]
     for frame in frames:
-        if (frame.counts.shape, frame.exposure_s, frame.gain) != (first.counts.shape, first.exposure_s, first.gain):
+        if (frame.counts.shape, frame.exposure_s, frame.gain) != (
+            first.counts.shape,
+            first.exposure_s,
+            first.gain,
+        ):
             raise CalibrationError("frames of one pose differ in size, exposure or gain: take them again")
     total = np.zeros(first.counts.shape, dtype=np.float64)
     squares = np.zeros_like(total)
@@ -135,7 +139,9 @@ def linearise(sample: Stack, dark: Stack, white: WhiteReference, full_scale: int
         CalibrationError: dark frames or white reference do not fit the frames.
     """
     if (dark.exposure_s, dark.gain) != (sample.exposure_s, sample.gain):
-        raise CalibrationError("dark frames and sample frames differ in exposure or gain: take the dark frames again")
+        raise CalibrationError(
+            "dark frames and sample frames differ in exposure or gain: take the dark frames again"
+        )
     if white.signal.shape != sample.mean.shape:
         raise CalibrationError(
             f"the flat has {white.signal.shape[1]} × {white.signal.shape[0]} pixels, the frames "

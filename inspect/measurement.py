@@ -58,7 +58,9 @@ def region_grid(recipe: Recipe, pixel_um: float) -> tuple[Grid, int]:
     """
     pitch_mm = recipe.surface.pitch_um / 1000.0
     per_cell = max(1, round(recipe.surface.pitch_um / CELLS_PER_PITCH / pixel_um))
-    across, along = (int(size / pitch_mm + 1e-6) * CELLS_PER_PITCH * per_cell for size in recipe.region.size_mm)
+    across, along = (
+        int(size / pitch_mm + 1e-6) * CELLS_PER_PITCH * per_cell for size in recipe.region.size_mm
+    )
     step = pitch_mm / CELLS_PER_PITCH / per_cell
     return Grid(recipe.region.center_mm, step, (along, across), recipe.poses.facet_azimuth_deg), per_cell
 
@@ -79,8 +81,8 @@ def check_view(view: View, first: View, recipe: Recipe, pixel_um: float) -> None
     off = angle_between(view.stage_deg, place.angle_deg - first.placement.angle_deg + first.stage_deg)
     if abs(off) > limits.angle_deg:
         raise RegistrationError(
-            f"the stage says {view.stage_deg:g}°, the markers {view.stage_deg + off:.2f}° (limit ±{limits.angle_deg:g}°): "
-            "check the rotation sense in the rig file and that the fixture sits tight"
+            f"the stage says {view.stage_deg:g}°, the markers {view.stage_deg + off:.2f}° "
+            f"(limit ±{limits.angle_deg:g}°): check the rotation sense in the rig file and that the fixture sits tight"
         )
     zero = angle_between(view.stage_deg, place.angle_deg)
     if abs(zero) > limits.angle_deg:
@@ -101,7 +103,9 @@ def check_view(view: View, first: View, recipe: Recipe, pixel_um: float) -> None
         )
 
 
-def measure(views: list[View], closing: View | None, recipe: Recipe, expected: Expectation, pixel_um: float) -> Measured:
+def measure(
+    views: list[View], closing: View | None, recipe: Recipe, expected: Expectation, pixel_um: float
+) -> Measured:
     """Pose radiances over the recipe's region.
 
     Args:
@@ -123,7 +127,9 @@ def measure(views: list[View], closing: View | None, recipe: Recipe, expected: E
         _check_region(view, picture, grid, recipe)
     radiance = np.array([np.nanmean(picture, dtype=np.float64) for picture in aligned])
     if np.any(radiance <= 0):
-        raise MeasurementError("the part is darker than the dark frames: check light, exposure and dark frames")
+        raise MeasurementError(
+            "the part is darker than the dark frames: check light, exposure and dark frames"
+        )
     drift = None
     if closing is not None:
         again = float(np.nanmean(resample(closing.image.value, closing.placement, grid), dtype=np.float64))
@@ -138,7 +144,9 @@ def measure(views: list[View], closing: View | None, recipe: Recipe, expected: E
     area_px, cell_px = grid.shape[0] * grid.shape[1] * pixels_per_point, per_cell**2 * pixels_per_point
     cells = np.stack([_cell_means(picture, per_cell) for picture in aligned])
     components = _components(recipe, expected, radiance, noise / np.sqrt(area_px), drift, views, aligned)
-    return Measured(radiance, components, tuple(aligned), cells, noise / np.sqrt(cell_px) / radiance, grid, drift)
+    return Measured(
+        radiance, components, tuple(aligned), cells, noise / np.sqrt(cell_px) / radiance, grid, drift
+    )
 
 
 def check_light(view: View, recipe: Recipe) -> None:

@@ -68,7 +68,9 @@ class MaterialPart(_Part):
 
     def material(self) -> Material:
         """The material of the reflectance model."""
-        return Material(self.alpha_along, self.alpha_across, self.albedo, self.index, self.internal_reflection)
+        return Material(
+            self.alpha_along, self.alpha_across, self.albedo, self.index, self.internal_reflection
+        )
 
 
 class PosesPart(_Part):
@@ -101,8 +103,9 @@ class AcquisitionPart(_Part):
 
 
 class RegionPart(_Part):
-    """The rectangle of the part that is judged, in mm: its centre (x, y) at stage angle 0 from the rotation
-    axis, and its size (across the ridges, along them).
+    """The rectangle of the part that is judged, in mm.
+
+    ``center_mm`` is (x, y) from the rotation axis at stage angle 0, ``size_mm`` (across the ridges, along them).
     """
 
     center_mm: tuple[float, float] = (0.0, 0.0)
@@ -199,7 +202,9 @@ def read_recipe(path: Path) -> Recipe:
     Raises:
         RecipeError: the file is missing or wrong; the message names file, key and what is expected.
     """
-    recipe = read_toml_model(path, Recipe, error=RecipeError, substitutions={"here": str(path.resolve().parent)})
+    recipe = read_toml_model(
+        path, Recipe, error=RecipeError, substitutions={"here": str(path.resolve().parent)}
+    )
     try:
         recipe.material.material()
     except ModelError as error:

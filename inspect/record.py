@@ -137,7 +137,9 @@ def write_text_atomically(path: Path, text: str) -> None:
 def write_record(record: Record, folder: Path) -> Path:
     """Write ``record.json``, all or nothing."""
     path = folder / RECORD_NAME
-    write_text_atomically(path, json.dumps(record.model_dump(mode="json", by_alias=True), indent=2, allow_nan=False))
+    write_text_atomically(
+        path, json.dumps(record.model_dump(mode="json", by_alias=True), indent=2, allow_nan=False)
+    )
     return path
 
 

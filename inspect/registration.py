@@ -40,19 +40,21 @@ def marker_corners_mm(fixture: Fixture) -> dict[int, FloatArray]:
     """Corners of every marker in sample millimetres, (4, 2): top left first, clockwise as seen, as OpenCV counts."""
     half = fixture.marker_mm / 2.0
     offsets = np.array([[-half, half], [half, half], [half, -half], [-half, -half]])
-    return {marker.id: offsets + (marker.x_mm, marker.y_mm) for marker in fixture.markers}
+    return {marker.id: offsets + np.array([marker.x_mm, marker.y_mm]) for marker in fixture.markers}
 
 
 def _detect(image: Image, fixture: Fixture) -> list[tuple[int, FloatArray]]:
-    """Markers and their corners (4, 2). Found on a compressed picture, where dim markers show too; refined on
-    the linear one, because compression would move blurred edges toward the dark side.
+    """Markers and their corners (4, 2).
+
+    They are found on a compressed picture, where dim markers show too, and refined on the linear one, because
+    compression would move blurred edges toward the dark side.
     """
     filled = np.nan_to_num(image)
     top = max(float(np.percentile(filled[::4, ::4], 99.5)), 1e-9)
     seen = np.asarray(255.0 * np.sqrt(np.clip(filled / top, 0.0, 1.0)), dtype=np.uint8)
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, fixture.dictionary))
     corners, ids, _ = cv2.aruco.ArucoDetector(dictionary, cv2.aruco.DetectorParameters()).detectMarkers(seen)
-    if ids is None:
+    if not corners:
         return []
     linear = np.clip(filled / top, 0.0, 2.0).astype(np.float32)
     enough = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 60, 0.002)

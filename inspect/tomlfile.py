@@ -10,9 +10,10 @@ from types import UnionType
 from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 from urllib.parse import quote
 
-from anisoscope.errors import ConfigError, RigFileError
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
+
+from anisoscope.errors import ConfigError, RigFileError
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
 _PLACEHOLDER = re.compile(r"\$\{([^}]*)\}")
@@ -65,7 +66,7 @@ def one_line(problem: ValidationError, model: type[BaseModel]) -> str:
     return _describe(mistakes[0], model) + more
 
 
-class _UnknownPlaceholder(Exception):  # noqa: N818 - never leaves this module
+class _UnknownPlaceholder(Exception):
     pass
 
 

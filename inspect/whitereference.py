@@ -33,11 +33,15 @@ def make_reference(
     """
     saturated = float(flat.saturated.mean())
     if saturated > 0.001:
-        raise CalibrationError(f"{saturated:.1%} of the flat are saturated: shorten --exposure and take it again")
+        raise CalibrationError(
+            f"{saturated:.1%} of the flat are saturated: shorten --exposure and take it again"
+        )
     signal = flat.mean - dark.mean
     level = float(np.median(signal)) / full_scale
     if level < 0.05:
-        raise CalibrationError(f"the flat reaches only {level:.1%} of full scale: lengthen --exposure, light on?")
+        raise CalibrationError(
+            f"the flat reaches only {level:.1%} of full scale: lengthen --exposure, light on?"
+        )
     signal = np.where(hot_pixels(dark), np.nan, signal) / (flat.exposure_s * flat.gain)
     signal = np.where(np.isnan(signal), np.nanmedian(signal), signal)
     return {
@@ -81,13 +85,12 @@ def read_reference(path: Path) -> WhiteReference:
         raise CalibrationError(f"the flat {path} does not exist: {advice}")
     try:
         with tifffile.TiffFile(path) as file:
-            signal = np.asarray(file.pages[0].asarray())
-            description = file.pages[0].tags["ImageDescription"].value
-        meta = json.loads(description)
+            page = file.pages.first
+            signal, meta = page.asarray(), json.loads(page.description)
         if meta["kind"] != _KIND:
             raise CalibrationError(f"{path} is not a white reference: {advice}")
         return WhiteReference(
-            signal.astype(np.float32),
+            np.asarray(signal, dtype=np.float32),
             float(meta["radiance"]),
             str(meta["camera"]),
             str(meta["taken_at"]),

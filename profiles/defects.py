@@ -4,7 +4,7 @@ Every defect takes its dimensions in µm and a :class:`numpy.random.Generator` w
 spoiled surface can be made again.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +21,8 @@ LEAST_HEIGHT_UM = 1e-3
 STEEPEST_RATIO = 0.6
 ASPECT = (0.35, 0.7)
 SPREAD_SHARE = 0.06
-COVERAGE_TOLERANCE = 0.02
+COVERAGE_TOLERANCE = 0.01
+FEW_POINTS = 50
 MAX_FUTILE = 400
 
 
@@ -46,10 +47,12 @@ class _Burr:
     bumps: FloatArray
 
     def scaled(self, factor: float) -> "_Burr":
-        return _Burr(
-            self.x_um, self.y_um, factor * self.half_length_um, factor * self.half_width_um, factor * self.height_um,
-            self.lobes, self.bumps,
-        )  # fmt: skip
+        return replace(
+            self,
+            half_length_um=factor * self.half_length_um,
+            half_width_um=factor * self.half_width_um,
+            height_um=factor * self.height_um,
+        )
 
     def heights(self, x_um: FloatArray, y_um: FloatArray) -> FloatArray:
         """(rows, cols) added height in µm at columns x and rows y; 0 outside."""
@@ -176,6 +179,8 @@ def burrs(
         x = crest + pitch_um * (float(rng.choice(ridges)) + SPREAD_SHARE * float(rng.standard_normal()))
         burr = _draw(x, float(rng.uniform(0.0, length)), height_um, size_um, rng)
         futile = 0 if _place(layer, burr, target - layer.covered, tolerance) else futile + 1
+        if futile > MAX_FUTILE and target - layer.covered < FEW_POINTS:
+            break
         if futile > MAX_FUTILE:
             raise HeightMapError(
                 f"burrs on the crest lines cannot cover {coverage:.1%} of this map "
@@ -208,9 +213,9 @@ def ridge_angle_error(
     """Ridges whose facets are steeper or flatter by δ: heights scaled by tan(θ + δ)/tan θ.
 
     In tooling, a cutter that was ground or set at a wrong angle; in moulding, a part that shrank unevenly or
-    was demoulded too hot and sagged. The lateral layout stays: only the median ridge is scaled, and roughness,
-    residue and form, which are the difference from it, keep their heights. On a map without a period
-    (fewer than four ridges), all heights are scaled about their mean, roughness included; the origin
+    was demoulded too hot and sagged. The lateral layout stays: only the median ridge is scaled, and
+    roughness, residue and form, which are the difference from it, keep their heights. On a map without a
+    period (fewer than four ridges), all heights are scaled about their mean, roughness included; the origin
     (``ridge_angle_error``, "scaled") says which.
 
     Args:

@@ -169,7 +169,8 @@ def _strongest(spectrum: _Spectrum) -> FloatArray:
     limit = spectrum.orders(best)
     for orders in (2, 4, HARMONICS):
         best = spectrum.refine(best, min(orders, limit))
-    return best if best[0] > 0 or (best[0] == 0 and best[1] > 0) else -best
+    tiny = 1e-9 * abs(float(best[1]))
+    return best if best[0] > tiny or (best[0] >= -tiny and best[1] > 0) else -best
 
 
 def _predicted_share(
@@ -222,4 +223,4 @@ def find_period(surface: HeightMap) -> Period:
     if score < MIN_SCORE:
         return Period(float("nan"), float("nan"), score, False)
     fx, fy = best.tolist()
-    return Period(float(1.0 / np.hypot(fx, fy)), float(np.degrees(np.arctan2(fy, fx))), score, True)
+    return Period(float(1.0 / np.hypot(fx, fy)), float(np.degrees(np.arctan2(fy, max(fx, 0.0)))), score, True)

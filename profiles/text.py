@@ -20,6 +20,7 @@ from anisoscope.profiles.units import micrometres_per, require_pixel
 Layout = Literal["auto", "matrix", "xyz"]
 
 MISSING = {"", "-", "--", "***", "nan", "na", "n/a", "null", "bad"}
+HEADER = re.compile(r"\W*x", re.IGNORECASE)
 COMMENT = ("#", "%", "//")
 PIXEL_NOTE = re.compile(r"pixel_um \(y, x\): ([0-9.eE+-]+), ([0-9.eE+-]+)")
 MAX_TEXT_BYTES = 2**31
@@ -136,7 +137,7 @@ def read_table(path: Path) -> Table:
     name = path.name
     lines, comments = _content_lines(name, path)
     names: tuple[str, ...] = ()
-    separator, decimal = _dialect(name, lines[1:] or lines)
+    separator, decimal = _dialect(name, (lines[1:] or lines) if HEADER.match(lines[0][1]) else lines)
     first = tuple(cell.strip('"').lower() for cell in _cells(lines[0][1], separator))
     if [cell[:1] for cell in first] == ["x", "y", "z"]:
         names, lines = first, lines[1:]

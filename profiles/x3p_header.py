@@ -229,5 +229,5 @@ def micrometres(name: str, what: str, metres: Decimal) -> float:
     """
     try:
         return float(metres.scaleb(6))
-    except (InvalidOperation, OverflowError, ValueError):
+    except (ArithmeticError, ValueError):
         raise HeightMapError(f"{name}: {what}: {metres} m is out of range; export the file again") from None

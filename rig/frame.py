@@ -14,8 +14,9 @@ from typing import Annotated, Literal
 import numpy as np
 import numpy.typing as npt
 import tifffile
-from anisoscope.errors import RecordError
 from pydantic import Field, TypeAdapter, ValidationError
+
+from anisoscope.errors import RecordError
 
 SCHEMA = 1
 SATURATION = 0.98

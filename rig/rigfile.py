@@ -3,10 +3,11 @@
 from pathlib import Path
 from typing import Annotated, Literal
 
+from pydantic import BaseModel, ConfigDict, Field
+
 from anisoscope.errors import RigFileError
 from anisoscope.rig.fixture import Fixture
 from anisoscope.tomlfile import read_toml_model
-from pydantic import BaseModel, ConfigDict, Field
 
 Positive = Annotated[float, Field(gt=0.0)]
 Option = str | int | float | bool

@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
+
 from anisoscope.errors import CameraError, RecordError, RigError, RigFileError
 from anisoscope.rig.camera import Camera, CameraSettings
 from anisoscope.rig.drivers import open_camera, open_light, open_stage

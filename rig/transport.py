@@ -14,8 +14,9 @@ from types import TracebackType
 from typing import NoReturn, Self
 
 import serial
-from anisoscope.errors import NotConnected
 from serial.tools import list_ports
+
+from anisoscope.errors import NotConnected
 
 HANDLER_GROUP = "anisoscope.serial_handlers"
 POLL_S = 0.05

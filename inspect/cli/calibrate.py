@@ -30,7 +30,9 @@ def flat(
     from anisoscope.calibration import take_flat
 
     with progress("flat", quiet=json_) as advance:
-        meta = take_flat(rig, out, exposure_s=exposure, frames=frames, reflectance=reflectance, on_progress=advance)
+        meta = take_flat(
+            rig, out, exposure_s=exposure, frames=frames, reflectance=reflectance, on_progress=advance
+        )
     if json_:
         json.dump({"file": str(out), **meta}, sys.stdout, indent=2)
         sys.stdout.write("\n")

@@ -2,9 +2,10 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from anisoscope.errors import UsageError
+from anisoscope.progress import Advance, silent
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -19,7 +20,9 @@ def parse_numbers(text: str, option: str) -> tuple[float, ...]:
     try:
         numbers = tuple(float(part) for part in text.split(","))
     except ValueError:
-        raise UsageError(f"{option} takes numbers separated by commas, such as 0,90,180, not {text!r}") from None
+        raise UsageError(
+            f"{option} takes numbers separated by commas, such as 0,90,180, not {text!r}"
+        ) from None
     if not all(abs(number) < float("inf") for number in numbers):
         raise UsageError(f"{option} takes finite numbers, not {text!r}")
     return numbers
@@ -38,7 +41,9 @@ def print_table(title: str, columns: list[str], rows: list[list[str]], caption: 
     from rich.markup import escape
     from rich.table import Table
 
-    table = Table(title=title, title_justify="left", caption=caption and escape(caption), caption_justify="left")
+    table = Table(
+        title=title, title_justify="left", caption=caption and escape(caption), caption_justify="left"
+    )
     for number, column in enumerate(columns):
         table.add_column(column, justify="left" if number == 0 else "right")
     for row in rows:
@@ -46,22 +51,21 @@ def print_table(title: str, columns: list[str], rows: list[list[str]], caption: 
     console().print(table)
 
 
-class Advance(Protocol):
-    """Says how far a job is: what it does now, steps done, steps in all."""
-
-    def __call__(self, doing: str, done: int, total: int) -> None: ...
-
-
 @contextmanager
 def progress(label: str, *, quiet: bool = False) -> Iterator[Advance]:
     """A progress bar on standard error; yields the function that moves it."""
     if quiet:
-        yield lambda _doing, _done, _total: None
+        yield silent
         return
     from rich.markup import escape
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    columns = (TextColumn("{task.fields[label]}"), BarColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    columns = (
+        TextColumn("{task.fields[label]}"),
+        BarColumn(),
+        TextColumn("{task.description}"),
+        TimeElapsedColumn(),
+    )
     with Progress(*columns, console=console(stderr=True)) as bar:
         task = bar.add_task("", total=None, label=escape(label))
 

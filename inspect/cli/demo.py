@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from anisoscope.cli.console import Advance, console, print_table, progress
+from anisoscope.cli.console import console, print_table, progress
+from anisoscope.progress import Advance
 
 if TYPE_CHECKING:
     from anisoscope.inspection import Inspected
@@ -15,7 +16,9 @@ if TYPE_CHECKING:
 
 def demo(
     *,
-    out: Annotated[Path, Parameter(help="Folder for recipe, rig files, frames and reports.")] = Path("demo-output"),
+    out: Annotated[Path, Parameter(help="Folder for recipe, rig files, frames and reports.")] = Path(
+        "demo-output"
+    ),
     seed: Annotated[int, Parameter(help="Seed of everything random on the virtual rig.")] = 1,
     json_: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")] = False,
 ) -> int:
@@ -71,4 +74,6 @@ def _print(parts: list[dict[str, Any]], found: "list[tuple[str, str, Inspected]]
     out = console()
     for part in parts:
         out.print(f"report of {part['serial']}: {part['report']}", highlight=False, soft_wrap=True)
-    out.print("Every verdict is the expected one." if right else "[bold]A verdict is not the expected one.[/bold]")
+    out.print(
+        "Every verdict is the expected one." if right else "[bold]A verdict is not the expected one.[/bold]"
+    )

@@ -7,9 +7,9 @@ import numpy as np
 import tomli_w
 
 from anisoscope.calibration import take_flat
-from anisoscope.cli.console import Advance
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
 from anisoscope.profiles.load import write_height_map
+from anisoscope.progress import Advance
 
 PARTS = {"good": "PASS", "burrs": "FAIL", "angle": "FAIL"}
 
@@ -99,7 +99,9 @@ def _sample(name: str, rng: np.random.Generator) -> dict[str, Any]:
     return {
         "kind": "ridges",
         "pitch_um": PITCH_UM,
-        "ridge_angle_deg": RIDGE_ANGLE_DEG + float(0.1 * rng.standard_normal()) + (2.0 if name == "angle" else 0.0),
+        "ridge_angle_deg": RIDGE_ANGLE_DEG
+        + float(0.1 * rng.standard_normal())
+        + (2.0 if name == "angle" else 0.0),
         "resolved_alpha": RESOLVED_ALPHA,
         "burr_coverage": 0.10 if name == "burrs" else float(rng.uniform(0.0, 0.002)),
         "seating_tilt_deg": [float(t) for t in 0.05 * rng.standard_normal(2)],

@@ -57,7 +57,18 @@ def _print(inspected: "Inspected") -> None:
     if record.contrasts:
         print_table(
             f"{record.serial}: {record.product}",
-            ["contrast", "from [°]", "to [°]", "tilt [°]", "measured", "predicted", "deviation", "u", "tolerance", ""],
+            [
+                "contrast",
+                "from [°]",
+                "to [°]",
+                "tilt [°]",
+                "measured",
+                "predicted",
+                "deviation",
+                "u",
+                "tolerance",
+                "",
+            ],
             [
                 [
                     contrast.kind,

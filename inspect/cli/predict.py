@@ -27,7 +27,9 @@ def predict(
     alpha_across: Annotated[float, Parameter(help="Beckmann roughness across the ridges.")] = 0.10,
     albedo: Annotated[float, Parameter(help="Diffuse albedo of the plastic, 0 to 1.")] = 0.2,
     index: Annotated[float, Parameter(help="Refractive index of the plastic.")] = 1.5,
-    wall: Annotated[Literal["perpendicular", "vertical"], Parameter(help="Wall of an ideal ridge.")] = "perpendicular",
+    wall: Annotated[
+        Literal["perpendicular", "vertical"], Parameter(help="Wall of an ideal ridge.")
+    ] = "perpendicular",
     internal_reflection: Annotated[
         Literal["nonlinear", "linear"], Parameter(help="Colour of light sent back inside the plastic.")
     ] = "nonlinear",
@@ -42,7 +44,9 @@ def predict(
     model: Annotated[
         Model | None, Parameter(help="Default: corrected for a design, relief for a height map.")
     ] = None,
-    pixel: Annotated[str | None, Parameter(help="Pixel size in µm of a map without one: SIZE or Y,X.")] = None,
+    pixel: Annotated[
+        str | None, Parameter(help="Pixel size in µm of a map without one: SIZE or Y,X.")
+    ] = None,
     json_: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")] = False,
 ) -> int:
     """Predict radiances and contrasts of a height map or of an ideal ridge design.
@@ -68,7 +72,9 @@ def predict(
     else:
         assert ridge_angle is not None
         design = RidgeDesign(pitch_um=pitch, ridge_angle_deg=ridge_angle, wall=wall)
-        result = predict_design(design, material, poses, convention, model or "corrected")
+        result = predict_design(
+            design, material, poses, convention, "printed" if model == "printed" else "corrected"
+        )
     if json_:
         json.dump(_as_json(result), sys.stdout, indent=2, allow_nan=False)
         sys.stdout.write("\n")
@@ -77,15 +83,23 @@ def predict(
     return 0
 
 
-def _check_choice(height_map: Path | None, ridge_angle: float | None, model: Model | None, bounces: int) -> None:
+def _check_choice(
+    height_map: Path | None, ridge_angle: float | None, model: Model | None, bounces: int
+) -> None:
     if (height_map is None) == (ridge_angle is None):
         raise UsageError("give either a height map file or --ridge-angle of an ideal design")
     if height_map is not None and model not in (None, "relief"):
-        raise UsageError(f"--model {model} needs a design (--ridge-angle); a height map is predicted by --model relief")
+        raise UsageError(
+            f"--model {model} needs a design (--ridge-angle); a height map is predicted by --model relief"
+        )
     if height_map is None and model == "relief":
-        raise UsageError("--model relief needs a height map file; a design is predicted by corrected or printed")
+        raise UsageError(
+            "--model relief needs a height map file; a design is predicted by corrected or printed"
+        )
     if bounces != 1:
-        raise UsageError(f"--bounces {bounces} is not available: this version follows direct light only (--bounces 1)")
+        raise UsageError(
+            f"--bounces {bounces} is not available: this version follows direct light only (--bounces 1)"
+        )
 
 
 def _finite(value: float) -> float | None:
@@ -129,7 +143,14 @@ def _print(result: "Predicted") -> None:
         "Contrasts",
         ["from [°]", "to [°]", "tilt [°]", "difference [1/sr]", "Michelson", "ln ratio"],
         [
-            [f"{c.from_deg:g}", f"{c.to_deg:g}", f"{c.tilt_deg:g}", f"{c.difference:+.5f}", f"{c.michelson:+.4f}", f"{c.log_ratio:+.4f}"]
+            [
+                f"{c.from_deg:g}",
+                f"{c.to_deg:g}",
+                f"{c.tilt_deg:g}",
+                f"{c.difference:+.5f}",
+                f"{c.michelson:+.4f}",
+                f"{c.log_ratio:+.4f}",
+            ]
             for c in result.contrasts
         ],
         caption=caption,

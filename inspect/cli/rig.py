@@ -2,8 +2,9 @@
 
 from typing import TYPE_CHECKING, Annotated
 
-from anisoscope.errors import UsageError
 from cyclopts import App, Parameter
+
+from anisoscope.errors import UsageError
 
 if TYPE_CHECKING:
     from anisoscope.sim.bench.serve import PtyServer, TcpServer

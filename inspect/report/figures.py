@@ -79,7 +79,9 @@ def photograph(radiance: Image, white: float) -> str:
     return png_uri(data.tobytes())
 
 
-def contrast_map(ratio: FloatArray, deviating: npt.NDArray[np.bool_] | None, size_mm: tuple[float, float]) -> str:
+def contrast_map(
+    ratio: FloatArray, deviating: npt.NDArray[np.bool_] | None, size_mm: tuple[float, float]
+) -> str:
     """Cells of the contrast map; where cells deviate, their patches are outlined.
 
     Args:
@@ -117,8 +119,7 @@ def _outline(mask: npt.NDArray[np.bool_], size_mm: tuple[float, float]) -> "Line
 
 def contrast_chart(
     labels: Sequence[str],
-    measured: Sequence[float],
-    predicted: Sequence[float],
+    deviation: Sequence[float],
     u: Sequence[float],
     tolerance: Sequence[float | None],
     unit: str,
@@ -128,21 +129,38 @@ def contrast_chart(
         for k in range(len(labels)):
             limit = tolerance[k]
             if limit is not None:
-                axes.barh(k, 2 * limit, left=-limit, height=0.62, color="#dcefe2", edgecolor="#9ccbab", linewidth=0.8)
+                axes.barh(
+                    k,
+                    2 * limit,
+                    left=-limit,
+                    height=0.62,
+                    color="#dcefe2",
+                    edgecolor="#9ccbab",
+                    linewidth=0.8,
+                )
             axes.errorbar(
-                measured[k] - predicted[k], k, xerr=1.96 * u[k], fmt="o", color=BLUE, capsize=4, markersize=6, linewidth=1.6
+                deviation[k],
+                k,
+                xerr=1.96 * u[k],
+                fmt="o",
+                color=BLUE,
+                capsize=4,
+                markersize=6,
+                linewidth=1.6,
             )
         axes.axvline(0.0, color=MUTED, linewidth=0.9)
         axes.set_yticks(range(len(labels)), labels)
         axes.set_ylim(len(labels) - 0.45, -0.55)
         axes.grid(axis="x")
         axes.set_xlabel(f"measured − predicted [{unit}];  bar: 95 % interval, green: tolerance")
-        reach = max([abs(m - p) + 1.96 * s for m, p, s in zip(measured, predicted, u, strict=True)] + [t or 0.0 for t in tolerance])
+        reach = max(abs(d) + max(1.96 * s, t or 0.0) for d, s, t in zip(deviation, u, tolerance, strict=True))
         axes.set_xlim(-1.12 * reach, 1.12 * reach)
         return _svg_uri(figure)
 
 
-def budget_chart(sources: Sequence[str], contributions: FloatArray, labels: Sequence[str], kinds: Sequence[str]) -> str:
+def budget_chart(
+    sources: Sequence[str], contributions: FloatArray, labels: Sequence[str], kinds: Sequence[str]
+) -> str:
     """Bars of every source's contribution to every contrast, largest source first.
 
     Args:
@@ -157,11 +175,15 @@ def budget_chart(sources: Sequence[str], contributions: FloatArray, labels: Sequ
         height = 0.8 / pairs
         for p in range(pairs):
             positions = np.arange(len(sources)) - 0.4 + height * (p + 0.5)
-            axes.barh(positions, contributions[:, p], height=height, color=shades[p % len(shades)], label=labels[p])
-        axes.set_yticks(range(len(sources)), [f"{s}  ({k[0].upper()})" for s, k in zip(sources, kinds, strict=True)])
+            axes.barh(
+                positions, contributions[:, p], height=height, color=shades[p % len(shades)], label=labels[p]
+            )
+        axes.set_yticks(
+            range(len(sources)), [f"{s}  ({k[0].upper()})" for s, k in zip(sources, kinds, strict=True)]
+        )
         axes.set_ylim(len(sources) - 0.5, -0.6)
         axes.grid(axis="x")
-        axes.set_xlabel("standard uncertainty of the contrast;  P: prediction, M: measurement")
+        axes.set_xlabel("standard uncertainty of the contrast (P prediction, M measurement)")
         axes.legend(loc="lower right", frameon=False)
         return _svg_uri(figure)
 

@@ -74,6 +74,8 @@ def write_report(record: Record, pictures: Pictures, folder: Path, renderer: Ren
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("anisoscope.report"), autoescape=True, undefined=jinja2.StrictUndefined
     )
+    environment.filters["angle"] = lambda value: f"{(value + 180.0) % 360.0 - 180.0:+.2f}°".replace("-", "−")
+    environment.filters["short"] = lambda value: f"{value:.4f}" if value >= 5e-5 else f"{value:.0e}"
     environment.filters["signed"] = lambda value, digits=3: f"{value:+.{digits}f}".replace("-", "−")
     page = environment.get_template("inspection.html").render(
         record=record,
@@ -114,8 +116,13 @@ def _figures(record: Record, pictures: Pictures, renderer: Renderer | None) -> d
             for label, ratio in zip(labels, pictures.ratios, strict=True)
         ]
     if record.contrasts:
-        columns = ([getattr(c, name) for c in record.contrasts] for name in ("measured", "predicted", "u", "tolerance"))
-        found["chart"] = figures.contrast_chart(labels, *columns, unit=KIND_NAMES[record.contrasts[0].kind])
+        found["chart"] = figures.contrast_chart(
+            labels,
+            [c.measured - c.predicted for c in record.contrasts],
+            [c.u for c in record.contrasts],
+            [c.tolerance for c in record.contrasts],
+            KIND_NAMES[record.contrasts[0].kind],
+        )
         found["budget_chart"] = figures.budget_chart(
             [row.source for row in record.budget],
             np.array([row.contributions for row in record.budget]),
@@ -136,7 +143,9 @@ def _surface(surface: HeightMap, renderer: Renderer | None) -> dict[str, Any]:
     line = surface.height_um[surface.shape[0] // 2]
     shown = min(line.size, round(600.0 / surface.pixel_x_um))
     return {
-        "surface_picture": figures.height_picture(surface.height_um, (surface.pixel_y_um, surface.pixel_x_um)),
+        "surface_picture": figures.height_picture(
+            surface.height_um, (surface.pixel_y_um, surface.pixel_x_um)
+        ),
         "surface_profile": figures.profile_chart(np.arange(shown) * surface.pixel_x_um, line[:shown]),
         "surface_3d": figures.png_uri(picture.png) if picture and picture.png else None,
         "surface_note": picture.note if picture else "",

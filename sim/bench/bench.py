@@ -31,7 +31,9 @@ class Bench:
         self.file = file
         surface_rng, sensor_rng, self._light_rng = np.random.default_rng(file.seed).spawn(3)
         self.axis = RotaryAxis(time_scale=file.stage.time_scale)
-        self.stage_firmware = ElliptecFirmware(self.axis, address=file.stage.address, faults=file.stage.faults)
+        self.stage_firmware = ElliptecFirmware(
+            self.axis, address=file.stage.address, faults=file.stage.faults
+        )
         self.sensor = Sensor(file.sensor, sensor_rng)
         self.light_on = False
         self._surface_rng = surface_rng
@@ -82,7 +84,9 @@ class Bench:
             )
             image = picture.astype(np.float64)
             if file.fixture is not None:
-                around = image_of_fixture(file.fixture, file.optics, file.sensor, angle_deg) / np.pi * cos_light
+                around = (
+                    image_of_fixture(file.fixture, file.optics, file.sensor, angle_deg) / np.pi * cos_light
+                )
                 image = image + (1.0 - cover) * around
         return np.asarray((image + file.optics.stray_radiance) * shade, dtype=np.float64)
 
@@ -90,7 +94,9 @@ class Bench:
         convention = Convention(light_angle_deg=self.file.geometry.light_angle_deg)
         to_light, to_camera = directions((Pose(angle_deg, self.file.geometry.tilt_deg),), convention)
         seat = seating_rotation(*self.file.sample.seating_tilt_deg)
-        return next(radiance_maps(surface, to_light @ seat, to_camera @ seat, plastic(self.file.sample.material)))
+        return next(
+            radiance_maps(surface, to_light @ seat, to_camera @ seat, plastic(self.file.sample.material))
+        )
 
 
 @lru_cache(maxsize=4)

@@ -118,4 +118,6 @@ def read_bench(path: Path) -> BenchFile:
     Raises:
         RigFileError: the file is missing or wrong; the message names the key.
     """
-    return read_toml_model(path, BenchFile, error=RigFileError, substitutions={"here": str(path.resolve().parent)})
+    return read_toml_model(
+        path, BenchFile, error=RigFileError, substitutions={"here": str(path.resolve().parent)}
+    )

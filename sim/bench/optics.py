@@ -36,7 +36,9 @@ def _blurred(image: Image, sigma_px: tuple[float, float]) -> Image:
     if max(sigma_px) < 1e-3:
         return image
     sigma_x, sigma_y = (max(s, 1e-3) for s in sigma_px)
-    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigmaX=sigma_x, sigmaY=sigma_y, borderType=cv2.BORDER_REPLICATE))
+    return np.asarray(
+        cv2.GaussianBlur(image, (0, 0), sigmaX=sigma_x, sigmaY=sigma_y, borderType=cv2.BORDER_REPLICATE)
+    )
 
 
 def image_of_surface(
@@ -88,5 +90,7 @@ def image_of_fixture(fixture: Fixture, part: OpticsPart, sensor: SensorPart, ang
         label = _blurred(np.pad(dots - _PLATE, margin).astype(np.float32), (sigma, sigma))
         half = (label.shape[0] - 1) / 2 * dot_mm
         dot_to_mm = np.array([[dot_mm, 0, marker.x_mm - half], [0, -dot_mm, marker.y_mm + half], [0, 0, 1]])
-        plate += cv2.warpAffine(label, to_pixel @ dot_to_mm, (sensor.cols, sensor.rows), flags=cv2.INTER_LINEAR)
+        plate += cv2.warpAffine(
+            label, to_pixel @ dot_to_mm, (sensor.cols, sensor.rows), flags=cv2.INTER_LINEAR
+        )
     return plate

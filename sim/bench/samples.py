@@ -29,7 +29,9 @@ def build_surface(part: SamplePart, rng: np.random.Generator) -> Relief:
     """
     if part.kind == "height-map":
         if part.file is None:
-            raise RigFileError("a sample of kind 'height-map' needs a file: set sample.file in the bench file")
+            raise RigFileError(
+                "a sample of kind 'height-map' needs a file: set sample.file in the bench file"
+            )
         return Relief(_repeat(read_height_map(part.file), part))
     pitches = max(1, int(part.size_mm * 1000.0 // part.pitch_um))
     cols = round(pitches * part.pitch_um / PIXEL_X_UM) + 1

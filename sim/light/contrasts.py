@@ -51,7 +51,9 @@ def contrasts(poses: tuple[Pose, ...], radiance: FloatArray) -> tuple[Contrast, 
             michelson = float(np.divide(first - second, first + second))
             ratio = float(np.log(np.divide(first, second)))
         found.append(
-            Contrast(poses[i].stage_deg, poses[j].stage_deg, poses[i].tilt_deg, first - second, michelson, ratio)
+            Contrast(
+                poses[i].stage_deg, poses[j].stage_deg, poses[i].tilt_deg, first - second, michelson, ratio
+            )
         )
     return tuple(found)
 

@@ -58,13 +58,17 @@ def visible_shares(x_um: FloatArray, z_um: FloatArray, tangent: float) -> FloatA
     return np.where(facing, np.clip((limit - start) / np.where(facing, length, 1.0), 0.0, 1.0), 0.0)
 
 
-def _seen_and_lit(lit: FloatArray, seen: FloatArray, light_tangent: float, camera_tangent: float) -> FloatArray:
+def _seen_and_lit(
+    lit: FloatArray, seen: FloatArray, light_tangent: float, camera_tangent: float
+) -> FloatArray:
     if (light_tangent >= 0) == (camera_tangent >= 0):
         return np.minimum(lit, seen)
     return np.maximum(0.0, lit + seen - 1.0)
 
 
-def radiance(to_light: FloatArray, to_camera: FloatArray, design: RidgeDesign, material: Material) -> FloatArray:
+def radiance(
+    to_light: FloatArray, to_camera: FloatArray, design: RidgeDesign, material: Material
+) -> FloatArray:
     """Radiance [1/sr] of the ridged surface per unit irradiance perpendicular to the beam, direct light.
 
     L = Σ_j A_j V_j f_j cos_i,j cos_o,j / (A_macro · ω_o·n) over the facet, the wall and, with height loss, the

@@ -83,7 +83,8 @@ def directions(poses: tuple[Pose, ...], convention: Convention) -> tuple[FloatAr
     if convention.tilt_plane == "perpendicular":
         to_camera = np.stack([np.zeros_like(tilt), -np.sin(tilt), np.cos(tilt)], axis=-1)
         to_light = np.stack(
-            [np.full_like(tilt, np.sin(light)), -np.cos(light) * np.sin(tilt), np.cos(light) * np.cos(tilt)], axis=-1
+            [np.full_like(tilt, np.sin(light)), -np.cos(light) * np.sin(tilt), np.cos(light) * np.cos(tilt)],
+            axis=-1,
         )
     else:
         to_camera = np.stack([np.sin(tilt), np.zeros_like(tilt), np.cos(tilt)], axis=-1)
@@ -92,7 +93,9 @@ def directions(poses: tuple[Pose, ...], convention: Convention) -> tuple[FloatAr
         low = vectors[:, 2] < 1e-3
         if low.any():
             pose = poses[int(np.argmax(low))]
-            raise ModelError(f"at tilt {pose.tilt_deg:g}° the {name} stands at or below the horizon of the sample")
+            raise ModelError(
+                f"at tilt {pose.tilt_deg:g}° the {name} stands at or below the horizon of the sample"
+            )
     sense = 1.0 if convention.rotation_sense == "ccw" else -1.0
     turn = -(sense * stage + np.radians(convention.facet_azimuth_deg))
     return _turn_about_z(to_light, turn), _turn_about_z(to_camera, turn)
@@ -104,6 +107,10 @@ def seating_rotation(about_x_deg: float, about_y_deg: float) -> FloatArray:
     ``to_light @ rotation`` and ``to_camera @ rotation`` are the directions that such a sample sees.
     """
     about_x, about_y = np.radians(about_x_deg), np.radians(about_y_deg)
-    turn_x = np.array([[1, 0, 0], [0, np.cos(about_x), -np.sin(about_x)], [0, np.sin(about_x), np.cos(about_x)]])
-    turn_y = np.array([[np.cos(about_y), 0, np.sin(about_y)], [0, 1, 0], [-np.sin(about_y), 0, np.cos(about_y)]])
+    turn_x = np.array(
+        [[1, 0, 0], [0, np.cos(about_x), -np.sin(about_x)], [0, np.sin(about_x), np.cos(about_x)]]
+    )
+    turn_y = np.array(
+        [[np.cos(about_y), 0, np.sin(about_y)], [0, 1, 0], [-np.sin(about_y), 0, np.cos(about_y)]]
+    )
     return np.asarray(turn_x @ turn_y, dtype=np.float64)

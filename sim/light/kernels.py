@@ -79,8 +79,7 @@ def slice_shares(
             if column < major - 1 and not math.isnan(here) and not math.isnan(previous) and previous > here:
                 share = (limit - here) / (previous - here)
                 shares[k, column] = min(1.0, max(0.0, share))
-            if here < limit:
-                limit = here
+            limit = min(limit, here)
             previous = here
     return shares
 

@@ -47,13 +47,17 @@ class Material:
     def __post_init__(self) -> None:
         for name, alpha in (("along", self.alpha_along), ("across", self.alpha_across)):
             if not 0.001 <= alpha <= 1.0:
-                raise ModelError(f"roughness alpha {name} the ridges must lie between 0.001 and 1, not {alpha}")
+                raise ModelError(
+                    f"roughness alpha {name} the ridges must lie between 0.001 and 1, not {alpha}"
+                )
         if not 0.0 <= self.albedo <= 1.0:
             raise ModelError(f"the albedo must lie between 0 and 1, not {self.albedo}")
         if not 1.0 < self.index <= 4.0:
             raise ModelError(f"the refractive index must lie above 1 and up to 4, not {self.index}")
         if self.internal_reflection not in ("nonlinear", "linear"):
-            raise ModelError(f"internal reflection is 'nonlinear' or 'linear', not {self.internal_reflection!r}")
+            raise ModelError(
+                f"internal reflection is 'nonlinear' or 'linear', not {self.internal_reflection!r}"
+            )
 
     @property
     def alpha_mean(self) -> float:
@@ -73,7 +77,9 @@ def fresnel(cosine: FloatArray, index: float) -> FloatArray:
     return np.where(sin2_inside >= 1.0, 1.0, reflectance)
 
 
-def beckmann(half: FloatArray, along: FloatArray, across: FloatArray, normal: FloatArray, material: Material) -> FloatArray:
+def beckmann(
+    half: FloatArray, along: FloatArray, across: FloatArray, normal: FloatArray, material: Material
+) -> FloatArray:
     """Anisotropic Beckmann distribution D [1/sr] of half vectors (…, 3) about ``normal`` (Luongo 2017, Eq. 3)."""
     cosine = half @ normal
     slope = ((half @ along) / material.alpha_along) ** 2 + ((half @ across) / material.alpha_across) ** 2
@@ -87,17 +93,24 @@ def smith_lambda(alpha_tan: FloatArray) -> FloatArray:
     from scipy.special import erfc  # noqa: PLC0415 - 0.1 s that --help should not pay
 
     a = 1.0 / np.maximum(alpha_tan, 1e-9)
-    value = 0.5 * (np.exp(-np.minimum(a, 26.0) ** 2) / (a * np.sqrt(np.pi)) - erfc(a))
-    return np.maximum(value, 0.0)
+    value = 0.5 * (np.exp(-(np.minimum(a, 26.0) ** 2)) / (a * np.sqrt(np.pi)) - erfc(a))
+    return np.asarray(np.maximum(value, 0.0), dtype=np.float64)
 
 
 def smith(
-    to_light: FloatArray, to_camera: FloatArray, along: FloatArray, across: FloatArray, normal: FloatArray, material: Material
+    to_light: FloatArray,
+    to_camera: FloatArray,
+    along: FloatArray,
+    across: FloatArray,
+    normal: FloatArray,
+    material: Material,
 ) -> FloatArray:
     """Height-correlated Smith shadowing-masking 1/(1 + Λ_i + Λ_o) of the facet's own roughness (Heitz 2014, Eq. 99)."""
 
     def alpha_tan(direction: FloatArray) -> FloatArray:
-        spread = np.hypot(material.alpha_along * (direction @ along), material.alpha_across * (direction @ across))
+        spread = np.hypot(
+            material.alpha_along * (direction @ along), material.alpha_across * (direction @ across)
+        )
         cosine = np.maximum(direction @ normal, 1e-9)
         return np.asarray(spread / cosine, dtype=np.float64)
 
@@ -154,7 +167,12 @@ def diffuse_scale(material: Material) -> float:
 
 
 def facet_brdf(
-    to_light: FloatArray, to_camera: FloatArray, along: FloatArray, across: FloatArray, normal: FloatArray, material: Material
+    to_light: FloatArray,
+    to_camera: FloatArray,
+    along: FloatArray,
+    across: FloatArray,
+    normal: FloatArray,
+    material: Material,
 ) -> FloatArray:
     """BRDF [1/sr] of a rough plastic facet with orthonormal frame (along, across, normal), each (3,).
 

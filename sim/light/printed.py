@@ -63,6 +63,8 @@ def ridge_brdf(
     return np.asarray(glossy * (mirror + material.albedo / np.pi * (1.0 - mirror) ** 2), dtype=np.float64)
 
 
-def radiance(to_light: FloatArray, to_camera: FloatArray, design: RidgeDesign, material: Material) -> FloatArray:
+def radiance(
+    to_light: FloatArray, to_camera: FloatArray, design: RidgeDesign, material: Material
+) -> FloatArray:
     """f·(ω_i·n) [1/sr]: what the camera sees per unit irradiance perpendicular to the beam, without the scale k."""
     return ridge_brdf(to_light, to_camera, design, material) * to_light[..., 2]

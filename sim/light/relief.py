@@ -79,7 +79,7 @@ class Relief:
         if self.pitch_um is None:
             return 0
         columns = self.surface.shape[1] - 1
-        return round(np.floor(columns / self._columns_per_pitch + 1e-6) * self._columns_per_pitch)
+        return round(float(np.floor(columns / self._columns_per_pitch + 1e-6)) * self._columns_per_pitch)
 
 
 def visible_shares(relief: Relief, direction: FloatArray) -> ShareArray:
@@ -117,7 +117,11 @@ def visible_shares(relief: Relief, direction: FloatArray) -> ShareArray:
     count = minor - 1 - 2 * first
     period_major, period_minor = (wrap, 0) if along_x else (0, wrap)
     sliced = slice_shares(z, step, tangent, shift, reach, period_major, period_minor, first, count)
-    shares = _slices_to_facets(sliced, shift, first, minor - 1) if shift > 0 else sliced[-first : -first + minor - 1]
+    shares = (
+        _slices_to_facets(sliced, shift, first, minor - 1)
+        if shift > 0
+        else sliced[-first : -first + minor - 1]
+    )
     shares = shares[:: -1 if flip_minor else 1, :: -1 if flip_major else 1]
     return np.ascontiguousarray(shares if along_x else shares.T)
 

@@ -3,9 +3,10 @@
 from pathlib import Path
 
 import pytest
+from pydantic import BaseModel, ConfigDict
+
 from anisoscope.errors import RecipeError, RigFileError
 from anisoscope.tomlfile import read_toml_model
-from pydantic import BaseModel, ConfigDict
 
 
 class Inner(BaseModel):

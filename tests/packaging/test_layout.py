@@ -8,7 +8,12 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-FOLDERS = {"anisoscope": "inspect", "anisoscope.rig": "rig", "anisoscope.profiles": "profiles", "anisoscope.sim": "sim"}
+FOLDERS = {
+    "anisoscope": "inspect",
+    "anisoscope.rig": "rig",
+    "anisoscope.profiles": "profiles",
+    "anisoscope.sim": "sim",
+}
 
 
 @pytest.fixture(scope="module")
@@ -17,7 +22,9 @@ def setuptools_table():
 
 
 def python(*arguments):
-    done = subprocess.run([sys.executable, *arguments], cwd=ROOT, capture_output=True, text=True, check=False, timeout=120)
+    done = subprocess.run(
+        [sys.executable, *arguments], cwd=ROOT, capture_output=True, text=True, check=False, timeout=120
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout.strip()
 
@@ -72,5 +79,5 @@ def test_help_is_cheap():
 
 
 def test_light_models_import_without_numba_and_scipy():
-    script = "import sys, anisoscope.sim.light.relief, anisoscope.sim.light.corrected\nprint({'numba', 'scipy'} & set(sys.modules))"
-    assert python("-c", script) == "set()"
+    modules = "sys, anisoscope.sim.light.relief, anisoscope.sim.light.corrected"
+    assert python("-c", f"import {modules}\nprint({{'numba', 'scipy'}} & set(sys.modules))") == "set()"

@@ -4,6 +4,10 @@ import threading
 import time
 
 import pytest
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
+
 from anisoscope.errors import (
     LimitExceeded,
     MotionTimeout,
@@ -21,9 +25,6 @@ from anisoscope.sim.bench.axis import RotaryAxis
 from anisoscope.sim.bench.elliptec import ELL8, ElliptecBus, ElliptecFirmware, ElliptecModel
 from anisoscope.sim.bench.serialports import protocol_sim
 from anisoscope.sim.bench.serve import PtyServer, TcpServer
-from hypothesis import settings
-from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 HURRY = {"timeout_s": 0.15, "move_gap_s": 0.0, "margin_s": 0.15, "velocity_deg_s": 4000.0}
 COUNT_DEG = 360 / 143360

@@ -5,6 +5,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 import tifffile
+
 from anisoscope.errors import RecordError
 from anisoscope.rig import frame as module
 from anisoscope.rig.frame import Frame, read_frame, write_frame

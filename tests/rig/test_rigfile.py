@@ -1,6 +1,7 @@
 """Rig files: the good one, and every mistake in one line."""
 
 import pytest
+
 from anisoscope.errors import RigFileError
 from anisoscope.rig.rigfile import StagePart, read_rig
 

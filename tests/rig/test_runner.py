@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+
 from anisoscope.errors import CameraError, NotConnected, RecordError, RigError, RigFileError, UsageError
 from anisoscope.rig import drivers, runner
 from anisoscope.rig.camera import Camera, CameraInfo, CameraSettings

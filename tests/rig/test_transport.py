@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 
 import pytest
+
 from anisoscope.errors import NotConnected
 from anisoscope.rig import transport as module
 from anisoscope.rig.transport import Transport, available_ports, register_handlers

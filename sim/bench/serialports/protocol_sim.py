@@ -12,12 +12,13 @@ import time
 from typing import TYPE_CHECKING, ClassVar
 from urllib.parse import unquote
 
+from serial.serialutil import PortNotOpenError, SerialBase, SerialException, Timeout
+
 from anisoscope.errors import AnisoscopeError
 from anisoscope.sim.bench.axis import RotaryAxis
 from anisoscope.sim.bench.elliptec import ElliptecFirmware
 from anisoscope.sim.bench.faults import Fault
 from anisoscope.sim.bench.serve import Firmware
-from serial.serialutil import PortNotOpenError, SerialBase, SerialException, Timeout
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer

@@ -3,9 +3,10 @@
 import itertools
 
 import pytest
-from anisoscope.sim.bench.axis import RotaryAxis
 from hypothesis import given
 from hypothesis import strategies as st
+
+from anisoscope.sim.bench.axis import RotaryAxis
 
 angles = st.floats(-720.0, 720.0)
 

@@ -1,6 +1,7 @@
 """The firmware's bytes, against recordings of real devices and the maker's table."""
 
 import pytest
+
 from anisoscope.errors import UsageError
 from anisoscope.sim.bench.axis import RotaryAxis
 from anisoscope.sim.bench.elliptec import ELL8, ElliptecBus, ElliptecFirmware

@@ -6,6 +6,7 @@ import types
 
 import pytest
 import serial
+
 from anisoscope.rig.transport import register_handlers
 from anisoscope.sim.bench.axis import RotaryAxis
 from anisoscope.sim.bench.elliptec import ElliptecFirmware

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+
 from anisoscope.cli.rig import elliptec, ports
 from anisoscope.errors import RigError, UsageError
 from anisoscope.rig.transport import Transport

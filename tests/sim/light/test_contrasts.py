@@ -8,7 +8,12 @@ from anisoscope.sim.light.geometry import pose_grid
 def test_contrasts_are_signed_and_between_consecutive_stage_angles_of_one_tilt():
     poses = pose_grid((0, 90, 180), (0, 10))
     found = contrasts(poses, np.array([4.0, 1.0, 2.0, 8.0, 8.0, 2.0]))
-    assert [(c.from_deg, c.to_deg, c.tilt_deg) for c in found] == [(0, 90, 0), (90, 180, 0), (0, 90, 10), (90, 180, 10)]
+    assert [(c.from_deg, c.to_deg, c.tilt_deg) for c in found] == [
+        (0, 90, 0),
+        (90, 180, 0),
+        (0, 90, 10),
+        (90, 180, 10),
+    ]
     assert [c.difference for c in found] == [3.0, -1.0, 0.0, 6.0]
     assert found[0].michelson == pytest.approx(3 / 5)
     assert found[1].log_ratio == pytest.approx(np.log(1 / 2))

@@ -28,7 +28,9 @@ def test_visibility_of_vertical_walls_is_the_closed_form(angle):
     x, z = ridge_polyline(RidgeDesign(100.0, angle, wall="vertical"))
     for t in TANGENTS:
         facet, wall = visible_shares(x, z, t)
-        assert facet == pytest.approx(1.0 / (1 + t * tangent) if t > 0 else float(t * tangent > -1), abs=1e-12)
+        assert facet == pytest.approx(
+            1.0 / (1 + t * tangent) if t > 0 else float(t * tangent > -1), abs=1e-12
+        )
         assert wall == pytest.approx(0.0 if t >= 0 else min(1.0, 1 / (tangent * abs(t))), abs=1e-12)
 
 
@@ -81,7 +83,9 @@ def test_flat_limit_is_the_plain_microfacet_brdf(wall):
     expected = facet_brdf(to_light, to_camera, Y, -X, Z, Material()) * to_light[:, 2]
     nearly_flat = radiance(to_light, to_camera, RidgeDesign(100.0, 1e-6, wall=wall), Material())
     np.testing.assert_allclose(nearly_flat, expected, rtol=1e-5)
-    np.testing.assert_allclose(radiance(to_light, to_camera, RidgeDesign(100.0, 0.0), Material()), expected, rtol=1e-12)
+    np.testing.assert_allclose(
+        radiance(to_light, to_camera, RidgeDesign(100.0, 0.0), Material()), expected, rtol=1e-12
+    )
 
 
 def test_radiance_does_not_depend_on_the_pitch():

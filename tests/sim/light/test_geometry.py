@@ -35,7 +35,9 @@ def test_grazing_poses_are_refused(tilt):
         directions((Pose(0.0, tilt),), Convention(tilt_plane="in-plane"))
 
 
-@pytest.mark.parametrize("field", [{"light_angle_deg": 90.0}, {"tilt_plane": "sideways"}, {"rotation_sense": "left"}])
+@pytest.mark.parametrize(
+    "field", [{"light_angle_deg": 90.0}, {"tilt_plane": "sideways"}, {"rotation_sense": "left"}]
+)
 def test_impossible_conventions_are_refused(field):
     with pytest.raises(ModelError):
         Convention(**field)
@@ -43,5 +45,7 @@ def test_impossible_conventions_are_refused(field):
 
 def test_seating_about_y_moves_the_normal_toward_x():
     seat = seating_rotation(0.0, 5.0)
-    np.testing.assert_allclose(np.array([0, 0, 1.0]) @ seat.T, [np.sin(np.radians(5)), 0, np.cos(np.radians(5))], atol=1e-15)
+    np.testing.assert_allclose(
+        np.array([0, 0, 1.0]) @ seat.T, [np.sin(np.radians(5)), 0, np.cos(np.radians(5))], atol=1e-15
+    )
     np.testing.assert_allclose(seat @ seat.T, np.eye(3), atol=1e-15)

@@ -63,14 +63,18 @@ def test_white_plastic_reflects_no_more_than_it_receives_and_not_much_less(alpha
 
 def test_brdf_is_reciprocal():
     rng = np.random.default_rng(3)
-    first, second = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in np.abs(rng.normal(size=(2, 200, 3))) + 0.05)
+    first, second = (
+        v / np.linalg.norm(v, axis=1, keepdims=True) for v in np.abs(rng.normal(size=(2, 200, 3))) + 0.05
+    )
     material = Material(0.2, 0.4, 0.5)
     there = facet_brdf(first, second, Y, X, Z, material)
     np.testing.assert_allclose(there, facet_brdf(second, first, Y, X, Z, material), rtol=1e-12)
 
 
 def test_internal_reflection_brightens_the_diffuse_base_and_more_so_when_linear():
-    nonlinear, linear = (diffuse_scale(Material(albedo=0.3, internal_reflection=x)) for x in ("nonlinear", "linear"))
+    nonlinear, linear = (
+        diffuse_scale(Material(albedo=0.3, internal_reflection=x)) for x in ("nonlinear", "linear")
+    )
     assert 0.3 / (np.pi * 1.5**2) < nonlinear < linear
     one = [diffuse_scale(Material(albedo=1.0, internal_reflection=x)) for x in ("nonlinear", "linear")]
     assert one[0] == pytest.approx(one[1])
@@ -84,7 +88,13 @@ def test_transmittance_of_a_smooth_interface_is_one_minus_fresnel():
 
 @pytest.mark.parametrize(
     "field",
-    [{"alpha_along": 0.0}, {"alpha_across": -0.1}, {"albedo": 1.5}, {"index": 1.0}, {"internal_reflection": "x"}],
+    [
+        {"alpha_along": 0.0},
+        {"alpha_across": -0.1},
+        {"albedo": 1.5},
+        {"index": 1.0},
+        {"internal_reflection": "x"},
+    ],
 )
 def test_impossible_materials_are_refused(field):
     with pytest.raises(ModelError):

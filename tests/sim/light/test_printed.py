@@ -16,7 +16,9 @@ def experiment(convention, material):
     to_light, to_camera = directions(POSES, convention)
     tables = []
     for angle in RIDGE_ANGLES:
-        exposure = printed.radiance(to_light, to_camera, RidgeDesign(100.0, angle), material).reshape(len(TILTS), 3)
+        exposure = printed.radiance(to_light, to_camera, RidgeDesign(100.0, angle), material).reshape(
+            len(TILTS), 3
+        )
         tables.append(np.abs(np.diff(exposure, axis=1)))
     return np.array(tables)
 

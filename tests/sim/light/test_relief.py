@@ -69,7 +69,9 @@ def test_turning_map_and_directions_together_changes_nothing(turn):
     rng = np.random.default_rng(2)
     height = rng.normal(size=(40, 40))
     to_light, to_camera = directions(pose_grid((20.0, 110.0), (25.0,)), Convention(35.0))
-    quarter = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # row vectors, a quarter turn of +z
+    quarter = np.array(
+        [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+    )  # row vectors, a quarter turn of +z
     rotation = np.linalg.matrix_power(quarter, turn)
     # rows count +y, so that a counter-clockwise turn of the sample is a clockwise np.rot90
     turned = np.rot90(height, -turn)
@@ -98,7 +100,9 @@ def test_mean_runs_over_whole_pitches():
     whole = radiance(Relief(sampled(design, 0.5, periods=3), 100.0), to_light, to_camera, Material())
     surface = sampled(design, 0.5, periods=4)
     part = HeightMap(surface.height_um[:, :731], 0.5, 1.0)
-    np.testing.assert_allclose(radiance(Relief(part, 100.0), to_light, to_camera, Material()), whole, rtol=2e-3)
+    np.testing.assert_allclose(
+        radiance(Relief(part, 100.0), to_light, to_camera, Material()), whole, rtol=2e-3
+    )
 
 
 def test_a_map_with_too_many_holes_is_refused():

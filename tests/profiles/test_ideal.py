@@ -1,0 +1,124 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from anisoscope.errors import HeightMapError
+from anisoscope.profiles.amplitude import amplitude
+from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+
+
+@given(pitch=st.floats(10, 500), angle=st.floats(0.5, 44.5))
+def test_perpendicular_wall_in_closed_form(pitch, angle):
+    design = RidgeDesign(pitch, angle)
+    theta = np.radians(angle)
+    assert design.facet_width_um == pytest.approx(pitch * np.cos(theta) ** 2)
+    assert design.wall_width_um == pytest.approx(pitch * np.sin(theta) ** 2)
+    assert design.height_um == pytest.approx(pitch * np.sin(theta) * np.cos(theta))
+    facet = np.array([design.facet_width_um, -design.height_um])
+    wall = np.array([design.wall_width_um, design.height_um])
+    assert facet @ wall == pytest.approx(0.0, abs=1e-9 * pitch**2)
+
+
+@given(angle=st.floats(1.0, 40.0), loss=st.floats(0.0, 1.0))
+def test_facets_lean_toward_plus_x_at_the_ridge_angle(angle, loss):
+    design = RidgeDesign(100.0, angle, height_loss=loss)
+    low = (1.0 - 0.9 * (1.0 - loss)) * design.facet_width_um
+    x = np.array([low, 0.5 * (low + design.facet_width_um)])
+    slope = (
+        float(np.diff(design.profile(x))[0] / np.diff(x)[0]) if loss < 0.999 else -np.tan(np.radians(angle))
+    )
+    normal = np.array([-slope, 1.0]) / np.hypot(slope, 1.0)
+    np.testing.assert_allclose(normal, [np.sin(np.radians(angle)), np.cos(np.radians(angle))], atol=1e-6)
+
+
+@pytest.mark.parametrize("wall", ["perpendicular", "vertical"])
+@pytest.mark.parametrize("loss", [0.0, 0.3])
+def test_height_foot_and_plateau(wall, loss):
+    design = RidgeDesign(100.0, 10.0, wall, loss)
+    profile = design.profile(np.linspace(0.0, 100.0, 100_001))
+    assert profile.max() == pytest.approx((1 - loss) * design.full_height_um)
+    assert profile.min() == pytest.approx(0.0, abs=0.02)
+    plateau = np.mean(profile >= profile.max() - 1e-9) * 100.0
+    assert plateau == pytest.approx(design.plateau_width_um, abs=0.01)
+
+
+def test_map_is_constant_along_y_and_repeats_along_x():
+    surface = ridges(RidgeDesign(50.0, 12.0), (30, 200), (2.0, 0.5), phase=0.25)
+    assert surface.pixel_y_um == 2.0
+    assert np.ptp(surface.height_um, axis=0).max() == 0.0
+    np.testing.assert_allclose(surface.height_um[0, :100], surface.height_um[0, 100:], atol=1e-9)
+    assert int(np.argmax(surface.height_um[0])) * 0.5 == pytest.approx(12.5)
+
+
+def test_flat_design():
+    assert np.ptp(ridges(RidgeDesign(50.0, 0.0), (5, 9), 1.0).height_um) == 0.0
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        (0.0, 10.0),
+        (np.nan, 10.0),
+        (100.0, -1.0),
+        (100.0, 45.0),
+        (100.0, 10.0, "steep"),
+        (1.0, 1.0, "vertical", 1.5),
+    ],
+)
+def test_designs_that_cannot_be(arguments):
+    with pytest.raises(HeightMapError):
+        RidgeDesign(*arguments)
+
+
+@pytest.mark.parametrize(
+    ("along", "across", "length", "pixel"),
+    [(0.06, 0.10, 5.0, (1.0, 1.0)), (0.1, 0.03, 8.0, (2.0, 1.0)), (0.2, 0.2, 3.0, (1.0, 1.0))],
+)
+def test_roughness_has_the_slopes_asked_for(along, across, length, pixel):
+    flat = HeightMap(np.zeros((700, 700)), pixel[1], pixel[0])
+    found = []
+    for seed in range(3):
+        z = add_facet_roughness(flat, along, across, length, np.random.default_rng(seed)).height_um
+        found.append((np.std(np.diff(z, axis=0)) / pixel[0], np.std(np.diff(z, axis=1)) / pixel[1]))
+    np.testing.assert_allclose(np.mean(found, axis=0), np.array([along, across]) / np.sqrt(2.0), rtol=0.015)
+
+
+def test_roughness_height_and_correlation_follow_the_formula():
+    flat = HeightMap(np.zeros((800, 800)), 1.0, 1.0)
+    z = add_facet_roughness(flat, 0.05, 0.1, 12.0, np.random.default_rng(0)).height_um
+    assert z.std() == pytest.approx(12.0 * np.sqrt(0.05 * 0.1) / 2.0, rel=0.06)
+    lx, ly = 12.0 * np.sqrt(0.5), 12.0 * np.sqrt(2.0)
+    shift = round(lx)
+    assert np.mean(z[:, shift:] * z[:, :-shift]) / z.var() == pytest.approx(
+        np.exp(-((shift / lx) ** 2)), abs=0.06
+    )
+    shift = round(ly)
+    assert np.mean(z[shift:] * z[:-shift]) / z.var() == pytest.approx(np.exp(-((shift / ly) ** 2)), abs=0.06)
+
+
+def test_roughness_in_one_direction_reproducible_and_with_gaps():
+    flat = HeightMap(np.where(np.eye(60) > 0, np.nan, 0.0), 1.0, 1.0)
+    one, two = (add_facet_roughness(flat, 0.0, 0.1, 4.0, np.random.default_rng(3)) for _ in range(2))
+    assert np.array_equal(one.height_um, two.height_um, equal_nan=True)
+    assert np.array_equal(np.isnan(one.height_um), np.isnan(flat.height_um))
+    assert np.nanmax(np.abs(np.diff(one.height_um, axis=0))) < 1e-12
+    assert add_facet_roughness(flat, 0.0, 0.0, 4.0, np.random.default_rng(3)) is flat
+
+
+def test_roughness_finer_than_the_pixels_is_refused():
+    flat = HeightMap(np.zeros((60, 60)), 4.0, 4.0)
+    with pytest.raises(HeightMapError, match="cannot be sampled"):
+        add_facet_roughness(flat, 0.05, 0.1, 3.0, np.random.default_rng(0))
+    with pytest.raises(HeightMapError, match="negative"):
+        add_facet_roughness(flat, -0.05, 0.1, 30.0, np.random.default_rng(0))
+
+
+def test_amplitude_of_a_known_profile_ignores_gaps():
+    z = np.tile([0.0, 2.0], (4, 3))
+    z[0, 0] = z[1, 1] = np.nan
+    found = amplitude(HeightMap(z, 1.0, 1.0))
+    assert (found.sa_um, found.sq_um, found.sz_um) == pytest.approx((1.0, 1.0, 2.0))
+    with pytest.raises(HeightMapError, match="missing"):
+        amplitude(HeightMap(np.full((3, 3), np.nan), 1.0, 1.0))

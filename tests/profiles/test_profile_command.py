@@ -1,0 +1,61 @@
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from anisoscope.cli.profile import app, parse_pixel
+from anisoscope.errors import HeightMapError, UsageError
+from anisoscope.profiles.load import read_height_map
+
+
+def run(*arguments):
+    return app(
+        [str(a) for a in arguments], exit_on_error=False, print_error=False, result_action="return_value"
+    )
+
+
+def test_info_as_json_is_one_object(tmp_path, capsys):
+    np.save(tmp_path / "a.npy", np.array([[0.0, 2.0, 0.0], [2.0, np.nan, 1.0]]))
+    assert run("info", tmp_path / "a.npy", "--json", "--pixel", "2,1.5") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["rows"], found["cols"]) == (2, 3)
+    assert found["pixel_um"] == [2.0, 1.5]
+    assert found["missing_share"] == pytest.approx(1 / 6)
+    assert (found["sa_um"], found["sq_um"], found["sz_um"]) == pytest.approx((0.8, np.sqrt(0.8), 2.0))
+
+
+def test_info_as_table_names_units(tmp_path, capsys):
+    np.save(tmp_path / "a.npy", np.eye(4))
+    assert run("info", tmp_path / "a.npy", "--pixel", "2", "--z-unit", "nm", "--role", "tool") == 0
+    shown = capsys.readouterr().out
+    for word in ("rows", "columns", "µm", "missing", "Sa", "Sq", "Sz", "role tool"):
+        assert word in shown
+
+
+def test_convert(tmp_path):
+    np.save(tmp_path / "a.npy", np.eye(4))
+    run("convert", tmp_path / "a.npy", tmp_path / "a.x3p", "--pixel", "2,1")
+    assert read_height_map(tmp_path / "a.x3p").pixel_y_um == 2.0
+
+
+def test_errors_are_ours(tmp_path):
+    np.save(tmp_path / "a.npy", np.eye(4))
+    with pytest.raises(HeightMapError, match="--pixel"):
+        run("info", tmp_path / "a.npy")
+    for text in ("a", "1,2,3", "0", "-1,1", "nan"):
+        with pytest.raises(UsageError):
+            parse_pixel(text)
+    assert parse_pixel("2") == (2.0, 2.0)
+    assert parse_pixel(None) is None
+
+
+def test_reading_a_map_imports_nothing_slow():
+    code = (
+        "import sys, anisoscope.profiles.load, anisoscope.profiles.level, anisoscope.profiles.defects, "
+        "anisoscope.cli.profile; "
+        "print([m for m in ('scipy', 'cv2', 'pyvista', 'matplotlib') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
