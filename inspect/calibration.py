@@ -41,6 +41,7 @@ def take_flat(
         UsageError: a reflectance outside 0 to 1, or fewer than two frames.
         RigFileError, RigError: the rig.
         CalibrationError: the tile is saturated or dark.
+        RecordError: the file cannot be written.
     """
     if not 0.0 < reflectance <= 1.0:
         raise UsageError(f"the reflectance of the tile must lie between 0 and 1, not {reflectance}")
@@ -66,7 +67,6 @@ def take_flat(
         camera=info.serial,
         full_scale=2**info.bit_depth - 1,
     )
-    out.parent.mkdir(parents=True, exist_ok=True)
     write_reference(out, reference)
     meta: dict[str, Any] = reference["meta"]
     return meta

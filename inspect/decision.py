@@ -10,6 +10,7 @@ from enum import StrEnum
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.errors import MeasurementError
 from anisoscope.expectation import Component, Expectation
 from anisoscope.measurement import Measured
 from anisoscope.recipe import AreaPart, ContrastKind, DecisionPart, Recipe
@@ -149,6 +150,9 @@ def decide(expected: Expectation, measured: Measured, recipe: Recipe) -> Decisio
         expected: prediction with its uncertainty components.
         measured: measurement with its uncertainty components.
         recipe: the decision rule.
+
+    Raises:
+        MeasurementError: nothing is uncertain, so that nothing can be weighed.
     """
     from scipy.stats import chi2  # noqa: PLC0415 - 1 s
 
@@ -164,15 +168,30 @@ def decide(expected: Expectation, measured: Measured, recipe: Recipe) -> Decisio
     variances = [gradient[c.kind] @ c.covariance() @ gradient[c.kind].T for c in components]
     covariance = np.sum(variances, axis=0)
     u = np.sqrt(np.diag(covariance))
-    d2 = float(deviation @ np.linalg.solve(covariance, deviation))
-    dof = int(np.linalg.matrix_rank(covariance))
+    d2, dof = mahalanobis(deviation, covariance)
     p_value = float(chi2.sf(d2, dof))
     pairs = _judge_pairs(found, predicted, deviation, u, recipe)
-    area, deviating = _judge_area(measured, expected.poses, recipe.area)
+    area, deviating = _judge_area(measured, expected.poses, recipe.area, rule.coverage)
     verdict, reasons = _combine(pairs, p_value, area, rule)
     return Decision(
         verdict, reasons, pairs, d2, dof, p_value, area, _budget(components, variances), deviating
     )
+
+
+def mahalanobis(deviation: FloatArray, covariance: FloatArray) -> tuple[float, int]:
+    """Squared distance dᵀV⁺d within the range of V, and the rank of V.
+
+    Raises:
+        MeasurementError: V is zero: nothing would be uncertain.
+    """
+    values, vectors = np.linalg.eigh(covariance)
+    kept = values > max(values[-1], 0.0) * values.size * np.finfo(np.float64).eps
+    if not kept.any():
+        raise MeasurementError(
+            "no source of uncertainty is left, so that no deviation can be weighed: "
+            "state some under [uncertainty] in the recipe"
+        )
+    return float(np.sum((deviation @ vectors[:, kept]) ** 2 / values[kept])), int(kept.sum())
 
 
 def _budget(components: tuple[Component, ...], variances: list[FloatArray]) -> tuple[BudgetRow, ...]:
@@ -192,7 +211,10 @@ def guarded(deviation: float, u: float, tolerance: float, coverage: float) -> tu
     from scipy.special import ndtr  # noqa: PLC0415
 
     guard = coverage * u
-    conformance = float(ndtr((tolerance - deviation) / u) - ndtr((-tolerance - deviation) / u))
+    if u > 0.0:
+        conformance = float(ndtr((tolerance - deviation) / u) - ndtr((-tolerance - deviation) / u))
+    else:
+        conformance = float(abs(deviation) <= tolerance)
     if abs(deviation) <= tolerance - guard:
         return Verdict.PASS, guard, conformance
     if abs(deviation) >= tolerance + guard:
@@ -236,7 +258,7 @@ def cell_log_ratios(measured: Measured, poses: tuple[Pose, ...]) -> FloatArray:
 
 
 def _judge_area(
-    measured: Measured, poses: tuple[Pose, ...], rule: AreaPart | None
+    measured: Measured, poses: tuple[Pose, ...], rule: AreaPart | None, coverage: float
 ) -> tuple[AreaResult | None, npt.NDArray[np.bool_] | None]:
     if rule is None:
         return None, None
@@ -250,7 +272,7 @@ def _judge_area(
         float(np.mean(off > rule.cell_deviation + shift)) for shift in (0.0, -noise, noise)
     )
     u = float(np.hypot(0.5 * (at_low - at_high), 0.5 / off.size))
-    guard = 1.645 * u
+    guard = coverage * u
     verdict = Verdict.INCONCLUSIVE
     if share <= rule.max_share - guard:
         verdict = Verdict.PASS

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.errors import RecipeError
 from anisoscope.predicting import prepare_relief
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.load import read_height_map
@@ -19,6 +20,8 @@ from anisoscope.sim.light.relief import radiance as relief_radiance
 FloatArray = npt.NDArray[np.float64]
 
 _SAMPLED_ROWS = 160
+_BLACK = 1e-9  # 1/sr
+_ALPHA_RANGE = (0.001, 1.0)
 
 
 @dataclass(frozen=True)
@@ -89,12 +92,19 @@ def expectation(recipe: Recipe, light_angle_deg: float) -> Expectation:
 
     Raises:
         HeightMapError: the recipe's height map cannot be read or used.
+        RecipeError: the part should be black in some pose, so that no contrast is defined.
     """
     poses = recipe.poses.poses()
     convention = Convention(light_angle_deg, facet_azimuth_deg=recipe.poses.facet_azimuth_deg)
     model, sampled, surface, name = _models(recipe)
     nominal = _State(recipe.material.material(), light_angle_deg)
     radiance = _evaluate(model, nominal, poses, convention)
+    black = [pose for pose, value in zip(poses, radiance, strict=True) if not value > _BLACK]
+    if black:
+        raise RecipeError(
+            f"material: at {black[0].stage_deg:g}°, tilt {black[0].tilt_deg:g}°, no light of this part is predicted to "
+            "reach the camera, so that no contrast is defined: correct albedo and roughness, or leave the pose out"
+        )
     components, per_degree = _sensitivities(recipe, sampled, nominal, poses, convention)
     if surface is not None:
         share = np.full(len(poses), recipe.uncertainty.height_map_share)
@@ -115,12 +125,18 @@ def _models(recipe: Recipe) -> tuple[Model, Model, HeightMap | None, str]:
     surface = read_height_map(
         recipe.surface.height_map, pixel_um=recipe.surface.pixel_um, role=recipe.surface.role
     )
-    relief, _ = prepare_relief(surface)
-    rows = slice(0, min(relief.surface.shape[0], _SAMPLED_ROWS))
-    band = Relief(
-        relief.surface.with_height(relief.surface.height_um[rows]), relief.pitch_um, max_missing_share=1.0
-    )
-    return _relief_model(relief), _relief_model(band), relief.surface, "relief"
+    relief, _ = prepare_relief(surface, recipe.surface.pitch_um)
+    return _relief_model(relief), _relief_model(_best_band(relief)), relief.surface, "relief"
+
+
+def _best_band(relief: Relief) -> Relief:
+    """As many rows as the sensitivities need, where the fewest heights are missing."""
+    height = relief.surface.height_um
+    count = min(height.shape[0], _SAMPLED_ROWS)
+    known = np.concatenate([[0], np.cumsum(np.isfinite(height).sum(axis=1))])
+    start = int(np.argmax(known[count:] - known[:-count]))
+    band = relief.surface.with_height(height[start : start + count])
+    return Relief(band, relief.pitch_um, max_missing_share=1.0)
 
 
 def _relief_model(relief: Relief) -> Model:
@@ -147,20 +163,21 @@ def _sensitivities(
         up, down = (_evaluate(model, state, poses, convention) for state in (high, low))
         return np.asarray(np.log(up / down) / span, dtype=np.float64)
 
-    def by_material(change: Callable[[float], Material], step: float) -> FloatArray:
-        low, high = (replace(nominal, material=change(s)) for s in (-step, step))
-        return slope(low, high, 2.0 * step)
+    def by_material(name: str, step: float, least: float, most: float) -> FloatArray:
+        value = getattr(material, name)
+        ends = max(value - step, least), min(value + step, most)
+        low, high = (replace(nominal, material=replace(material, **{name: end})) for end in ends)
+        return slope(low, high, ends[1] - ends[0])
 
     def by_seating(about_x: float, about_y: float) -> FloatArray:
         low, high = (replace(nominal, seating_deg=(s * about_x, s * about_y)) for s in (-1.0, 1.0))
         return slope(low, high, 2.0 * max(about_x, about_y))
 
     along, across = part.alpha_along, part.alpha_across
-    by_along = by_material(lambda s: replace(material, alpha_along=along + s), 0.01 * along)
-    by_across = by_material(lambda s: replace(material, alpha_across=across + s), 0.01 * across)
-    by_index = by_material(lambda s: replace(material, index=part.index + s), 0.005)
-    dark, bright = max(material.albedo - 0.01, 0.0), min(material.albedo + 0.01, 1.0)
-    darker, brighter = (replace(nominal, material=replace(material, albedo=a)) for a in (dark, bright))
+    by_along = by_material("alpha_along", 0.01 * along, *_ALPHA_RANGE)
+    by_across = by_material("alpha_across", 0.01 * across, *_ALPHA_RANGE)
+    by_albedo = by_material("albedo", 0.01, 0.0, 1.0)
+    by_index = by_material("index", min(0.005, 0.5 * (part.index - 1.0)), 1.0, 4.0)
     light = nominal.light_angle_deg
     by_light = slope(
         replace(nominal, light_angle_deg=light - 0.1), replace(nominal, light_angle_deg=light + 0.1), 0.2
@@ -168,7 +185,7 @@ def _sensitivities(
     found = {
         "roughness along the ridges": by_along * part.u_alpha_share * along,
         "roughness across the ridges": by_across * part.u_alpha_share * across,
-        "albedo of the plastic": slope(darker, brighter, bright - dark) * part.u_albedo,
+        "albedo of the plastic": by_albedo * part.u_albedo,
         "refractive index": by_index * part.u_index,
         "light angle": by_light * rig.light_angle_deg,
         "seating tilt about x": by_seating(0.1, 0.0) * rig.seating_tilt_deg,

@@ -1,5 +1,6 @@
 """One inspection from recipe to report: expect, photograph, linearise, register, measure, decide, record."""
 
+import contextlib
 import re
 from collections import defaultdict
 from dataclasses import dataclass
@@ -8,18 +9,22 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from anisoscope.decision import Decision, cell_log_ratios, decide
 from anisoscope.errors import (
     CalibrationError,
     CameraError,
     MeasurementError,
     RecordError,
+    RegistrationError,
     RigFileError,
+    Saturated,
     UsageError,
 )
 from anisoscope.expectation import Expectation, expectation
-from anisoscope.linear import RadianceImage, WhiteReference, linearise, stack
-from anisoscope.measurement import Measured, View, measure
+from anisoscope.linear import RadianceImage, WhiteReference, check_size, linearise, stack
+from anisoscope.measurement import Measured, View, check_light, measure
 from anisoscope.progress import Advance, silent
 from anisoscope.recipe import Recipe, read_recipe
 from anisoscope.record import (
@@ -33,7 +38,7 @@ from anisoscope.record import (
     sha256_of,
     write_record,
 )
-from anisoscope.registration import locate
+from anisoscope.registration import Placement, check_fixture, locate
 from anisoscope.report.inspection_page import Pictures, start_renderer, write_report
 from anisoscope.rig.fixture import Fixture
 from anisoscope.rig.frame import Frame
@@ -111,7 +116,8 @@ def inspect_part(
 
     Raises:
         UsageError, RecipeError, RigFileError, HeightMapError, CalibrationError: before anything moves.
-        RigError: hardware; the frames taken so far stay in the folder, no record is written.
+        RigError: hardware; the frames taken so far stay in the folder, no record is written. Without any frame
+            the folder goes too.
         RecordError: the folder cannot be written.
     """
     check_serial(serial)
@@ -129,14 +135,18 @@ def inspect_part(
         white_path,
         expectation(recipe, rig.light.angle_deg),
     )
-    renderer = start_renderer(setup.expected.surface)
     folder = _make_folder(out, serial)
-    taken = _photograph(setup, folder, on_progress)
-    on_progress("measurement", 0, 1)
-    record, pictures = _judge(setup, taken, folder)
-    write_record(record, folder)
-    on_progress("report", 0, 1)
-    report = write_report(record, pictures, folder, renderer)
+    with contextlib.ExitStack() as cleanup:
+        cleanup.callback(_remove_if_empty, folder)
+        renderer = start_renderer(setup.expected.surface)
+        if renderer is not None:
+            cleanup.callback(renderer.discard)
+        taken = _photograph(setup, folder, on_progress)
+        on_progress("measurement", 0, 1)
+        record, pictures = _judge(setup, taken, folder)
+        write_record(record, folder)
+        on_progress("report", 0, 1)
+        report = write_report(record, pictures, folder, renderer)
     on_progress(record.verdict, 1, 1)
     return Inspected(record, folder, report)
 
@@ -153,6 +163,7 @@ def _white_path(rig: RigFile, path: Path) -> Path:
 def _fixture(rig: RigFile, path: Path) -> Fixture:
     if rig.fixture is None:
         raise RigFileError(f"{path} describes no [fixture]: the turned pictures are aligned by its markers")
+    check_fixture(rig.fixture)
     return rig.fixture
 
 
@@ -173,6 +184,13 @@ def _make_folder(out: Path, serial: str) -> Path:
     raise RecordError(f"{out} already holds a thousand inspections named {base}")
 
 
+def _remove_if_empty(folder: Path) -> None:
+    """Leave no folder behind that holds nothing."""
+    for path in (folder / "frames", folder):
+        with contextlib.suppress(OSError):
+            path.rmdir()
+
+
 def _photograph(setup: _Setup, folder: Path, advance: Advance) -> _Taken:
     acquisition = setup.recipe.acquisition
     plan = Plan(
@@ -187,10 +205,11 @@ def _photograph(setup: _Setup, folder: Path, advance: Advance) -> _Taken:
     with open_rig(setup.rig) as rig:
         info = rig.camera.info
         if setup.white.camera != info.serial:
-            raise MeasurementError(
+            raise CalibrationError(
                 f"the flat was taken with camera {setup.white.camera}, this is {info.serial}: "
                 "take a new one with `anisoscope calibrate flat`"
             )
+        check_size(setup.white, (info.rows, info.cols))
         frames = run_plan(plan, rig, folder, on_progress=lambda now: advance(now.text, now.done, now.total))
         return _Taken(tuple(frames), f"{info.model} {info.serial}", rig.stage.name, 2**info.bit_depth - 1)
 
@@ -242,14 +261,24 @@ def _views(setup: _Setup, taken: _Taken) -> tuple[list[View], View | None]:
 
 
 def _view(setup: _Setup, frame: Frame, image: RadianceImage) -> View:
-    if image.signal_share < setup.recipe.limits.min_signal_share:
-        raise MeasurementError(
-            f"at {frame.commanded_deg:g}° the brightest parts reach {image.signal_share:.1%} of full scale (limit "
-            f"{setup.recipe.limits.min_signal_share:.0%}): is the lens cap on, the light off, the exposure too short?"
-        )
-    return View(
-        frame.commanded_deg, frame.tilt_deg, image, locate(image.value, _fixture(setup.rig, setup.rig_path))
-    )
+    check_light(frame.commanded_deg, image, setup.recipe)
+    return View(frame.commanded_deg, frame.tilt_deg, image, _place(setup, frame, image))
+
+
+def _place(setup: _Setup, frame: Frame, image: RadianceImage) -> Placement:
+    """Where the fixture stands; a saturated pixel has no value, but it is surely bright."""
+    brightest = image.value.max(initial=0.0, where=image.usable)
+    seen = np.where(image.saturated, brightest, image.value)
+    try:
+        return locate(seen, _fixture(setup.rig, setup.rig_path))
+    except RegistrationError as error:
+        share = float(image.saturated.mean())
+        if share <= setup.recipe.limits.saturated_share:
+            raise
+        raise Saturated(
+            f"at {frame.commanded_deg:g}° {share:.1%} of the picture are saturated, and too few fixture markers are "
+            "seen: shorten acquisition.exposure_s in the recipe"
+        ) from error
 
 
 def _results(setup: _Setup, views: list[View], measured: Measured, decision: Decision) -> dict[str, Any]:

@@ -24,7 +24,7 @@ class Stack:
     Attributes:
         mean: (rows, cols) mean counts.
         frames: how many frames it is the mean of.
-        noise: standard deviation of one frame's pixel about the stack's mean, pooled over the picture, counts.
+        noise: (rows, cols) standard deviation of one frame about the mean of the frames, in counts.
         saturated: (rows, cols) True where any frame reached full scale.
         exposure_s: exposure of every frame.
         gain: gain of every frame.
@@ -103,8 +103,8 @@ class RadianceImage:
 
     Attributes:
         value: (rows, cols); NaN where the pixel is unusable (hot, or saturated).
-        noise: (rows, cols) standard deviation of one pixel of the mean picture.
-        saturated_share: share of pixels at full scale, of the whole picture.
+        noise: (rows, cols) standard deviation of one pixel of the mean picture; NaN where there is no value.
+        saturated: (rows, cols) True where a pixel reached full scale in any frame.
         signal_share: 99th percentile of the dark-corrected signal, as a share of full scale.
     """
 
@@ -126,6 +126,19 @@ def hot_pixels(dark: Stack) -> Mask:
     return np.asarray(np.abs(dark.mean - middle) > HOT_PIXEL_SIGMA * spread)
 
 
+def check_size(white: WhiteReference, shape: tuple[int, ...]) -> None:
+    """Does the white reference fit frames of this (rows, cols) shape?
+
+    Raises:
+        CalibrationError: it does not.
+    """
+    if white.signal.shape != shape:
+        raise CalibrationError(
+            f"the flat has {' × '.join(map(str, white.signal.shape[::-1]))} pixels, the frames "
+            f"{' × '.join(map(str, shape[::-1]))}: take a new flat with this camera"
+        )
+
+
 def linearise(sample: Stack, dark: Stack, white: WhiteReference, full_scale: int) -> RadianceImage:
     """(raw − dark)/(flat − dark), scaled to radiance by the white tile.
 
@@ -142,19 +155,18 @@ def linearise(sample: Stack, dark: Stack, white: WhiteReference, full_scale: int
         raise CalibrationError(
             "dark frames and sample frames differ in exposure or gain: take the dark frames again"
         )
-    if white.signal.shape != sample.mean.shape:
-        raise CalibrationError(
-            f"the flat has {white.signal.shape[1]} × {white.signal.shape[0]} pixels, the frames "
-            f"{sample.mean.shape[1]} × {sample.mean.shape[0]}: take a new flat with this camera"
-        )
+    if dark.mean.shape != sample.mean.shape:
+        raise CalibrationError("dark frames and sample frames differ in size: take the dark frames again")
+    check_size(white, sample.mean.shape)
     unlit = white.signal <= 0.05 * np.median(white.signal)
     scale = white.radiance / (np.where(unlit, 1.0, white.signal) * sample.exposure_s * sample.gain)
     signal = sample.mean - dark.mean
-    value = np.where(unlit | hot_pixels(dark) | sample.saturated, np.nan, signal * scale)
+    unusable = unlit | hot_pixels(dark) | sample.saturated
+    value = np.where(unusable, np.nan, signal * scale)
     noise = scale * np.sqrt(sample.noise**2 / sample.frames + dark.noise**2 / dark.frames)
     return RadianceImage(
         value.astype(np.float32),
-        noise.astype(np.float32),
+        np.where(unusable, np.nan, noise).astype(np.float32),
         sample.saturated,
         float(np.percentile(signal[::4, ::4], 99) / full_scale),
     )

@@ -119,7 +119,7 @@ def measure(
         MeasurementError: INVALID, with the reason.
     """
     for view in [*views, *([closing] if closing else [])]:
-        check_light(view, recipe)
+        check_light(view.stage_deg, view.image, recipe)
         check_view(view, views[0], recipe, pixel_um)
     grid, per_cell = region_grid(recipe, pixel_um)
     aligned = [resample(view.image.value, view.placement, grid) for view in views]
@@ -149,15 +149,15 @@ def measure(
     )
 
 
-def check_light(view: View, recipe: Recipe) -> None:
+def check_light(stage_deg: float, image: RadianceImage, recipe: Recipe) -> None:
     """Is there any light in the picture?
 
     Raises:
         MeasurementError: next to none.
     """
-    if view.image.signal_share < recipe.limits.min_signal_share:
+    if image.signal_share < recipe.limits.min_signal_share:
         raise MeasurementError(
-            f"at {view.stage_deg:g}° the brightest parts reach {view.image.signal_share:.1%} of full scale (limit "
+            f"at {stage_deg:g}° the brightest parts reach {image.signal_share:.1%} of full scale (limit "
             f"{recipe.limits.min_signal_share:.0%}): is the lens cap on, the light off, the exposure too short?"
         )
 

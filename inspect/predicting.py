@@ -6,6 +6,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.errors import HeightMapError
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.profiles.level import level
@@ -19,7 +20,10 @@ from anisoscope.sim.light.relief import radiance as relief_radiance
 
 FloatArray = npt.NDArray[np.float64]
 
+Levelling = Literal["auto", "plane", "none"]
+
 AXIS_TOLERANCE_DEG = 1.0
+PITCH_TOLERANCE = 0.03
 
 
 @dataclass(frozen=True)
@@ -59,36 +63,69 @@ def predict_design(
     return Predicted(model, convention, poses, radiance, contrasts(poses, radiance))
 
 
-def prepare_relief(surface: HeightMap) -> tuple[Relief, Period]:
+def prepare_relief(
+    surface: HeightMap, pitch_um: float | None = None, levelling: Levelling = "auto"
+) -> tuple[Relief, Period]:
     """Level a measured map and find its period, so that it can be predicted.
 
+    Args:
+        surface: the map as read.
+        pitch_um: pitch along x, where it is known; for maps of fewer than four ridges it must be.
+        levelling: "auto": by points whole pitches apart where ridges are known or found, else not at all,
+            because a least-squares plane would turn a few ridges; "plane": by a least-squares plane; "none".
+
     Returns:
-        The relief and the period found. Means run over whole pitches where the ridges run along y
-        within 1°; otherwise over the whole map.
+        The relief and the period. Means run over whole pitches where the ridges run along y within 1°;
+        otherwise over the whole map.
+
+    Raises:
+        HeightMapError: too much of the map is missing, or the ridges found are not those of ``pitch_um``.
     """
     period = find_period(surface)
-    levelled = level(surface, period)
-    straight = period.is_periodic and abs(period.direction_deg) <= AXIS_TOLERANCE_DEG
+    if pitch_um is not None:
+        if not period.is_periodic:
+            period = Period(pitch_um, 0.0, period.score, True)
+        elif abs(period.pitch_um / pitch_um - 1.0) > PITCH_TOLERANCE:
+            raise HeightMapError(
+                f"the ridges of this height map are {period.pitch_um:.2f} µm apart, not {pitch_um:g} µm: "
+                "is this the map of another product, or its pixel size wrong?"
+            )
+    if levelling == "none" or (levelling == "auto" and not period.is_periodic):
+        prepared = surface.with_height(surface.height_um - np.nanmean(surface.height_um))
+    else:
+        none = Period(float("nan"), float("nan"), 0.0, False)
+        prepared = level(surface, none if levelling == "plane" else period).map
     width = (surface.shape[1] - 1) * surface.pixel_x_um
-    pitch = period.pitch_um if straight and period.pitch_um <= width else None
-    return Relief(levelled.map, pitch), period
+    straight = period.is_periodic and abs(period.direction_deg) <= AXIS_TOLERANCE_DEG
+    whole = straight and period.pitch_um <= width * (1.0 + 1e-6)
+    return Relief(prepared, min(period.pitch_um, width) if whole else None), period
 
 
 def predict_height_map(
-    surface: HeightMap, material: Material, poses: tuple[Pose, ...], convention: Convention
+    surface: HeightMap,
+    material: Material,
+    poses: tuple[Pose, ...],
+    convention: Convention,
+    pitch_um: float | None = None,
+    levelling: Levelling = "auto",
 ) -> Predicted:
-    """Prediction for a measured height map, levelled, its x axis at the convention's facet azimuth.
+    """Prediction for a measured height map, its x axis at the convention's facet azimuth.
 
-    Raises:
-        HeightMapError: too much of the map is missing.
+    ``pitch_um`` and ``levelling`` as in :func:`prepare_relief`; so are the errors.
     """
-    relief, period = prepare_relief(surface)
+    relief, period = prepare_relief(surface, pitch_um, levelling)
     to_light, to_camera = directions(poses, convention)
     radiance = relief_radiance(relief, to_light, to_camera, material)
     notes: dict[str, Any] = {"missing_share": relief.missing_share}
+    done = relief.surface.origin.get("levelling")
+    notes["levelling"] = done["method"] if isinstance(done, dict) else "none"
     if period.is_periodic:
         notes["pitch_um"] = period.pitch_um
         notes["ridge_direction_deg"] = period.direction_deg
     else:
-        notes["warning"] = "no ridges found: the mean runs over the whole map"
+        notes["warning"] = (
+            "no ridges found (at least four are needed): the mean runs over the whole map"
+            + ("" if isinstance(done, dict) else ", heights are taken as level")
+            + "; --pitch or --level plane say otherwise"
+        )
     return Predicted("relief", convention, poses, radiance, contrasts(poses, radiance), notes=notes)

@@ -1,5 +1,6 @@
 """The record of an inspection: what was measured, with what, how it was judged, and who can check it."""
 
+import contextlib
 import hashlib
 import json
 import os
@@ -132,6 +133,9 @@ def write_text_atomically(path: Path, text: str) -> None:
         partial.replace(path)
     except OSError as error:
         raise RecordError(f"cannot write {path}: {error.strerror}") from error
+    finally:
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
 
 
 def write_record(record: Record, folder: Path) -> Path:

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import RegistrationError
+from anisoscope.errors import RegistrationError, RigFileError
 from anisoscope.rig.fixture import Fixture
 
 FloatArray = npt.NDArray[np.float64]
@@ -36,6 +36,32 @@ class Placement:
     markers: int
 
 
+def check_fixture(fixture: Fixture) -> None:
+    """Can pictures be aligned by this fixture at all?
+
+    Raises:
+        RigFileError: an unknown dictionary, a marker that it does not hold, or too few markers.
+    """
+    if not hasattr(cv2.aruco, fixture.dictionary):
+        raise RigFileError(
+            f"fixture.dictionary: OpenCV has no dictionary '{fixture.dictionary}'; one of its names is DICT_4X4_50"
+        )
+    size = len(_dictionary(fixture).bytesList)
+    unknown = [marker.id for marker in fixture.markers if marker.id >= size]
+    if unknown:
+        raise RigFileError(
+            f"fixture.markers: {fixture.dictionary} holds the markers 0 to {size - 1}, not {unknown[0]}"
+        )
+    if len(fixture.markers) < MIN_MARKERS:
+        raise RigFileError(
+            f"fixture.markers: {len(fixture.markers)} described, at least {MIN_MARKERS} are needed to align pictures"
+        )
+
+
+def _dictionary(fixture: Fixture) -> cv2.aruco.Dictionary:
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, fixture.dictionary))
+
+
 def marker_corners_mm(fixture: Fixture) -> dict[int, FloatArray]:
     """Corners of every marker in sample millimetres, (4, 2): top left first, clockwise as seen, as OpenCV counts."""
     half = fixture.marker_mm / 2.0
@@ -52,8 +78,9 @@ def _detect(image: Image, fixture: Fixture) -> list[tuple[int, FloatArray]]:
     filled = np.nan_to_num(image)
     top = max(float(np.percentile(filled[::4, ::4], 99.5)), 1e-9)
     seen = np.asarray(255.0 * np.sqrt(np.clip(filled / top, 0.0, 1.0)), dtype=np.uint8)
-    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, fixture.dictionary))
-    corners, ids, _ = cv2.aruco.ArucoDetector(dictionary, cv2.aruco.DetectorParameters()).detectMarkers(seen)
+    corners, ids, _ = cv2.aruco.ArucoDetector(
+        _dictionary(fixture), cv2.aruco.DetectorParameters()
+    ).detectMarkers(seen)
     if not corners:
         return []
     linear = np.clip(filled / top, 0.0, 2.0).astype(np.float32)
@@ -80,9 +107,10 @@ def locate(image: Image, fixture: Fixture) -> Placement:
     """
     known = marker_corners_mm(fixture)
     found = [(i, c) for i, c in _detect(image, fixture) if i in known]
-    if len(found) < MIN_MARKERS:
+    distinct = len({i for i, _ in found})
+    if distinct < MIN_MARKERS:
         raise RegistrationError(
-            f"only {len(found)} of {len(known)} fixture markers are seen (at least {MIN_MARKERS} needed): "
+            f"only {distinct} of {len(known)} fixture markers are seen (at least {MIN_MARKERS} needed): "
             "check that the light is on, the lens is clear and in focus, and the fixture is the one in the rig file"
         )
     points = np.concatenate([known[i] for i, _ in found])

@@ -1,15 +1,15 @@
 """The white reference file: a flat picture of a tile, written by ``calibrate flat`` and read by every inspection."""
 
+import contextlib
 import hashlib
 import json
-import os
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from anisoscope.errors import CalibrationError
+from anisoscope.errors import CalibrationError, RecordError
 from anisoscope.linear import Stack, WhiteReference, hot_pixels
 
 _KIND = "anisoscope white reference"
@@ -64,12 +64,24 @@ def make_reference(
 
 
 def write_reference(path: Path, reference: dict[str, Any]) -> None:
-    """Write a white reference as a 32-bit TIFF with its metadata, all or nothing."""
+    """Write a white reference as a 32-bit TIFF with its metadata, all or nothing.
+
+    Raises:
+        RecordError: the folder cannot be made or written.
+    """
     import tifffile  # noqa: PLC0415
 
     partial = path.with_name(f".{path.name}.partial")
-    tifffile.imwrite(partial, reference["signal"], description=json.dumps(reference["meta"]), metadata=None)
-    os.replace(partial, path)  # noqa: PTH105 - atomic, and fails loudly
+    description = json.dumps(reference["meta"])
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        tifffile.imwrite(partial, reference["signal"], description=description, metadata=None)
+        partial.replace(path)
+    except OSError as error:
+        raise RecordError(f"cannot write {path}: {error.strerror or error}") from error
+    finally:
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
 
 
 def read_reference(path: Path) -> WhiteReference:

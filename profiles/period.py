@@ -18,6 +18,7 @@ HARMONICS = 8
 MIN_CYCLES = 4.0
 MIN_FUNDAMENTAL = 0.1
 MIN_SCORE = 0.5
+MIN_POINTS = 8
 LOBE_BINS = 1
 CANDIDATES = 6
 STENCIL_BINS = 0.2
@@ -195,6 +196,19 @@ def _predicted_share(
     return 1.0 - (cycles / (cycles - 2.0)) ** 2 * unexplained
 
 
+def _pixels(surface: HeightMap) -> tuple[float, float]:
+    return surface.pixel_y_um, surface.pixel_x_um
+
+
+def _thick_enough(surface: HeightMap) -> HeightMap:
+    """The map with every row (or column) repeated, where there are too few of them for a spectrum."""
+    rows, cols = (max(1, -(-MIN_POINTS // n)) for n in surface.shape)
+    if rows == cols == 1:
+        return surface
+    height = np.repeat(np.repeat(surface.height_um, rows, axis=0), cols, axis=1)
+    return HeightMap(height, surface.pixel_x_um / cols, surface.pixel_y_um / rows)
+
+
 def find_period(surface: HeightMap) -> Period:
     """Pitch and direction of parallel ridges.
 
@@ -212,12 +226,15 @@ def find_period(surface: HeightMap) -> Period:
     """
     check_heights("height map", surface.height_um)
     none = Period(float("nan"), float("nan"), 0.0, False)
-    if min(surface.shape) < 8:
+    if max(surface.shape) < MIN_POINTS:
         return none
-    residual, known = remove_form(surface)
+    residual, known = remove_form(_thick_enough(surface))
     if float(np.ptp(residual)) <= 1e-9:
         return none
-    spectrum = _Spectrum(residual, known, surface.pixel_y_um, surface.pixel_x_um)
+    pixel_y, pixel_x = (
+        p / max(1, -(-MIN_POINTS // n)) for p, n in zip(_pixels(surface), surface.shape, strict=True)
+    )
+    spectrum = _Spectrum(residual, known, pixel_y, pixel_x)
     best = _strongest(spectrum)
     score = float(np.clip(_predicted_share(residual, known, spectrum, best), 0.0, 1.0))
     if score < MIN_SCORE:

@@ -22,7 +22,9 @@ def predict(
     /,
     *,
     ridge_angle: Annotated[float | None, Parameter(help="Ridge angle of an ideal design in degrees.")] = None,
-    pitch: Annotated[float, Parameter(help="Pitch of the ridges in µm.")] = 100.0,
+    pitch: Annotated[
+        float | None, Parameter(help="Pitch in µm; of a height map it is found where four ridges lie in it.")
+    ] = None,
     alpha_along: Annotated[float, Parameter(help="Beckmann roughness along the ridges.")] = 0.06,
     alpha_across: Annotated[float, Parameter(help="Beckmann roughness across the ridges.")] = 0.10,
     albedo: Annotated[float, Parameter(help="Diffuse albedo of the plastic, 0 to 1.")] = 0.2,
@@ -47,6 +49,10 @@ def predict(
     pixel: Annotated[
         str | None, Parameter(help="Pixel size in µm of a map without one: SIZE or Y,X.")
     ] = None,
+    level: Annotated[
+        Literal["auto", "plane", "none"],
+        Parameter(help="How a height map is levelled; auto: by whole pitches if ridges are known, else not."),
+    ] = "auto",
     json_: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")] = False,
 ) -> int:
     """Predict radiances and contrasts of a height map or of an ideal ridge design.
@@ -68,10 +74,12 @@ def predict(
         from anisoscope.profiles.load import read_height_map
 
         surface = read_height_map(height_map, pixel_um=parse_pixel(pixel))
-        result = predict_height_map(surface, material, poses, convention)
+        result = predict_height_map(surface, material, poses, convention, pitch, level)
     else:
         assert ridge_angle is not None
-        design = RidgeDesign(pitch_um=pitch, ridge_angle_deg=ridge_angle, wall=wall)
+        design = RidgeDesign(
+            pitch_um=100.0 if pitch is None else pitch, ridge_angle_deg=ridge_angle, wall=wall
+        )
         result = predict_design(
             design, material, poses, convention, "printed" if model == "printed" else "corrected"
         )

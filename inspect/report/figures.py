@@ -59,6 +59,24 @@ def _figure(width: float, height: float) -> Iterator[tuple["Figure", "Axes"]]:
         yield figure, figure.subplots()
 
 
+@contextmanager
+def _map_figure(size: tuple[float, float]) -> Iterator[tuple["Figure", "Axes", "Axes"]]:
+    """Axes for a map of ``size`` (height, width) and for its colour bar, alike in every map of a report."""
+    width = 4.6
+    side = 0.68 * width
+    high = side * size[0] / size[1]
+    height = high + 0.62
+    with _figure(width, height) as (figure, axes):
+        figure.set_layout_engine("none")
+        bottom, top = 0.48 / height, high / height
+        axes.set_position((0.13, bottom, side / width, top))
+        axes.spines[:].set_visible(True)
+        axes.set_xlabel("x [mm]")
+        axes.set_ylabel("y [mm]")
+        axes.locator_params(nbins=5)
+        yield figure, axes, figure.add_axes((0.84, bottom, 0.035, top))
+
+
 def _svg_uri(figure: "Figure") -> str:
     stream = io.BytesIO()
     figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": "anisoscope"})
@@ -91,15 +109,12 @@ def contrast_map(
     """
     height, width = size_mm
     low, high = np.percentile(ratio, [1, 99])
-    with _figure(4.6, 3.9) as (figure, axes):
+    with _map_figure(size_mm) as (figure, axes, bar):
         extent = (-width / 2, width / 2, -height / 2, height / 2)
         shown = axes.imshow(ratio, cmap="cividis", vmin=low, vmax=max(high, low + 0.05), extent=extent)
         if deviating is not None:
             axes.add_collection(_outline(deviating, size_mm))
-        axes.set_xlabel("x [mm]")
-        axes.set_ylabel("y [mm]")
-        axes.spines[:].set_visible(True)
-        figure.colorbar(shown, ax=axes, label="ln ratio", shrink=0.9)
+        figure.colorbar(shown, cax=bar, label="ln ratio")
         return _svg_uri(figure)
 
 
@@ -114,7 +129,7 @@ def _outline(mask: npt.NDArray[np.bool_], size_mm: tuple[float, float]) -> "Line
     scale = np.array([size_mm[1] / cols, -size_mm[0] / rows])
     corner = np.array([-size_mm[1] / 2, size_mm[0] / 2])
     lines = np.array(upright + level, dtype=np.float64).reshape(-1, 2, 2) * scale + corner
-    return LineCollection(list(lines), colors=RED, linewidths=0.9)
+    return LineCollection(list(lines), colors=RED, linewidths=0.6)
 
 
 def contrast_chart(
@@ -171,7 +186,7 @@ def budget_chart(
     """
     pairs = contributions.shape[1]
     shades = [BLUE, ORANGE, GREEN, MUTED, RED]
-    with _figure(6.4, 0.8 + 0.17 * len(sources) * (1 + 0.35 * pairs)) as (figure, axes):
+    with _figure(5.4, 0.8 + 0.15 * len(sources) * (1 + 0.35 * pairs)) as (figure, axes):
         height = 0.8 / pairs
         for p in range(pairs):
             positions = np.arange(len(sources)) - 0.4 + height * (p + 0.5)
@@ -183,7 +198,7 @@ def budget_chart(
         )
         axes.set_ylim(len(sources) - 0.5, -0.6)
         axes.grid(axis="x")
-        axes.set_xlabel("standard uncertainty of the contrast (P prediction, M measurement)")
+        axes.set_xlabel("standard uncertainty of the contrast")
         axes.legend(loc="lower right", frameon=False)
         return _svg_uri(figure)
 
@@ -198,12 +213,10 @@ def height_picture(height_um: FloatArray, pixel_um: tuple[float, float]) -> str:
     step = max(1, max(height_um.shape) // 500)
     shown = height_um[::step, ::step]
     extent_mm = (0.0, height_um.shape[1] * pixel_um[1] / 1000, 0.0, height_um.shape[0] * pixel_um[0] / 1000)
-    with _figure(4.6, 3.9) as (figure, axes):
+    with _map_figure((extent_mm[3], extent_mm[1])) as (figure, axes, bar):
         low, high = np.nanpercentile(shown, [0.5, 99.5])
         image = axes.imshow(shown, origin="lower", cmap="viridis", extent=extent_mm, vmin=low, vmax=high)
-        axes.set_xlabel("x [mm]")
-        axes.set_ylabel("y [mm]")
-        figure.colorbar(image, ax=axes, label="height [µm]", shrink=0.9)
+        figure.colorbar(image, cax=bar, label="height [µm]")
         return _svg_uri(figure)
 
 

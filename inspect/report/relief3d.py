@@ -105,8 +105,8 @@ def draw(source: Path, target: Path) -> None:
         scalar_bar_args={
             "color": "black",
             "n_labels": 5,
-            "title_font_size": 30,
-            "label_font_size": 26,
+            "title_font_size": 26,
+            "label_font_size": 22,
             "fmt": "%.1f",
             "width": 0.6,
             "height": 0.09,
@@ -116,7 +116,7 @@ def draw(source: Path, target: Path) -> None:
     )
     centre = np.array([0.5 * np.ptp(x), 0.5 * np.ptp(y), 0.0])
     reach = float(max(np.ptp(x), np.ptp(y)))
-    eye = centre + reach * np.array([0.55, -1.15, 1.05])
+    eye = centre + reach * np.array([0.5, -1.6, 1.35])
     plotter.camera_position = [tuple(eye), tuple(centre - [0.0, 0.08 * reach, 0.0]), (0.0, 0.0, 1.0)]
     plotter.screenshot(str(target))
     plotter.deep_clean()

@@ -30,7 +30,7 @@ class Bench:
     def __init__(self, file: BenchFile) -> None:
         self.file = file
         surface_rng, sensor_rng, self._light_rng = np.random.default_rng(file.seed).spawn(3)
-        self.axis = RotaryAxis(time_scale=file.stage.time_scale)
+        self.axis = RotaryAxis(time_scale=file.stage.time_scale, backlash_deg=file.stage.backlash_deg)
         self.stage_firmware = ElliptecFirmware(
             self.axis, address=file.stage.address, faults=file.stage.faults
         )
@@ -45,7 +45,8 @@ class Bench:
     @property
     def sample_angle_deg(self) -> float:
         """The angle at which the sample truly stands now."""
-        return self.axis.load_deg() - self.file.stage.zero_deg
+        sense = 1.0 if self.file.stage.turns == "ccw" else -1.0
+        return sense * (self.axis.load_deg() - self.file.stage.zero_deg)
 
     def photograph(self, exposure_s: float, gain: float) -> Counts:
         """One frame of the sensor, (rows, cols) counts."""

@@ -1,12 +1,13 @@
 """The bench file: what stands on the virtual rig, and how imperfect the rig is."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from anisoscope.errors import RigFileError
+from anisoscope.errors import RigFileError, UsageError
 from anisoscope.rig.fixture import Fixture
+from anisoscope.sim.bench.faults import Fault
 from anisoscope.tomlfile import read_toml_model
 
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
@@ -44,6 +45,12 @@ class SamplePart(_Part):
     reflectance: Share = 0.99
     seating_tilt_deg: tuple[float, float] = (0.0, 0.0)
     material: MaterialPart = MaterialPart()
+
+    @model_validator(mode="after")
+    def _has_its_file(self) -> Self:
+        if self.kind == "height-map" and self.file is None:
+            raise ValueError("a sample of kind 'height-map' needs a file: set sample.file")
+        return self
 
 
 class SensorPart(_Part):
@@ -84,12 +91,28 @@ class OpticsPart(_Part):
 
 
 class StagePart(_Part):
-    """The stage under the sample; ``zero_deg`` is its reading where the sample truly stands at 0°."""
+    """The stage under the sample.
+
+    ``zero_deg`` is its reading where the sample truly stands at 0°, ``turns`` the sense in which a growing
+    reading truly turns the sample, ``backlash_deg`` the play between motor and sample.
+    """
 
     zero_deg: float = 10.0
-    address: str = "0"
+    turns: Literal["ccw", "cw"] = "ccw"
+    backlash_deg: NotNegative = 0.0
+    address: Annotated[str, Field(pattern="^[0-9A-F]$")] = "0"
     time_scale: NotNegative = 0.1
     faults: tuple[str, ...] = ()
+
+    @field_validator("faults")
+    @classmethod
+    def _known(cls, faults: tuple[str, ...]) -> tuple[str, ...]:
+        try:
+            for fault in faults:
+                Fault.parse(fault)
+        except UsageError as problem:
+            raise ValueError(str(problem)) from None
+        return faults
 
 
 class GeometryPart(_Part):

@@ -58,7 +58,12 @@ def image_of_surface(
     """
     # lens blur, and the pixel's own width as a blur of equal variance
     sigma_um = np.sqrt(part.blur_um**2 + part.pixel_um**2 / 12.0)
-    shown = _blurred(np.nan_to_num(radiance), (sigma_um / pixel_um[1], sigma_um / pixel_um[0]))
+    sigma_px = sigma_um / pixel_um[1], sigma_um / pixel_um[0]
+    shown = _blurred(np.nan_to_num(radiance), sigma_px)
+    known = np.isfinite(radiance)
+    if not known.all():  # a facet that was not measured shines like its neighbours, or like the whole
+        seen = _blurred(known.astype(np.float32), sigma_px)
+        shown = np.where(seen > 1e-3, shown / np.maximum(seen, 1e-3), np.nanmean(radiance))
     rows, cols = radiance.shape
     index_to_mm = np.array(
         [

@@ -1,0 +1,34 @@
+"""What could not be run is said at the end; with ANISOSCOPE_REQUIRE_ALL=1 it fails."""
+
+import os
+
+import pytest
+
+REQUIRE_ALL = os.environ.get("ANISOSCOPE_REQUIRE_ALL") == "1"
+NOT_RUN = pytest.StashKey[list]()
+
+
+def pytest_configure(config):
+    config.stash[NOT_RUN] = []
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item, call):
+    report = yield
+    if report.skipped and not hasattr(report, "wasxfail"):
+        reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else str(report.longrepr)
+        item.config.stash[NOT_RUN].append((item.nodeid, reason))
+        # the folder of real height maps is not part of the project: nobody can be asked to install it
+        if REQUIRE_ALL and item.get_closest_marker("realdata") is None:
+            report.outcome = "failed"
+            report.longrepr = f"not run, though everything must run here: {reason}"
+    return report
+
+
+def pytest_terminal_summary(terminalreporter, config):
+    not_run = config.stash[NOT_RUN]
+    if not_run:
+        terminalreporter.section("could not be run here")
+        for reason in sorted({reason for _, reason in not_run}):
+            count = sum(1 for _, found in not_run if found == reason)
+            terminalreporter.write_line(f"{count} tests: {reason.removeprefix('Skipped: ')}")

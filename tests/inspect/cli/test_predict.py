@@ -1,0 +1,115 @@
+import numpy as np
+import pytest
+
+from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.ideal import RidgeDesign, ridges
+from anisoscope.profiles.load import write_height_map
+
+
+def test_json_of_a_design(anisoscope):
+    done = anisoscope("predict", "--ridge-angle", 10, "--tilts=-10,0,10", "--json")
+    assert done.code == 0, done.err
+    found = done.json
+    assert found["model"] == "corrected"
+    assert found["convention"] == {
+        "light_angle_deg": 10.0,
+        "tilt_plane": "perpendicular",
+        "facet_azimuth_deg": 0.0,
+        "rotation_sense": "ccw",
+    }
+    assert found["k"] == 1.0
+    assert [(p["stage_deg"], p["tilt_deg"]) for p in found["poses"]][:4] == [
+        (0, -10),
+        (90, -10),
+        (180, -10),
+        (0, 0),
+    ]
+    radiance = {(p["stage_deg"], p["tilt_deg"]): p["radiance"] for p in found["poses"]}
+    assert len(found["contrasts"]) == 6
+    for contrast in found["contrasts"]:
+        first, second = (radiance[contrast[key], contrast["tilt_deg"]] for key in ("from_deg", "to_deg"))
+        assert contrast["difference"] == pytest.approx(first - second)
+        assert contrast["michelson"] == pytest.approx((first - second) / (first + second))
+        assert contrast["log_ratio"] == pytest.approx(np.log(first / second))
+
+
+@pytest.mark.parametrize(
+    ("pitches", "rows", "angle"), [(1, 3, 20.0), (2, 4, 5.0), (4, 2, 15.0), (5, 8, 10.0)]
+)
+def test_height_map_of_ideal_ridges_is_predicted_like_the_design(anisoscope, tmp_path, pitches, rows, angle):
+    surface = ridges(RidgeDesign(100.0, angle), (rows, round(pitches * 1000) + 1), (1.0, 0.1))
+    write_height_map(surface, tmp_path / "ridges.x3p")
+    tilts = "--tilts=-20,-10,0,10,20"
+    relief = anisoscope("predict", tmp_path / "ridges.x3p", tilts, "--json")
+    assert relief.code == 0, relief.err
+    design = anisoscope("predict", "--ridge-angle", angle, tilts, "--json").json
+    assert relief.json["model"] == "relief"
+    if pitches >= 4:
+        assert relief.json["pitch_um"] == pytest.approx(100.0, abs=0.1)
+    for measured, ideal in zip(relief.json["poses"], design["poses"], strict=True):
+        assert measured["radiance"] == pytest.approx(ideal["radiance"], rel=0.005)
+
+
+def test_a_tilted_map_of_two_ridges_is_levelled_by_the_pitch_it_is_given(anisoscope, tmp_path):
+    surface = ridges(RidgeDesign(100.0, 10.0), (6, 2001), (1.0, 0.1))
+    tilted = surface.with_height(surface.height_um + 0.03 * np.arange(2001) * 0.1)
+    write_height_map(tilted, tmp_path / "tilted.x3p")
+    found = anisoscope("predict", tmp_path / "tilted.x3p", "--pitch", 100, "--json").json
+    design = anisoscope("predict", "--ridge-angle", 10, "--json").json
+    for measured, ideal in zip(found["poses"], design["poses"], strict=True):
+        assert measured["radiance"] == pytest.approx(ideal["radiance"], rel=0.005)
+    assert "pitch" in anisoscope("predict", tmp_path / "tilted.x3p", "--json").json["warning"]
+
+
+def test_a_pitch_that_the_map_does_not_have_is_refused(anisoscope, tmp_path):
+    write_height_map(ridges(RidgeDesign(100.0, 10.0), (20, 1001), (1.0, 1.0)), tmp_path / "map.x3p")
+    done = anisoscope("predict", tmp_path / "map.x3p", "--pitch", 80)
+    assert done.code == 65
+    assert "100.00 µm apart, not 80 µm" in done.err
+
+
+def test_surface_without_ridges_is_predicted_with_a_warning(anisoscope, tmp_path):
+    rng = np.random.default_rng(1)
+    write_height_map(HeightMap(0.05 * rng.normal(size=(80, 90)), 1.0, 1.0), tmp_path / "rough.x3p")
+    done = anisoscope("predict", tmp_path / "rough.x3p", "--json")
+    assert done.code == 0, done.err
+    assert "no ridges" in done.json["warning"]
+
+
+def test_table_carries_units_and_the_convention(anisoscope):
+    done = anisoscope("predict", "--ridge-angle", 10)
+    assert done.code == 0
+    for word in ("1/sr", "[°]", "ln ratio", "perpendicular", "k = 1"):
+        assert word in done.out
+
+
+def test_a_dark_pose_gives_null_not_infinity(anisoscope):
+    done = anisoscope("predict", "--ridge-angle", 20, "--model", "printed", "--alpha-along", 0.002, "--json")
+    assert done.code == 0, done.err
+    assert done.json["contrasts"][0]["log_ratio"] is None
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["MAP", "--model", "corrected"], "--model corrected needs a design"),
+        (["MAP", "--ridge-angle", 10], "either a height map file or --ridge-angle"),
+        ([], "either a height map file or --ridge-angle"),
+        (["--ridge-angle", 10, "--model", "relief"], "needs a height map file"),
+        (["--ridge-angle", 10, "--bounces", 3], "direct light only"),
+        (["--ridge-angle", 50], "ridge angle"),
+        (["--ridge-angle", 10, "--alpha-along", 0], "alpha along"),
+        (["--ridge-angle", 10, "--angles", "0,ninety"], "numbers separated by commas"),
+        (["--ridge-angle", 10, "--tilts", "95"], "horizon"),
+        (["--ridge-angle", "ten"], "ridge-angle"),
+        (["--ridge-angle", 10, "--wall", "curved"], "wall"),
+        (["missing.x3p"], "missing.x3p"),
+    ],
+)
+def test_wrong_usage_is_one_clear_line(anisoscope, tmp_path, arguments, words):
+    write_height_map(ridges(RidgeDesign(100.0, 10.0), (50, 500), (1.0, 1.0)), tmp_path / "map.x3p")
+    done = anisoscope("predict", *[tmp_path / "map.x3p" if a == "MAP" else a for a in arguments])
+    assert 64 <= done.code < 128
+    assert done.out == ""
+    assert done.err.count("\n") == 1, done.err
+    assert words in done.err

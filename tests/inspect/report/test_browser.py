@@ -1,0 +1,65 @@
+"""Reports as a browser sees them: nothing asked from outside, nothing complained about, every picture decoded."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.browser
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory):
+    out = tmp_path_factory.mktemp("demo")
+    command = [sys.executable, "-Im", "anisoscope", "demo", "--out", str(out), "--seed", "3", "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)["parts"]
+
+
+def test_the_watch_itself_notices_outside_requests_and_errors(page, tmp_path):
+    """A page with all the sins, so that silence below means something."""
+    sinner = tmp_path / "sinner.html"
+    sinner.write_text("<img src='http://127.0.0.1:9/x.png'><script>console.error('sin')</script>")
+    page.open(sinner.as_uri())
+    assert len(page.complaints()) >= 2
+    assert "http://127.0.0.1:9/x.png" in page.requests()
+
+
+@pytest.mark.parametrize("part", [0, 1, 2])
+def test_report_is_silent_self_contained_and_whole(page, demo, part):
+    report = demo[part]["report"]
+    page.open(f"file://{report}")
+    assert page.complaints() == []
+    assert page.requests() == [f"file://{report}"]
+    pictures = page.evaluate("[...document.images].map(i => [i.complete, i.naturalWidth, i.alt])")
+    assert len(pictures) >= 9
+    assert all(complete and width > 100 and alt for complete, width, alt in pictures)
+    assert page.evaluate("document.getElementById('verdict').textContent") == demo[part]["verdict"]
+
+
+def test_tables_say_what_the_record_says(page, demo):
+    report = demo[1]["report"]
+    page.open(f"file://{report}")
+    rows = page.evaluate(
+        "[...document.querySelectorAll('#contrasts tbody tr')].map(r => [...r.cells].map(c => c.innerText))"
+    )
+    record = json.loads(Path(report).with_name("record.json").read_text(encoding="utf-8"))
+    for row, contrast in zip(rows, record["contrasts"], strict=False):
+        shown = [float(cell.replace("−", "-")) for cell in row[1:5]]
+        expected = [
+            contrast["measured"],
+            contrast["predicted"],
+            contrast["measured"] - contrast["predicted"],
+            contrast["u"],
+        ]
+        assert shown == pytest.approx(expected, abs=6e-4)
+    assert rows[-1][1] == f"{100 * record['area']['share']:.1f} %"
+
+
+@pytest.mark.parametrize("width", [390, 800, 1600])
+def test_nothing_overflows_sideways(page, demo, width):
+    page.open(f"file://{demo[1]['report']}", width=width)
+    assert page.evaluate("document.documentElement.scrollWidth <= document.documentElement.clientWidth")
