@@ -17,7 +17,6 @@ from anisoscope.errors import (
     CameraError,
     MeasurementError,
     RecordError,
-    RegistrationError,
     RigFileError,
     Saturated,
     UsageError,
@@ -49,6 +48,7 @@ from anisoscope.rig.runner import FrameRecord as FrameFile
 from anisoscope.rig.runner import open_rig, run_plan
 from anisoscope.whitereference import read_reference
 
+MAX_SATURATED_PICTURE = 0.02
 SERIAL = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._+#-]{0,63}")
 
 
@@ -262,23 +262,19 @@ def _views(setup: _Setup, taken: _Taken) -> tuple[list[View], View | None]:
 
 def _view(setup: _Setup, frame: Frame, image: RadianceImage) -> View:
     check_light(frame.commanded_deg, image, setup.recipe)
-    return View(frame.commanded_deg, frame.tilt_deg, image, _place(setup, frame, image))
+    share = float(image.saturated.mean())
+    if share > MAX_SATURATED_PICTURE:
+        raise Saturated(
+            f"at {frame.commanded_deg:g}° {share:.1%} of the picture are saturated (limit "
+            f"{MAX_SATURATED_PICTURE:.0%}): shorten acquisition.exposure_s in the recipe"
+        )
+    return View(frame.commanded_deg, frame.tilt_deg, image, _place(setup, image))
 
 
-def _place(setup: _Setup, frame: Frame, image: RadianceImage) -> Placement:
+def _place(setup: _Setup, image: RadianceImage) -> Placement:
     """Where the fixture stands; a saturated pixel has no value, but it is surely bright."""
     brightest = image.value.max(initial=0.0, where=image.usable)
-    seen = np.where(image.saturated, brightest, image.value)
-    try:
-        return locate(seen, _fixture(setup.rig, setup.rig_path))
-    except RegistrationError as error:
-        share = float(image.saturated.mean())
-        if share <= setup.recipe.limits.saturated_share:
-            raise
-        raise Saturated(
-            f"at {frame.commanded_deg:g}° {share:.1%} of the picture are saturated, and too few fixture markers are "
-            "seen: shorten acquisition.exposure_s in the recipe"
-        ) from error
+    return locate(np.where(image.saturated, brightest, image.value), _fixture(setup.rig, setup.rig_path))
 
 
 def _results(setup: _Setup, views: list[View], measured: Measured, decision: Decision) -> dict[str, Any]:

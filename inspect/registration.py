@@ -13,6 +13,7 @@ FloatArray = npt.NDArray[np.float64]
 Image = npt.NDArray[np.float32]
 
 MIN_MARKERS = 3
+_PADDING = 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,9 +79,10 @@ def _detect(image: Image, fixture: Fixture) -> list[tuple[int, FloatArray]]:
     filled = np.nan_to_num(image)
     top = max(float(np.percentile(filled[::4, ::4], 99.5)), 1e-9)
     seen = np.asarray(255.0 * np.sqrt(np.clip(filled / top, 0.0, 1.0)), dtype=np.uint8)
-    corners, ids, _ = cv2.aruco.ArucoDetector(
-        _dictionary(fixture), cv2.aruco.DetectorParameters()
-    ).detectMarkers(seen)
+    # OpenCV misses labels that nearly touch the edge of the picture
+    seen = cv2.copyMakeBorder(seen, _PADDING, _PADDING, _PADDING, _PADDING, cv2.BORDER_REPLICATE)
+    detector = cv2.aruco.ArucoDetector(_dictionary(fixture), cv2.aruco.DetectorParameters())
+    corners, ids, _ = detector.detectMarkers(seen)
     if not corners:
         return []
     linear = np.clip(filled / top, 0.0, 2.0).astype(np.float32)
@@ -90,7 +92,7 @@ def _detect(image: Image, fixture: Fixture) -> list[tuple[int, FloatArray]]:
         # a blurred corner is round: a window of half a module sees mostly straight edges
         side = float(np.linalg.norm(found[0, 0] - found[0, 1]))
         window = int(np.clip(side / 10.0, 3, 15))
-        points = np.ascontiguousarray(found.reshape(4, 1, 2))
+        points = np.ascontiguousarray(found.reshape(4, 1, 2) - np.float32(_PADDING))
         refined.append(cv2.cornerSubPix(linear, points, (window, window), (-1, -1), enough))
     return [(int(i), c.reshape(4, 2).astype(np.float64)) for i, c in zip(ids.ravel(), refined, strict=True)]
 

@@ -77,15 +77,15 @@ def _reach(surface: HeightMap, direction: tuple[float, float]) -> float:
     return 0.5 * min(spans)
 
 
-def _periodic_tilt(surface: HeightMap, period: Period) -> tuple[float, float] | None:
+def _periodic_tilt(surface: HeightMap, period: Period) -> tuple[float, float]:
     across, along = period.across(), period.along()
     pitches = max(1, int(_reach(surface, across) / period.pitch_um))
     far, long = pitches * period.pitch_um, _reach(surface, along)
     rise_across = _shifted_difference(surface, far * across[0], far * across[1])
     rise_along = _shifted_difference(surface, long * along[0], long * along[1])
-    if rise_across is None or rise_along is None:
-        return None
-    a, b = rise_across / far, rise_along / long
+    # a map too short to tell its tilt along one direction is taken as level in that direction
+    a = 0.0 if rise_across is None else rise_across / far
+    b = 0.0 if rise_along is None else rise_along / long
     return a * across[0] + b * along[0], a * across[1] + b * along[1]
 
 
@@ -116,10 +116,10 @@ def level(surface: HeightMap, period: Period | None = None) -> Levelled:
     """
     check_heights("height map", surface.height_um)
     period = find_period(surface) if period is None else period
-    tilt = _periodic_tilt(surface, period) if period.is_periodic else None
-    method = "median over whole pitches"
-    if tilt is None:
-        tilt, method = _plane_tilt(surface), "least-squares plane (no ridges found)"
+    if period.is_periodic:
+        tilt, method = _periodic_tilt(surface, period), "median over whole pitches"
+    else:
+        tilt, method = _plane_tilt(surface), "least-squares plane"
     rows, cols = surface.shape
     x, y = np.arange(cols) * surface.pixel_x_um, np.arange(rows) * surface.pixel_y_um
     height = surface.height_um - tilt[0] * x[None, :] - tilt[1] * y[:, None]

@@ -68,10 +68,9 @@ class GeometryPart(_Part):
 
 
 class CalibrationPart(_Part):
-    """Where the flat reference is, and how much it reflects (0…1)."""
+    """Where the white reference is: the file that ``calibrate flat`` wrote."""
 
     flat: Path
-    flat_reflectance: Annotated[float, Field(gt=0.0, le=1.0)] = 0.99
 
 
 class RigFile(_Part):

@@ -3,6 +3,7 @@
 Commands import what they need when they run, so that ``--help`` answers at once.
 """
 
+import logging
 import os
 import signal
 import sys
@@ -54,6 +55,7 @@ def _report(message: str, code: int) -> int:
 def run(arguments: list[str]) -> int:
     """Run one command line and return its exit code; errors raised on purpose become one line on stderr."""
     debug = "--debug" in arguments
+    logging.getLogger("anisoscope").addHandler(logging.StreamHandler() if debug else logging.NullHandler())
     arguments = [token for token in arguments if token != "--debug"]
     try:
         result = app(arguments, exit_on_error=False, print_error=False)

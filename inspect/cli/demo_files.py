@@ -133,5 +133,5 @@ def _rig(name: str) -> dict[str, Any]:
         "fixture": FIXTURE,
     }
     if name != "white-tile":
-        found["calibration"] = {"flat": "${here}/../../flat.tif", "flat_reflectance": 0.99}
+        found["calibration"] = {"flat": "${here}/../../flat.tif"}
     return found

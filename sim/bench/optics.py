@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.errors import RigFileError
 from anisoscope.rig.fixture import Fixture
 from anisoscope.sim.bench.benchfile import OpticsPart, SensorPart
 
@@ -80,7 +81,13 @@ def image_of_surface(
 
 
 def image_of_fixture(fixture: Fixture, part: OpticsPart, sensor: SensorPart, angle_deg: float) -> Image:
-    """Reflectance of the holder around the sample: a dark plate with white labels that carry the markers."""
+    """Reflectance of the holder around the sample: a dark plate with white labels that carry the markers.
+
+    Raises:
+        RigFileError: OpenCV has no such dictionary, or the dictionary no such marker.
+    """
+    if not hasattr(cv2.aruco, fixture.dictionary):
+        raise RigFileError(f"fixture.dictionary: OpenCV has no dictionary '{fixture.dictionary}'")
     plate = np.full((sensor.rows, sensor.cols), _PLATE, dtype=np.float32)
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, fixture.dictionary))
     modules = dictionary.markerSize + 2
@@ -89,6 +96,8 @@ def image_of_fixture(fixture: Fixture, part: OpticsPart, sensor: SensorPart, ang
     margin = int(4 * sigma) + 1
     to_pixel = pixel_from_mm(part, sensor, angle_deg)
     for marker in fixture.markers:
+        if marker.id >= len(dictionary.bytesList):
+            raise RigFileError(f"fixture.markers: {fixture.dictionary} holds no marker {marker.id}")
         code = np.asarray(cv2.aruco.generateImageMarker(dictionary, marker.id, modules, borderBits=1))
         paper = np.pad(np.where(code > 0, _PAPER_WHITE, _PAPER_BLACK), 1, constant_values=_PAPER_WHITE)
         dots = np.kron(paper, np.ones((_DOTS_PER_MODULE, _DOTS_PER_MODULE))).astype(np.float32)

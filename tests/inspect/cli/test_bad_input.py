@@ -1,0 +1,210 @@
+"""Whatever is wrong: one clear line, the right exit code, no traceback, no half-written record."""
+
+import shutil
+
+import numpy as np
+import pytest
+
+from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.load import write_height_map
+
+
+@pytest.fixture
+def job(demo_folder, tmp_path):
+    """A copy of the demo's files, to be spoiled."""
+    for name in ("recipe.toml", "reference.x3p", "flat.tif"):
+        shutil.copy(demo_folder / name, tmp_path)
+    shutil.copytree(demo_folder / "bench", tmp_path / "bench")
+    return tmp_path
+
+
+def edit(path, old, new):
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new), encoding="utf-8")
+
+
+def inspect(anisoscope, job, *extra, serial="P-1"):
+    rig = job / "bench" / "good" / "rig.toml"
+    return anisoscope(
+        "inspect",
+        "--recipe",
+        job / "recipe.toml",
+        "--rig",
+        rig,
+        "--serial",
+        serial,
+        "--out",
+        job / "out",
+        *extra,
+    )
+
+
+def assert_one_line(done, code, *words):
+    assert done.code == code, done.err
+    lines = [line for line in done.err.splitlines() if line.startswith("anisoscope:")]
+    assert len(lines) == 1, done.err
+    assert "Traceback" not in done.err
+    for word in words:
+        assert word in lines[0]
+
+
+def records(job):
+    return list((job / "out").rglob("record.json"))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("exposure_s = 0.006", 'exposure_s = "6 ms"', ("acquisition.exposure_s", "number")),
+        ("exposure_s = 0.006", "exposure_ms = 6", ("exposure_ms",)),
+        ("tolerance = 0.25", "tolerence = 0.25", ("tolerence", "tolerance")),
+        ("pitch_um = 100.0", "pitch_um = -100.0", ("surface.pitch_um",)),
+        ("alpha_along = 0.055", "alpha_along = 5.5", ("alpha along",)),
+        ("schema = 1", "schema = 7", ("schema",)),
+        ("schema = 1", "schema = = 1", ("recipe.toml",)),
+        ("reference.x3p", "nowhere.x3p", ("nowhere.x3p",)),
+        ("pitch_um = 100.0", "pitch_um = 80.0", ("100", "80")),
+        ("angles_deg", "tilts_deg = [0.0, 10.0]\nangles_deg", ("tilt", "10")),
+    ],
+)
+def test_wrong_recipe(anisoscope, job, old, new, words):
+    edit(job / "recipe.toml", old, new)
+    done = inspect(anisoscope, job)
+    assert_one_line(done, done.code, *words)
+    assert 64 <= done.code < 128
+    assert records(job) == []
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("port = ", "prot = ", ("stage", "port")),
+        ('driver = "elliptec"', 'driver = "eliptec"', ("eliptec", "elliptec")),
+        ('port = "sim://elliptec', 'port = "/dev/ttyNOTHING?', ("/dev/ttyNOTHING",)),
+        ('driver = "simulated"', 'driver = "kodak"', ("kodak",)),
+        ("zero_deg = 10.0", "zero_deg = 0.0", ("zero_deg",)),
+        ('name = "virtual rig"', 'name = "virtual rig"\ncolour = "red"', ("colour",)),
+    ],
+)
+def test_wrong_rig_file(anisoscope, job, old, new, words):
+    edit(job / "bench" / "good" / "rig.toml", old, new)
+    done = inspect(anisoscope, job)
+    assert_one_line(done, done.code, *words)
+    assert 64 <= done.code < 128
+    assert records(job) == []
+
+
+@pytest.mark.parametrize(
+    "serial", ["<script>alert(1)</script>", "../../etc/passwd", "", " ", "a/b", "x" * 65, "né", "a\nb", "-rf"]
+)
+def test_serials_that_could_do_harm(anisoscope, job, serial):
+    done = anisoscope(
+        "inspect",
+        f"--recipe={job / 'recipe.toml'}",
+        f"--rig={job / 'bench/good/rig.toml'}",
+        f"--serial={serial}",
+        f"--out={job / 'out'}",
+    )
+    assert_one_line(done, 64, "serial")
+    assert not (job / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [("silent", ("silent",)), ("stall:100", ("stage",)), ("wrong-address", ()), ("hangup", ())],
+)
+def test_stage_in_trouble(anisoscope, job, fault, words):
+    with (job / "bench" / "good" / "bench.toml").open("a", encoding="utf-8") as stream:
+        stream.write(f'\n[stage]\nfaults = ["{fault}"]\n')
+    done = inspect(anisoscope, job)
+    assert_one_line(done, 69, *words)
+    assert records(job) == []
+
+
+def test_a_noisy_line_is_borne_in_silence(anisoscope, job):
+    with (job / "bench" / "good" / "bench.toml").open("a", encoding="utf-8") as stream:
+        stream.write('\n[stage]\nfaults = ["garbage"]\n')
+    done = inspect(anisoscope, job)
+    assert done.code == 0
+    assert "damaged" not in done.err
+
+
+def test_saturated_frames_are_invalid_and_recorded(anisoscope, job):
+    edit(job / "recipe.toml", "exposure_s = 0.006", "exposure_s = 0.03")
+    done = inspect(anisoscope, job, "--json")
+    assert done.code == 3
+    assert done.json["verdict"] == "INVALID"
+    assert "saturated" in done.json["reasons"][0]
+    assert "exposure_s" in done.json["reasons"][0]
+    assert len(records(job)) == 1
+    assert "INVALID" in (records(job)[0].parent / "report.html").read_text(encoding="utf-8")
+
+
+def test_lens_cap_is_invalid(anisoscope, job):
+    with (job / "bench" / "good" / "bench.toml").open("a", encoding="utf-8") as stream:
+        stream.write("\n[optics]\nlens_cap = true\n")
+    done = inspect(anisoscope, job, "--json")
+    assert done.code == 3
+    assert "lens cap" in done.json["reasons"][0]
+
+
+def test_missing_or_damaged_flat_is_invalid_before_anything_moves(anisoscope, job):
+    (job / "flat.tif").write_bytes((job / "flat.tif").read_bytes()[:1000])
+    assert_one_line(inspect(anisoscope, job), 3, "flat.tif", "calibrate flat")
+    (job / "flat.tif").unlink()
+    assert_one_line(inspect(anisoscope, job), 3, "flat.tif", "calibrate flat")
+    assert records(job) == []
+
+
+def test_truncated_x3p(anisoscope, job):
+    data = (job / "reference.x3p").read_bytes()
+    (job / "reference.x3p").write_bytes(data[: len(data) // 2])
+    assert_one_line(inspect(anisoscope, job), 65, "reference.x3p")
+    assert_one_line(anisoscope("profile", "info", job / "reference.x3p"), 65, "reference.x3p")
+    assert_one_line(anisoscope("predict", job / "reference.x3p"), 65, "reference.x3p")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("letter.txt", "Dear colleague,\nthe map is in the other mail.\n", ("letter.txt",)),
+        ("empty.csv", "", ("empty.csv",)),
+        ("photo.jpg", "\xff\xd8", ("photo.jpg",)),
+        ("ragged.txt", "1 2 3 4\n1 2 3\n", ("ragged.txt",)),
+    ],
+)
+def test_files_that_are_no_map(anisoscope, tmp_path, name, content, words):
+    (tmp_path / name).write_text(content, encoding="latin-1")
+    for command in (("profile", "info"), ("predict",)):
+        assert_one_line(anisoscope(*command, tmp_path / name, "--pixel", 1), 65, *words)
+
+
+def test_a_folder_that_cannot_be_written(anisoscope, job):
+    (job / "out").write_text("a file where the folder should be")
+    assert_one_line(inspect(anisoscope, job), 74, "out")
+
+
+def test_unknown_commands_and_options(anisoscope):
+    assert_one_line(anisoscope("inspekt"), 64, "inspekt")
+    assert_one_line(anisoscope("demo", "--sed", 3), 64, "sed")
+    assert_one_line(anisoscope("inspect"), 64, "recipe")
+    assert_one_line(anisoscope("demo", "--seed", "many"), 64, "seed")
+
+
+def test_debug_shows_the_traceback(anisoscope, tmp_path):
+    done = anisoscope("--debug", "profile", "info", tmp_path / "nothing.x3p")
+    assert "Traceback" in done.err
+
+
+def test_profile_info_in_json(anisoscope, tmp_path):
+    height = np.arange(12.0).reshape(3, 4)
+    height[1, 1] = np.nan
+    write_height_map(HeightMap(height, 0.5, 0.25), tmp_path / "map.x3p")
+    found = anisoscope("profile", "info", tmp_path / "map.x3p", "--json").json
+    assert (found["rows"], found["cols"], found["pixel_um"]) == (3, 4, [0.25, 0.5])
+    known = height[np.isfinite(height)]
+    assert found["missing_share"] == pytest.approx(1 / 12)
+    assert found["sa_um"] == pytest.approx(np.mean(np.abs(known - known.mean())))
+    assert found["sq_um"] == pytest.approx(np.std(known))
+    assert found["sz_um"] == pytest.approx(np.ptp(known))

@@ -1,0 +1,140 @@
+"""A small, fast virtual rig: 512 × 512 pixels of 8 µm, a part of 1.2 mm, and a recipe with an ideal design."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tomli_w
+
+from anisoscope import inspection
+from anisoscope.calibration import take_flat
+from anisoscope.cli.demo_files import FIXTURE
+from anisoscope.recipe import Recipe
+from anisoscope.sim.bench.bench import Bench, shared_bench
+
+LOBE = {"alpha_along": 0.06, "alpha_across": 0.10, "albedo": 0.2, "index": 1.5}
+EXPOSURE_S = 0.0015
+
+
+def merged(base, changes):
+    """A copy of a table with changes; a change of None takes the key away."""
+    found = dict(base)
+    for key, value in changes.items():
+        if value is None:
+            found.pop(key, None)
+        elif isinstance(value, dict) and isinstance(found.get(key), dict):
+            found[key] = merged(found[key], value)
+        else:
+            found[key] = value
+    return found
+
+
+RECIPE = {
+    "schema": 1,
+    "product": "ridged test plate",
+    "surface": {"pitch_um": 100.0, "design": {"ridge_angle_deg": 10.0}},
+    "material": {**LOBE, "u_alpha_share": 0.03, "u_albedo": 0.006, "u_index": 0.005},
+    "acquisition": {"exposure_s": EXPOSURE_S, "frames_per_pose": 2, "dark_frames": 2, "settle_s": 0.0},
+    "region": {"size_mm": [1.0, 1.0]},
+    "decision": {"tolerance": 0.25},
+    "uncertainty": {"seating_tilt_deg": 0.05},
+}
+BENCH = {
+    "schema": 1,
+    "seed": 11,
+    "sample": {
+        "kind": "ridges",
+        "size_mm": 1.2,
+        "pitch_um": 100.0,
+        "ridge_angle_deg": 10.0,
+        "resolved_alpha": 0.0,
+        "material": LOBE,
+    },
+    "sensor": {"rows": 512, "cols": 512},
+    "optics": {"pixel_um": 8.0, "blur_um": 5.0, "electrons": 2.4e7},
+    "stage": {"time_scale": 0.0},
+    "fixture": FIXTURE,
+}
+RIG = {
+    "schema": 1,
+    "name": "virtual rig",
+    "stage": {
+        "driver": "elliptec",
+        "port": "sim://elliptec?bench=${here}/bench.toml",
+        "zero_deg": 10.0,
+        "options": {"move_gap_s": 0.0, "timeout_s": 0.2},
+    },
+    "camera": {"driver": "simulated", "pixel_um": 8.0, "options": {"bench": "${here}/bench.toml"}},
+    "light": {"driver": "simulated", "angle_deg": 10.0, "options": {"bench": "${here}/bench.toml"}},
+    "fixture": FIXTURE,
+}
+
+
+def write(path, table):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(tomli_w.dumps(table), encoding="utf-8")
+    return path
+
+
+@dataclass(frozen=True)
+class VirtualRig:
+    """Files of one part on the virtual rig, and how to inspect it."""
+
+    recipe: Path
+    rig: Path
+    out: Path
+
+    @property
+    def bench(self) -> Bench:
+        """The bench that the rig's devices share."""
+        return shared_bench(self.rig.with_name("bench.toml"))
+
+    @property
+    def folders(self) -> list[Path]:
+        """What lies in the folder for inspections."""
+        return sorted(self.out.iterdir()) if self.out.exists() else []
+
+    def inspect(self, serial: str = "T-1") -> inspection.Inspected:
+        """Inspect the part."""
+        return inspection.inspect_part(self.recipe, self.rig, serial, self.out)
+
+
+@pytest.fixture(scope="session")
+def flat(tmp_path_factory) -> Path:
+    """White reference of the small rig."""
+    folder = tmp_path_factory.mktemp("flat")
+    write(folder / "bench.toml", merged(BENCH, {"sample": {"kind": "white-tile"}}))
+    rig = write(folder / "rig.toml", RIG)
+    take_flat(rig, folder / "flat.tif", exposure_s=EXPOSURE_S, frames=8)
+    return folder / "flat.tif"
+
+
+@pytest.fixture
+def virtual_rig(tmp_path, flat) -> Callable[..., VirtualRig]:
+    """``virtual_rig(recipe={...}, bench={...}, rig={...})`` lays out a rig with changes to its files."""
+
+    def lay_out(name="part", *, recipe=None, bench=None, rig=None):
+        folder = tmp_path / name
+        calibrated = merged(RIG, {"calibration": {"flat": str(flat)}})
+        write(folder / "bench.toml", merged(BENCH, bench or {}))
+        return VirtualRig(
+            write(folder / "recipe.toml", merged(RECIPE, recipe or {})),
+            write(folder / "rig.toml", merged(calibrated, rig or {})),
+            folder / "inspections",
+        )
+
+    return lay_out
+
+
+@pytest.fixture
+def make_recipe() -> Callable[..., Recipe]:
+    """``make_recipe(decision={...})`` gives the recipe of the small rig with changes."""
+    return lambda **changes: Recipe.model_validate(merged(RECIPE, changes))
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """A generator of its own for every test."""
+    return np.random.default_rng(20)
