@@ -54,11 +54,12 @@ SERIAL = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._+#-]{0,63}")
 
 @dataclass(frozen=True, eq=False)
 class Inspected:
-    """A finished inspection: its record and where it lies."""
+    """A finished inspection: its record, where it lies, and what the user should know besides."""
 
     record: Record
     folder: Path
     report: Path
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,9 +147,11 @@ def inspect_part(
         record, pictures = _judge(setup, taken, folder)
         write_record(record, folder)
         on_progress("report", 0, 1)
-        report = write_report(record, pictures, folder, renderer)
+        view = renderer.result() if renderer is not None else None
+        report = write_report(record, pictures, folder, view)
     on_progress(record.verdict, 1, 1)
-    return Inspected(record, folder, report)
+    lost = (f"no 3-D view in the report: {view.note}",) if view is not None and view.png is None else ()
+    return Inspected(record, folder, report, lost)
 
 
 def _white_path(rig: RigFile, path: Path) -> Path:

@@ -101,6 +101,8 @@ def read_reference(path: Path) -> WhiteReference:
             signal, meta = page.asarray(), json.loads(page.description)
         if meta["kind"] != _KIND:
             raise CalibrationError(f"{path} is not a white reference: {advice}")
+        if signal.ndim != 2 or not np.isfinite(signal).all() or np.median(signal) <= 0.0:
+            raise CalibrationError(f"{path} holds no picture of a white tile: {advice}")
         return WhiteReference(
             np.asarray(signal, dtype=np.float32),
             float(meta["radiance"]),

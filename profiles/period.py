@@ -228,7 +228,9 @@ def _sharpened(surface: HeightMap, frequency: FloatArray) -> float:
         rise = rise[np.isfinite(rise)]
         if not rise.size:
             return float("inf")
-        return float(np.mean(np.minimum(np.abs(rise - np.median(rise)), rise_of_ridge) ** 2))  # spikes count little
+        return float(
+            np.mean(np.minimum(np.abs(rise - np.median(rise)), rise_of_ridge) ** 2)
+        )  # spikes count little
 
     bounds = guess * (1.0 - SHARPEN_SHARE), guess * (1.0 + SHARPEN_SHARE)
     found = minimize_scalar(unlike, bounds=bounds, method="bounded", options={"xatol": 1e-3})

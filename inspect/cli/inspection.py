@@ -90,4 +90,6 @@ def _print(inspected: "Inspected") -> None:
     out.print(f"[bold {color}]{record.verdict}[/]")
     for reason in record.reasons:
         out.print(f"  {reason}", markup=False, highlight=False, soft_wrap=True)
+    for note in inspected.notes:
+        out.print(f"note: {note}", markup=False, highlight=False, soft_wrap=True)
     out.print(f"report: {inspected.report}", markup=False, highlight=False, soft_wrap=True)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.record import Record, write_text_atomically
 from anisoscope.report import figures
-from anisoscope.report.relief3d import Renderer
+from anisoscope.report.relief3d import Picture3D, Renderer
 
 FloatArray = npt.NDArray[np.float64]
 Image = npt.NDArray[np.float32]
@@ -57,14 +57,14 @@ def start_renderer(surface: HeightMap | None) -> Renderer | None:
     return Renderer(surface.height_um, (surface.pixel_y_um, surface.pixel_x_um))
 
 
-def write_report(record: Record, pictures: Pictures, folder: Path, renderer: Renderer | None = None) -> Path:
+def write_report(record: Record, pictures: Pictures, folder: Path, view: Picture3D | None = None) -> Path:
     """Write ``report.html`` into an inspection folder, all or nothing.
 
     Args:
         record: the inspection.
         pictures: what to show.
         folder: the inspection folder.
-        renderer: the 3-D view being drawn, or None.
+        view: the height map in 3-D, or None.
 
     Raises:
         RecordError: the folder cannot be written.
@@ -83,14 +83,14 @@ def write_report(record: Record, pictures: Pictures, folder: Path, renderer: Ren
         kind=KIND_NAMES.get(record.contrasts[0].kind, "") if record.contrasts else "",
         unit=UNITS.get(record.contrasts[0].kind, "1") if record.contrasts else "1",
         rule=record.recipe["decision"],
-        **_figures(record, pictures, renderer),
+        **_figures(record, pictures, view),
     )
     path = folder / REPORT_NAME
     write_text_atomically(path, page)
     return path
 
 
-def _figures(record: Record, pictures: Pictures, renderer: Renderer | None) -> dict[str, Any]:
+def _figures(record: Record, pictures: Pictures, view: Picture3D | None) -> dict[str, Any]:
     labels = [_label(c.from_deg, c.to_deg, c.tilt_deg) for c in record.contrasts]
     white = max((float(np.nanpercentile(p, 99.0)) for p in pictures.aligned), default=1.0)
     found: dict[str, Any] = {
@@ -130,7 +130,7 @@ def _figures(record: Record, pictures: Pictures, renderer: Renderer | None) -> d
             [row.kind for row in record.budget],
         )
     if pictures.surface is not None:
-        found |= _surface(pictures.surface, renderer)
+        found |= _surface(pictures.surface, view)
     return found
 
 
@@ -138,8 +138,7 @@ def _top(image: Image) -> float:
     return max(float(np.nanpercentile(image, 99.5)), 1e-9)
 
 
-def _surface(surface: HeightMap, renderer: Renderer | None) -> dict[str, Any]:
-    picture = renderer.result() if renderer else None
+def _surface(surface: HeightMap, view: Picture3D | None) -> dict[str, Any]:
     line = surface.height_um[surface.shape[0] // 2]
     shown = min(line.size, round(600.0 / surface.pixel_x_um))
     return {
@@ -147,8 +146,8 @@ def _surface(surface: HeightMap, renderer: Renderer | None) -> dict[str, Any]:
             surface.height_um, (surface.pixel_y_um, surface.pixel_x_um)
         ),
         "surface_profile": figures.profile_chart(np.arange(shown) * surface.pixel_x_um, line[:shown]),
-        "surface_3d": figures.png_uri(picture.png) if picture and picture.png else None,
-        "surface_note": picture.note if picture else "",
+        "surface_3d": figures.png_uri(view.png) if view and view.png else None,
+        "surface_note": view.note if view else "",
     }
 
 

@@ -67,12 +67,13 @@ class Renderer:
             code = self._process.wait(TIMEOUT_S)
             png = self._target.read_bytes() if code == 0 and self._target.is_file() else None
         except subprocess.TimeoutExpired:
-            return Picture3D(None, f"the 3-D renderer did not finish in {TIMEOUT_S:g} s")
+            return Picture3D(None, f"the renderer did not finish in {TIMEOUT_S:g} s")
         finally:
             self.discard()
         if png is None:
             return Picture3D(
-                None, f"the 3-D renderer ended with code {code}: is there a usable EGL (Debian: libegl1)?"
+                None,
+                f"the renderer ended with code {code}; it needs EGL (Debian: apt-get install libegl1 libgl1-mesa-dri)",
             )
         return Picture3D(png, self._note)
 

@@ -1,0 +1,71 @@
+import numpy as np
+import pytest
+
+from anisoscope.errors import HeightMapError
+from anisoscope.predicting import predict_design, predict_height_map
+from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.ideal import RidgeDesign, ridges
+from anisoscope.sim.light.geometry import Convention, pose_grid
+from anisoscope.sim.light.material import Material
+
+POSES = pose_grid((0.0, 90.0, 180.0, 270.0), (0.0, 10.0))
+MATERIAL = Material(0.08, 0.12)
+
+
+@pytest.mark.parametrize("angle", [6.0, 10.0, 16.0])
+def test_design_and_height_map_agree_on_ideal_ridges(angle):
+    design = RidgeDesign(100.0, angle)
+    ideal = predict_design(design, MATERIAL, POSES, Convention())
+    relief = predict_height_map(ridges(design, (6, 1601), (1.0, 0.25)), MATERIAL, POSES, Convention())
+    np.testing.assert_allclose(relief.radiance, ideal.radiance, rtol=0.02)
+    assert relief.notes["pitch_um"] == pytest.approx(100.0, rel=1e-3)
+    assert "warning" not in relief.notes
+
+
+def test_a_mirrored_map_is_a_design_turned_by_half():
+    design = RidgeDesign(100.0, 10.0)
+    surface = ridges(design, (6, 1601), (1.0, 0.25))
+    mirrored = surface.with_height(surface.height_um[:, ::-1])
+    relief = predict_height_map(mirrored, MATERIAL, POSES, Convention())
+    ideal = predict_design(design, MATERIAL, POSES, Convention(facet_azimuth_deg=180.0))
+    np.testing.assert_allclose(relief.radiance, ideal.radiance, rtol=0.02)
+
+
+def test_a_seated_askew_map_is_levelled():
+    design = RidgeDesign(100.0, 10.0)
+    surface = ridges(design, (40, 801), (1.0, 0.5))
+    rows, cols = np.indices(surface.shape)
+    askew = surface.with_height(surface.height_um + 0.02 * cols - 0.01 * rows + 7.0)
+    there, here = (predict_height_map(s, MATERIAL, POSES, Convention()).radiance for s in (askew, surface))
+    np.testing.assert_allclose(there, here, rtol=0.01)
+
+
+def test_a_map_without_ridges_says_that_it_has_none():
+    rng = np.random.default_rng(4)
+    found = predict_height_map(
+        HeightMap(0.05 * rng.normal(size=(80, 90)), 1.0, 1.0), MATERIAL, POSES, Convention()
+    )
+    assert "no ridges" in found.notes["warning"]
+    assert "pitch_um" not in found.notes
+    assert np.all(found.radiance > 0)
+
+
+def test_missing_points_are_told_and_too_many_are_refused():
+    surface = ridges(RidgeDesign(100.0, 10.0), (20, 801), (1.0, 0.5))
+    height = surface.height_um.copy()
+    height[5, 100:140] = np.nan
+    found = predict_height_map(surface.with_height(height), MATERIAL, POSES, Convention())
+    assert 0 < found.notes["missing_share"] < 0.02
+    height[:10] = np.nan
+    with pytest.raises(HeightMapError, match="missing"):
+        predict_height_map(surface.with_height(height), MATERIAL, POSES, Convention())
+
+
+def test_the_printed_model_is_not_the_corrected_one():
+    design = RidgeDesign(100.0, 15.0)
+    printed, corrected = (
+        predict_design(design, MATERIAL, POSES, Convention(), model) for model in ("printed", "corrected")
+    )
+    assert (printed.model, corrected.model) == ("printed", "corrected")
+    assert not np.allclose(printed.radiance, corrected.radiance, rtol=0.05)
+    assert len(printed.contrasts) == 6

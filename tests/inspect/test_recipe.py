@@ -1,0 +1,96 @@
+import pytest
+import tomli_w
+
+from anisoscope.errors import RecipeError
+from anisoscope.recipe import read_recipe
+
+GOOD = {
+    "schema": 1,
+    "product": "plate",
+    "surface": {"pitch_um": 100.0, "height_map": "${here}/map.x3p"},
+    "material": {"alpha_along": 0.06, "alpha_across": 0.1, "albedo": 0.2},
+    "acquisition": {"exposure_s": 0.01},
+    "region": {"size_mm": [2.0, 1.0]},
+}
+DESIGN = {"pitch_um": 100.0, "design": {"ridge_angle_deg": 10.0}}
+
+
+@pytest.fixture
+def read(tmp_path):
+    def read_(**changes):
+        tables = {**GOOD, **{key: value for key, value in changes.items() if value is not None}}
+        for key in [key for key, value in changes.items() if value is None]:
+            del tables[key]
+        path = tmp_path / "recipe.toml"
+        path.write_text(tomli_w.dumps(tables), encoding="utf-8")
+        return read_recipe(path)
+
+    return read_
+
+
+def test_a_good_recipe(read, tmp_path):
+    recipe = read(
+        poses={"angles_deg": [0.0, 90.0, 180.0], "tilts_deg": [0.0, 10.0]}, decision={"tolerance": 0.2}
+    )
+    assert recipe.surface.height_map == tmp_path / "map.x3p"
+    assert [(p.stage_deg, p.tilt_deg) for p in recipe.poses.poses()][2:4] == [(180.0, 0.0), (0.0, 10.0)]
+    assert recipe.tolerances() == (0.2,) * 4  # pairs are of one tilt
+
+
+def test_a_tolerance_a_pair(read):
+    assert read(decision={"tolerance": [0.1, 0.2]}).tolerances() == (0.1, 0.2)
+    assert read(decision={}).tolerances() is None
+
+
+def test_the_design_is_the_one_of_the_file(read):
+    design = read(
+        surface={**DESIGN, "design": {"ridge_angle_deg": 12.0, "wall": "vertical"}}
+    ).surface.ridge_design()
+    assert (design.pitch_um, design.ridge_angle_deg, design.wall) == (100.0, 12.0, "vertical")
+
+
+MATERIAL = GOOD["material"]
+MISTAKES = {
+    "surface.pitch_mm: unknown key; did you mean 'pitch_um'?": {"surface": {**DESIGN, "pitch_mm": 0.1}},
+    "tolerances: unknown key": {"tolerances": 0.1},
+    "surface.pitch_um: missing": {"surface": {"height_map": "x"}},
+    "material: missing": {"material": None},
+    "material.albedo": {"material": {**MATERIAL, "albedo": "20 %"}},
+    "material.alpha_along": {"material": {**MATERIAL, "alpha_along": -0.1}},
+    "material: roughness alpha along": {"material": {**MATERIAL, "alpha_along": 1.5}},
+    "material.index": {"material": {**MATERIAL, "index": 0.9}},
+    "surface: give either height_map (a file) or design (a table), not both and not neither": {
+        "surface": {**DESIGN, "height_map": "x"}
+    },
+    "not both and not neither": {"surface": {"pitch_um": 100.0}},
+    "surface.role": {"surface": {"pitch_um": 100.0, "height_map": "x", "role": "mould"}},
+    "surface.design.ridge_angle_deg": {"surface": {**DESIGN, "design": {"ridge_angle_deg": 50.0}}},
+    "decision.tolerance lists 1 values for 2 pairs": {"decision": {"tolerance": [0.1]}},
+    "decision.tolerance": {"decision": {"tolerance": -0.1}},
+    "decision.contrast": {"decision": {"contrast": "ratio"}},
+    "decision.alpha": {"decision": {"alpha": 1.0}},
+    "region.size_mm must span at least two pitches (0.2 mm)": {"region": {"size_mm": [0.15, 1.0]}},
+    "region.size_mm[1]": {"region": {"size_mm": [1.0]}},
+    "region.center_mm[0]": {"region": {"size_mm": [1.0, 1.0], "center_mm": [float("nan"), 0.0]}},
+    "poses: angles_deg names an angle twice": {"poses": {"angles_deg": [0.0, 90.0, 0.0]}},
+    "poses.angles_deg": {"poses": {"angles_deg": [0.0]}},
+    "acquisition.frames_per_pose": {"acquisition": {"exposure_s": 0.1, "frames_per_pose": 1}},
+    "acquisition.exposure_ms: unknown key; did you mean 'exposure_s'?": {"acquisition": {"exposure_ms": 10}},
+    "product": {"product": ""},
+    "schema": {"schema": 2},
+}
+
+
+@pytest.mark.parametrize("message", MISTAKES)
+def test_mistakes_are_one_line_that_names_file_and_key(read, tmp_path, message):
+    with pytest.raises(RecipeError) as caught:
+        read(**MISTAKES[message])
+    text = str(caught.value)
+    assert message in text
+    assert text.startswith(str(tmp_path / "recipe.toml"))
+    assert "\n" not in text
+
+
+def test_a_recipe_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(RecipeError, match=r"none\.toml: there is no such file"):
+        read_recipe(tmp_path / "none.toml")
