@@ -296,7 +296,7 @@ def _combine(
         line = f"{where} deviates by {pair.deviation:+.3f} (tolerance ±{pair.tolerance:g}, guard band {pair.guard:.3f})"
         findings.append((pair.verdict, line))
     if area is not None:
-        line = f"{area.share:.1%} of the area deviate in the contrast map (limit {area.max_share:.1%})"
+        line = f"{area.share:.1%} of the area deviates in the contrast map (limit {area.max_share:.1%})"
         findings.append((area.verdict, line))
     significant = p_value < rule.alpha
     line = f"all contrasts together: p = {p_value:.2g} for a part as predicted (level {rule.alpha:g})"

@@ -77,7 +77,7 @@ def test_a_failing_write_leaves_the_old_file_and_no_half_one(monkeypatch, tmp_pa
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(Path, step, fail)
-    with pytest.raises(RecordError, match="cannot write .*No space left"):
+    with pytest.raises(RecordError, match=r"cannot write .*No space left"):
         write_text_atomically(path, "new")
     monkeypatch.undo()
     assert path.read_text() == "old"
