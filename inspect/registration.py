@@ -78,23 +78,65 @@ def _detect(image: Image, fixture: Fixture) -> list[tuple[int, FloatArray]]:
     """
     filled = np.nan_to_num(image)
     top = max(float(np.percentile(filled[::4, ::4], 99.5)), 1e-9)
-    seen = np.asarray(255.0 * np.sqrt(np.clip(filled / top, 0.0, 1.0)), dtype=np.uint8)
+    calm = cv2.GaussianBlur(filled, (0, 0), 1.0)  # noise in the dark hides markers
+    squeezed = np.asarray(255.0 * np.sqrt(np.clip(calm / top, 0.0, 1.0)), dtype=np.uint8)
     # OpenCV misses labels that nearly touch the edge of the picture
-    seen = cv2.copyMakeBorder(seen, _PADDING, _PADDING, _PADDING, _PADDING, cv2.BORDER_REPLICATE)
-    detector = cv2.aruco.ArucoDetector(_dictionary(fixture), cv2.aruco.DetectorParameters())
+    seen = cv2.copyMakeBorder(squeezed, _PADDING, _PADDING, _PADDING, _PADDING, cv2.BORDER_REPLICATE)
+    detector = cv2.aruco.ArucoDetector(_dictionary(fixture), _detection())
     corners, ids, _ = detector.detectMarkers(seen)
     if not corners:
         return []
     linear = np.clip(filled / top, 0.0, 2.0).astype(np.float32)
-    enough = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 60, 0.002)
-    refined = []
-    for found in corners:
-        # a blurred corner is round: a window of half a module sees mostly straight edges
-        side = float(np.linalg.norm(found[0, 0] - found[0, 1]))
-        window = int(np.clip(side / 10.0, 3, 15))
-        points = np.ascontiguousarray(found.reshape(4, 1, 2) - np.float32(_PADDING))
-        refined.append(cv2.cornerSubPix(linear, points, (window, window), (-1, -1), enough))
-    return [(int(i), c.reshape(4, 2).astype(np.float64)) for i, c in zip(ids.ravel(), refined, strict=True)]
+    modules = _dictionary(fixture).markerSize + 2
+    return [
+        (int(i), _refined(linear, found.reshape(4, 2).astype(np.float64) - _PADDING, modules))
+        for i, found in zip(ids.ravel(), corners, strict=True)
+    ]
+
+
+def _detection() -> cv2.aruco.DetectorParameters:
+    """Thresholds that noise in the dark does not cross, over windows from a fraction of a module to several."""
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.adaptiveThreshConstant = 15
+    parameters.adaptiveThreshWinSizeMax = 53
+    return parameters
+
+
+def _refined(image: Image, corners: FloatArray, modules: int) -> FloatArray:
+    """Corners (4, 2) as the crossings of straight lines through the sides of the marker, in two rounds.
+
+    Blur rounds a corner, but leaves the middle of a side where it is.
+    """
+    for _ in range(2):
+        following = np.roll(corners, -1, axis=0)
+        sides = [_side(image, a, b, modules) for a, b in zip(corners, following, strict=True)]
+        crossings = []
+        for (first, along), (second, beside) in zip([sides[-1], *sides[:-1]], sides, strict=True):
+            steps = np.linalg.lstsq(np.stack([along, -beside], axis=1), second - first, rcond=None)[0]
+            crossings.append(first + steps[0] * along)
+        corners = np.array(crossings)
+    return corners
+
+
+def _side(image: Image, start: FloatArray, end: FloatArray, modules: int) -> tuple[FloatArray, FloatArray]:
+    """A point of one side of a marker and its direction: centres of brightness steps on lines across it."""
+    length = float(np.linalg.norm(end - start))
+    along = (end - start) / max(length, 1e-9)
+    normal = np.array([-along[1], along[0]])
+    # within the black border on one side and within the white label on the other
+    reach = float(np.clip(0.45 * length / modules, 2.0, 8.0))
+    across = np.linspace(-reach, reach, int(8 * reach) + 1)
+    base = start + np.linspace(0.15, 0.85, max(12, int(0.7 * length)))[:, None] * (end - start)
+    points = (base[:, None, :] + across[None, :, None] * normal).astype(np.float32)
+    seen = cv2.remap(image, points[..., 0], points[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    steps = np.diff(seen.astype(np.float64), axis=1)
+    steps *= np.sign(steps.sum())  # signed, so that noise cancels
+    rise = steps.sum(axis=1)
+    offset = steps @ (0.5 * (across[1:] + across[:-1])) / np.maximum(rise, 0.2 * np.median(rise) + 1e-12)
+    offset = np.clip(offset, -reach, reach)
+    edge = base + offset[:, None] * normal
+    middle = edge.mean(axis=0)
+    return middle, np.asarray(np.linalg.svd(edge - middle)[2][0], dtype=np.float64)
 
 
 def locate(image: Image, fixture: Fixture) -> Placement:

@@ -23,6 +23,7 @@ app = App(
     version_flags=["--version"],
     help_flags=["--help", "-h"],
     result_action="return_value",
+    suppress_keyboard_interrupt=False,
 )
 _jobs = Group.create_ordered("Jobs")
 app.command("anisoscope.cli.demo:demo", group=_jobs)

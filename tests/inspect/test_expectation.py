@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import norm
+from scipy.stats import norm, qmc
 
 from anisoscope.errors import RecipeError
 from anisoscope.expectation import expectation
@@ -14,7 +14,7 @@ from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import Convention, directions, seating_rotation
 
 DESIGN = RidgeDesign(100.0, 10.0)
-ZS = norm.ppf((np.arange(40) + 0.5) / 40)
+ZS = 0.1 * norm.ppf((np.arange(12) + 0.5) / 12)  # small, so that the first order is all there is
 PAIRS = np.array([[1, -1, 0], [0, 1, -1]])
 
 
@@ -42,15 +42,14 @@ def test_every_component_is_the_spread_that_its_cause_makes(make_recipe, source)
     (part,) = (c for c in expectation(recipe, 10.0).components if c.source == source)
     stated = np.sqrt(np.diag(PAIRS @ part.covariance() @ PAIRS.T))
     spread = np.std([CHANGES[source](recipe, z) for z in ZS], axis=0) / np.std(ZS)
-    # 2e-4 covers second-order effects where the first order nearly vanishes
-    np.testing.assert_allclose(stated, spread, rtol=0.05, atol=2e-4)
+    np.testing.assert_allclose(stated, spread, rtol=0.03, atol=3e-4)
 
 
-def test_the_whole_covariance_is_that_of_material_drawn_from_its_uncertainty(make_recipe, rng):
+def test_the_whole_covariance_is_that_of_material_drawn_from_its_uncertainty(make_recipe):
     recipe = make_recipe()
     part = recipe.material
     draws = []
-    for along, across, albedo, index in rng.standard_normal((250, 4)):
+    for along, across, albedo, index in norm.ppf(qmc.Sobol(4, rng=3).random(64)):
         draws.append(
             log_ratios(
                 recipe,
@@ -127,7 +126,7 @@ def test_materials_at_the_edge_of_what_is_possible_have_an_uncertainty(make_reci
 
 def test_a_part_that_should_be_black_is_refused(make_recipe):
     recipe = make_recipe(material={"albedo": 0.0, "alpha_along": 0.01, "alpha_across": 0.01})
-    with pytest.raises(RecipeError, match=r"at 90°.*no light of this part") as caught:
+    with pytest.raises(RecipeError, match=r"at 0°.*no light of this part") as caught:
         expectation(recipe, 10.0)
     assert "\n" not in str(caught.value)
 

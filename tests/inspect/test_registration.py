@@ -35,6 +35,9 @@ def paint(matrix, fixture=FIXTURE, part=0.1, missing=(), vignetting=0.0, noise=0
     """A picture of paper labels on a dark plate with a square part in the middle, by averaging points in pixels."""
     at = (np.arange(SIZE * SUB) + 0.5) / SUB - 0.5
     col, row = np.meshgrid(at, at)
+    # points in a lattice would put an upright edge at a multiple of their distance
+    jitter = np.random.default_rng(8).uniform(-0.5 / SUB, 0.5 / SUB, (2, *col.shape))
+    col, row = col + jitter[0], row + jitter[1]
     full = np.vstack([matrix, [0.0, 0.0, 1.0]])
     x, y, _ = np.tensordot(np.linalg.inv(full), np.stack([col, row, np.ones_like(col)]), 1)
     picture = np.where(np.maximum(np.abs(x), np.abs(y)) < 0.6, part, 0.02)
@@ -65,13 +68,13 @@ def worst_px(found, expected):
 @pytest.mark.parametrize("angle", ANGLES)
 def test_turn_scale_and_shift_come_back(angle):
     matrix = truth(angle, PIXEL_UM, (5.4, -3.7))
-    place = locate(paint(matrix, noise=0.001), FIXTURE)
-    assert worst_px(place.matrix, matrix) < 0.05
+    place = locate(paint(matrix, noise=0.004), FIXTURE)
+    assert worst_px(place.matrix, matrix) < 0.03
     assert angle_between(angle, place.angle_deg) == pytest.approx(0.0, abs=0.02)
     assert place.pixel_um == pytest.approx(PIXEL_UM, rel=5e-4)
-    np.testing.assert_allclose(place.axis_px, matrix[:, 2], atol=0.05)
+    np.testing.assert_allclose(place.axis_px, matrix[:, 2], atol=0.03)
     assert place.markers == 4
-    assert place.residual_px < 0.5
+    assert place.residual_px < 0.1
 
 
 def test_a_part_whose_brightness_flips_does_not_move_the_pictures():
@@ -81,7 +84,7 @@ def test_a_part_whose_brightness_flips_does_not_move_the_pictures():
 
 def test_uneven_light_does_not_move_the_pictures():
     matrix = truth(12.0, PIXEL_UM)
-    assert worst_px(locate(paint(matrix, vignetting=0.5), FIXTURE).matrix, matrix) < 0.08
+    assert worst_px(locate(paint(matrix, vignetting=0.5), FIXTURE).matrix, matrix) < 0.03
 
 
 def test_a_picture_without_values_here_and_there_is_still_located():
@@ -89,14 +92,14 @@ def test_a_picture_without_values_here_and_there_is_still_located():
     picture = paint(matrix)
     picture[np.random.default_rng(1).random(picture.shape) < 1e-4] = np.nan
     picture[190:210, 190:210] = np.nan
-    assert worst_px(locate(picture, FIXTURE).matrix, matrix) < 0.1
+    assert worst_px(locate(picture, FIXTURE).matrix, matrix) < 0.06
 
 
 def test_three_markers_are_enough():
     matrix = truth(100.0, PIXEL_UM)
     place = locate(paint(matrix, missing=(1,)), FIXTURE)
     assert place.markers == 3
-    assert worst_px(place.matrix, matrix) < 0.08
+    assert worst_px(place.matrix, matrix) < 0.03
 
 
 @pytest.mark.parametrize("angle", [0.0, 45.0, 90.0])
