@@ -234,7 +234,7 @@ def _sharpened(surface: HeightMap, frequency: FloatArray) -> float:
 
     bounds = guess * (1.0 - SHARPEN_SHARE), guess * (1.0 + SHARPEN_SHARE)
     found = minimize_scalar(unlike, bounds=bounds, method="bounded", options={"xatol": 1e-3})
-    return guess / float(found.x)
+    return float(guess / found.x)
 
 
 def _pixels(surface: HeightMap) -> tuple[float, float]:
