@@ -10,6 +10,7 @@ from anisoscope.progress import Advance, silent
 from anisoscope.rig.frame import Frame, FrameKind
 from anisoscope.rig.rigfile import read_rig
 from anisoscope.rig.runner import Rig, open_rig
+from anisoscope.sim.light.geometry import Convention, Pose, directions
 from anisoscope.whitereference import make_reference, write_reference
 
 _KINDS: tuple[FrameKind, ...] = ("dark", "flat")
@@ -59,11 +60,13 @@ def take_flat(
                 on_progress(f"{kind} frames", step * frames + k, 2 * frames)
                 taken.append(_frame(rig, kind, settings.exposure_s, settings.gain))
             stacks[kind] = stack(taken)
+    convention = Convention(rig_file.light.angle_deg)
+    to_light, _ = directions((Pose(0.0, rig_file.geometry.tilt_deg),), convention)
     reference = make_reference(
         stacks["flat"],
         stacks["dark"],
         reflectance=reflectance,
-        light_angle_deg=rig_file.light.angle_deg,
+        light_cosine=float(to_light[0, 2]),
         camera=info.serial,
         full_scale=2**info.bit_depth - 1,
     )

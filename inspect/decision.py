@@ -17,6 +17,8 @@ from anisoscope.recipe import AreaPart, ContrastKind, DecisionPart, Recipe
 from anisoscope.sim.light.contrasts import Contrast, consecutive_pairs, contrasts
 from anisoscope.sim.light.geometry import Pose
 
+MAX_CELL_NOISE = 0.25
+
 FloatArray = npt.NDArray[np.float64]
 
 
@@ -268,6 +270,12 @@ def _judge_area(
     noise = float(
         max(np.hypot(measured.cell_noise[i], measured.cell_noise[j]) for i, j in consecutive_pairs(poses))
     )
+    if noise > MAX_CELL_NOISE * rule.cell_deviation:
+        raise MeasurementError(
+            f"the ln ratio of a cell is uncertain by {noise:.3f}, too much to tell deviations of "
+            f"{rule.cell_deviation:g} (limit {MAX_CELL_NOISE * rule.cell_deviation:.3f}): "
+            "take more frames_per_pose or a longer exposure_s"
+        )
     share, at_low, at_high = (
         float(np.mean(off > rule.cell_deviation + shift)) for shift in (0.0, -noise, noise)
     )

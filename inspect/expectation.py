@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import RecipeError
-from anisoscope.predicting import prepare_relief
+from anisoscope.errors import HeightMapError, RecipeError
+from anisoscope.predicting import AXIS_TOLERANCE_DEG, prepare_relief
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.load import read_height_map
 from anisoscope.recipe import Recipe
@@ -125,7 +125,12 @@ def _models(recipe: Recipe) -> tuple[Model, Model, HeightMap | None, str]:
     surface = read_height_map(
         recipe.surface.height_map, pixel_um=recipe.surface.pixel_um, role=recipe.surface.role
     )
-    relief, _ = prepare_relief(surface, recipe.surface.pitch_um)
+    relief, period = prepare_relief(surface, recipe.surface.pitch_um)
+    if abs(period.direction_deg) > AXIS_TOLERANCE_DEG:
+        raise HeightMapError(
+            f"{recipe.surface.height_map}: the ridges run {period.direction_deg:+.1f}° from the map's y axis (limit "
+            f"{AXIS_TOLERANCE_DEG:g}°): turn the part on the profilometer and measure again, or turn the map there"
+        )
     return _relief_model(relief), _relief_model(_best_band(relief)), relief.surface, "relief"
 
 

@@ -277,7 +277,8 @@ def _view(setup: _Setup, frame: Frame, image: RadianceImage) -> View:
 def _place(setup: _Setup, image: RadianceImage) -> Placement:
     """Where the fixture stands; a saturated pixel has no value, but it is surely bright."""
     brightest = image.value.max(initial=0.0, where=image.usable)
-    return locate(np.where(image.saturated, brightest, image.value), _fixture(setup.rig, setup.rig_path))
+    picture = np.where(image.saturated, brightest, image.value)
+    return locate(picture, _fixture(setup.rig, setup.rig_path), setup.rig.geometry.tilt_deg)
 
 
 def _results(setup: _Setup, views: list[View], measured: Measured, decision: Decision) -> dict[str, Any]:

@@ -122,6 +122,11 @@ def predict_height_map(
     if period.is_periodic:
         notes["pitch_um"] = period.pitch_um
         notes["ridge_direction_deg"] = period.direction_deg
+        if abs(period.direction_deg) > AXIS_TOLERANCE_DEG:
+            notes["warning"] = (
+                f"the ridges run {period.direction_deg:+.1f}° from the map's y axis: alpha along and across are taken "
+                "along y and x of the map"
+            )
     else:
         notes["warning"] = (
             "no ridges found (at least four are needed): the mean runs over the whole map"

@@ -139,12 +139,16 @@ def _side(image: Image, start: FloatArray, end: FloatArray, modules: int) -> tup
     return middle, np.asarray(np.linalg.svd(edge - middle)[2][0], dtype=np.float64)
 
 
-def locate(image: Image, fixture: Fixture) -> Placement:
+def locate(image: Image, fixture: Fixture, tilt_deg: float = 0.0) -> Placement:
     """Find the fixture in a picture and fit a similarity: rotation, scale, shift.
+
+    A tilted camera sees the plate foreshortened along the rows of the picture's height by cos(tilt); this is
+    taken out before the fit (parallel projection, as through a telecentric or a long working-distance lens).
 
     Args:
         image: (rows, cols) linear picture.
         fixture: the markers and where they stand.
+        tilt_deg: tilt of the camera about the picture's horizontal axis.
 
     Raises:
         RegistrationError: fewer than three of the fixture's markers are seen.
@@ -159,23 +163,24 @@ def locate(image: Image, fixture: Fixture) -> Placement:
         )
     points = np.concatenate([known[i] for i, _ in found])
     pixels = np.concatenate([c for _, c in found])
-    return _fit(points, pixels, len(found))
+    return _fit(points, pixels, len(found), float(np.cos(np.radians(tilt_deg))))
 
 
-def _fit(points_mm: FloatArray, pixels: FloatArray, markers: int) -> Placement:
-    """Least-squares similarity; rows run down, so y is mirrored first."""
+def _fit(points_mm: FloatArray, pixels: FloatArray, markers: int, squeeze: float) -> Placement:
+    """Least-squares similarity after stretching rows by 1/squeeze; rows run down, so y is mirrored first."""
     source = points_mm[:, 0] - 1j * points_mm[:, 1]
-    target = pixels[:, 0] + 1j * pixels[:, 1]
+    target = pixels[:, 0] + 1j * pixels[:, 1] / squeeze
     centred = source - source.mean()
     factor = np.vdot(centred, target - target.mean()) / np.vdot(centred, centred)
     shift = target.mean() - factor * source.mean()
     residual = float(np.sqrt(np.mean(np.abs(factor * source + shift - target) ** 2)))
     matrix = np.array([[factor.real, factor.imag, shift.real], [factor.imag, -factor.real, shift.imag]])
+    matrix[1] *= squeeze
     return Placement(
         matrix,
         float(-np.degrees(np.angle(factor)) % 360.0),
         float(1000.0 / abs(factor)),
-        (float(shift.real), float(shift.imag)),
+        (float(shift.real), float(shift.imag * squeeze)),
         residual,
         markers,
     )

@@ -16,7 +16,7 @@ _KIND = "anisoscope white reference"
 
 
 def make_reference(
-    flat: Stack, dark: Stack, *, reflectance: float, light_angle_deg: float, camera: str, full_scale: int
+    flat: Stack, dark: Stack, *, reflectance: float, light_cosine: float, camera: str, full_scale: int
 ) -> dict[str, Any]:
     """Signal and metadata of a white reference from flat and dark frames.
 
@@ -24,7 +24,7 @@ def make_reference(
         flat: frames of the white tile, light on.
         dark: frames with the light off, taken alike.
         reflectance: reflectance of the tile, 0 to 1.
-        light_angle_deg: angle between light and camera.
+        light_cosine: cosine of the angle between the light and the normal of the tile.
         camera: serial number of the camera.
         full_scale: largest count of the camera.
 
@@ -50,9 +50,9 @@ def make_reference(
             "kind": _KIND,
             "schema": 1,
             "unit": "counts per second at gain 1, dark subtracted",
-            "radiance": reflectance * float(np.cos(np.radians(light_angle_deg))) / float(np.pi),
+            "radiance": reflectance * light_cosine / float(np.pi),
+            "light_cosine": light_cosine,
             "reflectance": reflectance,
-            "light_angle_deg": light_angle_deg,
             "camera": camera,
             "frames": flat.frames,
             "exposure_s": flat.exposure_s,

@@ -68,7 +68,8 @@ class Bench:
 
     def _render(self, angle_deg: float) -> FloatArray:
         file = self.file
-        cos_light = np.cos(np.radians(file.geometry.light_angle_deg))
+        convention = Convention(light_angle_deg=file.geometry.light_angle_deg)
+        cos_light = directions((Pose(angle_deg, file.geometry.tilt_deg),), convention)[0][0, 2]
         shade = vignette(file.optics, file.sensor)
         if file.sample.kind == "white-tile":
             image = np.full(shade.shape, file.sample.reflectance / np.pi * cos_light)
@@ -82,13 +83,13 @@ class Bench:
                 file.optics,
                 file.sensor,
                 angle_deg,
+                file.geometry.tilt_deg,
             )
             image = picture.astype(np.float64)
             if file.fixture is not None:
-                around = (
-                    image_of_fixture(file.fixture, file.optics, file.sensor, angle_deg) / np.pi * cos_light
-                )
-                image = image + (1.0 - cover) * around
+                tilt = file.geometry.tilt_deg
+                around = image_of_fixture(file.fixture, file.optics, file.sensor, angle_deg, tilt)
+                image = image + (1.0 - cover) * around / np.pi * cos_light
         return np.asarray((image + file.optics.stray_radiance) * shade, dtype=np.float64)
 
     def _radiance_of_sample(self, surface: Relief, angle_deg: float) -> npt.NDArray[np.float32]:

@@ -17,14 +17,20 @@ _PLATE = 0.04
 _DOTS_PER_MODULE = 48
 
 
-def pixel_from_mm(part: OpticsPart, sensor: SensorPart, angle_deg: float) -> FloatArray:
-    """(2, 3) affine map from sample millimetres (x right, y up) to pixels (column, row), pixel centres integer."""
+def pixel_from_mm(
+    part: OpticsPart, sensor: SensorPart, angle_deg: float, tilt_deg: float = 0.0
+) -> FloatArray:
+    """(2, 3) affine map from sample millimetres (x right, y up) to pixels (column, row), pixel centres integer.
+
+    A camera tilted about the picture's horizontal axis sees the plate foreshortened by cos(tilt).
+    """
     turn = np.radians(angle_deg)
     scale = 1000.0 / part.pixel_um
     column = (sensor.cols - 1) / 2 + part.axis_px[0]
     row = (sensor.rows - 1) / 2 + part.axis_px[1]
     cos, sin = scale * np.cos(turn), scale * np.sin(turn)
-    return np.array([[cos, -sin, column], [-sin, -cos, row]])
+    squeeze = np.cos(np.radians(tilt_deg))
+    return np.array([[cos, -sin, column], [-squeeze * sin, -squeeze * cos, row]])
 
 
 def vignette(part: OpticsPart, sensor: SensorPart) -> Image:
@@ -43,7 +49,12 @@ def _blurred(image: Image, sigma_px: tuple[float, float]) -> Image:
 
 
 def image_of_surface(
-    radiance: Image, pixel_um: tuple[float, float], part: OpticsPart, sensor: SensorPart, angle_deg: float
+    radiance: Image,
+    pixel_um: tuple[float, float],
+    part: OpticsPart,
+    sensor: SensorPart,
+    angle_deg: float,
+    tilt_deg: float = 0.0,
 ) -> tuple[Image, Image]:
     """Image of the sample on the sensor.
 
@@ -53,6 +64,7 @@ def image_of_surface(
         part: the optics.
         sensor: the sensor.
         angle_deg: true angle of the sample.
+        tilt_deg: tilt of the camera.
 
     Returns:
         The image, and the share of each pixel that the sample covers.
@@ -73,14 +85,16 @@ def image_of_surface(
             [0, 0, 1],
         ]
     )
-    matrix = pixel_from_mm(part, sensor, angle_deg) @ index_to_mm
+    matrix = pixel_from_mm(part, sensor, angle_deg, tilt_deg) @ index_to_mm
     size = (sensor.cols, sensor.rows)
     image = cv2.warpAffine(shown, matrix, size, flags=cv2.INTER_LINEAR)
     cover = cv2.warpAffine(np.ones_like(shown), matrix, size, flags=cv2.INTER_LINEAR)
     return np.asarray(image, dtype=np.float32), np.asarray(cover, dtype=np.float32)
 
 
-def image_of_fixture(fixture: Fixture, part: OpticsPart, sensor: SensorPart, angle_deg: float) -> Image:
+def image_of_fixture(
+    fixture: Fixture, part: OpticsPart, sensor: SensorPart, angle_deg: float, tilt_deg: float = 0.0
+) -> Image:
     """Reflectance of the holder around the sample: a dark plate with white labels that carry the markers.
 
     Raises:
@@ -94,7 +108,7 @@ def image_of_fixture(fixture: Fixture, part: OpticsPart, sensor: SensorPart, ang
     dot_mm = fixture.marker_mm / modules / _DOTS_PER_MODULE
     sigma = np.sqrt(part.blur_um**2 + part.pixel_um**2 / 12.0) / (1000.0 * dot_mm)
     margin = int(4 * sigma) + 1
-    to_pixel = pixel_from_mm(part, sensor, angle_deg)
+    to_pixel = pixel_from_mm(part, sensor, angle_deg, tilt_deg)
     for marker in fixture.markers:
         if marker.id >= len(dictionary.bytesList):
             raise RigFileError(f"fixture.markers: {fixture.dictionary} holds no marker {marker.id}")

@@ -231,10 +231,16 @@ def test_noise_of_cells_near_the_limit_makes_the_area_uncertain(make_recipe, rng
     cells = TABLE[:, None, None] * np.exp(0.1 * rng.standard_normal((3, 40, 40)))
     calm, noisy = (
         decide(expected(), measured(TABLE, [OWN], cells, cell_noise=noise), make_recipe()).area
-        for noise in (0.0, 0.1)
+        for noise in (0.0, 0.05)
     )
     assert calm.share == noisy.share
     assert noisy.u > 3 * calm.u
+
+
+def test_cells_too_noisy_to_tell_anything_are_invalid(make_recipe):
+    cells = TABLE[:, None, None] * np.ones((3, 40, 40))
+    with pytest.raises(MeasurementError, match="frames_per_pose"):
+        decide(expected(), measured(TABLE, [OWN], cells, cell_noise=0.1), make_recipe())
 
 
 @pytest.mark.parametrize(("verdict", "code"), [(PASS, 0), (FAIL, 1), (UNDECIDED, 2), (Verdict.INVALID, 3)])

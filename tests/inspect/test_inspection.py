@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from anisoscope import inspection
+from anisoscope.calibration import take_flat
 from anisoscope.errors import (
     CalibrationError,
     NotConnected,
@@ -340,3 +341,31 @@ def test_no_process_outlives_a_failed_inspection(virtual_rig, reference_map, mon
     assert len(started) == 1
     assert started[0].poll() is not None
     assert time.monotonic() - begin < 10
+
+
+@pytest.mark.parametrize("tilt", [-15.0, 15.0])
+def test_a_tilted_arm_sees_the_part_foreshortened_and_judges_it_all_the_same(virtual_rig, tmp_path, tilt):
+    geometry = {"tilt_deg": tilt}
+    tile = virtual_rig(
+        "tile", rig={"geometry": geometry}, bench={"geometry": geometry, "sample": {"kind": "white-tile"}}
+    )
+    take_flat(tile.rig, tmp_path / "flat.tif", exposure_s=0.0015, frames=4)
+    rig = {"geometry": geometry, "calibration": {"flat": str(tmp_path / "flat.tif")}}
+    recipe = {
+        "poses": {"tilts_deg": [tilt]},
+        "region": {"size_mm": [0.9, 0.9]},
+        "material": {"u_alpha_share": 0.01},
+    }
+    part = virtual_rig("part", rig=rig, bench={"geometry": geometry}, recipe=recipe)
+    record = part.inspect().record
+    assert record.verdict == "PASS", record.reasons
+    assert all(pose.residual_px < 0.1 for pose in record.poses)
+    for pose in record.poses:
+        assert pose.measured == pytest.approx(pose.predicted, rel=0.02)
+    upright = virtual_rig("upright", bench={"geometry": geometry}, recipe=merged_poses(recipe))
+    assert upright.inspect().record.verdict == "INVALID"
+
+
+def merged_poses(recipe):
+    """The same recipe for an arm that the rig file takes for upright."""
+    return {**recipe, "poses": {"tilts_deg": [0.0]}}
