@@ -19,7 +19,7 @@ def level(counts, *, saturated=0, exposure_s=0.5, gain=2.0):
 
 
 def make(flat, dark=None, **options):
-    defaults = {"reflectance": 0.9, "light_cosine": float(np.cos(np.radians(20.0))), "camera": "CAM-7", "full_scale": 4095}
+    defaults = {"reflectance": 0.9, "light_cosine": 0.94, "camera": "CAM-7", "full_scale": 4095}
     return make_reference(flat, dark or level(64.0), **(defaults | options))
 
 
