@@ -5,35 +5,20 @@ JCGM 106:2012, §7.
 """
 
 from dataclasses import dataclass
-from enum import StrEnum
 
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.area import AreaResult, judge_area
 from anisoscope.errors import MeasurementError
 from anisoscope.expectation import Component, Expectation
 from anisoscope.measurement import Measured
-from anisoscope.recipe import AreaPart, ContrastKind, DecisionPart, Recipe
+from anisoscope.recipe import ContrastKind, DecisionPart, Recipe
 from anisoscope.sim.light.contrasts import Contrast, consecutive_pairs, contrasts
 from anisoscope.sim.light.geometry import Pose
-
-MAX_CELL_NOISE = 0.25
+from anisoscope.verdict import Verdict
 
 FloatArray = npt.NDArray[np.float64]
-
-
-class Verdict(StrEnum):
-    """What is said of a part."""
-
-    PASS = "PASS"
-    FAIL = "FAIL"
-    INCONCLUSIVE = "INCONCLUSIVE"
-    INVALID = "INVALID"
-
-    @property
-    def exit_code(self) -> int:
-        """Exit code of ``anisoscope inspect``."""
-        return {"PASS": 0, "FAIL": 1, "INCONCLUSIVE": 2, "INVALID": 3}[self.value]
 
 
 @dataclass(frozen=True)
@@ -68,25 +53,6 @@ class PairResult:
     def deviation(self) -> float:
         """Measured − predicted."""
         return self.measured - self.predicted
-
-
-@dataclass(frozen=True)
-class AreaResult:
-    """The contrast map judged: share of deviating cells.
-
-    Attributes:
-        share: share of the cells that deviate.
-        u: its standard uncertainty.
-        max_share: limit.
-        cells: how many cells there are.
-        verdict: of the area alone.
-    """
-
-    share: float
-    u: float
-    max_share: float
-    cells: int
-    verdict: Verdict
 
 
 @dataclass(frozen=True)
@@ -173,7 +139,7 @@ def decide(expected: Expectation, measured: Measured, recipe: Recipe) -> Decisio
     d2, dof = mahalanobis(deviation, covariance)
     p_value = float(chi2.sf(d2, dof))
     pairs = _judge_pairs(found, predicted, deviation, u, recipe)
-    area, deviating = _judge_area(measured, expected.poses, recipe.area, rule.coverage)
+    area, deviating = judge_area(measured, expected.poses, recipe.area, rule.coverage)
     verdict, reasons = _combine(pairs, p_value, area, rule)
     return Decision(
         verdict, reasons, pairs, d2, dof, p_value, area, _budget(components, variances), deviating
@@ -251,42 +217,6 @@ def _judge_pairs(
             )
         )
     return tuple(results)
-
-
-def cell_log_ratios(measured: Measured, poses: tuple[Pose, ...]) -> FloatArray:
-    """(pairs, cell rows, cell cols) ln ratio of every cell for consecutive stage angles."""
-    safe = np.maximum(measured.cells, 1e-6)
-    return np.stack([np.log(safe[i] / safe[j]) for i, j in consecutive_pairs(poses)])
-
-
-def _judge_area(
-    measured: Measured, poses: tuple[Pose, ...], rule: AreaPart | None, coverage: float
-) -> tuple[AreaResult | None, npt.NDArray[np.bool_] | None]:
-    if rule is None:
-        return None, None
-    ratios = cell_log_ratios(measured, poses)
-    # each line of cells runs along one flank of one ridge, so its median is what that flank should show
-    off = np.abs(ratios - np.median(ratios, axis=1, keepdims=True)).max(axis=0)
-    noise = float(
-        max(np.hypot(measured.cell_noise[i], measured.cell_noise[j]) for i, j in consecutive_pairs(poses))
-    )
-    if noise > MAX_CELL_NOISE * rule.cell_deviation:
-        raise MeasurementError(
-            f"the ln ratio of a cell is uncertain by {noise:.3f}, too much to tell deviations of "
-            f"{rule.cell_deviation:g} (limit {MAX_CELL_NOISE * rule.cell_deviation:.3f}): "
-            "take more frames_per_pose or a longer exposure_s"
-        )
-    share, at_low, at_high = (
-        float(np.mean(off > rule.cell_deviation + shift)) for shift in (0.0, -noise, noise)
-    )
-    u = float(np.hypot(0.5 * (at_low - at_high), 0.5 / off.size))
-    guard = coverage * u
-    verdict = Verdict.INCONCLUSIVE
-    if share <= rule.max_share - guard:
-        verdict = Verdict.PASS
-    elif share >= rule.max_share + guard:
-        verdict = Verdict.FAIL
-    return AreaResult(share, u, rule.max_share, off.size, verdict), off > rule.cell_deviation
 
 
 def _combine(

@@ -3,39 +3,32 @@
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from anisoscope.errors import ModelError, RecipeError
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light.geometry import Pose, pose_grid
 from anisoscope.sim.light.material import Material
-from anisoscope.tomlfile import read_toml_model
+from anisoscope.tomlfile import LocalPath, NotNegative, Part, Positive, Share, read_toml_model
 
 ContrastKind = Literal["log_ratio", "michelson", "difference"]
-Share = Annotated[float, Field(ge=0.0, le=1.0)]
-Positive = Annotated[float, Field(gt=0.0)]
-NotNegative = Annotated[float, Field(ge=0.0)]
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class DesignPart(_Part):
+class DesignPart(Part):
     """Ideal ridges."""
 
     ridge_angle_deg: Annotated[float, Field(ge=0.0, lt=45.0)]
     wall: Literal["perpendicular", "vertical"] = "perpendicular"
 
 
-class SurfacePart(_Part):
+class SurfacePart(Part):
     """What the part is compared with: a measured height map, or an ideal design.
 
     ``pitch_um`` is needed in both cases: the contrast map is evaluated over whole pitches.
     """
 
     pitch_um: Positive
-    height_map: Path | None = None
+    height_map: LocalPath | None = None
     pixel_um: tuple[Positive, Positive] | None = None
     role: Literal["part", "tool"] = "part"
     design: DesignPart | None = None
@@ -54,7 +47,7 @@ class SurfacePart(_Part):
         )
 
 
-class MaterialPart(_Part):
+class MaterialPart(Part):
     """The plastic, with standard uncertainties: relative for the roughness, absolute for the rest."""
 
     alpha_along: Positive
@@ -73,7 +66,7 @@ class MaterialPart(_Part):
         )
 
 
-class PosesPart(_Part):
+class PosesPart(Part):
     """Stage angles in the order in which they are photographed, and tilts, in degrees."""
 
     angles_deg: Annotated[tuple[float, ...], Field(min_length=2)] = (0.0, 90.0, 180.0)
@@ -92,7 +85,7 @@ class PosesPart(_Part):
         return pose_grid(self.angles_deg, self.tilts_deg)
 
 
-class AcquisitionPart(_Part):
+class AcquisitionPart(Part):
     """Exposure and repetition."""
 
     exposure_s: Positive
@@ -102,7 +95,7 @@ class AcquisitionPart(_Part):
     settle_s: NotNegative = 0.1
 
 
-class RegionPart(_Part):
+class RegionPart(Part):
     """The rectangle of the part that is judged, in mm.
 
     ``center_mm`` is (x, y) from the rotation axis at stage angle 0, ``size_mm`` (across the ridges, along them).
@@ -112,7 +105,7 @@ class RegionPart(_Part):
     size_mm: tuple[Positive, Positive]
 
 
-class DecisionPart(_Part):
+class DecisionPart(Part):
     """How contrasts are judged.
 
     ``tolerance`` is the largest deviation |measured − predicted| of a good part, one number for all pairs or
@@ -127,7 +120,7 @@ class DecisionPart(_Part):
     coverage: Positive = 1.645
 
 
-class AreaPart(_Part):
+class AreaPart(Part):
     """How the contrast map is judged: cells a quarter of a pitch wide, against the median along their flank.
 
     A cell deviates where its ln ratio is off by more than ``cell_deviation``; the part fails where more than
@@ -138,7 +131,7 @@ class AreaPart(_Part):
     max_share: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.03
 
 
-class LimitsPart(_Part):
+class LimitsPart(Part):
     """What makes a measurement INVALID."""
 
     saturated_share: Share = 0.001
@@ -149,7 +142,7 @@ class LimitsPart(_Part):
     min_signal_share: Share = 0.01
 
 
-class RigUncertainty(_Part):
+class RigUncertainty(Part):
     """Standard uncertainties of the rig that one inspection cannot see."""
 
     light_angle_deg: NotNegative = 0.1
@@ -161,7 +154,7 @@ class RigUncertainty(_Part):
     height_map_share: NotNegative = 0.01
 
 
-class Recipe(_Part):
+class Recipe(Part):
     """A recipe, as read from its TOML file."""
 
     schema_version: Annotated[Literal[1], Field(alias="schema")]

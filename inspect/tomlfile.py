@@ -10,7 +10,7 @@ from types import UnionType
 from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 from urllib.parse import quote
 
-from pydantic import BaseModel, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, ValidationInfo
 from pydantic_core import ErrorDetails
 
 from anisoscope.errors import ConfigError, RigFileError
@@ -27,6 +27,24 @@ _TYPE_WORDS: dict[object, str] = {
     list: "a list",
     dict: "a table",
 }
+
+
+def _beside(value: Path, info: ValidationInfo) -> Path:
+    folder = (info.context or {}).get("folder")
+    return value if folder is None else Path(folder) / value
+
+
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+Positive = Annotated[float, Field(gt=0.0)]
+NotNegative = Annotated[float, Field(ge=0.0)]
+LocalPath = Annotated[Path, AfterValidator(_beside)]
+"""A path; a relative one counts from the folder of the file in which it stands."""
+
+
+class Part(BaseModel):
+    """A table of one of our files: frozen, finite numbers, no unknown keys."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 def read_toml_model(
@@ -50,7 +68,8 @@ def read_toml_model(
     data = _load(path, error)
     try:
         filled = _substitute(data, substitutions or {}, ())
-        return model.model_validate_json(json.dumps(filled, default=str), strict=True)
+        text = json.dumps(filled, default=str)
+        return model.model_validate_json(text, strict=True, context={"folder": path.resolve().parent})
     except _UnknownPlaceholder as problem:
         raise error(f"{path}: {problem}") from None
     except ValidationError as problem:

@@ -3,21 +3,16 @@
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from anisoscope.errors import RigFileError
 from anisoscope.rig.fixture import Fixture
-from anisoscope.tomlfile import read_toml_model
+from anisoscope.tomlfile import LocalPath, Part, Positive, read_toml_model
 
-Positive = Annotated[float, Field(gt=0.0)]
 Option = str | int | float | bool
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class StagePart(_Part):
+class StagePart(Part):
     """The rotation stage.
 
     Attributes:
@@ -34,7 +29,7 @@ class StagePart(_Part):
     zero_deg: float = 0.0
     turns: Literal["ccw", "cw"] = "ccw"
     approach_deg: Annotated[float, Field(ge=0.0, le=90.0)] = 2.0
-    options: dict[str, Option] = {}
+    options: dict[str, Option] = Field(default_factory=dict)
 
     def reading_deg(self, angle_deg: float) -> float:
         """Stage reading at which the sample stands at an angle; both in degrees."""
@@ -45,35 +40,35 @@ class StagePart(_Part):
         return reading_deg - self.zero_deg if self.turns == "ccw" else self.zero_deg - reading_deg
 
 
-class CameraPart(_Part):
+class CameraPart(Part):
     """The camera; `pixel_um` is the size of one of its pixels on the sample."""
 
     driver: str
     pixel_um: Positive
-    options: dict[str, Option] = {}
+    options: dict[str, Option] = Field(default_factory=dict)
 
 
-class LightPart(_Part):
+class LightPart(Part):
     """The light; `angle_deg` is the angle between light and camera, seen from the sample."""
 
     driver: str = "manual"
     angle_deg: float = 10.0
-    options: dict[str, Option] = {}
+    options: dict[str, Option] = Field(default_factory=dict)
 
 
-class GeometryPart(_Part):
+class GeometryPart(Part):
     """How the camera arm stands: `tilt_deg` from the normal of the stage, fixed."""
 
     tilt_deg: Annotated[float, Field(gt=-90.0, lt=90.0)] = 0.0
 
 
-class CalibrationPart(_Part):
+class CalibrationPart(Part):
     """Where the white reference is: the file that ``calibrate flat`` wrote."""
 
-    flat: Path
+    flat: LocalPath
 
 
-class RigFile(_Part):
+class RigFile(Part):
     """A rig, as its file describes it."""
 
     schema_version: Annotated[Literal[1], Field(alias="schema")]

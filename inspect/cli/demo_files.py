@@ -78,7 +78,7 @@ def _recipe() -> dict[str, Any]:
     return {
         "schema": 1,
         "product": "ridged demo plate, pitch 100 µm, ridge angle 10°",
-        "surface": {"height_map": "${here}/reference.x3p", "pitch_um": PITCH_UM},
+        "surface": {"height_map": "reference.x3p", "pitch_um": PITCH_UM},
         "material": {**LOBE, "u_alpha_share": 0.03, "u_albedo": 0.006, "u_index": 0.005},
         "poses": {"angles_deg": [0.0, 90.0, 180.0]},
         "acquisition": {"exposure_s": 0.006, "frames_per_pose": 4, "dark_frames": 8, "settle_s": 0.0},
@@ -133,5 +133,5 @@ def _rig(name: str) -> dict[str, Any]:
         "fixture": FIXTURE,
     }
     if name != "white-tile":
-        found["calibration"] = {"flat": "${here}/../../flat.tif"}
+        found["calibration"] = {"flat": "../../flat.tif"}
     return found

@@ -25,8 +25,8 @@ def inspect(
 
     Exit codes: 0 PASS, 1 FAIL, 2 INCONCLUSIVE, 3 INVALID, 64 and above usage or hardware.
     """
-    from anisoscope.decision import Verdict
     from anisoscope.inspection import inspect_part
+    from anisoscope.verdict import Verdict
 
     with progress(serial, quiet=json_) as advance:
         inspected = inspect_part(recipe, rig, serial, out, on_progress=advance)

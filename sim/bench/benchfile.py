@@ -3,23 +3,15 @@
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from anisoscope.errors import RigFileError, UsageError
 from anisoscope.rig.fixture import Fixture
 from anisoscope.sim.bench.faults import Fault
-from anisoscope.tomlfile import read_toml_model
-
-Share = Annotated[float, Field(ge=0.0, le=1.0)]
-Positive = Annotated[float, Field(gt=0.0)]
-NotNegative = Annotated[float, Field(ge=0.0)]
+from anisoscope.tomlfile import LocalPath, NotNegative, Part, Positive, Share, read_toml_model
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class MaterialPart(_Part):
+class MaterialPart(Part):
     """The plastic of the sample; roughness is what the height map does not hold."""
 
     alpha_along: Positive = 0.06
@@ -28,14 +20,14 @@ class MaterialPart(_Part):
     index: Annotated[float, Field(gt=1.0, le=4.0)] = 1.5
 
 
-class SamplePart(_Part):
+class SamplePart(Part):
     """The sample: made ridges, a height map from a file, or a white tile.
 
     ``ridges`` are made from the fields below; ``height-map`` reads ``file`` and repeats it over the sample.
     """
 
     kind: Literal["ridges", "height-map", "white-tile"] = "ridges"
-    file: Path | None = None
+    file: LocalPath | None = None
     size_mm: Positive = 2.4
     pitch_um: Positive = 100.0
     ridge_angle_deg: Annotated[float, Field(ge=0.0, lt=45.0)] = 10.0
@@ -53,7 +45,7 @@ class SamplePart(_Part):
         return self
 
 
-class SensorPart(_Part):
+class SensorPart(Part):
     """The sensor in the terms of EMVA 1288.
 
     Units: electrons for wells and noise, electrons per second for the dark current, electrons per count for
@@ -73,7 +65,7 @@ class SensorPart(_Part):
     hot_pixel_share: Share = 1e-5
 
 
-class OpticsPart(_Part):
+class OpticsPart(Part):
     """Lens and light: blur, vignetting, and how far the axis is off the picture's centre.
 
     ``electrons`` is what one second of exposure at unit gain collects per pixel from a radiance of 1/sr.
@@ -90,7 +82,7 @@ class OpticsPart(_Part):
     lens_cap: bool = False
 
 
-class StagePart(_Part):
+class StagePart(Part):
     """The stage under the sample.
 
     ``zero_deg`` is its reading where the sample truly stands at 0°, ``turns`` the sense in which a growing
@@ -115,14 +107,14 @@ class StagePart(_Part):
         return faults
 
 
-class GeometryPart(_Part):
+class GeometryPart(Part):
     """Where camera and light truly stand."""
 
     light_angle_deg: float = 10.0
     tilt_deg: float = 0.0
 
 
-class BenchFile(_Part):
+class BenchFile(Part):
     """A virtual rig: sample, sensor, optics, stage, fixture, and the seed of everything random."""
 
     schema_version: Annotated[Literal[1], Field(alias="schema")]

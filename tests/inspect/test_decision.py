@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from anisoscope.decision import Verdict, contrast_gradient, decide, guarded, mahalanobis
+from anisoscope.decision import contrast_gradient, decide, guarded, mahalanobis
 from anisoscope.errors import MeasurementError
 from anisoscope.expectation import Component, Expectation
 from anisoscope.measurement import Measured
 from anisoscope.registration import Grid
 from anisoscope.sim.light.contrasts import contrasts
 from anisoscope.sim.light.geometry import Convention, pose_grid
+from anisoscope.verdict import Verdict
 
 KINDS = ("log_ratio", "michelson", "difference")
 TABLE = np.array([0.30, 0.05, 0.04])

@@ -18,6 +18,7 @@ from anisoscope.errors import (
     Stalled,
     UsageError,
 )
+from anisoscope.job import check_serial
 from anisoscope.linear import linearise, stack
 from anisoscope.measurement import region_grid
 from anisoscope.profiles.heightmap import HeightMap
@@ -280,7 +281,7 @@ def test_serials_that_cannot_name_a_folder_are_refused_before_anything_is_touche
 
 @pytest.mark.parametrize("serial", ["7", "x" * 64, "Lot 3 #12", "a..b", "A+b_c-d.e"])
 def test_serials_with_which_a_folder_can_be_named(serial):
-    assert inspection.check_serial(serial) == serial
+    assert check_serial(serial) == serial
 
 
 def test_two_inspections_in_one_second_have_two_folders(virtual_rig, monkeypatch):

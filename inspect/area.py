@@ -1,0 +1,80 @@
+"""The contrast map judged: which cells deviate from their flank, and whether that is too much of the area."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.errors import MeasurementError
+from anisoscope.measurement import Measured
+from anisoscope.recipe import AreaPart
+from anisoscope.sim.light.contrasts import consecutive_pairs
+from anisoscope.sim.light.geometry import Pose
+from anisoscope.verdict import Verdict
+
+FloatArray = npt.NDArray[np.float64]
+
+MAX_CELL_NOISE = 0.25
+
+
+@dataclass(frozen=True)
+class AreaResult:
+    """The contrast map judged: share of deviating cells.
+
+    Attributes:
+        share: share of the cells that deviate.
+        u: its standard uncertainty.
+        max_share: limit.
+        cells: how many cells there are.
+        verdict: of the area alone.
+    """
+
+    share: float
+    u: float
+    max_share: float
+    cells: int
+    verdict: Verdict
+
+
+def cell_log_ratios(measured: Measured, poses: tuple[Pose, ...]) -> FloatArray:
+    """(pairs, cell rows, cell cols) ln ratio of every cell for consecutive stage angles."""
+    safe = np.maximum(measured.cells, 1e-6)
+    return np.stack([np.log(safe[i] / safe[j]) for i, j in consecutive_pairs(poses)])
+
+
+def judge_area(
+    measured: Measured, poses: tuple[Pose, ...], rule: AreaPart | None, coverage: float
+) -> tuple[AreaResult | None, npt.NDArray[np.bool_] | None]:
+    """Judge the contrast map of a part.
+
+    Returns:
+        The result and (cell rows, cell cols) where cells deviate; None and None without a rule.
+
+    Raises:
+        MeasurementError: the cells are too noisy to tell.
+    """
+    if rule is None:
+        return None, None
+    ratios = cell_log_ratios(measured, poses)
+    # each line of cells runs along one flank of one ridge, so its median is what that flank should show
+    off = np.abs(ratios - np.median(ratios, axis=1, keepdims=True)).max(axis=0)
+    noise = float(
+        max(np.hypot(measured.cell_noise[i], measured.cell_noise[j]) for i, j in consecutive_pairs(poses))
+    )
+    if noise > MAX_CELL_NOISE * rule.cell_deviation:
+        raise MeasurementError(
+            f"the ln ratio of a cell is uncertain by {noise:.3f}, too much to tell deviations of "
+            f"{rule.cell_deviation:g} (limit {MAX_CELL_NOISE * rule.cell_deviation:.3f}): "
+            "take more frames_per_pose or a longer exposure_s"
+        )
+    share, at_low, at_high = (
+        float(np.mean(off > rule.cell_deviation + shift)) for shift in (0.0, -noise, noise)
+    )
+    u = float(np.hypot(0.5 * (at_low - at_high), 0.5 / off.size))
+    guard = coverage * u
+    verdict = Verdict.INCONCLUSIVE
+    if share <= rule.max_share - guard:
+        verdict = Verdict.PASS
+    elif share >= rule.max_share + guard:
+        verdict = Verdict.FAIL
+    return AreaResult(share, u, rule.max_share, off.size, verdict), off > rule.cell_deviation
