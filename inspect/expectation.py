@@ -107,7 +107,9 @@ def expectation(recipe: Recipe, light_angle_deg: float) -> Expectation:
         )
     components, per_degree = _sensitivities(recipe, sampled, nominal, poses, convention)
     if surface is not None:
-        share = np.full(len(poses), recipe.uncertainty.height_map_share)
+        # about one pixel of facet is lost a pitch where a wall is narrower than a pixel; a rectangular bound
+        pixel = surface.pixel_x_um / recipe.surface.pitch_um / np.sqrt(3.0)
+        share = np.full(len(poses), np.hypot(recipe.uncertainty.height_map_share, pixel))
         components.append(Component("height map (noise, pixel size)", "prediction", share, shared=False))
     return Expectation(name, poses, radiance, tuple(components), per_degree, surface, convention)
 

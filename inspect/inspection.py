@@ -17,7 +17,7 @@ from anisoscope.errors import (
 )
 from anisoscope.job import Job, make_folder, prepare, remove_if_empty
 from anisoscope.linear import RadianceImage, check_size, linearise, stack
-from anisoscope.measurement import View, check_light, measure
+from anisoscope.measurement import View, check_light, drift_complaint, measure
 from anisoscope.progress import Advance, silent
 from anisoscope.record import (
     Record,
@@ -122,6 +122,7 @@ def _judge(job: Job, taken: Taken, folder: Path) -> tuple[Record, Pictures]:
         )
         record = make_record(job, taken, folder, verdict="INVALID", reasons=(str(error),))
         return record, Pictures(raw=shown, surface=job.expected.surface)
+    unfit = drift_complaint(measured, job.recipe)
     pictures = Pictures(
         aligned=measured.aligned,
         size_mm=measured.grid.size_mm,
@@ -133,8 +134,8 @@ def _judge(job: Job, taken: Taken, folder: Path) -> tuple[Record, Pictures]:
         job,
         taken,
         folder,
-        verdict=decision.verdict.value,
-        reasons=decision.reasons,
+        verdict="INVALID" if unfit else decision.verdict.value,
+        reasons=(unfit,) if unfit else decision.reasons,
         **results(job, views, measured, decision),
     )
     return record, pictures

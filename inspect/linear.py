@@ -28,6 +28,7 @@ class Stack:
         saturated: (rows, cols) True where any frame reached full scale.
         exposure_s: exposure of every frame.
         gain: gain of every frame.
+        flicker: standard deviation of one frame's mean over the picture, counts: what all pixels share.
     """
 
     mean: Image
@@ -36,6 +37,7 @@ class Stack:
     saturated: Mask
     exposure_s: float
     gain: float
+    flicker: float = 0.0
 
 
 def stack(frames: Iterable[Frame]) -> Stack:
@@ -63,6 +65,7 @@ def stack(frames: Iterable[Frame]) -> Stack:
         total += counts
         squares += counts**2
         saturated |= frame.counts >= SATURATION_SHARE * frame.full_scale
+    flicker = float(np.std([frame.counts.mean() for frame in frames], ddof=1)) if len(frames) > 1 else 0.0
     mean = total / len(frames)
     spare = max(len(frames) - 1, 1)
     variance = np.maximum(squares - len(frames) * mean**2, 0.0) / spare
@@ -73,6 +76,7 @@ def stack(frames: Iterable[Frame]) -> Stack:
         saturated,
         first.exposure_s,
         first.gain,
+        flicker,
     )
 
 
@@ -106,12 +110,16 @@ class RadianceImage:
         noise: (rows, cols) standard deviation of one pixel of the mean picture; NaN where there is no value.
         saturated: (rows, cols) True where a pixel reached full scale in any frame.
         signal_share: 99th percentile of the dark-corrected signal, as a share of full scale.
+        flicker: relative standard deviation of the light from one frame to the next, common to all pixels.
+        frames: how many frames were averaged.
     """
 
     value: Image
     noise: Image
     saturated: Mask
     signal_share: float
+    flicker: float = 0.0
+    frames: int = 1
 
     @cached_property
     def usable(self) -> Mask:
@@ -169,4 +177,6 @@ def linearise(sample: Stack, dark: Stack, white: WhiteReference, full_scale: int
         np.where(unusable, np.nan, noise).astype(np.float32),
         sample.saturated,
         float(np.percentile(signal[::4, ::4], 99) / full_scale),
+        sample.flicker / max(float(signal.mean()), 1e-9),
+        sample.frames,
     )

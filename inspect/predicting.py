@@ -81,6 +81,8 @@ def prepare_relief(
     Raises:
         HeightMapError: too much of the map is missing, or the ridges found are not those of ``pitch_um``.
     """
+    if pitch_um is not None and not 0.0 < pitch_um < float("inf"):
+        raise HeightMapError(f"the pitch must be a positive number of µm, not {pitch_um:g}")
     period = find_period(surface)
     if pitch_um is not None:
         if not period.is_periodic:

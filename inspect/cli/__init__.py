@@ -29,6 +29,7 @@ _jobs = Group.create_ordered("Jobs")
 app.command("anisoscope.cli.demo:demo", group=_jobs)
 app.command("anisoscope.cli.inspection:inspect", group=_jobs)
 app.command("anisoscope.cli.predict:predict", group=_jobs)
+app.command("anisoscope.cli.experiment:app", name="experiment", group=_jobs)
 _parts = Group.create_ordered("Parts of the job")
 app.command("anisoscope.cli.profile:app", name="profile", group=_parts)
 app.command("anisoscope.cli.calibrate:app", name="calibrate", group=_parts)
@@ -61,7 +62,9 @@ def run(arguments: list[str]) -> int:
     try:
         result = app(arguments, exit_on_error=False, print_error=False)
     except KeyboardInterrupt:
-        return _report("interrupted; the stage is stopped and the light is off", EXIT_INTERRUPTED)
+        return _report(
+            "interrupted; if a rig was open, its stage is stopped and its light is off", EXIT_INTERRUPTED
+        )
     except CycloptsError as error:
         if debug:
             raise

@@ -53,8 +53,8 @@ def print_table(title: str, columns: list[str], rows: list[list[str]], caption: 
 
 @contextmanager
 def progress(label: str, *, quiet: bool = False) -> Iterator[Advance]:
-    """A progress bar on standard error; yields the function that moves it."""
-    if quiet:
+    """A progress bar on standard error, where that is a terminal; yields the function that moves it."""
+    if quiet or not console(stderr=True).is_terminal:
         yield silent
         return
     from rich.markup import escape

@@ -7,6 +7,7 @@ import numpy as np
 import tomli_w
 
 from anisoscope.calibration import take_flat
+from anisoscope.errors import RecordError, UsageError
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
 from anisoscope.profiles.load import write_height_map
 from anisoscope.progress import Advance
@@ -38,9 +39,18 @@ def lay_out(out: Path, seed: int, advance: Advance) -> Path:
 
     Returns:
         The folder, absolute.
+
+    Raises:
+        UsageError: a negative seed.
+        RecordError: the folder cannot be made.
     """
+    if seed < 0:
+        raise UsageError(f"--seed must be 0 or a positive whole number, not {seed}")
     folder = out.resolve()
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RecordError(f"cannot make the folder {out}: {error.strerror}") from error
     rng = np.random.default_rng(seed)
     advance("reference height map", 0, 1)
     _write_reference(folder / "reference.x3p", rng)

@@ -133,8 +133,8 @@ def _as_json(result: "Predicted") -> dict[str, Any]:
 def _print(result: "Predicted") -> None:
     convention = result.convention
     caption = (
-        f"model {result.model}; light {convention.light_angle_deg:g}° from the camera, tilt {convention.tilt_plane} "
-        f"to the light's plane, facets toward {convention.facet_azimuth_deg:g}°, stage turns "
+        f"model {result.model}; light {convention.light_angle_deg:g}° from the camera, tilt plane "
+        f"{convention.tilt_plane}, facets toward {convention.facet_azimuth_deg:g}°, stage turns "
         f"{convention.rotation_sense}; k = {result.k:g}"
     )
     for name, value in result.notes.items():

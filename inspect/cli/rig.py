@@ -62,8 +62,8 @@ def elliptec(
 
     if pty == (tcp is not None):
         raise UsageError("rig sim elliptec: give exactly one of --pty and --tcp PORT")
-    if time_scale < 0.0:
-        raise UsageError("rig sim elliptec: --time-scale must be 0 or more")
+    if not 0.0 <= time_scale < float("inf"):
+        raise UsageError("rig sim elliptec: --time-scale must be a number, 0 or more")
     if len(address) != 1 or address not in "0123456789ABCDEF":
         raise UsageError(f"rig sim elliptec: --address {address}: expected one of 0…9, A…F")
     firmware = ElliptecFirmware(RotaryAxis(time_scale=time_scale), address=address, faults=fault)

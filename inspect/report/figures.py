@@ -140,7 +140,7 @@ def contrast_chart(
     unit: str,
 ) -> str:
     """Deviation of every contrast from its prediction with 95 % intervals, in front of the tolerance zone."""
-    with _figure(6.4, 0.75 + 0.55 * len(labels)) as (figure, axes):
+    with _figure(9.0, 0.75 + 0.5 * len(labels)) as (figure, axes):
         for k in range(len(labels)):
             limit = tolerance[k]
             if limit is not None:
@@ -222,7 +222,7 @@ def height_picture(height_um: FloatArray, pixel_um: tuple[float, float]) -> str:
 
 def profile_chart(x_um: FloatArray, z_um: FloatArray) -> str:
     """One line of the height map across the ridges."""
-    with _figure(6.4, 2.0) as (figure, axes):
+    with _figure(9.0, 2.1) as (figure, axes):
         axes.plot(x_um, z_um, color=BLUE, linewidth=1.1)
         axes.grid()
         axes.set_xlabel("x [µm]")

@@ -24,7 +24,7 @@ KIND_NAMES = {
 UNITS = {"log_ratio": "1", "michelson": "1", "difference": "1/sr"}
 MEANING = {
     "PASS": "The part is as predicted, within the tolerance.",
-    "FAIL": "The part is not as it should be.",
+    "FAIL": "The part deviates too much from what it should be.",
     "INCONCLUSIVE": "The deviation is too close to a limit to decide.",
     "INVALID": "The measurement is unfit to judge the part.",
 }
@@ -74,8 +74,8 @@ def write_report(record: Record, pictures: Pictures, folder: Path, view: Picture
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("anisoscope.report"), autoescape=True, undefined=jinja2.StrictUndefined
     )
-    environment.filters["angle"] = lambda value: f"{(value + 180.0) % 360.0 - 180.0:+.2f}°".replace("-", "−")
-    environment.filters["short"] = lambda value: f"{value:.4f}" if value >= 5e-5 else f"{value:.0e}"
+    environment.filters["angle"] = _angle
+    environment.filters["short"] = lambda value: f"{value:.4f}" if value >= 5e-5 else "< 0.0001"
     environment.filters["signed"] = lambda value, digits=3: f"{value:+.{digits}f}".replace("-", "−")
     page = environment.get_template("inspection.html").render(
         record=record,
@@ -88,6 +88,12 @@ def write_report(record: Record, pictures: Pictures, folder: Path, view: Picture
     path = folder / REPORT_NAME
     write_text_atomically(path, page)
     return path
+
+
+def _angle(value: float) -> str:
+    """A small turn in degrees, signed, without a negative zero."""
+    turn = round((value + 180.0) % 360.0 - 180.0, 2) + 0.0
+    return f"{turn:+.2f}°".replace("-", "−")
 
 
 def _figures(record: Record, pictures: Pictures, view: Picture3D | None) -> dict[str, Any]:

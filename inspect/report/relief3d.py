@@ -105,7 +105,7 @@ def draw(source: Path, target: Path) -> None:
         nan_color="grey",
         scalar_bar_args={
             "color": "black",
-            "n_labels": 5,
+            "n_labels": 3,
             "title_font_size": 26,
             "label_font_size": 22,
             "fmt": "%.1f",

@@ -39,6 +39,8 @@ class Convention:
     def __post_init__(self) -> None:
         if not -90.0 < self.light_angle_deg < 90.0:
             raise ModelError(f"the light angle must lie between -90° and 90°, not {self.light_angle_deg}°")
+        if not np.isfinite(self.facet_azimuth_deg):
+            raise ModelError(f"the facet azimuth must be a number of degrees, not {self.facet_azimuth_deg}")
         if self.tilt_plane not in ("perpendicular", "in-plane"):
             raise ModelError(f"tilt plane is 'perpendicular' or 'in-plane', not {self.tilt_plane!r}")
         if self.rotation_sense not in ("ccw", "cw"):

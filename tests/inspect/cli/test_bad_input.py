@@ -208,3 +208,28 @@ def test_profile_info_in_json(anisoscope, tmp_path):
     assert found["sa_um"] == pytest.approx(np.mean(np.abs(known - known.mean())))
     assert found["sq_um"] == pytest.approx(np.std(known))
     assert found["sz_um"] == pytest.approx(np.ptp(known))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["predict", "--ridge-angle", "10", "--facet-azimuth", "nan"], 64, "azimuth"),
+        (["predict", "MAP", "--pitch", "nan"], 65, "pitch"),
+        (["predict", "MAP", "--pitch", "-5"], 65, "pitch"),
+        (["predict", "--ridge-angle", "10", "--pitch", "inf"], 65, "pitch"),
+        (["demo", "--seed", "-1"], 64, "--seed"),
+        (["demo", "--out", "/proc/nowhere"], 74, "/proc/nowhere"),
+        (["demo", "--out", "FILE"], 74, "cannot make"),
+        (["rig", "sim", "elliptec", "--tcp", "0", "--time-scale", "nan"], 64, "--time-scale"),
+        (["rig", "sim", "elliptec"], 64, "--pty"),
+    ],
+)
+def test_numbers_that_are_none(anisoscope, tmp_path, arguments, code, words):
+    (tmp_path / "file").write_text("")
+    write_height_map(
+        HeightMap(np.random.default_rng(1).normal(size=(40, 50)), 1.0, 1.0), tmp_path / "map.x3p"
+    )
+    places = {"MAP": str(tmp_path / "map.x3p"), "FILE": str(tmp_path / "file")}
+    done = anisoscope(*[places.get(argument, argument) for argument in arguments])
+    assert_one_line(done, code, words)
+    assert done.err.count("\n") == 1

@@ -1,0 +1,75 @@
+"""The relief predictor against the same computation in plain numpy, in one run: `make benchmark` prints the ratio."""
+
+import time
+
+import numpy as np
+import pytest
+
+from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.sim.light.geometry import Convention, directions, pose_grid
+from anisoscope.sim.light.material import Material, diffuse_scale, fresnel, smith_lambda, transmittance
+from anisoscope.sim.light.relief import Relief, radiance
+
+pytestmark = pytest.mark.benchmark
+REPEATS = 3
+
+
+def plain_shares(z, pixel, tangent):
+    """Running horizon along x for light from +x, column by column, rows at once."""
+    middle = 0.5 * (z[1:] + z[:-1])
+    s = np.arange(z.shape[1]) * pixel - tangent * middle
+    limit = np.minimum.accumulate(s[:, ::-1], axis=1)[:, ::-1][:, 1:]
+    length = s[:, 1:] - s[:, :-1]
+    share = np.clip((limit - s[:, :-1]) / np.where(length > 0, length, 1.0), 0.0, 1.0)
+    return np.where(length > 0, share, 0.0)
+
+
+def plain_radiance(z, pixel, light, camera, material):
+    """One pose at stage angle 0 or 180, tilt 0: all facets, in numpy."""
+    flip = light[0] < 0
+    if flip:
+        z, light, camera = z[:, ::-1], light * [-1, 1, 1], camera * [-1, 1, 1]
+    gx = 0.5 * (z[:-1, 1:] - z[:-1, :-1] + z[1:, 1:] - z[1:, :-1]) / pixel
+    gy = 0.5 * (z[1:, :-1] - z[:-1, :-1] + z[1:, 1:] - z[:-1, 1:]) / pixel
+    size = np.sqrt(1 + gx**2 + gy**2)
+    slant = np.sqrt(1 + gy**2)
+
+    def local(v):
+        across = (slant**2 * v[0] - gx * gy * v[1] + gx * v[2]) / (size * slant)
+        return (v[1] + gy * v[2]) / slant, across, (v[2] - gx * v[0] - gy * v[1]) / size
+
+    half = light + camera
+    half /= np.linalg.norm(half)
+    (hu, hv, hn), (iu, iv, cos_i), (ou, ov, cos_o) = local(half), local(light), local(camera)
+    au, av = material.alpha_along, material.alpha_across
+    front = (cos_i > 0) & (cos_o > 0)
+    ci, co = np.where(front, cos_i, 1.0), np.where(front, cos_o, 1.0)
+    d = np.exp(-((hu / au) ** 2 + (hv / av) ** 2) / hn**2) / (np.pi * au * av * hn**4)
+    shadow = 1 + smith_lambda(np.hypot(au * iu, av * iv) / ci) + smith_lambda(np.hypot(au * ou, av * ov) / co)
+    lobe = fresnel(np.array(light @ half), material.index) * d / (4 * shadow)
+    base = diffuse_scale(material) * transmittance(ci, material) * transmittance(co, material) * ci * co
+    share = plain_shares(z, pixel, light[0] / light[2])
+    return float(np.mean(np.where(front, share * (lobe + base) * size / camera[2], 0.0)))
+
+
+def best(function):
+    times = []
+    for _ in range(REPEATS):
+        start = time.perf_counter()
+        result = function()
+        times.append(time.perf_counter() - start)
+    return result, min(times)
+
+
+def test_relief_against_plain_numpy():
+    surface = ridges(RidgeDesign(100.0, 10.0), (1000, 1000), 1.0)
+    surface = add_facet_roughness(surface, 0.05, 0.05, 6.0, np.random.default_rng(1))
+    relief, material = Relief(surface), Material()
+    to_light, to_camera = directions(pose_grid((0.0, 180.0)), Convention())
+    radiance(relief, to_light, to_camera, material)  # compile
+    ours, fast = best(lambda: radiance(relief, to_light, to_camera, material))
+    poses = list(zip(to_light, to_camera, strict=True))
+    plain, slow = best(lambda: [plain_radiance(surface.height_um, 1.0, i, o, material) for i, o in poses])
+    np.testing.assert_allclose(ours, plain, rtol=1e-3)
+    print(f"\n1000 × 1000 facets, per pose: relief {fast / 2:.3f} s, plain numpy {slow / 2:.3f} s")
+    print(f"ratio {slow / fast:.1f}")
