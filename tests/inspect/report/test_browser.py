@@ -59,6 +59,16 @@ def test_tables_say_what_the_record_says(page, demo):
     assert rows[-1][1] == f"{100 * record['area']['share']:.1f} %"
 
 
+def test_nothing_is_cut_off_on_a_printed_a4_page(page, demo):
+    try:
+        page.call("Emulation.setEmulatedMedia", media="print")
+        page.open(f"file://{demo[2]['report']}", width=688)  # 182 mm of text at 96 dpi
+        wide = "[...document.querySelectorAll('main, .wide, table')].filter(e => e.scrollWidth > e.clientWidth + 1)"
+        assert page.evaluate(f"{wide}.length") == 0
+    finally:
+        page.call("Emulation.setEmulatedMedia", media="")
+
+
 @pytest.mark.parametrize("width", [390, 800, 1600])
 def test_nothing_overflows_sideways(page, demo, width):
     page.open(f"file://{demo[1]['report']}", width=width)
