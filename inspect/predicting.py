@@ -55,12 +55,19 @@ def predict_design(
     poses: tuple[Pose, ...],
     convention: Convention,
     model: Literal["printed", "corrected"] = "corrected",
+    bounces: int | None = 1,
 ) -> Predicted:
-    """Prediction for ideal ridges by the corrected model, or by the published one for fidelity."""
+    """Prediction for ideal ridges by the corrected model, or by the published one for fidelity.
+
+    ``bounces`` is for the corrected model: 1 is direct light, None follows all reflections.
+    """
     to_light, to_camera = directions(poses, convention)
-    compute = corrected.radiance if model == "corrected" else printed.radiance
-    radiance = compute(to_light, to_camera, design, material)
-    return Predicted(model, convention, poses, radiance, contrasts(poses, radiance))
+    if model == "printed":
+        radiance = printed.radiance(to_light, to_camera, design, material)
+        return Predicted(model, convention, poses, radiance, contrasts(poses, radiance))
+    radiance = corrected.radiance(to_light, to_camera, design, material, bounces=bounces)
+    notes: dict[str, Any] = {"bounces": "all" if bounces is None else bounces}
+    return Predicted(model, convention, poses, radiance, contrasts(poses, radiance), notes=notes)
 
 
 def prepare_relief(

@@ -35,7 +35,12 @@ def predict(
     internal_reflection: Annotated[
         Literal["nonlinear", "linear"], Parameter(help="Colour of light sent back inside the plastic.")
     ] = "nonlinear",
-    bounces: Annotated[int, Parameter(help="Reflections followed; only 1 (direct light) so far.")] = 1,
+    bounces: Annotated[
+        int | Literal["all"],
+        Parameter(
+            help="Reflections followed: 1 is direct light; more or 'all' for a design under corrected."
+        ),
+    ] = 1,
     light_angle: Annotated[float, Parameter(help="Angle between light and camera in degrees.")] = 10.0,
     tilt_plane: Annotated[
         Literal["perpendicular", "in-plane"], Parameter(help="Plane in which camera and light tilt.")
@@ -65,7 +70,8 @@ def predict(
     from anisoscope.sim.light.geometry import Convention, pose_grid
     from anisoscope.sim.light.material import Material
 
-    _check_choice(height_map, ridge_angle, model, bounces)
+    _check_choice(height_map, ridge_angle, model)
+    _check_bounces(bounces, height_map, model)
     poses = pose_grid(parse_numbers(angles, "--angles"), parse_numbers(tilts, "--tilts"))
     convention = Convention(light_angle, tilt_plane, facet_azimuth)
     material = Material(alpha_along, alpha_across, albedo, index, internal_reflection)
@@ -81,7 +87,12 @@ def predict(
             pitch_um=100.0 if pitch is None else pitch, ridge_angle_deg=ridge_angle, wall=wall
         )
         result = predict_design(
-            design, material, poses, convention, "printed" if model == "printed" else "corrected"
+            design,
+            material,
+            poses,
+            convention,
+            "printed" if model == "printed" else "corrected",
+            None if bounces == "all" else bounces,
         )
     if json_:
         json.dump(_as_json(result), sys.stdout, indent=2, allow_nan=False)
@@ -91,9 +102,7 @@ def predict(
     return 0
 
 
-def _check_choice(
-    height_map: Path | None, ridge_angle: float | None, model: Model | None, bounces: int
-) -> None:
+def _check_choice(height_map: Path | None, ridge_angle: float | None, model: Model | None) -> None:
     if (height_map is None) == (ridge_angle is None):
         raise UsageError("give either a height map file or --ridge-angle of an ideal design")
     if height_map is not None and model not in (None, "relief"):
@@ -104,9 +113,17 @@ def _check_choice(
         raise UsageError(
             "--model relief needs a height map file; a design is predicted by corrected or printed"
         )
-    if bounces != 1:
+
+
+def _check_bounces(bounces: int | Literal["all"], height_map: Path | None, model: Model | None) -> None:
+    if bounces == 1:
+        return
+    if bounces != "all" and bounces < 1:
+        raise UsageError(f"--bounces must be 1 or more, or all, not {bounces}")
+    if height_map is not None or model == "printed":
+        what = "a height map" if height_map is not None else "--model printed"
         raise UsageError(
-            f"--bounces {bounces} is not available: this version follows direct light only (--bounces 1)"
+            f"--bounces {bounces} needs a design under --model corrected; {what} knows direct light only"
         )
 
 

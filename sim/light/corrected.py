@@ -3,7 +3,8 @@
 One period of the profile is a polyline. In the sheared coordinate s = x − t·z, with t = ω_x/ω_z, a point is
 reached by light from direction ω exactly if no point further toward the light has a smaller s (t > 0), so a
 running extremum of s gives the visible part of every segment without approximation. For ridges with
-perpendicular walls this reduces to the one-sided G1 = 1/((1 + t·tan θr)·cos² θr) where t > tan θr.
+perpendicular walls this reduces to the one-sided G1 = 1/((1 + t·tan θr)·cos² θr) where t > tan θr. Light that
+reflects more than once is the business of `bounces`.
 """
 
 import numpy as np
@@ -67,22 +68,35 @@ def _seen_and_lit(
 
 
 def radiance(
-    to_light: FloatArray, to_camera: FloatArray, design: RidgeDesign, material: Material
+    to_light: FloatArray,
+    to_camera: FloatArray,
+    design: RidgeDesign,
+    material: Material,
+    bounces: int | None = 1,
 ) -> FloatArray:
-    """Radiance [1/sr] of the ridged surface per unit irradiance perpendicular to the beam, direct light.
+    """Radiance [1/sr] of the ridged surface per unit irradiance perpendicular to the beam.
 
-    L = Σ_j A_j V_j f_j cos_i,j cos_o,j / (A_macro · ω_o·n) over the facet, the wall and, with height loss, the
-    plateau; A_j the true area, V_j the share both lit and seen.
+    Direct light: L = Σ_j A_j V_j f_j cos_i,j cos_o,j / (A_macro · ω_o·n) over the facet, the wall and, with
+    height loss, the plateau; A_j the true area, V_j the share both lit and seen.
 
     Args:
         to_light: (P, 3) unit vectors in the sample frame, above the horizon.
         to_camera: (P, 3) unit vectors in the sample frame, above the horizon.
         design: the ridges.
         material: the plastic.
+        bounces: largest number of reflections that is counted: 1 is direct light, None counts all
+            (`bounces.radiance`).
 
     Returns:
         (P,) radiances.
+
+    Raises:
+        ModelError: fewer than one reflection.
     """
+    if bounces != 1:
+        from anisoscope.sim.light import bounces as indirect  # noqa: PLC0415 - it builds on this module
+
+        return indirect.radiance(to_light, to_camera, design, material, bounces)
     x, z = ridge_polyline(design)
     dx, dz = np.diff(x), np.diff(z)
     length = np.hypot(dx, dz)

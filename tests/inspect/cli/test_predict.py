@@ -83,6 +83,18 @@ def test_table_carries_units_and_the_convention(anisoscope):
         assert word in done.out
 
 
+def test_reflections_between_ridges_brighten_every_pose(anisoscope):
+    direct, twice, all_of_them = (
+        [
+            p["radiance"]
+            for p in anisoscope("predict", "--ridge-angle", 20, "--bounces", n, "--json").json["poses"]
+        ]
+        for n in (1, 2, "all")
+    )
+    assert np.all(np.array(direct) < np.array(twice))
+    assert np.all(np.array(twice) < np.array(all_of_them))
+
+
 def test_a_dark_pose_gives_null_not_infinity(anisoscope):
     done = anisoscope("predict", "--ridge-angle", 20, "--model", "printed", "--alpha-along", 0.002, "--json")
     assert done.code == 0, done.err
@@ -96,7 +108,9 @@ def test_a_dark_pose_gives_null_not_infinity(anisoscope):
         (["MAP", "--ridge-angle", 10], "either a height map file or --ridge-angle"),
         ([], "either a height map file or --ridge-angle"),
         (["--ridge-angle", 10, "--model", "relief"], "needs a height map file"),
-        (["--ridge-angle", 10, "--bounces", 3], "direct light only"),
+        (["MAP", "--bounces", 3], "direct light only"),
+        (["--ridge-angle", 10, "--model", "printed", "--bounces", "all"], "direct light only"),
+        (["--ridge-angle", 10, "--bounces", 0], "1 or more"),
         (["--ridge-angle", 50], "ridge angle"),
         (["--ridge-angle", 10, "--alpha-along", 0], "alpha along"),
         (["--ridge-angle", 10, "--angles", "0,ninety"], "numbers separated by commas"),

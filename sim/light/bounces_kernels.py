@@ -1,0 +1,164 @@
+"""Compiled quadrature of light that reflects on one side of a ridge groove and then on the other.
+
+Every side has its own frame (along the ridges, up the side away from the foot, normal). Between the sides light
+travels at an angle χ to the first side, measured in the xz plane from the direction toward the foot, and at an
+elevation φ out of that plane. The lobes stand at fixed sin φ, whatever χ, so panels can be laid around them.
+"""
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from anisoscope.sim.light.kernels import _fresnel, _lambda, _table
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@njit(cache=True)
+def _brdf(first: FloatArray, second: FloatArray, plastic: FloatArray, table: FloatArray) -> float:
+    """BRDF [1/sr] of rough plastic between two directions (3,) in the frame of the side, as `facet_brdf`.
+
+    ``plastic`` holds alpha along, alpha across, index and the scale of the base.
+    """
+    if first[2] <= 0.0 or second[2] <= 0.0:
+        return 0.0
+    alpha_u, alpha_v = plastic[0], plastic[1]
+    value = plastic[3] * _table(table, first[2]) * _table(table, second[2])
+    hu, hv, hn = first[0] + second[0], first[1] + second[1], first[2] + second[2]
+    exponent = ((hu / alpha_u) ** 2 + (hv / alpha_v) ** 2) / (hn * hn)
+    if exponent < 50.0:
+        size = hu * hu + hv * hv + hn * hn
+        cos_d = min(1.0, (first[0] * hu + first[1] * hv + first[2] * hn) / math.sqrt(size))
+        lobe = _fresnel(cos_d, plastic[2]) * math.exp(-exponent) * (size / (hn * hn)) ** 2
+        tan_1 = math.sqrt((alpha_u * first[0]) ** 2 + (alpha_v * first[1]) ** 2) / first[2]
+        tan_2 = math.sqrt((alpha_u * second[0]) ** 2 + (alpha_v * second[1]) ** 2) / second[2]
+        lobe /= 4.0 * math.pi * alpha_u * alpha_v * first[2] * second[2]
+        value += lobe / (1.0 + _lambda(tan_1) + _lambda(tan_2))
+    return float(value)
+
+
+@njit(cache=True)
+def brdf_table(first: FloatArray, second: FloatArray, plastic: FloatArray, table: FloatArray) -> FloatArray:
+    """(N, M) BRDF [1/sr] between directions (N, 3) and (M, 3) in the frame of the side."""
+    result = np.empty((len(first), len(second)))
+    for n in range(len(first)):
+        for m in range(len(second)):
+            result[n, m] = _brdf(first[n], second[m], plastic, table)
+    return result
+
+
+@njit(cache=True)
+def _lay_panels(breaks: FloatArray, start: int, centre: float, width: float) -> None:
+    """Breakpoints around a Gaussian bump exp(−((x − centre)/width)²)."""
+    breaks[start] = centre - 3.4 * width
+    breaks[start + 1] = centre - 1.7 * width
+    breaks[start + 2] = centre
+    breaks[start + 3] = centre + 1.7 * width
+    breaks[start + 4] = centre + 3.4 * width
+
+
+@njit(cache=True)
+def _ratio_angle(ratio: float, opening: float) -> float:
+    """χ of a ray that leaves the first side at distance a from the foot and meets the second at ratio·a."""
+    return math.atan2(ratio * math.sin(opening), 1.0 - ratio * math.cos(opening))
+
+
+@njit(cache=True)
+def _angle_breaks(
+    light: FloatArray, camera: FloatArray, lit: FloatArray, seen: FloatArray, opening: float, width: float
+) -> FloatArray:
+    """Sorted breakpoints of χ: the mirror directions of both sides, and the kinks of the common length."""
+    end = math.pi - opening
+    breaks = np.empty(16)
+    breaks[0], breaks[1] = 0.0, end
+    _lay_panels(breaks, 2, math.atan2(light[2], light[1]), width)
+    _lay_panels(breaks, 7, end - math.atan2(camera[2], camera[1]), width)
+    for n in range(4):
+        own, other = lit[n % 2], seen[n // 2]
+        breaks[12 + n] = _ratio_angle(other / own, opening) if own > 0.0 else end
+    return np.sort(np.minimum(np.maximum(breaks, 0.0), end))
+
+
+@njit(cache=True)
+def _elevation_integral(
+    light: FloatArray,
+    camera: FloatArray,
+    angles: tuple[float, float],
+    plastic: FloatArray,
+    table: FloatArray,
+    rule: FloatArray,
+) -> float:
+    """∫ f_1·f_2·cos²φ dφ for the angles (χ at the first side, at the second side) in the xz plane."""
+    breaks = np.empty(12)
+    breaks[0], breaks[1] = -0.5 * math.pi, 0.5 * math.pi
+    for side in range(2):
+        centre = math.asin(-light[0]) if side == 0 else math.asin(camera[0])
+        cosine = max(0.02, math.cos(centre))
+        normal = light[2] if side == 0 else camera[2]
+        spread = plastic[0] * (normal + cosine * math.sin(angles[side])) / cosine
+        _lay_panels(breaks, 2 + 5 * side, centre, spread)
+    breaks = np.sort(np.minimum(np.maximum(breaks, breaks[0]), breaks[1]))
+    out, back = np.empty(3), np.empty(3)
+    total = 0.0
+    for panel in range(11):
+        half = 0.5 * (breaks[panel + 1] - breaks[panel])
+        if half < 1e-10:
+            continue
+        for node in range(rule.shape[1]):
+            phi = breaks[panel] + half * (1.0 + rule[0, node])
+            flat, rise = math.cos(phi), math.sin(phi)
+            out[0], out[1], out[2] = rise, -flat * math.cos(angles[0]), flat * math.sin(angles[0])
+            back[0], back[1], back[2] = -rise, -flat * math.cos(angles[1]), flat * math.sin(angles[1])
+            pair = _brdf(light, out, plastic, table) * _brdf(back, camera, plastic, table)
+            total += half * rule[1, node] * flat * flat * pair
+    return total
+
+
+@njit(cache=True)
+def two_reflections(
+    light: FloatArray,
+    camera: FloatArray,
+    lit: FloatArray,
+    seen: FloatArray,
+    opening: float,
+    plastic: FloatArray,
+    table: FloatArray,
+    rule: FloatArray,
+) -> float:
+    """Light that reflects on a first side and then, once, on the second side of the groove.
+
+    ∫∫ f_1 f_2 cos_i cos_o cos²φ sin χ M(χ) dφ dχ, where M is the length on the first side from which a ray at χ
+    leaves a lit point and meets a seen point: sides are straight, so M is the overlap of two intervals.
+
+    Args:
+        light: (3,) direction to the light in the frame of the first side.
+        camera: (3,) direction to the camera in the frame of the second side.
+        lit: (2,) lit interval of the first side, distances from the foot.
+        seen: (2,) seen interval of the second side.
+        opening: angle between the sides, radians.
+        plastic: alpha along, alpha across, index, scale of the base.
+        table: transmittance of the interface on uniform cosines.
+        rule: (2, Q) nodes and weights of a Gauss-Legendre rule, used in every panel.
+
+    Returns:
+        The integral, in the unit of length per sr; divided by pitch·ω_o,z it is a radiance.
+    """
+    if light[2] <= 0.0 or camera[2] <= 0.0 or lit[1] <= lit[0] or seen[1] <= seen[0]:
+        return 0.0
+    breaks = _angle_breaks(light, camera, lit, seen, opening, 2.0 * plastic[1])
+    total = 0.0
+    for panel in range(len(breaks) - 1):
+        half = 0.5 * (breaks[panel + 1] - breaks[panel])
+        if half < 1e-10:
+            continue
+        for node in range(rule.shape[1]):
+            chi = breaks[panel] + half * (1.0 + rule[0, node])
+            other = math.pi - opening - chi
+            ratio = math.sin(chi) / math.sin(other)
+            common = min(lit[1], seen[1] / ratio) - max(lit[0], seen[0] / ratio)
+            if common > 0.0:
+                inner = _elevation_integral(light, camera, (chi, other), plastic, table, rule)
+                total += half * rule[1, node] * math.sin(chi) * common * inner
+    return float(total * light[2] * camera[2])
