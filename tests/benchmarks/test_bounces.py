@@ -27,8 +27,8 @@ def test_bounces_against_direct_light():
             totals[bounces] = radiance(to_light, to_camera, design, material, bounces=bounces)
             spans.append(time.perf_counter() - start)
         times[bounces] = min(spans) / len(poses)
-    assert np.all(totals[1] < totals[2])
-    assert np.all(totals[2] < totals[None])
+    assert np.all(totals[1] <= totals[2])
+    assert np.all(totals[2] <= totals[None])
     print()
     for bounces, seconds in times.items():
         name = "all reflections" if bounces is None else f"{bounces} reflection(s)"
