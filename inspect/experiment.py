@@ -5,11 +5,9 @@ Ridge angles 5, 10, 15 and 20°, tilts of camera and light from -20° to 20°, s
 the shape (ridge angles, tilts, pairs); NaN is not measured.
 """
 
-import csv
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -24,7 +22,6 @@ from anisoscope.sim.light.material import Material
 from anisoscope.sim.light.printed import ShadowFrame
 
 FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 Model = Literal["printed", "corrected"]
 
 RIDGE_ANGLES_DEG = (5.0, 10.0, 15.0, 20.0)
@@ -177,10 +174,13 @@ def absolute_contrasts(setup: Setup) -> FloatArray:
         ModelError: light or camera stands below the horizon in some pose.
     """
     to_light, to_camera = directions(pose_grid(STAGE_DEG, TILTS_DEG), setup.convention)
-    return _contrasts(setup, setup.material, to_light, to_camera)
+    return contrast_table(setup, setup.material, to_light, to_camera)
 
 
-def _contrasts(setup: Setup, material: Material, to_light: FloatArray, to_camera: FloatArray) -> FloatArray:
+def contrast_table(
+    setup: Setup, material: Material, to_light: FloatArray, to_camera: FloatArray
+) -> FloatArray:
+    """(ridge angle, tilt, pair) absolute contrasts for a material and known directions, each (P, 3)."""
     exposure = []
     for angle in RIDGE_ANGLES_DEG:
         design = RidgeDesign(_PITCH_UM, angle)
@@ -237,152 +237,3 @@ def _larger(a: float, b: float) -> bool:
 
 def _is_largest(values: FloatArray, index: int) -> bool:
     return all(_larger(values[index], value) for value in np.delete(values, index))
-
-
-@dataclass(frozen=True, eq=False)
-class FindingsMap:
-    """Where on a grid of roughnesses the findings hold; boolean arrays are (alpha_along, alpha_across).
-
-    Attributes:
-        setup: model and convention; the roughness of its material is not used.
-        alpha_along: (A,) α_u.
-        alpha_across: (B,) α_v.
-        max_at_zero_tilt: the finding holds.
-        falls_on_both_sides: it also falls monotonically; not among the three.
-        first_pair_larger: the finding holds.
-        best_at_five: the finding "5° gives the highest contrast" holds.
-    """
-
-    setup: Setup
-    alpha_along: FloatArray
-    alpha_across: FloatArray
-    max_at_zero_tilt: BoolArray
-    falls_on_both_sides: BoolArray
-    first_pair_larger: BoolArray
-    best_at_five: BoolArray
-
-    @property
-    def all_three(self) -> BoolArray:
-        """Where the three findings hold together."""
-        return self.max_at_zero_tilt & self.first_pair_larger & self.best_at_five
-
-    @property
-    def share(self) -> float:
-        """Share of the grid on which the three findings hold together, 0 to 1."""
-        return float(self.all_three.mean())
-
-    @property
-    def falling_too(self) -> BoolArray:
-        """Where the three findings hold and the mean contrast falls monotonically on both sides of zero tilt."""
-        return self.all_three & self.falls_on_both_sides
-
-    @property
-    def extent(self) -> tuple[tuple[float, float], tuple[float, float]] | None:
-        """Smallest and largest α_u, then α_v, at which all three hold; None where they nowhere do."""
-        if not self.all_three.any():
-            return None
-        along = self.alpha_along[self.all_three.any(axis=1)]
-        across = self.alpha_across[self.all_three.any(axis=0)]
-        return (float(along[0]), float(along[-1])), (float(across[0]), float(across[-1]))
-
-
-class _SharedTables(Material):
-    """A material whose mean roughness is rounded: on a grid, many then share one transmittance table."""
-
-    @property
-    def alpha_mean(self) -> float:
-        return float(f"{super().alpha_mean:.6g}")
-
-
-def findings_share(setup: Setup, alpha_along: FloatArray, alpha_across: FloatArray) -> FindingsMap:
-    """Ask for the three findings at every pair of roughnesses.
-
-    The share depends on the grid: it is a measure of how far the findings carry, not a probability. Each
-    roughness is computed for all poses at once; equal √(α_u·α_v), as of grids even in the logarithm, share the
-    transmittance of the corrected model.
-
-    Args:
-        setup: model, convention, index and albedo.
-        alpha_along: (A,) rising α_u.
-        alpha_across: (B,) rising α_v.
-
-    Raises:
-        ModelError: a roughness or a pose outside what the model means.
-    """
-    to_light, to_camera = directions(pose_grid(STAGE_DEG, TILTS_DEG), setup.convention)
-    plastic = setup.material
-    held = np.zeros((4, len(alpha_along), len(alpha_across)), dtype=np.bool_)
-    for i, along in enumerate(alpha_along):
-        for j, across in enumerate(alpha_across):
-            material = _SharedTables(
-                float(along), float(across), plastic.albedo, plastic.index, plastic.internal_reflection
-            )
-            found = findings(_contrasts(setup, material, to_light, to_camera))
-            held[:, i, j] = (
-                found.max_at_zero_tilt,
-                found.falls_on_both_sides,
-                found.first_pair_larger,
-                found.best_ridge_angle_deg == PUBLISHED_BEST_DEG,
-            )
-    return FindingsMap(setup, np.asarray(alpha_along), np.asarray(alpha_across), *held)
-
-
-def read_measured(path: Path) -> FloatArray:
-    """Measured contrasts from a CSV file with the columns ``COLUMNS``; rows may be missing, none twice.
-
-    Returns:
-        Contrasts in the unit of the file, NaN where not measured.
-
-    Raises:
-        UsageError: the file cannot be read, or a line of it cannot be used.
-    """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
-        raise UsageError(f"cannot read {path}: {reason}") from error
-    reader = csv.reader(text.splitlines())
-    where = {row: index for index, row in combinations()}
-    measured = np.full(SHAPE, np.nan)
-    try:
-        _check_header([name.strip() for name in next(reader, [])], path)
-        for fields in reader:
-            if not any(field.strip() for field in fields):
-                continue
-            place = f"{path}, line {reader.line_num}"
-            *row, contrast = _numbers(fields, place)
-            index = where.get((row[0], row[1], row[2], row[3]))
-            if index is None:
-                raise UsageError(
-                    f"{place}: the experiment has no ridge angle {row[0]:g}°, tilt {row[1]:g}°, "
-                    f"pair {row[2]:g}°/{row[3]:g}°"
-                )
-            if not np.isnan(measured[index]):
-                raise UsageError(f"{place}: this combination is given twice")
-            measured[index] = contrast
-    except csv.Error as error:
-        raise UsageError(f"{path}, line {reader.line_num}: {error}") from error
-    if np.isnan(measured).all():
-        raise UsageError(f"{path}, line {max(reader.line_num, 1)}: no contrasts follow the header")
-    return measured
-
-
-def _check_header(names: list[str], path: Path) -> None:
-    if tuple(names) != COLUMNS:
-        raise UsageError(f"{path}, line 1: the header must read {','.join(COLUMNS)}, not {','.join(names)!r}")
-
-
-def _numbers(fields: list[str], place: str) -> list[float]:
-    if len(fields) != len(COLUMNS):
-        raise UsageError(f"{place}: {len(COLUMNS)} values expected, {len(fields)} found")
-    numbers = []
-    for name, text in zip(COLUMNS, fields, strict=True):
-        try:
-            number = float(text)
-        except ValueError:
-            raise UsageError(f"{place}: {name} is not a number: {text!r}") from None
-        if not np.isfinite(number) or (name == "contrast" and number < 0.0):
-            kind = "a finite number, 0 or more," if name == "contrast" else "a finite number"
-            raise UsageError(f"{place}: {name} must be {kind} not {text!r}")
-        numbers.append(number)
-    return numbers

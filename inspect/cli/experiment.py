@@ -14,7 +14,8 @@ from anisoscope.cli.console import console, print_table
 from anisoscope.errors import UsageError
 
 if TYPE_CHECKING:
-    from anisoscope.experiment import Experiment, Findings, FindingsMap, Mean, Setup
+    from anisoscope.experiment import Experiment, Findings, Mean, Setup
+    from anisoscope.findingsmap import FindingsMap
 
 Model = Literal["printed", "corrected"]
 ModelOption = Annotated[Model, Parameter(help="The model as published, or corrected.")]
@@ -57,7 +58,8 @@ def ridges(
     html: HtmlOption = None,
 ) -> int:
     """Predict the contrasts of the ridge experiment and their marginal means (Luongo et al. 2017, Fig. 8)."""
-    from anisoscope.experiment import Setup, read_measured, run_experiment
+    from anisoscope.experiment import Setup, run_experiment
+    from anisoscope.measuredtable import read_measured
     from anisoscope.sim.light.geometry import Convention
     from anisoscope.sim.light.material import Material
 
@@ -106,7 +108,8 @@ def findings(
     """
     import numpy as np
 
-    from anisoscope.experiment import Setup, findings_share
+    from anisoscope.experiment import Setup
+    from anisoscope.findingsmap import findings_share
     from anisoscope.sim.light.geometry import Convention
     from anisoscope.sim.light.material import Material
 

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.experiment import Experiment, FindingsMap, Mean, combinations
+from anisoscope.experiment import Experiment, Mean, combinations
+from anisoscope.findingsmap import FindingsMap
 from anisoscope.record import write_text_atomically
 from anisoscope.report.figures import BLUE, GREEN, GRID, INK, MUTED, ORANGE, RED, _figure, _svg_uri
 from anisoscope.sim.light.geometry import Convention

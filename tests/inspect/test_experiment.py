@@ -12,10 +12,10 @@ from anisoscope.experiment import (
     absolute_contrasts,
     combinations,
     findings,
-    findings_share,
-    read_measured,
     run_experiment,
 )
+from anisoscope.findingsmap import findings_share
+from anisoscope.measuredtable import read_measured
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light import corrected, printed
 from anisoscope.sim.light.geometry import Convention, Pose, directions

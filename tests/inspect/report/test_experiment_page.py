@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from anisoscope.errors import RecordError
-from anisoscope.experiment import SHAPE, Setup, findings_share, run_experiment
+from anisoscope.experiment import SHAPE, Setup, run_experiment
+from anisoscope.findingsmap import findings_share
 from anisoscope.report.experiment_page import (
     bar_chart,
     findings_svg,
