@@ -93,7 +93,7 @@ def _recipe() -> dict[str, Any]:
         "poses": {"angles_deg": [0.0, 90.0, 180.0]},
         "acquisition": {"exposure_s": 0.006, "frames_per_pose": 4, "dark_frames": 8, "settle_s": 0.0},
         "region": {"size_mm": [2.0, 2.0]},
-        "decision": {"contrast": "log_ratio", "tolerance": 0.25},
+        "decision": {"contrast": "log_ratio", "tolerance": 0.25, "alpha": 0.001, "deviation": "fail"},
         "area": {"cell_deviation": 0.3, "max_share": 0.03},
         "uncertainty": {"seating_tilt_deg": 0.05},
     }
@@ -106,12 +106,11 @@ def _sample(name: str, rng: np.random.Generator) -> dict[str, Any]:
     def spread(value: float, share: float) -> float:
         return float(value * (1.0 + share * rng.standard_normal()))
 
+    off = float(rng.choice([-2.0, 2.0])) if name == "angle" else 0.0
     return {
         "kind": "ridges",
         "pitch_um": PITCH_UM,
-        "ridge_angle_deg": RIDGE_ANGLE_DEG
-        + float(0.1 * rng.standard_normal())
-        + (2.0 if name == "angle" else 0.0),
+        "ridge_angle_deg": RIDGE_ANGLE_DEG + float(0.1 * rng.standard_normal()) + off,
         "resolved_alpha": RESOLVED_ALPHA,
         "burr_coverage": 0.10 if name == "burrs" else float(rng.uniform(0.0, 0.002)),
         "seating_tilt_deg": [float(t) for t in 0.05 * rng.standard_normal(2)],

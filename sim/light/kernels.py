@@ -14,6 +14,9 @@ from numba import njit, prange
 FloatArray = npt.NDArray[np.float64]
 ShareArray = npt.NDArray[np.float32]
 
+EDGE = 1.5
+"""Difference of the neighbours' slopes from which a facet between them straddles an edge."""
+
 
 @njit(cache=True, inline="always")
 def _fold(index: int, count: int, period: int) -> int:
@@ -108,6 +111,50 @@ def _fresnel(cosine: float, index: float) -> float:
     return 0.5 * (parallel * parallel + perpendicular * perpendicular)
 
 
+@njit(cache=True, inline="always")
+def _slope(z: FloatArray, r: int, c: int, pixel_x: float) -> float:
+    """Symmetric gradient along x of the facet at (r, c)."""
+    return float(0.5 * (z[r, c + 1] - z[r, c] + z[r + 1, c + 1] - z[r + 1, c]) / pixel_x)
+
+
+@njit(cache=True, inline="always")
+def _shine(
+    gx: float,
+    gy: float,
+    light: FloatArray,
+    camera: FloatArray,
+    half: FloatArray,
+    lobe: FloatArray,
+    table: FloatArray,
+) -> float:
+    """f·cos_i·cos_o per macroscopic area of a facet with slopes (gx, gy), all of it lit and seen.
+
+    ``lobe`` holds F/(4π α_u α_v), α_u, α_v and the factor of the Lambertian base.
+    """
+    size = math.sqrt(1.0 + gx * gx + gy * gy)
+    cos_i = (light[2] - gx * light[0] - gy * light[1]) / size
+    cos_o = (camera[2] - gx * camera[0] - gy * camera[1]) / size
+    if cos_i <= 0.0 or cos_o <= 0.0:
+        return 0.0
+    scale, alpha_along, alpha_across, diffuse = lobe[0], lobe[1], lobe[2], lobe[3]
+    slant = math.sqrt(1.0 + gy * gy)  # length of the tangent (0, 1, gy) along the ridges
+    across = size * slant
+    cos_h = (half[2] - gx * half[0] - gy * half[1]) / size
+    h_along = (half[1] + gy * half[2]) / slant
+    h_across = ((1.0 + gy * gy) * half[0] - gx * gy * half[1] + gx * half[2]) / across
+    exponent = ((h_along / alpha_along) ** 2 + (h_across / alpha_across) ** 2) / (cos_h * cos_h)
+    value = diffuse * _table(table, cos_i) * _table(table, cos_o) * cos_i * cos_o
+    if cos_h > 1e-6 and exponent < 60.0:
+        i_along, o_along = (light[1] + gy * light[2]) / slant, (camera[1] + gy * camera[2]) / slant
+        i_across = ((1.0 + gy * gy) * light[0] - gx * gy * light[1] + gx * light[2]) / across
+        o_across = ((1.0 + gy * gy) * camera[0] - gx * gy * camera[1] + gx * camera[2]) / across
+        tan_i = math.sqrt((alpha_along * i_along) ** 2 + (alpha_across * i_across) ** 2) / cos_i
+        tan_o = math.sqrt((alpha_along * o_along) ** 2 + (alpha_across * o_across) ** 2) / cos_o
+        glossy = scale * math.exp(-exponent) / (cos_h * cos_h * cos_h * cos_h)
+        value += glossy / (1.0 + _lambda(tan_i) + _lambda(tan_o))
+    return value * size / camera[2]
+
+
 @njit(cache=True, parallel=True)
 def facet_radiance(
     z: FloatArray,
@@ -126,47 +173,41 @@ def facet_radiance(
     """What each facet adds to the radiance per macroscopic area: V·f·cos_i·cos_o / (n_z · ω_o·n).
 
     A facet spans four neighbouring points and takes its normal from the symmetric gradients. Along is the
-    direction of +y within the facet. ``lit`` and ``seen`` are (rows − 1, cols − 1) shares.
+    direction of +y within the facet. Where a facet straddles a sharp edge across x (a crest, a foot), its slope
+    lies between those of its neighbours and belongs to neither side: it is then taken as the two parts whose
+    slopes its neighbours have, in the proportion that gives its own. Otherwise every edge would carry a strip of
+    a slope that the surface does not have, which shines where it happens to mirror the light.
+    ``lit`` and ``seen`` are (rows − 1, cols − 1) shares.
 
     Returns:
         (rows − 1, cols − 1) values in 1/sr; NaN where one of the four points is missing.
     """
     rows, cols = z.shape
     result = np.empty((rows - 1, cols - 1), dtype=np.float32)
-    lx, ly, lz = to_light
-    cx, cy, cz = to_camera
-    norm = math.sqrt((lx + cx) ** 2 + (ly + cy) ** 2 + (lz + cz) ** 2)
-    hx, hy, hz = (lx + cx) / norm, (ly + cy) / norm, (lz + cz) / norm
-    mirror = _fresnel(lx * hx + ly * hy + lz * hz, index)
-    scale = mirror / (4.0 * math.pi * alpha_along * alpha_across)
-    same_side = lx * cx + ly * cy >= 0.0
+    half = to_light + to_camera
+    half = half / math.sqrt(half[0] ** 2 + half[1] ** 2 + half[2] ** 2)
+    cos_d = to_light[0] * half[0] + to_light[1] * half[1] + to_light[2] * half[2]
+    scale = _fresnel(cos_d, index) / (4.0 * math.pi * alpha_along * alpha_across)
+    lobe = np.array([scale, alpha_along, alpha_across, diffuse])
+    same_side = to_light[0] * to_camera[0] + to_light[1] * to_camera[1] >= 0.0
     for r in prange(rows - 1):
         for c in range(cols - 1):
-            gx = 0.5 * (z[r, c + 1] - z[r, c] + z[r + 1, c + 1] - z[r + 1, c]) / pixel_x
+            gx = _slope(z, r, c, pixel_x)
             gy = 0.5 * (z[r + 1, c] - z[r, c] + z[r + 1, c + 1] - z[r, c + 1]) / pixel_y
             if math.isnan(gx) or math.isnan(gy):
                 result[r, c] = math.nan
                 continue
             share = min(lit[r, c], seen[r, c]) if same_side else max(0.0, lit[r, c] + seen[r, c] - 1.0)
-            size = math.sqrt(1.0 + gx * gx + gy * gy)
-            cos_i = (lz - gx * lx - gy * ly) / size
-            cos_o = (cz - gx * cx - gy * cy) / size
-            if share <= 0.0 or cos_i <= 0.0 or cos_o <= 0.0:
+            if share <= 0.0:
                 result[r, c] = 0.0
                 continue
-            slant = math.sqrt(1.0 + gy * gy)  # length of the tangent (0, 1, gy) along the ridges
-            cos_h = (hz - gx * hx - gy * hy) / size
-            h_along = (hy + gy * hz) / slant
-            h_across = ((1.0 + gy * gy) * hx - gx * gy * hy + gx * hz) / (size * slant)
-            exponent = ((h_along / alpha_along) ** 2 + (h_across / alpha_across) ** 2) / (cos_h * cos_h)
-            value = diffuse * _table(transmittance, cos_i) * _table(transmittance, cos_o) * cos_i * cos_o
-            if cos_h > 1e-6 and exponent < 60.0:
-                lobe = scale * math.exp(-exponent) / (cos_h * cos_h * cos_h * cos_h)
-                i_along, o_along = (ly + gy * lz) / slant, (cy + gy * cz) / slant
-                i_across = ((1.0 + gy * gy) * lx - gx * gy * ly + gx * lz) / (size * slant)
-                o_across = ((1.0 + gy * gy) * cx - gx * gy * cy + gx * cz) / (size * slant)
-                tan_i = math.sqrt((alpha_along * i_along) ** 2 + (alpha_across * i_across) ** 2) / cos_i
-                tan_o = math.sqrt((alpha_along * o_along) ** 2 + (alpha_across * o_across) ** 2) / cos_o
-                value += lobe / (1.0 + _lambda(tan_i) + _lambda(tan_o))
-            result[r, c] = share * value * size / cz
+            before = _slope(z, r, c - 1, pixel_x) if c > 0 else gx
+            after = _slope(z, r, c + 1, pixel_x) if c < cols - 2 else gx
+            if abs(after - before) > EDGE and (gx - before) * (after - gx) > 0.0:  # false where NaN
+                part = (after - gx) / (after - before)
+                first = _shine(before, gy, to_light, to_camera, half, lobe, transmittance)
+                second = _shine(after, gy, to_light, to_camera, half, lobe, transmittance)
+                result[r, c] = share * (part * first + (1.0 - part) * second)
+            else:
+                result[r, c] = share * _shine(gx, gy, to_light, to_camera, half, lobe, transmittance)
     return result
