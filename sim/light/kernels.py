@@ -152,7 +152,7 @@ def _shine(
         tan_o = math.sqrt((alpha_along * o_along) ** 2 + (alpha_across * o_across) ** 2) / cos_o
         glossy = scale * math.exp(-exponent) / (cos_h * cos_h * cos_h * cos_h)
         value += glossy / (1.0 + _lambda(tan_i) + _lambda(tan_o))
-    return value * size / camera[2]
+    return float(value * size / camera[2])
 
 
 @njit(cache=True, parallel=True)
