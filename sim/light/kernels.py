@@ -1,8 +1,7 @@
 """Compiled inner loops of the relief predictor (numba, cached on disk after the first call).
 
-Visibility: along one azimuth the surface is cut into parallel slices. In the sheared coordinate
-s = distance − t·z along a slice, a point is reached from the direction exactly if no point further toward
-the source has a smaller s, so one running minimum per slice settles every segment in O(N), exactly.
+The rough plastic of one facet, the slopes of facets, and what each facet adds to a picture. The horizon stands in
+`horizon_kernels`, the census of slopes in `census_kernels`.
 """
 
 import math
@@ -16,75 +15,6 @@ ShareArray = npt.NDArray[np.float32]
 
 EDGE = 1.5
 """Difference of the neighbours' slopes from which a facet between them straddles an edge."""
-
-
-@njit(cache=True, inline="always")
-def _fold(index: int, count: int, period: int) -> int:
-    """Index outside the map → inside: by whole periods where the surface repeats, else the nearest edge."""
-    if 0 <= index < count:
-        return index
-    if period > 0:
-        while index >= count:
-            index -= period
-        while index < 0:
-            index += period
-        return index
-    return 0 if index < 0 else count - 1
-
-
-@njit(cache=True, parallel=True)
-def slice_shares(
-    z: FloatArray,
-    step: float,
-    tangent: float,
-    shift: float,
-    reach: int,
-    period_major: int,
-    period_minor: int,
-    first: int,
-    count: int,
-) -> ShareArray:
-    """Visible share of every segment on slices that march along axis 1, seen from its high end.
-
-    Args:
-        z: (minor, major) heights, NaN = missing.
-        step: length of one step along a slice, in the unit of z.
-        tangent: horizontal over vertical component of the direction, ≥ 0.
-        shift: rows by which a slice moves per column.
-        reach: columns beyond the map that may still cast a shadow on it.
-        period_major: columns after which the surface repeats, 0 if it does not.
-        period_minor: rows after which the surface repeats, 0 if it does not.
-        first: index of the first slice; slice k passes row k + ½ + shift·(c − major/2 + ½) at column c.
-        count: number of slices.
-
-    Returns:
-        (count, major − 1) shares 0 to 1; the visible part of a segment is its low end.
-    """
-    minor, major = z.shape
-    shares = np.zeros((count, major - 1), dtype=np.float32)
-    middle = 0.5 * major - 0.5
-    for k in prange(count):
-        limit = np.inf
-        previous = math.nan
-        for column in range(major + reach - 1, -1, -1):
-            row = k + first + 0.5 + shift * (column - middle)
-            low = math.floor(row)
-            part = row - low
-            c = _fold(column, major, period_major)
-            z0 = z[_fold(int(low), minor, period_minor), c]
-            z1 = z[_fold(int(low) + 1, minor, period_minor), c]
-            height = z0
-            if part > 0.0:
-                height = z0 + part * (z1 - z0)
-                if math.isnan(height):  # beside a gap: the neighbour that is known
-                    height = z1 if math.isnan(z0) else z0
-            here = column * step - tangent * height
-            if column < major - 1 and not math.isnan(here) and not math.isnan(previous) and previous > here:
-                share = (limit - here) / (previous - here)
-                shares[k, column] = min(1.0, max(0.0, share))
-            limit = min(limit, here)
-            previous = here
-    return shares
 
 
 @njit(cache=True, inline="always")
@@ -155,59 +85,136 @@ def _shine(
     return float(value * size / camera[2])
 
 
+@njit(cache=True, inline="always")
+def cell_slopes(
+    z: FloatArray, r: int, c: int, pixel_x: float, pixel_y: float, triangles: int, part: int
+) -> tuple[float, float]:
+    """Slopes along x and y of the cell at (r, c), or of one of its two triangles.
+
+    ``triangles`` is 0 for symmetric gradients, 1 for a split along the diagonal from the first to the last corner,
+    2 along the other.
+    """
+    low, high = z[r, c + 1] - z[r, c], z[r + 1, c + 1] - z[r + 1, c]
+    left, right = z[r + 1, c] - z[r, c], z[r + 1, c + 1] - z[r, c + 1]
+    if triangles == 0:
+        return 0.5 * (low + high) / pixel_x, 0.5 * (left + right) / pixel_y
+    if triangles == 1:
+        return (low / pixel_x, right / pixel_y) if part == 0 else (high / pixel_x, left / pixel_y)
+    return (low / pixel_x, left / pixel_y) if part == 0 else (high / pixel_x, right / pixel_y)
+
+
+@njit(cache=True, inline="always")
+def around_edge(z: FloatArray, r: int, c: int, slope: float, pixel_x: float) -> tuple[float, float, float]:
+    """Slopes before and after the cell where it straddles a sharp edge across x, and the share of the first; else 1.
+
+    Such a facet (at a crest, a foot) has a slope between those of its neighbours that belongs to neither side. It
+    is taken as the two parts whose slopes its neighbours have, in the proportion that gives its own. Otherwise
+    every edge would carry a strip of a slope that the surface does not have, which shines where it happens to
+    mirror the light.
+    """
+    before = _slope(z, r, c - 1, pixel_x) if c > 0 else slope
+    after = _slope(z, r, c + 1, pixel_x) if c < z.shape[1] - 2 else slope
+    if abs(after - before) > EDGE and (slope - before) * (after - slope) > 0.0:  # false where NaN
+        return before, after, (after - slope) / (after - before)
+    return slope, slope, 1.0
+
+
+@njit(cache=True, inline="always")
+def visible(lit: float, seen: float, same_side: bool) -> float:
+    """Share of a facet that is both lit and seen: light and camera leave the same end free, or opposite ends."""
+    return min(lit, seen) if same_side else max(0.0, lit + seen - 1.0)
+
+
+@njit(cache=True, inline="always")
+def _reached(
+    share: float, before: float, after: float, first: float, gy: float, direction: FloatArray
+) -> tuple[float, float]:
+    """From where to where along x a split cell is reached, given the share that its own plane would have.
+
+    A direction leaves free the end away from it. Shares count projected length, of which a part with slope g has
+    1 − (ω_x·g + ω_y·g_y)/ω_z per length; negative where the part faces away, and then the other ends earlier.
+    """
+    tx, ty = direction[0] / direction[2], direction[1] / direction[2]
+    if share >= 1.0 and abs(tx) < 1e-9:
+        return 0.0, 1.0
+    own, other, middle = (before, after, first) if tx >= 0.0 else (after, before, 1.0 - first)
+    near = middle * (1.0 - tx * own - ty * gy)
+    length = near + (1.0 - middle) * (1.0 - tx * other - ty * gy)
+    free = share * length
+    if free <= near:
+        end = middle * free / near
+    elif near > 0.0:
+        end = middle + (1.0 - middle) * (free - near) / (length - near)
+    else:  # the near part faces away: what it hides is counted with the far one
+        end = middle + (1.0 - middle) * min(1.0, (free - near) / (length - near))
+    return (0.0, end) if tx >= 0.0 else (1.0 - end, 1.0)
+
+
+@njit(cache=True, inline="always")
+def split_shine(
+    edge: tuple[float, float, float],
+    gy: float,
+    lit: float,
+    seen: float,
+    light: FloatArray,
+    camera: FloatArray,
+    half: FloatArray,
+    lobe: FloatArray,
+    table: FloatArray,
+) -> float:
+    """What a cell that straddles an edge adds: slopes before and after the edge, share of the first."""
+    before, after, first = edge
+    start, end = _reached(lit, before, after, first, gy, light)
+    begin, stop = _reached(seen, before, after, first, gy, camera)
+    start, end = max(start, begin), min(end, stop)
+    value = max(0.0, min(end, first) - start) * _shine(before, gy, light, camera, half, lobe, table)
+    value += max(0.0, end - max(start, first)) * _shine(after, gy, light, camera, half, lobe, table)
+    return float(value)
+
+
 @njit(cache=True, parallel=True)
 def facet_radiance(
     z: FloatArray,
     pixel_x: float,
     pixel_y: float,
-    to_light: FloatArray,
-    to_camera: FloatArray,
+    triangles: int,
+    light: FloatArray,
+    camera: FloatArray,
+    half: FloatArray,
     lit: ShareArray,
     seen: ShareArray,
-    alpha_along: float,
-    alpha_across: float,
-    index: float,
-    diffuse: float,
-    transmittance: FloatArray,
+    lobe: FloatArray,
+    table: FloatArray,
 ) -> ShareArray:
-    """What each facet adds to the radiance per macroscopic area: V·f·cos_i·cos_o / (n_z · ω_o·n).
+    """What each cell adds to the radiance per macroscopic area: V·f·cos_i·cos_o / (n_z · ω_o·n).
 
-    A facet spans four neighbouring points and takes its normal from the symmetric gradients. Along is the
-    direction of +y within the facet. Where a facet straddles a sharp edge across x (a crest, a foot), its slope
-    lies between those of its neighbours and belongs to neither side: it is then taken as the two parts whose
-    slopes its neighbours have, in the proportion that gives its own. Otherwise every edge would carry a strip of
-    a slope that the surface does not have, which shines where it happens to mirror the light.
-    ``lit`` and ``seen`` are (rows − 1, cols − 1) shares.
+    Along is the direction of +y within a facet. ``lit`` and ``seen`` are (rows − 1, cols − 1) shares.
 
     Returns:
         (rows − 1, cols − 1) values in 1/sr; NaN where one of the four points is missing.
     """
     rows, cols = z.shape
     result = np.empty((rows - 1, cols - 1), dtype=np.float32)
-    half = to_light + to_camera
-    half = half / math.sqrt(half[0] ** 2 + half[1] ** 2 + half[2] ** 2)
-    cos_d = to_light[0] * half[0] + to_light[1] * half[1] + to_light[2] * half[2]
-    scale = _fresnel(cos_d, index) / (4.0 * math.pi * alpha_along * alpha_across)
-    lobe = np.array([scale, alpha_along, alpha_across, diffuse])
-    same_side = to_light[0] * to_camera[0] + to_light[1] * to_camera[1] >= 0.0
+    same_side = light[0] * camera[0] + light[1] * camera[1] >= 0.0
     for r in prange(rows - 1):
         for c in range(cols - 1):
-            gx = _slope(z, r, c, pixel_x)
-            gy = 0.5 * (z[r + 1, c] - z[r, c] + z[r + 1, c + 1] - z[r, c + 1]) / pixel_y
+            gx, gy = cell_slopes(z, r, c, pixel_x, pixel_y, 0, 0)
             if math.isnan(gx) or math.isnan(gy):
                 result[r, c] = math.nan
                 continue
-            share = min(lit[r, c], seen[r, c]) if same_side else max(0.0, lit[r, c] + seen[r, c] - 1.0)
+            share = visible(lit[r, c], seen[r, c], same_side)
             if share <= 0.0:
                 result[r, c] = 0.0
                 continue
-            before = _slope(z, r, c - 1, pixel_x) if c > 0 else gx
-            after = _slope(z, r, c + 1, pixel_x) if c < cols - 2 else gx
-            if abs(after - before) > EDGE and (gx - before) * (after - gx) > 0.0:  # false where NaN
-                part = (after - gx) / (after - before)
-                first = _shine(before, gy, to_light, to_camera, half, lobe, transmittance)
-                second = _shine(after, gy, to_light, to_camera, half, lobe, transmittance)
-                result[r, c] = share * (part * first + (1.0 - part) * second)
+            value = 0.0
+            edge = around_edge(z, r, c, gx, pixel_x) if triangles == 0 else (gx, gx, 1.0)
+            if triangles != 0:
+                for part in range(2):
+                    gx, gy = cell_slopes(z, r, c, pixel_x, pixel_y, triangles, part)
+                    value += 0.5 * share * _shine(gx, gy, light, camera, half, lobe, table)
+            elif edge[2] < 1.0:
+                value = split_shine(edge, gy, lit[r, c], seen[r, c], light, camera, half, lobe, table)
             else:
-                result[r, c] = share * _shine(gx, gy, to_light, to_camera, half, lobe, transmittance)
+                value = share * _shine(gx, gy, light, camera, half, lobe, table)
+            result[r, c] = value
     return result

@@ -1,19 +1,31 @@
 """Radiance predicted from a height map, facet by facet.
 
-Every four neighbouring points form a facet with the normal of its symmetric gradients, the lobe of its
-*unresolved* roughness, and a Lambertian base. Which part of it is both lit and seen follows from the horizon
-along the azimuths of light and camera (``kernels``). The map is never rotated: the directions are.
+Every four neighbouring points form a facet with the normal of its symmetric gradients (or two triangles), the lobe
+of its *unresolved* roughness, and a Lambertian base. Which part of it is both lit and seen follows from the horizon
+along the azimuths of light and camera (`horizon_kernels`). The map is never rotated: the directions are.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
 from anisoscope.errors import HeightMapError, ModelError
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.sim.light.material import Material, diffuse_scale, transmittance_table
+from anisoscope.progress import Advance, silent
+from anisoscope.sim.light.census import (
+    FACETS,
+    Census,
+    Facets,
+    Shine,
+    mean_radiance,
+    node_spacing,
+    take_census,
+)
+from anisoscope.sim.light.horizon import Horizon
+from anisoscope.sim.light.material import Material
 
 FloatArray = npt.NDArray[np.float64]
 ShareArray = npt.NDArray[np.float32]
@@ -30,16 +42,23 @@ class Relief:
         pitch_um: distance along x after which the surface repeats, or None. With it, shadows cast from
             beyond the edge are taken from inside the map, and means run over whole pitches.
         max_missing_share: share of missing facets above which prediction is refused.
+        facets: "symmetric": four points form one facet with the symmetric gradients; facets that straddle an edge
+            across x are split. "diagonal": each cell is two triangles, split along the diagonal from (row, col) to
+            (row + 1, col + 1); "antidiagonal": along the other. A mesh of these triangles is the same surface.
 
     Raises:
+        ModelError: no such kind of facets.
         HeightMapError: too much of the map is missing, or it is smaller than one period.
     """
 
     surface: HeightMap
     pitch_um: float | None = None
     max_missing_share: float = MAX_MISSING_SHARE
+    facets: Facets = "symmetric"
 
     def __post_init__(self) -> None:
+        if self.facets not in FACETS:
+            raise ModelError(f"facets are {', '.join(FACETS)}, not {self.facets!r}")
         missing = self.missing_share
         if missing > self.max_missing_share:
             raise HeightMapError(
@@ -65,6 +84,36 @@ class Relief:
         whole = known[:-1, :-1] & known[1:, :-1] & known[:-1, 1:] & known[1:, 1:]
         return float(1.0 - whole.mean())
 
+    @property
+    def pixels_um(self) -> tuple[float, float]:
+        """Distances of columns and of rows."""
+        return self.surface.pixel_x_um, self.surface.pixel_y_um
+
+    @cached_property
+    def depth_um(self) -> float:
+        """Height of the highest point above the lowest."""
+        return float(np.nanmax(self.surface.height_um) - np.nanmin(self.surface.height_um))
+
+    @cached_property
+    def rows_first(self) -> ShareArray:
+        """(rows, cols) heights above the middle, in single precision for the horizon."""
+        height = self.surface.height_um
+        return np.asarray(height - 0.5 * (np.nanmax(height) + np.nanmin(height)), dtype=np.float32)
+
+    @cached_property
+    def columns_first(self) -> ShareArray:
+        """(cols, rows) heights above the middle."""
+        return np.ascontiguousarray(self.rows_first.T)
+
+    def census(self, material: Material) -> Census:
+        """The facets counted by slope, on a grid fine enough for the roughness of a material."""
+        spacing = node_spacing(material)
+        kept = self.__dict__.get("_census")
+        if kept is None or kept[0] != spacing:
+            kept = spacing, take_census(self.surface, self.facets, self.column_weights(), spacing)
+            self.__dict__["_census"] = kept
+        return kept[1]
+
     def column_weights(self) -> FloatArray:
         """(cols − 1,) weights of the facet columns in a mean: whole pitches, the last column in part."""
         columns = self.surface.shape[1] - 1
@@ -82,62 +131,6 @@ class Relief:
         return round(float(np.floor(columns / self._columns_per_pitch + 1e-6)) * self._columns_per_pitch)
 
 
-def visible_shares(relief: Relief, direction: FloatArray) -> ShareArray:
-    """Share of every facet that is reached from one direction, by the horizon along its azimuth.
-
-    Args:
-        relief: the surface.
-        direction: (3,) unit vector above the horizon.
-
-    Returns:
-        (rows − 1, cols − 1) shares. Exact on slices along a map axis; on other azimuths the slices pass
-        between the points and are interpolated.
-    """
-    from anisoscope.sim.light.kernels import slice_shares  # noqa: PLC0415 - numba is loaded when first needed
-
-    surface = relief.surface
-    tan_x, tan_y = direction[0] / direction[2], direction[1] / direction[2]
-    per_x, per_y = abs(tan_x) / surface.pixel_x_um, abs(tan_y) / surface.pixel_y_um
-    rows, cols = surface.shape
-    if max(per_x, per_y) * float(np.nanmax(surface.height_um) - np.nanmin(surface.height_um)) < 1e-12:
-        return np.ones((rows - 1, cols - 1), dtype=np.float32)
-    along_x = per_x >= per_y
-    z = surface.height_um if along_x else surface.height_um.T
-    major_tan, minor_tan = (tan_x, tan_y) if along_x else (tan_y, tan_x)
-    major_px, minor_px = (surface.pixel_x_um, surface.pixel_y_um)[:: 1 if along_x else -1]
-    flip_major, flip_minor = major_tan < 0, minor_tan < 0
-    z = np.ascontiguousarray(z[:: -1 if flip_minor else 1, :: -1 if flip_major else 1])
-    shift = abs(minor_tan) / minor_px / (abs(major_tan) / major_px)
-    step = float(np.hypot(major_px, shift * minor_px))
-    tangent = float(np.hypot(tan_x, tan_y))
-    minor, major = z.shape
-    reach = int(np.ceil(tangent * np.ptp(z[np.isfinite(z)]) / step)) + 1
-    wrap = relief.wrap_columns()
-    first = -int(np.ceil(0.5 * shift * major)) - 1
-    count = minor - 1 - 2 * first
-    period_major, period_minor = (wrap, 0) if along_x else (0, wrap)
-    sliced = slice_shares(z, step, tangent, shift, reach, period_major, period_minor, first, count)
-    shares = (
-        _slices_to_facets(sliced, shift, first, minor - 1)
-        if shift > 0
-        else sliced[-first : -first + minor - 1]
-    )
-    shares = shares[:: -1 if flip_minor else 1, :: -1 if flip_major else 1]
-    return np.ascontiguousarray(shares if along_x else shares.T)
-
-
-def _slices_to_facets(sliced: ShareArray, shift: float, first: int, rows: int) -> ShareArray:
-    """Facet row r lies between two slices at every column: interpolate between them."""
-    columns = sliced.shape[1]
-    column = np.arange(columns) + 0.5
-    position = np.arange(rows)[:, None] - shift * (column - 0.5 * columns)[None, :] - first
-    low = np.floor(position).astype(np.intp)
-    part = (position - low).astype(np.float32)
-    column_index = np.arange(columns)[None, :]
-    below, above = sliced[low, column_index], sliced[low + 1, column_index]
-    return np.asarray(below + part * (above - below), dtype=np.float32)
-
-
 def radiance_maps(
     relief: Relief, to_light: FloatArray, to_camera: FloatArray, material: Material
 ) -> Iterator[ShareArray]:
@@ -151,48 +144,61 @@ def radiance_maps(
 
     Yields:
         P maps (rows − 1, cols − 1), NaN where the height is missing; their mean is the radiance.
+
+    Raises:
+        ModelError: light or camera stands at or below the horizon of the sample.
     """
     from anisoscope.sim.light.kernels import facet_radiance  # noqa: PLC0415
 
     surface = relief.surface
-    table, diffuse = transmittance_table(material), diffuse_scale(material)
-    cache: dict[bytes, ShareArray] = {}
+    z = np.ascontiguousarray(surface.height_um, dtype=np.float64)
+    horizon = Horizon(relief)
     for light, camera in zip(to_light, to_camera, strict=True):
-        if min(light[2], camera[2]) < 1e-3:
-            raise ModelError("light or camera stands at or below the horizon of the sample")
-        shares = []
-        for direction in (light, camera):
-            key = np.round(direction, 12).tobytes()
-            if key not in cache:
-                cache[key] = visible_shares(relief, direction)
-            shares.append(cache[key])
+        shine = Shine.of(light, camera, material)
         yield facet_radiance(
-            surface.height_um,
+            z,
             surface.pixel_x_um,
             surface.pixel_y_um,
+            FACETS.index(relief.facets),
             light,
             camera,
-            shares[0],
-            shares[1],
-            material.alpha_along,
-            material.alpha_across,
-            material.index,
-            diffuse,
-            table,
+            shine.half,
+            horizon.shares(light),
+            horizon.shares(camera),
+            shine.lobe,
+            shine.table,
         )
 
 
-def radiance(relief: Relief, to_light: FloatArray, to_camera: FloatArray, material: Material) -> FloatArray:
+def radiance(
+    relief: Relief,
+    to_light: FloatArray,
+    to_camera: FloatArray,
+    material: Material,
+    progress: Advance = silent,
+) -> FloatArray:
     """Mean radiance [1/sr] of the surface per unit irradiance perpendicular to the beam, direct light.
 
-    Missing facets are left out; with a known pitch the mean runs over whole pitches.
+    Missing facets are left out; with a known pitch the mean runs over whole pitches. Facets are counted by slope
+    once, so that each further pose costs little more than its shadows; memory does not grow with the poses.
 
-    Args and errors as :func:`radiance_maps`. Returns (P,) values.
+    Args:
+        relief: the surface.
+        to_light: (P, 3) unit vectors in the frame of the sample.
+        to_camera: (P, 3) unit vectors in the frame of the sample.
+        material: the plastic, with the roughness that the map does *not* resolve.
+        progress: told after each pose.
+
+    Returns:
+        (P,) values.
+
+    Raises:
+        ModelError: light or camera stands at or below the horizon of the sample.
     """
-    weights = relief.column_weights()
-    means = []
-    for shown in radiance_maps(relief, to_light, to_camera, material):
-        known = np.isfinite(shown)
-        total = np.nansum(shown, axis=0, dtype=np.float64) @ weights
-        means.append(total / (known.sum(axis=0) @ weights))
-    return np.array(means)
+    census, horizon = relief.census(material), Horizon(relief)
+    means = np.empty(len(to_light))
+    for p, (light, camera) in enumerate(zip(to_light, to_camera, strict=True)):
+        shine = Shine.of(light, camera, material)
+        means[p] = mean_radiance(census, shine, horizon.shares(light), horizon.shares(camera))
+        progress("predicting poses", p + 1, len(to_light))
+    return means

@@ -7,8 +7,9 @@ from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.corrected import ridge_polyline
 from anisoscope.sim.light.geometry import Convention, directions, pose_grid
+from anisoscope.sim.light.horizon import Horizon
 from anisoscope.sim.light.material import Material
-from anisoscope.sim.light.relief import Relief, radiance, radiance_maps, visible_shares
+from anisoscope.sim.light.relief import Relief, radiance, radiance_maps
 
 RIDGE_ANGLES = (5.0, 10.0, 15.0, 20.0)
 TABLE = pose_grid((0, 90, 180), (-20, -10, 0, 10, 20))
@@ -45,7 +46,7 @@ def test_visibility_on_any_azimuth_matches_the_closed_form(azimuth, elevation):
     surface = sampled(design, 0.25, rows=9, periods=2, pixel_y_um=0.7)
     a, e = np.radians([azimuth, elevation])
     direction = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
-    shares = visible_shares(Relief(surface, 100.0), direction)
+    shares = Horizon(Relief(surface, 100.0)).shares(direction)
     x, z = ridge_polyline(design)
     facet = corrected.visible_shares(x, z, direction[0] / direction[2])[0]
     on_facet = np.diff(surface.height_um[0]) < 0
@@ -56,7 +57,7 @@ def test_a_step_casts_the_shadow_that_geometry_says():
     height = np.zeros((6, 101))
     height[:, 50:] = 10.0
     direction = np.array([np.sin(0.7), 0.0, np.cos(0.7)])  # light from +x, over the step
-    shares = visible_shares(Relief(HeightMap(height, 1.0, 1.0)), direction)
+    shares = Horizon(Relief(HeightMap(height, 1.0, 1.0))).shares(direction)
     length = 10.0 * np.tan(0.7)
     assert (1.0 - shares[0, :49]).sum() == pytest.approx(length - 1.0, abs=1e-5)  # the step is one pixel wide
     np.testing.assert_array_equal(shares[:, 50:], 1.0)
