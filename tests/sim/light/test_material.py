@@ -99,3 +99,22 @@ def test_transmittance_of_a_smooth_interface_is_one_minus_fresnel():
 def test_impossible_materials_are_refused(field):
     with pytest.raises(ModelError):
         Material(**field)
+
+
+@pytest.mark.parametrize("alpha", [0.06, 0.3])
+@pytest.mark.parametrize("cosine", [0.05, 0.1, 0.3, 0.8])
+def test_albedo_of_the_lobe_equals_what_leaves_in_all_directions(alpha, cosine):
+    """The slopes' integral against the BRDF summed over the hemisphere, down to grazing incidence."""
+    node, weight = np.polynomial.legendre.leggauss(240)
+    side, side_weight = 0.5 * (node + 1.0), 0.5 * weight
+    # squares: denser at grazing exit, and around azimuth 0, the mirror direction; both halves of the azimuth count
+    out_cos, azimuth = np.meshgrid(side**2, np.pi * side**2, indexing="ij")
+    area = np.outer(2.0 * side * side_weight, 4.0 * np.pi * side * side_weight)
+    sine = np.sqrt(1.0 - out_cos**2)
+    out = np.stack([-sine * np.cos(azimuth), sine * np.sin(azimuth), out_cos], axis=-1)
+    light = np.broadcast_to([np.sqrt(1.0 - cosine**2), 0.0, cosine], out.shape)
+    black = Material(alpha, alpha, albedo=0.0)
+    axes = np.eye(3)
+    value = facet_brdf(light, out, axes[1], axes[0], axes[2], black)
+    expected = np.sum(value * out_cos * area)
+    assert lobe_albedo(np.array([cosine]), alpha, 1.5)[0] == pytest.approx(expected, rel=2e-3)
