@@ -14,6 +14,10 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit, prange
 
+from anisoscope.sim.light.compiled import announce
+
+announce()
+
 Floats = npt.NDArray[np.float32]
 
 BLOCK = 250  # steps of the major axis that one thread follows

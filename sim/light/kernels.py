@@ -10,6 +10,10 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit, prange
 
+from anisoscope.sim.light.compiled import announce
+
+announce()
+
 FloatArray = npt.NDArray[np.float64]
 ShareArray = npt.NDArray[np.float32]
 

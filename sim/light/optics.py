@@ -1,0 +1,172 @@
+"""What an eye and a lamp of finite size see: light and camera apertures, and a light close to the field.
+
+A pose has one direction to the light and one to the camera. Real ones subtend a disc, and a lamp at a finite
+distance stands at another angle for every place of the field. Each pose becomes a bundle of pairs of directions with
+weights; a prediction is the weighted mean over the bundle. Discs are uniform in direction cosines: an aplanatic
+lens collects so, and a lamp of uniform radiance lights so, per irradiance perpendicular to its axis.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.errors import ModelError
+from anisoscope.sim.light.geometry import Convention, Pose, directions
+
+FloatArray = npt.NDArray[np.float64]
+Model = Callable[[FloatArray, FloatArray], FloatArray]
+
+_FIELD_NODES = 3  # Gauss-Legendre, on each axis of the field
+
+
+@dataclass(frozen=True)
+class Optics:
+    """Apertures, and where the lamp stands.
+
+    Attributes:
+        light_half_angle_deg: half of the angle that the lamp subtends at the sample.
+        camera_half_angle_deg: half of the angle of the lens's aperture; arcsin of its numerical aperture.
+        light_distance_mm: from the middle of the field to the lamp; None is far away.
+        field_mm: width (along the line from camera to light) and height of the field on the sample; the camera
+            itself is telecentric: it sees all places under the same angle.
+        rings: rings of directions that stand for a disc; 1 is exact for polynomials of degree 5 over the disc, n > 1
+            of degree 4n − 1.
+
+    Raises:
+        ModelError: a value that no rig has.
+    """
+
+    light_half_angle_deg: float = 0.0
+    camera_half_angle_deg: float = 0.0
+    light_distance_mm: float | None = None
+    field_mm: tuple[float, float] = (0.0, 0.0)
+    rings: int = 1
+
+    def __post_init__(self) -> None:
+        for name, angle in (("light", self.light_half_angle_deg), ("camera", self.camera_half_angle_deg)):
+            if not 0.0 <= angle < 60.0:
+                raise ModelError(f"the half angle of the {name} must lie between 0° and 60°, not {angle}°")
+        if min(self.field_mm) < 0.0 or not np.isfinite(self.field_mm).all():
+            raise ModelError(f"the field must have a size of 0 mm or more, not {self.field_mm}")
+        if self.light_distance_mm is not None and not self.light_distance_mm > max(self.field_mm):
+            raise ModelError(
+                f"the light must stand further away than the field is wide ({max(self.field_mm):g} mm), not "
+                f"{self.light_distance_mm:g} mm"
+            )
+        if self.rings < 1:
+            raise ModelError(f"a disc of directions needs at least one ring, not {self.rings}")
+
+    @property
+    def is_point_like(self) -> bool:
+        """Every pose has one direction to the light and one to the camera."""
+        near = self.light_distance_mm is not None and max(self.field_mm) > 0.0
+        return not near and self.light_half_angle_deg == 0.0 and self.camera_half_angle_deg == 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Bundle:
+    """Directions of P poses, Q pairs each.
+
+    Attributes:
+        to_light: (P, Q, 3) unit vectors in the frame of the sample.
+        to_camera: (P, Q, 3) unit vectors in the frame of the sample.
+        weight: (Q,) weights of a mean; where the lamp has a size they add up to a little more than 1, because
+            slanting parts of the beam must be stronger to give the same irradiance perpendicular to its axis.
+    """
+
+    to_light: FloatArray
+    to_camera: FloatArray
+    weight: FloatArray
+
+
+def bundle(poses: tuple[Pose, ...], convention: Convention, optics: Optics) -> Bundle:
+    """The directions that stand for each pose.
+
+    Raises:
+        ModelError: some direction lies at or below the horizon of the sample.
+    """
+    to_light, to_camera = directions(poses, convention)
+    place, place_weight = _places(optics)
+    light_disc, light_weight = _disc(optics.light_half_angle_deg, optics.rings)
+    camera_disc, camera_weight = _disc(optics.camera_half_angle_deg, optics.rings)
+    light_cosine = np.sqrt(1.0 - np.sum(light_disc**2, axis=-1))
+    near = _from_places(poses, convention, to_light, place, optics.light_distance_mm)  # (P, F, 3)
+    lamps = _around(near[:, :, None], light_disc)  # (P, F, L, 3)
+    lenses = _around(to_camera[:, None], camera_disc)  # (P, C, 3)
+    shape = (len(poses), len(place), len(light_disc), len(camera_disc), 3)
+    all_light = np.broadcast_to(lamps[:, :, :, None], shape).reshape(len(poses), -1, 3)
+    all_camera = np.broadcast_to(lenses[:, None, None], shape).reshape(len(poses), -1, 3)
+    weight = np.einsum("f,l,c->flc", place_weight, light_weight / light_cosine, camera_weight).ravel()
+    low = min(float(all_light[..., 2].min()), float(all_camera[..., 2].min()))
+    if low < 1e-3:
+        raise ModelError("part of the light or of the lens stands at or below the horizon of the sample")
+    return Bundle(all_light, all_camera, weight)
+
+
+def mean_over(model: Model, poses: tuple[Pose, ...], convention: Convention, optics: Optics) -> FloatArray:
+    """(P,) radiances [1/sr] of a model that takes (N, 3) directions to light and to camera.
+
+    Raises:
+        ModelError: as :func:`bundle`, or what the model raises.
+    """
+    if optics.is_point_like:
+        return model(*directions(poses, convention))
+    found = bundle(poses, convention, optics)
+    values = model(found.to_light.reshape(-1, 3), found.to_camera.reshape(-1, 3))
+    return np.asarray(values.reshape(len(poses), -1) @ found.weight, dtype=np.float64)
+
+
+def _places(optics: Optics) -> tuple[FloatArray, FloatArray]:
+    """(F, 2) places in the field in mm, and their weights."""
+    if optics.light_distance_mm is None or max(optics.field_mm) == 0.0:
+        return np.zeros((1, 2)), np.ones(1)
+    node, weight = np.polynomial.legendre.leggauss(_FIELD_NODES)
+    x, y = np.meshgrid(0.5 * optics.field_mm[0] * node, 0.5 * optics.field_mm[1] * node, indexing="ij")
+    return np.stack([x.ravel(), y.ravel()], axis=-1), np.outer(0.5 * weight, 0.5 * weight).ravel()
+
+
+def _disc(half_angle_deg: float, rings: int) -> tuple[FloatArray, FloatArray]:
+    """(N, 2) direction cosines of a disc around its axis, and their weights."""
+    if half_angle_deg == 0.0:
+        return np.zeros((1, 2)), np.ones(1)
+    size = np.sin(np.radians(half_angle_deg))
+    if rings == 1:  # centre and a hexagon
+        turn = np.arange(6) * np.pi / 3.0
+        ring = np.sqrt(2.0 / 3.0) * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+        return size * np.concatenate([np.zeros((1, 2)), ring]), np.array([0.25] + [0.125] * 6)
+    node, weight = np.polynomial.legendre.leggauss(rings)
+    radius = np.sqrt(0.5 * (node + 1.0))
+    turn = (np.arange(4 * rings) + 0.5) * np.pi / (2.0 * rings)
+    points = radius[:, None, None] * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    return size * points.reshape(-1, 2), np.repeat(0.5 * weight / (4 * rings), 4 * rings)
+
+
+def _from_places(
+    poses: tuple[Pose, ...],
+    convention: Convention,
+    to_light: FloatArray,
+    place: FloatArray,
+    distance_mm: float | None,
+) -> FloatArray:
+    """(P, F, 3) unit vectors to the light from each place of the field, in the frame of the sample."""
+    if distance_mm is None:
+        return to_light[:, None]
+    sense = 1.0 if convention.rotation_sense == "ccw" else -1.0
+    turn = -np.radians(sense * np.array([pose.stage_deg for pose in poses]) + convention.facet_azimuth_deg)
+    cos, sin = np.cos(turn)[:, None], np.sin(turn)[:, None]
+    x, y = place.T
+    turned = np.stack([cos * x - sin * y, sin * x + cos * y, np.zeros((len(poses), len(place)))], axis=-1)
+    way = distance_mm * to_light[:, None] - turned
+    return np.asarray(way / np.linalg.norm(way, axis=-1, keepdims=True))
+
+
+def _around(axis: FloatArray, disc: FloatArray) -> FloatArray:
+    """(…, N, 3) unit vectors around axes (…, 1, 3), at direction cosines (N, 2) from them."""
+    helper = np.where(np.abs(axis[..., :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
+    first = np.cross(axis, helper)
+    first = first / np.linalg.norm(first, axis=-1, keepdims=True)
+    second = np.cross(axis, first)
+    along = np.sqrt(1.0 - np.sum(disc**2, axis=-1))[:, None]
+    return np.asarray(disc[:, :1] * first + disc[:, 1:] * second + along * axis)
