@@ -2,19 +2,31 @@
 
 import json
 import sys
-from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from anisoscope.cli.console import parse_numbers, print_table
+from anisoscope.cli.console import parse_numbers, progress
+from anisoscope.cli.predict_options import (
+    DEFAULTS,
+    GROUP,
+    UncertaintyOptions,
+    check_options,
+    input_uncertainty,
+    monte_carlo,
+)
 from anisoscope.errors import UsageError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from anisoscope.predicting import Predicted
+    from anisoscope.progress import Advance
+    from anisoscope.sim.light.material import Material
 
 Model = Literal["printed", "corrected", "relief"]
+DEFAULT_ALBEDO, DEFAULT_INDEX = 0.2, 1.5
 
 
 def predict(
@@ -27,11 +39,18 @@ def predict(
     ] = None,
     alpha_along: Annotated[float, Parameter(help="Beckmann roughness along the ridges.")] = 0.06,
     alpha_across: Annotated[float, Parameter(help="Beckmann roughness across the ridges.")] = 0.10,
-    albedo: Annotated[float, Parameter(help="Diffuse albedo of the plastic, 0 to 1.")] = 0.2,
-    index: Annotated[float, Parameter(help="Refractive index of the plastic.")] = 1.5,
+    albedo: Annotated[float, Parameter(help="Diffuse albedo of the plastic, 0 to 1.")] = DEFAULT_ALBEDO,
+    index: Annotated[float, Parameter(help="Refractive index of the plastic.")] = DEFAULT_INDEX,
+    spectrum: Annotated[
+        Path | None,
+        Parameter(help="CSV file with wavelength_nm,index,albedo: predict at each wavelength."),
+    ] = None,
     wall: Annotated[
         Literal["perpendicular", "vertical"], Parameter(help="Wall of an ideal ridge.")
     ] = "perpendicular",
+    height_loss: Annotated[
+        float, Parameter(help="Share of the height that is missing at the crest of an ideal ridge.")
+    ] = 0.0,
     internal_reflection: Annotated[
         Literal["nonlinear", "linear"], Parameter(help="Colour of light sent back inside the plastic.")
     ] = "nonlinear",
@@ -58,9 +77,16 @@ def predict(
         Literal["auto", "plane", "none"],
         Parameter(help="How a height map is levelled; auto: by whole pitches if ridges are known, else not."),
     ] = "auto",
+    role: Annotated[
+        Literal["part", "tool"], Parameter(help="Map of the part, or of the tool (mould).")
+    ] = "part",
+    max_missing: Annotated[
+        float, Parameter(help="Share of missing facets above which a height map is refused.")
+    ] = 0.25,
+    uncertainties: Annotated[UncertaintyOptions, Parameter(name="*", group=GROUP)] = DEFAULTS,
     json_: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")] = False,
 ) -> int:
-    """Predict radiances and contrasts of a height map or of an ideal ridge design.
+    """Predict radiances and contrasts, with their uncertainty, of a height map or of an ideal ridge design.
 
     Args:
         height_map: File with a measured height map; leave it out and give --ridge-angle for an ideal design.
@@ -72,34 +98,96 @@ def predict(
 
     _check_choice(height_map, ridge_angle, model)
     _check_bounces(bounces, height_map, model)
+    _check_surface(height_map, model, height_loss, role, max_missing)
+    if spectrum is not None:
+        _check_spectrum(model, albedo, index)
+    check_options(
+        uncertainties, height_map=height_map is not None, as_json=json_, spectrum=spectrum is not None
+    )
     poses = pose_grid(parse_numbers(angles, "--angles"), parse_numbers(tilts, "--tilts"))
     convention = Convention(light_angle, tilt_plane, facet_azimuth)
     material = Material(alpha_along, alpha_across, albedo, index, internal_reflection)
+    inputs, draws = input_uncertainty(uncertainties), monte_carlo(uncertainties)
     if height_map is not None:
         from anisoscope.cli.profile import parse_pixel
         from anisoscope.profiles.load import read_height_map
 
-        surface = read_height_map(height_map, pixel_um=parse_pixel(pixel))
-        result = predict_height_map(surface, material, poses, convention, pitch, level)
+        surface = read_height_map(height_map, pixel_um=parse_pixel(pixel), role=role)
+
+        def of(plastic: Material, advance: "Advance") -> "Predicted":
+            return predict_height_map(
+                surface, plastic, poses, convention, pitch, level, max_missing, inputs, draws, advance
+            )
     else:
         assert ridge_angle is not None
-        design = RidgeDesign(
-            pitch_um=100.0 if pitch is None else pitch, ridge_angle_deg=ridge_angle, wall=wall
-        )
-        result = predict_design(
-            design,
-            material,
-            poses,
-            convention,
-            "printed" if model == "printed" else "corrected",
-            None if bounces == "all" else bounces,
-        )
-    if json_:
-        json.dump(_as_json(result), sys.stdout, indent=2, allow_nan=False)
-        sys.stdout.write("\n")
-    else:
-        _print(result)
+        design = RidgeDesign(100.0 if pitch is None else pitch, ridge_angle, wall, height_loss)
+        of_design: Literal["printed", "corrected"] = "printed" if model == "printed" else "corrected"
+        count = None if bounces == "all" else bounces
+
+        def of(plastic: Material, advance: "Advance") -> "Predicted":
+            return predict_design(
+                design, plastic, poses, convention, of_design, count, inputs, draws, advance
+            )
+
+    _predict_and_print(of, material, spectrum, as_json=json_, covariance=uncertainties.covariance)
     return 0
+
+
+def _predict_and_print(
+    predict_one: "Callable[[Material, Advance], Predicted]",
+    material: "Material",
+    spectrum: Path | None,
+    *,
+    as_json: bool,
+    covariance: bool,
+) -> None:
+    from anisoscope.cli import predict_output as output
+    from anisoscope.cli import predict_tables as tables
+
+    if spectrum is None:
+        with progress("predict") as advance:
+            result = predict_one(material, advance)
+        if not as_json:
+            tables.print_prediction(result)
+            return
+        found = output.as_json(result, covariance=covariance)
+    else:
+        from anisoscope.spectrumfile import read_spectrum
+
+        colours = read_spectrum(spectrum)
+        results = []
+        for wavelength, plastic in zip(colours.wavelengths_nm, colours.materials(material), strict=True):
+            with progress(f"{wavelength:g} nm") as advance:
+                results.append(predict_one(plastic, advance))
+        if not as_json:
+            tables.print_spectrum(results, colours.wavelengths_nm)
+            return
+        found = output.spectrum_as_json(results, colours.wavelengths_nm, covariance=covariance)
+    json.dump(found, sys.stdout, indent=2, allow_nan=False)
+    sys.stdout.write("\n")
+
+
+def _check_surface(
+    height_map: Path | None, model: Model | None, height_loss: float, role: str, max_missing: float
+) -> None:
+    if height_loss != 0.0 and (height_map is not None or model == "printed"):
+        what = "a height map has the heights it has" if height_map is not None else "printed knows none"
+        raise UsageError(f"--height-loss needs a design under --model corrected; {what}")
+    if height_map is None and role != "part":
+        raise UsageError("--role tool belongs to a height map; a design is that of the part")
+    if not 0.0 <= max_missing <= 1.0:
+        raise UsageError(f"--max-missing must be a share of 0 to 1, not {max_missing:g}")
+
+
+def _check_spectrum(model: Model | None, albedo: float, index: float) -> None:
+    if model == "printed":
+        raise UsageError(
+            "--spectrum needs --model corrected or relief: in the printed model index and albedo only scale"
+        )
+    if (albedo, index) != (DEFAULT_ALBEDO, DEFAULT_INDEX):
+        raise UsageError(
+            "--spectrum states index and albedo of each wavelength: leave --index and --albedo out"
+        )
 
 
 def _check_choice(height_map: Path | None, ridge_angle: float | None, model: Model | None) -> None:
@@ -125,59 +213,3 @@ def _check_bounces(bounces: int | Literal["all"], height_map: Path | None, model
         raise UsageError(
             f"--bounces {bounces} needs a design under --model corrected; {what} knows direct light only"
         )
-
-
-def _finite(value: float) -> float | None:
-    return value if abs(value) < float("inf") else None
-
-
-def _as_json(result: "Predicted") -> dict[str, Any]:
-    return {
-        "model": result.model,
-        "convention": asdict(result.convention),
-        "k": result.k,
-        "poses": [
-            {"stage_deg": pose.stage_deg, "tilt_deg": pose.tilt_deg, "radiance": float(value)}
-            for pose, value in zip(result.poses, result.radiance, strict=True)
-        ],
-        "contrasts": [
-            {key: _finite(value) for key, value in asdict(contrast).items()} for contrast in result.contrasts
-        ],
-        **result.notes,
-    }
-
-
-def _print(result: "Predicted") -> None:
-    convention = result.convention
-    caption = (
-        f"model {result.model}; light {convention.light_angle_deg:g}° from the camera, tilt plane "
-        f"{convention.tilt_plane}, facets toward {convention.facet_azimuth_deg:g}°, stage turns "
-        f"{convention.rotation_sense}; k = {result.k:g}"
-    )
-    for name, value in result.notes.items():
-        shown = f"{value:.4g}" if isinstance(value, float) else str(value)
-        caption += f"; {name.replace('_', ' ')}: {shown}"
-    print_table(
-        "Radiance per unit irradiance",
-        ["stage [°]", "tilt [°]", "radiance [1/sr]"],
-        [
-            [f"{pose.stage_deg:g}", f"{pose.tilt_deg:g}", f"{value:.5f}"]
-            for pose, value in zip(result.poses, result.radiance, strict=True)
-        ],
-    )
-    print_table(
-        "Contrasts",
-        ["from [°]", "to [°]", "tilt [°]", "difference [1/sr]", "Michelson", "ln ratio"],
-        [
-            [
-                f"{c.from_deg:g}",
-                f"{c.to_deg:g}",
-                f"{c.tilt_deg:g}",
-                f"{c.difference:+.5f}",
-                f"{c.michelson:+.4f}",
-                f"{c.log_ratio:+.4f}",
-            ]
-            for c in result.contrasts
-        ],
-        caption=caption,
-    )

@@ -5,6 +5,7 @@ from anisoscope.errors import HeightMapError
 from anisoscope.predicting import predict_design, predict_height_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign, ridges
+from anisoscope.sensitivity import InputUncertainty
 from anisoscope.sim.light.geometry import Convention, pose_grid
 from anisoscope.sim.light.material import Material
 
@@ -69,3 +70,35 @@ def test_the_printed_model_is_not_the_corrected_one():
     assert (printed.model, corrected.model) == ("printed", "corrected")
     assert not np.allclose(printed.radiance, corrected.radiance, rtol=0.05)
     assert len(printed.contrasts) == 6
+
+
+def test_uncertainty_is_there_when_asked_for_and_leaves_the_prediction_alone():
+    design = RidgeDesign(100.0, 10.0)
+    surface = ridges(design, (20, 601), (1.0, 1.0))
+    inputs = InputUncertainty(alpha_share=0.0, index=0.0)
+    for predict, what in ((predict_design, design), (predict_height_map, surface)):
+        bare = predict(what, MATERIAL, POSES, Convention())
+        found = predict(what, MATERIAL, POSES, Convention(), inputs=inputs)
+        assert bare.budget is bare.drawn is bare.covariance is bare.contrast_covariance("michelson") is None
+        np.testing.assert_array_equal(found.radiance, bare.radiance)
+        np.testing.assert_array_equal(found.budget.radiance, bare.radiance)
+        assert np.linalg.eigvalsh(found.covariance).min() > -1e-15
+        assert found.contrast_covariance("log_ratio").shape == (6, 6)
+
+
+def test_a_map_narrower_than_its_pitch_is_refused():
+    surface = ridges(RidgeDesign(100.0, 10.0), (20, 81), (1.0, 1.0))
+    with pytest.raises(HeightMapError, match="80 µm wide, less than one pitch of 100 µm"):
+        predict_height_map(surface, MATERIAL, POSES, Convention(), pitch_um=100.0)
+
+
+def test_the_limit_of_missing_points_can_be_moved():
+    surface = ridges(RidgeDesign(100.0, 10.0), (20, 801), (1.0, 0.5))
+    height = surface.height_um.copy()
+    height[:10] = np.nan
+    holed = surface.with_height(height)
+    found = predict_height_map(holed, MATERIAL, POSES, Convention(), max_missing_share=0.6)
+    whole = predict_height_map(surface, MATERIAL, POSES, Convention())
+    np.testing.assert_allclose(found.radiance, whole.radiance, rtol=1e-3)
+    with pytest.raises(HeightMapError, match="limit 5%"):
+        predict_height_map(holed, MATERIAL, POSES, Convention(), max_missing_share=0.05)

@@ -1,0 +1,247 @@
+"""How uncertain a prediction is: from the uncertainty of its inputs to a covariance of the pose radiances.
+
+The law of propagation of uncertainty (JCGM 100:2008, 5.2; for several outputs JCGM 102:2011, 6.2): every input is
+moved a small step down and up, everything else held, and half the change of the radiances per step times the
+standard uncertainty of the input is its contribution. Works with any predictor that takes directions and a
+material. All states that share material and shape go into one call of the predictor.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.errors import ModelError
+from anisoscope.progress import Advance, silent
+from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_rotation
+from anisoscope.sim.light.material import Material
+
+FloatArray = npt.NDArray[np.float64]
+Correlation = Literal["shared", "independent", "partial"]
+Model = Callable[[FloatArray, FloatArray, Material], FloatArray]
+
+DARK = 1e-9  # 1/sr; below it ln L says nothing
+ALPHA_RANGE = (0.001, 1.0)
+SHAPE_RANGE = {
+    "ridge_angle_deg": (0.0, 44.9),
+    "height_loss": (0.0, 1.0),
+    "height_factor": (0.0, float("inf")),
+}
+_CURVED = 0.3  # share of the linear u above which the second order is told
+_ROUGHLY_LINEAR = 0.3  # relative u of one source, likewise
+
+
+@dataclass(frozen=True)
+class InputUncertainty:
+    """Standard uncertainties of everything that a prediction is made from; the defaults are the recipe's.
+
+    Attributes:
+        alpha_share: relative, of both roughnesses, each for itself.
+        albedo: of the diffuse albedo.
+        index: of the refractive index.
+        light_angle_deg: of the angle between light and camera.
+        light_field_deg: half-width by which the light angle varies over the field of view.
+        stage_deg: of the stage angle, another error in every pose.
+        stage_zero_deg: of the stage's zero against the ridges, the same in all poses.
+        tilt_deg: of the tilt, another error in every pose.
+        tilt_zero_deg: of the zero of the tilt, the same in all poses.
+        seating_tilt_deg: of the seating, about x and about y of the part, each.
+        ridge_angle_deg: of the ridge angle of a design.
+        height_loss: of the height loss of a design, a share.
+        height_noise_um: standard deviation of the noise of a height map, in each point for itself.
+        height_scale_share: relative, of the amplification of the heights of a map.
+        pixel_size_share: relative, of the pixel size of a map, both axes together.
+        height_map_share: relative, of the radiance of a pose, for whatever else is wrong with a map.
+        ridges_seen: number of ridges in the camera's field of view; None counts no scatter for them.
+
+    Raises:
+        ModelError: a negative or infinite value, or fewer than one ridge.
+    """
+
+    alpha_share: float = 0.05
+    albedo: float = 0.01
+    index: float = 0.01
+    light_angle_deg: float = 0.1
+    light_field_deg: float = 0.0
+    stage_deg: float = 0.05
+    stage_zero_deg: float = 0.05
+    tilt_deg: float = 0.05
+    tilt_zero_deg: float = 0.05
+    seating_tilt_deg: float = 0.1
+    ridge_angle_deg: float = 0.0
+    height_loss: float = 0.0
+    height_noise_um: float = 0.0
+    height_scale_share: float = 0.0
+    pixel_size_share: float = 0.0
+    height_map_share: float = 0.01
+    ridges_seen: int | None = None
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if value is not None and not 0.0 <= value < float("inf"):
+                name = field.name.replace("_", " ")
+                raise ModelError(
+                    f"the uncertainty {name!r} must be a finite number, 0 or more, not {value:g}"
+                )
+        if self.ridges_seen is not None and self.ridges_seen < 1:
+            raise ModelError(f"the camera sees one ridge or more, not {self.ridges_seen}")
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What may be uncertain about the shape of a surface.
+
+    Attributes:
+        ridge_angle_deg: ridge angle of a design.
+        height_loss: height loss of a design, a share.
+        height_factor: factor on the heights of a map.
+    """
+
+    ridge_angle_deg: float = 0.0
+    height_loss: float = 0.0
+    height_factor: float = 1.0
+
+
+Surface = Callable[[Shape], Model]
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Everything that one prediction depends on; the turns are one number or (P,) values, in degrees."""
+
+    material: Material
+    light_angle_deg: float
+    stage_deg: float | FloatArray = 0.0
+    tilt_deg: float | FloatArray = 0.0
+    seating_deg: tuple[float, float] = (0.0, 0.0)
+    shape: Shape = Shape()
+
+
+@dataclass(frozen=True, eq=False)
+class Contribution:
+    """What one source adds to the uncertainty of the pose radiances.
+
+    Attributes:
+        source: what it is, in words.
+        absolute: (P,) standard uncertainty in 1/sr; signed where it is shared.
+        correlation: "shared": one error moves all poses together; "independent": every pose has its own;
+            "partial": as ``matrix`` says.
+        matrix: (P, P) covariance in 1/sr², for "partial" only.
+        curvature: (P,) standard deviation in 1/sr that the second order of the model adds; not in the covariance.
+        rectangular: evenly distributed within its bounds, else normal.
+        kind: of what it makes uncertain.
+    """
+
+    source: str
+    absolute: FloatArray
+    correlation: Correlation = "shared"
+    matrix: FloatArray | None = None
+    curvature: FloatArray | None = None
+    rectangular: bool = False
+    kind: str = "prediction"
+
+    def covariance(self) -> FloatArray:
+        """(P, P) covariance of the radiances in 1/sr²."""
+        if self.matrix is not None:
+            return self.matrix
+        if self.correlation == "shared":
+            return np.outer(self.absolute, self.absolute)
+        return np.diag(self.absolute**2)
+
+
+@dataclass(frozen=True, eq=False)
+class Budget:
+    """All contributions to the uncertainty of P pose radiances.
+
+    Attributes:
+        radiance: (P,) nominal radiances in 1/sr.
+        contributions: the sources.
+        per_degree: (P,) change of L per degree of stage angle, in 1/sr.
+    """
+
+    radiance: FloatArray
+    contributions: tuple[Contribution, ...]
+    per_degree: FloatArray
+
+    @property
+    def dark(self) -> npt.NDArray[np.bool_]:
+        """(P,) True where L ≤ 1e-9 1/sr, so that relative uncertainties mean nothing."""
+        return self.radiance <= DARK
+
+    def covariance(self) -> FloatArray:
+        """(P, P) covariance of the radiances in 1/sr²."""
+        count = self.radiance.size
+        parts = [np.zeros((count, count)), *(c.covariance() for c in self.contributions)]
+        return np.asarray(np.sum(parts, axis=0))
+
+    def u(self) -> FloatArray:
+        """(P,) standard uncertainties in 1/sr."""
+        return np.asarray(np.sqrt(np.diag(self.covariance())))
+
+    def relative(self, absolute: FloatArray) -> FloatArray:
+        """(P,) values in 1/sr as shares of L; 0 in dark poses."""
+        return np.where(self.dark, 0.0, absolute / np.where(self.dark, 1.0, self.radiance))
+
+    def not_linear(self) -> npt.NDArray[np.bool_]:
+        """(P,) True where first-order propagation is in doubt.
+
+        Either the second order of some sources, added in squares, exceeds 0.3 of the first-order u (as at the top
+        of a lobe, where the slope vanishes), or one source alone moves L by more than 30 %.
+        """
+        zero = np.zeros(self.radiance.size)
+        curved = [zero if c.curvature is None else c.curvature for c in self.contributions]
+        second = np.sqrt(np.sum([zero, *(value**2 for value in curved)], axis=0))
+        largest = np.max([zero, *(np.abs(self.relative(c.absolute)) for c in self.contributions)], axis=0)
+        seen = second > np.maximum(_CURVED * self.u(), DARK)
+        return np.asarray(seen | (largest > _ROUGHLY_LINEAR))
+
+
+def fixed(model: Model) -> Surface:
+    """A surface whose shape is beyond doubt, from its predictor."""
+    return lambda _shape: model
+
+
+def _seen(state: State, poses: Sequence[Pose], convention: Convention) -> tuple[FloatArray, FloatArray]:
+    turn, tilt = (np.broadcast_to(angle, len(poses)) for angle in (state.stage_deg, state.tilt_deg))
+    moved = tuple(
+        Pose(pose.stage_deg + float(a), pose.tilt_deg + float(b))
+        for pose, a, b in zip(poses, turn, tilt, strict=True)
+    )
+    to_light, to_camera = directions(moved, replace(convention, light_angle_deg=state.light_angle_deg))
+    seat = seating_rotation(*state.seating_deg)
+    to_light, to_camera = to_light @ seat, to_camera @ seat
+    low = np.minimum(to_light[:, 2], to_camera[:, 2]) < 1e-3
+    if low.any():
+        pose = poses[int(np.argmax(low))]
+        raise ModelError(
+            f"at {pose.stage_deg:g}°, tilt {pose.tilt_deg:g}°, light or camera stands within the uncertainty of the "
+            "angles from the horizon of the sample: leave the pose out, or predict it without uncertainty"
+        )
+    return to_light, to_camera
+
+
+def evaluate(
+    surface: Surface,
+    states: Sequence[State],
+    poses: tuple[Pose, ...],
+    convention: Convention,
+    on_progress: Advance = silent,
+) -> FloatArray:
+    """Radiances of all poses in all states, (S, P) in 1/sr; one call of the predictor per material and shape.
+
+    Raises:
+        ModelError: in some state light or camera stands at or below the horizon of the sample.
+    """
+    groups: dict[tuple[Shape, Material], list[int]] = {}
+    for number, state in enumerate(states):
+        groups.setdefault((state.shape, state.material), []).append(number)
+    result = np.empty((len(states), len(poses)))
+    for step, ((shape, material), members) in enumerate(groups.items()):
+        on_progress("uncertainty", step, len(groups))
+        seen = [_seen(states[number], poses, convention) for number in members]
+        to_light, to_camera = (np.concatenate([pair[side] for pair in seen]) for side in (0, 1))
+        result[members] = surface(shape)(to_light, to_camera, material).reshape(len(members), len(poses))
+    return result
