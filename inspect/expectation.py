@@ -6,13 +6,13 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.errors import HeightMapError, RecipeError
-from anisoscope.mapuncertainty import best_band, relief_model
-from anisoscope.predicting import AXIS_TOLERANCE_DEG, prepare_relief
+from anisoscope.prediction.mapuncertainty import best_band, relief_model
+from anisoscope.prediction.preparing import AXIS_TOLERANCE_DEG, prepare_relief
+from anisoscope.prediction.propagation import propagate
+from anisoscope.prediction.sensitivity import DARK, InputUncertainty, Model, State, evaluate, fixed
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.load import read_height_map
-from anisoscope.propagation import propagate
 from anisoscope.recipe import Recipe
-from anisoscope.sensitivity import DARK, InputUncertainty, Model, State, evaluate, fixed
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import Convention, Pose
 from anisoscope.sim.light.material import Material

@@ -37,7 +37,7 @@ def console(*, stderr: bool = False) -> "Console":
 
 
 def print_table(title: str, columns: list[str], rows: list[list[str]], caption: str | None = None) -> None:
-    """Print a table; the text of data never becomes markup."""
+    """Print a table; neither headers nor data become markup."""
     from rich.markup import escape
     from rich.table import Table
 
@@ -45,7 +45,7 @@ def print_table(title: str, columns: list[str], rows: list[list[str]], caption: 
         title=title, title_justify="left", caption=caption and escape(caption), caption_justify="left"
     )
     for number, column in enumerate(columns):
-        table.add_column(column, justify="left" if number == 0 else "right")
+        table.add_column(escape(column), justify="left" if number == 0 else "right")
     for row in rows:
         table.add_row(*(escape(cell) for cell in row))
     console().print(table)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from anisoscope.cli.console import parse_numbers, progress
+from anisoscope.cli.predict_optics import OPTICS_DEFAULTS, OPTICS_GROUP, OpticsOptions, optics_of
 from anisoscope.cli.predict_options import (
     DEFAULTS,
     GROUP,
@@ -21,7 +22,7 @@ from anisoscope.errors import UsageError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from anisoscope.predicting import Predicted
+    from anisoscope.prediction.predicting import Predicted
     from anisoscope.progress import Advance
     from anisoscope.sim.light.material import Material
 
@@ -56,9 +57,7 @@ def predict(
     ] = "nonlinear",
     bounces: Annotated[
         int | Literal["all"],
-        Parameter(
-            help="Reflections followed: 1 is direct light; more or 'all' for a design under corrected."
-        ),
+        Parameter(help="Reflections followed: 1 is direct light; a larger number, or 'all'."),
     ] = 1,
     light_angle: Annotated[float, Parameter(help="Angle between light and camera in degrees.")] = 10.0,
     tilt_plane: Annotated[
@@ -83,6 +82,15 @@ def predict(
     max_missing: Annotated[
         float, Parameter(help="Share of missing facets above which a height map is refused.")
     ] = 0.25,
+    facets: Annotated[
+        Literal["symmetric", "diagonal", "antidiagonal"],
+        Parameter(help="Four points of a map as one facet, or as two triangles along a diagonal."),
+    ] = "symmetric",
+    roughness: Annotated[
+        Literal["lobe", "plastic"],
+        Parameter(help="Alpha is what a map does not resolve (lobe), or that of the plastic at all scales."),
+    ] = "lobe",
+    sizes: Annotated[OpticsOptions, Parameter(name="*", group=OPTICS_GROUP)] = OPTICS_DEFAULTS,
     uncertainties: Annotated[UncertaintyOptions, Parameter(name="*", group=GROUP)] = DEFAULTS,
     json_: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")] = False,
 ) -> int:
@@ -91,14 +99,15 @@ def predict(
     Args:
         height_map: File with a measured height map; leave it out and give --ridge-angle for an ideal design.
     """
-    from anisoscope.predicting import predict_design, predict_height_map
+    from anisoscope.prediction.predicting import predict_design, predict_height_map
     from anisoscope.profiles.ideal import RidgeDesign
     from anisoscope.sim.light.geometry import Convention, pose_grid
     from anisoscope.sim.light.material import Material
 
     _check_choice(height_map, ridge_angle, model)
-    _check_bounces(bounces, height_map, model)
+    _check_bounces(bounces, model)
     _check_surface(height_map, model, height_loss, role, max_missing)
+    _check_map_options(height_map, facets, roughness)
     if spectrum is not None:
         _check_spectrum(model, albedo, index)
     check_options(
@@ -107,6 +116,7 @@ def predict(
     poses = pose_grid(parse_numbers(angles, "--angles"), parse_numbers(tilts, "--tilts"))
     convention = Convention(light_angle, tilt_plane, facet_azimuth)
     material = Material(alpha_along, alpha_across, albedo, index, internal_reflection)
+    optics, count = optics_of(sizes), None if bounces == "all" else bounces
     inputs, draws = input_uncertainty(uncertainties), monte_carlo(uncertainties)
     if height_map is not None:
         from anisoscope.cli.profile import parse_pixel
@@ -116,17 +126,29 @@ def predict(
 
         def of(plastic: Material, advance: "Advance") -> "Predicted":
             return predict_height_map(
-                surface, plastic, poses, convention, pitch, level, max_missing, inputs, draws, advance
+                surface,
+                plastic,
+                poses,
+                convention,
+                pitch,
+                level,
+                max_missing,
+                inputs,
+                draws,
+                advance,
+                bounces=count,
+                optics=optics,
+                facets=facets,
+                roughness=roughness,
             )
     else:
         assert ridge_angle is not None
         design = RidgeDesign(100.0 if pitch is None else pitch, ridge_angle, wall, height_loss)
         of_design: Literal["printed", "corrected"] = "printed" if model == "printed" else "corrected"
-        count = None if bounces == "all" else bounces
 
         def of(plastic: Material, advance: "Advance") -> "Predicted":
             return predict_design(
-                design, plastic, poses, convention, of_design, count, inputs, draws, advance
+                design, plastic, poses, convention, of_design, count, inputs, draws, advance, optics
             )
 
     _predict_and_print(of, material, spectrum, as_json=json_, covariance=uncertainties.covariance)
@@ -152,7 +174,7 @@ def _predict_and_print(
             return
         found = output.as_json(result, covariance=covariance)
     else:
-        from anisoscope.spectrumfile import read_spectrum
+        from anisoscope.prediction.spectrumfile import read_spectrum
 
         colours = read_spectrum(spectrum)
         results = []
@@ -203,13 +225,18 @@ def _check_choice(height_map: Path | None, ridge_angle: float | None, model: Mod
         )
 
 
-def _check_bounces(bounces: int | Literal["all"], height_map: Path | None, model: Model | None) -> None:
+def _check_bounces(bounces: int | Literal["all"], model: Model | None) -> None:
     if bounces == 1:
         return
     if bounces != "all" and bounces < 1:
         raise UsageError(f"--bounces must be 1 or more, or all, not {bounces}")
-    if height_map is not None or model == "printed":
-        what = "a height map" if height_map is not None else "--model printed"
+    if model == "printed":
         raise UsageError(
-            f"--bounces {bounces} needs a design under --model corrected; {what} knows direct light only"
+            f"--bounces {bounces} needs --model corrected; --model printed knows direct light only"
         )
+
+
+def _check_map_options(height_map: Path | None, facets: str, roughness: str) -> None:
+    if height_map is None and (facets != "symmetric" or roughness != "lobe"):
+        which = "--facets" if facets != "symmetric" else "--roughness"
+        raise UsageError(f"{which} belongs to a height map; a design has no facets of its own")

@@ -8,8 +8,8 @@ from cyclopts import Group, Parameter
 from anisoscope.errors import UsageError
 
 if TYPE_CHECKING:
-    from anisoscope.montecarlo import MonteCarlo
-    from anisoscope.sensitivity import InputUncertainty
+    from anisoscope.prediction.montecarlo import MonteCarlo
+    from anisoscope.prediction.sensitivity import InputUncertainty
 
 GROUP = Group(
     "Uncertainty",
@@ -20,7 +20,7 @@ GROUP = Group(
 
 @dataclass(frozen=True)
 class UncertaintyOptions:
-    """The options; names and meaning of the inputs as in `anisoscope.sensitivity.InputUncertainty`."""
+    """The options; names and meaning of the inputs as in `anisoscope.prediction.sensitivity.InputUncertainty`."""
 
     u_alpha: Annotated[float, Parameter("--u-alpha", help="Of both roughnesses, relative.")] = 0.05
     u_albedo: Annotated[float, Parameter("--u-albedo", help="Of the albedo.")] = 0.01
@@ -135,7 +135,7 @@ def _check_values(options: UncertaintyOptions) -> None:
 
 def input_uncertainty(options: UncertaintyOptions) -> "InputUncertainty | None":
     """The uncertainties of the options; None with --no-uncertainty."""
-    from anisoscope.sensitivity import InputUncertainty
+    from anisoscope.prediction.sensitivity import InputUncertainty
 
     if not options.uncertainty:
         return None
@@ -162,6 +162,6 @@ def input_uncertainty(options: UncertaintyOptions) -> "InputUncertainty | None":
 
 def monte_carlo(options: UncertaintyOptions) -> "MonteCarlo | None":
     """The Monte Carlo of the options, or None."""
-    from anisoscope.montecarlo import MonteCarlo
+    from anisoscope.prediction.montecarlo import MonteCarlo
 
     return None if options.monte_carlo is None else MonteCarlo(options.monte_carlo, options.seed)

@@ -7,8 +7,8 @@ if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
-    from anisoscope.predicting import Predicted
-    from anisoscope.sensitivity import Budget
+    from anisoscope.prediction.predicting import Predicted
+    from anisoscope.prediction.sensitivity import Budget
 
     FloatArray = npt.NDArray[np.float64]
 
@@ -51,7 +51,7 @@ def uncertainty_warning(result: "Predicted") -> str | None:
     """Where first-order propagation fails, or may fail; None where it serves."""
     if result.budget is None:
         return None
-    from anisoscope.montecarlo import disagreement
+    from anisoscope.prediction.montecarlo import disagreement
 
     names = pose_names(result)
     if result.drawn is None:

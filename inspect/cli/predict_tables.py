@@ -10,8 +10,8 @@ if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
-    from anisoscope.predicting import Predicted
-    from anisoscope.sensitivity import Budget
+    from anisoscope.prediction.predicting import Predicted
+    from anisoscope.prediction.sensitivity import Budget
 
     FloatArray = npt.NDArray[np.float64]
 
@@ -118,10 +118,8 @@ def _print_budget(result: "Predicted", budget: "Budget") -> None:
 
 def print_spectrum(results: "list[Predicted]", wavelengths_nm: tuple[float, ...]) -> None:
     """Print radiances and contrasts of every wavelength."""
-    from rich.markup import escape
-
     radiance, contrast = columns_of(results[0])
-    wavelength_head = escape("wavelength [nm]")
+    wavelength_head = "wavelength [nm]"
     shown = [f"{wavelength:g}" for wavelength in wavelengths_nm]
     for title, head, rows_of, caption in (
         ("Radiance per unit irradiance", radiance, radiance_rows, None),

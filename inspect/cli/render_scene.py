@@ -50,7 +50,7 @@ class SurfaceOptions:
             UsageError: options that make no sense together.
             HeightMapError: a map that cannot be read or used.
         """
-        from anisoscope.predicting import prepare_relief
+        from anisoscope.prediction.preparing import prepare_relief
         from anisoscope.sim.light.relief import Relief
 
         if (height_map is None) == (self.ridge_angle is None):

@@ -8,7 +8,7 @@ from numba.core import event
 _log = logging.getLogger("anisoscope.compiled")
 
 
-class _Announcer(event.Listener):  # type: ignore[misc] # numba has no types
+class _Announcer(event.Listener):
     """Logs the first compilation of a kernel of ours; kernels that are read from disk compile nothing."""
 
     def __init__(self) -> None:
@@ -32,4 +32,4 @@ def announce() -> None:
     """Log a warning at the first compilation from now on; asking twice changes nothing."""
     if not _announcer.listening:
         _announcer.listening = True
-        event.register("numba:compile", _announcer)
+        event.register("numba:compile", _announcer)  # type: ignore[no-untyped-call]

@@ -13,10 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.errors import ModelError
-from anisoscope.sim.light.geometry import Convention, Pose, directions
+from anisoscope.sim.light.material import Material
 
 FloatArray = npt.NDArray[np.float64]
-Model = Callable[[FloatArray, FloatArray], FloatArray]
+Model = Callable[[FloatArray, FloatArray, Material], FloatArray]
 
 _FIELD_NODES = 3  # Gauss-Legendre, on each axis of the field
 
@@ -65,9 +65,12 @@ class Optics:
         return not near and self.light_half_angle_deg == 0.0 and self.camera_half_angle_deg == 0.0
 
 
+POINT_LIKE = Optics()
+
+
 @dataclass(frozen=True, eq=False)
 class Bundle:
-    """Directions of P poses, Q pairs each.
+    """Directions that stand for P poses, Q pairs each.
 
     Attributes:
         to_light: (P, Q, 3) unit vectors in the frame of the sample.
@@ -81,41 +84,49 @@ class Bundle:
     weight: FloatArray
 
 
-def bundle(poses: tuple[Pose, ...], convention: Convention, optics: Optics) -> Bundle:
+def bundle(to_light: FloatArray, to_camera: FloatArray, optics: Optics) -> Bundle:
     """The directions that stand for each pose.
+
+    Args:
+        to_light: (P, 3) unit vectors from the middle of the field, in the frame of the sample.
+        to_camera: (P, 3) unit vectors in the frame of the sample.
+        optics: apertures, and where the lamp stands.
 
     Raises:
         ModelError: some direction lies at or below the horizon of the sample.
     """
-    to_light, to_camera = directions(poses, convention)
     place, place_weight = _places(optics)
     light_disc, light_weight = _disc(optics.light_half_angle_deg, optics.rings)
     camera_disc, camera_weight = _disc(optics.camera_half_angle_deg, optics.rings)
     light_cosine = np.sqrt(1.0 - np.sum(light_disc**2, axis=-1))
-    near = _from_places(poses, convention, to_light, place, optics.light_distance_mm)  # (P, F, 3)
+    near = _from_places(to_light, to_camera, place, optics.light_distance_mm)  # (P, F, 3)
     lamps = _around(near[:, :, None], light_disc)  # (P, F, L, 3)
     lenses = _around(to_camera[:, None], camera_disc)  # (P, C, 3)
-    shape = (len(poses), len(place), len(light_disc), len(camera_disc), 3)
-    all_light = np.broadcast_to(lamps[:, :, :, None], shape).reshape(len(poses), -1, 3)
-    all_camera = np.broadcast_to(lenses[:, None, None], shape).reshape(len(poses), -1, 3)
+    shape = (len(to_light), len(place), len(light_disc), len(camera_disc), 3)
+    all_light = np.broadcast_to(lamps[:, :, :, None], shape).reshape(len(to_light), -1, 3)
+    all_camera = np.broadcast_to(lenses[:, None, None], shape).reshape(len(to_light), -1, 3)
     weight = np.einsum("f,l,c->flc", place_weight, light_weight / light_cosine, camera_weight).ravel()
-    low = min(float(all_light[..., 2].min()), float(all_camera[..., 2].min()))
-    if low < 1e-3:
+    if min(float(all_light[..., 2].min()), float(all_camera[..., 2].min())) < 1e-3:
         raise ModelError("part of the light or of the lens stands at or below the horizon of the sample")
     return Bundle(all_light, all_camera, weight)
 
 
-def mean_over(model: Model, poses: tuple[Pose, ...], convention: Convention, optics: Optics) -> FloatArray:
-    """(P,) radiances [1/sr] of a model that takes (N, 3) directions to light and to camera.
+def through(model: Model, optics: Optics) -> Model:
+    """A predictor as lens and lamp of finite size see it; its errors are those of :func:`bundle` besides its own.
 
-    Raises:
-        ModelError: as :func:`bundle`, or what the model raises.
+    Args:
+        model: takes (N, 3) directions to light and camera and a material, gives (N,) radiances.
+        optics: apertures, and where the lamp stands.
     """
     if optics.is_point_like:
-        return model(*directions(poses, convention))
-    found = bundle(poses, convention, optics)
-    values = model(found.to_light.reshape(-1, 3), found.to_camera.reshape(-1, 3))
-    return np.asarray(values.reshape(len(poses), -1) @ found.weight, dtype=np.float64)
+        return model
+
+    def mean(to_light: FloatArray, to_camera: FloatArray, material: Material) -> FloatArray:
+        found = bundle(to_light, to_camera, optics)
+        values = model(found.to_light.reshape(-1, 3), found.to_camera.reshape(-1, 3), material)
+        return np.asarray(values.reshape(len(to_light), -1) @ found.weight, dtype=np.float64)
+
+    return mean
 
 
 def _places(optics: Optics) -> tuple[FloatArray, FloatArray]:
@@ -144,21 +155,21 @@ def _disc(half_angle_deg: float, rings: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _from_places(
-    poses: tuple[Pose, ...],
-    convention: Convention,
-    to_light: FloatArray,
-    place: FloatArray,
-    distance_mm: float | None,
+    to_light: FloatArray, to_camera: FloatArray, place: FloatArray, distance_mm: float | None
 ) -> FloatArray:
-    """(P, F, 3) unit vectors to the light from each place of the field, in the frame of the sample."""
+    """(P, F, 3) unit vectors to the light from each place of the field, in the frame of the sample.
+
+    The field lies on the sample and stands still: its width runs along the line from camera to light.
+    """
     if distance_mm is None:
         return to_light[:, None]
-    sense = 1.0 if convention.rotation_sense == "ccw" else -1.0
-    turn = -np.radians(sense * np.array([pose.stage_deg for pose in poses]) + convention.facet_azimuth_deg)
-    cos, sin = np.cos(turn)[:, None], np.sin(turn)[:, None]
-    x, y = place.T
-    turned = np.stack([cos * x - sin * y, sin * x + cos * y, np.zeros((len(poses), len(place)))], axis=-1)
-    way = distance_mm * to_light[:, None] - turned
+    cosine = np.sum(to_light * to_camera, axis=-1, keepdims=True)
+    width = (to_light - cosine * to_camera)[:, :2]
+    size = np.linalg.norm(width, axis=-1, keepdims=True)
+    width = np.where(size > 1e-9, width / np.maximum(size, 1e-9), [1.0, 0.0])
+    height = np.stack([-width[:, 1], width[:, 0]], axis=-1)
+    on_sample = place[:, 0, None] * width[:, None] + place[:, 1, None] * height[:, None]  # (P, F, 2)
+    way = distance_mm * to_light[:, None] - np.pad(on_sample, ((0, 0), (0, 0), (0, 1)))
     return np.asarray(way / np.linalg.norm(way, axis=-1, keepdims=True))
 
 

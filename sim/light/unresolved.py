@@ -23,32 +23,38 @@ _ROUNDS = 20
 
 @dataclass(frozen=True)
 class Resolved:
-    """Roughness that a map shows, and the material that its facets keep.
+    """Roughness that a map shows.
 
     Attributes:
         along: Beckmann α of the facets' slopes along y, √2 · standard deviation.
         across: the same along x, within the most frequent facet.
         bandwidth_um: shortest wavelengths that the map can show along x and y: two pixels.
-        lobe: the material with the roughness that is left, at least ``SMOOTHEST``.
-        exhausted: the map is as rough as the material or rougher, along or across: the lobe has nothing left.
     """
 
     along: float
     across: float
     bandwidth_um: tuple[float, float]
-    lobe: Material
-    exhausted: bool
+
+    def lobe(self, plastic: Material) -> Material:
+        """What a plastic with its roughness at all scales leaves for the facets of the map, at least ``SMOOTHEST``."""
+        left = plastic.alpha_along**2 - self.along**2, plastic.alpha_across**2 - self.across**2
+        along, across = (float(np.sqrt(max(square, SMOOTHEST**2))) for square in left)
+        return replace(plastic, alpha_along=along, alpha_across=across)
+
+    def exhausts(self, plastic: Material) -> bool:
+        """Is the map as rough as the plastic or rougher, so that nothing is left?"""
+        lobe = self.lobe(plastic)
+        return min(lobe.alpha_along, lobe.alpha_across) <= SMOOTHEST
 
 
-def resolve(relief: Relief, material: Material, height_noise_um: float = 0.0) -> Resolved:
-    """Split the roughness of a plastic at the lateral bandwidth of a map.
+def resolve(relief: Relief, height_noise_um: float = 0.0) -> Resolved:
+    """The roughness that a map shows at its lateral bandwidth.
 
-    The resolved part is the spread of the slopes (symmetric gradients) around the most frequent one; facets more than
-    three standard deviations away (walls, burrs) do not count.
+    It is the spread of the slopes (symmetric gradients) around the most frequent one; facets more than three standard
+    deviations away (walls, burrs) do not count.
 
     Args:
         relief: the surface.
-        material: the plastic, with its roughness at all scales.
         height_noise_um: standard deviation of the instrument's noise, independent from point to point; its share in
             the slopes is taken off.
     """
@@ -59,13 +65,7 @@ def resolve(relief: Relief, material: Material, height_noise_um: float = 0.0) ->
     inside = _main_mode(slopes_x)
     across = _alpha(slopes_x[inside], height_noise_um / px)
     along = _alpha(slopes_y[inside], height_noise_um / py)
-    left = material.alpha_along**2 - along**2, material.alpha_across**2 - across**2
-    lobe = replace(
-        material,
-        alpha_along=float(np.sqrt(max(left[0], SMOOTHEST**2))),
-        alpha_across=float(np.sqrt(max(left[1], SMOOTHEST**2))),
-    )
-    return Resolved(along, across, (2.0 * px, 2.0 * py), lobe, min(left) <= SMOOTHEST**2)
+    return Resolved(along, across, (2.0 * px, 2.0 * py))
 
 
 def _main_mode(slopes: FloatArray) -> npt.NDArray[np.bool_]:

@@ -8,9 +8,9 @@ import pytest
 
 from anisoscope.cli.predict_options import DEFAULTS, UncertaintyOptions, input_uncertainty
 from anisoscope.cli.predict_output import contrast_u, radiance_u
-from anisoscope.montecarlo import MonteCarlo
-from anisoscope.pixelbias import find_pixel_bias
-from anisoscope.predicting import predict_design
+from anisoscope.prediction.montecarlo import MonteCarlo
+from anisoscope.prediction.pixelbias import find_pixel_bias
+from anisoscope.prediction.predicting import predict_design
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light.geometry import Convention, pose_grid
 from anisoscope.sim.light.material import Material

@@ -1,7 +1,7 @@
 import pytest
 
 from anisoscope.errors import UsageError
-from anisoscope.spectrumfile import read_spectrum
+from anisoscope.prediction.spectrumfile import read_spectrum
 
 HEAD = "wavelength_nm,index,albedo\n"
 

@@ -1,8 +1,13 @@
 import numpy as np
 import pytest
 
-from anisoscope.contrastuncertainty import KINDS, contrast_covariance, contrast_gradient, contrast_values
 from anisoscope.decision import contrast_gradient as gradient_of_logs
+from anisoscope.prediction.contrastuncertainty import (
+    KINDS,
+    contrast_covariance,
+    contrast_gradient,
+    contrast_values,
+)
 from anisoscope.sim.light.contrasts import contrasts
 from anisoscope.sim.light.geometry import pose_grid
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.mapuncertainty import pixel_bias
+from anisoscope.prediction.mapuncertainty import pixel_bias
 from anisoscope.profiles.ideal import RidgeDesign, ridges
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import Convention, Pose, directions

@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.prediction.sensitivity import DARK, Contribution, InputUncertainty, Model, Shape, Surface
 from anisoscope.progress import Advance, silent
-from anisoscope.sensitivity import DARK, Contribution, InputUncertainty, Model, Shape, Surface
 from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.optics import POINT_LIKE, Optics, through
 from anisoscope.sim.light.relief import Relief
 from anisoscope.sim.light.relief import radiance as relief_radiance
 
@@ -28,23 +29,23 @@ def best_band(relief: Relief) -> Relief:
     return replace(relief, surface=band, max_missing_share=1.0)
 
 
-def relief_model(relief: Relief) -> Model:
-    """The predictor of one relief."""
+def relief_model(relief: Relief, optics: Optics = POINT_LIKE) -> Model:
+    """The predictor of one relief, as lamp and lens see it."""
 
     def predict(to_light: FloatArray, to_camera: FloatArray, material: Material) -> FloatArray:
         return relief_radiance(relief, to_light, to_camera, material)
 
-    return predict
+    return through(predict, optics)
 
 
-def relief_surface(relief: Relief) -> Surface:
+def relief_surface(relief: Relief, optics: Optics = POINT_LIKE) -> Surface:
     """A relief whose heights may be wrong by a factor."""
 
     def shaped(shape: Shape) -> Model:
         if shape.height_factor == 1.0:
-            return relief_model(relief)
+            return relief_model(relief, optics)
         scaled = relief.surface.with_height(relief.surface.height_um * shape.height_factor)
-        return relief_model(replace(relief, surface=scaled, max_missing_share=1.0))
+        return relief_model(replace(relief, surface=scaled, max_missing_share=1.0), optics)
 
     return shaped
 
@@ -54,10 +55,10 @@ def map_contributions(
     seen: tuple[FloatArray, FloatArray],
     material: Material,
     radiance: FloatArray,
-    inputs: InputUncertainty,
+    inputs: InputUncertainty | None,
     on_progress: Advance = silent,
 ) -> tuple[Contribution, ...]:
-    """Contributions of the map itself, those of its scale apart.
+    """Contributions of the map itself, those of its scale apart; none without ``inputs``.
 
     Args:
         relief: the whole map, prepared.
@@ -67,6 +68,8 @@ def map_contributions(
         inputs: standard uncertainties.
         on_progress: told of every step.
     """
+    if inputs is None:
+        return ()
     steps = REALISATIONS if inputs.height_noise_um > 0.0 else 0
     found = [Contribution("height map, overall", inputs.height_map_share * radiance, "independent")]
     if relief.pitch_um is not None:

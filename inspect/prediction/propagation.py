@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.progress import Advance, silent
-from anisoscope.sensitivity import (
+from anisoscope.prediction.sensitivity import (
     ALPHA_RANGE,
     DARK,
     SHAPE_RANGE,
@@ -20,6 +19,7 @@ from anisoscope.sensitivity import (
     Surface,
     evaluate,
 )
+from anisoscope.progress import Advance, silent
 from anisoscope.sim.light.geometry import Convention, Pose
 
 FloatArray = npt.NDArray[np.float64]
@@ -156,7 +156,7 @@ def propagate(
     0.005 of height loss and scale; at the limit of what is possible one-sided. Sources of no uncertainty cost nothing.
 
     Args:
-        surface: predictor of a shape; `sensitivity.fixed` makes one of any function of directions and material.
+        surface: predictor of a shape; `prediction.sensitivity.fixed` makes one of any function of directions and material.
         nominal: the state in which the prediction is made.
         poses: P poses.
         convention: how the angles are counted; its light angle is that of ``nominal``.

@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.sensitivity import DARK
+from anisoscope.prediction.sensitivity import DARK
 from anisoscope.sim.light.contrasts import consecutive_pairs
 from anisoscope.sim.light.geometry import Pose
 

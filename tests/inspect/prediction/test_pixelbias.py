@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from anisoscope.pixelbias import find_pixel_bias
-from anisoscope.predicting import MIN_PIXELS_A_PITCH, predict_height_map
+from anisoscope.prediction.pixelbias import find_pixel_bias
+from anisoscope.prediction.predicting import predict_height_map
+from anisoscope.prediction.preparing import MIN_PIXELS_A_PITCH
 from anisoscope.profiles.ideal import RidgeDesign, ridges
 from anisoscope.sim.light.geometry import Convention, pose_grid
 from anisoscope.sim.light.material import Material

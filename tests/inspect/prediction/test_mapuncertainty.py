@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from anisoscope.mapuncertainty import (
+from anisoscope.prediction.mapuncertainty import (
     best_band,
     height_noise,
     map_contributions,
@@ -11,9 +11,9 @@ from anisoscope.mapuncertainty import (
     relief_surface,
     ridge_scatter,
 )
-from anisoscope.predicting import predict_height_map
+from anisoscope.prediction.predicting import predict_height_map
+from anisoscope.prediction.sensitivity import InputUncertainty, Shape
 from anisoscope.profiles.ideal import RidgeDesign, ridges
-from anisoscope.sensitivity import InputUncertainty, Shape
 from anisoscope.sim.light.geometry import Convention, directions, pose_grid
 from anisoscope.sim.light.material import Material
 from anisoscope.sim.light.relief import Relief, radiance

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.contrastuncertainty import contrast_values
 from anisoscope.errors import ModelError
-from anisoscope.progress import Advance, silent
-from anisoscope.sensitivity import (
+from anisoscope.prediction.contrastuncertainty import contrast_values
+from anisoscope.prediction.sensitivity import (
     ALPHA_RANGE,
     DARK,
     SHAPE_RANGE,
@@ -21,6 +20,7 @@ from anisoscope.sensitivity import (
     Surface,
     evaluate,
 )
+from anisoscope.progress import Advance, silent
 from anisoscope.sim.light.geometry import Convention, Pose
 from anisoscope.sim.light.material import Material
 

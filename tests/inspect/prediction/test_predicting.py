@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 
 from anisoscope.errors import HeightMapError
-from anisoscope.predicting import predict_design, predict_height_map
+from anisoscope.prediction.predicting import predict_design, predict_height_map
+from anisoscope.prediction.sensitivity import InputUncertainty
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign, ridges
-from anisoscope.sensitivity import InputUncertainty
 from anisoscope.sim.light.geometry import Convention, pose_grid
 from anisoscope.sim.light.material import Material
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from anisoscope.contrastuncertainty import KINDS, contrast_covariance
 from anisoscope.errors import ModelError
-from anisoscope.montecarlo import MonteCarlo, disagreement, draw
-from anisoscope.predicting import predict_design, predict_height_map
+from anisoscope.prediction.contrastuncertainty import KINDS, contrast_covariance
+from anisoscope.prediction.montecarlo import MonteCarlo, disagreement, draw
+from anisoscope.prediction.predicting import predict_design, predict_height_map
+from anisoscope.prediction.sensitivity import Contribution, InputUncertainty, State, fixed
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
-from anisoscope.sensitivity import Contribution, InputUncertainty, State, fixed
 from anisoscope.sim.light.geometry import Convention, pose_grid
 from anisoscope.sim.light.material import Material
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from anisoscope.errors import ModelError
-from anisoscope.propagation import propagate
-from anisoscope.sensitivity import InputUncertainty, Shape, State, fixed
+from anisoscope.prediction.propagation import propagate
+from anisoscope.prediction.sensitivity import InputUncertainty, Shape, State, fixed
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import Convention, directions, pose_grid
 from anisoscope.sim.light.material import Material

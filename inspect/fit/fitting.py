@@ -1,0 +1,250 @@
+"""Weighted nonlinear least squares of the reflectance models; no number that the data do not give.
+
+Starts are the best of a fixed grid of ridge angles and roughnesses, so that the same data always give the same
+fit. The search runs in direct light and ends with the reflections asked for.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.errors import UsageError
+from anisoscope.fit.identifiability import (
+    MODEL_SHARE,
+    Combination,
+    Information,
+    derivatives,
+    helping_measurement,
+    information,
+    limits,
+    scaled_covariance,
+    whitening,
+)
+from anisoscope.fit.parameters import OPTICS, PARAMETERS
+from anisoscope.fit.problem import Problem, interface_alpha
+from anisoscope.fit.search import Minimum, distinct, minimise, rivals_of, search, starting_points
+from anisoscope.progress import Advance, silent
+
+if TYPE_CHECKING:
+    pass
+
+FloatArray = npt.NDArray[np.float64]
+
+STARTS = 3
+HOPELESS = 10.0  # limits of uncertainty from which on index or albedo are not tried
+_AT_BOUND = 1e-6
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A fitted parameter.
+
+    Attributes:
+        name: with its unit.
+        value: None where the data do not determine it.
+        u: standard uncertainty, None likewise.
+        low95: lower end of the 95 % interval, from the internal value and cut at the bound.
+        high95: upper end.
+        at_bound: the value stands at a bound of the parameter, so that its uncertainty only holds inward.
+    """
+
+    name: str
+    value: float | None
+    u: float | None
+    low95: float | None
+    high95: float | None
+    at_bound: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A fit with everything needed to read it.
+
+    Attributes:
+        problem: what was fitted.
+        values: all parameters at the minimum, those that are not determined included: not for reporting.
+        estimates: p free parameters.
+        covariance: (p, p) of the free parameters as reported; NaN where one is not determined.
+        correlation: (p, p), NaN likewise.
+        fitted: (N,) values of the model.
+        u_value: (N,) standard uncertainties of the measured values.
+        chi2: weighted sum of squares; of unknown noise 1 per degree of freedom by construction.
+        dof: degrees of freedom.
+        p_value: of chi2, None where the noise was estimated from the residuals or no freedom is left.
+        lacking: combinations that are not determined.
+        advice: the measurement that would help, or None.
+        rivals: other minima that fit about as well, as values of the free parameters.
+    """
+
+    problem: Problem
+    values: Mapping[str, float]
+    estimates: tuple[Estimate, ...]
+    covariance: FloatArray
+    correlation: FloatArray
+    fitted: FloatArray
+    u_value: FloatArray
+    chi2: float
+    dof: int
+    p_value: float | None
+    lacking: tuple[Combination, ...]
+    advice: str | None
+    rivals: tuple[Mapping[str, float], ...]
+
+    @property
+    def residual(self) -> FloatArray:
+        """(N,) measured − fitted."""
+        return self.problem.readings.value - self.fitted
+
+    @property
+    def z(self) -> FloatArray:
+        """(N,) residuals in units of the standard uncertainties of the values."""
+        return np.divide(self.residual, self.u_value, out=np.zeros_like(self.fitted), where=self.u_value > 0)
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the residuals, in the unit of the values."""
+        return float(np.sqrt(np.mean(self.residual**2)))
+
+
+def fit(problem: Problem, advance: Advance = silent, starts: int = STARTS) -> Fit:
+    """Fit the free parameters of a problem; with none free, only compare.
+
+    Args:
+        problem: what to fit.
+        advance: told how far the work is.
+        starts: how many starting points are followed, the best of a grid; 0 follows the given values only.
+
+    Raises:
+        UsageError: refractive index or albedo are free and cannot be identified; or nothing fits.
+    """
+    weight = whitening(problem.readings.covariance)
+    if not problem.free:
+        return _result(problem, dict(problem.values), weight, ())
+    quick = replace(problem, scene=problem.scene.direct())
+    searched = tuple(name for name in problem.free if name not in OPTICS) or problem.free
+    found = search(replace(quick, free=searched), weight, starts, advance)
+    if any(name in problem.free for name in OPTICS):
+        found = _with_optics(quick, found, weight, advance)
+    rivals = rivals_of(quick, found)
+    values = found[0][0]
+    if problem.scene.bounces != 1:
+        advance("all reflections asked for", 1, 2)
+        values = minimise(problem, values, weight)[0]
+    return _result(problem, values, weight, rivals)
+
+
+def _with_optics(
+    problem: Problem, found: list[Minimum], weight: FloatArray, advance: Advance
+) -> list[Minimum]:
+    """The minima with index and albedo free as well, unless they cannot be identified there."""
+    doubt = _doubt(problem, found[0][0])
+    if doubt is not None and doubt[1] > HOPELESS:
+        raise UsageError(doubt[0])
+    advance("with index or albedo free", 1, 2)
+    # with a wrong albedo the search may have ended far off: the given values are another start
+    starts = [values for values, _ in found[:2]] + starting_points(problem, weight, 0)
+    refined = distinct(problem, [minimise(problem, values, weight) for values in starts])
+    doubt = _doubt(problem, refined[0][0])
+    if doubt is not None:
+        raise UsageError(doubt[0])
+    return refined
+
+
+def _doubt(problem: Problem, values: Mapping[str, float]) -> tuple[str, float] | None:
+    """Why index or albedo cannot be identified there even without noise, and their uncertainty in limits."""
+    asked = [name for name in OPTICS if name in problem.free]
+    found = information(problem, values, np.zeros_like(problem.readings.covariance))
+    for name in asked:
+        row = found.names.index(name)
+        if found.uncertainty[row] <= 1.0:
+            continue
+        others = np.abs(found.correlation[row])
+        others[row] = -1.0
+        partner = int(np.argmax(others))
+        with_other = (
+            f"its effect is that of {PARAMETERS[found.names[partner]].words} "
+            f"(correlation {found.correlation[row, partner]:+.6f})"
+            if others[partner] > 0.5
+            else "it hardly changes the values"
+        )
+        u = found.uncertainty[row] * PARAMETERS[name].limit
+        text = (
+            f"--free {name} is refused: {PARAMETERS[name].words} cannot be identified from these "
+            f"{len(problem.readings.value)} values: {with_other}, and a model error of "
+            f"{100.0 * MODEL_SHARE:g} % alone makes it uncertain by {u:.2g}: leave it out of --free and "
+            f"give it with --{name}"
+        )
+        return text, float(found.uncertainty[row])
+    return None
+
+
+def _result(
+    problem: Problem, values: dict[str, float], weight: FloatArray, rivals: tuple[Mapping[str, float], ...]
+) -> Fit:
+    from scipy.special import chdtrc, stdtrit  # noqa: PLC0415 - as above
+
+    readings = problem.readings
+    fitted = problem.predicted(values, interface_alpha(values))
+    chi2 = float(np.sum((weight @ (readings.value - fitted)) ** 2))
+    dof = len(weight) - len(problem.free)
+    factor = 1.0 if readings.noise_known else chi2 / max(dof, 1)
+    noise = factor * readings.covariance
+    known = information(problem, values, noise) if problem.free else None
+    p_value = float(chdtrc(dof, chi2)) if readings.noise_known and dof > 0 else None
+    covariance = np.zeros((0, 0))
+    estimates: tuple[Estimate, ...] = ()
+    if known is not None:
+        steps = limits(problem.free)
+        scaled = scaled_covariance(weight @ derivatives(problem, values) * steps)
+        covariance = factor * scaled * np.outer(steps, steps)
+        quantile = 1.959964 if readings.noise_known else float(stdtrit(max(dof, 1), 0.975))
+        estimates = tuple(
+            _estimate(n, values[n], float(np.sqrt(v)), quantile, n in known.undetermined)
+            for n, v in zip(problem.free, np.diag(covariance), strict=True)
+        )
+        covariance = _reported(problem, values, covariance, known)
+    advice = helping_measurement(problem, values, noise) if known is not None and known.undetermined else None
+    spread = np.sqrt(np.diag(covariance))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        correlation = covariance / np.outer(spread, spread)
+    return Fit(
+        problem,
+        values,
+        estimates,
+        covariance,
+        correlation,
+        fitted,
+        np.sqrt(np.diag(noise)),
+        chi2 / factor if factor > 0 else 0.0,
+        dof,
+        p_value,
+        () if known is None else known.combinations,
+        advice,
+        rivals,
+    )
+
+
+def _estimate(name: str, value: float, spread: float, quantile: float, unknown: bool) -> Estimate:
+    if unknown:
+        return Estimate(name, None, None, None, None, at_bound=False)
+    one = PARAMETERS[name]
+    here, (low, high) = one.internal(value), one.bounds
+    reach = quantile * spread
+    ends = [one.external(float(np.clip(here + s * reach, low, high))) for s in (-1.0, 1.0)]
+    at_bound = min(here - low, high - here) < _AT_BOUND * (high - low)
+    u = spread * value if one.logarithmic else spread
+    return Estimate(name, value, u, ends[0], ends[1], at_bound)
+
+
+def _reported(
+    problem: Problem, values: Mapping[str, float], covariance: FloatArray, known: Information
+) -> FloatArray:
+    """The covariance of the parameters as printed, NaN where one is not determined."""
+    names = problem.free
+    by_internal = np.array([values[n] if PARAMETERS[n].logarithmic else 1.0 for n in names])
+    found = covariance * np.outer(by_internal, by_internal)
+    hidden = np.array([n in known.undetermined for n in names])
+    return np.where(hidden[:, None] | hidden[None, :], np.nan, found)

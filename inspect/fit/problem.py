@@ -1,0 +1,240 @@
+"""What a fit compares: a scene that the models can predict, and what was read of it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.errors import UsageError
+from anisoscope.profiles.ideal import RidgeDesign, Wall
+from anisoscope.sim.light import corrected, printed
+from anisoscope.sim.light.geometry import Convention, Pose, seating_rotation
+from anisoscope.sim.light.material import InternalReflection, Material
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.intp]
+Model = Literal["printed", "corrected"]
+Kind = Literal["exposure", "brdf", "difference", "absolute", "michelson", "log_ratio"]
+
+SCALED: tuple[Kind, ...] = ("exposure", "brdf", "difference", "absolute")
+RATIOS: tuple[Kind, ...] = ("michelson", "log_ratio")
+HORIZON = 1e-3
+DARK = 1e-300  # keeps logarithms finite where the printed model is black
+_ALPHA_GRID = 0.01
+_INDEX_STEP = 0.05
+
+
+@dataclass(frozen=True)
+class Plastic(Material):
+    """A material whose interface table belongs to a roughness held fixed while the lobes change.
+
+    The table costs 0.1 s and hardly depends on the roughness: by less than 5·10⁻⁵ of the radiance within half a
+    step of the grid to which `interface_alpha` is rounded.
+
+    Attributes:
+        interface_alpha: roughness of the transmittance table.
+    """
+
+    interface_alpha: float = 0.08
+
+    @property
+    def alpha_mean(self) -> float:
+        """The roughness used for the transmittance of the interface."""
+        return self.interface_alpha
+
+
+def interface_alpha(values: Mapping[str, float]) -> float:
+    """√(α_u·α_v), rounded to a grid of 1 %."""
+    mean = 0.5 * np.log(values["alpha_along"] * values["alpha_across"])
+    return float(np.exp(_ALPHA_GRID * np.round(mean / _ALPHA_GRID)))
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """P directions of light and camera in the frame of the sample, and the model that predicts them.
+
+    Attributes:
+        to_light: (P, 3) unit vectors.
+        to_camera: (P, 3) unit vectors.
+        model: "printed" or "corrected".
+        bounces: reflections counted by the corrected model; None is all.
+        wall: of the ridges.
+        internal_reflection: as in `Material`.
+        ridge_angles_deg: (P,) ridge angles where several parts were measured; None: the parameter is used.
+        poses: the P poses, where the directions come from a stage and a tilt; else empty.
+        convention: how the angles of the poses are counted, or None.
+    """
+
+    to_light: FloatArray
+    to_camera: FloatArray
+    model: Model = "corrected"
+    bounces: int | None = 1
+    wall: Wall = "perpendicular"
+    internal_reflection: InternalReflection = "nonlinear"
+    ridge_angles_deg: FloatArray | None = None
+    poses: tuple[Pose, ...] = ()
+    convention: Convention | None = None
+
+    def radiance(self, values: Mapping[str, float], interface: float) -> FloatArray:
+        """(P,) radiances in 1/sr; 0 where light or camera stands below the sample's horizon.
+
+        Args:
+            values: all parameters by name.
+            interface: roughness of the interface table.
+        """
+        seat = seating_rotation(values["seating_x_deg"], values["seating_y_deg"])
+        light, camera = self.to_light @ seat, self.to_camera @ seat
+        material = Plastic(
+            values["alpha_along"],
+            values["alpha_across"],
+            values["albedo"],
+            values["index"],
+            self.internal_reflection,
+            interface,
+        )
+        above = (light[:, 2] > HORIZON) & (camera[:, 2] > HORIZON)
+        angles = self.ridge_angles_deg
+        if angles is None:
+            angles = np.full(len(light), values["ridge_angle_deg"])
+        found = np.zeros(len(light))
+        for angle in np.unique(angles):
+            here = above & (angles == angle)
+            design = RidgeDesign(100.0, float(angle), self.wall, values["height_loss"])
+            found[here] = self._one_part(light[here], camera[here], design, material)
+        return found
+
+    def _one_part(
+        self, light: FloatArray, camera: FloatArray, design: RidgeDesign, material: Material
+    ) -> FloatArray:
+        if self.model == "printed":
+            return printed.radiance(light, camera, design, material)
+        return corrected.radiance(light, camera, design, material, bounces=self.bounces)
+
+    def direct(self) -> "Scene":
+        """The same with direct light only."""
+        return self if self.bounces == 1 else replace(self, bounces=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """N measured values, each of one direction or of a pair of them.
+
+    Attributes:
+        kind: what a value is; "absolute" is the absolute difference.
+        first: (N,) index of the direction, of a pair the one it starts from.
+        second: (N,) index of the other one of a pair; not used for single values.
+        value: (N,) measured values.
+        covariance: (N, N) of the values; only its shape counts where the noise is not known.
+        noise_known: the covariance has been given with the values.
+        labels: N texts that tell the rows apart.
+        assumption: what the covariance rests on, in words.
+        gain: (N,) factor between k·L and a single value; 1/cos θi for a BRDF.
+    """
+
+    kind: Kind
+    first: IntArray
+    second: IntArray
+    value: FloatArray
+    covariance: FloatArray
+    noise_known: bool
+    labels: tuple[str, ...]
+    assumption: str
+    gain: FloatArray | None = None
+
+    @property
+    def scaled(self) -> bool:
+        """The scale k enters."""
+        return self.kind in SCALED
+
+    def predicted(self, radiance: FloatArray, k: float) -> FloatArray:
+        """(N,) values that these (P,) radiances give."""
+        a = radiance[self.first]
+        if self.kind in ("exposure", "brdf"):
+            return np.asarray(k * a if self.gain is None else k * self.gain * a)
+        b = radiance[self.second]
+        if self.kind == "log_ratio":
+            return np.asarray(np.log(np.maximum(a, DARK) / np.maximum(b, DARK)))
+        if self.kind == "michelson":
+            return np.asarray((a - b) / np.maximum(a + b, DARK))
+        return np.asarray(k * (np.abs(a - b) if self.kind == "absolute" else a - b))
+
+    def by_log_radiance(self, radiance: FloatArray, k: float) -> FloatArray:
+        """(N, P) derivative of the values by the logarithms of the radiances."""
+        a, b = radiance[self.first], radiance[self.second]
+        rows = np.arange(len(self.first))
+        found = np.zeros((len(rows), len(radiance)))
+        if self.kind in ("exposure", "brdf"):
+            found[rows, self.first] = self.predicted(radiance, k)
+            return found
+        if self.kind in RATIOS:
+            weight = np.ones(len(rows))
+            if self.kind == "michelson":
+                weight = 0.5 * (1.0 - self.predicted(radiance, k) ** 2)
+            up, down = weight, weight
+        else:
+            sign = np.sign(a - b) if self.kind == "absolute" else np.ones(len(rows))
+            up, down = k * sign * a, k * sign * b
+        found[rows, self.first] += up
+        found[rows, self.second] -= down
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What is fitted to what.
+
+    Attributes:
+        scene: the directions and the model.
+        readings: the measured values.
+        values: every parameter; the free ones are starting points only.
+        free: names of the free parameters.
+
+    Raises:
+        UsageError: a parameter is free that does not enter, or the model cannot predict such values.
+    """
+
+    scene: Scene
+    readings: Readings
+    values: Mapping[str, float]
+    free: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        if self.scene.model == "printed" and self.readings.kind in RATIOS:
+            raise UsageError(
+                "ratio contrasts of the printed model are far off: fit them by --model corrected"
+            )
+        if self.scene.model == "printed" and "height_loss" in self.free:
+            raise UsageError("the printed model knows no height loss: leave it out of --free")
+        if "k" in self.free and not self.readings.scaled:
+            raise UsageError("k cancels in ratio contrasts: leave it out of --free")
+        if self.scene.ridge_angles_deg is not None and "ridge_angle_deg" in self.free:
+            raise UsageError("the ridge angles stand in the table: leave ridge_angle out of --free")
+        needed = len(self.free) + (0 if self.readings.noise_known else 1)
+        if len(self.readings.value) < max(needed, 1):
+            raise UsageError(
+                f"{len(self.readings.value)} values cannot determine {len(self.free)} free parameters"
+                + ("" if self.readings.noise_known else " and their own scatter")
+                + ": measure more poses, or leave parameters out of --free"
+            )
+
+    def predicted(self, values: Mapping[str, float], interface: float) -> FloatArray:
+        """(N,) values of the model for all parameters."""
+        radiance = (
+            self.scene.radiance(values, interface)
+            if "index" not in self.free
+            else self._by_index(values, interface)
+        )
+        return self.readings.predicted(radiance, values["k"])
+
+    def _by_index(self, values: Mapping[str, float], interface: float) -> FloatArray:
+        """Radiances by cubic interpolation over the index: every new index would cost a new interface table."""
+        middle = int(np.clip(np.floor(values["index"] / _INDEX_STEP), 22, 68))
+        nodes = _INDEX_STEP * np.arange(middle - 1, middle + 3)
+        total = np.zeros(len(self.scene.to_light))
+        for i, node in enumerate(nodes):
+            others = np.delete(nodes, i)
+            weight = float(np.prod((values["index"] - others) / (node - others)))
+            total += weight * self.scene.radiance(dict(values) | {"index": float(node)}, interface)
+        return total

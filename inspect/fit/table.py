@@ -1,0 +1,254 @@
+"""Measured exposures and contrasts for a fit, read from CSV files."""
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.errors import UsageError
+from anisoscope.fit.problem import RATIOS, Kind, Readings
+from anisoscope.sim.light.contrasts import consecutive_pairs
+from anisoscope.sim.light.geometry import Pose
+
+FloatArray = npt.NDArray[np.float64]
+Errors = Literal["shared", "independent"]
+
+EXPOSURES = ("stage_deg", "tilt_deg", "value")
+CONTRASTS = ("from_deg", "to_deg", "tilt_deg", "value")
+UNKNOWN = "no uncertainties were given: the scatter is estimated from the residuals"
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Numbers of a CSV file.
+
+    Attributes:
+        columns: names of the header.
+        rows: (N, columns) numbers.
+        lines: N line numbers in the file.
+        path: the file.
+    """
+
+    columns: tuple[str, ...]
+    rows: FloatArray
+    lines: tuple[int, ...]
+    path: Path
+
+    def column(self, name: str) -> FloatArray:
+        """(N,) numbers of one column."""
+        return np.asarray(self.rows[:, self.columns.index(name)])
+
+    def place(self, row: int) -> str:
+        """File and line of a row, for messages."""
+        return f"{self.path}, line {self.lines[row]}"
+
+
+def read_table(path: Path, headers: tuple[tuple[str, ...], ...], optional: tuple[str, ...]) -> Table:
+    """Read a CSV file of numbers.
+
+    Args:
+        path: the file, UTF-8, comma-separated.
+        headers: the accepted forms of the header.
+        optional: columns that may follow, in any order.
+
+    Raises:
+        UsageError: the file cannot be read, or a line of it cannot be used; the line is named.
+    """
+    reader = csv.reader(_text(path).splitlines())
+    rows, lines = [], []
+    try:
+        columns = tuple(name.strip() for name in next(reader, []))
+        _check_header(columns, headers, optional, path)
+        for fields in reader:
+            if any(field.strip() for field in fields):
+                rows.append(_numbers(fields, columns, f"{path}, line {reader.line_num}"))
+                lines.append(reader.line_num)
+    except csv.Error as error:
+        raise UsageError(f"{path}, line {reader.line_num}: {error}") from error
+    if not rows:
+        raise UsageError(f"{path}, line {max(reader.line_num, 1)}: no values follow the header")
+    return Table(columns, np.array(rows), tuple(lines), path)
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
+        raise UsageError(f"cannot read {path}: {reason}") from error
+
+
+def _check_header(
+    columns: tuple[str, ...], headers: tuple[tuple[str, ...], ...], optional: tuple[str, ...], path: Path
+) -> None:
+    for header in headers:
+        rest = columns[len(header) :]
+        if columns[: len(header)] == header and set(rest) <= set(optional) and len(set(rest)) == len(rest):
+            return
+    tail = "".join(f"[,{name}]" for name in optional)
+    forms = " or ".join(",".join(header) + tail for header in headers)
+    raise UsageError(f"{path}, line 1: the header must read {forms}, not {','.join(columns)!r}")
+
+
+def _numbers(fields: list[str], columns: tuple[str, ...], place: str) -> list[float]:
+    if len(fields) != len(columns):
+        raise UsageError(f"{place}: {len(columns)} values expected, {len(fields)} found")
+    numbers = []
+    for name, text in zip(columns, fields, strict=True):
+        try:
+            number = float(text)
+        except ValueError:
+            raise UsageError(f"{place}: {name} is not a number: {text!r}") from None
+        if not np.isfinite(number) or (name == "u" and number <= 0.0):
+            kind = "a finite number above 0" if name == "u" else "a finite number"
+            raise UsageError(f"{place}: {name} must be {kind}, not {text!r}")
+        numbers.append(number)
+    return numbers
+
+
+def uncorrelated(table: Table) -> tuple[FloatArray, bool]:
+    """(N, N) diagonal covariance of the values, and whether it was given; else all scatter alike."""
+    value = table.column("value")
+    if "u" in table.columns:
+        return np.diag(table.column("u") ** 2), True
+    scale = float(np.mean(value**2)) or 1.0
+    return scale * np.eye(len(value)), False
+
+
+def read_readings(
+    path: Path, kind: Kind | None, errors: Errors = "shared", covariance: Path | None = None
+) -> tuple[tuple[Pose, ...], Readings]:
+    """Poses and readings of a table of exposures or of contrasts, told apart by its header.
+
+    Args:
+        path: ``stage_deg,tilt_deg,value[,u]`` or ``from_deg,to_deg,tilt_deg,value[,u]``.
+        kind: of contrasts: what they are. Of exposures: None fits them as they are; a kind of contrast fits the
+            contrasts of consecutive lines that share a tilt, with the covariance that their common poses give.
+        errors: of contrasts with or without u: "shared": two contrasts that share a photograph are correlated, each
+            photograph carrying half of the variance of a contrast; "independent": they are not.
+        covariance: CSV file without header, N lines of N numbers, in place of u and `errors`.
+
+    Raises:
+        UsageError: a file that cannot be read or used.
+    """
+    table = read_table(path, (EXPOSURES, CONTRASTS), ("u",))
+    given = None if covariance is None else _read_covariance(covariance, len(table.rows))
+    if table.columns[:3] == EXPOSURES:
+        return _exposures(table, kind, given)
+    if kind not in ("difference", "michelson", "log_ratio"):
+        raise UsageError(f"{path} holds contrasts: say which with --kind difference, michelson or log_ratio")
+    return _contrasts(table, kind, errors, given)
+
+
+def _read_covariance(path: Path, size: int) -> FloatArray:
+    try:
+        found = np.array([[float(x) for x in row] for row in csv.reader(_text(path).splitlines()) if row])
+    except ValueError:
+        raise UsageError(f"{path}: {size} lines of {size} numbers expected") from None
+    if found.shape != (size, size) or not np.isfinite(found).all():
+        raise UsageError(f"{path}: {size} lines of {size} finite numbers expected, as many as values")
+    least = float(np.linalg.eigvalsh(found)[0])
+    if not np.allclose(found, found.T) or np.any(np.diag(found) <= 0) or least < -1e-9 * np.trace(found):
+        raise UsageError(
+            f"{path}: no covariance: it must be symmetric, positive on its diagonal, and not negative"
+        )
+    return found
+
+
+def _exposures(
+    table: Table, kind: Kind | None, given: FloatArray | None
+) -> tuple[tuple[Pose, ...], Readings]:
+    poses = tuple(
+        Pose(float(s), float(t))
+        for s, t in zip(table.column("stage_deg"), table.column("tilt_deg"), strict=True)
+    )
+    value = table.column("value")
+    matrix, known = uncorrelated(table) if given is None else (given, True)
+    if kind is None or kind == "exposure":
+        labels = tuple(f"{pose.stage_deg:g}° @ {pose.tilt_deg:g}°" for pose in poses)
+        words = "exposures with uncertainties as given" if known else UNKNOWN + ", equal for all exposures"
+        index = np.arange(len(poses))
+        return poses, Readings("exposure", index, index, value, matrix, known, labels, words)
+    pairs = consecutive_pairs(poses)
+    if not pairs:
+        raise UsageError(f"{table.path}: no two consecutive lines share a tilt: there is no contrast to fit")
+    if kind in RATIOS and np.any(value <= 0):
+        row = int(np.argmax(value <= 0))
+        raise UsageError(f"{table.place(row)}: the ratio of an exposure of {value[row]:g} is not defined")
+    first, second = (np.array(index) for index in zip(*pairs, strict=True))
+    shell = Readings(kind, first, second, np.zeros(len(pairs)), np.eye(len(pairs)), known, (), "")
+    slopes = (
+        shell.by_log_radiance(value, 1.0) / value if kind in RATIOS else _incidence(first, second, len(value))
+    )
+    words = "covariance of contrasts that share a photograph built from the exposures"
+    return poses, Readings(
+        shell.kind,
+        first,
+        second,
+        shell.predicted(value, 1.0),
+        slopes @ matrix @ slopes.T,
+        known,
+        tuple(_pair_label(poses[i], poses[j]) for i, j in pairs),
+        words if known else f"{UNKNOWN}; {words}, all alike",
+    )
+
+
+def _incidence(first: npt.NDArray[np.intp], second: npt.NDArray[np.intp], size: int) -> FloatArray:
+    found = np.zeros((len(first), size))
+    rows = np.arange(len(first))
+    found[rows, first] += 1.0
+    found[rows, second] -= 1.0
+    return found
+
+
+def _pair_label(first: Pose, second: Pose) -> str:
+    return f"{first.stage_deg:g}°/{second.stage_deg:g}° @ {first.tilt_deg:g}°"
+
+
+def _contrasts(
+    table: Table, kind: Kind, errors: Errors, given: FloatArray | None
+) -> tuple[tuple[Pose, ...], Readings]:
+    poses: dict[Pose, int] = {}
+    seen: set[tuple[Pose, Pose]] = set()
+    pairs = []
+    for row, (start, end, tilt) in enumerate(table.rows[:, :3]):
+        pair = Pose(float(start), float(tilt)), Pose(float(end), float(tilt))
+        if start == end:
+            raise UsageError(f"{table.place(row)}: a contrast of {start:g}° with itself")
+        if pair in seen and errors == "shared" and given is None:
+            raise UsageError(
+                f"{table.place(row)}: this pair is given twice: --errors independent takes it for new photographs"
+            )
+        seen.add(pair)
+        pairs.append(tuple(poses.setdefault(pose, len(poses)) for pose in pair))
+    value = table.column("value")
+    if kind == "michelson" and np.any(np.abs(value) >= 1.0):
+        row = int(np.argmax(np.abs(value) >= 1.0))
+        raise UsageError(
+            f"{table.place(row)}: a Michelson contrast lies between -1 and 1, not {value[row]:g}"
+        )
+    first, second = (np.array(index) for index in zip(*pairs, strict=True))
+    matrix, known = uncorrelated(table) if given is None else (given, True)
+    words = "covariance as given" if given is not None else "contrasts taken as independent"
+    if given is None and errors == "shared":
+        matrix = matrix_of_shared(matrix, first, second)
+        words = (
+            "contrasts that share a photograph taken as correlated, half of the variance from each photograph"
+        )
+    if not known:
+        words = f"{UNKNOWN}, equal for all contrasts; {words}"
+    places = tuple(poses)
+    labels = tuple(_pair_label(places[i], places[j]) for i, j in pairs)
+    return places, Readings(kind, first, second, value, matrix, known, labels, words)
+
+
+def matrix_of_shared(
+    diagonal: FloatArray, first: npt.NDArray[np.intp], second: npt.NDArray[np.intp]
+) -> FloatArray:
+    """(N, N) covariance of contrasts whose photographs carry half of the variance each."""
+    size = int(max(first.max(), second.max())) + 1
+    spread = np.sqrt(np.diag(diagonal) / 2.0)[:, None] * _incidence(first, second, size)
+    return np.asarray(spread @ spread.T)

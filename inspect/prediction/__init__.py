@@ -1,0 +1,1 @@
+"""Predictions of radiance and contrast, with their uncertainty."""

@@ -1,0 +1,316 @@
+"""Does an imperfection move the best ridge angle of the published experiment from 5° to 10°?
+
+Luongo et al. 2017 predict most contrast at 5°, cite measurements with most at 10°, and suspect the surface
+structure (sections 5 and 6). Here one imperfection at a time grows, and the mean absolute contrast of the whole
+experiment is followed over the ridge angle.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.errors import UsageError
+from anisoscope.experiment import PAIRS_DEG, RIDGE_ANGLES_DEG, SHAPE, STAGE_DEG, TILTS_DEG, Findings, findings
+from anisoscope.profiles.defects import burrs
+from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.progress import Advance, silent
+from anisoscope.sim.light import corrected
+from anisoscope.sim.light.geometry import Convention, directions, pose_grid, seating_rotation
+from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.relief import Relief
+from anisoscope.sim.light.relief import radiance as relief_radiance
+from anisoscope.study.convergence import PITCH_UM, Sampling, ideal_map, signed_contrasts
+from anisoscope.study.ridges import ridge_radiance
+from anisoscope.study.sweep import Workers, sweep
+
+FloatArray = npt.NDArray[np.float64]
+
+_SEATINGS = 7  # Gauss-Hermite nodes about each axis
+
+
+@dataclass(frozen=True)
+class Imperfection:
+    """One imperfection and its severities.
+
+    Attributes:
+        name: as on the command line.
+        what: in words, with its unit.
+        severities: rising.
+        is_random: needs pieces of surface.
+        is_slow: is computed at whole degrees only.
+    """
+
+    name: str
+    what: str
+    severities: tuple[float, ...]
+    is_random: bool = False
+    is_slow: bool = False
+
+
+IMPERFECTIONS = {
+    one.name: one
+    for one in (
+        Imperfection(
+            "roughness", "isotropic roughness alpha [1]", (0.03, 0.05, 0.07, 0.085, 0.1, 0.12, 0.15, 0.2)
+        ),
+        Imperfection(
+            "roughness-along", "alpha along the ridges [1]", (0.03, 0.06, 0.08, 0.1, 0.12, 0.15, 0.2)
+        ),
+        Imperfection(
+            "roughness-across", "alpha across the ridges [1]", (0.03, 0.06, 0.1, 0.12, 0.14, 0.16, 0.2, 0.3)
+        ),
+        Imperfection("height-loss", "height loss [share]", (0.0, 0.05, 0.1, 0.2, 0.3, 0.5)),
+        Imperfection(
+            "edge-radius", f"edge radius [µm at pitch {PITCH_UM:g} µm]", (0.0, 2.0, 5.0, 10.0, 20.0, 40.0)
+        ),
+        Imperfection(
+            "burrs", "area under burrs [share]", (0.0, 0.02, 0.05, 0.1, 0.2), is_random=True, is_slow=True
+        ),
+        Imperfection("seating", "seating tilt, sd about x and y [°]", (0.0, 0.5, 1.0, 2.0, 4.0)),
+        Imperfection("noise", "noise of a radiance, sd [1/sr]", (0.0, 0.01, 0.02, 0.05, 0.1)),
+        Imperfection("bounces", "reflections counted [1; 0 is all]", (1.0, 2.0, 0.0), is_slow=True),
+        Imperfection("albedo", "albedo of the plastic [1]", (0.0, 0.2, 0.5, 0.8, 1.0)),
+    )
+}
+
+
+@dataclass(frozen=True, eq=False)
+class AngleCurve:
+    """Mean absolute contrast over the ridge angle, for one severity.
+
+    Attributes:
+        severity: in the unit of its imperfection.
+        angles_deg: (A,) ridge angles.
+        contrast: (A,) mean over tilts, pairs and pieces of surface, in 1/sr.
+        sd: (A,) standard deviation of that mean by the pieces, 0 where nothing is random.
+        published: contrast at the four published angles.
+        best_published_deg: the best of these.
+        best_deg: best ridge angle, by a parabola through the highest points.
+        best_sd_deg: its standard deviation by the pieces.
+        at_edge: the best angle is the first or last of the range.
+        findings: the findings of the paper, asked of the four published angles.
+    """
+
+    severity: float
+    angles_deg: FloatArray
+    contrast: FloatArray
+    sd: FloatArray
+    published: tuple[float, ...]
+    best_published_deg: float
+    best_deg: float
+    best_sd_deg: float
+    at_edge: bool
+    findings: Findings
+
+    @property
+    def ten_over_five(self) -> float:
+        """Contrast at 10° over that at 5°: above 1 where the measured order of the two comes out."""
+        return self.published[1] / self.published[0]
+
+
+@dataclass(frozen=True, eq=False)
+class AngleStudy:
+    """One imperfection.
+
+    Attributes:
+        imperfection: which.
+        material: the plastic without it.
+        curves: one a severity.
+    """
+
+    imperfection: Imperfection
+    material: Material
+    curves: tuple[AngleCurve, ...]
+
+    @property
+    def turns_at(self) -> float | None:
+        """Severity at which 10° overtakes 5°, interpolated; None where it never does, or always."""
+        found = self.curves
+        for low, high in pairwise(found):
+            a, b = np.log(low.ten_over_five), np.log(high.ten_over_five)
+            if (a < 0.0) != (b < 0.0) and high.severity > low.severity:
+                return float(low.severity + (high.severity - low.severity) * a / (a - b))
+        return None
+
+
+@dataclass(frozen=True)
+class _Task:
+    name: str
+    severity: float
+    angle_deg: float
+    material: Material
+    sampling: Sampling
+    seed: int
+
+
+Radiance = Callable[[FloatArray, FloatArray], FloatArray]
+
+
+def _contrasts(task: _Task) -> FloatArray:
+    """(pieces, 10) absolute contrasts of one ridge angle."""
+    poses = directions(pose_grid(STAGE_DEG, TILTS_DEG), Convention())
+    if task.name == "seating":
+        return _seated(task, *poses)[None, :]
+    if task.name == "burrs":
+        return _with_burrs(task, *poses)
+    contrasts = signed_contrasts(_radiance(task)(*poses))[None, :]
+    if task.name == "noise":
+        return folded_mean(contrasts, np.sqrt(2.0) * task.severity)
+    return np.abs(contrasts)
+
+
+def _radiance(task: _Task) -> Radiance:
+    """The direct model, or all reflections, of a part with this imperfection."""
+    size, material, radius = task.severity, task.material, 0.0
+    design = RidgeDesign(PITCH_UM, task.angle_deg)
+    if task.name == "roughness":
+        material = replace(material, alpha_along=size, alpha_across=size)
+    elif task.name == "roughness-along":
+        material = replace(material, alpha_along=size)
+    elif task.name == "roughness-across":
+        material = replace(material, alpha_across=size)
+    elif task.name == "albedo":
+        material = replace(material, albedo=size)
+    elif task.name == "height-loss":
+        design = replace(design, height_loss=size)
+    elif task.name == "edge-radius":
+        radius = size
+
+    def radiance(to_light: FloatArray, to_camera: FloatArray) -> FloatArray:
+        if task.name == "bounces":
+            return corrected.radiance(to_light, to_camera, design, material, bounces=int(size) or None)
+        return ridge_radiance(to_light, to_camera, design, radius, material)
+
+    return radiance
+
+
+def folded_mean(value: FloatArray, sd: float) -> FloatArray:
+    """Expectation of |value + noise| for Gaussian noise: what averaging absolute contrasts makes of it."""
+    if sd == 0.0:
+        return np.abs(value)
+    from scipy.special import erf  # noqa: PLC0415 - slow to import
+
+    ratio = value / (np.sqrt(2.0) * sd)
+    return np.asarray(sd * np.sqrt(2.0 / np.pi) * np.exp(-(ratio**2)) + value * erf(ratio), dtype=np.float64)
+
+
+def _seated(task: _Task, to_light: FloatArray, to_camera: FloatArray) -> FloatArray:
+    """Means over seatings of the absolute contrasts; each seating keeps for a whole experiment."""
+    node, weight = np.polynomial.hermite.hermgauss(_SEATINGS)
+    tilts = np.sqrt(2.0) * task.severity * node
+    share = weight / np.sqrt(np.pi)
+    radiance = _radiance(task)
+    total = np.zeros(len(PAIRS_DEG) * len(TILTS_DEG))
+    for about_x, weight_x in zip(tilts, share, strict=True):
+        for about_y, weight_y in zip(tilts, share, strict=True):
+            seat = seating_rotation(float(about_x), float(about_y))
+            seen = signed_contrasts(radiance(to_light @ seat, to_camera @ seat))
+            total += weight_x * weight_y * np.abs(seen)
+    return total
+
+
+def _with_burrs(task: _Task, to_light: FloatArray, to_camera: FloatArray) -> FloatArray:
+    """One row a piece of surface; the same burrs at every ridge angle."""
+    design = RidgeDesign(PITCH_UM, task.angle_deg)
+    surface = ideal_map(design, task.sampling)
+    found = []
+    for piece in range(task.sampling.seeds if task.severity else 1):
+        rng = np.random.default_rng(1000 * task.seed + piece)
+        spoiled = burrs(surface, task.severity, pitch_um=PITCH_UM, rng=rng).map
+        seen = relief_radiance(Relief(spoiled, PITCH_UM), to_light, to_camera, task.material)
+        found.append(np.abs(signed_contrasts(seen)))
+    return np.array(found)
+
+
+def best_angle(
+    names: Sequence[str],
+    material: Material,
+    sampling: Sampling,
+    workers: Workers,
+    *,
+    step_deg: float = 0.5,
+    seed: int = 1,
+    advance: Advance = silent,
+) -> tuple[AngleStudy, ...]:
+    """Follow the best ridge angle while each imperfection grows.
+
+    Args:
+        names: of ``IMPERFECTIONS``.
+        material: the plastic without the imperfection.
+        sampling: of height maps with burrs.
+        workers: who computes.
+        step_deg: of the ridge angles from 2° to 25°; slow imperfections take at least 1°.
+        seed: of the pieces of surface.
+        advance: told how far it is.
+
+    Raises:
+        UsageError: no such imperfection.
+    """
+    unknown = [name for name in names if name not in IMPERFECTIONS]
+    if unknown or not names:
+        raise UsageError(
+            f"{unknown[0] if unknown else ''!r} is no imperfection; there are {', '.join(IMPERFECTIONS)}"
+        )
+    tasks = [
+        _Task(name, severity, float(angle), material, sampling, seed)
+        for name in names
+        for severity in IMPERFECTIONS[name].severities
+        for angle in _angles(IMPERFECTIONS[name], step_deg)
+    ]
+    values = dict(
+        zip(tasks, sweep(_contrasts, tasks, workers, advance=advance, doing="ridge angles"), strict=True)
+    )
+    studies = []
+    for name in names:
+        kind = IMPERFECTIONS[name]
+        angles = _angles(kind, step_deg)
+        curves = []
+        for severity in kind.severities:
+            rows = [values[_Task(name, severity, float(angle), material, sampling, seed)] for angle in angles]
+            curves.append(_angle_curve(severity, angles, np.array(rows)))
+        studies.append(AngleStudy(kind, material, tuple(curves)))
+    return tuple(studies)
+
+
+def _angles(kind: Imperfection, step_deg: float) -> FloatArray:
+    step = max(step_deg, 1.0) if kind.is_slow else step_deg
+    return np.unique(np.round(np.concatenate([np.arange(2.0, 25.0 + 1e-9, step), RIDGE_ANGLES_DEG]), 9))
+
+
+def _angle_curve(severity: float, angles: FloatArray, rows: FloatArray) -> AngleCurve:
+    """From (angles, pieces, 10) absolute contrasts."""
+    places = np.searchsorted(angles, RIDGE_ANGLES_DEG)
+    found = findings(rows[places].mean(axis=1).reshape(SHAPE))
+    rows = rows.mean(axis=2)
+    pieces = rows.shape[1]
+    contrast = rows.mean(axis=1)
+    root = np.sqrt(pieces)
+    sd = rows.std(axis=1, ddof=1) / root if pieces > 1 else np.zeros(len(angles))
+    each = [_peak(angles, rows[:, piece]) for piece in range(pieces)]
+    published = tuple(float(contrast[place]) for place in places)
+    top = int(np.argmax(contrast))
+    return AngleCurve(
+        severity,
+        angles,
+        contrast,
+        sd,
+        published,
+        RIDGE_ANGLES_DEG[int(np.argmax(published))],
+        _peak(angles, contrast),
+        float(np.std(each, ddof=1) / root) if pieces > 1 else 0.0,
+        top in (0, len(angles) - 1),
+        found,
+    )
+
+
+def _peak(angles: FloatArray, values: FloatArray) -> float:
+    """Angle of the largest value, by the parabola through it and its neighbours."""
+    top = int(np.argmax(values))
+    if top in (0, len(values) - 1):
+        return float(angles[top])
+    x, y = angles[top - 1 : top + 2] - angles[top], values[top - 1 : top + 2] - values[top]
+    square, slope, _ = np.polyfit(x, y, 2)
+    return float(angles[top] - 0.5 * slope / square) if square < 0.0 else float(angles[top])

@@ -1,0 +1,318 @@
+"""Do contrasts approach the ideal prediction as defects vanish, and how fast?
+
+Luongo et al. 2017 (section 6) expect measured contrasts to converge to the predicted ones as samples get better.
+Here a surface is spoiled more and more mildly, its contrasts are predicted by the relief predictor, and their
+deviation from those of the unspoiled surface on the same grid of points is followed. The deviation has two parts:
+the bias is common to all spoiled surfaces, the scatter differs from one piece of surface to the next.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.errors import UsageError
+from anisoscope.experiment import STAGE_DEG, TILTS_DEG
+from anisoscope.profiles.defects import burrs, ridge_angle_error
+from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.profiles.period import Period
+from anisoscope.progress import Advance, silent
+from anisoscope.sim.light import corrected
+from anisoscope.sim.light.geometry import Convention, directions, pose_grid
+from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.relief import Relief
+from anisoscope.sim.light.relief import radiance as relief_radiance
+from anisoscope.study.sweep import Workers, sweep
+
+FloatArray = npt.NDArray[np.float64]
+Defect = Literal["roughness", "burrs", "angle-error", "height-loss", "edge-rounding"]
+
+DEFECTS: tuple[Defect, ...] = get_args(Defect)
+RANDOM = ("roughness", "burrs")
+LARGEST = {
+    "roughness": (0.10, "alpha"),
+    "burrs": (0.10, "share of the area"),
+    "angle-error": (2.0, "°"),
+    "height-loss": (0.20, "share of the height"),
+    "edge-rounding": (0.05, "pitches"),
+}
+FITTED = 4  # mildest severities that give the order
+PITCH_UM = 100.0
+FINE_PIXEL_UM = PITCH_UM / 4000
+_BOOTSTRAPS = 400
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """How finely a study is sampled.
+
+    Attributes:
+        ridges: across the map.
+        length_um: of the map along the ridges.
+        pixel_um: of the map.
+        seeds: pieces of surface for a random defect.
+    """
+
+    ridges: int
+    length_um: float
+    pixel_um: float
+    seeds: int
+
+
+QUALITIES = {
+    "quick": Sampling(4, 200.0, 1.0, 4),
+    "normal": Sampling(4, 300.0, 1.0, 12),
+    "fine": Sampling(8, 600.0, 0.5, 32),
+}
+
+
+@dataclass(frozen=True)
+class Order:
+    """Slope of a deviation against severity, both in the logarithm, with its 95 % interval."""
+
+    slope: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, eq=False)
+class Convergence:
+    """One defect at S severities; deviations are relative to the rms of the ideal contrasts.
+
+    Attributes:
+        defect: which.
+        severity: (S,) rising, in the unit of ``LARGEST``.
+        total: (S,) rms deviation over contrasts and pieces of surface.
+        bias: (S,) rms over the contrasts of the mean deviation; NaN where it drowns in the scatter.
+        scatter: (S,) rms standard deviation between pieces, 0 for defects that are not random.
+        mean_contrast: (S,) mean absolute contrast, in multiples of the ideal one.
+        orders: of "total", and of "bias" and "scatter" where those are told apart.
+        sampling_bias: relief of the unspoiled map against the corrected model, relative to the rms contrast.
+    """
+
+    defect: Defect
+    severity: FloatArray
+    total: FloatArray
+    bias: FloatArray
+    scatter: FloatArray
+    mean_contrast: FloatArray
+    orders: dict[str, Order]
+    sampling_bias: float
+
+
+@dataclass(frozen=True, eq=False)
+class ConvergenceStudy:
+    """All defects, and what they are compared with.
+
+    Attributes:
+        design: the ridges.
+        material: the plastic, with the roughness that the maps do not resolve.
+        sampling: of the maps with random defects.
+        curves: one a defect.
+    """
+
+    design: RidgeDesign
+    material: Material
+    sampling: Sampling
+    curves: tuple[Convergence, ...]
+
+
+@dataclass(frozen=True)
+class _Task:
+    defect: Defect | None
+    severity: float
+    seed: int
+    design: RidgeDesign
+    material: Material
+    sampling: Sampling
+
+
+def ideal_map(design: RidgeDesign, sampling: Sampling) -> HeightMap:
+    """The unspoiled surface, one column and row more than whole pitches and pixels."""
+    cols = round(sampling.ridges * design.pitch_um / sampling.pixel_um) + 1
+    return ridges(design, (round(sampling.length_um / sampling.pixel_um) + 1, cols), sampling.pixel_um, 0.25)
+
+
+def sampling_for(defect: Defect | None, sampling: Sampling) -> Sampling:
+    """Defects that are the same along the ridges need fine profiles but few rows: a plateau shrinks to nothing."""
+    if defect is None or defect in RANDOM:
+        return sampling
+    return Sampling(2, FINE_PIXEL_UM, FINE_PIXEL_UM, 1)
+
+
+def spoil(surface: HeightMap, defect: Defect, size: float, design: RidgeDesign, seed: int) -> list[HeightMap]:
+    """The surface with a defect of a given size in the unit of ``LARGEST``.
+
+    One seed means one piece of surface at every size: roughness is one field scaled, and comes as a pair of
+    opposite fields, so that what is linear in the field cancels in their mean.
+    """
+    rng = np.random.default_rng(seed)
+    if defect == "roughness":
+        rough = add_facet_roughness(surface, size, size, 5.0, rng)
+        return [rough, surface.with_height(2.0 * surface.height_um - rough.height_um)]
+    if defect == "burrs":
+        return [burrs(surface, size, pitch_um=design.pitch_um, rng=rng).map]
+    if defect == "angle-error":
+        period = Period(design.pitch_um, 0.0, 1.0, True)
+        return [ridge_angle_error(surface, size, ridge_angle_deg=design.ridge_angle_deg, period=period)]
+    if defect == "height-loss":
+        cut = design.full_height_um * (1.0 - size)
+        return [surface.with_height(np.minimum(surface.height_um, cut))]
+    from scipy.ndimage import gaussian_filter1d  # noqa: PLC0415 - slow to import
+
+    sigma = size * design.pitch_um / surface.pixel_x_um
+    profile = gaussian_filter1d(surface.height_um[0, :-1], sigma, mode="wrap")
+    rounded = np.append(profile, profile[0])
+    return [surface.with_height(np.broadcast_to(rounded, surface.shape).copy())]
+
+
+def signed_contrasts(radiance: FloatArray) -> FloatArray:
+    """(10,) signed differences of the published experiment's poses."""
+    return -np.diff(radiance.reshape(len(TILTS_DEG), len(STAGE_DEG)), axis=1).ravel()
+
+
+def _contrasts(task: _Task) -> FloatArray:
+    """(pieces, 10) contrasts of one spoiled surface and, for roughness, of its opposite."""
+    surface = ideal_map(task.design, task.sampling)
+    spoiled = [surface]
+    if task.severity > 0.0 and task.defect is not None:
+        spoiled = spoil(surface, task.defect, task.severity, task.design, task.seed)
+    to_light, to_camera = directions(pose_grid(STAGE_DEG, TILTS_DEG), Convention())
+    return np.stack(
+        [
+            signed_contrasts(
+                relief_radiance(Relief(one, task.design.pitch_um), to_light, to_camera, task.material)
+            )
+            for one in spoiled
+        ]
+    )
+
+
+def convergence(
+    defects: Sequence[Defect],
+    design: RidgeDesign,
+    material: Material,
+    sampling: Sampling,
+    workers: Workers,
+    *,
+    severities: int = 6,
+    seed: int = 1,
+    advance: Advance = silent,
+) -> ConvergenceStudy:
+    """Follow the deviation of every defect from its largest size down, each step half the one before.
+
+    Args:
+        defects: which.
+        design: the ridges.
+        material: the plastic.
+        sampling: of the maps with random defects.
+        workers: who computes.
+        severities: how many sizes, at least 3.
+        seed: of the pieces of surface.
+        advance: told how far it is.
+
+    Raises:
+        UsageError: fewer than three sizes, or none of the defects known.
+    """
+    if severities < 3:
+        raise UsageError(f"an order needs at least three severities, not {severities}")
+    unknown = [defect for defect in defects if defect not in DEFECTS]
+    if unknown or not defects:
+        raise UsageError(f"{unknown[0] if unknown else ''!r} is no defect; there are {', '.join(DEFECTS)}")
+    if not design.ridge_angle_deg > 0.0:
+        raise UsageError("a flat surface has no contrast to converge to: take a ridge angle above 0°")
+    steps = 0.5 ** np.arange(severities)[::-1]
+    tasks = []
+    for defect in defects:
+        finely = sampling_for(defect, sampling)
+        sizes = [0.0] + [float(LARGEST[defect][0] * step) for step in steps]
+        tasks += [
+            _Task(defect, size, 1000 * seed + piece, design, material, finely)
+            for size in sizes
+            for piece in range(finely.seeds if size else 1)
+        ]
+    found = iter(sweep(_contrasts, tasks, workers, advance=advance, doing="spoiling and predicting"))
+    to_light, to_camera = directions(pose_grid(STAGE_DEG, TILTS_DEG), Convention())
+    exact = signed_contrasts(corrected.radiance(to_light, to_camera, design, material))
+    curves = []
+    for defect in defects:
+        pieces = sampling_for(defect, sampling).seeds
+        ideal = next(found)[0]
+        rows = [next(found) for _ in range(severities * pieces)]
+        severity: FloatArray = np.asarray(LARGEST[defect][0] * steps, dtype=np.float64)
+        table = np.reshape(rows, (severities, pieces, -1, ideal.size))
+        curves.append(_curve(defect, severity, table, ideal, exact, seed))
+    return ConvergenceStudy(design, material, sampling, tuple(curves))
+
+
+def _curve(
+    defect: Defect, severity: FloatArray, table: FloatArray, ideal: FloatArray, exact: FloatArray, seed: int
+) -> Convergence:
+    """Deviations from (severities, pieces, opposite, contrasts) contrasts."""
+    scale = float(np.sqrt(np.mean(ideal**2)))
+    deviation = (table - ideal) / scale
+    total, bias, scatter = _parts(deviation)
+    strength = np.abs(table).mean(axis=(1, 2, 3)) / np.abs(ideal).mean()
+    orders = {}
+    named = {"total": total, "bias": bias, "scatter": scatter}
+    pieces = table.shape[1]
+    for number, (name, values) in enumerate(named.items()):
+        if pieces == 1 and name != "total":
+            continue
+        usable = np.isfinite(values[:FITTED]) & (values[:FITTED] > 0)
+        if usable.sum() >= 3:
+            orders[name] = (
+                _regression(severity, values)
+                if pieces == 1
+                else _bootstrap(severity, deviation, number, np.random.default_rng(seed))
+            )
+    sampling_bias = float(np.sqrt(np.mean((ideal - exact) ** 2)) / scale)
+    return Convergence(defect, severity, total, bias, scatter, strength, orders, sampling_bias)
+
+
+def _parts(deviation: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Total, bias and scatter, (severities,) each, of (severities, pieces, opposite, contrasts) deviations."""
+    total = np.sqrt(np.mean(deviation**2, axis=(1, 2, 3)))
+    per_piece = deviation.mean(axis=2)  # opposite fields cancel what is linear in them
+    pieces = per_piece.shape[1]
+    centre = per_piece.mean(axis=1)
+    if pieces == 1:
+        return total, np.sqrt(np.mean(centre**2, axis=1)), np.zeros(len(total))
+    by_chance = per_piece.var(axis=1, ddof=1).mean(axis=1) / pieces
+    square = np.mean(centre**2, axis=1) - by_chance
+    bias = np.sqrt(np.where(square > 2.0 * by_chance, square, np.nan))
+    single = deviation - deviation.mean(axis=(1, 2), keepdims=True)
+    return total, bias, np.sqrt(np.mean(single**2, axis=(1, 2, 3)))
+
+
+def _slope(severity: FloatArray, values: FloatArray) -> float:
+    usable = np.isfinite(values[:FITTED]) & (values[:FITTED] > 0)
+    if usable.sum() < 2:
+        return float("nan")
+    x, y = np.log(severity[:FITTED][usable]), np.log(values[:FITTED][usable])
+    return float(np.polyfit(x, y, 1)[0])
+
+
+def _regression(severity: FloatArray, values: FloatArray) -> Order:
+    """Slope with the interval that its residuals give; of a smooth curve that is its bend."""
+    from scipy.stats import linregress, t  # noqa: PLC0415 - slow to import
+
+    x, y = np.log(severity[:FITTED]), np.log(values[:FITTED])
+    fit = linregress(x, y)
+    reach = float(t.ppf(0.975, x.size - 2)) * float(fit.stderr)
+    slope = float(fit.slope)
+    return Order(slope, slope - reach, slope + reach)
+
+
+def _bootstrap(severity: FloatArray, deviation: FloatArray, number: int, rng: np.random.Generator) -> Order:
+    """Slope with the interval that other draws of the same pieces give."""
+    pieces = deviation.shape[1]
+    drawn = []
+    for _ in range(_BOOTSTRAPS):
+        chosen = deviation[:, rng.integers(0, pieces, pieces)]
+        drawn.append(_slope(severity, _parts(chosen)[number]))
+    low, high = np.nanquantile(drawn, [0.025, 0.975])
+    return Order(_slope(severity, _parts(deviation)[number]), float(low), float(high))

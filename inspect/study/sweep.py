@@ -1,0 +1,271 @@
+"""Many independent evaluations: in this process, in processes of this machine, or on a Dask cluster.
+
+Results come back in the order of the tasks and depend on nothing but the tasks and the seed: every task owns a
+child of one seed sequence, whoever computes it. A cluster worker that is lost costs time only: its tasks go to
+another one.
+"""
+
+import asyncio
+import signal
+import warnings
+from collections.abc import Callable, Generator, Iterable, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any, ClassVar, TypeVar
+
+import numpy as np
+
+from anisoscope.errors import AnisoscopeError, UsageError
+from anisoscope.progress import Advance, silent
+
+Result = TypeVar("Result")
+
+CONNECT_TIMEOUT_S = 5.0
+NO_WORKERS_TIMEOUT_S = 20.0
+_PARTS = 64  # steps of the progress bar, about
+_SHOWN = 120  # characters of a failed task
+
+
+class SweepError(AnisoscopeError):
+    """A sweep that cannot be run to its end: the cluster is missing, or a task failed."""
+
+    exit_code: ClassVar[int] = 69
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Who computes.
+
+    Attributes:
+        jobs: processes on this machine; 1 is this process, None one for every core.
+        scheduler: address of a Dask scheduler, such as "tcp://host:8786"; it replaces ``jobs``.
+
+    Raises:
+        UsageError: fewer than one process.
+    """
+
+    jobs: int | None = 1
+    scheduler: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.jobs is not None and self.jobs < 1:
+            raise UsageError(f"--jobs takes 1 or more, not {self.jobs}; leave it out for one for every core")
+
+
+@dataclass(frozen=True)
+class _Failure:
+    """What went wrong in a task, as text: the exception itself may not survive the way back."""
+
+    number: int
+    task: str
+    error: Exception | None
+    text: str
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Some consecutive tasks, with the seeds that are theirs."""
+
+    function: Callable[..., Any]
+    first: int
+    tasks: tuple[Any, ...]
+    seeds: tuple[np.random.SeedSequence, ...] | None
+
+
+_Client = Any  # Dask has no types
+_Finished = Generator[tuple[_Part, list[Any]], None, None]
+
+
+def sweep(
+    function: Callable[..., Result],
+    tasks: Iterable[Any],
+    workers: Workers,
+    *,
+    seed: int | None = None,
+    advance: Advance = silent,
+    doing: str = "",
+) -> list[Result]:
+    """Call ``function(task)``, or ``function(task, rng)`` where a seed is given, for every task.
+
+    Args:
+        function: a function of a module, so that another process can find it.
+        tasks: what it is called with.
+        workers: who computes; the results do not depend on it.
+        seed: seed of the sweep; task n gets the n-th child of ``numpy.random.SeedSequence(seed)``.
+        advance: told how many tasks are done.
+        doing: what to say meanwhile.
+
+    Returns:
+        The results, in the order of the tasks.
+
+    Raises:
+        SweepError: a task failed, or the cluster cannot be reached or has lost all its workers.
+        UsageError: the extra that a cluster needs is not installed.
+        AnisoscopeError: as raised by a task.
+    """
+    given = list(tasks)
+    if not given:
+        return []
+    parts = _parts(function, given, seed)
+    results: list[Any] = [None] * len(given)
+    done = 0
+    advance(doing, 0, len(given))
+    with closing(_run(parts, workers)) as finished:
+        for part, values in finished:
+            _check(values, len(given))
+            results[part.first : part.first + len(part.tasks)] = values
+            done += len(part.tasks)
+            advance(doing, done, len(given))
+    return results
+
+
+def _parts(function: Callable[..., Any], tasks: Sequence[Any], seed: int | None) -> list[_Part]:
+    size = max(1, len(tasks) // _PARTS)
+    seeds = None if seed is None else np.random.SeedSequence(seed).spawn(len(tasks))
+    return [
+        _Part(
+            function,
+            first,
+            tuple(tasks[first : first + size]),
+            None if seeds is None else tuple(seeds[first : first + size]),
+        )
+        for first in range(0, len(tasks), size)
+    ]
+
+
+def _compute(part: _Part) -> list[Any]:
+    """Results of a part; after a failure, only that."""
+    values: list[Any] = []
+    for offset, task in enumerate(part.tasks):
+        try:
+            if part.seeds is None:
+                values.append(part.function(task))
+            else:
+                values.append(part.function(task, np.random.default_rng(part.seeds[offset])))
+        except Exception as error:  # noqa: BLE001 - it is reported where the sweep was started
+            kept = error if isinstance(error, AnisoscopeError) else None
+            text = " ".join(f"{type(error).__name__}: {error}".split())
+            return [_Failure(part.first + offset, repr(task)[:_SHOWN], kept, text)]
+    return values
+
+
+def _check(values: list[Any], total: int) -> None:
+    failure = next((value for value in values if isinstance(value, _Failure)), None)
+    if failure is None:
+        return
+    if failure.error is not None:
+        raise failure.error
+    raise SweepError(f"task {failure.number + 1} of {total} failed: {failure.text} (task: {failure.task})")
+
+
+def _run(parts: list[_Part], workers: Workers) -> _Finished:
+    if workers.scheduler is not None:
+        return _on_cluster(parts, workers.scheduler)
+    return _locally(parts, workers.jobs)
+
+
+def _locally(parts: list[_Part], jobs: int | None) -> _Finished:
+    if jobs == 1 or len(parts) == 1:
+        for part in parts:
+            yield part, _compute(part)
+        return
+    joblib: Any = import_module("joblib")  # slow to import, and without types
+    killed = import_module("joblib.externals.loky.process_executor").TerminatedWorkerError
+    count = min(jobs or joblib.cpu_count(), len(parts))
+    # what is dispatched ahead must fit into loky's queue: it stumbles over the rest when it is killed
+    parallel = joblib.Parallel(count, return_as="generator", batch_size=1, pre_dispatch="2*n_jobs")
+    # the processes inherit the mask: Ctrl-C, which a terminal sends to all, is left to this process
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        results = parallel(joblib.delayed(_compute)(part) for part in parts)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+    try:
+        yield from zip(parts, results, strict=True)
+    except killed as error:
+        raise SweepError(
+            "a process of this sweep was killed, as happens when memory runs out: try fewer --jobs"
+        ) from error
+    finally:
+        with warnings.catch_warnings():  # Ctrl-C, or a task failed: joblib warns of what it cancels
+            warnings.filterwarnings(
+                "ignore", ".*task.* (successfully executed|still being processed)", UserWarning
+            )
+            results.close()
+
+
+def _on_cluster(parts: list[_Part], address: str) -> _Finished:
+    client = _connect(address)
+    try:
+        _await_workers(client, address)
+        yield from _collect(client, parts, address)
+    finally:
+        client.close(timeout=CONNECT_TIMEOUT_S)
+
+
+def _connect(address: str) -> _Client:
+    try:
+        distributed: Any = import_module("distributed")  # an extra, slow to import, and without types
+    except ImportError as error:
+        raise UsageError(
+            "a sweep on a cluster needs Dask, which is not installed: pip install anisoscope[cluster]"
+        ) from error
+    try:
+        # Client waits for ever where something listens that is no scheduler
+        asyncio.run(asyncio.wait_for(_knock(address), CONNECT_TIMEOUT_S))
+        return distributed.Client(address, timeout=CONNECT_TIMEOUT_S)
+    except (OSError, ValueError, TypeError, EOFError) as error:
+        raise SweepError(
+            f"no Dask scheduler answers at {address} within {CONNECT_TIMEOUT_S:g} s: is the address right, and "
+            "does `dask scheduler` run there?"
+        ) from error
+
+
+async def _knock(address: str) -> None:
+    comm = await import_module("distributed.comm").connect(address, timeout=CONNECT_TIMEOUT_S)
+    await comm.close()
+
+
+def _await_workers(client: _Client, address: str) -> None:
+    try:
+        client.wait_for_workers(1, timeout=NO_WORKERS_TIMEOUT_S)
+    except TimeoutError as error:
+        raise SweepError(f"{_no_workers(address)}: start some with `dask worker {address}`") from error
+
+
+def _no_workers(address: str) -> str:
+    return f"the Dask scheduler at {address} has had no workers for {NO_WORKERS_TIMEOUT_S:g} s"
+
+
+def _collect(client: _Client, parts: list[_Part], address: str) -> _Finished:
+    distributed: Any = import_module("distributed")
+    waiting = {client.submit(_compute, part, pure=False): part for part in parts}
+    try:
+        while waiting:
+            try:
+                ready = distributed.wait(list(waiting), NO_WORKERS_TIMEOUT_S, "FIRST_COMPLETED").done
+            except TimeoutError:
+                _await_workers(client, address)
+                continue
+            for future in ready:
+                if future.status in ("cancelled", "lost"):
+                    raise SweepError(f"the Dask scheduler at {address} was lost: its tasks are gone")
+                if future.status == "error":
+                    raise SweepError(_explain(future.exception()))
+                yield waiting.pop(future), future.result()
+    except (OSError, RuntimeError) as error:
+        raise SweepError(f"the Dask scheduler at {address} was lost: {error}") from error
+    finally:
+        if client.status == "running":
+            client.cancel(list(waiting), force=True)
+
+
+def _explain(error: BaseException | None) -> str:
+    name = type(error).__name__
+    text = " ".join(str(error).split())
+    if name == "KilledWorker":
+        return f"several cluster workers died on the same tasks, as happens when memory runs out: {text}"
+    if isinstance(error, ImportError):
+        return f"a cluster worker cannot load this program ({text}): install the same version of anisoscope there"
+    return f"a cluster worker failed: {name}: {text}"

@@ -1,0 +1,212 @@
+"""The relief predictor against Mitsuba 3 on one rough, burred map: accuracy, and time at the same error.
+
+Same surface: Mitsuba gets a mesh with two triangles a cell, cut from (row, col) to (row + 1, col + 1), face
+normals, and around it MARGIN pixels that repeat the nearest edge, as `relief` takes them to go on without a pitch.
+Same measure: parallel rays from an even grid of cells on the map's rectangle, so that the mean of the picture is
+the radiance per macroscopic area, under a directional light of unit irradiance. Same plastic: isotropic roughness,
+`nonlinear`. Mitsuba's depth D is D − 1 reflections.
+"""
+
+import os
+import time
+
+import numpy as np
+import pytest
+
+from anisoscope.profiles.defects import burrs
+from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.sim.light.geometry import Convention, directions, pose_grid
+from anisoscope.sim.light.material import Material, facet_brdf
+from anisoscope.sim.light.relief import Relief, radiance
+from anisoscope.sim.light.relief_paths import interreflection
+
+mitsuba = pytest.importorskip("mitsuba", reason="the benchmark against Mitsuba needs: pip install mitsuba")
+
+pytestmark = pytest.mark.benchmark
+MARGIN = 60
+PICTURE = 64  # pixels a side: shares the work among the cores, and shows the scatter
+VARIANT = "scalar_rgb"
+MATERIAL = Material(0.1, 0.1, 0.2)
+POSES = pose_grid((0.0, 90.0, 180.0), (-20.0, -10.0, 0.0, 10.0, 20.0))
+TO_LIGHT, TO_CAMERA = directions(POSES, Convention())
+DEPTH = 6
+REPEATS = 3
+
+
+@pytest.fixture(scope="module")
+def surface():
+    rng = np.random.default_rng(1)
+    ideal = ridges(RidgeDesign(100.0, 10.0), (1000, 1000), 1.0)
+    rough = add_facet_roughness(ideal, 0.05, 0.05, 6.0, rng)
+    return burrs(rough, 0.02, pitch_um=100.0, rng=rng).map
+
+
+def relief_of(surface):
+    """Prepared anew, so that nothing is remembered from another run."""
+    return Relief(surface, facets="diagonal")
+
+
+def plastic(material):
+    return {
+        "type": "roughplastic",
+        "distribution": "beckmann",
+        "alpha": material.alpha_along,
+        "int_ior": material.index,
+        "ext_ior": 1.0,
+        "nonlinear": True,
+        "diffuse_reflectance": {"type": "rgb", "value": material.albedo},
+    }
+
+
+def mesh_of(surface, material):
+    z = np.pad(surface.height_um, MARGIN, mode="edge")
+    rows, cols = z.shape
+    y, x = np.mgrid[-MARGIN : rows - MARGIN, -MARGIN : cols - MARGIN]
+    points = np.stack([x * surface.pixel_x_um, y * surface.pixel_y_um, z], axis=-1).astype(np.float32)
+    corner = (np.arange(rows - 1)[:, None] * cols + np.arange(cols - 1)).ravel()
+    faces = np.stack(
+        [corner, corner + 1, corner + cols + 1, corner, corner + cols + 1, corner + cols], axis=-1
+    )
+    properties = mitsuba.Properties()
+    properties["bsdf"] = mitsuba.load_dict(plastic(material))
+    properties["face_normals"] = True
+    mesh = mitsuba.Mesh("map", rows * cols, 2 * corner.size, props=properties)
+    parameters = mitsuba.traverse(mesh)
+    parameters["vertex_positions"] = points.ravel()
+    parameters["faces"] = faces.astype(np.uint32).ravel()
+    parameters.update()
+    return mesh
+
+
+def camera_of(surface, to_camera):
+    """Parallel rays that fill the map's rectangle at its mean height: a sheared orthographic camera."""
+    rows, cols = surface.shape
+    half_x, half_y = 0.5 * (cols - 1) * surface.pixel_x_um, 0.5 * (rows - 1) * surface.pixel_y_um
+    middle, top = float(np.mean(surface.height_um)), float(np.max(surface.height_um)) + 1.0
+    start = np.array([half_x, half_y, middle]) + to_camera * (top - middle) / to_camera[2]
+    frame = np.eye(4)
+    frame[:3, 0], frame[:3, 1], frame[:3, 2], frame[:3, 3] = [half_x, 0, 0], [0, half_y, 0], -to_camera, start
+    film = {"type": "hdrfilm", "width": PICTURE, "height": PICTURE, "pixel_format": "luminance"}
+    return {
+        "type": "orthographic",
+        "to_world": mitsuba.ScalarTransform4f(frame),
+        "near_clip": 1e-3,
+        "far_clip": 1e5,
+        "film": {**film, "rfilter": {"type": "box"}, "component_format": "float32"},
+        "sampler": {"type": "independent"},
+    }
+
+
+def traced(surface, material, samples, depth):
+    """(P,) radiances by Mitsuba and their standard errors, and the seconds to build and to trace.
+
+    Each picture is the mean of two, whose difference shows the error without the variation over the map.
+    """
+    mitsuba.set_variant(VARIANT)
+    start = time.perf_counter()
+    mesh = mesh_of(surface, material)
+    integrator = {"type": "path", "max_depth": depth, "rr_depth": depth + 1}
+    scene, built, values, errors = None, 0.0, [], []
+    for seed, (light, camera) in enumerate(zip(TO_LIGHT, TO_CAMERA, strict=True)):
+        lamp = {
+            "type": "directional",
+            "direction": (-light).tolist(),
+            "irradiance": {"type": "rgb", "value": 1.0},
+        }
+        if scene is None:
+            parts = {"mesh": mesh, "lamp": lamp, "integrator": integrator}
+            scene = mitsuba.load_dict({"type": "scene", **parts})
+            built = time.perf_counter() - start
+        else:
+            parameters = mitsuba.traverse(scene)
+            parameters["lamp.to_world"] = mitsuba.load_dict(lamp).world_transform()
+            parameters.update()
+        sensor = mitsuba.load_dict(camera_of(surface, camera))
+        halves = [
+            np.array(
+                mitsuba.render(scene, sensor=sensor, spp=samples // 2, seed=2 * seed + half), dtype=np.float64
+            )
+            for half in (0, 1)
+        ]
+        values.append(float(np.mean(halves)))
+        errors.append(float(np.std(halves[0] - halves[1])) / (2.0 * PICTURE))
+    return np.array(values), np.array(errors), built, time.perf_counter() - start - built
+
+
+def best(function):
+    """The result, and the shortest of a few times."""
+    times = []
+    for _ in range(REPEATS):
+        start = time.perf_counter()
+        result = function()
+        times.append(time.perf_counter() - start)
+    return result, min(times)
+
+
+def rms(deviation):
+    return float(np.sqrt(np.mean(np.square(deviation))))
+
+
+def enough_samples(surface, depth, error):
+    """Even number of samples a pixel at which Mitsuba's standard error, rms over the poses, is ``error``."""
+    values, errors, *_ = traced(surface, MATERIAL, 4, depth)
+    return max(2, 2 * int(np.ceil(2.0 * (rms(errors / values) / error) ** 2)))
+
+
+@pytest.mark.parametrize(("alpha", "albedo"), [(0.05, 0.5), (0.1, 0.2), (0.2, 0.5)])
+def test_the_plastic_is_the_same(alpha, albedo):
+    """Point by point up to 60° from the normal; nearer the horizon the two shadow rough interfaces differently."""
+    mitsuba.set_variant(VARIANT)
+    material = Material(alpha, alpha, albedo)
+    bsdf, context = mitsuba.load_dict(plastic(material)), mitsuba.BSDFContext()
+    deviations = []
+    for tilt_in, tilt_out, turn in np.radians(
+        [[10, 0, 0], [10, 20, 90], [40, 30, 180], [60, 60, 180], [60, 20, 30]]
+    ):
+        light = np.array([np.sin(tilt_in), 0.0, np.cos(tilt_in)])
+        camera = np.array(
+            [np.sin(tilt_out) * np.cos(turn), np.sin(tilt_out) * np.sin(turn), np.cos(tilt_out)]
+        )
+        interaction = mitsuba.SurfaceInteraction3f()
+        interaction.wi = mitsuba.Vector3f(*light)
+        theirs = bsdf.eval(context, interaction, mitsuba.Vector3f(*camera))[0] / camera[2]
+        deviations.append(facet_brdf(light, camera, *np.eye(3)[[1, 0, 2]], material) / theirs - 1.0)
+    print(f"\nBRDF, alpha {alpha}, albedo {albedo}: " + ", ".join(f"{100 * d:+.2f} %" for d in deviations))
+    assert np.max(np.abs(deviations)) < 0.02
+
+
+@pytest.mark.parametrize(("depth", "goal", "error"), [(2, 0.003, 0.0044), (DEPTH, 0.01, 0.0044)])
+def test_relief_against_mitsuba(surface, depth, goal, error):
+    def ours():
+        relief = relief_of(surface)
+        total = radiance(relief, TO_LIGHT, TO_CAMERA, MATERIAL)
+        if depth > 2:
+            total = total + interreflection(relief, TO_LIGHT, TO_CAMERA, MATERIAL, depth - 1).radiance
+        return total
+
+    ours()  # compile
+    found, seconds = best(ours)
+    exact, spread, *_ = traced(surface, MATERIAL, 256, depth)
+    accuracy, noise = rms(found / exact - 1.0), rms(spread / exact)
+    samples = enough_samples(surface, depth, error)
+    (values, errors, built, tracing), _ = min(
+        (
+            (run, run[2] + run[3])
+            for run in (traced(surface, MATERIAL, samples, depth) for _ in range(REPEATS))
+        ),
+        key=lambda run: run[1],
+    )
+    theirs = built + tracing
+    kind = "direct light" if depth == 2 else f"up to {depth - 1} reflections"
+    print(
+        f"\n{kind}, {len(POSES)} poses, {surface.shape[0]} × {surface.shape[1]} points, {os.cpu_count()} cores"
+    )
+    greatest = np.max(np.abs(found / exact - 1.0))
+    print(f"deviation rms {accuracy:.2%}, greatest {greatest:.2%}; of it Mitsuba's noise {noise:.2%}")
+    print(
+        f"relief {seconds:.2f} s; Mitsuba ({VARIANT}, {samples * PICTURE**2} samples a pose) {theirs:.2f} s,"
+    )
+    print(f"of which mesh and tree {built:.2f} s; its standard error {rms(errors / values):.2%}")
+    print(f"load of the machine {os.getloadavg()[0]:.1f}")
+    print(f"ratio {theirs / seconds:.1f}, without building {tracing / seconds:.1f}")
+    assert accuracy < goal

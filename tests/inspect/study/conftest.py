@@ -1,0 +1,70 @@
+"""A Dask cluster as a user starts it: a scheduler and two workers, each a process."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+
+import pytest
+
+
+@dataclass
+class Cluster:
+    """A running cluster: its address, and how to add a worker."""
+
+    address: str
+    add_worker: object
+
+
+@contextmanager
+def process(*arguments):
+    command = [sys.executable, "-Im", "dask", *map(str, arguments)]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as started:
+        try:
+            yield started
+        finally:
+            started.send_signal(signal.SIGKILL)
+
+
+def scheduler_address(file):
+    deadline = time.monotonic() + 60
+    while True:
+        try:
+            return json.loads(file.read_text())["address"]
+        except (OSError, ValueError):
+            assert time.monotonic() < deadline, "the Dask scheduler did not start"
+            time.sleep(0.05)
+
+
+@pytest.fixture(scope="session")
+def scheduler(tmp_path_factory):
+    """A scheduler without workers; yields its address."""
+    pytest.importorskip("distributed")
+    folder = tmp_path_factory.mktemp("scheduler")
+    file = folder / "scheduler.json"
+    options = ["--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", file]
+    with process("scheduler", *options):
+        yield scheduler_address(file)
+
+
+@pytest.fixture(scope="session")
+def cluster(tmp_path_factory):
+    """A scheduler with two workers; a worker more can be added."""
+    pytest.importorskip("distributed")
+    folder = tmp_path_factory.mktemp("cluster")
+    file = folder / "scheduler.json"
+    with ExitStack() as stack:
+        options = ["--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", file]
+        stack.enter_context(process("scheduler", *options))
+        address = scheduler_address(file)
+
+        def add_worker():
+            options = ["--nthreads", "1", "--no-nanny", "--no-dashboard", "--local-directory", folder]
+            return stack.enter_context(process("worker", address, *options))
+
+        add_worker()
+        add_worker()
+        yield Cluster(address, add_worker)

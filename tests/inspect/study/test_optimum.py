@@ -1,0 +1,113 @@
+"""The search finds the highest top, whatever the landscape, and says how flat it is."""
+
+import numpy as np
+import pytest
+
+from anisoscope.errors import UsageError
+from anisoscope.study import optimum as module
+from anisoscope.study.objective import Part, Scored, Scoring, Tolerances, score
+from anisoscope.study.optimum import optimum
+from anisoscope.study.sweep import Workers
+
+
+def test_one_parameter_against_brute_force():
+    scoring = Scoring(pairs_deg=((0.0, 90.0), (90.0, 180.0)), tilts_deg=(-10.0, 0.0, 10.0))
+    found = optimum(Part(), {"ridge_angle": (2.0, 25.0)}, scoring, Workers())
+    angles = np.linspace(2.0, 25.0, 461)
+    brute = [score(Part(ridge_angle=float(angle)), scoring).score for angle in angles]
+    assert found.part.ridge_angle == pytest.approx(angles[int(np.argmax(brute))], abs=0.03)
+    assert found.scored.score >= max(brute) * (1.0 - 1e-9)
+
+
+def test_kept_interval_is_where_one_percent_is_lost():
+    found = optimum(Part(), {"ridge_angle": (2.0, 25.0)}, Scoring(), Workers())
+    low, high = found.slices[0].kept
+    for end in (low, high):
+        assert score(Part(ridge_angle=end), Scoring()).score == pytest.approx(
+            0.99 * found.scored.score, rel=3e-3
+        )
+
+
+def test_two_parameters_against_a_fine_grid_of_the_worst_contrast():
+    scoring = Scoring("log_ratio", tilts_deg=(-10.0, 0.0, 10.0), over="worst")
+    bounds = {"ridge_angle": (3.0, 20.0), "alpha_across": (0.05, 0.2)}
+    found = optimum(Part(), bounds, scoring, Workers())
+    fine = [
+        score(Part(ridge_angle=float(a), alpha_across=float(b)), scoring).score
+        for a in np.linspace(3.0, 20.0, 22)
+        for b in np.geomspace(0.05, 0.2, 22)
+    ]
+    assert found.scored.score >= max(fine) * (1.0 - 1e-6)
+
+
+def synthetic(part, scoring):
+    """A high narrow hill beside a broad low one, and a parameter that hardly matters."""
+    narrow = np.exp(-(((part.ridge_angle - 17.3) / 0.6) ** 2))
+    broad = 0.9 * np.exp(-(((part.ridge_angle - 7.0) / 4.0) ** 2))
+    value = max(narrow, broad) * (1.0 + 1e-4 * np.log(part.alpha_across))
+    return Scored(float(value), float(value), 0.0)
+
+
+def test_a_narrow_higher_hill_is_not_missed(monkeypatch):
+    monkeypatch.setattr(module, "score", synthetic)
+    bounds = {"ridge_angle": (2.0, 25.0), "alpha_across": (0.05, 0.2)}
+    found = optimum(Part(), bounds, Scoring(), Workers())
+    assert found.part.ridge_angle == pytest.approx(17.3, abs=1e-2)
+    angle, roughness = found.slices
+    assert not angle.flat
+    assert angle.at_bound is None
+    assert roughness.flat
+    # 1 % of a Gaussian hill of width w is lost at w·√(−ln 0.99)
+    assert np.subtract(*angle.kept[::-1]) == pytest.approx(2 * 0.6 * np.sqrt(-np.log(0.99)), rel=0.05)
+
+
+def test_a_bound_is_called_one():
+    found = optimum(Part(), {"ridge_angle": (8.0, 20.0)}, Scoring(), Workers())
+    assert found.part.ridge_angle == pytest.approx(8.0)
+    assert found.slices[0].at_bound == "lower"
+
+
+def test_parts_that_cannot_be_made_are_left_out():
+    bounds = {"ridge_angle": (3.0, 20.0), "pitch": (5.0, 200.0)}
+    found = optimum(Part(edge_radius=20.0), bounds, Scoring(), Workers())
+    assert np.isnan(found.landscape.scores).any()
+    assert found.part.pitch == pytest.approx(200.0)
+    with pytest.raises(UsageError, match="no part within these bounds can be made"):
+        optimum(
+            Part(edge_radius=400.0), {"ridge_angle": (15.0, 20.0), "pitch": (5.0, 10.0)}, Scoring(), Workers()
+        )
+
+
+def test_robust_search_repeats_and_does_not_depend_on_who_computes():
+    scoring = Scoring(tolerances=Tolerances(ridge_angle=0.5, seating=0.5), samples=8)
+    bounds = {"ridge_angle": (3.0, 12.0)}
+    one, two = (optimum(Part(), bounds, scoring, workers) for workers in (Workers(), Workers(2)))
+    assert one.part == two.part
+    assert one.slices == two.slices
+    assert one.slices[0].sampling_sd > 0.0
+    assert one.scored.score < one.nominal.score
+
+
+def test_more_spread_moves_the_robust_optimum_to_a_flatter_place():
+    """At log-ratio contrast the steep flank at small angles is punished by an error of the angle."""
+    bounds = {"ridge_angle": (3.0, 20.0)}
+    nominal = optimum(Part(), bounds, Scoring(), Workers())
+    robust = optimum(Part(), bounds, Scoring(tolerances=Tolerances(ridge_angle=2.0), samples=16), Workers())
+    again = score(nominal.part, Scoring(tolerances=Tolerances(ridge_angle=2.0), samples=16))
+    assert robust.scored.score > again.score
+
+
+@pytest.mark.parametrize(
+    ("bounds", "match"),
+    [
+        ({}, "nothing to vary"),
+        ({"colour": (0.0, 1.0)}, "cannot be varied"),
+        ({"ridge_angle": (20.0, 5.0)}, "must rise"),
+        ({"ridge_angle": (5.0, 60.0)}, "must rise, within"),
+        ({"pitch": (20.0, 200.0)}, "no effect on ideal ridges"),
+        ({"alpha_along": (float("nan"), 0.2)}, "must rise"),
+    ],
+)
+def test_senseless_bounds_are_refused(bounds, match):
+    with pytest.raises(UsageError, match=match):
+        optimum(Part(), bounds, Scoring(), Workers())
