@@ -6,12 +6,14 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 SEED   ?= 1
+WORKERS ?= auto
 
-.PHONY: demo test check types lint contracts benchmark lock clean help
+.PHONY: demo test soak types lint contracts benchmark lock clean help
 
 help:
 	@echo "make demo       inspect three parts on the virtual rig; reports in demo-output/"
 	@echo "make test       formatting, lint, types, import contracts, tests"
+	@echo "make soak       the long test campaigns"
 	@echo "make benchmark  speed against named alternatives"
 	@echo "make clean      remove what make made"
 
@@ -19,7 +21,11 @@ demo: $(VENV)/.run
 	$(BIN)/anisoscope demo --out demo-output --seed $(SEED)
 
 test: lint contracts types
-	$(BIN)/python -Im pytest
+	$(BIN)/python -Im pytest -n $(WORKERS)
+
+# The long campaigns: hundreds of seeds, thousands of damaged files.
+soak: $(VENV)/.dev
+	$(BIN)/python -Im pytest -n $(WORKERS) -m soak
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff format --check .
@@ -38,6 +44,7 @@ types: build/wheel
 	MYPYPATH=build/wheel $(BIN)/mypy -p anisoscope
 
 benchmark: $(VENV)/.dev
+	$(BIN)/pip install --quiet --disable-pip-version-check -e '.[benchmark]'
 	$(BIN)/python -Im pytest tests/benchmarks -s -m benchmark
 
 $(VENV)/.venv:

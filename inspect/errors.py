@@ -9,6 +9,7 @@ The tree, with the exit code of the command line in brackets::
     ├── ConfigError [78]           a file of ours (recipe, rig, bench, calibration) that is wrong
     │   ├── RecipeError
     │   └── RigFileError
+    ├── SweepError [69]            a sweep that cannot be run to its end (in `study.sweep`)
     ├── RecordError [74]           an inspection folder that cannot be written or read
     ├── RigError [69]              hardware
     │   ├── NotConnected           no such port, unplugged, silent, or somebody else's

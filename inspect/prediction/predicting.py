@@ -20,6 +20,7 @@ from anisoscope.prediction.sensitivity import (
     State,
     Surface,
 )
+from anisoscope.prediction.weakness import COARSE_PATHS, design_notes, reflections_note, roughness_note
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.progress import Advance, silent
@@ -112,6 +113,8 @@ def predict_design(
     nominal = State(material, convention.light_angle_deg, shape=shape)
     radiance = shaped(shape)(*directions(poses, convention), material)
     notes: dict[str, Any] = {} if model == "printed" else {"bounces": "all" if bounces is None else bounces}
+    if model == "corrected" and inputs is not None:
+        notes |= design_notes(*directions(poses, convention), design, material, radiance, bounces)
     found = Predicted(model, convention, poses, radiance, contrasts(poses, radiance), notes=notes)
     return _with_uncertainty(found, shaped, nominal, inputs, monte_carlo, (), on_progress)
 
@@ -209,6 +212,11 @@ def predict_height_map(
     radiance = whole(to_light, to_camera, lobe)
     additional = map_contributions(relief, (to_light, to_camera), lobe, radiance, inputs, on_progress)
     notes["bounces"] = "all" if bounces is None else bounces
+    if inputs is not None:
+        notes |= roughness_note(lobe, float(np.degrees(np.arccos(np.min(to_light[:, 2])))))
+        if bounces == 1:
+            twice = interreflection(relief, to_light, to_camera, lobe, 2, COARSE_PATHS)
+            notes |= reflections_note(radiance, twice.radiance)
     if bounces != 1:
         indirect = interreflection(relief, to_light, to_camera, lobe, bounces, progress=on_progress)
         radiance = radiance + indirect.radiance

@@ -156,7 +156,7 @@ def propagate(
     0.005 of height loss and scale; at the limit of what is possible one-sided. Sources of no uncertainty cost nothing.
 
     Args:
-        surface: predictor of a shape; `prediction.sensitivity.fixed` makes one of any function of directions and material.
+        surface: predictor of a shape; `prediction.sensitivity.fixed` makes one of any model.
         nominal: the state in which the prediction is made.
         poses: P poses.
         convention: how the angles are counted; its light angle is that of ``nominal``.

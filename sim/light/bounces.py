@@ -51,7 +51,7 @@ def _sides(directions: FloatArray, design: RidgeDesign) -> _Sides:
     x, z = ridge_polyline(design)
     up, lengths = _groove(design)
     tangents = directions[:, 0] / directions[:, 2]
-    shares = np.array([visible_shares(x, z, tangent)[:2] for tangent in tangents])
+    shares = visible_shares(x, z, tangents)[:, :2]
     local, visible = [], []
     for side, turn in ((0, 1.0), (1, -1.0)):  # normals: facet (sin θ, cos θ), wall toward −x
         x_up, z_up = up[side]

@@ -35,36 +35,37 @@ def ridge_polyline(design: RidgeDesign) -> tuple[FloatArray, FloatArray]:
     return x[keep], z[keep]
 
 
-def visible_shares(x_um: FloatArray, z_um: FloatArray, tangent: float) -> FloatArray:
-    """Signed visible share of every segment of a periodic polyline, seen along one direction.
+def visible_shares(x_um: FloatArray, z_um: FloatArray, tangent: FloatArray | float) -> FloatArray:
+    """Visible share of every segment of a periodic polyline, seen along one or several directions.
 
     Args:
         x_um: (K + 1,) positions, not falling; the last point is one period after the first.
         z_um: (K + 1,) heights.
-        tangent: t = ω_x/ω_z of the direction.
+        tangent: t = ω_x/ω_z of one direction, or (P,) of several.
 
     Returns:
-        (K,) shares 0 to 1. For t ≥ 0 the visible part is the low-x end of a segment, for t < 0 the high-x end.
+        (K,) or (P, K) shares 0 to 1. For t ≥ 0 the visible part is the low-x end of a segment, for t < 0 the high-x
+        end.
     """
-    if tangent < 0:  # mirror the profile
-        return visible_shares(-x_um[::-1], z_um[::-1], -tangent)[::-1]
+    tangents = np.atleast_1d(np.asarray(tangent, dtype=np.float64))
+    from_left = tangents < 0.0
+    shares = np.empty((tangents.size, x_um.size - 1))
+    shares[~from_left] = _shares_from_right(x_um, z_um, tangents[~from_left])
+    shares[from_left] = _shares_from_right(-x_um[::-1], z_um[::-1], -tangents[from_left])[:, ::-1]
+    return shares if np.ndim(tangent) else shares[0]
+
+
+def _shares_from_right(x_um: FloatArray, z_um: FloatArray, tangents: FloatArray) -> FloatArray:
+    """(P, K) shares from directions with tangents (P,) ≥ 0."""
     period = x_um[-1] - x_um[0]
-    reach = 2 + int(np.ceil(tangent * np.ptp(z_um) / period))
-    sheared = x_um - tangent * z_um
-    start, end = sheared[:-1], sheared[1:]
-    ahead = np.concatenate([sheared[1:]] + [sheared[1:] + period * n for n in range(1, reach + 1)])
-    limit = np.minimum.accumulate(ahead[::-1])[::-1][: start.size]
+    reach = 2 + int(np.ceil(np.max(tangents, initial=0.0) * np.ptp(z_um) / period))
+    sheared = x_um - tangents[:, None] * z_um
+    start, end = sheared[:, :-1], sheared[:, 1:]
+    ahead = np.concatenate([end + period * n for n in range(reach + 1)], axis=1)
+    limit = np.minimum.accumulate(ahead[:, ::-1], axis=1)[:, ::-1][:, : start.shape[1]]
     length = end - start
     facing = length > 1e-12 * period
     return np.where(facing, np.clip((limit - start) / np.where(facing, length, 1.0), 0.0, 1.0), 0.0)
-
-
-def _seen_and_lit(
-    lit: FloatArray, seen: FloatArray, light_tangent: float, camera_tangent: float
-) -> FloatArray:
-    if (light_tangent >= 0) == (camera_tangent >= 0):
-        return np.minimum(lit, seen)
-    return np.maximum(0.0, lit + seen - 1.0)
 
 
 def radiance(
@@ -101,7 +102,6 @@ def radiance(
     dx, dz = np.diff(x), np.diff(z)
     length = np.hypot(dx, dz)
     along = np.array([0.0, 1.0, 0.0])
-    result = np.zeros(len(to_light))
     brdf, cosines = [], []
     for run, rise, size in zip(dx, dz, length, strict=True):
         normal = np.array([-rise, 0.0, run]) / size
@@ -109,10 +109,8 @@ def radiance(
         brdf.append(facet_brdf(to_light, to_camera, along, across, normal, material))
         cosines.append(np.maximum(to_light @ normal, 0.0) * np.maximum(to_camera @ normal, 0.0))
     weight = np.stack(brdf) * np.stack(cosines) * length[:, None]
-    for p, (light, camera) in enumerate(zip(to_light, to_camera, strict=True)):
-        light_tangent, camera_tangent = light[0] / light[2], camera[0] / camera[2]
-        lit = visible_shares(x, z, light_tangent)
-        seen = visible_shares(x, z, camera_tangent)
-        share = _seen_and_lit(lit, seen, light_tangent, camera_tangent)
-        result[p] = np.sum(weight[:, p] * share) / (design.pitch_um * camera[2])
-    return result
+    light_tangent, camera_tangent = to_light[:, 0] / to_light[:, 2], to_camera[:, 0] / to_camera[:, 2]
+    lit, seen = visible_shares(x, z, light_tangent), visible_shares(x, z, camera_tangent)
+    same_side = ((light_tangent >= 0.0) == (camera_tangent >= 0.0))[:, None]
+    share = np.where(same_side, np.minimum(lit, seen), np.maximum(0.0, lit + seen - 1.0))
+    return np.asarray(np.sum(weight * share.T, axis=0) / (design.pitch_um * to_camera[:, 2]))

@@ -1,5 +1,7 @@
-"""The relief predictor against the same computation in plain numpy, in one run: `make benchmark` prints the ratio."""
+"""The relief predictor: against plain numpy, how it grows with poses and pixels, and against the memory's speed."""
 
+import subprocess
+import sys
 import time
 
 import numpy as np
@@ -75,3 +77,76 @@ def test_relief_against_plain_numpy():
     )  # plain numpy does not split facets that straddle an edge
     print(f"\n1000 × 1000 facets, per pose: relief {fast / 2:.3f} s, plain numpy {slow / 2:.3f} s")
     print(f"ratio {slow / fast:.1f}")
+
+
+def rough(side):
+    surface = ridges(RidgeDesign(100.0, 10.0), (side, side), 1.0)
+    return add_facet_roughness(surface, 0.05, 0.05, 6.0, np.random.default_rng(1))
+
+
+def seconds(surface, poses):
+    to_light, to_camera = directions(poses, Convention())
+    return best(lambda: radiance(Relief(surface), to_light, to_camera, Material()))[1]
+
+
+def test_poses_share_the_work_and_pixels_cost_alike():
+    tilts = (-20.0, -10.0, 0.0, 10.0, 20.0)
+    sets = {1: pose_grid((0.0,)), 3: pose_grid((0.0, 90.0, 180.0)), 15: pose_grid((0.0, 90.0, 180.0), tilts)}
+    sets[60] = pose_grid(tuple(np.arange(12) * 30.0), tilts)
+    surface = rough(1000)
+    seconds(surface, sets[1])  # compile
+    print()
+    for count, poses in sets.items():
+        taken = seconds(surface, poses)
+        print(f"1000 × 1000 points, {count} poses: {taken:.3f} s, {1e3 * taken / count:.1f} ms a pose")
+    for side in (500, 1000, 2000):
+        taken = seconds(rough(side), sets[15])
+        print(
+            f"{side} × {side} points, 15 poses: {taken:.3f} s, {1e9 * taken / side**2 / 15:.2f} ns a facet and pose"
+        )
+
+
+def test_the_march_against_the_speed_of_memory():
+    """One march reads heights and writes shares once: 8 bytes a facet, against a copy of arrays as large."""
+    from anisoscope.sim.light.horizon_kernels import march
+
+    side = 4000
+    z = np.random.default_rng(0).random((side + 1, side + 1), dtype=np.float32)
+    out, other = np.empty((side, side), np.float32), np.empty((side + 1, side + 1), np.float32)
+    out[:], other[:] = 0.0, 0.0
+    rates = {}
+    for name, function in {
+        "copy": lambda: np.copyto(other, z),
+        "march along an axis": lambda: march(z, 1.0, 0.2, 0.0, False, 5, 0, 0, out),
+        "slanting march": lambda: march(z, 1.0, 0.2, 0.5, False, 5, 0, 0, out),
+    }.items():
+        function()
+        rates[name] = 8.0 * side**2 / best(function)[1] / 1e9
+    print("\n" + ", ".join(f"{name} {rate:.1f} GB/s" for name, rate in rates.items()))
+
+
+def test_a_map_of_4096_squared_in_bounded_memory():
+    """In a process of its own: peak memory with 15 and with 60 poses, beside that of the map itself."""
+    script = """
+import resource, sys, time
+import numpy as np
+from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.sim.light.geometry import Convention, directions, pose_grid
+from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.relief import Relief, radiance
+rng = np.random.default_rng(1)
+x = np.arange(4096.0)
+z = (100.0 - x % 100.0) * np.tan(np.radians(10.0)) + 0.02 * rng.standard_normal((4096, 4096), dtype=np.float32)
+surface = HeightMap(z, 1.0, 1.0)
+del z
+poses = pose_grid(tuple(np.arange(int(sys.argv[1])) * 30.0), (-20.0, -10.0, 0.0, 10.0, 20.0))
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+start = time.perf_counter()
+radiance(Relief(surface), *directions(poses, Convention()), Material())
+peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+taken = time.perf_counter() - start
+print(f"4096 × 4096 points, {len(poses)} poses: {taken:.1f} s, peak {peak:.0f} MiB, {before:.0f} MiB before")
+"""
+    print()
+    for count in ("3", "12"):
+        subprocess.run([sys.executable, "-c", script, count], check=True)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from anisoscope.errors import HeightMapError
+from anisoscope.errors import HeightMapError, ModelError
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light import corrected
@@ -137,3 +137,78 @@ def test_rough_map_stays_below_the_white_furnace(hemisphere):
     light = np.broadcast_to([np.sin(0.6), 0.0, np.cos(0.6)], out.shape)
     shown = radiance(Relief(surface), light, out, Material(0.3, 0.3, albedo=1.0))
     assert 0.7 < np.sum(shown * out[:, 2] * solid_angle) / np.cos(0.6) <= 1.0
+
+
+def rough_ridges(rows=90, cols=301, missing=0.0):
+    """Ridges with roughness, and holes."""
+    rng = np.random.default_rng(5)
+    height = sampled(RidgeDesign(100.0, 12.0), 1.0, rows=rows, periods=(cols - 1) // 100).height_um
+    height = height + 0.05 * rng.normal(size=height.shape)
+    height[rng.random(height.shape) < missing] = np.nan
+    return HeightMap(height, 1.0, 0.8)
+
+
+@pytest.mark.parametrize("facets", ["symmetric", "diagonal", "antidiagonal"])
+@pytest.mark.parametrize("alpha", [0.002, 0.06, 0.3])
+def test_counting_by_slope_equals_facet_by_facet(facets, alpha):
+    """The mean over the census against the mean of the maps, which know nothing of it."""
+    relief = Relief(rough_ridges(missing=0.02), 100.0, facets=facets)
+    material = Material(alpha, 1.5 * alpha)
+    to_light, to_camera = directions(pose_grid((0, 40, 90, 180), (-20, 10)), Convention())
+    found = radiance(relief, to_light, to_camera, material)
+    weights = relief.column_weights()
+    for value, shown in zip(found, radiance_maps(relief, to_light, to_camera, material), strict=True):
+        known = np.isfinite(shown)
+        mean = np.nansum(shown, axis=0, dtype=float) @ weights / (known.sum(axis=0) @ weights)
+        assert value == pytest.approx(mean, rel=2e-4)
+
+
+def test_diagonals_mirror_each_other():
+    """Turning the map over along x exchanges the two ways to cut its cells."""
+    surface = rough_ridges()
+    mirrored = HeightMap(surface.height_um[:, ::-1], 1.0, 0.8)
+    to_light, to_camera = directions(pose_grid((0, 90, 180), (-10, 10)), Convention())
+    mirror = np.array([-1.0, 1.0, 1.0])
+    one = radiance(Relief(surface, facets="diagonal"), to_light, to_camera, Material())
+    other = radiance(
+        Relief(mirrored, facets="antidiagonal"), to_light * mirror, to_camera * mirror, Material()
+    )
+    same = radiance(Relief(surface, facets="antidiagonal"), to_light, to_camera, Material())
+    np.testing.assert_allclose(one, other, rtol=1e-4)
+    assert np.max(np.abs(one / same - 1.0)) > 1e-3
+
+
+def test_poses_do_not_disturb_each_other():
+    """Shares are kept and overwritten between poses: many at once give what each gives alone."""
+    relief = Relief(rough_ridges(), 100.0)
+    to_light, to_camera = directions(pose_grid(tuple(np.arange(9) * 40.0), (-20, 0, 15)), Convention())
+    together = radiance(relief, to_light, to_camera, Material())
+    alone = [radiance(relief, to_light[[p]], to_camera[[p]], Material())[0] for p in range(len(to_light))]
+    np.testing.assert_allclose(together, alone, rtol=1e-12)
+
+
+def test_the_number_of_threads_changes_nothing():
+    import numba
+
+    relief = Relief(rough_ridges(rows=700), 100.0)
+    to_light, to_camera = directions(pose_grid((0, 30, 90), (0, 20)), Convention())
+    before = numba.get_num_threads()
+    found = []
+    try:
+        for count in (1, before):
+            numba.set_num_threads(count)
+            found.append(radiance(relief, to_light, to_camera, Material()))
+    finally:
+        numba.set_num_threads(before)
+    np.testing.assert_array_equal(found[0], found[1])
+
+
+def test_facets_of_no_kind_are_refused():
+    with pytest.raises(ModelError, match="symmetric, diagonal, antidiagonal"):
+        Relief(rough_ridges(), facets="hexagons")
+
+
+def test_a_direction_at_the_horizon_is_refused():
+    light = np.array([[1.0, 0.0, 0.0]])
+    with pytest.raises(ModelError, match="horizon"):
+        radiance(Relief(rough_ridges(), 100.0), light, np.array([[0.0, 0.0, 1.0]]), Material())
