@@ -27,6 +27,12 @@ def _with_u(value: float, u: float | None, digits: int, sign: str = "") -> str:
     return f"{text} ± {u:.{digits}f}" if u < float("inf") else f"{text} ± –"
 
 
+_IN_WORDS = {
+    "second_reflection_would_add": "direct light only: a second reflection would add up to {:.2g} % (--bounces all)",
+    "lost_in_roughness": "single scattering loses up to {:.2g} % of the lobe",
+}
+
+
 def _caption(result: "Predicted") -> str:
     convention = result.convention
     caption = (
@@ -35,6 +41,9 @@ def _caption(result: "Predicted") -> str:
         f"{convention.rotation_sense}; k = {result.k:g}"
     )
     for name, value in result.notes.items():
+        if name in _IN_WORDS:
+            caption += "; " + _IN_WORDS[name].format(100.0 * value)
+            continue
         shown = f"{value:.4g}" if isinstance(value, float) else str(value)
         caption += f"; {name.replace('_', ' ')}: {shown}"
     if result.budget is not None:
