@@ -59,10 +59,20 @@ def _report(message: str, code: int) -> int:
     return code
 
 
+def _listen(debug: bool) -> None:
+    """Warnings of the package go to standard error, one line each; with --debug everything does."""
+    log = logging.getLogger("anisoscope")
+    log.handlers.clear()
+    handler = logging.StreamHandler()
+    handler.setLevel(logging.DEBUG if debug else logging.WARNING)
+    handler.setFormatter(logging.Formatter("anisoscope: %(message)s"))
+    log.addHandler(handler)
+
+
 def run(arguments: list[str]) -> int:
     """Run one command line and return its exit code; errors raised on purpose become one line on stderr."""
     debug = "--debug" in arguments
-    logging.getLogger("anisoscope").addHandler(logging.StreamHandler() if debug else logging.NullHandler())
+    _listen(debug)
     arguments = [token for token in arguments if token != "--debug"]
     try:
         result = app(arguments, exit_on_error=False, print_error=False)

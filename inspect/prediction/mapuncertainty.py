@@ -29,11 +29,11 @@ def best_band(relief: Relief) -> Relief:
     return replace(relief, surface=band, max_missing_share=1.0)
 
 
-def relief_model(relief: Relief, optics: Optics = POINT_LIKE) -> Model:
+def relief_model(relief: Relief, optics: Optics = POINT_LIKE, on_progress: Advance = silent) -> Model:
     """The predictor of one relief, as lamp and lens see it."""
 
     def predict(to_light: FloatArray, to_camera: FloatArray, material: Material) -> FloatArray:
-        return relief_radiance(relief, to_light, to_camera, material)
+        return relief_radiance(relief, to_light, to_camera, material, on_progress)
 
     return through(predict, optics)
 

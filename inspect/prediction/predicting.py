@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.prediction.contrastuncertainty import contrast_covariance
-from anisoscope.prediction.mapuncertainty import best_band, map_contributions, relief_surface
+from anisoscope.prediction.mapuncertainty import best_band, map_contributions, relief_model, relief_surface
 from anisoscope.prediction.montecarlo import Drawn, MonteCarlo, draw
 from anisoscope.prediction.preparing import Levelling, map_notes, prepare_relief
 from anisoscope.prediction.propagation import propagate
@@ -208,8 +208,7 @@ def predict_height_map(
                 "the map is rougher than the plastic is said to be: its noise, or alpha is too small"
             )
     to_light, to_camera = directions(poses, convention)
-    whole = relief_surface(relief, optics)(Shape())
-    radiance = whole(to_light, to_camera, lobe)
+    radiance = relief_model(relief, optics, on_progress)(to_light, to_camera, lobe)
     additional = map_contributions(relief, (to_light, to_camera), lobe, radiance, inputs, on_progress)
     notes["bounces"] = "all" if bounces is None else bounces
     if inputs is not None:
