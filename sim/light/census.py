@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.sim.light import threads
 from anisoscope.sim.light.material import Material, diffuse_scale, fresnel, transmittance_table
 
 FloatArray = npt.NDArray[np.float64]
@@ -15,6 +16,7 @@ Facets = Literal["symmetric", "diagonal", "antidiagonal"]
 
 FACETS: tuple[Facets, ...] = ("symmetric", "diagonal", "antidiagonal")
 NODES_PER_ALPHA = 10.0
+BANDS = 8  # bands of rows that are counted side by side; fixed, so that sums do not depend on the machine
 MOST_NODES = 1000  # on one axis; slopes beyond are evaluated facet by facet
 
 
@@ -75,13 +77,27 @@ def take_census(
     pixels = surface.pixel_x_um, surface.pixel_y_um
     limits = _limits(surface, spacing)
     z = np.ascontiguousarray(surface.height_um, dtype=np.float64)
-    gx, gy, kind = kernels.facet_slopes(z, *pixels, triangles, limits)
+    rows, cols = z.shape[0] - 1, z.shape[1] - 1
+    facets_shape = (rows if triangles == 0 else 2 * rows, cols)
+    gx, gy = np.empty(facets_shape, dtype=np.float32), np.empty(facets_shape, dtype=np.float32)
+    kind = np.empty(facets_shape, dtype=np.uint8)
+    threads.each(
+        lambda run: kernels.facet_slopes(z, *pixels, triangles, limits, run[0], run[1], gx, gy, kind),
+        threads.runs(rows, BANDS),
+    )
     apart, apart_slopes = kernels.facets_apart(z, *pixels, triangles, kind)
     weights = column_weights if triangles == 0 else 0.5 * column_weights
     box = kernels.extent(gx, gy, kind)
     grid = np.array([box[0] - 2.0 * spacing[0], spacing[0], box[2] - 2.0 * spacing[1], spacing[1]])
     shape = int((box[3] - grid[2]) / spacing[1]) + 4, int((box[1] - grid[0]) / spacing[0]) + 4
-    found = kernels.count(gx, gy, kind, weights, grid, shape)
+    found = np.full((BANDS, *shape), np.nan)
+    bands = list(enumerate(threads.runs(gx.shape[0], BANDS)))
+
+    def count_band(band: tuple[int, tuple[int, int]]) -> None:
+        part = slice(*band[1])
+        kernels.count(gx[part], gy[part], kind[part], weights, grid, found[band[0]])
+
+    threads.each(count_band, bands)
     touched = np.isfinite(found).any(axis=0)
     where = np.flatnonzero(touched)
     row, col = np.divmod(where, shape[1])
@@ -138,9 +154,9 @@ def mean_radiance(census: Census, shine: Shine, lit: Floats, seen: Floats) -> fl
     lost = kernels.hidden(
         census.gx, census.gy, census.kind, census.weights, census.grid, sky, lit, seen, same_side
     )
-    total = float(census.weight @ at_nodes - lost.sum())
+    total = float(census.weight @ at_nodes - lost)
     apart = kernels.apart_shine(
         census.apart, census.apart_slopes, census.weights, lit, seen, same_side, *arguments
     )
-    total += float(apart.sum())
+    total += apart
     return total / census.total

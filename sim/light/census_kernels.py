@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit, prange
+from numba import njit
 
 from anisoscope.sim.light.kernels import _shine, around_edge, cell_slopes, split_shine, visible
 
@@ -20,14 +20,22 @@ Floats = npt.NDArray[np.float32]
 Indices = npt.NDArray[np.int64]
 
 MISSING, COUNTED, APART = 0, 1, 2
-CHUNKS = 8  # bands of rows that are counted side by side; fixed, so that sums do not depend on the machine
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def facet_slopes(
-    z: FloatArray, pixel_x: float, pixel_y: float, triangles: int, limits: FloatArray
-) -> tuple[Floats, Floats, npt.NDArray[np.uint8]]:
-    """Slopes of all facets, and how each is to be counted.
+    z: FloatArray,
+    pixel_x: float,
+    pixel_y: float,
+    triangles: int,
+    limits: FloatArray,
+    first: int,
+    last: int,
+    gx: Floats,
+    gy: Floats,
+    kind: npt.NDArray[np.uint8],
+) -> None:
+    """Slopes of the facets in the rows of cells from ``first`` to ``last``, and how each is to be counted.
 
     Args:
         z: (rows, cols) heights, NaN = missing.
@@ -36,29 +44,28 @@ def facet_slopes(
         triangles: 0: one facet with the symmetric gradients of four points. 1, 2: two triangles, split along the
             diagonal from the first to the last corner (1) or along the other (2).
         limits: lowest and highest slope along x, lowest and highest along y, of the grid.
-
-    Returns:
-        (parts·(rows − 1), cols − 1) slopes along x and along y, the second triangles below the first; and kinds.
+        first: first row of cells.
+        last: row of cells after the last.
+        gx: (parts·(rows − 1), cols − 1), filled with slopes along x; the second triangles below all the first.
+        gy: the same along y.
+        kind: the same, filled with kinds.
     """
     rows, cols = z.shape
     parts = 1 if triangles == 0 else 2
-    gx = np.empty((parts * (rows - 1), cols - 1), dtype=np.float32)
-    gy, kind = np.empty_like(gx), np.empty(gx.shape, dtype=np.uint8)
-    for r in prange(rows - 1):
+    for r in range(first, last):
         for c in range(cols - 1):
+            whole = not math.isnan(z[r, c] + z[r + 1, c + 1] + z[r, c + 1] + z[r + 1, c])
             for part in range(parts):
                 sx, sy = cell_slopes(z, r, c, pixel_x, pixel_y, triangles, part)
                 row = r + part * (rows - 1)
                 gx[row, c], gy[row, c] = sx, sy
-                if math.isnan(sx + sy + z[r, c] + z[r + 1, c + 1] + z[r, c + 1] + z[r + 1, c]):
+                inside = limits[0] < sx < limits[1] and limits[2] < sy < limits[3]
+                if not whole:
                     kind[row, c] = MISSING
-                elif not (limits[0] < sx < limits[1] and limits[2] < sy < limits[3]) or (
-                    triangles == 0 and around_edge(z, r, c, sx, pixel_x)[2] < 1.0
-                ):
+                elif not inside or (triangles == 0 and around_edge(z, r, c, sx, pixel_x)[2] < 1.0):
                     kind[row, c] = APART
                 else:
                     kind[row, c] = COUNTED
-    return gx, gy, kind
 
 
 @njit(cache=True)
@@ -117,16 +124,16 @@ def _lagrange(t: float, weights: FloatArray) -> None:
     weights[3] = (t + 1.0) * t * (t - 1.0) / 6.0
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def count(
     gx: Floats,
     gy: Floats,
     kind: npt.NDArray[np.uint8],
     weights: FloatArray,
     grid: FloatArray,
-    nodes: tuple[int, int],
-) -> FloatArray:
-    """Weight of the counted facets on the grid of slopes.
+    found: FloatArray,
+) -> None:
+    """Add the weight of counted facets to the grid of slopes.
 
     Args:
         gx: (R, C) slopes along x.
@@ -134,32 +141,26 @@ def count(
         kind: (R, C) kinds.
         weights: (C,) weights of the columns.
         grid: first node and distance of nodes along x, the same along y.
-        nodes: number of nodes along y and x.
-
-    Returns:
-        (CHUNKS, ny, nx) weights, to be summed over the first axis; NaN where no facet touches a node.
+        found: (ny, nx) weights, NaN where no facet touched a node so far.
     """
     rows, cols = gx.shape
-    found = np.full((CHUNKS, nodes[0], nodes[1]), np.nan)
-    for chunk in prange(CHUNKS):
-        wx, wy = np.empty(4), np.empty(4)
-        for r in range(chunk * rows // CHUNKS, (chunk + 1) * rows // CHUNKS):
-            for c in range(cols):
-                if kind[r, c] != COUNTED:
-                    continue
-                x, y = (gx[r, c] - grid[0]) / grid[1], (gy[r, c] - grid[2]) / grid[3]
-                i, j = int(x), int(y)
-                _lagrange(x - i, wx)
-                _lagrange(y - j, wy)
-                for b in range(4):
-                    for a in range(4):
-                        old = found[chunk, j + b - 1, i + a - 1]
-                        add = weights[c] * wy[b] * wx[a]
-                        found[chunk, j + b - 1, i + a - 1] = add if math.isnan(old) else old + add
-    return found
+    wx, wy = np.empty(4), np.empty(4)
+    for r in range(rows):
+        for c in range(cols):
+            if kind[r, c] != COUNTED:
+                continue
+            x, y = (gx[r, c] - grid[0]) / grid[1], (gy[r, c] - grid[2]) / grid[3]
+            i, j = int(x), int(y)
+            _lagrange(x - i, wx)
+            _lagrange(y - j, wy)
+            for b in range(4):
+                for a in range(4):
+                    old = found[j + b - 1, i + a - 1]
+                    add = weights[c] * wy[b] * wx[a]
+                    found[j + b - 1, i + a - 1] = add if math.isnan(old) else old + add
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def shine_at(
     slopes: FloatArray,
     light: FloatArray,
@@ -170,12 +171,12 @@ def shine_at(
 ) -> FloatArray:
     """(N,) values of `kernels._shine` at (N, 2+) slopes."""
     values = np.empty(len(slopes))
-    for n in prange(len(slopes)):
+    for n in range(len(slopes)):
         values[n] = _shine(slopes[n, 0], slopes[n, 1], light, camera, half, lobe, table)
     return values
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def apart_shine(
     where: Indices,
     slopes: FloatArray,
@@ -188,28 +189,23 @@ def apart_shine(
     half: FloatArray,
     lobe: FloatArray,
     table: FloatArray,
-) -> FloatArray:
-    """What the facets apart add: (CHUNKS,) partial sums; ``weights`` of the columns of cells, the rest as above."""
-    sums = np.zeros(CHUNKS)
-    for chunk in prange(CHUNKS):
-        total = 0.0
-        for n in range(chunk * len(where) // CHUNKS, (chunk + 1) * len(where) // CHUNKS):
-            r, c = where[n, 0], where[n, 1]
-            first = slopes[n, 2]
-            share = visible(lit[r, c], seen[r, c], same_side)
-            if first < 1.0:
-                edge = slopes[n, 0], slopes[n, 1], first
-                value = split_shine(
-                    edge, slopes[n, 3], lit[r, c], seen[r, c], light, camera, half, lobe, table
-                )
-            else:
-                value = share * _shine(slopes[n, 0], slopes[n, 3], light, camera, half, lobe, table)
-            total += weights[c] * value
-        sums[chunk] = total
-    return sums
+) -> float:
+    """What the facets apart add; ``weights`` of the columns of cells, the rest as above."""
+    total = 0.0
+    for n in range(len(where)):
+        r, c = where[n, 0], where[n, 1]
+        first = slopes[n, 2]
+        share = visible(lit[r, c], seen[r, c], same_side)
+        if first < 1.0:
+            edge = slopes[n, 0], slopes[n, 1], first
+            value = split_shine(edge, slopes[n, 3], lit[r, c], seen[r, c], light, camera, half, lobe, table)
+        else:
+            value = share * _shine(slopes[n, 0], slopes[n, 3], light, camera, half, lobe, table)
+        total += weights[c] * value
+    return float(total)
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def hidden(
     gx: Floats,
     gy: Floats,
@@ -220,18 +216,17 @@ def hidden(
     lit: Floats,
     seen: Floats,
     same_side: bool,
-) -> FloatArray:
-    """What the counted facets would add were they not in shadow or hidden: (R,) sums of the rows.
+) -> float:
+    """What the counted facets would add were they not in shadow or hidden.
 
     ``shine`` holds (ny, nx) values at the nodes of the grid; ``lit`` and ``seen`` (rows, C) shares, ``gx``, ``gy``
     and ``kind`` (R, C) with R = rows or, with triangles, 2·rows.
     """
     cols = gx.shape[1]
     rows = lit.shape[0]
-    sums = np.zeros(gx.shape[0])
-    for r in prange(gx.shape[0]):
-        wx, wy = np.empty(4), np.empty(4)
-        total = 0.0
+    wx, wy = np.empty(4), np.empty(4)
+    total = 0.0
+    for r in range(gx.shape[0]):
         light, sight = lit[r % rows], seen[r % rows]
         for c in range(cols):
             if light[c] + sight[c] >= 2.0 or kind[r, c] != COUNTED:
@@ -246,5 +241,4 @@ def hidden(
                 line = shine[j + b - 1, i - 1 : i + 3]
                 value += wy[b] * (wx[0] * line[0] + wx[1] * line[1] + wx[2] * line[2] + wx[3] * line[3])
             total += weights[c] * lost * value
-        sums[r] = total
-    return sums
+    return float(total)

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit, prange
+from numba import njit
 
 from anisoscope.sim.light.compiled import announce
 
@@ -176,7 +176,7 @@ def split_shine(
     return float(value)
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def facet_radiance(
     z: FloatArray,
     pixel_x: float,
@@ -189,18 +189,19 @@ def facet_radiance(
     seen: ShareArray,
     lobe: FloatArray,
     table: FloatArray,
-) -> ShareArray:
+    begin: int,
+    stop: int,
+    result: ShareArray,
+) -> None:
     """What each cell adds to the radiance per macroscopic area: V·f·cos_i·cos_o / (n_z · ω_o·n).
 
-    Along is the direction of +y within a facet. ``lit`` and ``seen`` are (rows − 1, cols − 1) shares.
-
-    Returns:
-        (rows − 1, cols − 1) values in 1/sr; NaN where one of the four points is missing.
+    Along is the direction of +y within a facet. ``lit`` and ``seen`` are (rows − 1, cols − 1) shares. The rows
+    from ``begin`` to ``stop`` of ``result`` (rows − 1, cols − 1) are filled with values in 1/sr; NaN where one of the
+    four points is missing.
     """
-    rows, cols = z.shape
-    result = np.empty((rows - 1, cols - 1), dtype=np.float32)
+    cols = z.shape[1]
     same_side = light[0] * camera[0] + light[1] * camera[1] >= 0.0
-    for r in prange(rows - 1):
+    for r in range(begin, stop):
         for c in range(cols - 1):
             gx, gy = cell_slopes(z, r, c, pixel_x, pixel_y, 0, 0)
             if math.isnan(gx) or math.isnan(gy):
@@ -221,4 +222,3 @@ def facet_radiance(
             else:
                 value = share * _shine(gx, gy, light, camera, half, lobe, table)
             result[r, c] = value
-    return result

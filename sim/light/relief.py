@@ -8,6 +8,7 @@ along the azimuths of light and camera (`horizon_kernels`). The map is never rot
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from threading import Lock
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +16,7 @@ import numpy.typing as npt
 from anisoscope.errors import HeightMapError, ModelError
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.progress import Advance, silent
+from anisoscope.sim.light import threads
 from anisoscope.sim.light.census import (
     FACETS,
     Census,
@@ -150,24 +152,33 @@ def radiance_maps(
     """
     from anisoscope.sim.light.kernels import facet_radiance  # noqa: PLC0415
 
-    surface = relief.surface
-    z = np.ascontiguousarray(surface.height_um, dtype=np.float64)
+    z = np.ascontiguousarray(relief.surface.height_um, dtype=np.float64)
     horizon = Horizon(relief)
     for light, camera in zip(to_light, to_camera, strict=True):
         shine = Shine.of(light, camera, material)
-        yield facet_radiance(
-            z,
-            surface.pixel_x_um,
-            surface.pixel_y_um,
-            FACETS.index(relief.facets),
-            light,
-            camera,
-            shine.half,
-            horizon.shares(light),
-            horizon.shares(camera),
-            shine.lobe,
-            shine.table,
-        )
+        lit, seen = horizon.shares(light), horizon.shares(camera)
+        shown = np.empty(lit.shape, dtype=np.float32)
+
+        def fill(run: tuple[int, int]) -> None:
+            facet_radiance(
+                z,
+                relief.surface.pixel_x_um,
+                relief.surface.pixel_y_um,
+                FACETS.index(relief.facets),
+                shine.light,  # noqa: B023 - called before the next pose
+                shine.camera,  # noqa: B023
+                shine.half,  # noqa: B023
+                lit,  # noqa: B023
+                seen,  # noqa: B023
+                shine.lobe,  # noqa: B023
+                shine.table,  # noqa: B023
+                run[0],
+                run[1],
+                shown,  # noqa: B023
+            )
+
+        threads.each(fill, threads.runs(len(shown), threads.count()))
+        yield shown
 
 
 def radiance(
@@ -195,10 +206,20 @@ def radiance(
     Raises:
         ModelError: light or camera stands at or below the horizon of the sample.
     """
-    census, horizon = relief.census(material), Horizon(relief)
-    means = np.empty(len(to_light))
-    for p, (light, camera) in enumerate(zip(to_light, to_camera, strict=True)):
-        shine = Shine.of(light, camera, material)
-        means[p] = mean_radiance(census, shine, horizon.shares(light), horizon.shares(camera))
-        progress("predicting poses", p + 1, len(to_light))
+    census = relief.census(material)
+    relief.depth_um, relief.rows_first, relief.columns_first  # noqa: B018 - prepared once, before threads share them
+    means, lock, poses = np.empty(len(to_light)), Lock(), len(to_light)
+    done = 0
+
+    def predict(run: tuple[int, int]) -> None:
+        nonlocal done
+        horizon = Horizon(relief)
+        for p in range(*run):
+            shine = Shine.of(to_light[p], to_camera[p], material)
+            means[p] = mean_radiance(census, shine, horizon.shares(to_light[p]), horizon.shares(to_camera[p]))
+            with lock:
+                done += 1
+                progress("predicting poses", done, poses)
+
+    threads.each(predict, threads.runs(poses, threads.count()))
     return means

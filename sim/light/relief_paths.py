@@ -9,6 +9,7 @@ gives the standard error.
 """
 
 from dataclasses import dataclass
+from threading import Lock
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,6 +17,7 @@ import numpy.typing as npt
 
 from anisoscope.errors import ModelError
 from anisoscope.progress import Advance, silent
+from anisoscope.sim.light import threads
 from anisoscope.sim.light.census import FACETS
 from anisoscope.sim.light.material import Material, diffuse_scale, transmittance_table
 from anisoscope.sim.light.relief import Relief
@@ -159,13 +161,20 @@ def interreflection(
     depth = LONGEST if bounces is None else min(bounces, LONGEST)
     found = np.zeros((REPLICATES, poses))
     ways = [(to_camera, to_light, depth, True), (to_light, to_camera, depth, False)]
-    done, total = 0, sum(len(_groups(origins)) for origins, *_ in ways)
-    for origins, ends, deep, ahead in ways:
-        for group in _groups(origins):
-            progress("reflections", done, total)
+    tasks = [(group, *way) for way in ways for group in _groups(way[0])]
+    done, lock = 0, Lock()
+
+    def follow(task: tuple[list[int], FloatArray, FloatArray, int, bool]) -> FloatArray:
+        nonlocal done
+        group, origins, ends, deep, ahead = task
+        origin = np.ascontiguousarray(origins[group[0]])
+        shown = follow_paths(terrain, plastic, shifts, count, origin, ends[group], deep, ahead)
+        with lock:
             done += 1
-            origin = np.ascontiguousarray(origins[group[0]])
-            found[:, group] += follow_paths(terrain, plastic, shifts, count, origin, ends[group], deep, ahead)
-    progress("reflections", total, total)
+            progress("reflections", done, len(tasks))
+        return np.asarray(shown)
+
+    for (group, *_), shown in zip(tasks, threads.each(follow, tasks), strict=True):
+        found[:, group] += shown
     found /= to_camera[:, 2] * _known_share(relief, terrain.span)
     return Indirect(found.mean(axis=0), found.std(axis=0, ddof=1) / np.sqrt(REPLICATES))

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit, prange
+from numba import njit
 
 from anisoscope.sim.light.relief_rays import Terrain, height, meet, slopes
 from anisoscope.sim.light.relief_scatter import (
@@ -30,7 +30,6 @@ FloatArray = npt.NDArray[np.float64]
 Facet = tuple[Frame, Vector, tuple[int, int]]
 
 LONGEST = 200  # reflections followed at most
-CHUNKS = 4  # of each replicate, for the sake of threads
 
 GENERATOR = np.array([1, 182667, 469891, 498753, 110745, 446247, 250185, 118627, 245333], dtype=np.int64)
 """Generating vector of a rank-1 lattice for powers of two points (Cools, Kuo and Nuyens 2006)."""
@@ -196,7 +195,7 @@ def _follow(
             _gather(terrain, plastic, facet, view, ends, shares, sums)
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def follow_paths(
     terrain: Terrain,
     plastic: Plastic,
@@ -222,15 +221,9 @@ def follow_paths(
     Returns:
         (R, K) radiances times the cosine between camera and z, per irradiance perpendicular to the beam.
     """
-    parts = np.zeros((len(shifts) * CHUNKS, len(ends)))
-    for task in prange(len(parts)):
-        replicate, chunk = task // CHUNKS, task % CHUNKS
-        sums = np.zeros(len(ends))
-        for number in range(chunk * count // CHUNKS, (chunk + 1) * count // CHUNKS):
-            draws = Draws(number, count, shifts[replicate])
-            _follow(terrain, plastic, draws, origin, ends, depth, ahead, sums)
-        parts[task] = sums
     means = np.zeros((len(shifts), len(ends)))
-    for task in range(len(parts)):
-        means[task // CHUNKS] += parts[task] / count
-    return means
+    for replicate in range(len(shifts)):
+        for number in range(count):
+            draws = Draws(number, count, shifts[replicate])
+            _follow(terrain, plastic, draws, origin, ends, depth, ahead, means[replicate])
+    return means / count

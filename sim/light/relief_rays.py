@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit, prange
+from numba import njit
 
 HeightArray = npt.NDArray[np.float32]
 Met = tuple[bool, float, float, float, int, int]
@@ -83,12 +83,12 @@ def _bend(terrain: Terrain, row: int, col: int) -> tuple[float, float]:
     return terrain.bulge[row, col], terrain.part[row, col]
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def bends(z: HeightArray, period: int, pixel_x: float) -> tuple[HeightArray, HeightArray]:
     """Bulge and part of every cell, for `Terrain`."""
     rows, cells = z.shape[0] - 1, period if period > 0 else z.shape[1] - 1
     bulge, part = np.zeros((rows, cells), dtype=np.float32), np.ones((rows, cells), dtype=np.float32)
-    for r in prange(rows):
+    for r in range(rows):
         slope = (
             0.5 * (z[r, 1 : cells + 1] - z[r, :cells] + z[r + 1, 1 : cells + 1] - z[r + 1, :cells]) / pixel_x
         )

@@ -178,7 +178,7 @@ def test_progress_goes_to_the_end():
     relief = Relief(rough(np.random.default_rng(1)), 50.0)
     interreflection(relief, *POSES, Material(), paths=64, progress=lambda *news: told.append(news))
     done = [news[1] for news in told]
-    assert done == list(range(told[-1][2] + 1))
+    assert done == list(range(1, told[-1][2] + 1))
 
 
 @pytest.mark.parametrize(

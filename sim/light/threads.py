@@ -1,0 +1,35 @@
+"""Work shared among threads: kernels that release the interpreter's lock, one call for each share.
+
+Compiled loops that share their own work wait for each other many times a millisecond, which costs them most of their
+time on a machine that does something else as well. Here every thread gets its share at once and waits for nothing.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+def count() -> int:
+    """How many threads kernels may use: numba's number, which follows NUMBA_NUM_THREADS and the cores."""
+    from numba import get_num_threads  # noqa: PLC0415 - loaded when first needed
+
+    return int(get_num_threads())
+
+
+def each(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
+    """``function`` of every item, in order, shared among threads; the first exception is raised."""
+    todo = list(items)
+    workers = min(count(), len(todo))
+    if workers <= 1:
+        return [function(item) for item in todo]
+    with ThreadPoolExecutor(workers) as pool:
+        return list(pool.map(function, todo))
+
+
+def runs(length: int, most: int) -> Sequence[tuple[int, int]]:
+    """``length`` numbers as at most ``most`` runs of about the same size, from and to."""
+    parts = max(1, min(length, most))
+    return [(n * length // parts, (n + 1) * length // parts) for n in range(parts)]
