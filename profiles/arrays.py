@@ -14,7 +14,8 @@ import numpy as np
 from numpy.lib import format as npy_format
 
 from anisoscope.errors import HeightMapError
-from anisoscope.profiles.checks import DEFLATE_LIMIT, check_claim, check_map, refuse
+from anisoscope.profiles.checks import DEFLATE_LIMIT, check_claim, checked_map, refuse
+from anisoscope.profiles.content import scaled
 from anisoscope.profiles.heightmap import FloatArray, HeightMap
 from anisoscope.profiles.units import micrometres_per, require_pixel
 from anisoscope.profiles.x3p import DAMAGED, ZIP_TROUBLE
@@ -23,8 +24,8 @@ MAX_ENTRY_BYTES = 2**31
 HEADER_TROUBLE = (*ZIP_TROUBLE, SyntaxError, TypeError, RecursionError, MemoryError, tokenize.TokenError)
 
 
-def _read_array(name: str, stream: BinaryIO, size: int) -> FloatArray:
-    """The two-dimensional array of an npy stream of ``size`` bytes, as float64."""
+def _read_array(name: str, stream: BinaryIO, size: int, factor: float) -> FloatArray:
+    """The two-dimensional array of an npy stream of ``size`` bytes, as float64 times a factor."""
     try:
         version = npy_format.read_magic(stream)
         read = {(1, 0): npy_format.read_array_header_1_0, (2, 0): npy_format.read_array_header_2_0}[version]
@@ -45,18 +46,15 @@ def _read_array(name: str, stream: BinaryIO, size: int) -> FloatArray:
     check_claim(name, shape[0], shape[1], dtype.itemsize, size - stream.tell())
     count = shape[0] * shape[1]
     raw = np.frombuffer(stream.read(count * dtype.itemsize), dtype, count)
-    with np.errstate(over="ignore", invalid="ignore"):
-        array = raw.reshape(shape, order="F" if fortran else "C").astype(np.float64)
-    array[~np.isfinite(array)] = np.nan
-    return array
+    return scaled(raw.reshape(shape, order="F" if fortran else "C"), factor)
 
 
-def _npy(path: Path) -> tuple[FloatArray, None]:
+def _npy(path: Path, factor: float) -> tuple[FloatArray, None]:
     with path.open("rb") as stream:
-        return _read_array(path.name, stream, path.stat().st_size), None
+        return _read_array(path.name, stream, path.stat().st_size, factor), None
 
 
-def _npz(path: Path) -> tuple[FloatArray, tuple[float, float] | None]:
+def _npz(path: Path, factor: float) -> tuple[FloatArray, tuple[float, float] | None]:
     """The only two-dimensional array of an archive, and ``pixel_um`` (y, x) where the archive has one."""
     found: dict[str, FloatArray] = {}
     pixel: tuple[float, float] | None = None
@@ -72,7 +70,7 @@ def _npz(path: Path) -> tuple[FloatArray, tuple[float, float] | None]:
                 pixel = (float(numbers[0]), float(numbers[1]))
             else:
                 found[info.filename] = _read_array(
-                    f"{path.name}/{info.filename}", BytesIO(content), len(content)
+                    f"{path.name}/{info.filename}", BytesIO(content), len(content), factor
                 )
     if len(found) != 1:
         refuse(path.name, "arrays", ", ".join(found)[:80] or "none", "one array of heights is expected")
@@ -96,14 +94,14 @@ def read_array(
     factor = micrometres_per(z_unit)
     packed = _starts_with_zip(path)
     try:
-        height, noted = _npz(path) if packed else _npy(path)
+        height, noted = _npz(path, factor) if packed else _npy(path, factor)
     except HeightMapError:
         raise
     except HEADER_TROUBLE as error:
         refuse(path.name, "numpy file", f"cannot be read ({error or type(error).__name__})", DAMAGED)
-    pixel_y, pixel_x = require_pixel(path.name, pixel_um or noted)
+    pixel = require_pixel(path.name, pixel_um or noted)
     origin = {"format": "npz" if packed else "npy", "z_unit": z_unit}
-    return check_map(HeightMap(height * factor, pixel_x, pixel_y, origin), path.name)
+    return checked_map(path.name, height, pixel, origin)
 
 
 def _starts_with_zip(path: Path) -> bool:
@@ -112,13 +110,18 @@ def _starts_with_zip(path: Path) -> bool:
 
 
 def write_array(surface: HeightMap, path: Path | str) -> None:
-    """Write the heights in µm as npy; the pixel size is not part of that format.
+    """Write the heights in µm: npz with ``height_um`` and ``pixel_um`` (y, x), or npy without a pixel size.
 
     Raises:
         HeightMapError: the file cannot be written.
     """
+    path = Path(path)
     try:
-        with Path(path).open("wb") as stream:
-            np.save(stream, surface.height_um, allow_pickle=False)
+        with path.open("wb") as stream:
+            if path.suffix.lower() == ".npz":
+                pixel_um = np.array([surface.pixel_y_um, surface.pixel_x_um])
+                np.savez_compressed(stream, height_um=surface.height_um, pixel_um=pixel_um)
+            else:
+                np.save(stream, surface.height_um, allow_pickle=False)
     except OSError as error:
         raise HeightMapError(f"{path}: cannot be written ({error.strerror})") from None

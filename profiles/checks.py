@@ -7,7 +7,7 @@ or it raises one line that names the file, the check, the value and the way out.
 """
 
 from collections.abc import Sequence
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 import numpy.typing as npt
@@ -60,7 +60,7 @@ def check_claim(name: str, rows: int, cols: int, bytes_per_point: float, availab
         refuse(
             name,
             "size against file",
-            f"{rows} × {cols} points need {needed:.0f} bytes, the file can hold {available:.0f}",
+            f"{rows} × {cols} points need {needed:.0f} bytes, the file can hold {max(available, 0):.0f}",
             "the file is truncated or its header is damaged; export it again",
         )
 
@@ -89,15 +89,15 @@ def check_pixel(name: str, pixel_um: Sequence[float], shape: tuple[int, int]) ->
             )
 
 
-def check_heights(name: str, height_um: npt.NDArray[np.floating]) -> None:
-    """Check the heights, (rows, cols) in µm, NaN where missing.
+def _range(height_um: npt.NDArray[np.floating]) -> tuple[float, float]:
+    """Lowest and highest height, NaN if none was measured."""
+    return float(np.fmin.reduce(height_um, axis=None)), float(np.fmax.reduce(height_um, axis=None))
 
-    Raises:
-        HeightMapError: nothing was measured, or a height is beyond ±10 mm.
-    """
-    if not np.isfinite(height_um).any():
+
+def _check_range(name: str, lowest: float, highest: float) -> None:
+    if np.isnan(highest):
         refuse(name, "measured points", "none", "every point is marked as missing; export the map again")
-    largest = float(np.nanmax(np.abs(height_um)))
+    largest = max(highest, -lowest)
     if largest > MAX_HEIGHT_UM:
         refuse(
             name,
@@ -105,6 +105,15 @@ def check_heights(name: str, height_um: npt.NDArray[np.floating]) -> None:
             f"{largest:.6g} µm",
             f"plausible are up to {MAX_HEIGHT_UM:g} µm; check the unit of the heights and the offset of z",
         )
+
+
+def check_heights(name: str, height_um: npt.NDArray[np.floating]) -> None:
+    """Check the heights, (rows, cols) in µm, NaN where missing.
+
+    Raises:
+        HeightMapError: nothing was measured, or a height is beyond ±10 mm.
+    """
+    _check_range(name, *_range(height_um))
 
 
 def check_map(surface: HeightMap, name: str) -> HeightMap:
@@ -116,6 +125,53 @@ def check_map(surface: HeightMap, name: str) -> HeightMap:
     check_pixel(name, (surface.pixel_y_um, surface.pixel_x_um), surface.shape)
     check_heights(name, surface.height_um)
     return surface
+
+
+def checked_map(
+    name: str,
+    height_um: FloatArray,
+    pixel_um: tuple[float, float],
+    origin: dict[str, Any],
+    *,
+    stage_height: bool = False,
+    beyond_um: float = np.inf,
+) -> HeightMap:
+    """A map of heights whose pixel, field and heights have been checked.
+
+    Heights that are not finite become missing. Heights of a format that may count from a stage's zero are
+    counted from the middle of their range, if they lie further off than any plausible height; ``corrected``
+    says so. A mistaken unit stretches the range with the offset, so that it is still found.
+
+    Args:
+        name: name of the file.
+        height_um: (rows, cols) heights in µm, NaN where missing; the array is taken over and sealed.
+        pixel_um: pixel size (y, x) in µm.
+        origin: provenance of the map.
+        stage_height: the format states its units and may count z from a stage's zero.
+        beyond_um: heights as far from zero as this mark points that were not measured.
+
+    Raises:
+        HeightMapError: a check failed.
+    """
+    rows, cols = height_um.shape
+    check_claim(name, rows, cols, 0, 0)
+    check_pixel(name, pixel_um, (rows, cols))
+    lowest, highest = _range(height_um)
+    if max(-lowest, highest) >= beyond_um:
+        height_um[np.abs(height_um) >= beyond_um] = np.nan
+        lowest, highest = _range(height_um)
+    if stage_height and max(-lowest, highest) > MAX_HEIGHT_UM and highest - lowest <= MAX_HEIGHT_UM:
+        middle = 0.5 * (lowest + highest)
+        height_um -= middle
+        done = [
+            *origin.get("corrected", []),
+            f"heights counted from {middle:.6g} µm, the middle of their range",
+        ]
+        origin = {**origin, "corrected": done}
+        lowest, highest = lowest - middle, highest - middle
+    _check_range(name, lowest, highest)
+    height_um.flags.writeable = False
+    return HeightMap(height_um, float(pixel_um[1]), float(pixel_um[0]), origin)
 
 
 def equidistant_step(name: str, axis: str, positions_um: FloatArray) -> float:

@@ -11,6 +11,14 @@ from anisoscope.errors import HeightMapError
 FloatArray = npt.NDArray[np.float64]
 
 
+def _owned(height_um: FloatArray) -> FloatArray:
+    """A copy that nobody else can write to; a read-only array is taken as it is."""
+    given = np.asarray(height_um)
+    if given.dtype == np.float64 and given.flags.c_contiguous and not given.flags.writeable:
+        return given
+    return np.array(given, dtype=np.float64, order="C")
+
+
 @dataclass(frozen=True, eq=False)
 class HeightMap:
     """A surface sampled on a regular grid.
@@ -19,7 +27,8 @@ class HeightMap:
     ``height_um[i, j]`` stands at ``(x, y) = (j * pixel_x_um, i * pixel_y_um)``, z up.
 
     Attributes:
-        height_um: (rows, cols) heights in µm; NaN where nothing was measured. Read-only.
+        height_um: (rows, cols) heights in µm; NaN where nothing was measured. Read-only: the array given is
+            copied, unless it is read-only.
         pixel_x_um: distance of neighbouring columns in µm.
         pixel_y_um: distance of neighbouring rows in µm.
         origin: where the map comes from (file, instrument, date, what was corrected, ...), as plain
@@ -36,7 +45,7 @@ class HeightMap:
     origin: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        height = np.array(self.height_um, dtype=np.float64, order="C")
+        height = _owned(self.height_um)
         if height.ndim != 2 or min(height.shape) < 2:
             raise HeightMapError(
                 f"a height map needs at least 2 × 2 points, this array has shape {height.shape}"
@@ -58,7 +67,9 @@ class HeightMap:
     @property
     def missing_share(self) -> float:
         """Share of points that were not measured, 0 to 1."""
-        return float(np.mean(~np.isfinite(self.height_um)))
+        return (
+            self.height_um.size - int(np.count_nonzero(np.isfinite(self.height_um)))
+        ) / self.height_um.size
 
     @property
     def extent_um(self) -> tuple[float, float]:

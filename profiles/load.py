@@ -2,32 +2,33 @@
 
 import hashlib
 from pathlib import Path
-from typing import NoReturn
+from typing import Literal
+
+import numpy as np
 
 from anisoscope.errors import HeightMapError
-from anisoscope.profiles.arrays import read_array, write_array
+from anisoscope.profiles.arrays import write_array
 from anisoscope.profiles.checks import refuse
+from anisoscope.profiles.formats import Format, find_format
+from anisoscope.profiles.gsf import write_gsf
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.text import Layout, read_text, write_text
-from anisoscope.profiles.units import micrometres_per
-from anisoscope.profiles.x3p import read_x3p
+from anisoscope.profiles.images import write_tiff
+from anisoscope.profiles.text import write_text
+from anisoscope.profiles.units import Given, Layout, micrometres_per
 from anisoscope.profiles.x3p_write import write_x3p
 
-FORMATS = {
-    ".x3p": "ISO 25178-72",
-    ".npy": "numpy array",
-    ".npz": "numpy archive",
-    ".csv": "matrix or points",
-    ".txt": "matrix or points",
-    ".xyz": "points",
+Rows = Literal["auto", "up", "down"]
+HEAD_BYTES = 64
+WRITERS = {
+    ".x3p": write_x3p,
+    ".gsf": write_gsf,
+    ".npz": write_array,
+    ".npy": write_array,
+    ".csv": write_text,
+    ".txt": write_text,
+    ".tif": write_tiff,
+    ".tiff": write_tiff,
 }
-TEXT = {".csv", ".txt", ".xyz"}
-WRITERS = {".x3p": write_x3p, ".npy": write_array, ".csv": write_text, ".txt": write_text}
-
-
-def _unknown(path: Path) -> NoReturn:
-    known = ", ".join(f"{suffix} ({what})" for suffix, what in FORMATS.items())
-    refuse(path.name, "format", f"unknown extension {path.suffix!r}", f"read are {known}")
 
 
 def _fingerprint(path: Path) -> tuple[str, bytes]:
@@ -36,13 +37,12 @@ def _fingerprint(path: Path) -> tuple[str, bytes]:
     Raises:
         HeightMapError: no such file, a folder, not readable, or empty.
     """
-    digest = hashlib.sha256()
     head = b""
     try:
         with path.open("rb") as stream:
-            while block := stream.read(2**20):
-                head = head or block[:8]
-                digest.update(block)
+            head = stream.read(HEAD_BYTES)
+            stream.seek(0)
+            digest = hashlib.file_digest(stream, "sha256")
     except OSError as error:
         raise HeightMapError(f"{path}: cannot be read ({error.strerror}); check the path") from None
     if not head:
@@ -50,58 +50,47 @@ def _fingerprint(path: Path) -> tuple[str, bytes]:
     return digest.hexdigest(), head
 
 
-def _dispatch(
-    path: Path,
-    head: bytes,
-    *,
-    pixel_um: tuple[float, float] | None,
-    z_unit: str,
-    xy_unit: str | None,
-    layout: Layout,
-) -> HeightMap:
-    suffix = path.suffix.lower()
-    if suffix not in FORMATS:
-        _unknown(path)
-    is_zip, is_npy = head.startswith(b"PK"), head.startswith(b"\x93NUMPY")
-    if suffix in TEXT and not (is_zip or is_npy):
-        return read_text(path, pixel_um=pixel_um, z_unit=z_unit, xy_unit=xy_unit, layout=layout)
-    if is_npy or (is_zip and suffix == ".npz"):
-        return read_array(path, pixel_um=pixel_um, z_unit=z_unit)
-    if is_zip and suffix == ".x3p":
-        if pixel_um is not None or z_unit not in ("um", "µm"):
-            refuse(path.name, "units", "an x3p file states its own", "leave the pixel size and the unit out")
-        return read_x3p(path)
-    return refuse(
-        path.name,
-        "content",
-        f"does not look like {suffix} ({FORMATS[suffix]})",
-        "the file is damaged or misnamed",
-    )
+def _check_given(name: str, found: Format, given: Given) -> None:
+    """Refuse units for a format that states its own, and image options for others."""
+    if not found.asks and (given.z_unit or given.xy_unit):
+        refuse(
+            name, "units", f"a file of format {found.name} states its own", "leave --z-unit and --xy-unit out"
+        )
+    if found.asks != "counts" and given.height_per_count is not None:
+        refuse(name, "height per count", "is for pictures", f"leave it out for {found.name}")
 
 
 def read_height_map(
     path: Path | str,
     *,
     pixel_um: tuple[float, float] | None = None,
-    z_unit: str = "um",
+    z_unit: str | None = None,
     role: str = "part",
     xy_unit: str | None = None,
     layout: Layout = "auto",
+    height_per_count: float | None = None,
+    rows: Rows = "auto",
 ) -> HeightMap:
     """Read a height map, by content and extension, and check that it is plausible.
 
     Args:
-        path: x3p, npy, npz, csv, txt or xyz file.
-        pixel_um: (y, x) pixel size in µm for formats that have none (matrices as text or npy).
-        z_unit: unit of the heights for formats that state none: um, nm, mm or m.
+        path: a file of one of :data:`~anisoscope.profiles.formats.FORMATS`; how well each was tried stands in
+            ``docs/height-maps.md``.
+        pixel_um: (y, x) pixel size in µm for files that have none.
+        z_unit: unit of the heights for formats that state none: um, nm, mm or m; µm where it is not given.
         role: "part", or "tool" for the mould: the part is its negative, so that z changes its sign and x
             is mirrored.
         xy_unit: unit of x and y in a list of points; that of the heights where it is not given.
         layout: "matrix" or "xyz" where a text file with three columns could be either.
+        height_per_count: height of one count of an integer picture, in ``z_unit``.
+        rows: whether y rises ("up") or falls ("down") with the rows of the file. "auto": up for x3p and sdf,
+            as their standards define it, for opd, text and numpy; down for all others, whose first row
+            is the top of the picture.
 
     Returns:
-        The map; its origin holds ``file``, ``sha256``, ``format``, ``pixel_um`` [y, x], ``missing_share``,
-        ``role``, and instrument and date as far as the file gives them.
+        The map; its origin holds ``file``, ``sha256``, ``format``, ``reader``, ``pixel_um`` [y, x],
+        ``missing_share``, ``role``, ``corrected`` (what was changed on the way, if anything), and instrument
+        and date as far as the file gives them.
 
     Raises:
         HeightMapError: unreadable, damaged, ambiguous or implausible; one line that says what to do.
@@ -109,22 +98,49 @@ def read_height_map(
     path = Path(path)
     if role not in ("part", "tool"):
         raise HeightMapError(f"unknown role {role!r}; a height map is of a part or of a tool")
-    micrometres_per(z_unit)
+    micrometres_per(z_unit or "um")
+    micrometres_per(xy_unit or "um")
+    given = Given(pixel_um, z_unit, height_per_count, xy_unit, layout)
     sha256, head = _fingerprint(path)
-    surface = _dispatch(path, head, pixel_um=pixel_um, z_unit=z_unit, xy_unit=xy_unit, layout=layout)
-    height = surface.height_um if role == "part" else -surface.height_um[:, ::-1]
+    found = find_format(path, head)
+    _check_given(path.name, found, given)
+    surface = _oriented(found.read(path, given), role, rows)
     return surface.with_height(
-        height,
+        surface.height_um,
         file=path.name,
         sha256=sha256,
+        reader=surface.origin.get("reader", "anisoscope"),
         pixel_um=[surface.pixel_y_um, surface.pixel_x_um],
         missing_share=surface.missing_share,
         role=role,
     )
 
 
+def _oriented(surface: HeightMap, role: str, rows: Rows) -> HeightMap:
+    """The map with y rising, and of the part; ``corrected`` says what was turned."""
+    origin = dict(surface.origin)
+    top_first = origin.pop("first_row", None) == "top"
+    done = list(origin.pop("corrected", []))
+    height = surface.height_um
+    if rows == "down" or (rows == "auto" and top_first):
+        height = height[::-1]
+        done.append("rows turned: the first of the file is the top of the picture")
+    if role == "tool":
+        height = -height[:, ::-1]
+        done.append("negated and mirrored, from the tool to the part")
+    if not done:
+        return surface if origin == surface.origin else HeightMap(
+            height, surface.pixel_x_um, surface.pixel_y_um, origin
+        )  # fmt: skip
+    turned = np.array(height, order="C")
+    turned.flags.writeable = False
+    return HeightMap(turned, surface.pixel_x_um, surface.pixel_y_um, {**origin, "corrected": done})
+
+
 def write_height_map(surface: HeightMap, path: Path | str) -> None:
-    """Write a map in the format of the extension: x3p, npy, csv or txt (matrix).
+    """Write a map in the format of the extension: x3p, gsf, npz, npy, csv or txt (matrix), tif.
+
+    x3p, npz and csv keep every float64 height, npy too but no pixel size; gsf and tif keep 24 bits.
 
     Raises:
         HeightMapError: unknown extension, or the file cannot be written.

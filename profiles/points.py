@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from anisoscope.profiles.checks import AXIS_TOLERANCE, check_claim, check_map, refuse
+from anisoscope.profiles.checks import AXIS_TOLERANCE, check_claim, checked_map, refuse
 from anisoscope.profiles.heightmap import FloatArray, HeightMap
 
 MIN_FILLED = 0.05
@@ -58,4 +58,4 @@ def points_to_map(name: str, points_um: FloatArray, origin: dict[str, Any]) -> H
         )
     height = np.full(rows * cols, np.nan)
     height[flat] = z
-    return check_map(HeightMap(height.reshape(rows, cols), step_x, step_y, origin), name)
+    return checked_map(name, height.reshape(rows, cols), (step_y, step_x), origin)

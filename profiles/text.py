@@ -7,22 +7,21 @@ points. What cannot be told from the file is asked for by an error, never guesse
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
 from anisoscope.errors import HeightMapError
-from anisoscope.profiles.checks import check_claim, check_map, refuse
+from anisoscope.profiles.checks import check_claim, checked_map, refuse
+from anisoscope.profiles.content import scaled
 from anisoscope.profiles.heightmap import FloatArray, HeightMap
 from anisoscope.profiles.points import points_to_map
-from anisoscope.profiles.units import micrometres_per, require_pixel
-
-Layout = Literal["auto", "matrix", "xyz"]
+from anisoscope.profiles.units import Layout, micrometres_per, require_pixel
 
 MISSING = {"", "-", "--", "***", "nan", "na", "n/a", "null", "bad"}
 HEADER = re.compile(r"\W*x", re.IGNORECASE)
 COMMENT = ("#", "%", "//")
 PIXEL_NOTE = re.compile(r"pixel_um \(y, x\): ([0-9.eE+-]+), ([0-9.eE+-]+)")
+SIZE_NOTE = re.compile(r"(\d{1,9}) x (\d{1,9}) heights in um")
 MAX_TEXT_BYTES = 2**31
 
 
@@ -182,6 +181,14 @@ def _noted_pixel(table: Table) -> tuple[float, float] | None:
         return None
 
 
+def _check_noted_size(name: str, table: Table) -> None:
+    """Compare the size that our own writer noted: a text cut at the end of a line looks whole."""
+    noted = SIZE_NOTE.search("\n".join(table.comments))
+    if noted and (int(noted[1]), int(noted[2])) != table.numbers.shape:
+        found = f"{table.numbers.shape[0]} × {table.numbers.shape[1]} heights"
+        refuse(name, "size", f"{found} where {noted[1]} × {noted[2]} are noted", "the file is truncated")
+
+
 def read_text(
     path: Path | str,
     *,
@@ -215,20 +222,22 @@ def read_text(
         origin = {"format": "text points", "z_unit": z_unit, "xy_unit": xy_unit or z_unit}
         return points_to_map(name, table.numbers * [lateral, lateral, factor], origin)
     check_claim(name, table.numbers.shape[0], table.numbers.shape[1], 0, 0)
-    pixel_y, pixel_x = require_pixel(name, pixel_um or _noted_pixel(table))
+    _check_noted_size(name, table)
+    pixel = require_pixel(name, pixel_um or _noted_pixel(table))
     origin = {"format": "text matrix", "z_unit": z_unit}
-    return check_map(HeightMap(table.numbers * factor, pixel_x, pixel_y, origin), name)
+    return checked_map(name, scaled(table.numbers, factor), pixel, origin)
 
 
 def write_text(surface: HeightMap, path: Path | str) -> None:
     """Write the heights in µm as a comma-separated matrix, every float64 exactly, missing points empty.
 
-    A comment in the first line notes the pixel size; :func:`read_text` finds it there.
+    A comment in the first line notes size and pixel size; :func:`read_text` finds them there.
 
     Raises:
         HeightMapError: the file cannot be written.
     """
-    head = f"# heights in um, rows along y; pixel_um (y, x): {surface.pixel_y_um!r}, {surface.pixel_x_um!r}"
+    pixel = f"pixel_um (y, x): {surface.pixel_y_um!r}, {surface.pixel_x_um!r}"
+    head = f"# {surface.shape[0]} x {surface.shape[1]} heights in um, rows along y; {pixel}"
     rows = (",".join(repr(z) if z - z == 0 else "nan" for z in row) for row in surface.height_um.tolist())
     try:
         Path(path).write_text("\n".join((head, *rows)) + "\n", encoding="utf-8")

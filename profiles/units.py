@@ -1,8 +1,39 @@
-"""Units that a file does not state and a user must."""
+"""Units that a file does not state and a user must; and units that a file states."""
+
+from dataclasses import dataclass
+from typing import Literal
 
 from anisoscope.errors import HeightMapError
 
 MICROMETRES_PER = {"um": 1.0, "µm": 1.0, "nm": 1e-3, "mm": 1e3, "m": 1e6}
+STATED_MICROMETRES_PER = {
+    **MICROMETRES_PER,
+    "\u03bcm": 1.0,  # Greek mu; the key above is the micro sign
+    "cm": 1e4,
+    "pm": 1e-6,
+    "\u00c5": 1e-4,  # the letter
+    "\u212b": 1e-4,  # the sign of the unit
+}
+Layout = Literal["auto", "matrix", "xyz"]
+
+
+@dataclass(frozen=True)
+class Given:
+    """What the user says about a file that does not say it itself.
+
+    Attributes:
+        pixel_um: (y, x) pixel size in µm.
+        z_unit: unit of the heights: um, nm, mm or m; None if nothing was said.
+        height_per_count: height of one count of an integer image, in ``z_unit`` or µm.
+        xy_unit: unit of x and y of a list of points.
+        layout: what a text file with three columns holds.
+    """
+
+    pixel_um: tuple[float, float] | None = None
+    z_unit: str | None = None
+    height_per_count: float | None = None
+    xy_unit: str | None = None
+    layout: Layout = "auto"
 
 
 def micrometres_per(unit: str) -> float:
@@ -14,6 +45,20 @@ def micrometres_per(unit: str) -> float:
     if unit not in MICROMETRES_PER:
         raise HeightMapError(f"unknown length unit {unit!r}; use um, nm, mm or m")
     return MICROMETRES_PER[unit]
+
+
+def stated_micrometres_per(name: str, axis: str, unit: str | None) -> float:
+    """Factor to µm from the unit that a file states for an axis.
+
+    Raises:
+        HeightMapError: no unit, or one that is no length, as of channels that are not heights.
+    """
+    factor = STATED_MICROMETRES_PER.get((unit or "").strip())
+    if factor is None:
+        raise HeightMapError(
+            f"{name}: unit of {axis}: {(unit or 'none')[:40]!r} is no length; export a height channel in metres"
+        )
+    return factor
 
 
 def require_pixel(name: str, pixel_um: tuple[float, float] | None) -> tuple[float, float]:
@@ -28,3 +73,19 @@ def require_pixel(name: str, pixel_um: tuple[float, float] | None) -> tuple[floa
             "give it in µm with --pixel SIZE or --pixel Y,X (pixel_um= in Python)"
         )
     return pixel_um
+
+
+def stated_or_given_pixel(
+    name: str, stated: tuple[float, float] | None, given: tuple[float, float] | None
+) -> tuple[float, float]:
+    """The (y, x) pixel size in µm of a file that may state one; the user may give it only where it does not.
+
+    Raises:
+        HeightMapError: both, or neither.
+    """
+    if stated is not None and given is not None:
+        raise HeightMapError(
+            f"{name}: units: the file states its own pixel, {stated[0]:.6g} × {stated[1]:.6g} µm (y, x); "
+            "leave the pixel size out"
+        )
+    return require_pixel(name, stated or given)

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from anisoscope.errors import HeightMapError
-from anisoscope.profiles.checks import DEFLATE_LIMIT, check_claim, check_map, equidistant_step, refuse
+from anisoscope.profiles.checks import DEFLATE_LIMIT, check_claim, checked_map, equidistant_step, refuse
 from anisoscope.profiles.heightmap import FloatArray, HeightMap
 from anisoscope.profiles.x3p_header import Header, micrometres, read_header
-from anisoscope.profiles.x3p_write import write_x3p
+from anisoscope.profiles.x3p_write import ULPS, add_ulps, listed_digest, write_x3p
 
 __all__ = ["read_x3p", "write_x3p"]
 
@@ -180,7 +180,8 @@ def _heights_um(name: str, header: Header, raw: FloatArray) -> FloatArray:
     offset = float(header.z.offset)
     with np.errstate(over="ignore", invalid="ignore"):
         metres = raw if scale == 1.0 and offset == 0.0 else raw * scale + offset
-        return metres * 1e6
+        height: FloatArray = metres * 1e6
+    return height
 
 
 def _pixel_um(name: str, header: Header, raw: dict[str, FloatArray]) -> tuple[float, float]:
@@ -206,6 +207,12 @@ def _pixel_um(name: str, header: Header, raw: dict[str, FloatArray]) -> tuple[fl
     return found[0], found[1]
 
 
+def _ulps(container: Container, count: int) -> bytes:
+    """What our writer notes beside the metres, or nothing."""
+    info = container.find(ULPS)
+    return b"" if info is None or info.file_size != count + 16 else container.read(info, count + 16)
+
+
 def read_x3p(path: Path | str) -> HeightMap:
     """Read the surface of an x3p file.
 
@@ -227,12 +234,19 @@ def read_x3p(path: Path | str) -> HeightMap:
             checked = _check_document(container, document, header)
             check_claim(name, header.rows, header.cols, 0, 0)
             raw, valid = _listed(name, header) if header.datums else _binary(container, header)
+            ulps = _ulps(container, raw["z"].size)
     except HeightMapError:
         raise
     except ZIP_TROUBLE as error:
         refuse(name, "container", f"cannot be read ({error or type(error).__name__})", DAMAGED)
-    height = np.where(valid, _heights_um(name, header, raw["z"]), np.nan).reshape(header.rows, header.cols)
-    height[~np.isfinite(height)] = np.nan
-    pixel_y, pixel_x = _pixel_um(name, header, raw)
+    height = _heights_um(name, header, raw["z"])
+    if ulps:
+        checksum = header.fields.get("Record3/DataLink/MD5ChecksumPointData", "")
+        linked = _is_md5(checksum) and not header.datums
+        add_ulps(height, ulps, bytes.fromhex(checksum) if linked else listed_digest(raw["z"]))
+    if not valid.all():
+        height[~valid] = np.nan
+    pixel = _pixel_um(name, header, raw)
     origin = {"format": "x3p", "checksum": checked, **header.metadata()}
-    return check_map(HeightMap(height, pixel_x, pixel_y, origin), name)
+    grid = height.reshape(header.rows, header.cols)
+    return checked_map(name, grid, pixel, origin, stage_height=True)

@@ -1,9 +1,9 @@
 """Write x3p files: ISO 25178-72 (formerly ISO 5436-2).
 
 Heights are stored as float64 metres. Metres cannot hold every float64 number of µm, so the writer picks, of
-the neighbours of z · 10⁻⁶, the one that reads back as z where there is one: a map that was written and
-read once differs by at most 1 unit in the last place, and from then on writing and reading is exact. Pixel
-sizes are decimal text and come back exactly.
+the neighbours of z · 10⁻⁶, the one that reads back as z where there is one. Where there is none, metres read
+back 1 unit in the last place off; those units go into an entry of our own, ``anisoscope/ulps.bin``, which
+other programs ignore and :func:`~anisoscope.profiles.x3p.read_x3p` adds. Pixel sizes are decimal text.
 """
 
 import hashlib
@@ -21,17 +21,42 @@ from anisoscope.errors import HeightMapError
 from anisoscope.profiles.heightmap import FloatArray, HeightMap
 
 NAMESPACE = "http://www.opengps.eu/2008/ISO5436_2"
+ULPS = "anisoscope/ulps.bin"
 ENTRY_DATE = (1980, 1, 1, 0, 0, 0)
 
 
 def to_metres(height_um: FloatArray) -> FloatArray:
     """Metres that read back (times 10⁶) as the given µm, bit for bit where float64 allows it."""
-    metres = height_um / 1e6
+    metres: FloatArray = height_um / 1e6
     for toward in (np.inf, -np.inf):
         wrong = metres * 1e6 != height_um
         neighbour = np.nextafter(metres[wrong], toward)
         metres[wrong] = np.where(neighbour * 1e6 == height_um[wrong], neighbour, metres[wrong])
     return metres
+
+
+def _known(metres: FloatArray) -> FloatArray:
+    return np.where(np.isfinite(metres), metres, 0.0)
+
+
+def ulps_entry(height_um: FloatArray, metres: FloatArray, digest: bytes) -> dict[str, bytes]:
+    """What :func:`add_ulps` needs: checksum of the data, and for each height int8 units in the last place."""
+    read_back, wanted = _known(metres) * 1e6, _known(height_um)
+    ulps = wanted.view(np.int64) - read_back.view(np.int64)
+    ulps[np.abs(ulps) > 127] = 0
+    return {ULPS: digest + ulps.astype(np.int8).tobytes()} if ulps.any() else {}
+
+
+def add_ulps(height_um: FloatArray, entry: bytes, digest: bytes) -> None:
+    """Add the units in the last place to heights just read, in place, if they belong to these data."""
+    if len(entry) == 16 + height_um.size and entry[:16] == digest:
+        bits = height_um.view(np.int64)
+        bits += np.frombuffer(entry, np.int8, height_um.size, 16).reshape(height_um.shape)
+
+
+def listed_digest(metres: FloatArray) -> bytes:
+    """Checksum of heights that stand in ``main.xml``."""
+    return hashlib.md5(_known(metres).tobytes(), usedforsecurity=False).digest()
 
 
 def _element(tag: str, *content: str) -> str:
@@ -131,7 +156,10 @@ def write_x3p(surface: HeightMap, path: Path | str, *, text: bool = False) -> No
     Raises:
         HeightMapError: the file cannot be written.
     """
-    data, entries = (_listed if text else _linked)(to_metres(surface.height_um))
+    metres = to_metres(surface.height_um)
+    data, entries = (_listed if text else _linked)(metres)
+    digest = listed_digest(metres) if text else bytes.fromhex(_md5(entries["bindata/data.bin"]))
+    entries |= ulps_entry(surface.height_um, metres, digest)
     document = (
         '<?xml version="1.0" encoding="UTF-8"?>\n'
         f'<p:ISO5436_2 xmlns:p="{NAMESPACE}" xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance" '

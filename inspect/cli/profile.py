@@ -2,19 +2,29 @@
 
 import json
 import sys
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import App, Parameter
 
 from anisoscope.cli.console import parse_numbers, print_table
 from anisoscope.errors import UsageError
 
-app = App(name="profile", help="Look at height maps, and convert them.")
+if TYPE_CHECKING:
+    from anisoscope.profiles.heightmap import HeightMap
+
+app = App(name="profile", help="Read, measure, convert, make and spoil height maps.")
+app.command("anisoscope.cli.profile_ridges:ridges")
+app.command("anisoscope.cli.profile_texture:texture")
+app.command("anisoscope.cli.profile_surfaces:make")
+app.command("anisoscope.cli.profile_surfaces:spoil")
+app.command("anisoscope.cli.profile_report:report")
 
 Unit = Literal["um", "nm", "mm", "m"]
 Layout = Literal["auto", "matrix", "xyz"]
 Role = Literal["part", "tool"]
+Rows = Literal["auto", "up", "down"]
 
 
 def parse_pixel(text: str | None) -> tuple[float, float] | None:
@@ -31,37 +41,65 @@ def parse_pixel(text: str | None) -> tuple[float, float] | None:
     return numbers[0], numbers[-1]
 
 
+@dataclass(frozen=True)
+class Scales:
+    """What a file does not say about itself."""
+
+    pixel: Annotated[str | None, Parameter(help="Pixel size in µm of a file without one: SIZE or Y,X.")] = (
+        None
+    )
+    z_unit: Annotated[Unit | None, Parameter(help="Unit of the heights of a file that states none.")] = None
+    height_per_count: Annotated[
+        float | None, Parameter(help="Height of one count of an integer picture, in --z-unit (µm).")
+    ] = None
+    xy_unit: Annotated[
+        Unit | None, Parameter(help="Unit of x and y of a list of points; that of the heights if not given.")
+    ] = None
+    layout: Annotated[Layout, Parameter(help="What a text file with three columns holds.")] = "auto"
+    rows: Annotated[
+        Rows,
+        Parameter(help="Whether y goes up or down with the rows of the file; auto: see docs/height-maps.md."),
+    ] = "auto"
+    role: Annotated[
+        Role, Parameter(help="Map of the part, or of the tool (mould), whose negative the part is.")
+    ] = "part"
+
+    def read(self, file: Path) -> "HeightMap":
+        """Read a height map with these scales."""
+        from anisoscope.profiles.load import read_height_map
+
+        return read_height_map(
+            file,
+            pixel_um=parse_pixel(self.pixel),
+            z_unit=self.z_unit,
+            role=self.role,
+            xy_unit=self.xy_unit,
+            layout=self.layout,
+            height_per_count=self.height_per_count,
+            rows=self.rows,
+        )
+
+
+AS_STATED = Scales()
+
+
 @app.command
 def info(
     file: Path,
     /,
     *,
     json_: Annotated[bool, Parameter(name="--json", negative="")] = False,
-    pixel: str | None = None,
-    z_unit: Unit = "um",
-    xy_unit: Unit | None = None,
-    layout: Layout = "auto",
-    role: Annotated[
-        Literal["part", "tool"], Parameter(help="Map of the part, or of the tool (mould).")
-    ] = "part",
+    scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
 ) -> int:
     """Size, missing share and height parameters (ISO 25178-2, mean removed, not levelled) of a height map.
 
     Args:
-        file: Height map: x3p, npy, npz, csv, txt or xyz.
+        file: Height map in a format of docs/height-maps.md.
         json_: Print JSON.
-        pixel: Pixel size in µm of a file without one: SIZE or Y,X.
-        z_unit: Unit of the heights of a file that states none.
-        xy_unit: Unit of x and y of a list of points; that of the heights if not given.
-        layout: What a text file with three columns holds.
-        role: Map of the part, or of the tool (mould), whose negative the part is.
     """
     from anisoscope.profiles.amplitude import amplitude
-    from anisoscope.profiles.load import read_height_map
 
-    surface = read_height_map(
-        file, pixel_um=parse_pixel(pixel), z_unit=z_unit, role=role, xy_unit=xy_unit, layout=layout
-    )
+    surface = scales.read(file)
     rows, cols = surface.shape
     found = amplitude(surface)
     if json_:
@@ -93,9 +131,18 @@ def info(
             ["Sq", f"{found.sq_um:.6g}", "µm"],
             ["Sz", f"{found.sz_um:.6g}", "µm"],
         ],
-        caption=f"format {surface.origin['format']}, role {role}",
+        caption=_caption(surface.origin),
     )
     return 0
+
+
+def _caption(origin: dict[str, Any]) -> str:
+    """Where a map comes from and what was changed on the way, in lines for people."""
+    lines = [f"format {origin['format']}, role {origin['role']}, reader {origin['reader']}"]
+    instrument = " ".join(str(part) for part in origin.get("instrument", {}).values())
+    lines += [f"measured {' '.join((instrument, str(origin.get('date', '')))).strip()}"] if instrument else []
+    lines += [f"other channels: {', '.join(origin['other_channels'])}"] if "other_channels" in origin else []
+    return "\n".join(lines + list(origin.get("corrected", [])))
 
 
 @app.command
@@ -104,29 +151,21 @@ def convert(
     target: Path,
     /,
     *,
-    pixel: str | None = None,
-    z_unit: Unit = "um",
-    xy_unit: Unit | None = None,
-    layout: Layout = "auto",
-    role: Annotated[
-        Literal["part", "tool"], Parameter(help="Map of the part, or of the tool (mould).")
-    ] = "part",
+    overwrite: Annotated[bool, Parameter(negative="")] = False,
+    scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
 ) -> int:
     """Read a height map and write it in the format of another extension.
 
-    Args:
-        source: Height map: x3p, npy, npz, csv, txt or xyz.
-        target: File to write: x3p, npy, csv or txt.
-        pixel: Pixel size in µm of a file without one: SIZE or Y,X.
-        z_unit: Unit of the heights of a file that states none.
-        xy_unit: Unit of x and y of a list of points; that of the heights if not given.
-        layout: What a text file with three columns holds.
-        role: Map of the part, or of the tool (mould), whose negative the part is.
-    """
-    from anisoscope.profiles.load import read_height_map, write_height_map
+    x3p, npz and csv keep every bit of the heights, gsf and tif 24 bits.
 
-    surface = read_height_map(
-        source, pixel_um=parse_pixel(pixel), z_unit=z_unit, role=role, xy_unit=xy_unit, layout=layout
-    )
-    write_height_map(surface, target)
+    Args:
+        source: Height map in a format of docs/height-maps.md.
+        target: File to write: x3p, gsf, npz, npy, csv, txt or tif.
+        overwrite: Replace the target if it exists.
+    """
+    from anisoscope.profiles.load import write_height_map
+
+    if target.exists() and not overwrite:
+        raise UsageError(f"{target} exists; give another name, or --overwrite")
+    write_height_map(scales.read(source), target)
     return 0

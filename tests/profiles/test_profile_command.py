@@ -59,3 +59,25 @@ def test_reading_a_map_imports_nothing_slow():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_scales_of_a_picture_and_where_it_came_from(tmp_path, capsys):
+    import tifffile
+
+    tifffile.imwrite(tmp_path / "a.tif", np.arange(12, dtype=np.uint16).reshape(3, 4))
+    scales = ("--pixel", "2,1", "--height-per-count", "10", "--z-unit", "nm", "--rows", "up")
+    assert run("info", tmp_path / "a.tif", "--json", *scales) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["sz_um"] == pytest.approx(0.11)
+    assert found["origin"]["reader"] == "anisoscope"
+    assert "corrected" not in found["origin"]
+    assert run("info", tmp_path / "a.tif", *scales[:-2]) == 0
+    assert "rows turned" in capsys.readouterr().out
+
+
+def test_convert_keeps_what_exists(tmp_path):
+    np.save(tmp_path / "a.npy", np.eye(4))
+    run("convert", tmp_path / "a.npy", tmp_path / "a.gsf", "--pixel", "2,1")
+    with pytest.raises(UsageError, match="--overwrite"):
+        run("convert", tmp_path / "a.npy", tmp_path / "a.gsf", "--pixel", "2,1")
+    assert read_height_map(tmp_path / "a.gsf").pixel_y_um == pytest.approx(2.0)

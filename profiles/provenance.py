@@ -1,0 +1,55 @@
+"""How a made surface came about, kept in the file that holds it.
+
+The origin of a made map (design, defects, seeds) is written as one line of JSON: into the comment of an x3p
+file, or into the archive comment of an npz file. Other formats have no place for it.
+"""
+
+import json
+import zipfile
+from pathlib import Path
+
+from anisoscope.errors import HeightMapError
+from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.load import write_height_map
+
+MARK = "anisoscope made "
+SUFFIXES = (".x3p", ".npz")
+MAX_COMMENT_BYTES = 60_000
+KEPT = ("made", "defects")
+
+
+def write_made(surface: HeightMap, path: Path | str) -> bool:
+    """Write a map with ``made`` and ``defects`` of its origin; False if the format has no place for them.
+
+    Raises:
+        HeightMapError: unknown extension, the file cannot be written, or the origin is too long.
+    """
+    path = Path(path)
+    kept = {key: surface.origin[key] for key in KEPT if key in surface.origin}
+    text = MARK + json.dumps(kept, allow_nan=False)
+    suffix = path.suffix.lower()
+    if suffix in SUFFIXES and len(text.encode()) > MAX_COMMENT_BYTES:
+        raise HeightMapError(f"{path.name}: the list of defects is too long to be kept; add fewer to one map")
+    write_height_map(surface.with_height(surface.height_um, comment=text), path)
+    if suffix == ".npz":
+        with zipfile.ZipFile(path, "a") as archive:
+            archive.comment = text.encode()
+    return suffix in SUFFIXES
+
+
+def with_made(surface: HeightMap, path: Path | str) -> HeightMap:
+    """A map just read from a file, with ``made`` and ``defects`` in its origin as far as the file holds them."""
+    path = Path(path)
+    text = str(surface.origin.get("comment", ""))
+    if zipfile.is_zipfile(path) and not text.startswith(MARK):
+        with zipfile.ZipFile(path) as archive:
+            text = archive.comment.decode(errors="replace")
+    if not text.startswith(MARK):
+        return surface
+    try:
+        kept: object = json.loads(text[len(MARK) :])
+    except ValueError:
+        return surface
+    if not isinstance(kept, dict) or not isinstance(kept.get("defects", []), list):
+        return surface
+    return surface.with_height(surface.height_um, **{key: kept[key] for key in KEPT if key in kept})
