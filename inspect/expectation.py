@@ -10,8 +10,8 @@ from anisoscope.prediction.mapuncertainty import best_band, relief_model
 from anisoscope.prediction.preparing import AXIS_TOLERANCE_DEG, prepare_relief
 from anisoscope.prediction.propagation import propagate
 from anisoscope.prediction.sensitivity import DARK, InputUncertainty, Model, State, evaluate, fixed
+from anisoscope.profiles.files.load import read_height_map
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.load import read_height_map
 from anisoscope.recipe import Recipe
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import Convention, Pose

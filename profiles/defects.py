@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.errors import HeightMapError
-from anisoscope.profiles.checks import check_heights
+from anisoscope.profiles.files.checks import check_heights
 from anisoscope.profiles.fold import fold
 from anisoscope.profiles.heightmap import FloatArray, HeightMap
 from anisoscope.profiles.period import Period, find_period

@@ -3,7 +3,7 @@
 import numpy as np
 
 from anisoscope.errors import HeightMapError
-from anisoscope.profiles.checks import check_heights
+from anisoscope.profiles.files.checks import check_heights
 from anisoscope.profiles.heightmap import FloatArray, HeightMap
 from anisoscope.profiles.level import level
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from anisoscope.profiles.checks import check_heights
+from anisoscope.profiles.files.checks import check_heights
 from anisoscope.profiles.heightmap import FloatArray, HeightMap
 from anisoscope.profiles.period import Period, find_period
 
@@ -77,7 +77,8 @@ def _reach(surface: HeightMap, direction: tuple[float, float]) -> float:
     return 0.5 * min(spans)
 
 
-def _periodic_tilt(surface: HeightMap, period: Period) -> tuple[float, float]:
+def periodic_tilt(surface: HeightMap, period: Period) -> tuple[float, float]:
+    """Tilt (dz/dx, dz/dy) of a ridged map, from points whole pitches apart."""
     across, along = period.across(), period.along()
     pitches = max(1, int(_reach(surface, across) / period.pitch_um))
     far, long = pitches * period.pitch_um, _reach(surface, along)
@@ -117,7 +118,7 @@ def level(surface: HeightMap, period: Period | None = None) -> Levelled:
     check_heights("height map", surface.height_um)
     period = find_period(surface) if period is None else period
     if period.is_periodic:
-        tilt, method = _periodic_tilt(surface, period), "median over whole pitches"
+        tilt, method = periodic_tilt(surface, period), "median over whole pitches"
     else:
         tilt, method = _plane_tilt(surface), "least-squares plane"
     rows, cols = surface.shape

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.profiles.checks import check_heights
+from anisoscope.profiles.files.checks import check_heights
 from anisoscope.profiles.heightmap import FloatArray, HeightMap
 
 HARMONICS = 8

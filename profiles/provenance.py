@@ -9,8 +9,8 @@ import zipfile
 from pathlib import Path
 
 from anisoscope.errors import HeightMapError
+from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.load import write_height_map
 
 MARK = "anisoscope made "
 SUFFIXES = (".x3p", ".npz")

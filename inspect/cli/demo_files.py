@@ -8,8 +8,8 @@ import tomli_w
 
 from anisoscope.calibration import take_flat
 from anisoscope.errors import RecordError, UsageError
+from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
-from anisoscope.profiles.load import write_height_map
 from anisoscope.progress import Advance
 
 PARTS = {"good": "PASS", "burrs": "FAIL", "angle": "FAIL"}

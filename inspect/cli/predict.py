@@ -120,7 +120,7 @@ def predict(
     inputs, draws = input_uncertainty(uncertainties), monte_carlo(uncertainties)
     if height_map is not None:
         from anisoscope.cli.profile import parse_pixel
-        from anisoscope.profiles.load import read_height_map
+        from anisoscope.profiles.files.load import read_height_map
 
         surface = read_height_map(height_map, pixel_um=parse_pixel(pixel), role=role)
 

@@ -66,7 +66,7 @@ class Scales:
 
     def read(self, file: Path) -> "HeightMap":
         """Read a height map with these scales."""
-        from anisoscope.profiles.load import read_height_map
+        from anisoscope.profiles.files.load import read_height_map
 
         return read_height_map(
             file,
@@ -97,7 +97,7 @@ def info(
         file: Height map in a format of docs/height-maps.md.
         json_: Print JSON.
     """
-    from anisoscope.profiles.amplitude import amplitude
+    from anisoscope.profiles.textures.amplitude import amplitude
 
     surface = scales.read(file)
     rows, cols = surface.shape
@@ -163,7 +163,7 @@ def convert(
         target: File to write: x3p, gsf, npz, npy, csv, txt or tif.
         overwrite: Replace the target if it exists.
     """
-    from anisoscope.profiles.load import write_height_map
+    from anisoscope.profiles.files.load import write_height_map
 
     if target.exists() and not overwrite:
         raise UsageError(f"{target} exists; give another name, or --overwrite")

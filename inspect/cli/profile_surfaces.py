@@ -218,7 +218,7 @@ def spoil(
 
 
 def _check_target(out: Path, overwrite: bool) -> None:
-    from anisoscope.profiles.load import WRITERS
+    from anisoscope.profiles.files.load import WRITERS
 
     if out.suffix.lower() not in WRITERS:
         raise UsageError(f"--out {out}: unknown extension; written are {', '.join(WRITERS)}")

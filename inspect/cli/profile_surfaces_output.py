@@ -52,9 +52,9 @@ def deliver(
     surface: "HeightMap", out: Path, *, as_json: bool, deviation: dict[str, float] | None = None
 ) -> int:
     """Write the map, and say what it is."""
-    from anisoscope.profiles.amplitude import amplitude
-    from anisoscope.profiles.checks import check_map
+    from anisoscope.profiles.files.checks import check_map
     from anisoscope.profiles.provenance import write_made
+    from anisoscope.profiles.textures.amplitude import amplitude
 
     kept = write_made(check_map(surface, out.name), out)
     found = amplitude(surface)

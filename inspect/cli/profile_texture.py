@@ -13,7 +13,7 @@ from anisoscope.cli.console import print_table
 from anisoscope.cli.profile import AS_STATED, Scales
 
 if TYPE_CHECKING:
-    from anisoscope.profiles.texture import Texture
+    from anisoscope.profiles.textures.texture import Texture
 
 
 def texture(
@@ -40,7 +40,7 @@ def texture(
     Args:
         file: Height map in a format of docs/height-maps.md.
     """
-    from anisoscope.profiles.texture import texture as measure
+    from anisoscope.profiles.textures.texture import texture as measure
     from anisoscope.report.study_page import check_picture
 
     check_picture(plot)
@@ -119,7 +119,7 @@ def _rows(found: "Texture") -> list[list[str]]:
 
 
 def _caption(found: "Texture") -> str:
-    from anisoscope.profiles.filters import transmission
+    from anisoscope.profiles.textures.filters import transmission
 
     limited = found.surface
 
@@ -147,8 +147,8 @@ def _caption(found: "Texture") -> str:
 def _draw(found: "Texture", path: Path) -> None:
     import numpy as np
 
-    from anisoscope.profiles import spatial, spectra
-    from anisoscope.profiles.bearing import bearing
+    from anisoscope.profiles.textures import spatial, spectra
+    from anisoscope.profiles.textures.bearing import bearing
     from anisoscope.report.study_page import Chart, Curve, write_picture
 
     surface = found.surface.map

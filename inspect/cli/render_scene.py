@@ -64,7 +64,7 @@ class SurfaceOptions:
             relief, _ = prepare_relief(surface, 100.0 if self.pitch is None else self.pitch, "none")
         else:
             from anisoscope.cli.profile import parse_pixel
-            from anisoscope.profiles.load import read_height_map
+            from anisoscope.profiles.files.load import read_height_map
 
             surface, name = read_height_map(height_map, pixel_um=parse_pixel(self.pixel)), height_map.name
             relief, _ = prepare_relief(surface, self.pitch, self.level)

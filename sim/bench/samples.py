@@ -3,9 +3,9 @@
 import numpy as np
 
 from anisoscope.profiles.defects import burrs
+from anisoscope.profiles.files.load import read_height_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
-from anisoscope.profiles.load import read_height_map
 from anisoscope.sim.bench.benchfile import MaterialPart, SamplePart
 from anisoscope.sim.light.material import Material
 from anisoscope.sim.light.relief import Relief

@@ -13,16 +13,16 @@ import zipfile
 import numpy as np
 import pytest
 
-from anisoscope.profiles.arrays import read_array
-from anisoscope.profiles.gsf import read_gsf
+from anisoscope.profiles.files.arrays import read_array
+from anisoscope.profiles.files.gsf import read_gsf
+from anisoscope.profiles.files.library import read_library
+from anisoscope.profiles.files.load import read_height_map, write_height_map
+from anisoscope.profiles.files.metropro import read_metropro
+from anisoscope.profiles.files.opd import read_opd
+from anisoscope.profiles.files.plu import read_plu
+from anisoscope.profiles.files.sdf import read_sdf
+from anisoscope.profiles.files.x3p import read_x3p
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.library import read_library
-from anisoscope.profiles.load import read_height_map, write_height_map
-from anisoscope.profiles.metropro import read_metropro
-from anisoscope.profiles.opd import read_opd
-from anisoscope.profiles.plu import read_plu
-from anisoscope.profiles.sdf import read_sdf
-from anisoscope.profiles.x3p import read_x3p
 
 pytestmark = pytest.mark.benchmark
 ROWS, COLS = 1500, 2000

@@ -7,8 +7,8 @@ import pytest
 
 from anisoscope.calibration import take_flat
 from anisoscope.inspection import inspect_part
+from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
-from anisoscope.profiles.load import write_height_map
 from anisoscope.recipe import read_recipe
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"

@@ -8,8 +8,8 @@ from scipy.stats import norm, qmc
 
 from anisoscope.errors import RecipeError
 from anisoscope.expectation import expectation
+from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
-from anisoscope.profiles.load import write_height_map
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import Convention, directions, seating_rotation
 

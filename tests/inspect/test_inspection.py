@@ -21,9 +21,9 @@ from anisoscope.errors import (
 from anisoscope.job import check_serial
 from anisoscope.linear import linearise, stack
 from anisoscope.measurement import region_grid
+from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
-from anisoscope.profiles.load import write_height_map
 from anisoscope.recipe import read_recipe
 from anisoscope.record import read_record, sha256_of
 from anisoscope.registration import locate, resample

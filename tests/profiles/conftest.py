@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 import tifffile
 
+from anisoscope.profiles.files.images import write_tiff
+from anisoscope.profiles.files.load import write_height_map
+from anisoscope.profiles.files.x3p import write_x3p
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.images import write_tiff
-from anisoscope.profiles.load import write_height_map
-from anisoscope.profiles.x3p import write_x3p
 
 ROWS, COLS = 12, 17
 PIXEL = (0.5, 0.25)  # (y, x) in µm

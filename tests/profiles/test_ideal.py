@@ -4,9 +4,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from anisoscope.errors import HeightMapError
-from anisoscope.profiles.amplitude import amplitude
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.profiles.textures.amplitude import amplitude
 
 
 @given(pitch=st.floats(10, 500), angle=st.floats(0.5, 44.5))

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from anisoscope.errors import HeightMapError
+from anisoscope.profiles.files.load import read_height_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
 from anisoscope.profiles.level import level
-from anisoscope.profiles.load import read_height_map
 from anisoscope.profiles.period import find_period
 
 DEFAULT = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "heightmaps"

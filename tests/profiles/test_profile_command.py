@@ -7,7 +7,7 @@ import pytest
 
 from anisoscope.cli.profile import app, parse_pixel
 from anisoscope.errors import HeightMapError, UsageError
-from anisoscope.profiles.load import read_height_map
+from anisoscope.profiles.files.load import read_height_map
 
 
 def run(*arguments):
@@ -53,7 +53,7 @@ def test_errors_are_ours(tmp_path):
 
 def test_reading_a_map_imports_nothing_slow():
     code = (
-        "import sys, anisoscope.profiles.load, anisoscope.profiles.level, anisoscope.profiles.defects, "
+        "import sys, anisoscope.profiles.files.load, anisoscope.profiles.level, anisoscope.profiles.defects, "
         "anisoscope.cli.profile; "
         "print([m for m in ('scipy', 'cv2', 'pyvista', 'matplotlib') if m in sys.modules])"
     )

@@ -5,8 +5,8 @@ import shutil
 import numpy as np
 import pytest
 
+from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.load import write_height_map
 
 
 @pytest.fixture

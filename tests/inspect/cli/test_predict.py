@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
+from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign, ridges
-from anisoscope.profiles.load import write_height_map
 
 
 def test_json_of_a_design(anisoscope):

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from anisoscope.cli import run
+from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
-from anisoscope.profiles.load import write_height_map
 
 
 @pytest.fixture(scope="module")

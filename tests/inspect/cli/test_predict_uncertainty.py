@@ -7,8 +7,8 @@ import pytest
 
 from anisoscope.cli.predict_options import DEFAULTS, input_uncertainty
 from anisoscope.prediction.sensitivity import InputUncertainty
+from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.ideal import RidgeDesign, ridges
-from anisoscope.profiles.load import write_height_map
 from anisoscope.recipe import MaterialPart, RigUncertainty
 
 FAST = ("--u-alpha", 0, "--u-index", 0)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from anisoscope.profiles.load import read_height_map
+from anisoscope.profiles.files.load import read_height_map
 from anisoscope.profiles.provenance import with_made
 from anisoscope.profiles.spoiling import DEFECTS
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import add_facet_roughness
-from anisoscope.profiles.load import write_height_map
 
 FUNCTIONAL = ("Smr", "Smc", "Sk", "Spk", "Svk", "Vmp", "Vmc", "Vvc", "Vvv")
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from anisoscope.errors import NotConnected, RigFileError, Stalled
+from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign, ridges
-from anisoscope.profiles.load import write_height_map
 from anisoscope.registration import angle_between, locate
 from anisoscope.rig.elliptec import Elliptec
 from anisoscope.sim.bench.bench import shared_bench

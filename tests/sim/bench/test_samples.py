@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from anisoscope.errors import HeightMapError
+from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.load import write_height_map
 from anisoscope.sim.bench.benchfile import MaterialPart, SamplePart
 from anisoscope.sim.bench.samples import build_surface, plastic
 

@@ -1,0 +1,250 @@
+"""The page of one height map: how it looks, what its ridges measure, and where it comes from."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from anisoscope.errors import HeightMapError
+from anisoscope.profiles.heightmap import FloatArray, HeightMap
+from anisoscope.profiles.level import level
+from anisoscope.profiles.metrology.burrlist import Outlier
+from anisoscope.profiles.metrology.quantity import as_text
+from anisoscope.profiles.metrology.ridgemeasurement import MeanRidge, RidgeMeasurement
+from anisoscope.profiles.metrology.ridges import measure_ridges
+from anisoscope.profiles.textures.amplitude import amplitude
+from anisoscope.progress import Advance, silent
+from anisoscope.record import write_text_atomically
+from anisoscope.report.figures import BLUE, GREEN, MUTED, ORANGE, RED, _figure, _map_figure, _svg_uri, png_uri
+from anisoscope.report.relief3d import Renderer
+
+PICTURE_POINTS = 900
+MARKED = 200
+LISTED = 30
+DRAWN = (0.001, 0.999)
+COLOURS = {"burr": RED, "spike": "#ffffff", "pit": ORANGE}
+NUMBERS = (
+    ("Pitch", "pitch_um", "µm"),
+    ("Direction of the ridges, from +y", "direction_deg", "°"),
+    ("Ridge angle", "ridge_angle_deg", "°"),
+    ("Wall angle", "wall_angle_deg", "°"),
+    ("Ridge height", "height_um", "µm"),
+    ("Height loss at the crest", "height_loss", "1"),
+    ("Edge radius of the crest", "edge_radius_um", "µm"),
+    ("α along the ridges", "alpha_along", "1"),
+    ("α across the ridges", "alpha_across", "1"),
+    ("White noise of the heights", "noise_um", "µm"),
+    ("Ridge angle, ridge to ridge", "angle_variation_deg", "°"),
+    ("Ridge height, ridge to ridge", "height_variation_um", "µm"),
+    ("Position, ridge to ridge", "shift_variation_um", "µm"),
+)
+
+
+def map_picture(surface: HeightMap, burrs: tuple[Outlier, ...] = ()) -> str:
+    """A levelled map in false colours, missing points grey, what stands out circled, as a data URI.
+
+    Args:
+        surface: the map; heights in µm.
+        burrs: what to circle, at most the first 200.
+    """
+    from matplotlib.collections import EllipseCollection
+
+    rows, cols = surface.shape
+    step = max(1, -(-max(rows, cols) // PICTURE_POINTS))
+    shown = surface.height_um[::step, ::step]
+    height, width = (n * 1e-3 for n in surface.extent_um)
+    with _map_figure((height, width)) as (figure, axes, bar):
+        low, high = np.nanpercentile(shown, [0.5, 99.5])
+        axes.set_facecolor("#9aa5ae")
+        image = axes.imshow(
+            np.ma.masked_invalid(shown), origin="lower", cmap="viridis", extent=(0.0, width, 0.0, height),
+            vmin=low, vmax=max(high, low + 1e-9), interpolation="nearest",
+        )  # fmt: skip
+        for kind, colour in COLOURS.items():
+            marked = [one for one in burrs[:MARKED] if one.kind == kind]
+            if marked:
+                size = [max(2.6 * np.sqrt(one.area_um2) * 1e-3, 0.012 * width) for one in marked]
+                axes.add_collection(
+                    EllipseCollection(
+                        size,
+                        size,
+                        np.zeros(len(marked)),
+                        units="xy",
+                        facecolors="none",
+                        edgecolors=colour,
+                        linewidths=0.9,
+                        offsets=[(1e-3 * one.x_um, 1e-3 * one.y_um) for one in marked],
+                        offset_transform=axes.transData,
+                    )
+                )
+        axes.set_xlim(0.0, width)
+        axes.set_ylim(0.0, height)
+        figure.colorbar(image, cax=bar, label="height [µm]")
+        return _svg_uri(figure)
+
+
+def ridge_chart(mean: MeanRidge) -> str:
+    """The mean ridge about its wall and the fitted facet, as a data URI."""
+    with _figure(4.6, 2.9) as (_figure_, axes):
+        axes.plot(mean.x_um, mean.height_um, ".", color=BLUE, markersize=2.5, label="mean ridge")
+        axes.plot(mean.facet_um, mean.facet_height_um, color=RED, linewidth=1.3, label="fitted facet")
+        pitch = float(mean.x_um[-1] - mean.x_um[0])
+        before = [x - pitch for x in mean.facet_um]
+        drop = (mean.facet_height_um[1] - mean.facet_height_um[0]) / (mean.facet_um[1] - mean.facet_um[0])
+        inside = [max(x, float(mean.x_um[0])) for x in before]
+        if inside[1] > inside[0]:
+            heights = [mean.facet_height_um[0] + drop * (x - before[0]) for x in inside]
+            axes.plot(inside, heights, color=RED, linewidth=1.3)
+        axes.set_xlim(float(mean.x_um[0]), float(mean.x_um[-1]))
+        axes.grid()
+        axes.set_xlabel("position from the wall, facets falling to the right [µm]")
+        axes.set_ylabel("height [µm]")
+        axes.legend(frameon=False, fontsize=8)
+        return _svg_uri(_figure_)
+
+
+def slope_chart(found: RidgeMeasurement) -> str:
+    """Distribution of the slopes of single points along and across, and what α and noise make of them."""
+    noise = found.noise_um.value or 0.0
+    # of single points over one pixel: α is what is left of their variance without the noise
+    extra = 2.0 * (noise / found.bandwidth_um[0]) ** 2
+    mean = found.mean_ridge
+    with _figure(4.6, 2.9) as (figure, axes):
+        series = (
+            ("across", mean.slopes_across, found.alpha_across, BLUE),
+            ("along", mean.slopes_along, found.alpha_along, GREEN),
+        )
+        reach = 4.0 * max((float(np.std(np.clip(s, -2, 2))) for _, s, _, _ in series if s.size), default=0.1)
+        edges = np.linspace(-reach, reach, 81)
+        x = np.linspace(-reach, reach, 241)
+        for name, slopes, alpha, colour in series:
+            if not slopes.size:
+                continue
+            axes.stairs(
+                np.histogram(slopes, edges)[0] / slopes.size / np.diff(edges), edges, color=colour, alpha=0.6
+            )
+            if alpha.value is not None:
+                axes.plot(
+                    x,
+                    _normal(x, 0.5 * alpha.value**2 + extra),
+                    color=colour,
+                    linewidth=1.4,
+                    label=f"{name}: α and noise",
+                )
+                axes.plot(
+                    x,
+                    _normal(x, 0.5 * alpha.value**2),
+                    color=colour,
+                    linewidth=1.0,
+                    linestyle="--",
+                    label=f"{name}: α alone",
+                )
+        axes.set_xlabel("slope of the facets against their planes")
+        axes.set_ylabel("density")
+        axes.set_xlim(-reach, reach)
+        axes.grid()
+        axes.legend(frameon=False, fontsize=7.5)
+        return _svg_uri(figure)
+
+
+def _normal(x: FloatArray, variance: float) -> FloatArray:
+    found: FloatArray = np.exp(-0.5 * x * x / variance) / np.sqrt(2.0 * np.pi * variance)
+    return found
+
+
+def angle_chart(found: RidgeMeasurement) -> str:
+    """Ridge angle of every ridge with its 95 % interval, as a data URI."""
+    with _figure(4.6, 2.4) as (figure, axes):
+        for ridge in found.ridges:
+            value, u = ridge.angle_deg.value, ridge.angle_deg.u
+            if value is not None and u is not None:
+                axes.errorbar(
+                    ridge.number, value, yerr=1.96 * u, fmt="o", color=BLUE, capsize=3, markersize=4
+                )
+        assert found.ridge_angle_deg.value is not None
+        axes.axhline(found.ridge_angle_deg.value, color=MUTED, linewidth=0.9, linestyle=":")
+        axes.grid(axis="y")
+        axes.set_xlabel("ridge")
+        axes.set_ylabel("ridge angle [°]")
+        axes.locator_params(axis="x", integer=True)
+        return _svg_uri(figure)
+
+
+def _origin_lines(origin: dict[str, Any], prefix: str = "") -> list[tuple[str, str]]:
+    """Origin of a map as pairs of name and text, nested entries with dotted names."""
+    lines: list[tuple[str, str]] = []
+    for name, value in origin.items():
+        if isinstance(value, dict):
+            lines += _origin_lines(value, f"{prefix}{name}.")
+        elif value not in (None, "", [], ()):
+            lines.append((f"{prefix}{name}", str(value)))
+    return lines
+
+
+def _ridge_part(found: RidgeMeasurement) -> dict[str, Any]:
+    return {
+        "numbers": [(text, *as_text(getattr(found, key)), unit) for text, key, unit in NUMBERS],
+        "ridge_chart": ridge_chart(found.mean_ridge),
+        "slope_chart": slope_chart(found),
+        "angle_chart": angle_chart(found),
+        "ridge_rows": [
+            (
+                one.number,
+                f"{one.position_um:.2f}".replace("-", "−"),
+                *(cell for each in (one.angle_deg, one.height_um, one.shift_um) for cell in as_text(each)),
+            )
+            for one in found.ridges
+        ],
+        "counts": {k: sum(one.kind == k for one in found.burrs) for k in COLOURS},
+        "burrs": found.burrs[:LISTED],
+    }
+
+
+def write_profile_page(surface: HeightMap, name: str, path: Path, on_progress: Advance = silent) -> None:
+    """Write the page of a height map, all or nothing.
+
+    Args:
+        surface: the map as read.
+        name: how the page calls it.
+        path: file to write.
+        on_progress: told what is done.
+
+    Raises:
+        HeightMapError: nothing was measured.
+        RecordError: the file cannot be written.
+    """
+    import jinja2
+
+    levelled = level(surface)
+    limits = np.nanquantile(levelled.map.height_um, DRAWN)
+    renderer = Renderer(np.clip(levelled.map.height_um, *limits), (surface.pixel_y_um, surface.pixel_x_um))
+    try:
+        on_progress("ridges", 1, 3)
+        try:
+            found, reason = measure_ridges(surface), ""
+        except HeightMapError as error:
+            found, reason = None, str(error)
+        on_progress("pictures", 2, 3)
+        content: dict[str, Any] = {
+            "name": name,
+            "surface": surface,
+            "levelled": levelled,
+            "amplitude": amplitude(levelled.map),
+            "found": found,
+            "reason": reason,
+            "picture": map_picture(levelled.map, found.burrs if found else ()),
+            "origin": _origin_lines(surface.origin),
+            "part": _ridge_part(found) if found else None,
+        }
+        view = renderer.result()
+    finally:
+        renderer.discard()
+    content["view"] = png_uri(view.png) if view.png else None
+    content["view_note"] = f"{view.note}; the highest and lowest 0.1 % cut" if view.png else view.note
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("anisoscope.report"), autoescape=True, undefined=jinja2.StrictUndefined
+    )
+    environment.filters["signed"] = lambda value, digits: f"{value:.{digits}f}".replace("-", "−")
+    page = environment.get_template("profile.html").render(**content)
+    write_text_atomically(path, page)
+    on_progress("done", 3, 3)

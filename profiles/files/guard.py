@@ -1,0 +1,162 @@
+"""Run other people's decoders so that a damaged file can neither hang, crash, flood nor print.
+
+One process (:mod:`anisoscope.profiles.files.guarded`) is started when the first file needs it, kept for the next
+ones, and replaced when a file has stopped it. Heights come back as an npy file.
+"""
+
+import atexit
+import json
+import os
+import select
+import shutil
+import subprocess
+import sys
+import tempfile
+import threading
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.profiles.files.checks import DEFLATE_LIMIT, refuse
+
+START_SECONDS = 120.0
+MEMORY_BYTES = 512 * 2**20
+MEMORY_PER_BYTE = 40
+SECONDS = 4.0
+BYTES_PER_SECOND = 2**20
+ADVICE = "the file is damaged, or of a kind that this reader does not know; export x3p"
+COMMAND = [sys.executable, "-P", "-m", "anisoscope.profiles.files.guarded"]
+ONE_THREAD = {
+    "OPENBLAS_NUM_THREADS": "1",
+    "OMP_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+    "MPLBACKEND": "Agg",
+}
+
+
+class GuardedProcess:
+    """A process that decodes files, one at a time."""
+
+    def __init__(self) -> None:
+        self.folder = Path(tempfile.mkdtemp(prefix="anisoscope-"))
+        self.owner = os.getpid()
+        self.readers: dict[str, str] = {}
+        ours, theirs = os.pipe()
+        try:
+            self.process = subprocess.Popen(
+                [*COMMAND, str(theirs)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                pass_fds=(theirs,),
+                env={**os.environ, **ONE_THREAD},
+            )
+        finally:
+            os.close(theirs)
+        self.answers = ours
+        self.pending = b""
+
+    def ask(self, request: dict[str, Any], seconds: float) -> dict[str, Any] | None:
+        """The answer to a request; None if the process died or did not answer in time."""
+        assert self.process.stdin is not None
+        try:
+            self.process.stdin.write(json.dumps(request).encode() + b"\n")
+            self.process.stdin.flush()
+        except OSError:
+            return None
+        while b"\n" not in self.pending:
+            ready, _, _ = select.select([self.answers], [], [], seconds)
+            block = os.read(self.answers, 65536) if ready else b""
+            if not block:
+                return None
+            self.pending += block
+        line, _, self.pending = self.pending.partition(b"\n")
+        answer: dict[str, Any] = json.loads(line)
+        return answer
+
+    def prepare(self, kind: str) -> str:
+        """Have the decoder of a kind imported, which does not count as reading; its name and version."""
+        if kind not in self.readers:
+            answer = self.ask({"prepare": True, "kind": kind}, START_SECONDS)
+            self.readers[kind] = str((answer or {}).get("reader", ""))
+        return self.readers[kind]
+
+    def close(self) -> None:
+        """End the process and remove its folder; in a forked child of the owner, only forget them."""
+        if os.getpid() != self.owner:
+            return
+        with suppress(OSError):
+            self.process.kill()
+        if self.process.stdin is not None:
+            with suppress(OSError):
+                self.process.stdin.close()
+        self.process.wait()
+        os.close(self.answers)
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+
+class _Keeper:
+    """The one process of this program."""
+
+    def __init__(self) -> None:
+        self.lock = threading.Lock()
+        self.process: GuardedProcess | None = None
+        self.inherited: list[GuardedProcess] = []
+
+    def get(self) -> GuardedProcess:
+        if self.process is not None and self.process.owner != os.getpid():
+            self.inherited.append(self.process)  # a fork's copy: it belongs to the parent, and stays as it is
+            self.process = None
+        if self.process is None:
+            self.process = GuardedProcess()
+            atexit.register(self.process.close)
+        return self.process
+
+    def drop(self) -> None:
+        if self.process is not None:
+            atexit.unregister(self.process.close)
+            self.process.close()
+            self.process = None
+
+
+_keeper = _Keeper()
+
+
+def decode(kind: str, path: Path, **request: object) -> tuple[dict[str, Any], npt.NDArray[Any]]:
+    """Decode a file in the guarded process.
+
+    Memory is limited to 512 MiB and 40 times the size of the file, time to 4 s and 1 s for each MiB.
+
+    Args:
+        kind: "library" (SurfaceTopography), "tiff" or "png".
+        path: the file.
+        **request: what the decoder of that kind needs besides.
+
+    Returns:
+        What the decoder says about the file, with ``reader`` (its name and version), and the raw numbers.
+
+    Raises:
+        HeightMapError: the decoder failed, died, or went beyond its limits.
+    """
+    size = path.stat().st_size
+    seconds = SECONDS + size / BYTES_PER_SECOND
+    with _keeper.lock:
+        process = _keeper.get()
+        reader = process.prepare(kind)
+        out = process.folder / "heights.npy"
+        limits = {"memory_bytes": MEMORY_BYTES + MEMORY_PER_BYTE * size, "seconds": seconds}
+        order = {"kind": kind, "path": str(path.resolve()), "out": str(out), **limits, **request}
+        answer = process.ask({"max_points": size * DEFLATE_LIMIT, **order}, seconds) if reader else None
+        if answer is None:
+            _keeper.drop()
+            refuse(path.name, "reading", f"the decoder stopped, or took longer than {seconds:.0f} s", ADVICE)
+        if "error" in answer:
+            refuse(path.name, "content", answer["error"], ADVICE)
+        raw: npt.NDArray[Any] = np.load(out, allow_pickle=False)
+        out.unlink()
+    if raw.ndim != 2 or raw.dtype.kind not in "iuf":
+        refuse(path.name, "content", f"{raw.ndim} dimensions of type {raw.dtype}", ADVICE)
+    return {**answer, "reader": reader}, raw

@@ -1,0 +1,181 @@
+"""The process in which other people's decoders run: ``python -m anisoscope.profiles.files.guarded FD``.
+
+It answers requests, one JSON line each on standard input, on the descriptor FD. Each request runs with a limit
+of memory and of time that the kernel enforces, so that a damaged file can stop this process only. What a
+decoder prints goes to the null device, to which the parent has tied standard output and error.
+"""
+
+import json
+import logging
+import os
+import resource
+import signal
+import sys
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+MAX_POINTS = 250_000_000
+
+
+class Unsuitable(Exception):
+    """The file holds something else than one map of heights; the text is meant for the user."""
+
+
+def _prepare(kind: str) -> str:
+    """Import the decoder of a kind, and say which it is."""
+    if kind == "library":
+        import SurfaceTopography  # type: ignore[import-untyped]  # noqa: PLC0415
+        import SurfaceTopography.IO  # type: ignore[import-untyped]  # noqa: PLC0415
+
+        return f"SurfaceTopography {SurfaceTopography.__version__}"
+    if kind == "tiff":
+        import tifffile  # noqa: PLC0415
+
+        return f"tifffile {tifffile.__version__}"
+    import cv2  # noqa: PLC0415
+
+    return f"OpenCV {cv2.__version__}"
+
+
+def _open_library(path: str, format_: str | None) -> Any:  # noqa: ANN401 - the library has no types
+    """A reader of the library; without a format, of those that know the first bytes of the file."""
+    from SurfaceTopography.IO import MAGIC_BUFFER_SIZE, MagicMatch, lookup_reader_by_format  # noqa: PLC0415
+
+    if format_ is not None:
+        return lookup_reader_by_format[format_](path)
+    with Path(path).open("rb") as stream:
+        head = stream.read(MAGIC_BUFFER_SIZE)
+    for reader in lookup_reader_by_format.values():
+        if reader.can_read(head) == MagicMatch.YES:
+            return reader(path)
+    raise Unsuitable("not recognised by its first bytes")
+
+
+def _said(info: dict[str, Any]) -> dict[str, Any]:
+    """Instrument and date as far as the file gives them, as plain texts."""
+    given = info.get("instrument")
+    names = {"vendor": "manufacturer", "name": "model", "serial": "serial", "software": "version"}
+    instrument = {
+        names[key]: str(value)[:100]
+        for key, value in (given if isinstance(given, dict) else {}).items()
+        if key in names and value
+    }
+    said: dict[str, Any] = {"instrument": instrument} if instrument else {}
+    if (when := info.get("acquisition_time")) is not None:
+        said["date"] = when.isoformat() if hasattr(when, "isoformat") else str(when)[:40]
+    return said
+
+
+def _library(request: dict[str, Any]) -> tuple[dict[str, Any], np.ndarray[Any, Any]]:
+    with _open_library(request["path"], request.get("format")) as reader:
+        channel = reader.default_channel
+        if channel.dim != 2:
+            raise Unsuitable("a line scan, no height map")
+        cols, rows = (int(count) for count in channel.nb_grid_pts)
+        if rows * cols > min(MAX_POINTS, request["max_points"]):
+            raise Unsuitable(f"claims {rows} × {cols} points")
+        sizes = channel.physical_sizes
+        unscaled = {} if sizes is not None else {"physical_sizes": (float(cols), float(rows))}
+        surface = reader.topography(**unscaled)
+        if not surface.is_uniform:
+            raise Unsuitable("not on a regular grid")
+        heights = np.ma.filled(np.ma.asarray(surface.heights(), dtype=np.float64), np.nan)
+        stated = None if sizes is None else [float(surface.physical_sizes[1]) / rows,
+                                             float(surface.physical_sizes[0]) / cols]  # fmt: skip
+        answer = {
+            "format": str(reader.format()),
+            "unit": None if surface.unit is None else str(surface.unit),
+            "pixel": stated,
+            "channel": str(channel.name),
+            "other_channels": [str(other.name) for other in reader.channels if other.name != channel.name],
+            **_said(dict(surface.info)),
+        }
+    return answer, heights.T
+
+
+def _tiff(request: dict[str, Any]) -> tuple[dict[str, Any], np.ndarray[Any, Any]]:
+    import tifffile  # noqa: PLC0415
+
+    size = Path(request["path"]).stat().st_size
+    with tifffile.TiffFile(request["path"]) as file:
+        if len(file.pages) != 1:
+            raise Unsuitable(f"{len(file.pages)} pages; save the heights as a file of their own")
+        page = file.pages[0]
+        _check_page(page, size)
+        description = str(getattr(page, "description", ""))
+        return {"description": description}, page.asarray()
+
+
+def _check_page(page: Any, size: int) -> None:  # noqa: ANN401 - tifffile's own type
+    if page.dtype is None or page.dtype.kind not in "iuf" or page.dtype.itemsize < 2 or len(page.shape) != 2:
+        raise Unsuitable(f"numbers of type {page.dtype}, shape {page.shape}; one channel of 16 bits or more")
+    if page.shape[0] * page.shape[1] > MAX_POINTS:
+        raise Unsuitable(f"claims {page.shape[0]} × {page.shape[1]} points")
+    places = list(zip(page.dataoffsets, page.databytecounts, strict=True))
+    if not places or any(start <= 0 or count <= 0 or start + count > size for start, count in places):
+        raise Unsuitable("image data missing or beyond the end of the file; it is truncated or damaged")
+    if page.compression == 1 and sum(count for _, count in places) < page.nbytes:
+        raise Unsuitable("fewer image data than its dimensions need; it is truncated or damaged")
+
+
+def _png(request: dict[str, Any]) -> tuple[dict[str, Any], np.ndarray[Any, Any]]:
+    import cv2  # noqa: PLC0415
+
+    raw = cv2.imdecode(np.fromfile(request["path"], np.uint8), cv2.IMREAD_UNCHANGED)
+    if raw is None or raw.ndim != 2 or raw.dtype != np.uint16:
+        raise Unsuitable("no grey picture of 16 bits")
+    return {}, raw
+
+
+DECODERS = {"library": _library, "tiff": _tiff, "png": _png}
+
+
+def _limit(request: dict[str, Any]) -> None:
+    """Memory above what is in use now, and seconds, after which the kernel stops this process."""
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    wanted = pages * resource.getpagesize() + int(request["memory_bytes"])
+    hard = resource.getrlimit(resource.RLIMIT_AS)[1]
+    resource.setrlimit(
+        resource.RLIMIT_AS, (wanted if hard == resource.RLIM_INFINITY else min(wanted, hard), hard)
+    )
+    signal.alarm(int(request["seconds"]) + 1)
+
+
+def _serve(request: dict[str, Any]) -> dict[str, Any]:
+    """Decode one file into the npy file that the request names; every failure becomes a text."""
+    try:
+        if request.get("prepare"):
+            return {"reader": _prepare(request["kind"])}
+        _limit(request)
+        answer, raw = DECODERS[request["kind"]](request)
+        np.save(request["out"], raw, allow_pickle=False)
+    except Unsuitable as error:
+        return {"error": str(error)}
+    except MemoryError:
+        return {"error": "takes more memory than a file of its size should"}
+    except BaseException as error:  # noqa: BLE001 - a decoder may raise anything on a damaged file
+        text = " ".join(str(error).split())[:160]
+        return {"error": f"{type(error).__name__}: {text}" if text else type(error).__name__}
+    else:
+        return answer
+    finally:
+        signal.alarm(0)
+        hard = resource.getrlimit(resource.RLIMIT_AS)[1]
+        resource.setrlimit(resource.RLIMIT_AS, (hard, hard))
+
+
+def main() -> None:
+    """Answer requests until standard input ends."""
+    warnings.simplefilter("ignore")
+    logging.disable(logging.CRITICAL)
+    with os.fdopen(int(sys.argv[1]), "w", encoding="utf-8") as answers:
+        for line in sys.stdin:
+            answers.write(json.dumps(_serve(json.loads(line))) + "\n")
+            answers.flush()
+
+
+if __name__ == "__main__":
+    main()

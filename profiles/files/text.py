@@ -1,0 +1,245 @@
+"""Height maps as text: matrices of heights, and lists of points x y z.
+
+A text file says neither its pixel size nor its unit, and three columns may be a narrow matrix or a list of
+points. What cannot be told from the file is asked for by an error, never guessed.
+"""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from anisoscope.errors import HeightMapError
+from anisoscope.profiles.files.checks import check_claim, checked_map, refuse
+from anisoscope.profiles.files.content import scaled
+from anisoscope.profiles.files.points import points_to_map
+from anisoscope.profiles.files.units import Layout, micrometres_per, require_pixel
+from anisoscope.profiles.heightmap import FloatArray, HeightMap
+
+MISSING = {"", "-", "--", "***", "nan", "na", "n/a", "null", "bad"}
+HEADER = re.compile(r"\W*x", re.IGNORECASE)
+COMMENT = ("#", "%", "//")
+PIXEL_NOTE = re.compile(r"pixel_um \(y, x\): ([0-9.eE+-]+), ([0-9.eE+-]+)")
+SIZE_NOTE = re.compile(r"(\d{1,9}) x (\d{1,9}) heights in um")
+MAX_TEXT_BYTES = 2**31
+
+
+@dataclass(frozen=True)
+class Table:
+    """Numbers of a text file: (rows, cols) with NaN where missing, and what stood around them."""
+
+    numbers: FloatArray
+    separator: str
+    decimal: str
+    names: tuple[str, ...]
+    comments: tuple[str, ...]
+
+
+def _content_lines(name: str, path: Path) -> tuple[list[tuple[int, str]], tuple[str, ...]]:
+    """Numbered lines with data, and the comments."""
+    if path.stat().st_size > MAX_TEXT_BYTES:
+        refuse(
+            name, "size", f"{path.stat().st_size} bytes", "text files up to 2 GiB are read; use x3p or npy"
+        )
+    content = path.read_bytes()
+    if b"\0" in content[:4096]:
+        refuse(name, "text", "holds binary data", "this is no text file; give it its own extension")
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = content.decode("latin-1")
+    lines, comments = [], []
+    for number, line in enumerate(text.split("\n"), start=1):
+        bare = line.strip()
+        if bare.startswith(COMMENT):
+            comments.append(bare)
+        elif bare:
+            lines.append((number, line.strip("\r ")))
+    if not lines:
+        refuse(name, "text", "holds no numbers", "a matrix of heights or a list of points x y z is expected")
+    return lines, tuple(comments)
+
+
+def _dialect(name: str, lines: list[tuple[int, str]]) -> tuple[str, str]:
+    """(separator, decimal sign) of the file; an empty separator is white space.
+
+    A comma is the decimal sign where semicolons, tabs or blanks separate. It separates where nothing else
+    does. Where it could be both (``1,5, 2,5``), the file is refused.
+    """
+    sample = [line for _, line in lines[:200]]
+    joined = "\n".join(sample)
+    if ";" in joined:
+        return ";", _decimal(name, lines, joined)
+    if "," not in joined:
+        return ("\t" if any("\t" in line for line in sample) else ""), "."
+    if re.search(r"\d,\d", joined) and not re.search(r"\d\.\d", joined):
+        cells = [cell for line in sample for cell in line.split()]
+        if all(len(line.split()) > 1 for line in sample) and all(cell.count(",") <= 1 for cell in cells):
+            if any(cell.endswith(",") or cell.startswith(",") for cell in cells):
+                return _confused(name, lines)
+            return ("\t" if all("\t" in line for line in sample) else ""), ","
+    if re.search(r"\d,\d+, ", joined):
+        return _confused(name, lines) if not re.search(r"\d\.\d", joined) else (",", ".")
+    return ",", "."
+
+
+def _confused(name: str, lines: list[tuple[int, str]]) -> tuple[str, str]:
+    return refuse(
+        name,
+        f"line {lines[0][0]}",
+        repr(lines[0][1][:40]),
+        "the comma may be decimal sign or separator; separate the numbers with semicolons",
+    )
+
+
+def _decimal(name: str, lines: list[tuple[int, str]], joined: str) -> str:
+    comma, point = re.search(r"\d,\d", joined), re.search(r"\d\.\d", joined)
+    if comma and point:
+        refuse(
+            name,
+            f"line {lines[0][0]}",
+            repr(lines[0][1][:40]),
+            "both , and . appear in numbers; use one of them",
+        )
+    return "," if comma else "."
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    cells = [cell.strip() for cell in line.split(separator)] if separator else line.split()
+    if len(cells) > 1 and separator and not cells[-1]:
+        cells.pop()  # a separator at the end of the line, as many programs write it
+    return cells
+
+
+def _row(name: str, number: int, cells: list[str], decimal: str) -> list[float]:
+    row = []
+    for cell in cells:
+        try:
+            row.append(float(cell if decimal == "." else cell.replace(",", ".")))
+        except ValueError:
+            if cell.lower().strip('"') not in MISSING:
+                refuse(name, f"line {number}", f"{cell[:40]!r} is no number", "this is no height map as text")
+            row.append(np.nan)
+    return row
+
+
+def read_table(path: Path) -> Table:
+    """Read the numbers of a text file.
+
+    Returns:
+        (rows, cols) numbers, NaN where a cell is empty, ``nan``, ``***``, ``-`` and the like.
+
+    Raises:
+        HeightMapError: a cell is no number, or the lines differ in length; with line number and text.
+    """
+    name = path.name
+    lines, comments = _content_lines(name, path)
+    names: tuple[str, ...] = ()
+    separator, decimal = _dialect(name, (lines[1:] or lines) if HEADER.match(lines[0][1]) else lines)
+    first = tuple(cell.strip('"').lower() for cell in _cells(lines[0][1], separator))
+    if [cell[:1] for cell in first] == ["x", "y", "z"]:
+        names, lines = first, lines[1:]
+    rows: list[list[float]] = []
+    for number, line in lines:
+        row = _row(name, number, _cells(line, separator), decimal)
+        if rows and len(row) != len(rows[0]):
+            refuse(
+                name, f"line {number}", f"{len(row)} numbers instead of {len(rows[0])} ({line[:40]!r})",
+                "all lines need the same number of columns",
+            )  # fmt: skip
+        rows.append(row)
+    if not rows:
+        refuse(name, "text", "holds no numbers", "a matrix of heights or a list of points x y z is expected")
+    numbers = np.array(rows, dtype=np.float64)
+    numbers[~np.isfinite(numbers)] = np.nan
+    return Table(numbers, separator, decimal, names, comments)
+
+
+def _is_point_list(name: str, table: Table, layout: Layout, pixel_um: tuple[float, float] | None) -> bool:
+    three = table.numbers.shape[1] == 3
+    if layout == "xyz" and not three:
+        refuse(name, "columns", table.numbers.shape[1], "a list of points has three columns x y z")
+    if layout != "auto" or not three:
+        return layout == "xyz"
+    if table.names and pixel_um is None:
+        return True
+    return refuse(
+        name,
+        "layout",
+        "three columns may be a list of points x y z or a matrix",
+        "say which with --layout xyz or --layout matrix (layout= in Python), or name the file .xyz",
+    )
+
+
+def _noted_pixel(table: Table) -> tuple[float, float] | None:
+    """Pixel size (y, x) in µm that our own writer left in a comment."""
+    found = PIXEL_NOTE.search("\n".join(table.comments))
+    try:
+        return (float(found[1]), float(found[2])) if found else None
+    except ValueError:
+        return None
+
+
+def _check_noted_size(name: str, table: Table) -> None:
+    """Compare the size that our own writer noted: a text cut at the end of a line looks whole."""
+    noted = SIZE_NOTE.search("\n".join(table.comments))
+    if noted and (int(noted[1]), int(noted[2])) != table.numbers.shape:
+        found = f"{table.numbers.shape[0]} × {table.numbers.shape[1]} heights"
+        refuse(name, "size", f"{found} where {noted[1]} × {noted[2]} are noted", "the file is truncated")
+
+
+def read_text(
+    path: Path | str,
+    *,
+    pixel_um: tuple[float, float] | None = None,
+    z_unit: str = "um",
+    xy_unit: str | None = None,
+    layout: Layout = "auto",
+) -> HeightMap:
+    """Read a matrix of heights (rows along y, as in the file), or a list of points x y z.
+
+    Args:
+        path: text file; numbers separated by white space, semicolons or commas.
+        pixel_um: (y, x) pixel size in µm; needed for a matrix.
+        z_unit: unit of the heights: um, nm, mm or m.
+        xy_unit: unit of x and y of a list of points; the unit of the heights where it is not given.
+        layout: "matrix", "xyz", or "auto", which refuses a file that could be either.
+
+    Raises:
+        HeightMapError: no numbers, an ambiguous file, a missing pixel size, or implausible values.
+    """
+    path = Path(path)
+    name = path.name
+    factor = micrometres_per(z_unit)
+    table = read_table(path)
+    if layout == "auto" and path.suffix.lower() == ".xyz":
+        layout = "xyz"
+    if _is_point_list(name, table, layout, pixel_um):
+        if pixel_um is not None:
+            refuse(name, "pixel size", pixel_um, "a list of points brings its own; leave the pixel size out")
+        lateral = micrometres_per(xy_unit or z_unit)
+        origin = {"format": "text points", "z_unit": z_unit, "xy_unit": xy_unit or z_unit}
+        return points_to_map(name, table.numbers * [lateral, lateral, factor], origin)
+    check_claim(name, table.numbers.shape[0], table.numbers.shape[1], 0, 0)
+    _check_noted_size(name, table)
+    pixel = require_pixel(name, pixel_um or _noted_pixel(table))
+    origin = {"format": "text matrix", "z_unit": z_unit}
+    return checked_map(name, scaled(table.numbers, factor), pixel, origin)
+
+
+def write_text(surface: HeightMap, path: Path | str) -> None:
+    """Write the heights in µm as a comma-separated matrix, every float64 exactly, missing points empty.
+
+    A comment in the first line notes size and pixel size; :func:`read_text` finds them there.
+
+    Raises:
+        HeightMapError: the file cannot be written.
+    """
+    pixel = f"pixel_um (y, x): {surface.pixel_y_um!r}, {surface.pixel_x_um!r}"
+    head = f"# {surface.shape[0]} x {surface.shape[1]} heights in um, rows along y; {pixel}"
+    rows = (",".join(repr(z) if z - z == 0 else "nan" for z in row) for row in surface.height_um.tolist())
+    try:
+        Path(path).write_text("\n".join((head, *rows)) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise HeightMapError(f"{path}: cannot be written ({error.strerror})") from None

@@ -1,0 +1,190 @@
+"""Write x3p files: ISO 25178-72 (formerly ISO 5436-2).
+
+Heights are stored as float64 metres. Metres cannot hold every float64 number of µm, so the writer picks, of
+the neighbours of z · 10⁻⁶, the one that reads back as z where there is one. Where there is none, metres read
+back 1 unit in the last place off; those units go into an entry of our own, ``anisoscope/ulps.bin``, which
+other programs ignore and :func:`~anisoscope.profiles.files.x3p.read_x3p` adds. Pixel sizes are decimal text.
+"""
+
+import hashlib
+import io
+import zipfile
+from datetime import UTC, datetime
+from decimal import Decimal
+from pathlib import Path
+from typing import Any
+from xml.sax.saxutils import escape  # escapes our own text; nothing is parsed
+
+import numpy as np
+
+from anisoscope.errors import HeightMapError
+from anisoscope.profiles.heightmap import FloatArray, HeightMap
+
+NAMESPACE = "http://www.opengps.eu/2008/ISO5436_2"
+ULPS = "anisoscope/ulps.bin"
+ENTRY_DATE = (1980, 1, 1, 0, 0, 0)
+
+
+def to_metres(height_um: FloatArray) -> FloatArray:
+    """Metres that read back (times 10⁶) as the given µm, bit for bit where float64 allows it."""
+    metres: FloatArray = height_um / 1e6
+    for toward in (np.inf, -np.inf):
+        wrong = metres * 1e6 != height_um
+        neighbour = np.nextafter(metres[wrong], toward)
+        metres[wrong] = np.where(neighbour * 1e6 == height_um[wrong], neighbour, metres[wrong])
+    return metres
+
+
+def _known(metres: FloatArray) -> FloatArray:
+    return np.where(np.isfinite(metres), metres, 0.0)
+
+
+def ulps_entry(height_um: FloatArray, metres: FloatArray, digest: bytes) -> dict[str, bytes]:
+    """What :func:`add_ulps` needs: checksum of the data, and for each height int8 units in the last place."""
+    read_back, wanted = _known(metres) * 1e6, _known(height_um)
+    ulps = wanted.view(np.int64) - read_back.view(np.int64)
+    ulps[np.abs(ulps) > 127] = 0
+    return {ULPS: digest + ulps.astype(np.int8).tobytes()} if ulps.any() else {}
+
+
+def add_ulps(height_um: FloatArray, entry: bytes, digest: bytes) -> None:
+    """Add the units in the last place to heights just read, in place, if they belong to these data."""
+    if len(entry) == 16 + height_um.size and entry[:16] == digest:
+        bits = height_um.view(np.int64)
+        bits += np.frombuffer(entry, np.int8, height_um.size, 16).reshape(height_um.shape)
+
+
+def listed_digest(metres: FloatArray) -> bytes:
+    """Checksum of heights that stand in ``main.xml``."""
+    return hashlib.md5(_known(metres).tobytes(), usedforsecurity=False).digest()
+
+
+def _element(tag: str, *content: str) -> str:
+    return f"<{tag}>{''.join(content)}</{tag}>"
+
+
+def _text(tag: str, value: object) -> str:
+    printable = "".join(letter if letter.isprintable() else " " for letter in str(value))
+    return _element(tag, escape(" ".join(printable.split())))
+
+
+def _axes(surface: HeightMap) -> str:
+    def incremental(key: str, pixel_um: float) -> str:
+        step = Decimal(repr(float(pixel_um))).scaleb(-6)
+        return _element(
+            key,
+            _text("AxisType", "I"),
+            _text("DataType", "D"),
+            _text("Increment", f"{step:E}"),
+            _text("Offset", 0),
+        )
+
+    height = _element("CZ", _text("AxisType", "A"), _text("DataType", "D"))
+    return _element(
+        "Axes", incremental("CX", surface.pixel_x_um), incremental("CY", surface.pixel_y_um), height
+    )
+
+
+def _date(text: object) -> str:
+    try:
+        return datetime.fromisoformat(str(text)).isoformat()
+    except ValueError:
+        return datetime.now(UTC).replace(microsecond=0).isoformat()
+
+
+def _record2(origin: dict[str, Any]) -> str:
+    given = origin.get("instrument")
+    instrument = given if isinstance(given, dict) else {}
+    date = _date(origin.get("date"))
+    return _element(
+        "Record2",
+        _text("Date", date),
+        _element(
+            "Instrument",
+            _text("Manufacturer", instrument.get("manufacturer", "anisoscope")),
+            _text("Model", instrument.get("model", "not available")),
+            _text("Serial", instrument.get("serial", "not available")),
+            _text("Version", instrument.get("version", "not available")),
+        ),
+        _text("CalibrationDate", date),
+        _element("ProbingSystem", _text("Type", "Software"), _text("Identification", "not available")),
+        _text("Comment", origin.get("comment", "")),
+    )
+
+
+def _record3(surface: HeightMap, data: str) -> str:
+    rows, cols = surface.shape
+    size = _element("MatrixDimension", _text("SizeX", cols), _text("SizeY", rows), _text("SizeZ", 1))
+    return _element("Record3", size, data)
+
+
+def _md5(content: bytes) -> str:
+    return hashlib.md5(content, usedforsecurity=False).hexdigest()
+
+
+def _linked(metres: FloatArray) -> tuple[str, dict[str, bytes]]:
+    """Reference to binary data, and the entries that it points to."""
+    valid = np.isfinite(metres)
+    points = metres.astype("<f8").tobytes()
+    mask = np.packbits(valid.ravel(), bitorder="little").tobytes()
+    link = _element(
+        "DataLink",
+        _text("PointDataLink", "bindata/data.bin"),
+        _text("MD5ChecksumPointData", _md5(points).upper()),
+        *([] if valid.all() else [_text("ValidPointsLink", "bindata/valid.bin")]),
+        *([] if valid.all() else [_text("MD5ChecksumValidPoints", _md5(mask).upper())]),
+    )
+    return link, {"bindata/data.bin": points} | ({} if valid.all() else {"bindata/valid.bin": mask})
+
+
+def _listed(metres: FloatArray) -> tuple[str, dict[str, bytes]]:
+    """The heights as numbers in the document; a missing point is an empty element."""
+    texts = np.where(np.isfinite(metres), metres, 0.0).ravel().tolist()
+    known = np.isfinite(metres).ravel().tolist()
+    datums = (_text("Datum", repr(z) if valid else "") for z, valid in zip(texts, known, strict=True))
+    return _element("DataList", *datums), {}
+
+
+def write_x3p(surface: HeightMap, path: Path | str, *, text: bool = False) -> None:
+    """Write a map, (rows, cols) in µm, as x3p; missing points are NaN and marked in the validity mask.
+
+    Args:
+        surface: the map; ``instrument``, ``date`` and ``comment`` of its origin go into the file.
+        path: file to write.
+        text: put the heights into ``main.xml`` as a list of numbers instead of binary data.
+
+    Raises:
+        HeightMapError: the file cannot be written.
+    """
+    metres = to_metres(surface.height_um)
+    data, entries = (_listed if text else _linked)(metres)
+    digest = listed_digest(metres) if text else bytes.fromhex(_md5(entries["bindata/data.bin"]))
+    entries |= ulps_entry(surface.height_um, metres, digest)
+    document = (
+        '<?xml version="1.0" encoding="UTF-8"?>\n'
+        f'<p:ISO5436_2 xmlns:p="{NAMESPACE}" xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance" '
+        f'xsi:schemaLocation="{NAMESPACE} {NAMESPACE}/ISO5436_2.xsd">\n'
+        + "\n".join(
+            (
+                _element(
+                    "Record1",
+                    _text("Revision", "ISO5436 - 2000"),
+                    _text("FeatureType", "SUR"),
+                    _axes(surface),
+                ),
+                _record2(surface.origin),
+                _record3(surface, data),
+                _element("Record4", _text("ChecksumFile", "md5checksum.hex")),
+            )
+        )
+        + "\n</p:ISO5436_2>\n"
+    ).encode()
+    entries = {"main.xml": document, "md5checksum.hex": f"{_md5(document)} *main.xml\n".encode(), **entries}
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in entries.items():
+            archive.writestr(zipfile.ZipInfo(name, ENTRY_DATE), content, zipfile.ZIP_DEFLATED)
+    try:
+        Path(path).write_bytes(packed.getvalue())
+    except OSError as error:
+        raise HeightMapError(f"{path}: cannot be written ({error.strerror})") from None

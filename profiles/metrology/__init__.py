@@ -1,0 +1,1 @@
+"""Ridges measured on a height map: pitch, angles, heights, edges, roughness, burrs."""

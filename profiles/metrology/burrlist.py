@@ -1,0 +1,126 @@
+"""What stands out of a ridged surface: burrs, spikes and pits."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.profiles.heightmap import FloatArray
+from anisoscope.profiles.metrology.ridgekernels import Mask
+
+Kind = Literal["burr", "spike", "pit"]
+OUTLINE = 3.5
+PEAK = 6.0
+SPIKE_POINTS = 4
+MARGIN = 3
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """A place that stands out of the ridges.
+
+    Attributes:
+        kind: "burr" (raised) or "pit" (sunken) of more than four points, or "spike" of fewer, up or down.
+        x_um: position of its centre.
+        y_um: position of its centre.
+        height_um: largest height over the ridge, below 0 for what is sunken.
+        area_um2: area above the outline, 3.5 standard deviations of the surface.
+        volume_um3: volume between it and the ridge within that area.
+        points: measured points within that area.
+    """
+
+    kind: Kind
+    x_um: float
+    y_um: float
+    height_um: float
+    area_um2: float
+    volume_um3: float
+    points: int
+
+
+def limits(
+    sigma_um: float, spread_um: FloatArray, height_um: FloatArray, inside: Mask, *, resolved: bool
+) -> tuple[FloatArray, FloatArray]:
+    """(bins,) outline and least peak height of what stands out.
+
+    Off the facets the spread about the median ridge counts. Where walls are not resolved, one that stands a little
+    aside makes large differences, and the height range of the median ridge within a bin is added; where they are, what
+    straight lines between bins make of a corner.
+
+    Args:
+        sigma_um: standard deviation of the facets about their planes.
+        spread_um: (bins,) spread about the median ridge.
+        height_um: (bins,) median ridge.
+        inside: (bins,) whether the bin lies on the facet.
+        resolved: whether walls are wider than about two pixels.
+    """
+    near = np.stack([np.roll(height_um, k) for k in (-1, 0, 1)])
+    kink = 0.25 * np.abs(near[0] - 2.0 * near[1] + near[2])
+    corner = np.max([np.roll(kink, k) for k in (-1, 0, 1)], axis=0)
+    jump = np.where(inside, 0.0, corner if resolved else np.ptp(near, axis=0))
+    sigma = np.where(inside, sigma_um, np.maximum(sigma_um, spread_um))
+    return OUTLINE * sigma + jump, PEAK * sigma + jump
+
+
+def find_outliers(
+    above_um: FloatArray,
+    place: npt.NDArray[np.int16],
+    outline_um: FloatArray,
+    peak_um: FloatArray,
+    pixel_um: tuple[float, float],
+) -> tuple[tuple[Outlier, ...], Mask]:
+    """List what stands out, largest volume first, and mask it with a margin.
+
+    Points beyond the outline, of one sign, with gaps of four pixels at most, count together if one of them reaches the
+    least peak height of its place. The gaps are for burrs that lie across a wall, where the outline is higher.
+
+    Args:
+        above_um: (rows, cols) height over the ridge, NaN where unknown.
+        place: (rows, cols) bin of the folded ridge.
+        outline_um: (bins,) height from which a point may belong to something.
+        peak_um: (bins,) least peak height.
+        pixel_um: (y, x).
+
+    Returns:
+        The list; and (rows, cols) the points of everything listed, with a margin of three pixels around burrs and
+        pits, whose flanks lie below the outline, and of one around spikes.
+    """
+    import cv2  # noqa: PLC0415 - slow to import
+
+    found: list[Outlier] = []
+    outline = outline_um[place]
+    large, small = (np.zeros(above_um.shape, dtype=np.uint8) for _ in range(2))
+    for sign in (1.0, -1.0):
+        beyond = (sign * above_um > outline).astype(np.uint8)
+        where = np.flatnonzero(beyond)
+        if where.size == 0:
+            continue
+        near = cv2.dilate(beyond, np.ones((5, 5), dtype=np.uint8))
+        labels = cv2.connectedComponents(near, connectivity=8, ltype=cv2.CV_32S)[1].ravel()[where]
+        order = np.argsort(labels, kind="stable")
+        where, labels = where[order], labels[order]
+        starts = np.flatnonzero(np.diff(labels, prepend=-1))
+        height = sign * above_um.ravel()[where]
+        peak = np.maximum.reduceat(height, starts)
+        listed = np.maximum.reduceat(height / peak_um[place.ravel()[where]], starts) >= 1.0
+        count = np.diff(np.append(starts, labels.size))
+        volume = np.add.reduceat(height, starts)
+        i, j = np.divmod(where, above_um.shape[1])
+        y, x = np.add.reduceat(i, starts) / count, np.add.reduceat(j, starts) / count
+        for target, of in ((large, count > SPIKE_POINTS), (small, count <= SPIKE_POINTS)):
+            target.ravel()[where[np.repeat(listed & of, count)]] = 1
+        area = pixel_um[0] * pixel_um[1]
+        for k in np.flatnonzero(listed).tolist():
+            raised: Kind = "burr" if sign > 0 else "pit"
+            kind: Kind = "spike" if count[k] <= SPIKE_POINTS else raised
+            found.append(
+                Outlier(
+                    kind, float(x[k] * pixel_um[1]), float(y[k] * pixel_um[0]), float(sign * peak[k]),
+                    float(count[k] * area), float(sign * volume[k] * area), int(count[k]),
+                )
+            )  # fmt: skip
+    found.sort(key=lambda one: -abs(one.volume_um3))
+    wide = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * MARGIN + 1, 2 * MARGIN + 1))
+    out = (cv2.dilate(large, wide) > 0) | (cv2.dilate(small, np.ones((3, 3), dtype=np.uint8)) > 0)
+    return tuple(found), out

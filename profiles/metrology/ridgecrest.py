@@ -1,0 +1,245 @@
+"""Wall and crest of the ridges: wall angle, height, what is missing of it, and how round the edge is."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from anisoscope.profiles.heightmap import FloatArray
+from anisoscope.profiles.metrology.quantity import Quantity, jackknife
+
+CORE = (0.2, 0.8)
+RESOLVED_PIXELS = 2.0
+REACH = 0.4
+SEARCH = 25
+LEAST_FILL = 0.05
+POSITION_PIXELS = 0.03
+CLEARLY = 0.8
+LEAST_WEIGHT = 0.15
+
+
+@dataclass(frozen=True)
+class Crest:
+    """What the walls and crests are like.
+
+    Attributes:
+        wall_angle_deg: against the plane of the surface; a lower bound where the wall is narrower than two pixels.
+        wall_width_um: horizontal width of the wall as seen, at most a pixel too wide.
+        height_um: from foot to crest, as it is.
+        full_height_um: from where facet and wall meet below to where they would meet above.
+        height_loss: share of the full height that is missing at the crest.
+        edge_radius_um: radius of the crest; an upper bound where it is not clear of the pixels, empty on a plateau.
+        plateau: whether a level top fits the crest better than a round one.
+    """
+
+    wall_angle_deg: Quantity
+    wall_width_um: float
+    height_um: Quantity
+    full_height_um: Quantity
+    height_loss: Quantity
+    edge_radius_um: Quantity
+    plateau: bool
+
+
+@dataclass(frozen=True)
+class Line:
+    """The mean facet in the profile about a wall: its height at the wall and its slope (below 0), in µm."""
+
+    height: float
+    slope: float
+
+    def at(self, x: FloatArray) -> FloatArray:
+        """Heights at x µm from the wall."""
+        return self.height + self.slope * x
+
+
+def mean_profile(parts: FloatArray, pitch_um: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Positions x in µm from the wall, heights and numbers of points, from (bins, 3) sums; empty bins dropped."""
+    count = parts[:, 0]
+    use = count > LEAST_FILL * float(np.median(count[count > 0]))
+    return parts[use, 2] / count[use] * pitch_um, parts[use, 1] / count[use], count[use]
+
+
+def core_of_wall(x: FloatArray, height: FloatArray) -> tuple[float, float]:
+    """Positions at which the wall has risen by 20 % and by 80 %."""
+    top = int(np.argmax(height))
+    foot = int(np.argmin(height[: top + 1]))
+    low, high = float(height[foot]), float(height[top])
+    found = []
+    for share in CORE:
+        level = low + share * (high - low)
+        at = foot + int(np.argmax(height[foot : top + 1] >= level))
+        before = max(at - 1, foot)
+        rise = height[at] - height[before]
+        part = (level - height[before]) / rise if rise > 0 else 0.0
+        found.append(float(x[before] + part * (x[at] - x[before])))
+    return found[0], found[1]
+
+
+def _wall_slope(sums: FloatArray) -> tuple[float, float, float]:
+    """Slope of the wall and its middle (x, z), from the sums of all ridges or of all but one."""
+    n, t, tt, z, tz = sums
+    if n < 2:
+        return np.nan, np.nan, np.nan
+    spread = tt - t * t / n
+    return (tz - t * z / n) / spread if spread > 0 else np.nan, t / n, z / n
+
+
+def _plateau(
+    x: FloatArray, height: FloatArray, count: FloatArray, line: Line, vertex: float
+) -> tuple[float, float]:
+    """Height of the level top that fits best, and the sum of squares left; the top is not above the vertex."""
+    low, high = line.height + line.slope * REACH * 2.5 * float(x[-1]), float(line.at(np.array(vertex)))
+    expected = line.at(x)
+    left = np.empty(SEARCH)
+    tops = np.linspace(high, low, SEARCH)
+    for _ in range(3):
+        tops = np.linspace(high, low, SEARCH)  # from above: of equally good tops the highest counts
+        left = np.square(height - np.minimum(expected, tops[:, None])) @ count
+        best = int(np.argmin(left))
+        high, low = float(tops[max(best - 1, 0)]), float(tops[min(best + 1, SEARCH - 1)])
+    best = int(np.argmin(left))
+    return float(tops[best]), float(left[best])
+
+
+def _arc(
+    x: FloatArray, height: FloatArray, count: FloatArray, line: Line, vertex: float, wall: float
+) -> tuple[float, float, float]:
+    """Radius of the round crest that fits best, its highest point, and the sum of squares left.
+
+    The arc touches the facet and the wall, whose angle is ``wall`` (radians).
+    """
+    facet = float(np.arctan(-line.slope))
+    half = 0.5 * (np.pi - facet - wall)
+    low, high = 0.0, 0.9 * float(x[-1]) * float(np.tan(half)) / float(np.cos(facet))
+    expected = line.at(x)
+    radii, left = np.zeros(SEARCH), np.zeros(SEARCH)
+    for _ in range(3):
+        radii = np.linspace(low, high, SEARCH)
+        reach = radii / np.tan(half)
+        touch_x = vertex + reach * np.cos(facet)
+        centre_x = touch_x - radii * np.sin(facet)
+        centre_z = line.at(touch_x) - radii * np.cos(facet)
+        inside = np.square(radii)[:, None] - np.square(x - centre_x[:, None])
+        arc = centre_z[:, None] + np.sqrt(np.maximum(inside, 0.0))
+        model = np.where((x < touch_x[:, None]) & (inside > 0), np.minimum(arc, expected), expected)
+        left = np.square(height - model) @ count
+        best = int(np.argmin(left))
+        low, high = float(radii[max(best - 1, 0)]), float(radii[min(best + 1, SEARCH - 1)])
+    best = int(np.argmin(left))
+    radius = float(radii[best])
+    vertex_z = float(line.at(np.array(vertex)))
+    reach = radius / np.tan(half)
+    top = vertex_z + line.slope * reach * np.cos(facet) - radius * np.cos(facet) + radius
+    return radius, float(min(top, vertex_z)), float(left[best])
+
+
+@dataclass(frozen=True)
+class _Wall:
+    """The wall as first seen: where it has risen by 20 % and 80 %, and whether its slope can be measured."""
+
+    low: float
+    high: float
+    rise: float
+    resolved: bool
+
+    @property
+    def width(self) -> float:
+        return (self.high - self.low) / (CORE[1] - CORE[0])
+
+
+def _estimate(total: FloatArray, line: Line, wall: _Wall, pitch: float, step: float) -> FloatArray:
+    """(5,) inclination of the wall in degrees, full height, height loss, radius, 1 for a plateau; from joined sums."""
+    x, height, count = mean_profile(total[:-5].reshape(-1, 3), pitch)
+    straight = (x > 0.5 * REACH * pitch) & (x < REACH * pitch)
+    # all points count here, in the line of the folded medians only the middle ones
+    offset = float(np.average(height[straight] - line.at(x[straight]), weights=count[straight]))
+    slope, at, z = _wall_slope(total[-5:])
+    height, z = height - offset, z - offset
+    vertex, inclination = 0.5 * (wall.low + wall.high) + 0.25 * wall.width, 0.5 * np.pi
+    full = -pitch * line.slope * (1.0 - 0.5 * wall.width / pitch)
+    if wall.resolved and np.isfinite(slope) and slope > 0:
+        vertex, inclination = (
+            at + (float(line.at(np.array(at))) - z) / (slope - line.slope),
+            float(np.arctan(slope)),
+        )
+        full = pitch / (1.0 / np.tan(inclination) - 1.0 / line.slope)
+    near = (x > (vertex + 0.3 * step if wall.resolved else wall.high + 0.5 * step)) & (x < REACH * pitch)
+    data = x[near], height[near], count[near]
+    sharp = float(np.square(data[1] - line.at(data[0])) @ data[2])
+    top, left = _plateau(*data, line, vertex)
+    radius, round_top, round_left = _arc(*data, line, vertex, inclination)
+    if min(left, round_left) > CLEARLY * sharp:  # within the first pixel beside the edge anything fits
+        return np.array([np.degrees(inclination), full, 0.0, 0.0, 0.0])
+    flat = left < round_left
+    missing = float(line.at(np.array(vertex))) - (top if flat else round_top)
+    return np.array([np.degrees(inclination), full, max(missing, 0.0) / full, radius, float(flat)])
+
+
+def measure_crest(
+    parts: FloatArray, walls: FloatArray, line: Line, angle: Quantity, pitch: Quantity, step_um: float
+) -> Crest:
+    """Wall and crest from the profiles of all ridges about their walls.
+
+    With facets at θ and walls at ψ, the full height is p/(cot θ + cot ψ). The wall's slope is that of the regression
+    of height on position between 20 % and 80 % of its height. Where the wall is narrower than two pixels it may be
+    anything between upright and what is seen. The crest is fitted twice, cut level and rounded; the better one
+    counts, if it leaves clearly less than a sharp edge does.
+
+    Args:
+        parts: (ridges, bins, 3) from ``profile_sums``.
+        walls: (ridges, 5) from ``wall_sums``, between the positions of ``core_of_wall``.
+        line: the mean facet, beside the crest.
+        angle: ridge angle in degrees.
+        pitch: in µm.
+        step_um: pixel across the ridges.
+    """
+    assert pitch.value is not None
+    x, height, _ = mean_profile(parts.sum(axis=0), pitch.value)
+    low, high = core_of_wall(x, height)
+    resolved = (high - low) / (CORE[1] - CORE[0]) > RESOLVED_PIXELS * step_um
+    resolved = bool(resolved and np.isfinite(_wall_slope(walls.sum(axis=0))[0]))
+    wall = _Wall(low, high, float(height.max() - height.min()), resolved)
+    joined = np.concatenate([parts.reshape(parts.shape[0], -1), walls], axis=1)
+    weight = parts[..., 0].sum(axis=1)
+    use = weight > LEAST_WEIGHT * weight.max()
+    p = pitch.value
+    value, u = jackknife(joined[use], lambda total: _estimate(total, line, wall, p, step_um), weight[use])
+    return _crest(value, u, wall, angle, pitch, step_um)
+
+
+def _crest(
+    value: FloatArray, u: FloatArray, wall: _Wall, angle: Quantity, pitch: Quantity, step: float
+) -> Crest:
+    """The crest with the uncertainties that the ridges do not show between them."""
+    assert angle.value is not None
+    assert angle.u is not None
+    assert pitch.value is not None
+    assert pitch.u is not None
+    p, theta, psi = pitch.value, np.radians(angle.value), np.radians(value[0])
+    # what the positions of the walls, known to some hundredths of a pixel, leave open of their width
+    blur = np.degrees(0.5 * np.sin(2.0 * psi)) * POSITION_PIXELS * step / max(wall.width, step)
+    u_wall = float(np.hypot(u[0], blur))
+    inclination = Quantity(float(value[0]), u_wall)
+    hidden = 0.0 if wall.resolved else wall.width / np.sqrt(12.0)
+    full, loss = float(value[1]), float(value[2])
+    by_angle = full * np.radians(angle.u) / (np.sin(theta) * np.cos(theta))
+    by_wall = full**2 / p / np.sin(psi) ** 2 * np.radians(u_wall) if wall.resolved else hidden * np.tan(theta)
+    u_full = float(np.sqrt(by_angle**2 + by_wall**2 + (full * pitch.u / p) ** 2))
+    u_loss = float(np.hypot(u[2], np.hypot(step / np.sqrt(12.0 if loss > 0 else 3.0), 0.5 * hidden) / p))
+    if not wall.resolved:
+        inclination = Quantity(None, at_least=float(np.degrees(np.arctan2(wall.rise, wall.width))))
+    flat = bool(value[4] > 0.5) and loss > 2.0 * u_loss
+    actual = Quantity((1.0 - loss) * full, float(np.hypot((1.0 - loss) * u_full, full * u_loss)))
+    radius = _radius(float(value[3]), float(u[3]), step, plateau=flat)
+    return Crest(
+        inclination, wall.width, actual, Quantity(full, u_full), Quantity(loss, u_loss), radius, flat
+    )
+
+
+def _radius(radius: float, u: float, step_um: float, *, plateau: bool) -> Quantity:
+    if plateau:
+        return Quantity(None)
+    u = float(np.hypot(u, step_um / np.sqrt(3.0)))
+    if radius > RESOLVED_PIXELS * step_um and radius > 3.0 * u:
+        return Quantity(radius, u)
+    return Quantity(None, at_most=max(radius + 2.0 * u, RESOLVED_PIXELS * step_um))

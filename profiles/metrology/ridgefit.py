@@ -1,0 +1,249 @@
+"""Planes through the facets of all ridges: ridge angle, and what differs from ridge to ridge."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from anisoscope.errors import HeightMapError
+from anisoscope.profiles.heightmap import FloatArray
+from anisoscope.profiles.metrology import ridgekernels as kernels
+from anisoscope.profiles.metrology.quantity import Quantity, jackknife, weighted_mean
+from anisoscope.profiles.metrology.ridgefold import Course, Facet, Folded, Grid
+from anisoscope.profiles.metrology.ridgekernels import Frame, Mask
+
+SAMPLES = 60_000
+CLIP = 3.5
+KEPT_VARIANCE = 0.9937  # of a normal distribution, within ±3.5 standard deviations of it
+PASSES = 3
+LEAST_WEIGHT = 0.15
+LEAST_POINTS = 50
+MIN_RIDGES = 3
+
+
+@dataclass(frozen=True)
+class Planes:
+    """Planes of the facets, s across and v along in µm from the middle of the facet and of the map.
+
+    Attributes:
+        planes: (ridges, 3) height in µm, slope across, slope along; NaN for ridges that the map holds too little of.
+        mean: (3,) the mean facet: height, slope across (below 0), 0.
+        sigma_um: (ridges,) standard deviation of the heights about the plane.
+        weight: (ridges,) information on the slope across; 0 for ridges not fitted.
+        points: (ridges,) number of points used.
+        sums: (ridges, tiles, 10) what the planes were fitted to.
+        tilt_across: slope across of the plane through equal places of all ridges.
+        tilt_along: slope along of that plane.
+    """
+
+    planes: FloatArray
+    mean: FloatArray
+    sigma_um: FloatArray
+    weight: FloatArray
+    points: FloatArray
+    sums: FloatArray
+    tilt_across: float
+    tilt_along: float
+
+    @property
+    def fitted(self) -> Mask:
+        """(ridges,) which ridges have a plane."""
+        return self.weight > 0.0
+
+
+def _normal(sums: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(..., 3, 3) and (..., 3) normal equations of planes."""
+    n, s, v, ss, sv, vv, z, zs, zv = np.moveaxis(sums[..., :9], -1, 0)
+    matrix = np.stack([np.stack([n, s, v], -1), np.stack([s, ss, sv], -1), np.stack([v, sv, vv], -1)], -2)
+    return matrix, np.stack([z, zs, zv], -1)
+
+
+def _information(matrix: FloatArray) -> FloatArray:
+    """(...) information on the slope across, after height and slope along have been fitted too."""
+    a = np.stack([matrix[..., 0, 0], matrix[..., 0, 2], matrix[..., 2, 0], matrix[..., 2, 2]], -1)
+    determinant = a[..., 0] * a[..., 3] - a[..., 1] * a[..., 2]
+    x, y = matrix[..., 0, 1], matrix[..., 1, 2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        lost = (a[..., 3] * x * x - 2.0 * a[..., 1] * x * y + a[..., 0] * y * y) / determinant
+        found = matrix[..., 1, 1] - lost
+    return np.where(determinant > 1e-6 * a[..., 0] * a[..., 3], found, 0.0)
+
+
+def _solve(sums: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(..., 3) planes and (...) information; information 0 and NaN planes where nothing can be fitted."""
+    matrix, right = _normal(sums)
+    information = _information(matrix)
+    enough = (information > 1e-9 * matrix[..., 1, 1]) & (matrix[..., 0, 0] >= LEAST_POINTS)
+    planes = np.full(right.shape, np.nan)
+    planes[enough] = np.linalg.solve(matrix[enough], right[enough][..., None])[..., 0]
+    return planes, np.where(enough, information, 0.0)
+
+
+def _start(
+    grid: Grid, frame: Frame, facet: Facet, line: tuple[float, float]
+) -> tuple[FloatArray, FloatArray]:
+    """Planes as steep as the median facet, each at the median height of its ridge; and (ridges,) spread about it."""
+    known = np.flatnonzero(np.isfinite(grid.z) & ~grid.out)
+    known = known[:: max(1, known.size // SAMPLES)]
+    i, j = np.divmod(known, grid.z.shape[1])
+    q = i * frame.qi + j * frame.qj - frame.q0
+    whole = np.floor(q)
+    place = q - whole
+    on = (place >= facet.begin) & (place <= facet.end)
+    above = grid.z.ravel()[known[on]] - line[0] - line[1] * (place[on] - facet.middle) * frame.pitch
+    ridge = whole[on].astype(np.intp) - frame.first
+    planes, spread = np.zeros((frame.ridges, 3)), np.full(frame.ridges, np.inf)
+    planes[:, 1] = line[1]
+    for k in range(frame.ridges):
+        here = above[ridge == k]
+        if here.size:
+            middle = float(np.median(here))
+            planes[k, 0] = line[0] + middle
+            spread[k] = 1.4826 * float(np.median(np.abs(here - middle)))
+    return planes, spread
+
+
+def facet_line(folded: Folded, facet: Facet, pitch_um: float) -> tuple[float, float]:
+    """Height at the middle of the median facet, and its slope across."""
+    place = (np.arange(folded.height_um.size) + folded.shift) / folded.height_um.size
+    on = (place >= facet.begin) & (place <= facet.end)
+    slope, height = np.polyfit((place[on] - facet.middle) * pitch_um, folded.height_um[on], 1)
+    return float(height), float(slope)
+
+
+def fit_planes(
+    grid: Grid, course: Course, facet: Facet, folded: Folded, earlier: Planes | None = None
+) -> Planes:
+    """Least-squares planes through the facets, points beyond 3.5 standard deviations left out.
+
+    Args:
+        grid: levelled heights.
+        course: how the ridges run.
+        facet: where their facets lie.
+        folded: the median ridge.
+        earlier: planes to begin with, if there are some: then one pass does.
+
+    Raises:
+        HeightMapError: fewer than three ridges can be fitted.
+    """
+    frame = course.frame(grid)
+    span = (facet.begin, facet.end)
+    if earlier is None:
+        planes, sigma = _start(grid, frame, facet, facet_line(folded, facet, course.pitch_um))
+    else:
+        planes, sigma = earlier.planes, np.where(earlier.fitted, earlier.sigma_um, np.inf)
+    floor = 1e-6 + 1e-3 * float(np.median(folded.spread_um))
+    sums = np.zeros((frame.ridges, frame.tiles, 10))
+    information, total = np.zeros(frame.ridges), sums[:, 0]
+    for number in range(PASSES) if earlier is None else (PASSES,):
+        clip = np.where(np.isfinite(sigma), np.maximum(sigma, floor), 0.0) * (CLIP if number else CLIP + 1.0)
+        sums = kernels.facet_sums(grid.z, grid.out, frame, span, np.nan_to_num(planes), clip)
+        total = sums.sum(axis=1)
+        planes, information = _solve(total)
+        sigma = _scatter(total, planes)
+    good = information > LEAST_WEIGHT * information.max()
+    if int(good.sum()) < MIN_RIDGES:
+        raise HeightMapError(
+            f"only {int(good.sum())} ridges of this height map have enough measured points on their facets; "
+            f"at least {MIN_RIDGES} are needed"
+        )
+    planes[~good] = np.nan
+    weight = np.where(good, information, 0.0)
+    parts = _across_parts(planes, weight, course.pitch_um)[good]
+    tilt = float(_angle_and_tilt(parts.sum(axis=0))[1])
+    along = float(weight[good] @ planes[good, 2] / weight.sum())
+    mean = np.array(
+        [weighted_mean(planes[good, 0], weight[good]).value, *_mean_slope(planes[good], weight[good])]
+    )
+    return Planes(planes, mean, sigma, weight, total[:, 0], sums, tilt, along)
+
+
+def _mean_slope(planes: FloatArray, weight: FloatArray) -> tuple[float, float]:
+    return float(weight @ planes[:, 1] / weight.sum()), float(weight @ planes[:, 2] / weight.sum())
+
+
+def _scatter(sums: FloatArray, planes: FloatArray) -> FloatArray:
+    """(ridges,) standard deviation about the planes."""
+    matrix, right = _normal(sums)
+    left = sums[:, 9] - 2.0 * np.einsum("ka,ka->k", planes, right)
+    left += np.einsum("ka,kab,kb->k", planes, matrix, planes)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found: FloatArray = np.sqrt(np.maximum(left, 0.0) / sums[:, 0] / KEPT_VARIANCE)
+    return found
+
+
+def _across_parts(planes: FloatArray, weight: FloatArray, pitch_um: float) -> FloatArray:
+    """(ridges, 6) sums from which the mean slope and the tilt across follow."""
+    r = np.arange(weight.size) * pitch_um
+    height, slope = planes[:, 0], planes[:, 1]
+    return np.stack(
+        [weight, weight * r, weight * r * r, weight * height, weight * r * height, weight * slope], axis=1
+    )
+
+
+def _angle_and_tilt(total: FloatArray) -> FloatArray:
+    """(2,) slope of the facets against the plane through equal places of all ridges, and the slope of that plane."""
+    w, r, rr, c, rc, a = total
+    tilt = (w * rc - r * c) / (w * rr - r * r)
+    return np.array([a / w - tilt, tilt])
+
+
+def ridge_angle(planes: Planes, course: Course, removed: float) -> Quantity:
+    """Mean ridge angle in degrees: between facets and the plane through equal places of the ridges.
+
+    Slopes are turned into angles before they are subtracted, with the slope ``removed`` across by levelling put back.
+    Uncertainty: leaving out one ridge after the other, tilt and facets together.
+    """
+    good = planes.fitted
+    parts = _across_parts(planes.planes, planes.weight, course.pitch_um)[good]
+
+    def angle(total: FloatArray) -> FloatArray:
+        slope, tilt = _angle_and_tilt(total)
+        return np.array([_between(slope + tilt, tilt, removed)])
+
+    value, u = jackknife(parts, angle, planes.weight[good], fitted=2)
+    return Quantity(float(value[0]), float(u[0]))
+
+
+def _between(slope: float, tilt: float, removed: float) -> float:
+    """Angle in degrees by which a facet falls against the tilt."""
+    return float(np.degrees(np.arctan(tilt + removed) - np.arctan(slope + removed)))
+
+
+@dataclass(frozen=True)
+class Single:
+    """One ridge by itself: angle in degrees and the step at its wall in µm, each with its uncertainty."""
+
+    angle_deg: Quantity
+    step_um: Quantity
+
+
+def single_ridges(planes: Planes, course: Course, facet: Facet, removed: float) -> list[Single | None]:
+    """Angles and steps of every ridge; uncertainties from the scatter between its tiles.
+
+    The step is the height of the ridge's plane over that of the ridge before it, at the wall between the two.
+    """
+    tiles, information = _solve(planes.sums)
+    information = np.where(information > 0.02 * information.max(), information, 0.0)
+    middle = planes.sums[..., 2] / np.maximum(planes.sums[..., 0], 1.0)
+    height = tiles[..., 0] + tiles[..., 2] * middle
+    above = height - tiles[..., 1] * facet.middle * course.pitch_um
+    below = height + tiles[..., 1] * (1.0 - facet.middle) * course.pitch_um
+    found: list[Single | None] = []
+    for k in range(planes.weight.size):
+        use = information[k] > 0
+        if planes.weight[k] == 0 or int(use.sum()) < 2:
+            found.append(None)
+            continue
+        error = weighted_mean(tiles[k, use, 1], information[k, use]).u
+        angle = _between(float(planes.planes[k, 1]), planes.tilt_across, removed)
+        cosine = float(np.cos(np.radians(angle)))
+        value = Quantity(angle, float(np.degrees(error * cosine**2)) if error is not None else None)
+        found.append(Single(value, _step(above[k], below[k - 1], information[k], information[k - 1], k)))
+    return found
+
+
+def _step(above: FloatArray, below: FloatArray, weight: FloatArray, before: FloatArray, k: int) -> Quantity:
+    use = (weight > 0) & (before > 0)
+    if k == 0 or int(use.sum()) < 2:
+        return Quantity(None)
+    return weighted_mean(above[use] - below[use], np.minimum(weight, before)[use])

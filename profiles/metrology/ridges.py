@@ -1,0 +1,218 @@
+"""Measure the ridges of a height map: pitch, angles, heights, roughness, burrs, each with its uncertainty.
+
+The chain: period and direction from the spectrum (:mod:`.period`), tilt from points whole pitches apart
+(:mod:`.level`), the median ridge (:mod:`.ridgefold`), positions tile by tile (:mod:`.ridgephase`), planes of the facets
+(:mod:`.ridgefit`), what stands out (:mod:`.burrlist`), the same once more without it, then slopes
+(:mod:`.ridgeslopes`) and crest (:mod:`.ridgecrest`). A ridge is the unit that is repeated: uncertainties come from
+how the ridges of the map differ.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.errors import HeightMapError
+from anisoscope.profiles.heightmap import FloatArray, HeightMap
+from anisoscope.profiles.level import periodic_tilt
+from anisoscope.profiles.metrology import ridgekernels as kernels
+from anisoscope.profiles.metrology.burrlist import Outlier, find_outliers, limits
+from anisoscope.profiles.metrology.quantity import Quantity, variation
+from anisoscope.profiles.metrology.ridgecrest import Crest, Line, core_of_wall, mean_profile, measure_crest
+from anisoscope.profiles.metrology.ridgefit import (
+    Planes,
+    Single,
+    facet_line,
+    fit_planes,
+    ridge_angle,
+    single_ridges,
+)
+from anisoscope.profiles.metrology.ridgefold import Course, Facet, Folded, Grid, fold_median, orient
+from anisoscope.profiles.metrology.ridgemeasurement import MeanRidge, Ridge, RidgeMeasurement
+from anisoscope.profiles.metrology.ridgephase import Positions, refine
+from anisoscope.profiles.metrology.ridgeslopes import measure_slopes
+from anisoscope.profiles.metrology.ridgesums import profile_sums, wall_sums
+from anisoscope.profiles.period import MIN_SCORE, Period, find_period
+
+BINS_A_PIXEL = 2
+SLOPE_ROWS = 200
+COURSE_PASSES = 4
+SETTLED = 0.03
+
+
+def measure_ridges(surface: HeightMap) -> RidgeMeasurement:
+    """Measure the ridges of a map, (rows, cols) in µm, in any direction.
+
+    Args:
+        surface: the map; missing points and tilt may remain, strong form should be removed.
+
+    Raises:
+        HeightMapError: no ridges are found, fewer than four of them, or fewer than eight pixels a pitch.
+    """
+    period = _checked(find_period(surface))
+    tilt = periodic_tilt(surface, period)
+    grid = _levelled(surface, tilt)
+    course, facet, folded = orient(grid, Course(period.pitch_um, period.direction_deg))
+    for _ in range(COURSE_PASSES):
+        before, course = course, refine(grid, course, folded, 0.0).course
+        folded = fold_median(grid, course)
+        if _moved(before, course, grid) < SETTLED:
+            break
+    planes = fit_planes(grid, course, facet, folded)
+    above, owner, burrs, out = _outliers(grid, course, facet, folded, planes)
+    clean = Grid(grid.z, out, grid.pixel)
+    planes = fit_planes(clean, course, facet, folded, planes)
+    positions = refine(clean, course, folded, _resolved_wall(folded, course, grid))
+    above[out] = np.nan
+    fit = _Fit(surface, period, tilt, clean, course, facet, folded, planes, positions, above, owner, burrs)
+    return fit.measured()
+
+
+def _moved(before: Course, after: Course, grid: Grid) -> float:
+    """How far a new course moves the ridges at the rim of the map, in pixels across."""
+    pixel = np.array(grid.pixel)
+    half = 0.5 * float(np.hypot(*(np.array(grid.z.shape) * pixel)))
+    stretch = abs(after.pitch_um / before.pitch_um - 1.0)
+    return half * float(
+        np.hypot(stretch, np.radians(after.direction_deg - before.direction_deg)) / pixel.min()
+    )
+
+
+def _checked(period: Period) -> Period:
+    if period.is_periodic:
+        return period
+    raise HeightMapError(
+        f"no ridges found: each ridge would have to predict at least {MIN_SCORE:g} of the variance of the "
+        f"others, here the periodicity score is {period.score:.2f}; at least four ridges must lie in the map (measure "
+        "a larger field), and strong form must be removed before"
+    )
+
+
+def _levelled(surface: HeightMap, tilt: tuple[float, float]) -> Grid:
+    rows, cols = surface.shape
+    x, y = np.arange(cols) * surface.pixel_x_um, np.arange(rows) * surface.pixel_y_um
+    z = surface.height_um - np.add.outer(tilt[1] * y, tilt[0] * x)
+    z -= np.nanmean(z)
+    return Grid(z, np.zeros(surface.shape, dtype=bool), (surface.pixel_y_um, surface.pixel_x_um))
+
+
+def _resolved_wall(folded: Folded, course: Course, grid: Grid) -> float:
+    """Width of the wall of the median ridge, 0 where it is not wider than two pixels."""
+    bins = folded.height_um.size
+    height = np.roll(folded.height_um, bins // 2)
+    low, high = core_of_wall(np.arange(bins) * course.pitch_um / bins, height)
+    width, step = (high - low) / 0.6, course.step_um(grid.pixel)
+    return width if width > 2.0 * step else 0.0
+
+
+def _outliers(
+    grid: Grid, course: Course, facet: Facet, folded: Folded, planes: Planes
+) -> tuple[FloatArray, npt.NDArray[np.int16], tuple[Outlier, ...], kernels.Mask]:
+    """Heights over the ridges, the ridge of every facet point, what stands out, and its mask."""
+    frame = course.frame(grid, folded.shift)
+    line = facet_line(folded, facet, course.pitch_um)
+    mean = np.array([*line, 0.0])
+    span = (facet.begin, facet.end)
+    above, owner, place = kernels.residuals(grid.z, frame, span, planes.planes, folded.height_um, mean)
+    bins = folded.height_um.size
+    at = (np.arange(bins) + folded.shift) / bins
+    sigma = float(np.median(planes.sigma_um[planes.fitted]))
+    inside = (at >= facet.begin) & (at <= facet.end)
+    resolved = _resolved_wall(folded, course, grid) > 0.0
+    outline, peak = limits(sigma, folded.spread_um, folded.height_um, inside, resolved=resolved)
+    burrs, out = find_outliers(above, place, outline, peak, grid.pixel)
+    return above, owner, burrs, out
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """Everything fitted, from which the measurement is put together."""
+
+    surface: HeightMap
+    period: Period
+    tilt: tuple[float, float]
+    grid: Grid
+    course: Course
+    facet: Facet
+    folded: Folded
+    planes: Planes
+    positions: Positions
+    above: FloatArray
+    owner: npt.NDArray[np.int16]
+    burrs: tuple[Outlier, ...]
+
+    def measured(self) -> RidgeMeasurement:
+        """The measurement."""
+        course, pitch = self.positions.course, self.positions.pitch_um
+        ex, ey = self.course.downhill()
+        removed = self.tilt[0] * ex + self.tilt[1] * ey
+        angle = ridge_angle(self.planes, self.course, removed)
+        crest, x_um, height_um = self._crest(angle)
+        slopes = measure_slopes(self.above, self.owner, self.grid.pixel, self.course, self.planes.weight.size)
+        singles = single_ridges(self.planes, self.course, self.facet, removed)
+        ridges = self._ridges(singles, crest)
+        span = (self.facet.begin * self.course.pitch_um, self.facet.end * self.course.pitch_um)
+        lean_x, lean_y = course.downhill()
+        return RidgeMeasurement(
+            pitch, self.positions.direction_deg, angle, crest.wall_angle_deg, crest.height_um, crest.height_loss,
+            crest.edge_radius_um, slopes.alpha_along, slopes.alpha_across, slopes.noise_um,
+            (float(min(self.grid.pixel)), float(span[1] - span[0])), float(np.degrees(np.arctan2(lean_y, lean_x))),
+            variation([r.angle_deg for r in ridges]), variation([r.height_um for r in ridges]),
+            variation([r.shift_um for r in ridges]), tuple(ridges), self.burrs, self.surface.missing_share,
+            (span[1] - span[0]) / self.course.pitch_um, crest.plateau, self.period.score,
+            self._mean_ridge(x_um, height_um, span),
+        )  # fmt: skip
+
+    def _line(self) -> tuple[float, float]:
+        return facet_line(self.folded, self.facet, self.course.pitch_um)
+
+    def _crest(self, angle: Quantity) -> tuple[Crest, FloatArray, FloatArray]:
+        course, folded, facet = self.course, self.folded, self.facet
+        frame, (height, slope) = course.frame(self.grid, folded.shift), self._line()
+        bins, profile = BINS_A_PIXEL * folded.height_um.size, folded.height_um
+        span, mean = (facet.begin, facet.end), np.array([height, slope, 0.0])
+        parts = profile_sums(self.above, self.grid.out, frame, span, profile, mean, bins)
+        x_um, height_um, _ = mean_profile(parts.sum(axis=0), course.pitch_um)
+        core = core_of_wall(x_um, height_um)
+        sigma = float(np.median(self.planes.sigma_um[self.planes.fitted]))
+        step = course.step_um(self.grid.pixel)
+        limit = 4.0 * sigma + 0.3 * step * float(np.ptp(height_um)) / max(core[1] - core[0], step)
+        walls = wall_sums(self.above, frame, profile, core, limit)
+        line = Line(height - slope * facet.middle * course.pitch_um, slope)
+        return measure_crest(parts, walls, line, angle, self.positions.pitch_um, step), x_um, height_um
+
+    def _ridges(self, singles: list[Single | None], crest: Crest) -> list[Ridge]:
+        assert crest.height_um.value is not None
+        frame = self.course.frame(self.grid)
+        share = crest.height_um.value / (-self._line()[1] * self.course.pitch_um)
+        found: list[Ridge] = []
+        for k, single in enumerate(singles):
+            if single is None:
+                continue
+            step, u_step = single.step_um.value, single.step_um.u
+            height = (
+                Quantity(None) if step is None or u_step is None else Quantity(step * share, u_step * share)
+            )
+            shift, u = float(self.positions.shift_um[k]), float(self.positions.shift_u_um[k])
+            known = Quantity(shift, u) if np.isfinite(shift) and np.isfinite(u) else Quantity(None)
+            at = (k + frame.first + self.course.offset) * self.course.pitch_um
+            moved = at + (shift if np.isfinite(shift) else 0.0)
+            found.append(
+                Ridge(len(found) + 1, moved, single.angle_deg, height, known, int(self.planes.points[k]))
+            )
+        return found
+
+    def _mean_ridge(self, x_um: FloatArray, height_um: FloatArray, span: tuple[float, float]) -> MeanRidge:
+        height, slope = self._line()
+        middle = self.facet.middle * self.course.pitch_um
+        ends = (height + slope * (span[0] - middle), height + slope * (span[1] - middle))
+        rows = np.arange(0, self.above.shape[0] - 2, max(1, self.above.shape[0] // SLOPE_ROWS))
+        here, next_, after = (
+            np.where(self.owner[rows + k] >= 0, self.above[rows + k], np.nan) for k in range(3)
+        )
+        # the two quotients share no point, so that their noise is independent
+        gx, gy = np.diff(here, axis=1) / self.grid.pixel[1], ((after - next_) / self.grid.pixel[0])[:, :-1]
+        ex, ey = self.course.downhill()
+        known = np.isfinite(gx) & np.isfinite(gy)
+        gx, gy = gx[known], gy[known]
+        return MeanRidge(x_um, height_um, span, ends, ex * gx + ey * gy, ex * gy - ey * gx)

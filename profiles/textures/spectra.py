@@ -1,0 +1,163 @@
+"""Power spectral densities of a surface, and the direction of its lay (ISO 25178-2).
+
+Heights count from their mean; missing points weigh nothing. The field is not taken as periodic: spectra are taken
+under a Hann window unless told otherwise.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.profiles.files.checks import check_heights
+from anisoscope.profiles.heightmap import FloatArray, HeightMap
+
+Window = Literal["hann", "none"]
+
+DIRECTIONS = 720
+FEWEST_CYCLES = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """A power spectral density over frequencies in 1/µm."""
+
+    frequency: FloatArray
+    density: FloatArray
+
+
+def known_heights(surface: HeightMap) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+    """Heights about their mean, 0 where missing, and the measured points."""
+    check_heights("height map", surface.height_um)
+    known = np.isfinite(surface.height_um)
+    mean = float(np.mean(surface.height_um[known]))
+    return np.where(known, surface.height_um - mean, 0.0), known
+
+
+def _taper(shape: tuple[int, int], window: Window, axes: tuple[int, ...]) -> FloatArray:
+    """Window (rows, cols) or (1, cols) of mean square 1."""
+    taper = np.ones((1, 1))
+    for axis in axes:
+        count = shape[axis]
+        one = np.ones(count) if window == "none" else np.sin(np.pi * (np.arange(count) + 0.5) / count) ** 2
+        taper = taper * np.expand_dims(one / np.sqrt(np.mean(one**2)), 1 - axis)
+    return taper
+
+
+def _frequencies(count: int, pixel_um: float) -> FloatArray:
+    return np.fft.fftfreq(count, pixel_um).astype(np.float64)
+
+
+def areal_density(surface: HeightMap, window: Window = "hann") -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Two-dimensional, two-sided density.
+
+    Args:
+        surface: the map.
+        window: "hann", or "none" for a field that is periodic.
+
+    Returns:
+        Frequencies along y (rows,) and x (cols,) in 1/µm as :func:`numpy.fft.fftfreq` orders them, and the density
+        (rows, cols) in µm⁴: its sum times the steps of both frequencies is Sq², exactly without a window.
+
+    Raises:
+        HeightMapError: nothing was measured.
+    """
+    from scipy import fft  # noqa: PLC0415 - slow to import
+
+    height, known = known_heights(surface)
+    (rows, cols), (py, px) = surface.shape, (surface.pixel_y_um, surface.pixel_x_um)
+    taper = _taper(surface.shape, window, (0, 1))
+    share = float(np.mean(np.where(known, taper**2, 0.0)))
+    power = np.abs(fft.fft2(height * taper)) ** 2
+    density = power * (px * py / (rows * cols * share))
+    return _frequencies(rows, py), _frequencies(cols, px), density
+
+
+def line_density(surface: HeightMap, axis: Literal["x", "y"], window: Window = "hann") -> Spectrum:
+    """One-dimensional, one-sided density of the profiles along an axis, averaged over all of them.
+
+    Returns:
+        Frequencies from 0 in 1/µm and the density in µm³: its sum times the step of the frequency is Sq², exactly
+        without a window.
+
+    Raises:
+        HeightMapError: nothing was measured.
+    """
+    from scipy import fft  # noqa: PLC0415 - slow to import
+
+    height, known = known_heights(surface)
+    number = 1 if axis == "x" else 0
+    pixel, count = (surface.pixel_x_um, surface.pixel_y_um)[1 - number], surface.shape[number]
+    taper = _taper(surface.shape, window, (number,))
+    share = float(np.mean(np.where(known, taper**2, 0.0)))
+    power = np.mean(np.abs(fft.rfft(height * taper, axis=number)) ** 2, axis=1 - number)
+    twice = np.full(power.size, 2.0)
+    twice[0] = 1.0
+    if count % 2 == 0:
+        twice[-1] = 1.0
+    return Spectrum(np.abs(_frequencies(count, pixel)[: power.size]), twice * power * pixel / (count * share))
+
+
+def radial_density(surface: HeightMap, window: Window = "hann") -> Spectrum:
+    """Two-dimensional density (µm⁴) averaged over rings of equal frequency, for isotropic surfaces.
+
+    Rings are as wide as the coarser step of the frequency and end where the coarser sampling does.
+
+    Raises:
+        HeightMapError: nothing was measured.
+    """
+    fy, fx, density = areal_density(surface, window)
+    radius = np.hypot(fy[:, None], fx[None, :])
+    step = max(fy[1], fx[1])
+    rings = int(min(np.abs(fy).max(), np.abs(fx).max()) / step)
+    ring = np.rint(radius / step).astype(np.intp)
+    inside = (ring > 0) & (ring <= rings)
+    count = np.bincount(ring[inside], minlength=rings + 1)[1:]
+    total = np.bincount(ring[inside], density[inside], minlength=rings + 1)[1:]
+    mean = np.bincount(ring[inside], radius[inside], minlength=rings + 1)[1:]
+    filled = count > 0
+    return Spectrum(mean[filled] / count[filled], total[filled] / count[filled])
+
+
+def angular_spectrum(surface: HeightMap) -> tuple[FloatArray, FloatArray]:
+    """Power by direction of the wave vector (ISO 25178-2, 3.2.9).
+
+    Returns:
+        Directions of the wave vectors in degrees counter-clockwise from +x, within [−90, 90), and the integral of
+        R·density over the frequencies R along each, from two cycles a field to the end of the coarser sampling.
+
+    Raises:
+        HeightMapError: nothing was measured.
+    """
+    from scipy.ndimage import map_coordinates  # noqa: PLC0415 - slow to import
+
+    fy, fx, density = areal_density(surface)
+    shifted = np.fft.fftshift(density)
+    middle = shifted.shape[0] // 2, shifted.shape[1] // 2
+    low = FEWEST_CYCLES * max(fy[1], fx[1])
+    high = min(np.abs(fy).max(), np.abs(fx).max()) - min(fy[1], fx[1])
+    direction = -90.0 + 180.0 * np.arange(DIRECTIONS) / DIRECTIONS
+    if high <= low:
+        return direction, np.zeros(DIRECTIONS)
+    radius = np.arange(low, high, 0.5 * min(fy[1], fx[1]))
+    angle = np.radians(direction)[:, None]
+    i = middle[0] + radius * np.sin(angle) / fy[1]
+    j = middle[1] + radius * np.cos(angle) / fx[1]
+    power = map_coordinates(shifted, [i, j], order=1, mode="nearest")
+    return direction, np.asarray((power * radius).sum(axis=1))
+
+
+def lay(surface: HeightMap) -> float:
+    """Std: direction of the lay in degrees counter-clockwise from +y, within (−90, 90]; NaN without texture."""
+    direction, power = angular_spectrum(surface)
+    peak = int(np.argmax(power))
+    if power[peak] <= 0.0:
+        return float("nan")
+    near = np.arange(peak - 2, peak + 3)
+    weight = power[near % DIRECTIONS] - 0.5 * power[peak]
+    weight = np.maximum(weight, 0.0)
+    step = 180.0 / DIRECTIONS
+    angle = direction[peak] + step * float(np.sum(weight * (near - peak)) / np.sum(weight))
+    # a wave vector at angle a from +x belongs to ridges at angle a from +y
+    return float(90.0 - (90.0 - angle) % 180.0)

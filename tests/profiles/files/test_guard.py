@@ -1,0 +1,96 @@
+"""Decoders that hang, die, print, or take memory cannot do so to us."""
+
+import sys
+import textwrap
+import time
+
+import pytest
+
+from anisoscope.errors import HeightMapError
+from anisoscope.profiles.files import guard
+
+MISBEHAVING = """
+    import os, sys, time
+    import numpy as np
+    from anisoscope.profiles.files import guarded
+
+    def hang(request):
+        while True:
+            pass
+
+    def die(request):
+        os.abort()
+
+    def swell(request):
+        return {}, np.ones(2**30)
+
+    def shout(request):
+        os.write(1, b"x" * 10**6)
+        os.write(2, b"y" * 10**6)
+        print("z" * 10**6, file=sys.stderr)
+        return {}, np.eye(3)
+
+    def leave(request):
+        sys.exit("no")
+
+    guarded.DECODERS.update(hang=hang, die=die, swell=swell, shout=shout, leave=leave)
+    guarded._prepare = lambda kind: "misbehaving 1"
+    guarded.main()
+"""
+
+
+@pytest.fixture
+def decode(tmp_path, monkeypatch):
+    """``guard.decode`` with a process of its own whose decoders misbehave."""
+    script = tmp_path / "misbehaving.py"
+    script.write_text(textwrap.dedent(MISBEHAVING))
+    keeper = guard._Keeper()
+    monkeypatch.setattr(guard, "COMMAND", [sys.executable, str(script)])
+    monkeypatch.setattr(guard, "SECONDS", 0.3)
+    monkeypatch.setattr(guard, "_keeper", keeper)
+    (tmp_path / "a.sur").write_bytes(b"DIGITAL SURF")
+    yield lambda kind: guard.decode(kind, tmp_path / "a.sur")
+    keeper.drop()
+
+
+def test_a_decoder_that_hangs_is_stopped_and_the_next_file_is_read(decode):
+    start = time.monotonic()
+    with pytest.raises(HeightMapError, match=r"a\.sur: reading: the decoder stopped"):
+        decode("hang")
+    assert time.monotonic() - start < 5.0
+    _, raw = decode("shout")
+    assert raw.trace() == 3.0
+
+
+def test_a_decoder_that_dies_is_replaced(decode):
+    for _ in range(2):
+        with pytest.raises(HeightMapError, match="the decoder stopped"):
+            decode("die")
+    assert decode("shout")[1].shape == (3, 3)
+
+
+def test_a_decoder_that_takes_memory_is_refused_it(decode):
+    with pytest.raises(HeightMapError, match="more memory than a file of its size"):
+        decode("swell")
+
+
+def test_a_decoder_that_exits_is_an_error_of_the_file(decode):
+    with pytest.raises(HeightMapError, match="SystemExit: no"):
+        decode("leave")
+
+
+def test_nothing_that_a_decoder_prints_is_seen(decode, capfd):
+    answer, _ = decode("shout")
+    assert answer["reader"] == "misbehaving 1"
+    assert capfd.readouterr() == ("", "")
+
+
+def test_the_process_is_kept_and_its_folder_removed(decode, monkeypatch):
+    decode("shout")
+    process = guard._keeper.process
+    decode("shout")
+    assert guard._keeper.process is process
+    assert not list(process.folder.iterdir())
+    guard._keeper.drop()
+    assert not process.folder.exists()
+    assert process.process.returncode is not None
