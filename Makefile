@@ -21,7 +21,7 @@ demo: $(VENV)/.run
 	$(BIN)/anisoscope demo --out demo-output --seed $(SEED)
 
 test: lint contracts types
-	$(BIN)/python -Im pytest -n $(WORKERS)
+	$(BIN)/python -Im pytest -n $(WORKERS) --dist worksteal
 
 # The long campaigns: hundreds of seeds, thousands of damaged files.
 soak: $(VENV)/.dev

@@ -5,11 +5,6 @@ import os
 import pytest
 
 REQUIRE_ALL = os.environ.get("ANISOSCOPE_REQUIRE_ALL") == "1"
-NOT_RUN = pytest.StashKey[list]()
-
-
-def pytest_configure(config):
-    config.stash[NOT_RUN] = []
 
 
 @pytest.hookimpl(wrapper=True)
@@ -17,7 +12,6 @@ def pytest_runtest_makereport(item, call):
     report = yield
     if report.skipped and not hasattr(report, "wasxfail"):
         reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else str(report.longrepr)
-        item.config.stash[NOT_RUN].append((item.nodeid, reason))
         # the folder of real height maps is not part of the project: nobody can be asked to install it
         if REQUIRE_ALL and item.get_closest_marker("realdata") is None:
             report.outcome = "failed"
@@ -26,9 +20,10 @@ def pytest_runtest_makereport(item, call):
 
 
 def pytest_terminal_summary(terminalreporter, config):
-    not_run = config.stash[NOT_RUN]
+    skipped = terminalreporter.stats.get("skipped", [])
+    not_run = [report.longrepr[2] for report in skipped if isinstance(report.longrepr, tuple)]
     if not_run:
         terminalreporter.section("could not be run here")
-        for reason in sorted({reason for _, reason in not_run}):
-            count = sum(1 for _, found in not_run if found == reason)
+        for reason in sorted(set(not_run)):
+            count = not_run.count(reason)
             terminalreporter.write_line(f"{count} tests: {reason.removeprefix('Skipped: ')}")

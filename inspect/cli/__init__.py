@@ -60,13 +60,15 @@ def _report(message: str, code: int) -> int:
 
 
 def _listen(debug: bool) -> None:
-    """Warnings of the package go to standard error, one line each; with --debug everything does."""
-    log = logging.getLogger("anisoscope")
-    log.handlers.clear()
+    """What is compiled is told on standard error; with --debug everything that the package logs."""
+    everything, compiled = logging.getLogger("anisoscope"), logging.getLogger("anisoscope.compiled")
+    for log in (everything, compiled):
+        log.handlers.clear()
     handler = logging.StreamHandler()
-    handler.setLevel(logging.DEBUG if debug else logging.WARNING)
     handler.setFormatter(logging.Formatter("anisoscope: %(message)s"))
-    log.addHandler(handler)
+    (everything if debug else compiled).addHandler(handler)
+    if not debug:
+        everything.addHandler(logging.NullHandler())
 
 
 def run(arguments: list[str]) -> int:

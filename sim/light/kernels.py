@@ -76,9 +76,11 @@ def _shine(
     cos_h = (half[2] - gx * half[0] - gy * half[1]) / size
     h_along = (half[1] + gy * half[2]) / slant
     h_across = ((1.0 + gy * gy) * half[0] - gx * gy * half[1] + gx * half[2]) / across
-    exponent = ((h_along / alpha_along) ** 2 + (h_across / alpha_across) ** 2) / (cos_h * cos_h)
+    exponent = 1e9
+    if cos_h > 1e-6:
+        exponent = ((h_along / alpha_along) ** 2 + (h_across / alpha_across) ** 2) / (cos_h * cos_h)
     value = diffuse * _table(table, cos_i) * _table(table, cos_o) * cos_i * cos_o
-    if cos_h > 1e-6 and exponent < 60.0:
+    if exponent < 60.0:
         i_along, o_along = (light[1] + gy * light[2]) / slant, (camera[1] + gy * camera[2]) / slant
         i_across = ((1.0 + gy * gy) * light[0] - gx * gy * light[1] + gx * light[2]) / across
         o_across = ((1.0 + gy * gy) * camera[0] - gx * gy * camera[1] + gx * camera[2]) / across
@@ -119,7 +121,9 @@ def around_edge(z: FloatArray, r: int, c: int, slope: float, pixel_x: float) -> 
     before = _slope(z, r, c - 1, pixel_x) if c > 0 else slope
     after = _slope(z, r, c + 1, pixel_x) if c < z.shape[1] - 2 else slope
     if abs(after - before) > EDGE and (slope - before) * (after - slope) > 0.0:  # false where NaN
-        return before, after, (after - slope) / (after - before)
+        first = (after - slope) / (after - before)
+        if 1e-6 < first < 1.0 - 1e-6:
+            return before, after, first
     return slope, slope, 1.0
 
 
@@ -146,11 +150,11 @@ def _reached(
     length = near + (1.0 - middle) * (1.0 - tx * other - ty * gy)
     free = share * length
     if free <= near:
-        end = middle * free / near
-    elif near > 0.0:
-        end = middle + (1.0 - middle) * (free - near) / (length - near)
-    else:  # the near part faces away: what it hides is counted with the far one
+        end = middle * free / near if near > 0.0 else 0.0
+    elif length - near > 1e-12:  # where the near part faces away, what it hides is counted with the far one
         end = middle + (1.0 - middle) * min(1.0, (free - near) / (length - near))
+    else:
+        end = middle
     return (0.0, end) if tx >= 0.0 else (1.0 - end, 1.0)
 
 

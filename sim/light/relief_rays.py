@@ -97,8 +97,10 @@ def bends(z: HeightArray, period: int, pixel_x: float) -> tuple[HeightArray, Hei
                 continue
             before, here, after = slope[c - 1], slope[c], slope[(c + 1) % cells]
             if abs(after - before) > EDGE and (here - before) * (after - here) > 0.0:  # false where NaN
-                part[r, c] = (after - here) / (after - before)
-                bulge[r, c] = (before - here) * part[r, c] * pixel_x
+                first = (after - here) / (after - before)
+                if 1e-6 < first < 1.0 - 1e-6:  # in single precision neither side may vanish
+                    part[r, c] = first
+                    bulge[r, c] = (before - here) * first * pixel_x
     return bulge, part
 
 

@@ -22,9 +22,15 @@ from anisoscope.sim.light.material import Material, facet_brdf
 from anisoscope.sim.light.relief import Relief, radiance
 from anisoscope.sim.light.relief_paths import interreflection
 
-mitsuba = pytest.importorskip("mitsuba", reason="the benchmark against Mitsuba needs: pip install mitsuba")
+try:
+    import mitsuba
+except ImportError:
+    mitsuba = None
 
-pytestmark = pytest.mark.benchmark
+pytestmark = [
+    pytest.mark.benchmark,
+    pytest.mark.skipif(mitsuba is None, reason="needs the extra [benchmark]: make benchmark installs it"),
+]
 MARGIN = 60
 PICTURE = 64  # pixels a side: shares the work among the cores, and shows the scatter
 VARIANT = "scalar_rgb"

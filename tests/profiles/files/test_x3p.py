@@ -13,7 +13,7 @@ from anisoscope.profiles.files.x3p import read_x3p, write_x3p
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.textures.amplitude import amplitude
 
-DEFAULT = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "heightmaps"
+DEFAULT = Path(__file__).resolve().parents[3].parent / "shared" / "data" / "heightmaps"
 DATA = Path(os.environ.get("ANISOSCOPE_TEST_DATA", DEFAULT))
 REAL = [
     ("opengps_ski.x3p", (940, 1197), (3.680270397, 3.678887926), 4272, 18.155),

@@ -17,7 +17,7 @@ surfaces = importlib.util.module_from_spec(SPEC)
 SPEC.loader.exec_module(surfaces)
 Truth = surfaces.Truth
 
-DEFAULT = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "heightmaps"
+DEFAULT = Path(__file__).resolve().parents[3].parent / "shared" / "data" / "heightmaps"
 DATA = Path(os.environ.get("ANISOSCOPE_TEST_DATA", DEFAULT))
 CLEAN = {"noise": 0.0, "missing": 0.0, "burrs": 0, "spikes": 0, "slope_across": 1e-4, "slope_along": 1e-4}
 

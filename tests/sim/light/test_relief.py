@@ -212,3 +212,12 @@ def test_a_direction_at_the_horizon_is_refused():
     light = np.array([[1.0, 0.0, 0.0]])
     with pytest.raises(ModelError, match="horizon"):
         radiance(Relief(rough_ridges(), 100.0), light, np.array([[0.0, 0.0, 1.0]]), Material())
+
+
+def test_a_wall_at_right_angles_to_the_half_vector_is_no_trouble():
+    """Perpendicular walls of 5° ridges lie at exactly 90° from the half vector of light and camera 10° apart."""
+    design = RidgeDesign(100.0, 5.0)
+    to_light, to_camera = directions(TABLE, Convention())
+    found = radiance(Relief(sampled(design, 5.0, periods=10), 100.0), to_light, to_camera, Material())
+    assert np.all(np.isfinite(found))
+    np.testing.assert_allclose(found, corrected.radiance(to_light, to_camera, design, Material()), rtol=0.06)
