@@ -1,6 +1,12 @@
-"""Says when kernels are compiled: once on a machine, then they are read from disk."""
+"""Says when kernels are compiled: once on a machine, then they are read from disk.
+
+A compiled kernel is kept beside its source and forgotten when that one file changes. But kernels take in those of
+other files, so that a kept one can be older than what it is made of: such ones are forgotten here.
+"""
 
 import logging
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 from numba.core import event
@@ -32,4 +38,17 @@ def announce() -> None:
     """Log a warning at the first compilation from now on; asking twice changes nothing."""
     if not _announcer.listening:
         _announcer.listening = True
+        forget_stale(Path(__file__).parent)
         event.register("numba:compile", _announcer)  # type: ignore[no-untyped-call]
+
+
+def forget_stale(folder: Path) -> None:
+    """Forget kernels that were compiled before the newest source file of a folder was written.
+
+    Where the folder cannot be written, numba keeps its kernels elsewhere; sources do not change there one by one.
+    """
+    with suppress(OSError):
+        newest = max((source.stat().st_mtime for source in folder.glob("*.py")), default=0.0)
+        for index in (folder / "__pycache__").glob("*.nbi"):
+            if index.stat().st_mtime < newest:
+                index.unlink(missing_ok=True)
