@@ -1,11 +1,11 @@
 """Measured contrasts of the ridge experiment, read from a CSV file."""
 
-import csv
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.csvtable import read_table
 from anisoscope.errors import UsageError
 from anisoscope.experiment import COLUMNS, SHAPE, combinations
 
@@ -21,53 +21,17 @@ def read_measured(path: Path) -> FloatArray:
     Raises:
         UsageError: the file cannot be read, or a line of it cannot be used.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
-        raise UsageError(f"cannot read {path}: {reason}") from error
-    reader = csv.reader(text.splitlines())
+    table = read_table(path, (COLUMNS,), not_negative=("contrast",), what="contrasts")
     where = {row: index for index, row in combinations()}
     measured = np.full(SHAPE, np.nan)
-    try:
-        _check_header([name.strip() for name in next(reader, [])], path)
-        for fields in reader:
-            if not any(field.strip() for field in fields):
-                continue
-            place = f"{path}, line {reader.line_num}"
-            *row, contrast = _numbers(fields, place)
-            index = where.get((row[0], row[1], row[2], row[3]))
-            if index is None:
-                raise UsageError(
-                    f"{place}: the experiment has no ridge angle {row[0]:g}°, tilt {row[1]:g}°, "
-                    f"pair {row[2]:g}°/{row[3]:g}°"
-                )
-            if not np.isnan(measured[index]):
-                raise UsageError(f"{place}: this combination is given twice")
-            measured[index] = contrast
-    except csv.Error as error:
-        raise UsageError(f"{path}, line {reader.line_num}: {error}") from error
-    if np.isnan(measured).all():
-        raise UsageError(f"{path}, line {max(reader.line_num, 1)}: no contrasts follow the header")
+    for number, (*row, contrast) in enumerate(table.rows.tolist()):
+        index = where.get((row[0], row[1], row[2], row[3]))
+        if index is None:
+            raise UsageError(
+                f"{table.place(number)}: the experiment has no ridge angle {row[0]:g}°, tilt {row[1]:g}°, "
+                f"pair {row[2]:g}°/{row[3]:g}°"
+            )
+        if not np.isnan(measured[index]):
+            raise UsageError(f"{table.place(number)}: this combination is given twice")
+        measured[index] = contrast
     return measured
-
-
-def _check_header(names: list[str], path: Path) -> None:
-    if tuple(names) != COLUMNS:
-        raise UsageError(f"{path}, line 1: the header must read {','.join(COLUMNS)}, not {','.join(names)!r}")
-
-
-def _numbers(fields: list[str], place: str) -> list[float]:
-    if len(fields) != len(COLUMNS):
-        raise UsageError(f"{place}: {len(COLUMNS)} values expected, {len(fields)} found")
-    numbers = []
-    for name, text in zip(COLUMNS, fields, strict=True):
-        try:
-            number = float(text)
-        except ValueError:
-            raise UsageError(f"{place}: {name} is not a number: {text!r}") from None
-        if not np.isfinite(number) or (name == "contrast" and number < 0.0):
-            kind = "a finite number, 0 or more," if name == "contrast" else "a finite number"
-            raise UsageError(f"{place}: {name} must be {kind} not {text!r}")
-        numbers.append(number)
-    return numbers

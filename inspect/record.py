@@ -1,14 +1,13 @@
 """The record of an inspection: what was measured, with what, how it was judged, and who can check it."""
 
-import contextlib
 import hashlib
 import json
-import os
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from anisoscope.atomicfile import write_text
 from anisoscope.errors import RecordError
 
 RECORD_NAME = "record.json"
@@ -118,32 +117,10 @@ def sha256_of(path: Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def write_text_atomically(path: Path, text: str) -> None:
-    """Write a text file so that it is there whole or not at all.
-
-    Raises:
-        RecordError: the folder cannot be written.
-    """
-    partial = path.with_name(f".{path.name}.partial")
-    try:
-        with partial.open("w", encoding="utf-8") as stream:
-            stream.write(text)
-            stream.flush()
-            os.fsync(stream.fileno())
-        partial.replace(path)
-    except OSError as error:
-        raise RecordError(f"cannot write {path}: {error.strerror}") from error
-    finally:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)
-
-
 def write_record(record: Record, folder: Path) -> Path:
     """Write ``record.json``, all or nothing."""
     path = folder / RECORD_NAME
-    write_text_atomically(
-        path, json.dumps(record.model_dump(mode="json", by_alias=True), indent=2, allow_nan=False)
-    )
+    write_text(path, json.dumps(record.model_dump(mode="json", by_alias=True), indent=2, allow_nan=False))
     return path
 
 

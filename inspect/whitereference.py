@@ -1,7 +1,7 @@
 """The white reference file: a flat picture of a tile, written by ``calibrate flat`` and read by every inspection."""
 
-import contextlib
 import hashlib
+import io
 import json
 from datetime import UTC, datetime
 from pathlib import Path
@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from anisoscope.atomicfile import write_bytes
 from anisoscope.errors import CalibrationError, RecordError
 from anisoscope.linear import Stack, WhiteReference, hot_pixels
 
@@ -71,17 +72,13 @@ def write_reference(path: Path, reference: dict[str, Any]) -> None:
     """
     import tifffile  # noqa: PLC0415
 
-    partial = path.with_name(f".{path.name}.partial")
-    description = json.dumps(reference["meta"])
+    buffer = io.BytesIO()
+    tifffile.imwrite(buffer, reference["signal"], description=json.dumps(reference["meta"]), metadata=None)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        tifffile.imwrite(partial, reference["signal"], description=description, metadata=None)
-        partial.replace(path)
     except OSError as error:
-        raise RecordError(f"cannot write {path}: {error.strerror or error}") from error
-    finally:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)
+        raise RecordError(f"cannot write {path}: {error.strerror}") from error
+    write_bytes(path, buffer.getvalue())
 
 
 def read_reference(path: Path) -> WhiteReference:

@@ -314,14 +314,14 @@ def _maps_as_json(maps: "list[FindingsMap]") -> dict[str, Any]:
 
 
 def _write_maps(maps: "list[FindingsMap]", html: Path | None, svg: Path | None) -> None:
-    from anisoscope.record import write_text_atomically
+    from anisoscope.atomicfile import write_text
     from anisoscope.report.experiment_page import findings_svg, write_findings_page
 
     shares = "; ".join(f"tilt {m.setup.convention.tilt_plane} {m.share:.1%}" for m in maps)
     if html is not None:
         write_findings_page(maps, html)
     if svg is not None:
-        write_text_atomically(svg, findings_svg(maps))
+        write_text(svg, findings_svg(maps))
     _say(f"{html or svg}: all three findings hold on: {shares} of the grid")
 
 

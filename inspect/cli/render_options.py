@@ -1,6 +1,5 @@
 """Options that the render commands share, and how their files are checked and written."""
 
-import contextlib
 import json
 import os
 import sys
@@ -13,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from cyclopts import Parameter
 
+from anisoscope.atomicfile import write_bytes
 from anisoscope.errors import RecordError, UsageError
 
 if TYPE_CHECKING:
@@ -136,7 +136,7 @@ class PictureOptions:
         Raises:
             RecordError: a file cannot be written.
         """
-        _write_bytes(self.out, png)
+        write_bytes(self.out, png)
         if self.raw is None:
             return
         import io
@@ -149,7 +149,7 @@ class PictureOptions:
             import tifffile
 
             tifffile.imwrite(stream, stack, photometric="minisblack", metadata={"axes": "ZYX"})
-        _write_bytes(self.raw, stream.getvalue())
+        write_bytes(self.raw, stream.getvalue())
 
 
 def _check_target(path: Path, source: Path | None) -> None:
@@ -167,18 +167,6 @@ def _share_above(pictures: Sequence[FloatArray], white: float) -> float:
     known = sum(int(np.isfinite(picture).sum()) for picture in pictures)
     above = sum(int((picture > white * (1 + 1e-6)).sum()) for picture in pictures)
     return above / max(known, 1)
-
-
-def _write_bytes(path: Path, data: bytes) -> None:
-    partial = path.with_name(f".{path.name}.partial")
-    try:
-        partial.write_bytes(data)
-        partial.replace(path)
-    except OSError as error:
-        raise RecordError(f"cannot write {path}: {error.strerror}") from error
-    finally:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)
 
 
 def parse_angles(text: str, option: str) -> tuple[float, ...]:

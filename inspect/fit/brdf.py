@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.csvtable import Table, read_table
 from anisoscope.errors import UsageError
 from anisoscope.fit.problem import Readings
-from anisoscope.fit.table import UNKNOWN, Table, read_table, uncorrelated
+from anisoscope.fit.table import UNKNOWN, uncorrelated
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -75,7 +76,7 @@ def read_brdf(path: Path, wavelength_nm: float | None = None) -> BrdfTable:
     Raises:
         UsageError: the file cannot be read or used.
     """
-    table = read_table(path, (COLUMNS,), ("u", "wavelength_nm"))
+    table = read_table(path, (COLUMNS,), ("u", "wavelength_nm"), above_zero=("u",))
     for name in ("theta_i_deg", "theta_o_deg"):
         bad = (table.column(name) < 0.0) | (table.column(name) > STEEPEST_DEG)
         if bad.any():

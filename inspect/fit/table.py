@@ -1,13 +1,13 @@
 """Measured exposures and contrasts for a fit, read from CSV files."""
 
 import csv
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.csvtable import Table, read_table, read_text
 from anisoscope.errors import UsageError
 from anisoscope.fit.problem import RATIOS, Kind, Readings
 from anisoscope.sim.light.contrasts import consecutive_pairs
@@ -19,94 +19,6 @@ Errors = Literal["shared", "independent"]
 EXPOSURES = ("stage_deg", "tilt_deg", "value")
 CONTRASTS = ("from_deg", "to_deg", "tilt_deg", "value")
 UNKNOWN = "no uncertainties were given: the scatter is estimated from the residuals"
-
-
-@dataclass(frozen=True, eq=False)
-class Table:
-    """Numbers of a CSV file.
-
-    Attributes:
-        columns: names of the header.
-        rows: (N, columns) numbers.
-        lines: N line numbers in the file.
-        path: the file.
-    """
-
-    columns: tuple[str, ...]
-    rows: FloatArray
-    lines: tuple[int, ...]
-    path: Path
-
-    def column(self, name: str) -> FloatArray:
-        """(N,) numbers of one column."""
-        return np.asarray(self.rows[:, self.columns.index(name)])
-
-    def place(self, row: int) -> str:
-        """File and line of a row, for messages."""
-        return f"{self.path}, line {self.lines[row]}"
-
-
-def read_table(path: Path, headers: tuple[tuple[str, ...], ...], optional: tuple[str, ...]) -> Table:
-    """Read a CSV file of numbers.
-
-    Args:
-        path: the file, UTF-8, comma-separated.
-        headers: the accepted forms of the header.
-        optional: columns that may follow, in any order.
-
-    Raises:
-        UsageError: the file cannot be read, or a line of it cannot be used; the line is named.
-    """
-    reader = csv.reader(_text(path).splitlines())
-    rows, lines = [], []
-    try:
-        columns = tuple(name.strip() for name in next(reader, []))
-        _check_header(columns, headers, optional, path)
-        for fields in reader:
-            if any(field.strip() for field in fields):
-                rows.append(_numbers(fields, columns, f"{path}, line {reader.line_num}"))
-                lines.append(reader.line_num)
-    except csv.Error as error:
-        raise UsageError(f"{path}, line {reader.line_num}: {error}") from error
-    if not rows:
-        raise UsageError(f"{path}, line {max(reader.line_num, 1)}: no values follow the header")
-    return Table(columns, np.array(rows), tuple(lines), path)
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
-        raise UsageError(f"cannot read {path}: {reason}") from error
-
-
-def _check_header(
-    columns: tuple[str, ...], headers: tuple[tuple[str, ...], ...], optional: tuple[str, ...], path: Path
-) -> None:
-    for header in headers:
-        rest = columns[len(header) :]
-        if columns[: len(header)] == header and set(rest) <= set(optional) and len(set(rest)) == len(rest):
-            return
-    tail = "".join(f"[,{name}]" for name in optional)
-    forms = " or ".join(",".join(header) + tail for header in headers)
-    raise UsageError(f"{path}, line 1: the header must read {forms}, not {','.join(columns)!r}")
-
-
-def _numbers(fields: list[str], columns: tuple[str, ...], place: str) -> list[float]:
-    if len(fields) != len(columns):
-        raise UsageError(f"{place}: {len(columns)} values expected, {len(fields)} found")
-    numbers = []
-    for name, text in zip(columns, fields, strict=True):
-        try:
-            number = float(text)
-        except ValueError:
-            raise UsageError(f"{place}: {name} is not a number: {text!r}") from None
-        if not np.isfinite(number) or (name == "u" and number <= 0.0):
-            kind = "a finite number above 0" if name == "u" else "a finite number"
-            raise UsageError(f"{place}: {name} must be {kind}, not {text!r}")
-        numbers.append(number)
-    return numbers
 
 
 def uncorrelated(table: Table) -> tuple[FloatArray, bool]:
@@ -134,7 +46,7 @@ def read_readings(
     Raises:
         UsageError: a file that cannot be read or used.
     """
-    table = read_table(path, (EXPOSURES, CONTRASTS), ("u",))
+    table = read_table(path, (EXPOSURES, CONTRASTS), ("u",), above_zero=("u",))
     given = None if covariance is None else _read_covariance(covariance, len(table.rows))
     if table.columns[:3] == EXPOSURES:
         return _exposures(table, kind, given)
@@ -145,7 +57,7 @@ def read_readings(
 
 def _read_covariance(path: Path, size: int) -> FloatArray:
     try:
-        found = np.array([[float(x) for x in row] for row in csv.reader(_text(path).splitlines()) if row])
+        found = np.array([[float(x) for x in row] for row in csv.reader(read_text(path).splitlines()) if row])
     except ValueError:
         raise UsageError(f"{path}: {size} lines of {size} numbers expected") from None
     if found.shape != (size, size) or not np.isfinite(found).all():

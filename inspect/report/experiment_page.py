@@ -12,8 +12,8 @@ import numpy.typing as npt
 
 from anisoscope.experiment import Experiment, Mean, combinations
 from anisoscope.findingsmap import FindingsMap
-from anisoscope.record import write_text_atomically
 from anisoscope.report.figures import BLUE, GREEN, GRID, INK, MUTED, ORANGE, RED, _figure, _svg_uri
+from anisoscope.report.page import Filters, write_page
 from anisoscope.sim.light.geometry import Convention
 
 if TYPE_CHECKING:
@@ -210,15 +210,10 @@ def write_findings_page(maps: Sequence[FindingsMap], path: Path) -> None:
 
 
 def _write(path: Path, title: str, conventions: list[Convention], content: dict[str, object]) -> None:
-    import jinja2
-
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("anisoscope.report"), autoescape=True, undefined=jinja2.StrictUndefined
-    )
-    environment.filters["level"] = level_text
-    environment.filters["convention"] = convention_text
-    environment.filters["percent"] = lambda share: f"{100.0 * share:.1f} %"
-    page = environment.get_template("experiment.html").render(
-        title=title, conventions=conventions, **{"result": None, **content}
-    )
-    write_text_atomically(path, page)
+    filters: Filters = {
+        "level": level_text,
+        "convention": convention_text,
+        "percent": lambda share: f"{100.0 * share:.1f} %",
+    }
+    shown = {"title": title, "conventions": conventions, "result": None, **content}
+    write_page(path, "experiment.html", shown, filters)

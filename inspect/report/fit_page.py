@@ -8,8 +8,8 @@ import numpy as np
 from anisoscope.fit.fitting import Fit
 from anisoscope.fit.parameters import PARAMETERS
 from anisoscope.fit.text import fixed, notes, number, quality, setup_text, unit_text, value_texts
-from anisoscope.record import write_text_atomically
 from anisoscope.report.figures import BLUE, GRID, RED, _figure, _svg_uri
+from anisoscope.report.page import write_page
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -82,29 +82,24 @@ def write_fit_page(fit: Fit, title: str, path: Path, extra_notes: tuple[str, ...
     Raises:
         RecordError: the file cannot be written.
     """
-    import jinja2
-
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("anisoscope.report"), autoescape=True, undefined=jinja2.StrictUndefined
-    )
-    page = environment.get_template("fit.html").render(
-        title=title,
-        setup=setup_text(fit),
-        unit=unit_text(fit),
-        quality=quality(fit),
-        notes=[*notes(fit), *extra_notes],
-        charts=(measured_chart(fit), residual_chart(fit)),
-        chart_text=f"Measured and fitted values of {len(fit.z)} rows; {quality(fit)}",
-        residual_text=f"Residuals of {len(fit.z)} rows; the largest is {np.max(np.abs(fit.z)):.2g} u",
-        parameters=_parameters(fit),
-        correlation=[
+    content = {
+        "title": title,
+        "setup": setup_text(fit),
+        "unit": unit_text(fit),
+        "quality": quality(fit),
+        "notes": [*notes(fit), *extra_notes],
+        "charts": (measured_chart(fit), residual_chart(fit)),
+        "chart_text": f"Measured and fitted values of {len(fit.z)} rows; {quality(fit)}",
+        "residual_text": f"Residuals of {len(fit.z)} rows; the largest is {np.max(np.abs(fit.z)):.2g} u",
+        "parameters": _parameters(fit),
+        "correlation": [
             ["–" if np.isnan(x) else f"{x:+.3f}".replace("-", "−") for x in row] for row in fit.correlation
         ],
-        rows=_rows(fit),
-        left_out=max(len(fit.z) - LISTED, 0),
-        fixed=[(PARAMETERS[name].words, number(value)) for name, value in fixed(fit).items()],
-    )
-    write_text_atomically(path, page)
+        "rows": _rows(fit),
+        "left_out": max(len(fit.z) - LISTED, 0),
+        "fixed": [(PARAMETERS[name].words, number(value)) for name, value in fixed(fit).items()],
+    }
+    write_page(path, "fit.html", content)
 
 
 def _parameters(fit: Fit) -> list[tuple[str, str, str, str, str, bool]]:

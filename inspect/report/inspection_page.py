@@ -8,8 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.record import Record, write_text_atomically
+from anisoscope.record import Record
 from anisoscope.report import figures
+from anisoscope.report.page import Filters, write_page
 from anisoscope.report.relief3d import Picture3D, Renderer
 
 FloatArray = npt.NDArray[np.float64]
@@ -69,24 +70,21 @@ def write_report(record: Record, pictures: Pictures, folder: Path, view: Picture
     Raises:
         RecordError: the folder cannot be written.
     """
-    import jinja2
-
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("anisoscope.report"), autoescape=True, undefined=jinja2.StrictUndefined
-    )
-    environment.filters["angle"] = _angle
-    environment.filters["short"] = lambda value: f"{value:.4f}" if value >= 5e-5 else "< 0.0001"
-    environment.filters["signed"] = lambda value, digits=3: f"{value:+.{digits}f}".replace("-", "−")
-    page = environment.get_template("inspection.html").render(
-        record=record,
-        meaning=MEANING[record.verdict],
-        kind=KIND_NAMES.get(record.contrasts[0].kind, "") if record.contrasts else "",
-        unit=UNITS.get(record.contrasts[0].kind, "1") if record.contrasts else "1",
-        rule=record.recipe["decision"],
+    content = {
+        "record": record,
+        "meaning": MEANING[record.verdict],
+        "kind": KIND_NAMES.get(record.contrasts[0].kind, "") if record.contrasts else "",
+        "unit": UNITS.get(record.contrasts[0].kind, "1") if record.contrasts else "1",
+        "rule": record.recipe["decision"],
         **_figures(record, pictures, view),
-    )
+    }
+    filters: Filters = {
+        "angle": _angle,
+        "short": lambda value: f"{value:.4f}" if value >= 5e-5 else "< 0.0001",
+        "signed": lambda value, digits=3: f"{value:+.{digits}f}".replace("-", "−"),
+    }
     path = folder / REPORT_NAME
-    write_text_atomically(path, page)
+    write_page(path, "inspection.html", content, filters)
     return path
 
 

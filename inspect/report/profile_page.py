@@ -14,8 +14,8 @@ from anisoscope.profiles.metrology.ridgemeasurement import MeanRidge, RidgeMeasu
 from anisoscope.profiles.metrology.ridges import measure_ridges
 from anisoscope.profiles.textures.amplitude import amplitude
 from anisoscope.progress import Advance, silent
-from anisoscope.record import write_text_atomically
 from anisoscope.report.figures import BLUE, GREEN, MUTED, ORANGE, RED, _figure, _map_figure, _svg_uri, png_uri
+from anisoscope.report.page import write_page
 from anisoscope.report.relief3d import Renderer
 
 PICTURE_POINTS = 900
@@ -213,8 +213,6 @@ def write_profile_page(surface: HeightMap, name: str, path: Path, on_progress: A
         HeightMapError: nothing was measured.
         RecordError: the file cannot be written.
     """
-    import jinja2
-
     levelled = level(surface)
     limits = np.nanquantile(levelled.map.height_um, DRAWN)
     renderer = Renderer(np.clip(levelled.map.height_um, *limits), (surface.pixel_y_um, surface.pixel_x_um))
@@ -241,10 +239,6 @@ def write_profile_page(surface: HeightMap, name: str, path: Path, on_progress: A
         renderer.discard()
     content["view"] = png_uri(view.png) if view.png else None
     content["view_note"] = f"{view.note}; the highest and lowest 0.1 % cut" if view.png else view.note
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("anisoscope.report"), autoescape=True, undefined=jinja2.StrictUndefined
-    )
-    environment.filters["signed"] = lambda value, digits: f"{value:.{digits}f}".replace("-", "−")
-    page = environment.get_template("profile.html").render(**content)
-    write_text_atomically(path, page)
+    filters = {"signed": lambda value, digits: f"{value:.{digits}f}".replace("-", "−")}
+    write_page(path, "profile.html", content, filters)
     on_progress("done", 3, 3)

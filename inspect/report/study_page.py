@@ -1,6 +1,5 @@
 """Pages and pictures of studies: curves, maps and tables of any study, on one page that opens offline."""
 
-import contextlib
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import RecordError, UsageError
-from anisoscope.record import write_text_atomically
+from anisoscope.atomicfile import write_bytes
+from anisoscope.errors import UsageError
 from anisoscope.report.figures import BLUE, GREEN, MUTED, ORANGE, RED, _style, _svg_uri
+from anisoscope.report.page import write_page
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -181,16 +181,9 @@ def write_study_page(
     Raises:
         RecordError: the file cannot be written.
     """
-    import jinja2
-
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("anisoscope.report"), autoescape=True, undefined=jinja2.StrictUndefined
-    )
     pictures = [(_picture(chart), chart.title) for chart in charts]
-    page = environment.get_template("study.html").render(
-        title=title, subtitle=subtitle, pictures=pictures, tables=tables, notes=notes
-    )
-    write_text_atomically(path, page)
+    content = {"title": title, "subtitle": subtitle, "pictures": pictures, "tables": tables, "notes": notes}
+    write_page(path, "study.html", content)
 
 
 def _picture(chart: Chart | Map) -> str:
@@ -245,12 +238,4 @@ def write_picture(path: Path, charts: Sequence[Chart | Map], columns: int = 3) -
         buffer = io.BytesIO()
         kind = path.suffix.lower()[1:]
         figure.savefig(buffer, format=kind, metadata={"Date": None} if kind == "svg" else {"Software": None})
-    partial = path.with_name(f".{path.name}.partial")
-    try:
-        partial.write_bytes(buffer.getvalue())
-        partial.replace(path)
-    except OSError as error:
-        raise RecordError(f"cannot write {path}: {error.strerror}") from error
-    finally:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)
+    write_bytes(path, buffer.getvalue())

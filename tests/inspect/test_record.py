@@ -4,8 +4,9 @@ from pathlib import Path
 
 import pytest
 
+from anisoscope.atomicfile import write_text
 from anisoscope.errors import RecordError
-from anisoscope.record import RECORD_NAME, Record, read_record, sha256_of, write_record, write_text_atomically
+from anisoscope.record import RECORD_NAME, Record, read_record, sha256_of, write_record
 
 
 @pytest.fixture
@@ -71,14 +72,14 @@ def test_the_file_says_its_schema(record, tmp_path):
 @pytest.mark.parametrize("step", ["replace", "open"])
 def test_a_failing_write_leaves_the_old_file_and_no_half_one(monkeypatch, tmp_path, step):
     path = tmp_path / "report.html"
-    write_text_atomically(path, "old")
+    write_text(path, "old")
 
     def fail(*_, **__):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(Path, step, fail)
     with pytest.raises(RecordError, match=r"cannot write .*No space left"):
-        write_text_atomically(path, "new")
+        write_text(path, "new")
     monkeypatch.undo()
     assert path.read_text() == "old"
     assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
@@ -86,7 +87,7 @@ def test_a_failing_write_leaves_the_old_file_and_no_half_one(monkeypatch, tmp_pa
 
 def test_a_text_that_cannot_be_encoded_leaves_nothing(tmp_path):
     with pytest.raises(UnicodeEncodeError):
-        write_text_atomically(tmp_path / "report.html", "\ud800")
+        write_text(tmp_path / "report.html", "\ud800")
     assert not list(tmp_path.iterdir())
 
 
