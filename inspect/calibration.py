@@ -7,9 +7,9 @@ from typing import Any
 from anisoscope.errors import UsageError
 from anisoscope.linear import stack
 from anisoscope.progress import Advance, silent
+from anisoscope.rig.acquisition.runner import Rig, open_rig
 from anisoscope.rig.frame import Frame, FrameKind
 from anisoscope.rig.rigfile import read_rig
-from anisoscope.rig.runner import Rig, open_rig
 from anisoscope.sim.light.geometry import Convention, Pose, directions
 from anisoscope.whitereference import make_reference, write_reference
 

@@ -26,10 +26,10 @@ from anisoscope.record import (
 from anisoscope.recording import Taken, make_record, results
 from anisoscope.registration import Placement, locate
 from anisoscope.report.inspection_page import Pictures, start_renderer, write_report
+from anisoscope.rig.acquisition.plan import Plan
+from anisoscope.rig.acquisition.plan import Pose as RigPose
+from anisoscope.rig.acquisition.runner import open_rig, run_plan
 from anisoscope.rig.frame import Frame
-from anisoscope.rig.plan import Plan
-from anisoscope.rig.plan import Pose as RigPose
-from anisoscope.rig.runner import open_rig, run_plan
 
 MAX_SATURATED_PICTURE = 0.02
 

@@ -18,7 +18,7 @@ from anisoscope.record import (
     Record,
     sha256_of,
 )
-from anisoscope.rig.runner import FrameRecord as FrameFile
+from anisoscope.rig.acquisition.runner import FrameRecord as FrameFile
 
 
 @dataclass(frozen=True, eq=False)

@@ -56,8 +56,8 @@ def elliptec(
         time_scale: stretch of time; 1 is real time, 0 ends every move at once.
         fault: what is wrong with the device, as NAME or NAME:NUMBER; may be repeated.
     """
-    from anisoscope.sim.bench.axis import RotaryAxis
-    from anisoscope.sim.bench.elliptec import ElliptecFirmware
+    from anisoscope.sim.bench.firmware.axis import RotaryAxis
+    from anisoscope.sim.bench.firmware.elliptec import ElliptecFirmware
     from anisoscope.sim.bench.serve import PtyServer, TcpServer
 
     if pty == (tcp is not None):

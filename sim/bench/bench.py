@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.sim.bench.axis import RotaryAxis
 from anisoscope.sim.bench.benchfile import BenchFile, read_bench
-from anisoscope.sim.bench.elliptec import ElliptecFirmware
+from anisoscope.sim.bench.firmware.axis import RotaryAxis
+from anisoscope.sim.bench.firmware.elliptec import ElliptecFirmware
 from anisoscope.sim.bench.optics import image_of_fixture, image_of_surface, vignette
 from anisoscope.sim.bench.samples import build_surface, plastic
 from anisoscope.sim.bench.sensor import Sensor

@@ -7,7 +7,7 @@ from pydantic import Field, field_validator, model_validator
 
 from anisoscope.errors import RigFileError, UsageError
 from anisoscope.rig.fixture import Fixture
-from anisoscope.sim.bench.faults import Fault
+from anisoscope.sim.bench.firmware.faults import Fault
 from anisoscope.tomlfile import LocalPath, NotNegative, Part, Positive, Share, read_toml_model
 
 

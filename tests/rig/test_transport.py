@@ -10,8 +10,8 @@ import pytest
 from anisoscope.errors import NotConnected
 from anisoscope.rig import transport as module
 from anisoscope.rig.transport import Transport, available_ports, register_handlers
-from anisoscope.sim.bench.axis import RotaryAxis
-from anisoscope.sim.bench.elliptec import ElliptecFirmware
+from anisoscope.sim.bench.firmware.axis import RotaryAxis
+from anisoscope.sim.bench.firmware.elliptec import ElliptecFirmware
 from anisoscope.sim.bench.serve import PtyServer, TcpServer
 
 

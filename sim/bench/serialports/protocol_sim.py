@@ -15,9 +15,9 @@ from urllib.parse import unquote
 from serial.serialutil import PortNotOpenError, SerialBase, SerialException, Timeout
 
 from anisoscope.errors import AnisoscopeError
-from anisoscope.sim.bench.axis import RotaryAxis
-from anisoscope.sim.bench.elliptec import ElliptecFirmware
-from anisoscope.sim.bench.faults import Fault
+from anisoscope.sim.bench.firmware.axis import RotaryAxis
+from anisoscope.sim.bench.firmware.elliptec import ElliptecFirmware
+from anisoscope.sim.bench.firmware.faults import Fault
 from anisoscope.sim.bench.serve import Firmware
 
 if TYPE_CHECKING:

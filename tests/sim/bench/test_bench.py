@@ -8,7 +8,7 @@ from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign, ridges
 from anisoscope.registration import angle_between, locate
-from anisoscope.rig.elliptec import Elliptec
+from anisoscope.rig.stages.elliptec import Elliptec
 from anisoscope.sim.bench.bench import shared_bench
 from anisoscope.sim.bench.camera import open_camera, open_light
 

@@ -8,8 +8,8 @@ import pytest
 import serial
 
 from anisoscope.rig.transport import register_handlers
-from anisoscope.sim.bench.axis import RotaryAxis
-from anisoscope.sim.bench.elliptec import ElliptecFirmware
+from anisoscope.sim.bench.firmware.axis import RotaryAxis
+from anisoscope.sim.bench.firmware.elliptec import ElliptecFirmware
 
 URL = "sim://elliptec?time_scale=0"
 

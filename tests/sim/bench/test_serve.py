@@ -13,8 +13,8 @@ import pytest
 from anisoscope.cli.rig import elliptec, ports
 from anisoscope.errors import RigError, UsageError
 from anisoscope.rig.transport import Transport
-from anisoscope.sim.bench.axis import RotaryAxis
-from anisoscope.sim.bench.elliptec import ElliptecFirmware
+from anisoscope.sim.bench.firmware.axis import RotaryAxis
+from anisoscope.sim.bench.firmware.elliptec import ElliptecFirmware
 from anisoscope.sim.bench.serve import PtyServer, TcpServer
 
 

@@ -4,7 +4,7 @@ import logging
 import time
 
 from anisoscope.errors import MotionTimeout, NotConnected, ProtocolError, RigError
-from anisoscope.rig.elliptec_wire import BUSY, OK, TERMINATOR, UNSOLICITED, Answer, error_of_status
+from anisoscope.rig.stages.elliptec_wire import BUSY, OK, TERMINATOR, UNSOLICITED, Answer, error_of_status
 from anisoscope.rig.transport import Transport
 
 _log = logging.getLogger(__name__)

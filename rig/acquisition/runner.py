@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from anisoscope.errors import CameraError, RecordError, RigError, RigFileError
+from anisoscope.rig.acquisition.plan import DarkEvent, LightEvent, MoveEvent, Plan, Pose, SampleEvent
 from anisoscope.rig.camera import Camera, CameraSettings
 from anisoscope.rig.drivers import open_camera, open_light, open_stage
 from anisoscope.rig.frame import Frame, FrameKind, write_frame
 from anisoscope.rig.light import Light
-from anisoscope.rig.plan import DarkEvent, LightEvent, MoveEvent, Plan, Pose, SampleEvent
 from anisoscope.rig.rigfile import RigFile
 from anisoscope.rig.stage import RotationStage
 

@@ -8,13 +8,14 @@ import pytest
 
 from anisoscope.errors import CameraError, NotConnected, RecordError, RigError, RigFileError, UsageError
 from anisoscope.rig import drivers, runner
+from anisoscope.rig.acquisition.plan import DarkEvent, LightEvent, MoveEvent, Plan, Pose, SampleEvent
+from anisoscope.rig.acquisition.runner import Rig, open_rig, run_plan
 from anisoscope.rig.camera import Camera, CameraInfo, CameraSettings
 from anisoscope.rig.drivers import open_stage
 from anisoscope.rig.frame import read_frame
-from anisoscope.rig.light import Light, ManualLight, open_manual
-from anisoscope.rig.plan import DarkEvent, LightEvent, MoveEvent, Plan, Pose, SampleEvent
+from anisoscope.rig.light import Light
+from anisoscope.rig.lights.manual import ManualLight, open_manual
 from anisoscope.rig.rigfile import CameraPart, GeometryPart, LightPart, RigFile, StagePart
-from anisoscope.rig.runner import Rig, open_rig, run_plan
 
 
 class FakeStage:

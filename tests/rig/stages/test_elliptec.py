@@ -17,12 +17,18 @@ from anisoscope.errors import (
     RigError,
     Stalled,
 )
-from anisoscope.rig.elliptec import Elliptec
-from anisoscope.rig.elliptec_wire import Answer, DeviceInfo, counts_from_hex, counts_to_hex, error_of_status
 from anisoscope.rig.stage import RotationStage
+from anisoscope.rig.stages.elliptec import Elliptec
+from anisoscope.rig.stages.elliptec_wire import (
+    Answer,
+    DeviceInfo,
+    counts_from_hex,
+    counts_to_hex,
+    error_of_status,
+)
 from anisoscope.rig.transport import Transport
-from anisoscope.sim.bench.axis import RotaryAxis
-from anisoscope.sim.bench.elliptec import ELL8, ElliptecBus, ElliptecFirmware, ElliptecModel
+from anisoscope.sim.bench.firmware.axis import RotaryAxis
+from anisoscope.sim.bench.firmware.elliptec import ELL8, ElliptecBus, ElliptecFirmware, ElliptecModel
 from anisoscope.sim.bench.serialports import protocol_sim
 from anisoscope.sim.bench.serve import PtyServer, TcpServer
 

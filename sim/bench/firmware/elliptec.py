@@ -11,8 +11,8 @@ import threading
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 
-from anisoscope.sim.bench.axis import RotaryAxis
-from anisoscope.sim.bench.faults import Fault, FaultKind
+from anisoscope.sim.bench.firmware.axis import RotaryAxis
+from anisoscope.sim.bench.firmware.faults import Fault, FaultKind
 
 ADDRESSES = b"0123456789ABCDEF"
 ARGUMENT_LENGTHS: Mapping[bytes, int] = {

@@ -10,8 +10,9 @@ import time
 from typing import Self, TypedDict, Unpack
 
 from anisoscope.errors import RigError
-from anisoscope.rig.elliptec_line import BUSY_POLL_S, ElliptecLine
-from anisoscope.rig.elliptec_wire import (
+from anisoscope.rig.stage import MotionRules
+from anisoscope.rig.stages.elliptec_line import BUSY_POLL_S, ElliptecLine
+from anisoscope.rig.stages.elliptec_wire import (
     ADDRESSES,
     BUSY,
     OK,
@@ -20,8 +21,7 @@ from anisoscope.rig.elliptec_wire import (
     counts_to_hex,
     error_of_status,
 )
-from anisoscope.rig.motion import StageBase
-from anisoscope.rig.stage import MotionRules
+from anisoscope.rig.stages.motion import StageBase
 from anisoscope.rig.transport import Transport
 
 BAUDRATE = 9600

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from anisoscope.sim.bench.axis import RotaryAxis
+from anisoscope.sim.bench.firmware.axis import RotaryAxis
 
 angles = st.floats(-720.0, 720.0)
 

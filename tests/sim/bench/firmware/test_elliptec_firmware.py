@@ -3,9 +3,9 @@
 import pytest
 
 from anisoscope.errors import UsageError
-from anisoscope.sim.bench.axis import RotaryAxis
-from anisoscope.sim.bench.elliptec import ELL8, ElliptecBus, ElliptecFirmware
-from anisoscope.sim.bench.faults import Fault, FaultKind
+from anisoscope.sim.bench.firmware.axis import RotaryAxis
+from anisoscope.sim.bench.firmware.elliptec import ELL8, ElliptecBus, ElliptecFirmware
+from anisoscope.sim.bench.firmware.faults import Fault, FaultKind
 
 
 class Clock:

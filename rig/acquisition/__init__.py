@@ -1,0 +1,1 @@
+"""What is photographed, in which order, and how it is carried out."""

@@ -1,0 +1,1 @@
+"""Lights that the rig can switch."""

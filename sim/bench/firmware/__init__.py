@@ -1,0 +1,1 @@
+"""Firmware of simulated devices, byte by byte, and what moves behind it."""
