@@ -38,41 +38,43 @@ def ports(*, json: Annotated[bool, Parameter(negative="")] = False) -> None:
         print("no serial ports")  # noqa: T201
 
 
-@sim.command
-def elliptec(
+@sim.default
+def device(
+    name: Annotated[str, Parameter(help="Protocol: elliptec, zaber, grbl, apt or smc100.")],
+    /,
     *,
     pty: Annotated[bool, Parameter(negative="")] = False,
     tcp: int | None = None,
-    address: str = "0",
+    model: str = "",
+    address: str = "",
     time_scale: float = 1.0,
     fault: Annotated[tuple[str, ...], Parameter(negative="")] = (),
 ) -> int:
-    """Serve a Thorlabs Elliptec ELL14 until Ctrl-C; the first line says where.
+    """Serve a simulated stage until Ctrl-C; the first line says where.
 
     Args:
         pty: serve on a new pseudo terminal.
         tcp: serve on this TCP port of 127.0.0.1; 0 takes any free one.
-        address: bus address, 0 to 9 or A to F.
+        model: which device of the protocol; the usual one if not given.
+        address: bus address; the protocol's first if not given.
         time_scale: stretch of time; 1 is real time, 0 ends every move at once.
         fault: what is wrong with the device, as NAME or NAME:NUMBER; may be repeated.
     """
     from anisoscope.sim.bench.firmware.axis import RotaryAxis
-    from anisoscope.sim.bench.firmware.elliptec import ElliptecFirmware
+    from anisoscope.sim.bench.firmware.catalogue import Mount, build
     from anisoscope.sim.bench.serve import PtyServer, TcpServer
 
     if pty == (tcp is not None):
-        raise UsageError("rig sim elliptec: give exactly one of --pty and --tcp PORT")
+        raise UsageError(f"rig sim {name}: give exactly one of --pty and --tcp PORT")
     if not 0.0 <= time_scale < float("inf"):
-        raise UsageError("rig sim elliptec: --time-scale must be a number, 0 or more")
-    if len(address) != 1 or address not in "0123456789ABCDEF":
-        raise UsageError(f"rig sim elliptec: --address {address}: expected one of 0…9, A…F")
-    firmware = ElliptecFirmware(RotaryAxis(time_scale=time_scale), address=address, faults=fault)
-    return _serve(PtyServer(firmware) if tcp is None else TcpServer(firmware, tcp))
+        raise UsageError(f"rig sim {name}: --time-scale must be a number, 0 or more")
+    firmware = build(name, [Mount(RotaryAxis(time_scale=time_scale), address)], model=model, faults=fault)
+    return _serve(name, PtyServer(firmware) if tcp is None else TcpServer(firmware, tcp))
 
 
-def _serve(server: "PtyServer | TcpServer") -> int:
+def _serve(name: str, server: "PtyServer | TcpServer") -> int:
     """Serve until Ctrl-C or SIGTERM (which the command line turns into the same); that is a normal end."""
-    print(f"serving elliptec on {server.port}", flush=True)  # noqa: T201
+    print(f"serving {name} on {server.port}", flush=True)  # noqa: T201
     try:
         server.run()
     except KeyboardInterrupt:

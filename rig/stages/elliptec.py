@@ -28,6 +28,7 @@ BAUDRATE = 9600
 # Full speed is 430°/s for an ELL14; time limits count on less, because load and resonance slow it down.
 SURE_VELOCITY_DEG_S = 100.0
 QUIET_S = 0.15
+FIRST_POLL_S = 0.002
 
 
 class ElliptecOptions(TypedDict, total=False):
@@ -82,6 +83,7 @@ class Elliptec(StageBase):
         self._move_gap_s = move_gap_s
         self._last_motion_end = -1e9
         self._polling = False
+        self._poll_s = FIRST_POLL_S
         self._refused = False
         self._command = ""
         self._target_counts = 0
@@ -177,11 +179,13 @@ class Elliptec(StageBase):
         self._transport.discard()
         self._command = command
         self._polling = self._refused = False
+        self._poll_s = FIRST_POLL_S
         self._line.send(command)
 
     def _is_busy(self, wait_s: float) -> bool:
         if self._polling:
-            time.sleep(BUSY_POLL_S)
+            time.sleep(self._poll_s)
+            self._poll_s = min(2.0 * self._poll_s, BUSY_POLL_S)
             self._line.send("gs")
         answer = self._line.next_answer(wait_s)
         if answer is None:
@@ -221,9 +225,8 @@ class Elliptec(StageBase):
         self._line.send("st")
 
     def _wait_until_still(self) -> None:
-        deadline = time.monotonic() + self.rules.margin_s
-        while time.monotonic() < deadline and self._line.next_answer(QUIET_S) is not None:
-            pass
+        # A stop is answered once; what else may come is discarded before the next question.
+        self._line.next_answer(QUIET_S)
         self._last_motion_end = time.monotonic()
 
     def _disconnect(self) -> None:

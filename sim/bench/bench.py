@@ -7,9 +7,11 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.errors import UsageError
 from anisoscope.sim.bench.benchfile import BenchFile, read_bench
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
-from anisoscope.sim.bench.firmware.elliptec import ElliptecFirmware
+from anisoscope.sim.bench.firmware.catalogue import Mount, build
+from anisoscope.sim.bench.firmware.device import Firmware
 from anisoscope.sim.bench.optics import image_of_fixture, image_of_surface, vignette
 from anisoscope.sim.bench.samples import build_surface, plastic
 from anisoscope.sim.bench.sensor import Sensor
@@ -31,15 +33,20 @@ class Bench:
         self.file = file
         surface_rng, sensor_rng, self._light_rng = np.random.default_rng(file.seed).spawn(3)
         self.axis = RotaryAxis(time_scale=file.stage.time_scale, backlash_deg=file.stage.backlash_deg)
-        self.stage_firmware = ElliptecFirmware(
-            self.axis, address=file.stage.address, faults=file.stage.faults
+        mounts = [Mount(self.axis, file.stage.address)]
+        self.tilt_axis: RotaryAxis | None = None
+        if file.tilt is not None:
+            self.tilt_axis = RotaryAxis(time_scale=file.stage.time_scale, backlash_deg=file.tilt.backlash_deg)
+            mounts.append(Mount(self.tilt_axis, file.tilt.address))
+        self.stage_firmware = build(
+            file.stage.protocol, mounts, model=file.stage.model, faults=file.stage.faults
         )
         self.sensor = Sensor(file.sensor, sensor_rng)
         self.light_on = False
         self._surface_rng = surface_rng
         self._surface: Relief | None = None
         self._frames_lit = 0
-        self._scene: tuple[float, FloatArray] | None = None
+        self._scene: tuple[tuple[float, float], FloatArray] | None = None
         self._lock = threading.Lock()
 
     @property
@@ -47,6 +54,24 @@ class Bench:
         """The angle at which the sample truly stands now."""
         sense = 1.0 if self.file.stage.turns == "ccw" else -1.0
         return sense * (self.axis.load_deg() - self.file.stage.zero_deg)
+
+    @property
+    def tilt_deg(self) -> float:
+        """The angle by which the camera arm truly leans now."""
+        fixed, part = self.file.geometry.tilt_deg, self.file.tilt
+        if self.tilt_axis is None or part is None:
+            return fixed
+        return fixed + part.sign * (self.tilt_axis.load_deg() - part.zero_deg)
+
+    def device(self, name: str) -> Firmware:
+        """The device that answers on a line of this rig.
+
+        Raises:
+            UsageError: this rig has no such device.
+        """
+        if name != self.file.stage.protocol:
+            raise UsageError(f"the stage of this bench speaks {self.file.stage.protocol}, not {name}")
+        return self.stage_firmware
 
     def photograph(self, exposure_s: float, gain: float) -> Counts:
         """One frame of the sensor, (rows, cols) counts."""
@@ -61,15 +86,15 @@ class Bench:
             return self.sensor.expose(signal, exposure_s, gain)
 
     def _radiance_on_sensor(self) -> FloatArray:
-        angle = self.sample_angle_deg
-        if self._scene is None or self._scene[0] != angle:
-            self._scene = (angle, self._render(angle))
+        pose = self.sample_angle_deg, self.tilt_deg
+        if self._scene is None or self._scene[0] != pose:
+            self._scene = (pose, self._render(*pose))
         return self._scene[1]
 
-    def _render(self, angle_deg: float) -> FloatArray:
+    def _render(self, angle_deg: float, tilt_deg: float) -> FloatArray:
         file = self.file
         convention = Convention(light_angle_deg=file.geometry.light_angle_deg)
-        cos_light = directions((Pose(angle_deg, file.geometry.tilt_deg),), convention)[0][0, 2]
+        cos_light = directions((Pose(angle_deg, tilt_deg),), convention)[0][0, 2]
         shade = vignette(file.optics, file.sensor)
         if file.sample.kind == "white-tile":
             image = np.full(shade.shape, file.sample.reflectance / np.pi * cos_light)
@@ -78,23 +103,24 @@ class Bench:
                 self._surface = build_surface(file.sample, self._surface_rng)
             height = self._surface.surface
             picture, cover = image_of_surface(
-                self._radiance_of_sample(self._surface, angle_deg),
+                self._radiance_of_sample(self._surface, angle_deg, tilt_deg),
                 (height.pixel_y_um, height.pixel_x_um),
                 file.optics,
                 file.sensor,
                 angle_deg,
-                file.geometry.tilt_deg,
+                tilt_deg,
             )
             image = picture.astype(np.float64)
             if file.fixture is not None:
-                tilt = file.geometry.tilt_deg
-                around = image_of_fixture(file.fixture, file.optics, file.sensor, angle_deg, tilt)
+                around = image_of_fixture(file.fixture, file.optics, file.sensor, angle_deg, tilt_deg)
                 image = image + (1.0 - cover) * around / np.pi * cos_light
         return np.asarray((image + file.optics.stray_radiance) * shade, dtype=np.float64)
 
-    def _radiance_of_sample(self, surface: Relief, angle_deg: float) -> npt.NDArray[np.float32]:
+    def _radiance_of_sample(
+        self, surface: Relief, angle_deg: float, tilt_deg: float
+    ) -> npt.NDArray[np.float32]:
         convention = Convention(light_angle_deg=self.file.geometry.light_angle_deg)
-        to_light, to_camera = directions((Pose(angle_deg, self.file.geometry.tilt_deg),), convention)
+        to_light, to_camera = directions((Pose(angle_deg, tilt_deg),), convention)
         seat = seating_rotation(*self.file.sample.seating_tilt_deg)
         return next(
             radiance_maps(surface, to_light @ seat, to_camera @ seat, plastic(self.file.sample.material))

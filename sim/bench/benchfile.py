@@ -3,11 +3,12 @@
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from anisoscope.errors import RigFileError, UsageError
 from anisoscope.rig.fixture import Fixture
-from anisoscope.sim.bench.firmware.faults import Fault
+from anisoscope.sim.bench.firmware.axis import RotaryAxis
+from anisoscope.sim.bench.firmware.catalogue import Mount, build
 from anisoscope.tomlfile import LocalPath, NotNegative, Part, Positive, Share, read_toml_model
 
 
@@ -85,30 +86,44 @@ class OpticsPart(Part):
 class StagePart(Part):
     """The stage under the sample.
 
-    ``zero_deg`` is its reading where the sample truly stands at 0°, ``turns`` the sense in which a growing
-    reading truly turns the sample, ``backlash_deg`` the play between motor and sample.
+    ``protocol``, ``model`` and ``address`` say which device it is; "" is the usual one. ``zero_deg`` is its reading
+    where the sample truly stands at 0°, ``turns`` the sense in which a growing reading truly turns the sample,
+    ``backlash_deg`` the play between motor and sample.
     """
 
+    protocol: Literal["elliptec", "zaber", "grbl", "apt", "smc100"] = "elliptec"
+    model: str = ""
+    address: str = ""
     zero_deg: float = 10.0
     turns: Literal["ccw", "cw"] = "ccw"
     backlash_deg: NotNegative = 0.0
-    address: Annotated[str, Field(pattern="^[0-9A-F]$")] = "0"
     time_scale: NotNegative = 0.1
     faults: tuple[str, ...] = ()
 
-    @field_validator("faults")
-    @classmethod
-    def _known(cls, faults: tuple[str, ...]) -> tuple[str, ...]:
+    @model_validator(mode="after")
+    def _can_be_built(self) -> Self:
         try:
-            for fault in faults:
-                Fault.parse(fault)
+            build(self.protocol, [Mount(RotaryAxis(), self.address)], model=self.model, faults=self.faults)
         except UsageError as problem:
             raise ValueError(str(problem)) from None
-        return faults
+        return self
+
+
+class TiltPart(Part):
+    """A second axis on the stage's line that tilts the camera arm.
+
+    ``zero_deg`` is its reading where the arm truly stands upright, ``sign`` −1 where a growing reading tilts the
+    other way.
+    """
+
+    address: str = ""
+    zero_deg: float = 30.0
+    sign: Literal[-1, 1] = 1
+    backlash_deg: NotNegative = 0.0
 
 
 class GeometryPart(Part):
-    """Where camera and light truly stand."""
+    """Where camera and light truly stand; with a tilt axis, ``tilt_deg`` comes on top of it."""
 
     light_angle_deg: float = 10.0
     tilt_deg: float = 0.0
@@ -123,6 +138,7 @@ class BenchFile(Part):
     sensor: SensorPart = SensorPart()
     optics: OpticsPart = OpticsPart()
     stage: StagePart = StagePart()
+    tilt: TiltPart | None = None
     geometry: GeometryPart = GeometryPart()
     fixture: Fixture | None = None
 

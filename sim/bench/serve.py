@@ -8,28 +8,13 @@ import socket
 import threading
 from abc import ABC, abstractmethod
 from types import TracebackType
-from typing import Protocol, Self
+from typing import Self
 
 from anisoscope.errors import RigError
+from anisoscope.sim.bench.firmware.device import Firmware
 
 POLL_S = 0.005
 CHUNK = 4096
-
-
-class Firmware(Protocol):
-    """A simulated device: bytes in, bytes out."""
-
-    def connect(self) -> None:
-        """A host opened the line."""
-        ...
-
-    def write(self, data: bytes) -> None:
-        """Take bytes from the host; ConnectionError if the line is dead."""
-        ...
-
-    def read(self) -> bytes:
-        """Return the bytes that are ready to be sent; ConnectionError if the line is dead."""
-        ...
 
 
 class Server(ABC):

@@ -52,7 +52,7 @@ def test_endless_noise_does_not_fill_the_memory(monkeypatch):
     ("port", "pattern"),
     [
         ("/dev/ttyNOTHERE", "there is no port /dev/ttyNOTHERE; .*port"),
-        ("sim://laser", "no simulated device 'laser'"),
+        ("sim://laser", "no simulated stage 'laser'"),
         ("sim://elliptec?speed=3", "unknown option 'speed'"),
         ("sim://elliptec?fault=gremlins", "no fault 'gremlins'"),
         ("sim://elliptec?time_scale=fast", "could not convert"),

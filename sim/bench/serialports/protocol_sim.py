@@ -1,7 +1,7 @@
 """pyserial's handler for ``sim://…``: a simulated device in this process, without a port.
 
-``sim://elliptec?address=0&time_scale=0.1&fault=stall:30`` is a stage on its own;
-``sim://elliptec?bench=/path/bench.toml`` is the stage of a virtual rig, shared with its camera.
+``sim://zaber?address=2&time_scale=0.1&fault=stall:30&model=X-RSW60A`` is a stage on its own;
+``sim://elliptec?bench=/path/bench.toml`` is the line to the stage of a virtual rig, shared with its camera.
 Values are percent-decoded; ``fault`` may be given several times.
 """
 
@@ -16,15 +16,14 @@ from serial.serialutil import PortNotOpenError, SerialBase, SerialException, Tim
 
 from anisoscope.errors import AnisoscopeError
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
-from anisoscope.sim.bench.firmware.elliptec import ElliptecFirmware
-from anisoscope.sim.bench.firmware.faults import Fault
-from anisoscope.sim.bench.serve import Firmware
+from anisoscope.sim.bench.firmware.catalogue import Mount, build
+from anisoscope.sim.bench.firmware.device import Firmware
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
 
 POLL_S = 0.001
-OPTIONS = frozenset({"address", "time_scale", "fault", "bench"})
+OPTIONS = frozenset({"address", "time_scale", "fault", "model", "bench"})
 
 
 class Serial(SerialBase):
@@ -153,8 +152,7 @@ def device_of_url(url: str) -> Firmware:
         AnisoscopeError: the bench file is wrong, or there is no such fault.
     """
     name, _, query = url.partition("://")[2].partition("?")
-    if name.rstrip("/") != "elliptec":
-        raise ValueError(f"there is no simulated device '{name}'; there is: elliptec")
+    name = name.rstrip("/")
     pairs = [item.partition("=")[::2] for item in query.split("&") if item]
     options = {key: unquote(value) for key, value in pairs}
     if unknown := options.keys() - OPTIONS:
@@ -162,10 +160,10 @@ def device_of_url(url: str) -> Firmware:
     if "bench" in options:
         from anisoscope.sim.bench.bench import shared_bench  # noqa: PLC0415 - heavy, and needs light
 
-        firmware: Firmware = shared_bench(options["bench"]).stage_firmware
-        return firmware
-    return ElliptecFirmware(
-        RotaryAxis(time_scale=float(options.get("time_scale", "1"))),
-        address=options.get("address", "0"),
-        faults=[Fault.parse(unquote(value)) for key, value in pairs if key == "fault"],
+        return shared_bench(options["bench"]).device(name)
+    return build(
+        name,
+        [Mount(RotaryAxis(time_scale=float(options.get("time_scale", "1"))), options.get("address", ""))],
+        model=options.get("model", ""),
+        faults=[unquote(value) for key, value in pairs if key == "fault"],
     )

@@ -179,5 +179,5 @@ def test_a_missing_or_wrong_bench_file_is_named(tmp_path, bench_path):
     with pytest.raises(RigFileError, match=r"none\.toml: there is no such file"):
         shared_bench(tmp_path / "none.toml")
     wrong = bench_path(stage={"faults": ["no-such-fault"]})
-    with pytest.raises(NotConnected, match=r"stage\.faults: there is no fault"):
+    with pytest.raises(NotConnected, match=r"stage: there is no fault"):
         Elliptec.open(f"sim://elliptec?bench={wrong}")

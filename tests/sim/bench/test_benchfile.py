@@ -24,10 +24,10 @@ MISTAKES = {
     "optics.pixel_um": {"optics": {"pixel_um": "4 um"}},
     "optics.axis_px[1]": {"optics": {"axis_px": [1.0]}},
     "optics.lens_cap": {"optics": {"lens_cap": 1}},
-    "stage.address": {"stage": {"address": "G"}},
+    "stage: 'G' is not an Elliptec address": {"stage": {"address": "G"}},
     "stage.turns": {"stage": {"turns": "left"}},
-    "stage.faults: there is no fault 'stal'": {"stage": {"faults": ["stal:30"]}},
-    "stage.faults: fault stall: 'x' is not a number": {"stage": {"faults": ["stall:x"]}},
+    "stage: there is no fault 'stal'": {"stage": {"faults": ["stal:30"]}},
+    "stage: fault stall: 'x' is not a number": {"stage": {"faults": ["stall:x"]}},
     "fixture.marker_mm": {"fixture": {"markers": [{"id": 0, "x_mm": 0.0, "y_mm": 0.0}]}},
     "fixture: marker 1 is listed twice": {
         "fixture": {"marker_mm": 1.0, "markers": [{"id": 1, "x_mm": float(x), "y_mm": 0.0} for x in (0, 1)]}

@@ -72,7 +72,7 @@ def test_a_stage_of_a_bench_is_shared_and_held(monkeypatch):
 
     def shared_bench(path):
         asked.append(path)
-        return types.SimpleNamespace(stage_firmware=firmware)
+        return types.SimpleNamespace(device=lambda _name: firmware)
 
     bench = types.ModuleType("bench")
     bench.shared_bench = shared_bench

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from anisoscope.cli.rig import elliptec, ports
+from anisoscope.cli.rig import device, ports
 from anisoscope.errors import RigError, UsageError
 from anisoscope.rig.transport import Transport
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
@@ -71,7 +71,7 @@ def test_servers_leave_nothing_behind():
 )
 def test_options_that_make_no_sense(options):
     with pytest.raises(UsageError):
-        elliptec(**options)
+        device("elliptec", **options)
 
 
 @pytest.mark.parametrize(("option", "ending"), [("--pty", signal.SIGINT), ("--tcp=0", signal.SIGTERM)])

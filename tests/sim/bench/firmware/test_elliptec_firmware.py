@@ -4,7 +4,8 @@ import pytest
 
 from anisoscope.errors import UsageError
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
-from anisoscope.sim.bench.firmware.elliptec import ELL8, ElliptecBus, ElliptecFirmware
+from anisoscope.sim.bench.firmware.device import Bus
+from anisoscope.sim.bench.firmware.elliptec import ELL8, ElliptecFirmware
 from anisoscope.sim.bench.firmware.faults import Fault, FaultKind
 
 
@@ -139,7 +140,7 @@ def test_another_model_has_another_scale():
 
 
 def test_several_stages_on_one_line():
-    bus = ElliptecBus(instant(address="0"), instant(address="A"))
+    bus = Bus(instant(address="0"), instant(address="A"))
     assert ask(bus, b"Ama00000010") == b"APO00000010\r\n"
     assert ask(bus, b"0gp") == b"0PO00000000\r\n"
 

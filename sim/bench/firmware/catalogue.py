@@ -1,0 +1,73 @@
+"""The simulated devices by name, as ``sim://NAME``, ``rig sim NAME`` and a bench file build them.
+
+A protocol lives in a module of its own, which ends in a `Simulated` named ``SIMULATED``; it is imported when asked for.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from typing import cast
+
+from anisoscope.errors import UsageError
+from anisoscope.sim.bench.firmware.axis import RotaryAxis
+from anisoscope.sim.bench.firmware.device import Firmware
+
+STAGES = ("elliptec", "zaber", "grbl", "apt", "smc100")
+
+
+@dataclass(frozen=True)
+class Mount:
+    """An axis, and the address at which the host finds it; "" is the protocol's first, or the one after the last."""
+
+    axis: RotaryAxis
+    address: str = ""
+
+
+Builder = Callable[[Sequence[Mount], str, Sequence[str]], Firmware]
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """A protocol of which devices can be simulated.
+
+    Attributes:
+        title: what it is, for people.
+        models: names of the devices that it can be, the usual one first.
+        build: makes the device from its axes (rotation first, then tilt), a model name and faults. With more axes
+            than one controller has, what it makes is several controllers on one line; faults are those of the first.
+            Raises `UsageError` for an address, a number of axes or a fault that the protocol does not know.
+    """
+
+    title: str
+    models: tuple[str, ...]
+    build: Builder
+
+
+def simulated(name: str) -> Simulated:
+    """The protocol of a name.
+
+    Raises:
+        UsageError: there is none.
+    """
+    if name not in STAGES:
+        raise UsageError(f"there is no simulated stage '{name}'; there are: {', '.join(STAGES)}")
+    return cast("Simulated", import_module(f"anisoscope.sim.bench.firmware.{name}").SIMULATED)
+
+
+def build(name: str, mounts: Sequence[Mount], *, model: str = "", faults: Sequence[str] = ()) -> Firmware:
+    """A simulated device.
+
+    Args:
+        name: protocol, one of `STAGES`.
+        mounts: its axes, the rotation first.
+        model: name of a model of the protocol; "" is the usual one.
+        faults: what is wrong with it.
+
+    Raises:
+        UsageError: a name, an address or a fault that does not exist.
+    """
+    protocol = simulated(name)
+    model = model or protocol.models[0]
+    if model not in protocol.models:
+        raise UsageError(f"{name} knows no model '{model}'; it knows: {', '.join(protocol.models)}")
+    return protocol.build(mounts, model, faults)

@@ -1,0 +1,81 @@
+"""One case a protocol, and the lines on which a test can reach its simulated device."""
+
+import contextlib
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from anisoscope import errors
+from anisoscope.rig.drivers import open_stage
+from anisoscope.sim.bench.firmware.axis import RotaryAxis
+from anisoscope.sim.bench.firmware.catalogue import Mount, build
+from anisoscope.sim.bench.serialports import protocol_sim
+from anisoscope.sim.bench.serve import PtyServer, TcpServer
+
+
+@dataclass(frozen=True)
+class Case:
+    """A protocol under test: its driver with hurried options, its simulated device, and what to expect."""
+
+    protocol: str
+    driver: dict
+    stage: dict
+    faults: dict
+
+    def firmware(self, *faults, time_scale=0.0, **axis):
+        return build(self.protocol, [Mount(RotaryAxis(time_scale=time_scale, **axis))], faults=faults)
+
+    def open(self, port, **options):
+        return open_stage(self.protocol, port=port, **(self.driver | options))
+
+    def error_of(self, fault):
+        """The error class and the part of its message, or None where the driver copes."""
+        expected = self.faults[fault]
+        return None if expected == "copes" else (getattr(errors, expected[0]), expected[1])
+
+
+def read_cases():
+    return {
+        path.stem: Case(path.stem, **tomllib.loads(path.read_text(encoding="utf-8")))
+        for path in sorted((Path(__file__).parent / "conformance").glob("*.toml"))
+    }
+
+
+CASES = read_cases()
+
+
+def pytest_generate_tests(metafunc):
+    """``case`` runs a test for every protocol, ``case`` with ``fault`` for every fault of every protocol."""
+    if "fault" in metafunc.fixturenames and "case" in metafunc.fixturenames:
+        pairs = [(case, fault) for case in CASES.values() for fault in case.faults]
+        ids = [f"{case.protocol}-{fault}" for case, fault in pairs]
+        metafunc.parametrize(("case", "fault"), pairs, ids=ids)
+    elif "case" in metafunc.fixturenames:
+        metafunc.parametrize("case", CASES.values(), ids=CASES)
+
+
+@pytest.fixture
+def in_process(monkeypatch):
+    """Serve firmware of the test's choice behind sim:// in this process."""
+
+    def serve(firmware):
+        monkeypatch.setattr(protocol_sim, "device_of_url", lambda _: firmware)
+        return "sim://device"
+
+    return serve
+
+
+@pytest.fixture(params=["sim", "pty", "tcp"])
+def served(request, in_process):
+    """The same over every line; gives (function that starts to serve and returns the port)."""
+    with contextlib.ExitStack() as servers:
+
+        def serve(firmware):
+            if request.param == "sim":
+                return in_process(firmware)
+            server = PtyServer(firmware) if request.param == "pty" else TcpServer(firmware)
+            return servers.enter_context(server).url
+
+        yield serve
