@@ -149,6 +149,7 @@ class RigUncertainty(Part):
     stage_deg: NotNegative = 0.05
     seating_tilt_deg: NotNegative = 0.1
     flat_share: NotNegative = 0.002
+    scale_share: NotNegative = 0.02
     linearity_share: NotNegative = 0.001
     stray_radiance: NotNegative = 0.0003
     height_map_share: NotNegative = 0.01

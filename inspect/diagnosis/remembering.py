@@ -1,0 +1,88 @@
+"""Signatures kept on disk: they depend on recipe and rig only, and take longer than an inspection.
+
+The folder is ``$ANISOSCOPE_CACHE``, or the user's cache folder; whatever is in it may be deleted at any time.
+"""
+
+import contextlib
+import hashlib
+import io
+import json
+import os
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from anisoscope.atomicfile import write_bytes
+from anisoscope.diagnosis.causes import all_causes
+from anisoscope.diagnosis.signatures import Signature, Signatures, signatures
+from anisoscope.errors import RecordError
+from anisoscope.progress import Advance, silent
+from anisoscope.recipe import Recipe
+
+VARIABLE = "ANISOSCOPE_CACHE"
+
+
+def cache_folder() -> Path:
+    """Where results are kept that can be computed again."""
+    from platformdirs import user_cache_path  # noqa: PLC0415
+
+    return Path(os.environ[VARIABLE]) if VARIABLE in os.environ else user_cache_path("anisoscope")
+
+
+def remembered_signatures(recipe: Recipe, light_angle_deg: float, advance: Advance = silent) -> Signatures:
+    """The signatures of a recipe, computed once; arguments and errors as for `signatures`."""
+    path = cache_folder() / "signatures" / f"{_key(recipe, light_angle_deg)}.npz"
+    with contextlib.suppress(OSError, KeyError, ValueError):  # missing or damaged: computed again
+        return _read(path, recipe)
+    found = signatures(recipe, light_angle_deg, advance)
+    with contextlib.suppress(OSError, RecordError):  # no place to keep them: the next one computes them again
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_bytes(path, _packed(found))
+    return found
+
+
+def _key(recipe: Recipe, light_angle_deg: float) -> str:
+    surface = recipe.surface.height_map
+    told = {
+        "software": version("anisoscope"),
+        "surface": recipe.surface.model_dump(mode="json"),
+        "map": "" if surface is None else hashlib.sha256(surface.read_bytes()).hexdigest(),
+        "material": vars(recipe.material.material()),
+        "poses": recipe.poses.model_dump(mode="json"),
+        "cells": None if recipe.area is None else recipe.area.cell_deviation,
+        "light_angle_deg": light_angle_deg,
+        "causes": [(cause.name, cause.extents) for cause in all_causes()],
+    }
+    return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:32]
+
+
+def _packed(found: Signatures) -> bytes:
+    told = {
+        "names": [one.cause.name for one in found.found],
+        "left_out": found.left_out,
+        "share": found.share,
+    }
+    arrays = {"told": np.frombuffer(json.dumps(told).encode(), dtype=np.uint8), "radiance": found.radiance}
+    for number, one in enumerate(found.found):
+        arrays |= {
+            f"extents{number}": one.extents,
+            f"change{number}": one.change,
+            f"share{number}": one.share,
+        }
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays)  # type: ignore[arg-type]
+    return buffer.getvalue()
+
+
+def _read(path: Path, recipe: Recipe) -> Signatures:
+    design = recipe.surface.design
+    causes = {cause.name: cause for cause in all_causes(None if design is None else design.ridge_angle_deg)}
+    with np.load(path, allow_pickle=False) as kept:
+        told = json.loads(bytes(kept["told"]))
+        found = tuple(
+            Signature(causes[name], kept[f"extents{n}"], kept[f"change{n}"], kept[f"share{n}"])
+            for n, name in enumerate(told["names"])
+        )
+        left_out = tuple((name, reason) for name, reason in told["left_out"])
+        return Signatures(recipe.poses.poses(), kept["radiance"], told["share"], found, left_out)

@@ -1,0 +1,214 @@
+"""What every cause would change in the pictures: ln radiance of every pose, and the share of deviating cells.
+
+The recipe's surface is spoiled, step by step, and predicted like the good one (`anisoscope.sim.light`); the difference
+of the two is the signature of the defect. Random defects lie at the same places in every step.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.diagnosis.causes import Cause, all_causes
+from anisoscope.errors import HeightMapError, ModelError
+from anisoscope.measurement import CELLS_PER_PITCH
+from anisoscope.prediction.mapuncertainty import relief_model
+from anisoscope.prediction.preparing import prepare_relief
+from anisoscope.prediction.sensitivity import State, evaluate, fixed
+from anisoscope.profiles.files.load import read_height_map
+from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.ideal import ridges
+from anisoscope.progress import Advance, silent
+from anisoscope.recipe import Recipe
+from anisoscope.sim.light.contrasts import consecutive_pairs
+from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_rotation
+from anisoscope.sim.light.relief import Relief, radiance_maps
+
+if TYPE_CHECKING:
+    from scipy.interpolate import PchipInterpolator
+
+FloatArray = npt.NDArray[np.float64]
+
+PITCHES = 24
+ROWS_PITCHES = 8
+POINTS_ACROSS, POINTS_ALONG = 50, 25  # a pitch
+MAX_ROWS, MAX_COLS = 400, 1400
+
+
+@dataclass(frozen=True, eq=False)
+class Signature:
+    """What one cause changes.
+
+    Attributes:
+        cause: the cause.
+        extents: (S,) extents at which it was computed, ascending; those that the surface cannot have are left out.
+        change: (S, P) ln L − ln L of the good part.
+        share: (S,) share of the cells of the contrast map that deviate.
+    """
+
+    cause: Cause
+    extents: FloatArray
+    change: FloatArray
+    share: FloatArray
+
+    @cached_property
+    def _curve(self) -> "PchipInterpolator":
+        from scipy.interpolate import PchipInterpolator  # noqa: PLC0415 - 0.3 s
+
+        return PchipInterpolator(self.extents, np.column_stack([self.change, self.share]), axis=0)
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Least and greatest extent."""
+        return float(self.extents[0]), float(self.extents[-1])
+
+    def at(self, extent: float | FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(…, P) change of ln L and (…,) share of deviating cells at extents between the bounds."""
+        found = self._curve(np.clip(extent, *self.bounds))
+        return found[..., :-1], found[..., -1]
+
+    def slope(self, extent: float) -> tuple[FloatArray, float]:
+        """(P,) derivative of the change and derivative of the share with respect to the extent."""
+        found = self._curve(np.clip(extent, *self.bounds), 1)
+        return found[:-1], float(found[-1])
+
+
+@dataclass(frozen=True, eq=False)
+class Signatures:
+    """The signatures of all causes for the poses of one recipe.
+
+    Attributes:
+        poses: P poses.
+        radiance: (P,) of the good part in 1/sr, as this surface predicts it.
+        share: share of cells that deviate on the good part.
+        found: one a cause.
+        left_out: causes that this surface cannot have, with the reason.
+    """
+
+    poses: tuple[Pose, ...]
+    radiance: FloatArray
+    share: float
+    found: tuple[Signature, ...]
+    left_out: tuple[tuple[str, str], ...]
+
+
+def signatures(
+    recipe: Recipe,
+    light_angle_deg: float,
+    advance: Advance = silent,
+    names: Sequence[str] | None = None,
+) -> Signatures:
+    """Compute what every cause would change for the poses of a recipe.
+
+    Args:
+        recipe: the recipe.
+        light_angle_deg: angle between light and camera.
+        advance: told of every cause.
+        names: causes to look at; all of them if None.
+
+    Raises:
+        HeightMapError: the recipe's height map cannot be read or used.
+    """
+    scene = _Scene(recipe, light_angle_deg)
+    good, good_share = scene.look(scene.surface, scene.state, with_map=True)
+    design = recipe.surface.design
+    causes = [
+        cause
+        for cause in all_causes(None if design is None else design.ridge_angle_deg)
+        if names is None or cause.name in names
+    ]
+    found, left_out = [], []
+    for number, cause in enumerate(causes):
+        advance(f"signature of {cause.name}", number, len(causes))
+        try:
+            found.append(_signature(scene, cause, good, good_share))
+        except (HeightMapError, ModelError) as problem:
+            left_out.append((cause.name, str(problem)))
+    advance("signatures", len(causes), len(causes))
+    return Signatures(scene.poses, good, good_share, tuple(found), tuple(left_out))
+
+
+def _signature(scene: "_Scene", cause: Cause, good: FloatArray, good_share: float) -> Signature:
+    extents, changes, shares = [], [], []
+    for extent in cause.extents:
+        if extent == 0.0:
+            radiance, share = good, good_share
+        else:
+            surface, state = cause.change(scene.surface, scene.state, extent)
+            radiance, share = scene.look(surface, state, with_map=cause.group in ("shape", "area"))
+            share = good_share if np.isnan(share) else share
+        if np.any(radiance <= 0.0):
+            continue
+        extents.append(extent)
+        changes.append(np.log(radiance / good))
+        shares.append(share)
+    if len(extents) < 2:
+        raise ModelError(f"{cause.name}: the part would be black in some pose at every extent")
+    return Signature(cause, np.array(extents), np.array(changes), np.array(shares))
+
+
+class _Scene:
+    """The recipe's surface, cut to a size that is quick to predict, and what the rig makes of it."""
+
+    def __init__(self, recipe: Recipe, light_angle_deg: float) -> None:
+        self.poses = recipe.poses.poses()
+        self.pitch_um = recipe.surface.pitch_um
+        self.state = State(recipe.material.material(), light_angle_deg)
+        self.azimuth_deg = recipe.poses.facet_azimuth_deg
+        self.cell_deviation = None if recipe.area is None else recipe.area.cell_deviation
+        self.surface = _surface(recipe)
+
+    def look(self, surface: HeightMap, state: State, *, with_map: bool) -> tuple[FloatArray, float]:
+        """(P,) radiances, and the share of deviating cells (NaN where no map was asked for)."""
+        relief = Relief(surface, self.pitch_um, max_missing_share=1.0)
+        convention = Convention(state.light_angle_deg, facet_azimuth_deg=self.azimuth_deg)
+        if not with_map or self.cell_deviation is None:
+            model = fixed(relief_model(relief))
+            return evaluate(model, [state], self.poses, convention)[0], float("nan")
+        seat = seating_rotation(*state.seating_deg)
+        to_light, to_camera = (side @ seat for side in directions(self.poses, convention))
+        weights = relief.column_weights()
+        means, cells = [], []
+        for shown in radiance_maps(relief, to_light, to_camera, state.material):
+            column = np.nanmean(shown, axis=0, dtype=np.float64)
+            means.append(float(np.sum(column * weights) / np.sum(weights)))
+            cells.append(self._cells(shown, surface))
+        return np.array(means), self._deviating(np.array(cells))
+
+    def _cells(self, shown: npt.NDArray[np.float32], surface: HeightMap) -> FloatArray:
+        """Means over cells a quarter of a pitch wide, as the contrast map has them."""
+        side = self.pitch_um / CELLS_PER_PITCH
+        rows, cols = shown.shape
+        row = (np.arange(rows) * surface.pixel_y_um / side).astype(int)
+        col = (np.arange(cols) * surface.pixel_x_um / side).astype(int)
+        shape = row[-1] + 1, col[-1] + 1
+        index = (row[:, None] * shape[1] + col[None, :]).ravel()
+        known = np.isfinite(shown).ravel()
+        size = shape[0] * shape[1]
+        total = np.bincount(index[known], weights=shown.ravel()[known], minlength=size)
+        count = np.bincount(index[known], minlength=size)
+        return np.asarray((total / np.maximum(count, 1)).reshape(shape))
+
+    def _deviating(self, cells: FloatArray) -> float:
+        assert self.cell_deviation is not None
+        safe = np.maximum(cells, 1e-6)
+        ratios = np.stack([np.log(safe[i] / safe[j]) for i, j in consecutive_pairs(self.poses)])
+        off = np.abs(ratios - np.median(ratios, axis=1, keepdims=True)).max(axis=0)
+        return float(np.mean(off > self.cell_deviation))
+
+
+def _surface(recipe: Recipe) -> HeightMap:
+    pitch = recipe.surface.pitch_um
+    if recipe.surface.design is not None:
+        shape = ROWS_PITCHES * POINTS_ALONG + 1, PITCHES * POINTS_ACROSS + 1
+        return ridges(recipe.surface.ridge_design(), shape, (pitch / POINTS_ALONG, pitch / POINTS_ACROSS))
+    assert recipe.surface.height_map is not None
+    measured = read_height_map(
+        recipe.surface.height_map, pixel_um=recipe.surface.pixel_um, role=recipe.surface.role
+    )
+    relief, _ = prepare_relief(measured, pitch)
+    height = relief.surface.height_um
+    return relief.surface.with_height(height[:MAX_ROWS, :MAX_COLS])

@@ -1,0 +1,229 @@
+"""Signatures against the corrected model; the fit along them against generalised least squares."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from anisoscope.diagnosis.causes import Cause, all_causes
+from anisoscope.diagnosis.diagnosing import NOTHING, Evidence, covariance_of, diagnose, fit_extent, whitening
+from anisoscope.diagnosis.remembering import remembered_signatures
+from anisoscope.diagnosis.separability import planned_covariance, separability
+from anisoscope.diagnosis.signatures import Signature, Signatures, signatures
+from anisoscope.expectation import Component, expectation
+from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.profiles.spoiling import DEFECTS
+from anisoscope.recipe import Recipe
+from anisoscope.sim.light import corrected
+from anisoscope.sim.light.geometry import Convention, Pose, directions
+
+POSES = (Pose(0.0), Pose(90.0), Pose(180.0), Pose(0.0, 10.0), Pose(90.0, 10.0), Pose(180.0, 10.0))
+RNG = np.random.default_rng(5)
+
+
+def cause(name, extents=(-1.0, 0.0, 1.0), group="shape"):
+    return Cause(name, name, "", group, "", extents, lambda surface, state, _: (surface, state))
+
+
+def line(name, slope, share=0.0, extents=(-1.0, -0.5, 0.0, 0.5, 1.0)):
+    """A cause that changes everything in proportion to its extent."""
+    extents = np.array(extents)
+    return Signature(cause(name), extents, np.outer(extents, slope), np.abs(extents) * share)
+
+
+def known(*found, share=0.0):
+    return Signatures(POSES, np.full(len(POSES), 0.05), share, found, ())
+
+
+def covariance():
+    return covariance_of(
+        (
+            Component("shared", "prediction", RNG.normal(size=len(POSES)) * 0.02, shared=True),
+            Component("alone", "measurement", np.full(len(POSES), 0.01), shared=False),
+        ),
+        0.05,
+        len(POSES),
+    )
+
+
+@pytest.fixture(scope="module")
+def recipe():
+    return Recipe.model_validate(
+        {
+            "schema": 1,
+            "product": "plate",
+            "surface": {"pitch_um": 100.0, "design": {"ridge_angle_deg": 10.0}},
+            "material": {"alpha_along": 0.06, "alpha_across": 0.1, "albedo": 0.2},
+            "poses": {"angles_deg": [0.0, 90.0, 180.0], "tilts_deg": [0.0, 10.0]},
+            "acquisition": {"exposure_s": 0.006},
+            "region": {"size_mm": [2.0, 2.0]},
+        }
+    )
+
+
+@pytest.fixture(scope="module")
+def of_the_recipe(recipe):
+    return signatures(recipe, 10.0, names=("ridge-angle", "colour", "seating-y", "burrs"))
+
+
+def test_the_fit_along_a_line_is_generalised_least_squares():
+    V, slope = covariance(), RNG.normal(size=len(POSES))
+    d = 0.3 * slope + 0.01 * RNG.normal(size=len(POSES))
+    inverse = np.linalg.inv(V)
+    expected = slope @ inverse @ d / (slope @ inverse @ slope)
+    extent, u, left = fit_extent(line("a", slope), Evidence(d, V), whitening(V))
+    assert extent == pytest.approx(expected, abs=1e-5)
+    assert u == pytest.approx((slope @ inverse @ slope) ** -0.5, rel=1e-6)
+    rest = d - expected * slope
+    assert left == pytest.approx(rest @ inverse @ rest, rel=1e-6)
+
+
+def test_fitted_extents_scatter_as_their_uncertainty_says():
+    V, slope = covariance(), 0.1 * RNG.normal(size=len(POSES))
+    root = np.linalg.cholesky(V)
+    one = line("a", slope, extents=(-4.0, 0.0, 4.0))
+    z = []
+    for _ in range(300):
+        d = 0.2 * slope + root @ RNG.normal(size=len(POSES))
+        extent, u, _ = fit_extent(one, Evidence(d, V), whitening(V))
+        z.append((extent - 0.2) / u)
+    assert np.std(z) == pytest.approx(1.0, abs=0.15)
+    assert np.mean(z) == pytest.approx(0.0, abs=0.2)
+
+
+def test_the_cause_that_was_there_comes_first_and_a_scale_is_no_cause():
+    V = covariance()
+    slopes = RNG.normal(size=(3, len(POSES)))
+    found = known(*(line(name, slope) for name, slope in zip("abc", slopes, strict=True)))
+    d = 0.5 * slopes[1] + 0.1  # a tenth brighter in all poses: the lamp, not the part
+    first = diagnose(found, Evidence(d, V)).findings[0]
+    assert first.cause == "b"
+    assert abs(first.extent - 0.5) < 3.0 * first.u
+    assert first.weight > 0.99
+
+
+def test_a_part_as_predicted_has_nothing():
+    V = covariance()
+    found = known(line("a", RNG.normal(size=len(POSES))))
+    result = diagnose(found, Evidence(np.zeros(len(POSES)), V))
+    assert result.findings[0].cause == NOTHING
+    assert result.ties == (result.findings[0],)
+    assert sum(finding.weight for finding in result.findings) == pytest.approx(1.0)
+
+
+def test_twins_are_said_to_be_a_tie_and_never_told_apart():
+    V, slope = covariance(), RNG.normal(size=len(POSES))
+    found = known(
+        line("a", slope), line("twin", 2.0 * slope, extents=(-0.5, 0.0, 0.5)), line("b", RNG.normal(size=6))
+    )
+    result = diagnose(found, Evidence(0.6 * slope, V))
+    assert {finding.cause for finding in result.ties} == {"a", "twin"}
+    rows = {row.cause: row for row in separability(found, V, with_map=False)}
+    assert rows["a"].never_told_from == ("twin",)
+    assert rows["a"].told_apart_from is None
+    assert rows["b"].never_told_from == ()
+
+
+def test_the_extent_that_shows_is_three_sigma():
+    V, slope = covariance(), RNG.normal(size=len(POSES))
+    row = separability(known(line("a", slope)), V, with_map=False)[0]
+    sigma = (slope @ np.linalg.inv(V) @ slope) ** -0.5
+    assert abs(row.shows_from) == pytest.approx(3.0 * sigma, abs=0.02)
+
+
+def test_marks_in_the_map_tell_twins_apart():
+    V, slope = covariance(), RNG.normal(size=len(POSES))
+    found = known(line("smooth", slope), line("spots", slope, share=0.2))
+    d = 0.5 * slope
+    assert diagnose(found, Evidence(d, V, 0.1, 0.005)).findings[0].cause == "spots"
+    assert diagnose(found, Evidence(d, V, 0.0, 0.005)).findings[0].cause == "smooth"
+
+
+def test_what_no_cause_explains_is_said():
+    V = covariance()
+    result = diagnose(known(line("a", np.eye(6)[0])), Evidence(np.eye(6)[1], V))
+    assert result.unexplained_p < 1e-6
+
+
+def test_every_defect_and_every_part_of_the_rig_is_a_cause():
+    names = {one.name for one in all_causes(10.0)}
+    assert set(DEFECTS) < names
+    assert {"roughness-along", "roughness-across", "colour", "seating-x", "seating-y", "light-angle"} < names
+    for one in all_causes(5.0):
+        assert 0.0 in one.extents
+        assert list(one.extents) == sorted(one.extents)
+        if one.name == "ridge-angle":
+            assert min(one.extents) > -5.0
+
+
+def test_a_ridge_angle_has_the_signature_of_the_corrected_model(recipe, of_the_recipe):
+    signature = next(one for one in of_the_recipe.found if one.cause.name == "ridge-angle")
+    to_light, to_camera = directions(POSES, Convention())
+    material = recipe.material.material()
+    good, wrong = (
+        corrected.radiance(to_light, to_camera, RidgeDesign(100.0, angle), material) for angle in (10.0, 11.0)
+    )
+    change, _ = signature.at(1.0)
+    np.testing.assert_allclose(change, np.log(wrong / good), atol=0.02)
+
+
+def test_seating_askew_is_a_wrong_ridge_angle_where_the_part_is_not_tilted(of_the_recipe):
+    """A part tilted about the ridges turns its facets as a wrong ridge angle does: the walls alone tell."""
+    by_name = {one.cause.name: one for one in of_the_recipe.found}
+    steeper, _ = by_name["ridge-angle"].at(0.5)
+    tilted, _ = by_name["seating-y"].at(0.5)
+    np.testing.assert_allclose(steeper[0], tilted[0], atol=0.02)
+
+
+def test_burrs_show_in_the_map_and_colour_does_not(of_the_recipe):
+    by_name = {one.cause.name: one for one in of_the_recipe.found}
+    assert by_name["burrs"].at(0.2)[1] > 0.1
+    assert by_name["colour"].share.max() == of_the_recipe.share
+    assert (np.diff(by_name["burrs"].share) >= 0.0).all()
+
+
+def test_the_recipe_says_beforehand_what_it_can_tell(recipe, of_the_recipe):
+    V = planned_covariance(recipe, expectation(recipe, 10.0))
+    rows = {row.cause: row for row in separability(of_the_recipe, V, with_map=True)}
+    assert 0.1 < abs(rows["ridge-angle"].shows_from) < 1.5
+    assert rows["ridge-angle"].told_from["colour"] is not None
+    signature = next(one for one in of_the_recipe.found if one.cause.name == "ridge-angle")
+    change, share = signature.at(1.5)
+    result = diagnose(of_the_recipe, Evidence(change, V, float(share), 0.003))
+    assert result.findings[0].cause in {"ridge-angle", "seating-y"}
+    assert result.findings[0].extent == pytest.approx(1.5, abs=0.1)
+
+
+def test_signatures_are_computed_once(recipe, of_the_recipe, monkeypatch, tmp_path):
+    monkeypatch.setenv("ANISOSCOPE_CACHE", str(tmp_path))
+    calls = []
+
+    def compute(*_):
+        calls.append(1)
+        return of_the_recipe
+
+    monkeypatch.setattr("anisoscope.diagnosis.remembering.signatures", compute)
+    first, second = (remembered_signatures(recipe, 10.0) for _ in range(2))
+    assert len(calls) == 1
+    for one, other in zip(first.found, second.found, strict=True):
+        assert one.cause.name == other.cause.name
+        np.testing.assert_array_equal(one.change, other.change)
+        np.testing.assert_array_equal(one.at(0.3)[0], other.at(0.3)[0])
+    rougher = recipe.model_copy(update={"material": replace_material(recipe)})
+    remembered_signatures(rougher, 10.0)
+    assert len(calls) == 2
+    for file in (tmp_path / "signatures").iterdir():
+        file.write_bytes(b"damaged")
+    remembered_signatures(recipe, 10.0)
+    assert len(calls) == 3
+
+
+def replace_material(recipe):
+    return recipe.material.model_copy(update={"alpha_along": 0.07})
+
+
+def test_an_unlimited_extent_has_an_infinite_uncertainty():
+    V = covariance()
+    flat = line("flat", np.zeros(len(POSES)))
+    assert fit_extent(flat, Evidence(np.ones(len(POSES)), V), whitening(V))[1] == np.inf
+    assert replace(flat, share=flat.share).bounds == (-1.0, 1.0)
