@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.errors import MeasurementError
-from anisoscope.measurement import Measured
+from anisoscope.measurement import CELLS_PER_PITCH, Measured
 from anisoscope.recipe import AreaPart
 from anisoscope.sim.light.contrasts import consecutive_pairs
 from anisoscope.sim.light.geometry import Pose
@@ -36,6 +36,46 @@ class AreaResult:
     verdict: Verdict
 
 
+NEIGHBOURS = 6  # ridges to each side with which a line of cells is compared
+MIN_NEIGHBOURS = 3
+
+
+def cell_deviations(ratios: FloatArray, cell_deviation: float) -> FloatArray:
+    """By how much every cell is off what its place should show.
+
+    Each line of cells (a column) runs along one flank of one ridge, so its median is what that flank shows; marks
+    stand out against it. A whole line that is off by more than ``cell_deviation`` from the same flank of the
+    neighbouring ridges belongs to a ridge that is missing or deformed: all of it deviates. Smaller differences of
+    lines come from where the raster cuts the flanks, and do not count.
+
+    Args:
+        ratios: (pairs, cell rows, cell cols) ln ratios, `CELLS_PER_PITCH` columns a pitch.
+        cell_deviation: threshold.
+
+    Returns:
+        The same shape.
+    """
+    lines = np.median(ratios, axis=1)
+    off_lines = lines - _same_flank(lines)
+    whole = np.where(np.abs(off_lines) > cell_deviation, off_lines, 0.0)
+    return np.asarray(ratios - lines[:, None, :] + whole[:, None, :])
+
+
+def _same_flank(lines: FloatArray) -> FloatArray:
+    """(pairs, cols) median of the same flank on the ridges beside; the line itself where there are too few."""
+    pairs, cols = lines.shape
+    steps = CELLS_PER_PITCH * np.array([j for j in range(-NEIGHBOURS, NEIGHBOURS + 1) if j])
+    at = np.arange(cols)[:, None] + steps
+    inside = (at >= 0) & (at < cols)
+    beside = np.where(inside, lines[:, np.clip(at, 0, cols - 1)], np.nan)
+    enough = inside.sum(axis=1) >= MIN_NEIGHBOURS
+    found = lines.copy()
+    if enough.any():
+        found[:, enough] = np.nanmedian(beside[:, enough], axis=2)
+    assert found.shape == (pairs, cols)
+    return found
+
+
 def cell_log_ratios(measured: Measured, poses: tuple[Pose, ...]) -> FloatArray:
     """(pairs, cell rows, cell cols) ln ratio of every cell for consecutive stage angles."""
     safe = np.maximum(measured.cells, 1e-6)
@@ -56,8 +96,7 @@ def judge_area(
     if rule is None:
         return None, None
     ratios = cell_log_ratios(measured, poses)
-    # each line of cells runs along one flank of one ridge, so its median is what that flank should show
-    off = np.abs(ratios - np.median(ratios, axis=1, keepdims=True)).max(axis=0)
+    off = np.abs(cell_deviations(ratios, rule.cell_deviation)).max(axis=0)
     noise = float(
         max(np.hypot(measured.cell_noise[i], measured.cell_noise[j]) for i, j in consecutive_pairs(poses))
     )

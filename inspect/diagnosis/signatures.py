@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.area import cell_deviations
 from anisoscope.diagnosis.causes import Cause, all_causes
 from anisoscope.errors import HeightMapError, ModelError
 from anisoscope.measurement import CELLS_PER_PITCH
@@ -196,7 +197,7 @@ class _Scene:
         assert self.cell_deviation is not None
         safe = np.maximum(cells, 1e-6)
         ratios = np.stack([np.log(safe[i] / safe[j]) for i, j in consecutive_pairs(self.poses)])
-        off = np.abs(ratios - np.median(ratios, axis=1, keepdims=True)).max(axis=0)
+        off = np.abs(cell_deviations(ratios, self.cell_deviation)).max(axis=0)
         return float(np.mean(off > self.cell_deviation))
 
 

@@ -1,0 +1,138 @@
+"""Golden parts: what parts that are known to be good have shown, kept beside their recipe.
+
+The file (JSON, schema 1) holds one row a part: ln radiance of every pose. It belongs to the poses, the region and the
+acquisition of one recipe; rows of another one are refused.
+"""
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from anisoscope.atomicfile import write_text
+from anisoscope.errors import CalibrationError
+from anisoscope.recipe import Recipe
+from anisoscope.record import Record
+from anisoscope.significance import log_basis
+
+FloatArray = npt.NDArray[np.float64]
+
+_SHARED = ("surface", "poses", "region", "acquisition")
+
+
+class GoldenPart(BaseModel):
+    """One good part: who it is, when it was inspected, and (P,) ln radiances."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    serial: str
+    inspected_at: str
+    log_radiance: tuple[float, ...]
+    area_share: float | None
+    verdict: str
+
+
+class GoldenSet(BaseModel):
+    """The good parts of one recipe.
+
+    Attributes:
+        product: of the recipe.
+        recipe_key: hash of what the parts have in common in their recipes.
+        poses: (stage angle, tilt) of every pose, degrees.
+        parts: the parts, in the order in which they were added.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
+    product: str
+    recipe_key: str
+    poses: tuple[tuple[float, float], ...]
+    parts: tuple[GoldenPart, ...] = ()
+
+    def contrasts(self) -> FloatArray:
+        """(n, P − 1) differences of ln L from the first pose, of every part."""
+        values = np.array([part.log_radiance for part in self.parts]).reshape(-1, len(self.poses))
+        return np.asarray(values @ log_basis(len(self.poses)).T)
+
+
+def golden_path(recipe_path: Path) -> Path:
+    """Where the good parts of a recipe are kept: ``NAME.golden.json`` beside it."""
+    return recipe_path.with_name(f"{recipe_path.stem}.golden.json")
+
+
+def recipe_key(recipe: Recipe) -> str:
+    """Hash of what must be the same for contrasts to be comparable."""
+    told = recipe.model_dump(mode="json")
+    told["surface"] = {"pitch_um": told["surface"]["pitch_um"]}
+    text = json.dumps({name: told[name] for name in _SHARED}, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def read_golden(path: Path, recipe: Recipe) -> GoldenSet | None:
+    """The good parts of a recipe, or None where none were ever added.
+
+    Raises:
+        CalibrationError: the file is damaged, or belongs to another recipe.
+    """
+    try:
+        found = GoldenSet.model_validate_json(path.read_bytes())
+    except FileNotFoundError:
+        return None
+    except (OSError, ValidationError) as problem:
+        reason = str(problem).splitlines()[0]
+        raise CalibrationError(f"the golden parts in {path} cannot be read: {reason}") from problem
+    if found.recipe_key != recipe_key(recipe):
+        raise CalibrationError(
+            f"the golden parts in {path} were inspected with other poses, region or exposure than the recipe has now: "
+            "inspect good parts anew, add them to an empty set, and delete the old file"
+        )
+    return found
+
+
+def add_part(known: GoldenSet | None, recipe: Recipe, record: Record) -> GoldenSet:
+    """A set with one part more.
+
+    Args:
+        known: the set so far, or None.
+        recipe: the recipe of the set.
+        record: of the inspection of a good part.
+
+    Raises:
+        CalibrationError: the inspection was INVALID, was made with other poses, or is in the set already.
+    """
+    poses = tuple((pose.stage_deg, pose.tilt_deg) for pose in recipe.poses.poses())
+    if record.verdict == "INVALID" or not record.poses:
+        raise CalibrationError(f"{record.serial}: an INVALID inspection says nothing about a good part")
+    seen = tuple((pose.stage_deg, pose.tilt_deg) for pose in record.poses)
+    key = recipe_key(recipe)
+    if seen != poses or recipe_key(Recipe.model_validate(record.recipe)) != key:
+        raise CalibrationError(
+            f"{record.serial} was inspected with another recipe (poses, region or exposure differ): inspect it again"
+        )
+    base = known or GoldenSet(product=recipe.product, recipe_key=key, poses=poses)
+    if any((part.serial, part.inspected_at) == (record.serial, record.created_at) for part in base.parts):
+        raise CalibrationError(
+            f"this inspection of {record.serial} ({record.created_at}) is in the set already"
+        )
+    part = GoldenPart(
+        serial=record.serial,
+        inspected_at=record.created_at,
+        log_radiance=tuple(float(np.log(pose.measured)) for pose in record.poses),
+        area_share=None if record.area is None else record.area.share,
+        verdict=record.verdict,
+    )
+    return base.model_copy(update={"parts": (*base.parts, part)})
+
+
+def write_golden(path: Path, golden: GoldenSet) -> None:
+    """Write the set, all or nothing.
+
+    Raises:
+        RecordError: the folder cannot be written.
+    """
+    write_text(path, json.dumps(golden.model_dump(mode="json", by_alias=True), indent=2, allow_nan=False))
