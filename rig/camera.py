@@ -18,7 +18,7 @@ class CameraInfo:
         bit_depth: bits per pixel; full scale is 2**bit_depth − 1 counts.
         black_level: counts of a pixel without light.
         pixel_pitch_um: distance of pixels on the sensor, if known.
-        linear: whether counts grow in proportion to light.
+        linear: whether counts grow in proportion to light; if not, contrasts are uncalibrated.
     """
 
     model: str

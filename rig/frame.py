@@ -5,8 +5,10 @@ The file is a 16-bit TIFF, with the metadata as JSON in its ImageDescription.
 
 import contextlib
 import json
+import logging
 import os
 import tempfile
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Literal
@@ -20,7 +22,7 @@ from anisoscope.errors import RecordError
 
 SCHEMA = 1
 SATURATION = 0.98
-FrameKind = Literal["sample", "dark", "flat"]
+FrameKind = Literal["sample", "dark", "flat", "stray", "reference"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +31,8 @@ class Frame:
 
     Attributes:
         counts: linear raw counts, (rows, cols), right-justified.
-        kind: what is in the picture: the sample, nothing (light off), or the flat reference.
+        kind: what is in the picture: the sample, nothing (light off), the flat (an even white surface), a
+            light trap with the light on (stray light), or the reference patch.
         bit_depth: bits per pixel.
         black_level: counts of a pixel without light.
         exposure_s: exposure in seconds, as the camera reported it.
@@ -85,6 +88,18 @@ _HEADER = TypeAdapter(_Header)
 _NAMES = tuple(field.name for field in fields(Frame) if field.name != "counts")
 
 
+@contextlib.contextmanager
+def quiet_tifffile() -> Iterator[None]:
+    """Keep tifffile from logging what it finds strange in metadata that is no business of ours."""
+    log = logging.getLogger("tifffile")
+    level = log.level
+    log.setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        log.setLevel(level)
+
+
 def write_frame(frame: Frame, path: Path) -> None:
     """Write a frame; the file appears whole or not at all.
 
@@ -116,7 +131,7 @@ def read_frame(path: Path) -> Frame:
         RecordError: there is no such file, or it is not a frame that `write_frame` wrote.
     """
     try:
-        with tifffile.TiffFile(path) as tiff:
+        with quiet_tifffile(), tifffile.TiffFile(path) as tiff:
             page = tiff.pages[0]
             counts = page.asarray()
             description = getattr(page, "description", "")

@@ -1,0 +1,239 @@
+"""Exposure brackets: pictures of one scene with several exposures become one, over more decades of light.
+
+The rate of a pixel is the weighted mean of (s - dark)/t over the exposures t in which it is neither clipped nor
+lost in the dark: linear counts stay linear. Weights are inverse variances of shot and read noise (EMVA 1288's
+linear model). They are computed from the rate that the exposures agree on, never from the single reading: a
+weight that depends on the reading itself prefers low readings, and bends the result.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.errors import CalibrationError
+from anisoscope.rig.frame import SATURATION, Frame
+
+FloatArray = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+NEAR_CLIP_SIGMA = 4.0
+NEAR_DARK_SIGMA = 3.0
+_ROUNDS = 3
+_QUANTISATION = 1.0 / 12.0
+
+
+@dataclass(frozen=True)
+class SensorNoise:
+    """Noise of the camera at the gain of the bracket (EMVA 1288).
+
+    Attributes:
+        counts_per_electron: system gain K.
+        read_noise_counts: standard deviation of a pixel without light, without quantisation.
+    """
+
+    counts_per_electron: float
+    read_noise_counts: float
+
+    def variance(self, signal: FloatArray) -> FloatArray:
+        """Variance in counts² of one reading with a signal in counts above dark."""
+        floor = self.read_noise_counts**2 + _QUANTISATION
+        return self.counts_per_electron * np.maximum(signal, 0.0) + floor
+
+
+@dataclass(frozen=True, eq=False)
+class MergedBracket:
+    """A merged bracket.
+
+    Attributes:
+        rate: (rows, cols) counts per second above dark, float32; NaN where no exposure can be used.
+        variance: (rows, cols) its variance, float32; NaN likewise.
+        usable: (rows, cols) whether an exposure can be used.
+        lost_in_dark: (rows, cols) whether not even the longest usable exposure stands out of the read noise; the
+            rate is measured there, but only its variance says something.
+        exposures_s: the exposures, ascending.
+        saturated_share: share of clipped pixels in each of them.
+        gain: gain of all frames, a factor.
+    """
+
+    rate: npt.NDArray[np.float32]
+    variance: npt.NDArray[np.float32]
+    usable: Mask
+    lost_in_dark: Mask
+    exposures_s: tuple[float, ...]
+    saturated_share: tuple[float, ...]
+    gain: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Exposure:
+    """Frames of one exposure: mean signal above dark, its clipping limit, and how many frames it took.
+
+    `dark_signal` is what dark current adds to the black level; it has shot noise too.
+    """
+
+    time_s: float
+    signal: FloatArray
+    dark_signal: FloatArray
+    clipped: Mask
+    limit: FloatArray
+    frames: int
+    darks: int
+
+    def variance(self, rate: FloatArray, noise: SensorNoise) -> FloatArray:
+        """Variance of signal/t, if the rate is as given."""
+        of_dark = noise.variance(self.dark_signal) / self.darks
+        return (self.sigma_of_one(rate, noise) ** 2 / self.frames + of_dark) / self.time_s**2
+
+    def sigma_of_one(self, rate: FloatArray, noise: SensorNoise) -> FloatArray:
+        """Standard deviation of one reading in counts, if the rate is as given."""
+        return np.sqrt(noise.variance(np.maximum(rate, 0.0) * self.time_s + self.dark_signal))
+
+    def floor(self, noise: SensorNoise) -> FloatArray:
+        """Signal in counts that stands out of the noise in the dark."""
+        return NEAR_DARK_SIGMA * np.sqrt(noise.variance(self.dark_signal))
+
+
+def merge_brackets(frames: Iterable[Frame], darks: Iterable[Frame], noise: SensorNoise) -> MergedBracket:
+    """Merge frames of one scene.
+
+    A reading is left out if it is clipped (98 % of full scale in any frame), or if the other exposures say that
+    it would be but for its noise; and if it does not stand out of the read noise by 3 σ while a longer exposure
+    can be used. Frames of equal exposure are averaged first.
+
+    Args:
+        frames: lit frames of one pose, at one gain, with at least one exposure; linear counts.
+        darks: frames with the light off, at least one for every exposure, at the same gain.
+        noise: noise of the camera.
+
+    Raises:
+        CalibrationError: there are no frames; they differ in size, pose, gain or bit depth; or an exposure has no
+            dark frames.
+    """
+    lit, dark = _sorted(frames), _sorted(darks)
+    if not lit:
+        raise CalibrationError("a bracket needs frames, and there are none")
+    first = next(iter(lit.values()))[0]
+    for group in (*lit.values(), *dark.values()):
+        for frame in group:
+            _check_alike(frame, first)
+    exposures = [_exposure(time_s, group, dark.get(time_s, [])) for time_s, group in sorted(lit.items())]
+    clipped = np.stack([exposure.clipped for exposure in exposures])
+    use = ~clipped
+    rate = _first_estimate(exposures, use)
+    variance = np.full_like(rate, np.nan)
+    for _ in range(_ROUNDS):
+        use = _selection(exposures, clipped, rate, noise)
+        rate, variance = _weighted(exposures, use, rate, noise)
+    usable: Mask = np.asarray(use.any(axis=0))
+    return MergedBracket(
+        rate=rate.astype(np.float32),
+        variance=variance.astype(np.float32),
+        usable=usable,
+        lost_in_dark=_lost(exposures, use, rate, noise),
+        exposures_s=tuple(exposure.time_s for exposure in exposures),
+        saturated_share=tuple(float(mask.mean()) for mask in clipped),
+        gain=first.gain,
+    )
+
+
+def _sorted(frames: Iterable[Frame]) -> dict[float, list[Frame]]:
+    groups: dict[float, list[Frame]] = {}
+    for frame in frames:
+        groups.setdefault(frame.exposure_s, []).append(frame)
+    return groups
+
+
+def _check_alike(frame: Frame, first: Frame) -> None:
+    for what, same in (
+        ("size", frame.counts.shape == first.counts.shape),
+        ("gain", frame.gain == first.gain),
+        ("bit depth", frame.bit_depth == first.bit_depth),
+        ("kind", frame.kind in {"dark", first.kind} and first.kind != "dark"),
+        ("angle", frame.kind == "dark" or frame.commanded_deg == first.commanded_deg),
+        ("tilt", frame.kind == "dark" or frame.tilt_deg == first.tilt_deg),
+    ):
+        if not same:
+            raise CalibrationError(f"frames of one bracket differ in {what}: take them again")
+
+
+def _exposure(time_s: float, frames: Sequence[Frame], darks: Sequence[Frame]) -> _Exposure:
+    if not darks:
+        raise CalibrationError(
+            f"the exposure of {time_s:g} s has no dark frames; take some with the light off, at the same gain"
+        )
+    dark = _mean(darks)
+    top = SATURATION * frames[0].full_scale
+    return _Exposure(
+        time_s,
+        signal=_mean(frames) - dark,
+        dark_signal=np.maximum(dark - frames[0].black_level, 0.0),
+        clipped=np.asarray(np.any([frame.counts >= top for frame in frames], axis=0)),
+        limit=top - dark,
+        frames=len(frames),
+        darks=len(darks),
+    )
+
+
+def _mean(frames: Sequence[Frame]) -> FloatArray:
+    total = np.zeros(frames[0].counts.shape)
+    for frame in frames:
+        total += frame.counts
+    return total / len(frames)
+
+
+def _first_estimate(exposures: Sequence[_Exposure], use: Mask) -> FloatArray:
+    """Sum of signals over sum of times: best in bright light, and unbiased everywhere."""
+    total = np.zeros(use.shape[1:])
+    time_s = np.zeros_like(total)
+    for exposure, good in zip(exposures, use, strict=True):
+        total += np.where(good, exposure.signal * exposure.frames, 0.0)
+        time_s += np.where(good, exposure.time_s * exposure.frames, 0.0)
+    return np.divide(total, time_s, out=np.full_like(total, np.nan), where=time_s > 0.0)
+
+
+def _selection(
+    exposures: Sequence[_Exposure], clipped: npt.NDArray[np.bool_], rate: FloatArray, noise: SensorNoise
+) -> Mask:
+    """Which readings count, (exposures, rows, cols)."""
+    known = np.nan_to_num(rate)
+    use = ~clipped
+    for number, exposure in enumerate(exposures):
+        # A reading below the limit whose fellows lie above it is there because of its noise only.
+        margin = NEAR_CLIP_SIGMA * exposure.sigma_of_one(known, noise)
+        use[number] &= known * exposure.time_s + margin < exposure.limit
+    # The shortest exposure has nothing to be replaced by: it counts unless it is clipped.
+    nothing_left = ~use.any(axis=0)
+    use[0] |= nothing_left & ~clipped[0]
+    longer = np.zeros(rate.shape, dtype=bool)
+    for number in reversed(range(len(exposures))):
+        near_dark = known * exposures[number].time_s < exposures[number].floor(noise)
+        keep = use[number] & ~(near_dark & longer)
+        longer |= use[number]
+        use[number] = keep
+    return use
+
+
+def _weighted(
+    exposures: Sequence[_Exposure], use: Mask, rate: FloatArray, noise: SensorNoise
+) -> tuple[FloatArray, FloatArray]:
+    known = np.nan_to_num(rate)
+    total = np.zeros(rate.shape)
+    weights = np.zeros(rate.shape)
+    for exposure, good in zip(exposures, use, strict=True):
+        weight = np.where(good, 1.0 / exposure.variance(known, noise), 0.0)
+        total += weight * exposure.signal / exposure.time_s
+        weights += weight
+    nothing = np.full(rate.shape, np.nan)
+    some = weights > 0.0
+    merged = np.divide(total, weights, out=nothing.copy(), where=some)
+    return merged, np.divide(1.0, weights, out=nothing, where=some)
+
+
+def _lost(exposures: Sequence[_Exposure], use: Mask, rate: FloatArray, noise: SensorNoise) -> Mask:
+    """Where some exposure counts, but light stands out of the noise in none of those that do."""
+    stands_out = np.zeros(rate.shape, dtype=bool)
+    for exposure, good in zip(exposures, use, strict=True):
+        stands_out |= good & (np.nan_to_num(rate) * exposure.time_s >= exposure.floor(noise))
+    return np.asarray(use.any(axis=0) & ~stands_out)

@@ -1,0 +1,246 @@
+"""A folder of frames with a table: how pictures that any program took get in, and how ours get out.
+
+``frames.csv`` has a header and one line a frame, in the order in which they were taken::
+
+    file,kind,stage_deg,tilt_deg,exposure_s,gain,bit_depth,black_level
+
+An optional column ``again`` (0 or 1) marks the frames after the return to the first pose. Without it, the
+sample frames at the end of the table that stand at the pose of the first sample frame are such, provided that
+sample frames at another pose lie between; angles that differ by full turns are the same pose. The format is
+described in docs/cameras.md.
+"""
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import get_args
+
+from anisoscope.atomicfile import write_text
+from anisoscope.errors import RecordError, UsageError
+from anisoscope.rig.countsfile import as_frame_counts, read_counts
+from anisoscope.rig.frame import Frame, FrameKind, read_frame, write_frame
+from anisoscope.rig.framefolderline import COLUMNS, Line, find_inside, read_lines
+
+TABLE = "frames.csv"
+POSE_TOLERANCE_DEG = 0.5
+"""Poses that differ by less are the same: a stage reads back what it reached, not what was asked for."""
+
+
+@dataclass(frozen=True)
+class FrameEntry:
+    """A line of ``frames.csv``.
+
+    Attributes:
+        path: the picture.
+        kind: what is in it; see `Frame`.
+        stage_deg: sample angle in degrees.
+        tilt_deg: tilt of the camera arm in degrees.
+        exposure_s: exposure in seconds.
+        gain: gain as a factor.
+        bit_depth: bits per pixel of the camera; counts are right-justified.
+        black_level: counts of a pixel without light.
+        again: whether it was taken after the return to the first pose.
+    """
+
+    path: Path
+    kind: FrameKind
+    stage_deg: float
+    tilt_deg: float
+    exposure_s: float
+    gain: float
+    bit_depth: int
+    black_level: float
+    again: bool = False
+
+    def load(self) -> Frame:
+        """The frame. What the table says holds; time and camera come from the picture if we wrote it.
+
+        Raises:
+            RecordError: the picture is missing, is damaged, is no grey picture, or its counts do not fit.
+        """
+        counts = as_frame_counts(read_counts(self.path), self.bit_depth, self.path)
+        commanded_deg, captured_at, camera = self.stage_deg, "", "unknown"
+        try:
+            ours = read_frame(self.path)
+        except RecordError:  # somebody else's picture
+            pass
+        else:
+            captured_at, camera = ours.captured_at, ours.camera
+            commanded_deg = ours.commanded_deg if ours.stage_deg == self.stage_deg else self.stage_deg
+        return Frame(
+            counts=counts,
+            kind=self.kind,
+            bit_depth=self.bit_depth,
+            black_level=self.black_level,
+            exposure_s=self.exposure_s,
+            gain=self.gain,
+            stage_deg=self.stage_deg,
+            commanded_deg=commanded_deg,
+            tilt_deg=self.tilt_deg,
+            captured_at=captured_at,
+            camera=camera,
+        )
+
+
+@dataclass(frozen=True)
+class FrameFolder:
+    """A folder of frames.
+
+    Attributes:
+        folder: where it is.
+        entries: its frames in the order of the table.
+        rows, cols: shape of every frame.
+        notes: what was passed over in reading, one line each.
+    """
+
+    folder: Path
+    entries: tuple[FrameEntry, ...]
+    rows: int
+    cols: int
+    notes: tuple[str, ...] = ()
+
+    def of_kind(self, kind: FrameKind, *, again: bool | None = None) -> tuple[FrameEntry, ...]:
+        """The frames of a kind; with `again`, only those after (or before) the return to the first pose."""
+        return tuple(e for e in self.entries if e.kind == kind and again in {None, e.again})
+
+
+def read_frame_folder(folder: Path) -> FrameFolder:
+    """Read the table of a folder and check every picture in it.
+
+    Raises:
+        RecordError: the table or a picture cannot be used; the line of the table and the file are named.
+    """
+    table = folder / TABLE
+    lines, columns = read_lines(table)
+    notes = []
+    known = (*COLUMNS, "again")
+    if extra := [name for name in columns if name not in known]:
+        notes.append(f"{table}: columns passed over: {', '.join(extra)}")
+    entries, shape = _checked_entries(lines, folder, table)
+    if "again" not in columns:
+        entries = _mark_return(entries)
+    else:
+        _check_marks(entries, lines, table)
+    return FrameFolder(folder, tuple(entries), *shape, notes=tuple(notes))
+
+
+def write_frame_folder(
+    folder: Path, frames: Sequence[Frame], again: Sequence[bool] | None = None
+) -> FrameFolder:
+    """Write frames and their table into a folder, which is made if missing.
+
+    The table is written last: a folder without one is incomplete.
+
+    Args:
+        folder: where to write; it must not hold a table yet.
+        frames: the frames in the order in which they were taken.
+        again: for each, whether it was taken after the return to the first pose; without it the rule of
+            `read_frame_folder` decides.
+
+    Returns:
+        The folder as `read_frame_folder` reads it.
+
+    Raises:
+        UsageError: there are no frames, or `again` has another length.
+        RecordError: the folder holds a table already, cannot be written, or the frames do not fit together.
+    """
+    if not frames or (again is not None and len(again) != len(frames)):
+        raise UsageError(f"{folder}: {len(frames)} frames and {len(again or ())} marks cannot be written")
+    table = folder / TABLE
+    if table.exists():
+        raise RecordError(f"{table}: is there already; write into an empty folder")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as problem:
+        raise RecordError(f"{folder}: cannot be made: {problem.strerror}") from problem
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow((*COLUMNS, *(("again",) if again is not None else ())))
+    for number, frame in enumerate(frames):
+        path = folder / f"{number:03d}_{frame.kind}_{frame.stage_deg:07.2f}.tif"
+        as_frame_counts(frame.counts, frame.bit_depth, path)
+        write_frame(frame, path)
+        mark = () if again is None else (int(again[number]),)
+        writer.writerow((path.name, *(getattr(frame, name) for name in COLUMNS[1:]), *mark))
+    write_text(table, text.getvalue())
+    return read_frame_folder(folder)
+
+
+def same_pose(a: FrameEntry, b: FrameEntry) -> bool:
+    """Whether two frames stand at the same pose, full turns aside."""
+    turned = (a.stage_deg - b.stage_deg + 180.0) % 360.0 - 180.0
+    return abs(turned) <= POSE_TOLERANCE_DEG and abs(a.tilt_deg - b.tilt_deg) <= POSE_TOLERANCE_DEG
+
+
+def _checked_entries(
+    lines: list[Line], folder: Path, table: Path
+) -> tuple[list[FrameEntry], tuple[int, int]]:
+    entries: list[FrameEntry] = []
+    seen: dict[Path, int] = {}
+    shape: tuple[int, int] | None = None
+    for line in lines:
+        entry = _entry(line, folder, table)
+        place = f"{table}, line {line.number}"
+        if (first := seen.setdefault(entry.path, line.number)) != line.number:
+            raise RecordError(f"{place}: {line.file} stands already in line {first}; each frame has one line")
+        found = _checked_shape(entry, place)
+        if shape is not None and found != shape:
+            raise RecordError(
+                f"{place}: {line.file} has {found[0]} x {found[1]} pixels (rows x cols), the frames before "
+                f"have {shape[0]} x {shape[1]}; all frames of a folder are alike"
+            )
+        shape = found
+        entries.append(entry)
+    if shape is None:
+        raise RecordError(f"{table}, line 1: no frames follow the header")
+    return entries, shape
+
+
+def _entry(line: Line, folder: Path, table: Path) -> FrameEntry:
+    place = f"{table}, line {line.number}"
+    path = find_inside(folder, line.file, place)
+    kind = next((known for known in get_args(FrameKind) if known == line.kind), None)
+    if kind is None:
+        raise RecordError(
+            f"{place}: unknown kind {line.kind!r}; it is one of {', '.join(get_args(FrameKind))}"
+        )
+    return FrameEntry(path, kind, **{name: getattr(line, name) for name in (*COLUMNS[2:], "again")})
+
+
+def _checked_shape(entry: FrameEntry, place: str) -> tuple[int, int]:
+    try:
+        counts = as_frame_counts(read_counts(entry.path), entry.bit_depth, entry.path)
+    except RecordError as problem:
+        raise RecordError(f"{place}: {problem}") from problem
+    rows, cols = counts.shape
+    return rows, cols
+
+
+def _mark_return(entries: list[FrameEntry]) -> list[FrameEntry]:
+    samples = [number for number, entry in enumerate(entries) if entry.kind == "sample"]
+    if not samples:
+        return entries
+    first = entries[samples[0]]
+    back: list[int] = []
+    for number in reversed(samples):
+        if not same_pose(entries[number], first):
+            break
+        back.append(number)
+    if len(back) == len(samples):  # one pose only: nothing was left, so nothing was returned to
+        return entries
+    return [replace(e, again=True) if number in back else e for number, e in enumerate(entries)]
+
+
+def _check_marks(entries: list[FrameEntry], lines: list[Line], table: Path) -> None:
+    for entry, line in zip(entries, lines, strict=True):
+        if not entry.again:
+            continue
+        first = next((e for e in entries if e.kind == entry.kind), entry)
+        if entry.kind == "dark" or first is entry or first.again or not same_pose(entry, first):
+            raise RecordError(
+                f"{table}, line {line.number}: again marks a later frame at the first pose, in the light, but "
+                f"this {entry.kind} frame stands at {entry.stage_deg:g}° (tilt {entry.tilt_deg:g}°), the first "
+                f"{first.kind} frame at {first.stage_deg:g}° (tilt {first.tilt_deg:g}°)"
+            )
