@@ -25,7 +25,10 @@ def take_flat(
     reflectance: float = 0.99,
     on_progress: Advance = silent,
 ) -> dict[str, Any]:
-    """Photograph a white tile that fills the picture and write the white reference; the stage does not move.
+    """Photograph a white tile that fills the picture and write the white reference.
+
+    The stage does not move. An arm with a tilt axis is set to 0°: camera and light tilt together, so one flat
+    serves all tilts.
 
     Args:
         rig_path: rig file.
@@ -50,6 +53,7 @@ def take_flat(
         raise UsageError(f"a flat needs at least 2 frames, not {frames}")
     rig_file = read_rig(rig_path)
     with open_rig(rig_file) as rig:
+        tilt_deg = _upright(rig, on_progress)
         settings = rig.camera.configure(exposure_s, 1.0)
         info = rig.camera.info
         stacks = {}
@@ -58,10 +62,10 @@ def take_flat(
             taken = []
             for k in range(frames):
                 on_progress(f"{kind} frames", step * frames + k, 2 * frames)
-                taken.append(_frame(rig, kind, settings.exposure_s, settings.gain))
+                taken.append(_frame(rig, kind, settings.exposure_s, settings.gain, tilt_deg))
             stacks[kind] = stack(taken)
     convention = Convention(rig_file.light.angle_deg)
-    to_light, _ = directions((Pose(0.0, rig_file.geometry.tilt_deg),), convention)
+    to_light, _ = directions((Pose(0.0, tilt_deg),), convention)
     reference = make_reference(
         stacks["flat"],
         stacks["dark"],
@@ -75,7 +79,18 @@ def take_flat(
     return meta
 
 
-def _frame(rig: Rig, kind: FrameKind, exposure_s: float, gain: float) -> Frame:
+def _upright(rig: Rig, advance: Advance) -> float:
+    """Set an arm that can be tilted to 0°; return the tilt in degrees as read back, or that of a fixed arm."""
+    if rig.tilt is None or rig.file.tilt is None:
+        return rig.file.geometry.tilt_deg
+    if not rig.tilt.is_homed:
+        advance(f"homing {rig.tilt.name}", 0, 1)
+        rig.tilt.home()
+    advance("tilting to 0°", 0, 1)
+    return rig.file.tilt.angle_deg(rig.tilt.move_to(rig.file.tilt.reading_deg(0.0)))
+
+
+def _frame(rig: Rig, kind: FrameKind, exposure_s: float, gain: float, tilt_deg: float) -> Frame:
     info = rig.camera.info
     return Frame(
         counts=rig.camera.grab(),
@@ -86,7 +101,7 @@ def _frame(rig: Rig, kind: FrameKind, exposure_s: float, gain: float) -> Frame:
         gain=gain,
         stage_deg=0.0,
         commanded_deg=0.0,
-        tilt_deg=rig.file.geometry.tilt_deg,
+        tilt_deg=tilt_deg,
         captured_at=datetime.now(UTC).isoformat(timespec="milliseconds"),
         camera=info.serial,
     )

@@ -1,37 +1,27 @@
-"""One inspection from recipe to report: expect, photograph, linearise, register, measure, decide, record."""
+"""One inspection from recipe to report: expect, photograph, judge, record; and going on after an interruption."""
 
 import contextlib
-from collections import defaultdict
+import threading
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
-from anisoscope.area import cell_log_ratios
-from anisoscope.decision import decide
-from anisoscope.errors import (
-    CalibrationError,
-    CameraError,
-    MeasurementError,
-    Saturated,
-)
-from anisoscope.job import Job, make_folder, prepare, remove_if_empty
-from anisoscope.linear import RadianceImage, check_size, linearise, stack
-from anisoscope.measurement import View, check_light, drift_complaint, measure
+from anisoscope.errors import CalibrationError, RecordError, RigError
+from anisoscope.expectation import Expectation, expectation
+from anisoscope.folder import new_folder, sweep, tell_to_resume, working_in
+from anisoscope.job import Job, prepare
+from anisoscope.jobfile import JobFile, begin, reopen
+from anisoscope.judging import judge
+from anisoscope.linear import check_size
 from anisoscope.progress import Advance, silent
-from anisoscope.record import (
-    Record,
-    write_record,
-)
-from anisoscope.recording import Taken, make_record, results
-from anisoscope.registration import Placement, locate
-from anisoscope.report.inspection_page import Pictures, start_renderer, write_report
+from anisoscope.record import RECORD_NAME, Particulars, Record, write_record
+from anisoscope.report.inspection_page import start_renderer, write_report
+from anisoscope.report.relief3d import Renderer
+from anisoscope.rig.acquisition.journal import read_journal
 from anisoscope.rig.acquisition.plan import Plan
-from anisoscope.rig.acquisition.plan import Pose as RigPose
-from anisoscope.rig.acquisition.runner import open_rig, run_plan
-from anisoscope.rig.frame import Frame
-
-MAX_SATURATED_PICTURE = 0.02
+from anisoscope.rig.acquisition.runner import Progress, Rig, check_plan, open_rig, run_plan
+from anisoscope.taken import check_frames, missing_frames, read_taken
+from anisoscope.verifying import listed_files
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +35,14 @@ class Inspected:
 
 
 def inspect_part(
-    recipe_path: Path, rig_path: Path, serial: str, out: Path, on_progress: Advance = silent
+    recipe_path: Path,
+    rig_path: Path,
+    serial: str,
+    out: Path,
+    on_progress: Advance = silent,
+    *,
+    particulars: Particulars | None = None,
+    cancel: threading.Event | None = None,
 ) -> Inspected:
     """Photograph a part on a rig and judge it.
 
@@ -55,119 +52,145 @@ def inspect_part(
         serial: serial number of the part.
         out: folder that receives the inspection folder.
         on_progress: called with what is being done, steps done and steps in all.
+        particulars: operator, lot, cavity, station.
+        cancel: setting it stops the rig at once and ends the inspection with a `RigError`.
 
     Returns:
         The record, INVALID included.
 
     Raises:
         UsageError, RecipeError, RigFileError, HeightMapError, CalibrationError: before anything moves.
-        RigError: hardware; the frames taken so far stay in the folder, no record is written. Without any frame
-            the folder goes too.
+        RigError: hardware; the frames taken so far stay in the folder, no record is written, and `resume_part`
+            goes on. Without any frame the folder goes too.
         RecordError: the folder cannot be written.
     """
-    on_progress("prediction", 0, 1)
     job = prepare(recipe_path, rig_path, serial)
-    folder = make_folder(out, serial)
+    plan = job.plan()
     with contextlib.ExitStack() as cleanup:
-        cleanup.callback(remove_if_empty, folder)
-        renderer = start_renderer(job.expected.surface)
+        # The devices first: the prediction takes long, a cable that is not plugged in shows at once.
+        with open_rig(job.rig) as rig:
+            _check_rig(rig, plan, job)
+            ready = cleanup.enter_context(expecting(job, on_progress))
+            folder = cleanup.enter_context(new_folder(out, serial))
+            here = rig_path.resolve().parent
+            made = begin(
+                folder,
+                job,
+                particulars or Particulars(),
+                plan=plan,
+                frames=plan.frame_count,
+                rig_folder=here,
+            )
+            _photograph(plan, rig, folder, on_progress, cancel)
+        return conclude(folder, made, job, ready, on_progress)
+
+
+def resume_part(
+    folder: Path, on_progress: Advance = silent, *, cancel: threading.Event | None = None
+) -> Inspected:
+    """Take up an inspection that was interrupted, and finish it.
+
+    Everything is read from the folder; only frames that are missing are taken. A pose that was not finished is
+    taken anew, dark frames are kept if the camera exposes as before, all axes are homed anew, and the first pose
+    is photographed once more: if it differs by more than the recipe's limit of drift, the inspection is INVALID.
+
+    Args:
+        folder: the inspection folder.
+        on_progress: called with what is being done, steps done and steps in all.
+        cancel: setting it stops the rig at once and ends the inspection with a `RigError`.
+
+    Raises:
+        RecordError: there is nothing to resume, or a file of the folder is missing, damaged or was changed.
+        CameraError: the camera exposes otherwise than before.
+        RigError, CalibrationError: as for `inspect_part`.
+    """
+    folder = folder.resolve()
+    if (folder / RECORD_NAME).exists():
+        raise RecordError(f"{folder}: this inspection is finished; there is nothing to resume")
+    with working_in(folder):
+        made, job = reopen(folder)
+        check_frames(folder)
+        sweep(folder)
+        with contextlib.ExitStack() as cleanup:
+            cleanup.enter_context(_going_on(folder))
+            if missing_frames(made, read_journal(folder)) == 0:
+                ready = cleanup.enter_context(expecting(job, on_progress))
+                return conclude(folder, made, job, ready, on_progress)
+            if made.plan is None:
+                raise RecordError(f"{folder}: not all frames were copied: inspect the folder of frames again")
+            with open_rig(job.rig) as rig:
+                _check_rig(rig, made.plan, job)
+                ready = cleanup.enter_context(expecting(job, on_progress))
+                _photograph(made.plan, rig, folder, on_progress, cancel)
+            return conclude(folder, made, job, ready, on_progress)
+
+
+@contextlib.contextmanager
+def _going_on(folder: Path) -> Iterator[None]:
+    try:
+        yield
+    except (RigError, KeyboardInterrupt) as error:
+        tell_to_resume(folder, error)
+        raise
+
+
+def _check_rig(rig: Rig, plan: Plan, job: Job) -> None:
+    """Does the rig fit plan and calibration? Nothing moves."""
+    check_plan(plan, rig)
+    info = rig.camera.info
+    if job.white.camera != info.serial:
+        raise CalibrationError(
+            f"the flat was taken with camera {job.white.camera}, this is {info.serial}: "
+            "take a new one with `anisoscope calibrate flat`"
+        )
+    check_size(job.white, (info.rows, info.cols))
+
+
+def _photograph(plan: Plan, rig: Rig, folder: Path, advance: Advance, cancel: threading.Event | None) -> None:
+    def tell(now: Progress) -> None:
+        advance(now.text, now.done, now.total)
+
+    run_plan(plan, rig, folder, on_progress=tell, cancel=cancel)
+
+
+@dataclass(frozen=True, eq=False)
+class Ready:
+    """What can be made before the frames are there: the prediction, and the picture of the height map in work."""
+
+    expected: Expectation
+    renderer: Renderer | None
+
+
+@contextlib.contextmanager
+def expecting(job: Job, advance: Advance) -> Iterator[Ready]:
+    """Predict the poses of a job, and let the height map be drawn meanwhile; leaving ends the drawing.
+
+    Raises:
+        HeightMapError, RecipeError: nothing can be predicted.
+    """
+    advance("prediction", 0, 1)
+    expected = expectation(job.recipe, job.rig.light.angle_deg)
+    renderer = start_renderer(expected.surface)
+    try:
+        yield Ready(expected, renderer)
+    finally:
         if renderer is not None:
-            cleanup.callback(renderer.discard)
-        taken = _photograph(job, folder, on_progress)
-        on_progress("measurement", 0, 1)
-        record, pictures = _judge(job, taken, folder)
-        write_record(record, folder)
-        on_progress("report", 0, 1)
-        view = renderer.result() if renderer is not None else None
-        report = write_report(record, pictures, folder, view)
-    on_progress(record.verdict, 1, 1)
+            renderer.discard()
+
+
+def conclude(folder: Path, made: JobFile, job: Job, ready: Ready, advance: Advance) -> Inspected:
+    """Judge the frames of a folder, and write report and record; the record comes last and closes the folder.
+
+    Raises:
+        RecordError: the folder cannot be read or written.
+    """
+    advance("measurement", 0, 1)
+    record, pictures = judge(made, job, ready.expected, read_taken(folder, made))
+    advance("report", 0, 1)
+    view = ready.renderer.result() if ready.renderer is not None else None
+    report = write_report(record, pictures, folder, view)
+    record = record.model_copy(update={"files": listed_files(folder)})
+    write_record(record, folder)
+    advance(record.verdict, 1, 1)
     lost = (f"no 3-D view in the report: {view.note}",) if view is not None and view.png is None else ()
     return Inspected(record, folder, report, lost)
-
-
-def _photograph(job: Job, folder: Path, advance: Advance) -> Taken:
-    acquisition = job.recipe.acquisition
-    plan = Plan(
-        poses=tuple(RigPose(pose.stage_deg, pose.tilt_deg) for pose in job.expected.poses),
-        exposure_s=acquisition.exposure_s,
-        gain=acquisition.gain,
-        frames_per_pose=acquisition.frames_per_pose,
-        dark_frames=acquisition.dark_frames,
-        settle_s=acquisition.settle_s,
-        return_to_first=True,
-    )
-    with open_rig(job.rig) as rig:
-        info = rig.camera.info
-        if job.white.camera != info.serial:
-            raise CalibrationError(
-                f"the flat was taken with camera {job.white.camera}, this is {info.serial}: "
-                "take a new one with `anisoscope calibrate flat`"
-            )
-        check_size(job.white, (info.rows, info.cols))
-        frames = run_plan(plan, rig, folder, on_progress=lambda now: advance(now.text, now.done, now.total))
-        return Taken(tuple(frames), f"{info.model} {info.serial}", rig.stage.name, 2**info.bit_depth - 1)
-
-
-def _judge(job: Job, taken: Taken, folder: Path) -> tuple[Record, Pictures]:
-    """Measure and decide; what makes the measurement unfit becomes an INVALID record."""
-    frames = [file.frame for file in taken.frames]
-    try:
-        views, closing = _views(job, taken)
-        measured = measure(views, closing, job.recipe, job.expected, job.rig.camera.pixel_um)
-        decision = decide(job.expected, measured, job.recipe)
-    except (MeasurementError, CameraError) as error:
-        first_of_pose = {frame.commanded_deg: frame for frame in reversed(frames) if frame.kind == "sample"}
-        shown = tuple(
-            (f"{angle:g}°", first_of_pose[angle].counts.astype("float32")) for angle in sorted(first_of_pose)
-        )
-        record = make_record(job, taken, folder, verdict="INVALID", reasons=(str(error),))
-        return record, Pictures(raw=shown, surface=job.expected.surface)
-    unfit = drift_complaint(measured, job.recipe)
-    pictures = Pictures(
-        aligned=measured.aligned,
-        size_mm=measured.grid.size_mm,
-        ratios=cell_log_ratios(measured, job.expected.poses),
-        deviating=decision.deviating,
-        surface=job.expected.surface,
-    )
-    record = make_record(
-        job,
-        taken,
-        folder,
-        verdict="INVALID" if unfit else decision.verdict.value,
-        reasons=(unfit,) if unfit else decision.reasons,
-        **results(job, views, measured, decision),
-    )
-    return record, pictures
-
-
-def _views(job: Job, taken: Taken) -> tuple[list[View], View | None]:
-    """Linear, located pictures in the order of the recipe, and the first pose as photographed at the end."""
-    dark = stack(file.frame for file in taken.frames if file.frame.kind == "dark")
-    groups: dict[tuple[float, float, bool], list[Frame]] = defaultdict(list)
-    for file in taken.frames:
-        if file.frame.kind == "sample":
-            groups[file.frame.commanded_deg, file.frame.tilt_deg, file.again].append(file.frame)
-    views: dict[bool, list[View]] = {False: [], True: []}
-    for (_, _, again), group in groups.items():
-        image = linearise(stack(group), dark, job.white, taken.full_scale)
-        views[again].append(_view(job, group[0], image))
-    return views[False], next(iter(views[True]), None)
-
-
-def _view(job: Job, frame: Frame, image: RadianceImage) -> View:
-    check_light(frame.commanded_deg, image, job.recipe)
-    share = float(image.saturated.mean())
-    if share > MAX_SATURATED_PICTURE:
-        raise Saturated(
-            f"at {frame.commanded_deg:g}° {share:.1%} of the picture are saturated (limit "
-            f"{MAX_SATURATED_PICTURE:.0%}): shorten acquisition.exposure_s in the recipe"
-        )
-    return View(frame.commanded_deg, frame.tilt_deg, image, _place(job, image))
-
-
-def _place(job: Job, image: RadianceImage) -> Placement:
-    """Where the fixture stands; a saturated pixel has no value, but it is surely bright."""
-    brightest = image.value.max(initial=0.0, where=image.usable)
-    picture = np.where(image.saturated, brightest, image.value)
-    return locate(picture, job.fixture, job.rig.geometry.tilt_deg)

@@ -1,27 +1,36 @@
-"""An inspection before the first picture: what is known, checked, and where it will be kept."""
+"""An inspection before the first picture: what is known and checked."""
 
-import contextlib
 import re
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
+from typing import Literal
 
-from anisoscope.errors import CalibrationError, RecordError, RigFileError, UsageError
-from anisoscope.expectation import Expectation, expectation
+from anisoscope.errors import CalibrationError, HeightMapError, RigFileError, UsageError
 from anisoscope.linear import WhiteReference
 from anisoscope.recipe import Recipe, read_recipe
-from anisoscope.record import InputFile, sha256_of
+from anisoscope.record import sha256_of
 from anisoscope.registration import check_fixture
+from anisoscope.rig.acquisition.plan import Plan, Pose
 from anisoscope.rig.fixture import Fixture
 from anisoscope.rig.rigfile import RigFile, read_rig
 from anisoscope.whitereference import read_reference
 
 SERIAL = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._+#-]{0,63}")
+Role = Literal["recipe", "rig", "white reference", "height map", "frame table"]
+
+
+@dataclass(frozen=True)
+class Source:
+    """A file that an inspection starts from, and its hash when it was read."""
+
+    role: Role
+    path: Path
+    sha256: str
 
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """All that is known before the first picture.
+    """All that is read before the first picture.
 
     Attributes:
         serial: serial number of the part.
@@ -29,8 +38,7 @@ class Job:
         rig: the rig file.
         fixture: its markers.
         white: the white reference.
-        expected: the prediction.
-        inputs: names and hashes of the files, as they were read.
+        sources: the files, as they were read.
     """
 
     serial: str
@@ -38,8 +46,19 @@ class Job:
     rig: RigFile
     fixture: Fixture
     white: WhiteReference
-    expected: Expectation
-    inputs: tuple[InputFile, ...]
+    sources: tuple[Source, ...]
+
+    def plan(self) -> Plan:
+        """What is to be photographed."""
+        acquisition = self.recipe.acquisition
+        return Plan(
+            poses=tuple(Pose(pose.stage_deg, pose.tilt_deg) for pose in self.recipe.poses.poses()),
+            exposure_s=acquisition.exposure_s,
+            gain=acquisition.gain,
+            frames_per_pose=acquisition.frames_per_pose,
+            dark_frames=acquisition.dark_frames,
+            settle_s=acquisition.settle_s,
+        )
 
 
 def check_serial(serial: str) -> str:
@@ -65,17 +84,43 @@ def prepare(recipe_path: Path, rig_path: Path, serial: str) -> Job:
     """
     check_serial(serial)
     recipe, rig = read_recipe(recipe_path), read_rig(rig_path)
-    white_path, fixture = _white_path(rig, rig_path), _fixture(rig, rig_path)
+    white_path, fixture = flat_of(rig, rig_path), fixture_of(rig, rig_path)
     white = read_reference(white_path)
-    expected = expectation(recipe, rig.light.angle_deg)
-    files = [recipe_path, rig_path, white_path]
+    sources = sources_of(recipe_path, rig_path, recipe)
+    return Job(
+        serial, recipe, rig, fixture, white, (*sources, Source("white reference", white_path, white.sha256))
+    )
+
+
+def sources_of(recipe_path: Path, rig_path: Path, recipe: Recipe) -> tuple[Source, ...]:
+    """Recipe, rig file and height map with their hashes.
+
+    Raises:
+        HeightMapError: the height map is missing.
+    """
+    files: list[tuple[Role, Path]] = [("recipe", recipe_path), ("rig", rig_path)]
     if recipe.surface.height_map is not None:
-        files.append(recipe.surface.height_map)
-    inputs = tuple(InputFile(name=path.name, sha256=sha256_of(path)) for path in files)
-    return Job(serial, recipe, rig, fixture, white, expected, inputs)
+        files.append(("height map", check_map(recipe.surface.height_map)))
+    return tuple(Source(role, path, sha256_of(path)) for role, path in files)
 
 
-def _white_path(rig: RigFile, path: Path) -> Path:
+def check_map(path: Path) -> Path:
+    """The file of a height map, which is there.
+
+    Raises:
+        HeightMapError: it is not.
+    """
+    if not path.is_file():
+        raise HeightMapError(f"{path}: there is no such file")
+    return path
+
+
+def flat_of(rig: RigFile, path: Path) -> Path:
+    """The file of the rig's white reference.
+
+    Raises:
+        CalibrationError: the rig file names none.
+    """
     if rig.calibration is None:
         raise CalibrationError(
             f"{path} names no flat, so that radiances have no scale: take one with `anisoscope calibrate flat` "
@@ -84,37 +129,13 @@ def _white_path(rig: RigFile, path: Path) -> Path:
     return rig.calibration.flat
 
 
-def _fixture(rig: RigFile, path: Path) -> Fixture:
+def fixture_of(rig: RigFile, path: Path) -> Fixture:
+    """The fixture of a rig, with which pictures can be aligned.
+
+    Raises:
+        RigFileError: there is none, or it is not fit for this.
+    """
     if rig.fixture is None:
         raise RigFileError(f"{path} describes no [fixture]: the turned pictures are aligned by its markers")
     check_fixture(rig.fixture)
     return rig.fixture
-
-
-def make_folder(out: Path, serial: str) -> Path:
-    """A new folder ``<serial>-<UTC time>`` below ``out``.
-
-    Raises:
-        RecordError: it cannot be made.
-    """
-    stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
-    base = f"{serial.replace(' ', '_').replace('#', '')}-{stamp}"
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        for number in range(1000):
-            folder = out / (base if number == 0 else f"{base}-{number}")
-            try:
-                folder.mkdir()
-            except FileExistsError:
-                continue
-            return folder.resolve()
-    except OSError as error:
-        raise RecordError(f"cannot make an inspection folder in {out}: {error.strerror}") from error
-    raise RecordError(f"{out} already holds a thousand inspections named {base}")
-
-
-def remove_if_empty(folder: Path) -> None:
-    """Leave no folder behind that holds nothing."""
-    for path in (folder / "frames", folder):
-        with contextlib.suppress(OSError):
-            path.rmdir()

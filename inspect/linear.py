@@ -1,9 +1,13 @@
-"""From raw counts to radiance: dark, flat and white reference, with the noise that the frames show."""
+"""From raw counts to radiance: dark, flat and white reference, with the noise that the frames show.
 
-from collections.abc import Iterable
+Pictures are worked on in blocks of rows that fit into a core's cache, because passes over whole ones wait for memory.
+"""
+
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -15,6 +19,21 @@ Mask = npt.NDArray[np.bool_]
 
 SATURATION_SHARE = 0.98
 HOT_PIXEL_SIGMA = 12.0
+_BLOCK_BYTES = 1 << 18
+_SAMPLE_SIZE = 1 << 18
+
+
+def _blocks(shape: tuple[int, ...]) -> Iterator[slice]:
+    """Rows that make blocks of a quarter of a megabyte in single precision."""
+    rows = max(1, _BLOCK_BYTES // (4 * max(shape[1], 1)))
+    for start in range(0, shape[0], rows):
+        yield slice(start, start + rows)
+
+
+def _middle(image: Image) -> float:
+    """Median of a picture; of a large one, of every n-th pixel."""
+    step = max(1, int(np.sqrt(image.size / _SAMPLE_SIZE)))
+    return float(np.median(image[::step, ::step]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +58,14 @@ class Stack:
     gain: float
     flicker: float = 0.0
 
+    @cached_property
+    def hot(self) -> Mask:
+        """Pixels whose signal stands out by more than 12 robust standard deviations: in the dark, hot ones."""
+        middle = _middle(self.mean)
+        spread = 1.4826 * _middle(np.abs(self.mean - np.float32(middle))) + 0.5
+        reach = np.float32(HOT_PIXEL_SIGMA * spread)
+        return np.asarray((self.mean > middle + reach) | (self.mean < middle - reach))
+
 
 def stack(frames: Iterable[Frame]) -> Stack:
     """Mean and noise of frames taken alike.
@@ -57,27 +84,42 @@ def stack(frames: Iterable[Frame]) -> Stack:
             first.gain,
         ):
             raise CalibrationError("frames of one pose differ in size, exposure or gain: take them again")
-    total = np.zeros(first.counts.shape, dtype=np.float64)
-    squares = np.zeros_like(total)
-    saturated = np.zeros(first.counts.shape, dtype=bool)
+    shape = first.counts.shape
+    mean, noise = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)
+    for rows in _blocks(shape):
+        _mean_and_noise([frame.counts[rows] for frame in frames], mean[rows], noise[rows])
+    saturated = np.zeros(shape, dtype=bool)
     for frame in frames:
-        counts = frame.counts.astype(np.float64)
-        total += counts
-        squares += counts**2
-        saturated |= frame.counts >= SATURATION_SHARE * frame.full_scale
-    flicker = float(np.std([frame.counts.mean() for frame in frames], ddof=1)) if len(frames) > 1 else 0.0
-    mean = total / len(frames)
-    spare = max(len(frames) - 1, 1)
-    variance = np.maximum(squares - len(frames) * mean**2, 0.0) / spare
-    return Stack(
-        mean.astype(np.float32),
-        len(frames),
-        np.sqrt(variance).astype(np.float32),
-        saturated,
-        first.exposure_s,
-        first.gain,
-        flicker,
-    )
+        limit = np.ceil(SATURATION_SHARE * frame.full_scale)
+        if frame.counts.max(initial=0) >= limit:
+            saturated |= frame.counts >= frame.counts.dtype.type(limit)
+    means = [cv2.mean(frame.counts)[0] for frame in frames]
+    flicker = float(np.std(means, ddof=1)) if len(frames) > 1 else 0.0
+    return Stack(mean, len(frames), noise, saturated, first.exposure_s, first.gain, flicker)
+
+
+def _mean_and_noise(counts: list[npt.NDArray[np.uint16]], mean: Image, noise: Image) -> None:
+    """Mean and standard deviation of counts, from their differences to the first: those are small, so nothing cancels."""
+    count = len(counts)
+    mean[:] = counts[0]
+    if count == 1:
+        noise[:] = 0.0
+        return
+    total, squares = np.zeros_like(mean), np.zeros_like(mean)
+    for later in counts[1:]:
+        off = later.astype(np.float32)
+        off -= counts[0]
+        total += off
+        np.multiply(off, off, out=off)
+        squares += off
+    total *= np.float32(1.0 / count)
+    mean += total
+    np.multiply(total, total, out=total)
+    total *= np.float32(count)
+    squares -= total
+    np.maximum(squares, 0.0, out=squares)
+    squares *= np.float32(1.0 / (count - 1))
+    np.sqrt(squares, out=noise)
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +141,16 @@ class WhiteReference:
     taken_at: str
     reflectance: float
     sha256: str
+
+    @cached_property
+    def unlit(self) -> Mask:
+        """Pixels that the flat shows next to no light in."""
+        return np.asarray(self.signal <= np.float32(0.05 * _middle(self.signal)))
+
+    @cached_property
+    def radiance_per_signal(self) -> Image:
+        """(rows, cols) radiance of one count per second at unit gain; anything where there is no light."""
+        return np.asarray(np.float32(self.radiance) / np.where(self.unlit, np.float32(1.0), self.signal))
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,9 +181,7 @@ class RadianceImage:
 
 def hot_pixels(dark: Stack) -> Mask:
     """Pixels whose dark signal stands out by more than 12 robust standard deviations."""
-    middle = np.median(dark.mean)
-    spread = 1.4826 * np.median(np.abs(dark.mean - middle)) + 0.5
-    return np.asarray(np.abs(dark.mean - middle) > HOT_PIXEL_SIGMA * spread)
+    return dark.hot
 
 
 def check_size(white: WhiteReference, shape: tuple[int, ...]) -> None:
@@ -166,17 +216,29 @@ def linearise(sample: Stack, dark: Stack, white: WhiteReference, full_scale: int
     if dark.mean.shape != sample.mean.shape:
         raise CalibrationError("dark frames and sample frames differ in size: take the dark frames again")
     check_size(white, sample.mean.shape)
-    unlit = white.signal <= 0.05 * np.median(white.signal)
-    scale = white.radiance / (np.where(unlit, 1.0, white.signal) * sample.exposure_s * sample.gain)
-    signal = sample.mean - dark.mean
-    unusable = unlit | hot_pixels(dark) | sample.saturated
-    value = np.where(unusable, np.nan, signal * scale)
-    noise = scale * np.sqrt(sample.noise**2 / sample.frames + dark.noise**2 / dark.frames)
+    unusable = white.unlit | dark.hot | sample.saturated
+    value, noise = np.empty_like(sample.mean), np.empty_like(sample.mean)
+    per_second = np.float32(1.0 / (sample.exposure_s * sample.gain))
+    light = 0.0
+    for rows in _blocks(value.shape):
+        scale = white.radiance_per_signal[rows] * per_second
+        signal = np.subtract(sample.mean[rows], dark.mean[rows], out=value[rows])
+        light += cv2.sumElems(signal)[0]
+        signal *= scale
+        spread = np.multiply(sample.noise[rows], sample.noise[rows], out=noise[rows])
+        spread *= np.float32(1.0 / sample.frames)
+        spread += np.square(dark.noise[rows]) * np.float32(1.0 / dark.frames)
+        np.sqrt(spread, out=spread)
+        spread *= scale
+        if unusable[rows].any():
+            np.copyto(signal, np.nan, where=unusable[rows])
+            np.copyto(spread, np.nan, where=unusable[rows])
+    thinned = sample.mean[::4, ::4] - dark.mean[::4, ::4]
     return RadianceImage(
-        value.astype(np.float32),
-        np.where(unusable, np.nan, noise).astype(np.float32),
+        value,
+        noise,
         sample.saturated,
-        float(np.percentile(signal[::4, ::4], 99) / full_scale),
-        sample.flicker / max(float(signal.mean()), 1e-9),
+        float(np.percentile(thinned, 99) / full_scale),
+        sample.flicker / max(light / value.size, 1e-9),
         sample.frames,
     )

@@ -1,7 +1,12 @@
 """From aligned pictures to pose radiances, their uncertainty (V_meas), and the map of contrasts."""
 
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from os import cpu_count
+from typing import TypeVar
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -15,6 +20,18 @@ FloatArray = npt.NDArray[np.float64]
 Image = npt.NDArray[np.float32]
 
 CELLS_PER_PITCH = 4
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+def for_each(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
+    """``function`` of every item, in order, in threads: numpy and OpenCV let go of the interpreter while they work.
+
+    The first error of them is raised, whichever thread fails first.
+    """
+    todo = list(items)
+    with ThreadPoolExecutor(max(1, min(cpu_count() or 1, len(todo)))) as pool:
+        return list(pool.map(function, todo))
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,22 +139,25 @@ def measure(
         check_light(view.stage_deg, view.image, recipe)
         check_view(view, views[0], recipe, pixel_um)
     grid, per_cell = region_grid(recipe, pixel_um)
-    aligned = [resample(view.image.value, view.placement, grid) for view in views]
-    for view, picture in zip(views, aligned, strict=True):
+
+    def seen(view: View) -> tuple[Image, float, FloatArray]:
+        picture = resample(view.image.value, view.placement, grid)
         _check_region(view, picture, grid, recipe)
-    radiance = np.array([np.nanmean(picture, dtype=np.float64) for picture in aligned])
+        return picture, _mean_noise(view, grid), _cell_means(picture, per_cell)
+
+    pictures, noises, blocks = zip(*for_each(seen, views), strict=True)
+    aligned, noise, cells = list(pictures), np.array(noises), np.stack(blocks)
+    radiance = np.array([mean_of(picture) for picture in aligned])
     if np.any(radiance <= 0):
         raise MeasurementError(
             "the part is darker than the dark frames: check light, exposure and dark frames"
         )
     drift = None
     if closing is not None:
-        again = float(np.nanmean(resample(closing.image.value, closing.placement, grid), dtype=np.float64))
+        again = mean_of(resample(closing.image.value, closing.placement, grid))
         drift = again / radiance[0] - 1.0
-    noise = np.array([_mean_noise(view, grid) for view in views])
     pixels_per_point = (grid.pixel_mm * 1000.0 / pixel_um) ** 2
     area_px, cell_px = grid.shape[0] * grid.shape[1] * pixels_per_point, per_cell**2 * pixels_per_point
-    cells = np.stack([_cell_means(picture, per_cell) for picture in aligned])
     components = _components(recipe, expected, radiance, noise / np.sqrt(area_px), drift, views, aligned)
     return Measured(
         radiance, components, tuple(aligned), cells, noise / np.sqrt(cell_px) / radiance, grid, drift
@@ -168,21 +188,39 @@ def check_light(stage_deg: float, image: RadianceImage, recipe: Recipe) -> None:
         )
 
 
+def mean_of(picture: Image) -> float:
+    """Mean of the values of a picture."""
+    total = float(picture.sum(dtype=np.float64))
+    return total / picture.size if np.isfinite(total) else float(np.nanmean(picture, dtype=np.float64))
+
+
+def _lies_inside(view: View, grid: Grid) -> bool:
+    """Do the corners of the region, and so all of it, lie on pixels of the picture?"""
+    rows, cols = grid.shape
+    ends = np.array([[x, y, 1.0] for x in (0, cols - 1) for y in (0, rows - 1)])
+    seen = ends @ (view.placement.homography @ grid.to_mm()).T
+    at = seen[:, :2] / seen[:, 2:]
+    return bool(np.all((at >= 0.0) & (at <= np.array(view.image.value.shape[::-1]) - 1.0)))
+
+
 def _check_region(view: View, picture: Image, grid: Grid, recipe: Recipe) -> None:
-    saturated = resample(view.image.saturated.astype(np.float32), view.placement, grid)
-    inside = np.isfinite(saturated)
-    if not inside.all():
-        raise RegistrationError(
-            f"at {view.stage_deg:g}° {1 - inside.mean():.1%} of the region lie outside the picture: "
-            "make region.size_mm smaller or centre the fixture"
-        )
-    share = float(np.mean(saturated > 0.01))
+    share = 0.0
+    if not _lies_inside(view, grid) or view.image.saturated.any():
+        saturated = resample(view.image.saturated.astype(np.float32), view.placement, grid)
+        inside = np.isfinite(saturated)
+        if not inside.all():
+            raise RegistrationError(
+                f"at {view.stage_deg:g}° {1 - inside.mean():.1%} of the region lie outside the picture: "
+                "make region.size_mm smaller or centre the fixture"
+            )
+        share = float(np.mean(saturated > 0.01))
     if share > recipe.limits.saturated_share:
         raise Saturated(
             f"at {view.stage_deg:g}° {share:.2%} of the region are saturated (limit "
             f"{recipe.limits.saturated_share:.2%}): shorten acquisition.exposure_s in the recipe"
         )
-    missing = float(np.mean(~np.isfinite(picture)))
+    whole = np.isfinite(picture.sum(dtype=np.float64))
+    missing = 0.0 if whole else float(np.mean(~np.isfinite(picture)))
     if missing > 0.05 + 10 * recipe.limits.saturated_share:
         raise MeasurementError(f"at {view.stage_deg:g}° {missing:.1%} of the region have no usable pixels")
 
@@ -190,16 +228,20 @@ def _check_region(view: View, picture: Image, grid: Grid, recipe: Recipe) -> Non
 def _cell_means(picture: Image, side: int) -> FloatArray:
     """Means of square cells; a cell without any usable pixel takes the mean of the picture."""
     rows, cols = picture.shape
-    blocks = picture.reshape(rows // side, side, cols // side, side).astype(np.float64)
-    known = np.isfinite(blocks)
-    count = known.sum(axis=(1, 3))
-    total = np.where(known, blocks, 0.0).sum(axis=(1, 3))
-    return np.where(count > 0, total / np.maximum(count, 1), float(np.nanmean(picture)))
+    size = cols // side, rows // side
+    known = np.isfinite(picture)
+    if known.all():
+        means = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+        return np.asarray(means, dtype=np.float64)
+    share = cv2.resize(known.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    total = cv2.resize(np.where(known, picture, np.float32(0.0)), size, interpolation=cv2.INTER_AREA)
+    return np.where(share > 0.0, total / np.maximum(share, 1e-6), mean_of(picture)).astype(np.float64)
 
 
 def _mean_noise(view: View, grid: Grid) -> float:
     noise = resample(view.image.noise, view.placement, grid)
-    return float(np.sqrt(np.nanmean(noise.astype(np.float64) ** 2)))
+    np.multiply(noise, noise, out=noise)
+    return float(np.sqrt(mean_of(noise)))
 
 
 def _components(
@@ -234,7 +276,7 @@ def _components(
 
 def _shift_sensitivity(picture: Image) -> float:
     """Relative change of the region's mean per pixel of shift, from what enters and leaves at its edges."""
-    mean = np.nanmean(picture)
+    mean = mean_of(picture)
     rows, cols = picture.shape
     across = abs(np.nanmean(picture[:, 0]) - np.nanmean(picture[:, -1])) / cols
     down = abs(np.nanmean(picture[0]) - np.nanmean(picture[-1])) / rows

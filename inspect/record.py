@@ -11,6 +11,7 @@ from anisoscope.atomicfile import write_text
 from anisoscope.errors import RecordError
 
 RECORD_NAME = "record.json"
+UNSEALED = "0" * 64
 
 
 class _Part(BaseModel):
@@ -24,10 +25,24 @@ class InputFile(_Part):
     sha256: str
 
 
+class Particulars(_Part):
+    """Who inspects which lot where, as far as it was said."""
+
+    operator: str | None = None
+    lot: str | None = None
+    cavity: str | None = None
+    station: str | None = None
+
+
 class FrameRecord(InputFile):
-    """One frame on disk; angles in degrees, exposure in seconds."""
+    """One frame on disk that the verdict rests on; angles in degrees, exposure in seconds.
+
+    ``again`` marks those that only show drift: after the return to the first pose, or on resuming.
+    """
 
     kind: str
+    again: bool = False
+    tilt_deg: float | None = None
     stage_deg: float
     commanded_deg: float
     exposure_s: float
@@ -83,12 +98,17 @@ class BudgetRecord(_Part):
 
 
 class Record(_Part):
-    """An inspection, complete; ``recipe`` and ``rig`` hold the files as they were."""
+    """An inspection, complete; ``recipe`` and ``rig`` hold the files as they were.
+
+    ``files`` lists everything else in the folder. ``record.json`` is written last, so that where it is, all of
+    them are.
+    """
 
     schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
     software: str
     created_at: str
     serial: str
+    particulars: Particulars = Particulars()
     product: str
     verdict: Literal["PASS", "FAIL", "INCONCLUSIVE", "INVALID"]
     reasons: tuple[str, ...]
@@ -109,6 +129,7 @@ class Record(_Part):
     stage: str
     inputs: tuple[InputFile, ...]
     frames: tuple[FrameRecord, ...]
+    files: tuple[InputFile, ...] = ()
 
 
 def sha256_of(path: Path) -> str:
@@ -118,9 +139,14 @@ def sha256_of(path: Path) -> str:
 
 
 def write_record(record: Record, folder: Path) -> Path:
-    """Write ``record.json``, all or nothing."""
+    """Write ``record.json``, all or nothing.
+
+    The file ends with its seal: the SHA-256 of its own bytes with zeros in place of the seal.
+    """
     path = folder / RECORD_NAME
-    write_text(path, json.dumps(record.model_dump(mode="json", by_alias=True), indent=2, allow_nan=False))
+    content = record.model_dump(mode="json", by_alias=True) | {"seal": UNSEALED}
+    text = json.dumps(content, indent=2, allow_nan=False)
+    write_text(path, _with_seal(text, hashlib.sha256(text.encode()).hexdigest()))
     return path
 
 
@@ -128,12 +154,27 @@ def read_record(folder: Path) -> Record:
     """Read the record of an inspection folder.
 
     Raises:
-        RecordError: there is none, or it is damaged.
+        RecordError: there is none, or it is damaged or was changed.
     """
     path = folder / RECORD_NAME
     try:
-        return Record.model_validate_json(path.read_bytes())
+        text = path.read_bytes().decode()
+        content = json.loads(text)
+        seal = content.pop("seal", None) if isinstance(content, dict) else None
+        if seal is not None and seal != _seal_of(text, str(seal)):
+            raise RecordError(f"{path} is damaged: it was changed after it had been written")
+        return Record.model_validate_json(json.dumps(content))
     except OSError as error:
         raise RecordError(f"cannot read {path}: {error.strerror}: was this inspection finished?") from error
     except ValueError as error:
         raise RecordError(f"{path} is damaged: {str(error).splitlines()[0]}") from error
+
+
+def _with_seal(text: str, seal: str) -> str:
+    before, _, after = text.rpartition(UNSEALED)
+    return before + seal + after
+
+
+def _seal_of(text: str, seal: str) -> str:
+    before, _, after = text.rpartition(seal)
+    return hashlib.sha256((before + UNSEALED + after).encode()).hexdigest()

@@ -1,37 +1,29 @@
 """From a finished inspection to its record."""
 
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
 from anisoscope.decision import Decision
+from anisoscope.expectation import Expectation
 from anisoscope.job import Job
+from anisoscope.jobfile import JobFile
 from anisoscope.measurement import Measured, View
 from anisoscope.record import (
     AreaRecord,
     BudgetRecord,
     ContrastRecord,
     FrameRecord,
+    InputFile,
     PoseRecord,
     Record,
-    sha256_of,
 )
-from anisoscope.rig.acquisition.runner import FrameRecord as FrameFile
+from anisoscope.taken import Shot, Taken
 
 
-@dataclass(frozen=True, eq=False)
-class Taken:
-    """The frames of one inspection and the devices that took them."""
-
-    frames: tuple[FrameFile, ...]
-    camera: str
-    stage: str
-    full_scale: int
-
-
-def results(job: Job, views: list[View], measured: Measured, decision: Decision) -> dict[str, Any]:
+def results(
+    job: Job, expected: Expectation, views: list[View], measured: Measured, decision: Decision
+) -> dict[str, Any]:
     """The part of a record that a verdict rests on."""
     area = decision.area
     kind = job.recipe.decision.contrast
@@ -47,7 +39,7 @@ def results(job: Job, views: list[View], measured: Measured, decision: Decision)
                 residual_px=view.placement.residual_px,
                 markers=view.placement.markers,
             )
-            for view, seen, predicted in zip(views, measured.radiance, job.expected.radiance, strict=True)
+            for view, seen, predicted in zip(views, measured.radiance, expected.radiance, strict=True)
         ),
         "contrasts": tuple(
             ContrastRecord(
@@ -81,9 +73,10 @@ def results(job: Job, views: list[View], measured: Measured, decision: Decision)
 
 
 def make_record(
+    made: JobFile,
     job: Job,
+    expected: Expectation,
     taken: Taken,
-    folder: Path,
     *,
     verdict: str,
     reasons: tuple[str, ...],
@@ -97,11 +90,12 @@ def make_record(
             "software": f"anisoscope {version('anisoscope')}",
             "created_at": datetime.now(UTC).isoformat(timespec="seconds"),
             "serial": job.serial,
+            "particulars": made.particulars,
             "product": job.recipe.product,
             "verdict": verdict,
             "reasons": reasons,
-            "model": job.expected.model,
-            "convention": vars(job.expected.convention),
+            "model": expected.model,
+            "convention": vars(expected.convention),
             "white_reference": {
                 "taken_at": job.white.taken_at,
                 "reflectance": job.white.reflectance,
@@ -112,22 +106,24 @@ def make_record(
             "rig": job.rig.model_dump(mode="json", by_alias=True),
             "camera": taken.camera,
             "stage": taken.stage,
-            "inputs": job.inputs,
-            "frames": tuple(_frame_record(file, folder) for file in taken.frames),
+            "inputs": tuple(InputFile(name=copy.name, sha256=copy.sha256) for copy in made.inputs),
+            "frames": tuple(_frame_record(shot) for shot in taken.shots),
             **nothing,
             **results,
         }
     )
 
 
-def _frame_record(file: FrameFile, folder: Path) -> FrameRecord:
-    frame = file.frame
+def _frame_record(shot: Shot) -> FrameRecord:
+    frame = shot.frame
     return FrameRecord(
-        name=str(file.path.relative_to(folder)),
-        sha256=sha256_of(file.path),
+        name=shot.name,
+        sha256=shot.sha256,
         kind=frame.kind,
+        again=shot.again,
+        tilt_deg=frame.tilt_deg,
         stage_deg=frame.stage_deg,
-        commanded_deg=frame.commanded_deg,
+        commanded_deg=shot.pose.stage_deg,
         exposure_s=frame.exposure_s,
         gain=frame.gain,
         captured_at=frame.captured_at,

@@ -7,26 +7,36 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.errors import RegistrationError, RigFileError
+from anisoscope.markerfit import Agreed, agree
+from anisoscope.markers import dictionary_of, find_markers, marker_corners_mm
 from anisoscope.rig.fixture import Fixture
+
+__all__ = ["marker_corners_mm"]
 
 FloatArray = npt.NDArray[np.float64]
 Image = npt.NDArray[np.float32]
 
 MIN_MARKERS = 3
-_PADDING = 16
 
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """Where the fixture stands in one picture.
+    """Where the sample stands in one picture.
 
     Attributes:
-        matrix: (2, 3) map from sample millimetres (x right, y up, at stage angle 0) to (column, row).
+        matrix: (2, 3) map from sample millimetres (x right, y up, at stage angle 0) to (column, row); with
+            `perspective` the upper rows of a homography.
         angle_deg: angle of the sample, counter-clockwise as seen, 0 to 360.
         pixel_um: size of a pixel on the sample.
-        axis_px: (column, row) of the fixture's origin.
-        residual_px: rms distance of the marker corners from the fit.
-        markers: how many markers were found.
+        axis_px: (column, row) of the sample's origin.
+        residual_px: rms distance of the marker corners from the fit; without markers, of parts of the picture.
+        markers: how many markers the fit rests on; 0 where the pictures are aligned by their edges.
+        perspective: third row of the homography but for its 1, per millimetre; zeros for parallel projection.
+        blur_px: standard deviation of the edge spread at the markers, where it is known.
+        black_share: brightness of the markers' black by that of their white, where it is known.
+        squeeze: foreshortening of the picture's rows that the markers show, by the one that the tilt makes.
+        u_squeeze: its standard uncertainty.
+        dropped: ids of markers that do not fit the others and were left out.
     """
 
     matrix: FloatArray
@@ -35,6 +45,17 @@ class Placement:
     axis_px: tuple[float, float]
     residual_px: float
     markers: int
+    perspective: tuple[float, float] = (0.0, 0.0)
+    blur_px: float | None = None
+    black_share: float | None = None
+    squeeze: float = 1.0
+    u_squeeze: float = 0.0
+    dropped: tuple[int, ...] = ()
+
+    @property
+    def homography(self) -> FloatArray:
+        """(3, 3) map from sample millimetres to (column, row, 1), up to a factor."""
+        return np.vstack([self.matrix, [*self.perspective, 1.0]])
 
 
 def check_fixture(fixture: Fixture) -> None:
@@ -47,7 +68,7 @@ def check_fixture(fixture: Fixture) -> None:
         raise RigFileError(
             f"fixture.dictionary: OpenCV has no dictionary '{fixture.dictionary}'; one of its names is DICT_4X4_50"
         )
-    size = len(_dictionary(fixture).bytesList)
+    size = len(dictionary_of(fixture).bytesList)
     unknown = [marker.id for marker in fixture.markers if marker.id >= size]
     if unknown:
         raise RigFileError(
@@ -59,91 +80,17 @@ def check_fixture(fixture: Fixture) -> None:
         )
 
 
-def _dictionary(fixture: Fixture) -> cv2.aruco.Dictionary:
-    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, fixture.dictionary))
-
-
-def marker_corners_mm(fixture: Fixture) -> dict[int, FloatArray]:
-    """Corners of every marker in sample millimetres, (4, 2): top left first, clockwise as seen, as OpenCV counts."""
-    half = fixture.marker_mm / 2.0
-    offsets = np.array([[-half, half], [half, half], [half, -half], [-half, -half]])
-    return {marker.id: offsets + np.array([marker.x_mm, marker.y_mm]) for marker in fixture.markers}
-
-
 def _detect(image: Image, fixture: Fixture) -> list[tuple[int, FloatArray]]:
-    """Markers and their corners (4, 2).
-
-    They are found on a compressed picture, where dim markers show too, and refined on the linear one, because
-    compression would move blurred edges toward the dark side.
-    """
-    filled = np.nan_to_num(image)
-    top = max(float(np.percentile(filled[::4, ::4], 99.5)), 1e-9)
-    calm = cv2.GaussianBlur(filled, (0, 0), 1.0)  # noise in the dark hides markers
-    squeezed = np.asarray(255.0 * np.sqrt(np.clip(calm / top, 0.0, 1.0)), dtype=np.uint8)
-    # OpenCV misses labels that nearly touch the edge of the picture
-    seen = cv2.copyMakeBorder(squeezed, _PADDING, _PADDING, _PADDING, _PADDING, cv2.BORDER_REPLICATE)
-    detector = cv2.aruco.ArucoDetector(_dictionary(fixture), _detection())
-    corners, ids, _ = detector.detectMarkers(seen)
-    if not corners:
-        return []
-    linear = np.clip(filled / top, 0.0, 2.0).astype(np.float32)
-    modules = _dictionary(fixture).markerSize + 2
-    return [
-        (int(i), _refined(linear, found.reshape(4, 2).astype(np.float64) - _PADDING, modules))
-        for i, found in zip(ids.ravel(), corners, strict=True)
-    ]
-
-
-def _detection() -> cv2.aruco.DetectorParameters:
-    """Thresholds that noise in the dark does not cross, over windows from a fraction of a module to several."""
-    parameters = cv2.aruco.DetectorParameters()
-    parameters.adaptiveThreshConstant = 15
-    parameters.adaptiveThreshWinSizeMax = 53
-    return parameters
-
-
-def _refined(image: Image, corners: FloatArray, modules: int) -> FloatArray:
-    """Corners (4, 2) as the crossings of straight lines through the sides of the marker, in two rounds.
-
-    Blur rounds a corner, but leaves the middle of a side where it is.
-    """
-    for _ in range(2):
-        following = np.roll(corners, -1, axis=0)
-        sides = [_side(image, a, b, modules) for a, b in zip(corners, following, strict=True)]
-        crossings = []
-        for (first, along), (second, beside) in zip([sides[-1], *sides[:-1]], sides, strict=True):
-            steps = np.linalg.lstsq(np.stack([along, -beside], axis=1), second - first, rcond=None)[0]
-            crossings.append(first + steps[0] * along)
-        corners = np.array(crossings)
-    return corners
-
-
-def _side(image: Image, start: FloatArray, end: FloatArray, modules: int) -> tuple[FloatArray, FloatArray]:
-    """A point of one side of a marker and its direction: centres of brightness steps on lines across it."""
-    length = float(np.linalg.norm(end - start))
-    along = (end - start) / max(length, 1e-9)
-    normal = np.array([-along[1], along[0]])
-    # within the black border on one side and within the white label on the other
-    reach = float(np.clip(0.45 * length / modules, 2.0, 8.0))
-    across = np.linspace(-reach, reach, int(8 * reach) + 1)
-    base = start + np.linspace(0.15, 0.85, max(12, int(0.7 * length)))[:, None] * (end - start)
-    points = (base[:, None, :] + across[None, :, None] * normal).astype(np.float32)
-    seen = cv2.remap(image, points[..., 0], points[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    steps = np.diff(seen.astype(np.float64), axis=1)
-    steps *= np.sign(steps.sum())  # signed, so that noise cancels
-    rise = steps.sum(axis=1)
-    offset = steps @ (0.5 * (across[1:] + across[:-1])) / np.maximum(rise, 0.2 * np.median(rise) + 1e-12)
-    offset = np.clip(offset, -reach, reach)
-    edge = base + offset[:, None] * normal
-    middle = edge.mean(axis=0)
-    return middle, np.asarray(np.linalg.svd(edge - middle)[2][0], dtype=np.float64)
+    """The fixture's markers and their corners (4, 2)."""
+    return [(marker.id, marker.corners) for marker in find_markers(image, fixture)]
 
 
 def locate(image: Image, fixture: Fixture, tilt_deg: float = 0.0) -> Placement:
     """Find the fixture in a picture and fit a similarity: rotation, scale, shift.
 
     A tilted camera sees the plate foreshortened along the rows of the picture's height by cos(tilt); this is
-    taken out before the fit (parallel projection, as through a telecentric or a long working-distance lens).
+    taken out before the fit. A lens from which the far side of a tilted plate looks smaller adds one number, where the
+    markers show it (`markerfit`). A single marker that does not fit the others is left out and named.
 
     Args:
         image: (rows, cols) linear picture.
@@ -151,38 +98,38 @@ def locate(image: Image, fixture: Fixture, tilt_deg: float = 0.0) -> Placement:
         tilt_deg: tilt of the camera about the picture's horizontal axis.
 
     Raises:
-        RegistrationError: fewer than three of the fixture's markers are seen.
+        RegistrationError: fewer than three of the fixture's markers are seen, or they contradict each other.
     """
     known = marker_corners_mm(fixture)
-    found = [(i, c) for i, c in _detect(image, fixture) if i in known]
-    distinct = len({i for i, _ in found})
+    found = find_markers(image, fixture)
+    distinct = len({marker.id for marker in found})
     if distinct < MIN_MARKERS:
         raise RegistrationError(
             f"only {distinct} of {len(known)} fixture markers are seen (at least {MIN_MARKERS} needed): "
             "check that the light is on, the lens is clear and in focus, and the fixture is the one in the rig file"
         )
-    points = np.concatenate([known[i] for i, _ in found])
-    pixels = np.concatenate([c for _, c in found])
-    return _fit(points, pixels, len(found), float(np.cos(np.radians(tilt_deg))))
+    middle = ((image.shape[1] - 1) / 2.0, (image.shape[0] - 1) / 2.0)
+    agreed = agree(found, known, float(np.cos(np.radians(tilt_deg))), middle)
+    return _placement(agreed)
 
 
-def _fit(points_mm: FloatArray, pixels: FloatArray, markers: int, squeeze: float) -> Placement:
-    """Least-squares similarity after stretching rows by 1/squeeze; rows run down, so y is mirrored first."""
-    source = points_mm[:, 0] - 1j * points_mm[:, 1]
-    target = pixels[:, 0] + 1j * pixels[:, 1] / squeeze
-    centred = source - source.mean()
-    factor = np.vdot(centred, target - target.mean()) / np.vdot(centred, centred)
-    shift = target.mean() - factor * source.mean()
-    residual = float(np.sqrt(np.mean(np.abs(factor * source + shift - target) ** 2)))
-    matrix = np.array([[factor.real, factor.imag, shift.real], [factor.imag, -factor.real, shift.imag]])
-    matrix[1] *= squeeze
+def _placement(agreed: Agreed) -> Placement:
+    fit, used = agreed.fit, agreed.markers
+    blurs, blacks = [marker.blur_px for marker in used], [marker.black_share for marker in used]
+    upper = fit.homography[:2]
     return Placement(
-        matrix,
-        float(-np.degrees(np.angle(factor)) % 360.0),
-        float(1000.0 / abs(factor)),
-        (float(shift.real), float(shift.imag * squeeze)),
-        residual,
-        markers,
+        upper,
+        fit.angle_deg,
+        fit.pixel_um,
+        (float(upper[0, 2]), float(upper[1, 2])),
+        fit.residual_px,
+        len(used),
+        perspective=(float(fit.homography[2, 0]), float(fit.homography[2, 1])),
+        blur_px=float(np.median(blurs)),
+        black_share=float(np.median(blacks)),
+        squeeze=agreed.squeeze,
+        u_squeeze=agreed.u_squeeze,
+        dropped=agreed.dropped,
     )
 
 
@@ -233,10 +180,12 @@ def resample(image: Image, placement: Placement, grid: Grid) -> Image:
     Returns:
         ``grid.shape`` values; points outside the picture are NaN.
     """
-    matrix = placement.matrix @ grid.to_mm()
+    matrix = placement.homography @ grid.to_mm()
     rows, cols = grid.shape
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    warped = cv2.warpAffine(
-        image, matrix, (cols, rows), flags=flags, borderMode=cv2.BORDER_CONSTANT, borderValue=(float("nan"),)
-    )
+    nothing = {"borderMode": cv2.BORDER_CONSTANT, "borderValue": (float("nan"),)}
+    if any(placement.perspective):
+        warped = cv2.warpPerspective(image, matrix, (cols, rows), flags=flags, **nothing)  # type: ignore[call-overload]
+    else:
+        warped = cv2.warpAffine(image, matrix[:2], (cols, rows), flags=flags, **nothing)  # type: ignore[call-overload]
     return np.asarray(warped, dtype=np.float32)

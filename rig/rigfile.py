@@ -1,43 +1,76 @@
 """The rig file: which devices stand on the rig, where, and how they are oriented. TOML, schema 1."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from anisoscope.errors import RigFileError
 from anisoscope.rig.fixture import Fixture
 from anisoscope.tomlfile import LocalPath, Part, Positive, read_toml_model
 
 Option = str | int | float | bool
+BY_HAND = "manual"
 
 
-class StagePart(Part):
-    """The rotation stage.
+class AxisPart(Part):
+    """An axis of the rig, as far as its driver needs it.
 
     Attributes:
-        driver: name of the driver.
-        port: COM port, device path, ``socket://host:port`` or ``sim://…``.
-        zero_deg: stage reading at which the sample stands at 0°.
-        turns: sense in which a growing reading turns the sample, seen from the camera.
+        driver: name of the driver; ``manual`` asks the operator.
+        port: COM port, device path, ``socket://host:port`` or ``sim://…``; none where the driver needs none.
+        zero_deg: reading at which sample or arm stands at 0°.
         approach_deg: every reading is approached from this far below, because of backlash.
         options: further options of the driver.
     """
 
     driver: str
-    port: Annotated[str, Field(min_length=1)]
+    port: Annotated[str, Field(min_length=1)] | None = None
     zero_deg: float = 0.0
-    turns: Literal["ccw", "cw"] = "ccw"
     approach_deg: Annotated[float, Field(ge=0.0, le=90.0)] = 2.0
     options: dict[str, Option] = Field(default_factory=dict)
 
+    @model_validator(mode="before")
+    @classmethod
+    def _a_hand_has_no_backlash(cls, table: Any) -> Any:  # noqa: ANN401
+        if isinstance(table, dict) and table.get("driver") == BY_HAND:
+            return {"approach_deg": 0.0, **table}
+        return table
+
+    @property
+    def direction(self) -> int:
+        """1 if the angle grows with the reading, else −1."""
+        return 1
+
     def reading_deg(self, angle_deg: float) -> float:
-        """Stage reading at which the sample stands at an angle; both in degrees."""
-        return self.zero_deg + (angle_deg if self.turns == "ccw" else -angle_deg)
+        """Reading at which sample or arm stands at an angle; both in degrees."""
+        return self.zero_deg + self.direction * angle_deg
 
     def angle_deg(self, reading_deg: float) -> float:
-        """Sample angle at a stage reading; both in degrees."""
-        return reading_deg - self.zero_deg if self.turns == "ccw" else self.zero_deg - reading_deg
+        """Angle of sample or arm at a reading; both in degrees."""
+        return self.direction * (reading_deg - self.zero_deg)
+
+
+class StagePart(AxisPart):
+    """The rotation stage; ``turns`` is the sense in which a growing reading turns the sample, seen from the camera."""
+
+    turns: Literal["ccw", "cw"] = "ccw"
+
+    @property
+    def direction(self) -> int:
+        """1 if the angle of the sample grows with the reading, else −1."""
+        return 1 if self.turns == "ccw" else -1
+
+
+class TiltPart(AxisPart):
+    """The axis that tilts the camera arm; ``sign`` is −1 where a growing reading lowers the tilt."""
+
+    sign: Literal[-1, 1] = 1
+
+    @property
+    def direction(self) -> int:
+        """1 if the tilt grows with the reading, else −1."""
+        return self.sign
 
 
 class CameraPart(Part):
@@ -57,7 +90,7 @@ class LightPart(Part):
 
 
 class GeometryPart(Part):
-    """How the camera arm stands: `tilt_deg` from the normal of the stage, fixed."""
+    """How the camera arm stands: `tilt_deg` from the normal of the stage, where no axis tilts it."""
 
     tilt_deg: Annotated[float, Field(gt=-90.0, lt=90.0)] = 0.0
 
@@ -69,23 +102,59 @@ class CalibrationPart(Part):
 
 
 class RigFile(Part):
-    """A rig, as its file describes it."""
+    """A rig, as its file describes it; without `tilt` the camera arm is fixed."""
 
     schema_version: Annotated[Literal[1], Field(alias="schema")]
     name: str
     stage: StagePart
+    tilt: TiltPart | None = None
     camera: CameraPart
     light: LightPart
     geometry: GeometryPart = GeometryPart()
     fixture: Fixture | None = None
     calibration: CalibrationPart | None = None
 
+    @model_validator(mode="after")
+    def _one_tilt(self) -> "RigFile":
+        if self.tilt is not None and self.geometry.tilt_deg != 0.0:
+            raise ValueError(
+                "geometry.tilt_deg is for an arm that stands fixed; with [tilt], set tilt.zero_deg"
+            )
+        return self
 
-def read_rig(path: Path) -> RigFile:
+
+class ReplayCameraPart(CameraPart):
+    """A camera of which only the size of its pixels matters."""
+
+    driver: str = "replay"
+
+
+class ReplayRigFile(RigFile):
+    """A rig file read for pictures that exist already: geometry is needed, devices are not."""
+
+    name: str = "frames from a folder"
+    stage: StagePart = StagePart(driver="replay")
+    camera: ReplayCameraPart
+
+
+def read_rig(path: Path, *, here: Path | None = None) -> RigFile:
     """Read a rig file; ``${here}`` in it stands for its own folder.
+
+    Args:
+        path: the file.
+        here: the folder that ``${here}`` stands for, if it is another one: that of the original of a copy.
 
     Raises:
         RigFileError: the file is missing or wrong; the message names the key.
     """
-    here = str(path.resolve().parent)
-    return read_toml_model(path, RigFile, error=RigFileError, substitutions={"here": here})
+    return _read(path, RigFile, here)
+
+
+def read_replay_rig(path: Path) -> RigFile:
+    """Read a rig file for its geometry; the tables of the devices may be missing. Errors as for `read_rig`."""
+    return _read(path, ReplayRigFile, None)
+
+
+def _read(path: Path, model: type[RigFile], here: Path | None) -> RigFile:
+    folder = str(here or path.resolve().parent)
+    return read_toml_model(path, model, error=RigFileError, substitutions={"here": folder})

@@ -1,41 +1,22 @@
 """Bytes to and from a port, with a deadline on everything.
 
-One class serves a COM port, a pseudo terminal, ``socket://host:port`` and ``sim://…``: whatever
-``serial.serial_for_url`` opens. Further URL schemes come from packages named by the entry-point group
-``anisoscope.serial_handlers``.
+One class serves a COM port, a pseudo terminal, ``socket://host:port`` and ``sim://…``. Within `shared_ports`,
+devices on one cable share one connection.
 """
 
-import contextlib
-import errno
-import threading
 import time
-from importlib.metadata import entry_points
 from types import TracebackType
 from typing import NoReturn, Self
 
 import serial
-from serial.tools import list_ports
+from serial.serialutil import PortNotOpenError
 
 from anisoscope.errors import NotConnected
+from anisoscope.rig.connection import PORT_ERRORS, available_ports, connect, register_handlers, shared_ports
 
-HANDLER_GROUP = "anisoscope.serial_handlers"
-POLL_S = 0.05
+__all__ = ["Transport", "available_ports", "register_handlers", "shared_ports"]
+
 MAX_BACKLOG = 65536
-# What pyserial raises for a port that was unplugged or closed under a running call.
-_PORT_ERRORS = (serial.SerialException, OSError, TypeError, ValueError)
-
-
-def register_handlers() -> None:
-    """Tell pyserial, once, which packages hold the handlers of further URL schemes."""
-    packages: list[str] = serial.protocol_handler_packages
-    for entry in entry_points(group=HANDLER_GROUP):
-        if entry.value not in packages:
-            packages.append(entry.value)
-
-
-def available_ports() -> tuple[str, ...]:
-    """Names of the serial ports of this machine, found without opening any."""
-    return tuple(sorted(port.device for port in list_ports.comports()))
 
 
 class Transport:
@@ -47,29 +28,34 @@ class Transport:
     Args:
         port: device name (``COM3``, ``/dev/ttyUSB0``), ``socket://host:port`` or ``sim://…``.
         baudrate: baud; ignored by URLs that have none.
+        rtscts: flow control by the lines RTS and CTS; a pseudo terminal has none, and works without.
         write_timeout_s: a port that does not take bytes for so long counts as unplugged.
 
     Raises:
         NotConnected: the port does not exist, is in use, or may not be opened.
     """
 
-    def __init__(self, port: str, *, baudrate: int = 9600, write_timeout_s: float = 1.0) -> None:
+    def __init__(
+        self, port: str, *, baudrate: int = 9600, rtscts: bool = False, write_timeout_s: float = 1.0
+    ) -> None:
         self.port = port
-        self.lock = threading.RLock()
-        self._write_lock = threading.Lock()
-        self._buffer = bytearray()
-        register_handlers()
-        try:
-            self._serial: serial.Serial = serial.serial_for_url(
-                port, baudrate=baudrate, timeout=POLL_S, write_timeout=write_timeout_s, exclusive=True
-            )
-        except _PORT_ERRORS as problem:
-            raise NotConnected(_why_not_open(port, problem)) from problem
+        settings = {"baudrate": baudrate, "rtscts": rtscts, "write_timeout": write_timeout_s}
+        self._connection = connect(port, settings)
+        self._closed = False
+        self.lock = self._connection.lock
+        self._write_lock = self._connection.write_lock
+        self._buffer = self._connection.buffer
 
     @property
     def is_open(self) -> bool:
         """Whether the port is open."""
-        return bool(self._serial.is_open)
+        return not self._closed and bool(self._connection.serial.is_open)
+
+    @property
+    def _serial(self) -> serial.Serial:
+        if self._closed:
+            raise PortNotOpenError
+        return self._connection.serial
 
     @property
     def pending(self) -> bytes:
@@ -85,7 +71,7 @@ class Transport:
         with self._write_lock:
             try:
                 self._serial.write(data)
-            except _PORT_ERRORS as problem:
+            except PORT_ERRORS as problem:
                 self._lost(problem)
 
     def read_exactly(self, count: int, timeout_s: float) -> bytes | None:
@@ -127,9 +113,10 @@ class Transport:
         return self._take(len(self._buffer))
 
     def close(self) -> None:
-        """Close the port; closing twice is fine."""
-        with contextlib.suppress(*_PORT_ERRORS):
-            self._serial.close()
+        """Let go of the port, and close it if nobody else shares it; closing twice is fine."""
+        if not self._closed:
+            self._closed = True
+            self._connection.let_go()
 
     def __enter__(self) -> Self:
         return self
@@ -150,9 +137,9 @@ class Transport:
             try:
                 waiting = self._serial.in_waiting
                 came = self._serial.read(max(1, waiting)) if waiting or not only_waiting else b""
-            except _PORT_ERRORS as problem:
+            except PORT_ERRORS as problem:
                 self._lost(problem)
-            self._buffer += came
+            self._buffer.extend(came)
             if came and not only_waiting:
                 return True
             if not came and (only_waiting or time.monotonic() >= deadline):
@@ -162,31 +149,9 @@ class Transport:
 
     def _lost(self, problem: BaseException) -> NoReturn:
         state = "the connection was lost" if self.is_open else "the port is closed"
+        if not self._closed:
+            self._connection.close()
         self.close()
         raise NotConnected(
             f"{self.port}: {state}; check the cable and the power, then connect again"
         ) from problem
-
-
-def _why_not_open(port: str, problem: BaseException) -> str:
-    code = getattr(problem, "errno", None)
-    text = str(problem)
-    if code == errno.ENOENT or "FileNotFoundError" in text:
-        return f"there is no port {port}; {_what_exists()}"
-    if code in {errno.EAGAIN, errno.EBUSY}:
-        return f"port {port} is in use by another program; close that program, or name another port"
-    if code == errno.EACCES or "PermissionError" in text:
-        return (
-            f"port {port} may not be opened: another program holds it, or this user lacks the permission "
-            "(on Linux: join the group that owns the device, often dialout)"
-        )
-    if "not known" in text:
-        return f"port {port}: no handler for {port.split('://', maxsplit=1)[0]}:// is installed"
-    if "://" in port:
-        return f"cannot open {port}: {text}"
-    return f"cannot open port {port}: {text}; {_what_exists()}"
-
-
-def _what_exists() -> str:
-    ports = available_ports()
-    return f"existing ports: {', '.join(ports)}" if ports else "this machine has no serial port at the moment"

@@ -28,6 +28,9 @@ app = App(
 _jobs = Group.create_ordered("Jobs")
 app.command("anisoscope.cli.demo:demo", group=_jobs)
 app.command("anisoscope.cli.inspection:inspect", group=_jobs)
+app.command("anisoscope.cli.folder:resume", group=_jobs)
+app.command("anisoscope.cli.folder:recompute", group=_jobs)
+app.command("anisoscope.cli.folder:verify", group=_jobs)
 app.command("anisoscope.cli.predict:predict", group=_jobs)
 app.command("anisoscope.cli.render:app", name="render", group=_jobs)
 app.command("anisoscope.cli.experiment:app", name="experiment", group=_jobs)
@@ -59,6 +62,15 @@ def _report(message: str, code: int) -> int:
     return code
 
 
+def _notes(error: BaseException | None) -> list[str]:
+    """What became of rig and folder, as errors carry it; also those on which another interruption fell."""
+    found: list[str] = []
+    while error is not None:
+        found += [note for note in getattr(error, "__notes__", ()) if note not in found]
+        error = error.__context__
+    return found
+
+
 def _listen(debug: bool) -> None:
     """What is compiled is told on standard error; with --debug everything that the package logs."""
     everything, compiled = logging.getLogger("anisoscope"), logging.getLogger("anisoscope.compiled")
@@ -78,10 +90,8 @@ def run(arguments: list[str]) -> int:
     arguments = [token for token in arguments if token != "--debug"]
     try:
         result = app(arguments, exit_on_error=False, print_error=False)
-    except KeyboardInterrupt:
-        return _report(
-            "interrupted; if a rig was open, its stage is stopped and its light is off", EXIT_INTERRUPTED
-        )
+    except KeyboardInterrupt as interruption:
+        return _report("; ".join(["interrupted", *_notes(interruption)]), EXIT_INTERRUPTED)
     except CycloptsError as error:
         if debug:
             raise
@@ -89,17 +99,25 @@ def run(arguments: list[str]) -> int:
     except AnisoscopeError as error:
         if debug:
             raise
-        return _report(str(error), error.exit_code)
+        return _report("; ".join([str(error), *_notes(error)]), error.exit_code)
     return result if isinstance(result, int) else 0
 
 
 def main() -> NoReturn:
     """Entry point of the ``anisoscope`` command."""
-    signal.signal(signal.SIGTERM, _terminate)
+    # SIGHUP: the terminal was closed; nohup ignores it, and Windows knows none.
+    numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    for number in numbers:
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, _terminate)
     try:
         code = run(sys.argv[1:])
         sys.stdout.flush()
     except BrokenPipeError:  # the reader of our output went away, as `| head` does
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 0
+    except KeyboardInterrupt:  # a second one, while the first was being reported
+        code = EXIT_INTERRUPTED
+    for number in (signal.SIGINT, *numbers):  # all is done; nobody needs a traceback of the end
+        signal.signal(number, signal.SIG_IGN)
     sys.exit(code)

@@ -1,4 +1,4 @@
-"""``anisoscope inspect``: photograph one part and judge it."""
+"""``anisoscope inspect``: photograph one part, or take a folder of frames, and judge it."""
 
 import json
 import sys
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from anisoscope.cli.console import console, print_table, progress
+from anisoscope.errors import UsageError
 
 if TYPE_CHECKING:
     from anisoscope.inspection import Inspected
@@ -16,9 +17,24 @@ if TYPE_CHECKING:
 def inspect(
     *,
     recipe: Annotated[Path, Parameter(name=["--recipe", "-r"], help="Recipe file (TOML).")],
-    rig: Annotated[Path, Parameter(name=["--rig", "-g"], help="Rig file (TOML).")],
+    rig: Annotated[
+        Path | None,
+        Parameter(
+            name=["--rig", "-g"], help="Rig file (TOML); with --frames rig.toml beside them by default."
+        ),
+    ] = None,
     serial: Annotated[str, Parameter(name=["--serial", "-s"], help="Serial number of the part.")],
+    frames: Annotated[
+        Path | None, Parameter(help="Judge the frames of this folder (frames.csv) instead of taking any.")
+    ] = None,
+    reflectance: Annotated[
+        float, Parameter(help="With --frames: reflectance of the white tile in its flat frames.")
+    ] = 0.99,
     out: Annotated[Path, Parameter(help="Folder that receives the inspection folder.")] = Path("inspections"),
+    operator: Annotated[str | None, Parameter(help="Who inspects; goes into the record.")] = None,
+    lot: Annotated[str | None, Parameter(help="Lot of the part.")] = None,
+    cavity: Annotated[str | None, Parameter(help="Cavity of the mould.")] = None,
+    station: Annotated[str | None, Parameter(help="Where the rig stands.")] = None,
     json_: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")] = False,
 ) -> int:
     """Photograph a part at the recipe's angles, compare its contrasts with the prediction, and decide.
@@ -26,10 +42,26 @@ def inspect(
     Exit codes: 0 PASS, 1 FAIL, 2 INCONCLUSIVE, 3 INVALID, 64 and above usage or hardware.
     """
     from anisoscope.inspection import inspect_part
+    from anisoscope.record import Particulars
+    from anisoscope.replay import inspect_frames
+
+    who = Particulars(operator=operator, lot=lot, cavity=cavity, station=station)
+    with progress(serial, quiet=json_) as advance:
+        if frames is not None:
+            inspected = inspect_frames(
+                frames, recipe, serial, out, advance, rig_path=rig, reflectance=reflectance, particulars=who
+            )
+        elif rig is None:
+            raise UsageError("name a rig file with --rig, or a folder of frames with --frames")
+        else:
+            inspected = inspect_part(recipe, rig, serial, out, advance, particulars=who)
+    return show(inspected, json_=json_)
+
+
+def show(inspected: "Inspected", *, json_: bool) -> int:
+    """Print a finished inspection and return its exit code."""
     from anisoscope.verdict import Verdict
 
-    with progress(serial, quiet=json_) as advance:
-        inspected = inspect_part(recipe, rig, serial, out, on_progress=advance)
     if json_:
         json.dump(_as_json(inspected), sys.stdout, indent=2, allow_nan=False)
         sys.stdout.write("\n")
@@ -49,6 +81,7 @@ def _as_json(inspected: "Inspected") -> dict[str, Any]:
         "p_value": record.p_value,
         "folder": str(inspected.folder),
         "report": str(inspected.report),
+        "notes": list(inspected.notes),
     }
 
 

@@ -1,84 +1,86 @@
-"""``anisoscope rig``: the ports of this machine, and simulated devices for other programs."""
+"""``anisoscope rig``: look after the rig: its ports, its motion, its picture; and simulated devices."""
 
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated
 
-from cyclopts import App, Parameter
+from cyclopts import App, Group, Parameter
 
+from anisoscope.cli.rig_live import live
+from anisoscope.cli.rig_motion import home, jog, move, stop
+from anisoscope.cli.rig_sim import app as sim
+from anisoscope.cli.rig_snap import snap
+from anisoscope.cli.rig_status import status
 from anisoscope.errors import UsageError
 
 if TYPE_CHECKING:
-    from anisoscope.sim.bench.serve import PtyServer, TcpServer
+    from anisoscope.rig.discovery import Answer, FoundPort
 
-app = App(name="rig", help="Look after the rig: list ports, serve simulated devices.")
-sim = App(name="sim", help="Serve a simulated device, byte by byte, to any program.")
+app = App(name="rig", help="Look after the rig: ports, motion, live picture; simulated devices.")
+_look = Group.create_ordered("Look")
+_move = Group.create_ordered("Move")
+_set_up = Group.create_ordered("Set up and check")
+_simulate = Group.create_ordered("Simulate")
+
+
+app.command(status, group=_look)
+app.command(snap, group=_look)
+app.command(live, group=_look)
+for _motion in (home, move, jog, stop):
+    app.command(_motion, group=_move)
+app.command("anisoscope.cli.rig_commission:commission", group=_set_up)
+app.command("anisoscope.cli.rig_commission:check", group=_set_up)
+sim.group = _simulate
 app.command(sim)
 
 
-@app.command
-def ports(*, json: Annotated[bool, Parameter(negative="")] = False) -> None:
-    """List the serial ports of this machine, without opening any.
+@app.command(group=_look)
+def ports(
+    *,
+    probe: Annotated[bool, Parameter(negative="")] = False,
+    port: tuple[str, ...] = (),
+    json: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """List the serial ports of this machine and what may hang on them, without opening any.
 
     Args:
+        probe: open each port and ask who is there; opening resets some boards (Arduino).
+        port: only this port, also one that is not listed; may be repeated.
         json: print a JSON list instead of lines.
     """
-    from json import dumps
+    from anisoscope.rig.discovery import FoundPort, find_ports
+    from anisoscope.rig.discovery import probe as ask
 
-    from serial.tools import list_ports
-
-    found = [
-        {"port": port.device, "description": port.description or "", "serial": port.serial_number or ""}
-        for port in sorted(list_ports.comports())
-    ]
+    found = list(find_ports())
+    if port:
+        listed = {one.port: one for one in found}
+        if not probe and (strange := [name for name in port if name not in listed]):
+            raise UsageError(
+                f"--port {strange[0]}: not a port of this machine; --probe asks on it all the same"
+            )
+        found = [listed.get(name) or FoundPort(name, "", "", "", "", "", ()) for name in port]
+    answers = [ask(one.port, one.may_be) if probe else None for one in found]
     if json:
-        print(dumps(found, ensure_ascii=False))  # noqa: T201
+        from anisoscope.cli.rig_options import print_json
+
+        print_json(
+            [
+                asdict(one) | ({} if answer is None else {"probe": asdict(answer)})
+                for one, answer in zip(found, answers, strict=True)
+            ]
+        )
         return
-    for port in found:
-        print("  ".join(text for text in port.values() if text))  # noqa: T201
+    for one, answer in zip(found, answers, strict=True):
+        print(_line(one, answer))  # noqa: T201
     if not found:
         print("no serial ports")  # noqa: T201
 
 
-@sim.default
-def device(
-    name: Annotated[str, Parameter(help="Protocol: elliptec, zaber, grbl, apt or smc100.")],
-    /,
-    *,
-    pty: Annotated[bool, Parameter(negative="")] = False,
-    tcp: int | None = None,
-    model: str = "",
-    address: str = "",
-    time_scale: float = 1.0,
-    fault: Annotated[tuple[str, ...], Parameter(negative="")] = (),
-) -> int:
-    """Serve a simulated stage until Ctrl-C; the first line says where.
-
-    Args:
-        pty: serve on a new pseudo terminal.
-        tcp: serve on this TCP port of 127.0.0.1; 0 takes any free one.
-        model: which device of the protocol; the usual one if not given.
-        address: bus address; the protocol's first if not given.
-        time_scale: stretch of time; 1 is real time, 0 ends every move at once.
-        fault: what is wrong with the device, as NAME or NAME:NUMBER; may be repeated.
-    """
-    from anisoscope.sim.bench.firmware.axis import RotaryAxis
-    from anisoscope.sim.bench.firmware.catalogue import Mount, build
-    from anisoscope.sim.bench.serve import PtyServer, TcpServer
-
-    if pty == (tcp is not None):
-        raise UsageError(f"rig sim {name}: give exactly one of --pty and --tcp PORT")
-    if not 0.0 <= time_scale < float("inf"):
-        raise UsageError(f"rig sim {name}: --time-scale must be a number, 0 or more")
-    firmware = build(name, [Mount(RotaryAxis(time_scale=time_scale), address)], model=model, faults=fault)
-    return _serve(name, PtyServer(firmware) if tcp is None else TcpServer(firmware, tcp))
-
-
-def _serve(name: str, server: "PtyServer | TcpServer") -> int:
-    """Serve until Ctrl-C or SIGTERM (which the command line turns into the same); that is a normal end."""
-    print(f"serving {name} on {server.port}", flush=True)  # noqa: T201
-    try:
-        server.run()
-    except KeyboardInterrupt:
-        return 0
-    finally:
-        server.close()
-    return 0
+def _line(found: "FoundPort", answer: "Answer | None") -> str:
+    words = [found.port, found.usb, found.maker, found.product or found.description]
+    if found.serial:
+        words.append(f"serial {found.serial}")
+    if answer is not None:
+        words.append(f"{answer.driver}: {answer.device} answered" if answer.driver else answer.problem)
+    elif found.may_be:
+        words.append(f"may be {' or '.join(found.may_be)}")
+    return "  ".join(word for word in words if word)

@@ -170,11 +170,15 @@ def fit_extent(signature: Signature, evidence: Evidence, weigh: FloatArray) -> t
         return _misfit(evidence, weigh, change, float(share))
 
     grid = np.unique(np.concatenate([np.linspace(low, high, GRID), signature.extents]))
-    values = [left(float(extent)) for extent in grid]
+    changes, shares = signature.at(grid)
+    values = np.sum(((evidence.deviation - changes) @ weigh.T) ** 2, axis=1)
+    if evidence.share is not None:
+        spreads = np.sqrt(evidence.u_share**2 + SHARE_FLOOR**2 + (SHARE_RELATIVE * shares) ** 2)
+        values = values + ((evidence.share - shares) / spreads) ** 2
     k = int(np.argmin(values))
     inside = grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)]
     refined = minimize_scalar(left, bounds=inside, method="bounded")
-    extent, best = (float(grid[k]), values[k])
+    extent, best = float(grid[k]), float(values[k])
     if refined.fun < best:
         extent, best = float(refined.x), float(refined.fun)
     slope, share_slope = signature.slope(extent)

@@ -1,8 +1,9 @@
 """The plan of an acquisition: frozen data; iterating it yields what is to be done, in order."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 from anisoscope.errors import UsageError
@@ -25,9 +26,9 @@ class LightEvent:
 
 @dataclass(frozen=True)
 class DarkEvent:
-    """Take a frame in the dark; `repeat` counts from 0."""
+    """Take a frame in the dark; `step` counts the frames of the plan from 0."""
 
-    repeat: int
+    step: int
 
 
 @dataclass(frozen=True)
@@ -40,10 +41,16 @@ class MoveEvent:
 
 @dataclass(frozen=True)
 class SampleEvent:
-    """Take a lit frame of sample or flat; `again` marks those after the return to the first pose."""
+    """Take a lit frame of sample or flat.
+
+    Attributes:
+        pose: where it is taken.
+        step: number of the frame in the plan, from 0; None for one that checks the first pose on resuming.
+        again: marks frames at the first pose that only show drift.
+    """
 
     pose: Pose
-    repeat: int
+    step: int | None
     again: bool = False
 
 
@@ -51,11 +58,20 @@ Event = LightEvent | DarkEvent | MoveEvent | SampleEvent
 
 
 @dataclass(frozen=True)
+class _Stop:
+    """The frames that are taken in one go: dark ones, or those of a pose."""
+
+    steps: range
+    pose: Pose | None
+    again: bool = False
+
+
+@dataclass(frozen=True)
 class Plan:
     """What to photograph: dark frames first, then every pose, and at the end the first pose once more.
 
     Attributes:
-        poses: where the sample is photographed, in order.
+        poses: where the sample is photographed, in order; every tilt is visited once.
         exposure_s: exposure in seconds, of all frames.
         gain: gain as a factor.
         frames_per_pose: number of frames at each pose.
@@ -65,7 +81,7 @@ class Plan:
         kind: what lies on the stage.
 
     Raises:
-        UsageError: there is no pose, or a number that makes no sense.
+        UsageError: there is no pose, a tilt is visited twice, or a number makes no sense.
     """
 
     poses: tuple[Pose, ...]
@@ -78,12 +94,15 @@ class Plan:
     kind: Literal["sample", "flat"] = "sample"
 
     def __post_init__(self) -> None:
+        angles = [angle for pose in self.poses for angle in (pose.stage_deg, pose.tilt_deg)]
+        changes = sum(before.tilt_deg != after.tilt_deg for before, after in pairwise(self.poses))
         checks = (
             (len(self.poses) >= 1, "poses", "at least one pose"),
+            (all(map(math.isfinite, angles)), "poses", "angles"),
             (
-                all(math.isfinite(p.stage_deg) and math.isfinite(p.tilt_deg) for p in self.poses),
+                changes < max(1, len({pose.tilt_deg for pose in self.poses})),
                 "poses",
-                "angles",
+                "all stage angles of a tilt in a row",
             ),
             (math.isfinite(self.exposure_s) and self.exposure_s > 0.0, "exposure_s", "a time above 0 s"),
             (math.isfinite(self.gain) and self.gain > 0.0, "gain", "a factor above 0"),
@@ -96,23 +115,53 @@ class Plan:
                 raise UsageError(f"acquisition plan: {name}: expected {expected}, not {getattr(self, name)}")
 
     def __iter__(self) -> Iterator[Event]:
-        yield LightEvent(on=False)
-        for repeat in range(self.dark_frames):
-            yield DarkEvent(repeat)
-        yield LightEvent(on=True)
-        for pose in self.poses:
-            yield from self._at(pose, again=False)
-        if self.return_to_first:
-            yield from self._at(self.poses[0], again=True)
-        yield LightEvent(on=False)
+        return self.remaining(())
 
     @property
     def frame_count(self) -> int:
         """Number of frames that the plan takes."""
-        stops = len(self.poses) + int(self.return_to_first)
-        return self.dark_frames + stops * self.frames_per_pose
+        return self._stops()[-1].steps.stop
 
-    def _at(self, pose: Pose, *, again: bool) -> Iterator[Event]:
-        yield MoveEvent(pose, self.settle_s)
-        for repeat in range(self.frames_per_pose):
-            yield SampleEvent(pose, repeat, again)
+    def complete(self, done: Collection[int]) -> set[int]:
+        """Those of the steps that belong to stops of which every frame is done."""
+        whole = [stop.steps for stop in self._stops() if all(step in done for step in stop.steps)]
+        return {step for steps in whole for step in steps}
+
+    def remaining(self, done: Collection[int]) -> Iterator[Event]:
+        """What is still to be done when the frames of some steps are there.
+
+        The frames of a pose are averaged, so a pose of which one is missing is taken anew. Where frames of the
+        first pose are kept, it is photographed once more before anything else: lamp and sample may have changed.
+        """
+        stops = self._stops()
+        left = [stop for stop in stops if not all(step in done for step in stop.steps)]
+        if not left:
+            return
+        yield LightEvent(on=False)
+        for stop in left:
+            if stop.pose is None:
+                yield from (DarkEvent(step) for step in stop.steps)
+        left = [stop for stop in left if stop.pose is not None]
+        if left:
+            yield LightEvent(on=True)
+            first = next(stop for stop in stops if stop.pose is not None)
+            if first not in left and not left[0].again:
+                assert first.pose is not None
+                yield MoveEvent(first.pose, self.settle_s)
+                yield from (SampleEvent(first.pose, None, again=True) for _ in first.steps)
+            for stop in left:
+                assert stop.pose is not None
+                yield MoveEvent(stop.pose, self.settle_s)
+                yield from (SampleEvent(stop.pose, step, stop.again) for step in stop.steps)
+        yield LightEvent(on=False)
+
+    def _stops(self) -> list[_Stop]:
+        wanted: list[tuple[Pose | None, bool]] = [(pose, False) for pose in self.poses]
+        if self.return_to_first:
+            wanted.append((self.poses[0], True))
+        stops = [_Stop(range(self.dark_frames), None)] if self.dark_frames else []
+        step = self.dark_frames
+        for pose, again in wanted:
+            stops.append(_Stop(range(step, step + self.frames_per_pose), pose, again))
+            step += self.frames_per_pose
+        return stops

@@ -1,6 +1,5 @@
-"""Open a rig and carry out a plan. Whatever happens, the stage stands and the light is off afterwards."""
+"""Carry out a plan on an opened rig. Whatever happens, the stage stands and the light is off afterwards."""
 
-import atexit
 import contextlib
 import threading
 from collections.abc import Callable, Iterator
@@ -11,13 +10,16 @@ from pathlib import Path
 import numpy as np
 
 from anisoscope.errors import CameraError, RecordError, RigError, RigFileError
-from anisoscope.rig.acquisition.plan import DarkEvent, LightEvent, MoveEvent, Plan, Pose, SampleEvent
-from anisoscope.rig.camera import Camera, CameraSettings
-from anisoscope.rig.drivers import open_camera, open_light, open_stage
-from anisoscope.rig.frame import Frame, FrameKind, write_frame
-from anisoscope.rig.light import Light
-from anisoscope.rig.rigfile import RigFile
+from anisoscope.rig.acquisition.journal import FrameLine, Journal, JournalFile, RunLine, read_journal
+from anisoscope.rig.acquisition.opening import Rig, open_rig
+from anisoscope.rig.acquisition.plan import DarkEvent, Event, LightEvent, MoveEvent, Plan, Pose, SampleEvent
+from anisoscope.rig.acquisition.watch import Watch
+from anisoscope.rig.acquisition.writer import FRAMES, FrameRecord, FrameWriter, Shot
+from anisoscope.rig.frame import Frame, FrameKind
+from anisoscope.rig.rigfile import AxisPart
 from anisoscope.rig.stage import RotationStage
+
+__all__ = ["FrameRecord", "Progress", "ProgressSink", "Rig", "check_plan", "open_rig", "run_plan"]
 
 TILT_TOLERANCE_DEG = 0.01
 
@@ -34,55 +36,38 @@ class Progress:
 ProgressSink = Callable[[Progress], None]
 
 
-@dataclass(frozen=True)
-class FrameRecord:
-    """A frame and the file it was written to; `again` marks a frame after the return to the first pose."""
-
-    path: Path
-    frame: Frame
-    again: bool = False
-
-
-@dataclass(frozen=True)
-class Rig:
-    """An opened rig: its devices and its file."""
-
-    stage: RotationStage
-    camera: Camera
-    light: Light
-    file: RigFile
-
-    def make_safe(self) -> None:
-        """Stop the stage and switch the light off; a device that fails does not keep the other from it."""
-        for action in (self.stage.stop, self.light.off):
-            with contextlib.suppress(Exception):
-                action()
-
-
-@contextlib.contextmanager
-def open_rig(file: RigFile) -> Iterator[Rig]:
-    """Connect to the devices of a rig file; leaving the context makes them safe and disconnects them.
+def check_plan(plan: Plan, rig: Rig) -> None:
+    """Can the rig do what the plan asks for? Nothing moves.
 
     Raises:
-        RigFileError: a driver that is not installed, or an option that it does not know.
-        NotConnected: a device that is not there.
+        RigError: a tilt that the arm does not have.
+        RigFileError: an angle that cannot be reached from below within the limits of its axis.
     """
-    with contextlib.ExitStack() as stack:
-        stage = open_stage(file.stage.driver, port=file.stage.port, **file.stage.options)
-        stack.callback(stage.close)
-        camera = open_camera(file.camera.driver, **file.camera.options)
-        stack.callback(camera.close)
-        light = open_light(file.light.driver, **file.light.options)
-        stack.callback(light.close)
-        rig = Rig(stage, camera, light, file)
-        # Leaving the context does the same; this is for an interpreter that ends inside of it.
-        atexit.register(rig.make_safe)
-        stack.callback(atexit.unregister, rig.make_safe)
-        try:
-            yield rig
-        except BaseException:
-            rig.make_safe()
-            raise
+    for pose in plan.poses:
+        _check_reach(rig.file.stage, rig.stage, pose.stage_deg, "stage")
+        if rig.tilt is not None and rig.file.tilt is not None:
+            _check_reach(rig.file.tilt, rig.tilt, pose.tilt_deg, "tilt")
+            continue
+        arm_deg = rig.file.geometry.tilt_deg
+        if abs(pose.tilt_deg - arm_deg) > TILT_TOLERANCE_DEG:
+            raise RigError(
+                f"a tilt of {pose.tilt_deg:g}° was asked for, but the camera arm of '{rig.file.name}' "
+                f"is fixed at {arm_deg:g}°; ask for that, correct geometry.tilt_deg in the rig file, or "
+                "describe the axis that tilts it under [tilt]"
+            )
+
+
+def _check_reach(part: AxisPart, axis: RotationStage, angle_deg: float, table: str) -> None:
+    low, high = axis.limits_deg
+    target = part.reading_deg(angle_deg)
+    if target - part.approach_deg < low or target > high:
+        what = "sample angle" if table == "stage" else "tilt"
+        hint = ' (with turns = "ccw": at least stage.approach_deg)' if table == "stage" else ""
+        raise RigFileError(
+            f"a {what} of {angle_deg:g}° needs the {table} at {target:g}° and before at "
+            f"{target - part.approach_deg:g}°, but it reaches {low:g}°…{high:g}°; choose {table}.zero_deg "
+            f"in the rig file so that both fit{hint}"
+        )
 
 
 def run_plan(
@@ -92,120 +77,172 @@ def run_plan(
     on_progress: ProgressSink | None = None,
     cancel: threading.Event | None = None,
 ) -> list[FrameRecord]:
-    """Carry out a plan; every frame is written to ``folder/frames`` the moment it arrives.
+    """Carry out a plan; every frame is written to ``folder/frames`` and entered in the journal as it arrives.
 
-    The stage is homed first if it was not; this is announced through `on_progress`. Every angle is approached
-    from below (in stage readings). After an error, a `KeyboardInterrupt` or a cancel the stage is stopped and
-    the light switched off before the exception goes on.
+    What the journal of the folder already names is not taken again: see `Plan.remaining`. Axes that were not
+    homed are homed first, all of them when a plan is taken up again; this is announced through `on_progress`.
+    Every angle is approached from below (in readings). After an error, a `KeyboardInterrupt` or a cancel the axes
+    are stopped and the light switched off before the exception goes on; the frames taken so far are on disk.
 
     Args:
         plan: what to photograph.
         rig: an opened rig.
         folder: where to write; made if missing.
         on_progress: is told what happens.
-        cancel: setting it ends the acquisition with a `RigError`.
+        cancel: setting it, from any thread, stops the axes at once and ends the acquisition with a `RigError`.
+
+    Returns:
+        The frames taken now.
 
     Raises:
         RigError: a tilt that the arm does not have, a cancel, or a device in trouble.
-        RigFileError: an angle that cannot be reached from below within the limits of the stage.
+        RigFileError: an angle that cannot be reached from below within the limits of its axis.
+        CameraError: on resuming, the camera exposes otherwise than before.
         RecordError: the folder cannot be written to.
     """
-    return _Run(plan, rig, folder, on_progress or (lambda _: None), cancel or threading.Event()).execute()
+    check_plan(plan, rig)
+    try:
+        (folder / FRAMES).mkdir(parents=True, exist_ok=True)
+    except OSError as problem:
+        raise RecordError(f"{folder / FRAMES}: cannot be made: {problem.strerror}") from problem
+    journal = read_journal(folder)
+    cancel = cancel or threading.Event()
+    watch = Watch(rig.stop, cancel)
+    with JournalFile(folder) as lines:
+        writer = FrameWriter(folder, lines, len(journal.runs), len(journal.frames), watch.trouble)
+        try:
+            with writer, watch, _safe_afterwards(rig):
+                run = _Run(plan, rig, journal, writer, watch, on_progress or (lambda _: None))
+                lines.append([run.opening_line()])
+                run.execute()
+        except RigError as error:
+            writer.check()
+            if cancel.is_set():
+                count = len(writer.records)
+                raise RigError(f"the acquisition was cancelled after {count} frames") from error
+            raise
+    return writer.records
+
+
+@contextlib.contextmanager
+def _safe_afterwards(rig: Rig) -> Iterator[None]:
+    try:
+        yield
+    except BaseException:
+        rig.make_safe()
+        raise
 
 
 class _Run:
     def __init__(
-        self, plan: Plan, rig: Rig, folder: Path, tell: ProgressSink, cancel: threading.Event
+        self, plan: Plan, rig: Rig, journal: Journal, writer: FrameWriter, watch: Watch, tell: ProgressSink
     ) -> None:
-        self.plan, self.rig, self.tell, self.cancel = plan, rig, tell, cancel
-        self.frames_folder = folder / "frames"
-        self.records: list[FrameRecord] = []
-        self.commanded_deg = 0.0
-        self.reading_deg = 0.0
+        self.plan, self.rig, self.writer, self.watch, self.tell = plan, rig, writer, watch, tell
+        self.number = len(journal.runs)
+        self.before = journal.by_step
+        self.taken = 0
+        self.pose = Pose(0.0, rig.file.geometry.tilt_deg)
+        self.at = self.pose
 
-    def execute(self) -> list[FrameRecord]:
-        for pose in self.plan.poses:
-            self._check(pose)
-        try:
-            self.frames_folder.mkdir(parents=True, exist_ok=True)
-        except OSError as problem:
-            raise RecordError(f"{self.frames_folder}: cannot be made: {problem.strerror}") from problem
-        try:
-            self._prepare()
-            for event in self.plan:
-                self._check_cancel()
-                self._do(event)
-        except BaseException:
-            self.rig.make_safe()
-            raise
-        return self.records
+    def opening_line(self) -> RunLine:
+        info, tilt = self.rig.camera.info, self.rig.tilt
+        return RunLine(
+            run=self.number,
+            stage=self.rig.stage.name,
+            tilt=None if tilt is None else tilt.name,
+            camera=f"{info.model} {info.serial}",
+            started_at=datetime.now(UTC).isoformat(timespec="milliseconds"),
+        )
 
-    def _check(self, pose: Pose) -> None:
-        arm_deg = self.rig.file.geometry.tilt_deg
-        if abs(pose.tilt_deg - arm_deg) > TILT_TOLERANCE_DEG:
-            raise RigError(
-                f"a tilt of {pose.tilt_deg:g}° was asked for, but the camera arm of '{self.rig.file.name}' "
-                f"is fixed at {arm_deg:g}°; ask for that, or correct geometry.tilt_deg in the rig file"
+    def execute(self) -> None:
+        self.settings = self.rig.camera.configure(self.plan.exposure_s, self.plan.gain)
+        kept = self._kept()
+        self.total = self.plan.frame_count - len(kept)
+        self._home()
+        for event in self.plan.remaining(kept):
+            self._check_halt()
+            self._do(event)
+        self._check_halt()
+
+    def _kept(self) -> set[int]:
+        """Steps of earlier runs that need not be taken again."""
+        kept = self.plan.complete(self.before)
+        differing = [step for step in kept if not self._exposed_as_now(self.before[step])]
+        lit = [self.before[step] for step in differing if self.before[step].kind != "dark"]
+        if lit:
+            raise CameraError(
+                f"the camera now exposes for {self.settings.exposure_s:g} s at gain {self.settings.gain:g}, but for "
+                f"{lit[0].exposure_s:g} s at gain {lit[0].gain:g} in the frames taken so far: inspect the part anew"
             )
-        part = self.rig.file.stage
-        low, high = self.rig.stage.limits_deg
-        target = part.reading_deg(pose.stage_deg)
-        if target - part.approach_deg < low or target > high:
-            raise RigFileError(
-                f"a sample angle of {pose.stage_deg:g}° needs the stage at {target:g}° and before at "
-                f"{target - part.approach_deg:g}°, but it reaches {low:g}°…{high:g}°; choose stage.zero_deg "
-                'in the rig file so that both fit (with turns = "ccw": at least stage.approach_deg)'
-            )
+        return kept - set(differing)
 
-    def _check_cancel(self) -> None:
-        if self.cancel.is_set():
-            raise RigError(f"the acquisition was cancelled after {len(self.records)} frames")
+    def _exposed_as_now(self, line: FrameLine) -> bool:
+        return (line.exposure_s, line.gain) == (self.settings.exposure_s, self.settings.gain)
+
+    def _check_halt(self) -> None:
+        self.writer.check()
+        if self.watch.wanted:
+            raise RigError("the acquisition was told to stop")
 
     def _say(self, text: str) -> None:
-        self.tell(Progress(len(self.records), self.plan.frame_count, text))
+        self.tell(Progress(self.taken, max(self.total, self.taken), text))
 
-    def _prepare(self) -> None:
-        stage = self.rig.stage
-        if not stage.is_homed:
-            self._say(f"homing {stage.name}")
-            stage.home()
-        self.reading_deg = stage.position_deg()
-        self.commanded_deg = self.rig.file.stage.angle_deg(self.reading_deg)
-        self.settings = self.rig.camera.configure(self.plan.exposure_s, self.plan.gain)
+    def _home(self) -> None:
+        for axis in self.rig.axes:
+            if self.number > 0 or not axis.is_homed:
+                self._say(f"homing {axis.name}")
+                axis.home()
+            self._check_halt()
+        self._read_back()
+        self.pose = self.at
 
-    def _do(self, event: LightEvent | DarkEvent | MoveEvent | SampleEvent) -> None:
+    def _read_back(self) -> None:
+        file, tilt = self.rig.file, self.rig.tilt
+        tilt_deg = file.geometry.tilt_deg
+        if tilt is not None and file.tilt is not None:
+            tilt_deg = file.tilt.angle_deg(tilt.position_deg())
+        self.at = Pose(file.stage.angle_deg(self.rig.stage.position_deg()), tilt_deg)
+
+    def _do(self, event: Event) -> None:
         match event:
             case LightEvent(on=True):
                 self.rig.light.on()
             case LightEvent():
                 self.rig.light.off()
             case MoveEvent(pose, settle_s):
-                self._say(f"turning to {pose.stage_deg:g}°")
                 self._go(pose)
-                self.cancel.wait(settle_s)
-            case DarkEvent():
-                self._take("dark")
-            case SampleEvent(again=again):
-                self._take(self.plan.kind, again=again)
+                self.watch.halted.wait(settle_s)
+            case DarkEvent(step):
+                self._take("dark", step)
+            case SampleEvent(_, step, again):
+                self._take(self.plan.kind, step, again=again)
 
     def _go(self, pose: Pose) -> None:
-        part, stage = self.rig.file.stage, self.rig.stage
-        target = part.reading_deg(pose.stage_deg)
-        below = target - part.approach_deg
-        if stage.position_deg() > below:
-            stage.move_to(below)
-        self.reading_deg = stage.move_to(target)
-        self.commanded_deg = pose.stage_deg
+        file = self.rig.file
+        stage_deg, tilt_deg = pose.stage_deg, self.at.tilt_deg
+        if self.rig.tilt is not None and file.tilt is not None and pose.tilt_deg != self.pose.tilt_deg:
+            self._say(f"tilting to {pose.tilt_deg:g}°")
+            tilt_deg = file.tilt.angle_deg(self._approach(file.tilt, self.rig.tilt, pose.tilt_deg))
+        self._say(f"turning to {pose.stage_deg:g}°")
+        stage_deg = file.stage.angle_deg(self._approach(file.stage, self.rig.stage, pose.stage_deg))
+        self.at, self.pose = Pose(stage_deg, tilt_deg), pose
 
-    def _take(self, kind: FrameKind, *, again: bool = False) -> None:
-        frame = self._expose(kind, self.settings)
-        angle = f"{self.commanded_deg:07.2f}"
-        path = self.frames_folder / f"{len(self.records):03d}_{kind}_{angle}.tif"
-        write_frame(frame, path)
-        self.records.append(FrameRecord(path, frame, again))
+    def _approach(self, part: AxisPart, axis: RotationStage, angle_deg: float) -> float:
+        """Move an axis to an angle, always from below; return the reading reached."""
+        target = part.reading_deg(angle_deg)
+        below = target - part.approach_deg
+        if axis.position_deg() > below:
+            axis.move_to(below)
+            self._check_halt()
+        return axis.move_to(target)
+
+    def _take(self, kind: FrameKind, step: int | None, *, again: bool = False) -> None:
+        frame = self._expose(kind)
+        self.taken += 1
+        self.writer.put(Shot(frame, self.pose, step, again))
         self._say(f"{kind} frame at {frame.stage_deg:.3f}°")
 
-    def _expose(self, kind: FrameKind, settings: CameraSettings) -> Frame:
+    def _expose(self, kind: FrameKind) -> Frame:
         info = self.rig.camera.info
         counts = self.rig.camera.grab()
         if counts.shape != (info.rows, info.cols) or counts.dtype != np.uint16:
@@ -214,15 +251,15 @@ class _Run:
                 f"{(info.rows, info.cols)}"
             )
         return Frame(
-            counts=counts,
+            counts=counts.copy(),  # a camera may fill the same memory again while this is written
             kind=kind,
             bit_depth=info.bit_depth,
             black_level=info.black_level,
-            exposure_s=settings.exposure_s,
-            gain=settings.gain,
-            stage_deg=self.rig.file.stage.angle_deg(self.reading_deg),
-            commanded_deg=self.commanded_deg,
-            tilt_deg=self.rig.file.geometry.tilt_deg,
+            exposure_s=self.settings.exposure_s,
+            gain=self.settings.gain,
+            stage_deg=self.at.stage_deg,
+            commanded_deg=self.pose.stage_deg,
+            tilt_deg=self.at.tilt_deg,
             captured_at=datetime.now(UTC).isoformat(timespec="milliseconds"),
             camera=f"{info.model} {info.serial}",
         )

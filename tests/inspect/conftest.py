@@ -12,6 +12,7 @@ from anisoscope import inspection
 from anisoscope.calibration import take_flat
 from anisoscope.cli.demo_files import FIXTURE
 from anisoscope.recipe import Recipe
+from anisoscope.report.inspection_page import REPORT_NAME
 from anisoscope.sim.bench.bench import Bench, shared_bench
 
 LOBE = {"alpha_along": 0.06, "alpha_across": 0.10, "albedo": 0.2, "index": 1.5}
@@ -126,6 +127,17 @@ def virtual_rig(tmp_path, flat) -> Callable[..., VirtualRig]:
         )
 
     return lay_out
+
+
+@pytest.fixture
+def plain_report(monkeypatch) -> None:
+    """Reports of one line, for tests that run many inspections; drawing takes longer than all the rest."""
+
+    def write(record, _pictures, folder, _view=None):
+        (folder / REPORT_NAME).write_text(record.verdict)
+        return folder / REPORT_NAME
+
+    monkeypatch.setattr(inspection, "write_report", write)
 
 
 @pytest.fixture

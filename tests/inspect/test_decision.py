@@ -107,7 +107,7 @@ def test_false_alarms_are_as_many_as_stated(make_recipe, rng, kind):
     p = np.array([f.p_value for f in found])
     for level in (0.01, 0.05, 0.2, 0.5):
         assert np.mean(p < level) == pytest.approx(level, abs=4 * np.sqrt(level * (1 - level) / p.size))
-    assert np.mean([f.verdict == FAIL for f in found]) == pytest.approx(np.mean(p < 0.9 * 0.05))
+    assert np.mean([f.verdict == FAIL for f in found]) == pytest.approx(np.mean(p < 0.05))
     assert found[0].dof == 2
 
 

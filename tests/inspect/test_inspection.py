@@ -3,6 +3,7 @@
 import re
 import subprocess
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -27,8 +28,10 @@ from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
 from anisoscope.recipe import read_recipe
 from anisoscope.record import read_record, sha256_of
 from anisoscope.registration import locate, resample
+from anisoscope.rig.acquisition.journal import read_journal
 from anisoscope.rig.frame import read_frame
 from anisoscope.rig.rigfile import read_rig
+from anisoscope.rig.stages import manual
 from anisoscope.sim.light.contrasts import contrasts
 from anisoscope.sim.light.geometry import Pose
 from anisoscope.whitereference import read_reference
@@ -50,7 +53,7 @@ def from_map(path):
 
 def same_record(record):
     """All of a record but what the clock says."""
-    return record.model_dump(exclude={"created_at", "frames", "inputs", "rig"})
+    return record.model_dump(exclude={"created_at", "files", "frames", "inputs", "rig"})
 
 
 def test_a_good_part_passes_and_the_frames_on_disk_prove_it(virtual_rig, reference_map):
@@ -65,11 +68,12 @@ def test_a_good_part_passes_and_the_frames_on_disk_prove_it(virtual_rig, referen
     inputs = {path.name: path for path in (rig.recipe, rig.rig, reference_map)}
     inputs["flat.tif"] = read_rig(rig.rig).calibration.flat
     assert {entry.name: entry.sha256 for entry in record.inputs} == {
-        n: sha256_of(p) for n, p in inputs.items()
+        f"inputs/{n}": sha256_of(p) for n, p in inputs.items()
     }
-    for entry in record.frames:
+    for entry in (*record.inputs, *record.frames, *record.files):
         assert entry.sha256 == sha256_of(inspected.folder / entry.name)
-    assert {p.name for p in inspected.folder.iterdir()} == {"frames", "record.json", "report.html"}
+    own = {"frames", "frames.jsonl", "inputs", "job.json", "record.json", "report.html"}
+    assert {p.name for p in inspected.folder.iterdir()} == own
 
     frames = [read_frame(inspected.folder / entry.name) for entry in record.frames]
     white = read_reference(inputs["flat.tif"])
@@ -227,7 +231,7 @@ BEFORE = {
     "no fixture": ({"rig": {"fixture": None}}, RigFileError, r"describes no \[fixture\]"),
     "dictionary": ({"rig": {"fixture": {"dictionary": "DICT_NONE"}}}, RigFileError, "fixture.dictionary"),
     "silent": ({"bench": {"stage": {"faults": ["silent"]}}}, NotConnected, "is silent"),
-    "bench": ({"bench": {"stage": {"faults": ["nonsense"]}}}, NotConnected, "stage.faults"),
+    "bench": ({"bench": {"stage": {"faults": ["nonsense"]}}}, NotConnected, "no fault 'nonsense'"),
 }
 
 
@@ -241,6 +245,15 @@ def test_what_can_be_known_before_the_first_picture_leaves_no_folder(virtual_rig
     assert not rig.folders
 
 
+def test_a_cable_that_is_not_plugged_in_shows_before_the_prediction(virtual_rig, monkeypatch):
+    monkeypatch.setattr(inspection, "expectation", lambda *_: pytest.fail("predicted for nothing"))
+    for stage, error in (({"port": "/dev/ttyNOTHERE"}, NotConnected), ({"driver": "eliptec"}, RigFileError)):
+        rig = virtual_rig(rig={"stage": stage})
+        with pytest.raises(error, match="there is no"):
+            rig.inspect()
+        assert not rig.folders
+
+
 @pytest.mark.parametrize(
     ("fault", "error"), [("stall:60", Stalled), ("silent:12", NotConnected), ("hangup:2", NotConnected)]
 )
@@ -250,8 +263,9 @@ def test_hardware_that_fails_midway_leaves_frames_but_no_record_and_a_safe_rig(v
         rig.inspect()
     assert "\n" not in str(caught.value)
     (folder,) = rig.folders
-    assert [p.name for p in folder.iterdir()] == ["frames"]
-    assert len(list((folder / "frames").iterdir())) >= 2
+    assert {p.name for p in folder.iterdir()} == {"frames", "frames.jsonl", "inputs", "job.json"}
+    assert len(read_journal(folder).frames) == len(list((folder / "frames").iterdir())) >= 2
+    assert caught.value.__notes__[-1] == f"`anisoscope resume {folder}` goes on from here"
     assert not rig.bench.light_on
     assert not rig.bench.axis.busy()
 
@@ -285,7 +299,7 @@ def test_serials_with_which_a_folder_can_be_named(serial):
 
 
 def test_two_inspections_in_one_second_have_two_folders(virtual_rig, monkeypatch):
-    monkeypatch.setattr(inspection, "write_report", lambda *_: None)
+    monkeypatch.setattr(inspection, "conclude", lambda folder, *_: SimpleNamespace(folder=folder))
     rig = virtual_rig()
     assert rig.inspect().folder != rig.inspect().folder
     assert len(rig.folders) == 2
@@ -311,12 +325,12 @@ class Drawing:
         return None
 
 
-@pytest.mark.parametrize("step", ["_photograph", "_judge", "write_record", "write_report"])
+@pytest.mark.parametrize("step", ["_photograph", "judge", "write_record", "write_report"])
 @pytest.mark.parametrize("error", [RecordError("full"), KeyboardInterrupt()])
 def test_the_renderer_is_ended_whatever_fails(virtual_rig, monkeypatch, step, error):
     drawing = Drawing()
 
-    def fail(*_):
+    def fail(*_, **__):
         raise error
 
     monkeypatch.setattr(inspection, "start_renderer", lambda _: drawing)
@@ -335,7 +349,7 @@ def test_no_process_outlives_a_failed_inspection(virtual_rig, reference_map, mon
         return started[-1]
 
     monkeypatch.setattr(subprocess, "Popen", remember)
-    rig = virtual_rig(recipe=from_map(reference_map), bench={"stage": {"faults": ["silent"]}})
+    rig = virtual_rig(recipe=from_map(reference_map), bench={"stage": {"faults": ["silent:12"]}})
     begin = time.monotonic()
     with pytest.raises(NotConnected):
         rig.inspect()
@@ -370,3 +384,51 @@ def test_a_tilted_arm_sees_the_part_foreshortened_and_judges_it_all_the_same(vir
 def merged_poses(recipe):
     """The same recipe for an arm that the rig file takes for upright."""
     return {**recipe, "poses": {"tilts_deg": [0.0]}}
+
+
+TILTED_BENCH = {"tilt": {"address": "1", "zero_deg": 30.0}}
+TILT = {
+    "driver": "elliptec",
+    "port": "sim://elliptec?bench=${here}/bench.toml",
+    "zero_deg": 30.0,
+    "options": {"address": "1", "move_gap_s": 0.0, "timeout_s": 0.2},
+}
+TILTS = {
+    "poses": {"angles_deg": [0.0, 90.0, 180.0], "tilts_deg": [0.0, 10.0]},
+    "region": {"size_mm": [0.9, 0.9]},
+    "material": {"u_alpha_share": 0.01},
+}
+
+
+def test_a_recipe_with_several_tilts_on_a_second_axis_of_the_same_cable(virtual_rig, tmp_path):
+    tile = virtual_rig("tile", rig={"tilt": TILT}, bench={**TILTED_BENCH, "sample": {"kind": "white-tile"}})
+    take_flat(tile.rig, tmp_path / "flat.tif", exposure_s=0.0015, frames=4)
+    rig = {"tilt": TILT, "calibration": {"flat": str(tmp_path / "flat.tif")}}
+    record = virtual_rig("part", recipe=TILTS, bench=TILTED_BENCH, rig=rig).inspect().record
+    assert record.verdict == "PASS", record.reasons
+    assert [(pose.stage_deg, pose.tilt_deg) for pose in record.poses] == [
+        (stage, tilt) for tilt in (0.0, 10.0) for stage in (0.0, 90.0, 180.0)
+    ]
+    for pose in record.poses:
+        assert pose.measured == pytest.approx(pose.predicted, rel=0.02)
+    lit = [frame for frame in record.frames if frame.kind == "sample"]
+    assert [round(frame.tilt_deg, 1) for frame in lit] == [0.0] * 6 + [10.0] * 6 + [0.0] * 2
+    assert ", " in record.stage
+
+
+def test_a_tilt_set_by_hand(virtual_rig, monkeypatch):
+    rig = virtual_rig(recipe=TILTS, rig={"tilt": {"driver": "manual"}})
+    asked = []
+
+    def ask(request):
+        asked.append(request)
+        (tilt,) = (float(word[:-1]) for word in request.split() if word.endswith("°"))
+        bench = rig.bench
+        geometry = bench.file.geometry.model_copy(update={"tilt_deg": tilt})
+        bench.file = bench.file.model_copy(update={"geometry": geometry})
+
+    monkeypatch.setattr(manual, "_need_a_terminal", lambda _: None)
+    monkeypatch.setattr(manual, "ask_in_terminal", ask)
+    record = rig.inspect().record
+    assert record.verdict == "PASS", record.reasons
+    assert asked == [f"set the tilt to {tilt}°" for tilt in (0, 10, 0)]

@@ -106,8 +106,12 @@ def test_the_chance_of_a_group_is_a_bound(chance, cells):
 
 
 def test_the_chance_of_a_cell_is_the_tail_of_the_scatter():
-    noise = 0.1 * np.random.default_rng(2).standard_normal((200, 200))
-    assert chance_of_a_cell(noise, 0.2) == pytest.approx(0.0455, rel=0.1)
+    rng = np.random.default_rng(2)
+    noise = rng.laplace(scale=0.05, size=(200, 200))
+    assert chance_of_a_cell(noise, 0.1) == pytest.approx(np.exp(-2.0), rel=0.05)
+    assert chance_of_a_cell(noise, 0.5) == pytest.approx(np.exp(-10.0), rel=0.5)
+    normal = 0.1 * rng.standard_normal((200, 200))
+    assert chance_of_a_cell(normal, 0.5) > 1e-6  # 6e-7 for a normal tail: the bound is on the safe side
     assert chance_of_a_cell(np.zeros((5, 5)), 0.2) == 0.0
     assert chance_of_a_group(3, 400, 0.0) == 0.0
     assert chance_of_a_group(40, 400, 0.9) == 1.0

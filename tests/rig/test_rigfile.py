@@ -3,7 +3,7 @@
 import pytest
 
 from anisoscope.errors import RigFileError
-from anisoscope.rig.rigfile import StagePart, read_rig
+from anisoscope.rig.rigfile import StagePart, read_replay_rig, read_rig
 
 GOOD = """
 schema = 1
@@ -60,10 +60,48 @@ def test_angles_and_readings(turns):
     assert stage.angle_deg(stage.reading_deg(33.0)) == 33.0
 
 
+def test_a_tilt_axis(tmp_path):
+    text = GOOD.replace(
+        "[camera]", '[tilt]\ndriver = "elliptec"\nport = "COM3"\nzero_deg = 30.0\nsign = -1\n[camera]', 1
+    )
+    tilt = read(tmp_path, text).tilt
+    assert (tilt.reading_deg(10.0), tilt.angle_deg(25.0), tilt.approach_deg) == (20.0, 5.0, 2.0)
+    with pytest.raises(RigFileError, match=r"geometry\.tilt_deg is for an arm that stands fixed"):
+        read(tmp_path, text.replace("tilt_deg = 0", "tilt_deg = 5"))
+    with pytest.raises(RigFileError, match=r"tilt\.sign: input should be -1 or 1, not 2"):
+        read(tmp_path, text.replace("sign = -1", "sign = 2"))
+
+
+def test_an_axis_set_by_hand_has_no_backlash(tmp_path):
+    rig = read(tmp_path, GOOD.replace("[camera]", '[tilt]\ndriver = "manual"\n[camera]', 1))
+    assert (rig.tilt.port, rig.tilt.approach_deg) == (None, 0.0)
+
+
+def test_for_frames_that_exist_already_only_the_geometry_is_needed(tmp_path):
+    text = "schema = 1\n[camera]\npixel_um = 4.0\n[light]\nangle_deg = 12.0\n"
+    path = tmp_path / "rig.toml"
+    path.write_text(text)
+    with pytest.raises(RigFileError, match="missing"):
+        read_rig(path)
+    rig = read_replay_rig(path)
+    assert (rig.camera.pixel_um, rig.light.angle_deg, rig.fixture) == (4.0, 12.0, None)
+    path.write_text(GOOD)  # a whole rig file serves as well
+    assert read_replay_rig(path).stage.driver == "elliptec"
+    path.write_text(text.replace("pixel_um", "pixel_mm"))
+    with pytest.raises(RigFileError, match=r"camera\.pixel_mm: unknown key"):
+        read_replay_rig(path)
+
+
+def test_a_copy_of_a_rig_file_still_means_the_folder_of_the_original(tmp_path):
+    copy = tmp_path / "copy.toml"
+    copy.write_text(GOOD, encoding="utf-8")
+    rig = read_rig(copy, here=tmp_path / "original")
+    assert rig.camera.options["bench"] == f"{tmp_path}/original/bench.toml"
+
+
 @pytest.mark.parametrize(
     ("wrong", "right", "message"),
     [
-        ('port = "sim://elliptec?bench=${here}/bench.toml"\n', "", "stage.port: missing; expected a text"),
         ("zero_deg", "zero_rad", "stage.zero_rad: unknown key; did you mean 'zero_deg'?"),
         ("pixel_um", "pixel_mm", "camera.pixel_mm: unknown key; did you mean 'pixel_um'? (and 1 more)"),
         ("pixel_um = 4.0", "", "camera.pixel_um: missing; expected a number"),

@@ -57,6 +57,12 @@ def pytest_generate_tests(metafunc):
 
 
 @pytest.fixture
+def all_cases():
+    """The cases of all protocols, by name."""
+    return CASES
+
+
+@pytest.fixture
 def in_process(monkeypatch):
     """Serve firmware of the test's choice behind sim:// in this process."""
 

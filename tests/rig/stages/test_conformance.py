@@ -147,7 +147,8 @@ def test_stop_from_another_thread_ends_the_move(served, case):
 
 
 def test_a_second_move_at_the_same_time_is_refused(in_process, case):
-    with case.open(in_process(case.firmware(time_scale=5.0)), margin_s=5.0) as stage:
+    slowed = case.firmware(time_scale=case.stage.get("unhurried", 5.0))
+    with case.open(in_process(slowed), margin_s=5.0) as stage:
         stage.home()
         mover = threading.Thread(target=stage.move_to, args=(20.0,))
         mover.start()

@@ -1,0 +1,276 @@
+"""Commissioning of a rig: find its rotation sense, zero, centre, tilt and light angle, and keep them."""
+
+import json
+import tempfile
+import threading
+import uuid
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from anisoscope.commission_angles import Angles, Assumed, evaluate
+from anisoscope.commission_findings import findings_of
+from anisoscope.commission_light import LightFit
+from anisoscope.commission_observe import Observed, Picture, observe
+from anisoscope.commission_part import RidgedPart
+from anisoscope.commission_record import Commissioning, Finding, FitRecord, ParameterRecord, PoseRecord
+from anisoscope.commission_rigfile import Changes, Written, update_rig_file
+from anisoscope.commission_series import Series, Taken, take
+from anisoscope.errors import RecordError, UsageError
+from anisoscope.linear import WhiteReference
+from anisoscope.progress import Advance, silent
+from anisoscope.recipe import Recipe
+from anisoscope.record import sha256_of
+from anisoscope.registration import check_fixture
+from anisoscope.rig.rigfile import RigFile, read_rig
+from anisoscope.whitereference import read_reference
+
+MAX_DRIFT = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class Commissioned:
+    """A commissioning: its record, and what only the page shows."""
+
+    record: Commissioning
+    pictures: tuple[Picture, ...]
+    angles: Angles
+
+
+def part_of_recipe(recipe: Recipe, ridge_angle_deg: float | None, u_ridge_angle_deg: float) -> RidgedPart:
+    """The ridged part that a recipe describes; the spot is the largest circle in its region.
+
+    Args:
+        recipe: the recipe.
+        ridge_angle_deg: ridge angle, if the recipe compares with a height map and does not name one.
+        u_ridge_angle_deg: its standard uncertainty.
+
+    Raises:
+        UsageError: nobody says the ridge angle.
+    """
+    design = recipe.surface.design
+    if ridge_angle_deg is None and design is None:
+        raise UsageError("the recipe compares with a height map and names no ridge angle: give --ridge-angle")
+    angle = ridge_angle_deg if ridge_angle_deg is not None or design is None else design.ridge_angle_deg
+    assert angle is not None
+    made = recipe.material
+    return RidgedPart(
+        pitch_um=recipe.surface.pitch_um,
+        ridge_angle_deg=angle,
+        alpha_along=made.alpha_along,
+        alpha_across=made.alpha_across,
+        albedo=made.albedo,
+        index=made.index,
+        u_ridge_angle_deg=max(u_ridge_angle_deg, 1e-3),
+        u_alpha_share=max(made.u_alpha_share, 1e-4),
+        u_albedo=max(made.u_albedo, 1e-5),
+        u_index=max(made.u_index, 1e-5),
+        u_seating_deg=max(recipe.uncertainty.seating_tilt_deg, 1e-3),
+        wall="perpendicular" if design is None else design.wall,
+        facet_azimuth_deg=recipe.poses.facet_azimuth_deg,
+        center_mm=recipe.region.center_mm,
+        spot_mm=min(recipe.region.size_mm),
+    )
+
+
+def commission(
+    rig_path: Path,
+    part: RidgedPart,
+    series: Series,
+    assumed: Assumed | None = None,
+    *,
+    frames: Path | None = None,
+    on_progress: Advance = silent,
+    cancel: threading.Event | None = None,
+) -> Commissioned:
+    """Photograph a ridged part all round, and under tilts, and find out how the rig stands.
+
+    Of the rig file only devices, fixture, pixel size and the zero of the tilt are used, the last as a first guess; no
+    file is changed.
+
+    Args:
+        rig_path: rig file.
+        part: the part on the stage.
+        series: what to photograph.
+        assumed: what is assumed of rig and model.
+        frames: empty or missing folder that keeps the frames; by default they are thrown away.
+        on_progress: progress.
+        cancel: setting it stops the axes and ends the series with a `RigError`.
+
+    Raises:
+        RigFileError, RigError: the rig.
+        UsageError: the folder for the frames holds something.
+        CalibrationError: the white reference does not fit.
+        MeasurementError: the pictures do not carry it.
+        RecordError: the frames cannot be written.
+    """
+    file = read_rig(rig_path)
+    if file.fixture is not None:
+        check_fixture(file.fixture)
+    white = _white(file)
+    assumed = assumed or Assumed()
+    with ExitStack() as cleanup:
+        folder = frames or Path(cleanup.enter_context(tempfile.TemporaryDirectory(prefix="commissioning-")))
+        if folder.exists() and any(folder.iterdir()):
+            raise UsageError(f"the folder {folder} for the frames is not empty: name a new one")
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise RecordError(f"cannot make the folder {folder}: {error.strerror}") from error
+        taken = take(file, series, folder, white, on_progress, cancel)
+        observed = observe(taken, file, part, on_progress)
+    on_progress("fit", 0, 1)
+    angles = evaluate(observed, file, part, assumed, taken.absolute)
+    record = _record(rig_path, file, part, series, assumed, taken, observed, angles)
+    on_progress("done", 1, 1)
+    return Commissioned(record, observed.pictures, angles)
+
+
+def _white(file: RigFile) -> WhiteReference | None:
+    return None if file.calibration is None else read_reference(file.calibration.flat)
+
+
+def changes_of(record: Commissioning) -> dict[tuple[str, str], str | int | float]:
+    """What ``--write`` puts into the rig file, rounded to a tenth of the uncertainty: what was found, and differs."""
+    found = {}
+    for finding in record.findings:
+        if not finding.goes_to_rig_file or finding.status != "found" or finding.value is None:
+            continue
+        value = finding.value
+        if isinstance(value, float):
+            value = round(value, _decimals(finding))
+        if value != finding.old:
+            table, _, key = finding.key.partition(".")
+            found[table, key] = value
+    return found
+
+
+def _decimals(finding: Finding) -> int:
+    return 6 if not finding.u else min(max(1 - int(np.floor(np.log10(finding.u))), 0), 6)
+
+
+def write_to_rig_file(rig_path: Path, record: Commissioning) -> Written | None:
+    """Put what was found into the rig file; None if nothing differs.
+
+    Raises:
+        UsageError: the rig file was changed since the pictures were taken.
+        RigFileError, RecordError: it cannot be read or written.
+    """
+    if sha256_of(rig_path) != record.rig_file_sha256:
+        raise UsageError(f"{rig_path} was changed since it was commissioned: commission the rig again")
+    changes: Changes = changes_of(record)
+    return update_rig_file(rig_path, changes) if changes else None
+
+
+def _record(
+    rig_path: Path,
+    file: RigFile,
+    part: RidgedPart,
+    series: Series,
+    assumed: Assumed,
+    taken: Taken,
+    observed: Observed,
+    angles: Angles,
+) -> Commissioning:
+    return Commissioning(
+        id=uuid.uuid4().hex,
+        created_at=datetime.now(UTC).isoformat(timespec="seconds"),
+        software=f"anisoscope {version('anisoscope')}",
+        rig=file.name,
+        rig_file=rig_path.name,
+        rig_file_sha256=sha256_of(rig_path),
+        devices=taken.devices,
+        part=_plain(asdict(part)),
+        series=_plain(asdict(series) | asdict(assumed) | {"white_reference": taken.absolute}),
+        findings=findings_of(angles, file, taken, part.facet_azimuth_deg),
+        poses=_poses(observed, angles),
+        fit=_fit(angles.light),
+        drift=angles.drift,
+        dark_level=taken.dark_level,
+        dark_noise=taken.dark_noise,
+        blur_px=observed.blur_px,
+        notes=_notes(file, taken, angles),
+        frames_sha256=taken.sha256,
+    )
+
+
+def _plain(table: dict[str, Any]) -> dict[str, Any]:
+    """A table as it comes back from JSON: lists, no tuples."""
+    found: dict[str, Any] = json.loads(json.dumps(table))
+    return found
+
+
+def _poses(observed: Observed, angles: Angles) -> tuple[PoseRecord, ...]:
+    light = angles.light
+    found = []
+    for n, seen in enumerate(one for one in observed.seen if not one.again):
+        fix = seen.fix
+        found.append(
+            PoseRecord(
+                reading_deg=seen.reading_deg,
+                tilt_reading_deg=seen.tilt_reading_deg,
+                marker_deg=None if fix is None else fix.angle_deg,
+                marker_residual_px=None if fix is None else fix.residual_px,
+                squeeze=None if fix is None else fix.squeeze,
+                ridge_deg=seen.ridge_deg,
+                radiance=float(angles.corrected[n]),
+                u_relative=float(angles.u_relative[n]),
+                fitted=float(light.fitted[n]),
+                z=float(light.z[n]),
+            )
+        )
+    return tuple(found)
+
+
+def _fit(light: LightFit) -> FitRecord:
+    parameters = tuple(
+        ParameterRecord(
+            name=one.name,
+            words=one.words,
+            prior=None if one.u_prior is None else one.prior,
+            u_prior=one.u_prior,
+            value=one.value,
+            u=one.u,
+            u_alone=one.u_alone if np.isfinite(one.u_alone) else None,
+        )
+        for one in light.parameters
+    )
+    correlation = tuple(tuple(float(x) for x in row) for row in light.correlation)
+    return FitRecord(
+        parameters=parameters,
+        correlation=correlation,
+        chi2=light.chi2,
+        dof=light.dof,
+        widened=light.widened,
+        side_chi2=light.side_chi2,
+        sign_chi2=light.sign_chi2,
+    )
+
+
+def _notes(file: RigFile, taken: Taken, angles: Angles) -> tuple[str, ...]:
+    found = []
+    if file.fixture is None:
+        found.append("the rig file describes no fixture: centre and pixel size were not measured")
+    elif angles.markers is None:
+        found.append("fewer than 5 pictures show the markers: sense and zero come from the ridges alone")
+    if angles.ridges is None:
+        found.append("the camera does not resolve the ridges: their direction comes from brightness alone")
+    if not taken.absolute:
+        found.append(
+            "no white reference: the scale of the radiances is free, and shading stays in the pictures"
+        )
+    if abs(angles.drift) > MAX_DRIFT:
+        found.append(
+            f"the lamp drifted by {angles.drift:+.1%} over the series: let it warm up, and commission again"
+        )
+    if angles.light.widened > 2.0:
+        found.append(
+            f"the model misses the radiances by {angles.light.widened:.1f} times their uncertainty: is the part the "
+            "one described, clean and flat? Uncertainties were widened by this"
+        )
+    return tuple(found)

@@ -1,0 +1,80 @@
+"""The numbers of a record once more, from the raw frames and the copies of the inputs in its folder."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from anisoscope.expectation import expectation
+from anisoscope.jobfile import reopen
+from anisoscope.judging import judge
+from anisoscope.progress import Advance, silent
+from anisoscope.record import Record, read_record
+from anisoscope.taken import read_taken
+
+TOLERANCE = 1e-9
+NOT_COMPARED = frozenset({"software", "created_at", "files", "recipe", "rig"})
+"""What tells when and by what a record was made, and where its files lay; their hashes are checked instead."""
+
+
+@dataclass(frozen=True)
+class Recomputed:
+    """A record made again.
+
+    Attributes:
+        folder: the inspection folder.
+        recorded: the record that lies there.
+        verdict: the verdict now.
+        differences: one line for every value that is not what it was.
+        notes: what explains differences.
+    """
+
+    folder: Path
+    recorded: Record
+    verdict: str
+    differences: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+
+
+def recompute(folder: Path, on_progress: Advance = silent) -> Recomputed:
+    """Judge the frames of a finished inspection again and compare; nothing is written.
+
+    Args:
+        folder: the inspection folder.
+        on_progress: called with what is being done, steps done and steps in all.
+
+    Raises:
+        RecordError: the inspection is not finished, or a file is missing or was changed.
+    """
+    folder = folder.resolve()
+    recorded = read_record(folder)
+    made, job = reopen(folder)
+    on_progress("prediction", 0, 1)
+    expected = expectation(job.recipe, job.rig.light.angle_deg)
+    on_progress("measurement", 0, 1)
+    record, _ = judge(made, job, expected, read_taken(folder, made))
+    old, new = (found.model_dump(mode="json", exclude=set(NOT_COMPARED)) for found in (recorded, record))
+    notes: tuple[str, ...] = ()
+    if recorded.software != record.software:
+        notes = (f"recorded by {recorded.software}, recomputed by {record.software}",)
+    return Recomputed(folder, recorded, record.verdict, tuple(differences(old, new)), notes)
+
+
+def differences(old: Any, new: Any, name: str = "") -> Iterator[str]:  # noqa: ANN401 - what JSON can hold
+    """One line for every value of two JSON documents that differs; numbers within 1e-9 are the same."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        for key in sorted(old.keys() | new.keys()):
+            yield from differences(old.get(key), new.get(key), f"{name}.{key}".removeprefix("."))
+    elif isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
+        for number, (before, after) in enumerate(zip(old, new, strict=True)):
+            yield from differences(before, after, f"{name}[{number}]")
+    elif not _same(old, new):
+        yield f"{name}: recorded {old!r}, recomputed {new!r}"
+
+
+def _same(old: object, new: object) -> bool:
+    numbers = isinstance(old, int | float) and isinstance(new, int | float)
+    if numbers and not (isinstance(old, bool) or isinstance(new, bool)):
+        return math.isclose(float(old), float(new), rel_tol=TOLERANCE, abs_tol=TOLERANCE)  # type: ignore[arg-type]
+    return old == new

@@ -1,0 +1,233 @@
+"""The checks of the self test, in the order in which they are done."""
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.commission_markers import Fix, find_fixture
+from anisoscope.commission_turning import wrapped
+from anisoscope.errors import MeasurementError, RigError
+from anisoscope.linear import SATURATION_SHARE
+from anisoscope.rig.rigfile import AxisPart
+from anisoscope.rig.stage import RotationStage
+from anisoscope.selftest import Bed, Check, Settings, Step, judged, skipped
+from anisoscope.selftest_pictures import MARKERS, WHITE, check_markers, check_white
+
+FloatArray = npt.NDArray[np.float64]
+
+ANGLES = (0.0, 90.0, 180.0, 270.0)
+TILTS = (-10.0, 0.0, 10.0)
+
+
+def _readback_limit(settings: Settings, axis: RotationStage) -> float:
+    return max(settings.readback_deg, 2.0 * axis.resolution_deg)
+
+
+def _go(part: AxisPart, axis: RotationStage, angle_deg: float) -> float:
+    """Move from below, as an inspection does; return how far the reading is off."""
+    target = part.reading_deg(angle_deg)
+    if axis.position_deg() > target - part.approach_deg:
+        axis.move_to(target - part.approach_deg)
+    axis.move_to(target)
+    return axis.position_deg() - target
+
+
+def _reachable(part: AxisPart, axis: RotationStage, angles_deg: tuple[float, ...]) -> list[float]:
+    low, high = axis.limits_deg
+    return [a for a in angles_deg if low + part.approach_deg <= part.reading_deg(a) <= high]
+
+
+def check_home(bed: Bed) -> list[Check]:
+    """Every axis finds its reference, and stands where it says."""
+    worst, limit = 0.0, 0.0
+    for axis in bed.rig.axes:
+        reached = axis.home()
+        if not axis.is_homed:
+            raise RigError(
+                f"{axis.name} does not say that it is homed: home it again, look at its reference switch"
+            )
+        worst = max(worst, abs(axis.position_deg() - reached))
+        limit = max(limit, _readback_limit(bed.settings, axis))
+    advice = "the axis does not stand still after homing: check its load and its controller"
+    return [judged("axes.home", "axes home", worst, limit, "°", advice)]
+
+
+def _grab(bed: Bed, count: int) -> list[npt.NDArray[np.uint16]]:
+    return [bed.rig.camera.grab().copy() for _ in range(count)]
+
+
+def check_dark(bed: Bed) -> list[Check]:
+    """Dark level against the black level that the camera states, and noise of dark frames."""
+    bed.rig.camera.configure(bed.settings.exposure_s, bed.settings.gain)
+    bed.rig.light.off()
+    info, settings = bed.rig.camera.info, bed.settings
+    frames = np.stack(_grab(bed, settings.dark_frames)).astype(np.float64)
+    full = 2.0**info.bit_depth - 1.0
+    bed.dark = frames.mean(axis=0)
+    spread = frames.std(axis=0, ddof=1)
+    noise = float(np.sqrt(np.mean(spread**2)))
+    off = abs(float(np.median(bed.dark)) - info.black_level)
+    limit = settings.noise_share * full
+    if bed.commissioned is not None:
+        limit = min(limit, max(settings.noise_ratio * bed.commissioned.dark_noise, 1.0))
+    return [
+        judged(
+            "camera.dark_level", "dark level off the camera's black level", off,
+            max(settings.black_share * full, 2.0), "counts",
+            "keep room light out, set the camera's black level back, let the camera warm up",
+        ),
+        judged(
+            "camera.dark_noise", "noise of a dark frame", noise, limit, "counts",
+            "the camera is noisier than it was: check gain, temperature, cable and supply",
+        ),
+    ]  # fmt: skip
+
+
+def check_light(bed: Bed) -> list[Check]:
+    """The light changes the picture, both ways; nothing is saturated; the lamp is steady."""
+    settings, info = bed.settings, bed.rig.camera.info
+    assert bed.dark is not None
+    full = 2.0**info.bit_depth - 1.0
+    bed.rig.light.on()
+    frames = _grab(bed, settings.frames)
+    means = np.array([float(frame.mean()) for frame in frames]) - bed.dark.mean()
+    bed.lit = np.mean(np.stack(frames[-4:]).astype(np.float64), axis=0) - bed.dark
+    saturated = float(np.mean(np.max(np.stack(frames[-4:]), axis=0) >= SATURATION_SHARE * full))
+    bed.rig.light.off()
+    after = _grab(bed, 1)[0].astype(np.float64).mean() - bed.dark.mean()
+    bed.rig.light.on()
+    signal = float(np.percentile(bed.lit, 99)) / full
+    left = abs(after) / max(float(means.mean()), 1e-9)
+    return [
+        judged(
+            "light.on", "signal that the light makes", signal, settings.signal_share, "full scale",
+            "switch the light on, take the lens cap off, or lengthen --exposure", at_least=True,
+        ),
+        judged(
+            "light.off", "light that is left when it is off", left if signal >= settings.signal_share else np.inf, 0.01,
+            "of the light", "the light does not go off: check its driver and its cable",
+        ),
+        judged(
+            "camera.saturated", "saturated pixels", saturated, settings.saturated_share, "share", "shorten --exposure"
+        ),
+        *_lamp(means, settings),
+    ]  # fmt: skip
+
+
+def _lamp(means: FloatArray, settings: Settings) -> list[Check]:
+    names = ("lamp.drift", "drift of the light over the frames"), ("lamp.flicker", "flicker of the light")
+    if means.mean() <= 0.0:
+        return [skipped(*name, "there is no light") for name in names]
+    relative = means / means.mean()
+    at = np.arange(len(relative)) - (len(relative) - 1) / 2.0
+    slope = float(at @ relative / (at @ at))
+    rest = relative - 1.0 - slope * at
+    scatter = float(np.sqrt(rest @ rest / (len(rest) - 2)))
+    drift, u = slope * (len(relative) - 1), scatter * (len(relative) - 1) / float(np.sqrt(at @ at))
+    return [
+        judged(
+            *names[0], abs(drift), settings.drift_share, "relative",
+            "let the lamp warm up, and test again", remark=f"{drift:+.3%} ± {u:.3%} over {len(relative)} frames",
+        ),
+        judged(
+            *names[1], scatter, settings.flicker_share, "relative",
+            "check the lamp's supply, keep room light out, or make the exposure a multiple of the mains period",
+        ),
+    ]  # fmt: skip
+
+
+def check_moves(bed: Bed) -> list[Check]:
+    """The stage goes where it is told; with pictures on the way, and back at the first angle twice."""
+    part, stage = bed.file.stage, bed.rig.stage
+    names = ("stage.moves", "reading off the command"), ("stage.repeat", "same angle, approached again")
+    angles = _reachable(part, stage, ANGLES)
+    if len(angles) < 2:
+        raise MeasurementError(
+            f"of {', '.join(f'{a:g}°' for a in ANGLES)} the stage reaches fewer than two: choose stage.zero_deg in the "
+            "rig file so that it does"
+        )
+    bed.rig.light.on()
+    off: list[float] = []
+    fixes: list[tuple[float, Fix | None]] = []
+    for angle in [*angles, angles[0], angles[0]]:
+        if fixes and angle == angles[0]:
+            stage.move_to(max(part.reading_deg(angle) - part.approach_deg - 5.0, stage.limits_deg[0]))
+        off.append(_go(part, stage, angle))
+        picture = _picture(bed)
+        fix = (
+            None if bed.settings.tile or bed.file.fixture is None else find_fixture(picture, bed.file.fixture)
+        )
+        fixes.append((angle, fix))
+        bed.views.append((angle, fix, picture))
+    limit = _readback_limit(bed.settings, stage)
+    moved = judged(
+        *names[0],
+        float(np.max(np.abs(off))),
+        limit,
+        "°",
+        "the stage does not arrive: check its load, home it again",
+    )
+    same = [fix.angle_deg for angle, fix in fixes if angle == angles[0] and fix is not None]
+    if len(same) == 3:
+        spread = float(np.max(np.abs(wrapped(np.array(same) - same[0]))))
+        remark = "by the markers"
+    else:
+        spread = float(
+            np.ptp([value for (angle, _), value in zip(fixes, off, strict=True) if angle == angles[0]])
+        )
+        remark = "by the readings: no markers are seen"
+    advice = "something slips or has play: check that fixture and stage sit tight, and stage.approach_deg"
+    again = judged(
+        *names[1], spread, max(bed.settings.repeat_deg, stage.resolution_deg), "°", advice, remark=remark
+    )
+    return [moved, again]
+
+
+def _picture(bed: Bed) -> npt.NDArray[np.float32]:
+    dark = bed.dark
+    counts = bed.rig.camera.grab().astype(np.float64)
+    return np.asarray(counts - (0.0 if dark is None else dark), dtype=np.float32)
+
+
+def check_tilt(bed: Bed) -> list[Check]:
+    """The tilt axis goes where it is told, and back to 0°."""
+    name = ("tilt.moves", "tilt axis: reading off the command")
+    part, axis = bed.file.tilt, bed.rig.tilt
+    if part is None or axis is None:
+        return [skipped(*name, "no axis tilts the arm")]
+    angles = _reachable(part, axis, TILTS)
+    off = [_go(part, axis, angle) for angle in [*angles, *([0.0] if 0.0 in angles else [])]]
+    if not off:
+        raise MeasurementError(
+            "the tilt axis reaches none of ±10° and 0°: correct tilt.zero_deg in the rig file"
+        )
+    advice = "the tilt axis does not arrive: check its load, home it again"
+    return [judged(*name, float(np.max(np.abs(off))), _readback_limit(bed.settings, axis), "°", advice)]
+
+
+STEPS: tuple[Step, ...] = (
+    ((("axes.home", "axes home"),), check_home),
+    (
+        (
+            ("camera.dark_level", "dark level off the camera's black level"),
+            ("camera.dark_noise", "noise of a dark frame"),
+        ),
+        check_dark,
+    ),
+    (
+        (
+            ("light.on", "signal that the light makes"),
+            ("light.off", "light that is left when it is off"),
+            ("camera.saturated", "saturated pixels"),
+            ("lamp.drift", "drift of the light over the frames"),
+            ("lamp.flicker", "flicker of the light"),
+        ),
+        check_light,
+    ),
+    ((("tilt.moves", "tilt axis: reading off the command"),), check_tilt),
+    (
+        (("stage.moves", "reading off the command"), ("stage.repeat", "same angle, approached again")),
+        check_moves,
+    ),
+    (MARKERS, check_markers),
+    (WHITE, check_white),
+)

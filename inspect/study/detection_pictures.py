@@ -1,0 +1,244 @@
+"""A part photographed: cut from its sheet, given its own shape, lobe, seating and lamp, through lens and sensor.
+
+Everything that is the same all along the ridges changes the radiance as on smooth ridges with the whole roughness in
+the lobe: one profile in this state over the nominal one, column by column, exact for every part. That this product is
+the radiance of the rough surface in that state is checked against the full route in the tests.
+"""
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.linear import RadianceImage, Stack, WhiteReference, linearise, stack
+from anisoscope.measurement import View
+from anisoscope.profiles.defects_contact import edge_wear
+from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.ideal import RidgeDesign, ridges
+from anisoscope.registration import Placement
+from anisoscope.rig.frame import Frame, FrameKind
+from anisoscope.sim.bench.lamp import Lamp
+from anisoscope.sim.bench.optics import image_of_surface, pixel_from_mm, vignette
+from anisoscope.sim.bench.sensor import Sensor
+from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_rotation
+from anisoscope.sim.light.ggx import lobe_maps
+from anisoscope.sim.light.relief import Relief
+from anisoscope.study.detection_lobes import POINTS_A_PITCH, lobes_of, quick_shine
+from anisoscope.study.detection_product import (
+    LED_DISTANCE_MM,
+    LIGHT_DEG,
+    MARKER_ERROR_PX,
+    NONLINEARITY,
+    PITCH_UM,
+    RIDGE_ANGLE_DEG,
+    Size,
+    Specimen,
+    World,
+    expected_of,
+    recipe_of,
+)
+from anisoscope.study.detection_sheets import POINTS
+from anisoscope.whitereference import make_reference
+
+FloatArray = npt.NDArray[np.float64]
+Image = npt.NDArray[np.float32]
+
+TILE = 0.99
+_FLAT_FRAMES = 16
+
+
+@lru_cache(maxsize=1)
+def views_of_series() -> tuple[Pose, ...]:
+    """The poses of the tilted recipe, and the first of them once more at the end; the standard ones come first."""
+    poses = expected_of("tilted", Size()).poses
+    return (*poses, poses[0])
+
+
+def _profile(specimen: Specimen) -> HeightMap:
+    design = RidgeDesign(PITCH_UM, specimen.ridge_angle_deg, height_loss=specimen.height_loss)
+    rows = 2 if specimen.wear_um == 0.0 else 5
+    step = PITCH_UM / POINTS_A_PITCH
+    surface = ridges(design, (rows, 3 * POINTS_A_PITCH + 1), (PITCH_UM / POINTS, step))
+    return edge_wear(surface, specimen.wear_um) if specimen.wear_um > 0.0 else surface
+
+
+def profile_radiance(specimen: Specimen, world: World, *, stage_errors: bool = True) -> FloatArray:
+    """(V, POINTS) radiance over one pitch of the smooth ridges of a part in every view, 1/sr."""
+    errors = specimen.stage_deg if stage_errors else np.zeros_like(specimen.stage_deg)
+    poses = tuple(
+        Pose(pose.stage_deg + float(error), pose.tilt_deg)
+        for pose, error in zip(views_of_series(), errors, strict=True)
+    )
+    seat = seating_rotation(*specimen.seating_deg)
+    seen = [side @ seat for side in directions(poses, Convention(specimen.light_deg))]
+    material = specimen.plastic(lobes_of(world).smooth)
+    material = replace(material, albedo=min(material.albedo, 0.99))
+    shines = [quick_shine(light, camera, material) for light, camera in zip(*seen, strict=True)]
+    shown = lobe_maps(Relief(_profile(specimen), PITCH_UM), shines, "beckmann" if world == "same" else "ggx")
+    middle = slice(POINTS_A_PITCH, 2 * POINTS_A_PITCH)  # the crests to both sides stand
+    row = len(shown[0]) // 2
+    return np.array([view[row, middle].reshape(POINTS, -1).mean(axis=1) for view in shown], dtype=np.float64)
+
+
+def nominal(views: int | None = None) -> Specimen:
+    """The part as designed on the rig as described."""
+    count = len(views_of_series()) if views is None else views
+    part = recipe_of("tilted", Size()).material
+    zero = np.zeros(count)
+    return Specimen(
+        RIDGE_ANGLE_DEG, 0.0, 0.0, 1.0, 1.0, part.albedo, part.index, np.zeros(2), LIGHT_DEG,
+        zero, zero + 1.0, 0.0, 0.0, np.zeros((count, 2)),
+    )  # fmt: skip
+
+
+@lru_cache(maxsize=2)
+def _nominal_profile(world: World) -> FloatArray:
+    return profile_radiance(nominal(), world)
+
+
+@lru_cache(maxsize=2)
+def _per_light_degree(world: World) -> FloatArray:
+    """(V, POINTS) change of ln L per degree of light angle."""
+    low, high = (profile_radiance(replace(nominal(), light_deg=LIGHT_DEG + off), world) for off in (-0.5, 0.5))
+    return np.asarray(np.log(np.maximum(high, 1e-9) / np.maximum(low, 1e-9)))
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A camera with what was calibrated on it: dark frames and white reference."""
+
+    sensor: Sensor
+    shade: Image
+    dark: Stack
+    white: WhiteReference
+
+
+def new_camera(size: Size, world: World, rng: np.random.Generator) -> Camera:
+    """A camera of the study's size; in the other world it is not quite linear."""
+    part = size.sensor
+    if world == "other":
+        part = part.model_copy(update={"nonlinearity": NONLINEARITY})
+    sensor = Sensor(part, rng)
+    shade = vignette(size.optics, part)
+    acquisition = recipe_of("tilted", size).acquisition
+    exposure = acquisition.exposure_s
+    cosine = float(np.cos(np.radians(LIGHT_DEG)))
+    nothing = np.zeros(shade.shape)
+    tile = TILE / np.pi * cosine * shade * size.optics.electrons * exposure
+
+    def frames(kind: FrameKind, signal: FloatArray, count: int) -> Stack:
+        return stack(_frame(sensor, signal, exposure, kind) for _ in range(count))
+
+    dark = frames("dark", nothing, acquisition.dark_frames)
+    made = make_reference(
+        frames("flat", np.asarray(tile, dtype=np.float64), _FLAT_FRAMES),
+        frames("dark", nothing, _FLAT_FRAMES),
+        reflectance=TILE,
+        light_cosine=cosine,
+        camera="virtual",
+        full_scale=sensor.full_scale,
+    )
+    white = WhiteReference(made["signal"], made["meta"]["radiance"], "virtual", "", TILE, "")
+    return Camera(sensor, shade, dark, white)
+
+
+def _frame(
+    sensor: Sensor, signal: FloatArray, exposure_s: float, kind: FrameKind, pose: Pose | None = None
+) -> Frame:
+    where = pose or Pose(0.0)
+    counts = sensor.expose(signal, exposure_s, 1.0)
+    return Frame(
+        counts, kind, sensor.part.bit_depth, sensor.part.black_level, exposure_s, 1.0,
+        where.stage_deg, where.stage_deg, where.tilt_deg, "", "virtual",
+    )  # fmt: skip
+
+
+def radiance_of_part(
+    cut_out: npt.NDArray[np.float16], specimen: Specimen, world: World, bounces: FloatArray
+) -> tuple[list[Image], FloatArray]:
+    """The part's radiance in every view, and (V,) its mean without errors of the stage: what should be measured.
+
+    Args:
+        cut_out: (P, rows, cols) piece of a sheet.
+        specimen: the part and the rig it lies on.
+        world: which world.
+        bounces: (P,) radiance of light that reflects more than once.
+    """
+    base = _nominal_profile(world)
+    ratio = profile_radiance(specimen, world) / base
+    ideal = profile_radiance(specimen, world, stage_errors=False) / base
+    views, truth = [], []
+    inner_rows, inner_cols = slice(POINTS // 2, -(POINTS // 2) or None), slice(POINTS // 2, None)
+    for view in range(len(base)):
+        pose = view if view < len(cut_out) else 0
+        shown = cut_out[pose].astype(np.float32)
+        repeats = shown.shape[1] // POINTS
+        columns = shown[inner_rows].mean(axis=0, dtype=np.float64).reshape(repeats, POINTS) * ideal[view]
+        whole = columns.ravel()[inner_cols][: (repeats - 1) * POINTS]
+        truth.append(float(whole.mean()) + bounces[pose])
+        shown *= np.tile(ratio[view].astype(np.float32), repeats)
+        shown += np.float32(bounces[pose])
+        if world == "other":
+            shown *= _near_led(view, shown.shape, world)
+        views.append(shown)
+    return views, np.array(truth)
+
+
+@lru_cache(maxsize=32)
+def _near_led(view: int, shape: tuple[int, int], world: World) -> Image:
+    """(rows, cols) factor of a lamp that stands so near that its angle varies over the part."""
+    pose = views_of_series()[view]
+    step = PITCH_UM / 1000.0 / POINTS
+    x = (np.arange(shape[1]) - (shape[1] - 1) / 2.0) * step
+    y = (np.arange(shape[0]) - (shape[0] - 1) / 2.0) * step
+    turn = np.radians(pose.stage_deg)
+    toward = np.cos(turn) * x[None, :] - np.sin(turn) * y[:, None]  # mm toward the lamp, in the picture
+    # a point nearer to the lamp sees it less aslant
+    off_deg = -np.degrees(toward / LED_DISTANCE_MM)
+    slope = np.tile(_per_light_degree(world)[view], shape[1] // POINTS)
+    return np.exp(slope[None, :] * off_deg).astype(np.float32)
+
+
+def photograph(
+    shown: list[Image], specimen: Specimen, camera: Camera, size: Size, rng: np.random.Generator
+) -> list[View]:
+    """All views of a part, linearised, with their placement: the true one, off by the error of the markers' fit.
+
+    Args:
+        shown: radiance of the part in every view.
+        specimen: the part and the rig it lies on.
+        camera: the camera.
+        size: of the study.
+        rng: scatter of the lamp.
+    """
+    acquisition = recipe_of("tilted", size).acquisition
+    optics = size.optics.model_copy(update={"lamp_drift_per_frame": specimen.drift})
+    lamp = Lamp(optics, rng)
+    lamp.level = 1.0
+    step_um = PITCH_UM / POINTS
+    found = []
+    for view, pose in enumerate(views_of_series()):
+        angle = pose.stage_deg + float(specimen.stage_deg[view])
+        picture, _ = image_of_surface(
+            shown[view], (step_um, step_um), optics, size.sensor, angle, pose.tilt_deg
+        )
+        light = (picture.astype(np.float64) + specimen.stray) * camera.shade * specimen.gain[view]
+        light *= optics.electrons * acquisition.exposure_s
+        frames = stack(
+            _frame(
+                camera.sensor,
+                np.maximum(light * lamp.brightness(), 0.0),
+                acquisition.exposure_s,
+                "sample",
+                pose,
+            )
+            for _ in range(acquisition.frames_per_pose)
+        )
+        image: RadianceImage = linearise(frames, camera.dark, camera.white, camera.sensor.full_scale)
+        matrix = pixel_from_mm(optics, size.sensor, angle, pose.tilt_deg)
+        matrix[:, 2] += specimen.shift_px[view]
+        axis = float(matrix[0, 2]), float(matrix[1, 2])
+        place = Placement(matrix, angle % 360.0, size.pixel_um, axis, MARKER_ERROR_PX, 4)
+        found.append(View(pose.stage_deg, pose.tilt_deg, image, place))
+    return found

@@ -1,0 +1,185 @@
+"""The photon transfer curve: mean and temporal variance over exposure, and what its shape tells (EMVA 1288).
+
+Electrons (e) and counts (dn) are tied by the system gain K, the slope of variance over mean.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.errors import CalibrationError
+
+FloatArray = npt.NDArray[np.float64]
+Counts = npt.NDArray[np.uint16]
+
+QUANTISATION_DN2 = 1.0 / 12.0
+GAIN_RANGE = 0.7  # of saturation: EMVA 1288, 6.6
+LINEARITY_RANGE = (0.05, 0.95)
+CLIPPED_VARIANCE = 0.02  # of the largest: a step with less is clipped as a whole
+
+
+@dataclass(frozen=True, eq=False)
+class ExposureStep:
+    """Two frames under even light and two in the dark, of one exposure.
+
+    Attributes:
+        exposure_s: exposure in seconds.
+        light, dark: (2, rows, cols) counts.
+        irradiation: light that a pixel got, in any unit; by default the lamp is steady, and it is the exposure.
+    """
+
+    exposure_s: float
+    light: Counts
+    dark: Counts
+    irradiation: float | None = None
+
+    @property
+    def amount(self) -> float:
+        """The irradiation."""
+        return self.exposure_s if self.irradiation is None else self.irradiation
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A value and its standard uncertainty."""
+
+    value: float
+    uncertainty: float
+
+
+@dataclass(frozen=True, eq=False)
+class TransferCurve:
+    """Means and temporal variances of all steps, in counts, by rising irradiation."""
+
+    exposure_s: FloatArray
+    amount: FloatArray
+    light: FloatArray
+    dark: FloatArray
+    light_variance: FloatArray
+    dark_variance: FloatArray
+    pixels: int
+
+    @property
+    def signal(self) -> FloatArray:
+        """Mean level above the dark, in counts."""
+        return self.light - self.dark
+
+
+def curve_of(steps: Sequence[ExposureStep]) -> TransferCurve:
+    """Means and temporal variances of all steps."""
+    ordered = sorted(steps, key=lambda step: step.amount)
+
+    def column(values: Sequence[float]) -> FloatArray:
+        return np.asarray(values, dtype=np.float64)
+
+    return TransferCurve(
+        column([step.exposure_s for step in ordered]),
+        column([step.amount for step in ordered]),
+        column([float(step.light.mean()) for step in ordered]),
+        column([float(step.dark.mean()) for step in ordered]),
+        column([_temporal_variance(step.light) for step in ordered]),
+        column([_temporal_variance(step.dark) for step in ordered]),
+        int(np.prod(ordered[0].light.shape[1:])),
+    )
+
+
+def _temporal_variance(pair: Counts) -> float:
+    """Half the variance of the difference: the fixed pattern cancels, and so does a flicker of the lamp."""
+    return float(np.var(pair[0].astype(np.float64) - pair[1].astype(np.float64))) / 2.0
+
+
+def straight_line(x: FloatArray, y: FloatArray, variance: FloatArray) -> tuple[Estimate, Estimate]:
+    """Intercept and slope of the weighted straight line."""
+    weight = 1.0 / np.maximum(variance, 1e-300)
+    total = weight.sum()
+    centre = float((weight * x).sum() / total)
+    spread = float((weight * (x - centre) ** 2).sum())
+    slope = float((weight * (x - centre) * y).sum()) / spread
+    mean = float((weight * y).sum() / total)
+    slope_variance = 1.0 / spread
+    intercept = Estimate(mean - slope * centre, math.sqrt(1.0 / total + centre**2 * slope_variance))
+    return intercept, Estimate(slope, math.sqrt(slope_variance))
+
+
+def system_gain(curve: TransferCurve, saturation_dn: float) -> Estimate:
+    """Slope of the excess variance over the signal, through the origin."""
+    use = (curve.signal > 0.0) & (curve.signal <= GAIN_RANGE * saturation_dn)
+    x, y = curve.signal[use], (curve.light_variance - curve.dark_variance)[use]
+    variance = 2.0 * (curve.light_variance**2 + curve.dark_variance**2)[use] / curve.pixels
+    weight = x / variance
+    norm = float((weight * x).sum())
+    slope = float((weight * y).sum()) / norm if norm > 0.0 else 0.0
+    if slope <= 0.0:
+        raise CalibrationError(
+            "photon transfer: the noise does not grow with the signal; is it light that is measured?"
+        )
+    return Estimate(slope, 1.0 / math.sqrt(norm))
+
+
+def dark_level_and_current(curve: TransferCurve, gain: Estimate) -> tuple[Estimate, Estimate | None]:
+    """Mean dark level at no exposure, and dark current."""
+    variance = np.maximum(curve.dark_variance, QUANTISATION_DN2) / (2 * curve.pixels)
+    if len(np.unique(curve.exposure_s)) < 2:
+        return Estimate(float(curve.dark.mean()), math.sqrt(float(variance.mean()) / len(variance))), None
+    level, slope = straight_line(curve.exposure_s, curve.dark, variance)
+    current = slope.value / gain.value
+    doubt = math.hypot(slope.uncertainty / gain.value, current * gain.uncertainty / gain.value)
+    return level, Estimate(current, doubt)
+
+
+def dark_noises(curve: TransferCurve, gain: Estimate) -> tuple[Estimate, Estimate]:
+    """Temporal noise in the dark at the shortest exposure, and at none."""
+    variance = 2.0 * np.maximum(curve.dark_variance, QUANTISATION_DN2) ** 2 / curve.pixels
+    first = int(np.argmin(curve.exposure_s))
+    shortest = Estimate(float(curve.dark_variance[first]), math.sqrt(float(variance[first])))
+    none = shortest
+    if len(np.unique(curve.exposure_s)) > 1:
+        none, _ = straight_line(curve.exposure_s, curve.dark_variance, variance)
+    return _electrons_of_variance(shortest, gain), _electrons_of_variance(none, gain)
+
+
+def _electrons_of_variance(variance: Estimate, gain: Estimate) -> Estimate:
+    noise = math.sqrt(max(variance.value - QUANTISATION_DN2, 0.0)) / gain.value
+    return Estimate(noise, root_uncertainty(noise * gain.value, variance.uncertainty, gain))
+
+
+def root_uncertainty(root_dn: float, variance_uncertainty: float, gain: Estimate) -> float:
+    """Of a standard deviation in electrons, from that of its variance in counts²."""
+    own = variance_uncertainty / (2.0 * root_dn) if root_dn > 0.0 else math.sqrt(variance_uncertainty)
+    return math.hypot(own, root_dn * gain.uncertainty / gain.value) / gain.value
+
+
+def saturation_of(curve: TransferCurve, top: int, gain: Estimate) -> Estimate:
+    """The maximum of the variance lies somewhere between the neighbours of the largest one."""
+    signal = float(curve.signal[top])
+    gap = float(curve.signal[top + 1] - curve.signal[max(top - 1, 0)]) / 2.0
+    doubt = math.hypot(gap / math.sqrt(3.0), signal * gain.uncertainty / gain.value)
+    return Estimate(signal / gain.value, doubt / gain.value)
+
+
+def clipping_of(curve: TransferCurve, top: int, gain: Estimate) -> Estimate | None:
+    """Mean signal of the steps that are clipped as a whole; None if there is none."""
+    shot = curve.light_variance - curve.dark_variance
+    clipped = np.flatnonzero(shot < CLIPPED_VARIANCE * shot[top])
+    clipped = clipped[clipped > top]
+    if len(clipped) == 0:
+        return None
+    signal = float(curve.signal[clipped].mean())
+    return Estimate(signal / gain.value, signal * gain.uncertainty / gain.value**2)
+
+
+def linearity_deviations(curve: TransferCurve, saturation_dn: float) -> FloatArray:
+    """Relative deviations from the line that makes them small: weights 1/signal²."""
+    low, high = LINEARITY_RANGE
+    use = (curve.signal >= low * saturation_dn) & (curve.signal <= high * saturation_dn)
+    if use.sum() < 3:
+        raise CalibrationError(
+            "photon transfer: too few exposures between 5 and 95 % of saturation for linearity"
+        )
+    x, y = curve.amount[use], curve.signal[use]
+    intercept, slope = straight_line(x, y, y**2)
+    line = intercept.value + slope.value * x
+    return np.asarray((y - line) / line, dtype=np.float64)

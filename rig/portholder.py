@@ -1,0 +1,181 @@
+"""Which process holds a port: a small file per open port, so that a stop from another terminal reaches it.
+
+A port is open once, so a second process cannot talk to a stage that moves. It can find out who does, and interrupt
+that process, which then stops the stage itself. The files lie in a folder that only the user can write to; a file
+that outlived its process (or whose number went to another process) counts for nothing.
+"""
+
+import contextlib
+import getpass
+import hashlib
+import json
+import os
+import signal
+import sys
+import tempfile
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from anisoscope.errors import RigError
+
+POLL_S = 0.05
+SIMULATED = "sim://"  # lives in its own process: nobody else can want it
+
+
+@dataclass(frozen=True)
+class Holder:
+    """A process that has a port open.
+
+    Attributes:
+        pid: its number.
+        port: the port, as it named it.
+        program: its command line, for people.
+        started: when the system started it, in the system's own count; tells it from a later one of the same number.
+        interrupt_by: the signal on which it leaves in good order; "" if it has none.
+    """
+
+    pid: int
+    port: str
+    program: str
+    started: str
+    interrupt_by: str
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether that very process still runs."""
+        try:
+            if os.name != "nt":  # there it would end the process
+                os.kill(self.pid, 0)
+        except OSError:
+            return False
+        return _started(self.pid) == self.started
+
+    def interrupt(self) -> None:
+        """Ask it to end in good order, as Ctrl-C in its terminal does.
+
+        Raises:
+            RigError: this system or that process knows no such thing; the message says what to do instead.
+        """
+        if os.name == "nt" or not self.interrupt_by:
+            raise RigError(
+                f"port {self.port} is held by process {self.pid} ({self.program}), which cannot be interrupted from "
+                "here: press Ctrl-C in its window"
+            )
+        try:
+            os.kill(self.pid, signal.Signals[self.interrupt_by])
+        except OSError as problem:
+            raise RigError(
+                f"process {self.pid} ({self.program}) holds {self.port} and cannot be interrupted: "
+                f"{problem.strerror}; press Ctrl-C in its window"
+            ) from problem
+
+
+def claim(port: str) -> Path | None:
+    """Note that this process holds a port; returns the note, or None where none could be made."""
+    if port.startswith(SIMULATED):
+        return None
+    program = " ".join(Path(part).name if number == 0 else part for number, part in enumerate(sys.argv))
+    me = Holder(os.getpid(), port, program[:200], _started(os.getpid()), _handled_signal())
+    try:
+        note = _note_of(port)
+        partial = note.with_suffix(f".{me.pid}")
+        partial.write_text(json.dumps(asdict(me)), encoding="utf-8")
+        partial.replace(note)
+    except OSError:  # a full or read-only disk keeps nobody from the port
+        return None
+    return note
+
+
+def release(note: Path | None) -> None:
+    """Take a note back, unless it is another's by now."""
+    if note is None:
+        return
+    found = _read(note)
+    if found is not None and found.pid == os.getpid():
+        with contextlib.suppress(OSError):
+            note.unlink()
+
+
+def holder_of(port: str) -> Holder | None:
+    """The other process that holds a port, as far as it is one of ours."""
+    if port.startswith(SIMULATED):
+        return None
+    try:
+        found = _read(_note_of(port))
+    except OSError:
+        return None
+    if found is None or found.pid == os.getpid() or not found.is_alive:
+        return None
+    return found
+
+
+def wait_until_released(port: str, timeout_s: float) -> bool:
+    """Wait until no other process of ours holds a port; False if one still does after `timeout_s` seconds."""
+    deadline = time.monotonic() + timeout_s
+    while holder_of(port) is not None:
+        if time.monotonic() >= deadline:
+            return False
+        time.sleep(POLL_S)
+    return True
+
+
+def _note_of(port: str) -> Path:
+    name = port
+    if "://" not in port:  # /dev/serial/by-id/… and /dev/ttyUSB0 may be one port, as COM3 and com3 are
+        name = os.path.realpath(port) if port.startswith("/") else port.upper()
+    return _folder() / f"{hashlib.sha256(name.encode()).hexdigest()[:24]}.json"
+
+
+def _folder() -> Path:
+    """A folder that only this user can write to; made if missing.
+
+    Raises:
+        OSError: it cannot be made, or it belongs to somebody else.
+    """
+    given = os.environ.get("XDG_RUNTIME_DIR") or os.environ.get("LOCALAPPDATA")
+    folder = Path(given or tempfile.gettempdir()) / ("anisoscope" if given else f"anisoscope-{_user()}")
+    folder.mkdir(mode=0o700, exist_ok=True)
+    if hasattr(os, "getuid"):
+        status = folder.lstat()
+        if status.st_uid != os.getuid() or status.st_mode & 0o022:
+            raise PermissionError(f"{folder} can be written to by others")
+    return folder
+
+
+def _user() -> str:
+    try:
+        return getpass.getuser()
+    except (ImportError, KeyError, OSError):  # a user without a name, as in some containers
+        return "user"
+
+
+def _read(note: Path) -> Holder | None:
+    try:
+        found = json.loads(note.read_text(encoding="utf-8"))
+        return Holder(
+            int(found["pid"]),
+            str(found["port"]),
+            str(found["program"]),
+            str(found["started"]),
+            str(found["interrupt_by"]),
+        )
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def _started(pid: int) -> str:
+    """When a process was started, from /proc; "" on systems without it."""
+    try:
+        text = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return ""
+    fields = text.rpartition(")")[2].split()  # from field 3 of proc(5); the name before it may hold anything
+    return "" if fields[0] == "Z" else fields[19]  # what has ended and was not waited for holds nothing
+
+
+def _handled_signal() -> str:
+    for name in ("SIGINT", "SIGTERM"):
+        if callable(signal.getsignal(signal.Signals[name])):
+            return name
+    return ""

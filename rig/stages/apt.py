@@ -1,0 +1,295 @@
+"""Driver for Thorlabs APT rotation stages: K10CR1, and KDC101 with a PRM1-Z8; binary at 115200 baud with RTS/CTS.
+
+The controller tells its model, and the model the scale; it answers questions while it moves, says when a motion has
+ended, and knows whether it was homed since power-up, so that a new connection may find the stage homed. One
+controller is one port. Source: Thorlabs APT communications protocol.
+"""
+
+import contextlib
+import logging
+import time
+from typing import Self, TypedDict, Unpack
+
+from anisoscope.errors import LimitExceeded, NotHomed, RigError, Stalled
+from anisoscope.rig.stage import MotionRules
+from anisoscope.rig.stages.apt_line import AptLine
+from anisoscope.rig.stages.apt_scales import scale_of
+from anisoscope.rig.stages.apt_wire import (
+    ADDRESSES,
+    CHANNEL,
+    DISABLE,
+    ENABLE,
+    GET_HOMING,
+    GET_VELOCITY,
+    HOME,
+    HOMED,
+    HW_DISCONNECT,
+    HW_GET_INFO,
+    HW_REQ_INFO,
+    HW_STOP_UPDATES,
+    IDENTIFY,
+    MOVE_ABSOLUTE,
+    REQ_HOMING,
+    REQ_VELOCITY,
+    SET_ENABLED,
+    STOP,
+    STOP_IMMEDIATE,
+    STOP_PROFILED,
+    DeviceInfo,
+    Message,
+    Status,
+    homing_velocity_counts,
+    position_data,
+    velocity_counts,
+)
+from anisoscope.rig.stages.motion import POLL_S, StageBase
+from anisoscope.rig.transport import Transport
+
+_log = logging.getLogger(__name__)
+
+BAUDRATE = 115200
+STOPS = {"profiled": STOP_PROFILED, "immediate": STOP_IMMEDIATE}
+FIRST_PAUSE_S = 0.002
+# A controller that was told to search its reference may take so long to say that it does.
+HOMING_BEGINS_S = 0.5
+# Status bits of which one explains why a motor stands where it should not.
+TROUBLES: dict[int, tuple[type[RigError], str]] = {
+    14: (Stalled, "a motion error: the motor did not follow"),
+    15: (RigError, "an instrument error"),
+    16: (RigError, "an open interlock"),
+    17: (Stalled, "that it is too hot"),
+    18: (RigError, "a fault of the supply voltage"),
+    24: (Stalled, "that the motor has reached its current limit"),
+    25: (Stalled, "a fault of the encoder"),
+    26: (Stalled, "over-current"),
+}
+
+
+class AptOptions(TypedDict, total=False):
+    """Options of an `Apt`, as in the table ``[stage.options]`` of a rig file."""
+
+    actuator: str | None
+    counts_per_deg: float | None
+    timeout_s: float
+    tolerance_deg: float
+    velocity_deg_s: float | None
+    margin_s: float
+    min_deg: float
+    max_deg: float
+    stop: str
+
+
+class Apt(StageBase):
+    """A rotation stage behind an APT controller with one channel.
+
+    Args:
+        transport: the open port. Only `open` makes a stage that closes it.
+        address: destination of the messages, in hex: ``50`` is a unit on USB, ``21`` … ``2A`` are bays of a rack.
+        actuator: the motor that a controller for several kinds drives, such as ``PRM1-Z8``.
+        counts_per_deg: scale, for what this driver does not know; goes before model and actuator.
+        timeout_s: time in seconds for the answer to a question.
+        tolerance_deg: a stage this near to the target has arrived.
+        velocity_deg_s: speed to compute time limits from; by default the slower of those that the controller is set
+            to for moves and for the reference search.
+        margin_s: seconds added to every computed time limit.
+        min_deg, max_deg: limits in degrees.
+        stop: ``profiled`` slows down on the ramp of a move; ``immediate`` does not, and a stepper may lose steps.
+
+    Raises:
+        NotConnected: nobody answers.
+        ProtocolError: somebody answers, but it is no APT controller.
+        RigError: an option is wrong, or the scale of the stage is not known.
+    """
+
+    def __init__(
+        self,
+        transport: Transport,
+        *,
+        address: str = "50",
+        actuator: str | None = None,
+        counts_per_deg: float | None = None,
+        timeout_s: float = 1.0,
+        tolerance_deg: float = 0.02,
+        velocity_deg_s: float | None = None,
+        margin_s: float = 2.0,
+        min_deg: float = 0.0,
+        max_deg: float = 360.0,
+        stop: str = "profiled",
+    ) -> None:
+        if stop not in STOPS:
+            raise RigError(f"stop = '{stop}' is not known; use one of: {', '.join(STOPS)}")
+        self._transport = transport
+        self._owns_transport = False
+        self._line = AptLine(transport, _address_of(address), timeout_s)
+        self._stop_mode = STOPS[stop]
+        self._target_counts: int | None = None
+        self._begun = 0.0
+        self._seen_moving = self._seen_homing = False
+        self._pause_s = FIRST_PAUSE_S
+        super().__init__(self._line.name, MotionRules(tolerance_deg, 10.0), (min_deg, max_deg), 0.0)
+        self._bus = transport.lock
+        with self._bus:
+            self.info = self._identify()
+            self.scale = scale_of(self.info.model, actuator, counts_per_deg)
+            self._line.servo = self.scale.servo
+            self._name = self._line.name = f"{self.info.model} {self.info.serial}"
+            self._resolution_deg = 1.0 / self.scale.counts_per_deg
+            velocity = velocity_deg_s or self._slowest_deg_s()
+            self.rules = MotionRules(
+                max(tolerance_deg, 2.0 * self._resolution_deg), velocity, velocity, margin_s=margin_s
+            )
+            self._last = self._line.status()
+            self._homed = self._last.homed
+
+    @classmethod
+    def open(cls, port: str, *, address: str = "50", **options: Unpack[AptOptions]) -> Self:
+        """Open a port and connect to the controller; options as for the class.
+
+        Raises:
+            NotConnected: no such port, in use, or nobody answers.
+            ProtocolError: somebody answers, but it is no APT controller.
+            RigError: an option is wrong, or the scale of the stage is not known.
+        """
+        transport = Transport(port, baudrate=BAUDRATE, rtscts=True)
+        try:
+            stage = cls(transport, address=address, **options)
+        except BaseException:
+            transport.close()
+            raise
+        stage._owns_transport = True
+        return stage
+
+    def status(self) -> Status:
+        """Read position and status bits; the way to watch a stage that moves."""
+        with self._bus:
+            return self._line.status()
+
+    def velocity_deg_s(self) -> float:
+        """Read the top velocity of moves, in degrees per second."""
+        with self._bus:
+            return self._velocities_deg_s()[0]
+
+    def identify(self) -> None:
+        """Make the controller flash its lights."""
+        self._line.send(Message(IDENTIFY, (CHANNEL, 0)))
+
+    def _identify(self) -> DeviceInfo:
+        # Updates of somebody who used the controller before would only be in the way.
+        self._line.send(Message(HW_STOP_UPDATES))
+        return DeviceInfo.parse(self._line.ask(Message(HW_REQ_INFO), HW_GET_INFO).data)
+
+    def _velocities_deg_s(self) -> tuple[float, float]:
+        """Top velocities of moves and of the reference search."""
+        channel = (CHANNEL, 0)
+        moves, _ = velocity_counts(self._line.ask(Message(REQ_VELOCITY, channel), GET_VELOCITY).data)
+        homing = homing_velocity_counts(self._line.ask(Message(REQ_HOMING, channel), GET_HOMING).data)
+        return moves / self.scale.velocity_per_deg_s, homing / self.scale.velocity_per_deg_s
+
+    def _slowest_deg_s(self) -> float:
+        slowest = min(self._velocities_deg_s())
+        if slowest <= 0.0:
+            raise RigError(f"{self.name} is set to a velocity of {slowest:g}°/s; set a velocity above 0")
+        return slowest
+
+    # The motion.
+
+    def _read_deg(self) -> float:
+        self._last = self._line.status()
+        return self._last.counts / self.scale.counts_per_deg
+
+    def _check_reference(self, now_deg: float) -> None:
+        if not self._last.homed:
+            raise self._lost_reference()
+        super()._check_reference(now_deg)
+
+    def _lost_reference(self) -> NotHomed:
+        self._homed = False
+        return NotHomed(f"{self.name} has lost its reference: it was switched off; home it again")
+
+    def _begin_home(self) -> None:
+        self._target_counts = None
+        self._begin(Message(HOME, (CHANNEL, 0)))
+
+    def _begin_move(self, target_deg: float) -> None:
+        self._target_counts = round(target_deg * self.scale.counts_per_deg)
+        self._begin(Message(MOVE_ABSOLUTE, data=position_data(self._target_counts)))
+
+    def _begin(self, command: Message) -> None:
+        before = self._line.status()
+        switched = [Message(SET_ENABLED, (CHANNEL, ENABLE))]
+        if any(before.has(bit) for bit in TROUBLES):
+            # A controller keeps an error until its channel is switched off and on.
+            _log.warning("%s: status %08X before a motion", self.name, before.bits)
+            switched.insert(0, Message(SET_ENABLED, (CHANNEL, DISABLE)))
+        self._line.ended = None
+        self._begun = time.monotonic()
+        self._seen_moving = self._seen_homing = False
+        self._pause_s = FIRST_PAUSE_S
+        self._line.send(*switched, command)
+
+    def _is_busy(self, wait_s: float) -> bool:
+        status = self._line.status(fresh=False)
+        self._seen_moving = self._seen_moving or status.moving
+        self._seen_homing = self._seen_homing or status.homing
+        if not status.moving and self._is_over(status):
+            return False
+        # Short moves end soon; of long ones nobody has to ask often, because their end is announced.
+        self._line.wait_for_end(min(wait_s, self._pause_s))
+        self._pause_s = min(2.0 * self._pause_s, POLL_S)
+        return True
+
+    def _is_over(self, status: Status) -> bool:
+        """Whether a motor that stands has done what it was told, or cannot."""
+        if self._target_counts is None:
+            if self._line.ended == HOMED or (status.homed and self._has_homed()):
+                return True
+            self._raise_trouble(status)
+            return False
+        if not status.homed:
+            raise self._lost_reference()
+        away_deg = abs(status.counts - self._target_counts) / self.scale.counts_per_deg
+        if away_deg > self.rules.tolerance_deg:
+            self._raise_trouble(status)
+        return True
+
+    def _has_homed(self) -> bool:
+        """Whether the homed bit can be that of this reference search, and not of one before."""
+        return self._seen_homing or time.monotonic() - self._begun > HOMING_BEGINS_S
+
+    def _raise_trouble(self, status: Status) -> None:
+        for bit, (kind, text) in TROUBLES.items():
+            if status.has(bit):
+                raise kind(f"{self.name} reports {text} (status {status.bits:08X})")
+        if not status.enabled:
+            raise RigError(f"{self.name} does not switch its motor on (status {status.bits:08X})")
+
+        # The search begins and ends at a switch; touched during anything else, it is in the way.
+        moved = self._line.ended is not None or (self._seen_moving and self._target_counts is not None)
+        if status.at_limit_switch and moved:
+            at_deg = status.counts / self.scale.counts_per_deg
+            raise LimitExceeded(f"{self.name} ended at its limit switch, at {at_deg:.4g}°")
+
+    def _send_stop(self) -> None:
+        self._line.send(Message(STOP, (CHANNEL, self._stop_mode)))
+
+    def _wait_until_still(self) -> None:
+        deadline = time.monotonic() + self.rules.margin_s
+        while self._line.status().moving and time.monotonic() < deadline:
+            self._line.wait_for_end(POLL_S)
+
+    def _disconnect(self) -> None:
+        if self._owns_transport:
+            with contextlib.suppress(RigError):
+                self._line.send(Message(HW_DISCONNECT))
+            with contextlib.suppress(RigError):
+                self._transport.close()
+
+
+def _address_of(text: str) -> int:
+    try:
+        address = int(text, 16)
+    except ValueError:
+        address = -1
+    if address not in ADDRESSES:
+        raise RigError(f"'{text}' is not an APT address; use 50 for a unit on USB, 21…2A for a bay of a rack")
+    return address

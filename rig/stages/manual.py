@@ -1,0 +1,110 @@
+"""An axis that the operator sets by hand: asks, waits for the Enter key, and trusts the answer."""
+
+import math
+import sys
+from collections.abc import Callable
+
+from anisoscope.errors import LimitExceeded, NotConnected, RigError
+
+Ask = Callable[[str], None]
+
+
+def ask_in_terminal(request: str) -> None:
+    """Show a request on stderr and wait for the Enter key.
+
+    Raises:
+        RigError: standard input ended before the Enter key came.
+    """
+    sys.stderr.write(f"{request} and press Enter: ")
+    sys.stderr.flush()
+    if not sys.stdin.readline():
+        raise RigError(f"nobody answered the request '{request}': standard input has ended")
+
+
+def _need_a_terminal(label: str) -> None:
+    if sys.stdin is None or not sys.stdin.isatty():
+        raise NotConnected(
+            f"the {label} is set by hand, and there is no terminal to ask in: run this in a terminal, or name "
+            "a driven axis in the rig file"
+        )
+
+
+class ManualStage:
+    """An axis without a motor; its angle is what the operator was last asked for.
+
+    Args:
+        port: not used; an axis by hand has none.
+        label: what is set, as the operator is asked for it.
+        min_deg, max_deg: limits in degrees.
+        resolution_deg: how finely its scale can be set.
+        ask: shows a request to the operator and returns when it was met; by default in the terminal.
+
+    Raises:
+        NotConnected: there is no terminal to ask in.
+    """
+
+    def __init__(
+        self,
+        port: str | None = None,
+        *,
+        label: str = "stage",
+        min_deg: float = -360.0,
+        max_deg: float = 360.0,
+        resolution_deg: float = 0.1,
+        ask: Ask | None = None,
+    ) -> None:
+        del port
+        if ask is None:
+            _need_a_terminal(label)
+        self.name = f"{label} set by hand"
+        self.limits_deg = (float(min_deg), float(max_deg))
+        self.resolution_deg = float(resolution_deg)
+        self.is_homed = False
+        self._label = label
+        self._ask = ask or ask_in_terminal
+        self._at_deg: float | None = None
+
+    def position_deg(self) -> float:
+        """The angle in degrees that the operator set last.
+
+        Raises:
+            RigError: nothing was set yet.
+        """
+        if self._at_deg is None:
+            raise RigError(f"nobody has set the {self._label} yet; ask for an angle first")
+        return self._at_deg
+
+    def home(self) -> float:
+        """Ask for zero, or for the limit nearest to it; return it, in degrees."""
+        low, high = self.limits_deg
+        return self._set(min(max(0.0, low), high))
+
+    def move_to(self, angle_deg: float) -> float:
+        """Ask for an angle in degrees, unless it is set already; return it.
+
+        Raises:
+            LimitExceeded: outside of the limits.
+            RigError: nobody answers.
+        """
+        low, high = self.limits_deg
+        if not (math.isfinite(angle_deg) and low <= angle_deg <= high):
+            raise LimitExceeded(f"{self.name}: {angle_deg:g}° is outside {low:g}°…{high:g}°")
+        return self._set(float(angle_deg))
+
+    def move_by(self, delta_deg: float) -> float:
+        """Ask for a turn by an angle in degrees; return the new angle. Errors as for `move_to`."""
+        return self.move_to(self.position_deg() + delta_deg)
+
+    def stop(self) -> None:
+        """Nothing moves by itself."""
+
+    def close(self) -> None:
+        """What the operator does from here on is not known."""
+        self._at_deg, self.is_homed = None, False
+
+    def _set(self, angle_deg: float) -> float:
+        if self._at_deg != angle_deg:
+            self._at_deg = None
+            self._ask(f"set the {self._label} to {angle_deg:g}°")
+            self._at_deg, self.is_homed = angle_deg, True
+        return angle_deg

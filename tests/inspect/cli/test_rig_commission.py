@@ -1,0 +1,101 @@
+"""``rig commission`` and ``rig check`` as a user calls them."""
+
+import pytest
+import tomli_w
+
+from anisoscope.cli.demo_files import FIXTURE
+from anisoscope.rig.rigfile import read_rig
+
+BENCH = {
+    "schema": 1,
+    "seed": 3,
+    "sample": {"kind": "ridges", "size_mm": 1.2, "resolved_alpha": 0.0},
+    "sensor": {"rows": 512, "cols": 512},
+    "optics": {"pixel_um": 8.0, "blur_um": 5.0, "electrons": 2.4e7},
+    "stage": {"time_scale": 0.0, "turns": "cw", "zero_deg": 350.0},
+    "geometry": {"light_angle_deg": 9.0},
+    "fixture": FIXTURE,
+}
+RIG = f"""# the rig of the test
+schema = 1
+name = "small rig"
+
+[stage]
+driver = "elliptec"
+port = "sim://elliptec?bench=${{here}}/bench.toml"
+zero_deg = 10.0  # by eye
+options = {{ move_gap_s = 0.0, timeout_s = 0.2 }}
+
+[camera]
+driver = "simulated"
+pixel_um = 8.0
+options = {{ bench = "${{here}}/bench.toml" }}
+
+[light]
+driver = "simulated"
+angle_deg = 10.0
+options = {{ bench = "${{here}}/bench.toml" }}
+
+[fixture]
+{tomli_w.dumps(FIXTURE)}"""
+COMMON = ("--exposure", "0.0015", "--ridge-angle", "10", "--pitch", "100", "--spot-mm", "1", "--settle", "0")
+
+
+@pytest.fixture
+def rig(tmp_path):
+    (tmp_path / "bench.toml").write_text(tomli_w.dumps(BENCH), encoding="utf-8")
+    path = tmp_path / "rig.toml"
+    path.write_text(RIG, encoding="utf-8")
+    return path
+
+
+def test_commission_finds_and_writes_and_check_agrees(anisoscope, rig, tmp_path):
+    before = anisoscope("rig", "check", "--rig", rig, "--exposure", "0.0015", "--frames", "6")
+    assert before.code == 3, before.err
+    assert "NOT fit" in before.out
+    assert "turns the other way" in " ".join(before.out.split())
+
+    page = tmp_path / "page.html"
+    done = anisoscope("rig", "commission", "--rig", rig, *COMMON, "--step", "45", "--write", "--html", page)
+    assert done.code == 0, done.err
+    assert "rotation sense" in done.out or "growing reading" in " ".join(done.out.split())
+    assert page.stat().st_size > 50_000
+    now = read_rig(rig)
+    assert now.stage.turns == "cw"
+    assert now.stage.zero_deg == pytest.approx(350.0, abs=0.05)
+    assert "# by eye" in rig.read_text(encoding="utf-8")
+    assert (tmp_path / "rig.commissioning.json").is_file()
+
+    after = anisoscope(
+        "rig",
+        "check",
+        "--rig",
+        rig,
+        "--exposure",
+        "0.0015",
+        "--frames",
+        "6",
+        "--json",
+        "--out",
+        tmp_path / "tests",
+    )
+    assert after.code == 0, after.out
+    assert after.json["fit"] is True
+    assert [p.name for p in (tmp_path / "tests").iterdir()][0].startswith("selftest-")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--exposure", "0.001"), "say what lies on the stage"),
+        (("--ridge-angle", "10", "--pitch", "100", "--spot-mm", "1"), "give --exposure"),
+        ((*COMMON, "--alpha", "0.1,0.2,0.3"), "--alpha takes"),
+        ((*COMMON, "--step", "90"), "step must lie"),
+    ],
+)
+def test_what_is_missing_is_named(rig, options, message):
+    from anisoscope.cli.rig import app
+    from anisoscope.errors import UsageError
+
+    with pytest.raises(UsageError, match=message):
+        app(["commission", "--rig", str(rig), *options], result_action="return_value", exit_on_error=False)

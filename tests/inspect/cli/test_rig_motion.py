@@ -1,0 +1,237 @@
+"""``anisoscope rig status|home|move|jog|stop`` on simulated stages."""
+
+import json
+import os
+import pty
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+import tomli_w
+
+from anisoscope.cli import run
+from anisoscope.rig.portholder import holder_of
+from anisoscope.sim.bench.firmware.axis import RotaryAxis
+from anisoscope.sim.bench.firmware.catalogue import Mount, build
+from anisoscope.sim.bench.serve import PtyServer, TcpServer
+
+
+@pytest.fixture
+def command(capsys):
+    """``command("rig", ...)`` runs a command line here; gives exit code, output and errors."""
+
+    def go(*arguments):
+        code = run([str(argument) for argument in arguments])
+        out, err = capsys.readouterr()
+        return code, out, err
+
+    return go
+
+
+@pytest.fixture
+def line():
+    """``line(time_scale=…)`` serves an Elliptec with a second one for the tilt; gives the URL and the axes."""
+    servers = []
+
+    def serve(time_scale=0.0, kind=TcpServer, start_deg=0.0):
+        axes = [RotaryAxis(time_scale=time_scale, start_deg=start_deg) for _ in range(2)]
+        server = kind(build("elliptec", [Mount(axis) for axis in axes]))
+        servers.append(server.__enter__())
+        return server.url, axes
+
+    yield serve
+    for server in servers:
+        server.__exit__(None, None, None)
+
+
+@pytest.fixture
+def rig_file(tmp_path):
+    """``rig_file(url, tilt=True)`` writes a rig file of stages on a line."""
+
+    def write(url, *, tilt=False, **stage):
+        table = {
+            "schema": 1,
+            "name": "test rig",
+            "stage": {"driver": "elliptec", "port": url, "zero_deg": 10.0, **stage},
+            "camera": {"driver": "simulated", "pixel_um": 8.0, "options": {"port": "127.0.0.1:9"}},
+            "light": {"driver": "none"},
+        }
+        if tilt:
+            options = {"address": "1"}
+            table["tilt"] = {"driver": "elliptec", "port": url, "zero_deg": 30.0, "options": options}
+        path = tmp_path / "rig.toml"
+        path.write_text(tomli_w.dumps(table), encoding="utf-8")
+        return path
+
+    return write
+
+
+def test_status_tells_all_and_moves_nothing(command, line, rig_file):
+    url, axes = line()
+    code, out, err = command("rig", "status", "-g", rig_file(url, tilt=True), "--json")
+    found = json.loads(out)
+    stage, tilt = found["stage"], found["tilt"]
+    assert stage["device"].startswith("ELL14 ")
+    assert (stage["position_deg"], stage["angle_deg"], stage["homed"]) == (0.0, -10.0, False)
+    assert (stage["limits_deg"], tilt["angle_deg"]) == ([0.0, 360.0], -30.0)
+    assert stage["resolution_deg"] == pytest.approx(360 / 143360)
+    assert "nobody serves a camera on 127.0.0.1:9" in found["camera"]["error"]
+    assert (code, err) == (69, ""), "a device that is missing does not hide the others"
+    assert [axis.position() for axis in axes] == [0.0, 0.0]
+
+
+def test_status_for_people(command, line, rig_file):
+    code, out, _ = command("rig", "status", "-g", rig_file(line()[0]))
+    assert code == 69
+    assert "at 0.000° (sample -10.000°), not homed since it was connected, reaches 0°…360°" in out
+
+
+def test_status_of_a_stage_alone_knows_no_sample(command):
+    code, out, _ = command("rig", "status", "--driver", "elliptec", "--port", "sim://elliptec?time_scale=0")
+    assert code == 0
+    assert out.startswith("stage   ELL14 11400517, at 0.000°, not homed")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reading", "angle"),
+    [
+        (["move", 47.5], 47.5, 37.5),
+        (["move", 47.5, "--sample"], 57.5, 47.5),
+        (["jog", 12], 12.0, 2.0),
+        (["home"], 0.0, -10.0),
+    ],
+)
+def test_motion_says_where_it_was_and_is(command, line, rig_file, arguments, reading, angle):
+    url, (axis, _) = line()
+    code, out, err = command("rig", *arguments, "-g", rig_file(url), "--yes", "--json")
+    assert code == 0, err
+    assert "homing ELL14 11400517" in err
+    found = json.loads(out)
+    assert (found["before_deg"], found["homed"]) == (0.0, True)
+    assert found["after_deg"] == pytest.approx(reading, abs=0.01)
+    assert found["angle_after_deg"] == pytest.approx(angle, abs=0.01)
+    assert axis.position() == pytest.approx(reading, abs=0.01)
+
+
+def test_sample_angles_turn_the_other_way_where_the_rig_file_says_so(command, line, rig_file):
+    url, (axis, _) = line()
+    code, out, _ = command("rig", "move", -40, "--sample", "-g", rig_file(url, turns="cw"), "--yes")
+    assert code == 0
+    assert axis.position() == pytest.approx(50.0, abs=0.01)
+    assert out == "stage ELL14 11400517: was at 0.000°, is at 50.000° (sample -40.000°)\n"
+
+
+def test_the_tilt_axis_moves_and_the_stage_does_not(command, line, rig_file):
+    url, (stage, tilt) = line()
+    rig = rig_file(url, tilt=True)
+    code, out, _ = command("rig", "move", 20, "--sample", "--axis", "tilt", "-g", rig, "--yes")
+    assert code == 0
+    assert (stage.position(), tilt.position()) == (0.0, pytest.approx(50.0, abs=0.01))
+    assert "(arm 20.00" in out
+
+
+@pytest.mark.parametrize("arguments", [["home"], ["move", "10"], ["jog", "10"]])
+def test_without_a_terminal_nothing_is_homed_unless_told(command, line, rig_file, arguments, monkeypatch):
+    monkeypatch.setattr("sys.stdin", None)
+    url, (axis, _) = line()
+    axis.start_move(5.0)
+    code, out, err = command("rig", *arguments, "-g", rig_file(url))
+    assert (code, out) == (64, "")
+    assert "homing ELL14 11400517: it searches its reference" in err
+    assert "--yes" in err
+    assert axis.position() == 5.0
+
+
+@pytest.mark.parametrize(("answer", "moved"), [(b"y\n", True), (b"\n", False), (b"n\n", False)])
+def test_in_a_terminal_homing_is_asked_for(line, rig_file, answer, moved):
+    url, (axis, _) = line()
+    ours, theirs = pty.openpty()
+    command = [sys.executable, "-Im", "anisoscope", "rig", "move", "30", "-g", str(rig_file(url))]
+    with subprocess.Popen(command, stdin=theirs, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        asked = b""
+        while b"Go on? [y/N]" not in asked:
+            asked += os.read(process.stderr.fileno(), 1000)
+        assert axis.position() == 0.0
+        os.write(ours, answer)
+        process.communicate(timeout=30)
+    os.close(ours)
+    os.close(theirs)
+    assert process.returncode == (0 if moved else 64)
+    assert axis.position() == pytest.approx(30.0 if moved else 0.0, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["move", "400"], "400° is outside 0°…360°; nothing was moved"),
+        (["move", "1", "--sample"], "needs a rig file"),
+        (["move", "1", "--axis", "tilt"], "--axis tilt: nothing tilts there"),
+        (["jog", "-10"], "-10° is outside 0°…360°"),
+        (["home", "--option", "address"], "KEY=VALUE"),
+        (["home", "--rig", "rig.toml"], "--rig FILE, or --driver"),
+    ],
+)
+def test_mistakes_are_one_line(command, arguments, complaint):
+    port = "sim://elliptec?time_scale=0"
+    code, out, err = command("rig", *arguments, "--driver", "elliptec", "--port", port, "--yes")
+    assert code in {64, 69}
+    assert out == ""
+    assert complaint in err.splitlines()[-1]
+    assert "Traceback" not in err
+
+
+def test_options_of_a_driver_reach_it(command, line):
+    url, (_, second) = line()
+    arguments = ["--driver", "elliptec", "--port", url, "--option", "address=1", "--option", "max_deg=90"]
+    assert command("rig", "move", "80", *arguments, "--yes")[0] == 0
+    assert second.position() == pytest.approx(80.0, abs=0.01)
+    code, _, err = command("rig", "move", "91", *arguments, "--yes")
+    assert (code, "outside 0°…90°" in err) == (69, True)
+
+
+def test_stop_where_nothing_moves_says_where_the_axes_stand(command, line, rig_file):
+    code, out, _ = command("rig", "stop", "-g", rig_file(line()[0], tilt=True), "--json")
+    found = json.loads(out)
+    assert (code, found["interrupted"]) == (0, [])
+    assert {table: row["at_deg"] for table, row in found["axes"].items()} == {"stage": 0.0, "tilt": 0.0}
+
+
+@pytest.mark.parametrize("kind", [TcpServer, PtyServer])
+def test_stop_reaches_a_stage_that_another_process_moves(command, line, rig_file, kind):
+    """Homing takes more than a minute here; the port is held by the process that homes."""
+    url, (axis, _) = line(time_scale=60.0, kind=kind, start_deg=300.0)
+    rig = rig_file(url)
+    moving = [sys.executable, "-Im", "anisoscope", "rig", "home", "--yes", "-g", str(rig)]
+    with subprocess.Popen(moving, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        deadline = time.monotonic() + 60
+        while not axis.busy():
+            assert time.monotonic() < deadline
+            assert process.poll() is None, process.communicate()
+            time.sleep(0.02)
+        code, out, err = command("rig", "stop", "-g", rig, "--json")
+        _, said = process.communicate(timeout=30)
+    assert code == 0, err
+    assert json.loads(out)["interrupted"] == [process.pid]
+    assert f"interrupted process {process.pid} (" in err
+    assert process.returncode == 130
+    assert "interrupted; every axis is stopped" in said
+    assert not axis.busy()
+    assert 0.0 < axis.position() < 300.0
+    assert holder_of(url) is None
+
+
+def test_ctrl_c_stops_the_stage(line, rig_file):
+    url, (axis, _) = line(time_scale=60.0, start_deg=300.0)
+    moving = [sys.executable, "-Im", "anisoscope", "rig", "home", "--yes", "-g", str(rig_file(url))]
+    with subprocess.Popen(moving, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        deadline = time.monotonic() + 60
+        while not axis.busy():
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert "every axis is stopped" in said
+    assert not axis.busy()

@@ -1,0 +1,110 @@
+"""Finished inspections: their numbers again, and their files as they were."""
+
+import json
+import math
+import shutil
+
+import pytest
+
+from anisoscope.errors import RecordError
+from anisoscope.recomputing import differences, recompute
+from anisoscope.record import read_record, write_record
+from anisoscope.verifying import verify
+
+pytestmark = pytest.mark.usefixtures("plain_report")
+
+
+@pytest.fixture
+def finished(virtual_rig):
+    """The folder of a finished inspection."""
+    return virtual_rig().inspect().folder
+
+
+def test_a_folder_explains_itself_anywhere(finished, tmp_path):
+    moved = tmp_path / "elsewhere"
+    shutil.move(finished, moved)
+    shutil.rmtree(tmp_path / "part")
+    before = {path: path.stat().st_mtime_ns for path in moved.rglob("*")}
+    found = recompute(moved)
+    assert (found.verdict, found.differences) == ("PASS", ())
+    assert verify(moved).intact
+    assert before == {path: path.stat().st_mtime_ns for path in moved.rglob("*")}
+
+
+def test_a_record_of_other_numbers_differs_and_they_are_named(finished):
+    record = read_record(finished)
+    pair = record.contrasts[1].model_copy(update={"measured": record.contrasts[1].measured * (1.0 + 1e-7)})
+    forged = record.model_copy(
+        update={"contrasts": (record.contrasts[0], pair, *record.contrasts[2:]), "verdict": "FAIL"}
+    )
+    write_record(forged, finished)  # with a new seal, as a forger would
+    found = recompute(finished)
+    assert [line.partition(":")[0] for line in found.differences] == ["contrasts[1].measured", "verdict"]
+    assert verify(finished).intact  # nobody but a recomputation notices
+
+
+def test_recompute_refuses_frames_that_were_changed(finished):
+    path = finished / "frames" / "004_sample_0090.00.tif"
+    path.write_bytes(path.read_bytes()[:-1] + b"!")
+    with pytest.raises(RecordError, match=r"004_sample_0090\.00\.tif: was changed"):
+        recompute(finished)
+
+
+def test_every_single_file_is_guarded(finished):
+    files = sorted(path for path in finished.rglob("*") if path.is_file())
+    assert verify(finished).files == len(files)
+    for path in files:
+        data = path.read_bytes()
+        path.write_bytes(data[:-2] + bytes([data[-2] ^ 1]) + data[-1:])
+        found = verify(finished)
+        name = path.relative_to(finished).as_posix()
+        assert name in found.changed, name
+        path.write_bytes(data)
+    assert verify(finished).intact
+
+
+def test_missing_and_additional_files_are_named(finished):
+    (finished / "report.html").unlink()
+    (finished / "frames" / "000_dark.tif").rename(finished / "frames" / "dark.tif")
+    found = verify(finished)
+    assert found.missing == ("frames/000_dark.tif", "report.html")
+    assert found.additional == ("frames/dark.tif",)
+    assert found.changed == ()
+    assert not found.intact
+
+
+def test_the_least_change_of_the_record_breaks_its_seal(finished):
+    path = finished / "record.json"
+    content = json.loads(path.read_text())
+    content["verdict"] = "FAIL"
+    path.write_text(json.dumps(content, indent=2))
+    with pytest.raises(RecordError, match="it was changed after it had been written"):
+        read_record(finished)
+    assert verify(finished).changed == ("record.json",)
+
+
+def test_folders_that_are_none(tmp_path):
+    with pytest.raises(RecordError, match="there is no such folder"):
+        verify(tmp_path / "none")
+    with pytest.raises(RecordError, match="is no inspection folder"):
+        verify(tmp_path)
+    with pytest.raises(RecordError, match="was this inspection finished"):
+        recompute(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "names"),
+    [
+        ({"a": 1.0}, {"a": 1.0 + 1e-10}, []),
+        ({"a": 1e6}, {"a": 1e6 + 1e-4}, []),
+        ({"a": 0.0}, {"a": 2e-9}, ["a"]),
+        ({"a": [1, {"b": 2}]}, {"a": [1, {"b": 3}]}, ["a[1].b"]),
+        ({"a": [1]}, {"a": [1, 2]}, ["a"]),
+        ({"a": None}, {"a": 0.0}, ["a"]),
+        ({"a": True}, {"a": 1}, []),
+        ({"a": "x"}, {}, ["a"]),
+        ({"a": math.nan}, {"a": 1.0}, ["a"]),
+    ],
+)
+def test_differences(old, new, names):
+    assert [line.partition(":")[0] for line in differences(old, new)] == names
