@@ -6,6 +6,8 @@ Further URL schemes come from packages named by the entry-point group ``anisosco
 
 import contextlib
 import errno
+import functools
+import sys
 import threading
 from collections.abc import Iterator
 from contextvars import ContextVar
@@ -27,9 +29,14 @@ PORT_ERRORS = (serial.SerialException, OSError, TypeError, ValueError)
 def register_handlers() -> None:
     """Tell pyserial, once, which packages hold the handlers of further URL schemes."""
     packages: list[str] = serial.protocol_handler_packages
-    for entry in entry_points(group=HANDLER_GROUP):
-        if entry.value not in packages:
-            packages.append(entry.value)
+    for package in _handler_packages(tuple(sys.path)):
+        if package not in packages:
+            packages.append(package)
+
+
+@functools.cache
+def _handler_packages(_path: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(entry.value for entry in entry_points(group=HANDLER_GROUP))
 
 
 def available_ports() -> tuple[str, ...]:

@@ -1,6 +1,8 @@
 """Devices by name. Entry points name them, so that a third party's driver registers like a built-in one."""
 
-from collections.abc import Callable
+import functools
+import sys
+from collections.abc import Callable, Mapping
 from importlib.metadata import EntryPoint, entry_points
 from inspect import Parameter, signature
 from typing import cast
@@ -17,6 +19,12 @@ LIGHTS = "anisoscope.lights"
 
 def installed(group: str) -> dict[str, EntryPoint]:
     """The drivers of a group (`STAGES`, `CAMERAS`, `LIGHTS`) by name."""
+    return dict(_installed(group, tuple(sys.path)))
+
+
+@functools.cache
+def _installed(group: str, _path: tuple[str, ...]) -> Mapping[str, EntryPoint]:
+    """Looked up once for a search path: reading the metadata of all packages takes as long as opening a port."""
     return {entry.name: entry for entry in sorted(entry_points(group=group))}
 
 

@@ -1,6 +1,6 @@
 """The sample holder: printed ArUco markers around the sample, to find position and angle by."""
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -25,6 +25,8 @@ class Fixture(BaseModel):
         dictionary: name of a predefined ArUco dictionary of OpenCV.
         marker_mm: side of the black square of a marker.
         markers: the markers.
+        without_markers: what happens where fewer than three of them are seen: "refuse" the pictures, or align them by
+            the "edges" of what lies under the camera.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -32,6 +34,7 @@ class Fixture(BaseModel):
     dictionary: Annotated[str, Field(pattern=r"^DICT_[A-Z0-9_h]+$")] = "DICT_4X4_50"
     marker_mm: Annotated[float, Field(gt=0.0)]
     markers: Annotated[tuple[Marker, ...], Field(min_length=1)]
+    without_markers: Literal["refuse", "edges"] = "refuse"
 
     @model_validator(mode="after")
     def _check_ids(self) -> "Fixture":
