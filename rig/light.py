@@ -18,3 +18,15 @@ class Light(Protocol):
     def close(self) -> None:
         """Disconnect; closing twice is fine."""
         ...
+
+
+def rest(light: Light) -> None:
+    """Switch a light off that can be, without asking anybody: nobody waits for Enter where a rig is made safe.
+
+    A light that a person must switch or cover says so by a true attribute ``asks``.
+
+    Raises:
+        RigError: it does not go off.
+    """
+    if not getattr(light, "asks", False):
+        light.off()

@@ -96,9 +96,14 @@ class GeometryPart(Part):
 
 
 class CalibrationPart(Part):
-    """Where the white reference is: the file that ``calibrate flat`` wrote."""
+    """The files that ``calibrate`` wrote, of which either of a pair may be named; all may be missing but the flat."""
 
     flat: LocalPath
+    dark: LocalPath | None = None
+    stray: LocalPath | None = None
+    linearity: LocalPath | None = None
+    rotation: LocalPath | None = None
+    check: LocalPath | None = None
 
 
 class RigFile(Part):

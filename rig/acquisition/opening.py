@@ -12,7 +12,7 @@ from typing import Protocol
 from anisoscope.errors import RigError
 from anisoscope.rig.camera import Camera
 from anisoscope.rig.drivers import open_camera, open_light, open_stage
-from anisoscope.rig.light import Light
+from anisoscope.rig.light import Light, rest
 from anisoscope.rig.rigfile import BY_HAND, AxisPart, RigFile
 from anisoscope.rig.stage import RotationStage
 from anisoscope.rig.transport import shared_ports
@@ -49,7 +49,7 @@ class Rig:
         thread it waits until this is done.
         """
         with undisturbed():
-            return self.stop() + _attempt([("the light was not switched off", self.light.off)])
+            return self.stop() + _attempt([("the light was not switched off", lambda: rest(self.light))])
 
 
 def _attempt(actions: list[tuple[str, Callable[[], None]]]) -> tuple[str, ...]:

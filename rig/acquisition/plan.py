@@ -19,9 +19,10 @@ class Pose:
 
 @dataclass(frozen=True)
 class LightEvent:
-    """Switch the light."""
+    """Switch the light; `needed` is False at the end, where only good manners ask for darkness."""
 
     on: bool
+    needed: bool = True
 
 
 @dataclass(frozen=True)
@@ -79,6 +80,7 @@ class Plan:
         settle_s: seconds to wait after each move.
         return_to_first: whether the first pose is measured again at the end, so that drift shows.
         kind: what lies on the stage.
+        rounds: how often all of that is done, dark frames apart.
 
     Raises:
         UsageError: there is no pose, a tilt is visited twice, or a number makes no sense.
@@ -92,6 +94,7 @@ class Plan:
     settle_s: float = 0.0
     return_to_first: bool = True
     kind: Literal["sample", "flat"] = "sample"
+    rounds: int = 1
 
     def __post_init__(self) -> None:
         angles = [angle for pose in self.poses for angle in (pose.stage_deg, pose.tilt_deg)]
@@ -107,6 +110,7 @@ class Plan:
             (math.isfinite(self.exposure_s) and self.exposure_s > 0.0, "exposure_s", "a time above 0 s"),
             (math.isfinite(self.gain) and self.gain > 0.0, "gain", "a factor above 0"),
             (self.frames_per_pose >= 1, "frames_per_pose", "at least 1"),
+            (self.rounds >= 1, "rounds", "at least 1"),
             (self.dark_frames >= 0, "dark_frames", "0 or more"),
             (math.isfinite(self.settle_s) and self.settle_s >= 0.0, "settle_s", "0 s or more"),
         )
@@ -153,7 +157,7 @@ class Plan:
                 assert stop.pose is not None
                 yield MoveEvent(stop.pose, self.settle_s)
                 yield from (SampleEvent(stop.pose, step, stop.again) for step in stop.steps)
-        yield LightEvent(on=False)
+        yield LightEvent(on=False, needed=False)
 
     def _stops(self) -> list[_Stop]:
         wanted: list[tuple[Pose | None, bool]] = [(pose, False) for pose in self.poses]
@@ -161,7 +165,7 @@ class Plan:
             wanted.append((self.poses[0], True))
         stops = [_Stop(range(self.dark_frames), None)] if self.dark_frames else []
         step = self.dark_frames
-        for pose, again in wanted:
+        for pose, again in wanted * self.rounds:
             stops.append(_Stop(range(step, step + self.frames_per_pose), pose, again))
             step += self.frames_per_pose
         return stops

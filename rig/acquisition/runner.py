@@ -16,6 +16,7 @@ from anisoscope.rig.acquisition.plan import DarkEvent, Event, LightEvent, MoveEv
 from anisoscope.rig.acquisition.watch import Watch
 from anisoscope.rig.acquisition.writer import FRAMES, FrameRecord, FrameWriter, Shot
 from anisoscope.rig.frame import Frame, FrameKind
+from anisoscope.rig.light import rest
 from anisoscope.rig.rigfile import AxisPart
 from anisoscope.rig.stage import RotationStage
 
@@ -207,8 +208,10 @@ class _Run:
         match event:
             case LightEvent(on=True):
                 self.rig.light.on()
-            case LightEvent():
+            case LightEvent(needed=True):
                 self.rig.light.off()
+            case LightEvent():
+                rest(self.rig.light)
             case MoveEvent(pose, settle_s):
                 self._go(pose)
                 self.watch.halted.wait(settle_s)

@@ -17,6 +17,8 @@ class AlwaysOn:
         ask: shows a request to the operator and returns when it was met; by default in the terminal.
     """
 
+    asks = True
+
     def __init__(self, ask: Callable[[str], None] | None = None) -> None:
         self._ask = ask
         self._covered = False

@@ -11,6 +11,8 @@ class ManualLight:
         ask: shows a request to the operator and returns when it was met.
     """
 
+    asks = True
+
     def __init__(self, ask: Callable[[str], None]) -> None:
         self._ask = ask
         self._lit: bool | None = None

@@ -10,12 +10,12 @@ import logging
 import time
 from typing import Self, TypedDict, Unpack
 
-from anisoscope.errors import LimitExceeded, NotHomed, RigError, Stalled
+from anisoscope.errors import NotHomed, RigError
 from anisoscope.rig.stage import MotionRules
 from anisoscope.rig.stages.apt_line import AptLine
 from anisoscope.rig.stages.apt_scales import scale_of
+from anisoscope.rig.stages.apt_troubles import TROUBLES, trouble_of
 from anisoscope.rig.stages.apt_wire import (
-    ADDRESSES,
     CHANNEL,
     DISABLE,
     ENABLE,
@@ -38,6 +38,7 @@ from anisoscope.rig.stages.apt_wire import (
     DeviceInfo,
     Message,
     Status,
+    address_of,
     homing_velocity_counts,
     position_data,
     velocity_counts,
@@ -52,17 +53,6 @@ STOPS = {"profiled": STOP_PROFILED, "immediate": STOP_IMMEDIATE}
 FIRST_PAUSE_S = 0.002
 # A controller that was told to search its reference may take so long to say that it does.
 HOMING_BEGINS_S = 0.5
-# Status bits of which one explains why a motor stands where it should not.
-TROUBLES: dict[int, tuple[type[RigError], str]] = {
-    14: (Stalled, "a motion error: the motor did not follow"),
-    15: (RigError, "an instrument error"),
-    16: (RigError, "an open interlock"),
-    17: (Stalled, "that it is too hot"),
-    18: (RigError, "a fault of the supply voltage"),
-    24: (Stalled, "that the motor has reached its current limit"),
-    25: (Stalled, "a fault of the encoder"),
-    26: (Stalled, "over-current"),
-}
 
 
 class AptOptions(TypedDict, total=False):
@@ -120,7 +110,7 @@ class Apt(StageBase):
             raise RigError(f"stop = '{stop}' is not known; use one of: {', '.join(STOPS)}")
         self._transport = transport
         self._owns_transport = False
-        self._line = AptLine(transport, _address_of(address), timeout_s)
+        self._line = AptLine(transport, address_of(address), timeout_s)
         self._stop_mode = STOPS[stop]
         self._target_counts: int | None = None
         self._begun = 0.0
@@ -257,17 +247,11 @@ class Apt(StageBase):
         return self._seen_homing or time.monotonic() - self._begun > HOMING_BEGINS_S
 
     def _raise_trouble(self, status: Status) -> None:
-        for bit, (kind, text) in TROUBLES.items():
-            if status.has(bit):
-                raise kind(f"{self.name} reports {text} (status {status.bits:08X})")
-        if not status.enabled:
-            raise RigError(f"{self.name} does not switch its motor on (status {status.bits:08X})")
-
         # The search begins and ends at a switch; touched during anything else, it is in the way.
         moved = self._line.ended is not None or (self._seen_moving and self._target_counts is not None)
-        if status.at_limit_switch and moved:
-            at_deg = status.counts / self.scale.counts_per_deg
-            raise LimitExceeded(f"{self.name} ended at its limit switch, at {at_deg:.4g}°")
+        at_deg = status.counts / self.scale.counts_per_deg
+        if (trouble := trouble_of(self.name, status, at_deg, moved=moved)) is not None:
+            raise trouble
 
     def _send_stop(self) -> None:
         self._line.send(Message(STOP, (CHANNEL, self._stop_mode)))
@@ -283,13 +267,3 @@ class Apt(StageBase):
                 self._line.send(Message(HW_DISCONNECT))
             with contextlib.suppress(RigError):
                 self._transport.close()
-
-
-def _address_of(text: str) -> int:
-    try:
-        address = int(text, 16)
-    except ValueError:
-        address = -1
-    if address not in ADDRESSES:
-        raise RigError(f"'{text}' is not an APT address; use 50 for a unit on USB, 21…2A for a bay of a rack")
-    return address

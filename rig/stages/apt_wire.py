@@ -9,7 +9,7 @@ import struct
 from dataclasses import dataclass
 from typing import Self
 
-from anisoscope.errors import LimitExceeded, ProtocolError
+from anisoscope.errors import LimitExceeded, ProtocolError, RigError
 
 HEADER = 6
 HOST = 0x01
@@ -197,3 +197,18 @@ def error_text(message: Message) -> str:
     about, code, notes = struct.unpack("<HH64s", message.data)
     text = notes.split(b"\0")[0].decode("ascii", errors="replace").strip() or "no explanation"
     return f"{text} (code {code}, about message {about:04X})"
+
+
+def address_of(text: str) -> int:
+    """Read an address written in hex.
+
+    Raises:
+        RigError: no controller has it.
+    """
+    try:
+        address = int(text, 16)
+    except ValueError:
+        address = -1
+    if address not in ADDRESSES:
+        raise RigError(f"'{text}' is not an APT address; use 50 for a unit on USB, 21…2A for a bay of a rack")
+    return address

@@ -10,8 +10,10 @@ import numpy.typing as npt
 from anisoscope.errors import UsageError
 from anisoscope.sim.bench.benchfile import BenchFile, read_bench
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
-from anisoscope.sim.bench.firmware.catalogue import Mount, build
+from anisoscope.sim.bench.firmware.catalogue import LIGHT, Mount, build
 from anisoscope.sim.bench.firmware.device import Firmware
+from anisoscope.sim.bench.firmware.light import LightFirmware
+from anisoscope.sim.bench.lamp import Lamp
 from anisoscope.sim.bench.optics import image_of_fixture, image_of_surface, vignette
 from anisoscope.sim.bench.samples import build_surface, plastic
 from anisoscope.sim.bench.sensor import Sensor
@@ -25,13 +27,14 @@ Counts = npt.NDArray[np.uint16]
 class Bench:
     """A virtual rig built from a bench file.
 
-    The stage's firmware turns ``axis``; the camera sees the sample at the angle where the axis *really* is,
-    under the light if it is on. Everything random comes from the file's seed.
+    The stage's firmware turns ``axis``; the light's firmware, or whoever sets ``light_on``, switches ``lamp``; the
+    camera sees the sample at the angle where the axis *really* is, as bright as the lamp really is. Everything random
+    comes from the file's seed.
     """
 
     def __init__(self, file: BenchFile) -> None:
         self.file = file
-        surface_rng, sensor_rng, self._light_rng = np.random.default_rng(file.seed).spawn(3)
+        surface_rng, sensor_rng, light_rng = np.random.default_rng(file.seed).spawn(3)
         self.axis = RotaryAxis(time_scale=file.stage.time_scale, backlash_deg=file.stage.backlash_deg)
         mounts = [Mount(self.axis, file.stage.address)]
         self.tilt_axis: RotaryAxis | None = None
@@ -42,12 +45,21 @@ class Bench:
             file.stage.protocol, mounts, model=file.stage.model, faults=file.stage.faults
         )
         self.sensor = Sensor(file.sensor, sensor_rng)
-        self.light_on = False
+        self.lamp = Lamp(file.optics, light_rng)
+        self.light_firmware = LightFirmware(self.lamp)
         self._surface_rng = surface_rng
         self._surface: Relief | None = None
-        self._frames_lit = 0
         self._scene: tuple[tuple[float, float], FloatArray] | None = None
         self._lock = threading.Lock()
+
+    @property
+    def light_on(self) -> bool:
+        """Whether the lamp shines; setting it switches the lamp to full level, or off."""
+        return self.lamp.level > 0.0
+
+    @light_on.setter
+    def light_on(self, on: bool) -> None:
+        self.lamp.level = 1.0 if on else 0.0
 
     @property
     def sample_angle_deg(self) -> float:
@@ -64,11 +76,13 @@ class Bench:
         return fixed + part.sign * (self.tilt_axis.load_deg() - part.zero_deg)
 
     def device(self, name: str) -> Firmware:
-        """The device that answers on a line of this rig.
+        """The device that answers on a line of this rig: the stage by its protocol, or the ``light``.
 
         Raises:
             UsageError: this rig has no such device.
         """
+        if name == LIGHT:
+            return self.light_firmware
         if name != self.file.stage.protocol:
             raise UsageError(f"the stage of this bench speaks {self.file.stage.protocol}, not {name}")
         return self.stage_firmware
@@ -78,10 +92,8 @@ class Bench:
         with self._lock:
             optics = self.file.optics
             signal = np.zeros((self.file.sensor.rows, self.file.sensor.cols))
-            if self.light_on and not optics.lens_cap:
-                lamp = 1.0 + optics.lamp_noise * self._light_rng.standard_normal()
-                lamp *= 1.0 + optics.lamp_drift_per_frame * self._frames_lit
-                self._frames_lit += 1
+            lamp = 0.0 if optics.lens_cap else self.lamp.brightness()
+            if lamp > 0.0:
                 signal = self._radiance_on_sensor() * (lamp * optics.electrons * exposure_s)
             return self.sensor.expose(signal, exposure_s, gain)
 

@@ -50,7 +50,8 @@ class SensorPart(Part):
     """The sensor in the terms of EMVA 1288.
 
     Units: electrons for wells and noise, electrons per second for the dark current, electrons per count for
-    ``gain_e_per_dn``, counts for the black level.
+    ``gain_e_per_dn``, counts for the black level. ``nonlinearity`` is the share of the signal that is missing at full
+    well; it grows in proportion to the signal.
     """
 
     rows: Annotated[int, Field(ge=64, le=8192)] = 1024
@@ -64,12 +65,14 @@ class SensorPart(Part):
     prnu: Share = 0.004
     dsnu_e: NotNegative = 2.0
     hot_pixel_share: Share = 1e-5
+    nonlinearity: Annotated[float, Field(gt=-0.5, lt=0.5)] = 0.0
 
 
 class OpticsPart(Part):
     """Lens and light: blur, vignetting, and how far the axis is off the picture's centre.
 
-    ``electrons`` is what one second of exposure at unit gain collects per pixel from a radiance of 1/sr.
+    ``electrons`` is what one second of exposure at unit gain collects per pixel from a radiance of 1/sr. A cold lamp
+    is brighter by ``lamp_warmup_share`` (darker, if negative), and loses it over ``lamp_warmup_frames`` lit frames.
     """
 
     pixel_um: Positive = 4.0
@@ -79,6 +82,8 @@ class OpticsPart(Part):
     electrons: Positive = 6.0e6
     lamp_noise: Share = 0.0005
     lamp_drift_per_frame: float = 0.0
+    lamp_warmup_share: Annotated[float, Field(gt=-1.0, le=1.0)] = 0.0
+    lamp_warmup_frames: Positive = 50.0
     stray_radiance: NotNegative = 0.0002
     lens_cap: bool = False
 

@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import CameraError
+from anisoscope.errors import CameraError, RigFileError
 from anisoscope.rig.camera import CameraInfo, CameraSettings
 from anisoscope.sim.bench.bench import Bench, shared_bench
+from anisoscope.sim.bench.camera_client import RemoteCamera
 
 
 class SimulatedCamera:
@@ -73,8 +74,24 @@ class SimulatedLight:
         self.off()
 
 
-def open_camera(*, bench: str | Path) -> SimulatedCamera:
-    """Open the camera of a bench file."""
+def open_camera(
+    *, bench: str | Path | None = None, port: str | None = None, timeout_s: float = 180.0
+) -> SimulatedCamera | RemoteCamera:
+    """Open the camera of a bench.
+
+    Args:
+        bench: file of a bench in this process.
+        port: ``host:port`` where ``rig sim bench`` serves the bench of another process.
+        timeout_s: with `port`: longest wait for an answer, in seconds, on top of the exposure.
+
+    Raises:
+        RigFileError: neither a bench nor a port, or both; or the bench file is wrong.
+        NotConnected: nobody serves on the port.
+    """
+    if port is not None and bench is None:
+        return RemoteCamera(port, timeout_s=timeout_s)
+    if bench is None or port is not None:
+        raise RigFileError("camera.options: a simulated camera needs bench = FILE or port = HOST:PORT")
     return SimulatedCamera(shared_bench(bench))
 
 

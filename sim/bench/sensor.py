@@ -41,6 +41,8 @@ class Sensor:
         expected = np.maximum(signal_e * self._response + self._dark_e_s * exposure_s, 0.0)
         collected = self._rng.poisson(expected).astype(np.float64)
         collected = np.minimum(collected, self.part.full_well_e)
+        if self.part.nonlinearity:
+            collected *= 1.0 - self.part.nonlinearity * collected / self.part.full_well_e
         collected += self._offset_e + self.part.read_noise_e * self._rng.standard_normal(expected.shape)
         counts = np.rint(self.part.black_level + collected * gain / self.part.gain_e_per_dn)
         return np.clip(counts, 0, self.full_scale).astype(np.uint16)

@@ -13,6 +13,8 @@ from anisoscope.sim.bench.firmware.axis import RotaryAxis
 from anisoscope.sim.bench.firmware.device import Firmware
 
 STAGES = ("elliptec", "zaber", "grbl", "apt", "smc100")
+LIGHT = "light"
+DEVICES = (*STAGES, LIGHT)
 
 
 @dataclass(frozen=True)
@@ -49,8 +51,8 @@ def simulated(name: str) -> Simulated:
     Raises:
         UsageError: there is none.
     """
-    if name not in STAGES:
-        raise UsageError(f"there is no simulated stage '{name}'; there are: {', '.join(STAGES)}")
+    if name not in DEVICES:
+        raise UsageError(f"there is no simulated stage '{name}'; there are: {', '.join(DEVICES)}")
     return cast("Simulated", import_module(f"anisoscope.sim.bench.firmware.{name}").SIMULATED)
 
 
@@ -58,8 +60,8 @@ def build(name: str, mounts: Sequence[Mount], *, model: str = "", faults: Sequen
     """A simulated device.
 
     Args:
-        name: protocol, one of `STAGES`.
-        mounts: its axes, the rotation first.
+        name: protocol, one of `DEVICES`.
+        mounts: its axes, the rotation first; a light moves none of them.
         model: name of a model of the protocol; "" is the usual one.
         faults: what is wrong with it.
 

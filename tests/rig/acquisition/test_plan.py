@@ -21,7 +21,7 @@ def test_a_plan_is_a_sequence_of_events():
         SampleEvent(Pose(90.0), 3),
         MoveEvent(Pose(0.0), 0.0),
         SampleEvent(Pose(0.0), 4, again=True),
-        LightEvent(on=False),
+        LightEvent(on=False, needed=False),
     ]
     assert PLAN.frame_count == 5
 

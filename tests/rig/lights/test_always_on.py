@@ -2,7 +2,7 @@ import pytest
 
 from anisoscope.errors import RigError
 from anisoscope.rig.drivers import open_light
-from anisoscope.rig.light import Light
+from anisoscope.rig.light import Light, rest
 from anisoscope.rig.lights.always_on import AlwaysOn
 
 
@@ -38,3 +38,12 @@ def test_a_request_that_fails_leaves_the_lens_uncovered():
     for _ in range(2):
         with pytest.raises(RigError):
             light.off()
+
+
+def test_making_the_rig_safe_asks_nobody_for_a_cover():
+    asked = []
+    light = AlwaysOn(asked.append)
+    rest(light)
+    assert asked == []
+    light.off()
+    assert len(asked) == 1

@@ -8,6 +8,7 @@ from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign, ridges
 from anisoscope.registration import angle_between, locate
+from anisoscope.rig.lights.serial import SerialLight
 from anisoscope.rig.stages.elliptec import Elliptec
 from anisoscope.sim.bench.bench import shared_bench
 from anisoscope.sim.bench.camera import open_camera, open_light
@@ -166,6 +167,41 @@ def test_all_devices_of_a_file_share_one_bench(bench_path):
         stage.home()
         stage.move_to(33.0)
     assert shared_bench(path).sample_angle_deg == pytest.approx(23.0, abs=0.01)
+
+
+@pytest.mark.parametrize("level", [30, 100])
+def test_the_light_controller_dims_the_lamp_that_the_camera_sees(bench_path, level):
+    path = bench_path(sample={"kind": "white-tile"}, sensor=IDEAL_SENSOR)
+    bench = shared_bench(path)
+    bench.light_on = True
+    full = photograph(bench, 2).mean() - 64.0
+    light = SerialLight(f"sim://light?bench={path}", level_percent=level, timeout_s=0.5, boot_s=0.0)
+    assert not bench.light_on
+    light.on()
+    assert bench.light_on
+    assert (photograph(bench, 2).mean() - 64.0) / full == pytest.approx(level / 100, abs=2e-3)
+    light.close()
+    assert not bench.light_on
+
+
+def test_a_lamp_nobody_talks_to_goes_dark_in_the_picture(make_bench):
+    bench = make_bench(sample={"kind": "white-tile"})
+    now = [0.0]
+    bench.light_firmware._clock = lambda: now[0]
+    bench.device("light").write(b"ON\n")
+    assert photograph(bench).mean() > 200.0
+    now[0] += 11.0
+    assert photograph(bench).mean() == pytest.approx(64.0, abs=0.2)
+
+
+@pytest.mark.parametrize("share", [0.1, -0.1])
+def test_a_cold_lamp_warms_up_from_lit_frame_to_lit_frame(make_bench, share):
+    changes = {"lamp_warmup_share": share, "lamp_warmup_frames": 3.0}
+    bench = make_bench(sample={"kind": "white-tile"}, sensor=IDEAL_SENSOR, optics=changes)
+    bench.light_on = True
+    levels = np.array([photograph(bench).mean() for _ in range(40)]) - 64.0
+    expected = 1.0 + share * np.exp(-np.arange(40) / 3.0)
+    np.testing.assert_allclose(levels / levels[-1], expected, rtol=1e-3)
 
 
 def test_a_changed_file_makes_a_new_bench(bench_path):

@@ -82,6 +82,15 @@ def test_response_is_linear_up_to_the_full_well():
     np.testing.assert_allclose(counts * 7.5 / levels, 1.0, atol=5 * 0.004 / 256 + 5e-4)
 
 
+@pytest.mark.parametrize("bend", [0.05, -0.05])
+def test_a_bent_response_misses_its_share_at_full_well(bend):
+    device = sensor(nonlinearity=bend, prnu=0.0, dark_current_e_s=0.0, bit_depth=16, full_well_e=20_000.0)
+    levels = np.array([2_000.0, 10_000.0, 40_000.0])
+    electrons = np.array([7.5 * (frames(device, level, 2).mean() - 64.0) for level in levels])
+    collected = np.minimum(levels, 20_000.0)
+    np.testing.assert_allclose(electrons, collected * (1.0 - bend * collected / 20_000.0), rtol=2e-3)
+
+
 def test_hot_pixels_are_as_many_as_set_and_grow_with_time():
     device = sensor(hot_pixel_share=0.01)
     short, long = (frames(device, 0.0, 1, exposure_s=t)[0] for t in (0.01, 0.2))

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from anisoscope.cli.rig import device, ports
+from anisoscope.cli.rig import ports
+from anisoscope.cli.rig_sim import device
 from anisoscope.errors import RigError, UsageError
 from anisoscope.rig.transport import Transport
 from anisoscope.sim.bench.firmware.axis import RotaryAxis

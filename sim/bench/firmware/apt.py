@@ -1,0 +1,297 @@
+"""Firmware of Thorlabs APT rotation stages, byte by byte: K10CR1, and KDC101 with a PRM1-Z8.
+
+Questions are answered at any time, also during a motion; a motion is answered once, when it is over; a motor without
+current does not move, and does not say so. A K10CR1 is a stepper without encoder: at an obstacle it loses steps and
+notices nothing. A KDC101 reads an encoder and reports a motion error; it falls silent if it sends updates and the
+host does not acknowledge them. Backlash and jog parameters are kept, and have no effect. A stop is instant, on a ramp
+or not. Source: Thorlabs APT communications protocol.
+"""
+
+import struct
+from collections.abc import Callable, Iterable, Sequence
+from typing import ClassVar
+
+from anisoscope.errors import UsageError
+from anisoscope.sim.bench.firmware.apt_bytes import (
+    Packet,
+    information,
+    long,
+    rich_response,
+    short,
+    take_packet,
+)
+from anisoscope.sim.bench.firmware.apt_models import CHANNEL, MODELS, AptModel
+from anisoscope.sim.bench.firmware.axis import RotaryAxis
+from anisoscope.sim.bench.firmware.catalogue import Mount, Simulated
+from anisoscope.sim.bench.firmware.device import Firmware, SimulatedDevice
+from anisoscope.sim.bench.firmware.faults import Fault, FaultKind
+from anisoscope.sim.bench.firmware.motor import Motion, Motor
+
+ADDRESSES = ("50", "11", *(f"{bay:02X}" for bay in range(0x21, 0x2B)))
+UPDATE_S = 0.1
+UPDATES_WITHOUT_HOST = 50
+MOTION_ERROR_BIT = 14
+LIMIT_BITS = range(4)
+ERROR_BITS = (14, 15, 16, 17, 18, 24, 25, 26)
+STRANGE_BAY = 0x29
+
+
+class AptFirmware(SimulatedDevice):
+    """One controller with one channel.
+
+    Args:
+        axis: the axis it turns; by default one that stands at 0° and moves in real time.
+        address: destination to which it listens.
+        model: controller and motor.
+        faults: what is wrong with it; as text, ``name`` or ``name:number``. The number of a latched error is the bit
+            of the status; that of a motion error too, if there is such an error bit, or else the code of a complaint.
+
+    Raises:
+        UsageError: there is no fault of this name, or a controller of this kind cannot have it.
+    """
+
+    IMPOSSIBLE: ClassVar[frozenset[FaultKind]] = frozenset({FaultKind.BUSY})
+
+    def __init__(
+        self,
+        axis: RotaryAxis | None = None,
+        *,
+        address: int = 0x50,
+        model: AptModel = MODELS["K10CR1"],
+        faults: Iterable[Fault | str] = (),
+    ) -> None:
+        self.axis = axis or RotaryAxis()
+        super().__init__(faults, self.axis.clock)
+        self.model = model
+        self.address = address
+        self.identified = 0
+        self.motor = Motor(self.axis, model.counts_per_deg, self.faults)
+        self._handlers = self._all_handlers()
+        self._power_up()
+        if FaultKind.LATCHED_ERROR in self.faults:
+            self._errors = 1 << int(self.faults[FaultKind.LATCHED_ERROR])
+
+    @property
+    def counts(self) -> int:
+        """Position in counts, as the controller believes it to be."""
+        return self.motor.counts + self._slipped
+
+    def _power_up(self) -> None:
+        self.motor.power_up()
+        self._enabled = self._updates = self._forward = False
+        self._errors = self._slipped = self._target = 0
+        self._doing: Motion | None = None
+        self._next_update, self._unacknowledged = 0.0, 0
+        self._settings = self.model.settings()
+
+    # Packets.
+
+    def connect(self) -> None:
+        """A host opened the line; nobody has asked for updates on it yet."""
+        with self._lock:
+            super().connect()
+            self._updates = False
+
+    def _take_packet(self) -> bool:
+        packet = take_packet(self._inbox)
+        if packet is None:
+            return False
+        if packet.destination == self.address:
+            self.commands.append(struct.pack("<HBB", packet.id, *packet.parameters) + packet.data)
+            self._attend()
+            self._obey(packet)
+        return True
+
+    def _obey(self, packet: Packet) -> None:
+        if packet.id in self._settings and packet.data:
+            self._settings[packet.id] = packet.data
+        elif packet.id - 1 in self._settings:
+            self._answer(packet.id + 1, self._settings[packet.id - 1])
+        elif packet.id in self._handlers:
+            self._handlers[packet.id](packet)
+
+    def _all_handlers(self) -> dict[int, Callable[[Packet], None]]:
+        kind = 16
+        count = self._count_data
+        return {
+            0x0002: lambda _: self._set_updates(False),
+            0x0005: lambda _: self._answer(0x0006, information(self.model.name, self.model.serial, kind)),
+            0x0011: lambda _: self._set_updates(True),
+            0x0012: lambda _: self._set_updates(False),
+            0x0210: self._set_enabled,
+            0x0211: lambda _: self._say(short(0x0212, CHANNEL, 1 if self._enabled else 2, self._speaker)),
+            0x0223: lambda _: self._identify(),
+            0x040A: lambda _: self._answer(0x040B, count(self.counts if self.model.servo else 0)),
+            0x0411: lambda _: self._answer(0x0412, count(self.counts)),
+            0x0429: lambda _: self._answer(0x042A, struct.pack("<HI", CHANNEL, self._status_bits())),
+            0x0443: lambda _: self._start(None),
+            0x0448: lambda packet: self._start(self.counts + self._number(packet, 0x0445)),
+            0x0453: lambda packet: self._start(self._number(packet, 0x0450)),
+            0x0465: lambda _: self._stop(),
+            0x0480: lambda _: self._tell_status(0x0481, servo=False),
+            0x0490: lambda _: self._tell_status(0x0491, servo=True),
+            0x0492: lambda _: self._acknowledged(),
+        }
+
+    def _number(self, packet: Packet, setting: int) -> int:
+        return int(struct.unpack("<Hi", packet.data or self._settings[setting])[1])
+
+    # Answers.
+
+    @property
+    def _speaker(self) -> int:
+        return STRANGE_BAY if FaultKind.WRONG_ADDRESS in self.faults else self.address
+
+    def _answer(self, number: int, data: bytes) -> None:
+        self._say(long(number, data, self._speaker))
+
+    def _say(self, frame: bytes) -> None:
+        if self._unacknowledged <= UPDATES_WITHOUT_HOST:
+            super()._say(frame)
+
+    @staticmethod
+    def _count_data(counts: int) -> bytes:
+        return struct.pack("<Hi", CHANNEL, counts)
+
+    def _status_bits(self) -> int:
+        bits = self._errors | 1 << 8 | self.motor.referenced << 10 | self._enabled << 31
+        if self._doing is Motion.HOME:
+            return bits | 1 << 9 | 1 << 5
+        if self._doing is Motion.MOVE:
+            return bits | (1 << 4 if self._forward else 1 << 5)
+        return bits | 1 << 13
+
+    def _status(self, *, servo: bool) -> bytes:
+        if servo:
+            velocity = 0 if self._doing is None else (1 if self._forward else -1)
+            return struct.pack("<HihHI", CHANNEL, self.counts, velocity, 0, self._status_bits())
+        return struct.pack("<HiiI", CHANNEL, self.counts, 0, self._status_bits())
+
+    def _tell_status(self, number: int, *, servo: bool) -> None:
+        if servo != self.model.servo:
+            return
+        self._answer(number, self._status(servo=servo))
+        if self.motor.loses_power():
+            self._power_up()
+
+    def _tell_end(self, number: int) -> None:
+        self._answer(number, self._status(servo=self.model.servo))
+
+    def _unasked(self) -> bytes:
+        """A status update, and a message about the bay of a hub, which no driver here asks for."""
+        update = long(
+            0x0491 if self.model.servo else 0x0481, self._status(servo=self.model.servo), self._speaker
+        )
+        return update + short(0x0066, 1, 0, self._speaker)
+
+    def _set_updates(self, on: bool) -> None:
+        self._updates, self._next_update, self._unacknowledged = on, self._clock() + UPDATE_S, 0
+
+    def _acknowledged(self) -> None:
+        self._unacknowledged = 0
+
+    def _identify(self) -> None:
+        self.identified += 1
+
+    def _send_update(self) -> None:
+        if self._updates and self._clock() >= self._next_update:
+            self._next_update = self._clock() + UPDATE_S
+            self._unacknowledged += self.model.servo
+            self._tell_status(0x0491 if self.model.servo else 0x0481, servo=self.model.servo)
+
+    # Motion.
+
+    def _repair(self) -> None:
+        self.motor.repair()
+        self._errors = 0
+
+    def _set_enabled(self, packet: Packet) -> None:
+        self._enabled = packet.parameters[1] == 1
+        if not self._enabled:
+            self._errors = 0
+            self._halt()
+
+    def _start(self, target: int | None) -> None:
+        """Start a move to a position in counts, or (None) the reference search."""
+        if self.motor.count_motion():
+            self._dead = True
+        elif FaultKind.MOTION_ERROR in self.faults:
+            self._refuse(int(self.faults[FaultKind.MOTION_ERROR]))
+        elif self._enabled and not self._errors & 1 << MOTION_ERROR_BIT:
+            self._go(target)
+
+    def _refuse(self, code: int) -> None:
+        if code in ERROR_BITS:
+            self._errors |= 1 << code
+        elif code in LIMIT_BITS:
+            self._errors |= 1 << code
+            self._tell_end(0x0464)
+        else:
+            self._answer(0x0081, rich_response(0x0453, code, "simulated failure"))
+
+    def _go(self, target: int | None) -> None:
+        model = self.model
+        _, _, acceleration, velocity = struct.unpack("<Hiii", self._settings[0x0413])
+        _, _, _, home_velocity, home_offset = struct.unpack("<HHHii", self._settings[0x0440])
+        speed = (home_velocity if target is None else velocity) / model.velocity_unit
+        if speed <= 0.0 or acceleration <= 0:
+            return
+        self.axis.acceleration_deg_s2 = acceleration / model.acceleration_unit
+        self._doing = Motion.HOME if target is None else Motion.MOVE
+        if target is None:
+            self.motor.home(home_offset, speed / self.axis.velocity_deg_s)
+        else:
+            self._target, self._forward = target, target > self.counts
+            self.motor.move(target - self._slipped, speed / self.axis.velocity_deg_s)
+
+    def _attend(self) -> None:
+        ended = self.motor.ended()
+        if ended is Motion.STALL:
+            self._end_at_obstacle()
+        elif ended is not None:
+            if ended is Motion.HOME:
+                self._slipped = 0
+            self._end()
+        self._send_update()
+
+    def _end(self) -> None:
+        doing, self._doing = self._doing, None
+        if FaultKind.LOST_REPLY in self.faults:
+            return
+        if doing is Motion.HOME:
+            self._say(short(0x0444, CHANNEL, 0, self._speaker))
+        else:
+            self._tell_end(0x0464)
+
+    def _end_at_obstacle(self) -> None:
+        if self.model.servo:
+            self._errors |= 1 << MOTION_ERROR_BIT
+            self._doing = None
+        elif self._doing is Motion.MOVE:
+            self._slipped = self._target - self.motor.counts
+            self._end()
+        # A stepper that searches its reference goes on slipping until somebody stops it.
+
+    def _halt(self) -> None:
+        self._doing = None
+        self.motor.stop()
+
+    def _stop(self) -> None:
+        self.stops += 1
+        self._halt()
+        self._tell_end(0x0466)
+
+
+def build(mounts: Sequence[Mount], model: str, faults: Sequence[str]) -> Firmware:
+    """One controller; it drives one axis, and has a USB port of its own."""
+    if len(mounts) != 1:
+        raise UsageError(
+            "a Thorlabs APT controller drives one axis and has a port of its own; put the other on another line"
+        )
+    address = mounts[0].address or ADDRESSES[0]
+    if address not in ADDRESSES:
+        raise UsageError(f"'{address}' is not an APT address; use one of: {', '.join(ADDRESSES)}")
+    return AptFirmware(mounts[0].axis, address=int(address, 16), model=MODELS[model], faults=faults)
+
+
+SIMULATED = Simulated("Thorlabs APT rotation stage", tuple(MODELS), build)
