@@ -31,24 +31,21 @@ def draw(counts: Counts, info: CameraInfo, view: View, relative_focus: float) ->
         (rows, cols, 3) blue, green, red; at most 960 wide. Saturated pixels are red; a line through the middle
         runs along the ridges, if they have a direction.
     """
-    picture = cv2.cvtColor(eight_bits(counts, info), cv2.COLOR_GRAY2BGR)
+    picture = np.repeat(eight_bits(counts, info)[:, :, None], 3, axis=2)
     scale = min(1.0, WIDTH_PX / counts.shape[1])
     full_scale = (1 << info.bit_depth) - 1
     burnt = (counts >= SATURATION * full_scale).astype(np.uint8)
     if scale < 1.0:
         size = (round(counts.shape[1] * scale), max(1, round(counts.shape[0] * scale)))
-        picture = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+        picture = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
         # a single saturated pixel must stay visible in the smaller picture
-        burnt = cv2.resize(
-            cv2.dilate(burnt, np.ones((math.ceil(1.0 / scale),) * 2, np.uint8)),
-            size,
-            interpolation=cv2.INTER_NEAREST,
-        )
+        spread = cv2.dilate(burnt, np.ones((math.ceil(1.0 / scale),) * 2, np.uint8))
+        burnt = np.asarray(cv2.resize(spread, size, interpolation=cv2.INTER_NEAREST), dtype=np.uint8)
     picture[burnt > 0] = RED
     if view.ridge_deg is not None:
         _draw_direction(picture, view.ridge_deg)
     _write(picture, words(view, relative_focus))
-    return np.asarray(picture, dtype=np.uint8)
+    return picture
 
 
 def words(view: View, relative_focus: float) -> list[str]:

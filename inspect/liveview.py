@@ -126,7 +126,7 @@ def focus_of(signal: Plane, measure: FocusMeasure = "tenengrad") -> float:
     mean = float(signal.mean())
     if mean < DARK_SHARE:
         return math.nan
-    calm = cv2.GaussianBlur(signal, (0, 0), 1.0)
+    calm = np.asarray(cv2.GaussianBlur(signal, (0, 0), 1.0), dtype=np.float32)
     if measure == "laplacian":
         return float(cv2.Laplacian(calm, cv2.CV_32F).var()) / mean**2
     across, down = _gradient(calm)

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, Group, Parameter
 
+from anisoscope.cli.rig_commission import check, commission
 from anisoscope.cli.rig_live import live
 from anisoscope.cli.rig_motion import home, jog, move, stop
 from anisoscope.cli.rig_sim import app as sim
@@ -27,8 +28,8 @@ app.command(snap, group=_look)
 app.command(live, group=_look)
 for _motion in (home, move, jog, stop):
     app.command(_motion, group=_move)
-app.command("anisoscope.cli.rig_commission:commission", group=_set_up)
-app.command("anisoscope.cli.rig_commission:check", group=_set_up)
+for _check in (commission, check):
+    app.command(_check, group=_set_up)
 sim.group = _simulate
 app.command(sim)
 

@@ -10,9 +10,9 @@ from anisoscope.cli.console import console, parse_numbers, print_table, progress
 from anisoscope.errors import UsageError
 
 if TYPE_CHECKING:
-    from anisoscope.commission_part import RidgedPart
-    from anisoscope.commission_record import Commissioning
-    from anisoscope.selftest import SelfTest
+    from anisoscope.commission.part import RidgedPart
+    from anisoscope.commission.record import Commissioning
+    from anisoscope.commission.selftest import SelfTest
 
 _RigOption = Annotated[Path, Parameter(name=["--rig", "-g"], help="Rig file (TOML).")]
 _Json = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")]
@@ -58,11 +58,11 @@ def commission(
     Lay the part on the stage, then run this. It turns the part all round, and under tilts where an axis tilts the arm;
     it needs neither sense nor zero of the rig file to be right. Exit code 0: done; what could not be told says so.
     """  # fmt: skip
-    from anisoscope.commission_angles import Assumed
-    from anisoscope.commission_record import default_record_path, write_commissioning
-    from anisoscope.commission_series import Series
-    from anisoscope.commissioning import commission as find
-    from anisoscope.commissioning import write_to_rig_file
+    from anisoscope.commission.angles import Assumed
+    from anisoscope.commission.commissioning import commission as find
+    from anisoscope.commission.commissioning import write_to_rig_file
+    from anisoscope.commission.record import default_record_path, write_commissioning
+    from anisoscope.commission.series import Series
     from anisoscope.recipe import read_recipe
 
     recipe = None if part is None else read_recipe(part)
@@ -116,8 +116,8 @@ def _part(
 ) -> "RidgedPart":
     from dataclasses import replace
 
-    from anisoscope.commission_part import RidgedPart
-    from anisoscope.commissioning import part_of_recipe
+    from anisoscope.commission.commissioning import part_of_recipe
+    from anisoscope.commission.part import RidgedPart
     from anisoscope.recipe import read_recipe
 
     if recipe_path is not None:
@@ -176,7 +176,7 @@ def check(
 
     The stage homes and turns: nothing may stand in its way.
     """  # fmt: skip
-    from anisoscope.selftest import Settings, self_test, write_self_test
+    from anisoscope.commission.selftest import Settings, self_test, write_self_test
 
     settings = Settings(exposure_s=exposure, gain=gain, frames=frames, tile=tile)
     with progress("self test", quiet=json_) as advance:

@@ -119,9 +119,10 @@ def _serve_bench(
     def line(firmware: "Firmware", number: int) -> "PtyServer | TcpServer":
         return PtyServer(firmware) if pty else TcpServer(firmware, base and base + number)
 
-    stage = stack.enter_context(line(made.device(made.file.stage.protocol), 0))
-    light = stack.enter_context(line(made.device("light"), 1))
-    camera = stack.enter_context(CameraServer(lambda: SimulatedCamera(made), base and base + 2))
+    stage, light = line(made.device(made.file.stage.protocol), 0), line(made.device("light"), 1)
+    camera = CameraServer(lambda: SimulatedCamera(made), base and base + 2)
+    for server in (stage, light, camera):
+        stack.enter_context(server)
     places = {"stage": stage.port, "light": light.port, "camera": camera.port}
     return places, {"stage": stage.url, "light": light.url, "camera": camera.port}
 

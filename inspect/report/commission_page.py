@@ -4,15 +4,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
-from anisoscope.commission_observe import Picture
-from anisoscope.commission_record import Commissioning, Finding, FitRecord
-from anisoscope.commissioning import Commissioned
+from anisoscope.commission.commissioning import Commissioned
+from anisoscope.commission.model import RigModel
+from anisoscope.commission.observe import Picture
+from anisoscope.commission.record import Finding, FitRecord
 from anisoscope.report.figures import BLUE, GREEN, MUTED, ORANGE, RED, _figure, _svg_uri
 from anisoscope.report.page import write_page
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+FloatArray = npt.NDArray[np.float64]
 
 _COLOURS = (BLUE, ORANGE, GREEN, RED, MUTED, "#7a4fa3", "#b58900")
 
@@ -85,23 +89,32 @@ def _draw_spot(axes: "Axes", picture: Picture) -> None:
         axes.plot(*line.T, linestyle=style, color=RED, linewidth=1.2)
 
 
-def radiance_chart(record: Commissioning) -> str:
+def _curve(done: Commissioned, pose: int, lean_deg: FloatArray) -> FloatArray:
+    """The fitted radiance at the tilt of a pose."""
+    light, known = done.angles.light, {one.name: one.value for one in done.angles.light.parameters}
+    tilt = np.full_like(lean_deg, (light.sign or 1) * done.angles.tilts_deg[pose])
+    model = RigModel(done.part, lean_deg, tilt, done.record.series["bounces"])
+    return np.asarray(np.exp(model(known)), dtype=np.float64)
+
+
+def radiance_chart(done: Commissioned) -> str:
     """Radiances over the angle of the sample, one colour a tilt, with the fit, as a data URI."""
+    record, dense = done.record, np.linspace(0.0, 360.0, 181)
     turns, zero = record["stage.turns"].value, record["ridges.zero_deg"].value
     sense = 1.0 if turns == "ccw" else -1.0
     assert isinstance(zero, float)
     tilts = sorted({round(pose.tilt_reading_deg, 1) for pose in record.poses})
     with _figure(8.6, 3.8) as (figure, axes):
         for tilt, colour in zip(tilts, _COLOURS * len(tilts), strict=False):
-            poses = [pose for pose in record.poses if round(pose.tilt_reading_deg, 1) == tilt]
-            angle = np.array([sense * (pose.reading_deg - zero) % 360.0 for pose in poses])
-            order = np.argsort(angle)
-            measured = np.array([pose.radiance or np.nan for pose in poses])[order]
-            fitted = np.array([pose.fitted or np.nan for pose in poses])[order]
-            axes.plot(
-                angle[order], measured, "o", color=colour, markersize=4, label=f"tilt axis at {tilt:g}°"
-            )
-            axes.plot(angle[order], fitted, "-", color=colour, linewidth=0.9)
+            poses = [
+                (number, pose)
+                for number, pose in enumerate(record.poses)
+                if round(pose.tilt_reading_deg, 1) == tilt
+            ]
+            angle = np.array([sense * (pose.reading_deg - zero) % 360.0 for _, pose in poses])
+            measured = np.array([pose.radiance or np.nan for _, pose in poses])
+            axes.plot(angle, measured, "o", color=colour, markersize=4, label=f"tilt axis at {tilt:g}°")
+            axes.plot(dense, _curve(done, poses[0][0], dense), "-", color=colour, linewidth=0.9)
         axes.set_yscale("log")
         axes.set_xticks(range(0, 361, 45))
         axes.set_xlabel("azimuth toward which the facets lean, from the light's side [°]")
@@ -144,7 +157,7 @@ def write_commission_page(done: Commissioned, path: Path) -> None:
             (picture_chart(one), f"Stage at {one.reading_deg:.1f}°, tilt at {one.tilt_reading_deg:.1f}°.")
             for one in done.pictures
         ],
-        "radiances": radiance_chart(record),
+        "radiances": radiance_chart(done),
         "residuals": residual_chart(done),
         "quality": _quality(record.fit),
         "parameters": [

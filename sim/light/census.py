@@ -8,60 +8,67 @@ import numpy.typing as npt
 
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.sim.light import threads
-from anisoscope.sim.light.material import Material, diffuse_scale, fresnel, transmittance_table
+from anisoscope.sim.light.horizon import Horizon
+from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.shine import Shine
 
 FloatArray = npt.NDArray[np.float64]
 Floats = npt.NDArray[np.float32]
+Cells = tuple[npt.NDArray[np.int64], FloatArray]
 Facets = Literal["symmetric", "diagonal", "antidiagonal"]
 
 FACETS: tuple[Facets, ...] = ("symmetric", "diagonal", "antidiagonal")
-NODES_PER_ALPHA = 10.0
+NODES_PER_ALPHA = 8.0
 BANDS = 8  # bands of rows that are counted side by side; fixed, so that sums do not depend on the machine
-MOST_NODES = 1000  # on one axis; slopes beyond are evaluated facet by facet
+MOST_NODES = 1000  # on one axis; normals beyond are evaluated facet by facet
+COARSEST = 0.05  # distance of nodes, so that the few normals near the horizon, where sizes grow, stay exact
 
 
 def node_spacing(material: Material) -> tuple[float, float]:
-    """Distances of the nodes along x and y: a tenth of the roughness; in steps of √2, so that close values share."""
+    """Distances of the nodes along u and v: an eighth of the roughness; in steps of √2, so that close values share."""
     alphas = material.alpha_across, material.alpha_along
-    steps = [2.0 ** (np.floor(2.0 * np.log2(alpha / NODES_PER_ALPHA)) / 2.0) for alpha in alphas]
+    wanted = [min(alpha / NODES_PER_ALPHA, COARSEST) for alpha in alphas]
+    steps = [2.0 ** (np.floor(2.0 * np.log2(distance)) / 2.0) for distance in wanted]
     return float(steps[0]), float(steps[1])
 
 
 @dataclass(frozen=True, eq=False)
 class Census:
-    """The facets of a map, counted by slope.
+    """The facets of a map, counted by normal; u and v are coordinates of normals (`census_kernels.projected`).
 
     Attributes:
-        gx: (R, C) slopes along x; R = rows, or twice the rows where cells are split into triangles.
-        gy: (R, C) slopes along y.
-        kind: (R, C) MISSING, COUNTED or APART.
+        u: (R, C) coordinates across; R = rows, or twice the rows where cells are split into triangles.
+        v: (R, C) coordinates along. NaN in u: not counted here.
         weights: (C,) weights of the columns in a mean, halved for triangles.
-        grid: first node and distance of nodes along x, the same along y.
+        grid: first node and number of nodes per unit along u, the same along v.
         nodes: (N, 2) slopes of the nodes that facets touch.
         where: (N,) places of these nodes in the flattened grid.
-        shape: nodes along y and x.
+        shape: nodes along v and u.
         weight: (N,) how much surface there is at each node.
-        apart: (M, 2) row and column of the cells evaluated one by one.
-        apart_slopes: (M, 4) slopes along x before and after an edge, share of the first, slope along y.
+        edges: cells that straddle an edge, counted as their two parts, as `census_kernels.facets_left` gives them.
+        apart: cells evaluated one by one, likewise.
         total: weight of all facets with known heights.
     """
 
-    gx: Floats
-    gy: Floats
-    kind: npt.NDArray[np.uint8]
+    u: Floats
+    v: Floats
     weights: FloatArray
     grid: FloatArray
     nodes: FloatArray
     where: npt.NDArray[np.intp]
     shape: tuple[int, int]
     weight: FloatArray
-    apart: npt.NDArray[np.int64]
-    apart_slopes: FloatArray
+    edges: Cells
+    apart: Cells
     total: float
 
 
 def take_census(
-    surface: HeightMap, facets: Facets, column_weights: FloatArray, spacing: tuple[float, float]
+    surface: HeightMap,
+    facets: Facets,
+    column_weights: FloatArray,
+    spacing: tuple[float, float],
+    steepest: FloatArray,
 ) -> Census:
     """Count the facets of a map.
 
@@ -69,94 +76,95 @@ def take_census(
         surface: the map, (rows, cols).
         facets: how cells become facets.
         column_weights: (cols − 1,) weights of the columns in a mean.
-        spacing: distances of the nodes along x and y.
+        spacing: distances of the nodes along u and v.
+        steepest: lowest and highest slope along x, lowest and highest along y.
     """
     from anisoscope.sim.light import census_kernels as kernels  # noqa: PLC0415 - numba when first needed
 
     triangles = FACETS.index(facets)
-    pixels = surface.pixel_x_um, surface.pixel_y_um
-    limits = _limits(surface, spacing)
     z = np.ascontiguousarray(surface.height_um, dtype=np.float64)
+    shown = z, surface.pixel_x_um, surface.pixel_y_um, triangles
+    limits = _limits(surface, spacing, steepest)
     rows, cols = z.shape[0] - 1, z.shape[1] - 1
     facets_shape = (rows if triangles == 0 else 2 * rows, cols)
-    gx, gy = np.empty(facets_shape, dtype=np.float32), np.empty(facets_shape, dtype=np.float32)
-    kind = np.empty(facets_shape, dtype=np.uint8)
-    threads.each(
-        lambda run: kernels.facet_slopes(z, *pixels, triangles, limits, run[0], run[1], gx, gy, kind),
-        threads.runs(rows, BANDS),
-    )
-    apart, apart_slopes = kernels.facets_apart(z, *pixels, triangles, kind)
+    u, v = np.empty(facets_shape, dtype=np.float32), np.empty(facets_shape, dtype=np.float32)
+    left = np.empty(facets_shape[0], dtype=np.int64)
+    threads.each(lambda run: kernels.normals(*shown, limits, *run, u, v, left), threads.runs(rows, BANDS))
+    where, slopes, held = kernels.facets_left(*shown, limits, u, v, left)
+    edges, apart = (where[held], slopes[held]), (where[~held], slopes[~held])
     weights = column_weights if triangles == 0 else 0.5 * column_weights
-    box = kernels.extent(gx, gy, kind)
-    grid = np.array([box[0] - 2.0 * spacing[0], spacing[0], box[2] - 2.0 * spacing[1], spacing[1]])
-    shape = int((box[3] - grid[2]) / spacing[1]) + 4, int((box[1] - grid[0]) / spacing[0]) + 4
-    found = np.full((BANDS, *shape), np.nan)
-    bands = list(enumerate(threads.runs(gx.shape[0], BANDS)))
+    steps = np.array(spacing)
+    first = limits[::2] - 2.0 * steps
+    grid = np.stack([first, 1.0 / steps], axis=-1).ravel()
+    columns, lines = ((limits[1::2] - first) / steps).astype(int) + 4
+    shape = int(lines), int(columns)
+    found, cells = np.zeros((BANDS + 1, *shape)), np.zeros((BANDS + 1, *shape), dtype=np.bool_)
 
     def count_band(band: tuple[int, tuple[int, int]]) -> None:
-        part = slice(*band[1])
-        kernels.count(gx[part], gy[part], kind[part], weights, grid, found[band[0]])
+        number, run = band
+        kernels.count(u[slice(*run)], v[slice(*run)], weights, grid, found[number], cells[number])
 
-    threads.each(count_band, bands)
-    touched = np.isfinite(found).any(axis=0)
-    where = np.flatnonzero(touched)
-    row, col = np.divmod(where, shape[1])
-    nodes = np.stack([grid[0] + col * grid[1], grid[2] + row * grid[3]], axis=-1)
-    weight = np.nansum(found[:, touched], axis=0)
-    total = float((kind != kernels.MISSING).sum(axis=0) @ weights)
-    return Census(gx, gy, kind, weights, grid, nodes, where, shape, weight, apart, apart_slopes, total)
+    threads.each(count_band, enumerate(threads.runs(len(u), BANDS)))
+    kernels.count(*kernels.edge_parts(*edges, weights), grid, found[BANDS], cells[BANDS])
+    at = np.flatnonzero(_around(np.any(cells, axis=0)))
+    row, col = np.divmod(at, shape[1])
+    nodes = kernels.slopes_at(first[0] + col * steps[0], first[1] + row * steps[1])
+    weight = found.sum(axis=0).ravel()[at]
+    missing = np.isnan(v).sum(axis=0) if left.any() else np.zeros(cols)
+    total = float((len(v) - missing) @ weights)
+    return Census(u, v, weights, grid, nodes, at, shape, weight, edges, apart, total)
 
 
-def _limits(surface: HeightMap, spacing: tuple[float, float]) -> FloatArray:
-    """Slopes that the grid can hold, around the median slope of a sample of the map."""
+def _limits(surface: HeightMap, spacing: tuple[float, float], steepest: FloatArray) -> FloatArray:
+    """Lowest and highest u, lowest and highest v, of the grid: all normals, or as many as it may hold.
+
+    A grid that cannot hold all lies around the median slope of a sample of the map.
+    """
     z = surface.height_um
     rows = z[:: max(1, z.shape[0] // 200)]
     cols = z[:, :: max(1, z.shape[1] // 200)]
     slopes = np.diff(rows, axis=1) / surface.pixel_x_um, np.diff(cols, axis=0) / surface.pixel_y_um
     limits = []
-    for slope, step in zip(slopes, spacing, strict=True):
-        known = slope[np.isfinite(slope)]
-        centre = float(np.median(known)) if known.size else 0.0
-        limits += [centre - 0.5 * MOST_NODES * step, centre + 0.5 * MOST_NODES * step]
+    for slope, step, ends in zip(slopes, spacing, steepest.reshape(2, 2), strict=True):
+        low, high = 2.0 * ends / (1.0 + np.hypot(1.0, ends)) + np.array([-0.5, 0.5]) * step
+        if high - low > MOST_NODES * step:
+            known = slope[np.isfinite(slope)]
+            median = float(np.median(known)) if known.size else 0.0
+            centre = 2.0 * median / (1.0 + np.hypot(1.0, median))
+            low, high = (
+                max(low, centre - 0.5 * MOST_NODES * step),
+                min(high, centre + 0.5 * MOST_NODES * step),
+            )
+        limits += [low, high]
     return np.array(limits)
 
 
-@dataclass(frozen=True, eq=False)
-class Shine:
-    """What facets of one material shine in one pose: arguments of the kernels."""
-
-    light: FloatArray
-    camera: FloatArray
-    half: FloatArray
-    lobe: FloatArray
-    table: FloatArray
-
-    @classmethod
-    def of(cls, light: FloatArray, camera: FloatArray, material: Material) -> "Shine":
-        """For (3,) unit vectors to light and camera."""
-        half = light + camera
-        half = half / np.linalg.norm(half)
-        mirror = float(fresnel(np.asarray(light @ half), material.index))
-        alpha = material.alpha_along, material.alpha_across
-        lobe = np.array([mirror / (4.0 * np.pi * alpha[0] * alpha[1]), *alpha, diffuse_scale(material)])
-        return cls(light, camera, half, lobe, transmittance_table(material))
+def _around(cells: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """Nodes that the cubics of some cells use: one before each, and two after."""
+    for axis in (0, 1):
+        cells = cells | np.roll(cells, -1, axis) | np.roll(cells, 1, axis) | np.roll(cells, 2, axis)
+    return cells
 
 
-def mean_radiance(census: Census, shine: Shine, lit: Floats, seen: Floats) -> float:
-    """Mean radiance [1/sr] of the surface in one pose; ``lit`` and ``seen`` are (rows, C) shares of the cells."""
-    from anisoscope.sim.light import census_kernels as kernels  # noqa: PLC0415
+def mean_radiance(census: Census, shine: Shine, horizon: Horizon) -> float:
+    """Mean radiance [1/sr] of the surface in one pose, whose shadows ``horizon`` knows."""
+    from anisoscope.sim.light import census_poses as kernels  # noqa: PLC0415
 
-    arguments = shine.light, shine.camera, shine.half, shine.lobe, shine.table
-    at_nodes = kernels.shine_at(census.nodes, *arguments)
-    sky = np.zeros(census.shape, dtype=np.float32)
-    sky.ravel()[census.where] = at_nodes
-    same_side = float(shine.light[:2] @ shine.camera[:2]) >= 0.0
-    lost = kernels.hidden(
-        census.gx, census.gy, census.kind, census.weights, census.grid, sky, lit, seen, same_side
-    )
-    total = float(census.weight @ at_nodes - lost)
-    apart = kernels.apart_shine(
-        census.apart, census.apart_slopes, census.weights, lit, seen, same_side, *arguments
-    )
-    total += apart
-    return total / census.total
+    light, camera = np.array(shine.light), np.array(shine.camera)
+    at_nodes = np.empty(len(census.nodes))
+    kernels.shine_at(census.nodes, shine, at_nodes)
+    total = float(census.weight @ at_nodes)
+    shadowed = not (horizon.whole(light) and horizon.whole(camera))
+    if not shadowed and not len(census.apart[0]):
+        return total / census.total
+    shares = horizon.shares(light), horizon.shares(camera)
+    same_side = float(light[:2] @ camera[:2]) >= 0.0
+    total += kernels.apart_shine(*census.apart, census.weights, *shares, same_side, shine)
+    if shadowed:
+        sky = np.zeros(census.shape, dtype=np.float32)
+        sky.ravel()[census.where] = at_nodes
+        shown = census.weights, census.grid, sky, *shares
+        total -= kernels.hidden(census.u, census.v, *shown, same_side)
+        where, slopes = census.edges
+        total -= kernels.hidden_edges(where, slopes, *shown, shine.light, shine.camera)
+    return float(total / census.total)

@@ -1,10 +1,12 @@
 """Compiled census of slopes: how often a height map has which slope, so that many poses cost little more than one.
 
-What a facet shines, all of it lit and seen, depends on its two slopes only. Facets are therefore counted once on a
-grid of slopes, by the adjoint of cubic Lagrange interpolation; a pose is then evaluated at the nodes of that grid
-instead of at every facet, and what lies in shadow is taken off facet by facet. With nodes a tenth of the roughness
-apart, the interpolation is exact to a few 10⁻⁵ of the lobe's peak (error 3/128·h⁴·S⁗ on either axis). Facets that
-straddle an edge, or are steeper than the grid, are *apart*: they are evaluated one by one.
+What a facet shines, all of it lit and seen, depends on its normal only. Facets are therefore counted once on a grid
+of normals, by the adjoint of cubic Lagrange interpolation; a pose is then evaluated at the nodes of that grid
+instead of at every facet, and what lies in shadow is taken off facet by facet (`census_poses`). The coordinates are
+those of the stereographic projection, in which lobes are equally wide everywhere, so that the steepest wall needs no
+finer grid than the level. With nodes an eighth of the roughness apart, the interpolation is exact to a few 10⁻⁵ of
+the lobe's peak (error 3/128·h⁴·S⁗ on either axis). A facet that straddles an *edge* is counted as its two parts.
+Normals beyond the grid, which only the smoothest plastics have, are *apart*: they are evaluated one by one.
 """
 
 import math
@@ -13,17 +15,58 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from anisoscope.sim.light.kernels import _shine, around_edge, cell_slopes, split_shine, visible
+from anisoscope.sim.light.compiled import borrowing
+from anisoscope.sim.light.kernels import EDGE, around_edge, blend, cell_slopes
 
 FloatArray = npt.NDArray[np.float64]
 Floats = npt.NDArray[np.float32]
 Indices = npt.NDArray[np.int64]
+Marks = npt.NDArray[np.bool_]
 
-MISSING, COUNTED, APART = 0, 1, 2
+THIRD = 1.0 / 3.0  # in these loops a division costs as much as ten products
 
 
-@njit(cache=True, nogil=True)
-def facet_slopes(
+@borrowing(inline="always")
+def projected(gx: float, gy: float) -> tuple[float, float]:
+    """Coordinates of a normal (−gx, −gy, 1): twice its stereographic projection, about the slopes near the level."""
+    scale = 2.0 / (1.0 + math.sqrt(1.0 + gx * gx + gy * gy))
+    return scale * gx, scale * gy
+
+
+def slopes_at(u: FloatArray, v: FloatArray) -> FloatArray:
+    """(N, 2) slopes of normals whose coordinates (N,) are given: the inverse of `projected`."""
+    scale = 1.0 / np.maximum(
+        1.0 - 0.25 * (u * u + v * v), 1e-6
+    )  # nodes about the steepest may lie past the horizon
+    return np.stack([scale * u, scale * v], axis=-1)
+
+
+@borrowing(nogil=True, error_model="numpy")
+def steepest(z: Floats, first: int, last: int, slopes: Floats) -> None:
+    """Least and greatest rise from column to column and from row to row, for every column of some rows of cells.
+
+    Args:
+        z: (rows, cols) heights.
+        first: first row of cells.
+        last: row of cells after the last; the upper points of the last row count along x, too.
+        slopes: (4, cols), filled; the last column has none along x.
+    """
+    cols = z.shape[1]
+    slopes[0], slopes[1], slopes[2], slopes[3] = np.inf, -np.inf, np.inf, -np.inf
+    for r in range(first, last + 1):
+        for c in range(cols - 1):
+            rise = z[r, c + 1] - z[r, c]
+            slopes[0, c] = rise if rise < slopes[0, c] else slopes[0, c]  # noqa: FURB136 - not where NaN
+            slopes[1, c] = rise if rise > slopes[1, c] else slopes[1, c]  # noqa: FURB136
+        if r < last:
+            for c in range(cols):
+                rise = z[r + 1, c] - z[r, c]
+                slopes[2, c] = rise if rise < slopes[2, c] else slopes[2, c]  # noqa: FURB136
+                slopes[3, c] = rise if rise > slopes[3, c] else slopes[3, c]  # noqa: FURB136
+
+
+@borrowing(nogil=True, error_model="numpy")
+def normals(
     z: FloatArray,
     pixel_x: float,
     pixel_y: float,
@@ -31,214 +74,149 @@ def facet_slopes(
     limits: FloatArray,
     first: int,
     last: int,
-    gx: Floats,
-    gy: Floats,
-    kind: npt.NDArray[np.uint8],
+    u: Floats,
+    v: Floats,
+    left: Indices,
 ) -> None:
-    """Slopes of the facets in the rows of cells from ``first`` to ``last``, and how each is to be counted.
+    """Coordinates of the normals of the facets in the rows of cells from ``first`` to ``last``.
 
     Args:
         z: (rows, cols) heights, NaN = missing.
         pixel_x: distance of the columns.
         pixel_y: distance of the rows.
-        triangles: 0: one facet with the symmetric gradients of four points. 1, 2: two triangles, split along the
-            diagonal from the first to the last corner (1) or along the other (2).
-        limits: lowest and highest slope along x, lowest and highest along y, of the grid.
+        triangles: as in `kernels.cell_slopes`.
+        limits: lowest and highest u, lowest and highest v, of the grid.
         first: first row of cells.
         last: row of cells after the last.
-        gx: (parts·(rows − 1), cols − 1), filled with slopes along x; the second triangles below all the first.
-        gy: the same along y.
-        kind: the same, filled with kinds.
+        u: (parts·(rows − 1), cols − 1), filled; the second triangles below all the first. NaN where a facet is not
+            to be counted: missing, straddling an edge, or beyond the grid.
+        v: the same; NaN where one of the four points is missing, though a triangle has only three.
+        left: (parts·(rows − 1),), filled with how many are not to be counted.
     """
-    rows, cols = z.shape
-    parts = 1 if triangles == 0 else 2
-    for r in range(first, last):
-        for c in range(cols - 1):
-            whole = not math.isnan(z[r, c] + z[r + 1, c + 1] + z[r, c + 1] + z[r + 1, c])
-            for part in range(parts):
-                sx, sy = cell_slopes(z, r, c, pixel_x, pixel_y, triangles, part)
-                row = r + part * (rows - 1)
-                gx[row, c], gy[row, c] = sx, sy
-                inside = limits[0] < sx < limits[1] and limits[2] < sy < limits[3]
-                if not whole:
-                    kind[row, c] = MISSING
-                elif not inside or (triangles == 0 and around_edge(z, r, c, sx, pixel_x)[2] < 1.0):
-                    kind[row, c] = APART
-                else:
-                    kind[row, c] = COUNTED
+    rows, cols = u.shape[0] if triangles == 0 else u.shape[0] // 2, u.shape[1]
+    u0, u1, v0, v1 = limits[0], limits[1], limits[2], limits[3]
+    for row in range(first, last):
+        low, high = z[row], z[row + 1]
+        for part in range(1 if triangles == 0 else 2):
+            at = row + part * rows
+            out_u, out_v = u[at], v[at]
+            south, west = blend(triangles, part)
+            number = 0
+            for c in range(cols):
+                gx = (south * (low[c + 1] - low[c]) + (1.0 - south) * (high[c + 1] - high[c])) / pixel_x
+                gy = (west * (high[c] - low[c]) + (1.0 - west) * (high[c + 1] - low[c + 1])) / pixel_y
+                here, there = projected(gx, gy)
+                inside = (u0 < here) & (here < u1) & (v0 < there) & (there < v1)
+                out_u[c], out_v[c] = here if inside else math.nan, there
+                number += 0 if inside else 1
+            left[at] = number
+        if triangles != 0:
+            continue
+        for c in range(1, cols - 1):
+            turn = (
+                low[c + 2]
+                - low[c + 1]
+                - low[c]
+                + low[c - 1]
+                + high[c + 2]
+                - high[c + 1]
+                - high[c]
+                + high[c - 1]
+            )
+            if abs(turn) > 1.99 * EDGE * pixel_x:  # seldom: only then is it worth looking closely
+                gx, _ = cell_slopes(z, row, c, pixel_x, pixel_y, 0, 0)
+                if around_edge(z, row, c, gx, pixel_x)[2] < 1.0:
+                    u[row, c] = math.nan
+                    left[row] += 1
 
 
-@njit(cache=True)
-def facets_apart(
-    z: FloatArray, pixel_x: float, pixel_y: float, triangles: int, kind: npt.NDArray[np.uint8]
-) -> tuple[Indices, FloatArray]:
-    """Facets that are evaluated one by one.
+@njit(cache=True, error_model="numpy")
+def facets_left(
+    z: FloatArray,
+    pixel_x: float,
+    pixel_y: float,
+    triangles: int,
+    limits: FloatArray,
+    u: Floats,
+    v: Floats,
+    left: Indices,
+) -> tuple[Indices, FloatArray, Marks]:
+    """Facets that `normals` left out and that are not missing; arguments as there.
 
     Returns:
         (N, 2) row and column of the cell; (N, 4) slopes along x before and after the edge, share of the first, slope
-        along y. Without an edge the share is 1.
+        along y, without an edge the share is 1; (N,) whether the grid holds all of it.
     """
-    rows, cols = z.shape[0] - 1, z.shape[1] - 1
-    number = 0
-    for r in range(kind.shape[0]):
-        for c in range(cols):
-            number += kind[r, c] == APART
-    where, slopes = np.empty((number, 2), dtype=np.int64), np.empty((number, 4))
-    n = 0
-    for row in range(kind.shape[0]):
+    rows, cols, most = z.shape[0] - 1, z.shape[1] - 1, left.sum()
+    where, slopes = np.empty((most, 2), dtype=np.int64), np.empty((most, 4))
+    held, n = np.ones(most, dtype=np.bool_), 0
+    for row in range(u.shape[0]):
+        if left[row] == 0:
+            continue
         r, part = row % rows, row // rows
         for c in range(cols):
-            if kind[row, c] != APART:
+            if not math.isnan(u[row, c]) or math.isnan(v[row, c]):
                 continue
-            sx, sy = cell_slopes(z, r, c, pixel_x, pixel_y, triangles, part)
-            before, after, first = around_edge(z, r, c, sx, pixel_x) if triangles == 0 else (sx, sx, 1.0)
-            where[n], slopes[n, 0], slopes[n, 1], slopes[n, 2], slopes[n, 3] = (
-                (r, c),
-                before,
-                after,
-                first,
-                sy,
-            )
+            gx, gy = cell_slopes(z, r, c, pixel_x, pixel_y, triangles, part)
+            before, after, first = around_edge(z, r, c, gx, pixel_x) if triangles == 0 else (gx, gx, 1.0)
+            where[n, 0], where[n, 1] = r, c
+            slopes[n, 0], slopes[n, 1], slopes[n, 2], slopes[n, 3] = before, after, first, gy
+            for side in (before, after):
+                here, there = projected(side, gy)
+                held[n] &= limits[0] < here < limits[1] and limits[2] < there < limits[3]
             n += 1
-    return where, slopes
+    return where[:n], slopes[:n], held[:n]
 
 
 @njit(cache=True)
-def extent(gx: Floats, gy: Floats, kind: npt.NDArray[np.uint8]) -> FloatArray:
-    """Lowest and highest slope of the counted facets along x, then along y; zeros where there are none."""
-    box = np.array([np.inf, -np.inf, np.inf, -np.inf])
-    for r in range(gx.shape[0]):
-        for c in range(gx.shape[1]):
-            if kind[r, c] == COUNTED:
-                box[0], box[1] = min(box[0], gx[r, c]), max(box[1], gx[r, c])
-                box[2], box[3] = min(box[2], gy[r, c]), max(box[3], gy[r, c])
-    return box if box[0] <= box[1] else np.zeros(4)
+def edge_parts(where: Indices, slopes: FloatArray, weights: FloatArray) -> tuple[Floats, Floats, FloatArray]:
+    """Coordinates (1, 2N) and weights (2N,) of both parts of cells that straddle an edge, as `count` takes them."""
+    u, v = np.empty((1, 2 * len(where)), dtype=np.float32), np.empty((1, 2 * len(where)), dtype=np.float32)
+    parts = np.empty(2 * len(where))
+    for n in range(len(where)):
+        whole, first = weights[where[n, 1]], slopes[n, 2]
+        for side in range(2):
+            u[0, 2 * n + side], v[0, 2 * n + side] = projected(slopes[n, side], slopes[n, 3])
+            parts[2 * n + side] = whole * (first if side == 0 else 1.0 - first)
+    return u, v, parts
 
 
-@njit(cache=True, inline="always")
-def _lagrange(t: float, weights: FloatArray) -> None:
-    """Cubic Lagrange weights of the nodes −1, 0, 1, 2 at 0 ≤ t < 1."""
-    weights[0] = -t * (t - 1.0) * (t - 2.0) / 6.0
-    weights[1] = (t + 1.0) * (t - 1.0) * (t - 2.0) * 0.5
-    weights[2] = -(t + 1.0) * t * (t - 2.0) * 0.5
-    weights[3] = (t + 1.0) * t * (t - 1.0) / 6.0
+@borrowing(inline="always")
+def cubic(t: float) -> tuple[float, float, float, float]:
+    """Lagrange weights of the nodes −1, 0, 1, 2 at 0 ≤ t < 1."""
+    before, after, far = t + 1.0, t - 1.0, t - 2.0
+    inner, outer = after * far * 0.5, before * t
+    return -t * inner * THIRD, before * inner, -0.5 * outer * far, 0.5 * THIRD * outer * after
 
 
-@njit(cache=True, nogil=True)
+@borrowing(nogil=True, error_model="numpy")
 def count(
-    gx: Floats,
-    gy: Floats,
-    kind: npt.NDArray[np.uint8],
-    weights: FloatArray,
-    grid: FloatArray,
-    found: FloatArray,
+    u: Floats, v: Floats, weights: FloatArray, grid: FloatArray, found: FloatArray, cells: Marks
 ) -> None:
-    """Add the weight of counted facets to the grid of slopes.
+    """Add the weight of facets to the grid of normals.
 
     Args:
-        gx: (R, C) slopes along x.
-        gy: (R, C) slopes along y.
-        kind: (R, C) kinds.
+        u: (R, C) coordinates, NaN where there is nothing to count.
+        v: (R, C) coordinates.
         weights: (C,) weights of the columns.
-        grid: first node and distance of nodes along x, the same along y.
-        found: (ny, nx) weights, NaN where no facet touched a node so far.
+        grid: first node and number of nodes per unit along u, the same along v.
+        found: (nv, nu) weights, added to.
+        cells: (nv, nu) set where a facet lies between a node and the next ones.
     """
-    rows, cols = gx.shape
-    wx, wy = np.empty(4), np.empty(4)
-    for r in range(rows):
-        for c in range(cols):
-            if kind[r, c] != COUNTED:
+    for r in range(u.shape[0]):
+        for c in range(u.shape[1]):
+            if math.isnan(u[r, c]):
                 continue
-            x, y = (gx[r, c] - grid[0]) / grid[1], (gy[r, c] - grid[2]) / grid[3]
-            i, j = int(x), int(y)
-            _lagrange(x - i, wx)
-            _lagrange(y - j, wy)
-            for b in range(4):
-                for a in range(4):
-                    old = found[j + b - 1, i + a - 1]
-                    add = weights[c] * wy[b] * wx[a]
-                    found[j + b - 1, i + a - 1] = add if math.isnan(old) else old + add
-
-
-@njit(cache=True, nogil=True)
-def shine_at(
-    slopes: FloatArray,
-    light: FloatArray,
-    camera: FloatArray,
-    half: FloatArray,
-    lobe: FloatArray,
-    table: FloatArray,
-) -> FloatArray:
-    """(N,) values of `kernels._shine` at (N, 2+) slopes."""
-    values = np.empty(len(slopes))
-    for n in range(len(slopes)):
-        values[n] = _shine(slopes[n, 0], slopes[n, 1], light, camera, half, lobe, table)
-    return values
-
-
-@njit(cache=True, nogil=True)
-def apart_shine(
-    where: Indices,
-    slopes: FloatArray,
-    weights: FloatArray,
-    lit: Floats,
-    seen: Floats,
-    same_side: bool,
-    light: FloatArray,
-    camera: FloatArray,
-    half: FloatArray,
-    lobe: FloatArray,
-    table: FloatArray,
-) -> float:
-    """What the facets apart add; ``weights`` of the columns of cells, the rest as above."""
-    total = 0.0
-    for n in range(len(where)):
-        r, c = where[n, 0], where[n, 1]
-        first = slopes[n, 2]
-        share = visible(lit[r, c], seen[r, c], same_side)
-        if first < 1.0:
-            edge = slopes[n, 0], slopes[n, 1], first
-            value = split_shine(edge, slopes[n, 3], lit[r, c], seen[r, c], light, camera, half, lobe, table)
-        else:
-            value = share * _shine(slopes[n, 0], slopes[n, 3], light, camera, half, lobe, table)
-        total += weights[c] * value
-    return float(total)
-
-
-@njit(cache=True, nogil=True)
-def hidden(
-    gx: Floats,
-    gy: Floats,
-    kind: npt.NDArray[np.uint8],
-    weights: FloatArray,
-    grid: FloatArray,
-    shine: Floats,
-    lit: Floats,
-    seen: Floats,
-    same_side: bool,
-) -> float:
-    """What the counted facets would add were they not in shadow or hidden.
-
-    ``shine`` holds (ny, nx) values at the nodes of the grid; ``lit`` and ``seen`` (rows, C) shares, ``gx``, ``gy``
-    and ``kind`` (R, C) with R = rows or, with triangles, 2·rows.
-    """
-    cols = gx.shape[1]
-    rows = lit.shape[0]
-    wx, wy = np.empty(4), np.empty(4)
-    total = 0.0
-    for r in range(gx.shape[0]):
-        light, sight = lit[r % rows], seen[r % rows]
-        for c in range(cols):
-            if light[c] + sight[c] >= 2.0 or kind[r, c] != COUNTED:
-                continue
-            lost = 1.0 - visible(light[c], sight[c], same_side)
-            x, y = (gx[r, c] - grid[0]) / grid[1], (gy[r, c] - grid[2]) / grid[3]
-            i, j = int(x), int(y)
-            _lagrange(x - i, wx)
-            _lagrange(y - j, wy)
-            value = 0.0
-            for b in range(4):
-                line = shine[j + b - 1, i - 1 : i + 3]
-                value += wy[b] * (wx[0] * line[0] + wx[1] * line[1] + wx[2] * line[2] + wx[3] * line[3])
-            total += weights[c] * lost * value
-    return float(total)
+            x, y = (u[r, c] - grid[0]) * grid[1], (v[r, c] - grid[2]) * grid[3]
+            i, j = np.uintp(x), np.uintp(y)
+            cells[j, i] = True
+            x0, x1, x2, x3 = cubic(x - i)
+            y0, y1, y2, y3 = cubic(y - j)
+            low, row = i - np.uintp(1), j - np.uintp(1)
+            for weight in (y0, y1, y2, y3):
+                w = weight * weights[c]
+                found[row, low] += w * x0
+                found[row, low + np.uintp(1)] += w * x1
+                found[row, low + np.uintp(2)] += w * x2
+                found[row, low + np.uintp(3)] += w * x3
+                row += np.uintp(1)

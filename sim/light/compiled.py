@@ -5,11 +5,29 @@ other files, so that a kept one can be older than what it is made of: such ones 
 """
 
 import logging
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+from numba import njit
 from numba.core import event
+
+BORROWED: dict[str, Any] = {"_nrt": False}
+"""Option of kernels that allocate nothing: references to the arrays given are not counted."""
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def borrowing(**options: Any) -> Callable[[Function], Function]:  # noqa: ANN401 - numba's options
+    """`numba.njit`, cached on disk, for kernels that allocate nothing: what they are given they only borrow.
+
+    Otherwise numba counts references to every array at every call and return, and threads that share arrays wait
+    for each other's counts, which is most of the time of short kernels.
+    """
+    decorator: Callable[[Function], Function] = njit(cache=True, **options, **BORROWED)
+    return decorator
+
 
 _log = logging.getLogger("anisoscope.compiled")
 

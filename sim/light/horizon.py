@@ -12,6 +12,7 @@ FloatArray = npt.NDArray[np.float64]
 Floats = npt.NDArray[np.float32]
 
 LOWEST = 1e-3  # cosine from the normal at which a direction counts as grazing
+MILD = 0.999  # rise along a ray below which, in single precision too, nothing hides anything
 KEPT = 10  # directions whose shares are kept
 
 
@@ -34,6 +35,14 @@ class Ground(Protocol):
     def depth_um(self) -> float:
         """Height of the highest point above the lowest."""
 
+    @property
+    def missing_share(self) -> float:
+        """Share of facets without a height at one of their corners."""
+
+    @property
+    def steepest(self) -> FloatArray:
+        """Lowest and highest slope along x, lowest and highest along y, from point to point."""
+
     def wrap_columns(self) -> int:
         """Columns after which the surface repeats; 0 if it does not."""
 
@@ -52,6 +61,21 @@ class Horizon:
         self.ground = ground
         self._kept: OrderedDict[bytes, Floats] = OrderedDict()
         self._lying: Floats | None = None
+        self._all: Floats | None = None
+
+    def whole(self, direction: FloatArray) -> bool:
+        """Whether it is certain without a march that a direction (3,) reaches everything: all slopes are milder.
+
+        Raises:
+            ModelError: the direction is at or below the horizon.
+        """
+        if direction[2] < LOWEST:
+            raise ModelError("light or camera stands at or below the horizon of the sample")
+        ground, tangents = self.ground, direction[:2] / direction[2]
+        if np.max(np.abs(tangents) / ground.pixels_um) * ground.depth_um < 1e-12:
+            return True
+        rises = tangents[:, None] * ground.steepest.reshape(2, 2)
+        return ground.missing_share == 0.0 and float(rises.max(axis=1).sum()) < MILD
 
     def shares(self, direction: FloatArray) -> Floats:
         """(rows − 1, cols − 1) shares from a (3,) unit vector; filled anew when ``KEPT`` others were asked for.
@@ -61,8 +85,11 @@ class Horizon:
         Raises:
             ModelError: the direction is at or below the horizon.
         """
-        if direction[2] < LOWEST:
-            raise ModelError("light or camera stands at or below the horizon of the sample")
+        if self.whole(direction):
+            if self._all is None:
+                rows, cols = self.ground.rows_first.shape
+                self._all = np.ones((rows - 1, cols - 1), dtype=np.float32)
+            return self._all
         key = np.round(direction[:2] / direction[2], 12).tobytes()
         if key not in self._kept:
             self._kept[key] = self._march(direction, self._room())
@@ -76,14 +103,11 @@ class Horizon:
         return np.empty((rows - 1, cols - 1), dtype=np.float32)
 
     def _march(self, direction: FloatArray, shares: Floats) -> Floats:
-        from anisoscope.sim.light.horizon_kernels import march, transpose  # noqa: PLC0415 - numba when first needed
+        from anisoscope.sim.light.horizon_kernels import march  # noqa: PLC0415 - numba when first needed
 
         ground = self.ground
         pixel_x, pixel_y = ground.pixels_um
         tan_x, tan_y = float(direction[0] / direction[2]), float(direction[1] / direction[2])
-        if max(abs(tan_x) / pixel_x, abs(tan_y) / pixel_y) * ground.depth_um < 1e-12:
-            shares.fill(1.0)
-            return shares
         along_x = abs(tan_x) / pixel_x >= abs(tan_y) / pixel_y
         z = ground.columns_first if along_x else ground.rows_first
         major, minor = (tan_x, tan_y) if along_x else (tan_y, tan_x)
@@ -97,7 +121,7 @@ class Horizon:
         out = self._scratch() if along_x else shares
         march(z, step, tangent, shift, major < 0, reach, *periods, out)
         if along_x:
-            transpose(out, shares)
+            np.copyto(shares, out.T)
         return shares
 
     def _scratch(self) -> Floats:

@@ -188,16 +188,3 @@ def march(
             _heights(near, start, np.float32(position - start), period_minor, height)
             _lower(horizon, height, np.float32((c - low) * step), np.float32(tangent), gap)
             far = near
-
-
-@njit(cache=True, nogil=True)
-def transpose(values: Floats, out: Floats) -> None:
-    """Fill ``out`` (C, R) with the transpose of ``values`` (R, C), block by block."""
-    rows, cols = values.shape
-    side = 32
-    for band in range((rows + side - 1) // side):
-        r0, r1 = band * side, min(rows, (band + 1) * side)
-        for c0 in range(0, cols, side):
-            for c in range(c0, min(cols, c0 + side)):
-                for r in range(r0, r1):
-                    out[c, r] = values[r, c]

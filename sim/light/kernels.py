@@ -8,20 +8,23 @@ import math
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
-from anisoscope.sim.light.compiled import announce
+from anisoscope.sim.light.compiled import announce, borrowing
+from anisoscope.sim.light.shine import Shine, Vector
 
 announce()
 
 FloatArray = npt.NDArray[np.float64]
 ShareArray = npt.NDArray[np.float32]
 
+FAINT = 45.0
+"""Exponent of the lobe from which it counts as nothing: e⁻⁴⁵."""
+
 EDGE = 1.5
 """Difference of the neighbours' slopes from which a facet between them straddles an edge."""
 
 
-@njit(cache=True, inline="always")
+@borrowing(inline="always")
 def _lambda(alpha_tan: float) -> float:
     """Smith's Λ of the Beckmann distribution."""
     if alpha_tan < 0.25:
@@ -30,14 +33,14 @@ def _lambda(alpha_tan: float) -> float:
     return max(0.0, 0.5 * (math.exp(-a * a) / (a * math.sqrt(math.pi)) - math.erfc(a)))
 
 
-@njit(cache=True, inline="always")
+@borrowing(inline="always")
 def _table(table: FloatArray, cosine: float) -> float:
     position = cosine * (table.size - 1)
     index = min(int(position), table.size - 2)
     return float(table[index] + (position - index) * (table[index + 1] - table[index]))
 
 
-@njit(cache=True, inline="always")
+@borrowing(inline="always")
 def _fresnel(cosine: float, index: float) -> float:
     inside = math.sqrt(1.0 - (1.0 - cosine * cosine) / (index * index))
     parallel = (index * cosine - inside) / (index * cosine + inside)
@@ -45,71 +48,77 @@ def _fresnel(cosine: float, index: float) -> float:
     return 0.5 * (parallel * parallel + perpendicular * perpendicular)
 
 
-@njit(cache=True, inline="always")
+@borrowing(inline="always")
 def _slope(z: FloatArray, r: int, c: int, pixel_x: float) -> float:
     """Symmetric gradient along x of the facet at (r, c)."""
     return float(0.5 * (z[r, c + 1] - z[r, c] + z[r + 1, c + 1] - z[r + 1, c]) / pixel_x)
 
 
-@njit(cache=True, inline="always")
-def _shine(
-    gx: float,
-    gy: float,
-    light: FloatArray,
-    camera: FloatArray,
-    half: FloatArray,
-    lobe: FloatArray,
-    table: FloatArray,
-) -> float:
+@borrowing(inline="always")
+def _squares(d: Vector, gx: float, gy: float, steep: float, square: float) -> tuple[float, float]:
+    """Squared components of a direction along and across a facet, both times ``square`` and ``steep``."""
+    along, across = d[1] + gy * d[2], steep * d[0] - gx * gy * d[1] + gx * d[2]
+    return along * along * square, across * across
+
+
+@borrowing(inline="always")
+def shine_of(gx: float, gy: float, shine: Shine) -> float:
     """f·cos_i·cos_o per macroscopic area of a facet with slopes (gx, gy), all of it lit and seen.
 
-    ``lobe`` holds F/(4π α_u α_v), α_u, α_v and the factor of the Lambertian base.
+    Components of directions are taken in multiples of the lengths of normal (−gx, −gy, 1) and tangent (0, 1, gy),
+    which spares roots and divisions.
     """
-    size = math.sqrt(1.0 + gx * gx + gy * gy)
-    cos_i = (light[2] - gx * light[0] - gy * light[1]) / size
-    cos_o = (camera[2] - gx * camera[0] - gy * camera[1]) / size
-    if cos_i <= 0.0 or cos_o <= 0.0:
+    light, camera, half = shine.light, shine.camera, shine.half
+    steep = 1.0 + gy * gy
+    square = steep + gx * gx
+    size = math.sqrt(square)
+    up_i = light[2] - gx * light[0] - gy * light[1]
+    up_o = camera[2] - gx * camera[0] - gy * camera[1]
+    if up_i <= 0.0 or up_o <= 0.0:
         return 0.0
-    scale, alpha_along, alpha_across, diffuse = lobe[0], lobe[1], lobe[2], lobe[3]
-    slant = math.sqrt(1.0 + gy * gy)  # length of the tangent (0, 1, gy) along the ridges
-    across = size * slant
-    cos_h = (half[2] - gx * half[0] - gy * half[1]) / size
-    h_along = (half[1] + gy * half[2]) / slant
-    h_across = ((1.0 + gy * gy) * half[0] - gx * gy * half[1] + gx * half[2]) / across
-    exponent = 1e9
-    if cos_h > 1e-6:
-        exponent = ((h_along / alpha_along) ** 2 + (h_across / alpha_across) ** 2) / (cos_h * cos_h)
-    value = diffuse * _table(table, cos_i) * _table(table, cos_o) * cos_i * cos_o
-    if exponent < 60.0:
-        i_along, o_along = (light[1] + gy * light[2]) / slant, (camera[1] + gy * camera[2]) / slant
-        i_across = ((1.0 + gy * gy) * light[0] - gx * gy * light[1] + gx * light[2]) / across
-        o_across = ((1.0 + gy * gy) * camera[0] - gx * gy * camera[1] + gx * camera[2]) / across
-        tan_i = math.sqrt((alpha_along * i_along) ** 2 + (alpha_across * i_across) ** 2) / cos_i
-        tan_o = math.sqrt((alpha_along * o_along) ** 2 + (alpha_across * o_across) ** 2) / cos_o
-        glossy = scale * math.exp(-exponent) / (cos_h * cos_h * cos_h * cos_h)
-        value += glossy / (1.0 + _lambda(tan_i) + _lambda(tan_o))
-    return float(value * size / camera[2])
+    per = 1.0 / size
+    entered = _table(shine.table, up_i * per) * _table(shine.table, up_o * per)
+    value = shine.diffuse * entered * up_i * up_o * per
+    up_h = half[2] - gx * half[0] - gy * half[1]
+    along, across = _squares(half, gx, gy, steep, square)
+    wide_along, wide_across = shine.alpha_along * shine.alpha_along, shine.alpha_across * shine.alpha_across
+    spread = along / wide_along + across / wide_across
+    reach = steep * up_h * up_h
+    if up_h > 0.0 and spread < FAINT * reach:
+        along, across = _squares(light, gx, gy, steep, square)
+        slant_i = (wide_along * along + wide_across * across) / (steep * up_i * up_i)
+        along, across = _squares(camera, gx, gy, steep, square)
+        slant_o = (wide_along * along + wide_across * across) / (steep * up_o * up_o)
+        shadow = 1.0 + _lambda(math.sqrt(slant_i)) + _lambda(math.sqrt(slant_o))
+        tall = square / (up_h * up_h)
+        value += shine.mirror * math.exp(-spread / reach) * tall * tall * size / shadow
+    return float(value / camera[2])
 
 
-@njit(cache=True, inline="always")
+@borrowing(inline="always")
+def blend(triangles: int, part: int) -> tuple[float, float]:
+    """Shares of the first row in the slope along x, and of the first column in the slope along y, of a facet.
+
+    ``triangles`` is 0 for symmetric gradients, 1 for triangles split along the diagonal from the first to the last
+    corner, 2 along the other; ``part`` counts triangles.
+    """
+    if triangles == 0:
+        return 0.5, 0.5
+    return 1.0 - part, (1.0 * part if triangles == 1 else 1.0 - part)
+
+
+@borrowing(inline="always")
 def cell_slopes(
     z: FloatArray, r: int, c: int, pixel_x: float, pixel_y: float, triangles: int, part: int
 ) -> tuple[float, float]:
-    """Slopes along x and y of the cell at (r, c), or of one of its two triangles.
-
-    ``triangles`` is 0 for symmetric gradients, 1 for a split along the diagonal from the first to the last corner,
-    2 along the other.
-    """
+    """Slopes along x and y of the cell at (r, c), or of one of its two triangles; NaN where a corner is missing."""
     low, high = z[r, c + 1] - z[r, c], z[r + 1, c + 1] - z[r + 1, c]
     left, right = z[r + 1, c] - z[r, c], z[r + 1, c + 1] - z[r, c + 1]
-    if triangles == 0:
-        return 0.5 * (low + high) / pixel_x, 0.5 * (left + right) / pixel_y
-    if triangles == 1:
-        return (low / pixel_x, right / pixel_y) if part == 0 else (high / pixel_x, left / pixel_y)
-    return (low / pixel_x, left / pixel_y) if part == 0 else (high / pixel_x, right / pixel_y)
+    south, west = blend(triangles, part)
+    return (south * low + (1.0 - south) * high) / pixel_x, (west * left + (1.0 - west) * right) / pixel_y
 
 
-@njit(cache=True, inline="always")
+@borrowing(inline="always")
 def around_edge(z: FloatArray, r: int, c: int, slope: float, pixel_x: float) -> tuple[float, float, float]:
     """Slopes before and after the cell where it straddles a sharp edge across x, and the share of the first; else 1.
 
@@ -127,15 +136,15 @@ def around_edge(z: FloatArray, r: int, c: int, slope: float, pixel_x: float) -> 
     return slope, slope, 1.0
 
 
-@njit(cache=True, inline="always")
+@borrowing(inline="always")
 def visible(lit: float, seen: float, same_side: bool) -> float:
     """Share of a facet that is both lit and seen: light and camera leave the same end free, or opposite ends."""
     return min(lit, seen) if same_side else max(0.0, lit + seen - 1.0)
 
 
-@njit(cache=True, inline="always")
+@borrowing(inline="always")
 def _reached(
-    share: float, before: float, after: float, first: float, gy: float, direction: FloatArray
+    share: float, before: float, after: float, first: float, gy: float, direction: Vector
 ) -> tuple[float, float]:
     """From where to where along x a split cell is reached, given the share that its own plane would have.
 
@@ -158,41 +167,35 @@ def _reached(
     return (0.0, end) if tx >= 0.0 else (1.0 - end, 1.0)
 
 
-@njit(cache=True, inline="always")
-def split_shine(
+@borrowing(inline="always")
+def split_shares(
     edge: tuple[float, float, float],
     gy: float,
     lit: float,
     seen: float,
-    light: FloatArray,
-    camera: FloatArray,
-    half: FloatArray,
-    lobe: FloatArray,
-    table: FloatArray,
-) -> float:
-    """What a cell that straddles an edge adds: slopes before and after the edge, share of the first."""
+    light: Vector,
+    camera: Vector,
+) -> tuple[float, float]:
+    """How much of a cell that straddles an edge is both lit and seen, before and after the edge.
+
+    ``edge``: slopes before and after, share of the first.
+    """
     before, after, first = edge
     start, end = _reached(lit, before, after, first, gy, light)
     begin, stop = _reached(seen, before, after, first, gy, camera)
     start, end = max(start, begin), min(end, stop)
-    value = max(0.0, min(end, first) - start) * _shine(before, gy, light, camera, half, lobe, table)
-    value += max(0.0, end - max(start, first)) * _shine(after, gy, light, camera, half, lobe, table)
-    return float(value)
+    return max(0.0, min(end, first) - start), max(0.0, end - max(start, first))
 
 
-@njit(cache=True, nogil=True)
+@borrowing(nogil=True)
 def facet_radiance(
     z: FloatArray,
     pixel_x: float,
     pixel_y: float,
     triangles: int,
-    light: FloatArray,
-    camera: FloatArray,
-    half: FloatArray,
+    shine: Shine,
     lit: ShareArray,
     seen: ShareArray,
-    lobe: FloatArray,
-    table: FloatArray,
     begin: int,
     stop: int,
     result: ShareArray,
@@ -204,6 +207,7 @@ def facet_radiance(
     four points is missing.
     """
     cols = z.shape[1]
+    light, camera = shine.light, shine.camera
     same_side = light[0] * camera[0] + light[1] * camera[1] >= 0.0
     for r in range(begin, stop):
         for c in range(cols - 1):
@@ -220,9 +224,11 @@ def facet_radiance(
             if triangles != 0:
                 for part in range(2):
                     gx, gy = cell_slopes(z, r, c, pixel_x, pixel_y, triangles, part)
-                    value += 0.5 * share * _shine(gx, gy, light, camera, half, lobe, table)
+                    value += 0.5 * share * shine_of(gx, gy, shine)
             elif edge[2] < 1.0:
-                value = split_shine(edge, gy, lit[r, c], seen[r, c], light, camera, half, lobe, table)
+                shares = split_shares(edge, gy, lit[r, c], seen[r, c], light, camera)
+                value = shares[0] * shine_of(edge[0], gy, shine)
+                value += shares[1] * shine_of(edge[1], gy, shine)
             else:
-                value = share * _shine(gx, gy, light, camera, half, lobe, table)
+                value = share * shine_of(gx, gy, shine)
             result[r, c] = value

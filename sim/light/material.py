@@ -7,7 +7,7 @@ plastic, and leaves through it; x counts what the interface sends back inside.
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Literal
 
 import numpy as np
@@ -21,6 +21,12 @@ InternalReflection = Literal["nonlinear", "linear"]
 TABLE_SIZE = 513
 _ACROSS, _ALONG = 32, 16  # Gauss-Legendre nodes for facet slopes in and across the plane of incidence
 _STEEPEST = 4.6  # slopes in units of alpha beyond which less than 1e-9 of the facets lie
+
+
+@cache
+def _gauss_legendre(nodes: int) -> tuple[FloatArray, FloatArray]:
+    """Nodes and weights on −1…1; finding them takes longer than most tables that use them."""
+    return np.polynomial.legendre.leggauss(nodes)
 
 
 @dataclass(frozen=True)
@@ -125,8 +131,8 @@ def lobe_albedo(cosine: FloatArray, alpha: float, index: float) -> FloatArray:
     with slopes x in the plane of incidence and y across it, up to the root x of μ·(1 + x² + y²) = 2·(μ − x·sin θ).
     Gauss-Legendre; seen to be exact to 1e-5. ``index`` < 1 gives the counterpart from inside.
     """
-    node, node_weight = np.polynomial.legendre.leggauss(_ACROSS)
-    other, other_weight = np.polynomial.legendre.leggauss(_ALONG)
+    node, node_weight = _gauss_legendre(_ACROSS)
+    other, other_weight = _gauss_legendre(_ALONG)
     reach = _STEEPEST * alpha
     slope_y = 0.5 * reach * (other + 1.0)
     mu = np.clip(cosine, 1e-4, 1.0)[:, None, None]
@@ -150,7 +156,7 @@ def _interface(alpha: float, index: float) -> tuple[FloatArray, float]:
     cosines = np.linspace(0.0, 1.0, TABLE_SIZE)
     table = 1.0 - lobe_albedo(cosines, alpha, index)
     table.flags.writeable = False
-    node, weight = np.polynomial.legendre.leggauss(256)
+    node, weight = _gauss_legendre(256)
     mu = 0.5 * (node + 1.0)
     inside = lobe_albedo(mu, alpha, 1.0 / index)
     return table, float(np.sum(weight * mu * inside))

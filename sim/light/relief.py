@@ -21,13 +21,13 @@ from anisoscope.sim.light.census import (
     FACETS,
     Census,
     Facets,
-    Shine,
     mean_radiance,
     node_spacing,
     take_census,
 )
 from anisoscope.sim.light.horizon import Horizon
 from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.shine import shine_in
 
 FloatArray = npt.NDArray[np.float64]
 ShareArray = npt.NDArray[np.float32]
@@ -79,7 +79,7 @@ class Relief:
         assert self.pitch_um is not None
         return self.pitch_um / self.surface.pixel_x_um
 
-    @property
+    @cached_property
     def missing_share(self) -> float:
         """Share of facets without a height at one of their corners."""
         known = np.isfinite(self.surface.height_um)
@@ -97,10 +97,27 @@ class Relief:
         return float(np.nanmax(self.surface.height_um) - np.nanmin(self.surface.height_um))
 
     @cached_property
+    def steepest(self) -> FloatArray:
+        """Lowest and highest slope along x, lowest and highest along y, from point to point, and where it repeats."""
+        from anisoscope.sim.light.census_kernels import steepest  # noqa: PLC0415 - numba when first needed
+
+        z, wrap = self.rows_first, self.wrap_columns()
+        bands = threads.runs(z.shape[0] - 1, threads.count())
+        rises = np.empty((len(bands), 4, z.shape[1]), dtype=np.float32)
+        threads.each(lambda band: steepest(z, *band[1], rises[band[0]]), enumerate(bands))
+        if wrap > 0:
+            seams = np.stack([z[:, 0] - z[:, wrap - 1], z[:, z.shape[1] - wrap] - z[:, -1]])
+            known = seams[np.isfinite(seams)]
+            rises[0, 0, -1], rises[0, 1, -1] = known.min(initial=np.inf), known.max(initial=-np.inf)
+        lowest, highest = rises[:, ::2].min(axis=(0, 2)), rises[:, 1::2].max(axis=(0, 2))
+        slopes = np.stack([lowest, highest], axis=-1).ravel() / np.repeat(self.pixels_um, 2)
+        return np.asarray(slopes, dtype=np.float64)
+
+    @cached_property
     def rows_first(self) -> ShareArray:
         """(rows, cols) heights above the middle, in single precision for the horizon."""
         height = self.surface.height_um
-        return np.asarray(height - 0.5 * (np.nanmax(height) + np.nanmin(height)), dtype=np.float32)
+        return np.asarray(height - (np.nanmin(height) + 0.5 * self.depth_um), dtype=np.float32)
 
     @cached_property
     def columns_first(self) -> ShareArray:
@@ -112,7 +129,10 @@ class Relief:
         spacing = node_spacing(material)
         kept = self.__dict__.get("_census")
         if kept is None or kept[0] != spacing:
-            kept = spacing, take_census(self.surface, self.facets, self.column_weights(), spacing)
+            kept = (
+                spacing,
+                take_census(self.surface, self.facets, self.column_weights(), spacing, self.steepest),
+            )
             self.__dict__["_census"] = kept
         return kept[1]
 
@@ -155,7 +175,7 @@ def radiance_maps(
     z = np.ascontiguousarray(relief.surface.height_um, dtype=np.float64)
     horizon = Horizon(relief)
     for light, camera in zip(to_light, to_camera, strict=True):
-        shine = Shine.of(light, camera, material)
+        shine = shine_in(light, camera, material)
         lit, seen = horizon.shares(light), horizon.shares(camera)
         shown = np.empty(lit.shape, dtype=np.float32)
 
@@ -165,13 +185,9 @@ def radiance_maps(
                 relief.surface.pixel_x_um,
                 relief.surface.pixel_y_um,
                 FACETS.index(relief.facets),
-                shine.light,  # noqa: B023 - called before the next pose
-                shine.camera,  # noqa: B023
-                shine.half,  # noqa: B023
+                shine,  # noqa: B023 - called before the next pose
                 lit,  # noqa: B023
                 seen,  # noqa: B023
-                shine.lobe,  # noqa: B023
-                shine.table,  # noqa: B023
                 run[0],
                 run[1],
                 shown,  # noqa: B023
@@ -207,19 +223,18 @@ def radiance(
         ModelError: light or camera stands at or below the horizon of the sample.
     """
     census = relief.census(material)
-    relief.depth_um, relief.rows_first, relief.columns_first  # noqa: B018 - prepared once, before threads share them
-    means, lock, poses = np.empty(len(to_light)), Lock(), len(to_light)
-    done = 0
+    relief.columns_first  # noqa: B018 - prepared once, before threads share it
+    idle = [Horizon(relief) for _ in range(min(threads.count(), len(to_light)))]
+    lock, done = Lock(), 0
 
-    def predict(run: tuple[int, int]) -> None:
+    def predict(pose: tuple[FloatArray, FloatArray]) -> float:
         nonlocal done
-        horizon = Horizon(relief)
-        for p in range(*run):
-            shine = Shine.of(to_light[p], to_camera[p], material)
-            means[p] = mean_radiance(census, shine, horizon.shares(to_light[p]), horizon.shares(to_camera[p]))
-            with lock:
-                done += 1
-                progress("predicting poses", done, poses)
+        horizon = idle.pop()
+        value = mean_radiance(census, shine_in(*pose, material), horizon)
+        with lock:
+            idle.append(horizon)
+            done += 1
+            progress("predicting poses", done, len(to_light))
+        return value
 
-    threads.each(predict, threads.runs(poses, threads.count()))
-    return means
+    return np.array(threads.each(predict, zip(to_light, to_camera, strict=True)))

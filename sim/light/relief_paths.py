@@ -19,8 +19,10 @@ from anisoscope.errors import ModelError
 from anisoscope.progress import Advance, silent
 from anisoscope.sim.light import threads
 from anisoscope.sim.light.census import FACETS
+from anisoscope.sim.light.horizon import Horizon
 from anisoscope.sim.light.material import Material, diffuse_scale, transmittance_table
 from anisoscope.sim.light.relief import Relief
+from anisoscope.sim.light.shine import vector
 
 if TYPE_CHECKING:
     from anisoscope.sim.light.relief_rays import Terrain
@@ -70,6 +72,8 @@ def _check(to_light: FloatArray, to_camera: FloatArray, bounces: int | None, pat
 
 def _known_share(relief: Relief, span: float) -> float:
     """Share of the facets that are not missing, of those that the mean runs over."""
+    if relief.missing_share == 0.0:
+        return 1.0
     height = relief.surface.height_um
     known = np.isfinite(height[:-1] + height[1:])
     columns = np.mean(known[:, :-1] & known[:, 1:], axis=0)
@@ -78,25 +82,27 @@ def _known_share(relief: Relief, span: float) -> float:
 
 
 def _terrain(relief: Relief) -> "Terrain":
-    from anisoscope.sim.light.relief_rays import Terrain, bends  # noqa: PLC0415 - numba when first needed
+    from anisoscope.sim.light.relief_blocks import ceilings  # noqa: PLC0415 - numba when first needed
+    from anisoscope.sim.light.relief_rays import Terrain, bends  # noqa: PLC0415
 
-    surface, period = relief.surface, relief.wrap_columns()
-    pixel_x, pixel_y = float(surface.pixel_x_um), float(surface.pixel_y_um)
-    heights = np.ascontiguousarray(surface.height_um - np.nanmin(surface.height_um), dtype=np.float32)
-    top, span = float(np.nanmax(heights)), float(relief.column_weights().sum())
-    bulge, part = bends(heights, period, pixel_x)
+    heights, period, facets = relief.rows_first, relief.wrap_columns(), FACETS.index(relief.facets)
+    pixel_x, pixel_y = relief.pixels_um
+    span = float(relief.column_weights().sum())
+    none = np.empty((0, 0), dtype=np.float32)
+    bulge, part = bends(heights, period, pixel_x) if facets == 0 else (none, none)
     return Terrain(
         z=heights,
-        top=top,
+        top=float(np.nanmax(heights)),
         period=period,
         span=min(span, float(period)) if period else span,
-        beyond_x=0.0 if period else BEYOND * top / pixel_x,
-        beyond_y=BEYOND * top / pixel_y,
+        beyond_x=0.0 if period else BEYOND * relief.depth_um / pixel_x,
+        beyond_y=BEYOND * relief.depth_um / pixel_y,
         pixel_x=pixel_x,
         pixel_y=pixel_y,
         bulge=bulge,
         part=part,
-        facets=FACETS.index(relief.facets),
+        facets=facets,
+        ceiling=ceilings(heights, bulge, period),
     )
 
 
@@ -152,6 +158,7 @@ def interreflection(
     from anisoscope.sim.light.relief_paths_kernels import (  # noqa: PLC0415 - numba when first needed
         GENERATOR,
         LONGEST,
+        Course,
         follow_paths,
     )
 
@@ -160,19 +167,23 @@ def interreflection(
     shifts = np.random.default_rng(SCRAMBLE).random((REPLICATES, GENERATOR.size))
     depth = LONGEST if bounces is None else min(bounces, LONGEST)
     found = np.zeros((REPLICATES, poses))
-    ways = [(to_camera, to_light, depth, True), (to_light, to_camera, depth, False)]
+    horizon = Horizon(relief)
+    ways = [(to_camera, to_light, True), (to_light, to_camera, False)]
     tasks = [(group, *way) for way in ways for group in _groups(way[0])]
     done, lock = 0, Lock()
 
-    def follow(task: tuple[list[int], FloatArray, FloatArray, int, bool]) -> FloatArray:
+    def follow(task: tuple[list[int], FloatArray, FloatArray, bool]) -> FloatArray:
         nonlocal done
-        group, origins, ends, deep, ahead = task
-        origin = np.ascontiguousarray(origins[group[0]])
-        shown = follow_paths(terrain, plastic, shifts, count, origin, ends[group], deep, ahead)
+        group, origins, all_ends, ahead = task
+        origin, ends = origins[group[0]], all_ends[group]
+        ends_open = np.array([horizon.whole(end) for end in ends])
+        course = Course(vector(origin), horizon.whole(origin), ends, ends_open, depth, ahead)
+        sums = np.zeros((REPLICATES, len(ends)))
+        follow_paths(terrain, plastic, shifts, count, course, sums)
         with lock:
             done += 1
             progress("reflections", done, len(tasks))
-        return np.asarray(shown)
+        return sums / count
 
     for (group, *_), shown in zip(tasks, threads.each(follow, tasks), strict=True):
         found[:, group] += shown

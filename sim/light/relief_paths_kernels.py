@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from anisoscope.sim.light.compiled import borrowing
 from anisoscope.sim.light.relief_rays import Terrain, height, meet, slopes
 from anisoscope.sim.light.relief_scatter import (
     GLOSSY,
@@ -43,7 +43,27 @@ class Draws(NamedTuple):
     shift: FloatArray
 
 
-@njit(cache=True, inline="always")
+class Course(NamedTuple):
+    """What paths that begin in one direction are followed for.
+
+    Attributes:
+        origin: unit vector from which paths are followed.
+        origin_open: whether that direction is known to reach everything.
+        ends: (K, 3) unit vectors.
+        ends_open: (K,) the same for these.
+        depth: largest number of reflections.
+        ahead: the origin is the camera and the ends are lights; else the reverse.
+    """
+
+    origin: Vector
+    origin_open: bool
+    ends: FloatArray
+    ends_open: npt.NDArray[np.bool_]
+    depth: int
+    ahead: bool
+
+
+@borrowing(inline="always")
 def _draw(draws: Draws, dimension: int) -> float:
     """Coordinate 0 ≤ u < 1: of the shifted lattice, and beyond its dimensions of a hash."""
     if dimension < GENERATOR.size:
@@ -58,7 +78,7 @@ def _draw(draws: Draws, dimension: int) -> float:
     return float(key >> np.uint64(11)) / 9007199254740992.0
 
 
-@njit(cache=True)
+@borrowing()
 def _leave(view: Vector, plastic: Plastic, draws: Draws, dimension: int) -> Vector:
     """A local direction: the mirror image of ``view`` in a random microfacet, or of cosine density."""
     choice, turn = _draw(draws, dimension), 2.0 * math.pi * _draw(draws, dimension + 1)
@@ -73,12 +93,12 @@ def _leave(view: Vector, plastic: Plastic, draws: Draws, dimension: int) -> Vect
     return twice * hu - view[0], twice * hv - view[1], twice - view[2]
 
 
-@njit(cache=True, inline="always")
+@borrowing(inline="always")
 def _open(terrain: Terrain, place: Vector, cell: tuple[int, int], way: Vector) -> bool:
     return not meet(terrain, place, cell, way)[0]
 
 
-@njit(cache=True, inline="always")
+@borrowing(inline="always")
 def _within(terrain: Terrain, place: Vector, beyond_x: float, beyond_y: float) -> bool:
     """Whether a place lies where the mean runs, or at most so many columns and rows beyond."""
     x, rows = place[0], terrain.z.shape[0] - 1
@@ -87,83 +107,81 @@ def _within(terrain: Terrain, place: Vector, beyond_x: float, beyond_y: float) -
     return -beyond_x <= x < terrain.span + beyond_x and -beyond_y <= place[1] < rows + beyond_y
 
 
-@njit(cache=True, inline="always")
+@borrowing(inline="always")
 def _growth(terrain: Terrain) -> float:
     """Area on which paths from the light begin over that on which paths from the camera do."""
     rows = terrain.z.shape[0] - 1
     return float((1.0 + 2.0 * terrain.beyond_x / terrain.span) * (1.0 + 2.0 * terrain.beyond_y / rows))
 
 
-@njit(cache=True)
-def _begin(terrain: Terrain, draws: Draws, source: Vector, ahead: bool) -> tuple[bool, Facet, Vector]:
-    """A facet on which a path begins, the direction to its source there, and whether the source reaches it."""
-    beyond_x, beyond_y = (0.0, 0.0) if ahead else (terrain.beyond_x, terrain.beyond_y)
+@borrowing()
+def _begin(terrain: Terrain, draws: Draws, course: Course) -> tuple[bool, Facet, Vector]:
+    """Whether the origin reaches the facet on which a path begins, that facet, and the direction back there."""
+    beyond_x, beyond_y = (0.0, 0.0) if course.ahead else (terrain.beyond_x, terrain.beyond_y)
     y = _draw(draws, 0) * (terrain.z.shape[0] - 1 + 2.0 * beyond_y) - beyond_y
     x = _draw(draws, 1) * (terrain.span + 2.0 * beyond_x) - beyond_x
     row, col = math.floor(y), math.floor(x)
     gx, gy = slopes(terrain, row, col, x - col, y - row)
     frame, cell = facet_frame(gx, gy), (row, col)
     place = x, y, height(terrain, row, col, x - col, y - row)
-    view = to_facet(frame, source)
-    reached = view[2] > 0.0 and _open(terrain, place, cell, source)  # false where NaN
+    view = to_facet(frame, course.origin)
+    reached = view[2] > 0.0  # false where NaN
+    if reached and not course.origin_open:
+        reached = _open(terrain, place, cell, course.origin)
     return reached, (frame, place, cell), view
 
 
-@njit(cache=True)
+@borrowing()
 def _gather(
     terrain: Terrain,
     plastic: Plastic,
     facet: Facet,
     view: Vector,
-    ends: FloatArray,
+    course: Course,
     shares: tuple[float, float, float],
     sums: FloatArray,
 ) -> None:
-    """Add what a path finds at a facet toward each direction of ``ends``.
+    """Add what a path finds at a facet toward each end of its course.
 
     ``shares`` are what the path carries, its density, and the factor of the density of its reverse, 0 for none.
     """
     frame, place, cell = facet
     carried, own, reverse = shares
+    ends = course.ends
     for end in range(len(ends)):
         to_end = ends[end, 0], ends[end, 1], ends[end, 2]
         local = to_facet(frame, to_end)
         value, lobe = reflectance(local, view, plastic)
-        if value > 0.0 and _open(terrain, place, cell, to_end):
+        if value > 0.0 and (course.ends_open[end] or _open(terrain, place, cell, to_end)):
             weight = own / (own + reverse * drawn_density(lobe, view[2]) / frame[2])
             sums[end] += weight * carried * value * local[2]
 
 
-@njit(cache=True, inline="always")
+@borrowing(inline="always")
 def _survival(share: float, count: int) -> float:
     """Russian roulette; before the fourth facet it would leave glossy-diffuse-glossy light to a few paths."""
     return min(1.0, share) if count > 3 else 1.0
 
 
-@njit(cache=True)
+@borrowing()
 def _follow(
     terrain: Terrain,
     plastic: Plastic,
     draws: Draws,
-    origin: FloatArray,
-    ends: FloatArray,
-    depth: int,
-    ahead: bool,
+    course: Course,
     sums: FloatArray,
 ) -> None:
-    """One path from the direction ``origin``; adds what it finds toward each direction of ``ends`` to ``sums``.
-
-    ``ahead``: the origin is the camera. Otherwise it is the light, and the path counts where it ends on the map.
-    """
-    reached, facet, view = _begin(terrain, draws, (origin[0], origin[1], origin[2]), ahead)
+    """One path; adds what it finds toward each end to ``sums``. From the light, it counts where it ends on the map."""
+    reached, facet, view = _begin(terrain, draws, course)
     if not reached:
         return
+    ahead = course.ahead
     end_x, end_y = (terrain.beyond_x, terrain.beyond_y) if ahead else (0.0, 0.0)
     growth = 1.0 if ahead else _growth(terrain)
     reverse = growth if not ahead else 1.0 / _growth(terrain)
     frame = facet[0]
     carried, own = growth * frame[2] * view[2], 1.0 / frame[2]
-    for count in range(2, depth + 1):
+    for count in range(2, course.depth + 1):
         dimension = 4 * count - 6
         way = _leave(view, plastic, draws, dimension)
         value, lobe = reflectance(view, way, plastic)
@@ -192,38 +210,30 @@ def _follow(
         counted = _within(terrain, facet[1], end_x, end_y)
         if ahead or counted:
             shares = carried, own, reverse if counted else 0.0
-            _gather(terrain, plastic, facet, view, ends, shares, sums)
+            _gather(terrain, plastic, facet, view, course, shares, sums)
 
 
-@njit(cache=True, nogil=True)
+@borrowing(nogil=True)
 def follow_paths(
     terrain: Terrain,
     plastic: Plastic,
     shifts: FloatArray,
     count: int,
-    origin: FloatArray,
-    ends: FloatArray,
-    depth: int,
-    ahead: bool,
-) -> FloatArray:
-    """Mean over paths of what arrives from each direction of ``ends`` in the direction ``origin``.
+    course: Course,
+    sums: FloatArray,
+) -> None:
+    """Sum over paths of what arrives from each end in the direction of the origin.
 
     Args:
         terrain: the map.
         plastic: the material.
         shifts: (R, D) shifts of the lattice, one a replicate.
         count: paths of each replicate, a power of two.
-        origin: (3,) unit vector from which paths are followed.
-        ends: (K, 3) unit vectors.
-        depth: largest number of reflections.
-        ahead: the origin is the camera and the ends are lights; else the reverse.
-
-    Returns:
-        (R, K) radiances times the cosine between camera and z, per irradiance perpendicular to the beam.
+        course: where they begin and end.
+        sums: (R, K) radiances times the cosine between camera and z, per irradiance perpendicular to the beam;
+            added to.
     """
-    means = np.zeros((len(shifts), len(ends)))
     for replicate in range(len(shifts)):
         for number in range(count):
             draws = Draws(number, count, shifts[replicate])
-            _follow(terrain, plastic, draws, origin, ends, depth, ahead, means[replicate])
-    return means / count
+            _follow(terrain, plastic, draws, course, sums[replicate])

@@ -13,6 +13,9 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from anisoscope.sim.light.compiled import borrowing
+from anisoscope.sim.light.relief_blocks import leap
+
 HeightArray = npt.NDArray[np.float32]
 Met = tuple[bool, float, float, float, int, int]
 
@@ -20,6 +23,7 @@ EDGE = 1.5
 """Difference of the neighbours' slopes from which a facet between them straddles an edge."""
 
 UNMET = -1.0
+NEVER = 1e30
 
 
 class Terrain(NamedTuple):
@@ -39,6 +43,7 @@ class Terrain(NamedTuple):
         part: (rows − 1, cells) share of such a facet before the edge.
         facets: 0: four points a facet, symmetric gradients; 1, 2: two triangles, cut by the diagonal that
             begins at (row, col) or at (row, col + 1).
+        ceiling: heights over which rays leap over blocks, from `relief_blocks.ceilings`.
     """
 
     z: HeightArray
@@ -52,9 +57,10 @@ class Terrain(NamedTuple):
     bulge: HeightArray
     part: HeightArray
     facets: int
+    ceiling: HeightArray
 
 
-@njit(cache=True, inline="always")
+@borrowing(inline="always")
 def _columns(terrain: Terrain, col: int) -> tuple[int, int]:
     """Columns of the points left and right of a cell, anywhere along x."""
     if terrain.period > 0:
@@ -64,14 +70,14 @@ def _columns(terrain: Terrain, col: int) -> tuple[int, int]:
     return min(max(col, 0), last), min(max(col + 1, 0), last)
 
 
-@njit(cache=True, inline="always")
+@borrowing(inline="always")
 def _rows(terrain: Terrain, row: int) -> tuple[int, int]:
     """Rows of the points below and above a cell, anywhere along y."""
     last = terrain.z.shape[0] - 1
     return min(max(row, 0), last), min(max(row + 1, 0), last)
 
 
-@njit(cache=True, inline="always")
+@borrowing(inline="always")
 def _bend(terrain: Terrain, row: int, col: int) -> tuple[float, float]:
     """Bulge and part of a cell, anywhere."""
     rows, cells = terrain.bulge.shape
@@ -104,13 +110,13 @@ def bends(z: HeightArray, period: int, pixel_x: float) -> tuple[HeightArray, Hei
     return bulge, part
 
 
-@njit(cache=True, inline="always")
+@borrowing(inline="always")
 def _over_chord(bulge: float, part: float, u: float) -> float:
     """Height of a bent facet over its chord."""
     return bulge * (u / part if u < part else (1.0 - u) / (1.0 - part))
 
 
-@njit(cache=True)
+@borrowing()
 def slopes(terrain: Terrain, row: int, col: int, u: float, v: float) -> tuple[float, float]:
     """Slopes along x and y of the facet at the place (u, v) within the cell at (row, col); NaN where missing."""
     z, (r0, r1), (c0, c1) = terrain.z, _rows(terrain, row), _columns(terrain, col)
@@ -129,7 +135,7 @@ def slopes(terrain: Terrain, row: int, col: int, u: float, v: float) -> tuple[fl
     return gx, gy
 
 
-@njit(cache=True)
+@borrowing()
 def height(terrain: Terrain, row: int, col: int, u: float, v: float) -> float:
     """Height in µm at (u, v) within a cell; NaN where a point is missing."""
     z, (r0, r1), (c0, c1) = terrain.z, _rows(terrain, row), _columns(terrain, col)
@@ -139,7 +145,7 @@ def height(terrain: Terrain, row: int, col: int, u: float, v: float) -> float:
     return flat + _over_chord(bulge, part, u) if bulge != 0.0 else flat
 
 
-@njit(cache=True)
+@borrowing()
 def _meet_bent(
     bend: tuple[float, float], entry: float, leave: float, gap: float, left: float, first: bool
 ) -> tuple[float, float]:
@@ -166,7 +172,7 @@ def _meet_bent(
     return UNMET, lift
 
 
-@njit(cache=True, inline="always")
+@borrowing(inline="always")
 def _known(z: HeightArray, rows: tuple[int, int], cols: tuple[int, int]) -> bool:
     """Whether no corner of a cell is missing."""
     return not math.isnan(
@@ -174,16 +180,16 @@ def _known(z: HeightArray, rows: tuple[int, int], cols: tuple[int, int]) -> bool
     )
 
 
-@njit(cache=True, inline="always")
+@borrowing(inline="always")
 def _first_line(start: float, cell: int, step: float) -> tuple[int, float, float]:
     """Side on which a ray leaves its cell along one axis (1: the far one), way to it, and from line to line."""
     if step == 0.0:
-        return 0, math.inf, math.inf
+        return 0, NEVER, NEVER
     side = 1 if step > 0.0 else 0
     return side, (cell + side - start) / step, abs(1.0 / step)
 
 
-@njit(cache=True)
+@borrowing()
 def meet(
     terrain: Terrain,
     start: tuple[float, float, float],
@@ -209,10 +215,9 @@ def meet(
     dx, dy, dz = way[0] / terrain.pixel_x, way[1] / terrain.pixel_y, way[2]
     side_x, next_x, per_x = _first_line(x, col, dx)
     side_y, next_y, per_y = _first_line(y, row, dy)
-    c0, c1 = _columns(terrain, col)
-    r0, r1 = _rows(terrain, row)
+    (c0, c1), (r0, r1) = _columns(terrain, col), _rows(terrain, row)
     heights = terrain.z
-    behind, gap, first = 0.0, 0.0, True
+    behind, gap, first, leapt = 0.0, 0.0, True, False
     for _ in range(4 * (heights.shape[0] + heights.shape[1])):
         if next_x <= next_y:
             ahead = next_x
@@ -223,7 +228,8 @@ def meet(
             at, part = (r1 if side_y == 1 else r0), x + ahead * dx - col
             ground = heights[at, c0] + part * (heights[at, c1] - heights[at, c0])
         left = z + ahead * dz - ground
-        bend = _bend(terrain, row, col) if terrain.facets == 0 else (0.0, 1.0)
+        # after a leap the way through the cell is not known, but it is above the ceiling
+        bend = _bend(terrain, row, col) if terrain.facets == 0 and not leapt else (0.0, 1.0)
         if bend[0] != 0.0:
             entry, leave = x + behind * dx - col, x + ahead * dx - col
             share, lift = _meet_bent(bend, entry, leave, gap, left, first)
@@ -244,9 +250,15 @@ def meet(
         if next_x <= next_y:
             next_x += per_x
             col += 2 * side_x - 1
-            c0, c1 = _columns(terrain, col)
         else:
             next_y += per_y
             row += 2 * side_y - 1
-            r0, r1 = _rows(terrain, row)
+        (c0, c1), (r0, r1) = _columns(terrain, col), _rows(terrain, row)
+        crossings = (next_x, per_x, dx, side_x), (next_y, per_y, dy, side_y)
+        lines_x, lines_y = leap(terrain.ceiling, (r0, c0), crossings, (z + ahead * dz, z, dz))
+        leapt = lines_x + lines_y > 0
+        if leapt:
+            next_x, next_y = next_x + lines_x * per_x, next_y + lines_y * per_y
+            col, row = col + lines_x * (2 * side_x - 1), row + lines_y * (2 * side_y - 1)
+            (c0, c1), (r0, r1) = _columns(terrain, col), _rows(terrain, row)
     return False, x, y, z, row, col

@@ -81,7 +81,7 @@ def test_commission_finds_and_writes_and_check_agrees(anisoscope, rig, tmp_path)
     )
     assert after.code == 0, after.out
     assert after.json["fit"] is True
-    assert [p.name for p in (tmp_path / "tests").iterdir()][0].startswith("selftest-")
+    assert next((tmp_path / "tests").iterdir()).name.startswith("selftest-")
 
 
 @pytest.mark.parametrize(

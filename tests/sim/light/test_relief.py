@@ -64,6 +64,36 @@ def test_a_step_casts_the_shadow_that_geometry_says():
     assert shares[0, 49] == 0.0
 
 
+@pytest.mark.parametrize("pitch_um", [None, 100.0])
+def test_what_is_known_to_hide_nothing_needs_no_march(pitch_um, monkeypatch):
+    """Marching all the same gives shares of one; of the directions of the table, some do cast shadows."""
+    relief = Relief(rough_ridges(rows=40), pitch_um)
+    looking = np.concatenate(directions(TABLE, Convention()))
+    whole = [Horizon(relief).whole(direction) for direction in looking]
+    assert 0 < sum(whole) < len(whole)
+    monkeypatch.setattr(Horizon, "whole", lambda *_: False)
+    horizon = Horizon(relief)
+    for direction in looking[whole]:
+        if np.any(np.abs(direction[:2]) > 1e-9):  # a march needs an azimuth
+            np.testing.assert_array_equal(horizon.shares(direction), 1.0)
+
+
+def test_a_map_whose_edge_is_missing_can_be_predicted():
+    surface = sampled(RidgeDesign(100.0, 10.0), 1.0, rows=20, periods=3)
+    height = surface.height_um.copy()
+    height[:, [0, -1]] = np.nan
+    to_light, to_camera = directions(pose_grid((0, 90, 180)), Convention())
+    whole = radiance(Relief(surface, 100.0), to_light, to_camera, Material())
+    cut = radiance(Relief(surface.with_height(height), 100.0), to_light, to_camera, Material())
+    np.testing.assert_allclose(cut, whole, rtol=0.02)
+
+
+def test_holes_are_always_marched_over():
+    """Beside a hole the height may jump by more than any two neighbours do."""
+    horizon = Horizon(Relief(rough_ridges(missing=0.02), 100.0))
+    assert not horizon.whole(np.array([-0.2, 0.0, np.sqrt(0.96)]))
+
+
 @pytest.mark.parametrize("turn", [0, 1, 2, 3])
 def test_turning_map_and_directions_together_changes_nothing(turn):
     """Quarter turns of the map are exact, so they check all four ways to march over it."""

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.commission_light import SURE, LightFit, Radiances, fit_light
-from anisoscope.commission_observe import Observed, Seen
-from anisoscope.commission_part import RidgedPart
-from anisoscope.commission_turning import (
+from anisoscope.commission.light import SURE, LightFit, Radiances, fit_light
+from anisoscope.commission.observe import Observed, Seen
+from anisoscope.commission.part import RidgedPart
+from anisoscope.commission.turning import (
     Centre,
     Foreshortening,
     Turning,
@@ -55,6 +55,7 @@ class Angles:
         centre, pixel_um, u_pixel_um: from the turn without tilts.
         tilt: foreshortening of the markers under tilts.
         light: fit of the radiances.
+        tilts_deg: tilts of all poses but the last, before their sign.
         corrected: radiances of all poses but the last, with the drift of the lamp taken out.
         u_relative: of these.
         drift: L(first pose, at the end)/L(first pose) − 1.
@@ -69,6 +70,7 @@ class Angles:
     u_pixel_um: float | None
     tilt: Foreshortening | None
     light: LightFit
+    tilts_deg: FloatArray
     corrected: FloatArray
     u_relative: FloatArray
     drift: float
@@ -145,6 +147,7 @@ def evaluate(observed: Observed, file: RigFile, part: RidgedPart, assumed: Assum
         float(np.hypot(pixels.std() / np.sqrt(len(pixels)), assumed.fixture_share * pixels.mean())) if known else None,
         tilt,
         light,
+        tilts,
         radiance,
         u,
         drift,

@@ -14,9 +14,9 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.commission_model import RigModel
-from anisoscope.commission_part import RidgedPart
-from anisoscope.commission_solve import Known, Solved, solve
+from anisoscope.commission.model import RigModel
+from anisoscope.commission.part import RidgedPart
+from anisoscope.commission.solve import Known, Solved, solve
 from anisoscope.errors import MeasurementError
 
 FloatArray = npt.NDArray[np.float64]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.commission_markers import Fix
+from anisoscope.commission.markers import Fix
 from anisoscope.errors import MeasurementError
 
 FloatArray = npt.NDArray[np.float64]

@@ -4,12 +4,12 @@ import json
 
 import pytest
 
-from anisoscope.commission_record import Commissioning, Finding, default_record_path, write_commissioning
+from anisoscope.commission.record import Commissioning, Finding, default_record_path, write_commissioning
+from anisoscope.commission.selftest import Settings, self_test, write_self_test
+from anisoscope.commission.selftest_checks import STEPS
 from anisoscope.errors import CalibrationError, UsageError
 from anisoscope.record import sha256_of
 from anisoscope.rig.rigfile import read_rig
-from anisoscope.selftest import Settings, self_test, write_self_test
-from anisoscope.selftest_checks import STEPS
 
 SETTINGS = Settings(0.0015, frames=6, dark_frames=2)
 
@@ -72,12 +72,15 @@ def test_a_wrong_sense_is_named(virtual_rig):
         ({"stage": {"zero_deg": 10.6}}, {"markers.angle"}),
         ({"optics": {"lens_cap": True}}, {"light.on", "light.off", "markers.residual"}),
         ({"optics": {"electrons": 6e8}}, {"camera.saturated"}),
-        ({"optics": {"lamp_drift_per_frame": 0.004}}, {"lamp.drift"}),
-        ({"optics": {"axis_px": [12.0, 0.0]}}, {"markers.centre"}),
-        ({"optics": {"pixel_um": 8.3}}, {"markers.pixel"}),
+        (
+            {"optics": {"lamp_drift_per_frame": 0.004, "axis_px": [12.0, 0.0]}},
+            {"lamp.drift", "markers.centre"},
+        ),
+        (
+            {"optics": {"pixel_um": 8.3, "lamp_noise": 0.04}, "sensor": {"read_noise_e": 60.0}},
+            {"markers.pixel", "camera.dark_noise", "lamp.flicker"},
+        ),
         ({"optics": {"blur_um": 16.0}}, {"markers.focus"}),
-        ({"sensor": {"read_noise_e": 60.0}}, {"camera.dark_noise"}),
-        ({"optics": {"lamp_noise": 0.04}}, {"lamp.flicker"}),
     ],
 )
 def test_what_is_wrong_fails_its_check_and_says_what_to_do(virtual_rig, bench, wrong):

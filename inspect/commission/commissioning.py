@@ -13,14 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from anisoscope.commission_angles import Angles, Assumed, evaluate
-from anisoscope.commission_findings import findings_of
-from anisoscope.commission_light import LightFit
-from anisoscope.commission_observe import Observed, Picture, observe
-from anisoscope.commission_part import RidgedPart
-from anisoscope.commission_record import Commissioning, Finding, FitRecord, ParameterRecord, PoseRecord
-from anisoscope.commission_rigfile import Changes, Written, update_rig_file
-from anisoscope.commission_series import Series, Taken, take
+from anisoscope.commission.angles import Angles, Assumed, evaluate
+from anisoscope.commission.findings import findings_of
+from anisoscope.commission.light import LightFit
+from anisoscope.commission.observe import Observed, Picture, observe
+from anisoscope.commission.part import RidgedPart
+from anisoscope.commission.record import Commissioning, Finding, FitRecord, ParameterRecord, PoseRecord
+from anisoscope.commission.rigfile import Changes, Written, update_rig_file
+from anisoscope.commission.series import Series, Taken, take
 from anisoscope.errors import RecordError, UsageError
 from anisoscope.linear import WhiteReference
 from anisoscope.progress import Advance, silent
@@ -40,6 +40,7 @@ class Commissioned:
     record: Commissioning
     pictures: tuple[Picture, ...]
     angles: Angles
+    part: RidgedPart
 
 
 def part_of_recipe(recipe: Recipe, ridge_angle_deg: float | None, u_ridge_angle_deg: float) -> RidgedPart:
@@ -128,7 +129,7 @@ def commission(
     angles = evaluate(observed, file, part, assumed, taken.absolute)
     record = _record(rig_path, file, part, series, assumed, taken, observed, angles)
     on_progress("done", 1, 1)
-    return Commissioned(record, observed.pictures, angles)
+    return Commissioned(record, observed.pictures, angles, part)
 
 
 def _white(file: RigFile) -> WhiteReference | None:

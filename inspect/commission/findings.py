@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from anisoscope.commission_angles import Angles
-from anisoscope.commission_findings_light import azimuth_finding, light_finding, tilt_findings
-from anisoscope.commission_record import Finding, missing, status_of
-from anisoscope.commission_series import Taken
-from anisoscope.commission_turning import Turning, wrapped
+from anisoscope.commission.angles import Angles
+from anisoscope.commission.findings_light import azimuth_finding, light_finding, tilt_findings
+from anisoscope.commission.record import Finding, missing, status_of
+from anisoscope.commission.series import Taken
+from anisoscope.commission.turning import Turning, wrapped
 from anisoscope.rig.rigfile import AxisPart, RigFile
 
 SENSES = {1: "ccw", -1: "cw"}

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.commission_markers import Fix, edge_blur_px, find_fixture, modules_of
-from anisoscope.commission_part import RidgedPart
-from anisoscope.commission_ridges import (
+from anisoscope.commission.markers import Fix, edge_blur_px, find_fixture, modules_of
+from anisoscope.commission.part import RidgedPart
+from anisoscope.commission.ridges import (
     Spot,
     frame_of,
     lean_line_deg,
@@ -17,7 +17,7 @@ from anisoscope.commission_ridges import (
     spot_in,
     squeeze_of,
 )
-from anisoscope.commission_series import Look, Taken
+from anisoscope.commission.series import Look, Taken
 from anisoscope.progress import Advance
 from anisoscope.rig.rigfile import RigFile
 

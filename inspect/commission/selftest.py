@@ -19,8 +19,8 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
 from anisoscope.atomicfile import write_text
-from anisoscope.commission_markers import Fix
-from anisoscope.commission_record import Commissioning, default_record_path, read_commissioning
+from anisoscope.commission.markers import Fix
+from anisoscope.commission.record import Commissioning, default_record_path, read_commissioning
 from anisoscope.errors import AnisoscopeError, CalibrationError, RecordError, RigError, UsageError
 from anisoscope.progress import Advance, silent
 from anisoscope.record import sha256_of
@@ -212,7 +212,7 @@ def self_test(
         RigFileError, UsageError: the rig file, an exposure that makes no sense.
         CalibrationError: the record was named and cannot be read.
     """
-    from anisoscope.selftest_checks import STEPS  # noqa: PLC0415 - it builds on this module
+    from anisoscope.commission.selftest_checks import STEPS  # noqa: PLC0415 - it builds on this module
 
     file = read_rig(rig_path)
     known, problem = _commissioned(rig_path, commissioned)

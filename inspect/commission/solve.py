@@ -1,4 +1,4 @@
-"""Least squares over radiances and what is known beforehand, for the light of a rig: see `commission_light`."""
+"""Least squares over radiances and what is known beforehand, for the light of a rig: see `anisoscope.commission.light`."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace

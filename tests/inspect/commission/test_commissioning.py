@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from anisoscope.commission_light import Radiances, fit_light
-from anisoscope.commission_markers import Fix, find_fixture
-from anisoscope.commission_model import lab_directions
-from anisoscope.commission_part import RidgedPart
-from anisoscope.commission_record import read_commissioning, write_commissioning
-from anisoscope.commission_rigfile import update_rig_file
-from anisoscope.commission_series import Series, turn_readings
-from anisoscope.commission_turning import fit_centre, fit_foreshortening, fit_turning, wrapped
-from anisoscope.commissioning import changes_of, commission, part_of_recipe, write_to_rig_file
+from anisoscope.commission.commissioning import changes_of, commission, part_of_recipe, write_to_rig_file
+from anisoscope.commission.light import Radiances, fit_light
+from anisoscope.commission.markers import Fix, find_fixture
+from anisoscope.commission.model import lab_directions
+from anisoscope.commission.part import RidgedPart
+from anisoscope.commission.record import read_commissioning, write_commissioning
+from anisoscope.commission.rigfile import update_rig_file
+from anisoscope.commission.series import Series, turn_readings
+from anisoscope.commission.turning import fit_centre, fit_foreshortening, fit_turning, wrapped
 from anisoscope.errors import CalibrationError, MeasurementError, RigFileError, Saturated, UsageError
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.report.commission_page import write_commission_page
@@ -83,6 +83,14 @@ def test_a_rig_without_tilt_is_found_as_it_stands(lay_out):
     assert record.drift == pytest.approx(2e-4 * 2 * 12, abs=2e-3)
     assert read_rig(rig.rig).stage.turns == "ccw"  # nothing is written unasked
 
+    changes = changes_of(record)
+    assert changes["stage", "turns"] == "cw"
+    assert ("tilt", "sign") not in changes  # not measured
+    doubtful = tuple(one.model_copy(update={"status": "not identifiable"}) for one in record.findings)
+    assert changes_of(record.model_copy(update={"findings": doubtful})) == {}
+    again = tuple(one.model_copy(update={"old": one.value}) for one in record.findings if one.u is None)
+    assert changes_of(record.model_copy(update={"findings": again})) == {}
+
 
 def test_a_rig_with_tilt_is_found_and_its_file_put_right(lay_out, tmp_path):
     rng = np.random.default_rng(102)
@@ -100,7 +108,7 @@ def test_a_rig_with_tilt_is_found_and_its_file_put_right(lay_out, tmp_path):
         },
         rig={"tilt": TILT},
     )
-    series = Series(EXPOSURE_S, step_deg=45.0, tilts_deg=(-15.0, 15.0), tilt_step_deg=45.0)
+    series = Series(EXPOSURE_S, step_deg=60.0, tilts_deg=(-15.0, 15.0), tilt_step_deg=60.0)
     done = commission(rig.rig, PART, series, frames=tmp_path / "kept")
     record = done.record
     assert (record["stage.turns"].value, record["tilt.sign"].value) == ("cw", -1)
@@ -108,7 +116,7 @@ def test_a_rig_with_tilt_is_found_and_its_file_put_right(lay_out, tmp_path):
     assert off(record["tilt.zero_deg"], tilt) < 3.0
     assert record["tilt.zero_deg"].u < 0.05
     assert off(record["light.angle_deg"], light) < 3.0
-    assert record["light.angle_deg"].u < 0.1  # tilts are known angles: the part need not be known
+    assert record["light.angle_deg"].u < 0.15  # tilts are known angles: the part need not be known
     assert "from the pictures alone" in record["light.angle_deg"].remark
     assert len(list((tmp_path / "kept" / "frames").iterdir())) == len(record.frames_sha256)
 
@@ -146,7 +154,7 @@ def test_without_markers_the_ridges_give_sense_and_zero(lay_out):
         rig={"fixture": None},
         calibrated=True,
     )
-    record = commission(rig.rig, PART, Series(EXPOSURE_S, step_deg=30.0)).record
+    record = commission(rig.rig, PART, Series(EXPOSURE_S, step_deg=45.0)).record
     assert record["stage.turns"].value == "cw"
     assert abs(wrapped(record["stage.zero_deg"].value - 77.0)) < 0.1  # and not 257°: by brightness
     assert record["stage.zero_deg"].u < 0.05
@@ -362,18 +370,3 @@ def test_a_rig_file_written_otherwise_is_written_anew(tmp_path):
     with pytest.raises(RigFileError):
         update_rig_file(path, {("stage", "turns"): "sideways"})
     assert path.read_bytes() == before
-
-
-def test_only_what_was_found_and_differs_is_written(lay_out):
-    record = commission(lay_out(bench={}).rig, PART, Series(EXPOSURE_S, step_deg=60.0)).record
-    changes = changes_of(record)
-    assert ("stage", "turns") not in changes
-    assert ("tilt", "sign") not in changes
-    doubtful = record.model_copy(
-        update={
-            "findings": tuple(
-                one.model_copy(update={"status": "not identifiable"}) for one in record.findings
-            )
-        }
-    )
-    assert changes_of(doubtful) == {}

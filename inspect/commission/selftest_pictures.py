@@ -5,11 +5,11 @@ from datetime import UTC, datetime
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.commission_markers import Fix, edge_blur_px, modules_of
-from anisoscope.commission_turning import fit_centre, wrapped
+from anisoscope.commission.markers import Fix, edge_blur_px, modules_of
+from anisoscope.commission.selftest import Bed, Check, judged, skipped
+from anisoscope.commission.turning import fit_centre, wrapped
 from anisoscope.errors import MeasurementError
 from anisoscope.registration import check_fixture
-from anisoscope.selftest import Bed, Check, judged, skipped
 from anisoscope.whitereference import read_reference
 
 _BLOCKS = 8

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from anisoscope.commission_angles import Angles
-from anisoscope.commission_light import SURE
-from anisoscope.commission_record import Finding, missing, status_of
+from anisoscope.commission.angles import Angles
+from anisoscope.commission.light import SURE
+from anisoscope.commission.record import Finding, missing, status_of
 from anisoscope.rig.rigfile import RigFile
 
 MAX_U_LIGHT_DEG = 0.5

@@ -3,14 +3,14 @@
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.commission_markers import Fix, find_fixture
-from anisoscope.commission_turning import wrapped
+from anisoscope.commission.markers import Fix, find_fixture
+from anisoscope.commission.selftest import Bed, Check, Settings, Step, judged, skipped
+from anisoscope.commission.selftest_pictures import MARKERS, WHITE, check_markers, check_white
+from anisoscope.commission.turning import wrapped
 from anisoscope.errors import MeasurementError, RigError
 from anisoscope.linear import SATURATION_SHARE
 from anisoscope.rig.rigfile import AxisPart
 from anisoscope.rig.stage import RotationStage
-from anisoscope.selftest import Bed, Check, Settings, Step, judged, skipped
-from anisoscope.selftest_pictures import MARKERS, WHITE, check_markers, check_white
 
 FloatArray = npt.NDArray[np.float64]
 

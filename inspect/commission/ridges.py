@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.commission_markers import FLIP, Fix
-from anisoscope.commission_series import Look
+from anisoscope.commission.markers import FLIP, Fix
+from anisoscope.commission.series import Look
 from anisoscope.errors import MeasurementError
 
 FloatArray = npt.NDArray[np.float64]

@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.commission_part import RidgedPart
+from anisoscope.commission.part import RidgedPart
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import seating_rotation

@@ -1,0 +1,1 @@
+"""Commissioning a rig: how its axes, its camera and its light truly stand, found from pictures."""

@@ -1,0 +1,128 @@
+"""Nothing but the server on a pseudo terminal needs POSIX: Windows and macOS can import and run everything else."""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+POSIX_ONLY = {
+    "fcntl",
+    "termios",
+    "pty",
+    "tty",
+    "pwd",
+    "grp",
+    "resource",
+    "posix",
+    "syslog",
+    "crypt",
+    "readline",
+}
+# Attributes that exist on POSIX only; `os` and `signal` themselves are everywhere.
+MISSING_ON_WINDOWS = {
+    "os": {
+        "fork",
+        "forkpty",
+        "openpty",
+        "mkfifo",
+        "killpg",
+        "setsid",
+        "geteuid",
+        "getuid",
+        "getgid",
+        "ttyname",
+        "uname",
+    },
+    "signal": {
+        "SIGKILL",
+        "SIGHUP",
+        "SIGUSR1",
+        "SIGUSR2",
+        "SIGALRM",
+        "alarm",
+        "setitimer",
+        "pthread_kill",
+        "pause",
+    },
+    "socket": {"AF_UNIX", "socketpair"},
+}
+# Where it is allowed, and what guards it.
+GUARDED = {
+    ("sim/bench/serve.py", "pty"): "imported when a pseudo terminal is asked for; its absence is a RigError",
+    ("sim/bench/serve.py", "tty"): "likewise",
+    ("sim/bench/serve.py", "os.ttyname"): "likewise",
+    ("inspect/folder.py", "fcntl"): "where it is missing, the folder is not locked",
+    ("rig/portholder.py", "os.getuid"): "behind hasattr(os, 'getuid')",
+}
+# Runs as a process of its own, which limits its memory by Linux' means; nothing else imports it.
+LINUX_PROCESS = "profiles/files/guarded.py"
+_FOLDERS = ("inspect", "rig", "profiles", "sim")
+MODULES = sorted(path for folder in _FOLDERS for path in (ROOT / folder).rglob("*.py"))
+
+
+WORDS = re.compile("|".join(sorted(POSIX_ONLY.union(*MISSING_ON_WINDOWS.values()))))
+
+
+def posix_uses(text):
+    """(name, whether at import time) of everything that only POSIX has."""
+    if not WORDS.search(text):
+        return
+    tree = ast.parse(text)
+    inside = {
+        id(node)
+        for function in ast.walk(tree)
+        if isinstance(function, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
+        for node in ast.walk(function)
+    }
+    for node in ast.walk(tree):
+        names = []
+        if isinstance(node, ast.Import):
+            names = [alias.name.split(".")[0] for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.level == 0:
+            module = (node.module or "").split(".")[0]
+            missing = MISSING_ON_WINDOWS.get(module, set())
+            names = [module, *(f"{module}.{alias.name}" for alias in node.names if alias.name in missing)]
+        elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+            owner = node.value.id
+            names = [f"{owner}.{node.attr}"] if node.attr in MISSING_ON_WINDOWS.get(owner, set()) else []
+        for name in names:
+            if name in POSIX_ONLY or "." in name:
+                yield name, id(node) not in inside
+
+
+def test_the_search_finds_what_it_looks_for():
+    text = (
+        "import fcntl, os, signal\nfrom termios import tcgetattr\nfrom os import getuid\n"
+        "def f():\n    import pty\n    os.kill(1, signal.SIGKILL)\n    getattr(signal, 'SIGHUP', None)\n"
+    )
+    assert sorted(posix_uses(text)) == [
+        ("fcntl", True),
+        ("os.getuid", True),
+        ("pty", False),
+        ("signal.SIGKILL", False),
+        ("termios", True),
+    ]
+
+
+@pytest.mark.parametrize("folder", _FOLDERS)
+def test_nothing_needs_posix(folder):
+    found = set()
+    for path in MODULES:
+        name = path.relative_to(ROOT).as_posix()
+        if not name.startswith(f"{folder}/") or name == LINUX_PROCESS:
+            continue
+        for use, at_import in posix_uses(path.read_text(encoding="utf-8")):
+            assert (name, use) in GUARDED, f"{name}: {use} exists on POSIX only"
+            assert not at_import, f"{name}: {use} is needed as soon as it is imported"
+            found.add((name, use))
+    assert found == {key for key in GUARDED if key[0].startswith(f"{folder}/")}, "a guard that guards nothing"
+
+
+def test_the_process_for_linux_is_imported_by_nobody():
+    module = LINUX_PROCESS.removesuffix(".py").replace("/", ".")
+    for path in MODULES:
+        text = path.read_text(encoding="utf-8")
+        assert f"from anisoscope.{module} import" not in text, path
+        assert f"import anisoscope.{module}" not in text, path
