@@ -6,7 +6,8 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 SEED   ?= 1
-WORKERS ?= auto
+# one more than there are cores: many tests wait for simulated devices
+WORKERS ?= $(shell expr $$(getconf _NPROCESSORS_ONLN) + 1)
 
 .PHONY: demo test soak types lint contracts benchmark lock clean help
 

@@ -1,6 +1,7 @@
 """Where the ridges of a map lie, as the defects of ridges need it."""
 
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import numpy.typing as npt
@@ -47,12 +48,23 @@ class RidgeLayout:
         return float(np.degrees(np.arctan(np.abs(np.median(side))))) if side.size else 0.0
 
 
+_found: WeakKeyDictionary[HeightMap, RidgeLayout] = WeakKeyDictionary()
+
+
 def ridge_layout(surface: HeightMap, period: Period | None = None) -> RidgeLayout:
-    """Find the ridges of a map.
+    """Find the ridges of a map; of one that is spoiled again and again only once.
 
     Raises:
         HeightMapError: nothing was measured, or the map has no ridges.
     """
+    if period is not None:
+        return _layout(surface, period)
+    if surface not in _found:
+        _found[surface] = _layout(surface, None)
+    return _found[surface]
+
+
+def _layout(surface: HeightMap, period: Period | None) -> RidgeLayout:
     period = find_period(surface) if period is None else period
     if not period.is_periodic:
         raise HeightMapError(

@@ -7,7 +7,7 @@ ones, and replaced when a file has stopped it. Heights come back as an npy file.
 import atexit
 import json
 import os
-import select
+import queue
 import shutil
 import subprocess
 import sys
@@ -44,20 +44,23 @@ class GuardedProcess:
         self.folder = Path(tempfile.mkdtemp(prefix="anisoscope-"))
         self.owner = os.getpid()
         self.readers: dict[str, str] = {}
-        ours, theirs = os.pipe()
-        try:
-            self.process = subprocess.Popen(
-                [*COMMAND, str(theirs)],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-                pass_fds=(theirs,),
-                env={**os.environ, **ONE_THREAD},
-            )
-        finally:
-            os.close(theirs)
-        self.answers = ours
-        self.pending = b""
+        self.process = subprocess.Popen(
+            COMMAND,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env={**os.environ, **ONE_THREAD},
+        )
+        self.answers: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+        threading.Thread(target=self._listen, name="guarded decoder", daemon=True).start()
+
+    def _listen(self) -> None:
+        """Queue every line of the process, and an empty one at its end; a pipe has no timeout on every system."""
+        assert self.process.stdout is not None
+        with suppress(OSError, ValueError):
+            for line in self.process.stdout:
+                self.answers.put(line)
+        self.answers.put(b"")
 
     def ask(self, request: dict[str, Any], seconds: float) -> dict[str, Any] | None:
         """The answer to a request; None if the process died or did not answer in time."""
@@ -65,15 +68,11 @@ class GuardedProcess:
         try:
             self.process.stdin.write(json.dumps(request).encode() + b"\n")
             self.process.stdin.flush()
-        except OSError:
+            line = self.answers.get(timeout=seconds)
+        except (OSError, queue.Empty):
             return None
-        while b"\n" not in self.pending:
-            ready, _, _ = select.select([self.answers], [], [], seconds)
-            block = os.read(self.answers, 65536) if ready else b""
-            if not block:
-                return None
-            self.pending += block
-        line, _, self.pending = self.pending.partition(b"\n")
+        if not line.endswith(b"\n"):
+            return None
         answer: dict[str, Any] = json.loads(line)
         return answer
 
@@ -90,11 +89,11 @@ class GuardedProcess:
             return
         with suppress(OSError):
             self.process.kill()
-        if self.process.stdin is not None:
-            with suppress(OSError):
-                self.process.stdin.close()
         self.process.wait()
-        os.close(self.answers)
+        for pipe in (self.process.stdin, self.process.stdout):
+            if pipe is not None:
+                with suppress(OSError):
+                    pipe.close()
         shutil.rmtree(self.folder, ignore_errors=True)
 
 

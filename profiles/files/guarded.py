@@ -1,15 +1,13 @@
-"""The process in which other people's decoders run: ``python -m anisoscope.profiles.files.guarded FD``.
+"""The process in which other people's decoders run: ``python -m anisoscope.profiles.files.guarded``.
 
-It answers requests, one JSON line each on standard input, on the descriptor FD. Each request runs with a limit
-of memory and of time that the kernel enforces, so that a damaged file can stop this process only. What a
-decoder prints goes to the null device, to which the parent has tied standard output and error.
+It answers requests, one JSON line each on standard input, with one line each on what was standard output when it
+began; what a decoder prints goes to the null device. Where the kernel can limit memory and time of a process it
+does, so that a damaged file can stop this process only; elsewhere its parent stops it when it takes too long.
 """
 
 import json
 import logging
 import os
-import resource
-import signal
 import sys
 import warnings
 from pathlib import Path
@@ -135,6 +133,11 @@ DECODERS = {"library": _library, "tiff": _tiff, "png": _png}
 
 def _limit(request: dict[str, Any]) -> None:
     """Memory above what is in use now, and seconds, after which the kernel stops this process."""
+    if sys.platform != "linux":
+        return
+    import resource  # noqa: PLC0415
+    import signal  # noqa: PLC0415
+
     pages = int(Path("/proc/self/statm").read_text().split()[0])
     wanted = pages * resource.getpagesize() + int(request["memory_bytes"])
     hard = resource.getrlimit(resource.RLIMIT_AS)[1]
@@ -142,6 +145,17 @@ def _limit(request: dict[str, Any]) -> None:
         resource.RLIMIT_AS, (wanted if hard == resource.RLIM_INFINITY else min(wanted, hard), hard)
     )
     signal.alarm(int(request["seconds"]) + 1)
+
+
+def _unlimit() -> None:
+    if sys.platform != "linux":
+        return
+    import resource  # noqa: PLC0415
+    import signal  # noqa: PLC0415
+
+    signal.alarm(0)
+    hard = resource.getrlimit(resource.RLIMIT_AS)[1]
+    resource.setrlimit(resource.RLIMIT_AS, (hard, hard))
 
 
 def _serve(request: dict[str, Any]) -> dict[str, Any]:
@@ -162,16 +176,18 @@ def _serve(request: dict[str, Any]) -> dict[str, Any]:
     else:
         return answer
     finally:
-        signal.alarm(0)
-        hard = resource.getrlimit(resource.RLIMIT_AS)[1]
-        resource.setrlimit(resource.RLIMIT_AS, (hard, hard))
+        _unlimit()
 
 
 def main() -> None:
     """Answer requests until standard input ends."""
     warnings.simplefilter("ignore")
     logging.disable(logging.CRITICAL)
-    with os.fdopen(int(sys.argv[1]), "w", encoding="utf-8") as answers:
+    sys.stdout.flush()
+    with os.fdopen(os.dup(1), "w", encoding="utf-8") as answers:
+        nothing = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nothing, 1)
+        os.close(nothing)
         for line in sys.stdin:
             answers.write(json.dumps(_serve(json.loads(line))) + "\n")
             answers.flush()
