@@ -190,10 +190,9 @@ def check(
 
 
 def _show_checks(result: "SelfTest", kept: Path | None) -> None:
-    from anisoscope.report.commission_page import text_of
 
     rows = [
-        [one.words, text_of(one.value), text_of(one.limit), one.unit or "1", one.outcome]
+        [one.words, _short(one.value), _short(one.limit), one.unit or "1", one.outcome]
         for one in result.checks
     ]
     print_table(f"Self test of {result.rig}", ["check", "value", "limit", "unit", "outcome"], rows)
@@ -202,3 +201,10 @@ def _show_checks(result: "SelfTest", kept: Path | None) -> None:
             console().print(f"{one.words}: {one.remark}", markup=False, highlight=False)
     words = "the rig is fit" if result.fit else "the rig is NOT fit: what it measures is INVALID"
     console().print(words if kept is None else f"{words}; record: {kept}", markup=False, highlight=False)
+
+
+def _short(value: float | str | None) -> str:
+    """Three digits: these are limits and how far off them a rig is."""
+    return (
+        f"{value:.3g}".replace("-", "−") if isinstance(value, float) else "–" if value is None else str(value)
+    )

@@ -23,6 +23,8 @@ from anisoscope.commission.rigfile import Changes, Written, update_rig_file
 from anisoscope.commission.series import Series, Taken, take
 from anisoscope.errors import RecordError, UsageError
 from anisoscope.linear import WhiteReference
+from anisoscope.profiles.files.load import read_height_map
+from anisoscope.profiles.metrology.ridges import measure_ridges
 from anisoscope.progress import Advance, silent
 from anisoscope.recipe import Recipe
 from anisoscope.record import sha256_of
@@ -46,29 +48,43 @@ class Commissioned:
 def part_of_recipe(recipe: Recipe, ridge_angle_deg: float | None, u_ridge_angle_deg: float) -> RidgedPart:
     """The ridged part that a recipe describes; the spot is the largest circle in its region.
 
+    A recipe's roughness is what its height map does not resolve. Where it has a map, ridge angle and resolved
+    roughness are measured there, and the two roughnesses add in quadrature.
+
     Args:
         recipe: the recipe.
-        ridge_angle_deg: ridge angle, if the recipe compares with a height map and does not name one.
+        ridge_angle_deg: ridge angle, where it is known better than by design or height map.
         u_ridge_angle_deg: its standard uncertainty.
 
     Raises:
-        UsageError: nobody says the ridge angle.
+        HeightMapError: the recipe's height map cannot be read, or has no ridges.
     """
-    design = recipe.surface.design
-    if ridge_angle_deg is None and design is None:
-        raise UsageError("the recipe compares with a height map and names no ridge angle: give --ridge-angle")
+    made, design = recipe.material, recipe.surface.design
+    along, across, u_share = made.alpha_along, made.alpha_across, made.u_alpha_share
     angle = ridge_angle_deg if ridge_angle_deg is not None or design is None else design.ridge_angle_deg
-    assert angle is not None
-    made = recipe.material
+    if recipe.surface.height_map is not None and design is None:
+        found = measure_ridges(
+            read_height_map(
+                recipe.surface.height_map, pixel_um=recipe.surface.pixel_um, role=recipe.surface.role
+            )
+        )
+        along, across = (
+            float(np.hypot(mine, seen.value or 0.0))
+            for mine, seen in ((along, found.alpha_along), (across, found.alpha_across))
+        )
+        if angle is None:
+            angle, u_ridge_angle_deg = found.ridge_angle_deg.value, float(found.ridge_angle_deg.u or 0.1)
+    if angle is None:
+        raise UsageError("the height map of the recipe shows no ridge angle: give --ridge-angle")
     return RidgedPart(
         pitch_um=recipe.surface.pitch_um,
         ridge_angle_deg=angle,
-        alpha_along=made.alpha_along,
-        alpha_across=made.alpha_across,
+        alpha_along=along,
+        alpha_across=across,
         albedo=made.albedo,
         index=made.index,
         u_ridge_angle_deg=max(u_ridge_angle_deg, 1e-3),
-        u_alpha_share=max(made.u_alpha_share, 1e-4),
+        u_alpha_share=max(u_share, 1e-4),
         u_albedo=max(made.u_albedo, 1e-5),
         u_index=max(made.u_index, 1e-5),
         u_seating_deg=max(recipe.uncertainty.seating_tilt_deg, 1e-3),

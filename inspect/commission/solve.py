@@ -1,4 +1,4 @@
-"""Least squares over radiances and what is known beforehand, for the light of a rig: see `anisoscope.commission.light`."""
+"""Least squares over radiances and what is known beforehand: the solver of `anisoscope.commission.light`."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
