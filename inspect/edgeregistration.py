@@ -71,14 +71,19 @@ def place_by_edges(
     grid = _raster(shape, start, pixel_um)
     scale = grid.pixel_mm * 1000.0 / pixel_um
     layers = [
-        [np.nan_to_num(resample(_edges(seen.image, sigma * scale), place, grid)) for sigma in (COARSE_PX, *FINE_PX)]
+        [
+            np.nan_to_num(resample(_edges(seen.image, sigma * scale), place, grid))
+            for sigma in (COARSE_PX, *FINE_PX)
+        ]
         for seen, place in zip(pictures, nominal, strict=True)
     ]
     reach = MAX_SHIFT_PX if axis_px is not None else UNKNOWN_AXIS_SHARE * min(shape)
     found = [nominal[0]]
     for number in range(1, len(pictures)):
         name = f"at {pictures[number].stage_deg:g}°"
-        warp, residual = _aligned(list(zip(layers[0], layers[number], strict=True)), 2.0 * reach / scale, name)
+        warp, residual = _aligned(
+            list(zip(layers[0], layers[number], strict=True)), 2.0 * reach / scale, name
+        )
         found.append(_moved(nominal[number], warp, grid, residual * scale))
     centred = found if axis_px is not None else _about_the_axis(found)
     for seen, place in zip(pictures[1:], centred[1:], strict=True):
@@ -91,7 +96,10 @@ def _nominal(seen: Seen, pixel_um: float, axis_px: tuple[float, float]) -> Place
     factor = 1000.0 / pixel_um * np.exp(1j * np.radians(seen.stage_deg))
     squeeze = float(np.cos(np.radians(seen.tilt_deg)))
     matrix = np.array(
-        [[factor.real, -factor.imag, axis_px[0]], [-squeeze * factor.imag, -squeeze * factor.real, axis_px[1]]]
+        [
+            [factor.real, -factor.imag, axis_px[0]],
+            [-squeeze * factor.imag, -squeeze * factor.real, axis_px[1]],
+        ]
     )
     return Placement(matrix, seen.stage_deg % 360.0, pixel_um, axis_px, 0.0, 0)
 
@@ -134,7 +142,7 @@ def _aligned(layers: list[tuple[Image, Image]], reach: float, name: str) -> tupl
         name: of the other picture, for messages.
 
     Returns:
-        (2, 3) map from points of the first picture's raster to those of the other's; the rms residual in points.
+        (2, 3) map from points of the first picture's raster to those of the other's; its uncertainty in points.
     """
     side = layers[0][0].shape[0]
     shift = _coarse_shift(*layers[0], reach, name)
@@ -150,8 +158,8 @@ def _aligned(layers: list[tuple[Image, Image]], reach: float, name: str) -> tupl
     if correlation < MIN_FINE or apart > MAX_APART_PX:
         raise RegistrationError(
             f"{name} the edges are not surely those of the first picture (correlation {correlation:.2f}, at least "
-            f"{MIN_FINE:g} needed; coarse and fine ones {apart:.1f} px apart, limit {MAX_APART_PX:g} px): is it the same "
-            f"part, in focus and lit? else {_ADVICE}"
+            f"{MIN_FINE:g} needed; coarse and fine ones {apart:.1f} px apart, limit {MAX_APART_PX:g} px): is it the "
+            f"same part, in focus and lit? else {_ADVICE}"
         )
     back = _pulled(layers[2][1], warp)
     if _fits_nearby(layers[2][0], back, window):
@@ -227,12 +235,12 @@ def _fits_nearby(first: Image, back: Image, window: Image) -> bool:
 
 
 def _residual(first: Image, back: Image, window: Image, name: str) -> float:
-    """rms shift that is left in the quarters of the picture on their own, in points; by linear least squares.
+    """Standard uncertainty of the fit, in points: the shift left in each quarter on its own, by their root mean square.
 
     Raises:
         RegistrationError: fewer than three of them agree at all.
     """
-    down, across = np.gradient(back)
+    down, across = (np.gradient(back, axis=axis) for axis in (0, 1))
     half = first.shape[0] // 2
     shifts = []
     for rows in (slice(0, half), slice(-half, None)):
@@ -251,7 +259,7 @@ def _residual(first: Image, back: Image, window: Image, name: str) -> float:
             f"{name} only {len(shifts)} quarters of the picture fit those of the first one (at least {_MIN_QUADRANTS} "
             f"needed): is part of it dark, out of focus or hidden? else {_ADVICE}"
         )
-    return float(np.sqrt(np.mean(np.sum(np.square(shifts), axis=1))))
+    return float(np.sqrt(np.mean(np.sum(np.square(shifts), axis=1)) / len(shifts)))
 
 
 def _moved(nominal: Placement, warp: FloatArray, grid: Grid, residual_px: float) -> Placement:
@@ -287,12 +295,12 @@ def _check(seen: Seen, place: Placement, first: Placement) -> None:
     turn = (place.angle_deg - seen.stage_deg + 180.0) % 360.0 - 180.0
     if off > MAX_SHIFT_PX or abs(turn) > MAX_TURN_DEG:
         raise RegistrationError(
-            f"at {seen.stage_deg:g}° the edges place the part {off:.1f} px and {turn:+.2f}° from where the rotation axis "
-            f"and the stage say (limits {MAX_SHIFT_PX:g} px, {MAX_TURN_DEG:g}°): did the part slip, or is the rotation "
-            "axis not where it was calibrated?"
+            f"at {seen.stage_deg:g}° the edges place the part {off:.1f} px and {turn:+.2f}° from where the rotation "
+            f"axis and the stage say (limits {MAX_SHIFT_PX:g} px, {MAX_TURN_DEG:g}°): did the part slip, or is the "
+            "rotation axis not where it was calibrated?"
         )
     if place.residual_px > MAX_RESIDUAL_PX:
         raise RegistrationError(
-            f"at {seen.stage_deg:g}° the quarters of the picture fit with {place.residual_px:.2f} px rms (limit "
+            f"at {seen.stage_deg:g}° the quarters of the picture leave {place.residual_px:.2f} px of doubt (limit "
             f"{MAX_RESIDUAL_PX:g} px): check focus and tilt, or {_ADVICE}"
         )

@@ -87,7 +87,7 @@ def expectation(recipe: Recipe, light_angle_deg: float) -> Expectation:
         HeightMapError: the recipe's height map cannot be read or used.
         RecipeError: the part should be black in some pose, so that no contrast is defined.
     """
-    poses = recipe.poses.poses()
+    recipe, poses = recipe.deciding(), recipe.poses.poses()
     convention = Convention(light_angle_deg, facet_azimuth_deg=recipe.poses.facet_azimuth_deg)
     model, sampled, surface, name = _models(recipe)
     nominal = State(recipe.material.material(), light_angle_deg)

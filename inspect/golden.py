@@ -59,6 +59,25 @@ class GoldenSet(BaseModel):
         values = np.array([part.log_radiance for part in self.parts]).reshape(-1, len(self.poses))
         return np.asarray(values @ log_basis(len(self.poses)).T)
 
+    @property
+    def needed(self) -> int:
+        """How many parts it takes before they tell what is a deviation."""
+        return len(self.poses)
+
+    @property
+    def lacking(self) -> str | None:
+        """Why the parts cannot tell yet what is a deviation, or None if they can."""
+        count = len(self.parts)
+        if count < self.needed:
+            sensible = 3 * (self.needed - 1)
+            return (
+                f"{count} golden parts: from {self.needed} on they are compared with, {sensible} are sensible"
+            )
+        scatter = np.atleast_2d(np.cov(self.contrasts(), rowvar=False))
+        if np.linalg.matrix_rank(scatter) < len(scatter):
+            return f"{count} golden parts: they do not vary independently, so that they are not compared with"
+        return None
+
 
 def golden_path(recipe_path: Path) -> Path:
     """Where the good parts of a recipe are kept: ``NAME.golden.json`` beside it."""
@@ -136,3 +155,15 @@ def write_golden(path: Path, golden: GoldenSet) -> None:
         RecordError: the folder cannot be written.
     """
     write_text(path, json.dumps(golden.model_dump(mode="json", by_alias=True), indent=2, allow_nan=False))
+
+
+def without_part(known: GoldenSet, serial: str) -> GoldenSet:
+    """The set without all rows of a serial number.
+
+    Raises:
+        CalibrationError: there is none.
+    """
+    kept = tuple(part for part in known.parts if part.serial != serial)
+    if len(kept) == len(known.parts):
+        raise CalibrationError(f"there is no golden part {serial}")
+    return known.model_copy(update={"parts": kept})

@@ -4,24 +4,27 @@ import contextlib
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 
 from anisoscope.errors import CalibrationError, RecordError, RigError
 from anisoscope.expectation import Expectation, expectation
 from anisoscope.folder import new_folder, sweep, tell_to_resume, working_in
 from anisoscope.job import Job, prepare
-from anisoscope.jobfile import JobFile, begin, reopen
+from anisoscope.jobfile import JobFile, begin, one_round_more, reopen
 from anisoscope.judging import judge
 from anisoscope.linear import check_size
 from anisoscope.progress import Advance, silent
 from anisoscope.record import RECORD_NAME, Particulars, Record, write_record
-from anisoscope.report.inspection_page import start_renderer, write_report
+from anisoscope.report.inspection_page import Pictures, start_renderer, write_report
 from anisoscope.report.relief3d import Renderer
 from anisoscope.rig.acquisition.journal import read_journal
 from anisoscope.rig.acquisition.plan import Plan
 from anisoscope.rig.acquisition.runner import Progress, Rig, check_plan, open_rig, run_plan
 from anisoscope.taken import check_frames, missing_frames, read_taken
 from anisoscope.verifying import listed_files
+
+Judged = tuple[Record, Pictures]
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +68,10 @@ def inspect_part(
         RecordError: the folder cannot be written.
     """
     job = prepare(recipe_path, rig_path, serial)
+    try:
+        job.calibrations.check_valid(datetime.now(UTC))
+    except CalibrationError:
+        return _refused(job, rig_path, out, particulars or Particulars(), on_progress)
     plan = job.plan()
     with contextlib.ExitStack() as cleanup:
         # The devices first: the prediction takes long, a cable that is not plugged in shows at once.
@@ -82,7 +89,16 @@ def inspect_part(
                 rig_folder=here,
             )
             _photograph(plan, rig, folder, on_progress, cancel)
-        return conclude(folder, made, job, ready, on_progress)
+            made, judged = _decide(made, rig, folder, job, ready, on_progress, cancel)
+        return conclude(folder, made, job, ready, on_progress, judged)
+
+
+def _refused(job: Job, rig_path: Path, out: Path, particulars: Particulars, advance: Advance) -> Inspected:
+    """An INVALID inspection without photographs, because a calibration does not hold any more."""
+    with expecting(job, advance) as ready, new_folder(out, job.serial) as folder:
+        here = rig_path.resolve().parent
+        made = begin(folder, job, particulars, plan=None, frames=0, rig_folder=here)
+        return conclude(folder, made, job, ready, advance)
 
 
 def resume_part(
@@ -122,7 +138,8 @@ def resume_part(
                 _check_rig(rig, made.plan, job)
                 ready = cleanup.enter_context(expecting(job, on_progress))
                 _photograph(made.plan, rig, folder, on_progress, cancel)
-            return conclude(folder, made, job, ready, on_progress)
+                made, judged = _decide(made, rig, folder, job, ready, on_progress, cancel)
+            return conclude(folder, made, job, ready, on_progress, judged)
 
 
 @contextlib.contextmanager
@@ -144,6 +161,7 @@ def _check_rig(rig: Rig, plan: Plan, job: Job) -> None:
             "take a new one with `anisoscope calibrate flat`"
         )
     check_size(job.white, (info.rows, info.cols))
+    job.calibrations.check_camera(info.serial, (info.rows, info.cols))
 
 
 def _photograph(plan: Plan, rig: Rig, folder: Path, advance: Advance, cancel: threading.Event | None) -> None:
@@ -151,6 +169,33 @@ def _photograph(plan: Plan, rig: Rig, folder: Path, advance: Advance, cancel: th
         advance(now.text, now.done, now.total)
 
     run_plan(plan, rig, folder, on_progress=tell, cancel=cancel)
+
+
+def _decide(
+    made: JobFile,
+    rig: Rig,
+    folder: Path,
+    job: Job,
+    ready: "Ready",
+    advance: Advance,
+    cancel: threading.Event | None,
+) -> tuple[JobFile, Judged]:
+    """Judge; what is undecided is photographed anew in the same seating, as often as the recipe says.
+
+    All frames of a pose are averaged, whichever round took them, so that noise and flicker shrink; what is
+    systematic stays.
+    """
+    rounds = 1 + job.recipe.decision.remeasure
+    while True:
+        assert made.plan is not None
+        final = made.plan.rounds >= rounds
+        advance("measurement", 0, 1)
+        judged = judge(made, job, ready.expected, read_taken(folder, made), advance, final=final)
+        if final or judged[0].verdict != "INCONCLUSIVE":
+            return made, judged
+        made = one_round_more(folder, made)
+        assert made.plan is not None
+        _photograph(made.plan, rig, folder, advance, cancel)
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,14 +223,26 @@ def expecting(job: Job, advance: Advance) -> Iterator[Ready]:
             renderer.discard()
 
 
-def conclude(folder: Path, made: JobFile, job: Job, ready: Ready, advance: Advance) -> Inspected:
+def conclude(
+    folder: Path, made: JobFile, job: Job, ready: Ready, advance: Advance, judged: Judged | None = None
+) -> Inspected:
     """Judge the frames of a folder, and write report and record; the record comes last and closes the folder.
+
+    Args:
+        folder: the inspection folder.
+        made: how the inspection began.
+        job: its recipe, rig and white reference.
+        ready: what was made before.
+        advance: progress.
+        judged: record and pictures, where the frames were judged already.
 
     Raises:
         RecordError: the folder cannot be read or written.
     """
-    advance("measurement", 0, 1)
-    record, pictures = judge(made, job, ready.expected, read_taken(folder, made))
+    if judged is None:
+        advance("measurement", 0, 1)
+        judged = judge(made, job, ready.expected, read_taken(folder, made), advance)
+    record, pictures = judged
     advance("report", 0, 1)
     view = ready.renderer.result() if ready.renderer is not None else None
     report = write_report(record, pictures, folder, view)
@@ -193,4 +250,4 @@ def conclude(folder: Path, made: JobFile, job: Job, ready: Ready, advance: Advan
     write_record(record, folder)
     advance(record.verdict, 1, 1)
     lost = (f"no 3-D view in the report: {view.note}",) if view is not None and view.png is None else ()
-    return Inspected(record, folder, report, lost)
+    return Inspected(record, folder, report, (*record.notes, *lost))

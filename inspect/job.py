@@ -1,11 +1,14 @@
 """An inspection before the first picture: what is known and checked."""
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Literal, cast
 
+from anisoscope.calibrationrecord import Kind
+from anisoscope.calibrationuse import Calibrations, read_calibrations
 from anisoscope.errors import CalibrationError, HeightMapError, RigFileError, UsageError
+from anisoscope.golden import GoldenSet, golden_path, read_golden
 from anisoscope.linear import WhiteReference
 from anisoscope.recipe import Recipe, read_recipe
 from anisoscope.record import sha256_of
@@ -16,7 +19,22 @@ from anisoscope.rig.rigfile import RigFile, read_rig
 from anisoscope.whitereference import read_reference
 
 SERIAL = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._+#-]{0,63}")
-Role = Literal["recipe", "rig", "white reference", "height map", "frame table"]
+Role = Literal[
+    "recipe",
+    "rig",
+    "white reference",
+    "height map",
+    "frame table",
+    "golden parts",
+    "flat record",
+    "dark record",
+    "dark picture",
+    "stray record",
+    "stray picture",
+    "linearity record",
+    "rotation record",
+    "check record",
+]
 
 
 @dataclass(frozen=True)
@@ -36,17 +54,21 @@ class Job:
         serial: serial number of the part.
         recipe: what the part should look like and how it is judged.
         rig: the rig file.
-        fixture: its markers.
+        fixture: its markers; None where the pictures are aligned by their edges.
         white: the white reference.
         sources: the files, as they were read.
+        golden: parts that are known to be good, or None.
+        calibrations: those of the rig that have records.
     """
 
     serial: str
     recipe: Recipe
     rig: RigFile
-    fixture: Fixture
+    fixture: Fixture | None
     white: WhiteReference
     sources: tuple[Source, ...]
+    golden: GoldenSet | None = None
+    calibrations: Calibrations = field(default_factory=Calibrations)
 
     def plan(self) -> Plan:
         """What is to be photographed."""
@@ -75,8 +97,14 @@ def check_serial(serial: str) -> str:
     return serial
 
 
-def prepare(recipe_path: Path, rig_path: Path, serial: str) -> Job:
+def prepare(recipe_path: Path, rig_path: Path, serial: str, *, without: Kind | None = None) -> Job:
     """Read and check everything that an inspection needs; nothing moves and nothing is written.
+
+    Args:
+        recipe_path: recipe file.
+        rig_path: rig file.
+        serial: serial number of the part.
+        without: a calibration that is not looked at, because it is about to be taken.
 
     Raises:
         UsageError: the serial number.
@@ -85,15 +113,27 @@ def prepare(recipe_path: Path, rig_path: Path, serial: str) -> Job:
     check_serial(serial)
     recipe, rig = read_recipe(recipe_path), read_rig(rig_path)
     white_path, fixture = flat_of(rig, rig_path), fixture_of(rig, rig_path)
+    assert rig.calibration is not None
+    calibrations = read_calibrations(rig.calibration, without)
     white = read_reference(white_path)
-    sources = sources_of(recipe_path, rig_path, recipe)
-    return Job(
-        serial, recipe, rig, fixture, white, (*sources, Source("white reference", white_path, white.sha256))
+    sources = (
+        *sources_of(recipe_path, rig_path, recipe),
+        Source("white reference", white_path, white.sha256),
+        *sources_of_calibrations(calibrations),
+    )
+    golden, white = known_good(recipe_path, recipe), calibrations.white(white)
+    return Job(serial, recipe, rig, fixture, white, sources, golden, calibrations)
+
+
+def sources_of_calibrations(calibrations: Calibrations) -> tuple[Source, ...]:
+    """The files of calibrations with their hashes."""
+    return tuple(
+        Source(cast("Role", role), path, sha256_of(path)) for role, path in calibrations.files.items()
     )
 
 
 def sources_of(recipe_path: Path, rig_path: Path, recipe: Recipe) -> tuple[Source, ...]:
-    """Recipe, rig file and height map with their hashes.
+    """Recipe, rig file, height map and golden parts with their hashes.
 
     Raises:
         HeightMapError: the height map is missing.
@@ -101,7 +141,18 @@ def sources_of(recipe_path: Path, rig_path: Path, recipe: Recipe) -> tuple[Sourc
     files: list[tuple[Role, Path]] = [("recipe", recipe_path), ("rig", rig_path)]
     if recipe.surface.height_map is not None:
         files.append(("height map", check_map(recipe.surface.height_map)))
+    if golden_path(recipe_path).is_file():
+        files.append(("golden parts", golden_path(recipe_path)))
     return tuple(Source(role, path, sha256_of(path)) for role, path in files)
+
+
+def known_good(recipe_path: Path, recipe: Recipe) -> GoldenSet | None:
+    """The golden parts beside a recipe, or None.
+
+    Raises:
+        CalibrationError: their file is damaged, or belongs to another recipe.
+    """
+    return read_golden(golden_path(recipe_path), recipe)
 
 
 def check_map(path: Path) -> Path:
@@ -129,13 +180,16 @@ def flat_of(rig: RigFile, path: Path) -> Path:
     return rig.calibration.flat
 
 
-def fixture_of(rig: RigFile, path: Path) -> Fixture:
-    """The fixture of a rig, with which pictures can be aligned.
+def fixture_of(rig: RigFile, path: Path) -> Fixture | None:
+    """The fixture of a rig, with which pictures can be aligned; without one, edges have to do.
 
     Raises:
-        RigFileError: there is none, or it is not fit for this.
+        RigFileError: it is not fit for this.
     """
     if rig.fixture is None:
-        raise RigFileError(f"{path} describes no [fixture]: the turned pictures are aligned by its markers")
-    check_fixture(rig.fixture)
+        return None
+    try:
+        check_fixture(rig.fixture)
+    except RigFileError as error:
+        raise RigFileError(f"{path}: {error}") from None
     return rig.fixture

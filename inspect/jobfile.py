@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -10,8 +11,10 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from anisoscope.atomicfile import write_text
+from anisoscope.calibrationuse import calibrations_of
 from anisoscope.errors import AnisoscopeError, RecordError, UsageError
 from anisoscope.folder import INPUTS, JOB
+from anisoscope.golden import read_golden
 from anisoscope.job import Job, Role, Source, fixture_of
 from anisoscope.recipe import read_recipe
 from anisoscope.record import InputFile, Particulars, sha256_of
@@ -81,8 +84,25 @@ def begin(
         rig_folder=str(rig_folder.resolve()),
         inputs=tuple(_copy(source, folder) for source in job.sources),
     )
-    write_text(folder / JOB, json.dumps(made.model_dump(mode="json", by_alias=True), indent=2) + "\n")
+    _write(made, folder)
     return made
+
+
+def one_round_more(folder: Path, made: JobFile) -> JobFile:
+    """Write down that all poses are photographed once more, before they are, so that this can be resumed as well.
+
+    Raises:
+        RecordError: the folder cannot be written.
+    """
+    assert made.plan is not None
+    plan = replace(made.plan, rounds=made.plan.rounds + 1)
+    more = made.model_copy(update={"plan": plan, "frames": plan.frame_count})
+    _write(more, folder)
+    return more
+
+
+def _write(made: JobFile, folder: Path) -> None:
+    write_text(folder / JOB, json.dumps(made.model_dump(mode="json", by_alias=True), indent=2) + "\n")
 
 
 def _copy(source: Source, folder: Path) -> InputCopy:
@@ -144,7 +164,10 @@ def reopen(folder: Path) -> tuple[JobFile, Job]:
     rig = rig.model_copy(update={"calibration": CalibrationPart(flat=paths["white reference"])})
     white = read_reference(paths["white reference"])
     sources = tuple(Source(copy.role, folder / copy.name, copy.sha256) for copy in made.inputs)
-    return made, Job(made.serial, recipe, rig, fixture_of(rig, paths["rig"]), white, sources)
+    golden = read_golden(paths["golden parts"], recipe) if "golden parts" in paths else None
+    calibrations = calibrations_of({str(role): path for role, path in paths.items()})
+    white, fixture = calibrations.white(white), fixture_of(rig, paths["rig"])
+    return made, Job(made.serial, recipe, rig, fixture, white, sources, golden, calibrations)
 
 
 def checked(file: InputFile, folder: Path) -> Path:

@@ -99,7 +99,7 @@ def stack(frames: Iterable[Frame]) -> Stack:
 
 
 def _mean_and_noise(counts: list[npt.NDArray[np.uint16]], mean: Image, noise: Image) -> None:
-    """Mean and standard deviation of counts, from their differences to the first: those are small, so nothing cancels."""
+    """Mean and standard deviation of counts, from their differences to the first: small ones, so nothing cancels."""
     count = len(counts)
     mean[:] = counts[0]
     if count == 1:

@@ -146,10 +146,10 @@ def fit_plate(
     bent = plain
     for _ in range(_ROUNDS):
         bent = _solve(points_mm, centred, squeeze, bent)
-    fits = [
-        _as_fit(points_mm, pixels, *found, middle_px, count)
-        for *found, count in ((plain, squeeze, 4), (bent, squeeze, 5))
-    ]
+    fits = (
+        _as_fit(points_mm, pixels, plain, squeeze, middle_px, 4),
+        _as_fit(points_mm, pixels, bent, squeeze, middle_px, 5),
+    )
     first, second = (len(points_mm) * fit.residual_px**2 for fit in fits)
     free = 2 * len(points_mm) - 5
     return fits[1] if (first - second) * free > _MIN_F * second else fits[0]

@@ -86,7 +86,7 @@ def _detect(image: Image, fixture: Fixture, top: float, factor: int) -> list[tup
         # OpenCV misses labels that nearly touch the edge of the picture
         seen = cv2.copyMakeBorder(squeezed, _PADDING, _PADDING, _PADDING, _PADDING, cv2.BORDER_REPLICATE)
         corners, ids, _ = detector.detectMarkers(seen)
-        numbers = [] if ids is None else [int(number) for number in ids.ravel()]
+        numbers = [int(number) for number in ids.ravel()] if corners else []
         found += [
             (number, (one.reshape(4, 2).astype(np.float64) - _PADDING + 0.5) * factor - 0.5)
             for number, one in zip(numbers, corners, strict=True)

@@ -137,7 +137,9 @@ def measure(
     """
     for view in [*views, *([closing] if closing else [])]:
         check_light(view.stage_deg, view.image, recipe)
-        check_view(view, views[0], recipe, pixel_um)
+        # a tilted arm looks from elsewhere: within a tilt only must the centre stay where it is
+        alike = next(first for first in views if first.tilt_deg == view.tilt_deg)
+        check_view(view, alike, recipe, pixel_um)
     grid, per_cell = region_grid(recipe, pixel_um)
 
     def seen(view: View) -> tuple[Image, float, FloatArray]:
@@ -257,7 +259,8 @@ def _components(
     ones = np.ones_like(radiance)
     lamp = abs(drift) / np.sqrt(3.0) if drift is not None else recipe.limits.drift / np.sqrt(3.0)
     shift = np.array([_shift_sensitivity(picture) for picture in aligned])
-    residual = np.array([view.placement.residual_px / np.sqrt(2 * view.placement.markers) for view in views])
+    # what edges leave in doubt is the uncertainty itself
+    residual = np.array([v.placement.residual_px / np.sqrt(max(2 * v.placement.markers, 1)) for v in views])
     # few frames a pose, so all poses together say how much the lamp flickers
     flicker = np.sqrt(np.mean([view.image.flicker**2 for view in views]))
     frames = np.sqrt([view.image.frames for view in views])

@@ -12,6 +12,7 @@ from anisoscope.sim.light.material import Material
 from anisoscope.tomlfile import LocalPath, NotNegative, Part, Positive, Share, read_toml_model
 
 ContrastKind = Literal["log_ratio", "michelson", "difference"]
+Surface = Literal["height_map", "design"]
 
 
 class DesignPart(Part):
@@ -22,9 +23,10 @@ class DesignPart(Part):
 
 
 class SurfacePart(Part):
-    """What the part is compared with: a measured height map, or an ideal design.
+    """What the part is compared with: a measured height map, an ideal design, or both.
 
-    ``pitch_um`` is needed in both cases: the contrast map is evaluated over whole pitches.
+    ``pitch_um`` is needed in all cases: the contrast map is evaluated over whole pitches. Of both, ``compare`` says
+    which one decides; the other is compared with as well.
     """
 
     pitch_um: Positive
@@ -32,12 +34,29 @@ class SurfacePart(Part):
     pixel_um: tuple[Positive, Positive] | None = None
     role: Literal["part", "tool"] = "part"
     design: DesignPart | None = None
+    compare: Surface | None = None
 
     @model_validator(mode="after")
-    def _one_of_two(self) -> Self:
-        if (self.height_map is None) == (self.design is None):
-            raise ValueError("give either height_map (a file) or design (a table), not both and not neither")
+    def _something_decides(self) -> Self:
+        if self.height_map is None and self.design is None:
+            raise ValueError("give height_map (a file) or design (a table), or both of them with compare")
+        if self.height_map is not None and self.design is not None and self.compare is None:
+            raise ValueError(
+                'of height_map and design, say with compare = "height_map" or "design" which one decides'
+            )
+        if self.compare is not None and getattr(self, self.compare) is None:
+            raise ValueError(f'compare = "{self.compare}", but there is no {self.compare}')
         return self
+
+    @property
+    def decides(self) -> Surface:
+        """What the verdict compares with."""
+        return self.compare or ("height_map" if self.design is None else "design")
+
+    @property
+    def both(self) -> bool:
+        """There is a second comparison."""
+        return self.height_map is not None and self.design is not None
 
     def ridge_design(self) -> RidgeDesign:
         """The ideal design of this table; only where ``design`` is given."""
@@ -110,7 +129,8 @@ class DecisionPart(Part):
 
     ``tolerance`` is the largest deviation |measured − predicted| of a good part, one number for all pairs or
     one a pair; without it a significant deviation at ``alpha`` fails the part. ``deviation`` says what a
-    significant deviation within the tolerance does.
+    significant deviation within the tolerance does. What is INCONCLUSIVE is photographed up to ``remeasure`` times
+    more.
     """
 
     contrast: ContrastKind = "log_ratio"
@@ -118,6 +138,7 @@ class DecisionPart(Part):
     alpha: Annotated[float, Field(gt=0.0, lt=0.5)] = 0.01
     deviation: Literal["warn", "fail"] = "warn"
     coverage: Positive = 1.645
+    remeasure: Annotated[int, Field(ge=0, le=9)] = 1
 
 
 class AreaPart(Part):
@@ -188,6 +209,16 @@ class Recipe(Part):
         if tolerance is None or isinstance(tolerance, tuple):
             return tolerance
         return (tolerance,) * (len(self.poses.tilts_deg) * (len(self.poses.angles_deg) - 1))
+
+    def against(self, surface: Surface) -> "Recipe":
+        """The recipe with one of its surfaces alone."""
+        other = "design" if surface == "height_map" else "height_map"
+        alone = self.surface.model_copy(update={other: None, "compare": None})
+        return self.model_copy(update={"surface": alone})
+
+    def deciding(self) -> "Recipe":
+        """The recipe with the surface alone that decides."""
+        return self.against(self.surface.decides) if self.surface.both else self
 
 
 def read_recipe(path: Path) -> Recipe:

@@ -53,7 +53,7 @@ def recompute(folder: Path, on_progress: Advance = silent) -> Recomputed:
     on_progress("prediction", 0, 1)
     expected = expectation(job.recipe, job.rig.light.angle_deg)
     on_progress("measurement", 0, 1)
-    record, _ = judge(made, job, expected, read_taken(folder, made))
+    record, _ = judge(made, job, expected, read_taken(folder, made), on_progress)
     old, new = (found.model_dump(mode="json", exclude=set(NOT_COMPARED)) for found in (recorded, record))
     notes: tuple[str, ...] = ()
     if recorded.software != record.software:

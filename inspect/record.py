@@ -77,6 +77,8 @@ class ContrastRecord(_Part):
     guard: float | None
     conformance_probability: float | None
     verdict: str
+    p_value: float | None = None
+    tolerance_ratio: float | None = None
 
 
 class AreaRecord(_Part):
@@ -95,6 +97,86 @@ class BudgetRecord(_Part):
     source: str
     kind: str
     contributions: tuple[float, ...]
+
+
+class RegionRecord(_Part):
+    """A group of cells that deviate together: its middle and extents in mm, x across the ridges."""
+
+    x: float
+    y: float
+    width: float
+    length: float
+    area_share: float
+    cells: int
+    kind: str
+    deviation: float
+    p_value: float
+
+
+class CauseRecord(_Part):
+    """One cause and how well it explains the part; ``u`` is None where the data do not determine the severity."""
+
+    cause: str
+    title: str
+    unit: str
+    severity: float
+    u: float | None
+    weight: float
+    chi2: float
+    at_bound: bool
+    tie: bool
+
+
+class DiagnosisRecord(_Part):
+    """What is wrong: one line, and the causes, the best first; none where nothing was to be explained."""
+
+    says: str
+    causes: tuple[CauseRecord, ...] = ()
+    unexplained_p: float | None = None
+
+
+class ComparisonRecord(_Part):
+    """The measurement against one of the recipe's surfaces; predicted radiances in 1/sr."""
+
+    surface: str
+    decides: bool
+    model: str
+    predicted: tuple[float, ...]
+    d2: float
+    dof: int
+    p_value: float
+    agrees: bool
+
+
+class EstimateRecord(_Part):
+    """A fitted parameter; without a value the poses do not determine it."""
+
+    name: str
+    title: str
+    unit: str
+    value: float | None
+    u: float | None
+    at_bound: bool
+
+
+class ShapeRecord(_Part):
+    """Ideal ridges fitted to the contrasts over several tilts; ``held`` were not free."""
+
+    estimates: tuple[EstimateRecord, ...]
+    held: tuple[str, ...]
+    chi2: float
+    dof: int
+    p_value: float | None
+    advice: str | None
+
+
+class GoldenRecord(_Part):
+    """The golden parts that decided what deviates: ln ratios to the first pose, one row a part."""
+
+    parts: int
+    mean: tuple[float, ...]
+    contrasts: tuple[tuple[float, ...], ...]
+    measured: tuple[float, ...]
 
 
 class Record(_Part):
@@ -122,6 +204,15 @@ class Record(_Part):
     area: AreaRecord | None
     budget: tuple[BudgetRecord, ...]
     drift: float | None
+    conformance_probability: float | None = None
+    regions: tuple[RegionRecord, ...] = ()
+    diagnosis: DiagnosisRecord | None = None
+    comparisons: tuple[ComparisonRecord, ...] = ()
+    reading: str | None = None
+    shape: ShapeRecord | None = None
+    golden: GoldenRecord | None = None
+    rounds: int = 1
+    notes: tuple[str, ...] = ()
     white_reference: dict[str, Any]
     recipe: dict[str, Any]
     rig: dict[str, Any]

@@ -8,6 +8,7 @@ from anisoscope.decision import Decision
 from anisoscope.expectation import Expectation
 from anisoscope.job import Job
 from anisoscope.jobfile import JobFile
+from anisoscope.localisation import Region
 from anisoscope.measurement import Measured, View
 from anisoscope.record import (
     AreaRecord,
@@ -17,6 +18,7 @@ from anisoscope.record import (
     InputFile,
     PoseRecord,
     Record,
+    RegionRecord,
 )
 from anisoscope.taken import Shot, Taken
 
@@ -54,12 +56,16 @@ def results(
                 guard=pair.guard,
                 conformance_probability=pair.conformance,
                 verdict=pair.verdict.value,
+                p_value=pair.p_value,
+                tolerance_ratio=pair.tolerance_ratio,
             )
             for pair in decision.pairs
         ),
         "d2": decision.d2,
         "dof": decision.dof,
         "p_value": decision.p_value,
+        "conformance_probability": decision.conformance,
+        "regions": tuple(_region_record(region) for region in decision.regions),
         "area": area
         and AreaRecord(
             share=area.share, u=area.u, max_share=area.max_share, cells=area.cells, verdict=area.verdict.value
@@ -70,6 +76,20 @@ def results(
         ),
         "drift": measured.drift,
     }
+
+
+def _region_record(region: Region) -> RegionRecord:
+    return RegionRecord(
+        x=region.x_mm,
+        y=region.y_mm,
+        width=region.width_mm,
+        length=region.length_mm,
+        area_share=region.area_share,
+        cells=region.cells,
+        kind=region.kind,
+        deviation=region.deviation,
+        p_value=region.p_value,
+    )
 
 
 def make_record(
@@ -102,6 +122,7 @@ def make_record(
                 "camera": job.white.camera,
                 "sha256": job.white.sha256,
             },
+            "rounds": made.plan.rounds if made.plan is not None else 1,
             "recipe": job.recipe.model_dump(mode="json", by_alias=True),
             "rig": job.rig.model_dump(mode="json", by_alias=True),
             "camera": taken.camera,

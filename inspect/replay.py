@@ -8,7 +8,7 @@ from pathlib import Path
 from anisoscope.errors import CalibrationError, RecordError, UsageError
 from anisoscope.folder import INPUTS, new_folder
 from anisoscope.inspection import Inspected, conclude, expecting
-from anisoscope.job import Job, Source, check_serial, fixture_of, flat_of, sources_of
+from anisoscope.job import Job, Source, check_serial, fixture_of, flat_of, known_good, sources_of
 from anisoscope.jobfile import begin
 from anisoscope.linear import WhiteReference, check_size
 from anisoscope.progress import Advance, silent
@@ -61,6 +61,7 @@ def inspect_frames(
     rig_path = rig_path or _rig_beside(frames)
     recipe, rig = read_recipe(recipe_path), read_replay_rig(rig_path)
     fixture = fixture_of(rig, rig_path)
+    golden = known_good(recipe_path, recipe)
     replay = arrange(read_frame_folder(frames), recipe)
     made_white = white_of(replay, reflectance, rig.light.angle_deg)
     white = None if made_white is not None else _white_of_rig(rig, rig_path, replay)
@@ -77,7 +78,13 @@ def inspect_frames(
             path = rig.calibration.flat
         white = white or read_reference(path)
         job = Job(
-            serial, recipe, rig, fixture, white, (*sources, Source("white reference", path, white.sha256))
+            serial,
+            recipe,
+            rig,
+            fixture,
+            white,
+            (*sources, Source("white reference", path, white.sha256)),
+            golden,
         )
         ready = cleanup.enter_context(expecting(job, on_progress))
         made = begin(

@@ -13,6 +13,7 @@ from anisoscope.rig.acquisition.writer import FRAMES
 from anisoscope.rig.frame import Frame, read_frame
 from anisoscope.rig.framefolder import read_frame_folder
 
+NOT_USED = "not used"
 REPLAYED = "as the table of the frames says"
 
 
@@ -76,6 +77,8 @@ def read_taken(folder: Path, made: JobFile) -> Taken:
     Raises:
         RecordError: a frame is missing, was changed or is damaged.
     """
+    if made.frames == 0:
+        return Taken((), NOT_USED, NOT_USED)
     journal = read_journal(folder)
     if missing_frames(made, journal) > 0:
         raise RecordError(f"{folder}: {missing_frames(made, journal)} frames are still to be taken")

@@ -3,17 +3,22 @@
 import hashlib
 import io
 import json
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
+import numpy.typing as npt
 
 from anisoscope.atomicfile import write_bytes
 from anisoscope.errors import CalibrationError, RecordError
 from anisoscope.linear import Stack, WhiteReference, hot_pixels
 
 _KIND = "anisoscope white reference"
+SPOT_SHARE = 0.02
+MAX_SPOTS, MAX_STRUCTURE, MAX_GRADIENT = 0.0005, 0.01, 0.2
 
 
 def make_reference(
@@ -112,3 +117,57 @@ def read_reference(path: Path) -> WhiteReference:
         raise
     except Exception as error:
         raise CalibrationError(f"the flat {path} cannot be read ({error}): {advice}") from error
+
+
+@dataclass(frozen=True)
+class Tile:
+    """What a flat says about the tile itself.
+
+    Attributes:
+        gradient: brightness at the edges of the picture along its steepest direction, bright by dark side, minus 1;
+            a vignette is even and does not count.
+        structure: robust relative scatter of 3 × 3 pixels about their surroundings, without what noise makes.
+        spots: share of the picture that differs from its surroundings by more than 2 % and five times the scatter.
+        remarks: what the operator should know.
+    """
+
+    gradient: float
+    structure: float
+    spots: float
+    remarks: tuple[str, ...]
+
+
+def inspect_tile(signal: npt.NDArray[np.float32], noise: float) -> Tile:
+    """Is the tile clean and evenly lit?
+
+    Args:
+        signal: (rows, cols) of the white reference.
+        noise: relative standard deviation of a pixel that noise alone makes.
+    """
+    rows, cols = signal.shape
+    window = max(5, min(rows, cols) // 8 | 1)
+    small = cv2.blur(signal, (3, 3))
+    ratio = small / cv2.blur(cv2.medianBlur(small, 5), (window, window)) - 1.0
+    ratio = np.asarray(ratio - cv2.blur(np.asarray(ratio, dtype=np.float32), (window, window)))
+    scatter = 1.4826 * float(np.median(np.abs(ratio)))
+    structure = float(np.sqrt(max(scatter**2 - (noise / 3.0) ** 2, 0.0)))
+    spots = float(np.mean(np.abs(ratio) > max(SPOT_SHARE, 5.0 * scatter)))
+    y, x = np.meshgrid(np.linspace(-1.0, 1.0, rows), np.linspace(-1.0, 1.0, cols), indexing="ij")
+    level = float(signal.mean(dtype=np.float64))
+    across, down = (float(np.sum(axis * signal) / np.sum(axis**2)) / level for axis in (x, y))
+    gradient = 2.0 * float(np.hypot(across, down))
+    remarks = []
+    if spots > MAX_SPOTS:
+        remarks.append(
+            f"{spots:.2%} of the flat are spots (usual at most {MAX_SPOTS:.2%}): clean tile and lens"
+        )
+    if structure > MAX_STRUCTURE:
+        remarks.append(
+            f"the flat is mottled by {structure:.2%} (usual at most {MAX_STRUCTURE:.0%}): clean the tile"
+        )
+    if gradient > MAX_GRADIENT:
+        remarks.append(
+            f"the flat rises by {gradient:.0%} across the picture (usual at most {MAX_GRADIENT:.0%}): centre the "
+            "light, lay the tile flat"
+        )
+    return Tile(gradient, structure, spots, tuple(remarks))

@@ -12,6 +12,9 @@ from anisoscope.errors import UsageError
 
 if TYPE_CHECKING:
     from anisoscope.inspection import Inspected
+    from anisoscope.record import CauseRecord, Record
+
+MAX_REGIONS = 5
 
 
 def inspect(
@@ -72,17 +75,55 @@ def show(inspected: "Inspected", *, json_: bool) -> int:
 
 def _as_json(inspected: "Inspected") -> dict[str, Any]:
     record = inspected.record
-    keys = ("from_deg", "to_deg", "tilt_deg", "kind", "measured", "predicted", "u", "tolerance", "verdict")
+    diagnosis = record.diagnosis
     return {
         "verdict": record.verdict,
         "reasons": list(record.reasons),
-        "contrasts": [{key: getattr(contrast, key) for key in keys} for contrast in record.contrasts],
+        "contrasts": [contrast.model_dump() for contrast in record.contrasts],
         "area": None if record.area is None else record.area.model_dump(),
+        "d2": record.d2,
+        "dof": record.dof,
         "p_value": record.p_value,
+        "conformance_probability": record.conformance_probability,
+        "budget": [row.model_dump() for row in record.budget],
+        "diagnosis": [] if diagnosis is None else [cause.model_dump() for cause in diagnosis.causes],
+        "says": None if diagnosis is None else diagnosis.says,
+        "unexplained_p": None if diagnosis is None else diagnosis.unexplained_p,
+        "regions": [region.model_dump() for region in record.regions],
+        "comparisons": [one.model_dump() for one in record.comparisons],
+        "reading": record.reading,
+        "shape": None if record.shape is None else record.shape.model_dump(),
+        "golden_parts": 0 if record.golden is None else record.golden.parts,
+        "rounds": record.rounds,
         "folder": str(inspected.folder),
         "report": str(inspected.report),
         "notes": list(inspected.notes),
     }
+
+
+def explained(record: "Record") -> list[str]:
+    """What is wrong and where, in a line each; empty for a part as it should be."""
+    lines = []
+    diagnosis = record.diagnosis
+    if diagnosis is not None and diagnosis.causes:
+        lines.append(f"cause: {diagnosis.says}")
+        lines += [_cause_line(cause) for cause in diagnosis.causes if cause.tie and cause.cause != "nothing"]
+    if record.reading is not None:
+        lines.append(f"design and height map: {record.reading}")
+    if record.verdict != "PASS":
+        lines += [
+            f"{region.kind} at x {region.x:+.2f} mm, y {region.y:+.2f} mm: {region.area_share:.2%} of the area, "
+            f"p = {region.p_value:.2g}"
+            for region in record.regions[:MAX_REGIONS]
+        ]
+    return lines
+
+
+def _cause_line(cause: "CauseRecord") -> str:
+    u = "not determined" if cause.u is None else f"± {cause.u:.2g}"
+    unit = f" {cause.unit}" if cause.unit else ""
+    bound = ", at the end of what was looked at" if cause.at_bound else ""
+    return f"  {cause.title}: {cause.severity:.3g}{unit} {u} (weight {cause.weight:.0%}{bound})"
 
 
 def _print(inspected: "Inspected") -> None:
@@ -123,6 +164,8 @@ def _print(inspected: "Inspected") -> None:
     out.print(f"[bold {color}]{record.verdict}[/]")
     for reason in record.reasons:
         out.print(f"  {reason}", markup=False, highlight=False, soft_wrap=True)
+    for line in explained(record):
+        out.print(f"  {line}", markup=False, highlight=False, soft_wrap=True)
     for note in inspected.notes:
         out.print(f"note: {note}", markup=False, highlight=False, soft_wrap=True)
     out.print(f"report: {inspected.report}", markup=False, highlight=False, soft_wrap=True)

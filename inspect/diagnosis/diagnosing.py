@@ -20,6 +20,7 @@ FloatArray = npt.NDArray[np.float64]
 NOTHING = "nothing"
 TIE = 9.0  # 3σ in χ² for one parameter
 GRID = 201
+FINE, FINER = 41, 4  # points of every finer grid between the best point's neighbours, and grids in all
 SHARE_FLOOR = 0.003  # cells that deviate on one good part and not on another
 SHARE_RELATIVE = 0.3  # how well a share of deviating cells is predicted: size and form of real marks vary
 
@@ -154,6 +155,16 @@ def _misfit(evidence: Evidence, weigh: FloatArray, change: FloatArray, share: fl
     return chi2
 
 
+def _misfits(signature: Signature, evidence: Evidence, weigh: FloatArray, extents: FloatArray) -> FloatArray:
+    """(E,) χ² that a cause leaves at each of several extents."""
+    changes, shares = signature.at(extents)
+    left = np.sum(((evidence.deviation - changes) @ weigh.T) ** 2, axis=1)
+    if evidence.share is not None:
+        spreads = np.sqrt(evidence.u_share**2 + SHARE_FLOOR**2 + (SHARE_RELATIVE * shares) ** 2)
+        left = left + ((evidence.share - shares) / spreads) ** 2
+    return np.asarray(left)
+
+
 def share_spread(share: float | FloatArray, u_share: float) -> float:
     """Standard uncertainty of a share of deviating cells against the share that a cause predicts."""
     return float(np.sqrt(u_share**2 + SHARE_FLOOR**2 + (SHARE_RELATIVE * np.max(share)) ** 2))
@@ -161,26 +172,14 @@ def share_spread(share: float | FloatArray, u_share: float) -> float:
 
 def fit_extent(signature: Signature, evidence: Evidence, weigh: FloatArray) -> tuple[float, float, float]:
     """Best extent of a cause, its standard uncertainty, and the χ² that it leaves."""
-    from scipy.optimize import minimize_scalar  # noqa: PLC0415 - 0.3 s
-
     low, high = signature.bounds
-
-    def left(extent: float) -> float:
-        change, share = signature.at(extent)
-        return _misfit(evidence, weigh, change, float(share))
-
     grid = np.unique(np.concatenate([np.linspace(low, high, GRID), signature.extents]))
-    changes, shares = signature.at(grid)
-    values = np.sum(((evidence.deviation - changes) @ weigh.T) ** 2, axis=1)
-    if evidence.share is not None:
-        spreads = np.sqrt(evidence.u_share**2 + SHARE_FLOOR**2 + (SHARE_RELATIVE * shares) ** 2)
-        values = values + ((evidence.share - shares) / spreads) ** 2
-    k = int(np.argmin(values))
-    inside = grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)]
-    refined = minimize_scalar(left, bounds=inside, method="bounded")
-    extent, best = float(grid[k]), float(values[k])
-    if refined.fun < best:
-        extent, best = float(refined.x), float(refined.fun)
+    for _ in range(FINER):
+        left = _misfits(signature, evidence, weigh, grid)
+        k = int(np.argmin(left))
+        extent, best = float(grid[k]), float(left[k])
+        beside = grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)]
+        grid = np.unique(np.append(np.linspace(*beside, FINE), extent))
     slope, share_slope = signature.slope(extent)
     curvature = float(np.sum((weigh @ slope) ** 2))
     if evidence.share is not None:

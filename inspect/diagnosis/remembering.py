@@ -32,6 +32,7 @@ def cache_folder() -> Path:
 
 def remembered_signatures(recipe: Recipe, light_angle_deg: float, advance: Advance = silent) -> Signatures:
     """The signatures of a recipe, computed once; arguments and errors as for `signatures`."""
+    recipe = recipe.deciding()
     path = cache_folder() / "signatures" / f"{_key(recipe, light_angle_deg)}.npz"
     with contextlib.suppress(OSError, KeyError, ValueError):  # missing or damaged: computed again
         return _read(path, recipe)

@@ -36,7 +36,7 @@ FloatArray = npt.NDArray[np.float64]
 PITCHES = 24
 ROWS_PITCHES = 8
 POINTS_ACROSS, POINTS_ALONG = 50, 25  # a pitch
-MAX_ROWS, MAX_COLS = 400, 1400
+MAX_ROWS, MAX_COLS = 200, 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +113,7 @@ def signatures(
     Raises:
         HeightMapError: the recipe's height map cannot be read or used.
     """
+    recipe = recipe.deciding()
     scene = _Scene(recipe, light_angle_deg)
     good, good_share = scene.look(scene.surface, scene.state, with_map=True)
     design = recipe.surface.design

@@ -63,7 +63,7 @@ def _figure(width: float, height: float) -> Iterator[tuple["Figure", "Axes"]]:
 def _map_figure(size: tuple[float, float]) -> Iterator[tuple["Figure", "Axes", "Axes"]]:
     """Axes for a map of ``size`` (height, width) and for its colour bar, alike in every map of a report."""
     width = 4.6
-    side = 0.68 * width
+    side = 0.64 * width
     high = side * size[0] / size[1]
     height = high + 0.62
     with _figure(width, height) as (figure, axes):
@@ -74,7 +74,7 @@ def _map_figure(size: tuple[float, float]) -> Iterator[tuple["Figure", "Axes", "
         axes.set_xlabel("x [mm]")
         axes.set_ylabel("y [mm]")
         axes.locator_params(nbins=5)
-        yield figure, axes, figure.add_axes((0.84, bottom, 0.035, top))
+        yield figure, axes, figure.add_axes((0.80, bottom, 0.035, top))
 
 
 def _svg_uri(figure: "Figure") -> str:
@@ -115,6 +115,72 @@ def contrast_map(
         if deviating is not None:
             axes.add_collection(_outline(deviating, size_mm))
         figure.colorbar(shown, cax=bar, label="ln ratio")
+        return _svg_uri(figure)
+
+
+def deviation_map(
+    deviation: FloatArray,
+    deviating: npt.NDArray[np.bool_] | None,
+    places: Sequence[tuple[float, float]],
+    size_mm: tuple[float, float],
+) -> str:
+    """By how much every cell is off, with the regions outlined and numbered from 1.
+
+    Args:
+        deviation: (cell rows, cell cols) ln ratio, first row at the top.
+        deviating: same shape, or None.
+        places: (x, y) of the middle of every numbered region in mm from the middle of the map.
+        size_mm: (height, width) of the region.
+    """
+    from matplotlib.patheffects import withStroke
+
+    height, width = size_mm
+    reach = max(float(np.percentile(np.abs(deviation), 99.5)), 0.05)
+    with _map_figure(size_mm) as (figure, axes, bar):
+        extent = (-width / 2, width / 2, -height / 2, height / 2)
+        shown = axes.imshow(deviation, cmap="PuOr", vmin=-reach, vmax=reach, extent=extent)
+        if deviating is not None:
+            axes.add_collection(_outline(deviating, size_mm))
+        for number, (x, y) in enumerate(places, start=1):
+            label = axes.annotate(
+                str(number),
+                (x, y),
+                xytext=(7, 7),
+                textcoords="offset points",
+                fontsize=9,
+                fontweight="bold",
+                annotation_clip=False,
+                arrowprops={"arrowstyle": "-", "color": INK, "linewidth": 0.7},
+            )
+            label.set_path_effects([withStroke(linewidth=2.5, foreground="white")])
+        figure.colorbar(shown, cax=bar, label="ln ratio off")
+        return _svg_uri(figure)
+
+
+def golden_strip(labels: Sequence[str], golden: FloatArray, measured: Sequence[float]) -> str:
+    """Every golden part as a dot and this part as a diamond, one strip a contrast, all from the golden mean.
+
+    Args:
+        labels: names of the contrasts.
+        golden: (n, contrasts).
+        measured: of this part.
+    """
+    off = golden - golden.mean(axis=0)
+    with _figure(9.0, 0.95 + 0.42 * len(labels)) as (figure, axes):
+        strip = np.arange(len(labels), dtype=np.float64)
+        spread = 0.12 * (np.arange(len(off)) % 5 - 2)
+        rows = (strip[None, :] + spread[:, None]).ravel()
+        known = axes.scatter(off.ravel(), rows, s=20, color=BLUE, alpha=0.6, linewidths=0)
+        here = np.asarray(measured) - golden.mean(axis=0)
+        mine = axes.scatter(
+            here, strip, s=70, marker="D", color=ORANGE, edgecolor=INK, linewidths=0.8, zorder=3
+        )
+        axes.axvline(0.0, color=MUTED, linewidth=0.9)
+        axes.set_yticks(range(len(labels)), labels)
+        axes.set_ylim(len(labels) - 0.45, -0.55)
+        axes.grid(axis="x")
+        axes.set_xlabel("ln ratio, from the mean of the golden parts")
+        axes.legend([known, mine], ["golden parts", "this part"], loc="best", frameon=False)
         return _svg_uri(figure)
 
 

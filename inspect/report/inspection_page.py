@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.record import Record
+from anisoscope.record import CauseRecord, Record, RegionRecord
 from anisoscope.report import figures
 from anisoscope.report.page import Filters, write_page
 from anisoscope.report.relief3d import Picture3D, Renderer
@@ -17,6 +17,9 @@ FloatArray = npt.NDArray[np.float64]
 Image = npt.NDArray[np.float32]
 
 REPORT_NAME = "report.html"
+MAX_REGIONS = 12
+WANTED_RATIO = 4.0
+SURFACES = {"design": "ideal design", "height_map": "height map"}
 KIND_NAMES = {
     "log_ratio": "ln ratio",
     "michelson": "Michelson contrast",
@@ -40,6 +43,7 @@ class Pictures:
         size_mm: (height, width) of the region.
         ratios: (pairs, cell rows, cell cols) ln ratio of the contrast map.
         deviating: (cell rows, cell cols) cells that deviate.
+        deviation: (cell rows, cell cols) ln ratio by which a cell is off.
         surface: the height map of the prediction, levelled.
     """
 
@@ -48,6 +52,7 @@ class Pictures:
     ratios: FloatArray | None = None
     deviating: npt.NDArray[np.bool_] | None = None
     surface: HeightMap | None = None
+    deviation: FloatArray | None = None
     raw: tuple[tuple[str, Image], ...] = field(default=())
 
 
@@ -76,6 +81,10 @@ def write_report(record: Record, pictures: Pictures, folder: Path, view: Picture
         "kind": KIND_NAMES.get(record.contrasts[0].kind, "") if record.contrasts else "",
         "unit": UNITS.get(record.contrasts[0].kind, "1") if record.contrasts else "1",
         "rule": record.recipe["decision"],
+        "surfaces": SURFACES,
+        "regions": record.regions[:MAX_REGIONS],
+        "causes": _causes(record),
+        "narrow": [c for c in record.contrasts if c.tolerance_ratio and c.tolerance_ratio < WANTED_RATIO],
         **_figures(record, pictures, view),
     }
     filters: Filters = {
@@ -113,7 +122,20 @@ def _figures(record: Record, pictures: Pictures, view: Picture3D | None) -> dict
         "surface_3d": None,
         "surface_note": "",
         "size_mm": pictures.size_mm,
+        "deviation_map": None,
+        "golden_strip": None,
     }
+    if pictures.deviation is not None:
+        places = [_local(record, region) for region in record.regions[:MAX_REGIONS]]
+        found["deviation_map"] = figures.deviation_map(
+            pictures.deviation, pictures.deviating, places, pictures.size_mm
+        )
+    if record.golden is not None:
+        found["golden_strip"] = figures.golden_strip(
+            [_label(p.stage_deg, record.poses[0].stage_deg, p.tilt_deg) for p in record.poses[1:]],
+            np.array(record.golden.contrasts),
+            record.golden.measured,
+        )
     if pictures.ratios is not None:
         found["maps"] = [
             (label, figures.contrast_map(ratio, pictures.deviating, pictures.size_mm))
@@ -136,6 +158,19 @@ def _figures(record: Record, pictures: Pictures, view: Picture3D | None) -> dict
     if pictures.surface is not None:
         found |= _surface(pictures.surface, view)
     return found
+
+
+def _local(record: Record, region: RegionRecord) -> tuple[float, float]:
+    """Middle of a region, from the middle of the map: x across the ridges, y along them."""
+    x, y = np.subtract((region.x, region.y), record.recipe["region"]["center_mm"])
+    turn = np.radians(record.recipe["poses"]["facet_azimuth_deg"])
+    return float(np.cos(turn) * x + np.sin(turn) * y), float(np.cos(turn) * y - np.sin(turn) * x)
+
+
+def _causes(record: Record) -> tuple[CauseRecord, ...]:
+    """Causes worth a row: the ties, and what else has some weight."""
+    found = () if record.diagnosis is None else record.diagnosis.causes
+    return tuple(one for one in found if one.tie or one.weight >= 0.01)
 
 
 def _top(image: Image) -> float:

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 import tomli_w
 
-from anisoscope import inspection
+from anisoscope import explaining, inspection
 from anisoscope.calibration import take_flat
 from anisoscope.cli.demo_files import FIXTURE
+from anisoscope.diagnosis.signatures import signatures
+from anisoscope.progress import silent
 from anisoscope.recipe import Recipe
 from anisoscope.report.inspection_page import REPORT_NAME
 from anisoscope.sim.bench.bench import Bench, shared_bench
@@ -127,6 +129,19 @@ def virtual_rig(tmp_path, flat) -> Callable[..., VirtualRig]:
         )
 
     return lay_out
+
+
+@pytest.fixture(autouse=True)
+def quick_causes(request, monkeypatch) -> None:
+    """Causes of the plastic only, which take no map: all of them take half a minute. Marked soak, a test gets all."""
+    if request.node.get_closest_marker("soak") is not None:
+        return
+
+    def quick(recipe, light_angle_deg, advance=silent):
+        names = ("roughness-along", "roughness-across", "colour")
+        return signatures(recipe, light_angle_deg, advance, names)
+
+    monkeypatch.setattr(explaining, "remembered_signatures", quick)
 
 
 @pytest.fixture

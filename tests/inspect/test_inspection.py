@@ -67,6 +67,7 @@ def test_a_good_part_passes_and_the_frames_on_disk_prove_it(virtual_rig, referen
 
     inputs = {path.name: path for path in (rig.recipe, rig.rig, reference_map)}
     inputs["flat.tif"] = read_rig(rig.rig).calibration.flat
+    inputs["flat.json"] = inputs["flat.tif"].with_suffix(".json")
     assert {entry.name: entry.sha256 for entry in record.inputs} == {
         f"inputs/{n}": sha256_of(p) for n, p in inputs.items()
     }
@@ -228,7 +229,6 @@ BEFORE = {
         CalibrationError,
         "/none.tif does not exist",
     ),
-    "no fixture": ({"rig": {"fixture": None}}, RigFileError, r"describes no \[fixture\]"),
     "dictionary": ({"rig": {"fixture": {"dictionary": "DICT_NONE"}}}, RigFileError, "fixture.dictionary"),
     "silent": ({"bench": {"stage": {"faults": ["silent"]}}}, NotConnected, "is silent"),
     "bench": ({"bench": {"stage": {"faults": ["nonsense"]}}}, NotConnected, "no fault 'nonsense'"),

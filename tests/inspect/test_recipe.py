@@ -59,10 +59,11 @@ MISTAKES = {
     "material.alpha_along": {"material": {**MATERIAL, "alpha_along": -0.1}},
     "material: roughness alpha along": {"material": {**MATERIAL, "alpha_along": 1.5}},
     "material.index": {"material": {**MATERIAL, "index": 0.9}},
-    "surface: give either height_map (a file) or design (a table), not both and not neither": {
+    'surface: of height_map and design, say with compare = "height_map" or "design" which one decides': {
         "surface": {**DESIGN, "height_map": "x"}
     },
-    "not both and not neither": {"surface": {"pitch_um": 100.0}},
+    "give height_map (a file) or design (a table), or both of them": {"surface": {"pitch_um": 100.0}},
+    'compare = "height_map", but there is no height_map': {"surface": {**DESIGN, "compare": "height_map"}},
     "surface.role": {"surface": {"pitch_um": 100.0, "height_map": "x", "role": "mould"}},
     "surface.design.ridge_angle_deg": {"surface": {**DESIGN, "design": {"ridge_angle_deg": 50.0}}},
     "decision.tolerance lists 1 values for 2 pairs": {"decision": {"tolerance": [0.1]}},

@@ -65,11 +65,16 @@ def view(angle_deg, pixel_um, shift_px, tilt_deg=0.0, distance_mm=np.inf):
 
 def photograph(texture, to_pixel, rng, *, blur=0.8, vignetting=0.0, electrons=20000.0, read=8.0):
     """A picture of the plate in 1/sr; ``electrons`` is what a radiance of 0.3 collects."""
-    to_mm = np.array([[DOT_MM, 0, (0.5 - HALF_DOTS) * DOT_MM], [0, -DOT_MM, (HALF_DOTS - 0.5) * DOT_MM], [0, 0, 1]])
+    to_mm = np.array(
+        [[DOT_MM, 0, (0.5 - HALF_DOTS) * DOT_MM], [0, -DOT_MM, (HALF_DOTS - 0.5) * DOT_MM], [0, 0, 1]]
+    )
     fine = np.array([[SUB, 0, (SUB - 1) / 2], [0, SUB, (SUB - 1) / 2], [0, 0, 1.0]])
     # slightly blurred, because points in a lattice would put an upright edge at a multiple of their distance
     points = cv2.warpPerspective(
-        cv2.GaussianBlur(texture, (0, 0), 1.0), fine @ to_pixel @ to_mm, (SIZE * SUB, SIZE * SUB), borderValue=PLATE
+        cv2.GaussianBlur(texture, (0, 0), 1.0),
+        fine @ to_pixel @ to_mm,
+        (SIZE * SUB, SIZE * SUB),
+        borderValue=PLATE,
     )
     pixels = cv2.resize(points, (SIZE, SIZE), interpolation=cv2.INTER_AREA)
     line = np.linspace(-1, 1, SIZE, dtype=np.float32) ** 2
@@ -95,19 +100,22 @@ def random_scene(rng, tilt_deg=0.0, distance_mm=np.inf):
     seen = view(
         rng.uniform(0, 360), PIXEL_UM * rng.uniform(0.97, 1.03), rng.uniform(-6, 6, 2), tilt_deg, distance_mm
     )
-    look = {"blur": rng.uniform(0.5, 1.6), "vignetting": rng.uniform(0, 0.4), "electrons": rng.uniform(8e3, 3e4)}
+    look = {
+        "blur": rng.uniform(0.5, 1.6),
+        "vignetting": rng.uniform(0, 0.4),
+        "electrons": rng.uniform(8e3, 3e4),
+    }
     marks = {"missing": (int(rng.integers(4)),)} if defect == 0 else {"dirt": dirt} if defect == 1 else {}
     return seen, plate(part, **marks), look
 
 
 @pytest.mark.parametrize("part", range(4))
 def test_the_placement_is_within_a_twentieth_of_a_pixel(part):
-    rng, errors, angles = np.random.default_rng([1, part]), [], []
+    rng, errors = np.random.default_rng([1, part]), []
     for _ in range(13):
         seen, texture, look = random_scene(rng)
         place = locate(photograph(texture, seen, rng, **look), FIXTURE)
         errors.append(worst_px(place, seen))
-    print(np.round(sorted(errors), 3))
     assert max(errors) < 0.05
 
 
@@ -122,7 +130,6 @@ def test_a_tilted_arm_leaves_it_within_a_seventh(part):
         place = locate(photograph(texture, seen, rng, **look), FIXTURE, tilt)
         errors.append(worst_px(place, seen))
         assert place.squeeze == pytest.approx(1.0, abs=5 * place.u_squeeze + 1e-3)
-    print(np.round(sorted(errors), 3))
     assert max(errors) < 0.15
 
 
@@ -152,11 +159,10 @@ def test_under_tilt_it_may_pass_for_perspective_but_never_moves_the_part(moved_p
         picture, seen, which = with_a_moved_marker(rng, moved_px, number, 15.0)
         try:
             place = locate(picture, FIXTURE, 15.0)
-        except RegistrationError as error:
-            assert "contradict" in str(error)
-        else:
-            assert place.dropped == (which,)
-            assert worst_px(place, seen) < 0.15
+        except RegistrationError:
+            continue  # INVALID, and no wrong number
+        assert place.dropped == (which,)
+        assert worst_px(place, seen) < 0.15
 
 
 @pytest.mark.parametrize("moved_px", [0.05, 0.2, 0.35])
@@ -180,7 +186,7 @@ def test_among_three_nobody_can_tell_who_lies():
     rng = np.random.default_rng(6)
     seen, _, look = random_scene(rng)
     texture = plate(0.1, missing=(3,), moved={1: (0.02, 0.02)})
-    with pytest.raises(RegistrationError, match="markers contradict each other .* clean them"):
+    with pytest.raises(RegistrationError, match=r"markers contradict each other .* clean them"):
         locate(photograph(texture, seen, rng, **look), FIXTURE)
 
 

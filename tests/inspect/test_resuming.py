@@ -78,7 +78,7 @@ def test_a_lamp_that_changed_meanwhile_makes_it_invalid(virtual_rig, monkeypatch
 def test_with_all_frames_there_no_rig_is_needed(virtual_rig, monkeypatch):
     rig = virtual_rig()
     with monkeypatch.context() as patch:
-        patch.setattr(inspection, "judge", lambda *_: 1 / 0)
+        patch.setattr(inspection, "judge", lambda *_, **__: 1 / 0)
         with pytest.raises(ZeroDivisionError) as caught:
             rig.inspect()
     (folder,) = rig.folders

@@ -1,5 +1,7 @@
 """What a plan asks for, from the start and when some of it is done."""
 
+from dataclasses import replace
+
 import pytest
 
 from anisoscope.errors import UsageError
@@ -91,3 +93,17 @@ def test_the_light_is_on_where_frames_need_it_and_off_at_the_end():
             elif isinstance(event, DarkEvent | SampleEvent):
                 assert lit is isinstance(event, SampleEvent)
         assert lit is False
+
+
+def test_another_round_takes_all_poses_again_but_no_dark_frames():
+    more = replace(PLAN, rounds=2)
+    assert (PLAN.frame_count, more.frame_count) == (5, 8)
+    taken = [event for event in more.remaining(range(5)) if isinstance(event, DarkEvent | SampleEvent)]
+    assert taken == [
+        SampleEvent(Pose(0.0), None, again=True),
+        SampleEvent(Pose(0.0), 5),
+        SampleEvent(Pose(90.0), 6),
+        SampleEvent(Pose(0.0), 7, again=True),
+    ]
+    with pytest.raises(UsageError, match="rounds: expected at least 1"):
+        replace(PLAN, rounds=0)

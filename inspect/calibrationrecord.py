@@ -1,0 +1,256 @@
+"""The record of a calibration: JSON beside its picture, sealed, with values, uncertainties and how long it holds.
+
+A calibration is one or two files of one name: ``stray.json`` with what was found, and ``stray.tif`` where there is a
+picture. The record holds the hash of the picture and ends with a seal, the hash of itself.
+"""
+
+import hashlib
+import json
+from datetime import UTC, datetime, timedelta
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from anisoscope.atomicfile import write_text
+from anisoscope.errors import CalibrationError, RecordError, UsageError
+from anisoscope.record import UNSEALED, InputFile, sha256_of
+
+Kind = Literal["flat", "dark", "stray", "linearity", "rotation", "check"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
+VALID_FOR_DAYS: dict[Kind, float] = {
+    "flat": 30.0,
+    "dark": 90.0,
+    "stray": 90.0,
+    "linearity": 365.0,
+    "rotation": 30.0,
+    "check": 1.0,
+}
+MAX_DAYS = 3650.0
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Value(_Part):
+    """A number that was found: its unit ("" for a plain number) and, where it has one, its standard uncertainty."""
+
+    value: float
+    u: float | None = None
+    unit: str = ""
+
+
+class CameraRecord(_Part):
+    """The camera that was calibrated."""
+
+    model: str
+    serial: str
+    rows: int
+    cols: int
+    bit_depth: int
+
+
+class CalibrationRecord(_Part):
+    """A calibration, complete.
+
+    Attributes:
+        kind: what was calibrated.
+        id: kind, day and a short hash of what was found; no two calibrations share one.
+        taken_at: UTC time.
+        valid_for_days: how long it holds.
+        valid_until: UTC time at which it ends.
+        software: what wrote it.
+        rig: name of the rig.
+        camera: the camera.
+        stage: the stage, as far as it was used.
+        exposure_s, gain: settings of the frames; of a series the longest exposure.
+        frames: how many frames it rests on.
+        operator: who took it.
+        temperature_c: temperature of the day, as far as it was said.
+        values: what was found, by name.
+        residuals: what is left between measurement and fit, one number a step.
+        details: what else belongs to this kind, such as settings and a fitted response.
+        in_limits: False if what was found says that the rig is not fit.
+        remarks: what the operator should know.
+        picture: the file of pixels beside the record.
+    """
+
+    kind: Kind
+    schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
+    id: str
+    taken_at: datetime
+    valid_for_days: float
+    valid_until: datetime
+    software: str
+    rig: str
+    camera: CameraRecord
+    stage: str | None = None
+    exposure_s: float
+    gain: float
+    frames: int
+    operator: str | None = None
+    temperature_c: float | None = None
+    values: dict[str, Value]
+    residuals: tuple[float, ...] = ()
+    details: dict[str, Any] = {}
+    in_limits: bool = True
+    remarks: tuple[str, ...] = ()
+    picture: InputFile | None = None
+
+    def number(self, name: str) -> float:
+        """A value by its name.
+
+        Raises:
+            CalibrationError: the record does not hold it.
+        """
+        return self._value(name).value
+
+    def uncertainty(self, name: str) -> float:
+        """The standard uncertainty of a value, 0 where it has none; errors as for `number`."""
+        return self._value(name).u or 0.0
+
+    def _value(self, name: str) -> Value:
+        if name not in self.values:
+            raise CalibrationError(
+                f"the {self.kind} calibration {self.id} holds no {name}: {advice(self.kind)}"
+            )
+        return self.values[name]
+
+    def complaint(self, at: datetime) -> str | None:
+        """Why this calibration makes a measurement at a time INVALID, if it does."""
+        if at >= self.valid_until:
+            ended = self.valid_until.strftime("%Y-%m-%d %H:%M UTC")
+            return f"the {self.kind} calibration {self.id} expired at {ended}: {advice(self.kind)}"
+        if not self.in_limits:
+            why = f" ({self.remarks[0]})" if self.remarks else ""
+            return (
+                f"the {self.kind} calibration {self.id} was out of its limits{why}: "
+                f"put the rig right, then {advice(self.kind)}"
+            )
+        return None
+
+
+def advice(kind: Kind) -> str:
+    """The command that makes a calibration of a kind."""
+    return f"take one with `anisoscope calibrate {kind}`"
+
+
+def days_of(kind: Kind, days: float | None) -> float:
+    """How long a calibration shall hold, in days.
+
+    Raises:
+        UsageError: not between 0 and ten years.
+    """
+    found = VALID_FOR_DAYS[kind] if days is None else days
+    if not 0.0 < found <= MAX_DAYS:
+        raise UsageError(
+            f"a calibration holds for more than 0 and at most {MAX_DAYS:g} days, not {found:g}: correct --valid-days"
+        )
+    return found
+
+
+def dated(kind: Kind, content: dict[str, Any], *, valid_days: float | None) -> CalibrationRecord:
+    """A record taken now, with its id and validity.
+
+    Args:
+        kind: kind of calibration.
+        content: the fields that only the caller knows.
+        valid_days: how long it holds; None for what is usual.
+    """
+    now, days = datetime.now(UTC), days_of(kind, valid_days)
+    found = content | {"kind": kind, "taken_at": now, "valid_for_days": days}
+    found |= {"valid_until": now + timedelta(days=days), "software": f"anisoscope {version('anisoscope')}"}
+    made = CalibrationRecord.model_validate(found | {"id": ""})
+    short = hashlib.sha256(made.model_dump_json(by_alias=True).encode()).hexdigest()[:8]
+    return made.model_copy(update={"id": f"{kind}-{now:%Y%m%d}-{short}"})
+
+
+def record_path(path: Path) -> Path:
+    """The record of a calibration, whichever of its files is named."""
+    return path.with_suffix(".json")
+
+
+def picture_path(path: Path) -> Path:
+    """The picture of a calibration, whichever of its files is named."""
+    return path if path.suffix.lower() in {".tif", ".tiff"} else path.with_suffix(".tif")
+
+
+def write_calibration(record: CalibrationRecord, path: Path) -> Path:
+    """Write a record beside its picture, all or nothing; returns its path.
+
+    Raises:
+        RecordError: it cannot be written.
+    """
+    target = record_path(path)
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RecordError(f"cannot write {target}: {error.strerror}") from error
+    content = record.model_dump(mode="json", by_alias=True) | {"seal": UNSEALED}
+    text = json.dumps(content, indent=2, allow_nan=False, ensure_ascii=False)
+    before, _, after = text.rpartition(UNSEALED)
+    write_text(target, before + hashlib.sha256(text.encode()).hexdigest() + after + "\n")
+    return target
+
+
+def read_calibration(path: Path, kind: Kind, picture: Path | None = None) -> CalibrationRecord:
+    """Read a record, and check its seal and the hash of its picture.
+
+    Args:
+        path: either file of the calibration.
+        kind: what it has to be.
+        picture: its picture, where that lies elsewhere than beside it.
+
+    Raises:
+        CalibrationError: missing, damaged, changed, or of another kind.
+    """
+    target = record_path(path)
+    try:
+        text = target.read_text(encoding="utf-8").removesuffix("\n")
+        content = json.loads(text)
+        seal = str(content.pop("seal")) if isinstance(content, dict) else ""
+        before, _, after = text.rpartition(seal)
+        if hashlib.sha256((before + UNSEALED + after).encode()).hexdigest() != seal:
+            raise CalibrationError(f"{target} was changed after it had been written: {advice(kind)}")
+        record = CalibrationRecord.model_validate_json(json.dumps(content))
+    except FileNotFoundError:
+        raise CalibrationError(f"the {kind} calibration {target} does not exist: {advice(kind)}") from None
+    except OSError as error:
+        raise CalibrationError(f"{target} cannot be read: {error.strerror}: {advice(kind)}") from error
+    except (KeyError, ValueError) as error:
+        reason = str(error).splitlines()[0]
+        raise CalibrationError(
+            f"{target} is no record of a calibration ({reason}): {advice(kind)}"
+        ) from error
+    if record.kind != kind:
+        raise CalibrationError(f"{target} is a {record.kind} calibration, not a {kind} one: {advice(kind)}")
+    if record.picture is not None:
+        _check_picture(record.picture, picture or target.with_name(record.picture.name), kind)
+    return record
+
+
+def _check_picture(file: InputFile, path: Path, kind: Kind) -> None:
+    try:
+        found = sha256_of(path)
+    except OSError as error:
+        raise CalibrationError(
+            f"{path}, the picture of the {kind} calibration, cannot be read ({error.strerror}): {advice(kind)}"
+        ) from error
+    if found != file.sha256:
+        raise CalibrationError(
+            f"{path} was changed since its calibration (its SHA-256 differs from the record): {advice(kind)}"
+        )
+
+
+def picture_of(path: Path) -> InputFile:
+    """Name and hash of a picture that was just written.
+
+    Raises:
+        RecordError: it cannot be read.
+    """
+    try:
+        return InputFile(name=path.name, sha256=sha256_of(path))
+    except OSError as error:
+        raise RecordError(f"cannot read {path}: {error.strerror}") from error

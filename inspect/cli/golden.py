@@ -1,0 +1,137 @@
+"""``anisoscope golden``: parts that are known to be good, against which others are compared."""
+
+import json
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import App, Parameter
+
+from anisoscope.cli.console import console, print_table
+from anisoscope.errors import CalibrationError, UsageError
+
+app = App(name="golden", help="Parts that are known to be good, kept beside their recipe.")
+
+RecipeFile = Annotated[Path, Parameter(name=["--recipe", "-r"], help="Recipe file (TOML).")]
+Json = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")]
+
+
+@contextmanager
+def _as_usage() -> Iterator[None]:
+    """No part is judged here, so no exit code may look like a verdict."""
+    try:
+        yield
+    except CalibrationError as error:
+        raise UsageError(str(error)) from error
+
+
+@app.command
+def add(
+    *folders: Annotated[Path, Parameter(help="Folders of finished inspections of good parts.")],
+    recipe: RecipeFile,
+    json_: Json = False,
+) -> int:
+    """Add inspected parts that are known to be good; all of them or none."""
+    from anisoscope.golden import add_part, golden_path, read_golden, write_golden
+    from anisoscope.recipe import read_recipe
+    from anisoscope.record import read_record
+
+    if not folders:
+        raise UsageError("name the folders of one or more finished inspections")
+    rules, path = read_recipe(recipe), golden_path(recipe)
+    with _as_usage():
+        known = read_golden(path, rules)
+        for folder in folders:
+            known = add_part(known, rules, read_record(folder))
+    assert known is not None
+    write_golden(path, known)
+    return _say(path, len(folders), "added", known.lacking, len(known.parts), json_=json_)
+
+
+@app.command
+def remove(*serials: str, recipe: RecipeFile, json_: Json = False) -> int:
+    """Take parts out of the set, by serial number; an empty set is deleted."""
+    from anisoscope.golden import golden_path, read_golden, without_part, write_golden
+    from anisoscope.recipe import read_recipe
+
+    if not serials:
+        raise UsageError("name the serial numbers of one or more golden parts")
+    path = golden_path(recipe)
+    with _as_usage():
+        known = read_golden(path, read_recipe(recipe))
+        if known is None:
+            raise CalibrationError(f"{path}: there are no golden parts of this recipe")
+        before = len(known.parts)
+        for serial in serials:
+            known = without_part(known, serial)
+    if known.parts:
+        write_golden(path, known)
+    else:
+        path.unlink()
+    return _say(path, before - len(known.parts), "removed", known.lacking, len(known.parts), json_=json_)
+
+
+@app.command
+def show(*, recipe: RecipeFile, json_: Json = False) -> int:
+    """List the golden parts, and how much they vary."""
+    import numpy as np
+
+    from anisoscope.golden import golden_path, read_golden
+    from anisoscope.recipe import read_recipe
+
+    path = golden_path(recipe)
+    with _as_usage():
+        known = read_golden(path, read_recipe(recipe))
+        if known is None:
+            raise CalibrationError(
+                f"{path}: there are no golden parts of this recipe: add some with `anisoscope golden add`"
+            )
+    contrasts = known.contrasts()
+    scatter = contrasts.std(axis=0, ddof=1) if len(contrasts) > 1 else np.full(contrasts.shape[1], np.nan)
+    if json_:
+        content = _content(path, known.lacking, len(known.parts))
+        content["parts"] = [part.model_dump() for part in known.parts]
+        content["mean"] = [float(value) for value in contrasts.mean(axis=0)]
+        content["scatter"] = [float(value) if np.isfinite(value) else None for value in scatter]
+        json.dump(content, sys.stdout, indent=2, allow_nan=False)
+        sys.stdout.write("\n")
+        return 0
+    first, *others = known.poses
+    names = [f"ln L{_at(pose)} − ln L{_at(first)}" for pose in others]
+    rows = [
+        [part.serial, part.inspected_at, part.verdict, *(f"{value:+.4f}" for value in row)]
+        for part, row in zip(known.parts, contrasts, strict=True)
+    ]
+    rows.append(["mean", "", "", *(f"{value:+.4f}" for value in contrasts.mean(axis=0))])
+    rows.append(["scatter", "", "", *(f"{value:.4f}" if np.isfinite(value) else "–" for value in scatter)])
+    print_table(
+        f"golden parts: {known.product}", ["part", "inspected", "verdict", *names], rows, known.lacking
+    )
+    return 0
+
+
+def _at(pose: tuple[float, float]) -> str:
+    return f"({pose[0]:g}°" + (f", tilt {pose[1]:g}°)" if pose[1] else ")")
+
+
+def _content(path: Path, lacking: str | None, count: int) -> dict[str, Any]:
+    return {
+        "file": str(path),
+        "count": count,
+        "compared_with": lacking is None and count > 0,
+        "lacking": lacking,
+    }
+
+
+def _say(path: Path, number: int, what: str, lacking: str | None, count: int, *, json_: bool) -> int:
+    if json_:
+        json.dump(_content(path, lacking if count else None, count) | {what: number}, sys.stdout, indent=2)
+        sys.stdout.write("\n")
+        return 0
+    out = console()
+    out.print(f"{path}: {number} {what}, {count} golden parts", markup=False, highlight=False, soft_wrap=True)
+    if lacking and count:
+        out.print(lacking, markup=False, highlight=False, soft_wrap=True)
+    return 0

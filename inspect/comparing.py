@@ -1,0 +1,77 @@
+"""Two comparisons: is the part what was designed, and does light agree with its height map?
+
+A recipe that gives both surfaces says which one decides; the other one is compared with as well, and the two answers
+together tell where to look: at the shape, at the height map, or at dirt, plastic and rig.
+"""
+
+import numpy as np
+from scipy.stats import chi2
+
+from anisoscope.errors import AnisoscopeError
+from anisoscope.expectation import Expectation, expectation
+from anisoscope.measurement import Measured
+from anisoscope.recipe import Recipe, Surface
+from anisoscope.record import ComparisonRecord
+from anisoscope.significance import log_basis, mahalanobis
+
+READINGS = {
+    (True, True): "as designed, and the light agrees with the height map",
+    (True, False): (
+        "as designed, but not as the height map says: is it of another part or place, or was it measured wrongly?"
+    ),
+    (False, True): "a shape defect: the part is not as designed, and the light agrees with its height map",
+    (
+        False,
+        False,
+    ): "neither as designed nor as the height map says: dirt or film, another plastic, or the rig",
+}
+"""What it means, by (agrees with the design, agrees with the height map)."""
+
+
+def compare(
+    recipe: Recipe, expected: Expectation, measured: Measured
+) -> tuple[tuple[ComparisonRecord, ...], str | None, str | None]:
+    """Compare with both surfaces of a recipe.
+
+    Args:
+        recipe: the recipe.
+        expected: the prediction from the surface that decides.
+        measured: the measurement.
+
+    Returns:
+        The comparisons, what they mean together (None of a recipe with one surface), and a note where the surface
+        that does not decide could not be compared with.
+    """
+    decides = recipe.surface.decides
+    mine = _one(decides, expected, measured, recipe, decides=True)
+    if not recipe.surface.both:
+        return (mine,), None, None
+    other: Surface = "design" if decides == "height_map" else "height_map"
+    try:
+        second = expectation(recipe.against(other), expected.convention.light_angle_deg)
+        found = (mine, _one(other, second, measured, recipe, decides=False))
+    except AnisoscopeError as problem:
+        return (mine,), None, f"no comparison with the {other.replace('_', ' ')}: {problem}"
+    agrees = {one.surface: one.agrees for one in found}
+    return found, READINGS[agrees["design"], agrees["height_map"]], None
+
+
+def _one(
+    surface: Surface, expected: Expectation, measured: Measured, recipe: Recipe, *, decides: bool
+) -> ComparisonRecord:
+    basis = log_basis(len(expected.poses))
+    total = np.sum([c.covariance() for c in expected.components + measured.components], axis=0)
+    d2, dof = mahalanobis(
+        basis @ np.log(measured.radiance / expected.radiance), basis @ np.asarray(total) @ basis.T
+    )
+    p_value = float(chi2.sf(d2, dof))
+    return ComparisonRecord(
+        surface=surface,
+        decides=decides,
+        model=expected.model,
+        predicted=tuple(float(value) for value in expected.radiance),
+        d2=d2,
+        dof=dof,
+        p_value=p_value,
+        agrees=p_value >= recipe.decision.alpha,
+    )

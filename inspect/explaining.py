@@ -1,0 +1,82 @@
+"""What is wrong with a part that deviates, as its record tells it. It never changes the verdict.
+
+What cannot be told becomes a note: the causes are computed from models and kept on disk, and neither may fail a part.
+"""
+
+import numpy as np
+
+from anisoscope.decision import Decision
+from anisoscope.diagnosis.diagnosing import NOTHING, Diagnosis, Evidence, covariance_of, diagnose
+from anisoscope.diagnosis.remembering import remembered_signatures
+from anisoscope.errors import AnisoscopeError
+from anisoscope.expectation import Expectation
+from anisoscope.measurement import Measured
+from anisoscope.progress import Advance, silent
+from anisoscope.recipe import Recipe
+from anisoscope.record import CauseRecord, DiagnosisRecord
+from anisoscope.verdict import Verdict
+
+
+def explain(
+    recipe: Recipe, expected: Expectation, measured: Measured, decision: Decision, advance: Advance = silent
+) -> tuple[DiagnosisRecord, str | None]:
+    """Rank the causes where the part deviates or did not pass; else there is nothing to explain.
+
+    Args:
+        recipe: the recipe.
+        expected: the prediction that decided.
+        measured: the measurement.
+        decision: the verdict, which stands.
+        advance: told of every signature that is computed for the first time.
+
+    Returns:
+        The diagnosis, and a note where there is none although there should be.
+    """
+    if decision.verdict is Verdict.PASS and decision.p_value >= recipe.decision.alpha:
+        return DiagnosisRecord(says="nothing: the part is as it should be"), None
+    try:
+        known = remembered_signatures(recipe, expected.convention.light_angle_deg, advance)
+        found = diagnose(known, evidence_of(recipe, expected, measured, decision))
+    except (AnisoscopeError, ArithmeticError, ValueError, np.linalg.LinAlgError) as problem:
+        return DiagnosisRecord(says="not possible"), f"no diagnosis: {problem}"
+    return _recorded(found, recipe), None
+
+
+def evidence_of(recipe: Recipe, expected: Expectation, measured: Measured, decision: Decision) -> Evidence:
+    """What the causes are weighed by: ln L against the prediction, and the share of cells that deviate."""
+    deviation = np.log(measured.radiance / expected.radiance)
+    covariance = covariance_of(
+        expected.components + measured.components, recipe.uncertainty.scale_share, len(deviation)
+    )
+    area = decision.area
+    return Evidence(deviation, covariance, area and area.share, area.u if area else 0.0)
+
+
+def _recorded(found: Diagnosis, recipe: Recipe) -> DiagnosisRecord:
+    causes = tuple(
+        CauseRecord(
+            cause=one.cause,
+            title=one.title,
+            unit=one.unit,
+            severity=one.extent,
+            u=one.u if np.isfinite(one.u) else None,
+            weight=one.weight,
+            chi2=one.chi2,
+            at_bound=one.at_bound,
+            tie=one.tie,
+        )
+        for one in found.findings
+    )
+    return DiagnosisRecord(says=_says(found, recipe), causes=causes, unexplained_p=found.unexplained_p)
+
+
+def _says(found: Diagnosis, recipe: Recipe) -> str:
+    best = found.findings[0]
+    if found.unexplained_p < recipe.decision.alpha:
+        return f"none of the causes explains the part (p = {found.unexplained_p:.2g} for the best of them)"
+    if best.cause == NOTHING:
+        return "nothing explains the part better than chance"
+    ties = [one for one in found.ties if one is not best]
+    return f"{best.title}" + (
+        f"; or, not to be told apart: {', '.join(one.title for one in ties)}" if ties else ""
+    )

@@ -1,0 +1,221 @@
+"""Teach a recipe by a good part: exposure, region and tolerances as the pictures of the part suggest them."""
+
+import tempfile
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.atomicfile import write_text
+from anisoscope.errors import MeasurementError, RecordError, Saturated
+from anisoscope.golden import golden_path, read_golden
+from anisoscope.inspection import inspect_part
+from anisoscope.job import check_serial, prepare
+from anisoscope.progress import Advance, silent
+from anisoscope.recipe import Recipe, read_recipe
+from anisoscope.recipetext import with_values
+from anisoscope.record import Record
+from anisoscope.registration import Placement, locate
+from anisoscope.rig.acquisition.journal import read_journal
+from anisoscope.rig.acquisition.plan import Plan, Pose
+from anisoscope.rig.acquisition.runner import Rig, open_rig, run_plan
+from anisoscope.rig.fixture import Fixture
+from anisoscope.rig.frame import Frame, read_frame
+from anisoscope.teachregion import largest_region
+
+FloatArray = npt.NDArray[np.float64]
+
+LEVEL = 0.7  # of full scale, of the brightest pose
+BRIGHT_PERCENTILE = 99.9
+WANTED_RATIO = 4.0  # T/U
+GOLDEN_SIGMAS = 3.0
+MAX_TRIES = 8
+
+
+@dataclass(frozen=True)
+class Change:
+    """A value of the recipe, as it was and is."""
+
+    key: str
+    old: Any
+    new: Any
+    why: str
+
+
+@dataclass(frozen=True)
+class Taught:
+    """A recipe that was taught.
+
+    Attributes:
+        version: the new one.
+        kept: where the old version lies.
+        folder: the inspection of the good part with the new exposure and region.
+        changes: what was changed.
+        notes: what the user should know besides.
+    """
+
+    version: int
+    kept: Path
+    folder: Path
+    changes: tuple[Change, ...]
+    notes: tuple[str, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """For `json.dump`."""
+        return asdict(self) | {"kept": str(self.kept), "folder": str(self.folder)}
+
+
+@dataclass(frozen=True, eq=False)
+class _Probe:
+    """One picture a pose, exposed well: the exposure, pictures above black, and where the part stands in them."""
+
+    exposure_s: float
+    pictures: tuple[FloatArray, ...]
+    places: tuple[Placement, ...]
+
+
+def teach(recipe_path: Path, rig_path: Path, serial: str, out: Path, advance: Advance = silent) -> Taught:
+    """Photograph a good part and write a new version of a recipe; the old one is kept beside it.
+
+    The part is photographed once to find exposure and region, then inspected with them; tolerances follow from the
+    uncertainty of that inspection, and from the golden parts of the recipe where there are any.
+
+    Args:
+        recipe_path: recipe file.
+        rig_path: rig file.
+        serial: of the good part.
+        out: folder that receives the inspection folder.
+        advance: progress.
+
+    Raises:
+        UsageError, RecipeError, RigFileError, HeightMapError, CalibrationError: before anything moves.
+        RigError: hardware.
+        MeasurementError: the part cannot be photographed well, or its inspection is INVALID; the recipe stays as it is.
+        RecordError: a file cannot be written.
+    """
+    check_serial(serial)
+    job = prepare(recipe_path, rig_path, serial)
+    recipe, text = job.recipe, recipe_path.read_text(encoding="utf-8")
+    kept = _kept(recipe_path, recipe.version)
+    with open_rig(job.rig) as rig:
+        probe = _probe(rig, recipe, job.fixture, advance)
+    size = largest_region(probe.pictures, probe.places, job.fixture, recipe)
+    values: dict[tuple[str, ...], Any] = {
+        ("version",): recipe.version + 1,
+        ("acquisition", "exposure_s"): probe.exposure_s,
+        ("region", "size_mm"): [size, size],
+    }
+    candidate = recipe_path.with_name(f".{recipe_path.stem}-taught.toml")
+    try:
+        write_text(candidate, with_values(text, values))
+        inspected = inspect_part(candidate, rig_path, serial, out, advance)
+    finally:
+        candidate.unlink(missing_ok=True)
+    record = inspected.record
+    if record.verdict == "INVALID":
+        raise MeasurementError(
+            f"the part cannot teach the recipe, which stays as it is: {'; '.join(record.reasons)} ({inspected.folder})"
+        )
+    tolerances, whys = _tolerances(record, recipe, recipe_path)
+    values["decision", "tolerance"] = tolerances
+    write_text(kept, text)
+    write_text(recipe_path, with_values(text, values))
+    taught = read_recipe(recipe_path)
+    changes = (
+        Change(
+            "acquisition.exposure_s",
+            recipe.acquisition.exposure_s,
+            taught.acquisition.exposure_s,
+            f"the brightest pose reaches {LEVEL:.0%} of full scale",
+        ),
+        Change(
+            "region.size_mm",
+            recipe.region.size_mm,
+            taught.region.size_mm,
+            "the part shows in all poses and between the markers",
+        ),
+        Change("decision.tolerance", recipe.decision.tolerance, taught.decision.tolerance, whys),
+    )
+    return Taught(taught.version, kept, inspected.folder, changes, _notes(record, recipe_path, recipe))
+
+
+def _probe(rig: Rig, recipe: Recipe, fixture: Fixture, advance: Advance) -> _Probe:
+    """Photograph every pose once, exposed so that the brightest one reaches the wanted level.
+
+    Raises:
+        Saturated: no exposure was found.
+    """
+    exposure_s = recipe.acquisition.exposure_s
+    poses = tuple(Pose(pose.stage_deg, pose.tilt_deg) for pose in recipe.poses.poses())
+    for attempt in range(MAX_TRIES):
+        advance(f"exposure of {exposure_s:.3g} s", attempt, MAX_TRIES)
+        frames = _photograph(rig, Plan(poses, exposure_s, recipe.acquisition.gain, return_to_first=False))
+        pictures = tuple(np.asarray(f.counts, dtype=np.float64) - f.black_level for f in frames)
+        full = frames[0].full_scale - frames[0].black_level
+        level = max(float(np.percentile(picture, BRIGHT_PERCENTILE)) for picture in pictures) / full
+        if level < 0.99 and abs(level / LEVEL - 1.0) < 0.1:
+            places = tuple(
+                locate(picture.astype(np.float32), fixture, frame.tilt_deg)
+                for picture, frame in zip(pictures, frames, strict=True)
+            )
+            return _Probe(float(f"{frames[0].exposure_s:.3g}"), pictures, places)
+        exposure_s = float(f"{exposure_s * (0.25 if level >= 0.99 else LEVEL / max(level, 0.01)):.3g}")
+    raise Saturated(
+        f"no exposure brings the brightest pose to {LEVEL:.0%} of full scale (last tried: {exposure_s:g} s): "
+        "is the light on, and is it steady?"
+    )
+
+
+def _photograph(rig: Rig, plan: Plan) -> list[Frame]:
+    """The lit frames of a plan, in its order."""
+    with tempfile.TemporaryDirectory(prefix="anisoscope-teach-") as name:
+        folder = Path(name)
+        run_plan(plan, rig, folder)
+        lines = sorted(read_journal(folder).by_step.items())
+        return [read_frame(folder / line.name) for _, line in lines if line.kind == "sample"]
+
+
+def _tolerances(record: Record, recipe: Recipe, recipe_path: Path) -> tuple[list[float], str]:
+    """One tolerance a pair: 4 U, or what the golden parts vary where that is more."""
+    by_u = np.array([WANTED_RATIO * 2.0 * contrast.u for contrast in record.contrasts])
+    golden = read_golden(golden_path(recipe_path), recipe)
+    why = f"{WANTED_RATIO:g} times the expanded uncertainty"
+    spread = np.zeros_like(by_u)
+    if golden is not None and len(golden.parts) >= 3 and recipe.decision.contrast == "log_ratio":
+        logs = np.array([part.log_radiance for part in golden.parts])
+        index = {(pose.stage_deg, pose.tilt_deg): k for k, pose in enumerate(record.poses)}
+        for k, pair in enumerate(record.contrasts):
+            a, b = index[pair.from_deg, pair.tilt_deg], index[pair.to_deg, pair.tilt_deg]
+            seen = logs[:, a] - logs[:, b]
+            off = abs(float(seen.mean()) - pair.predicted)
+            spread[k] = off + GOLDEN_SIGMAS * float(seen.std(ddof=1))
+        why += f", or what {len(golden.parts)} golden parts vary"
+    return [float(f"{value:.2g}") for value in np.maximum(by_u, spread)], why
+
+
+def _kept(recipe_path: Path, version: int) -> Path:
+    """Where the old version goes.
+
+    Raises:
+        RecordError: something else lies there.
+    """
+    path = recipe_path.with_name(f"{recipe_path.stem}.v{version}{recipe_path.suffix}")
+    if path.exists():
+        raise RecordError(f"{path} exists already: move it away, or correct `version` in {recipe_path}")
+    return path
+
+
+def _notes(record: Record, recipe_path: Path, recipe: Recipe) -> tuple[str, ...]:
+    notes = []
+    if record.p_value is not None and record.p_value < recipe.decision.alpha:
+        notes.append(
+            f"the part deviates significantly from the prediction (p = {record.p_value:.2g}): is it good, and are "
+            "[material] and [surface] right?"
+        )
+    if golden_path(recipe_path).exists():
+        notes.append(
+            f"the golden parts in {golden_path(recipe_path)} belong to the version before: inspect good parts anew"
+        )
+    return tuple(notes)

@@ -1,0 +1,194 @@
+"""How long it takes from frames in memory to a verdict, without the report, at the size of a 5-megapixel camera.
+
+Three poses of 2448 × 2048 pixels, 12 bit, two frames a pose (the least that a recipe allows), the first pose once more
+at the end, and two dark frames: ten frames. The plain version does the same sums with numpy in double precision, pose
+after pose: whole pictures, one operation after the other, markers searched at full size. The two agree.
+"""
+
+import threading
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from anisoscope.cli.demo_files import FIXTURE
+from anisoscope.decision import decide
+from anisoscope.expectation import expectation
+from anisoscope.job import Job
+from anisoscope.jobfile import JobFile
+from anisoscope.judging import measure_frames
+from anisoscope.linear import HOT_PIXEL_SIGMA, SATURATION_SHARE, WhiteReference
+from anisoscope.measurement import region_grid
+from anisoscope.recipe import Recipe
+from anisoscope.registration import locate, resample
+from anisoscope.rig.acquisition.plan import Pose
+from anisoscope.rig.fixture import Fixture
+from anisoscope.rig.frame import Frame
+from anisoscope.rig.rigfile import RigFile
+from anisoscope.sim.bench.benchfile import OpticsPart, SensorPart
+from anisoscope.sim.bench.optics import image_of_fixture, pixel_from_mm
+from anisoscope.taken import Shot, Taken
+
+pytestmark = pytest.mark.benchmark
+
+ROWS, COLS, BITS, PIXEL_UM = 2048, 2448, 12, 2.0
+ANGLES = (0.0, 90.0, 180.0)
+EXPOSURE_S = 0.01
+MARKERS = Fixture.model_validate(FIXTURE)
+RECIPE = {
+    "schema": 1,
+    "product": "ridged test plate",
+    "surface": {"pitch_um": 100.0, "design": {"ridge_angle_deg": 10.0}},
+    "material": {"alpha_along": 0.06, "alpha_across": 0.10, "albedo": 0.2},
+    "acquisition": {"exposure_s": EXPOSURE_S, "frames_per_pose": 2, "dark_frames": 2},
+    "region": {"size_mm": [2.2, 2.2]},
+    "decision": {"tolerance": 0.25},
+}
+RIG = {
+    "schema": 1,
+    "name": "benchmark",
+    "stage": {"driver": "manual"},
+    "camera": {"driver": "folder", "pixel_um": PIXEL_UM},
+    "light": {"angle_deg": 10.0},
+    "fixture": FIXTURE,
+}
+
+
+def frames(expected, rng):
+    """Shots of a ridged part on its fixture, and the flat."""
+    optics, sensor = OpticsPart(pixel_um=PIXEL_UM, blur_um=2.0), SensorPart(rows=ROWS, cols=COLS)
+    y, x = np.meshgrid(np.linspace(-1, 1, ROWS), np.linspace(-1, 1, COLS), indexing="ij")
+    shade = (1.0 - 0.15 * (x**2 + y**2) / 2).astype(np.float32)
+    white, shots = 0.31, []
+    per_radiance = 6000.0 * shade
+    for angle, level, again in (
+        *((a, v, False) for a, v in zip(ANGLES, expected.radiance, strict=True)),
+        (0.0, expected.radiance[0], True),
+    ):
+        to_mm = np.linalg.inv(np.vstack([pixel_from_mm(optics, sensor, angle), [0, 0, 1]]))
+        place = np.tensordot(to_mm[:2], np.stack([*np.indices((ROWS, COLS))[::-1], np.ones((ROWS, COLS))]), 1)
+        ridges = level * (1.0 + 0.4 * np.cos(2 * np.pi * place[0] / 0.1))
+        plate = image_of_fixture(MARKERS, optics, sensor, angle) / np.pi
+        scene = np.where(np.abs(place).max(axis=0) < 1.15, ridges, plate).astype(np.float32) * per_radiance
+        shots += [shot(scene, rng, "sample", angle, again) for _ in range(2)]
+    shots += [shot(np.zeros_like(shade), rng, "dark", 0.0, False) for _ in range(2)]
+    flat = WhiteReference((white * per_radiance / EXPOSURE_S).astype(np.float32), white, "X", "", 0.99, "0")
+    return Taken(tuple(shots), "X", "benchmark"), flat
+
+
+def shot(scene, rng, kind, angle, again):
+    noise = rng.standard_normal(scene.shape, dtype=np.float32) * np.sqrt(scene / 7.5 + 1.0)
+    counts = np.clip(np.rint(64.0 + scene + noise), 0, 2**BITS - 1).astype(np.uint16)
+    frame = Frame(counts, kind, BITS, 64.0, EXPOSURE_S, 1.0, angle, angle, 0.0, "2025-01-01T00:00:00Z", "X")
+    return Shot(f"{kind}-{angle:g}.tif", "0" * 64, frame, Pose(angle, 0.0), again, 1, check=False)
+
+
+def plain_stack(group):
+    cube = np.stack([one.frame.counts for one in group]).astype(np.float64)
+    return cube.mean(axis=0), cube.std(axis=0, ddof=1), (cube >= SATURATION_SHARE * (2**BITS - 1)).any(axis=0)
+
+
+def plain_location(value):
+    """The corners of the markers at full size, refined by OpenCV, and a similarity through them."""
+    shown = (255 * np.sqrt(np.clip(np.nan_to_num(value) / np.nanpercentile(value, 99.5), 0, 1))).astype(
+        np.uint8
+    )
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    parameters.adaptiveThreshWinSizeMax = 53
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    corners, ids, _ = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(shown)
+    return corners, ids
+
+
+def plain(taken, flat, recipe, places):
+    """Mean radiance of every pose, as simply as numpy can: whole pictures, double precision, pose after pose."""
+    dark = plain_stack([one for one in taken.shots if one.frame.kind == "dark"])
+    spread = 1.4826 * np.median(np.abs(dark[0] - np.median(dark[0]))) + 0.5
+    hot = np.abs(dark[0] - np.median(dark[0])) > HOT_PIXEL_SIGMA * spread
+    grid, _ = region_grid(recipe, PIXEL_UM)
+    radiance, noises = [], []
+    for again in (False, True):
+        for angle in ANGLES[: 1 if again else 3]:
+            group = [
+                s
+                for s in taken.shots
+                if s.frame.kind == "sample" and (s.pose.stage_deg, s.again) == (angle, again)
+            ]
+            mean, noise, saturated = plain_stack(group)
+            signal = flat.signal.astype(np.float64)
+            unlit = signal < 0.05 * np.median(signal)
+            scale = flat.radiance / signal / EXPOSURE_S
+            value = np.where(hot | saturated | unlit, np.nan, (mean - dark[0]) * scale)
+            error = scale * np.sqrt(noise**2 / 2 + dark[1] ** 2 / 2)
+            plain_location(value)
+            aligned = resample(value.astype(np.float32), places[angle], grid)
+            covered = resample(saturated.astype(np.float32), places[angle], grid)
+            assert np.isfinite(covered).all()
+            radiance.append(np.nanmean(aligned, dtype=np.float64))
+            noises.append(np.sqrt(np.nanmean(resample(error.astype(np.float32), places[angle], grid) ** 2)))
+    return radiance, noises
+
+
+class Peak:
+    """The largest resident memory of the process while it lasts, in MB."""
+
+    def __enter__(self):
+        self._done, self.mb = threading.Event(), 0.0
+        self._thread = threading.Thread(target=self._watch)
+        self._thread.start()
+        return self
+
+    def _watch(self):
+        while not self._done.wait(0.003):
+            pages = int(Path("/proc/self/statm").read_text().split()[1])
+            self.mb = max(self.mb, pages * 4096 / 1e6)
+
+    def __exit__(self, *_):
+        self._done.set()
+        self._thread.join()
+
+
+def test_from_frames_to_a_verdict():
+    recipe, rig = Recipe.model_validate(RECIPE), RigFile.model_validate(RIG)
+    expected = expectation(recipe, 10.0)
+    taken, flat = frames(expected, np.random.default_rng(1))
+    made = JobFile(
+        software="x",
+        created_at="2025-01-01T00:00:00+00:00",
+        serial="B",
+        origin="frames",
+        plan=None,
+        frames=10,
+        rig_folder=".",
+        inputs=(),
+    )
+    job = Job("B", recipe, rig, MARKERS, flat, ())
+    decide(expected, measure_frames(made, job, expected, taken)[1], recipe)  # what is compiled or loaded once
+    times, busy = [], []
+    before_mb = int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 1e6
+    for _ in range(5):
+        for name in ("unlit", "radiance_per_signal"):
+            flat.__dict__.pop(name, None)  # every inspection starts with a flat just read
+        with Peak() as ours:
+            start, worked = time.perf_counter(), time.process_time()
+            _, measured, _ = measure_frames(made, job, expected, taken)
+            decision = decide(expected, measured, recipe)
+            times.append(time.perf_counter() - start)
+            busy.append(time.process_time() - worked)
+    first = {s.pose.stage_deg: s.frame.counts for s in taken.shots if s.frame.kind == "sample"}
+    places = {angle: locate((counts - 64.0).astype(np.float32), MARKERS) for angle, counts in first.items()}
+    with Peak() as theirs:
+        start, worked = time.perf_counter(), time.process_time()
+        radiance, _ = plain(taken, flat, recipe, places)
+        plainly, plainly_busy = time.perf_counter() - start, time.process_time() - worked
+    print(
+        f"\n10 frames of {COLS} × {ROWS}: {min(times):.2f} s at best, {np.median(times):.2f} s usually, "
+        f"{min(busy):.2f} s of processor; peak {ours.mb:.0f} MB, of which {before_mb:.0f} MB before\n"
+        f"plain numpy: {plainly:.2f} s, {plainly_busy:.2f} s of processor, peak {theirs.mb:.0f} MB; "
+        f"{plainly / np.median(times):.1f} times slower"
+    )
+    assert decision.verdict.value in {"PASS", "FAIL"}
+    assert measured.radiance == pytest.approx(radiance[:3], rel=1e-4)

@@ -1,0 +1,57 @@
+"""golden and recipe on the command line."""
+
+import shutil
+
+import pytest
+
+from anisoscope.golden import golden_path
+from anisoscope.recipe import read_recipe
+
+
+@pytest.mark.usefixtures("plain_report")
+def test_golden_parts_are_added_shown_and_removed(anisoscope, virtual_rig):
+    rig = virtual_rig()
+    folders = [rig.inspect(serial).folder for serial in ("A", "B")]
+    at = ("--recipe", rig.recipe)
+    done = anisoscope("golden", "show", *at)
+    assert (done.code, done.err.count("\n")) == (64, 1)
+    assert "there are no golden parts" in done.err
+    done = anisoscope("golden", "add", *at, *folders)
+    assert done.code == 0, done.err
+    assert "2 added, 2 golden parts" in done.out
+    found = anisoscope("golden", "show", *at, "--json").json
+    assert [part["serial"] for part in found["parts"]] == ["A", "B"]
+    assert (found["compared_with"], len(found["mean"])) == (False, 2)
+    assert "golden parts: ridged test plate" in anisoscope("golden", "show", *at).out
+    again = anisoscope("golden", "add", *at, folders[0])
+    assert again.code >= 64
+    assert "in the set already" in again.err
+    done = anisoscope("golden", "remove", *at, "A", "--json")
+    assert (done.code, done.json["removed"], done.json["count"]) == (0, 1, 1)
+    assert anisoscope("golden", "remove", *at, "C").code >= 64
+    assert anisoscope("golden", "remove", *at, "B").code == 0
+    assert not golden_path(rig.recipe).exists()
+
+
+def test_a_new_recipe_and_what_is_refused(anisoscope, tmp_path):
+    path = tmp_path / "new.toml"
+    done = anisoscope(
+        "recipe", "new", "--out", path, "--product", "plate", "--pitch", 80, "--ridge-angle", 12
+    )
+    assert done.code == 0, done.err
+    recipe = read_recipe(path)
+    assert (recipe.product, recipe.surface.pitch_um, recipe.surface.design.ridge_angle_deg) == (
+        "plate",
+        80,
+        12,
+    )
+    before = path.read_text()
+    done = anisoscope("recipe", "new", "--out", path)
+    assert (done.code, path.read_text()) == (64, before)
+    done = anisoscope("recipe", "new", "--out", tmp_path / "b.toml", "--height-map", tmp_path / "none.x3p")
+    assert (done.code, (tmp_path / "b.toml").exists()) == (64, False)
+    done = anisoscope("recipe", "new", "--out", tmp_path / "c.toml", "--pitch", -1)
+    assert done.code >= 64
+    assert not (tmp_path / "c.toml").exists()
+    shutil.copy(path, tmp_path / "d.toml")
+    assert anisoscope("golden", "add", "--recipe", path).code == 64
