@@ -1,10 +1,28 @@
 """What could not be run is said at the end; with ANISOSCOPE_REQUIRE_ALL=1 it fails."""
 
 import os
+import shutil
+import tempfile
 
 import pytest
 
 REQUIRE_ALL = os.environ.get("ANISOSCOPE_REQUIRE_ALL") == "1"
+
+
+CACHE = "ANISOSCOPE_CACHE"
+OWN_CACHE = pytest.StashKey[str]()
+
+
+def pytest_configure(config):
+    """All workers of one run share what is computed once, and no run finds what another one left."""
+    if not hasattr(config, "workerinput") and CACHE not in os.environ:
+        config.stash[OWN_CACHE] = os.environ[CACHE] = tempfile.mkdtemp(prefix="anisoscope-cache-")
+
+
+def pytest_unconfigure(config):
+    if OWN_CACHE in config.stash:
+        os.environ.pop(CACHE, None)
+        shutil.rmtree(config.stash[OWN_CACHE], ignore_errors=True)
 
 
 @pytest.hookimpl(wrapper=True)
