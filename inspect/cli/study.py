@@ -27,6 +27,7 @@ AlbedoOption = Annotated[float, Parameter(help="Diffuse albedo, 0 to 1.")]
 SeedOption = Annotated[int, Parameter(help="Seed of the random surfaces.")]
 
 app = App(name="study", help="What imperfect surfaces do to the contrast, by simulation.")
+app.command("anisoscope.cli.study_detection:detection_command", name="detection")
 
 
 @app.command(name="convergence")

@@ -174,6 +174,7 @@ def fit_extent(signature: Signature, evidence: Evidence, weigh: FloatArray) -> t
     """Best extent of a cause, its standard uncertainty, and the χ² that it leaves."""
     low, high = signature.bounds
     grid = np.unique(np.concatenate([np.linspace(low, high, GRID), signature.extents]))
+    extent, best = float(grid[0]), float("inf")
     for _ in range(FINER):
         left = _misfits(signature, evidence, weigh, grid)
         k = int(np.argmin(left))

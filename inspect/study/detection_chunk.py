@@ -8,7 +8,7 @@ import hashlib
 import io
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from anisoscope.diagnosis.signatures import Signatures, signatures
 from anisoscope.errors import MeasurementError
 from anisoscope.measurement import Measured, View, drift_complaint, measure
 from anisoscope.study.detection_pictures import (
-    new_camera,
+    new_cameras,
     photograph,
     radiance_of_part,
     views_of_series,
@@ -48,6 +48,16 @@ FloatArray = npt.NDArray[np.float64]
 Row = dict[str, Any]
 
 NO_CAUSE = ""
+MEASURED_SOURCES = (
+    "noise of camera and photons",
+    "flicker of the lamp",
+    "flat field",
+    "linearity of the camera",
+    "drift of the lamp",
+    "stray light",
+    "stage angle",
+    "registration",
+)
 
 
 @dataclass(frozen=True)
@@ -91,11 +101,21 @@ def signatures_of(name: RecipeName, size: Size) -> Signatures:
 def inspect_chunk(task: ChunkTask) -> Path:
     """Make a chunk unless it is there; returns its file."""
     if not task.path.exists():
+        _one_thread()
         columns = _columns([_flat(row) for row in _inspected(task)])
         stream = io.BytesIO()
-        np.savez_compressed(stream, **columns)
+        np.savez_compressed(stream, allow_pickle=False, **columns)
         write_bytes(task.path, stream.getvalue())
     return task.path
+
+
+def _one_thread() -> None:
+    """Chunks share the machine, not their kernels."""
+    import cv2  # noqa: PLC0415
+    import numba  # noqa: PLC0415
+
+    cv2.setNumThreads(1)
+    numba.set_num_threads(1)
 
 
 def read_chunk(path: Path) -> dict[str, npt.NDArray[Any]]:
@@ -124,7 +144,7 @@ def _inspected(task: ChunkTask) -> list[Row]:
     worlds, kinds = ("same", "other"), (GOOD, *BY_NAME)
     entropy = [task.seed, worlds.index(task.world), kinds.index(task.kind), task.number]
     camera_rng, *parts = np.random.SeedSequence([7, *entropy]).spawn(1 + task.size.chunk)
-    camera = new_camera(task.size, task.world, np.random.default_rng(camera_rng))
+    cameras = new_cameras(task.size, task.world, np.random.default_rng(camera_rng))
     kind = BY_NAME.get(task.kind)
     wanted = kind is not None or task.number < task.size.diagnosed_good
     rows = []
@@ -133,9 +153,9 @@ def _inspected(task: ChunkTask) -> list[Row]:
         specimen, extent = draw(kind, len(views_of_series()), rng)
         where = cut(sheet, task.kind, task.size, rng)
         shown, truth = radiance_of_part(
-            sheet.shown[:, *where], specimen, task.world, np.array(task.bounces)
+            sheet.shown[:, *where], specimen, task.world, np.array(task.bounces or np.zeros(len(sheet.shown)))
         )
-        views = photograph(shown, specimen, camera, task.size, rng)
+        views = photograph(shown, specimen, cameras, task.size, rng)
         row: Row = {
             "extent": extent,
             "ridge_angle_deg": specimen.ridge_angle_deg,
@@ -175,12 +195,14 @@ def judge(
         measured = measure(views[:poses], views[-1], recipe, expected, size.pixel_um)
         unfit = drift_complaint(measured, recipe) is not None
         decision = decide(expected, measured, recipe)
-    except MeasurementError:
-        return _nothing(poses, expected_sources(name, size))
+    except MeasurementError as error:
+        return {**_nothing(poses), "reason": str(error)}
     deviation = np.log(measured.radiance / expected.radiance)
     own = np.array([c.relative for c in measured.components])
+    assert tuple(c.source for c in measured.components) == MEASURED_SOURCES
     row: Row = {
         "valid": not unfit,
+        "reason": "drift" if unfit else "",
         "deviation": deviation,
         "error": np.log(measured.radiance / truth[:poses]),
         "own": own,
@@ -189,12 +211,6 @@ def judge(
         **_of_means(decision),
     }
     return {**row, **_diagnosed(measured, decision, deviation, name, size, kind, wanted=wanted)}
-
-
-def expected_sources(name: RecipeName, size: Size) -> int:
-    """How many components a measurement has, whatever it shows."""
-    del name, size
-    return 8
 
 
 def _of_means(decision: Decision) -> Row:
@@ -232,7 +248,7 @@ def _diagnosed(
     """First cause, its extent and uncertainty, and those of the cause that is truly there."""
     found: Row = {
         "first": NO_CAUSE, "second": NO_CAUSE, "tied": False, "right_extent": np.nan, "right_u": np.nan,
-        "right_at_bound": False, "unexplained_p": np.nan, "share_first": NO_CAUSE,
+        "right_at_bound": False, "unexplained_p": np.nan,
     }  # fmt: skip
     if not wanted:
         return found
@@ -253,19 +269,18 @@ def _diagnosed(
                 right_at_bound=right.at_bound,
                 tied=right.tie,
             )
-    without = diagnose(signatures_of(name, size), replace(evidence, share=None))
-    found["share_first"] = without.findings[0].cause
     return found
 
 
-def _nothing(poses: int, sources: int) -> Row:
+def _nothing(poses: int) -> Row:
     """The row of a part that could not be judged."""
     nan = np.full(poses, np.nan)
     pairs = np.full(poses - poses // 3, np.nan)
+    own = np.full((len(MEASURED_SOURCES), poses), np.nan)
     return {
-        "valid": False, "deviation": nan, "error": nan, "own": np.full((sources, poses), np.nan), "fails": False,
+        "valid": False, "reason": "", "deviation": nan, "error": nan, "own": own, "fails": False,
         "share": np.nan, "u_share": np.nan, "share_fails": False, "p_marks": np.nan, "mark_cells": 0,
         "mark_kind": "", "d2": np.nan, "p_means": np.nan, "pair_deviation": pairs, "pair_u": pairs,
         "first": NO_CAUSE, "second": NO_CAUSE, "tied": False, "right_extent": np.nan, "right_u": np.nan,
-        "right_at_bound": False, "unexplained_p": np.nan, "share_first": NO_CAUSE,
+        "right_at_bound": False, "unexplained_p": np.nan,
     }  # fmt: skip

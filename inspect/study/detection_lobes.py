@@ -1,4 +1,4 @@
-"""How facets of the two worlds shine: quickly for many materials, and the lobe whose best Beckmann fit is the recipe's."""
+"""How facets of the two worlds shine, quickly for many materials; and the lobe whose Beckmann fit is the recipe's."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -96,14 +96,16 @@ def _matched() -> Lobes:
 
     def material(change: FloatArray) -> Material:
         a, b, c = (float(factor) for factor in np.exp(change))
-        return Material(WHOLE.alpha_along * a, WHOLE.alpha_across * b, min(WHOLE.albedo * c, 0.99), WHOLE.index)
+        return Material(
+            WHOLE.alpha_along * a, WHOLE.alpha_across * b, min(WHOLE.albedo * c, 0.99), WHOLE.index
+        )
 
     def off(change: FloatArray) -> FloatArray:
         shines = [quick_shine(light, camera, material(change)) for light, camera in zip(*seen, strict=True)]
         found = [float(shown.mean(dtype=np.float64)) for shown in lobe_maps(relief, shines, "ggx")]
         return np.asarray(np.log(found) - wanted)
 
-    fit = least_squares(off, np.array([-0.2, -0.2, -0.1]), bounds=(-1.0, 1.0), diff_step=1e-3)
+    fit = least_squares(off, np.array([-0.2, -0.2, -0.1]), bounds=(-1.0, 1.0), diff_step=[1e-3])
     a, b, c = (float(factor) for factor in np.exp(fit.x))
     smooth = material(fit.x)
     textured = Material(LOBE.alpha_along * a, LOBE.alpha_across * b, min(LOBE.albedo * c, 0.99), LOBE.index)

@@ -100,13 +100,15 @@ def _nominal_profile(world: World) -> FloatArray:
 @lru_cache(maxsize=2)
 def _per_light_degree(world: World) -> FloatArray:
     """(V, POINTS) change of ln L per degree of light angle."""
-    low, high = (profile_radiance(replace(nominal(), light_deg=LIGHT_DEG + off), world) for off in (-0.5, 0.5))
+    low, high = (
+        profile_radiance(replace(nominal(), light_deg=LIGHT_DEG + off), world) for off in (-0.5, 0.5)
+    )
     return np.asarray(np.log(np.maximum(high, 1e-9) / np.maximum(low, 1e-9)))
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A camera with what was calibrated on it: dark frames and white reference."""
+    """A camera that reads out a window of its sensor, with what was calibrated on it: dark frames, white reference."""
 
     sensor: Sensor
     shade: Image
@@ -114,13 +116,47 @@ class Camera:
     white: WhiteReference
 
 
-def new_camera(size: Size, world: World, rng: np.random.Generator) -> Camera:
-    """A camera of the study's size; in the other world it is not quite linear."""
+class Window(Sensor):
+    """The middle of a sensor: the same pixels, fewer of them.
+
+    Args:
+        whole: the sensor.
+        shape: (rows, cols) of the window.
+    """
+
+    def __init__(self, whole: Sensor, shape: tuple[int, int]) -> None:
+        rows, cols = _middle(shape, (whole.part.rows, whole.part.cols))
+        self.part = whole.part.model_copy(update={"rows": shape[0], "cols": shape[1]})
+        self._rng = whole._rng  # noqa: SLF001 - it is the same sensor
+        self._response = whole._response[rows, cols]  # noqa: SLF001
+        self._offset_e = whole._offset_e[rows, cols]  # noqa: SLF001
+        self._dark_e_s = whole._dark_e_s[rows, cols]  # noqa: SLF001
+
+
+def _middle(shape: tuple[int, int], whole: tuple[int, int]) -> tuple[slice, slice]:
+    rows, cols = (
+        slice((big - small) // 2, (big + small) // 2) for small, big in zip(shape, whole, strict=True)
+    )
+    return rows, cols
+
+
+def _whole(size: Size) -> tuple[int, int]:
+    return size.sensor.rows, size.sensor.cols
+
+
+def new_cameras(size: Size, world: World, rng: np.random.Generator) -> dict[tuple[int, int], Camera]:
+    """One camera, by the shape of the window that it reads out; in the other world it is not quite linear."""
     part = size.sensor
     if world == "other":
         part = part.model_copy(update={"nonlinearity": NONLINEARITY})
-    sensor = Sensor(part, rng)
-    shade = vignette(size.optics, part)
+    whole = Sensor(part, rng)
+    shapes = {size.window(pose.stage_deg) for pose in views_of_series()}
+    return {shape: _calibrated(whole, shape, size) for shape in sorted(shapes)}
+
+
+def _calibrated(whole: Sensor, shape: tuple[int, int], size: Size) -> Camera:
+    sensor = Window(whole, shape)
+    shade = vignette(size.optics, whole.part)[_middle(shape, _whole(size))]
     acquisition = recipe_of("tilted", size).acquisition
     exposure = acquisition.exposure_s
     cosine = float(np.cos(np.radians(LIGHT_DEG)))
@@ -197,18 +233,22 @@ def _near_led(view: int, shape: tuple[int, int], world: World) -> Image:
     # a point nearer to the lamp sees it less aslant
     off_deg = -np.degrees(toward / LED_DISTANCE_MM)
     slope = np.tile(_per_light_degree(world)[view], shape[1] // POINTS)
-    return np.exp(slope[None, :] * off_deg).astype(np.float32)
+    return np.asarray(np.exp(slope[None, :] * off_deg), dtype=np.float32)
 
 
 def photograph(
-    shown: list[Image], specimen: Specimen, camera: Camera, size: Size, rng: np.random.Generator
+    shown: list[Image],
+    specimen: Specimen,
+    cameras: dict[tuple[int, int], Camera],
+    size: Size,
+    rng: np.random.Generator,
 ) -> list[View]:
     """All views of a part, linearised, with their placement: the true one, off by the error of the markers' fit.
 
     Args:
         shown: radiance of the part in every view.
         specimen: the part and the rig it lies on.
-        camera: the camera.
+        cameras: the camera, by window.
         size: of the study.
         rng: scatter of the lamp.
     """
@@ -219,10 +259,10 @@ def photograph(
     step_um = PITCH_UM / POINTS
     found = []
     for view, pose in enumerate(views_of_series()):
+        camera = cameras[size.window(pose.stage_deg)]
+        part = camera.sensor.part
         angle = pose.stage_deg + float(specimen.stage_deg[view])
-        picture, _ = image_of_surface(
-            shown[view], (step_um, step_um), optics, size.sensor, angle, pose.tilt_deg
-        )
+        picture, _ = image_of_surface(shown[view], (step_um, step_um), optics, part, angle, pose.tilt_deg)
         light = (picture.astype(np.float64) + specimen.stray) * camera.shade * specimen.gain[view]
         light *= optics.electrons * acquisition.exposure_s
         frames = stack(
@@ -236,9 +276,10 @@ def photograph(
             for _ in range(acquisition.frames_per_pose)
         )
         image: RadianceImage = linearise(frames, camera.dark, camera.white, camera.sensor.full_scale)
-        matrix = pixel_from_mm(optics, size.sensor, angle, pose.tilt_deg)
+        matrix = pixel_from_mm(optics, part, angle, pose.tilt_deg)
         matrix[:, 2] += specimen.shift_px[view]
-        axis = float(matrix[0, 2]), float(matrix[1, 2])
+        top, left = (middle.start for middle in _middle((part.rows, part.cols), _whole(size)))
+        axis = float(matrix[0, 2] + left), float(matrix[1, 2] + top)
         place = Placement(matrix, angle % 360.0, size.pixel_um, axis, MARKER_ERROR_PX, 4)
         found.append(View(pose.stage_deg, pose.tilt_deg, image, place))
     return found

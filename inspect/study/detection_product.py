@@ -61,7 +61,7 @@ class Size:
     """
 
     ridges: int = 25
-    pitches: int = 12
+    pitches: int = 7
     pixel_um: float = 12.5
     sheets: int = 8
     chunk: int = 25
@@ -71,8 +71,16 @@ class Size:
     @property
     def sensor(self) -> SensorPart:
         """A sensor that just holds the part at 0°, 90° and 180°."""
-        side = int(np.ceil((max(self.ridges, self.pitches) + 1) * PITCH_UM / self.pixel_um / 8.0)) * 8
-        return SensorPart(rows=side, cols=side)
+        rows, cols = self.window(0.0)
+        return SensorPart(rows=max(rows, cols), cols=max(rows, cols))
+
+    def window(self, stage_deg: float) -> tuple[int, int]:
+        """Rows and columns in the middle of the sensor that are read out at a stage angle: those that see the part."""
+        along, across = (
+            max(64, 8 * int(np.ceil((pitches + 1) * PITCH_UM / self.pixel_um / 8.0)))
+            for pitches in (self.pitches, self.ridges)
+        )
+        return (across, along) if round(stage_deg / 90.0) % 2 else (along, across)
 
     @property
     def optics(self) -> OpticsPart:
@@ -223,7 +231,8 @@ def draw(kind: DefectClass | None, views: int, rng: np.random.Generator) -> tupl
         height_loss=extent if name == "height-loss" else 0.0,
         wear_um=extent if name == "wear" else 0.0,
         along=float(np.exp(part.u_alpha_share * normal())),
-        across=float(np.exp(part.u_alpha_share * normal())) * (1.0 + (extent if name == "roughness" else 0.0)),
+        across=float(np.exp(part.u_alpha_share * normal()))
+        * (1.0 + (extent if name == "roughness" else 0.0)),
         albedo=float(np.clip(part.albedo + part.u_albedo * normal(), 0.01, 0.99)),
         index=float(part.index + part.u_index * normal()),
         seating_deg=rig.seating_tilt_deg * normal(2),

@@ -8,7 +8,7 @@ roughness of the lobe, seating, lamp) is put in afterwards (`detection_pictures`
 import hashlib
 import io
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -47,6 +47,15 @@ CORRELATION_UM = 8.0
 CHANGED_UM = 0.05
 PARTS_ACROSS, PARTS_ALONG = 2, 2
 _PATHS = 16384
+_SETTINGS = {
+    "ridge-angle": ("ridge-angle", "delta_deg"),
+    "height-loss": ("incomplete-filling", "loss"),
+    "wear": ("wear", "radius_um"),
+    "burrs": ("burrs", "coverage"),
+    "scratches": ("scratches", "density_per_mm2"),
+    "missing-ridges": ("missing-ridges", "share"),
+    "dust": ("dust", "density_per_mm2"),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +85,8 @@ class SheetTask:
     @property
     def path(self) -> Path:
         """Its file."""
-        told = [FORMAT, self.world, self.kind, self.number, self.seed, asdict(self.size)]
+        told: list[object] = [FORMAT, self.world, self.kind, self.number, self.seed]
+        told += [self.size.ridges, self.size.pitches, self.size.sheets]
         key = hashlib.sha256(json.dumps(told).encode()).hexdigest()[:24]
         return self.folder / f"sheet-{key}.npz"
 
@@ -116,7 +126,7 @@ def read_sheet(path: Path) -> Sheet:
 
 def sheet_surface(task: SheetTask) -> tuple[HeightMap, npt.NDArray[np.bool_]]:
     """The surface, and where a local defect changed it (on the points that are kept)."""
-    entropy = [task.seed, list(("sheet", GOOD, *BY_NAME)).index(task.kind), task.number]
+    entropy = [task.seed, ("sheet", GOOD, *BY_NAME).index(task.kind), task.number]
     base, marks = (np.random.default_rng(child) for child in np.random.SeedSequence(entropy).spawn(2))
     across, along = task.size.ridges + 1, task.size.pitches + 1
     cols, rows = PARTS_ACROSS * across * 2 * POINTS + 1, PARTS_ALONG * along * POINTS + 1
@@ -135,7 +145,7 @@ def sheet_surface(task: SheetTask) -> tuple[HeightMap, npt.NDArray[np.bool_]]:
 
 def _spoiled(surface: HeightMap, task: SheetTask, rng: np.random.Generator) -> HeightMap:
     kind = BY_NAME[task.kind]
-    values = {**kind.values, _extent_name(task.kind): kind.extent}
+    values = {**kind.values, _SETTINGS[task.kind][1]: kind.extent}
     if task.kind != "missing-ridges":
         return spoil(surface, task.kind, rng, values=values)
     # as many as stated in every part, none in the margins: parts of this class are cut at whole parts only
@@ -147,15 +157,6 @@ def _spoiled(surface: HeightMap, task: SheetTask, rng: np.random.Generator) -> H
         block = HeightMap(height[:, inner], surface.pixel_x_um, surface.pixel_y_um, {})
         height[:, inner] = spoil(block, task.kind, rng, values=values).height_um
     return surface.with_height(height)
-
-
-def _extent_name(kind: str) -> str:
-    return {
-        "burrs": "coverage",
-        "scratches": "density_per_mm2",
-        "missing-ridges": "share",
-        "dust": "density_per_mm2",
-    }[kind]
 
 
 def _rendered(surface: HeightMap, world: World) -> list[npt.NDArray[np.float32]]:
@@ -188,13 +189,13 @@ def bounces_of(kind: str) -> FloatArray:
     """
     expected = expected_of("tilted", Size())
     seen = directions(expected.poses, Convention(LIGHT_DEG))
-    small = Size(ridges=12, pitches=4, sheets=1)
-    local = kind in BY_NAME and BY_NAME[kind].local
-    task = SheetTask("other", kind if local else GOOD, 0, small, 1, Path())
-    surface, _ = sheet_surface(task)
-    if kind in ("ridge-angle", "height-loss", "wear"):
-        setting = {"ridge-angle": "delta_deg", "height-loss": "loss", "wear": "radius_um"}[kind]
-        values = {setting: BY_NAME[kind].extent}
-        name = {"height-loss": "incomplete-filling"}.get(kind, kind)
+    # the same piece of surface and the same paths for all, so that classes differ by their defect alone
+    surface, _ = sheet_surface(SheetTask("other", GOOD, 0, Size(ridges=24, pitches=4, sheets=1), 1, Path()))
+    material = WHOLE
+    if kind == "roughness":
+        material = replace(WHOLE, alpha_across=WHOLE.alpha_across * (1.0 + BY_NAME[kind].extent))
+    elif kind != GOOD:
+        name, setting = _SETTINGS[kind]
+        values = {**BY_NAME[kind].values, setting: BY_NAME[kind].extent}
         surface = spoil(surface, name, np.random.default_rng(0), values=values)
-    return interreflection(Relief(surface, PITCH_UM), *seen, WHOLE, paths=_PATHS).radiance
+    return interreflection(Relief(surface, PITCH_UM), *seen, material, paths=_PATHS).radiance

@@ -1,0 +1,244 @@
+"""The page of a detection study: both worlds side by side in tables, ROC curves and p values of the good parts."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from anisoscope.report.figures import MUTED, _svg_uri
+from anisoscope.report.page import write_page
+from anisoscope.report.study_page import Chart, Curve, Table, _figure, _picture, _rc
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Told = dict[str, Any]
+
+RULE_TITLES = {
+    "shipped": "prediction, as shipped",
+    "spread": "… with the spread of the ridge angle stated",
+    "known": "… and roughness, albedo known 3× better",
+    "golden": "25 golden parts, T²",
+    "taught": "prediction shifted to 25 golden parts",
+}
+
+
+def write_detection_page(path: Path, found: Told) -> None:
+    """Write the page, all or nothing.
+
+    Args:
+        path: file to write.
+        found: the study as JSON.
+
+    Raises:
+        RecordError: the file cannot be written.
+    """
+    plan = found["plan"]
+    subtitle = (
+        f"{plan['parts']} good parts and {plan['defective']} of each class of defects in every world, "
+        f"seed {plan['seed']}"
+    )
+    groups = [
+        *((f"ROC, {_where(world, recipe)}", _roc(told)) for world, recipe, told in _cases(found)),
+        ("P values of good parts", [_p_values(found, world, recipe) for world, recipe, _ in _cases(found)]),
+    ]
+    content = {
+        "title": "How often good parts fail and bad ones pass",
+        "subtitle": subtitle,
+        "tables": tables_of(found),
+        "groups": groups,
+        "notes": found["notes"],
+    }
+    write_page(path, "detection.html", content)
+
+
+def _cases(found: Told) -> list[tuple[str, str, Told]]:
+    return [(world, recipe, told) for world, by in found["worlds"].items() for recipe, told in by.items()]
+
+
+def _where(world: str, recipe: str) -> str:
+    return f"{world} world, {recipe} recipe"
+
+
+def tables_of(found: Told) -> list[Table]:
+    """The tables of a study, worlds and recipes side by side."""
+    return [
+        _false_alarms(found),
+        _detection(found),
+        _means(found),
+        _diagnosis(found),
+        _coverage(found),
+        _limits(found),
+    ]
+
+
+def percent(rate: Told) -> str:
+    """A rate with its interval."""
+    if not rate["of"]:
+        return "–"
+    low, high = rate["interval"]
+    return f"{rate['rate']:.1%} ({low:.1%}–{high:.1%})"
+
+
+def _short(rate: Told) -> str:
+    return f"{rate['rate']:.0%}" if rate["of"] else "–"
+
+
+def _columns(found: Told) -> tuple[str, ...]:
+    return tuple(f"{world}, {recipe}" for world, recipe, _ in _cases(found))
+
+
+def _false_alarms(found: Told) -> Table:
+    cases = _cases(found)
+    names = list(cases[0][2]["good"]["false_alarms"])
+    rows = [
+        (
+            RULE_TITLES.get(name, name),
+            *(percent(told["good"]["false_alarms"][name]) for _, _, told in cases),
+        )
+        for name in names
+        if not name.endswith("+area")
+    ]
+    note = "Nominal 1 %; 95 % intervals. Marks: chance of the least probable group of deviating cells."
+    return Table("False alarms", ("good parts that are flagged", *_columns(found)), tuple(rows), note)
+
+
+def _detection(found: Told) -> Table:
+    cases = _cases(found)
+    rows = []
+    for number, one in enumerate(cases[0][2]["classes"]):
+        cells = []
+        for _, _, told in cases:
+            scores = told["classes"][number]["scores"]
+            both, verdict = scores["shipped+area"], told["classes"][number]["verdict_fail"]
+            cells.append(f"{_short(verdict)} / {_short(both['set'])} / {both['auc']:.3f}")
+        rows.append((one["title"], *cells))
+    note = (
+        "Verdict FAIL as shipped (means at nominal 1 %, area over its limit) / means and area at the threshold that "
+        "half of the good parts set for 1 % / area under the ROC curve."
+    )
+    return Table("Detection", ("class", *_columns(found)), tuple(rows), note)
+
+
+def _means(found: Told) -> Table:
+    rows = []
+    for world, recipe, told in _cases(found):
+        for one in told["classes"]:
+            aucs = [
+                _auc(one["scores"][key])
+                for key in (*RULE_TITLES, "marks", "area", "golden+area", "known+area")
+            ]
+            rows.append((one["title"], f"{world}, {recipe}", *aucs))
+    columns = (
+        "class",
+        "where",
+        *RULE_TITLES.values(),
+        "marks",
+        "area",
+        "golden parts and area",
+        "known 3× better and area",
+    )
+    return Table(
+        "Area under the curve by rule",
+        columns,
+        tuple(rows),
+        "Means of the poses alone by every rule, the map alone, and both; ± u.",
+    )
+
+
+def _auc(told: Told) -> str:
+    return f"{told['auc']:.3f} ± {told['u']:.3f}"
+
+
+def _diagnosis(found: Told) -> Table:
+    rows = []
+    for world, recipe, told in _cases(found):
+        for one in told["classes"]:
+            about = one["diagnosis"]
+            needed = about["told_apart_from"]
+            rows.append(
+                (
+                    one["title"],
+                    f"{world}, {recipe}",
+                    "yes" if about["separable"] else "no" if needed is None else f"from {abs(needed):.3g}",
+                    _short(about["right_first"]),
+                    _short(about["right_first_or_second"]),
+                    _short(about["right_tied"]),
+                    _short(about["right_first_against_golden"]),
+                    ", ".join(f"{name} {count}" for name, count in about["first"][:3]),
+                    _short(about["extent_interval_holds"]),
+                )
+            )
+    columns = (
+        "class", "where", "separable (3 σ)", "right cause first", "first or second", "among the ties",
+        "first, against golden parts", "named first", "extent in its 95 % interval",
+    )  # fmt: skip
+    return Table("Diagnosis", columns, tuple(rows))
+
+
+def _coverage(found: Told) -> Table:
+    rows = [
+        (title, f"{world}, {recipe}", percent(rate))
+        for world, recipe, told in _cases(found)
+        for title, rate in told["good"]["coverage"].items()
+    ]
+    return Table("Coverage of 95 % intervals, good parts", ("quantity", "where", "covered"), tuple(rows))
+
+
+def _limits(found: Told) -> Table:
+    rows = [
+        (
+            one["title"],
+            f"{world}, {recipe}",
+            f"{one['mean_shift_sigmas']:.2f}",
+            ", ".join(f"{source} {share:.0%}" for source, share in one["limited_by"]),
+        )
+        for world, recipe, told in _cases(found)
+        for one in told["classes"]
+    ]
+    note = "Shift of the class from the good parts, in σ of the combination that tells most, and what makes up σ²."
+    return Table(
+        "What limits detection by the means",
+        ("class", "where", "shift [σ]", "share of σ²"),
+        tuple(rows),
+        note,
+    )
+
+
+def _roc(told: Told) -> list[tuple[str, str]]:
+    charts = []
+    for one in told["classes"]:
+        lines = [
+            Curve(_name(key), np.array(false), np.array(found)) for key, (false, found) in one["roc"].items()
+        ]
+        diagonal = np.linspace(0.0, 1.0, 2)
+        lines.append(Curve("chance", diagonal, diagonal, dashed=True))
+        chart = Chart(one["title"], "false alarms [1]", "detected [1]", tuple(lines), points=False)
+        charts.append((_picture(chart), one["title"]))
+    return charts
+
+
+def _name(key: str) -> str:
+    return {
+        "shipped+area": "as shipped",
+        "known+area": "material known 3× better",
+        "golden+area": "golden parts",
+    }[key]
+
+
+def _p_values(found: Told, world: str, recipe: str) -> tuple[str, str]:
+    import matplotlib as mpl
+
+    about = found["worlds"][world][recipe]["good"]["p_values"]
+    with mpl.rc_context(_rc()):
+        figure = _figure(1, 1)
+        axes: Axes = figure.subplots()
+        for rule in ("shipped", "spread", "golden"):
+            counts = np.array(about[rule]["histogram"], dtype=np.float64)
+            edges = np.linspace(0.0, 1.0, len(counts) + 1)
+            axes.stairs(counts / max(counts.sum(), 1.0) * len(counts), edges, label=RULE_TITLES[rule])
+        axes.axhline(1.0, color=MUTED, linestyle="--", linewidth=0.9)
+        axes.set_xlabel("p of the means [1]")
+        axes.set_ylabel("density [1]")
+        axes.legend(frameon=False, fontsize=7.0)
+        return _svg_uri(figure), _where(world, recipe)

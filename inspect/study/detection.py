@@ -1,0 +1,216 @@
+"""How often good parts fail and bad ones pass: thousands of parts on the virtual rig, in two worlds.
+
+The same world renders with the predictor's own lobe and direct light; the other one with GGX lobes, light that reflects
+more than once, a camera that is not quite linear and a near lamp. Claims come from the other one.
+"""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.atomicfile import write_text
+from anisoscope.diagnosis.remembering import cache_folder
+from anisoscope.errors import UsageError
+from anisoscope.progress import Advance, silent
+from anisoscope.study.detection_chunk import ChunkTask, inspect_chunk, read_chunk, signatures_of
+from anisoscope.study.detection_lobes import lobes_of
+from anisoscope.study.detection_product import (
+    CLASSES,
+    GOOD,
+    LED_DISTANCE_MM,
+    MARKER_ERROR_PX,
+    NONLINEARITY,
+    PITCH_UM,
+    RECIPES,
+    RecipeName,
+    Size,
+    World,
+    expected_of,
+)
+from anisoscope.study.detection_results import results_of
+from anisoscope.study.detection_sheets import FORMAT, bounces_of, make_sheet, sheet_tasks
+from anisoscope.study.sweep import Workers, sweep
+
+FloatArray = npt.NDArray[np.float64]
+Columns = dict[str, npt.NDArray[Any]]
+
+LEAST_PARTS = 20
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a study does.
+
+    Attributes:
+        worlds: in which the parts are rendered.
+        recipes: by which they are judged; all are photographed for the tilted one.
+        parts: good parts.
+        defective: parts of every class of defects.
+        seed: of everything random.
+        size: of parts and frames.
+        folder: where sheets and chunks are kept.
+    """
+
+    worlds: tuple[World, ...]
+    recipes: tuple[RecipeName, ...]
+    parts: int
+    defective: int
+    seed: int = 1
+    size: Size = field(default_factory=Size)
+    folder: Path = field(default_factory=lambda: cache_folder() / "detection")
+
+    def __post_init__(self) -> None:
+        if self.parts < 2 * LEAST_PARTS or self.defective < 1:
+            raise UsageError(
+                f"a study needs at least {2 * LEAST_PARTS} good parts and 1 of every class, not {self.parts} and "
+                f"{self.defective}"
+            )
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Parts of every class."""
+        return {GOOD: self.parts, **{kind.name: self.defective for kind in CLASSES}}
+
+
+def collect(plan: Plan, workers: Workers, advance: Advance = silent) -> dict[World, dict[str, Columns]]:
+    """Make all parts that are not kept yet, and return what was seen of them, by world and class.
+
+    Raises:
+        RecordError: the folder cannot be written.
+        SweepError: a process failed.
+    """
+    plan.folder.mkdir(parents=True, exist_ok=True)
+    for name in RECIPES:
+        advance(f"signatures of the {name} recipe", 0, 1)
+        signatures_of(name, plan.size)
+    sheets = sheet_tasks(plan.worlds, plan.size, plan.seed, plan.folder)
+    sweep(make_sheet, sheets, workers, advance=advance, doing="surfaces")
+    bounces = {world: _bounces(plan, world, workers, advance) for world in plan.worlds}
+    tasks = chunk_tasks(plan, bounces)
+    sweep(inspect_chunk, tasks, workers, advance=advance, doing="parts")
+    found: dict[World, dict[str, Columns]] = {world: {} for world in plan.worlds}
+    for world in plan.worlds:
+        for kind, count in plan.counts.items():
+            chunks = [task for task in tasks if (task.world, task.kind) == (world, kind)]
+            found[world][kind] = _joined(sorted(chunks, key=lambda task: task.number), count)
+    return found
+
+
+def _bounces(plan: Plan, world: World, workers: Workers, advance: Advance) -> dict[str, tuple[float, ...]]:
+    kinds = [GOOD, *(kind.name for kind in CLASSES)]
+    if world == "same":
+        return dict.fromkeys(kinds, ())
+    path = _reflections(plan)
+    if not path.exists():
+        values = sweep(bounces_of, kinds, workers, advance=advance, doing="reflections")
+        told = {kind: [float(v) for v in value] for kind, value in zip(kinds, values, strict=True)}
+        write_text(path, json.dumps(told))
+    return {kind: tuple(values) for kind, values in json.loads(path.read_text(encoding="utf-8")).items()}
+
+
+def _reflections(plan: Plan) -> Path:
+    return plan.folder / f"reflections-{FORMAT}.json"
+
+
+def chunk_tasks(plan: Plan, bounces: dict[World, dict[str, tuple[float, ...]]]) -> list[ChunkTask]:
+    """All chunks, in an order in which a study that is cut off has the same share of every class."""
+    tasks: list[tuple[float, ChunkTask]] = []
+    for world in plan.worlds:
+        for kind, count in plan.counts.items():
+            chunks = -(-count // plan.size.chunk)
+            tasks += [
+                (
+                    (number + 0.5) / chunks,
+                    ChunkTask(world, kind, number, plan.size, plan.seed, plan.folder, bounces[world][kind]),
+                )
+                for number in range(chunks)
+            ]
+    return [task for _, task in sorted(tasks, key=lambda pair: pair[0])]
+
+
+def _joined(tasks: Sequence[ChunkTask], count: int) -> Columns:
+    chunks = [read_chunk(task.path) for task in tasks]
+    return {name: np.concatenate([chunk[name] for chunk in chunks])[:count] for name in chunks[0]}
+
+
+def told_plan(plan: Plan) -> dict[str, Any]:
+    """The plan as JSON."""
+    found = asdict(plan)
+    del found["folder"]
+    sensor = plan.size.sensor
+    return {**found, "frame": [sensor.rows, sensor.cols]}
+
+
+def told_study(plan: Plan, workers: Workers, advance: Advance = silent) -> dict[str, Any]:
+    """Make the study and tell everything that it found, as plain numbers.
+
+    Raises:
+        RecordError: the folder cannot be written.
+        SweepError: a process failed.
+    """
+    seen = collect(plan, workers, advance)
+    found: dict[str, Any] = {"plan": told_plan(plan), "worlds": {}}
+    steps = [(world, name) for world in plan.worlds for name in plan.recipes]
+    for number, (world, name) in enumerate(steps):
+        advance("evaluation", number, len(steps))
+        found["worlds"].setdefault(world, {})[name] = results_of(seen[world], name, plan.size)
+    advance("evaluation", len(steps), len(steps))
+    found["other_world"] = _of_other_world(plan)
+    found["notes"] = notes_of(plan)
+    clean: dict[str, Any] = without_nan(found)
+    return clean
+
+
+def _of_other_world(plan: Plan) -> dict[str, Any] | None:
+    if "other" not in plan.worlds:
+        return None
+    lobes = lobes_of("other")
+    reflected = json.loads(_reflections(plan).read_text(encoding="utf-8"))
+    share = np.array(reflected[GOOD]) / expected_of("tilted", plan.size).radiance
+    return {
+        "ggx": asdict(lobes.smooth),
+        "misfit_rms": lobes.misfit,
+        "reflections_share": [float(value) for value in share],
+        "nonlinearity": NONLINEARITY,
+        "led_distance_mm": LED_DISTANCE_MM,
+    }
+
+
+def notes_of(plan: Plan) -> list[str]:
+    """How the parts were made."""
+    size, sensor = plan.size, plan.size.sensor
+    return [
+        (
+            f"Parts of {size.ridges} ridges, pitch {PITCH_UM:g} µm, {size.pitches * PITCH_UM / 1000.0:g} mm long; "
+            f"frames of {sensor.cols} × {sensor.rows} pixels of {size.pixel_um:g} µm, 2 a pose, of which the window "
+            f"that holds the part is read out; every {size.chunk} parts share a camera "
+            "with its own flat and dark frames, every part meets a rig of its own, drawn from the recipe's "
+            "uncertainties. Placement: as the markers would give it, with an error of "
+            f"{MARKER_ERROR_PX:g} px."
+        ),
+        (
+            "Good parts scatter (1 σ): ridge angle 0.1°, both roughnesses 5 %, albedo 3 %, seating 0.1° about both "
+            "axes; burrs on up to 0.2 % of the area."
+        ),
+        (
+            "Surfaces are cut from rendered sheets; what is alike all along the ridges is put in by the exact ratio of "
+            "smooth profiles. Intervals of rates of the contrast map take parts as independent; parts from one sheet "
+            "share some of their surface."
+        ),
+    ]
+
+
+def without_nan(value: Any) -> Any:  # noqa: ANN401 - any JSON
+    """The same with None for what is no number."""
+    if isinstance(value, dict):
+        return {key: without_nan(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [without_nan(item) for item in value]
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value

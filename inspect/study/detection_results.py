@@ -1,0 +1,284 @@
+"""What a detection study found, world by world and recipe by recipe, as plain numbers for JSON, page and console."""
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.diagnosis.diagnosing import Evidence, covariance_of, diagnose
+from anisoscope.diagnosis.separability import Separability, planned_covariance, separability
+from anisoscope.expectation import Component
+from anisoscope.sim.light.contrasts import consecutive_pairs
+from anisoscope.study.detection_chunk import MEASURED_SOURCES, signatures_of
+from anisoscope.study.detection_product import (
+    BY_NAME,
+    CLASSES,
+    GOOD,
+    RecipeName,
+    Size,
+    expected_of,
+    recipe_of,
+)
+from anisoscope.study.detection_rules import (
+    GOLDEN_PARTS,
+    RULES,
+    SHARED_SOURCES,
+    Bench,
+    Columns,
+    Rule,
+    bench_of,
+    covariance_of_measurement,
+    limits,
+    p_values,
+)
+from anisoscope.study.detection_statistics import (
+    Area,
+    Rate,
+    area_under_curve,
+    curve,
+    histogram,
+    rate,
+    threshold,
+    uniformity,
+)
+
+FloatArray = npt.NDArray[np.float64]
+Told = dict[str, Any]
+
+LEVEL = 0.01
+GOLDEN_SETS = 8
+TAUGHT_DIAGNOSES = 10  # parts of a class that are diagnosed again against golden parts
+COVERAGE = 1.959964
+DRAWN = ("shipped+area", "known+area", "golden+area")
+_TINY = 1e-300
+
+
+def results_of(seen: dict[str, Columns], name: RecipeName, size: Size) -> Told:
+    """Everything about one recipe in one world.
+
+    Args:
+        seen: columns of every class, good parts among them.
+        name: of the recipe.
+        size: of the study.
+    """
+    valid = {kind: _valid(columns, name) for kind, columns in seen.items()}
+    good = valid[GOOD]
+    pool = golden_pool(len(good["extent"]))
+    benches = [bench_of(name, size, good[f"{name}/deviation"][part]) for part in pool]
+    scores = {kind: _scores(columns, kind, name, benches) for kind, columns in valid.items()}
+    with_area(scores)
+    used = sum(len(part) for part in pool)
+    told = {rule: _trusted(values, rule, used) for rule, values in scores[GOOD].items()}
+    apart = {row.cause: row for row in _separability(name, size)}
+    return {
+        "good": {
+            "parts": len(good["extent"]),
+            "invalid": int(len(seen[GOOD]["extent"]) - len(good["extent"])),
+            "golden_sets": len(pool),
+            "false_alarms": _false_alarms(good, name, told),
+            "p_values": {rule: _of_p(told[rule]) for rule in RULES},
+            "coverage": _coverage_of_good(good, name, benches[0]),
+        },
+        "classes": [
+            _class(kind.name, valid, scores, told, name, benches[0], apart.get(kind.cause))
+            for kind in CLASSES
+        ],
+    }
+
+
+def golden_pool(parts: int) -> list[npt.NDArray[np.int_]]:
+    """Numbers of the good parts that serve as golden ones: sets of 25, at most half of all parts."""
+    sets = max(1, min(GOLDEN_SETS, parts // 2 // GOLDEN_PARTS))
+    count = min(GOLDEN_PARTS, parts // 2)
+    return [np.arange(number * count, (number + 1) * count) for number in range(sets)]
+
+
+def _valid(columns: Columns, name: RecipeName) -> Columns:
+    keep = columns[f"{name}/valid"].astype(bool)
+    return {key: values[keep] for key, values in columns.items()}
+
+
+def _scores(seen: Columns, kind: str, name: RecipeName, benches: list[Bench]) -> dict[str, FloatArray]:
+    """Scores (high is bad) of every part: −lg p of the means by every rule and of the marks, and the share."""
+    found: dict[str, FloatArray] = {}
+    for rule in RULES:
+        if rule in ("golden", "taught"):  # every part meets one of the golden sets
+            p = np.full(len(seen["extent"]), np.nan)
+            for number, bench in enumerate(benches):
+                mine = slice(number, None, len(benches))
+                p[mine] = p_values(rule, {key: values[mine] for key, values in seen.items()}, kind, bench)
+        else:
+            p = p_values(rule, seen, kind, benches[0])
+        found[rule] = -np.log10(np.maximum(p, _TINY))
+    # groups whose chance is nil in floating point are told apart by their size
+    found["marks"] = -np.log10(np.maximum(seen[f"{name}/p_marks"], _TINY)) + 1e-3 * seen[f"{name}/mark_cells"]
+    found["share"] = np.asarray(seen[f"{name}/share"], dtype=np.float64)
+    return found
+
+
+def with_area(scores: dict[str, dict[str, FloatArray]]) -> None:
+    """Add the scores of the area that deviates, and of means and area together, to those of every class.
+
+    The area counts as −lg of the normal tail beyond what half of the good parts show; of two criteria each has half
+    of the level.
+    """
+    from scipy.stats import norm  # noqa: PLC0415 - 1 s
+
+    shown = scores[GOOD]["share"][::2]
+    middle, spread = float(np.mean(shown)), max(float(np.std(shown, ddof=1)), 1e-6)
+    for found in scores.values():
+        found["area"] = np.asarray(-norm.logsf((found["share"] - middle) / spread) / np.log(10.0))
+        for rule in RULES:
+            found[f"{rule}+area"] = np.maximum(found[rule], found["area"]) - np.log10(2.0)
+
+
+def _trusted(values: FloatArray, rule: str, used: int) -> FloatArray:
+    """Scores of good parts that are no golden ones themselves."""
+    return values[used:] if rule.partition("+")[0] in ("golden", "taught") else values
+
+
+def _false_alarms(good: Columns, name: RecipeName, scores: dict[str, FloatArray]) -> Told:
+    limit = -np.log10(LEVEL)
+    found: Told = {rule: _rate(rate(scores[rule] > limit)) for rule in RULES}
+    found["marks"] = _rate(rate(good[f"{name}/p_marks"] < LEVEL))
+    found["area share over its limit"] = _rate(rate(good[f"{name}/share_fails"].astype(bool)))
+    found["verdict FAIL"] = _rate(rate(good[f"{name}/fails"].astype(bool)))
+    for rule in RULES:
+        found[f"{rule}+area"] = _rate(rate(scores[f"{rule}+area"] > limit))
+    return found
+
+
+def _of_p(scores: FloatArray) -> Told:
+    p = 10.0**-scores
+    distance, chance = uniformity(p)
+    return {"histogram": histogram(p), "kolmogorov": distance, "chance": chance}
+
+
+def _rate(found: Rate) -> Told:
+    return {"rate": found.value, "count": found.count, "of": found.of, "interval": [found.low, found.high]}
+
+
+def _area(found: Area) -> Told:
+    return {"auc": found.value, "u": found.u, "interval": list(found.interval)}
+
+
+def _coverage_of_good(good: Columns, name: RecipeName, bench: Bench) -> Told:
+    """Shares of good parts whose 95 % intervals hold what they should."""
+    pairs = consecutive_pairs(bench.expected.poses)
+    first, second = np.array(pairs).T
+    error = good[f"{name}/error"][:, first] - good[f"{name}/error"][:, second]
+    own = covariance_of_measurement(good[f"{name}/own"])
+    u = np.sqrt(own[:, first, first] + own[:, second, second] - 2.0 * own[:, first, second])
+    found = {
+        "measured contrast holds the true one (measurement alone)": _rate(rate(np.abs(error) <= COVERAGE * u))
+    }
+    off, all_u = good[f"{name}/pair_deviation"], good[f"{name}/pair_u"]
+    found["predicted contrast (as shipped)"] = _rate(rate(np.abs(off) <= COVERAGE * all_u))
+    spread = bench.components[-1].relative
+    more = np.hypot(all_u, spread[first] - spread[second])
+    found["predicted contrast (spread of the ridge angle stated)"] = _rate(
+        rate(np.abs(off) <= COVERAGE * more)
+    )
+    for number, (i, j) in enumerate(pairs):
+        poses = bench.expected.poses
+        title = (
+            f"{poses[i].stage_deg:g}°/{poses[j].stage_deg:g}° at tilt {poses[i].tilt_deg:g}° (spread stated)"
+        )
+        found[title] = _rate(rate(np.abs(off[:, number]) <= COVERAGE * more[:, number]))
+    return found
+
+
+def _class(
+    kind: str,
+    seen: dict[str, Columns],
+    scores: dict[str, dict[str, FloatArray]],
+    good: dict[str, FloatArray],
+    name: RecipeName,
+    bench: Bench,
+    apart: Separability | None,
+) -> Told:
+    columns, own = seen[kind], scores[kind]
+    way = np.where(columns["extent"] < 0.0, -1.0, 1.0)[:, None]  # what is off both ways must not cancel
+    shift = np.mean(
+        way * (columns[f"{name}/deviation"] - seen[GOOD][f"{name}/deviation"].mean(axis=0)), axis=0
+    )
+    sigmas, sources = limits(shift, columns, bench)
+    keys = ("area", "marks", *RULES, *(f"{rule}+area" for rule in RULES))
+    return {
+        "name": kind,
+        "title": BY_NAME[kind].title,
+        "parts": len(columns["extent"]),
+        "area_share": float(columns["spoiled"].mean()),
+        "verdict_fail": _rate(rate(columns[f"{name}/fails"].astype(bool))),
+        "scores": {key: _detection(own[key], good[key]) for key in keys},
+        "roc": {key: [list(map(float, axis)) for axis in curve(own[key], good[key])] for key in DRAWN},
+        "mean_shift_sigmas": sigmas,
+        "limited_by": [[source, share] for source, share in sources[:4]],
+        "diagnosis": _diagnosis(kind, columns, name, bench, apart),
+    }
+
+
+def _detection(bad: FloatArray, good: FloatArray) -> Told:
+    """Detection at the nominal threshold, and at that set on half of the good parts and tried on the others."""
+    set_on, tried_on = good[::2], good[1::2]
+    limit = threshold(set_on, LEVEL)
+    found: Told = {**_area(area_under_curve(bad, good)), "set": _rate(rate(bad > limit))}
+    found["false_alarms_set"] = _rate(rate(tried_on > limit))
+    found["nominal"] = _rate(rate(bad > -np.log10(LEVEL)))
+    return found
+
+
+def _separability(name: RecipeName, size: Size) -> tuple[Separability, ...]:
+    covariance = planned_covariance(recipe_of(name, size), expected_of(name, size))
+    return separability(signatures_of(name, size), covariance, with_map=True)
+
+
+def _diagnosis(kind: str, seen: Columns, name: RecipeName, bench: Bench, apart: Separability | None) -> Told:
+    cause = BY_NAME[kind].cause
+    first = seen[f"{name}/first"].astype(str)
+    named, counts = np.unique(first, return_counts=True)
+    order = np.argsort(-counts)
+    extent = BY_NAME[kind].extent
+    needed = None if apart is None else apart.told_apart_from
+    truth = seen["ridge_angle_deg"] - 10.0 if kind == "ridge-angle" else seen["extent"]
+    right, u = seen[f"{name}/right_extent"], seen[f"{name}/right_u"]
+    inside = np.isfinite(u) & ~seen[f"{name}/right_at_bound"].astype(bool)
+    taught = _taught(kind, seen, name, bench)
+    return {
+        "right_first": _rate(rate(first == cause)),
+        "right_first_or_second": _rate(
+            rate((first == cause) | (seen[f"{name}/second"].astype(str) == cause))
+        ),
+        "right_tied": _rate(rate(seen[f"{name}/tied"].astype(bool))),
+        "right_first_against_golden": _rate(rate(taught == cause)),
+        "first": [[str(named[k]) or "none", int(counts[k])] for k in order[:4]],
+        "shows_from": None if apart is None else apart.shows_from,
+        "told_apart_from": needed,
+        "separable": bool(needed is not None and extent >= abs(needed)),
+        "extent": extent,
+        "extent_interval_holds": _rate(rate(np.abs(right[inside] - truth[inside]) <= COVERAGE * u[inside])),
+        "extent_median": float(np.median(right[inside])) if inside.any() else None,
+        "extent_u_median": float(np.median(u[inside])) if inside.any() else None,
+    }
+
+
+def _taught(kind: str, seen: Columns, name: RecipeName, bench: Bench) -> npt.NDArray[np.str_]:
+    """First causes where deviations count from the golden parts instead of the prediction."""
+    del kind
+    known = signatures_of(name, bench.size)
+    scale = recipe_of(name, bench.size).uncertainty.scale_share
+    first = []
+    for number in range(min(len(seen["extent"]), TAUGHT_DIAGNOSES)):
+        components = tuple(
+            Component(source, "measurement", relative, source in SHARED_SOURCES)
+            for source, relative in zip(MEASURED_SOURCES, seen[f"{name}/own"][number], strict=True)
+        )
+        deviation = seen[f"{name}/deviation"][number] - bench.golden.mean(axis=0)
+        covariance = covariance_of(bench.expected.components + components, scale, len(deviation))
+        share = float(seen[f"{name}/share"][number])
+        evidence = Evidence(deviation, covariance, share, float(seen[f"{name}/u_share"][number]))
+        first.append(diagnose(known, evidence).findings[0].cause)
+    return np.array(first)
+
+
+__all__ = ["LEVEL", "RULES", "Rule", "golden_pool", "results_of", "with_area"]

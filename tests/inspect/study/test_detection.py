@@ -1,0 +1,458 @@
+"""The detection study: its short cuts against the full route, statistics against definitions, and going on."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from anisoscope.errors import UsageError
+from anisoscope.measurement import measure
+from anisoscope.profiles.defects_contact import edge_wear
+from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.report.detection_page import tables_of, write_detection_page
+from anisoscope.sim.bench.sensor import Sensor
+from anisoscope.sim.light.geometry import Convention, directions, seating_rotation
+from anisoscope.sim.light.ggx import lobe_maps
+from anisoscope.sim.light.material import Material, transmittance
+from anisoscope.sim.light.relief import Relief, radiance_maps
+from anisoscope.sim.light.shine import shine_in
+from anisoscope.study import detection_sheets
+from anisoscope.study.detection import Plan, collect, told_study
+from anisoscope.study.detection_chunk import ChunkTask, inspect_chunk, read_chunk
+from anisoscope.study.detection_lobes import lobes_of, quick_shine
+from anisoscope.study.detection_pictures import (
+    Window,
+    new_cameras,
+    nominal,
+    photograph,
+    profile_radiance,
+    radiance_of_part,
+    views_of_series,
+)
+from anisoscope.study.detection_product import (
+    BY_NAME,
+    CLASSES,
+    GOOD,
+    LIGHT_DEG,
+    LOBE,
+    PITCH_UM,
+    WHOLE,
+    Size,
+    draw,
+    expected_of,
+    recipe_of,
+)
+from anisoscope.study.detection_results import RULES, golden_pool, with_area
+from anisoscope.study.detection_rules import bench_of, covariance_of_measurement, distances, limits, p_values
+from anisoscope.study.detection_sheets import POINTS, SheetTask, cut, make_sheet, read_sheet, sheet_surface
+from anisoscope.study.detection_statistics import (
+    area_under_curve,
+    curve,
+    histogram,
+    rate,
+    threshold,
+    uniformity,
+)
+from anisoscope.study.sweep import Workers
+
+SMALL = Size(
+    ridges=7, pitches=5, sheets=2, chunk=4, causes=("roughness-across", "seating-y"), diagnosed_good=1
+)
+POSES = expected_of("tilted", SMALL).poses
+SEEN = directions(POSES, Convention(LIGHT_DEG))
+NO_BOUNCES = np.zeros(len(POSES))
+
+
+# statistics ----------------------------------------------------------------------------------------------------
+
+
+def test_the_interval_of_a_rate_is_that_of_clopper_and_pearson():
+    found = rate(np.arange(100) < 3)
+    assert (found.count, found.of, found.value) == (3, 100, 0.03)
+    assert (found.low, found.high) == pytest.approx((0.00623, 0.08518), abs=2e-5)  # tabulated
+    none, every = rate(np.zeros(50, dtype=bool)), rate(np.ones(50, dtype=bool))
+    assert none.low == 0.0
+    assert none.high == pytest.approx(1.0 - 0.025 ** (1 / 50))
+    assert (every.low, every.high) == (pytest.approx(1.0 - none.high), 1.0)
+
+
+def test_the_area_under_the_curve_counts_pairs_and_ties_half(rng):
+    bad, good = rng.integers(0, 8, 60) + 1.0, rng.integers(0, 8, 90).astype(float)
+    pairs = np.mean((bad[:, None] > good) + 0.5 * (bad[:, None] == good))
+    found = area_under_curve(bad, good)
+    assert found.value == pytest.approx(pairs)
+    again = [
+        area_under_curve(rng.choice(bad, bad.size), rng.choice(good, good.size)).value for _ in range(400)
+    ]
+    assert found.u == pytest.approx(np.std(again), rel=0.2)
+    false, detected = curve(bad, good)
+    assert np.trapezoid(detected, false) == pytest.approx(pairs, abs=0.01)
+    low, high = found.interval
+    assert 0.0 < low < found.value < high < 1.0
+
+
+def test_a_threshold_lets_at_most_its_share_pass(rng):
+    good = rng.standard_normal(1000)
+    assert np.mean(good > threshold(good, 0.01)) == 0.01
+    assert np.mean(good[:30] > threshold(good[:30], 0.01)) == 0.0
+
+
+def test_uniform_p_values_are_found_uniform_and_others_not(rng):
+    p = rng.random(500)
+    assert uniformity(p)[1] > 0.01 > uniformity(p**2)[1]
+    assert sum(histogram(p)) == 500
+
+
+# short cuts ----------------------------------------------------------------------------------------------------
+
+
+def test_a_quick_shine_is_the_exact_one():
+    changed = replace(WHOLE, alpha_along=0.9 * WHOLE.alpha_along, alpha_across=1.2 * WHOLE.alpha_across)
+    surface = Relief(ridges(RidgeDesign(PITCH_UM, 10.0), (2, 401), (4.0, 0.5)), PITCH_UM)
+    for material in (WHOLE, changed, replace(changed, albedo=0.25, index=1.505)):
+        exact = [shine_in(*pair, material) for pair in zip(*SEEN, strict=True)]
+        quick = [quick_shine(*pair, material) for pair in zip(*SEEN, strict=True)]
+        for one, other in zip(
+            lobe_maps(surface, exact, "beckmann"), lobe_maps(surface, quick, "beckmann"), strict=True
+        ):
+            assert other.mean() == pytest.approx(one.mean(), rel=2e-3)
+
+
+def test_the_lobes_are_those_of_their_distributions():
+    """A level plane: the predictor's own map for Beckmann, the textbook's formula for GGX."""
+    plane = Relief(ridges(RidgeDesign(PITCH_UM, 0.0), (3, 201), (4.0, 1.0)), PITCH_UM)
+    light, camera = (side @ seating_rotation(3.0, 9.0) for side in SEEN)
+    shines = [shine_in(*pair, WHOLE) for pair in zip(light, camera, strict=True)]
+    own = list(radiance_maps(plane, light, camera, WHOLE))
+    for one, other in zip(own, lobe_maps(plane, shines, "beckmann"), strict=True):
+        assert np.array_equal(one, other)
+    for i, o, shine, shown in zip(light, camera, shines, lobe_maps(plane, shines, "ggx"), strict=True):
+        half = (i + o) / np.linalg.norm(i + o)
+        wide = np.array([WHOLE.alpha_across, WHOLE.alpha_along])
+        lobe = 1.0 / (np.pi * wide.prod() * (np.sum((half[:2] / wide) ** 2) + half[2] ** 2) ** 2)
+        far = [0.5 * (np.sqrt(1.0 + np.sum((wide * d[:2]) ** 2) / d[2] ** 2) - 1.0) for d in (i, o)]
+        fresnel = shine.mirror * 4.0 * np.pi * wide.prod()
+        glossy = fresnel * lobe / ((1.0 + sum(far)) * 4.0 * i[2] * o[2])
+        base = shine.diffuse * transmittance(i[2], WHOLE) * transmittance(o[2], WHOLE)
+        assert shown == pytest.approx((glossy + base) * i[2], rel=1e-4)
+
+
+def test_the_other_lobe_fits_the_recipe_as_well_as_it_can():
+    lobes = lobes_of("other")
+    assert 0.02 < lobes.misfit < 0.3  # no Beckmann lobe, but the nearest
+    off = []
+    for across in (0.9, 1.0, 1.1):
+        material = replace(lobes.smooth, alpha_across=across * lobes.smooth.alpha_across)
+        surface = Relief(ridges(RidgeDesign(PITCH_UM, 10.0), (2, 601), (4.0, 0.5)), PITCH_UM)
+        shown = lobe_maps(surface, [quick_shine(*pair, material) for pair in zip(*SEEN, strict=True)], "ggx")
+        found = np.log([view.mean(dtype=float) for view in shown]) - np.log(
+            expected_of("tilted", SMALL).radiance
+        )
+        off.append(np.sum(found**2))
+    assert off[1] == min(off)
+
+
+STATES = {
+    "finish": replace(nominal(), along=1.08, across=0.93, albedo=0.212, index=1.505),
+    "seat and lamp": replace(nominal(), seating_deg=np.array([0.25, -0.2]), light_deg=10.2),
+    "ridge angle": replace(nominal(), ridge_angle_deg=10.5),
+    "roughness": replace(nominal(), across=1.2),
+    "height loss": replace(nominal(), height_loss=0.1),
+    "wear": replace(nominal(), wear_um=5.0),
+}
+
+
+def rough(state):
+    """A piece of rough surface in the shape of a state; the grain is always the same."""
+    design = RidgeDesign(PITCH_UM, state.ridge_angle_deg, height_loss=state.height_loss)
+    surface = ridges(design, (76, 8 * 200 + 1), (4.0, 0.5))
+    surface = add_facet_roughness(surface, 0.03, 0.03, 8.0, np.random.default_rng(1))
+    return Relief(edge_wear(surface, state.wear_um) if state.wear_um else surface, PITCH_UM)
+
+
+def lobes_in(state, world):
+    """Lobe of the facets of a rough surface whose whole roughness, grain and lobe, is that of a state."""
+    textured, whole = lobes_of(world).textured, state.plastic(WHOLE)
+    return Material(
+        textured.alpha_along * np.sqrt(whole.alpha_along**2 - 0.03**2) / LOBE.alpha_along,
+        textured.alpha_across * np.sqrt(whole.alpha_across**2 - 0.03**2) / LOBE.alpha_across,
+        textured.albedo * state.albedo / LOBE.albedo,
+        state.index,
+    )
+
+
+def direct(state, world):
+    """(P,) ln radiance of the rough surface in a state, rendered facet by facet."""
+    seat = seating_rotation(*state.seating_deg)
+    seen = [side @ seat for side in directions(POSES, Convention(state.light_deg))]
+    shines = [quick_shine(*pair, lobes_in(state, world)) for pair in zip(*seen, strict=True)]
+    shown = lobe_maps(rough(state), shines, "beckmann" if world == "same" else "ggx")
+    return np.log([view.mean(dtype=float) for view in shown])
+
+
+@pytest.mark.parametrize("world", ["same", "other"])
+@pytest.mark.parametrize("name", STATES)
+def test_a_ratio_of_smooth_profiles_is_what_a_rough_surface_changes(world, name):
+    """The short cut of the study, against the rough surface itself rendered in either state."""
+    state = STATES[name]
+    found = profile_radiance(state, world).mean(axis=1) / profile_radiance(nominal(), world).mean(axis=1)
+    change = direct(state, world) - direct(nominal(), world)
+    off = np.log(found[: len(POSES)]) - change
+    edges = name in ("height loss", "wear")
+    assert np.abs(off).max() < (0.03 if world == "other" else 0.02 if edges else 0.006)
+    assert np.abs(off).max() < 0.3 * np.abs(change).max()
+    if world == "same" and not edges:  # good parts must not look like bad ones
+        total = np.sum([c.covariance() for c in expected_of("tilted", SMALL).components], axis=0)
+        total = total + np.diag(np.full(len(POSES), 0.0025**2))
+        assert distances(off[None], total[None])[0] < 2.5
+
+
+def test_the_short_route_measures_what_the_bench_and_inspect_measure(
+    virtual_rig, plain_report, tmp_path, rng
+):
+    """One part through devices, markers and the whole of ``inspect``; and through the study."""
+    size = Size(ridges=10, pitches=10, pixel_um=8.0, sheets=1)
+    state = replace(
+        nominal(),
+        ridge_angle_deg=10.4,
+        along=1.05,
+        across=0.95,
+        albedo=0.21,
+        seating_deg=np.array([0.2, -0.15]),
+    )
+    lobe = {
+        "alpha_along": float(np.sqrt((1.05 * WHOLE.alpha_along) ** 2 - 0.03**2)),
+        "alpha_across": float(np.sqrt((0.95 * WHOLE.alpha_across) ** 2 - 0.03**2)),
+        "albedo": 0.21,
+        "index": 1.5,
+    }
+    sample = {
+        "ridge_angle_deg": 10.4,
+        "resolved_alpha": 0.03,
+        "seating_tilt_deg": [0.2, -0.15],
+        "material": lobe,
+    }
+    told = recipe_of("standard", size).material
+    material = {"alpha_along": told.alpha_along, "alpha_across": told.alpha_across}
+    rig = virtual_rig(recipe={"material": material, "decision": {"tolerance": 5.0}}, bench={"sample": sample})
+    inspected = rig.inspect()
+    assert inspected.record.verdict != "INVALID", inspected.record.reasons
+    full = np.log([pose.measured for pose in inspected.record.poses])
+    task = SheetTask("same", GOOD, 0, size, 5, tmp_path)
+    sheet = read_sheet(make_sheet(task))
+    rows, cols = cut(sheet, GOOD, size, rng)
+    shown, _ = radiance_of_part(sheet.shown[:, rows, cols], state, "same", NO_BOUNCES)
+    views = photograph(shown, state, new_cameras(size, "same", rng), size, rng)
+    expected = expected_of("standard", size)
+    short = np.log(
+        measure(views[:3], views[-1], recipe_of("standard", size), expected, size.pixel_um).radiance
+    )
+    # both scatter by their own piece of rough surface; the bench has stray light of 2e-4 besides
+    assert short == pytest.approx(full - 2e-4 / np.exp(full), abs=0.012)
+
+
+def test_a_window_is_a_piece_of_the_sensor(rng):
+    whole = Sensor(SMALL.sensor.model_copy(update={"rows": 96, "cols": 96, "prnu": 0.2}), rng)
+    part = Window(whole, (64, 96))
+    signal = np.full((96, 96), 9000.0)
+    many = np.mean([whole.expose(signal, 0.001, 1.0) for _ in range(40)], axis=0)
+    few = np.mean([part.expose(signal[:64], 0.001, 1.0) for _ in range(40)], axis=0)
+    assert few == pytest.approx(many[16:80], abs=14.0)
+    assert np.corrcoef(few.ravel(), many[16:80].ravel())[0, 1] > 0.99
+
+
+def test_parts_scatter_as_told_and_defects_are_put_in(rng):
+    good = [draw(None, 10, rng)[0] for _ in range(400)]
+    assert np.std([part.ridge_angle_deg for part in good]) == pytest.approx(0.1, rel=0.15)
+    assert np.std([np.log(part.across) for part in good]) == pytest.approx(0.05, rel=0.15)
+    assert np.std([part.albedo for part in good]) == pytest.approx(0.006, rel=0.15)
+    assert np.std([part.seating_deg for part in good]) == pytest.approx(0.1, rel=0.15)
+    angles = {draw(BY_NAME["ridge-angle"], 10, rng)[1] for _ in range(20)}
+    assert angles == {-0.5, 0.5}
+    assert draw(BY_NAME["wear"], 10, rng)[0].wear_um == 5.0
+
+
+@pytest.mark.parametrize(("kind", "share"), [("burrs", 0.02), ("scratches", 0.01), ("dust", 0.02)])
+def test_local_defects_cover_the_stated_share_of_the_area(kind, share, tmp_path):
+    size = Size(ridges=25, pitches=7)
+    _, spoiled = sheet_surface(SheetTask("same", kind, 0, size, 1, tmp_path))
+    assert spoiled.mean() == pytest.approx(share, rel=0.25)
+
+
+def test_one_ridge_in_twenty_five_is_missing_in_every_part(tmp_path, rng):
+    size = Size(ridges=25, pitches=3)
+    _, spoiled = sheet_surface(SheetTask("same", "missing-ridges", 0, size, 1, tmp_path))
+    width = (size.ridges + 1) * POINTS
+    for part in range(2):
+        inner = spoiled[:, part * width + POINTS // 2 :][:, : size.ridges * POINTS]
+        assert inner.mean() == pytest.approx(0.04, abs=0.006)
+
+
+# rules ---------------------------------------------------------------------------------------------------------
+
+
+def columns(count, rng):
+    """Columns of parts whose deviations are drawn from the budget with the ridge angle."""
+    bench = bench_of("tilted", SMALL, np.zeros((25, len(POSES))))
+    own = np.full((count, 8, len(POSES)), 0.001)
+    total = covariance_of_measurement(own)[0] + np.sum([c.covariance() for c in bench.components], axis=0)
+    draws = rng.multivariate_normal(np.zeros(len(POSES)), total, count + 200)
+    seen = {"tilted/deviation": draws[200:], "tilted/own": own}
+    return seen, replace(bench, golden=draws[:25]), draws
+
+
+def test_p_values_of_parts_drawn_from_the_budget_are_uniform(rng):
+    seen, bench, _ = columns(600, rng)
+    assert uniformity(p_values("spread", seen, GOOD, bench))[1] > 0.001
+
+
+def test_golden_parts_keep_the_level_on_average(rng):
+    seen, bench, draws = columns(250, rng)
+    hits = [
+        np.mean(p_values("golden", seen, GOOD, replace(bench, golden=draws[25 * k : 25 * k + 25])) < 0.05)
+        for k in range(8)
+    ]
+    assert np.mean(hits) == pytest.approx(0.05, abs=0.03)
+
+
+def test_what_limits_a_shift_adds_up_to_all(rng):
+    seen, bench, _ = columns(50, rng)
+    sigmas, sources = limits(bench.components[0].relative * 4.0, seen, bench)
+    assert sum(share for _, share in sources) == pytest.approx(1.0)
+    assert 0.0 < sigmas < 4.0
+    assert sources[0][0] == bench.components[0].source
+
+
+def test_the_area_is_weighed_by_what_good_parts_show(rng):
+    share = 0.01 + 0.002 * rng.standard_normal(1000)
+    scores = {GOOD: {"share": share, **dict.fromkeys(RULES, np.zeros(1000))}}
+    scores["burrs"] = {"share": np.array([0.01, 0.02]), **dict.fromkeys(RULES, np.zeros(2))}
+    with_area(scores)
+    assert np.mean(scores[GOOD]["area"] > 2.0) == pytest.approx(0.01, abs=0.01)
+    assert scores["burrs"]["area"] == pytest.approx(-np.log10(norm.sf([0.0, 5.0])), rel=0.15)
+
+
+def test_golden_parts_are_none_of_those_that_are_judged():
+    pool = golden_pool(1000)
+    assert len(pool) == 8
+    assert len(np.unique(np.concatenate(pool))) == 200
+    assert len(golden_pool(40)[0]) == 20
+
+
+# the study -----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def studied(tmp_path_factory):
+    """A small study of both worlds, and what it tells."""
+    plan = Plan(("same", "other"), ("standard", "tilted"), 40, 4, 1, SMALL, tmp_path_factory.mktemp("kept"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(detection_sheets, "_PATHS", 256)
+        return plan, told_study(plan, Workers(1))
+
+
+def test_the_numbers_of_a_study_fit_together(studied):
+    plan, told = studied
+    assert json.loads(json.dumps(told, allow_nan=False)) == told
+    for world in plan.worlds:
+        for recipe in plan.recipes:
+            found = told["worlds"][world][recipe]
+            good = found["good"]
+            assert good["parts"] + good["invalid"] == 40
+            for rates in (good["false_alarms"], good["coverage"]):
+                for one in rates.values():
+                    assert one["interval"][0] <= one["rate"] == one["count"] / one["of"] <= one["interval"][1]
+            assert sum(good["p_values"]["shipped"]["histogram"]) == good["parts"]
+            assert [one["name"] for one in found["classes"]] == [kind.name for kind in CLASSES]
+            for one in found["classes"]:
+                assert one["parts"] == 4
+                assert 0.0 <= one["scores"]["shipped"]["auc"] <= 1.0
+                false, detected = one["roc"]["shipped+area"]
+                assert (np.diff(false) >= 0).all()
+                assert (np.diff(detected) >= -1e-12).all()
+
+
+def test_good_parts_of_the_same_world_are_as_predicted(studied):
+    plan, told = studied
+    for recipe in plan.recipes:
+        good = told["worlds"]["same"][recipe]["good"]
+        assert good["p_values"]["spread"]["chance"] > 1e-3
+        held = good["coverage"]["measured contrast holds the true one (measurement alone)"]
+        assert held["interval"][0] < 0.99
+        assert held["rate"] > 0.85
+
+
+def test_the_other_world_is_another_one(studied):
+    _, told = studied
+    assert told["worlds"]["other"]["tilted"]["good"]["false_alarms"]["shipped"]["rate"] > 0.5
+    # golden parts do not mind what the model does not know
+    assert told["worlds"]["other"]["tilted"]["good"]["false_alarms"]["golden"]["rate"] < 0.4
+    assert max(told["other_world"]["reflections_share"]) > 0.03
+
+
+def test_a_page_shows_both_worlds_side_by_side(studied, tmp_path):
+    _, told = studied
+    write_detection_page(tmp_path / "d.html", told)
+    text = (tmp_path / "d.html").read_text(encoding="utf-8")
+    for wanted in ("same, standard", "other, tilted", "missing ridges, 1 in 25", "P values of good parts"):
+        assert wanted in text
+    assert {len(row) for table in tables_of(told) for row in table.rows} <= set(range(3, 13))
+    for table in tables_of(told):
+        assert all(len(row) == len(table.columns) for row in table.rows)
+
+
+def test_a_study_goes_on_where_it_stopped_and_a_larger_one_uses_it(studied):
+    plan, _ = studied
+    before = collect(plan, Workers(1))
+    chunk = min(plan.folder.glob("chunk-*"))
+    chunk.unlink()
+    untouched = {path: path.stat().st_mtime_ns for path in plan.folder.iterdir()}
+    again = collect(plan, Workers(1))
+    assert chunk.exists()
+    assert all(path.stat().st_mtime_ns == time for path, time in untouched.items())
+    for world in plan.worlds:
+        for kind in plan.counts:
+            for name, values in before[world][kind].items():
+                assert np.array_equal(values, again[world][kind][name], equal_nan=values.dtype.kind == "f"), (
+                    name
+                )
+    kept = set(plan.folder.iterdir())
+    more = collect(replace(plan, parts=44), Workers(1))
+    assert len(set(plan.folder.iterdir()) - kept) == 2  # one chunk more in either world
+    same, grown = (found["same"][GOOD]["tilted/deviation"] for found in (before, more))
+    assert np.array_equal(same, grown[:40])
+
+
+def test_processes_make_the_same_parts(studied, tmp_path):
+    plan, _ = studied
+    task = ChunkTask("same", "burrs", 0, SMALL, plan.seed, plan.folder, ())
+    alone = read_chunk(inspect_chunk(replace(task, folder=tmp_path)))
+    for name, values in read_chunk(task.path).items():
+        assert np.array_equal(values, alone[name], equal_nan=values.dtype.kind == "f"), name
+
+
+def test_a_study_of_too_few_parts_is_refused():
+    with pytest.raises(UsageError, match="at least 40 good parts"):
+        Plan(("same",), ("standard",), 10, 5)
+
+
+def test_the_series_of_views_begins_with_the_standard_recipe_and_closes_with_its_first():
+    views = views_of_series()
+    assert views[:3] == expected_of("standard", SMALL).poses
+    assert views[-1] == views[0]
+    assert len(views) == 10
+
+
+@pytest.mark.soak
+def test_false_alarms_of_the_same_world_keep_their_level(tmp_path: Path):
+    """Five hundred good parts of the real size: the level holds where the recipe states all that varies."""
+    plan = Plan(("same",), ("standard", "tilted"), 500, 25, 2, Size(causes=("roughness-across",)), tmp_path)
+    told = told_study(plan, Workers(2))
+    for recipe in plan.recipes:
+        alarms = told["worlds"]["same"][recipe]["good"]["false_alarms"]
+        for rule in ("spread", "golden"):
+            assert alarms[rule]["interval"][0] < 0.015
+            assert alarms[rule]["rate"] < 0.03
