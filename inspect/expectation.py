@@ -106,6 +106,12 @@ def expectation(recipe: Recipe, light_angle_deg: float) -> Expectation:
         for c in budget.contributions
         if c.source in _OF_THE_RECIPE
     ]
+    # where the model bends within an uncertainty, the second order adds to what the first says; its sign is not kept
+    components += [
+        Component(f"{c.source}, second order", c.kind, c.curvature / radiance, shared=False)
+        for c in budget.contributions
+        if c.source in _OF_THE_RECIPE and c.curvature is not None and np.any(c.curvature)
+    ]
     if surface is not None:
         # about one pixel of facet is lost a pitch where a wall is narrower than a pixel; a rectangular bound
         pixel = surface.pixel_x_um / recipe.surface.pitch_um / np.sqrt(3.0)

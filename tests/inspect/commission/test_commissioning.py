@@ -15,7 +15,8 @@ from anisoscope.commission.rigfile import update_rig_file
 from anisoscope.commission.series import Series, turn_readings
 from anisoscope.commission.turning import fit_centre, fit_foreshortening, fit_turning, wrapped
 from anisoscope.errors import CalibrationError, MeasurementError, RigFileError, Saturated, UsageError
-from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.profiles.files.load import write_height_map
+from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
 from anisoscope.report.commission_page import write_commission_page
 from anisoscope.rig.rigfile import read_rig
 from anisoscope.sim.light.corrected import radiance
@@ -328,9 +329,17 @@ def test_readings_stay_within_the_reach_of_the_stage():
 def test_the_part_of_a_recipe(make_recipe):
     part = part_of_recipe(make_recipe(), None, 0.2)
     assert (part.ridge_angle_deg, part.u_ridge_angle_deg, part.spot_mm) == (10.0, 0.2, 1.0)
-    mapped = make_recipe(surface={"height_map": "part.x3p", "design": None})
-    with pytest.raises(UsageError, match="--ridge-angle"):
-        part_of_recipe(mapped, None, 0.1)
+
+
+def test_the_height_map_of_a_recipe_is_measured_and_its_roughness_adds(make_recipe, tmp_path, rng):
+    smooth = ridges(RidgeDesign(100.0, 8.0), (401, 801), 1.0)
+    write_height_map(add_facet_roughness(smooth, 0.04, 0.05, 8.0, rng), tmp_path / "part.x3p")
+    mapped = make_recipe(surface={"height_map": str(tmp_path / "part.x3p"), "design": None})
+    part = part_of_recipe(mapped, None, 0.1)
+    assert part.ridge_angle_deg == pytest.approx(8.0, abs=0.1)
+    made = mapped.material
+    assert part.alpha_along == pytest.approx(np.hypot(made.alpha_along, 0.04), rel=0.05)
+    assert part.alpha_across == pytest.approx(np.hypot(made.alpha_across, 0.05), rel=0.05)
     assert part_of_recipe(mapped, 9.5, 0.1).ridge_angle_deg == 9.5
 
 

@@ -45,6 +45,7 @@ def test_without_an_imperfection_all_agree(monkeypatch):
         assert other.published == pytest.approx(first[0].published, rel=5e-3)
 
 
+@pytest.mark.soak
 def test_fewer_than_all_orders_of_reflection_stand_in_between():
     once, twice, all_ = study("bounces")[0].curves
     assert (

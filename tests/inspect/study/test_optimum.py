@@ -88,6 +88,7 @@ def test_robust_search_repeats_and_does_not_depend_on_who_computes():
     assert one.scored.score < one.nominal.score
 
 
+@pytest.mark.soak
 def test_more_spread_moves_the_robust_optimum_to_a_flatter_place():
     """At log-ratio contrast the steep flank at small angles is punished by an error of the angle."""
     bounds = {"ridge_angle": (3.0, 20.0)}

@@ -46,6 +46,7 @@ def test_goals_on_spoiled_surfaces(pitch, angle, direction, missing):
     assert found.missing_share == pytest.approx(missing, abs=0.01)
 
 
+@pytest.mark.soak
 def test_noise_above_the_slopes_is_taken_off():
     truth = Truth(slope_across=0.03, slope_along=0.03, direction=30.0)
     found = measure_ridges(truth.surface(3))
@@ -217,6 +218,7 @@ def drawn(seed):
     )
 
 
+@pytest.mark.soak
 def test_eight_surfaces_lie_within_their_uncertainties():
     all_errors = np.array([errors(truth := drawn(n), measure_ridges(truth.surface(n))) for n in range(8)])
     z = all_errors[..., 0] / all_errors[..., 1]

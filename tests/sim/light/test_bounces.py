@@ -171,7 +171,10 @@ def against_paths(case, seed, table=TABLE, rays=RAYS):
 
 
 @pytest.mark.parametrize(
-    ("case", "rays"), [(c, RAYS) for c in CASES] + [(c, FEWER_RAYS) for c in CORNERS], ids=str
+    ("case", "rays"),
+    [pytest.param(case, RAYS, id=str(case)) for case in CASES[::2]]
+    + [pytest.param(case, RAYS, marks=pytest.mark.soak, id=str(case)) for case in CASES[1::2]]
+    + [pytest.param(case, FEWER_RAYS, marks=pytest.mark.soak, id=str(case)) for case in CORNERS],
 )
 def test_agrees_with_a_path_tracer(case, rays):
     """The mean error over the poses, the error of every pose beyond four standard errors, and that of dim poses."""
