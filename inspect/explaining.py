@@ -49,7 +49,8 @@ def evidence_of(recipe: Recipe, expected: Expectation, measured: Measured, decis
         expected.components + measured.components, recipe.uncertainty.scale_share, len(deviation)
     )
     area = decision.area
-    return Evidence(deviation, covariance, area and area.share, area.u if area else 0.0)
+    share, u_share = (None, 0.0) if area is None else (area.share, area.u)
+    return Evidence(deviation, covariance, share, u_share)
 
 
 def _recorded(found: Diagnosis, recipe: Recipe) -> DiagnosisRecord:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.atomicfile import write_text
-from anisoscope.errors import MeasurementError, RecordError, Saturated
+from anisoscope.errors import MeasurementError, RecordError, RigFileError, Saturated
 from anisoscope.golden import golden_path, read_golden
 from anisoscope.inspection import inspect_part
 from anisoscope.job import check_serial, prepare
@@ -97,11 +97,14 @@ def teach(recipe_path: Path, rig_path: Path, serial: str, out: Path, advance: Ad
     """
     check_serial(serial)
     job = prepare(recipe_path, rig_path, serial)
+    fixture = job.fixture
+    if fixture is None:
+        raise RigFileError(f"{rig_path} describes no [fixture]: teaching finds the part between its markers")
     recipe, text = job.recipe, recipe_path.read_text(encoding="utf-8")
     kept = _kept(recipe_path, recipe.version)
     with open_rig(job.rig) as rig:
-        probe = _probe(rig, recipe, job.fixture, advance)
-    size = largest_region(probe.pictures, probe.places, job.fixture, recipe)
+        probe = _probe(rig, recipe, fixture, advance)
+    size = largest_region(probe.pictures, probe.places, fixture, recipe)
     values: dict[tuple[str, ...], Any] = {
         ("version",): recipe.version + 1,
         ("acquisition", "exposure_s"): probe.exposure_s,
