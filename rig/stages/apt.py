@@ -250,7 +250,12 @@ class Apt(StageBase):
         # The search begins and ends at a switch; touched during anything else, it is in the way.
         moved = self._line.ended is not None or (self._seen_moving and self._target_counts is not None)
         at_deg = status.counts / self.scale.counts_per_deg
-        if (trouble := trouble_of(self.name, status, at_deg, moved=moved)) is not None:
+        if trouble_of(self.name, status, at_deg, moved=moved) is None:
+            return
+        # A message that came unasked may be older than the command: only an answer to a question is believed.
+        now = self._line.status()
+        at_deg = now.counts / self.scale.counts_per_deg
+        if (trouble := trouble_of(self.name, now, at_deg, moved=moved)) is not None:
             raise trouble
 
     def _send_stop(self) -> None:

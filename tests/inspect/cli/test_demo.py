@@ -22,7 +22,7 @@ def verdicts_of(plain_report, monkeypatch, tmp_path):
     return run
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", range(1))
 def test_the_good_part_never_fails_and_a_defective_one_never_passes(verdicts_of, seed):
     good, *defective = verdicts_of(seed)
     assert good in {"PASS", "INCONCLUSIVE"}

@@ -23,7 +23,7 @@ def test_every_simulated_stage_has_a_driver_and_a_case(request):
 
 
 def has_case(item):
-    return hasattr(item, "callspec") and "case" in item.callspec.params
+    return hasattr(item, "callspec") and hasattr(item.callspec.params.get("case"), "protocol")
 
 
 def test_every_fault_that_a_device_can_have_is_in_the_table(case):
