@@ -4,6 +4,8 @@ import math
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
+from anisoscope.errors import LimitExceeded
+
 
 @runtime_checkable
 class RotationStage(Protocol):
@@ -52,6 +54,20 @@ class RotationStage(Protocol):
     def close(self) -> None:
         """Stop if moving, and disconnect."""
         ...
+
+
+def check_limits(stage: RotationStage, angle_deg: float) -> None:
+    """Refuse an angle in degrees that lies outside the limits of a stage, before anything moves.
+
+    Raises:
+        LimitExceeded: it does.
+    """
+    low, high = stage.limits_deg
+    slack = 0.5 * stage.resolution_deg
+    if not low - slack <= angle_deg <= high + slack:
+        raise LimitExceeded(
+            f"{stage.name}: {angle_deg:.6g}° is outside {low:.6g}°…{high:.6g}°; nothing was moved"
+        )
 
 
 @dataclass(frozen=True)

@@ -78,19 +78,24 @@ def move(
 ) -> int:
     """Move an axis to an angle. An axis that was not homed is homed first, which this asks for, unless --yes."""
     from anisoscope.errors import UsageError
+    from anisoscope.rig.stage import check_limits
 
     if sample and which.rig is None:
         raise UsageError("--sample needs a rig file: only that says at which reading the sample stands at 0°")
 
-    def go(stage: "RotationStage", part: "AxisPart") -> None:
-        target = part.reading_deg(angle_deg) if sample else angle_deg
-        _check(stage, target)
-        if sample and stage.position_deg() > (below := target - part.approach_deg):
-            _check(stage, below)
-            stage.move_to(below)
-        stage.move_to(target)
+    def target(part: "AxisPart") -> float:
+        return part.reading_deg(angle_deg) if sample else angle_deg
 
-    return _motion(which, axis, go, yes=yes, json_=json_)
+    def look(stage: "RotationStage", part: "AxisPart") -> None:
+        check_limits(stage, target(part))
+
+    def go(stage: "RotationStage", part: "AxisPart") -> None:
+        if sample and stage.position_deg() > (below := target(part) - part.approach_deg):
+            check_limits(stage, below)
+            stage.move_to(below)
+        stage.move_to(target(part))
+
+    return _motion(which, axis, go, look, yes=yes, json_=json_)
 
 
 def jog(
@@ -134,12 +139,17 @@ def stop(*, which: Devices = NOTHING_NAMED, json_: Json = False) -> int:
     return 0
 
 
-def _motion(which: Which, axis: AxisName, go: "Go", *, yes: bool, json_: bool) -> int:
+def _motion(
+    which: Which, axis: AxisName, go: "Go", look: "Go | None" = None, *, yes: bool, json_: bool
+) -> int:
+    """Home if need be, and move; `look` comes before both and may refuse."""
     from anisoscope.cli.rig_devices import opened
 
     file, part = which.axis(axis)
     with opened({axis: part}) as devices:
         stage = devices.axes[axis]
+        if look is not None:
+            look(stage, part)
         before = _position(stage)
         homed = not stage.is_homed
         if homed:
@@ -155,18 +165,6 @@ def _home(stage: "RotationStage", part: "AxisPart", *, yes: bool) -> None:
     if part.driver != BY_HAND:  # there the operator is asked for every single turn
         confirm(f"homing {stage.name}: it searches its reference and may turn a full turn", yes=yes)
     stage.home()
-
-
-def _check(stage: "RotationStage", target_deg: float) -> None:
-    """Refuse a target before anything moves, also before the first of two moves."""
-    from anisoscope.errors import LimitExceeded
-
-    low, high = stage.limits_deg
-    slack = 0.5 * stage.resolution_deg
-    if not low - slack <= target_deg <= high + slack:
-        raise LimitExceeded(
-            f"{stage.name}: {target_deg:.6g}° is outside {low:.6g}°…{high:.6g}°; nothing was moved"
-        )
 
 
 def _position(stage: "RotationStage") -> float | None:

@@ -85,6 +85,10 @@ class Settings:
     level_share: float = 0.1
 
     def __post_init__(self) -> None:
+        if not (0.0 < self.exposure_s < float("inf") and 0.0 < self.gain < float("inf")):
+            raise UsageError(
+                f"exposure and gain must be more than 0, not {self.exposure_s:g} s and {self.gain:g}"
+            )
         if self.frames < 4 or self.dark_frames < 2:
             raise UsageError("the self test takes at least 4 lit and 2 dark frames")
 

@@ -15,7 +15,7 @@ from types import TracebackType
 from typing import Self
 
 from anisoscope.errors import LimitExceeded, MotionTimeout, NotHomed, RigError
-from anisoscope.rig.stage import MotionRules
+from anisoscope.rig.stage import MotionRules, check_limits
 
 POLL_S = 0.1
 SETTLE_S = 0.2
@@ -171,21 +171,13 @@ class StageBase(ABC):
             raise LimitExceeded(f"{self.name}: {angle_deg} is not an angle")
         if not self._homed:
             raise NotHomed(f"{self.name} was not homed; search the reference before moving to an angle")
-        self._check_limits(angle_deg)
+        check_limits(self, angle_deg)
         start = self._read_deg()
         self._check_reference(start)
         timeout_s = self.rules.timeout_s(angle_deg - start)
         return self._move(
             f"move to {angle_deg:.4g}°", lambda: self._begin_move(angle_deg), angle_deg, timeout_s
         )
-
-    def _check_limits(self, angle_deg: float) -> None:
-        low, high = self._limits_deg
-        slack = 0.5 * self._resolution_deg
-        if not low - slack <= angle_deg <= high + slack:
-            raise LimitExceeded(
-                f"{self.name}: {angle_deg:.6g}° is outside {low:.6g}°…{high:.6g}°; nothing was moved"
-            )
 
     def _check_reference(self, now_deg: float) -> None:
         """A stage that does not stand where it was left has lost its count: a power cycle, or a hand."""

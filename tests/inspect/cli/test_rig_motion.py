@@ -182,6 +182,13 @@ def test_mistakes_are_one_line(command, arguments, complaint):
     assert "Traceback" not in err
 
 
+def test_an_angle_out_of_reach_is_refused_before_the_stage_is_homed(command):
+    port = "sim://elliptec?time_scale=0"
+    code, _, err = command("rig", "move", "400", "--driver", "elliptec", "--port", port, "--yes")
+    assert code == 69
+    assert "homing" not in err
+
+
 def test_options_of_a_driver_reach_it(command, line):
     url, (_, second) = line()
     arguments = ["--driver", "elliptec", "--port", url, "--option", "address=1", "--option", "max_deg=90"]

@@ -131,4 +131,7 @@ def test_a_record_that_was_changed_does_not_count(virtual_rig):
         self_test(rig.rig, SETTINGS, beside)
     with pytest.raises(UsageError, match="at least 4"):
         Settings(0.001, frames=2)
+    for exposure_s, gain in ((0.0, 1.0), (-1.0, 1.0), (float("nan"), 1.0), (0.001, 0.0)):
+        with pytest.raises(UsageError, match="exposure and gain must be more than 0"):
+            Settings(exposure_s, gain)
     assert read_rig(rig.rig).calibration is None
