@@ -5,10 +5,9 @@ ended, and knows whether it was homed since power-up, so that a new connection m
 controller is one port. Source: Thorlabs APT communications protocol.
 """
 
-import contextlib
 import logging
 import time
-from typing import Self, TypedDict, Unpack
+from typing import ClassVar
 
 from anisoscope.errors import NotHomed, RigError
 from anisoscope.rig.stage import MotionRules
@@ -43,33 +42,19 @@ from anisoscope.rig.stages.apt_wire import (
     position_data,
     velocity_counts,
 )
-from anisoscope.rig.stages.motion import POLL_S, StageBase
+from anisoscope.rig.stages.motion import POLL_S
+from anisoscope.rig.stages.portstage import PortStage
 from anisoscope.rig.transport import Transport
 
 _log = logging.getLogger(__name__)
 
-BAUDRATE = 115200
 STOPS = {"profiled": STOP_PROFILED, "immediate": STOP_IMMEDIATE}
 FIRST_PAUSE_S = 0.002
 # A controller that was told to search its reference may take so long to say that it does.
 HOMING_BEGINS_S = 0.5
 
 
-class AptOptions(TypedDict, total=False):
-    """Options of an `Apt`, as in the table ``[stage.options]`` of a rig file."""
-
-    actuator: str | None
-    counts_per_deg: float | None
-    timeout_s: float
-    tolerance_deg: float
-    velocity_deg_s: float | None
-    margin_s: float
-    min_deg: float
-    max_deg: float
-    stop: str
-
-
-class Apt(StageBase):
+class Apt(PortStage):
     """A rotation stage behind an APT controller with one channel.
 
     Args:
@@ -91,6 +76,8 @@ class Apt(StageBase):
         RigError: an option is wrong, or the scale of the stage is not known.
     """
 
+    PORT: ClassVar = {"baudrate": 115200, "rtscts": True}
+
     def __init__(
         self,
         transport: Transport,
@@ -109,7 +96,6 @@ class Apt(StageBase):
         if stop not in STOPS:
             raise RigError(f"stop = '{stop}' is not known; use one of: {', '.join(STOPS)}")
         self._transport = transport
-        self._owns_transport = False
         self._line = AptLine(transport, address_of(address), timeout_s)
         self._stop_mode = STOPS[stop]
         self._target_counts: int | None = None
@@ -130,24 +116,6 @@ class Apt(StageBase):
             )
             self._last = self._line.status()
             self._homed = self._last.homed
-
-    @classmethod
-    def open(cls, port: str, *, address: str = "50", **options: Unpack[AptOptions]) -> Self:
-        """Open a port and connect to the controller; options as for the class.
-
-        Raises:
-            NotConnected: no such port, in use, or nobody answers.
-            ProtocolError: somebody answers, but it is no APT controller.
-            RigError: an option is wrong, or the scale of the stage is not known.
-        """
-        transport = Transport(port, baudrate=BAUDRATE, rtscts=True)
-        try:
-            stage = cls(transport, address=address, **options)
-        except BaseException:
-            transport.close()
-            raise
-        stage._owns_transport = True
-        return stage
 
     def status(self) -> Status:
         """Read position and status bits; the way to watch a stage that moves."""
@@ -266,9 +234,5 @@ class Apt(StageBase):
         while self._line.status().moving and time.monotonic() < deadline:
             self._line.wait_for_end(POLL_S)
 
-    def _disconnect(self) -> None:
-        if self._owns_transport:
-            with contextlib.suppress(RigError):
-                self._line.send(Message(HW_DISCONNECT))
-            with contextlib.suppress(RigError):
-                self._transport.close()
+    def _say_goodbye(self) -> None:
+        self._line.send(Message(HW_DISCONNECT))

@@ -5,9 +5,8 @@ the device is silent, or says that it is busy. The device does not say whether i
 that, and forgets it when the connection ends. Source: Thorlabs ELLx protocol manual.
 """
 
-import contextlib
 import time
-from typing import Self, TypedDict, Unpack
+from typing import ClassVar
 
 from anisoscope.errors import RigError
 from anisoscope.rig.stage import MotionRules
@@ -21,33 +20,20 @@ from anisoscope.rig.stages.elliptec_wire import (
     counts_to_hex,
     error_of_status,
 )
-from anisoscope.rig.stages.motion import StageBase
+from anisoscope.rig.stages.portstage import PortStage
 from anisoscope.rig.transport import Transport
 
-BAUDRATE = 9600
 # Full speed is 430°/s for an ELL14; time limits count on less, because load and resonance slow it down.
 SURE_VELOCITY_DEG_S = 100.0
 QUIET_S = 0.15
 FIRST_POLL_S = 0.002
 
 
-class ElliptecOptions(TypedDict, total=False):
-    """Options of an `Elliptec`, as in the table ``[stage.options]`` of a rig file."""
-
-    timeout_s: float
-    move_gap_s: float
-    tolerance_deg: float
-    velocity_deg_s: float | None
-    margin_s: float
-    min_deg: float
-    max_deg: float | None
-
-
-class Elliptec(StageBase):
+class Elliptec(PortStage):
     """A rotation stage at one address of a port.
 
     Args:
-        transport: the open port; several stages may share it. Only `open` makes a stage that closes it.
+        transport: the open port; several stages may share it.
         address: bus address, ``0`` … ``F``.
         timeout_s: time in seconds for the answer to a question.
         move_gap_s: pause in seconds between two moves; devices that get none may run to zero instead.
@@ -60,6 +46,8 @@ class Elliptec(StageBase):
         NotConnected: nobody answers at this address.
         ProtocolError: somebody answers, but it is no Elliptec rotation stage.
     """
+
+    PORT: ClassVar = {"baudrate": 9600}
 
     def __init__(
         self,
@@ -78,7 +66,6 @@ class Elliptec(StageBase):
             raise RigError(f"'{address}' is not an Elliptec address; use one of 0…9, A…F")
         self.address = address
         self._transport = transport
-        self._owns_transport = False
         self._line = ElliptecLine(transport, address, timeout_s)
         self._move_gap_s = move_gap_s
         self._last_motion_end = -1e9
@@ -102,23 +89,6 @@ class Elliptec(StageBase):
             max(tolerance_deg, self._resolution_deg), velocity, velocity / 0.1, margin_s=margin_s
         )
         self._line.busy_limit_s = self.rules.timeout_s(float(self.info.travel_deg))
-
-    @classmethod
-    def open(cls, port: str, *, address: str = "0", **options: Unpack[ElliptecOptions]) -> Self:
-        """Open a port and connect to the stage at an address; options as for the class.
-
-        Raises:
-            NotConnected: no such port, in use, or nobody answers at this address.
-            ProtocolError: somebody answers, but it is no Elliptec rotation stage.
-        """
-        transport = Transport(port, baudrate=BAUDRATE)
-        try:
-            stage = cls(transport, address=address, **options)
-        except BaseException:
-            transport.close()
-            raise
-        stage._owns_transport = True
-        return stage
 
     def status(self) -> int:
         """Read and thereby clear the status code; 0 is ok, 9 is busy."""
@@ -228,8 +198,3 @@ class Elliptec(StageBase):
         # A stop is answered once; what else may come is discarded before the next question.
         self._line.next_answer(QUIET_S)
         self._last_motion_end = time.monotonic()
-
-    def _disconnect(self) -> None:
-        if self._owns_transport:
-            with contextlib.suppress(RigError):
-                self._transport.close()

@@ -8,7 +8,7 @@ Source: interface description of Grbl 1.1.
 """
 
 import time
-from typing import Self, TypedDict, Unpack
+from typing import ClassVar
 
 from anisoscope.errors import NotHomed, RigError
 from anisoscope.rig.stages.grbl_axis import GrblAxis
@@ -30,29 +30,15 @@ from anisoscope.rig.stages.grbl_wire import (
 )
 from anisoscope.rig.transport import Transport
 
-BAUDRATE = 115200
 SWITCH, HERE = "switch", "here"
 ASK_AGAIN_S = 1.0
-
-
-class GrblOptions(TypedDict, total=False):
-    """Options of a `Grbl`, as in the table ``[stage.options]`` of a rig file."""
-
-    home: str
-    timeout_s: float
-    reset_s: float
-    tolerance_deg: float
-    velocity_deg_s: float | None
-    margin_s: float
-    min_deg: float | None
-    max_deg: float | None
 
 
 class Grbl(GrblAxis):
     """One axis of a board.
 
     Args:
-        transport: the open port; several axes may share it. Only `open` makes a stage that closes it.
+        transport: the open port; several axes may share it.
         axis: letter of the axis, ``X`` … ``C``.
         home: ``switch`` searches the limit switch ($H); ``here`` declares the place where the axis stands to be
             0°, for a board without switches.
@@ -69,6 +55,8 @@ class Grbl(GrblAxis):
         ProtocolError: somebody answers, but it is no Grbl 1.1.
         RigError: the board has no such axis.
     """
+
+    PORT: ClassVar = {"baudrate": 115200}
 
     def __init__(
         self,
@@ -98,18 +86,6 @@ class Grbl(GrblAxis):
         low, high = _travel_deg(board, AXES.index(axis), from_switch=not self._home_here)
         limits = (low if min_deg is None else min_deg, high if max_deg is None else max_deg)
         super().__init__(transport, board, axis, tolerance_deg, velocity_deg_s, margin_s, limits)
-
-    @classmethod
-    def open(cls, port: str, *, axis: str = "X", **options: Unpack[GrblOptions]) -> Self:
-        """Open a port and connect to an axis; options as for the class, errors too."""
-        transport = Transport(port, baudrate=BAUDRATE)
-        try:
-            stage = cls(transport, axis=axis, **options)
-        except BaseException:
-            transport.close()
-            raise
-        stage._owns_transport = True
-        return stage
 
     # The reference.
 

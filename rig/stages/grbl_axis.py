@@ -1,6 +1,5 @@
 """The motion of one axis of a Grbl board: jogs in machine coordinates, and what ends them."""
 
-import contextlib
 import time
 from abc import abstractmethod
 
@@ -21,14 +20,14 @@ from anisoscope.rig.stages.grbl_wire import (
     error_of_alarm,
     error_of_refusal,
 )
-from anisoscope.rig.stages.motion import StageBase
+from anisoscope.rig.stages.portstage import PortStage
 from anisoscope.rig.transport import Transport
 
 REPORTED_DEG = 0.001
 FIRST_POLL_S, BUSY_POLL_S = 0.002, 0.02
 
 
-class GrblAxis(StageBase):
+class GrblAxis(PortStage):
     """An axis that moves; how it finds its reference is added by a subclass.
 
     The board knows nothing of references, and all axes of a board lose them together: they stand in `GrblBoard.zeros`.
@@ -58,7 +57,6 @@ class GrblAxis(StageBase):
     ) -> None:
         self.axis = axis
         self._transport = transport
-        self._owns_transport = False
         self._board = board
         self._number = AXES.index(axis)
         self._searching = False
@@ -186,8 +184,3 @@ class GrblAxis(StageBase):
         while time.monotonic() < deadline and self._board.ask_status().state in MOVING:
             time.sleep(BUSY_POLL_S)
         self._board.alarm = None
-
-    def _disconnect(self) -> None:
-        if self._owns_transport:
-            with contextlib.suppress(RigError):
-                self._transport.close()

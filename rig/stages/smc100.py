@@ -7,11 +7,11 @@ it. The reference survives a new connection. Source: Newport SMC100CC/PP user's 
 
 import contextlib
 import time
-from typing import Self, TypedDict, Unpack
+from typing import ClassVar
 
 from anisoscope.errors import NotConnected, NotHomed, ProtocolError, RigError, Stalled
 from anisoscope.rig.stage import MotionRules
-from anisoscope.rig.stages.motion import StageBase
+from anisoscope.rig.stages.portstage import PortStage
 from anisoscope.rig.stages.smc100_line import Smc100Line
 from anisoscope.rig.stages.smc100_wire import (
     ADDRESSES,
@@ -28,28 +28,14 @@ from anisoscope.rig.stages.smc100_wire import (
 )
 from anisoscope.rig.transport import Transport
 
-BAUDRATE = 57600
 FIRST_POLL_S, BUSY_POLL_S = 0.002, 0.02
 
 
-class Smc100Options(TypedDict, total=False):
-    """Options of an `Smc100`, as in the table ``[stage.options]`` of a rig file."""
-
-    timeout_s: float
-    restart_s: float
-    tolerance_deg: float
-    resolution_deg: float | None
-    velocity_deg_s: float | None
-    margin_s: float
-    min_deg: float | None
-    max_deg: float | None
-
-
-class Smc100(StageBase):
+class Smc100(PortStage):
     """A rotation stage at one address of a port.
 
     Args:
-        transport: the open port; several stages may share it. Only `open` makes a stage that closes it.
+        transport: the open port; several stages may share it.
         address: 1 … 31, as a number or as text.
         timeout_s: time in seconds for the answer to a question.
         restart_s: time in seconds that the controller may need to restart before a second home search.
@@ -63,6 +49,8 @@ class Smc100(StageBase):
         NotConnected: nobody answers at this address.
         ProtocolError: somebody answers, but it is no such controller.
     """
+
+    PORT: ClassVar = {"baudrate": 57600}
 
     def __init__(
         self,
@@ -82,7 +70,6 @@ class Smc100(StageBase):
             raise RigError(f"'{address}' is no address of an SMC100 controller; use one of 1…31")
         self.address = int(address)
         self._transport = transport
-        self._owns_transport = False
         self._line = line = Smc100Line(transport, self.address, timeout_s)
         self._restart_s = restart_s
         self._command, self._doing = "", ""
@@ -107,27 +94,6 @@ class Smc100(StageBase):
         line.name = self.name
         self._bus = transport.lock
         self._homed = state.code not in NOT_REFERENCED | HOMING | {CONFIGURATION}
-
-    @classmethod
-    def open(
-        cls, port: str, *, address: str | int = 1, baudrate: int = BAUDRATE, **options: Unpack[Smc100Options]
-    ) -> Self:
-        """Open a port and connect to the stage at an address; options as for the class, errors too.
-
-        Args:
-            port: where the controller is.
-            address: 1 … 31.
-            baudrate: 57600 for an SMC100, 921600 for a CONEX.
-            options: as for the class.
-        """
-        transport = Transport(port, baudrate=baudrate)
-        try:
-            stage = cls(transport, address=address, **options)
-        except BaseException:
-            transport.close()
-            raise
-        stage._owns_transport = True
-        return stage
 
     def _encoder_step_deg(self) -> float:
         try:
@@ -237,8 +203,3 @@ class Smc100(StageBase):
         while self._line.state().code in IN_MOTION and time.monotonic() < deadline:
             time.sleep(BUSY_POLL_S)
         self._line.error()  # a stop of a stage at rest may have been refused
-
-    def _disconnect(self) -> None:
-        if self._owns_transport:
-            with contextlib.suppress(RigError):
-                self._transport.close()

@@ -6,11 +6,11 @@ and an answer counts only if both are right. Source: Zaber ASCII protocol manual
 """
 
 import contextlib
-from typing import Self, TypedDict, Unpack
+from typing import ClassVar
 
 from anisoscope.errors import MotionTimeout, ProtocolError, RigError
 from anisoscope.rig.stage import MotionRules
-from anisoscope.rig.stages.motion import StageBase
+from anisoscope.rig.stages.portstage import PortStage
 from anisoscope.rig.stages.zaber_line import ZaberLine
 from anisoscope.rig.stages.zaber_settings import (
     FULL_TURN_DEG,
@@ -31,32 +31,17 @@ from anisoscope.rig.stages.zaber_wire import (
 )
 from anisoscope.rig.transport import Transport
 
-BAUDRATE = 115200
 MAX_ADDRESS = 99
 MAX_AXIS = 9
 FIRST_PAUSE_S = 0.002
 LAST_PAUSE_S = 0.05
 
 
-class ZaberOptions(TypedDict, total=False):
-    """Options of a `Zaber`, as in the table ``[stage.options]`` of a rig file."""
-
-    axis: int
-    timeout_s: float
-    tolerance_deg: float
-    velocity_deg_s: float | None
-    acceleration_deg_s2: float | None
-    margin_s: float
-    min_deg: float | None
-    max_deg: float | None
-    counts_per_turn: float | None
-
-
-class Zaber(StageBase):
+class Zaber(PortStage):
     """A rotary stage at one address of a port.
 
     Args:
-        transport: the open port; several stages may share it. Only `open` makes a stage that closes it.
+        transport: the open port; several stages may share it.
         address: number of the device, 1…99.
         axis: number of the axis on the device; stages with a controller of their own have one.
         timeout_s: time in seconds for the answer to a question; a question is asked three times.
@@ -72,6 +57,8 @@ class Zaber(StageBase):
         LimitExceeded: `min_deg` or `max_deg` is beyond what the device allows.
         RigError: the device reports a fault that does not go away.
     """
+
+    PORT: ClassVar = {"baudrate": 115200}
 
     def __init__(
         self,
@@ -91,7 +78,6 @@ class Zaber(StageBase):
         self.address = _number("address", address, MAX_ADDRESS)
         self.axis = _number("axis", axis, MAX_AXIS)
         self._transport = transport
-        self._owns_transport = False
         self._line = ZaberLine(transport, self.address, self.axis, timeout_s)
         self._command = ""
         self._refused = False
@@ -111,22 +97,6 @@ class Zaber(StageBase):
                 margin_s=margin_s,
             )
             self._homed = NO_REFERENCE.isdisjoint(acknowledge_flags(self._line))
-
-    @classmethod
-    def open(cls, port: str, *, address: int | str = 1, **options: Unpack[ZaberOptions]) -> Self:
-        """Open a port and connect to the stage at an address; options and errors as for the class.
-
-        Raises:
-            NotConnected: also if there is no such port, or it is in use.
-        """
-        transport = Transport(port, baudrate=BAUDRATE)
-        try:
-            stage = cls(transport, address=address, **options)
-        except BaseException:
-            transport.close()
-            raise
-        stage._owns_transport = True
-        return stage
 
     def warnings(self) -> tuple[str, ...]:
         """Read the warning flags that stand, such as ``WR``, the gravest first."""
@@ -201,11 +171,6 @@ class Zaber(StageBase):
         self._refused = False
         self._pause_s = 0.0
         self._line.send("stop")
-
-    def _disconnect(self) -> None:
-        if self._owns_transport:
-            with contextlib.suppress(RigError):
-                self._transport.close()
 
 
 def _number(what: str, value: int | str, highest: int) -> int:

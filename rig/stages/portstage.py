@@ -1,0 +1,59 @@
+"""A stage behind a port: how it is opened, and who closes the port."""
+
+import contextlib
+from collections.abc import Callable
+from inspect import signature
+from typing import Any, ClassVar, Self
+
+from anisoscope.errors import RigError
+from anisoscope.rig.stages.motion import StageBase
+from anisoscope.rig.transport import Transport
+
+
+class PortStage(StageBase):
+    """What drivers on a port share; a driver takes the transport first, then its options by name.
+
+    Several stages may share an open transport. Only `open` makes a stage that closes it.
+
+    Attributes:
+        PORT: how the port is set, as `Transport` takes it.
+    """
+
+    PORT: ClassVar[dict[str, Any]]
+    _transport: Transport
+    _owns_transport = False
+
+    @classmethod
+    def open(cls, port: str, **options: Any) -> Self:  # noqa: ANN401 - the driver's own options
+        """Open a port and connect to the stage behind it.
+
+        Args:
+            port: what `Transport` opens.
+            options: those of the class, as in the table ``[stage.options]`` of a rig file; and those of `PORT`.
+
+        Raises:
+            TypeError: an option that the driver does not know; the port is not touched.
+            NotConnected: no such port, it is in use, or nobody answers.
+            ProtocolError, RigError: as for the class.
+        """
+        settings = {name: options.pop(name, usual) for name, usual in cls.PORT.items()}
+        signature(cls).bind(None, **options)
+        connect: Callable[..., Self] = cls
+        transport = Transport(port, **settings)
+        try:
+            stage = connect(transport, **options)
+        except BaseException:
+            transport.close()
+            raise
+        stage._owns_transport = True  # noqa: SLF001 - of our own class
+        return stage
+
+    def _say_goodbye(self) -> None:
+        """Tell the device that the connection ends."""
+
+    def _disconnect(self) -> None:
+        if self._owns_transport:
+            with contextlib.suppress(RigError):
+                self._say_goodbye()
+            with contextlib.suppress(RigError):
+                self._transport.close()
