@@ -1,20 +1,27 @@
 """``anisoscope experiment``: the published experiment, predicted, and beside it what was measured."""
 
-import csv
 import json
 import math
 import sys
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import App, Parameter
 
-from anisoscope.cli.console import console, print_table
+from anisoscope.cli.experiment_output import (
+    _findings_text,
+    _scale_text,
+    _unit,
+    experiment_as_json,
+    maps_as_json,
+    print_csv,
+    print_experiment,
+    print_maps,
+    say,
+)
 from anisoscope.errors import UsageError
 
 if TYPE_CHECKING:
-    from anisoscope.experiment import Experiment, Findings, Mean, Setup
     from anisoscope.findingsmap import FindingsMap
 
 Model = Literal["printed", "corrected"]
@@ -73,16 +80,16 @@ def ridges(
     )
     result = run_experiment(setup, None if measured is None else read_measured(measured))
     if json_:
-        _print_json(_as_json(result))
+        _print_json(experiment_as_json(result))
     elif csv_:
-        _print_csv(result)
+        print_csv(result)
     elif html is not None:
         from anisoscope.report.experiment_page import write_experiment_page
 
         write_experiment_page(result, _unit(result), html)
-        _say(f"{html}: {_findings_text(result.findings)}; {_scale_text(result)}")
+        say(f"{html}: {_findings_text(result.findings)}; {_scale_text(result)}")
     else:
-        _print(result)
+        print_experiment(result)
     return 0
 
 
@@ -136,11 +143,11 @@ def findings(
         for plane in ("perpendicular", "in-plane")
     ]
     if json_:
-        _print_json(_maps_as_json(maps))
+        _print_json(maps_as_json(maps))
     elif html is not None or svg is not None:
         _write_maps(maps, html, svg)
     else:
-        _print_maps(maps)
+        print_maps(maps)
     return 0
 
 
@@ -160,159 +167,6 @@ def _print_json(table: dict[str, Any]) -> None:
     sys.stdout.write("\n")
 
 
-def _say(text: str) -> None:
-    console().print(text, markup=False, highlight=False, soft_wrap=True)
-
-
-def _unit(result: "Experiment") -> str:
-    return "1/sr" if result.measured is None else "as measured"
-
-
-def _setup_as_json(setup: "Setup") -> dict[str, Any]:
-    found: dict[str, Any] = {"model": setup.model, "convention": asdict(setup.convention)}
-    if setup.model == "printed":
-        found["shadow_frame"] = setup.shadow_frame
-    return found
-
-
-def _as_json(result: "Experiment") -> dict[str, Any]:
-    from anisoscope.experiment import COLUMNS, combinations
-
-    rows = []
-    for place, row in combinations():
-        entry: dict[str, Any] = dict(zip(COLUMNS, (*row, float(result.predicted[place])), strict=True))
-        if result.measured is not None and math.isfinite(result.measured[place]):
-            entry["measured"] = float(result.measured[place])
-        rows.append(entry)
-    found = _setup_as_json(result.setup) | {"material": asdict(result.setup.material), "k": result.k}
-    if result.measured is not None:
-        found["rms_residual"] = result.rms_residual
-    found |= {
-        "unit": _unit(result),
-        "rows": rows,
-        "means": {
-            name: [_mean_as_json(m, with_measured=result.measured is not None) for m in means]
-            for name, means in result.means.items()
-        },
-        "findings": asdict(result.findings),
-    }
-    if result.measured_findings is not None:
-        found["measured_findings"] = asdict(result.measured_findings)
-    return found
-
-
-def _mean_as_json(mean: "Mean", *, with_measured: bool) -> dict[str, Any]:
-    level = mean.level_deg[0] if len(mean.level_deg) == 1 else list(mean.level_deg)
-    found: dict[str, Any] = {"level_deg": level, "predicted": mean.predicted}
-    if with_measured:
-        found["measured"] = mean.measured
-        found["measured_rows"] = mean.measured_rows
-        found["predicted_same_rows"] = mean.predicted_same_rows
-    return found
-
-
-def _print_csv(result: "Experiment") -> None:
-    from anisoscope.experiment import COLUMNS, combinations
-
-    writer = csv.writer(sys.stdout, lineterminator="\n")
-    with_measured = result.measured is not None
-    writer.writerow([*COLUMNS, "measured"] if with_measured else COLUMNS)
-    for place, row in combinations():
-        values = [*(f"{value:g}" for value in row), repr(float(result.predicted[place]))]
-        if result.measured is not None:
-            seen = float(result.measured[place])
-            values.append(repr(seen) if math.isfinite(seen) else "")
-        writer.writerow(values)
-
-
-def _yes(value: bool) -> str:
-    return "yes" if value else "no"
-
-
-def _best(found: "Findings") -> str:
-    return "none" if found.best_ridge_angle_deg is None else f"{found.best_ridge_angle_deg:g}°"
-
-
-def _findings_text(found: "Findings") -> str:
-    return (
-        f"largest at zero tilt: {_yes(found.max_at_zero_tilt)} (falling on both sides: "
-        f"{_yes(found.falls_on_both_sides)}); 0°/90° larger than 90°/180°: {_yes(found.first_pair_larger)}; "
-        f"best ridge angle: {_best(found)}"
-    )
-
-
-def _scale_text(result: "Experiment") -> str:
-    if result.measured is None:
-        return "k = 1"
-    return f"k = {result.k:.6g} (least squares), rms residual {result.rms_residual:.3g}"
-
-
-def _number(value: float | None) -> str:
-    return "–" if value is None or not math.isfinite(value) else f"{value:.5g}"
-
-
-def _print(result: "Experiment") -> None:
-    from anisoscope.experiment import combinations
-    from anisoscope.report.experiment_page import AXIS_NAMES, convention_text, level_text
-
-    measured = result.measured
-    head = [f"predicted [{_unit(result)}]"] + ([] if measured is None else ["measured"])
-    print_table(
-        "Absolute contrasts of radiant exposure",
-        ["ridge angle [°]", "tilt [°]", "from [°]", "to [°]", *head],
-        [
-            [f"{value:g}" for value in row]
-            + [_number(float(result.predicted[place]))]
-            + ([] if measured is None else [_number(float(measured[place]))])
-            for place, row in combinations()
-        ],
-    )
-    if measured is not None and not result.complete:
-        head.insert(1, "predicted, measured rows")
-    rows = []
-    for name in AXIS_NAMES:
-        for m in result.means[name]:
-            values = [m.predicted] + ([] if measured is None else [m.measured])
-            if measured is not None and not result.complete:
-                values.insert(1, m.predicted_same_rows)
-            rows.append(
-                [f"{AXIS_NAMES[name]} {level_text(m.level_deg)}", *(_number(value) for value in values)]
-            )
-    setup = result.setup
-    frame = f", shadow frame {setup.shadow_frame}" if setup.model == "printed" else ""
-    print_table("Mean contrasts", ["mean over all others", *head], rows)
-    setup = result.setup
-    frame = f", shadow frame {setup.shadow_frame}" if setup.model == "printed" else ""
-    _say(f"model {setup.model}{frame}; {convention_text(setup.convention)}; {_scale_text(result)}")
-    _say(f"predicted: {_findings_text(result.findings)}")
-    if result.measured_findings is not None:
-        _say(f"measured: {_findings_text(result.measured_findings)}")
-
-
-def _maps_as_json(maps: "list[FindingsMap]") -> dict[str, Any]:
-    return {
-        "model": maps[0].setup.model,
-        "alpha_along": maps[0].alpha_along.tolist(),
-        "alpha_across": maps[0].alpha_across.tolist(),
-        "maps": [
-            _setup_as_json(m.setup)
-            | {
-                "share": m.share,
-                "share_falling_too": float(m.falling_too.mean()),
-                "shares": {
-                    "max_at_zero_tilt": float(m.max_at_zero_tilt.mean()),
-                    "falls_on_both_sides": float(m.falls_on_both_sides.mean()),
-                    "first_pair_larger": float(m.first_pair_larger.mean()),
-                    "best_at_five": float(m.best_at_five.mean()),
-                },
-                "extent": m.extent and {"alpha_along": m.extent[0], "alpha_across": m.extent[1]},
-                "all_three": m.all_three.tolist(),
-            }
-            for m in maps
-        ],
-    }
-
-
 def _write_maps(maps: "list[FindingsMap]", html: Path | None, svg: Path | None) -> None:
     from anisoscope.atomicfile import write_text
     from anisoscope.report.experiment_page import findings_svg, write_findings_page
@@ -322,36 +176,4 @@ def _write_maps(maps: "list[FindingsMap]", html: Path | None, svg: Path | None) 
         write_findings_page(maps, html)
     if svg is not None:
         write_text(svg, findings_svg(maps))
-    _say(f"{html or svg}: all three findings hold on: {shares} of the grid")
-
-
-def _print_maps(maps: "list[FindingsMap]") -> None:
-    from anisoscope.report.experiment_page import convention_text
-
-    extents = [m.extent or (None, None) for m in maps]
-    rows = [
-        ["mean contrast is largest at zero tilt", *(f"{m.max_at_zero_tilt.mean():.1%}" for m in maps)],
-        ["0°/90° exceeds 90°/180°", *(f"{m.first_pair_larger.mean():.1%}" for m in maps)],
-        ["5° is the best ridge angle", *(f"{m.best_at_five.mean():.1%}" for m in maps)],
-        ["all three", *(f"{m.share:.1%}" for m in maps)],
-        ["  within alpha along", *(_range(along) for along, _ in extents)],
-        ["  within alpha across", *(_range(across) for _, across in extents)],
-        ["all three, and falling on both sides", *(f"{m.falling_too.mean():.1%}" for m in maps)],
-    ]
-    print_table(
-        "Share of the grid on which the published findings hold",
-        ["finding", *(f"tilt {m.setup.convention.tilt_plane}" for m in maps)],
-        rows,
-    )
-    side, setup = maps[0].alpha_along, maps[0].setup
-    frame = f", shadow frame {setup.shadow_frame}" if setup.model == "printed" else ""
-    _say(
-        f"model {setup.model}{frame}; {side.size} × {side.size} roughnesses from {side[0]:g} to {side[-1]:g}, "
-        "even in the logarithm"
-    )
-    for m in maps:
-        _say(f"tilt {m.setup.convention.tilt_plane}: {convention_text(m.setup.convention)}")
-
-
-def _range(ends: tuple[float, float] | None) -> str:
-    return "–" if ends is None else f"{ends[0]:.3g}…{ends[1]:.3g}"
+    say(f"{html or svg}: all three findings hold on: {shares} of the grid")

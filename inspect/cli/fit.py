@@ -1,18 +1,16 @@
 """``anisoscope fit``: parameters of the models from measured exposures, contrasts and BRDF tables."""
 
-import json
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import App, Parameter
 
-from anisoscope.cli.console import console, print_table, progress
+from anisoscope.cli.console import progress
+from anisoscope.cli.fit_output import show
 from anisoscope.errors import UsageError
 
 if TYPE_CHECKING:
-    from anisoscope.fit.brdf import BrdfTable, Reciprocity
     from anisoscope.fit.fitting import Fit
     from anisoscope.fit.problem import Problem, Readings, Scene
 
@@ -143,7 +141,7 @@ def ridges(
     if free is not None and free.strip() == "all":
         chosen = tuple(n for n in chosen if _enters(n, readings, scene))
     fitted = _fit(Problem(scene, readings, options.values(ridge_angle), chosen), json_)
-    return _show(fitted, f"Fit of {table.name}", json_, html)
+    return show(fitted, f"Fit of {table.name}", json_, html)
 
 
 @app.command
@@ -177,7 +175,7 @@ def experiment(
         options.values(10.0),
         tuple(n for n in chosen if not (n == "height_loss" and options.model == "printed" and free == "all")),
     )
-    return _show(_fit(problem, json_), f"Fit of {table.name} to the published experiment", json_, html)
+    return show(_fit(problem, json_), f"Fit of {table.name} to the published experiment", json_, html)
 
 
 @app.command
@@ -217,7 +215,7 @@ def brdf(
         chosen = parse_free(free)
     scene = Scene(read.to_light, read.to_camera, **options.optics())
     problem = Problem(scene, read.readings, options.values(ridge_angle), chosen if fit else ())
-    return _show(_fit(problem, json_), f"BRDF of {table.name}", json_, html, (read, reciprocity(read)))
+    return show(_fit(problem, json_), f"BRDF of {table.name}", json_, html, (read, reciprocity(read)))
 
 
 def _at_most_one(json_: bool, html: Path | None) -> None:
@@ -237,124 +235,3 @@ def _fit(problem: "Problem", quiet: bool) -> "Fit":
 
     with progress("fitting", quiet=quiet) as advance:
         return fit(problem, advance)
-
-
-def _show(
-    fitted: "Fit",
-    title: str,
-    json_: bool,
-    html: Path | None,
-    brdf: "tuple[BrdfTable, Reciprocity] | None" = None,
-) -> int:
-    from anisoscope.fit.text import fit_as_json, quality
-
-    if json_:
-        found = fit_as_json(fitted)
-        rows = _rows(fitted, brdf)
-        found |= {} if brdf is None else _brdf_as_json(*brdf)
-        json.dump(found | {"rows": rows}, sys.stdout, indent=2, allow_nan=False)
-        sys.stdout.write("\n")
-    elif html is not None:
-        from anisoscope.report.fit_page import write_fit_page
-
-        write_fit_page(fitted, title, html, () if brdf is None else (_reciprocity_words(brdf[1]),))
-        console().print(f"{html}: {quality(fitted)}", markup=False, highlight=False, soft_wrap=True)
-    else:
-        _print(fitted, title, brdf)
-    return 0
-
-
-def _rows(fitted: "Fit", brdf: "tuple[BrdfTable, Reciprocity] | None") -> list[dict[str, float | None]]:
-    from anisoscope.fit.brdf import COLUMNS
-    from anisoscope.fit.text import rows_as_json
-
-    rows = rows_as_json(fitted)
-    if brdf is None:
-        return rows
-    angles = [dict(zip(COLUMNS[:4], map(float, row), strict=True)) for row in brdf[0].angles_deg]
-    return [
-        {"line": line, **place, **row} for line, place, row in zip(brdf[0].lines, angles, rows, strict=True)
-    ]
-
-
-def _brdf_as_json(table: "BrdfTable", pairs: "Reciprocity") -> dict[str, Any]:
-    from dataclasses import asdict
-
-    return {"wavelength_nm": table.wavelength_nm, "unit": "1/sr", "reciprocity": asdict(pairs)}
-
-
-def _reciprocity_words(pairs: "Reciprocity") -> str:
-    if not pairs.pairs or pairs.rms_share is None or pairs.worst_share is None or pairs.worst_lines is None:
-        return "Reciprocity: no row is measured in both directions."
-    one, other = pairs.worst_lines
-    return (
-        f"Reciprocity: {pairs.pairs} rows measured in both directions differ by {100 * pairs.rms_share:.2g} % rms, at "
-        f"most {100 * pairs.worst_share:.2g} % (lines {one} and {other})."
-    )
-
-
-WORST = 10
-
-
-def _print(fitted: "Fit", title: str, brdf: "tuple[BrdfTable, Reciprocity] | None") -> None:
-    import numpy as np
-
-    from anisoscope.fit.text import notes, number, quality, unit_text
-
-    unit, result = unit_text(fitted), "fitted" if fitted.estimates else "predicted"
-    order = list(range(len(fitted.fitted)))
-    if brdf is not None:
-        order = [int(n) for n in np.argsort(-np.abs(fitted.z), kind="stable")[:WORST]]
-    print_table(
-        title if brdf is None else f"{title}: the {len(order)} worst of {len(fitted.fitted)} rows",
-        [
-            "row" if brdf is None else "θi, φi → θo, φo",
-            *(f"{w} [{unit}]" for w in ("measured", "u", result)),
-            "z [1]",
-        ],
-        [
-            [
-                fitted.problem.readings.labels[n],
-                number(fitted.problem.readings.value[n]),
-                f"{fitted.u_value[n]:.2g}",
-                number(fitted.fitted[n]),
-                f"{fitted.z[n]:+.2f}".replace("-", "−"),
-            ]
-            for n in order
-        ],
-        caption=quality(fitted),
-    )
-    if fitted.estimates:
-        _print_parameters(fitted)
-    lines = [*notes(fitted), *([] if brdf is None else [_reciprocity_words(brdf[1])])]
-    for line in lines:
-        console().print(line, markup=False, highlight=False)
-
-
-def _print_parameters(fitted: "Fit") -> None:
-    import numpy as np
-
-    from anisoscope.fit.parameters import PARAMETERS
-    from anisoscope.fit.text import fixed, number, setup_text, value_texts
-
-    names = [PARAMETERS[one.name].words for one in fitted.estimates]
-    print_table(
-        "Parameters",
-        ["parameter", "unit", "value", "u", "95 % interval"],
-        [
-            [name, PARAMETERS[one.name].unit or "1", *value_texts(one)]
-            for name, one in zip(names, fitted.estimates, strict=True)
-        ],
-        caption=setup_text(fitted)
-        + "; fixed: "
-        + ", ".join(f"{PARAMETERS[n].words} {number(v)}" for n, v in fixed(fitted).items()),
-    )
-    if len(names) > 1:
-        print_table(
-            "Correlation [1]",
-            ["", *(str(n + 1) for n in range(len(names)))],
-            [
-                [f"{n + 1} {name}", *("–" if np.isnan(x) else f"{x:+.3f}" for x in row)]
-                for n, (name, row) in enumerate(zip(names, fitted.correlation, strict=True))
-            ],
-        )

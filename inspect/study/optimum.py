@@ -6,75 +6,25 @@ has kinks where a contrast changes sign, and the worst of several has them elsew
 how precisely each parameter has to be met, other samples of the same tolerances how well the optimum is known.
 """
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import AnisoscopeError, HeightMapError, ModelError, UsageError
+from anisoscope.errors import AnisoscopeError, UsageError
 from anisoscope.progress import Advance, silent
+from anisoscope.study.box import LIMITS, Bounds, Box, check_bounds, score_of_task, value_of
+from anisoscope.study.landscape import Landscape, Slice, slices_at
 from anisoscope.study.objective import Part, Scored, Scoring, score
 from anisoscope.study.sweep import Workers, sweep
 
 FloatArray = npt.NDArray[np.float64]
-Bounds = Mapping[str, tuple[float, float]]
 
-LIMITS = {
-    "ridge_angle": (0.1, 44.0),
-    "pitch": (1.0, 2000.0),
-    "alpha_along": (0.005, 0.9),
-    "alpha_across": (0.005, 0.9),
-}
-UNITS = {"ridge_angle": "°", "pitch": "µm", "alpha_along": "1", "alpha_across": "1"}
 GRID = {1: 97, 2: 25, 3: 11, 4: 7}  # points a side, by how many are varied
 ROBUST_GRID = {1: 49, 2: 17, 3: 9, 4: 6}
-FLAT_SHARE = 0.01  # a parameter is flat if its whole range changes the score by less
-COST_SHARE = 0.01  # the interval of a parameter is where the score loses at most this
 _HILLS = 4
-SLICE_POINTS = 49
-_AT_BOUND = 1e-3  # of the range
 _REPEATS = 4
-_HALVINGS = 12
-
-
-@dataclass(frozen=True)
-class Slice:
-    """The score along one parameter, the others at the optimum.
-
-    Attributes:
-        name: the parameter.
-        values: where.
-        scores: the scores there.
-        kept: interval within which the score loses at most COST_SHARE; bounds where it never loses that much.
-        flat: the score changes by less than FLAT_SHARE over the whole range.
-        at_bound: "lower" or "upper" where the optimum stands there, else None.
-        sampling_sd: standard deviation of the optimum between samples of the tolerances, None without any.
-    """
-
-    name: str
-    values: tuple[float, ...]
-    scores: tuple[float, ...]
-    kept: tuple[float, float]
-    flat: bool
-    at_bound: str | None
-    sampling_sd: float | None
-
-
-@dataclass(frozen=True, eq=False)
-class Landscape:
-    """Scores of the grid, in the order of ``names``.
-
-    Attributes:
-        names: varied parameters.
-        axes: values of each.
-        scores: (len(axis), …) scores, NaN where the part cannot be made.
-    """
-
-    names: tuple[str, ...]
-    axes: tuple[FloatArray, ...]
-    scores: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,65 +50,7 @@ class Optimum:
     evaluations: int
 
 
-@dataclass(frozen=True)
-class _Box:
-    """The bounds, and the way between unit coordinates and parts."""
-
-    part: Part
-    names: tuple[str, ...]
-    low: tuple[float, ...]
-    high: tuple[float, ...]
-
-    def value(self, number: int, unit: float) -> float:
-        low, high = self.low[number], self.high[number]
-        if self.names[number] == "ridge_angle":
-            return float(low + unit * (high - low))
-        return float(np.clip(low * (high / low) ** unit, low, high))
-
-    def at(self, unit: Sequence[float] | FloatArray) -> Part:
-        values = {name: self.value(k, float(unit[k])) for k, name in enumerate(self.names)}
-        return replace(self.part, **values)  # type: ignore[arg-type]
-
-
-def check_bounds(bounds: Bounds, part: Part, scoring: Scoring) -> None:
-    """Refuse bounds that mean nothing.
-
-    Raises:
-        UsageError: unknown parameters, empty or absurd ranges, or a pitch without anything of absolute size.
-    """
-    if not bounds:
-        raise UsageError("nothing to vary: give --vary NAME=FROM:TO, such as --vary ridge_angle=3:20")
-    for name, (low, high) in bounds.items():
-        if name not in LIMITS:
-            raise UsageError(f"{name!r} cannot be varied; what can: {', '.join(LIMITS)}")
-        least, most = LIMITS[name]
-        if not least <= low < high <= most:
-            raise UsageError(
-                f"--vary {name}={low:g}:{high:g}: the range must rise, within {least:g} and {most:g} {UNITS[name]}"
-            )
-    sized = part.edge_radius > 0.0 or (
-        scoring.tolerances is not None and scoring.tolerances.edge_radius > 0.0
-    )
-    if "pitch" in bounds and not sized:
-        raise UsageError(
-            "the pitch has no effect on ideal ridges: light knows angles only; it takes part through something of "
-            "absolute size: give --edge-radius UM, or a tolerance edge_radius=UM with --robust, or leave pitch out"
-        )
-
-
-def _value(part: Part, scoring: Scoring) -> float:
-    """The score, or −inf for a part that cannot be made."""
-    try:
-        return score(part, scoring).score
-    except (ModelError, HeightMapError):
-        return -np.inf
-
-
-def _grid_task(task: tuple[Part, Scoring]) -> float:
-    return _value(*task)
-
-
-def _climb(task: tuple[_Box, Scoring, tuple[float, ...], float]) -> tuple[float, tuple[float, ...], int]:
+def _climb(task: tuple[Box, Scoring, tuple[float, ...], float]) -> tuple[float, tuple[float, ...], int]:
     """Climb from a unit point with a simplex of the given size: score, unit point, evaluations."""
     from scipy.optimize import minimize  # noqa: PLC0415 - slow to import
 
@@ -167,10 +59,10 @@ def _climb(task: tuple[_Box, Scoring, tuple[float, ...], float]) -> tuple[float,
     corner = np.array(start, dtype=np.float64)
     inward = np.where(corner < 0.5, size, -size)
     simplex = np.vstack([corner, corner + np.diag(inward)])
-    highest = abs(_value(box.at(corner), scoring))
+    highest = abs(value_of(box.at(corner), scoring))
 
     def below(unit: FloatArray) -> float:
-        return -_value(box.at(unit), scoring)
+        return -value_of(box.at(unit), scoring)
 
     found = minimize(
         below,
@@ -204,11 +96,11 @@ def optimum(
     """
     check_bounds(bounds, part, scoring)
     names = tuple(name for name in LIMITS if name in bounds)
-    box = _Box(part, names, tuple(bounds[n][0] for n in names), tuple(bounds[n][1] for n in names))
+    box = Box(part, names, tuple(bounds[n][0] for n in names), tuple(bounds[n][1] for n in names))
     steps = (GRID if scoring.tolerances is None else ROBUST_GRID)[len(names)]
     units = np.linspace(0.0, 1.0, steps)
     tasks = [(box.at(point), scoring) for point in product(units, repeat=len(names))]
-    values = sweep(_grid_task, tasks, workers, advance=advance, doing="searching the grid")
+    values = sweep(score_of_task, tasks, workers, advance=advance, doing="searching the grid")
     grid = np.reshape(values, (steps,) * len(names))
     if not np.isfinite(grid).any():
         _explain(box, scoring)
@@ -224,7 +116,7 @@ def optimum(
     climbs.sort(key=lambda climb: -climb[0])
     best = climbs[0]
     spread, again = _resampled(box, scoring, best[1], size, workers, advance)
-    slices = _slices(box, scoring, best, spread, workers, advance)
+    slices = slices_at(box, scoring, best, spread, workers, advance)
     found = box.at(best[1])
     return Optimum(
         found,
@@ -241,7 +133,7 @@ def optimum(
     )
 
 
-def _explain(box: _Box, scoring: Scoring) -> None:
+def _explain(box: Box, scoring: Scoring) -> None:
     """Say why no part can be made: raise what the middle of the box raises."""
     try:
         score(box.at([0.5] * len(box.names)), scoring)
@@ -261,7 +153,7 @@ def _hills(grid: FloatArray, units: FloatArray) -> list[tuple[float, ...]]:
 
 
 def _resampled(
-    box: _Box,
+    box: Box,
     scoring: Scoring,
     unit: tuple[float, ...],
     size: float,
@@ -278,84 +170,3 @@ def _resampled(
     found = sweep(_climb, tasks, workers, advance=advance, doing="asking other samples")
     values = np.array([[box.value(k, u) for k, u in enumerate(climb[1])] for climb in found])
     return values.std(axis=0, ddof=1), sum(climb[2] for climb in found)
-
-
-def _slices(
-    box: _Box,
-    scoring: Scoring,
-    best: tuple[float, tuple[float, ...], int],
-    spread: FloatArray | None,
-    workers: Workers,
-    advance: Advance,
-) -> tuple[Slice, ...]:
-    top, unit, _ = best
-    limit = top - COST_SHARE * abs(top)
-    fine = np.linspace(0.0, 1.0, SLICE_POINTS)
-    moved = [(box.at((*unit[:k], float(u), *unit[k + 1 :])), scoring) for k in range(len(unit)) for u in fine]
-    doing = "looking around the optimum"
-    rows = np.reshape(sweep(_grid_task, moved, workers, advance=advance, doing=doing), (len(unit), -1))
-    sides = [(k, side) for k in range(len(unit)) for side in (-1, 1)]
-    brackets = [_bracket(fine, rows[k], unit[k], side, limit) for k, side in sides]
-    asked = [
-        (box, scoring, unit, k, bracket, limit)
-        for (k, _), bracket in zip(sides, brackets, strict=True)
-        if bracket is not None
-    ]
-    crossed = iter(sweep(_crossing, asked, workers, advance=advance, doing=doing))
-    ends = [
-        (0.0 if side < 0 else 1.0) if bracket is None else next(crossed)
-        for (_, side), bracket in zip(sides, brackets, strict=True)
-    ]
-    return tuple(
-        _slice(box, k, unit[k], fine, rows[k], top, (ends[2 * k], ends[2 * k + 1]), spread)
-        for k in range(len(unit))
-    )
-
-
-def _slice(
-    box: _Box,
-    number: int,
-    unit: float,
-    fine: FloatArray,
-    row: FloatArray,
-    top: float,
-    kept: tuple[float, float],
-    spread: FloatArray | None,
-) -> Slice:
-    flat = bool(np.isfinite(row).all() and top - row.min() < FLAT_SHARE * abs(top))
-    at = "lower" if unit < _AT_BOUND else "upper" if unit > 1.0 - _AT_BOUND else None
-    return Slice(
-        box.names[number],
-        tuple(box.value(number, float(u)) for u in fine),
-        tuple(float(v) for v in row),
-        (box.value(number, kept[0]), box.value(number, kept[1])),
-        flat,
-        None if flat else at,
-        None if spread is None else float(spread[number]),
-    )
-
-
-def _bracket(
-    fine: FloatArray, row: FloatArray, centre: float, side: int, limit: float
-) -> tuple[float, float] | None:
-    """Neighbouring unit values beside the centre between which the score falls below a limit, or None."""
-    beyond = (fine - centre) * side > 0
-    past, scores = fine[beyond][::side], row[beyond][::side]
-    below = np.flatnonzero(~(scores >= limit))
-    if not below.size:
-        return None
-    first = int(below[0])
-    return float(centre if first == 0 else past[first - 1]), float(past[first])
-
-
-def _crossing(task: tuple[_Box, Scoring, tuple[float, ...], int, tuple[float, float], float]) -> float:
-    """Unit value of one parameter at which the score falls below a limit, by halving a bracket."""
-    box, scoring, best, number, (inner, outer), limit = task
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (inner + outer)
-        moved = (*best[:number], middle, *best[number + 1 :])
-        if _value(box.at(moved), scoring) >= limit:
-            inner = middle
-        else:
-            outer = middle
-    return 0.5 * (inner + outer)

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from anisoscope.errors import UsageError
-from anisoscope.study import optimum as module
+from anisoscope.study import box
+from anisoscope.study import optimum as search
 from anisoscope.study.objective import Part, Scored, Scoring, Tolerances, score
 from anisoscope.study.optimum import optimum
 from anisoscope.study.sweep import Workers
@@ -49,7 +50,8 @@ def synthetic(part, scoring):
 
 
 def test_a_narrow_higher_hill_is_not_missed(monkeypatch):
-    monkeypatch.setattr(module, "score", synthetic)
+    for module in (box, search):
+        monkeypatch.setattr(module, "score", synthetic)
     bounds = {"ridge_angle": (2.0, 25.0), "alpha_across": (0.05, 0.2)}
     found = optimum(Part(), bounds, Scoring(), Workers())
     assert found.part.ridge_angle == pytest.approx(17.3, abs=1e-2)
