@@ -14,7 +14,7 @@ import numpy.typing as npt
 from anisoscope.errors import CalibrationError, MeasurementError, RegistrationError
 from anisoscope.measurement import Measured, View
 from anisoscope.recipe import Recipe
-from anisoscope.registration import Grid, angle_between
+from anisoscope.registration.placement import Grid, angle_between
 
 FloatArray = npt.NDArray[np.float64]
 Image = npt.NDArray[np.float32]

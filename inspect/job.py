@@ -5,18 +5,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, cast
 
-from anisoscope.calibrationrecord import Kind
-from anisoscope.calibrationuse import Calibrations, read_calibrations
+from anisoscope.calibration.record import Kind
+from anisoscope.calibration.use import Calibrations, read_calibrations
+from anisoscope.calibration.whitereference import read_reference
 from anisoscope.errors import CalibrationError, HeightMapError, RigFileError, UsageError
 from anisoscope.golden import GoldenSet, golden_path, read_golden
 from anisoscope.linear import WhiteReference
 from anisoscope.recipe import Recipe, read_recipe
 from anisoscope.record import sha256_of
-from anisoscope.registration import check_fixture
+from anisoscope.registration.placement import check_fixture
 from anisoscope.rig.acquisition.plan import Plan, Pose
 from anisoscope.rig.fixture import Fixture
 from anisoscope.rig.rigfile import RigFile, read_rig
-from anisoscope.whitereference import read_reference
 
 SERIAL = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._+#-]{0,63}")
 Role = Literal[

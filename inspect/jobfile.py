@@ -11,7 +11,8 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from anisoscope.atomicfile import write_text
-from anisoscope.calibrationuse import calibrations_of
+from anisoscope.calibration.use import calibrations_of
+from anisoscope.calibration.whitereference import read_reference
 from anisoscope.errors import AnisoscopeError, RecordError, UsageError
 from anisoscope.folder import INPUTS, JOB
 from anisoscope.golden import read_golden
@@ -21,7 +22,6 @@ from anisoscope.record import InputFile, Particulars, sha256_of
 from anisoscope.rig.acquisition.plan import Plan
 from anisoscope.rig.acquisition.writer import FRAMES
 from anisoscope.rig.rigfile import CalibrationPart, read_replay_rig, read_rig
-from anisoscope.whitereference import read_reference
 
 
 class InputCopy(InputFile):

@@ -30,11 +30,11 @@ from anisoscope.measurement import (
     measure,
     region_grid,
 )
-from anisoscope.placing import Photograph, place
 from anisoscope.progress import Advance, silent
 from anisoscope.record import Record
 from anisoscope.recording import make_record, results
-from anisoscope.registration import resample
+from anisoscope.registration.placement import resample
+from anisoscope.registration.placing import Photograph, place
 from anisoscope.report.inspection_page import Pictures
 from anisoscope.rig.acquisition.plan import Pose
 from anisoscope.rig.frame import FrameKind

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from anisoscope.area import cell_deviations, cell_log_ratios
 from anisoscope.measurement import CELLS_PER_PITCH, Measured
 from anisoscope.recipe import AreaPart
-from anisoscope.registration import Grid
+from anisoscope.registration.placement import Grid
 from anisoscope.sim.light.geometry import Pose
 
 FloatArray = npt.NDArray[np.float64]

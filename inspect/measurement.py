@@ -14,7 +14,7 @@ from anisoscope.errors import MeasurementError, RegistrationError, Saturated
 from anisoscope.expectation import Component, Expectation
 from anisoscope.linear import RadianceImage
 from anisoscope.recipe import Recipe
-from anisoscope.registration import Grid, Placement, angle_between, resample
+from anisoscope.registration.placement import Grid, Placement, angle_between, resample
 
 FloatArray = npt.NDArray[np.float64]
 Image = npt.NDArray[np.float32]

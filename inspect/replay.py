@@ -5,6 +5,7 @@ import shutil
 from datetime import UTC, datetime
 from pathlib import Path
 
+from anisoscope.calibration.whitereference import read_reference, write_reference
 from anisoscope.errors import CalibrationError, RecordError, UsageError
 from anisoscope.folder import INPUTS, new_folder
 from anisoscope.inspection import Inspected, conclude, expecting
@@ -20,7 +21,6 @@ from anisoscope.rig.acquisition.writer import FRAMES
 from anisoscope.rig.framefolder import TABLE, read_frame_folder
 from anisoscope.rig.rigfile import RigFile, read_replay_rig
 from anisoscope.taken import REPLAYED
-from anisoscope.whitereference import read_reference, write_reference
 
 RIG_NAME = "rig.toml"
 WHITE_NAME = "white-reference.tif"

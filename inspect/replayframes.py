@@ -4,6 +4,7 @@ from collections import defaultdict
 from dataclasses import dataclass
 from typing import Any
 
+from anisoscope.calibration.whitereference import make_reference
 from anisoscope.errors import RecordError
 from anisoscope.linear import stack
 from anisoscope.recipe import Recipe
@@ -12,7 +13,6 @@ from anisoscope.rig.frame import FrameKind
 from anisoscope.rig.framefolder import POSE_TOLERANCE_DEG, FrameEntry, FrameFolder
 from anisoscope.sim.light.geometry import Convention, directions
 from anisoscope.sim.light.geometry import Pose as LightPose
-from anisoscope.whitereference import make_reference
 
 UNKNOWN = "unknown"
 

@@ -17,7 +17,7 @@ from anisoscope.progress import Advance, silent
 from anisoscope.recipe import Recipe, read_recipe
 from anisoscope.recipetext import with_values
 from anisoscope.record import Record
-from anisoscope.registration import Placement, locate
+from anisoscope.registration.placement import Placement, locate
 from anisoscope.rig.acquisition.journal import read_journal
 from anisoscope.rig.acquisition.plan import Plan, Pose
 from anisoscope.rig.acquisition.runner import Rig, open_rig, run_plan

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from anisoscope.errors import MeasurementError
 from anisoscope.recipe import Recipe
-from anisoscope.registration import Grid, Placement, resample
+from anisoscope.registration.placement import Grid, Placement, resample
 from anisoscope.rig.fixture import Fixture
 
 FloatArray = npt.NDArray[np.float64]

@@ -11,7 +11,7 @@ from anisoscope.cli.console import console, print_table, progress
 from anisoscope.errors import UsageError
 
 if TYPE_CHECKING:
-    from anisoscope.calibrationrecord import CalibrationRecord
+    from anisoscope.calibration.record import CalibrationRecord
 
 app = App(name="calibrate", help="Calibrate the rig.")
 
@@ -45,8 +45,8 @@ def flat(
     Lay the tile on the stage so that it fills the picture, then run this; name the file in the rig file under
     [calibration] flat.
     """
-    from anisoscope.calibration import calibrate_flat
-    from anisoscope.calibrationframes import Taking
+    from anisoscope.calibration.frames import Taking
+    from anisoscope.calibration.pictures import calibrate_flat
 
     taking = Taking(exposure, gain, frames, valid_days, operator, temperature)
     with progress("flat", quiet=json_) as advance:
@@ -81,8 +81,8 @@ def dark(
     Take it with the exposure and gain of the inspections. Exit code 0: fit; 3: light reaches the camera, or too many
     pixels are hot.
     """  # fmt: skip
-    from anisoscope.calibration import calibrate_dark
-    from anisoscope.calibrationframes import Taking
+    from anisoscope.calibration.frames import Taking
+    from anisoscope.calibration.pictures import calibrate_dark
 
     taking = Taking(exposure, gain, frames, valid_days, operator, temperature)
     with progress("dark", quiet=json_) as advance:
@@ -110,8 +110,8 @@ def stray(
 
     Needs the flat of the rig. A long exposure makes it exact.
     """
-    from anisoscope.calibration import calibrate_stray
-    from anisoscope.calibrationframes import Taking
+    from anisoscope.calibration.frames import Taking
+    from anisoscope.calibration.pictures import calibrate_stray
 
     taking = Taking(exposure, gain, frames, valid_days, operator, temperature)
     with progress("stray light", quiet=json_) as advance:
@@ -139,8 +139,8 @@ def linearity(
 
     The exposures run from 2 % of full scale to clipping. Exit code 0: fit; 3: too bent to be corrected.
     """
-    from anisoscope.calibrationframes import Taking
-    from anisoscope.calibrationlinearity import calibrate_linearity
+    from anisoscope.calibration.frames import Taking
+    from anisoscope.calibration.linearity import calibrate_linearity
 
     taking = Taking(exposure, gain, frames, valid_days, operator, temperature)
     with progress("linearity", quiet=json_) as advance:
@@ -166,8 +166,8 @@ def rotation(
 
     The stage homes and turns: nothing may stand in its way. Exit code 0: fit; 3: out of limits.
     """
-    from anisoscope.calibrationframes import Taking
-    from anisoscope.calibrationrotation import calibrate_rotation
+    from anisoscope.calibration.frames import Taking
+    from anisoscope.calibration.rotation import calibrate_rotation
 
     taking = Taking(exposure, gain, frames, valid_days, operator, temperature)
     with progress("rotation", quiet=json_) as advance:
@@ -196,7 +196,7 @@ def check(
 
     Exit code 0: in limits; 3: out of limits, so that inspections are INVALID until the rig is put right.
     """
-    from anisoscope.calibrationcheck import SERIAL, run_check, teach_check
+    from anisoscope.calibration.check import SERIAL, run_check, teach_check
 
     if serial is not None and not teach:
         raise UsageError("--serial goes with --teach: afterwards the record knows which part it is")
@@ -224,7 +224,7 @@ def list_(*, rig: _Rig, json_: _Json = False) -> int:
 
     Exit code 0: inspections can use them; 3: one that the rig file names does not hold, or the flat is missing.
     """
-    from anisoscope.calibrationlist import list_calibrations
+    from anisoscope.calibration.listing import list_calibrations
 
     found = list_calibrations(rig)
     if json_:
@@ -247,7 +247,7 @@ def _as_json(record: "CalibrationRecord") -> dict[str, object]:
 
 def _show(record: "CalibrationRecord", out: Path, *, json_: bool) -> int:
     """Print a record; return 0 if it is in limits, else 3."""
-    from anisoscope.calibrationrecord import record_path
+    from anisoscope.calibration.record import record_path
 
     target = record_path(out)
     if json_:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-from anisoscope.calibration import take_flat
+from anisoscope.calibration.pictures import take_flat
 from anisoscope.errors import RecordError, UsageError
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges

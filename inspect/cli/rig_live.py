@@ -16,8 +16,8 @@ from anisoscope.cli.rig_snap import Exposure, Gain, LightState
 from anisoscope.errors import UsageError
 
 if TYPE_CHECKING:
-    from anisoscope.livepage import LivePage
-    from anisoscope.liveview import Counts, FocusMeasure, Reading
+    from anisoscope.live.page import LivePage
+    from anisoscope.live.view import Counts, FocusMeasure, Reading
     from anisoscope.rig.camera import Camera, CameraInfo
 
     Sink = Callable[[Counts, CameraInfo, Reading], None]
@@ -75,7 +75,7 @@ def _watch(
     pause_s: float,
     ended: threading.Event,
 ) -> None:
-    from anisoscope.liveview import Meter, look_at
+    from anisoscope.live.view import Meter, look_at
 
     meter, info = Meter(), camera.info
     while not ended.is_set():
@@ -111,7 +111,7 @@ def asked_to_end(*, listen: bool) -> threading.Event:
 def _sinks(web: bool, port: int, title: str, *, json_: bool) -> "Iterator[list[Sink]]":
     with ExitStack() as stack:
         if web:
-            from anisoscope.livepage import LivePage
+            from anisoscope.live.page import LivePage
 
             page = stack.enter_context(LivePage(port, f"{title} – live"))
             print(f"live picture at {page.address}", flush=True)  # noqa: T201
@@ -129,7 +129,7 @@ def _sinks(web: bool, port: int, title: str, *, json_: bool) -> "Iterator[list[S
 
 
 def _to_page(page: "LivePage") -> "Sink":
-    from anisoscope.livepicture import as_jpeg, draw
+    from anisoscope.live.picture import as_jpeg, draw
 
     def show(counts: "Counts", info: "CameraInfo", reading: "Reading") -> None:
         page.publish(as_jpeg(draw(counts, info, reading.view, reading.relative_focus)), numbers(reading))

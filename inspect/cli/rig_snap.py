@@ -84,7 +84,7 @@ def _take(
 
     import numpy as np
 
-    from anisoscope.liveview import saturated_share
+    from anisoscope.live.view import saturated_share
     from anisoscope.rig.frame import Frame
 
     camera, lamp = devices.camera, devices.light
@@ -123,8 +123,8 @@ def _angles(devices: "Devices", file: "RigFile") -> tuple[float, float]:
 
 def _judge(frame: "Frame", info: Any, saturated: float, picture: Path | None) -> dict[str, Any]:  # noqa: ANN401
     from anisoscope.atomicfile import write_bytes
-    from anisoscope.livepicture import as_png, eight_bits
-    from anisoscope.liveview import look_at
+    from anisoscope.live.picture import as_png, eight_bits
+    from anisoscope.live.view import look_at
 
     view = look_at(frame.counts, info)
     if picture is not None:

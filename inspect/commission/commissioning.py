@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from anisoscope.calibration.whitereference import read_reference
 from anisoscope.commission.angles import Angles, Assumed, evaluate
 from anisoscope.commission.findings import findings_of
 from anisoscope.commission.light import LightFit
@@ -28,9 +29,8 @@ from anisoscope.profiles.metrology.ridges import measure_ridges
 from anisoscope.progress import Advance, silent
 from anisoscope.recipe import Recipe
 from anisoscope.record import sha256_of
-from anisoscope.registration import check_fixture
+from anisoscope.registration.placement import check_fixture
 from anisoscope.rig.rigfile import RigFile, read_rig
-from anisoscope.whitereference import read_reference
 
 MAX_DRIFT = 0.02
 

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.registration import MIN_MARKERS, Image, _detect, marker_corners_mm
+from anisoscope.registration.placement import MIN_MARKERS, Image, _detect, marker_corners_mm
 from anisoscope.rig.fixture import Fixture
 
 FloatArray = npt.NDArray[np.float64]

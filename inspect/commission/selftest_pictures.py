@@ -5,12 +5,12 @@ from datetime import UTC, datetime
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.calibration.whitereference import read_reference
 from anisoscope.commission.markers import Fix, edge_blur_px, modules_of
 from anisoscope.commission.selftest import Bed, Check, judged, skipped
 from anisoscope.commission.turning import fit_centre, wrapped
 from anisoscope.errors import MeasurementError
-from anisoscope.registration import check_fixture
-from anisoscope.whitereference import read_reference
+from anisoscope.registration.placement import check_fixture
 
 _BLOCKS = 8
 

@@ -11,12 +11,13 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.calibration.whitereference import make_reference
 from anisoscope.linear import RadianceImage, Stack, WhiteReference, linearise, stack
 from anisoscope.measurement import View
 from anisoscope.profiles.defects_contact import edge_wear
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign, ridges
-from anisoscope.registration import Placement
+from anisoscope.registration.placement import Placement
 from anisoscope.rig.frame import Frame, FrameKind
 from anisoscope.sim.bench.lamp import Lamp
 from anisoscope.sim.bench.optics import image_of_surface, pixel_from_mm, vignette
@@ -39,7 +40,6 @@ from anisoscope.study.detection_product import (
     recipe_of,
 )
 from anisoscope.study.detection_sheets import POINTS
-from anisoscope.whitereference import make_reference
 
 FloatArray = npt.NDArray[np.float64]
 Image = npt.NDArray[np.float32]

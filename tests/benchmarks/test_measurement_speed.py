@@ -22,7 +22,7 @@ from anisoscope.judging import measure_frames
 from anisoscope.linear import HOT_PIXEL_SIGMA, SATURATION_SHARE, WhiteReference
 from anisoscope.measurement import region_grid
 from anisoscope.recipe import Recipe
-from anisoscope.registration import locate, resample
+from anisoscope.registration.placement import locate, resample
 from anisoscope.rig.acquisition.plan import Pose
 from anisoscope.rig.fixture import Fixture
 from anisoscope.rig.frame import Frame

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from anisoscope import explaining
-from anisoscope.calibration import take_flat
+from anisoscope.calibration.pictures import take_flat
 from anisoscope.diagnosis.signatures import signatures
 from anisoscope.inspection import inspect_part
 from anisoscope.profiles.files.load import write_height_map

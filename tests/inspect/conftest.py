@@ -9,7 +9,7 @@ import pytest
 import tomli_w
 
 from anisoscope import explaining, inspection
-from anisoscope.calibration import take_flat
+from anisoscope.calibration.pictures import take_flat
 from anisoscope.cli.demo_files import FIXTURE
 from anisoscope.diagnosis.signatures import signatures
 from anisoscope.progress import silent

@@ -10,7 +10,7 @@ from anisoscope.decision import contrast_gradient, decide, guarded
 from anisoscope.errors import MeasurementError
 from anisoscope.expectation import Component, Expectation
 from anisoscope.measurement import Measured
-from anisoscope.registration import Grid
+from anisoscope.registration.placement import Grid
 from anisoscope.sim.light.contrasts import contrasts
 from anisoscope.sim.light.geometry import Convention, pose_grid
 from anisoscope.verdict import Verdict

@@ -19,7 +19,7 @@ from anisoscope.gates import (
 )
 from anisoscope.linear import RadianceImage
 from anisoscope.measurement import View
-from anisoscope.registration import Grid, Placement
+from anisoscope.registration.placement import Grid, Placement
 
 SIZE, PIXEL_UM, PITCH_UM = 240, 8.0, 100.0
 GRID = Grid((0.0, 0.0), PITCH_UM / 12 / 1000, (120, 120))

@@ -14,7 +14,7 @@ from anisoscope.measurement import Measured
 from anisoscope.recipe import Recipe, read_recipe
 from anisoscope.recomputing import recompute
 from anisoscope.record import Record, read_record
-from anisoscope.registration import Grid
+from anisoscope.registration.placement import Grid
 from anisoscope.shapefit import fit_shape
 
 WRONG = {"sample": {"material": {"alpha_along": 0.09}}}

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from anisoscope import inspection
-from anisoscope.calibration import take_flat
+from anisoscope.calibration.pictures import take_flat
+from anisoscope.calibration.whitereference import read_reference
 from anisoscope.errors import (
     CalibrationError,
     NotConnected,
@@ -27,14 +28,13 @@ from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
 from anisoscope.recipe import read_recipe
 from anisoscope.record import read_record, sha256_of
-from anisoscope.registration import locate, resample
+from anisoscope.registration.placement import locate, resample
 from anisoscope.rig.acquisition.journal import read_journal
 from anisoscope.rig.frame import read_frame
 from anisoscope.rig.rigfile import read_rig
 from anisoscope.rig.stages import manual
 from anisoscope.sim.light.contrasts import contrasts
 from anisoscope.sim.light.geometry import Pose
-from anisoscope.whitereference import read_reference
 
 
 @pytest.fixture(scope="module")

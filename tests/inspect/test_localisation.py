@@ -6,7 +6,7 @@ import pytest
 from anisoscope.area import cell_deviations
 from anisoscope.localisation import chance_of_a_cell, chance_of_a_group, find_regions, kind_of
 from anisoscope.recipe import AreaPart
-from anisoscope.registration import Grid
+from anisoscope.registration.placement import Grid
 
 RULE = AreaPart()
 ROWS, COLS = 80, 96

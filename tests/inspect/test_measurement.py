@@ -10,7 +10,7 @@ from anisoscope.errors import MeasurementError, RegistrationError, Saturated
 from anisoscope.expectation import expectation
 from anisoscope.linear import RadianceImage
 from anisoscope.measurement import View, drift_complaint, measure, region_grid
-from anisoscope.registration import Placement
+from anisoscope.registration.placement import Placement
 
 SIZE = 200
 LEVELS = {0.0: 0.30, 90.0: 0.05, 180.0: 0.04}

@@ -2,7 +2,7 @@
 
 import pytest
 
-from anisoscope.calibrationrecord import read_calibration
+from anisoscope.calibration.record import read_calibration
 
 SMALL = {
     "sensor": {"rows": 288, "cols": 320, "hot_pixel_share": 0.0},

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import tomli_w
 
-from anisoscope.calibration import take_flat
+from anisoscope.calibration.pictures import take_flat
 from anisoscope.cli.demo_files import FIXTURE
 from anisoscope.inspection import resume_part
 from anisoscope.recomputing import recompute

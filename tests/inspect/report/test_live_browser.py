@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from anisoscope.cli.rig_live import numbers
-from anisoscope.livepage import LivePage
-from anisoscope.livepicture import as_jpeg, draw
-from anisoscope.liveview import Meter, look_at
+from anisoscope.live.page import LivePage
+from anisoscope.live.picture import as_jpeg, draw
+from anisoscope.live.view import Meter, look_at
 from anisoscope.rig.camera import CameraInfo
 
 pytestmark = pytest.mark.browser

@@ -1,0 +1,153 @@
+"""Is the camera linear? Photon transfer over an exposure series of a white tile, from dim to clipped."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.calibration.frames import Bed, Taking, calibration_bed
+from anisoscope.calibration.phototransfer import MIN_STACK, PhotoTransfer, photo_transfer
+from anisoscope.calibration.record import (
+    CalibrationRecord,
+    Value,
+    dated,
+    days_of,
+    record_path,
+    write_calibration,
+)
+from anisoscope.calibration.transfercurve import LINEARITY_RANGE, Counts, Estimate, ExposureStep, curve_of
+from anisoscope.errors import CalibrationError, UsageError
+from anisoscope.progress import Advance, silent
+from anisoscope.rig.frame import Frame
+
+FloatArray = npt.NDArray[np.float64]
+
+WINDOW_SHARE = 0.4  # of rows and columns: beyond, vignetting spreads the signal
+MIN_STEPS, MAX_STEPS = 10, 200
+FIRST_SHARE, LAST_SHARE = 0.02, 1.3  # of the exposure that reaches full scale
+LINEAR_ENOUGH = 0.002
+MAX_ERROR = 0.02
+
+
+def calibrate_linearity(
+    rig_path: Path,
+    out: Path,
+    taking: Taking,
+    *,
+    steps: int = 24,
+    on_progress: Advance = silent,
+) -> CalibrationRecord:
+    """Photograph a white tile with exposures from 2 % of full scale to clipping, and analyse after EMVA 1288.
+
+    Where the response is bent by more than 0.2 %, a second-order correction is fitted: signal·(1 + b·signal); the
+    error that then remains is the record's ``linearity_error``, the one before its ``raw_error``.
+
+    Args:
+        rig_path: rig file.
+        out: record to write (JSON).
+        taking: the exposure is a start: any that is neither dark nor clipped.
+        steps: exposures of the series.
+        on_progress: called with what is being done, steps done and steps in all.
+
+    Raises:
+        UsageError: too few or too many steps.
+        RigFileError, RigError: the rig.
+        CalibrationError: the series cannot be analysed.
+        RecordError: the file cannot be written.
+    """
+    if not MIN_STEPS <= steps <= MAX_STEPS:
+        raise UsageError(f"a linearity series needs {MIN_STEPS} to {MAX_STEPS} steps, not {steps}")
+    days_of("linearity", taking.valid_days)
+    with calibration_bed(rig_path, on_progress) as bed:
+        top_s = _full_scale_exposure(bed, taking)
+        exposures = np.linspace(FIRST_SHARE, LAST_SHARE, steps) * top_s
+        series = [_step(bed, float(one), taking.gain, number, steps) for number, one in enumerate(exposures)]
+        count = max(taking.frames, MIN_STACK)
+        light = _cut(bed.frames("flat", 0.5 * top_s, taking.gain, count))
+        dark = _cut(bed.frames("dark", 0.5 * top_s, taking.gain, count))
+        content = bed.content(taking, 4 * steps + 2 * count) | {"exposure_s": float(exposures[-1])}
+    found = photo_transfer(series, light, dark, highpass_px=11)
+    record = dated("linearity", content | _results(series, found), valid_days=taking.valid_days)
+    write_calibration(record, record_path(out))
+    return record
+
+
+def _full_scale_exposure(bed: Bed, taking: Taking) -> float:
+    """Exposure at which the middle of the tile would reach full scale, from one trial."""
+    dark = float(_cut(bed.frames("dark", taking.exposure_s, taking.gain, 1)).mean())
+    light = float(_cut(bed.frames("flat", taking.exposure_s, taking.gain, 1)).mean())
+    share = (light - dark) / (bed.full_scale - dark)
+    if not 0.02 < share < 0.9:
+        word = "lengthen" if share <= 0.02 else "shorten"
+        raise CalibrationError(
+            f"at {taking.exposure_s:g} s the tile reaches {share:.1%} of full scale (wanted 2 % to 90 %): "
+            f"{word} --exposure"
+        )
+    return taking.exposure_s / share
+
+
+def _step(bed: Bed, exposure_s: float, gain: float, number: int, steps: int) -> ExposureStep:
+    bed.advance(f"exposure {exposure_s:.3g} s", number, steps)
+    quiet = Bed(bed.rig, bed.tilt_deg, silent)
+    light, dark = quiet.frames("flat", exposure_s, gain, 2), quiet.frames("dark", exposure_s, gain, 2)
+    return ExposureStep(light[0].exposure_s, _cut(light), _cut(dark))
+
+
+def _cut(frames: list[Frame]) -> Counts:
+    """The middle of frames, (n, rows, cols)."""
+    rows, cols = frames[0].counts.shape
+    high, wide = (max(8, int(size * WINDOW_SHARE)) for size in (rows, cols))
+    top, left = (rows - high) // 2, (cols - wide) // 2
+    return np.stack([frame.counts[top : top + high, left : left + wide] for frame in frames])
+
+
+def _results(series: list[ExposureStep], found: PhotoTransfer) -> dict[str, Any]:
+    saturation_dn = found.saturation_e.value * found.gain_dn_per_e.value
+    bend, residuals = _response(series, saturation_dn)
+    bent = found.linearity_error > LINEAR_ENOUGH
+    error = float(np.mean(np.abs(residuals))) if bent else found.linearity_error
+    remarks = []
+    if bent:
+        remarks.append(
+            f"the response is bent by {found.linearity_error:.2%}; inspections at this gain correct "
+            f"it, which leaves {error:.2%}"
+        )
+    if error > MAX_ERROR:
+        remarks.insert(0, f"{error:.1%} of the response cannot be corrected (limit {MAX_ERROR:.0%})")
+    values = {
+        "gain": _value(found.gain_dn_per_e, "counts/e"),
+        "read_noise": _value(found.read_noise_e, "e"),
+        "dark_level": _value(found.dark_level_dn, "counts"),
+        "saturation": _value(found.saturation_e, "e"),
+        "dsnu": _value(found.dsnu_e, "e"),
+        "prnu": _value(found.prnu, ""),
+        "raw_error": Value(value=found.linearity_error),
+        "linearity_error": Value(value=error),
+        "snr_max": Value(value=found.snr_max),
+        "dynamic_range": Value(value=found.dynamic_range),
+    }
+    if found.dark_current_e_s is not None:
+        values["dark_current"] = _value(found.dark_current_e_s, "e/s")
+    return {
+        "values": values,
+        "residuals": tuple(float(value) for value in residuals),
+        "details": {"response_per_count": bend if bent else 0.0, "steps": len(series)},
+        "in_limits": error <= MAX_ERROR,
+        "remarks": tuple(remarks),
+    }
+
+
+def _response(series: list[ExposureStep], saturation_dn: float) -> tuple[float, FloatArray]:
+    """Second-order term b of light ∝ signal·(1 + b·signal), per count, and the relative residuals of the fit."""
+    curve = curve_of(series)
+    low, high = LINEARITY_RANGE
+    used = (curve.signal >= low * saturation_dn) & (curve.signal <= high * saturation_dn)
+    signal, light = curve.signal[used], curve.amount[used]
+    design = np.column_stack([signal, signal**2]) / light[:, None]
+    (slope, square), *_ = np.linalg.lstsq(design, np.ones_like(light), rcond=None)
+    return float(square / slope), np.asarray(design @ [slope, square] - 1.0)
+
+
+def _value(estimate: Estimate, unit: str) -> Value:
+    return Value(value=estimate.value, u=estimate.uncertainty, unit=unit)

@@ -1,0 +1,228 @@
+"""Where the stage turns, and how large a pixel is: the fixture's markers over one turn of the stage."""
+
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.calibration.frames import Bed, Taking
+from anisoscope.calibration.record import (
+    CalibrationRecord,
+    Value,
+    dated,
+    days_of,
+    record_path,
+    write_calibration,
+)
+from anisoscope.errors import RigFileError, UsageError
+from anisoscope.linear import Image, hot_pixels, stack
+from anisoscope.progress import Advance, silent
+from anisoscope.registration.placement import Placement, angle_between, check_fixture, locate
+from anisoscope.rig.acquisition.plan import Plan, Pose
+from anisoscope.rig.acquisition.runner import FrameRecord, Progress, open_rig, run_plan
+from anisoscope.rig.fixture import Fixture
+from anisoscope.rig.rigfile import RigFile, read_rig
+
+FloatArray = npt.NDArray[np.float64]
+
+MIN_ANGLES = 6
+MAX_RUNOUT_PX = 1.0
+MAX_TURN_ERROR_DEG = 0.2
+MAX_SCALE_SHARE = 0.02
+_LEAST_PX = 0.002
+
+
+def calibrate_rotation(
+    rig_path: Path,
+    out: Path,
+    taking: Taking,
+    *,
+    angles: int = 12,
+    on_progress: Advance = silent,
+) -> CalibrationRecord:
+    """Turn the fixture all round and find the rotation centre in the picture, the size of a pixel, and the runout.
+
+    The tilt axis, where there is one, stands at 0°; a fixed arm where it stands. Two frames a pose are enough.
+
+    Args:
+        rig_path: rig file with a fixture.
+        out: record to write (JSON).
+        taking: exposure, gain and frames of every angle.
+        angles: stage angles over one turn; those out of the stage's reach are left out.
+        on_progress: called with what is being done, steps done and steps in all.
+
+    Raises:
+        UsageError: too few angles.
+        RigFileError, RigError: the rig, or it has no fixture.
+        RegistrationError: markers are not seen.
+        RecordError: a file cannot be written.
+    """
+    if angles < MIN_ANGLES:
+        raise UsageError(f"the rotation needs at least {MIN_ANGLES} angles, not {angles}")
+    days_of("rotation", taking.valid_days)
+    file = read_rig(rig_path)
+    if file.fixture is None:
+        raise RigFileError(f"{rig_path} describes no [fixture]: the rotation is found by its markers")
+    check_fixture(file.fixture)
+
+    def tell(now: Progress) -> None:
+        on_progress(now.text, now.done, now.total)
+
+    with tempfile.TemporaryDirectory() as folder, open_rig(file) as rig:
+        tilt_deg = 0.0 if rig.tilt is not None else file.geometry.tilt_deg
+        plan = _plan(file, rig.stage.limits_deg, taking, angles, tilt_deg)
+        records = run_plan(plan, rig, Path(folder), on_progress=tell)
+        bed, name = Bed(rig, tilt_deg, on_progress), rig.stage.name
+        content = bed.content(taking, len(records)) | {"stage": name}
+    on_progress("markers", 0, 1)
+    places = _places(records, file.fixture)
+    record = dated("rotation", content | _results(places, file), valid_days=taking.valid_days)
+    write_calibration(record, record_path(out))
+    return record
+
+
+def _plan(
+    file: RigFile, limits_deg: tuple[float, float], taking: Taking, angles: int, tilt_deg: float
+) -> Plan:
+    """Poses all round that can be approached from below."""
+    low, high = limits_deg
+    wanted = [360.0 * number / angles for number in range(angles)]
+    whole_turns = (-360.0, 0.0)
+
+    def reachable(angle_deg: float) -> float | None:
+        for turn in whole_turns:
+            reading = file.stage.reading_deg(angle_deg + turn)
+            if low + file.stage.approach_deg <= reading <= high:
+                return angle_deg + turn
+        return None
+
+    found = sorted(angle for angle in map(reachable, wanted) if angle is not None)
+    if len(found) < MIN_ANGLES:
+        raise RigFileError(
+            f"stage: of {angles} angles all round it reaches {len(found)} (at least {MIN_ANGLES} are needed): "
+            "correct stage.zero_deg, or give more --angles"
+        )
+    return Plan(
+        poses=tuple(Pose(angle, tilt_deg) for angle in found),
+        exposure_s=taking.exposure_s,
+        gain=taking.gain,
+        frames_per_pose=taking.frames,
+        dark_frames=max(2, taking.frames),
+        settle_s=0.1,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """Where the fixture stood at an angle of the stage, as read back."""
+
+    stage_deg: float
+    place: Placement
+
+
+def _places(records: list[FrameRecord], fixture: Fixture) -> list[_Seen]:
+    dark = stack(record.frame for record in records if record.frame.kind == "dark")
+    poses: dict[Pose, list[FrameRecord]] = {}
+    for record in records:
+        if record.frame.kind != "dark" and not record.again:
+            poses.setdefault(record.pose, []).append(record)
+    found = []
+    for shots in poses.values():
+        lit = stack(shot.frame for shot in shots)
+        hot = hot_pixels(dark)
+        picture: Image = np.where(
+            hot, np.float32(np.median(lit.mean)), lit.mean - np.where(hot, 0.0, dark.mean)
+        )
+        frame = shots[0].frame
+        found.append(_Seen(frame.stage_deg, locate(picture.astype(np.float32), fixture, frame.tilt_deg)))
+    return found
+
+
+def _results(seen: list[_Seen], file: RigFile) -> dict[str, Any]:
+    places = [one.place for one in seen]
+    centre, u_px, eccentricity, u_mm, rest_px = _circle(places)
+    distance_px = np.hypot(*rest_px.T)
+    turns = np.array([angle_between(one.stage_deg, one.place.angle_deg) for one in seen])
+    zero = float(turns[0] + np.mean([angle_between(turns[0], turn) for turn in turns]))
+    off = np.array([angle_between(zero, turn) for turn in turns])
+    sizes = np.array([place.pixel_um for place in places])
+    pixel_um, u_pixel = float(sizes.mean()), float(sizes.std(ddof=1) / np.sqrt(len(sizes)))
+    tilt, u_tilt = _axis_tilt(places)
+    runout = float(distance_px.max())
+    remarks = _complaints(runout, float(np.abs(off).max()), pixel_um, file)
+    return {
+        "values": {
+            "centre_column": Value(value=centre[0], u=u_px, unit="px"),
+            "centre_row": Value(value=centre[1], u=u_px, unit="px"),
+            "pixel": Value(value=pixel_um, u=max(u_pixel, 1e-5 * pixel_um), unit="µm"),
+            "runout": Value(value=runout, u=u_px, unit="px"),
+            "eccentricity_x": Value(value=eccentricity[0], u=u_mm, unit="mm"),
+            "eccentricity_y": Value(value=eccentricity[1], u=u_mm, unit="mm"),
+            "fixture_angle": Value(value=zero, u=float(off.std(ddof=1) / np.sqrt(len(off))), unit="°"),
+            "turn_error": Value(value=float(np.abs(off).max()), unit="°"),
+            "axis_tilt": Value(value=tilt, u=u_tilt, unit="°"),
+        },
+        "residuals": tuple(float(value) for value in distance_px),
+        "details": {
+            "angles_deg": [one.stage_deg for one in seen],
+            "markers": min(place.markers for place in places),
+        },
+        "in_limits": not remarks,
+        "remarks": tuple(remarks),
+    }
+
+
+def _circle(
+    places: list[Placement],
+) -> tuple[tuple[float, float], float, tuple[float, float], float, FloatArray]:
+    """Centre c and eccentricity e (mm, in the fixture's frame) from origin = c + A·e of every picture.
+
+    Returns:
+        c, its u, e, its u, and the (N, 2) residuals in pixels.
+    """
+    design = np.concatenate([np.column_stack([np.eye(2), place.matrix[:, :2]]) for place in places])
+    origins = np.concatenate([np.asarray(place.axis_px) for place in places])
+    solution = np.linalg.lstsq(design, origins, rcond=None)[0]
+    rest = origins - design @ solution
+    scatter = max(float(np.sqrt(rest @ rest / max(rest.size - 4, 1))), _LEAST_PX)
+    u = scatter * np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
+    # origin = c + A·(position of the origin from the axis); the axis in the fixture's frame is at −e
+    return (
+        (float(solution[0]), float(solution[1])),
+        float(max(u[:2])),
+        (float(solution[2]), float(solution[3])),
+        float(max(u[2:])),
+        rest.reshape(-1, 2),
+    )
+
+
+def _axis_tilt(places: list[Placement]) -> tuple[float, float]:
+    """Angle between camera and fixture normal beyond the arm's tilt, from foreshortening."""
+    squeeze = float(np.mean([place.squeeze for place in places]))
+    u = float(np.mean([place.u_squeeze for place in places]) / np.sqrt(len(places)))
+    off = abs(1.0 - squeeze)
+    tilt = float(np.degrees(np.arccos(1.0 - min(off, 1.0))))
+    limit = float(np.degrees(np.arccos(1.0 - min(off + u, 1.0))))
+    return tilt, limit - tilt
+
+
+def _complaints(runout_px: float, turn_error_deg: float, pixel_um: float, file: RigFile) -> list[str]:
+    found = []
+    if runout_px > MAX_RUNOUT_PX:
+        found.append(
+            f"the fixture leaves its circle by {runout_px:.2f} px (limit {MAX_RUNOUT_PX:g} px): does it sit tight, "
+            "does the stage wobble?"
+        )
+    if turn_error_deg > MAX_TURN_ERROR_DEG:
+        found.append(
+            f"stage and markers differ by up to {turn_error_deg:.2f}° (limit {MAX_TURN_ERROR_DEG:g}°): run "
+            "`anisoscope rig commission`"
+        )
+    if abs(pixel_um / file.camera.pixel_um - 1.0) > MAX_SCALE_SHARE:
+        found.append(
+            f"a pixel is {pixel_um:.4f} µm, the rig file says {file.camera.pixel_um:g} µm: correct camera.pixel_um"
+        )
+    return found

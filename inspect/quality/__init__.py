@@ -1,0 +1,1 @@
+"""Statistics for a quality department: control charts, capability, gauge studies, cameras."""

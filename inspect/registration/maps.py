@@ -1,0 +1,247 @@
+"""Where on the part the recipe's height map lies: it is rendered as each pose shows it, and matched to the picture.
+
+Across the ridges everything repeats after a pitch. The ridges' own pattern gives the phase, within half a pitch; which
+ridge it is, and where along the ridges, only marks and roughness can tell that the map and the picture share. So what
+is the same on every ridge is taken out before whole pitches are compared, and the best place counts only where it is
+clearly better than every other one. Else the place is unresolved, and only means are compared.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.errors import RegistrationError
+from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.registration.placement import Grid
+from anisoscope.sim.light.geometry import Convention, Pose, directions
+from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.relief import Relief, radiance_maps
+
+FloatArray = npt.NDArray[np.float64]
+Image = npt.NDArray[np.float32]
+
+MIN_RATIO = 1.5
+MIN_CORRELATION = 0.2
+MIN_OVERLAP = 0.3
+
+
+@dataclass(frozen=True)
+class MapPlace:
+    """Where the middle of the height map lies in the region.
+
+    Attributes:
+        x_um: across the ridges, from the middle of the region.
+        y_um: along them.
+        phase_um: x_um within ± half a pitch: this much is known in any case.
+        correlation: of what the map and the pictures share beside the ridges.
+        ratio: correlation by that of the best place elsewhere.
+        resolved: whether the place is clear; else only means and the phase count.
+    """
+
+    x_um: float
+    y_um: float
+    phase_um: float
+    correlation: float
+    ratio: float
+    resolved: bool
+
+    @property
+    def words(self) -> str:
+        """The result in words."""
+        if self.resolved:
+            return (
+                f"the height map lies {self.x_um:+.1f} µm across and {self.y_um:+.1f} µm along the ridges from the "
+                f"middle of the region (correlation {self.correlation:.2f}, {self.ratio:.1f} times the next best place)"
+            )
+        return (
+            f"unresolved: only means are compared; the ridges' phase is {self.phase_um:+.1f} µm, but which ridge is "
+            f"which cannot be told (correlation {self.correlation:.2f}, {self.ratio:.1f} times the next best place; "
+            f"at least {MIN_CORRELATION:g} and {MIN_RATIO:g} times needed)"
+        )
+
+
+def place_map(
+    aligned: Sequence[Image],
+    grid: Grid,
+    surface: HeightMap,
+    poses: Sequence[Pose],
+    material: Material,
+    convention: Convention,
+    pitch_um: float,
+) -> MapPlace:
+    """Match the height map to the aligned pictures, all poses together.
+
+    Args:
+        aligned: P pictures on the raster, the first row farthest along the ridges.
+        grid: their raster.
+        surface: the height map, levelled, its ridges along y.
+        poses: P poses.
+        material: the plastic.
+        convention: how the angles are counted.
+        pitch_um: pitch of the ridges.
+
+    Raises:
+        RegistrationError: the map holds no whole pitch, or nothing is seen of its ridges.
+    """
+    pixel_um = grid.pixel_mm * 1000.0
+    pitch = pitch_um / pixel_um
+    if min((n - 1) * size for n, size in zip(surface.shape, surface_pixels(surface), strict=True)) < pitch_um:
+        raise RegistrationError(
+            "the height map is smaller than one pitch: it cannot be matched to the pictures"
+        )
+    rendered = render(surface, poses, material, convention, pixel_um, pitch_um)
+    phase = _phase(aligned, rendered, pitch)
+    best, second, (across, along) = _features(aligned, rendered, phase, pitch)
+    ratio = best / max(second, 1e-6)
+    x_um, y_um = across * pixel_um, along * pixel_um
+    resolved = best >= MIN_CORRELATION and ratio >= MIN_RATIO
+    phase_um = (x_um + pitch_um / 2.0) % pitch_um - pitch_um / 2.0 if resolved else phase * pixel_um
+    return MapPlace(x_um, y_um, phase_um, best, ratio, resolved)
+
+
+def surface_pixels(surface: HeightMap) -> tuple[float, float]:
+    """Distances of the rows and of the columns of a map in µm."""
+    return surface.pixel_y_um, surface.pixel_x_um
+
+
+def render(
+    surface: HeightMap,
+    poses: Sequence[Pose],
+    material: Material,
+    convention: Convention,
+    pixel_um: float,
+    pitch_um: float | None = None,
+) -> list[Image]:
+    """What each pose shows of the height map, on square pixels, the first row farthest along the ridges.
+
+    Args:
+        surface: the height map.
+        poses: P poses.
+        material: the plastic.
+        convention: how the angles are counted.
+        pixel_um: size of the pixels.
+        pitch_um: after which the surface repeats.
+
+    Returns:
+        P pictures; the map's middle is theirs.
+    """
+    to_light, to_camera = directions(tuple(poses), convention)
+    rows, cols = (
+        max(1, int((size - 1) * pixel / pixel_um))
+        for size, pixel in zip(surface.shape, surface_pixels(surface), strict=True)
+    )
+    found = []
+    for shown in radiance_maps(Relief(surface, pitch_um), to_light, to_camera, material):
+        filled = np.nan_to_num(shown, nan=float(np.nanmean(shown)))
+        steps = (pixel_um / surface.pixel_x_um, pixel_um / surface.pixel_y_um)
+        calm = cv2.GaussianBlur(
+            filled, (0, 0), sigmaX=max(0.29 * steps[0], 1e-3), sigmaY=max(0.29 * steps[1], 1e-3)
+        )
+        column, row = np.meshgrid(np.arange(cols) - (cols - 1) / 2.0, np.arange(rows) - (rows - 1) / 2.0)
+        at_column = column * steps[0] + (filled.shape[1] - 1) / 2.0
+        at_row = (filled.shape[0] - 1) / 2.0 - row * steps[1]  # rows of a map rise with +y
+        seen = cv2.remap(calm, at_column.astype(np.float32), at_row.astype(np.float32), cv2.INTER_LINEAR)
+        found.append(np.asarray(seen, dtype=np.float32))
+    return found
+
+
+def _wave(picture: Image, pitch: float) -> complex:
+    """The ridges' pattern: amplitude and phase of the first harmonic across, counted from the picture's middle."""
+    cols = picture.shape[1]
+    across = np.arange(cols) - (cols - 1) / 2.0
+    whole = int(cols / pitch) * pitch
+    inside = np.abs(across) <= whole / 2.0
+    profile = np.nanmean(picture, axis=0)[inside]
+    profile = profile / profile.mean() - 1.0
+    return complex(np.mean(profile * np.exp(-2j * np.pi * across[inside] / pitch)))
+
+
+def _phase(aligned: Sequence[Image], rendered: Sequence[Image], pitch: float) -> float:
+    """Shift of the map's middle within ± half a pitch, in pixels; all poses weighed by how strong their ridges are."""
+    together = sum(
+        (
+            np.conj(_wave(seen, pitch)) * _wave(drawn, pitch)
+            for seen, drawn in zip(aligned, rendered, strict=True)
+        ),
+        0j,
+    )
+    if abs(together) < 1e-9:
+        raise RegistrationError(
+            "the pictures show nothing of the height map's ridges: the map cannot be matched"
+        )
+    return float(np.angle(together) * pitch / (2.0 * np.pi))
+
+
+def _without_ridges(picture: Image, pitch: float) -> Image:
+    """Ln of a picture without what is the same on every ridge and along it, and without slow changes."""
+    filled = np.nan_to_num(picture, nan=float(np.nanmean(picture)))
+    logs = np.log(np.maximum(filled, 1e-3 * float(filled.mean())))
+    logs -= np.median(logs, axis=0)
+    slow = cv2.GaussianBlur(logs, (0, 0), pitch, borderType=cv2.BORDER_REFLECT)
+    return np.asarray(logs - slow, dtype=np.float32)
+
+
+def _features(
+    aligned: Sequence[Image], rendered: Sequence[Image], phase: float, pitch: float
+) -> tuple[float, float, tuple[float, float]]:
+    """Best correlation of features, the best one elsewhere, and the place of the best (across, along) in pixels."""
+    surface, centre = _correlations(aligned, rendered, pitch)
+    rows, cols = np.indices(surface.shape)
+    across = cols - centre[1]
+    off = (across - phase + pitch / 2.0) % pitch - pitch / 2.0
+    allowed = np.where(np.abs(off) <= max(1.5, 0.1 * pitch), surface, -np.inf)
+    row, col = (int(i) for i in np.unravel_index(allowed.argmax(), surface.shape))
+    elsewhere = np.hypot(rows - row, cols - col) > max(3.0, 0.25 * pitch)
+    second = float(allowed[elsewhere].max(initial=0.0))
+    place = (_top(surface[row], col) - centre[1], centre[0] - _top(surface[:, col], row))
+    return float(surface[row, col]), second, place
+
+
+def _correlations(
+    aligned: Sequence[Image], rendered: Sequence[Image], pitch: float
+) -> tuple[FloatArray, tuple[float, float]]:
+    """Mean normalised correlation for every place of the map, and the (row, col) where both middles coincide.
+
+    Pictures are surrounded by nothing, so that a map may hang over; places with little overlap do not count.
+    """
+    total: FloatArray | None = None
+    shape, size = aligned[0].shape, rendered[0].shape
+    for seen, drawn in zip(aligned, rendered, strict=True):
+        one, two = _without_ridges(seen, pitch), _without_ridges(drawn, pitch)
+        found = _normalised(one, two)
+        total = found if total is None else total + found
+    assert total is not None
+    return total / len(aligned), ((shape[0] + size[0]) / 2.0 - 1.0, (shape[1] + size[1]) / 2.0 - 1.0)
+
+
+def _normalised(seen: Image, drawn: Image) -> FloatArray:
+    """Full normalised cross-correlation of two pictures; 0 where they overlap too little."""
+    size = tuple(cv2.getOptimalDFTSize(a + b - 1) for a, b in zip(seen.shape, drawn.shape, strict=True))
+    full = tuple(a + b - 1 for a, b in zip(seen.shape, drawn.shape, strict=True))
+
+    def correlate(one: FloatArray, two: FloatArray) -> FloatArray:
+        found = np.fft.irfft2(np.fft.rfft2(one, size) * np.fft.rfft2(two[::-1, ::-1], size), size)
+        return np.asarray(found[: full[0], : full[1]])
+
+    a, b = seen.astype(np.float64), drawn.astype(np.float64)
+    ones_a, ones_b = np.ones_like(a), np.ones_like(b)
+    count = np.maximum(np.rint(correlate(ones_a, ones_b)), 1.0)
+    sum_a, sum_b = correlate(a, ones_b), correlate(ones_a, b)
+    product = correlate(a, b) - sum_a * sum_b / count
+    spread_a = correlate(a * a, ones_b) - sum_a**2 / count
+    spread_b = correlate(ones_a, b * b) - sum_b**2 / count
+    found = product / np.sqrt(np.maximum(spread_a * spread_b, 1e-12))
+    enough = count >= MIN_OVERLAP * min(a.size, b.size)
+    return np.where(enough, found, 0.0)
+
+
+def _top(line: FloatArray, at: int) -> float:
+    """Place of a peak between points: the top of a parabola through three of them."""
+    if not 0 < at < len(line) - 1:
+        return float(at)
+    before, top, after = line[at - 1 : at + 2]
+    bend = before - 2.0 * top + after
+    return float(at + (np.clip(0.5 * (before - after) / bend, -0.5, 0.5) if bend < 0.0 else 0.0))
