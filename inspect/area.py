@@ -27,6 +27,7 @@ class AreaResult:
         max_share: limit.
         cells: how many cells there are.
         verdict: of the area alone.
+        learnt: the limit is that of golden parts.
     """
 
     share: float
@@ -34,6 +35,7 @@ class AreaResult:
     max_share: float
     cells: int
     verdict: Verdict
+    learnt: bool = False
 
 
 NEIGHBOURS = 6  # ridges to each side with which a line of cells is compared
@@ -83,9 +85,20 @@ def cell_log_ratios(measured: Measured, poses: tuple[Pose, ...]) -> FloatArray:
 
 
 def judge_area(
-    measured: Measured, poses: tuple[Pose, ...], rule: AreaPart | None, coverage: float
+    measured: Measured,
+    poses: tuple[Pose, ...],
+    rule: AreaPart | None,
+    coverage: float,
+    learnt: float | None = None,
 ) -> tuple[AreaResult | None, npt.NDArray[np.bool_] | None]:
     """Judge the contrast map of a part.
+
+    Args:
+        measured: the part.
+        poses: P poses.
+        rule: threshold and limit.
+        coverage: guard band by the standard uncertainty of the share.
+        learnt: limit from golden parts; without a guard band, because their scatter holds that of the measurement.
 
     Returns:
         The result and (cell rows, cell cols) where cells deviate; None and None without a rule.
@@ -104,16 +117,17 @@ def judge_area(
         raise MeasurementError(
             f"the ln ratio of a cell is uncertain by {noise:.3f}, too much to tell deviations of "
             f"{rule.cell_deviation:g} (limit {MAX_CELL_NOISE * rule.cell_deviation:.3f}): "
-            "take more frames_per_pose or a longer exposure_s"
+            "take more frames_per_pose, a longer exposure_s, or brackets (acquisition.brackets)"
         )
     share, at_low, at_high = (
         float(np.mean(off > rule.cell_deviation + shift)) for shift in (0.0, -noise, noise)
     )
     u = float(np.hypot(0.5 * (at_low - at_high), 0.5 / off.size))
-    guard = coverage * u
+    limit, guard = (rule.max_share, coverage * u) if learnt is None else (learnt, 0.0)
     verdict = Verdict.INCONCLUSIVE
-    if share <= rule.max_share - guard:
+    if share <= limit - guard:
         verdict = Verdict.PASS
-    elif share >= rule.max_share + guard:
+    elif share >= limit + guard:
         verdict = Verdict.FAIL
-    return AreaResult(share, u, rule.max_share, off.size, verdict), off > rule.cell_deviation
+    result = AreaResult(share, u, limit, off.size, verdict, learnt is not None)
+    return result, off > rule.cell_deviation

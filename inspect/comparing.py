@@ -4,15 +4,12 @@ A recipe that gives both surfaces says which one decides; the other one is compa
 together tell where to look: at the shape, at the height map, or at dirt, plastic and rig.
 """
 
-import numpy as np
-from scipy.stats import chi2
-
 from anisoscope.errors import AnisoscopeError
 from anisoscope.expectation import Expectation, expectation
 from anisoscope.measurement import Measured
 from anisoscope.recipe import Recipe, Surface
 from anisoscope.record import ComparisonRecord
-from anisoscope.significance import log_basis, mahalanobis
+from anisoscope.weighing import from_prediction
 
 READINGS = {
     (True, True): "as designed, and the light agrees with the height map",
@@ -59,12 +56,7 @@ def compare(
 def _one(
     surface: Surface, expected: Expectation, measured: Measured, recipe: Recipe, *, decides: bool
 ) -> ComparisonRecord:
-    basis = log_basis(len(expected.poses))
-    total = np.sum([c.covariance() for c in expected.components + measured.components], axis=0)
-    d2, dof = mahalanobis(
-        basis @ np.log(measured.radiance / expected.radiance), basis @ np.asarray(total) @ basis.T
-    )
-    p_value = float(chi2.sf(d2, dof))
+    d2, dof, p_value = from_prediction(expected, measured)
     return ComparisonRecord(
         surface=surface,
         decides=decides,

@@ -16,10 +16,11 @@ from anisoscope.golden import GoldenSet
 from anisoscope.localisation import Region, deviation_map, find_regions
 from anisoscope.measurement import Measured
 from anisoscope.recipe import ContrastKind, DecisionPart, Recipe
-from anisoscope.significance import holm, hotelling, joint_conformance, log_basis, mahalanobis, two_sided
+from anisoscope.significance import holm, joint_conformance, two_sided
 from anisoscope.sim.light.contrasts import Contrast, consecutive_pairs, contrasts
 from anisoscope.sim.light.geometry import Pose
 from anisoscope.verdict import Verdict
+from anisoscope.weighing import from_golden, from_prediction
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -154,9 +155,15 @@ def decide(
     variances = [gradient[c.kind] @ c.covariance() @ gradient[c.kind].T for c in components]
     covariance = np.asarray(np.sum(variances, axis=0))
     u = np.sqrt(np.diag(covariance))
-    d2, dof, p_value = _distance(expected, measured, golden)
+    weighed = (
+        from_prediction(expected, measured)
+        if golden is None
+        else from_golden(expected, measured, golden.contrasts())
+    )
+    d2, dof, p_value = weighed
     pairs = _judge_pairs(found, predicted, deviation, u, recipe)
-    area, deviating = judge_area(measured, expected.poses, recipe.area, rule.coverage)
+    learnt = None if golden is None else golden.area_limit(recipe)
+    area, deviating = judge_area(measured, expected.poses, recipe.area, rule.coverage, learnt)
     regions = _regions(expected, measured, recipe)
     number = 0 if golden is None else len(golden.parts)
     verdict, reasons = _combine(pairs, p_value, area, rule, number)
@@ -178,22 +185,6 @@ def decide(
         _budget(components, variances),
         deviating,
     )
-
-
-def _distance(
-    expected: Expectation, measured: Measured, golden: GoldenSet | None
-) -> tuple[float, int, float]:
-    """D² with its rank and p value in the basis of ln ratios; with golden parts T² from their mean."""
-    basis = log_basis(len(expected.poses))
-    if golden is not None:
-        t2, p_value = hotelling(basis @ np.log(measured.radiance), golden.contrasts())
-        return t2, len(basis), p_value
-    from scipy.stats import chi2  # noqa: PLC0415 - 1 s
-
-    total = np.sum([c.covariance() for c in expected.components + measured.components], axis=0)
-    off = basis @ np.log(measured.radiance / expected.radiance)
-    d2, dof = mahalanobis(off, basis @ np.asarray(total) @ basis.T)
-    return d2, dof, float(chi2.sf(d2, dof))
 
 
 def _regions(expected: Expectation, measured: Measured, recipe: Recipe) -> tuple[Region, ...]:
@@ -272,7 +263,9 @@ def _combine(
     """Precedence FAIL > INCONCLUSIVE > PASS over all criteria, with a line for each that speaks."""
     findings = [(pair.verdict, _of_tolerance(pair, rule)) for pair in pairs if pair.tolerance is not None]
     if area is not None:
-        line = f"{area.share:.1%} of the area deviates in the contrast map (limit {area.max_share:.1%})"
+        line = (
+            f"{_share(area, area.share)} of the area deviates in the contrast map (limit {_limit_of(area)})"
+        )
         findings.append((area.verdict, line))
     significant = p_value < rule.alpha
     fails = significant and (pairs[0].tolerance is None or rule.deviation == "fail")
@@ -287,6 +280,14 @@ def _combine(
     decisive = tuple(line for found, line in findings if found == verdict)
     warn = significant and verdict == Verdict.PASS
     return verdict, (("warning: significant deviation within the tolerance",) if warn else ()) + decisive
+
+
+def _share(area: AreaResult, share: float) -> str:
+    return f"{share:.2%}" if area.learnt else f"{share:.1%}"
+
+
+def _limit_of(area: AreaResult) -> str:
+    return _share(area, area.max_share) + (", learnt from golden parts" if area.learnt else "")
 
 
 def _of_tolerance(pair: PairResult, rule: DecisionPart) -> str:

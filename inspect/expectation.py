@@ -13,6 +13,7 @@ from anisoscope.prediction.sensitivity import DARK, InputUncertainty, Model, Sta
 from anisoscope.profiles.files.load import read_height_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.recipe import Recipe
+from anisoscope.response import Response, known_inputs, response_of
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import Convention, Pose
 from anisoscope.sim.light.material import Material
@@ -28,6 +29,8 @@ _OF_THE_RECIPE = (
     "seating tilt about x",
     "seating tilt about y",
 )
+SECOND_ORDER = ", second order"
+NEGLIGIBLE = 5e-4  # of ln L: a quarter of what cameras and lamps leave in a pose at best
 
 
 @dataclass(frozen=True)
@@ -65,6 +68,7 @@ class Expectation:
         per_degree: (P,) change of ln L per degree of stage angle.
         surface: the height map, levelled, or None for a design.
         convention: how the angles are counted.
+        response: how ln L bends with the inputs that all poses share, or None where that is not known.
     """
 
     model: str
@@ -74,6 +78,17 @@ class Expectation:
     per_degree: FloatArray
     surface: HeightMap | None
     convention: Convention
+    response: Response | None = None
+
+    @property
+    def alone(self) -> tuple[Component, ...]:
+        """The components that the response does not hold."""
+        if self.response is None:
+            return self.components
+        told = self.response.sources
+        return tuple(
+            c for c in self.components if c.source not in told and not c.source.endswith(SECOND_ORDER)
+        )
 
 
 def expectation(recipe: Recipe, light_angle_deg: float) -> Expectation:
@@ -106,19 +121,36 @@ def expectation(recipe: Recipe, light_angle_deg: float) -> Expectation:
         for c in budget.contributions
         if c.source in _OF_THE_RECIPE
     ]
-    # where the model bends within an uncertainty, the second order adds to what the first says; its sign is not kept
-    components += [
-        Component(f"{c.source}, second order", c.kind, c.curvature / radiance, shared=False)
-        for c in budget.contributions
-        if c.source in _OF_THE_RECIPE and c.curvature is not None and np.any(c.curvature)
-    ]
+    per_u = {c.source: c.relative for c in components if np.any(c.relative)}
+    straight = {source: per_u[source] for source in known_inputs(tuple(per_u))}
+    inputs = recipe_uncertainty(recipe)
+    response = response_of(sampled, nominal, poses, convention, inputs, straight) if straight else None
+    components += _second_order(response)
     if surface is not None:
         # about one pixel of facet is lost a pitch where a wall is narrower than a pixel; a rectangular bound
         pixel = surface.pixel_x_um / recipe.surface.pitch_um / np.sqrt(3.0)
         share = np.full(len(poses), np.hypot(recipe.uncertainty.height_map_share, pixel))
         components.append(Component("height map (noise, pixel size)", "prediction", share, shared=False))
     per_degree = budget.per_degree / radiance
-    return Expectation(name, poses, radiance, tuple(components), per_degree, surface, convention)
+    return Expectation(name, poses, radiance, tuple(components), per_degree, surface, convention, response)
+
+
+def _second_order(response: Response | None) -> list[Component]:
+    """What the bend of the inputs adds to their slopes: ½ h (z² − 1) of each and h z z' of two, shared by all poses.
+
+    None of them correlates with another or with a slope, because odd moments of normal inputs vanish.
+    """
+    if response is None:
+        return []
+    found = []
+    for a, source in enumerate(response.sources):
+        found.append((source, response.bend[:, a, a] / np.sqrt(2.0)))
+        found += [(f"{response.sources[b]} with {source}", response.bend[:, a, b]) for b in range(a)]
+    return [
+        Component(f"{source}{SECOND_ORDER}", "prediction", bend, shared=True)
+        for source, bend in found
+        if np.abs(bend).max() > NEGLIGIBLE
+    ]
 
 
 def recipe_uncertainty(recipe: Recipe) -> InputUncertainty:

@@ -6,7 +6,15 @@ What cannot be told becomes a note: the causes are computed from models and kept
 import numpy as np
 
 from anisoscope.decision import Decision
-from anisoscope.diagnosis.diagnosing import NOTHING, Diagnosis, Evidence, covariance_of, diagnose
+from anisoscope.diagnosis.diagnosing import (
+    NOTHING,
+    Diagnosis,
+    Evidence,
+    background_of,
+    covariance_of,
+    diagnose,
+    inputs_of,
+)
 from anisoscope.diagnosis.remembering import remembered_signatures
 from anisoscope.errors import AnisoscopeError
 from anisoscope.expectation import Expectation
@@ -49,8 +57,11 @@ def evidence_of(recipe: Recipe, expected: Expectation, measured: Measured, decis
         expected.components + measured.components, recipe.uncertainty.scale_share, len(deviation)
     )
     area = decision.area
-    share, u_share = (None, 0.0) if area is None else (area.share, area.u)
-    return Evidence(deviation, covariance, share, u_share)
+    inputs = inputs_of(recipe, expected, measured.components)
+    if area is None:
+        return Evidence(deviation, covariance, inputs=inputs)
+    background = background_of(area.max_share)
+    return Evidence(deviation, covariance, area.share, area.u, *background, inputs)
 
 
 def _recorded(found: Diagnosis, recipe: Recipe) -> DiagnosisRecord:

@@ -1,31 +1,38 @@
 """Golden parts: what parts that are known to be good have shown, kept beside their recipe.
 
-The file (JSON, schema 1) holds one row a part: ln radiance of every pose. It belongs to the poses, the region and the
-acquisition of one recipe; rows of another one are refused.
+The file (JSON, schema 1) holds one row a part: ln radiance of every pose, and the share of the area that deviates. It
+belongs to the poses, the region and the exposure of one recipe; rows of another one are refused.
 """
 
 import hashlib
 import json
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from anisoscope.arealimit import learnt_limit
 from anisoscope.atomicfile import write_text
 from anisoscope.errors import CalibrationError
-from anisoscope.recipe import Recipe
+from anisoscope.recipe import AreaPart, Recipe
 from anisoscope.record import Record
 from anisoscope.significance import log_basis
 
 FloatArray = npt.NDArray[np.float64]
 
-_SHARED = ("surface", "poses", "region", "acquisition")
+_MEASURED = ("surface", "poses", "region")
+_NO_MATTER = frozenset({"settle_s"})
+_EARLIER = ("exposure_s", "gain", "frames_per_pose", "dark_frames", "settle_s")
 
 
 class GoldenPart(BaseModel):
-    """One good part: who it is, when it was inspected, and (P,) ln radiances."""
+    """One good part: who it is, when it was inspected, and (P,) ln radiances.
+
+    ``area_share`` is the share of the ``cells`` that deviated by more than ``cell_deviation``; sets of earlier versions
+    do not say by how much.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -33,6 +40,8 @@ class GoldenPart(BaseModel):
     inspected_at: str
     log_radiance: tuple[float, ...]
     area_share: float | None
+    cell_deviation: float | None = None
+    cells: int | None = None
     verdict: str
 
 
@@ -59,6 +68,22 @@ class GoldenSet(BaseModel):
         values = np.array([part.log_radiance for part in self.parts]).reshape(-1, len(self.poses))
         return np.asarray(values @ log_basis(len(self.poses)).T)
 
+    def area_shares(self, rule: AreaPart) -> tuple[float, ...]:
+        """Shares of the area that deviated, of the parts that were judged with this threshold."""
+        return tuple(
+            part.area_share
+            for part in self.parts
+            if part.area_share is not None and part.cell_deviation == rule.cell_deviation
+        )
+
+    def area_limit(self, recipe: Recipe) -> float | None:
+        """The limit of the area that these parts teach; None where the recipe gives its own or they are too few."""
+        rule = recipe.area
+        if rule is None or limit_is_given(rule):
+            return None
+        cells = [part.cells for part in self.parts if part.cells]
+        return learnt_limit(self.area_shares(rule), cells[-1], recipe.decision.alpha) if cells else None
+
     @property
     def needed(self) -> int:
         """How many parts it takes before they tell what is a deviation."""
@@ -84,12 +109,38 @@ def golden_path(recipe_path: Path) -> Path:
     return recipe_path.with_name(f"{recipe_path.stem}.golden.json")
 
 
+def limit_is_given(rule: AreaPart) -> bool:
+    """Does the recipe itself say how much of the area may deviate?"""
+    return "max_share" in rule.model_fields_set
+
+
 def recipe_key(recipe: Recipe) -> str:
-    """Hash of what must be the same for contrasts to be comparable."""
+    """Hash of what must be the same for contrasts to be comparable.
+
+    Of the acquisition only what changes a measurement; what has its default counts as not there, so that a key outlives
+    new fields.
+    """
+    exposed = recipe.acquisition.model_dump(mode="json", exclude=set(_NO_MATTER))
+    usual = {name: field.default for name, field in type(recipe.acquisition).model_fields.items()}
+    kept = {name: value for name, value in exposed.items() if value != _plain(usual[name])}
+    return _hashed(recipe, kept)
+
+
+def _earlier_key(recipe: Recipe) -> str:
+    """The key as it was made before: of the whole acquisition, as far as there was one."""
+    exposed = recipe.acquisition.model_dump(mode="json")
+    return _hashed(recipe, {k: v for k, v in exposed.items() if k in _EARLIER or (k == "brackets" and v)})
+
+
+def _plain(value: object) -> object:
+    return list(value) if isinstance(value, tuple) else value
+
+
+def _hashed(recipe: Recipe, acquisition: dict[str, Any]) -> str:
     told = recipe.model_dump(mode="json")
     told["surface"] = {"pitch_um": told["surface"]["pitch_um"]}
-    text = json.dumps({name: told[name] for name in _SHARED}, sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()
+    content = {name: told[name] for name in _MEASURED} | {"acquisition": acquisition}
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def read_golden(path: Path, recipe: Recipe) -> GoldenSet | None:
@@ -105,6 +156,8 @@ def read_golden(path: Path, recipe: Recipe) -> GoldenSet | None:
     except (OSError, ValidationError) as problem:
         reason = str(problem).splitlines()[0]
         raise CalibrationError(f"the golden parts in {path} cannot be read: {reason}") from problem
+    if found.recipe_key == _earlier_key(recipe):
+        found = found.model_copy(update={"recipe_key": recipe_key(recipe)})
     if found.recipe_key != recipe_key(recipe):
         raise CalibrationError(
             f"the golden parts in {path} were inspected with other poses, region or exposure than the recipe has now: "
@@ -128,8 +181,8 @@ def add_part(known: GoldenSet | None, recipe: Recipe, record: Record) -> GoldenS
     if record.verdict == "INVALID" or not record.poses:
         raise CalibrationError(f"{record.serial}: an INVALID inspection says nothing about a good part")
     seen = tuple((pose.stage_deg, pose.tilt_deg) for pose in record.poses)
-    key = recipe_key(recipe)
-    if seen != poses or recipe_key(Recipe.model_validate(record.recipe)) != key:
+    key, recipe_then = recipe_key(recipe), Recipe.model_validate(record.recipe)
+    if seen != poses or recipe_key(recipe_then) != key:
         raise CalibrationError(
             f"{record.serial} was inspected with another recipe (poses, region or exposure differ): inspect it again"
         )
@@ -138,11 +191,14 @@ def add_part(known: GoldenSet | None, recipe: Recipe, record: Record) -> GoldenS
         raise CalibrationError(
             f"this inspection of {record.serial} ({record.created_at}) is in the set already"
         )
+    rule = recipe_then.area
     part = GoldenPart(
         serial=record.serial,
         inspected_at=record.created_at,
         log_radiance=tuple(float(np.log(pose.measured)) for pose in record.poses),
         area_share=None if record.area is None else record.area.share,
+        cell_deviation=None if rule is None or record.area is None else rule.cell_deviation,
+        cells=None if record.area is None else record.area.cells,
         verdict=record.verdict,
     )
     return base.model_copy(update={"parts": (*base.parts, part)})

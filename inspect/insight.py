@@ -10,6 +10,7 @@ from anisoscope.expectation import Expectation
 from anisoscope.explaining import explain
 from anisoscope.golden import GoldenSet
 from anisoscope.job import Job
+from anisoscope.mapmatching import match_map
 from anisoscope.measurement import Measured
 from anisoscope.progress import Advance
 from anisoscope.record import GoldenRecord
@@ -25,14 +26,16 @@ def insight(
     diagnosis, unexplained = explain(recipe, expected, measured, decision, advance)
     comparisons, reading, lost = compare(recipe, expected, measured)
     shape, unfitted = fit_shape(recipe, expected, measured)
+    placed, unplaced = match_map(recipe, expected, measured)
     lacking = job.golden and job.golden.lacking
     return {
         "diagnosis": diagnosis,
         "comparisons": comparisons,
         "reading": reading,
         "shape": shape,
+        "map_place": placed,
         "golden": _golden(known_good(job), measured),
-        "notes": tuple(note for note in (lacking, unexplained, lost, unfitted) if note),
+        "notes": tuple(note for note in (lacking, unexplained, lost, unfitted, unplaced) if note),
     }
 
 

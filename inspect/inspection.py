@@ -2,8 +2,8 @@
 
 import contextlib
 import threading
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -17,11 +17,13 @@ from anisoscope.linear import check_size
 from anisoscope.progress import Advance, silent
 from anisoscope.record import RECORD_NAME, Particulars, Record, write_record
 from anisoscope.report.inspection_page import Pictures, start_renderer, write_report
-from anisoscope.report.relief3d import Renderer
+from anisoscope.report.peers import LotMate, lot_of
+from anisoscope.report.surfaceview import SurfaceView
 from anisoscope.rig.acquisition.journal import read_journal
 from anisoscope.rig.acquisition.plan import Plan
 from anisoscope.rig.acquisition.runner import Progress, Rig, check_plan, open_rig, run_plan
 from anisoscope.taken import check_frames, missing_frames, read_taken
+from anisoscope.verdict import Verdict
 from anisoscope.verifying import listed_files
 
 Judged = tuple[Record, Pictures]
@@ -45,6 +47,7 @@ def inspect_part(
     on_progress: Advance = silent,
     *,
     particulars: Particulars | None = None,
+    lot_mates: Sequence[LotMate] = (),
     cancel: threading.Event | None = None,
 ) -> Inspected:
     """Photograph a part on a rig and judge it.
@@ -56,6 +59,7 @@ def inspect_part(
         out: folder that receives the inspection folder.
         on_progress: called with what is being done, steps done and steps in all.
         particulars: operator, lot, cavity, station.
+        lot_mates: inspections of the same lot, for the report.
         cancel: setting it stops the rig at once and ends the inspection with a `RigError`.
 
     Returns:
@@ -77,7 +81,7 @@ def inspect_part(
         # The devices first: the prediction takes long, a cable that is not plugged in shows at once.
         with open_rig(job.rig) as rig:
             _check_rig(rig, plan, job)
-            ready = cleanup.enter_context(expecting(job, on_progress))
+            ready = cleanup.enter_context(expecting(job, on_progress, lot_mates))
             folder = cleanup.enter_context(new_folder(out, serial))
             here = rig_path.resolve().parent
             made = begin(
@@ -129,14 +133,18 @@ def resume_part(
         sweep(folder)
         with contextlib.ExitStack() as cleanup:
             cleanup.enter_context(_going_on(folder))
+            ready: Ready | None = None
             if missing_frames(made, read_journal(folder)) == 0:
                 ready = cleanup.enter_context(expecting(job, on_progress))
-                return conclude(folder, made, job, ready, on_progress)
+                judged = _judge(made, folder, job, ready, on_progress)
+                if _settled(made, job, judged):
+                    return conclude(folder, made, job, ready, on_progress, judged)
+                made = one_round_more(folder, made)
             if made.plan is None:
                 raise RecordError(f"{folder}: not all frames were copied: inspect the folder of frames again")
             with open_rig(job.rig) as rig:
                 _check_rig(rig, made.plan, job)
-                ready = cleanup.enter_context(expecting(job, on_progress))
+                ready = ready or cleanup.enter_context(expecting(job, on_progress))
                 _photograph(made.plan, rig, folder, on_progress, cancel)
                 made, judged = _decide(made, rig, folder, job, ready, on_progress, cancel)
             return conclude(folder, made, job, ready, on_progress, judged)
@@ -185,29 +193,41 @@ def _decide(
     All frames of a pose are averaged, whichever round took them, so that noise and flicker shrink; what is
     systematic stays.
     """
-    rounds = 1 + job.recipe.decision.remeasure
     while True:
-        assert made.plan is not None
-        final = made.plan.rounds >= rounds
-        advance("measurement", 0, 1)
-        judged = judge(made, job, ready.expected, read_taken(folder, made), advance, final=final)
-        if final or judged[0].verdict != "INCONCLUSIVE":
+        judged = _judge(made, folder, job, ready, advance)
+        if _settled(made, job, judged):
             return made, judged
         made = one_round_more(folder, made)
         assert made.plan is not None
         _photograph(made.plan, rig, folder, advance, cancel)
 
 
+def _judge(made: JobFile, folder: Path, job: Job, ready: "Ready", advance: Advance) -> Judged:
+    advance("measurement", 0, 1)
+    taken, final = read_taken(folder, made), _is_last_round(made, job)
+    return judge(made, job, ready.expected, taken, advance, final=final)
+
+
+def _is_last_round(made: JobFile, job: Job) -> bool:
+    return made.plan is None or made.plan.rounds >= 1 + job.recipe.decision.remeasure
+
+
+def _settled(made: JobFile, job: Job, judged: Judged) -> bool:
+    """Is there nothing to be gained from photographing once more?"""
+    return _is_last_round(made, job) or judged[0].verdict != Verdict.INCONCLUSIVE.value
+
+
 @dataclass(frozen=True, eq=False)
 class Ready:
-    """What can be made before the frames are there: the prediction, and the picture of the height map in work."""
+    """What is there before the frames: the prediction, the drawings of the height map in work, and the lot."""
 
     expected: Expectation
-    renderer: Renderer | None
+    renderer: SurfaceView | None
+    lot_mates: Sequence[LotMate] = ()
 
 
 @contextlib.contextmanager
-def expecting(job: Job, advance: Advance) -> Iterator[Ready]:
+def expecting(job: Job, advance: Advance, lot_mates: Sequence[LotMate] = ()) -> Iterator[Ready]:
     """Predict the poses of a job, and let the height map be drawn meanwhile; leaving ends the drawing.
 
     Raises:
@@ -217,7 +237,7 @@ def expecting(job: Job, advance: Advance) -> Iterator[Ready]:
     expected = expectation(job.recipe, job.rig.light.angle_deg)
     renderer = start_renderer(expected.surface)
     try:
-        yield Ready(expected, renderer)
+        yield Ready(expected, renderer, lot_mates)
     finally:
         if renderer is not None:
             renderer.discard()
@@ -245,6 +265,8 @@ def conclude(
     record, pictures = judged
     advance("report", 0, 1)
     view = ready.renderer.result() if ready.renderer is not None else None
+    lot = lot_of(record, ready.lot_mates)
+    pictures = replace(pictures, calibrations=job.calibrations.records, lot=lot)
     report = write_report(record, pictures, folder, view)
     record = record.model_copy(update={"files": listed_files(folder)})
     write_record(record, folder)

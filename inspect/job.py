@@ -80,6 +80,7 @@ class Job:
             frames_per_pose=acquisition.frames_per_pose,
             dark_frames=acquisition.dark_frames,
             settle_s=acquisition.settle_s,
+            brackets=acquisition.brackets,
         )
 
 

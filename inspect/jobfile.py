@@ -44,6 +44,7 @@ class JobFile(BaseModel):
         frames: number of frames of a whole inspection.
         rig_folder: where the rig file lay, which its ``${here}`` stands for.
         inputs: copies of the files.
+        refused: why the part is INVALID without being photographed, such as a code that is not its own.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -58,6 +59,7 @@ class JobFile(BaseModel):
     frames: int
     rig_folder: str
     inputs: tuple[InputCopy, ...]
+    refused: str | None = None
 
     def input(self, role: Role) -> InputCopy | None:
         """The copy of the file of a role, if there is one."""
@@ -65,7 +67,14 @@ class JobFile(BaseModel):
 
 
 def begin(
-    folder: Path, job: Job, particulars: Particulars, *, plan: Plan | None, frames: int, rig_folder: Path
+    folder: Path,
+    job: Job,
+    particulars: Particulars,
+    *,
+    plan: Plan | None,
+    frames: int,
+    rig_folder: Path,
+    refused: str | None = None,
 ) -> JobFile:
     """Copy the files of a job into ``inputs/`` and write ``job.json``, which makes the folder one to be resumed.
 
@@ -83,6 +92,7 @@ def begin(
         frames=frames,
         rig_folder=str(rig_folder.resolve()),
         inputs=tuple(_copy(source, folder) for source in job.sources),
+        refused=refused,
     )
     _write(made, folder)
     return made

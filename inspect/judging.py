@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.area import cell_log_ratios
+from anisoscope.bracketing import Exposed, radiance_of
 from anisoscope.decision import decide
 from anisoscope.errors import CalibrationError, CameraError, MeasurementError, Saturated
 from anisoscope.expectation import Expectation
@@ -17,7 +18,7 @@ from anisoscope.gates import check_part, check_views
 from anisoscope.insight import insight, known_good
 from anisoscope.job import Job
 from anisoscope.jobfile import JobFile
-from anisoscope.linear import Stack, linearise, stack
+from anisoscope.linear import Stack, stack
 from anisoscope.localisation import deviation_map
 from anisoscope.measurement import (
     Measured,
@@ -37,7 +38,7 @@ from anisoscope.registration.placement import resample
 from anisoscope.registration.placing import Photograph, place
 from anisoscope.report.inspection_page import Pictures
 from anisoscope.rig.acquisition.plan import Pose
-from anisoscope.rig.frame import FrameKind
+from anisoscope.rig.frame import Frame, FrameKind
 from anisoscope.taken import Shot, Taken
 from anisoscope.verdict import Verdict
 
@@ -75,6 +76,9 @@ def judge(
     Returns:
         The record, without the list of the folder's files, and the pictures of the report.
     """
+    if made.refused is not None:
+        record = make_record(made, job, expected, taken, verdict="INVALID", reasons=(made.refused,))
+        return record, Pictures(surface=expected.surface)
     try:
         views, measured, change = measure_frames(made, job, expected, taken)
         decision = decide(expected, measured, job.recipe, known_good(job))
@@ -163,7 +167,7 @@ def _views(job: Job, expected: Expectation, taken: Taken) -> _Views:
     def photograph(shots: list[Shot]) -> Photograph:
         return _photograph(job, shots, taken, like)
 
-    settings = {(shots[0].frame.exposure_s, shots[0].frame.gain) for shots in groups_of_shots}
+    settings = {(shot.frame.exposure_s, shot.frame.gain) for shots in groups_of_shots for shot in shots}
     _ready_before_threads(job, settings, like)
     seen = place(
         for_each(photograph, groups_of_shots), job.fixture, job.rig.camera.pixel_um, job.calibrations.axis_px
@@ -184,10 +188,13 @@ def _ready_before_threads(
 def _photograph(
     job: Job, shots: list[Shot], taken: Taken, like: Callable[[FrameKind, float, float], Stack]
 ) -> Photograph:
-    pose, sample = shots[0].pose, stack(shot.frame for shot in shots)
-    dark = like("dark", sample.exposure_s, sample.gain)
-    sample = job.calibrations.corrected(_without_stray(sample, dark, taken, like), dark)
-    image = job.calibrations.masked(linearise(sample, dark, job.white, taken.full_scale))
+    pose, settings = shots[0].pose, dict.fromkeys((s.frame.exposure_s, s.frame.gain) for s in shots)
+    exposed = [
+        _exposed(job, [s.frame for s in shots if (s.frame.exposure_s, s.frame.gain) == one], taken, like)
+        for one in settings
+    ]
+    black = shots[0].frame.black_level
+    image = job.calibrations.masked(radiance_of(exposed, job.white, taken.full_scale, black))
     check_light(pose.stage_deg, image, job.recipe)
     share = float(image.saturated.mean())
     if share > MAX_SATURATED_PICTURE:
@@ -197,6 +204,19 @@ def _photograph(
         )
     arm_deg = float(np.mean([shot.frame.tilt_deg for shot in shots]))
     return Photograph(pose.stage_deg, pose.tilt_deg, arm_deg, image)
+
+
+def _exposed(
+    job: Job, frames: list[Frame], taken: Taken, like: Callable[[FrameKind, float, float], Stack]
+) -> Exposed:
+    """The frames of a pose at one exposure, with what is to be taken off them."""
+    raw = stack(frames)
+    dark = like("dark", raw.exposure_s, raw.gain)
+
+    def corrected(sample: Stack) -> Stack:
+        return job.calibrations.corrected(_without_stray(sample, dark, taken, like), dark)
+
+    return Exposed(raw, dark, corrected)
 
 
 def _like(kind: FrameKind, exposure_s: float, gain: float, taken: Taken) -> Stack:

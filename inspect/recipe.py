@@ -1,5 +1,6 @@
 """The recipe: what a part should look like, how it is photographed, and how it is judged."""
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -7,6 +8,7 @@ from pydantic import Field, model_validator
 
 from anisoscope.errors import ModelError, RecipeError
 from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.rig.acquisition.plan import LEAST_STEP
 from anisoscope.sim.light.geometry import Pose, pose_grid
 from anisoscope.sim.light.material import Material
 from anisoscope.tomlfile import LocalPath, NotNegative, Part, Positive, Share, read_toml_model
@@ -105,13 +107,28 @@ class PosesPart(Part):
 
 
 class AcquisitionPart(Part):
-    """Exposure and repetition."""
+    """Exposure and repetition.
+
+    ``brackets`` are further exposures of every pose, as multiples of ``exposure_s``, for parts whose dark poses are
+    lost in noise at the exposure that the bright ones bear. Frames are counted for every exposure.
+    """
 
     exposure_s: Positive
+    brackets: Annotated[tuple[float, ...], Field(max_length=4)] = ()
     gain: Positive = 1.0
     frames_per_pose: Annotated[int, Field(ge=2, le=256)] = 4
     dark_frames: Annotated[int, Field(ge=2, le=256)] = 4
     settle_s: NotNegative = 0.1
+
+    @model_validator(mode="after")
+    def _brackets_rise(self) -> Self:
+        for before, after in pairwise((1.0, *self.brackets)):
+            if not after >= LEAST_STEP * before:
+                raise ValueError(
+                    f"brackets are multiples of exposure_s that rise by {LEAST_STEP:g} or more, such as [4.0, 16.0]: "
+                    f"{after:g} follows {before:g}"
+                )
+        return self
 
 
 class RegionPart(Part):

@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.decision import BudgetRow, contrast_gradient
+from anisoscope.diagnosis.diagnosing import background_of
 from anisoscope.diagnosis.remembering import remembered_signatures
 from anisoscope.diagnosis.separability import Separability, planned_covariance, separability
 from anisoscope.diagnosis.signatures import Signatures
@@ -92,7 +93,10 @@ def check_recipe(
     pairs, budget = _plan(recipe, expected)
     known = remembered_signatures(recipe, light_angle_deg, advance)
     with_map = recipe.area is not None
-    causes = separability(known, planned_covariance(recipe, expected), with_map=with_map)
+    u_background = 0.0 if recipe.area is None else background_of(recipe.area.max_share)[1]
+    causes = separability(
+        known, planned_covariance(recipe, expected), with_map=with_map, u_background=u_background
+    )
     new = [tilt for tilt in tries if tilt not in recipe.poses.tilts_deg]
     advice = _advice(recipe, light_angle_deg, new, advance) if new and _lacking(causes) else ()
     return RecipeCheck(pairs, budget, causes, known.left_out, advice, _complaints(recipe, pairs))
@@ -167,10 +171,13 @@ def _advice(
         expectation(wide, light_angle_deg),
     )
     covariance, with_map = planned_covariance(wide, expected), recipe.area is not None
+    u_background = 0.0 if recipe.area is None else background_of(recipe.area.max_share)[1]
 
     def told(chosen: Sequence[float]) -> tuple[Separability, ...]:
         kept = [k for k, pose in enumerate(known.poses) if pose.tilt_deg in chosen]
-        return separability(_of(known, kept), covariance[np.ix_(kept, kept)], with_map=with_map)
+        return separability(
+            _of(known, kept), covariance[np.ix_(kept, kept)], with_map=with_map, u_background=u_background
+        )
 
     before = told(recipe.poses.tilts_deg)
     found = [_added(tilt, before, told((*recipe.poses.tilts_deg, tilt))) for tilt in tries]

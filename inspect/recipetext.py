@@ -33,6 +33,7 @@ facet_azimuth_deg = 0.0  # direction toward which the facets face at stage angle
 
 [acquisition]
 exposure_s = 0.005
+# brackets = [4.0]  # every pose also with so many times the exposure: for dark poses beside bright ones
 gain = 1.0
 frames_per_pose = 4
 dark_frames = 8
@@ -51,7 +52,7 @@ remeasure = 1  # how often an INCONCLUSIVE part is photographed again
 
 [area]
 cell_deviation = 0.3  # a cell of the contrast map deviates beyond this ln ratio
-max_share = 0.03  # share of the area that may deviate
+# max_share = 0.03  # share of the area that may deviate; left out it is learnt from golden parts, 0.03 without
 
 [uncertainty]  # standard uncertainties of the rig that one inspection cannot see
 light_angle_deg = 0.1

@@ -6,7 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from anisoscope.errors import RecordError
 from anisoscope.expectation import expectation
+from anisoscope.folder import JOB
 from anisoscope.jobfile import reopen
 from anisoscope.judging import judge
 from anisoscope.progress import Advance, silent
@@ -45,20 +47,46 @@ def recompute(folder: Path, on_progress: Advance = silent) -> Recomputed:
         on_progress: called with what is being done, steps done and steps in all.
 
     Raises:
-        RecordError: the inspection is not finished, or a file is missing or was changed.
+        RecordError: the inspection is not finished, a file is missing or was changed, or an early version kept no
+            copies of the inputs.
     """
     folder = folder.resolve()
     recorded = read_record(folder)
+    if not (folder / JOB).exists() and JOB not in {file.name for file in recorded.files}:
+        raise RecordError(
+            f"{folder}: recorded by {recorded.software}, which kept no copies of recipe, rig file and white reference: "
+            "the record can be read, but not computed again"
+        )
     made, job = reopen(folder)
     on_progress("prediction", 0, 1)
     expected = expectation(job.recipe, job.rig.light.angle_deg)
     on_progress("measurement", 0, 1)
     record, _ = judge(made, job, expected, read_taken(folder, made), on_progress)
-    old, new = (found.model_dump(mode="json", exclude=set(NOT_COMPARED)) for found in (recorded, record))
+    # what an earlier version did not tell is not there to be compared
+    old = recorded.model_dump(mode="json", exclude=set(NOT_COMPARED), exclude_unset=True)
+    untold: set[str] = set()
+    new = _told(old, record.model_dump(mode="json", exclude=set(NOT_COMPARED)), untold)
     notes: tuple[str, ...] = ()
     if recorded.software != record.software:
         notes = (f"recorded by {recorded.software}, recomputed by {record.software}",)
+    if untold:
+        notes += (
+            f"not compared, because the version that recorded did not tell it: {', '.join(sorted(untold))}",
+        )
     return Recomputed(folder, recorded, record.verdict, tuple(differences(old, new)), notes)
+
+
+def _told(old: Any, new: Any, untold: set[str], name: str = "") -> Any:  # noqa: ANN401
+    """The new document without keys that the old one does not have; their names are added to ``untold``."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        inner = f"{name}." if name else ""
+        untold |= {f"{inner}{key}" for key in new.keys() - old.keys()}
+        return {
+            key: _told(old[key], value, untold, f"{inner}{key}") for key, value in new.items() if key in old
+        }
+    if isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
+        return [_told(before, after, untold, f"{name}[]") for before, after in zip(old, new, strict=True)]
+    return new
 
 
 def differences(old: Any, new: Any, name: str = "") -> Iterator[str]:  # noqa: ANN401 - what JSON can hold

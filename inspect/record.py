@@ -12,6 +12,7 @@ from anisoscope.errors import RecordError
 
 RECORD_NAME = "record.json"
 UNSEALED = "0" * 64
+SCHEMA = 1
 
 
 class _Part(BaseModel):
@@ -51,7 +52,7 @@ class FrameRecord(InputFile):
 
 
 class PoseRecord(_Part):
-    """One pose: radiances in 1/sr, and where the markers stood."""
+    """One pose: radiances in 1/sr, where the markers stood, and the ids of those that did not fit the others."""
 
     stage_deg: float
     tilt_deg: float
@@ -61,6 +62,7 @@ class PoseRecord(_Part):
     pixel_um: float
     residual_px: float
     markers: int
+    dropped: tuple[int, ...] = ()
 
 
 class ContrastRecord(_Part):
@@ -82,13 +84,23 @@ class ContrastRecord(_Part):
 
 
 class AreaRecord(_Part):
-    """The contrast map judged."""
+    """The contrast map judged; ``learnt`` if the limit is that of golden parts."""
 
     share: float
     u: float
     max_share: float
     cells: int
     verdict: str
+    learnt: bool = False
+
+
+class CalibrationUse(InputFile):
+    """A calibration that the inspection used; ``name`` is the copy of its record in the folder, times are UTC."""
+
+    kind: str
+    id: str
+    taken_at: str
+    valid_until: str
 
 
 class BudgetRecord(_Part):
@@ -179,8 +191,30 @@ class GoldenRecord(_Part):
     measured: tuple[float, ...]
 
 
+class MapPlaceRecord(_Part):
+    """Where the middle of the height map lies, from the middle of the region: x across the ridges, y along them.
+
+    ``phase_um`` is x within ± half a pitch. Where the place is resolved, ``measured`` and ``predicted`` are mean
+    radiances in 1/sr of the poses of the first tilt over the share of the region that the map covers as well; they do
+    not enter the verdict.
+    """
+
+    x_um: float | None
+    y_um: float | None
+    phase_um: float
+    correlation: float
+    ratio: float
+    resolved: bool
+    says: str
+    shared_share: float | None = None
+    measured: tuple[float, ...] = ()
+    predicted: tuple[float, ...] = ()
+
+
 class Record(_Part):
     """An inspection, complete; ``recipe`` and ``rig`` hold the files as they were.
+
+    Schema 1 only grows: fields that came later have defaults, which stand for "not told" (`recordschema`).
 
     ``files`` lists everything else in the folder. ``record.json`` is written last, so that where it is, all of
     them are.
@@ -211,9 +245,11 @@ class Record(_Part):
     reading: str | None = None
     shape: ShapeRecord | None = None
     golden: GoldenRecord | None = None
+    map_place: MapPlaceRecord | None = None
     rounds: int = 1
     notes: tuple[str, ...] = ()
     white_reference: dict[str, Any]
+    calibrations: tuple[CalibrationUse, ...] = ()
     recipe: dict[str, Any]
     rig: dict[str, Any]
     camera: str
@@ -245,7 +281,7 @@ def read_record(folder: Path) -> Record:
     """Read the record of an inspection folder.
 
     Raises:
-        RecordError: there is none, or it is damaged or was changed.
+        RecordError: there is none, it is damaged or was changed, or a later version wrote it.
     """
     path = folder / RECORD_NAME
     try:
@@ -254,11 +290,28 @@ def read_record(folder: Path) -> Record:
         seal = content.pop("seal", None) if isinstance(content, dict) else None
         if seal is not None and seal != _seal_of(text, str(seal)):
             raise RecordError(f"{path} is damaged: it was changed after it had been written")
+        later = _later(content)
+        if later is not None:
+            raise RecordError(
+                f"{path} was written by a later version of anisoscope ({later}): update anisoscope"
+            )
         return Record.model_validate_json(json.dumps(content))
     except OSError as error:
         raise RecordError(f"cannot read {path}: {error.strerror}: was this inspection finished?") from error
     except ValueError as error:
         raise RecordError(f"{path} is damaged: {str(error).splitlines()[0]}") from error
+
+
+def _later(content: object) -> str | None:
+    """What in a record this version cannot know."""
+    if not isinstance(content, dict):
+        return None
+    schema = content.get("schema", SCHEMA)
+    if isinstance(schema, int) and schema > SCHEMA:
+        return f"schema {schema}"
+    known = {field.alias or name for name, field in Record.model_fields.items()}
+    unknown = sorted(content.keys() - known)
+    return f"it holds {', '.join(unknown)}" if unknown and content.get("software") else None
 
 
 def _with_seal(text: str, seal: str) -> str:

@@ -2,17 +2,18 @@
 
 from datetime import UTC, datetime
 from importlib.metadata import version
-from typing import Any
+from typing import Any, cast
 
 from anisoscope.decision import Decision
 from anisoscope.expectation import Expectation
-from anisoscope.job import Job
+from anisoscope.job import Job, Role
 from anisoscope.jobfile import JobFile
 from anisoscope.localisation import Region
 from anisoscope.measurement import Measured, View
 from anisoscope.record import (
     AreaRecord,
     BudgetRecord,
+    CalibrationUse,
     ContrastRecord,
     FrameRecord,
     InputFile,
@@ -20,6 +21,7 @@ from anisoscope.record import (
     Record,
     RegionRecord,
 )
+from anisoscope.rig.camera import UNCALIBRATED
 from anisoscope.taken import Shot, Taken
 
 
@@ -40,6 +42,7 @@ def results(
                 pixel_um=view.placement.pixel_um,
                 residual_px=view.placement.residual_px,
                 markers=view.placement.markers,
+                dropped=view.placement.dropped,
             )
             for view, seen, predicted in zip(views, measured.radiance, expected.radiance, strict=True)
         ),
@@ -68,7 +71,12 @@ def results(
         "regions": tuple(_region_record(region) for region in decision.regions),
         "area": area
         and AreaRecord(
-            share=area.share, u=area.u, max_share=area.max_share, cells=area.cells, verdict=area.verdict.value
+            share=area.share,
+            u=area.u,
+            max_share=area.max_share,
+            cells=area.cells,
+            verdict=area.verdict.value,
+            learnt=area.learnt,
         ),
         "budget": tuple(
             BudgetRecord(source=row.source, kind=row.kind, contributions=row.contributions)
@@ -105,6 +113,8 @@ def make_record(
     """The record of an inspection; without ``results`` it is one that could not be judged."""
     nothing: dict[str, Any] = dict.fromkeys(("d2", "dof", "p_value", "area", "drift"))
     nothing |= {"poses": (), "contrasts": (), "budget": ()}
+    calibrated = taken.linear or "linearity" in job.calibrations.records
+    results["notes"] = (*(() if calibrated else (UNCALIBRATED,)), *results.get("notes", ()))
     return Record.model_validate(
         {
             "software": f"anisoscope {version('anisoscope')}",
@@ -122,6 +132,7 @@ def make_record(
                 "camera": job.white.camera,
                 "sha256": job.white.sha256,
             },
+            "calibrations": _calibrations(made, job),
             "rounds": made.plan.rounds if made.plan is not None else 1,
             "recipe": job.recipe.model_dump(mode="json", by_alias=True),
             "rig": job.rig.model_dump(mode="json", by_alias=True),
@@ -132,6 +143,24 @@ def make_record(
             **nothing,
             **results,
         }
+    )
+
+
+def _calibrations(made: JobFile, job: Job) -> tuple[CalibrationUse, ...]:
+    """The calibrations that have records, with the copies in the folder."""
+    copies = {copy.role: copy for copy in made.inputs}
+    return tuple(
+        CalibrationUse(
+            name=copies[role].name,
+            sha256=copies[role].sha256,
+            kind=kind,
+            id=one.id,
+            taken_at=one.taken_at.isoformat(),
+            valid_until=one.valid_until.isoformat(),
+        )
+        for kind, one in job.calibrations.records.items()
+        for role in (cast("Role", f"{kind} record"),)
+        if role in copies
     )
 
 

@@ -2,6 +2,7 @@
 
 import contextlib
 import shutil
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from anisoscope.progress import Advance, silent
 from anisoscope.recipe import read_recipe
 from anisoscope.record import Particulars, sha256_of
 from anisoscope.replayframes import Replay, arrange, camera_of, white_of
+from anisoscope.report.peers import LotMate
 from anisoscope.rig.acquisition.journal import FrameLine, JournalFile, RunLine
 from anisoscope.rig.acquisition.writer import FRAMES
 from anisoscope.rig.framefolder import TABLE, read_frame_folder
@@ -36,6 +38,7 @@ def inspect_frames(
     rig_path: Path | None = None,
     reflectance: float = 0.99,
     particulars: Particulars | None = None,
+    lot_mates: Sequence[LotMate] = (),
 ) -> Inspected:
     """Judge a part by the frames of a folder; they are copied, so that the inspection folder explains itself.
 
@@ -48,6 +51,7 @@ def inspect_frames(
         rig_path: rig file, for its geometry; by default ``rig.toml`` beside the frames.
         reflectance: reflectance of the tile in the flat frames, if there are any.
         particulars: operator, lot, cavity, station.
+        lot_mates: inspections of the same lot, for the report.
 
     Raises:
         UsageError: no rig file, or a wrong reflectance.
@@ -86,7 +90,7 @@ def inspect_frames(
             (*sources, Source("white reference", path, white.sha256)),
             golden,
         )
-        ready = cleanup.enter_context(expecting(job, on_progress))
+        ready = cleanup.enter_context(expecting(job, on_progress, lot_mates))
         made = begin(
             folder,
             job,

@@ -1,9 +1,10 @@
 """Which frames of a folder belong to which pose of a recipe, and the white reference that they hold."""
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from dataclasses import dataclass
 from typing import Any
 
+from anisoscope.bracketing import MIN_FRAMES
 from anisoscope.calibration.whitereference import make_reference
 from anisoscope.errors import RecordError
 from anisoscope.linear import stack
@@ -41,7 +42,7 @@ def arrange(folder: FrameFolder, recipe: Recipe) -> Replay:
     """Assign frames to the poses of a recipe, full turns aside.
 
     Raises:
-        RecordError: a pose or the dark frames are missing, or frames of a pose differ in exposure.
+        RecordError: a pose or the dark frames are missing, or a pose has several exposures with too few frames each.
     """
     wanted = [Pose(pose.stage_deg, pose.tilt_deg) for pose in recipe.poses.poses()]
     notes = list(folder.notes)
@@ -61,7 +62,7 @@ def arrange(folder: FrameFolder, recipe: Recipe) -> Replay:
         )
     if not any(entry.again and pose == wanted[0] for entry, pose in found):
         notes.append("no frames show the first pose again at the end: drift of the lamp is not known")
-    if min(map(len, groups.values())) < 2:
+    if min(map(len, groups.values())) < MIN_FRAMES:
         notes.append("a pose has one frame only: noise of the camera is not in the uncertainty")
     return Replay(tuple(found), folder.rows, folder.cols, tuple(notes))
 
@@ -82,11 +83,26 @@ def _check_poses(folder: FrameFolder, wanted: list[Pose], groups: dict[Pose, lis
             f"{missing[0].tilt_deg:g}°; sample frames there are at: {shown}"
         )
     for pose, entries in groups.items():
-        if len({(entry.exposure_s, entry.gain) for entry in entries}) > 1:
-            raise RecordError(
-                f"{folder.folder}: the sample frames at {pose.stage_deg:g}°, tilt {pose.tilt_deg:g}° differ in "
-                "exposure or gain: one a pose is needed"
-            )
+        _check_bracket(folder, pose, entries)
+
+
+def _check_bracket(folder: FrameFolder, pose: Pose, entries: list[FrameEntry]) -> None:
+    """Several exposures of a pose are merged; their own scatter tells how they are weighed."""
+    place = f"{folder.folder}: the sample frames at {pose.stage_deg:g}°, tilt {pose.tilt_deg:g}°"
+    if len({entry.gain for entry in entries}) > 1:
+        raise RecordError(f"{place} differ in gain: one gain a pose is needed")
+    counts = Counter(entry.exposure_s for entry in entries)
+    if len(counts) == 1:
+        return
+    darks = Counter(entry.exposure_s for entry in folder.of_kind("dark") if entry.gain == entries[0].gain)
+    for exposure_s, count in sorted(counts.items()):
+        dark = darks.get(exposure_s, MIN_FRAMES)  # without any, another message says more
+        for words, found in (("sample", count), ("dark", dark)):
+            if found < MIN_FRAMES:
+                raise RecordError(
+                    f"{place} have {len(counts)} exposures, which takes {MIN_FRAMES} or more frames of each; of "
+                    f"{exposure_s:g} s there is {found} {words} frame"
+                )
 
 
 def _check_exposures(folder: FrameFolder) -> None:

@@ -42,11 +42,12 @@ class Shot:
 
 @dataclass(frozen=True, eq=False)
 class Taken:
-    """The frames that count, and the devices that took them."""
+    """The frames that count, and the devices that took them; `linear` if all cameras count in proportion to light."""
 
     shots: tuple[Shot, ...]
     camera: str
     stage: str
+    linear: bool = True
 
     @property
     def full_scale(self) -> int:
@@ -82,7 +83,7 @@ def read_taken(folder: Path, made: JobFile) -> Taken:
     journal = read_journal(folder)
     if missing_frames(made, journal) > 0:
         raise RecordError(f"{folder}: {missing_frames(made, journal)} frames are still to be taken")
-    lines = [*journal.by_step.values(), *journal.checks(made.plan.frames_per_pose if made.plan else 1)]
+    lines = [*journal.by_step.values(), *journal.checks(made.plan.shots_per_pose if made.plan else 1)]
     load = _loader(folder, made)
     shots = tuple(_shot(line, folder, load) for line in lines)
     first = shots[0].frame
@@ -90,7 +91,8 @@ def read_taken(folder: Path, made: JobFile) -> Taken:
         if (shot.frame.counts.shape, shot.frame.bit_depth) != (first.counts.shape, first.bit_depth):
             raise RecordError(f"{folder / shot.name}: other size or bit depth than {shots[0].name}")
     run = journal.runs[-1]
-    return Taken(shots, run.camera, run.stage if run.tilt is None else f"{run.stage}, {run.tilt}")
+    stage = run.stage if run.tilt is None else f"{run.stage}, {run.tilt}"
+    return Taken(shots, run.camera, stage, all(one.linear for one in journal.runs))
 
 
 def _shot(line: FrameLine, folder: Path, load: Callable[[str], Frame]) -> Shot:

@@ -67,10 +67,18 @@ class MergedBracket:
 
 
 @dataclass(frozen=True, eq=False)
-class _Exposure:
-    """Frames of one exposure: mean signal above dark, its clipping limit, and how many frames it took.
+class Exposure:
+    """Frames of one exposure, put together.
 
-    `dark_signal` is what dark current adds to the black level; it has shot noise too.
+    Attributes:
+        time_s: the exposure.
+        signal: (rows, cols) mean counts above dark, in proportion to light.
+        dark_signal: (rows, cols) what dark current adds to the black level; it has shot noise too.
+        clipped: (rows, cols) whether a pixel was clipped in any frame.
+        limit: (rows, cols) `signal` at which a pixel clips.
+        frames: how many lit frames `signal` is the mean of.
+        darks: how many dark frames were subtracted.
+        other_variance: (rows, cols) variance of `signal` that comes from elsewhere, as from stray light taken away.
     """
 
     time_s: float
@@ -80,10 +88,11 @@ class _Exposure:
     limit: FloatArray
     frames: int
     darks: int
+    other_variance: FloatArray | float = 0.0
 
     def variance(self, rate: FloatArray, noise: SensorNoise) -> FloatArray:
         """Variance of signal/t, if the rate is as given."""
-        of_dark = noise.variance(self.dark_signal) / self.darks
+        of_dark = noise.variance(self.dark_signal) / self.darks + self.other_variance
         return (self.sigma_of_one(rate, noise) ** 2 / self.frames + of_dark) / self.time_s**2
 
     def sigma_of_one(self, rate: FloatArray, noise: SensorNoise) -> FloatArray:
@@ -118,23 +127,35 @@ def merge_brackets(frames: Iterable[Frame], darks: Iterable[Frame], noise: Senso
     for group in (*lit.values(), *dark.values()):
         for frame in group:
             _check_alike(frame, first)
-    exposures = [_exposure(time_s, group, dark.get(time_s, [])) for time_s, group in sorted(lit.items())]
-    clipped = np.stack([exposure.clipped for exposure in exposures])
+    exposures = [_exposure(time_s, group, dark.get(time_s, [])) for time_s, group in lit.items()]
+    return merge_exposures(exposures, noise, first.gain)
+
+
+def merge_exposures(exposures: Iterable[Exposure], noise: SensorNoise, gain: float) -> MergedBracket:
+    """Merge a bracket whose frames were put together already; see `merge_brackets`.
+
+    Args:
+        exposures: one or more, in any order.
+        noise: noise of the camera.
+        gain: gain of all frames, a factor.
+    """
+    ordered = sorted(exposures, key=lambda exposure: exposure.time_s)
+    clipped = np.stack([exposure.clipped for exposure in ordered])
     use = ~clipped
-    rate = _first_estimate(exposures, use)
+    rate = _first_estimate(ordered, use)
     variance = np.full_like(rate, np.nan)
     for _ in range(_ROUNDS):
-        use = _selection(exposures, clipped, rate, noise)
-        rate, variance = _weighted(exposures, use, rate, noise)
+        use = _selection(ordered, clipped, rate, noise)
+        rate, variance = _weighted(ordered, use, rate, noise)
     usable: Mask = np.asarray(use.any(axis=0))
     return MergedBracket(
         rate=rate.astype(np.float32),
         variance=variance.astype(np.float32),
         usable=usable,
-        lost_in_dark=_lost(exposures, use, rate, noise),
-        exposures_s=tuple(exposure.time_s for exposure in exposures),
+        lost_in_dark=_lost(ordered, use, rate, noise),
+        exposures_s=tuple(exposure.time_s for exposure in ordered),
         saturated_share=tuple(float(mask.mean()) for mask in clipped),
-        gain=first.gain,
+        gain=gain,
     )
 
 
@@ -158,14 +179,14 @@ def _check_alike(frame: Frame, first: Frame) -> None:
             raise CalibrationError(f"frames of one bracket differ in {what}: take them again")
 
 
-def _exposure(time_s: float, frames: Sequence[Frame], darks: Sequence[Frame]) -> _Exposure:
+def _exposure(time_s: float, frames: Sequence[Frame], darks: Sequence[Frame]) -> Exposure:
     if not darks:
         raise CalibrationError(
             f"the exposure of {time_s:g} s has no dark frames; take some with the light off, at the same gain"
         )
     dark = _mean(darks)
     top = SATURATION * frames[0].full_scale
-    return _Exposure(
+    return Exposure(
         time_s,
         signal=_mean(frames) - dark,
         dark_signal=np.maximum(dark - frames[0].black_level, 0.0),
@@ -183,7 +204,7 @@ def _mean(frames: Sequence[Frame]) -> FloatArray:
     return total / len(frames)
 
 
-def _first_estimate(exposures: Sequence[_Exposure], use: Mask) -> FloatArray:
+def _first_estimate(exposures: Sequence[Exposure], use: Mask) -> FloatArray:
     """Sum of signals over sum of times: best in bright light, and unbiased everywhere."""
     total = np.zeros(use.shape[1:])
     time_s = np.zeros_like(total)
@@ -194,7 +215,7 @@ def _first_estimate(exposures: Sequence[_Exposure], use: Mask) -> FloatArray:
 
 
 def _selection(
-    exposures: Sequence[_Exposure], clipped: npt.NDArray[np.bool_], rate: FloatArray, noise: SensorNoise
+    exposures: Sequence[Exposure], clipped: npt.NDArray[np.bool_], rate: FloatArray, noise: SensorNoise
 ) -> Mask:
     """Which readings count, (exposures, rows, cols)."""
     known = np.nan_to_num(rate)
@@ -216,7 +237,7 @@ def _selection(
 
 
 def _weighted(
-    exposures: Sequence[_Exposure], use: Mask, rate: FloatArray, noise: SensorNoise
+    exposures: Sequence[Exposure], use: Mask, rate: FloatArray, noise: SensorNoise
 ) -> tuple[FloatArray, FloatArray]:
     known = np.nan_to_num(rate)
     total = np.zeros(rate.shape)
@@ -231,7 +252,7 @@ def _weighted(
     return merged, np.divide(1.0, weights, out=nothing, where=some)
 
 
-def _lost(exposures: Sequence[_Exposure], use: Mask, rate: FloatArray, noise: SensorNoise) -> Mask:
+def _lost(exposures: Sequence[Exposure], use: Mask, rate: FloatArray, noise: SensorNoise) -> Mask:
     """Where some exposure counts, but light stands out of the noise in none of those that do."""
     stands_out = np.zeros(rate.shape, dtype=bool)
     for exposure, good in zip(exposures, use, strict=True):

@@ -6,6 +6,11 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
+UNCALIBRATED = (
+    "uncalibrated: the camera does not count in proportion to light, and no response curve is given; such contrasts "
+    "serve to compare parts on this rig, not with a prediction (see `anisoscope calibrate response`)"
+)
+
 
 @dataclass(frozen=True)
 class CameraInfo:
@@ -19,6 +24,7 @@ class CameraInfo:
         black_level: counts of a pixel without light.
         pixel_pitch_um: distance of pixels on the sensor, if known.
         linear: whether counts grow in proportion to light; if not, contrasts are uncalibrated.
+        auto_exposure: whether it has automatic exposure or gain, so that one has to prove that they are off.
     """
 
     model: str
@@ -29,6 +35,7 @@ class CameraInfo:
     black_level: float
     pixel_pitch_um: float | None = None
     linear: bool = True
+    auto_exposure: bool = False
 
 
 @dataclass(frozen=True)

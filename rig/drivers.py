@@ -51,7 +51,9 @@ def open_camera(name: str, **options: object) -> Camera:
 
 
 def open_light(name: str, **options: object) -> Light:
-    """Connect to a light; errors as for `open_stage`."""
+    """Connect to a light; options and errors as for `open_stage`."""
+    if options.get("port") is None:
+        options.pop("port", None)
     return cast("Light", _open(LIGHTS, "light", name, options))
 
 

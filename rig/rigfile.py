@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from anisoscope.errors import RigFileError
+from anisoscope.rig.camera import CameraInfo
 from anisoscope.rig.fixture import Fixture
 from anisoscope.tomlfile import LocalPath, Part, Positive, read_toml_model
 
@@ -82,11 +83,30 @@ class CameraPart(Part):
 
 
 class LightPart(Part):
-    """The light; `angle_deg` is the angle between light and camera, seen from the sample."""
+    """The light.
 
-    driver: str = "manual"
+    Attributes:
+        driver: name of the driver; ``manual`` asks the operator.
+        port: as for an axis; none where the driver needs none. Older files have it among the options.
+        angle_deg: angle between light and camera, seen from the sample.
+        options: further options of the driver.
+    """
+
+    driver: str = BY_HAND
+    port: Annotated[str, Field(min_length=1)] | None = None
     angle_deg: float = 10.0
     options: dict[str, Option] = Field(default_factory=dict)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _port_among_options(cls, table: Any) -> Any:  # noqa: ANN401
+        options = table.get("options") if isinstance(table, dict) else None
+        if not (isinstance(options, dict) and "port" in options):
+            return table
+        if table.get("port") is not None:
+            raise ValueError("port stands here and among the options: keep the one here")
+        rest = {key: value for key, value in options.items() if key != "port"}
+        return {**table, "port": options["port"], "options": rest}
 
 
 class GeometryPart(Part):
@@ -118,6 +138,10 @@ class RigFile(Part):
     geometry: GeometryPart = GeometryPart()
     fixture: Fixture | None = None
     calibration: CalibrationPart | None = None
+
+    def uncalibrated(self, info: CameraInfo) -> bool:
+        """Whether contrasts of its camera are: it is not linear, and no calibration knows how it is bent."""
+        return not info.linear and (self.calibration is None or self.calibration.linearity is None)
 
     @model_validator(mode="after")
     def _one_tilt(self) -> "RigFile":

@@ -29,6 +29,7 @@ class Transport:
         port: device name (``COM3``, ``/dev/ttyUSB0``), ``socket://host:port`` or ``sim://…``.
         baudrate: baud; ignored by URLs that have none.
         rtscts: flow control by the lines RTS and CTS; a pseudo terminal has none, and works without.
+        xonxoff: flow control by the bytes XON (0x11) and XOFF (0x13), which the data then cannot hold.
         write_timeout_s: a port that does not take bytes for so long counts as unplugged.
 
     Raises:
@@ -36,10 +37,21 @@ class Transport:
     """
 
     def __init__(
-        self, port: str, *, baudrate: int = 9600, rtscts: bool = False, write_timeout_s: float = 1.0
+        self,
+        port: str,
+        *,
+        baudrate: int = 9600,
+        rtscts: bool = False,
+        xonxoff: bool = False,
+        write_timeout_s: float = 1.0,
     ) -> None:
         self.port = port
-        settings = {"baudrate": baudrate, "rtscts": rtscts, "write_timeout": write_timeout_s}
+        settings = {
+            "baudrate": baudrate,
+            "rtscts": rtscts,
+            "xonxoff": xonxoff,
+            "write_timeout": write_timeout_s,
+        }
         self._connection = connect(port, settings)
         self._closed = False
         self.lock = self._connection.lock

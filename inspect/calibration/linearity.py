@@ -114,7 +114,11 @@ def _results(series: list[ExposureStep], found: PhotoTransfer) -> dict[str, Any]
             f"it, which leaves {error:.2%}"
         )
     if error > MAX_ERROR:
-        remarks.insert(0, f"{error:.1%} of the response cannot be corrected (limit {MAX_ERROR:.0%})")
+        remarks.insert(
+            0,
+            f"{error:.1%} of the response cannot be corrected (limit {MAX_ERROR:.0%}); a camera with a "
+            "gamma curve needs `anisoscope calibrate response`",
+        )
     values = {
         "gain": _value(found.gain_dn_per_e, "counts/e"),
         "read_noise": _value(found.read_noise_e, "e"),
@@ -132,7 +136,11 @@ def _results(series: list[ExposureStep], found: PhotoTransfer) -> dict[str, Any]
     return {
         "values": values,
         "residuals": tuple(float(value) for value in residuals),
-        "details": {"response_per_count": bend if bent else 0.0, "steps": len(series)},
+        "details": {
+            "response_per_count": bend if bent else 0.0,
+            "steps": len(series),
+            "curve": curve_of(series).content(),
+        },
         "in_limits": error <= MAX_ERROR,
         "remarks": tuple(remarks),
     }

@@ -67,6 +67,11 @@ class TransferCurve:
         """Mean level above the dark, in counts."""
         return self.light - self.dark
 
+    def content(self) -> dict[str, list[float] | int]:
+        """All of it as plain lists, as the record of a calibration holds it."""
+        columns = {name: column.tolist() for name, column in vars(self).items() if name != "pixels"}
+        return columns | {"pixels": self.pixels}
+
 
 def curve_of(steps: Sequence[ExposureStep]) -> TransferCurve:
     """Means and temporal variances of all steps."""

@@ -31,6 +31,8 @@ class WarmUp:
     Attributes:
         frames: number of frames.
         duration_s: time from the first to the last.
+        change_share: by how much the fit changes from the first frame to the last.
+        change_uncertainty: its standard uncertainty.
         drift_per_minute: share per minute by which the brightness changes at the end of the series.
         drift_uncertainty: its standard uncertainty.
         steady_per_minute: the part of the drift that does not come from warming up.
@@ -44,6 +46,8 @@ class WarmUp:
 
     frames: int
     duration_s: float
+    change_share: float
+    change_uncertainty: float
     drift_per_minute: float
     drift_uncertainty: float
     steady_per_minute: float
@@ -115,6 +119,11 @@ class _Fit:
             return self.slope
         return self.slope - self.amplitude / self.tau_s * math.exp(-at_s / self.tau_s)
 
+    def change(self, at_s: float) -> float:
+        """L at a time, less that at the begin."""
+        faded = 0.0 if self.tau_s is None else self.amplitude * (1.0 - math.exp(-at_s / self.tau_s))
+        return self.slope * at_s - faded
+
 
 def _design(t: FloatArray, tau_s: float | None) -> FloatArray:
     columns = [np.ones_like(t), t] + ([] if tau_s is None else [np.exp(-t / tau_s)])
@@ -152,19 +161,34 @@ def _best_fit(t: FloatArray, y: FloatArray) -> _Fit:
     return curve if gained / noise > SIGNIFICANT_F else line
 
 
-def _drift_uncertainty(fit: _Fit, t: FloatArray) -> float:
-    """Standard uncertainty of dL/dt at the end, from the Jacobian of all parameters and the scatter."""
-    end = float(t[-1])
-    design, gradient = _design(t, fit.tau_s), [0.0, 1.0]
+def _uncertainty(fit: _Fit, t: FloatArray, gradient: list[float]) -> float:
+    """Standard uncertainty of what has a gradient by c, d, a and τ, from the Jacobian and the scatter."""
+    design = _design(t, fit.tau_s)
     if fit.tau_s is not None:
         tau, a = fit.tau_s, fit.amplitude
-        fade, fade_end = np.exp(-t / tau), math.exp(-end / tau)
-        design = np.column_stack([design, a * t / tau**2 * fade])
-        gradient += [-fade_end / tau, a * fade_end / tau**2 * (1.0 - end / tau)]
+        design = np.column_stack([design, a * t / tau**2 * np.exp(-t / tau)])
     scale = np.linalg.norm(design, axis=0)
     scale[scale == 0.0] = 1.0
     inverse = np.linalg.pinv(design / scale)
     return math.sqrt(fit.squares / fit.free) * float(np.linalg.norm(np.asarray(gradient) / scale @ inverse))
+
+
+def _drift_uncertainty(fit: _Fit, t: FloatArray) -> float:
+    """Standard uncertainty of dL/dt at the end."""
+    if fit.tau_s is None:
+        return _uncertainty(fit, t, [0.0, 1.0])
+    end, tau, a = float(t[-1]), fit.tau_s, fit.amplitude
+    fade = math.exp(-end / tau)
+    return _uncertainty(fit, t, [0.0, 1.0, -fade / tau, a * fade / tau**2 * (1.0 - end / tau)])
+
+
+def _change_uncertainty(fit: _Fit, t: FloatArray) -> float:
+    """Standard uncertainty of L at the end less L at the begin."""
+    end = float(t[-1])
+    if fit.tau_s is None:
+        return _uncertainty(fit, t, [0.0, end])
+    fade = math.exp(-end / fit.tau_s)
+    return _uncertainty(fit, t, [0.0, end, fade - 1.0, fit.amplitude * end / fit.tau_s**2 * fade])
 
 
 def _judged(fit: _Fit, t: FloatArray, allowed: float) -> WarmUp:
@@ -181,6 +205,8 @@ def _judged(fit: _Fit, t: FloatArray, allowed: float) -> WarmUp:
     return WarmUp(
         frames=len(t),
         duration_s=end,
+        change_share=fit.change(end) / last,
+        change_uncertainty=_change_uncertainty(fit, t) / last,
         drift_per_minute=drift,
         drift_uncertainty=doubt,
         steady_per_minute=steady,

@@ -149,6 +149,45 @@ def linearity(
 
 
 @app.command
+def response(
+    *,
+    rig: _Rig,
+    out: Annotated[Path, Parameter(help="File of the curve, such as response.json.")],
+    exposure: Annotated[
+        float, Parameter(help="Longest exposure in seconds: the brightest places just clip at it.")
+    ],
+    gain: _Gain = 1.0,
+    frames: Annotated[int, Parameter(help="Frames to average, at every exposure.")] = 4,
+    white_level: Annotated[
+        int | None, Parameter(help="Counts at which the camera clips, such as 235; else full scale.")
+    ] = None,
+    json_: _Json = False,
+) -> int:
+    """Photograph a still scene with many exposures: how the counts of a camera that is not linear grow with light.
+
+    The scene needs dark and bright places, as a part in its fixture has. The exposures go down to a sixteenth. Name the
+    file in the rig file under [camera.options] response, then take a new flat: both make the camera a linear one.
+    """
+    from anisoscope.calibration.frames import Taking
+    from anisoscope.calibration.response import calibrate_response
+
+    with progress("response", quiet=json_) as advance:
+        curve = calibrate_response(
+            rig, out, Taking(exposure, gain, frames), white_level=white_level, on_progress=advance
+        )
+    if json_:
+        json.dump({"file": str(out), **curve.model_dump(by_alias=True)}, sys.stdout, indent=1)
+        sys.stdout.write("\n")
+        return 0
+    said = (
+        f"{out}: fitted from {len(curve.exposures_s)} exposures, which agree within {curve.residual:.2%}; name it in "
+        "the rig file under [camera.options] response, then take a new flat"
+    )
+    console().print(said, markup=False, highlight=False, soft_wrap=True)
+    return 0
+
+
+@app.command
 def rotation(
     *,
     rig: _Rig,

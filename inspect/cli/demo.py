@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from anisoscope.cli.console import console, print_table, progress
+from anisoscope.cli.remembering import remember
 from anisoscope.progress import Advance
 
 if TYPE_CHECKING:
@@ -28,10 +29,13 @@ def demo(
     and judges it. Ends with exit code 0 when every verdict is the expected one.
     """
     from anisoscope.cli.demo_files import PARTS, lay_out
+    from anisoscope.history.address import HISTORY_NAME
 
     with progress("demo", quiet=json_) as advance:
         folder = lay_out(out, seed, advance)
         found = [(name, expected, _inspect(folder, name, advance)) for name, expected in PARTS.items()]
+    for _, _, inspected in found:
+        remember(inspected, folder / "inspections" / HISTORY_NAME)
     parts = [
         {
             "serial": inspected.record.serial,

@@ -8,12 +8,13 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from anisoscope.cli.console import console, progress
+from anisoscope.cli.remembering import HistoryOption, history_place, remember
 
 Folder = Annotated[Path, Parameter(help="Folder of an inspection.")]
 Json = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")]
 
 
-def resume(folder: Folder, /, *, json_: Json = False) -> int:
+def resume(folder: Folder, /, *, history: HistoryOption = None, json_: Json = False) -> int:
     """Take up an inspection that was interrupted: photograph what is missing, judge, write record and report.
 
     Exit codes are those of `inspect`.
@@ -21,9 +22,13 @@ def resume(folder: Folder, /, *, json_: Json = False) -> int:
     from anisoscope.cli.inspection import show
     from anisoscope.inspection import resume_part
 
+    place = history_place(history, folder.resolve().parent)
     with progress(folder.name, quiet=json_) as advance:
         inspected = resume_part(folder, advance)
-    return show(inspected, json_=json_)
+    try:
+        return show(inspected, json_=json_)
+    finally:
+        remember(inspected, place)
 
 
 def recompute(folder: Folder, /, *, json_: Json = False) -> int:

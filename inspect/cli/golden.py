@@ -5,12 +5,16 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import App, Parameter
 
 from anisoscope.cli.console import console, print_table
 from anisoscope.errors import CalibrationError, UsageError
+
+if TYPE_CHECKING:
+    from anisoscope.golden import GoldenSet
+    from anisoscope.recipe import Recipe
 
 app = App(name="golden", help="Parts that are known to be good, kept beside their recipe.")
 
@@ -81,9 +85,9 @@ def show(*, recipe: RecipeFile, json_: Json = False) -> int:
     from anisoscope.golden import golden_path, read_golden
     from anisoscope.recipe import read_recipe
 
-    path = golden_path(recipe)
+    path, rules = golden_path(recipe), read_recipe(recipe)
     with _as_usage():
-        known = read_golden(path, read_recipe(recipe))
+        known = read_golden(path, rules)
         if known is None:
             raise CalibrationError(
                 f"{path}: there are no golden parts of this recipe: add some with `anisoscope golden add`"
@@ -95,21 +99,63 @@ def show(*, recipe: RecipeFile, json_: Json = False) -> int:
         content["parts"] = [part.model_dump() for part in known.parts]
         content["mean"] = [float(value) for value in contrasts.mean(axis=0)]
         content["scatter"] = [float(value) if np.isfinite(value) else None for value in scatter]
+        content["area_limit"] = (
+            None if rules.area is None else known.area_limit(rules) or rules.area.max_share
+        )
+        content["area_limit_says"] = _limit_says(known, rules)
         json.dump(content, sys.stdout, indent=2, allow_nan=False)
         sys.stdout.write("\n")
         return 0
     first, *others = known.poses
     names = [f"ln L{_at(pose)} − ln L{_at(first)}" for pose in others]
     rows = [
-        [part.serial, part.inspected_at, part.verdict, *(f"{value:+.4f}" for value in row)]
+        [
+            part.serial,
+            part.inspected_at,
+            part.verdict,
+            _share(part.area_share),
+            *(f"{value:+.4f}" for value in row),
+        ]
         for part, row in zip(known.parts, contrasts, strict=True)
     ]
-    rows.append(["mean", "", "", *(f"{value:+.4f}" for value in contrasts.mean(axis=0))])
-    rows.append(["scatter", "", "", *(f"{value:.4f}" if np.isfinite(value) else "–" for value in scatter)])
-    print_table(
-        f"golden parts: {known.product}", ["part", "inspected", "verdict", *names], rows, known.lacking
+    rows.append(["mean", "", "", "", *(f"{value:+.4f}" for value in contrasts.mean(axis=0))])
+    rows.append(
+        ["scatter", "", "", "", *(f"{value:.4f}" if np.isfinite(value) else "–" for value in scatter)]
     )
+    print_table(
+        f"golden parts: {known.product}",
+        ["part", "inspected", "verdict", "area", *names],
+        rows,
+        known.lacking,
+    )
+    console().print(_limit_says(known, rules), markup=False, highlight=False, soft_wrap=True)
     return 0
+
+
+def _share(share: float | None) -> str:
+    return "–" if share is None else f"{share:.2%}"
+
+
+def _limit_says(known: "GoldenSet", recipe: "Recipe") -> str:
+    """Where the limit of the area comes from, in words."""
+    from anisoscope.arealimit import MIN_PARTS
+    from anisoscope.golden import limit_is_given
+
+    rule = recipe.area
+    if rule is None:
+        return "limit of the area: none, the recipe does not judge it"
+    limit, count = known.area_limit(recipe), len(known.area_shares(rule))
+    if limit is not None:
+        return (
+            f"limit of the area: {limit:.2%}, learnt from {count} golden parts (one good part in "
+            f"{1.0 / recipe.decision.alpha:.0f} exceeds it)"
+        )
+    if limit_is_given(rule):
+        return f"limit of the area: {rule.max_share:.2%}, as the recipe says in area.max_share"
+    return (
+        f"limit of the area: {rule.max_share:.2%}; from {MIN_PARTS} golden parts judged at cell_deviation "
+        f"{rule.cell_deviation:g} on it is learnt from them, now there are {count}"
+    )
 
 
 def _at(pose: tuple[float, float]) -> str:

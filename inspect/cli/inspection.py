@@ -7,7 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+from anisoscope.cli.batch_operator import ask_serial
 from anisoscope.cli.console import console, print_table, progress
+from anisoscope.cli.lotmates import lot_mates
+from anisoscope.cli.remembering import HistoryOption, history_place, remember
 from anisoscope.errors import UsageError
 
 if TYPE_CHECKING:
@@ -26,7 +29,10 @@ def inspect(
             name=["--rig", "-g"], help="Rig file (TOML); with --frames rig.toml beside them by default."
         ),
     ] = None,
-    serial: Annotated[str, Parameter(name=["--serial", "-s"], help="Serial number of the part.")],
+    serial: Annotated[
+        str | None,
+        Parameter(name=["--serial", "-s"], help="Serial number of the part; without it you type or scan it."),
+    ] = None,
     frames: Annotated[
         Path | None, Parameter(help="Judge the frames of this folder (frames.csv) instead of taking any.")
     ] = None,
@@ -38,6 +44,7 @@ def inspect(
     lot: Annotated[str | None, Parameter(help="Lot of the part.")] = None,
     cavity: Annotated[str | None, Parameter(help="Cavity of the mould.")] = None,
     station: Annotated[str | None, Parameter(help="Where the rig stands.")] = None,
+    history: HistoryOption = None,
     json_: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")] = False,
 ) -> int:
     """Photograph a part at the recipe's angles, compare its contrasts with the prediction, and decide.
@@ -48,17 +55,32 @@ def inspect(
     from anisoscope.record import Particulars
     from anisoscope.replay import inspect_frames
 
+    if serial is None:
+        serial, lot = ask_serial(lot)
     who = Particulars(operator=operator, lot=lot, cavity=cavity, station=station)
+    place = history_place(history, out)
+    mates = lot_mates(place, lot)
     with progress(serial, quiet=json_) as advance:
         if frames is not None:
             inspected = inspect_frames(
-                frames, recipe, serial, out, advance, rig_path=rig, reflectance=reflectance, particulars=who
+                frames,
+                recipe,
+                serial,
+                out,
+                advance,
+                rig_path=rig,
+                reflectance=reflectance,
+                particulars=who,
+                lot_mates=mates,
             )
         elif rig is None:
             raise UsageError("name a rig file with --rig, or a folder of frames with --frames")
         else:
-            inspected = inspect_part(recipe, rig, serial, out, advance, particulars=who)
-    return show(inspected, json_=json_)
+            inspected = inspect_part(recipe, rig, serial, out, advance, particulars=who, lot_mates=mates)
+    try:
+        return show(inspected, json_=json_)
+    finally:
+        remember(inspected, place)
 
 
 def show(inspected: "Inspected", *, json_: bool) -> int:
@@ -94,7 +116,10 @@ def _as_json(inspected: "Inspected") -> dict[str, Any]:
         "reading": record.reading,
         "shape": None if record.shape is None else record.shape.model_dump(),
         "golden_parts": 0 if record.golden is None else record.golden.parts,
+        "map_place": None if record.map_place is None else record.map_place.model_dump(),
         "rounds": record.rounds,
+        "dropped_markers": [list(pose.dropped) for pose in record.poses],
+        "calibrations": [one.model_dump() for one in record.calibrations],
         "folder": str(inspected.folder),
         "report": str(inspected.report),
         "notes": list(inspected.notes),

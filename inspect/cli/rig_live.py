@@ -44,7 +44,7 @@ def live(
     The stage's port stays closed: turn it from another terminal meanwhile. The light goes off at the end. With --web
     the first line is the address to open; it works on this machine only, and only for whoever knows it.
     """
-    from anisoscope.cli.rig_devices import opened
+    from anisoscope.rig.acquisition.opening import open_devices
     from anisoscope.rig.rigfile import read_rig
 
     if frames is not None and frames < 1:
@@ -52,7 +52,7 @@ def live(
     if not 0.0 < fps <= 1000.0:
         raise UsageError(f"--fps must lie above 0 and up to 1000, not {fps:g}")
     file = read_rig(rig)
-    with opened(None, file.camera, file.light) as devices:
+    with open_devices({}, file.camera, file.light) as devices:
         camera, lamp = devices.camera, devices.light
         assert camera is not None
         assert lamp is not None

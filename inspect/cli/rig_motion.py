@@ -46,10 +46,10 @@ def home(
     *, which: Devices = NOTHING_NAMED, axis: Axis = "stage", yes: Yes = False, json_: Json = False
 ) -> int:
     """Search the reference of an axis. It may turn a full turn: this asks first, unless --yes."""
-    from anisoscope.cli.rig_devices import opened
+    from anisoscope.rig.acquisition.opening import open_devices
 
     file, part = which.axis(axis)
-    with opened({axis: part}) as devices:
+    with open_devices({axis: part}) as devices:
         stage = devices.axes[axis]
         before = _position(stage)
         _home(stage, part, yes=yes)
@@ -121,11 +121,11 @@ def stop(*, which: Devices = NOTHING_NAMED, json_: Json = False) -> int:
     A port is open once. Where another anisoscope process has it, that process is interrupted as by Ctrl-C: it stops
     its axes, switches the light off, and ends.
     """
-    from anisoscope.cli.rig_devices import opened
+    from anisoscope.rig.acquisition.opening import open_devices
 
     _, axes = which.read()
     told = [_interrupt(holder) for holder in _holders(axes)]
-    with opened(axes) as devices:
+    with open_devices(axes) as devices:
         problems = devices.make_safe()
         found = {table: (axis.name, _position(axis)) for table, axis in devices.axes.items()}
     if problems:
@@ -143,10 +143,10 @@ def _motion(
     which: Which, axis: AxisName, go: "Go", look: "Go | None" = None, *, yes: bool, json_: bool
 ) -> int:
     """Home if need be, and move; `look` comes before both and may refuse."""
-    from anisoscope.cli.rig_devices import opened
+    from anisoscope.rig.acquisition.opening import open_devices
 
     file, part = which.axis(axis)
-    with opened({axis: part}) as devices:
+    with open_devices({axis: part}) as devices:
         stage = devices.axes[axis]
         if look is not None:
             look(stage, part)

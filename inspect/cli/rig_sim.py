@@ -163,8 +163,8 @@ def _write_rig(made: "Bench", urls: dict[str, str], path: Path) -> None:
     }
     table["light"] = {
         "driver": "serial",
+        "port": urls["light"],
         "angle_deg": file.geometry.light_angle_deg,
-        "options": {"port": urls["light"]},
     }
     if file.fixture is not None:
         table["fixture"] = file.fixture.model_dump(mode="json")

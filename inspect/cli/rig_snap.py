@@ -10,7 +10,7 @@ from anisoscope.cli.rig_options import Json, RigPath, print_json, say
 from anisoscope.errors import UsageError
 
 if TYPE_CHECKING:
-    from anisoscope.cli.rig_devices import Devices
+    from anisoscope.rig.acquisition.opening import Devices
     from anisoscope.rig.frame import Frame
     from anisoscope.rig.rigfile import RigFile
 
@@ -42,7 +42,7 @@ def snap(
 
     Prints mean, saturated share and sharpness (Tenengrad; larger is sharper, for the same object).
     """
-    from anisoscope.cli.rig_devices import opened
+    from anisoscope.rig.acquisition.opening import open_devices
     from anisoscope.rig.frame import write_frame
     from anisoscope.rig.rigfile import read_rig
 
@@ -52,7 +52,7 @@ def snap(
         raise UsageError(f"--frames must lie between 1 and 10000, not {frames}")
     file = read_rig(rig)
     axes = {"stage": file.stage} | ({} if file.tilt is None else {"tilt": file.tilt})
-    with opened(axes if stage else None, file.camera, file.light) as devices:
+    with open_devices(axes if stage else {}, file.camera, file.light) as devices:
         frame, saturated = _take(devices, file, exposure, gain, frames, light=light)
         assert devices.camera is not None
         info = devices.camera.info

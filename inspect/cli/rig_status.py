@@ -11,7 +11,7 @@ from anisoscope.errors import AnisoscopeError, RigError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from anisoscope.rig.rigfile import AxisPart, CameraPart, LightPart
+    from anisoscope.rig.rigfile import AxisPart, CameraPart, LightPart, RigFile
 
 
 def status(*, which: Annotated[Which, Parameter(name="*")] = NOTHING_NAMED, json_: Json = False) -> int:
@@ -29,7 +29,7 @@ def status(*, which: Annotated[Which, Parameter(name="*")] = NOTHING_NAMED, json
             if file is None:  # nobody said where the sample stands at 0°
                 found[table].pop("angle_deg", None)
         if file is not None:
-            found["camera"] = _of(_camera, file.camera, stack)
+            found["camera"] = _of(_camera, file.camera, file, stack)
             found["light"] = _of(_light, file.light, stack)
     if json_:
         print_json(found)
@@ -47,7 +47,7 @@ def _of(ask: "Callable[..., dict[str, Any]]", part: Any, *rest: Any) -> dict[str
 
 
 def _axis(part: "AxisPart", table: str, stack: contextlib.ExitStack) -> dict[str, Any]:
-    from anisoscope.cli.rig_devices import open_axis
+    from anisoscope.rig.acquisition.opening import open_axis
     from anisoscope.rig.rigfile import BY_HAND
 
     if part.driver == BY_HAND:
@@ -66,7 +66,7 @@ def _axis(part: "AxisPart", table: str, stack: contextlib.ExitStack) -> dict[str
     }
 
 
-def _camera(part: "CameraPart", stack: contextlib.ExitStack) -> dict[str, Any]:
+def _camera(part: "CameraPart", file: "RigFile", stack: contextlib.ExitStack) -> dict[str, Any]:
     from anisoscope.rig.drivers import open_camera
 
     camera = open_camera(part.driver, **part.options)
@@ -79,6 +79,7 @@ def _camera(part: "CameraPart", stack: contextlib.ExitStack) -> dict[str, Any]:
         "bit_depth": info.bit_depth,
         "black_level": info.black_level,
         "linear": info.linear,
+        "uncalibrated": file.uncalibrated(info),
         "pixel_um": part.pixel_um,
     }
 
@@ -86,9 +87,13 @@ def _camera(part: "CameraPart", stack: contextlib.ExitStack) -> dict[str, Any]:
 def _light(part: "LightPart", stack: contextlib.ExitStack) -> dict[str, Any]:
     from anisoscope.rig.drivers import open_light
 
-    light = open_light(part.driver, **part.options)
+    light = open_light(part.driver, port=part.port, **part.options)
     stack.callback(light.close)
-    return {"device": str(getattr(light, "name", part.driver)), "angle_deg": part.angle_deg}
+    return {
+        "port": part.port,
+        "device": str(getattr(light, "name", part.driver)),
+        "angle_deg": part.angle_deg,
+    }
 
 
 def _print(found: dict[str, Any]) -> None:
@@ -118,6 +123,11 @@ def _line(table: str, device: dict[str, Any]) -> str:
             f"{device['rows']} × {device['cols']} pixels of {device['pixel_um']:g} µm on the sample",
             f"{device['bit_depth']} bits, black at {device['black_level']:g}",
             "linear" if device["linear"] else "not linear",
+            *(
+                ["UNCALIBRATED: no response curve (anisoscope calibrate response)"]
+                if device["uncalibrated"]
+                else []
+            ),
         ]
     elif table == "light":
         words.append(f"{device['angle_deg']:g}° from the camera")

@@ -36,12 +36,17 @@ def detection_command(
     ] = None,
     json_: JsonOption = False,
     html: HtmlOption = None,
+    markdown: Annotated[
+        Path | None,
+        Parameter(help="Markdown page with marks for the results; the numbers go beside it as JSON."),
+    ] = None,
 ) -> int:
     """Inspect thousands of good and bad parts on the virtual rig: false alarms, detection, diagnosis, coverage.
 
     Parts that are kept already are not made again: the same call goes on where it was stopped.
     """
     from anisoscope.report.detection_page import tables_of, write_detection_page
+    from anisoscope.report.detection_text import write_results
     from anisoscope.study.detection import Plan, told_study
     from anisoscope.study.sweep import Workers
 
@@ -54,6 +59,8 @@ def detection_command(
         found = told_study(plan, Workers(jobs, scheduler), advance)
     if html is not None:
         write_detection_page(html, found)
+    if markdown is not None:
+        write_results(markdown, found)
     if json_:
         json.dump(found, sys.stdout, indent=2, allow_nan=False)
         sys.stdout.write("\n")

@@ -270,7 +270,7 @@ def _fit(light: LightFit) -> FitRecord:
 
 
 def _notes(file: RigFile, taken: Taken, angles: Angles) -> tuple[str, ...]:
-    found = []
+    found = [] if taken.exposure is None else [taken.exposure]
     if file.fixture is None:
         found.append("the rig file describes no fixture: centre and pixel size were not measured")
     elif angles.markers is None:

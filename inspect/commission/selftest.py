@@ -19,6 +19,7 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
 from anisoscope.atomicfile import write_text
+from anisoscope.calibration.warmup import MIN_FRAMES
 from anisoscope.commission.markers import Fix
 from anisoscope.commission.record import Commissioning, default_record_path, read_commissioning
 from anisoscope.errors import AnisoscopeError, CalibrationError, RecordError, RigError, UsageError
@@ -30,7 +31,7 @@ from anisoscope.verdict import Verdict
 
 FloatArray = npt.NDArray[np.float64]
 Image = npt.NDArray[np.float32]
-Outcome = Literal["PASS", "FAIL", "SKIPPED"]
+Outcome = Literal["PASS", "FAIL", "WARN", "SKIPPED"]
 
 
 @dataclass(frozen=True)
@@ -89,8 +90,8 @@ class Settings:
             raise UsageError(
                 f"exposure and gain must be more than 0, not {self.exposure_s:g} s and {self.gain:g}"
             )
-        if self.frames < 4 or self.dark_frames < 2:
-            raise UsageError("the self test takes at least 4 lit and 2 dark frames")
+        if self.frames < MIN_FRAMES or self.dark_frames < 2:
+            raise UsageError(f"the self test takes at least {MIN_FRAMES} lit and 2 dark frames")
 
 
 class _Part(BaseModel):
@@ -98,7 +99,7 @@ class _Part(BaseModel):
 
 
 class Check(_Part):
-    """One check: outcome, value and limit in `unit`, and what to know or to do."""
+    """One check: outcome, value and limit in `unit`, and what to know or to do; WARN leaves the rig fit."""
 
     key: str
     words: str

@@ -1,19 +1,28 @@
 """The checks of the self test, in the order in which they are done."""
 
+import time
+
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.calibration.warmup import fit_warmup
+from anisoscope.commission.exposure import proof_on, sentence
 from anisoscope.commission.markers import Fix, find_fixture
 from anisoscope.commission.selftest import Bed, Check, Settings, Step, judged, skipped
 from anisoscope.commission.selftest_pictures import MARKERS, WHITE, check_markers, check_white
 from anisoscope.commission.turning import wrapped
-from anisoscope.errors import MeasurementError, RigError
+from anisoscope.errors import CameraError, MeasurementError, RigError
 from anisoscope.linear import SATURATION_SHARE
+from anisoscope.rig.camera import UNCALIBRATED
 from anisoscope.rig.rigfile import AxisPart
 from anisoscope.rig.stage import RotationStage
 
 FloatArray = npt.NDArray[np.float64]
 
+CAMERA = (
+    ("camera.exposure", "brightness follows the exposure (power)"),
+    ("camera.linear", "counts in proportion to light"),
+)
 ANGLES = (0.0, 90.0, 180.0, 270.0)
 TILTS = (-10.0, 0.0, 10.0)
 
@@ -88,7 +97,10 @@ def check_light(bed: Bed) -> list[Check]:
     assert bed.dark is not None
     full = 2.0**info.bit_depth - 1.0
     bed.rig.light.on()
-    frames = _grab(bed, settings.frames)
+    frames, times_s = [], []
+    for _ in range(settings.frames):
+        frames += _grab(bed, 1)
+        times_s.append(time.monotonic())
     means = np.array([float(frame.mean()) for frame in frames]) - bed.dark.mean()
     bed.lit = np.mean(np.stack(frames[-4:]).astype(np.float64), axis=0) - bed.dark
     saturated = float(np.mean(np.max(np.stack(frames[-4:]), axis=0) >= SATURATION_SHARE * full))
@@ -109,30 +121,55 @@ def check_light(bed: Bed) -> list[Check]:
         judged(
             "camera.saturated", "saturated pixels", saturated, settings.saturated_share, "share", "shorten --exposure"
         ),
-        *_lamp(means, settings),
+        *_lamp(times_s, means, settings),
     ]  # fmt: skip
 
 
-def _lamp(means: FloatArray, settings: Settings) -> list[Check]:
+def _lamp(times_s: list[float], means: FloatArray, settings: Settings) -> list[Check]:
     names = ("lamp.drift", "drift of the light over the frames"), ("lamp.flicker", "flicker of the light")
     if means.mean() <= 0.0:
         return [skipped(*name, "there is no light") for name in names]
-    relative = means / means.mean()
-    at = np.arange(len(relative)) - (len(relative) - 1) / 2.0
-    slope = float(at @ relative / (at @ at))
-    rest = relative - 1.0 - slope * at
-    scatter = float(np.sqrt(rest @ rest / (len(rest) - 2)))
-    drift, u = slope * (len(relative) - 1), scatter * (len(relative) - 1) / float(np.sqrt(at @ at))
+    found = fit_warmup(times_s, means)
+    change = f"{found.change_share:+.3%} ± {found.change_uncertainty:.3%} over {found.frames} frames"
     return [
         judged(
-            *names[0], abs(drift), settings.drift_share, "relative",
-            "let the lamp warm up, and test again", remark=f"{drift:+.3%} ± {u:.3%} over {len(relative)} frames",
+            *names[0], abs(found.change_share), settings.drift_share, "relative",
+            "let the lamp warm up, and test again", remark=f"{change}; {found.sentence()}",
         ),
         judged(
-            *names[1], scatter, settings.flicker_share, "relative",
+            *names[1], found.noise_share, settings.flicker_share, "relative",
             "check the lamp's supply, keep room light out, or make the exposure a multiple of the mains period",
         ),
     ]  # fmt: skip
+
+
+def check_camera(bed: Bed) -> list[Check]:
+    """Does the camera count light as it says? Automatic exposure is off; counts are proportional, or it is said."""
+    (exposure, linear), info = CAMERA, bed.rig.camera.info
+    settings = bed.settings
+    assert bed.dark is not None
+    try:
+        proof = proof_on(bed.rig, settings.exposure_s, settings.gain, float(bed.dark.mean()))
+    except CameraError as error:  # the camera works, and does something else than it was told
+        first = Check(key=exposure[0], words=exposure[1], outcome="FAIL", remark=str(error))
+    else:
+        if proof is None:
+            first = skipped(*exposure, "the camera has no automatic exposure")
+        else:
+            first = Check(
+                key=exposure[0],
+                words=exposure[1],
+                outcome="PASS",
+                value=proof.exponents[0],
+                remark=sentence(proof),
+            )
+    bed.rig.camera.configure(settings.exposure_s, settings.gain)
+    second = Check(key=linear[0], words=linear[1], outcome="PASS")
+    if bed.file.uncalibrated(info):
+        second = Check(key=linear[0], words=linear[1], outcome="WARN", remark=UNCALIBRATED)
+    elif not info.linear:
+        second = Check(key=linear[0], words=linear[1], outcome="PASS", remark="by the linearity calibration")
+    return [first, second]
 
 
 def check_moves(bed: Bed) -> list[Check]:
@@ -223,6 +260,7 @@ STEPS: tuple[Step, ...] = (
         ),
         check_light,
     ),
+    (CAMERA, check_camera),
     ((("tilt.moves", "tilt axis: reading off the command"),), check_tilt),
     (
         (("stage.moves", "reading off the command"), ("stage.repeat", "same angle, approached again")),

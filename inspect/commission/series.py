@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.commission.exposure import proof_on, sentence
 from anisoscope.errors import CalibrationError, CameraError, RigFileError, Saturated, UsageError
 from anisoscope.linear import Stack, WhiteReference, check_size, hot_pixels, linearise, stack
 from anisoscope.progress import Advance
@@ -96,7 +97,10 @@ class Shots:
 
 @dataclass(frozen=True, eq=False)
 class Taken:
-    """The pictures, on disk, and the devices that took them; `white` is None where there is no white reference."""
+    """The pictures, on disk, and the devices that took them; `white` is None where there is no white reference.
+
+    `exposure` says that automatic exposure was proved off; None where the camera has none.
+    """
 
     shots: tuple[Shots, ...]
     dark: Stack
@@ -105,6 +109,7 @@ class Taken:
     devices: dict[str, str]
     limits_deg: tuple[float, float]
     sha256: tuple[str, ...]
+    exposure: str | None = None
 
     @property
     def absolute(self) -> bool:
@@ -238,12 +243,13 @@ def take(
         if not info.linear:
             raise CameraError(
                 f"{info.model} does not count in proportion to light: its radiances cannot be fitted; use a linear "
-                "mode, or fit its response first"
+                "mode, or take its curve with `anisoscope calibrate response` and name it as camera.options.response"
             )
         plan = plan_of(file, rig.stage, rig.tilt, series)
         devices = {"stage": rig.stage.name, "camera": f"{info.model} {info.serial}"}
         devices |= {"tilt": rig.tilt.name} if rig.tilt is not None else {}
         devices["light"] = file.light.driver
+        proof = proof_on(rig, series.exposure_s, series.gain)
         records = run_plan(plan, rig, folder, on_progress=tell, cancel=cancel)
         limits = rig.stage.limits_deg
     groups: dict[tuple[Pose, bool], list[Path]] = {}
@@ -258,6 +264,7 @@ def take(
         devices,
         limits,
         tuple(record.sha256 for record in records),
+        None if proof is None else sentence(proof),
     )
 
 

@@ -87,12 +87,23 @@ def place_map(
         RegistrationError: the map holds no whole pitch, or nothing is seen of its ridges.
     """
     pixel_um = grid.pixel_mm * 1000.0
-    pitch = pitch_um / pixel_um
     if min((n - 1) * size for n, size in zip(surface.shape, surface_pixels(surface), strict=True)) < pitch_um:
         raise RegistrationError(
             "the height map is smaller than one pitch: it cannot be matched to the pictures"
         )
     rendered = render(surface, poses, material, convention, pixel_um, pitch_um)
+    return place_rendered(aligned, rendered, pixel_um, pitch_um)
+
+
+def place_rendered(
+    aligned: Sequence[Image], rendered: Sequence[Image], pixel_um: float, pitch_um: float
+) -> MapPlace:
+    """Match what the poses show of the height map (`render`) to the aligned pictures, both of the same pixels.
+
+    Raises:
+        RegistrationError: nothing is seen of the map's ridges.
+    """
+    pitch = pitch_um / pixel_um
     phase = _phase(aligned, rendered, pitch)
     best, second, (across, along) = _features(aligned, rendered, phase, pitch)
     ratio = best / max(second, 1e-6)

@@ -19,6 +19,7 @@ RULE_TITLES = {
     "spread": "… with the spread of the ridge angle stated",
     "known": "… and roughness, albedo known 3× better",
     "golden": "25 golden parts, T²",
+    "normal": "25 golden parts, T² by the normal theory",
     "taught": "prediction shifted to 25 golden parts",
 }
 
@@ -69,6 +70,7 @@ def tables_of(found: Told) -> list[Table]:
         _diagnosis(found),
         _coverage(found),
         _limits(found),
+        _outlook(found),
     ]
 
 
@@ -164,6 +166,7 @@ def _diagnosis(found: Told) -> Table:
                     _short(about["right_first"]),
                     _short(about["right_first_or_second"]),
                     _short(about["right_tied"]),
+                    _short(about["confidently_wrong"]),
                     _short(about["right_first_against_golden"]),
                     ", ".join(f"{name} {count}" for name, count in about["first"][:3]),
                     _short(about["extent_interval_holds"]),
@@ -171,7 +174,7 @@ def _diagnosis(found: Told) -> Table:
             )
     columns = (
         "class", "where", "separable (3 σ)", "right cause first", "first or second", "among the ties",
-        "first, against golden parts", "named first", "extent in its 95 % interval",
+        "confidently wrong", "first, against golden parts", "named first", "extent in its 95 % interval",
     )  # fmt: skip
     return Table("Diagnosis", columns, tuple(rows))
 
@@ -202,6 +205,20 @@ def _limits(found: Told) -> Table:
         ("class", "where", "shift [σ]", "share of σ²"),
         tuple(rows),
         note,
+    )
+
+
+def _outlook(found: Told) -> Table:
+    rows = [
+        (name, row["poses"], row["calibration"], f"{row['sigmas']:.2f}", f"{row['auc']:.3f}")
+        for name, tried in found["outlook"].items()
+        for row in tried
+    ]
+    return Table(
+        "What other poses and less uncertainty would reach",
+        ("class", "poses", "uncertainties", "shift [σ]", "area under the curve of D²"),
+        tuple(rows),
+        "Computed, not simulated: distance of the class from all that good parts may be.",
     )
 
 

@@ -12,14 +12,29 @@ import numpy.typing as npt
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.collections import LineCollection
     from matplotlib.figure import Figure
+    from matplotlib.patches import PathPatch
 
 FloatArray = npt.NDArray[np.float64]
 Image = npt.NDArray[np.float32]
 
 INK, MUTED, GRID = "#1c2733", "#5b6b7b", "#d7dee5"
 BLUE, ORANGE, RED, GREEN = "#1f6fb2", "#e07b00", "#c62f2f", "#2b8a4b"
+MARK = "#c62f30"  # on maps, whose colours stay in the dark
+PAPER, ZONE, ZONE_EDGE = "#ffffff", "#dcefe2", "#9ccbab"
+
+IN_THE_DARK = {
+    INK: "#dfe6ec",
+    MUTED: "#9db0c0",
+    GRID: "#37444f",
+    BLUE: "#62b0ee",
+    RED: "#ff8a80",
+    GREEN: "#6fcf92",
+    PAPER: "#182129",
+    ZONE: "#1e3b2b",
+    ZONE_EDGE: "#3f7a57",
+}
+"""What the colours of a drawing turn into where the reader's screen is dark."""
 
 
 def png_uri(data: bytes) -> str:
@@ -80,7 +95,18 @@ def _map_figure(size: tuple[float, float]) -> Iterator[tuple["Figure", "Axes", "
 def _svg_uri(figure: "Figure") -> str:
     stream = io.BytesIO()
     figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": "anisoscope"})
-    return "data:image/svg+xml;base64," + base64.b64encode(stream.getvalue()).decode("ascii")
+    drawing = _for_both_lights(stream.getvalue().decode())
+    return "data:image/svg+xml;base64," + base64.b64encode(drawing.encode()).decode("ascii")
+
+
+def _for_both_lights(svg: str) -> str:
+    """A drawing whose colours follow the reader's screen; without a style sheet they stay as drawn."""
+    names = {colour: f"--c{number}" for number, colour in enumerate(IN_THE_DARK)}
+    for colour, name in names.items():
+        svg = svg.replace(f": {colour}", f": var({name}, {colour})")
+    dark = "".join(f"{names[colour]}:{other};" for colour, other in IN_THE_DARK.items())
+    style = f"<style>@media screen and (prefers-color-scheme: dark) {{ svg {{ {dark} }} }}</style>"
+    return svg.replace("<defs>", f"<defs>{style}", 1)
 
 
 def photograph(radiance: Image, white: float) -> str:
@@ -113,7 +139,7 @@ def contrast_map(
         extent = (-width / 2, width / 2, -height / 2, height / 2)
         shown = axes.imshow(ratio, cmap="cividis", vmin=low, vmax=max(high, low + 0.05), extent=extent)
         if deviating is not None:
-            axes.add_collection(_outline(deviating, size_mm))
+            axes.add_artist(_outline(deviating, size_mm))
         figure.colorbar(shown, cax=bar, label="ln ratio")
         return _svg_uri(figure)
 
@@ -140,7 +166,7 @@ def deviation_map(
         extent = (-width / 2, width / 2, -height / 2, height / 2)
         shown = axes.imshow(deviation, cmap="PuOr", vmin=-reach, vmax=reach, extent=extent)
         if deviating is not None:
-            axes.add_collection(_outline(deviating, size_mm))
+            axes.add_artist(_outline(deviating, size_mm))
         for number, (x, y) in enumerate(places, start=1):
             label = axes.annotate(
                 str(number),
@@ -157,45 +183,22 @@ def deviation_map(
         return _svg_uri(figure)
 
 
-def golden_strip(labels: Sequence[str], golden: FloatArray, measured: Sequence[float]) -> str:
-    """Every golden part as a dot and this part as a diamond, one strip a contrast, all from the golden mean.
-
-    Args:
-        labels: names of the contrasts.
-        golden: (n, contrasts).
-        measured: of this part.
-    """
-    off = golden - golden.mean(axis=0)
-    with _figure(9.0, 0.95 + 0.42 * len(labels)) as (figure, axes):
-        strip = np.arange(len(labels), dtype=np.float64)
-        spread = 0.12 * (np.arange(len(off)) % 5 - 2)
-        rows = (strip[None, :] + spread[:, None]).ravel()
-        known = axes.scatter(off.ravel(), rows, s=20, color=BLUE, alpha=0.6, linewidths=0)
-        here = np.asarray(measured) - golden.mean(axis=0)
-        mine = axes.scatter(
-            here, strip, s=70, marker="D", color=ORANGE, edgecolor=INK, linewidths=0.8, zorder=3
-        )
-        axes.axvline(0.0, color=MUTED, linewidth=0.9)
-        axes.set_yticks(range(len(labels)), labels)
-        axes.set_ylim(len(labels) - 0.45, -0.55)
-        axes.grid(axis="x")
-        axes.set_xlabel("ln ratio, from the mean of the golden parts")
-        axes.legend([known, mine], ["golden parts", "this part"], loc="best", frameon=False)
-        return _svg_uri(figure)
-
-
-def _outline(mask: npt.NDArray[np.bool_], size_mm: tuple[float, float]) -> "LineCollection":
-    """The edges between cells that deviate and cells that do not."""
-    from matplotlib.collections import LineCollection
+def _outline(mask: npt.NDArray[np.bool_], size_mm: tuple[float, float]) -> "PathPatch":
+    """The edges between cells that deviate and cells that do not, as one path: thousands of lines take seconds."""
+    from matplotlib.patches import PathPatch
+    from matplotlib.path import Path
 
     padded = np.pad(mask, 1)
     rows, cols = mask.shape
-    upright = [((c, r), (c, r + 1)) for r, c in np.argwhere(padded[1:-1, 1:] != padded[1:-1, :-1])]
-    level = [((c, r), (c + 1, r)) for r, c in np.argwhere(padded[1:, 1:-1] != padded[:-1, 1:-1])]
+    upright = np.argwhere(padded[1:-1, 1:] != padded[1:-1, :-1])[:, ::-1]
+    level = np.argwhere(padded[1:, 1:-1] != padded[:-1, 1:-1])[:, ::-1]
+    ends = np.concatenate([np.add(upright, (0, 1)), np.add(level, (1, 0))])
+    lines = np.stack([np.concatenate([upright, level]), ends], axis=1)
     scale = np.array([size_mm[1] / cols, -size_mm[0] / rows])
     corner = np.array([-size_mm[1] / 2, size_mm[0] / 2])
-    lines = np.array(upright + level, dtype=np.float64).reshape(-1, 2, 2) * scale + corner
-    return LineCollection(list(lines), colors=RED, linewidths=0.6)
+    codes = np.tile(np.array([Path.MOVETO, Path.LINETO], dtype=np.uint8), len(lines))
+    path = Path((lines * scale + corner).reshape(-1, 2), codes)
+    return PathPatch(path, fill=False, edgecolor=MARK, linewidth=0.6)
 
 
 def contrast_chart(
@@ -215,8 +218,8 @@ def contrast_chart(
                     2 * limit,
                     left=-limit,
                     height=0.62,
-                    color="#dcefe2",
-                    edgecolor="#9ccbab",
+                    color=ZONE,
+                    edgecolor=ZONE_EDGE,
                     linewidth=0.8,
                 )
             axes.errorbar(
@@ -236,36 +239,6 @@ def contrast_chart(
         axes.set_xlabel(f"measured − predicted [{unit}];  bar: 95 % interval, green: tolerance")
         reach = max(abs(d) + max(1.96 * s, t or 0.0) for d, s, t in zip(deviation, u, tolerance, strict=True))
         axes.set_xlim(-1.12 * reach, 1.12 * reach)
-        return _svg_uri(figure)
-
-
-def budget_chart(
-    sources: Sequence[str], contributions: FloatArray, labels: Sequence[str], kinds: Sequence[str]
-) -> str:
-    """Bars of every source's contribution to every contrast, largest source first.
-
-    Args:
-        sources: S names.
-        contributions: (S, pairs).
-        labels: names of the contrasts.
-        kinds: "prediction" or "measurement" for every source.
-    """
-    pairs = contributions.shape[1]
-    shades = [BLUE, ORANGE, GREEN, MUTED, RED]
-    with _figure(5.4, 0.8 + 0.15 * len(sources) * (1 + 0.35 * pairs)) as (figure, axes):
-        height = 0.8 / pairs
-        for p in range(pairs):
-            positions = np.arange(len(sources)) - 0.4 + height * (p + 0.5)
-            axes.barh(
-                positions, contributions[:, p], height=height, color=shades[p % len(shades)], label=labels[p]
-            )
-        axes.set_yticks(
-            range(len(sources)), [f"{s}  ({k[0].upper()})" for s, k in zip(sources, kinds, strict=True)]
-        )
-        axes.set_ylim(len(sources) - 0.5, -0.6)
-        axes.grid(axis="x")
-        axes.set_xlabel("standard uncertainty of the contrast")
-        axes.legend(loc="lower right", frameon=False)
         return _svg_uri(figure)
 
 

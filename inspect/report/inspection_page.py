@@ -1,5 +1,6 @@
 """The HTML report of one inspection: one self-contained file that opens offline and prints to A4."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -7,25 +8,28 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.calibration.record import CalibrationRecord, Kind
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.record import CauseRecord, Record, RegionRecord
+from anisoscope.record import BudgetRecord, CauseRecord, Record, RegionRecord
 from anisoscope.report import figures
-from anisoscope.report.page import Filters, write_page
-from anisoscope.report.relief3d import Picture3D, Renderer
+from anisoscope.report.page import ready_template, write_page
+from anisoscope.report.peers import Lot, Peers, among
+from anisoscope.report.provenance import calibrations_of, files_of, groups_of
+from anisoscope.report.relief3d import Picture3D
+from anisoscope.report.rule import NAMES, PRECEDENCE, UNITS, deviation_decides, rule_of
+from anisoscope.report.surfaceview import SurfacePictures, SurfaceView, flat_drawings
+from anisoscope.report.viewer3d import viewer_of
+from anisoscope.report.wording import cause_text, contrast_name, filters, labels_of
 
 FloatArray = npt.NDArray[np.float64]
 Image = npt.NDArray[np.float32]
 
 REPORT_NAME = "report.html"
+TEMPLATE = "inspection.html"
 MAX_REGIONS = 12
 WANTED_RATIO = 4.0
+SMALL_SHARE = 0.01
 SURFACES = {"design": "ideal design", "height_map": "height map"}
-KIND_NAMES = {
-    "log_ratio": "ln ratio",
-    "michelson": "Michelson contrast",
-    "difference": "difference of radiance",
-}
-UNITS = {"log_ratio": "1", "michelson": "1", "difference": "1/sr"}
 MEANING = {
     "PASS": "The part is as predicted, within the tolerance.",
     "FAIL": "The part deviates too much from what it should be.",
@@ -36,7 +40,7 @@ MEANING = {
 
 @dataclass(frozen=True, eq=False)
 class Pictures:
-    """Arrays that the report shows; all may be missing in an INVALID inspection.
+    """What the report shows beside the record; all may be missing in an INVALID inspection.
 
     Attributes:
         aligned: one picture a pose on the sample's raster, radiance in 1/sr.
@@ -45,6 +49,9 @@ class Pictures:
         deviating: (cell rows, cell cols) cells that deviate.
         deviation: (cell rows, cell cols) ln ratio by which a cell is off.
         surface: the height map of the prediction, levelled.
+        raw: pictures as photographed, where they could not be judged.
+        calibrations: records of the rig's calibrations, by kind.
+        lot: parts of the same lot that were inspected before, or None.
     """
 
     aligned: tuple[Image, ...] = ()
@@ -54,13 +61,18 @@ class Pictures:
     surface: HeightMap | None = None
     deviation: FloatArray | None = None
     raw: tuple[tuple[str, Image], ...] = field(default=())
+    calibrations: Mapping[Kind, CalibrationRecord] = field(default_factory=dict)
+    lot: Lot | None = None
 
 
-def start_renderer(surface: HeightMap | None) -> Renderer | None:
-    """Begin drawing the height map in 3-D; the report collects the picture at the end."""
+def start_renderer(surface: HeightMap | None) -> SurfaceView | None:
+    """Begin drawing a height map; the report collects the pictures at the end.
+
+    The template is made ready beside it, so that little is left to do after the verdict.
+    """
     if surface is None:
         return None
-    return Renderer(surface.height_um, (surface.pixel_y_um, surface.pixel_x_um))
+    return SurfaceView(surface, lambda: ready_template(TEMPLATE, filters()))
 
 
 def write_report(record: Record, pictures: Pictures, folder: Path, view: Picture3D | None = None) -> Path:
@@ -75,66 +87,63 @@ def write_report(record: Record, pictures: Pictures, folder: Path, view: Picture
     Raises:
         RecordError: the folder cannot be written.
     """
-    content = {
-        "record": record,
-        "meaning": MEANING[record.verdict],
-        "kind": KIND_NAMES.get(record.contrasts[0].kind, "") if record.contrasts else "",
-        "unit": UNITS.get(record.contrasts[0].kind, "1") if record.contrasts else "1",
-        "rule": record.recipe["decision"],
-        "surfaces": SURFACES,
-        "regions": record.regions[:MAX_REGIONS],
-        "causes": _causes(record),
-        "narrow": [c for c in record.contrasts if c.tolerance_ratio and c.tolerance_ratio < WANTED_RATIO],
-        **_figures(record, pictures, view),
-    }
-    filters: Filters = {
-        "angle": _angle,
-        "short": lambda value: f"{value:.4f}" if value >= 5e-5 else "< 0.0001",
-        "signed": lambda value, digits=3: f"{value:+.{digits}f}".replace("-", "−"),
-    }
     path = folder / REPORT_NAME
-    write_page(path, "inspection.html", content, filters)
+    write_page(path, TEMPLATE, _content(record, pictures, folder, view), filters())
     return path
 
 
-def _angle(value: float) -> str:
-    """A small turn in degrees, signed, without a negative zero."""
-    turn = round((value + 180.0) % 360.0 - 180.0, 2) + 0.0
-    return f"{turn:+.2f}°".replace("-", "−")
+def _content(record: Record, pictures: Pictures, folder: Path, view: Picture3D | None) -> dict[str, Any]:
+    large, small = _budget(record)
+    return {
+        "record": record,
+        "meaning": MEANING[record.verdict],
+        "rule_text": rule_of(record),
+        "precedence": PRECEDENCE,
+        "rule": record.recipe["decision"],
+        "deviation_decides": deviation_decides(record),
+        "kind": NAMES.get(record.contrasts[0].kind, "") if record.contrasts else "",
+        "unit": UNITS.get(record.contrasts[0].kind, "1") if record.contrasts else "1",
+        "surfaces": SURFACES,
+        "regions": record.regions[:MAX_REGIONS],
+        "causes": _causes(record),
+        "cause_text": "; or, not to be told apart: ".join(cause_text(c) for c in _causes(record) if c.tie),
+        "narrow": [c for c in record.contrasts if c.tolerance_ratio and c.tolerance_ratio < WANTED_RATIO],
+        "budget": large,
+        "small_budget": small,
+        "budget_top": max((max(row.contributions, default=0.0) for row in record.budget), default=0.0),
+        "golden": _golden(record),
+        "lot": pictures.lot,
+        "lot_peers": _lot_peers(record, pictures.lot),
+        "groups": groups_of(record),
+        "calibrations": calibrations_of(record, pictures.calibrations),
+        "files": files_of(record, folder),
+        "folder": folder.name,
+        **_photographs(record, pictures),
+        **_maps(record, pictures),
+        **_surface(pictures.surface, view),
+    }
 
 
-def _figures(record: Record, pictures: Pictures, view: Picture3D | None) -> dict[str, Any]:
-    labels = [_label(c.from_deg, c.to_deg, c.tilt_deg) for c in record.contrasts]
+def _photographs(record: Record, pictures: Pictures) -> dict[str, Any]:
     white = max((float(np.nanpercentile(p, 99.0)) for p in pictures.aligned), default=1.0)
-    found: dict[str, Any] = {
+    return {
         "white": white,
-        "labels": labels,
+        "size_mm": pictures.size_mm,
         "photographs": [
             (pose, figures.photograph(picture, white))
             for pose, picture in zip(record.poses, pictures.aligned, strict=False)
         ],
         "raw": [(name, figures.photograph(image, _top(image))) for name, image in pictures.raw],
-        "maps": [],
-        "chart": None,
-        "budget_chart": None,
-        "surface_picture": None,
-        "surface_profile": None,
-        "surface_3d": None,
-        "surface_note": "",
-        "size_mm": pictures.size_mm,
-        "deviation_map": None,
-        "golden_strip": None,
     }
+
+
+def _maps(record: Record, pictures: Pictures) -> dict[str, Any]:
+    labels = labels_of(record)
+    found: dict[str, Any] = {"labels": labels, "maps": [], "chart": None, "deviation_map": None}
     if pictures.deviation is not None:
         places = [_local(record, region) for region in record.regions[:MAX_REGIONS]]
         found["deviation_map"] = figures.deviation_map(
             pictures.deviation, pictures.deviating, places, pictures.size_mm
-        )
-    if record.golden is not None:
-        found["golden_strip"] = figures.golden_strip(
-            [_label(p.stage_deg, record.poses[0].stage_deg, p.tilt_deg) for p in record.poses[1:]],
-            np.array(record.golden.contrasts),
-            record.golden.measured,
         )
     if pictures.ratios is not None:
         found["maps"] = [
@@ -147,17 +156,41 @@ def _figures(record: Record, pictures: Pictures, view: Picture3D | None) -> dict
             [c.measured - c.predicted for c in record.contrasts],
             [c.u for c in record.contrasts],
             [c.tolerance for c in record.contrasts],
-            KIND_NAMES[record.contrasts[0].kind],
+            NAMES[record.contrasts[0].kind],
         )
-        found["budget_chart"] = figures.budget_chart(
-            [row.source for row in record.budget],
-            np.array([row.contributions for row in record.budget]),
-            labels,
-            [row.kind for row in record.budget],
-        )
-    if pictures.surface is not None:
-        found |= _surface(pictures.surface, view)
     return found
+
+
+def _budget(record: Record) -> tuple[list[BudgetRecord], list[BudgetRecord]]:
+    """Sources that make up a hundredth of some variance, and the others."""
+    variance = np.array([contrast.u**2 for contrast in record.contrasts])
+    large: list[BudgetRecord] = []
+    small: list[BudgetRecord] = []
+    for row in record.budget:
+        counts = bool(np.any(np.square(row.contributions) >= SMALL_SHARE * variance))
+        (large if counts else small).append(row)
+    return large, small
+
+
+def _golden(record: Record) -> Peers | None:
+    if record.golden is None:
+        return None
+    first = record.poses[0].stage_deg
+    labels = [contrast_name(p.stage_deg, first, p.tilt_deg) for p in record.poses[1:]]
+    known = np.array(record.golden.contrasts)
+    return among(labels, known, record.golden.measured, "golden parts", "ln ratio [1]")
+
+
+def _lot_peers(record: Record, lot: Lot | None) -> Peers | None:
+    """The part among its lot, as far as parts were measured alike."""
+    count = len(record.contrasts)
+    known = [part.contrasts for part in lot.parts if len(part.contrasts) == count] if lot else []
+    if not known or not count:
+        return None
+    kind, mine = record.contrasts[0].kind, [c.measured for c in record.contrasts]
+    return among(
+        labels_of(record), np.array(known), mine, "parts of the lot", f"{NAMES[kind]} [{UNITS[kind]}]"
+    )
 
 
 def _local(record: Record, region: RegionRecord) -> tuple[float, float]:
@@ -177,19 +210,17 @@ def _top(image: Image) -> float:
     return max(float(np.nanpercentile(image, 99.5)), 1e-9)
 
 
-def _surface(surface: HeightMap, view: Picture3D | None) -> dict[str, Any]:
-    line = surface.height_um[surface.shape[0] // 2]
-    shown = min(line.size, round(600.0 / surface.pixel_x_um))
+def _surface(surface: HeightMap | None, view: Picture3D | None) -> dict[str, Any]:
+    viewer = viewer_of(view.scene) if view and view.png and view.scene else None
+    above, profile = None, None
+    if surface is not None:
+        drawn = (view.above, view.profile) if isinstance(view, SurfacePictures) and view.above else None
+        above, profile = drawn or flat_drawings(surface)
     return {
-        "surface_picture": figures.height_picture(
-            surface.height_um, (surface.pixel_y_um, surface.pixel_x_um)
-        ),
-        "surface_profile": figures.profile_chart(np.arange(shown) * surface.pixel_x_um, line[:shown]),
+        "surface_picture": above,
+        "surface_profile": profile,
         "surface_3d": figures.png_uri(view.png) if view and view.png else None,
-        "surface_note": view.note if view else "",
+        "surface_note": view.note if view else "none was asked for",
+        "viewer": viewer,
+        "script_sources": viewer.script_sources if viewer else (),
     }
-
-
-def _label(from_deg: float, to_deg: float, tilt_deg: float) -> str:
-    tilt = f", tilt {tilt_deg:g}°" if tilt_deg else ""
-    return f"{from_deg:g}° / {to_deg:g}°{tilt}".replace("-", "−")

@@ -1,10 +1,14 @@
 """One way to make a page: templates that extend ``page.html``, strict about what they are given."""
 
 from collections.abc import Callable, Mapping
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from anisoscope.atomicfile import write_text
+
+if TYPE_CHECKING:
+    import jinja2
 
 Filters = Mapping[str, Callable[..., str]]
 
@@ -21,10 +25,21 @@ def write_page(path: Path, template: str, content: Mapping[str, Any], filters: F
     Raises:
         RecordError: the file cannot be written.
     """
+    write_text(path, ready_template(template, filters).render(**content))
+
+
+def ready_template(template: str, filters: Filters | None = None) -> "jinja2.Template":
+    """A template, translated once a process; arguments as for `write_page`."""
+    environment = _environment(template)
+    environment.filters.update(filters or {})
+    return environment.get_template(template)
+
+
+@cache
+def _environment(_template: str) -> "jinja2.Environment":
+    """An environment of its own for every template, because each brings filters of its own."""
     import jinja2
 
-    environment = jinja2.Environment(
+    return jinja2.Environment(
         loader=jinja2.PackageLoader("anisoscope.report"), autoescape=True, undefined=jinja2.StrictUndefined
     )
-    environment.filters.update(filters or {})
-    write_text(path, environment.get_template(template).render(**content))

@@ -26,7 +26,10 @@ class _Line(BaseModel):
 
 
 class RunLine(_Line):
-    """The start of a run: the first, or one that takes up an interrupted one."""
+    """The start of a run: the first, or one that takes up an interrupted one.
+
+    ``linear`` says whether the camera counts in proportion to light, as far as it is known.
+    """
 
     line: Literal["run"] = "run"
     run: int
@@ -34,6 +37,7 @@ class RunLine(_Line):
     tilt: str | None
     camera: str
     started_at: str
+    linear: bool = True
 
 
 class FrameLine(_Line):

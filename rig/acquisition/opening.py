@@ -4,8 +4,8 @@ import atexit
 import contextlib
 import signal
 import threading
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from types import FrameType
 from typing import Protocol
 
@@ -13,11 +13,10 @@ from anisoscope.errors import RigError
 from anisoscope.rig.camera import Camera
 from anisoscope.rig.drivers import open_camera, open_light, open_stage
 from anisoscope.rig.light import Light, rest
-from anisoscope.rig.rigfile import BY_HAND, AxisPart, RigFile
+from anisoscope.rig.rigfile import BY_HAND, AxisPart, CameraPart, LightPart, RigFile
 from anisoscope.rig.stage import RotationStage
 from anisoscope.rig.transport import shared_ports
 
-SAFE = "the stage is stopped and the light is off"
 INTERRUPTIONS = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
 )
@@ -40,7 +39,28 @@ class Rig:
 
     def stop(self) -> tuple[str, ...]:
         """Stop all axes; return what failed. May be called from any thread."""
-        return _attempt([(f"{axis.name} was not stopped", axis.stop) for axis in self.axes])
+        return _stop(self.axes)
+
+    def make_safe(self) -> tuple[str, ...]:
+        """Stop all axes and switch the light off; return what failed; see `Devices.make_safe`."""
+        return _make_safe(self.axes, self.light)
+
+
+@dataclass
+class Devices:
+    """Some devices of a rig, opened by `open_devices`; `axes` by their tables of the rig file."""
+
+    axes: dict[str, RotationStage] = field(default_factory=dict)
+    camera: Camera | None = None
+    light: Light | None = None
+
+    @property
+    def safe(self) -> str:
+        """What is true after `make_safe` had no trouble; empty where there is nothing to make safe."""
+        names = " and ".join(self.axes)
+        said = [f"{names} are stopped" if len(self.axes) > 1 else f"the {names} is stopped"] if names else []
+        lamp = self.light is not None and not getattr(self.light, "asks", False)
+        return " and ".join(said + (["the light is off"] if lamp else []))
 
     def make_safe(self) -> tuple[str, ...]:
         """Stop all axes and switch the light off; return what failed.
@@ -48,8 +68,19 @@ class Rig:
         A device that fails does not keep the others from it, and neither does an impatient Ctrl-C: in the main
         thread it waits until this is done.
         """
-        with undisturbed():
-            return self.stop() + _attempt([("the light was not switched off", lambda: rest(self.light))])
+        return _make_safe(self.axes.values(), self.light)
+
+
+def _stop(axes: Iterable[RotationStage]) -> tuple[str, ...]:
+    return _attempt([(f"{axis.name} was not stopped", axis.stop) for axis in axes])
+
+
+def _make_safe(axes: Iterable[RotationStage], light: Light | None) -> tuple[str, ...]:
+    with undisturbed():
+        problems = _stop(axes)
+        if light is not None:
+            problems += _attempt([("the light was not switched off", lambda: rest(light))])
+        return problems
 
 
 def _attempt(actions: list[tuple[str, Callable[[], None]]]) -> tuple[str, ...]:
@@ -92,36 +123,61 @@ def undisturbed() -> Iterator[None]:
 
 @contextlib.contextmanager
 def open_rig(file: RigFile) -> Iterator[Rig]:
-    """Connect to the devices of a rig file; leaving the context makes them safe and disconnects them.
+    """Connect to all devices of a rig file; leaving the context makes them safe and disconnects them.
 
-    Devices on the same port share it. After an error or an interruption the exception carries, as a note, what
-    became of the rig.
+    Errors, and what they carry, as for `open_devices`.
+    """
+    axes: dict[str, AxisPart] = {"stage": file.stage}
+    if file.tilt is not None:
+        axes["tilt"] = file.tilt
+    with open_devices(axes, file.camera, file.light) as found:
+        assert found.camera is not None
+        assert found.light is not None
+        yield Rig(found.axes["stage"], found.camera, found.light, file, found.axes.get("tilt"))
+
+
+@contextlib.contextmanager
+def open_devices(
+    axes: Mapping[str, AxisPart], camera: CameraPart | None = None, light: LightPart | None = None
+) -> Iterator[Devices]:
+    """Connect to some devices; leaving the context switches the light off and disconnects them.
+
+    A live picture that leaves the stage's port alone lets another terminal turn the stage meanwhile. Devices on the
+    same port share it. After an error or an interruption the axes are stopped, and the exception carries, as a note,
+    what became of the rig.
+
+    Args:
+        axes: axes by their tables of the rig file, ``stage`` and ``tilt``.
+        camera: the camera, if it is wanted.
+        light: the light, if it is wanted.
 
     Raises:
         RigFileError: a driver that is not installed, or an option that it does not know.
         NotConnected: a device that is not there.
     """
+    found = Devices()
     with contextlib.ExitStack() as stack:
         with shared_ports():
-            stage = _open_axis(file.stage, "stage")
-            stack.push(_closing(stage))
-            tilt = None if file.tilt is None else _open_axis(file.tilt, "tilt")
-            if tilt is not None:
-                stack.push(_closing(tilt))
-            camera = open_camera(file.camera.driver, **file.camera.options)
-            stack.push(_closing(camera))
-            light = open_light(file.light.driver, **file.light.options)
-            stack.push(_closing(light))
-        rig = Rig(stage, camera, light, file, tilt)
+            for table, part in axes.items():
+                found.axes[table] = open_axis(part, table)
+                stack.push(_closing(found.axes[table]))
+            if camera is not None:
+                found.camera = open_camera(camera.driver, **camera.options)
+                stack.push(_closing(found.camera))
+            if light is not None:
+                found.light = open_light(light.driver, port=light.port, **light.options)
+                stack.push(_closing(found.light))
         # Leaving the context does the same; this is for an interpreter that ends inside of it.
-        atexit.register(rig.make_safe)
-        stack.callback(atexit.unregister, rig.make_safe)
+        atexit.register(found.make_safe)
+        stack.callback(atexit.unregister, found.make_safe)
         try:
-            yield rig
+            yield found
+            if found.light is not None:
+                rest(found.light)
         except BaseException as error:
-            problems = rig.make_safe()
-            if problems or isinstance(error, KeyboardInterrupt):
-                error.add_note("; ".join(problems) or SAFE)
+            problems = found.make_safe()
+            if problems or (isinstance(error, KeyboardInterrupt) and found.safe):
+                error.add_note("; ".join(problems) or found.safe)
             raise
 
 
@@ -142,7 +198,8 @@ def _closing(device: _Closable) -> Callable[..., None]:
     return leave
 
 
-def _open_axis(part: AxisPart, table: str) -> RotationStage:
+def open_axis(part: AxisPart, table: str) -> RotationStage:
+    """Open an axis as its table of the rig file says; errors as for `open_devices`."""
     options: dict[str, object] = dict(part.options)
     if part.driver == BY_HAND:
         options.setdefault("label", table)

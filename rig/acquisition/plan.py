@@ -8,6 +8,9 @@ from typing import Literal
 
 from anisoscope.errors import UsageError
 
+LEAST_STEP = 1.5
+"""Smallest ratio of neighbouring exposures of a bracket."""
+
 
 @dataclass(frozen=True)
 class Pose:
@@ -23,6 +26,13 @@ class LightEvent:
 
     on: bool
     needed: bool = True
+
+
+@dataclass(frozen=True)
+class ExposeEvent:
+    """Set the camera to an exposure in seconds; only plans with several exposures have such events."""
+
+    exposure_s: float
 
 
 @dataclass(frozen=True)
@@ -55,14 +65,15 @@ class SampleEvent:
     again: bool = False
 
 
-Event = LightEvent | DarkEvent | MoveEvent | SampleEvent
+Event = LightEvent | ExposeEvent | DarkEvent | MoveEvent | SampleEvent
 
 
 @dataclass(frozen=True)
 class _Stop:
-    """The frames that are taken in one go: dark ones, or those of a pose."""
+    """The frames that are taken in one go: dark ones, or those of a pose; `each` of them at every exposure."""
 
     steps: range
+    each: int
     pose: Pose | None
     again: bool = False
 
@@ -73,14 +84,15 @@ class Plan:
 
     Attributes:
         poses: where the sample is photographed, in order; every tilt is visited once.
-        exposure_s: exposure in seconds, of all frames.
+        exposure_s: exposure in seconds; of a bracket the shortest one.
         gain: gain as a factor.
-        frames_per_pose: number of frames at each pose.
-        dark_frames: number of frames with the light off.
+        frames_per_pose: number of frames at each pose, of every exposure.
+        dark_frames: number of frames with the light off, of every exposure.
         settle_s: seconds to wait after each move.
         return_to_first: whether the first pose is measured again at the end, so that drift shows.
         kind: what lies on the stage.
         rounds: how often all of that is done, dark frames apart.
+        brackets: further exposures of every pose, as multiples of `exposure_s`, rising.
 
     Raises:
         UsageError: there is no pose, a tilt is visited twice, or a number makes no sense.
@@ -95,6 +107,7 @@ class Plan:
     return_to_first: bool = True
     kind: Literal["sample", "flat"] = "sample"
     rounds: int = 1
+    brackets: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         angles = [angle for pose in self.poses for angle in (pose.stage_deg, pose.tilt_deg)]
@@ -108,6 +121,11 @@ class Plan:
                 "all stage angles of a tilt in a row",
             ),
             (math.isfinite(self.exposure_s) and self.exposure_s > 0.0, "exposure_s", "a time above 0 s"),
+            (
+                self._brackets_rise(),
+                "brackets",
+                f"rising multiples, each {LEAST_STEP:g} or more times the one before",
+            ),
             (math.isfinite(self.gain) and self.gain > 0.0, "gain", "a factor above 0"),
             (self.frames_per_pose >= 1, "frames_per_pose", "at least 1"),
             (self.rounds >= 1, "rounds", "at least 1"),
@@ -117,6 +135,24 @@ class Plan:
         for good, name, expected in checks:
             if not good:
                 raise UsageError(f"acquisition plan: {name}: expected {expected}, not {getattr(self, name)}")
+
+    def _brackets_rise(self) -> bool:
+        return all(after >= LEAST_STEP * before for before, after in pairwise((1.0, *self.brackets)))
+
+    @property
+    def exposures_s(self) -> tuple[float, ...]:
+        """All exposures in seconds, rising."""
+        return tuple(float(f"{self.exposure_s * factor:.9g}") for factor in (1.0, *self.brackets))
+
+    @property
+    def shots_per_pose(self) -> int:
+        """Number of frames at each pose, all exposures together."""
+        return self.frames_per_pose * len(self.exposures_s)
+
+    def exposure_of(self, step: int) -> float:
+        """Exposure in seconds that the plan wants for a step."""
+        stop = next(stop for stop in self._stops() if step in stop.steps)
+        return self.exposures_s[(step - stop.steps.start) // stop.each]
 
     def __iter__(self) -> Iterator[Event]:
         return self.remaining(())
@@ -144,28 +180,39 @@ class Plan:
         yield LightEvent(on=False)
         for stop in left:
             if stop.pose is None:
-                yield from (DarkEvent(step) for step in stop.steps)
+                yield from self._frames(stop)
         left = [stop for stop in left if stop.pose is not None]
         if left:
             yield LightEvent(on=True)
             first = next(stop for stop in stops if stop.pose is not None)
             if first not in left and not left[0].again:
-                assert first.pose is not None
-                yield MoveEvent(first.pose, self.settle_s)
-                yield from (SampleEvent(first.pose, None, again=True) for _ in first.steps)
+                yield from self._frames(first, check=True)
             for stop in left:
-                assert stop.pose is not None
-                yield MoveEvent(stop.pose, self.settle_s)
-                yield from (SampleEvent(stop.pose, step, stop.again) for step in stop.steps)
+                yield from self._frames(stop)
         yield LightEvent(on=False, needed=False)
+
+    def _frames(self, stop: _Stop, *, check: bool = False) -> Iterator[Event]:
+        """Go there, and take the frames exposure by exposure; a check of the first pose is no step of the plan."""
+        if stop.pose is not None:
+            yield MoveEvent(stop.pose, self.settle_s)
+        for number, step in enumerate(stop.steps):
+            if self.brackets and number % stop.each == 0:
+                yield ExposeEvent(self.exposures_s[number // stop.each])
+            if stop.pose is None:
+                yield DarkEvent(step)
+            else:
+                yield SampleEvent(stop.pose, None if check else step, again=check or stop.again)
 
     def _stops(self) -> list[_Stop]:
         wanted: list[tuple[Pose | None, bool]] = [(pose, False) for pose in self.poses]
         if self.return_to_first:
             wanted.append((self.poses[0], True))
-        stops = [_Stop(range(self.dark_frames), None)] if self.dark_frames else []
-        step = self.dark_frames
+        exposures = 1 + len(self.brackets)
+        step = self.dark_frames * exposures
+        stops = [_Stop(range(step), self.dark_frames, None)] if self.dark_frames else []
         for pose, again in wanted * self.rounds:
-            stops.append(_Stop(range(step, step + self.frames_per_pose), pose, again))
-            step += self.frames_per_pose
+            stops.append(
+                _Stop(range(step, step + self.frames_per_pose * exposures), self.frames_per_pose, pose, again)
+            )
+            step += self.frames_per_pose * exposures
         return stops

@@ -9,20 +9,29 @@ from pathlib import Path
 
 import numpy as np
 
-from anisoscope.errors import CameraError, RecordError, RigError, RigFileError
-from anisoscope.rig.acquisition.journal import FrameLine, Journal, JournalFile, RunLine, read_journal
+from anisoscope.errors import CameraError, RecordError, RigError
+from anisoscope.rig.acquisition.journal import Journal, JournalFile, RunLine, read_journal
 from anisoscope.rig.acquisition.opening import Rig, open_rig
-from anisoscope.rig.acquisition.plan import DarkEvent, Event, LightEvent, MoveEvent, Plan, Pose, SampleEvent
+from anisoscope.rig.acquisition.plan import (
+    DarkEvent,
+    Event,
+    ExposeEvent,
+    LightEvent,
+    MoveEvent,
+    Plan,
+    Pose,
+    SampleEvent,
+)
+from anisoscope.rig.acquisition.reach import check_plan
 from anisoscope.rig.acquisition.watch import Watch
 from anisoscope.rig.acquisition.writer import FRAMES, FrameRecord, FrameWriter, Shot
+from anisoscope.rig.camera import CameraSettings
 from anisoscope.rig.frame import Frame, FrameKind
 from anisoscope.rig.light import rest
 from anisoscope.rig.rigfile import AxisPart
 from anisoscope.rig.stage import RotationStage
 
 __all__ = ["FrameRecord", "Progress", "ProgressSink", "Rig", "check_plan", "open_rig", "run_plan"]
-
-TILT_TOLERANCE_DEG = 0.01
 
 
 @dataclass(frozen=True)
@@ -35,40 +44,6 @@ class Progress:
 
 
 ProgressSink = Callable[[Progress], None]
-
-
-def check_plan(plan: Plan, rig: Rig) -> None:
-    """Can the rig do what the plan asks for? Nothing moves.
-
-    Raises:
-        RigError: a tilt that the arm does not have.
-        RigFileError: an angle that cannot be reached from below within the limits of its axis.
-    """
-    for pose in plan.poses:
-        _check_reach(rig.file.stage, rig.stage, pose.stage_deg, "stage")
-        if rig.tilt is not None and rig.file.tilt is not None:
-            _check_reach(rig.file.tilt, rig.tilt, pose.tilt_deg, "tilt")
-            continue
-        arm_deg = rig.file.geometry.tilt_deg
-        if abs(pose.tilt_deg - arm_deg) > TILT_TOLERANCE_DEG:
-            raise RigError(
-                f"a tilt of {pose.tilt_deg:g}° was asked for, but the camera arm of '{rig.file.name}' "
-                f"is fixed at {arm_deg:g}°; ask for that, correct geometry.tilt_deg in the rig file, or "
-                "describe the axis that tilts it under [tilt]"
-            )
-
-
-def _check_reach(part: AxisPart, axis: RotationStage, angle_deg: float, table: str) -> None:
-    low, high = axis.limits_deg
-    target = part.reading_deg(angle_deg)
-    if target - part.approach_deg < low or target > high:
-        what = "sample angle" if table == "stage" else "tilt"
-        hint = ' (with turns = "ccw": at least stage.approach_deg)' if table == "stage" else ""
-        raise RigFileError(
-            f"a {what} of {angle_deg:g}° needs the {table} at {target:g}° and before at "
-            f"{target - part.approach_deg:g}°, but it reaches {low:g}°…{high:g}°; choose {table}.zero_deg "
-            f"in the rig file so that both fit{hint}"
-        )
 
 
 def run_plan(
@@ -142,6 +117,7 @@ class _Run:
         self.number = len(journal.runs)
         self.before = journal.by_step
         self.taken = 0
+        self.known: dict[float, CameraSettings] = {}
         self.pose = Pose(0.0, rig.file.geometry.tilt_deg)
         self.at = self.pose
 
@@ -153,10 +129,11 @@ class _Run:
             tilt=None if tilt is None else tilt.name,
             camera=f"{info.model} {info.serial}",
             started_at=datetime.now(UTC).isoformat(timespec="milliseconds"),
+            linear=info.linear,
         )
 
     def execute(self) -> None:
-        self.settings = self.rig.camera.configure(self.plan.exposure_s, self.plan.gain)
+        self._expose_for(self.plan.exposure_s)
         kept = self._kept()
         self.total = self.plan.frame_count - len(kept)
         self._home()
@@ -165,20 +142,35 @@ class _Run:
             self._do(event)
         self._check_halt()
 
+    def _expose_for(self, exposure_s: float) -> None:
+        """Set the exposure; those of a bracket must not become one and the same in the camera."""
+        self.settings = self.rig.camera.configure(exposure_s, self.plan.gain)
+        for other_s, settings in self.known.items():
+            if other_s != exposure_s and settings == self.settings:
+                raise CameraError(
+                    f"the camera takes the exposures {other_s:g} s and {exposure_s:g} s both as "
+                    f"{settings.exposure_s:g} s: choose other acquisition.brackets in the recipe"
+                )
+        self.known[exposure_s] = self.settings
+
     def _kept(self) -> set[int]:
         """Steps of earlier runs that need not be taken again."""
         kept = self.plan.complete(self.before)
-        differing = [step for step in kept if not self._exposed_as_now(self.before[step])]
-        lit = [self.before[step] for step in differing if self.before[step].kind != "dark"]
+        for exposure_s in self.plan.exposures_s[1:] if kept else ():  # what the camera makes of them now
+            self._expose_for(exposure_s)
+        differing = [step for step in kept if not self._exposed_as_now(step)]
+        lit = [step for step in differing if self.before[step].kind != "dark"]
         if lit:
+            now, old = self.known[self.plan.exposure_of(lit[0])], self.before[lit[0]]
             raise CameraError(
-                f"the camera now exposes for {self.settings.exposure_s:g} s at gain {self.settings.gain:g}, but for "
-                f"{lit[0].exposure_s:g} s at gain {lit[0].gain:g} in the frames taken so far: inspect the part anew"
+                f"the camera now exposes for {now.exposure_s:g} s at gain {now.gain:g}, but for "
+                f"{old.exposure_s:g} s at gain {old.gain:g} in the frames taken so far: inspect the part anew"
             )
         return kept - set(differing)
 
-    def _exposed_as_now(self, line: FrameLine) -> bool:
-        return (line.exposure_s, line.gain) == (self.settings.exposure_s, self.settings.gain)
+    def _exposed_as_now(self, step: int) -> bool:
+        line, now = self.before[step], self.known[self.plan.exposure_of(step)]
+        return (line.exposure_s, line.gain) == (now.exposure_s, now.gain)
 
     def _check_halt(self) -> None:
         self.writer.check()
@@ -215,6 +207,8 @@ class _Run:
             case MoveEvent(pose, settle_s):
                 self._go(pose)
                 self.watch.halted.wait(settle_s)
+            case ExposeEvent(exposure_s):
+                self._expose_for(exposure_s)
             case DarkEvent(step):
                 self._take("dark", step)
             case SampleEvent(_, step, again):

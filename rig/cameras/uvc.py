@@ -13,13 +13,14 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import CalibrationError, CameraError, RigFileError
+from anisoscope.errors import CameraError, RigFileError
 from anisoscope.rig.camera import CameraInfo, CameraSettings
 from anisoscope.rig.cameras import uvcsetup
 from anisoscope.rig.cameras.capturethread import Capture, CaptureThread
 from anisoscope.rig.cameras.grey import TOP, to_grey
+from anisoscope.rig.cameras.linearised import curve_of
 from anisoscope.rig.cameras.proof import ExposureProof, prove_exposure
-from anisoscope.rig.cameras.response import LINEAR_BITS, LINEAR_BLACK, ResponseCurve, read_response
+from anisoscope.rig.cameras.response import LINEAR_BITS, LINEAR_BLACK, ResponseCurve
 from anisoscope.rig.cameras.uvcbackends import Backend, choose_backend
 
 OpenCapture = Callable[[int | str, int], Capture]
@@ -112,7 +113,7 @@ class UvcCamera:
             thread.discard(warmup_frames + 1)
             rows, cols = to_grey(thread.read(), picture.fourcc, picture.size).shape
             model, found_serial = uvcsetup.name_of(number)
-            curve = _curve(Path(response), serial or found_serial, white_level) if response else None
+            curve = curve_of(response, serial or found_serial, _BITS, white_level) if response else None
         except BaseException:
             thread.close()
             raise
@@ -126,6 +127,7 @@ class UvcCamera:
             bit_depth=LINEAR_BITS if curve else _BITS,
             black_level=LINEAR_BLACK if curve else black_level,
             linear=curve is not None,
+            auto_exposure=True,
         )
         return cls(
             thread,
@@ -216,20 +218,3 @@ def _check(
     ):
         if not good:
             raise RigFileError(f"camera.options.{name}: must be {expected}")
-
-
-def _curve(path: Path, serial: str, white_level: int) -> ResponseCurve:
-    try:
-        curve = read_response(path)
-    except CalibrationError as problem:
-        raise RigFileError(f"camera.options.response: {problem}") from problem
-    if serial not in curve.camera:
-        raise RigFileError(
-            f"camera.options.response: {path} belongs to camera {curve.camera}, this is {serial}; fit one for it"
-        )
-    if curve.bit_depth != _BITS or curve.white_level != white_level:
-        raise RigFileError(
-            f"camera.options.response: {path} is for {curve.bit_depth} bits and white_level {curve.white_level}, "
-            f"this camera has {_BITS} and {white_level}"
-        )
-    return curve

@@ -1,14 +1,16 @@
 """The light that an operator switches by hand."""
 
-import sys
 from collections.abc import Callable
+
+from anisoscope.rig.stages.manual import ask_in_terminal
 
 
 class ManualLight:
     """A light without a wire: asks the operator, and trusts the answer.
 
     Args:
-        ask: shows a request to the operator and returns when it was met.
+        ask: shows a request to the operator and returns when it was met; in the terminal it raises `RigError` where
+            nobody can answer, because a dark frame in the light would be subtracted as if it were dark.
     """
 
     asks = True
@@ -32,13 +34,6 @@ class ManualLight:
     def close(self) -> None:
         """Nothing to disconnect."""
         self._lit = False
-
-
-def ask_in_terminal(request: str) -> None:
-    """Show a request on stderr and wait for the Enter key; without a terminal, go on at once."""
-    sys.stderr.write(f"{request}, then press Enter: ")
-    sys.stderr.flush()
-    sys.stdin.readline()
 
 
 def open_manual(*, ask: Callable[[str], None] = ask_in_terminal) -> ManualLight:

@@ -50,7 +50,7 @@ class Smc100(PortStage):
         ProtocolError: somebody answers, but it is no such controller.
     """
 
-    PORT: ClassVar = {"baudrate": 57600}
+    PORT: ClassVar = {"baudrate": 57600, "xonxoff": True}
 
     def __init__(
         self,

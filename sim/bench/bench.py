@@ -14,7 +14,8 @@ from anisoscope.sim.bench.firmware.catalogue import LIGHT, Mount, build
 from anisoscope.sim.bench.firmware.device import Firmware
 from anisoscope.sim.bench.firmware.light import LightFirmware
 from anisoscope.sim.bench.lamp import Lamp
-from anisoscope.sim.bench.optics import image_of_fixture, image_of_surface, vignette
+from anisoscope.sim.bench.optics import PLATE, image_of_fixture, image_of_surface, vignette
+from anisoscope.sim.bench.partcode import image_of_code
 from anisoscope.sim.bench.samples import build_surface, plastic
 from anisoscope.sim.bench.sensor import Sensor
 from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_rotation
@@ -94,7 +95,10 @@ class Bench:
             signal = np.zeros((self.file.sensor.rows, self.file.sensor.cols))
             lamp = 0.0 if optics.lens_cap else self.lamp.brightness()
             if lamp > 0.0:
-                signal = self._radiance_on_sensor() * (lamp * optics.electrons * exposure_s)
+                per_second = self._radiance_on_sensor() * (lamp * optics.electrons)
+                if self.file.sensor.auto_exposure == "on":
+                    exposure_s = self.sensor.automatic_exposure_s(per_second)
+                signal = per_second * exposure_s
             return self.sensor.expose(signal, exposure_s, gain)
 
     def _radiance_on_sensor(self) -> FloatArray:
@@ -125,6 +129,8 @@ class Bench:
             image = picture.astype(np.float64)
             if file.fixture is not None:
                 around = image_of_fixture(file.fixture, file.optics, file.sensor, angle_deg, tilt_deg)
+                if (code := file.sample.code) is not None:
+                    around += image_of_code(code, file.optics, file.sensor, angle_deg, tilt_deg, PLATE)
                 image = image + (1.0 - cover) * around / np.pi * cos_light
         return np.asarray((image + file.optics.stray_radiance) * shade, dtype=np.float64)
 

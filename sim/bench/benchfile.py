@@ -21,6 +21,23 @@ class MaterialPart(Part):
     index: Annotated[float, Field(gt=1.0, le=4.0)] = 1.5
 
 
+class CodePart(Part):
+    """A code on a label beside the sample: its text, its middle and width in mm, and the reflectances of its print.
+
+    ``gs1`` writes an element string such as ``(10)LOT7(21)A17``. The label counts as part of the fixture's plate.
+    """
+
+    text: Annotated[str, Field(min_length=1)]
+    kind: Literal["datamatrix", "code128", "qr"] = "datamatrix"
+    gs1: bool = False
+    x_mm: float
+    y_mm: float
+    width_mm: Positive
+    turned_deg: float = 0.0
+    white: Share = 0.75
+    black: Share = 0.03
+
+
 class SamplePart(Part):
     """The sample: made ridges, a height map from a file, or a white tile.
 
@@ -38,6 +55,7 @@ class SamplePart(Part):
     reflectance: Share = 0.99
     seating_tilt_deg: tuple[float, float] = (0.0, 0.0)
     material: MaterialPart = MaterialPart()
+    code: CodePart | None = None
 
     @model_validator(mode="after")
     def _has_its_file(self) -> Self:
@@ -52,6 +70,9 @@ class SensorPart(Part):
     Units: electrons for wells and noise, electrons per second for the dark current, electrons per count for
     ``gain_e_per_dn``, counts for the black level. ``nonlinearity`` is the share of the signal that is missing at full
     well; it grows in proportion to the signal.
+
+    ``gamma`` and ``auto_exposure`` make a webcam of it: counts grow as light to the power 1/gamma; the camera has
+    automatic exposure that can be switched off, or that stays ``on`` whatever it says.
     """
 
     rows: Annotated[int, Field(ge=64, le=8192)] = 1024
@@ -66,6 +87,8 @@ class SensorPart(Part):
     dsnu_e: NotNegative = 2.0
     hot_pixel_share: Share = 1e-5
     nonlinearity: Annotated[float, Field(gt=-0.5, lt=0.5)] = 0.0
+    gamma: Annotated[float, Field(ge=0.25, le=4.0)] = 1.0
+    auto_exposure: Literal["none", "off", "on"] = "none"
 
 
 class OpticsPart(Part):

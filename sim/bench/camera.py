@@ -6,7 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.errors import CameraError, RigFileError
-from anisoscope.rig.camera import CameraInfo, CameraSettings
+from anisoscope.rig.camera import Camera, CameraInfo, CameraSettings
+from anisoscope.rig.cameras.linearised import linearised
 from anisoscope.sim.bench.bench import Bench, shared_bench
 from anisoscope.sim.bench.camera_client import RemoteCamera
 
@@ -25,7 +26,8 @@ class SimulatedCamera:
             cols=part.cols,
             bit_depth=part.bit_depth,
             black_level=part.black_level,
-            linear=True,
+            linear=part.gamma == 1.0,
+            auto_exposure=part.auto_exposure != "none",
         )
 
     def configure(self, exposure_s: float, gain: float) -> CameraSettings:
@@ -75,24 +77,33 @@ class SimulatedLight:
 
 
 def open_camera(
-    *, bench: str | Path | None = None, port: str | None = None, timeout_s: float = 180.0
-) -> SimulatedCamera | RemoteCamera:
+    *,
+    bench: str | Path | None = None,
+    port: str | None = None,
+    timeout_s: float = 180.0,
+    response: str | Path = "",
+) -> Camera:
     """Open the camera of a bench.
 
     Args:
         bench: file of a bench in this process.
         port: ``host:port`` where ``rig sim bench`` serves the bench of another process.
         timeout_s: with `port`: longest wait for an answer, in seconds, on top of the exposure.
+        response: file of a response curve of this camera, which makes counts linear.
 
     Raises:
         RigFileError: neither a bench nor a port, or both; or the bench file is wrong.
         NotConnected: nobody serves on the port.
     """
-    if port is not None and bench is None:
-        return RemoteCamera(port, timeout_s=timeout_s)
-    if bench is None or port is not None:
+    if (bench is None) == (port is None):
         raise RigFileError("camera.options: a simulated camera needs bench = FILE or port = HOST:PORT")
-    return SimulatedCamera(shared_bench(bench))
+    camera: Camera
+    if port is not None:
+        camera = RemoteCamera(port, timeout_s=timeout_s)
+    else:
+        assert bench is not None
+        camera = SimulatedCamera(shared_bench(bench))
+    return linearised(camera, response) if response else camera
 
 
 def open_light(*, bench: str | Path) -> SimulatedLight:

@@ -13,7 +13,8 @@ Image = npt.NDArray[np.float32]
 
 _PAPER_WHITE = 0.75
 _PAPER_BLACK = 0.03
-_PLATE = 0.04
+PLATE = 0.04
+"""Reflectance of the holder's bare plate."""
 _DOTS_PER_MODULE = 48
 
 
@@ -102,7 +103,7 @@ def image_of_fixture(
     """
     if not hasattr(cv2.aruco, fixture.dictionary):
         raise RigFileError(f"fixture.dictionary: OpenCV has no dictionary '{fixture.dictionary}'")
-    plate = np.full((sensor.rows, sensor.cols), _PLATE, dtype=np.float32)
+    plate = np.full((sensor.rows, sensor.cols), PLATE, dtype=np.float32)
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, fixture.dictionary))
     modules = dictionary.markerSize + 2
     dot_mm = fixture.marker_mm / modules / _DOTS_PER_MODULE
@@ -115,7 +116,7 @@ def image_of_fixture(
         code = np.asarray(cv2.aruco.generateImageMarker(dictionary, marker.id, modules, borderBits=1))
         paper = np.pad(np.where(code > 0, _PAPER_WHITE, _PAPER_BLACK), 1, constant_values=_PAPER_WHITE)
         dots = np.kron(paper, np.ones((_DOTS_PER_MODULE, _DOTS_PER_MODULE))).astype(np.float32)
-        label = _blurred(np.pad(dots - _PLATE, margin).astype(np.float32), (sigma, sigma))
+        label = _blurred(np.pad(dots - PLATE, margin).astype(np.float32), (sigma, sigma))
         half = (label.shape[0] - 1) / 2 * dot_mm
         dot_to_mm = np.array([[dot_mm, 0, marker.x_mm - half], [0, -dot_mm, marker.y_mm + half], [0, 0, 1]])
         plate += cv2.warpAffine(

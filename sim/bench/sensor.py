@@ -8,6 +8,8 @@ from anisoscope.sim.bench.benchfile import SensorPart
 FloatArray = npt.NDArray[np.float64]
 Counts = npt.NDArray[np.uint16]
 
+AUTOMATIC_LEVEL = 0.4
+
 
 class Sensor:
     """One sensor with its fixed pattern drawn once from ``rng``."""
@@ -44,5 +46,23 @@ class Sensor:
         if self.part.nonlinearity:
             collected *= 1.0 - self.part.nonlinearity * collected / self.part.full_well_e
         collected += self._offset_e + self.part.read_noise_e * self._rng.standard_normal(expected.shape)
-        counts = np.rint(self.part.black_level + collected * gain / self.part.gain_e_per_dn)
+        counts = np.rint(self.part.black_level + self._bent(collected * gain / self.part.gain_e_per_dn))
         return np.clip(counts, 0, self.full_scale).astype(np.uint16)
+
+    def automatic_exposure_s(self, signal_e: FloatArray) -> float:
+        """Exposure at which the middle tone is 40 % of full scale, for (rows, cols) photo-electrons in one second."""
+        wanted_e = (
+            AUTOMATIC_LEVEL**self.part.gamma
+            * (self.full_scale - self.part.black_level)
+            * self.part.gain_e_per_dn
+        )
+        return float(np.clip(wanted_e / max(float(signal_e.mean()), 1e-9), 1e-5, 1.0))
+
+    def _bent(self, signal: FloatArray) -> FloatArray:
+        """Counts above black after the camera's gamma curve; noise below black stays as it is."""
+        if self.part.gamma == 1.0:
+            return signal
+        top = self.full_scale - self.part.black_level
+        return np.where(
+            signal > 0.0, top * (np.maximum(signal, 0.0) / top) ** (1.0 / self.part.gamma), signal
+        )

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from anisoscope.area import judge_area
 from anisoscope.decision import contrast_gradient, decide, guarded
 from anisoscope.errors import MeasurementError
 from anisoscope.expectation import Component, Expectation
@@ -210,6 +211,17 @@ def test_area_share_is_that_of_the_spoiled_cells(make_recipe, share):
     assert found.area.share == pytest.approx(share)
     assert found.deviating.mean() == pytest.approx(share)
     assert found.area.cells == 1600
+
+
+def test_a_learnt_limit_finds_what_the_recipes_default_passes(make_recipe):
+    off = 0.02
+    cells = deviating_cells(off)
+    seen, rule = measured(TABLE, cells=cells), make_recipe().area
+    result, _ = judge_area(seen, expected().poses, rule, 1.645)
+    assert (result.verdict, result.max_share, result.learnt) == (PASS, 0.03, False)
+    for limit, verdict in ((0.01, FAIL), (result.share, PASS), (0.9 * result.share, FAIL)):
+        learnt, _ = judge_area(seen, expected().poses, rule, 1.645, limit)
+        assert (learnt.verdict, learnt.max_share, learnt.learnt) == (verdict, limit, True)
 
 
 def test_a_whole_flank_that_is_alike_is_no_area_defect(make_recipe):

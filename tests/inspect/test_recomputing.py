@@ -1,5 +1,6 @@
 """Finished inspections: their numbers again, and their files as they were."""
 
+import hashlib
 import json
 import math
 import shutil
@@ -8,7 +9,7 @@ import pytest
 
 from anisoscope.errors import RecordError
 from anisoscope.recomputing import differences, recompute
-from anisoscope.record import read_record, write_record
+from anisoscope.record import RECORD_NAME, UNSEALED, read_record, write_record
 from anisoscope.verifying import verify
 
 pytestmark = pytest.mark.usefixtures("plain_report")
@@ -108,3 +109,40 @@ def test_folders_that_are_none(tmp_path):
 )
 def test_differences(old, new, names):
     assert [line.partition(":")[0] for line in differences(old, new)] == names
+
+
+LATER_FIELDS = ("calibrations", "map_place")
+
+
+def as_written_before(folder):
+    """The record without what came later, sealed anew, as an earlier version wrote it."""
+    path = folder / RECORD_NAME
+    content = json.loads(path.read_text(encoding="utf-8"))
+    for name in LATER_FIELDS:
+        content.pop(name, None)
+    for pose in content["poses"]:
+        del pose["dropped"]
+    del content["area"]["learnt"]
+    content["software"] = "anisoscope 0.0.1"
+    text = json.dumps(content | {"seal": UNSEALED}, indent=2)
+    path.write_text(text.replace(UNSEALED, hashlib.sha256(text.encode()).hexdigest()), encoding="utf-8")
+
+
+def test_what_an_earlier_version_did_not_tell_is_no_difference(finished):
+    as_written_before(finished)
+    assert verify(finished).intact
+    found = recompute(finished)
+    assert (found.verdict, found.differences) == ("PASS", ())
+    assert "recorded by anisoscope 0.0.1" in found.notes[0]
+    assert "did not tell it: area.learnt, calibrations" in found.notes[1]
+    assert "poses[].dropped" in found.notes[1]
+
+
+def test_a_record_without_copies_of_its_inputs_says_that_it_cannot_be_computed_again(finished):
+    record = read_record(finished)
+    write_record(record.model_copy(update={"files": ()}), finished)
+    (finished / "job.json").unlink()
+    shutil.rmtree(finished / "inputs")
+    with pytest.raises(RecordError, match=r"kept no copies of recipe, .*can be read, but not computed again"):
+        recompute(finished)
+    assert read_record(finished).verdict == "PASS"

@@ -116,17 +116,15 @@ def test_incomplete_folders_are_refused_before_anything_is_written(taken, fault)
     assert rig.folders == before
 
 
-def test_one_exposure_a_pose(taken):
+def test_one_gain_a_pose(taken):
     rig, _, folder = taken
     lines = rewrite(folder, list)
-    longer = {**lines[-1], "exposure_s": "0.003"}
-    dark = {**lines[0], "exposure_s": "0.003", "file": "dark.tif"}
-    for name, old in ((longer["file"], longer["file"]), (dark["file"], lines[0]["file"])):
-        tifffile.imwrite(folder / name, tifffile.imread(folder / old))
+    dark = {**lines[0], "gain": "2", "file": "dark.tif"}
+    tifffile.imwrite(folder / dark["file"], tifffile.imread(folder / lines[0]["file"]))
     first = next(n for n, line in enumerate(lines) if line["kind"] == "sample")
-    lines[first]["exposure_s"] = "0.003"
+    lines[first]["gain"] = "2"
     rewrite(folder, lambda _: [*lines, dark])
-    with pytest.raises(RecordError, match="at 0°, tilt 0° differ in exposure"):
+    with pytest.raises(RecordError, match="at 0°, tilt 0° differ in gain"):
         replay(rig, folder)
 
 

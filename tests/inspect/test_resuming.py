@@ -89,6 +89,24 @@ def test_with_all_frames_there_no_rig_is_needed(virtual_rig, monkeypatch):
     assert resume_part(folder).record.verdict == "PASS"
 
 
+def test_what_is_undecided_gets_its_further_round_even_if_the_program_died_before_judging(
+    virtual_rig, monkeypatch
+):
+    wrong = {"sample": {"material": {"alpha_along": 0.09}}}
+    first = virtual_rig("first", bench=wrong, recipe={"decision": {"remeasure": 0}}).inspect().record
+    edge = max(abs(one.measured - one.predicted) for one in first.contrasts)
+    rig = virtual_rig("edge", bench=wrong, recipe={"decision": {"tolerance": edge}, "area": None})
+    with monkeypatch.context() as patch:
+        patch.setattr(inspection, "judge", lambda *_, **__: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            rig.inspect()
+    (folder,) = rig.folders
+    record = resume_part(folder).record
+    assert (record.verdict, record.rounds) == ("INCONCLUSIVE", 2)
+    assert sum(frame.kind == "sample" and not frame.again for frame in record.frames) == 2 * 6
+    assert recompute(folder).differences == ()
+
+
 def test_a_job_that_took_no_frame_yet_can_be_resumed(virtual_rig, monkeypatch):
     rig = virtual_rig()
     folder = interrupt(rig, monkeypatch, 1)

@@ -41,7 +41,7 @@ def test_the_rig_file_takes_the_name_as_it_is(tmp_path, port):
     path = tmp_path / "rig.toml"
     path.write_text(RIG.format(port=port), encoding="utf-8")
     file = read_rig(path)
-    assert (file.stage.port, file.tilt.port, file.light.options["port"]) == (port, port, port)
+    assert (file.stage.port, file.tilt.port, file.light.port) == (port, port, port)
 
 
 @pytest.mark.parametrize("port", NAMES)

@@ -127,3 +127,18 @@ def test_mistakes(tmp_path, wrong, right, message):
     assert text.startswith(f"{tmp_path / 'rig.toml'}: ")
     assert message in text
     assert "\n" not in text
+
+
+def test_the_port_of_a_light_stands_where_that_of_a_stage_does(tmp_path):
+    lit = GOOD.replace('[light]\ndriver = "simulated"', '[light]\ndriver = "serial"\nport = "COM7"')
+    assert read(tmp_path, lit).light.port == "COM7"
+    assert read(tmp_path, GOOD).light.port is None
+
+
+def test_the_port_of_a_light_among_its_options_is_still_read(tmp_path):
+    old = GOOD.replace("[geometry]", '[light.options]\nport = "COM7"\nlevel_percent = 80\n[geometry]')
+    light = read(tmp_path, old).light
+    assert (light.port, light.options) == ("COM7", {"level_percent": 80})
+    both = old.replace("[light]", '[light]\nport = "COM8"')
+    with pytest.raises(RigFileError, match=r"light: .*port stands here and among the options"):
+        read(tmp_path, both)

@@ -1,6 +1,7 @@
 """Ports that answer, that are silent, that vanish, that are not there."""
 
 import socket
+import termios
 import threading
 import time
 from pathlib import Path
@@ -138,3 +139,21 @@ def test_no_descriptor_is_left_behind():
         for _ in range(3):
             Transport(server.url).close()
     assert len(list(Path("/proc/self/fd").iterdir())) == before
+
+
+def test_flow_control_reaches_the_port():
+    with PtyServer(firmware()) as server:
+        for wanted in (True, False):
+            with Transport(server.url, xonxoff=wanted) as line:
+                port = line._connection.serial
+                assert port.xonxoff is wanted
+                modes = termios.tcgetattr(port.fileno())[0]
+                assert bool(modes & termios.IXON) is wanted
+                assert bool(modes & termios.IXOFF) is wanted
+                line.write(b"0gs")
+                assert line.read_until(b"\r\n", 2.0) == b"0GS00\r\n"
+        with Transport(
+            server.url, rtscts=True
+        ) as line:  # a pseudo terminal has no such lines: it works without
+            line.write(b"0gs")
+            assert line.read_until(b"\r\n", 2.0) == b"0GS00\r\n"

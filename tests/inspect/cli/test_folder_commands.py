@@ -77,7 +77,7 @@ def test_frames_instead_of_a_rig(anisoscope, inspected, tmp_path):
     live = {(c.from_deg, c.to_deg): c.measured for c in record.contrasts}
     for contrast in done.json["contrasts"]:
         assert contrast["measured"] == pytest.approx(live[contrast["from_deg"], contrast["to_deg"]], abs=1e-9)
-    assert '"operator": "M. M."' in (next((tmp_path / "out").iterdir()) / "record.json").read_text()
+    assert '"operator": "M. M."' in next((tmp_path / "out").glob("*/record.json")).read_text()
 
 
 def test_folders_that_are_none(anisoscope, tmp_path):

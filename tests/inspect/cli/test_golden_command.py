@@ -22,7 +22,11 @@ def test_golden_parts_are_added_shown_and_removed(anisoscope, virtual_rig):
     found = anisoscope("golden", "show", *at, "--json").json
     assert [part["serial"] for part in found["parts"]] == ["A", "B"]
     assert (found["compared_with"], len(found["mean"])) == (False, 2)
-    assert "golden parts: ridged test plate" in anisoscope("golden", "show", *at).out
+    assert found["area_limit"] == 0.03
+    assert "limit of the area: 3.00%; from 10 golden parts" in found["area_limit_says"]
+    shown = anisoscope("golden", "show", *at).out
+    assert "golden parts: ridged test plate" in shown
+    assert "now there are 2" in shown
     again = anisoscope("golden", "add", *at, folders[0])
     assert again.code >= 64
     assert "in the set already" in again.err

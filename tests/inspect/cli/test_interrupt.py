@@ -108,7 +108,7 @@ def inspection_of(rig, out):
 
 
 def folder_in(out):
-    return next(iter(out.iterdir()), None) if out.exists() else None
+    return next((path for path in out.iterdir() if path.is_dir()), None) if out.exists() else None
 
 
 def wait_for(command, out, lines):

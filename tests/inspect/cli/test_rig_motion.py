@@ -223,7 +223,7 @@ def test_stop_reaches_a_stage_that_another_process_moves(command, line, rig_file
     assert json.loads(out)["interrupted"] == [process.pid]
     assert f"interrupted process {process.pid} (" in err
     assert process.returncode == 130
-    assert "interrupted; every axis is stopped" in said
+    assert "interrupted; the stage is stopped" in said
     assert not axis.busy()
     assert 0.0 < axis.position() < 300.0
     assert holder_of(url) is None
@@ -240,5 +240,5 @@ def test_ctrl_c_stops_the_stage(line, rig_file):
         process.send_signal(signal.SIGINT)
         _, said = process.communicate(timeout=30)
     assert process.returncode == 130
-    assert "every axis is stopped" in said
+    assert "the stage is stopped" in said
     assert not axis.busy()

@@ -202,3 +202,15 @@ def test_live_options_that_make_no_sense(command, rig, more):
     assert code in {64, 69}
     assert (out, len(err.splitlines())) == ("", 1)
     assert not rig.bench.light_on
+
+
+def test_status_calls_a_bent_camera_uncalibrated_until_something_knows_its_bend(command, virtual_rig):
+    webcam = {"sensor": {"bit_depth": 8, "gain_e_per_dn": 110.0, "gamma": 2.2}}
+    rig = virtual_rig(bench=webcam)
+    assert "not linear, UNCALIBRATED: no response curve" in command("rig", "status", "-g", rig.rig)[1]
+    found = json.loads(command("rig", "status", "-g", rig.rig, "--json")[1])["camera"]
+    assert (found["linear"], found["uncalibrated"]) == (False, True)
+    known = virtual_rig("known", bench=webcam, rig={"calibration": {"linearity": "linearity.json"}})
+    found = json.loads(command("rig", "status", "-g", known.rig, "--json")[1])["camera"]
+    assert (found["linear"], found["uncalibrated"]) == (False, False)
+    assert "UNCALIBRATED" not in command("rig", "status", "-g", virtual_rig("usual").rig)[1]

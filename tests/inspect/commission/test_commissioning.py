@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from anisoscope.commission.commissioning import changes_of, commission, part_of_recipe, write_to_rig_file
+from anisoscope.commission.exposure import proof_on, sentence
 from anisoscope.commission.light import Radiances, fit_light
 from anisoscope.commission.markers import Fix, find_fixture
 from anisoscope.commission.model import lab_directions
@@ -14,10 +15,18 @@ from anisoscope.commission.record import read_commissioning, write_commissioning
 from anisoscope.commission.rigfile import update_rig_file
 from anisoscope.commission.series import Series, turn_readings
 from anisoscope.commission.turning import fit_centre, fit_foreshortening, fit_turning, wrapped
-from anisoscope.errors import CalibrationError, MeasurementError, RigFileError, Saturated, UsageError
+from anisoscope.errors import (
+    CalibrationError,
+    CameraError,
+    MeasurementError,
+    RigFileError,
+    Saturated,
+    UsageError,
+)
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
 from anisoscope.report.commission_page import write_commission_page
+from anisoscope.rig.acquisition.opening import open_rig
 from anisoscope.rig.rigfile import read_rig
 from anisoscope.sim.light.corrected import radiance
 from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_rotation
@@ -172,6 +181,26 @@ def test_too_long_an_exposure_is_refused(lay_out):
         commission(rig.rig, PART, Series(20 * EXPOSURE_S, step_deg=60.0))
     with pytest.raises(UsageError, match="not empty"):
         commission(rig.rig, PART, Series(EXPOSURE_S), frames=rig.rig.parent)
+
+
+def test_a_camera_with_automatic_exposure_has_to_prove_that_it_is_off(lay_out, tmp_path):
+    small = {"sample": {"kind": "white-tile"}, "stage": {"protocol": "elliptec"}}
+    told = {}
+    for automatic in ("none", "off", "on"):
+        rig = lay_out(automatic, bench={**small, "sensor": {"auto_exposure": automatic}})
+        with open_rig(read_rig(rig.rig)) as opened:
+            try:
+                told[automatic] = proof_on(opened, 0.001, 1.0)
+            except CameraError as error:
+                told[automatic] = str(error)
+    assert told["none"] is None
+    assert told["off"].exponents == pytest.approx((1.0,), abs=0.01)
+    assert "from 0.0005 s to 0.001 s brightness grew as the exposure" in sentence(told["off"])
+    assert "auto exposure or auto gain is at work" in told["on"]
+    rig = lay_out("refused", bench={**small, "sensor": {"auto_exposure": "on"}})
+    with pytest.raises(CameraError, match="auto exposure or auto gain"):
+        commission(rig.rig, PART, Series(0.001, step_deg=30.0), frames=tmp_path / "frames")
+    assert list((tmp_path / "frames").iterdir()) == []  # before any axis moved
 
 
 def test_markers_cannot_tell_the_sign_of_a_tilt_and_radiances_can(lay_out):

@@ -11,7 +11,7 @@ from anisoscope.errors import CalibrationError, UsageError
 from anisoscope.record import sha256_of
 from anisoscope.rig.rigfile import read_rig
 
-SETTINGS = Settings(0.0015, frames=6, dark_frames=2)
+SETTINGS = Settings(0.0015, frames=8, dark_frames=2)
 
 
 def failed(result):
@@ -43,7 +43,8 @@ def test_a_sound_rig_is_fit_and_every_check_was_done(virtual_rig, tmp_path):
     assert failed(result) == set()
     assert (result.fit, result.exit_code, result.commissioning) == (True, 0, "c0ffee")
     skipped = {check.key for check in result.checks if check.outcome == "SKIPPED"}
-    assert skipped == {"white.shading", "white.level"}  # no tile on the stage
+    # no tile on the stage, and nothing automatic in the camera
+    assert skipped == {"white.shading", "white.level", "camera.exposure"}
     expected = {"devices"} | {key for names, _ in STEPS for key, _ in names}
     assert {check.key for check in result.checks} == expected
     assert all(
@@ -110,7 +111,7 @@ def test_a_device_in_trouble_fails_and_the_rest_is_skipped(virtual_rig):
 
 def test_with_the_tile_on_the_stage_its_shading_is_compared(virtual_rig):
     tile = {"sample": {"kind": "white-tile"}}
-    settings = Settings(0.0015, frames=6, dark_frames=2, tile=True)
+    settings = Settings(0.0015, frames=8, dark_frames=2, tile=True)
     result = self_test(virtual_rig(bench=tile).rig, settings)
     assert failed(result) == set()
     assert {result[key].outcome for key in ("white.age", "white.shading", "white.level")} == {"PASS"}
@@ -129,9 +130,51 @@ def test_a_record_that_was_changed_does_not_count(virtual_rig):
     assert result["markers.centre"].outcome == "SKIPPED"
     with pytest.raises(CalibrationError, match="was changed"):
         self_test(rig.rig, SETTINGS, beside)
-    with pytest.raises(UsageError, match="at least 4"):
+    with pytest.raises(UsageError, match="at least 8"):
         Settings(0.001, frames=2)
     for exposure_s, gain in ((0.0, 1.0), (-1.0, 1.0), (float("nan"), 1.0), (0.001, 0.0)):
         with pytest.raises(UsageError, match="exposure and gain must be more than 0"):
             Settings(exposure_s, gain)
     assert read_rig(rig.rig).calibration is None
+
+
+def webcam(automatic):
+    """A camera with a gamma curve and automatic exposure."""
+    return {
+        "sensor": {
+            "bit_depth": 8,
+            "black_level": 2.0,
+            "gain_e_per_dn": 110.0,
+            "gamma": 2.2,
+            "auto_exposure": automatic,
+        }
+    }
+
+
+def test_a_webcam_is_proved_to_obey_and_said_to_be_uncalibrated(virtual_rig):
+    rig = virtual_rig(bench=webcam("off"), rig={"calibration": None})
+    result = self_test(rig.rig, SETTINGS)
+    assert result["camera.exposure"].outcome == "PASS"
+    assert result["camera.exposure"].value == pytest.approx(1.0 / 2.2, rel=0.1)
+    assert "came back" in result["camera.exposure"].remark
+    assert result["camera.linear"].outcome == "WARN"
+    assert "uncalibrated" in result["camera.linear"].remark
+    assert result.fit == (failed(result) == set())  # to be uncalibrated is no fault of today
+
+
+def test_a_webcam_that_exposes_as_it_likes_is_not_fit(virtual_rig):
+    rig = virtual_rig(bench=webcam("on"), rig={"calibration": None})
+    result = self_test(rig.rig, SETTINGS)
+    assert "camera.exposure" in failed(result)
+    assert "auto exposure" in result["camera.exposure"].remark
+    assert result["stage.moves"].outcome == "PASS"  # the camera answers, so that the rest is looked at
+
+
+def test_drift_is_that_of_the_warm_up_fit(virtual_rig):
+    slow = {"optics": {"lamp_warmup_share": 0.05, "lamp_warmup_frames": 6.0, "lamp_noise": 0.0}}
+    result = self_test(virtual_rig(bench=slow).rig, Settings(0.0015, frames=24, dark_frames=2))
+    drift = result["lamp.drift"]
+    assert drift.outcome == "FAIL"
+    assert drift.value == pytest.approx(0.05, abs=0.01)
+    assert "per minute" in drift.remark
+    assert result["lamp.flicker"].outcome == "PASS"  # warming up is no flicker

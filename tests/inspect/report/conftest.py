@@ -1,3 +1,4 @@
+import base64
 import itertools
 import json
 import os
@@ -5,7 +6,12 @@ import shutil
 import subprocess
 import time
 
+import numpy as np
 import pytest
+
+from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.record import Record
+from anisoscope.report.inspection_page import Pictures
 
 
 class Page:
@@ -24,6 +30,7 @@ class Page:
             os.set_inheritable(4, True)
 
         command = [executable, "--headless", "--no-sandbox", "--disable-gpu", "--remote-debugging-pipe"]
+        command += ["--enable-unsafe-swiftshader"]  # WebGL without a graphics card
         command += [
             f"--user-data-dir={profile}",
             "--no-first-run",
@@ -48,6 +55,8 @@ class Page:
         self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
         for domain in ("Page", "Runtime", "Log", "Network"):
             self.call(f"{domain}.enable")
+        # frames without an origin run in processes of their own, and are watched as well
+        self.call("Target.setAutoAttach", autoAttach=True, waitForDebuggerOnStart=True, flatten=True)
 
     def _read(self):
         while b"\0" not in self._rest:
@@ -56,14 +65,24 @@ class Page:
                 raise ConnectionError("chromium ended")
             self._rest += chunk
         message, self._rest = self._rest.split(b"\0", 1)
-        return json.loads(message)
+        message = json.loads(message)
+        if message.get("method") == "Target.attachedToTarget" and self._session:
+            self._watch(message["params"]["sessionId"])
+        return message
+
+    def _watch(self, session):
+        for method in ("Runtime.enable", "Log.enable", "Network.enable", "Runtime.runIfWaitingForDebugger"):
+            self._send(session, method, {})
+
+    def _send(self, session, method, parameters):
+        message = {"id": next(self._ids), "method": method, "params": parameters}
+        if session:
+            message["sessionId"] = session
+        os.write(self._to_browser, json.dumps(message).encode() + b"\0")
+        return message["id"]
 
     def call(self, method, **parameters):
-        number = next(self._ids)
-        message = {"id": number, "method": method, "params": parameters}
-        if self._session:
-            message["sessionId"] = self._session
-        os.write(self._to_browser, json.dumps(message).encode() + b"\0")
+        number = self._send(self._session, method, parameters)
         while True:
             answer = self._read()
             if answer.get("id") == number:
@@ -88,6 +107,31 @@ class Page:
             self.events.append(self._read())
         self.evaluate("new Promise(done => setTimeout(done, 200))")
 
+    def screenshot(self, selector):
+        """PNG of an element, as it stands in the page."""
+        box = self.evaluate(
+            f"(r => [r.x + scrollX, r.y + scrollY, r.width, r.height])"
+            f"(document.querySelector('{selector}').getBoundingClientRect())"
+        )
+        clip = dict(zip(("x", "y", "width", "height"), box, strict=True)) | {"scale": 1}
+        return base64.b64decode(self.call("Page.captureScreenshot", format="png", clip=clip)["data"])
+
+    def drag(self, start, steps):
+        """Press the left button at ``start`` = (x, y) of the window, move by each of ``steps``, and let go."""
+        x, y = start
+        mouse = {"button": "left", "clickCount": 1}
+        self.call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)
+        self.call("Input.dispatchMouseEvent", type="mousePressed", x=x, y=y, buttons=1, **mouse)
+        for dx, dy in steps:
+            x, y = x + dx, y + dy
+            self.call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y, buttons=1, **mouse)
+        self.call("Input.dispatchMouseEvent", type="mouseReleased", x=x, y=y, buttons=0, **mouse)
+
+    def prefer(self, scheme, media=""):
+        """Light or dark, screen or print; "" for what the browser would do."""
+        features = [{"name": "prefers-color-scheme", "value": scheme}]
+        self.call("Emulation.setEmulatedMedia", media=media, features=features)
+
     def evaluate(self, expression):
         answer = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
@@ -111,7 +155,7 @@ class Page:
             for e in self.events
             if e.get("method") == "Network.requestWillBeSent"
         ]
-        return [url for url in asked if not url.startswith("data:")]
+        return [url for url in asked if not url.startswith(("data:", "about:srcdoc"))]
 
     def close(self):
         self._process.kill()
@@ -128,3 +172,161 @@ def page(tmp_path_factory):
     found = Page(executable, tmp_path_factory.mktemp("chromium"))
     yield found
     found.close()
+
+
+def contrast(from_deg, to_deg, measured, predicted, **changes):
+    return {
+        "from_deg": from_deg,
+        "to_deg": to_deg,
+        "tilt_deg": 0.0,
+        "kind": "log_ratio",
+        "measured": measured,
+        "predicted": predicted,
+        "u": 0.0507,
+        "tolerance": 0.25,
+        "guard": 0.0834,
+        "conformance_probability": 0.527,
+        "verdict": "PASS",
+        "p_value": 0.02,
+        "tolerance_ratio": 2.46,
+    } | changes
+
+
+def pose(stage_deg, measured, predicted):
+    marks = {"marker_angle_deg": stage_deg + 0.01, "pixel_um": 4.0, "residual_px": 0.02, "markers": 4}
+    return {"stage_deg": stage_deg, "tilt_deg": 0.0, "measured": measured, "predicted": predicted} | marks
+
+
+def cause(name, title, unit, severity, u, **changes):
+    base = {"cause": name, "title": title, "unit": unit, "severity": severity, "u": u, "weight": 0.6}
+    return base | {"chi2": 1.5, "at_bound": False, "tie": True} | changes
+
+
+def region(number):
+    place = {"x": 0.2 * number - 0.4, "y": 0.1 * number, "width": 0.05, "length": 0.12}
+    return place | {"area_share": 0.002, "cells": 3, "kind": "scratch", "deviation": -0.6, "p_value": 3e-5}
+
+
+RECORD = {
+    "software": "anisoscope 1.2.3",
+    "created_at": "2026-03-04T05:06:07+00:00",
+    "serial": "A-17",
+    "particulars": {"operator": "M. Okafor", "lot": "L7", "cavity": "3", "station": "Line 2"},
+    "product": "ridged plate",
+    "verdict": "FAIL",
+    "reasons": ["ln ratio 0°/90° deviates by +0.4"],
+    "model": "relief",
+    "convention": {
+        "light_angle_deg": 10.0,
+        "tilt_plane": "perpendicular",
+        "facet_azimuth_deg": 0.0,
+        "rotation_sense": "ccw",
+    },
+    "poses": [pose(0.0, 0.41, 0.26), pose(90.0, 0.038, 0.031), pose(180.0, 0.0307, 0.0276)],
+    "contrasts": [
+        contrast(0.0, 90.0, 2.538, 2.135, verdict="FAIL"),
+        contrast(90.0, 180.0, 0.227, 0.122, u=0.0217),
+    ],
+    "d2": 62.6,
+    "dof": 2,
+    "p_value": 2.5e-14,
+    "area": {"share": 0.0123, "u": 0.0006, "max_share": 0.03, "cells": 6400, "verdict": "PASS"},
+    "budget": [
+        {"source": "roughness along the ridges", "kind": "prediction", "contributions": [0.04, 0.0074]},
+        {"source": "stray light", "kind": "measurement", "contributions": [0.0311, 0.0204]},
+        {"source": "registration", "kind": "measurement", "contributions": [0.0001, 0.00001]},
+    ],
+    "drift": -0.0021,
+    "conformance_probability": 0.527,
+    "regions": [region(number) for number in range(4)],
+    "diagnosis": {
+        "says": "ridge angle, off by; or, not to be told apart: the part lies tilted about y",
+        "causes": [
+            cause("ridge-angle", "ridge angle, off by", "°", -2.048, 0.2),
+            cause("seating-y", "the part lies tilted about y", "°", -2.083, None, weight=0.3),
+        ],
+        "unexplained_p": 0.4,
+    },
+    "comparisons": [
+        {"surface": name, "decides": name == "design", "model": "relief", "predicted": [0.3, 0.03, 0.02]}
+        | {"d2": d2, "dof": 2, "p_value": p, "agrees": p > 0.01}
+        for name, d2, p in (("design", 62.6, 2.5e-14), ("height_map", 1.2, 0.55))
+    ],
+    "reading": "it agrees with the height map and not with the design: a shape defect",
+    "shape": {
+        "estimates": [
+            {
+                "name": "ridge_angle",
+                "title": "ridge angle",
+                "unit": "°",
+                "value": 8.9,
+                "u": 0.2,
+                "at_bound": False,
+            },
+            {"name": "k", "title": "scale", "unit": "", "value": None, "u": None, "at_bound": False},
+        ],
+        "held": [],
+        "chi2": 3.1,
+        "dof": 4,
+        "p_value": 0.54,
+        "advice": "a tilt of 20°",
+    },
+    "golden": {
+        "parts": 4,
+        "mean": [-2.1, -2.2],
+        "contrasts": [[-2.1, -2.2], [-2.0, -2.3], [-2.2, -2.1], [-2.1, -2.2]],
+        "measured": [-2.538, -2.765],
+    },
+    "rounds": 2,
+    "notes": ["the lamp was replaced"],
+    "white_reference": {
+        "taken_at": "2026-03-01T00:00:00+00:00",
+        "reflectance": 0.99,
+        "camera": "C1",
+        "sha256": "b6" * 32,
+    },
+    "recipe": {
+        "version": 3,
+        "decision": {"alpha": 0.001, "deviation": "warn", "coverage": 1.645},
+        "acquisition": {"exposure_s": 0.006, "gain": 1.0, "frames_per_pose": 4},
+        "area": {"cell_deviation": 0.3},
+        "region": {"center_mm": [0.0, 0.0]},
+        "poses": {"facet_azimuth_deg": 0.0},
+    },
+    "rig": {
+        "name": "rig 4",
+        "camera": {"pixel_um": 4.0},
+        "light": {"driver": "manual", "angle_deg": 10.0},
+    },
+    "camera": "camera C1",
+    "stage": "ELL14 1140",
+    "inputs": [
+        {"name": "inputs/recipe.toml", "sha256": "f5" * 32},
+        {"name": "inputs/rig.toml", "sha256": "21" * 32},
+    ],
+    "frames": [
+        {"name": "frames/000_dark.tif", "sha256": "79" * 32, "kind": "dark", "stage_deg": 0.0}
+        | {"commanded_deg": 0.0, "exposure_s": 0.006, "gain": 1.0, "captured_at": "2026-03-04T05:06:00+00:00"}
+    ],
+}
+
+
+@pytest.fixture(scope="session")
+def make_report_record():
+    """``make_report_record(verdict="PASS")`` gives a record with everything in it, and changes."""
+    return lambda **changes: Record.model_validate(RECORD | changes)
+
+
+@pytest.fixture(scope="session")
+def report_pictures():
+    rng = np.random.default_rng(3)
+    rows, cols = 24, 32
+    height = np.tile((np.arange(300) % 100) * 0.17, (200, 1)) + 0.02 * rng.standard_normal((200, 300))
+    return Pictures(
+        aligned=tuple((level * rng.random((120, 160))).astype(np.float32) for level in (0.8, 0.08, 0.06)),
+        size_mm=(0.6, 0.8),
+        ratios=2.0 + 0.1 * rng.standard_normal((2, rows, cols)),
+        deviating=rng.random((rows, cols)) < 0.05,
+        deviation=0.1 * rng.standard_normal((rows, cols)),
+        surface=HeightMap(height, 2.0, 2.0),
+    )

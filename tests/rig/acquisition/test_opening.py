@@ -10,8 +10,9 @@ from pathlib import Path
 import pytest
 
 from anisoscope.errors import NotConnected, RigError, RigFileError
-from anisoscope.rig.acquisition.opening import SAFE, open_rig, undisturbed
+from anisoscope.rig.acquisition.opening import open_devices, open_rig, undisturbed
 from anisoscope.rig.rigfile import CameraPart, LightPart, RigFile, StagePart, TiltPart
+from anisoscope.sim.bench.bench import shared_bench
 
 BENCH = 'schema = 1\n[stage]\ntime_scale = 0.0\n[tilt]\naddress = "1"\n'
 
@@ -35,7 +36,7 @@ def file(tmp_path):
 def test_an_interruption_is_told_what_became_of_the_rig(file):
     with pytest.raises(KeyboardInterrupt) as caught, open_rig(file):
         raise KeyboardInterrupt
-    assert caught.value.__notes__ == [SAFE]
+    assert caught.value.__notes__ == ["stage and tilt are stopped and the light is off"]
 
 
 def test_an_error_speaks_for_itself(file):
@@ -116,3 +117,21 @@ def test_a_tilt_by_hand_without_a_terminal_is_an_error(file, monkeypatch):
         told = "the tilt is set by hand, and there is no terminal"
         with pytest.raises(NotConnected, match=told), open_rig(by_hand):
             pass
+
+
+def test_some_devices_alone_are_left_as_all_of_them(file):
+    bench = shared_bench(file.camera.options["bench"])
+    with open_devices({}, file.camera, file.light) as found:
+        assert (found.axes, found.safe) == ({}, "the light is off")
+        found.light.on()
+        assert bench.light_on
+    assert not bench.light_on
+    with open_devices({"tilt": file.tilt}) as found:
+        assert (found.camera, found.light, found.safe) == (None, None, "the tilt is stopped")
+        assert found.make_safe() == ()
+
+
+def test_nobody_is_asked_to_switch_a_lamp_off_where_a_rig_is_left(capsys):
+    with open_devices({}, light=LightPart()) as found:
+        assert found.safe == ""
+    assert capsys.readouterr().err == ""

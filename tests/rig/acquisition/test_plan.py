@@ -5,7 +5,15 @@ from dataclasses import replace
 import pytest
 
 from anisoscope.errors import UsageError
-from anisoscope.rig.acquisition.plan import DarkEvent, LightEvent, MoveEvent, Plan, Pose, SampleEvent
+from anisoscope.rig.acquisition.plan import (
+    DarkEvent,
+    ExposeEvent,
+    LightEvent,
+    MoveEvent,
+    Plan,
+    Pose,
+    SampleEvent,
+)
 
 PLAN = Plan(poses=(Pose(0.0), Pose(90.0)), exposure_s=0.02, dark_frames=2)
 GRID = tuple(Pose(stage, tilt) for tilt in (0.0, 10.0) for stage in (0.0, 90.0))
@@ -39,6 +47,9 @@ def test_a_plan_is_a_sequence_of_events():
         {"frames_per_pose": 0},
         {"dark_frames": -1},
         {"settle_s": -1.0},
+        {"brackets": (1.2,)},
+        {"brackets": (4.0, 4.0)},
+        {"brackets": (float("nan"),)},
     ],
 )
 def test_plans_that_make_no_sense(wrong):
@@ -107,3 +118,30 @@ def test_another_round_takes_all_poses_again_but_no_dark_frames():
     ]
     with pytest.raises(UsageError, match="rounds: expected at least 1"):
         replace(PLAN, rounds=0)
+
+
+BRACKET = Plan(poses=(Pose(0.0), Pose(90.0)), exposure_s=0.006, brackets=(4.0,), frames_per_pose=2)
+
+
+def test_a_bracket_takes_every_exposure_in_the_dark_and_at_every_pose():
+    assert BRACKET.exposures_s == (0.006, 0.024)
+    events = [event for event in BRACKET if not isinstance(event, LightEvent | MoveEvent)]
+    first, there = Pose(0.0), Pose(90.0)
+    assert events == [
+        *(ExposeEvent(0.006), DarkEvent(0), ExposeEvent(0.024), DarkEvent(1)),
+        *(ExposeEvent(0.006), SampleEvent(first, 2), SampleEvent(first, 3)),
+        *(ExposeEvent(0.024), SampleEvent(first, 4), SampleEvent(first, 5)),
+        *(ExposeEvent(0.006), SampleEvent(there, 6), SampleEvent(there, 7)),
+        *(ExposeEvent(0.024), SampleEvent(there, 8), SampleEvent(there, 9)),
+        *(ExposeEvent(0.006), SampleEvent(first, 10, again=True), SampleEvent(first, 11, again=True)),
+        *(ExposeEvent(0.024), SampleEvent(first, 12, again=True), SampleEvent(first, 13, again=True)),
+    ]
+    assert (BRACKET.frame_count, BRACKET.shots_per_pose) == (14, 4)
+    assert [BRACKET.exposure_of(step) for step in (0, 1, 3, 4, 7, 8, 13)] == [
+        *(0.006, 0.024, 0.006, 0.024, 0.006, 0.024, 0.024)
+    ]
+
+
+def test_a_pose_without_all_of_its_exposures_is_taken_anew():
+    assert left(BRACKET, {0, 1, 2, 3, 4, 5, 6, 7}) == [None] * 4 + [8 - 2, 8 - 1, *range(8, 14)]
+    assert left(BRACKET, {0}) == list(range(14))

@@ -306,7 +306,10 @@ def test_the_light_by_hand_asks_only_when_needed():
 def test_the_light_by_hand_asks_in_the_terminal(capsys, monkeypatch):
     monkeypatch.setattr("sys.stdin", SimpleNamespace(readline=lambda: "\n"))
     open_manual().on()
-    assert "Switch the light on, then press Enter" in capsys.readouterr().err
+    assert "Switch the light on and press Enter" in capsys.readouterr().err
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(readline=lambda: ""))
+    with pytest.raises(RigError, match="nobody answered the request 'Switch the light off'"):
+        open_manual().off()  # a dark frame in the light would be taken for a dark one
 
 
 TILTED = Plan(poses=(Pose(0.0), Pose(90.0), Pose(0.0, 10.0), Pose(90.0, 10.0)), exposure_s=0.02)
@@ -512,3 +515,21 @@ def test_a_camera_may_fill_its_memory_again(rig, tmp_path):
     rig.camera.grab = grab
     records = run_plan(PLAN, rig, tmp_path)
     assert [int(read_frame(record.path).counts[0, 0]) for record in records] == [1, 2, 3, 4, 5]
+
+
+def test_a_bracket_sets_each_exposure_and_frames_tell_what_the_camera_made_of_it(rig, tmp_path):
+    plan = Plan(poses=(Pose(0.0),), exposure_s=0.01, brackets=(4.0,), return_to_first=False)
+    records = run_plan(plan, rig, tmp_path)
+    assert [record.frame.exposure_s for record in records] == pytest.approx([0.0101, 0.0404] * 2)
+    lines = read_journal(tmp_path).frames
+    assert [line.exposure_s for line in lines] == [record.frame.exposure_s for record in records]
+    assert run_plan(plan, rig, tmp_path) == []  # all of it is there
+
+
+def test_exposures_that_are_one_to_the_camera(rig, log, tmp_path, monkeypatch):
+    steps = lambda _self, exposure_s, gain: CameraSettings(2.0 ** np.floor(np.log2(exposure_s)), gain)  # noqa: E731
+    monkeypatch.setattr(FakeCamera, "configure", steps)
+    plan = Plan(poses=(Pose(0.0),), exposure_s=0.01, brackets=(1.5,))
+    with pytest.raises(CameraError, match=r"0\.01 s and 0\.015 s both as 0\.0078125 s: choose other"):
+        run_plan(plan, rig, tmp_path)
+    assert log[-2:] == ["stop", "light off"]

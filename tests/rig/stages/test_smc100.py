@@ -29,6 +29,25 @@ def test_scale_speed_and_limits_come_from_the_controller(in_process):
         assert stage.rules.acceleration_deg_s2 == 8.0
 
 
+def test_the_port_is_set_as_the_manual_asks(monkeypatch):
+    asked = []
+
+    def refuse(port, **settings):
+        asked.append(settings)
+        raise OSError("not today")
+
+    monkeypatch.setattr("serial.serial_for_url", refuse)
+    for options in ({}, {"baudrate": 921600, "xonxoff": False}):
+        with pytest.raises(NotConnected):
+            Smc100.open("COM3", **options)
+    # 8 bits, no parity and 1 stop bit are what pyserial takes where nothing else is said
+    assert [(one["baudrate"], one["xonxoff"], one["rtscts"]) for one in asked] == [
+        (57600, True, False),
+        (921600, False, False),
+    ]
+    assert not any({"bytesize", "parity", "stopbits"} & one.keys() for one in asked)
+
+
 def test_two_stages_on_a_line(in_process):
     first, second = controller(address=1), controller(address=12)
     port = in_process(Bus(first, second))

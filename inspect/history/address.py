@@ -1,0 +1,106 @@
+"""Where a history is: a file of SQLite, a folder that holds one, or a URL of PostgreSQL."""
+
+import os
+import ssl
+from dataclasses import dataclass
+from pathlib import Path
+
+from sqlalchemy import URL, make_url
+from sqlalchemy.exc import ArgumentError
+
+from anisoscope.errors import UsageError
+
+HISTORY_NAME = "history.sqlite"
+VARIABLE = "ANISOSCOPE_HISTORY"
+NONE = "none"
+_DRIVER = "postgresql+pg8000"
+_SCHEMES = ("postgresql", "postgres", _DRIVER)
+_PORT = 5432
+
+
+@dataclass(frozen=True)
+class Address:
+    """A history's place; ``path`` is None unless it is a file. As text it does not show the password."""
+
+    url: URL
+    path: Path | None = None
+    tls: ssl.SSLContext | None = None
+
+    def __str__(self) -> str:
+        return str(self.path) if self.path is not None else self.url.render_as_string(hide_password=True)
+
+
+def parse_address(text: str | Path) -> Address:
+    """Understand where a history is; nothing is opened.
+
+    Args:
+        text: a file, a folder of inspections, ``sqlite:///FILE`` or ``postgresql://USER:PASSWORD@HOST/DATABASE``.
+            ``?host=/folder`` names the folder of a local server's socket, ``?sslmode=require`` or ``verify-full``
+            encrypts, as they do for PostgreSQL's own programs.
+
+    Raises:
+        UsageError: it is none of these.
+    """
+    if isinstance(text, Path) or "://" not in text:
+        return _file(Path(text))
+    try:
+        url = make_url(text)
+    except (ArgumentError, ValueError):
+        raise UsageError(
+            "this is no address of a history: it takes a file, sqlite:///FILE, or "
+            "postgresql://USER:PASSWORD@HOST/DATABASE"
+        ) from None
+    if url.drivername in {"sqlite", "sqlite+pysqlite"}:
+        if not url.database or url.database == ":memory:" or url.query:
+            raise UsageError(
+                "a history in SQLite is a file: name it, as in sqlite:///inspections/history.sqlite"
+            )
+        return _file(Path(url.database))
+    if url.drivername not in _SCHEMES:
+        raise UsageError(
+            f"a history cannot be in {url.drivername!r}: it takes a file, sqlite:///FILE, or postgresql://…"
+        )
+    return _server(url.set(drivername=_DRIVER))
+
+
+def chosen(option: str | None, out: Path) -> str | Path | None:
+    """The history that is meant: the option, the environment, or the file in the folder of inspections.
+
+    Returns:
+        What `parse_address` takes, or None where no history is wanted.
+    """
+    said = option if option is not None else os.environ.get(VARIABLE, "").strip() or None
+    if said is None:
+        return out / HISTORY_NAME
+    return None if said == NONE else said
+
+
+def _file(path: Path) -> Address:
+    file = path / HISTORY_NAME if path.is_dir() else path
+    file = file.absolute()
+    return Address(URL.create("sqlite+pysqlite", database=str(file)), file)
+
+
+def _server(url: URL) -> Address:
+    query = dict(url.query)
+    host, mode = query.pop("host", None), query.pop("sslmode", "disable")
+    if query.keys() - {"unix_sock"} or not url.database:
+        raise UsageError(
+            f"the address {url.render_as_string(hide_password=True)} cannot be used: it takes a database, and after "
+            "a question mark host=/FOLDER, unix_sock=FILE or sslmode=require or verify-full"
+        )
+    if isinstance(host, str):
+        query["unix_sock"] = f"{host}/.s.PGSQL.{url.port or _PORT}"
+    return Address(url.set(query=query), None, _tls(str(mode)))
+
+
+def _tls(mode: str) -> ssl.SSLContext | None:
+    if mode == "disable":
+        return None
+    if mode not in {"require", "verify-full"}:
+        raise UsageError(f"sslmode is disable, require or verify-full, not {mode!r}")
+    context = ssl.create_default_context()
+    if mode == "require":  # encrypts without knowing whom one talks to, as it does everywhere
+        context.check_hostname = False
+        context.verify_mode = ssl.CERT_NONE
+    return context

@@ -1,0 +1,132 @@
+"""The history for other programs: CSV, JSON, and JUnit XML as servers of continuous integration read it."""
+
+import csv
+import io
+import json
+import re
+from collections.abc import Mapping, Sequence
+from datetime import UTC
+from typing import Any
+from xml.etree import ElementTree as ET
+
+from anisoscope.history.dispositions import Disposition
+from anisoscope.history.rows import Row
+
+Dispositions = Mapping[int, Sequence[Disposition]]
+_TEXTS = ("serial", "product", "recipe", "lot", "cavity", "station", "operator", "verdict")
+_LATER = ("folder", "seal", "software", "hash")
+# Spreadsheets take such cells for formulae.
+_FORMULA = ("=", "+", "-", "@", "\t", "\r")
+_NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+
+
+def as_json(row: Row, dispositions: Sequence[Disposition] = ()) -> dict[str, Any]:
+    """One inspection as a table that JSON can hold; times are UTC in ISO 8601."""
+    texts = {name: getattr(row, name) for name in _TEXTS}
+    return {
+        "id": row.id,
+        "created_at": _iso(row.created_at),
+        **texts,
+        "reasons": list(row.reasons),
+        **{name: getattr(row, name) for name in _LATER},
+        "numbers": dict(row.numbers),
+        "dispositions": [_disposition(one) for one in dispositions],
+    }
+
+
+def _disposition(one: Disposition) -> dict[str, Any]:
+    names = ("id", "reviewer", "decision", "comment", "hash")
+    return {"created_at": _iso(one.created_at), **{name: getattr(one, name) for name in names}}
+
+
+def _iso(moment: Any) -> str:  # noqa: ANN401
+    return str(moment.astimezone(UTC).isoformat(timespec="microseconds"))
+
+
+def to_json(rows: Sequence[Row], dispositions: Dispositions) -> str:
+    """All inspections as a JSON list."""
+    listed = [as_json(row, dispositions.get(row.id, ())) for row in rows]
+    return json.dumps(listed, indent=1, allow_nan=False) + "\n"
+
+
+def to_csv(rows: Sequence[Row], dispositions: Dispositions) -> str:
+    """All inspections as a table: a line each, a column for every number that one of them has.
+
+    A text that a spreadsheet would take for a formula gets an apostrophe in front; in JSON it stands as it is.
+    """
+    labels = list(dict.fromkeys(label for row in rows for label in row.numbers))
+    columns = ("id", "created_at", *_TEXTS, "reasons", *_LATER, "disposition", "reviewer", "comment")
+    text = io.StringIO(newline="")
+    table = csv.writer(text)
+    table.writerow([*columns, *map(_cell, labels)])
+    for row in rows:
+        last = (dispositions.get(row.id) or (None,))[-1]
+        decided = ("", "", "") if last is None else (last.decision, last.reviewer, last.comment)
+        texts = [getattr(row, name) or "" for name in _TEXTS]
+        texts += ["; ".join(row.reasons), *(getattr(row, name) for name in _LATER), *decided]
+        numbers = [repr(row.numbers[label]) if label in row.numbers else "" for label in labels]
+        table.writerow([row.id, _iso(row.created_at), *map(_cell, texts), *numbers])
+    return text.getvalue()
+
+
+def _cell(text: str) -> str:
+    return f"'{text}" if text.startswith(_FORMULA) else text
+
+
+def to_junit(rows: Sequence[Row], dispositions: Dispositions) -> str:
+    """All inspections as test cases: FAIL is a failure, INVALID an error, INCONCLUSIVE a skipped test.
+
+    Suites are products; a case is called by its serial number and id. What reviewers decided stands in the output of a
+    case and does not change its outcome.
+    """
+    root = ET.Element("testsuites", name="anisoscope")
+    for product in dict.fromkeys(row.product for row in rows):
+        of_product = [row for row in rows if row.product == product]
+        suite = ET.SubElement(root, "testsuite", _suite(product, of_product))
+        for row in of_product:
+            _case(suite, row, dispositions.get(row.id, ()))
+    _count(root, rows)
+    ET.indent(root)
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+
+
+_OUTCOMES = {"FAIL": "failure", "INVALID": "error", "INCONCLUSIVE": "skipped"}
+_TOTALS = {"failures": "FAIL", "errors": "INVALID", "skipped": "INCONCLUSIVE"}
+
+
+def _suite(product: str, rows: Sequence[Row]) -> dict[str, str]:
+    return {"name": _xml(product), "timestamp": _iso(rows[0].created_at)}
+
+
+def _count(root: ET.Element, rows: Sequence[Row]) -> None:
+    """The totals that servers show: of all suites, and of each."""
+    for suite in (root, *root):
+        cases = list(suite.iter("testcase"))
+        suite.set("tests", str(len(cases)))
+        for total, verdict in _TOTALS.items():
+            suite.set(total, str(sum(case.find(_OUTCOMES[verdict]) is not None for case in cases)))
+    assert root.get("tests") == str(len(rows))
+
+
+def _case(suite: ET.Element, row: Row, dispositions: Sequence[Disposition]) -> None:
+    name = {"classname": _xml(row.recipe), "name": _xml(f"{row.serial} (inspection {row.id})")}
+    case = ET.SubElement(suite, "testcase", name, time="0")
+    why = _xml("; ".join(row.reasons))
+    if row.verdict in _OUTCOMES:
+        outcome = ET.SubElement(case, _OUTCOMES[row.verdict], message=why)
+        if row.verdict != "INCONCLUSIVE":
+            outcome.set("type", row.verdict)
+            outcome.text = "\n".join(f"{label} = {value:g}" for label, value in row.numbers.items())
+    said = [f"folder: {row.folder}", f"created at: {_iso(row.created_at)}"]
+    said += [
+        f"{name}: {getattr(row, name)}"
+        for name in ("lot", "cavity", "station", "operator")
+        if getattr(row, name)
+    ]
+    said += [f"disposition: {one.decision} by {one.reviewer}: {one.comment}" for one in dispositions]
+    ET.SubElement(case, "system-out").text = _xml("\n".join(said))
+
+
+def _xml(text: str) -> str:
+    """Text without the characters that no XML file may hold, not even escaped."""
+    return _NOT_XML.sub("\ufffd", text)

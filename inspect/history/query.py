@@ -1,0 +1,135 @@
+"""What is asked of a history's tables."""
+
+import re
+import struct
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, cast
+
+from sqlalchemy import ColumnElement, Connection, Select, func, select
+
+from anisoscope.errors import UsageError
+from anisoscope.history.columns import parsed_labels, to_us
+from anisoscope.history.filters import Filters
+from anisoscope.history.schema import dispositions as _dispositions
+from anisoscope.history.schema import inspections, layouts
+
+Values = Mapping[str, Any]
+_EQUAL = ("lot", "cavity", "product", "station", "operator", "serial", "verdict")
+_DIGITS = re.compile(r"[0-9a-f]{4,64}")
+_AT_ONCE = 500
+_JOINED = inspections.join(layouts, inspections.c.layout == layouts.c.id)
+_WHOLE = select(inspections, layouts.c.labels).select_from(_JOINED)
+
+
+def conditions(filters: Filters) -> list[ColumnElement[bool]]:
+    """The filters as conditions; everything that a user gave is a bound parameter.
+
+    Raises:
+        UsageError: a filter that makes no sense.
+    """
+    table = inspections.c
+    found = [table[name] == value for name in _EQUAL if (value := getattr(filters, name)) is not None]
+    if filters.since is not None:
+        found.append(table.created_us >= to_us(filters.since))
+    if filters.until is not None:
+        found.append(table.created_us < to_us(filters.until))
+    if filters.recipe is not None:
+        product, _, digits = filters.recipe.rpartition(" ")
+        if not _DIGITS.fullmatch(digits):
+            raise UsageError(
+                f"the recipe {filters.recipe[:80]!r} is none: name it as the history shows it, or by the first four "
+                "or more digits of its SHA-256"
+            )
+        found.append(table.recipe.startswith(digits[:12], autoescape=True))
+        if product:
+            found.append(table.product == product)
+    if filters.limit is not None and filters.limit < 1:
+        raise UsageError(f"the limit is a positive whole number, not {filters.limit}")
+    return found
+
+
+def _chosen(statement: Select[Any], filters: Filters) -> Select[Any]:
+    """The latest ones first, as many as wanted."""
+    order = (inspections.c.created_us.desc(), inspections.c.id.desc())
+    statement = statement.where(*conditions(filters)).order_by(*order)
+    return statement if filters.limit is None else statement.limit(filters.limit)
+
+
+def rows(connection: Connection, filters: Filters) -> list[Values]:
+    """Inspections with their labels, the oldest first."""
+    found = connection.execute(_chosen(_WHOLE, filters)).mappings().all()
+    return [_values(row) for row in reversed(found)]
+
+
+def one(connection: Connection, condition: ColumnElement[bool]) -> Values | None:
+    """The inspection of which this holds, or None."""
+    found = connection.execute(_WHOLE.where(condition)).mappings().first()
+    return None if found is None else _values(found)
+
+
+def by_seals(connection: Connection, seals: Sequence[str]) -> Iterator[Values]:
+    """The inspections that have one of these seals."""
+    for start in range(0, len(seals), _AT_ONCE):
+        some = [bytes.fromhex(seal) for seal in seals[start : start + _AT_ONCE]]
+        yield from map(_values, connection.execute(_WHOLE.where(inspections.c.seal.in_(some))).mappings())
+
+
+def _values(row: Mapping[Any, Any]) -> Values:
+    # SQLAlchemy's rows are typed as having keys of their own; they are found by name all the same
+    return cast("Values", row)
+
+
+def count(connection: Connection, filters: Filters) -> int:
+    """How many inspections there are; the limit aside."""
+    statement = select(func.count()).select_from(inspections).where(*conditions(filters))
+    return int(connection.scalar(statement) or 0)
+
+
+def labels(connection: Connection, filters: Filters) -> tuple[str, ...]:
+    """Labels of the numbers that some of the inspections have."""
+    statement = select(layouts.c.labels).where(
+        layouts.c.id.in_(select(inspections.c.layout).where(*conditions(filters)))
+    )
+    found = connection.scalars(statement.order_by(layouts.c.id))
+    return tuple(dict.fromkeys(label for line in found for label in parsed_labels(line)))
+
+
+def series(connection: Connection, filters: Filters, number: str) -> tuple[list[int], list[int], list[float]]:
+    """Ids, times in microseconds and values of one number, the oldest first."""
+    table = inspections.c
+    reads = _readers(connection, number)
+    statement = _chosen(select(table.id, table.created_us, table.layout, table.numbers), filters)
+    statement = statement.where(table.layout.in_(list(reads)))
+    found = [
+        (row_id, moment, reads[layout](data))
+        for row_id, moment, layout, data in connection.execute(statement)
+    ]
+    found.reverse()
+    return [one[0] for one in found], [one[1] for one in found], [one[2] for one in found]
+
+
+def _readers(connection: Connection, number: str) -> dict[int, Callable[[bytes], float]]:
+    """For each layout that has the number, what reads it."""
+    found: dict[int, Callable[[bytes], float]] = {}
+    for layout, line in connection.execute(select(layouts.c.id, layouts.c.labels)):
+        if number in (names := parsed_labels(line)):
+            found[layout] = _reader(names.index(number))
+    return found
+
+
+def _reader(place: int) -> Callable[[bytes], float]:
+    unpack_from, offset = struct.Struct("<d").unpack_from, 8 * place
+
+    def read(data: bytes) -> float:
+        return float(unpack_from(data, offset)[0])
+
+    return read
+
+
+def dispositions(connection: Connection, row_ids: Sequence[int]) -> Iterator[Values]:
+    """Dispositions of some inspections, the oldest first."""
+    table = _dispositions
+    for start in range(0, len(row_ids), _AT_ONCE):
+        some = list(row_ids[start : start + _AT_ONCE])
+        statement = select(table).where(table.c.inspection.in_(some)).order_by(table.c.id)
+        yield from map(_values, connection.execute(statement).mappings())

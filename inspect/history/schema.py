@@ -1,0 +1,182 @@
+"""Tables of a history, how they refuse changes, and how an older database becomes a present one."""
+
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
+
+from sqlalchemy import (
+    BigInteger,
+    Column,
+    Connection,
+    ForeignKey,
+    Index,
+    Integer,
+    LargeBinary,
+    MetaData,
+    Table,
+    Text,
+    func,
+    insert,
+    inspect,
+    select,
+    text,
+)
+
+from anisoscope.history.problems import HistoryError
+
+metadata = MetaData()
+_id = BigInteger().with_variant(Integer, "sqlite")
+
+versions = Table(
+    "schema_versions",
+    metadata,
+    Column("version", _id, primary_key=True, autoincrement=False),
+    Column("applied_us", BigInteger, nullable=False),
+)
+# Labels of numbers are the same in all rows of a recipe, so that they are kept once.
+layouts = Table(
+    "layouts",
+    metadata,
+    Column("id", _id, primary_key=True, autoincrement=False),
+    Column("digest", LargeBinary, nullable=False, unique=True),
+    Column("labels", Text, nullable=False),
+)
+inspections = Table(
+    "inspections",
+    metadata,
+    Column("id", _id, primary_key=True, autoincrement=False),
+    Column("created_us", BigInteger, nullable=False),
+    Column("serial", Text, nullable=False),
+    Column("product", Text, nullable=False),
+    Column("recipe", Text, nullable=False),
+    Column("lot", Text),
+    Column("cavity", Text),
+    Column("station", Text),
+    Column("operator", Text),
+    Column("verdict", Text, nullable=False),
+    Column("reasons", Text, nullable=False),
+    Column("folder", Text, nullable=False),
+    Column("seal", LargeBinary, nullable=False, unique=True),
+    Column("software", Text, nullable=False),
+    Column("layout", _id, ForeignKey("layouts.id"), nullable=False),
+    Column("numbers", LargeBinary, nullable=False),
+    Column("previous", LargeBinary, nullable=False),
+    Column("hash", LargeBinary, nullable=False),
+    Index("inspections_by_time", "created_us"),
+    Index("inspections_by_serial", "serial"),
+    Index("inspections_by_lot", "lot", "created_us"),
+    Index("inspections_by_verdict", "verdict", "created_us"),
+)
+dispositions = Table(
+    "dispositions",
+    metadata,
+    Column("id", _id, primary_key=True, autoincrement=False),
+    Column("inspection", _id, ForeignKey("inspections.id"), nullable=False),
+    Column("created_us", BigInteger, nullable=False),
+    Column("reviewer", Text, nullable=False),
+    Column("decision", Text, nullable=False),
+    Column("comment", Text, nullable=False),
+    Column("previous", LargeBinary, nullable=False),
+    Column("hash", LargeBinary, nullable=False),
+    Index("dispositions_by_inspection", "inspection"),
+)
+GUARDED = (versions, layouts, inspections, dispositions)
+_REFUSAL = "the history is append-only"
+
+
+def _first(connection: Connection) -> None:
+    """Version 1: inspections."""
+    metadata.create_all(connection, [versions, layouts, inspections])
+    if connection.dialect.name == "postgresql":
+        connection.execute(text(_POSTGRESQL_REFUSAL))
+    for table in (versions, layouts, inspections):
+        _guard(connection, table)
+
+
+def _second(connection: Connection) -> None:
+    """Version 2: what reviewers decide."""
+    metadata.create_all(connection, [dispositions])
+    _guard(connection, dispositions)
+
+
+MIGRATIONS: Sequence[Callable[[Connection], None]] = (_first, _second)
+VERSION = len(MIGRATIONS)
+
+
+def version_of(connection: Connection) -> int:
+    """Version of the tables in a database; 0 where there are none."""
+    if not inspect(connection).has_table(versions.name):
+        return 0
+    return int(connection.scalar(select(func.coalesce(func.max(versions.c.version), 0))) or 0)
+
+
+def check_version(found: int, where: object) -> None:
+    """Can this program read such tables?
+
+    Raises:
+        HistoryError: they are of a later program.
+    """
+    if found > VERSION:
+        raise HistoryError(
+            f"the history {where} was made by a later anisoscope (version {found} of its tables, this one knows "
+            f"{VERSION}): update anisoscope here"
+        )
+
+
+def migrate(connection: Connection, to: int = VERSION) -> None:
+    """Bring the tables of a database to a version, step by step, within the caller's transaction."""
+    for number in range(version_of(connection), to):
+        MIGRATIONS[number](connection)
+        now = int(datetime.now(UTC).timestamp() * 1e6)
+        connection.execute(insert(versions).values(version=number + 1, applied_us=now))
+
+
+def missing_guards(connection: Connection) -> list[str]:
+    """Tables whose refusal of changes was taken away."""
+    statement = "SELECT name FROM sqlite_master WHERE type = 'trigger'"
+    if connection.dialect.name == "postgresql":
+        statement = (
+            "SELECT t.tgname FROM pg_trigger t JOIN pg_class c ON c.oid = t.tgrelid "
+            "WHERE t.tgenabled IN ('O', 'A') AND c.relnamespace = current_schema()::regnamespace"
+        )
+    there = set(connection.scalars(text(statement)))
+    return [table.name for table in GUARDED if not set(_names(connection, table.name)) <= there]
+
+
+def _names(connection: Connection, table: str) -> list[str]:
+    last = "truncate" if connection.dialect.name == "postgresql" else "replace"
+    return [f"{table}_refuse_{what}" for what in ("update", "delete", last)]
+
+
+def _guard(connection: Connection, table: Table) -> None:
+    """Triggers that refuse to change or remove a row of a table."""
+    change, removal, last = _names(connection, table.name)
+    if connection.dialect.name == "postgresql":
+        statements = [
+            f"CREATE TRIGGER {change} BEFORE UPDATE ON {table.name} FOR EACH ROW",
+            f"CREATE TRIGGER {removal} BEFORE DELETE ON {table.name} FOR EACH ROW",
+            f"CREATE TRIGGER {last} BEFORE TRUNCATE ON {table.name} FOR EACH STATEMENT",
+        ]
+        statements = [f"{statement} EXECUTE FUNCTION anisoscope_refuse()" for statement in statements]
+    else:
+        refuse = f"BEGIN SELECT RAISE(ABORT, '{_REFUSAL}'); END"
+        clash = f"EXISTS (SELECT 1 FROM {table.name} WHERE {_clash(table)})"  # noqa: S608 - names of ours
+        statements = [
+            f"CREATE TRIGGER {change} BEFORE UPDATE ON {table.name} {refuse}",
+            f"CREATE TRIGGER {removal} BEFORE DELETE ON {table.name} {refuse}",
+            # INSERT OR REPLACE removes rows without asking the trigger of removals
+            f"CREATE TRIGGER {last} BEFORE INSERT ON {table.name} WHEN {clash} {refuse}",
+        ]
+    for statement in statements:
+        connection.execute(text(statement))
+
+
+def _clash(table: Table) -> str:
+    """A row is there already that would have to go: it has the same key, or the same of what must be unique."""
+    names = [column.name for column in table.columns if column.primary_key or column.unique]
+    return " OR ".join(f"{name} = NEW.{name}" for name in names)
+
+
+_POSTGRESQL_REFUSAL = f"""
+CREATE OR REPLACE FUNCTION anisoscope_refuse() RETURNS trigger LANGUAGE plpgsql AS $body$
+BEGIN RAISE EXCEPTION '{_REFUSAL}'; END $body$
+"""

@@ -1,0 +1,232 @@
+"""The history of all inspections: append-only, chained by hashes, one chain for all rigs that write into it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.errors import UsageError
+from anisoscope.history import audit, query, schema, writing
+from anisoscope.history.address import Address, parse_address
+from anisoscope.history.columns import disposition_from, row_from
+from anisoscope.history.database import Database
+from anisoscope.history.dispositions import Disposition, checked_disposition
+from anisoscope.history.filters import Filters
+from anisoscope.history.problems import Damage, HistoryError
+from anisoscope.history.rows import NewRow, Row
+
+EVERYTHING = Filters()
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """One number over time, the oldest first.
+
+    Attributes:
+        ids: (n,) ids of the inspections, int64.
+        times: (n,) when their records were made, UTC, datetime64[us].
+        values: (n,) the number, float64; inspections that do not have it are left out.
+    """
+
+    ids: npt.NDArray[np.int64]
+    times: npt.NDArray[np.datetime64]
+    values: npt.NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+@dataclass(eq=False)
+class History:
+    """A history that is open; made by `open_history`, closed by leaving it."""
+
+    address: Address
+    _database: Database = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._database = Database(self.address)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the database."""
+        self._database.close()
+
+    def append(self, new: NewRow) -> Row:
+        """Add an inspection; it is safe on disk when this returns. Its seal is added once, however often it is tried.
+
+        Returns:
+            The row in the history, which is the earlier one where the seal was there already.
+
+        Raises:
+            HistoryError: the database cannot be reached or written.
+        """
+        return self.append_all([new])[0]
+
+    def append_all(self, news: Sequence[NewRow]) -> list[Row]:
+        """Add many inspections in one transaction: all of them are there afterwards, or none.
+
+        Raises:
+            HistoryError: as for `append`.
+        """
+        with self._database.writing() as connection:
+            return writing.append_rows(connection, news, self.address.path)
+
+    def _row(self, values: Any) -> Row:  # noqa: ANN401 - a row of any query
+        return row_from(values, self.address.path)
+
+    def rows(self, filters: Filters = EVERYTHING) -> list[Row]:
+        """Inspections, the oldest first; with a limit the latest ones.
+
+        Raises:
+            UsageError: a filter that makes no sense.
+            HistoryError: the database cannot be read.
+        """
+        with self._database.reading() as connection:
+            return [self._row(found) for found in query.rows(connection, filters)]
+
+    def count(self, filters: Filters = EVERYTHING) -> int:
+        """How many inspections there are; its limit aside.
+
+        Raises:
+            UsageError, HistoryError: as for `rows`.
+        """
+        with self._database.reading() as connection:
+            return query.count(connection, filters)
+
+    def row(self, row_id: int) -> Row | None:
+        """The inspection with an id, or None."""
+        return self._one(schema.inspections.c.id == row_id)
+
+    def row_by_seal(self, seal: str) -> Row | None:
+        """The inspection whose record has a seal, or None."""
+        return self._one(schema.inspections.c.seal == bytes.fromhex(seal))
+
+    def _one(self, condition: Any) -> Row | None:  # noqa: ANN401 - SQLAlchemy's conditions have no common type
+        with self._database.reading() as connection:
+            found = query.one(connection, condition)
+            return None if found is None else self._row(found)
+
+    def series(self, filters: Filters, number: str) -> Series:
+        """One number of many inspections, the oldest first.
+
+        Args:
+            filters: which inspections.
+            number: its label, such as ``ln 0-90``.
+
+        Raises:
+            UsageError, HistoryError: as for `rows`.
+        """
+        with self._database.reading() as connection:
+            ids, times, values = query.series(connection, filters, number)
+        return Series(
+            np.array(ids, dtype=np.int64),
+            np.array(times, dtype="datetime64[us]"),
+            np.array(values, dtype=np.float64),
+        )
+
+    def labels(self, filters: Filters = EVERYTHING) -> tuple[str, ...]:
+        """Labels of all numbers that some of these inspections have, each once.
+
+        Raises:
+            UsageError, HistoryError: as for `rows`.
+        """
+        with self._database.reading() as connection:
+            return query.labels(connection, filters)
+
+    def dispose(self, row_id: int, *, reviewer: str, decision: str, comment: str = "") -> Disposition:
+        """Add what a reviewer decided about an inspection; earlier decisions stay.
+
+        Raises:
+            UsageError: there is no such inspection, nobody decides, or something that is no decision.
+            HistoryError: the database cannot be reached or written.
+        """
+        who, what, why = checked_disposition(reviewer, decision, comment)
+        with self._database.writing() as connection:
+            if query.one(connection, schema.inspections.c.id == row_id) is None:
+                raise UsageError(f"the history {self.address} has no inspection {row_id}")
+            return writing.append_disposition(connection, row_id, who, what, why)
+
+    def dispositions(self, row_id: int) -> list[Disposition]:
+        """What reviewers decided about an inspection, the oldest first.
+
+        Raises:
+            HistoryError: the database cannot be read.
+        """
+        return self.dispositions_of([row_id]).get(row_id, [])
+
+    def dispositions_of(self, row_ids: Sequence[int]) -> dict[int, list[Disposition]]:
+        """The same for many inspections, by their ids.
+
+        Raises:
+            HistoryError: the database cannot be read.
+        """
+        with self._database.reading() as connection:
+            found: dict[int, list[Disposition]] = {}
+            for values in query.dispositions(connection, row_ids):
+                found.setdefault(values["inspection"], []).append(disposition_from(values))
+            return found
+
+    def verify_chain(self) -> list[Damage]:
+        """Compute every hash again: what is not as it was written, each naming its row.
+
+        Raises:
+            HistoryError: the database cannot be read at all.
+        """
+        return audit.verify_chain(self._database)
+
+    def head(self) -> str:
+        """Hash of the last inspection, hexadecimal: whoever keeps it elsewhere notices a history that was cut."""
+        with self._database.reading() as connection:
+            return writing.head(connection, schema.inspections)[1].hex()
+
+    def holds(self, head: str) -> bool:
+        """Whether some inspection has this hash, as the head of a history that was only added to does for ever."""
+        return self._one(schema.inspections.c.hash == bytes.fromhex(head)) is not None
+
+
+def open_history(place: str | Path, *, create: bool = True) -> History:
+    """Open a history, and bring its tables up to date.
+
+    Args:
+        place: a file, a folder that holds ``history.sqlite``, or a URL: see `parse_address`.
+        create: make one where there is none.
+
+    Raises:
+        UsageError: this is no place of a history.
+        HistoryError: it cannot be reached, there is none, or it was made by a later program.
+    """
+    address = parse_address(place)
+    if address.path is not None and not address.path.exists():
+        if not create:
+            raise HistoryError(f"there is no history {address}: `anisoscope history add FOLDER…` makes one")
+        try:
+            address.path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise HistoryError(f"cannot make the history {address}: {error.strerror}") from error
+    history = History(address)
+    try:
+        _bring_up_to_date(history._database, address)  # noqa: SLF001 - the other half of the constructor
+    except BaseException:
+        history.close()
+        raise
+    return history
+
+
+def _bring_up_to_date(database: Database, address: Address) -> None:
+    with database.reading() as connection:
+        found = schema.version_of(connection)
+    schema.check_version(found, address)
+    if found < schema.VERSION:
+        with database.writing() as connection:
+            schema.migrate(connection)

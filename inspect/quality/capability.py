@@ -1,0 +1,148 @@
+"""How well a process keeps its limits: Cp, Cpk (short term), Pp, Ppk (long term), with confidence intervals.
+
+Sources: NIST/SEMATECH e-Handbook 6.1.6; the interval of Cp and Pp is that of a variance (chi-square), the one of Cpk
+and Ppk the approximation of A. F. Bissell, Applied Statistics 39 (1990) 331. Both presume normal values.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from anisoscope.errors import UsageError
+from anisoscope.quality.individuals import FloatArray, Limits, sigma_freedom
+
+CONFIDENCE = 0.95
+GOOD, POOR = 1.33, 1.0
+
+
+@dataclass(frozen=True)
+class Specification:
+    """Limits of good parts; None where there is none on that side.
+
+    Raises:
+        UsageError: none at all, or the lower not below the upper.
+    """
+
+    lower: float | None
+    upper: float | None
+
+    def __post_init__(self) -> None:
+        if self.lower is None and self.upper is None:
+            raise UsageError("a specification needs a lower or an upper limit")
+        if self.lower is not None and self.upper is not None and not self.lower < self.upper:
+            raise UsageError(
+                f"the lower limit ({self.lower:g}) must lie below the upper one ({self.upper:g})"
+            )
+
+
+@dataclass(frozen=True)
+class Index:
+    """An index and its confidence interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Capability:
+    """What a process can keep.
+
+    Attributes:
+        specification: the limits.
+        count: measured values.
+        mean: of all measured values.
+        sigma_short: from the moving ranges.
+        sigma_long: standard deviation of all values.
+        cp, pp: width of the limits over 6 sigma; None for a limit on one side.
+        cpk, ppk: distance of the nearer limit from the mean over 3 sigma.
+        outside: measured values beyond a limit.
+        outside_expected: share beyond a limit that a normal distribution of the long term would have.
+        confidence: of the intervals.
+    """
+
+    specification: Specification
+    count: int
+    mean: float
+    sigma_short: float
+    sigma_long: float
+    cp: Index | None
+    cpk: Index
+    pp: Index | None
+    ppk: Index
+    outside: int
+    outside_expected: float
+    confidence: float
+
+
+def spread_index(width: float, sigma: float, freedom: float, confidence: float = CONFIDENCE) -> Index:
+    """Cp: the width of the limits over 6 sigma; the interval is exact where sigma² is a chi-square.
+
+    Args:
+        width: upper minus lower limit.
+        sigma: estimated standard deviation.
+        freedom: degrees of freedom of that estimate.
+        confidence: of the two-sided interval.
+    """
+    from scipy.special import chdtri  # noqa: PLC0415 - heavy
+
+    value, tail = width / (6.0 * sigma), (1.0 - confidence) / 2.0
+    low, high = (math.sqrt(float(chdtri(freedom, above)) / freedom) for above in (1.0 - tail, tail))
+    return Index(value, value * low, value * high)
+
+
+def nearer_index(value: float, count: int, freedom: float, confidence: float = CONFIDENCE) -> Index:
+    """Cpk with the interval of Bissell (1990).
+
+    Args:
+        value: the index.
+        count: values of the mean.
+        freedom: degrees of freedom of sigma.
+        confidence: of the two-sided interval.
+    """
+    from scipy.special import ndtri  # noqa: PLC0415 - heavy
+
+    reach = float(ndtri(0.5 + confidence / 2.0)) * math.sqrt(1.0 / (9.0 * count) + value**2 / (2.0 * freedom))
+    return Index(value, value - reach, value + reach)
+
+
+def capability(
+    values: FloatArray, limits: Limits, specification: Specification, confidence: float = CONFIDENCE
+) -> Capability:
+    """Short- and long-term capability of a series.
+
+    Args:
+        values: (N,), NaN is missing.
+        limits: of its chart; its sigma is the short-term one.
+        specification: limits of good parts.
+        confidence: of the intervals.
+
+    Raises:
+        UsageError: all values are the same.
+    """
+    from scipy.special import ndtr  # noqa: PLC0415 - heavy
+
+    measured = values[~np.isnan(values)]
+    count, mean, sigma = len(measured), float(measured.mean()), float(measured.std(ddof=1))
+    if sigma == 0.0:
+        raise UsageError("all values are the same: a capability needs values that vary")
+    short_freedom = sigma_freedom(limits.ranges) if limits.ranges else math.inf
+    lower, upper = specification.lower, specification.upper
+    rooms = [mean - lower] if lower is not None else []
+    rooms += [upper - mean] if upper is not None else []
+    width = None if lower is None or upper is None else upper - lower
+    low, high = -math.inf if lower is None else lower, math.inf if upper is None else upper
+
+    def both(sd: float, freedom: float) -> tuple[Index | None, Index]:
+        freedom = min(freedom, 1e9)
+        spread = None if width is None else spread_index(width, sd, freedom, confidence)
+        return spread, nearer_index(min(rooms) / (3.0 * sd), count, freedom, confidence)
+
+    cp, cpk = both(limits.sigma, short_freedom)
+    pp, ppk = both(sigma, count - 1.0)
+    expected = float(ndtr((low - mean) / sigma) + ndtr((mean - high) / sigma))
+    outside = int(np.count_nonzero((measured < low) | (measured > high)))
+    return Capability(
+        specification, count, mean, limits.sigma, sigma, cp, cpk, pp, ppk, outside, expected, confidence
+    )

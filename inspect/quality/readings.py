@@ -1,0 +1,174 @@
+"""Readings to be charted: numbers in the order in which they were measured, and what they belong to."""
+
+import csv
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from anisoscope.csvtable import read_text
+from anisoscope.errors import UsageError
+from anisoscope.quality.individuals import FloatArray
+
+GROUPS = ("product", "recipe", "lot", "cavity", "station", "operator")
+TEXTS = ("time", "serial", *GROUPS, "verdict", "part", "appraiser", "trial")
+MISSING = {"", "nan", "na", "-", "missing", "invalid"}
+INVALID = "INVALID"
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """Columns of equal length.
+
+    Attributes:
+        source: where they come from, for messages and titles.
+        texts: columns of words: some of ``TEXTS``.
+        numbers: columns of numbers, NaN where there is none.
+    """
+
+    source: str
+    texts: Mapping[str, tuple[str, ...]]
+    numbers: Mapping[str, FloatArray]
+
+    def __len__(self) -> int:
+        return len(next(iter(self.numbers.values()), ()))
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """A name for every reading: serial number or time, else its place from 1."""
+        for column in ("serial", "time"):
+            if column in self.texts:
+                names = self.texts[column]
+                return tuple(name or f"#{k}" for k, name in enumerate(names, start=1))
+        return tuple(f"#{k}" for k in range(1, len(self) + 1))
+
+    def number(self, name: str | None) -> tuple[str, FloatArray]:
+        """Name and values of a number; the first one for None.
+
+        Raises:
+            UsageError: there is no such number.
+        """
+        if name is None:
+            return next(iter(self.numbers.items()))
+        if name not in self.numbers:
+            known = ", ".join(self.numbers)
+            raise UsageError(f"{self.source}: there is no number {name!r}; there are: {known}")
+        return name, self.numbers[name]
+
+    def only(self, keep: Mapping[str, str | None]) -> "Readings":
+        """Readings whose words are as asked; None asks for nothing.
+
+        Raises:
+            UsageError: there is no such column, or nothing is left.
+        """
+        mask = np.ones(len(self), dtype=np.bool_)
+        asked = {column: word for column, word in keep.items() if word is not None}
+        for column, word in asked.items():
+            mask &= np.array([text == word for text in self.column(column)], dtype=np.bool_)
+        if not mask.any():
+            wish = ", ".join(f"{column} {word}" for column, word in asked.items())
+            raise UsageError(f"{self.source}: no reading has {wish}")
+        return self if mask.all() else self._where(mask.nonzero()[0].tolist())
+
+    def latest(self, limit: int) -> "Readings":
+        """The last readings; all for 0."""
+        return self if limit in (0, len(self)) else self._where(list(range(len(self)))[-limit:])
+
+    def column(self, name: str) -> tuple[str, ...]:
+        """A column of words.
+
+        Raises:
+            UsageError: there is none.
+        """
+        if name not in self.texts:
+            raise UsageError(f"{self.source}: there is no column {name!r} to choose or group by")
+        return self.texts[name]
+
+    def grouped(self, by: str | None) -> dict[str, "Readings"]:
+        """Readings of every word of a column, in the order in which the words first occur; all under "" for None.
+
+        Raises:
+            UsageError: there is no such column.
+        """
+        if by is None:
+            return {"": self}
+        places: dict[str, list[int]] = {}
+        for place, word in enumerate(self.column(by)):
+            places.setdefault(word, []).append(place)
+        return {word: self._where(where) for word, where in places.items()}
+
+    def _where(self, places: list[int]) -> "Readings":
+        return Readings(
+            self.source,
+            {name: tuple(column[k] for k in places) for name, column in self.texts.items()},
+            {name: column[places] for name, column in self.numbers.items()},
+        )
+
+
+def read_readings(path: Path) -> Readings:
+    """Read a CSV file: a header, then one reading a line, in the order in which they were measured.
+
+    Columns named as in ``TEXTS`` hold words, all others numbers. An empty field, ``nan``, ``invalid`` or ``-`` is a
+    missing number; where there is a column ``verdict``, so are the numbers of a line that says INVALID.
+
+    Raises:
+        UsageError: the file cannot be read, or a line of it cannot be used; line and column are named.
+    """
+    reader = csv.reader(read_text(path).splitlines())
+    try:
+        columns = _columns(path, next(reader, []))
+        rows = [(reader.line_num, row) for row in reader if any(field.strip() for field in row)]
+    except csv.Error as error:
+        raise UsageError(f"{path}, line {reader.line_num}: {error}") from error
+    if not rows:
+        raise UsageError(f"{path}, line 2: no readings follow the header")
+    for line, row in rows:
+        if len(row) != len(columns):
+            raise UsageError(f"{path}, line {line}: {len(columns)} values expected, {len(row)} found")
+    lines = [line for line, _ in rows]
+    fields = dict(zip(columns, zip(*(row for _, row in rows), strict=True), strict=True))
+    texts = {name: tuple(text.strip() for text in column) for name, column in fields.items() if name in TEXTS}
+    numbers = {
+        name: _numbers(path, name, column, lines) for name, column in fields.items() if name not in TEXTS
+    }
+    return Readings(str(path), texts, without_invalid(texts, numbers))
+
+
+def without_invalid(
+    texts: Mapping[str, tuple[str, ...]], numbers: Mapping[str, FloatArray]
+) -> dict[str, FloatArray]:
+    """Numbers of INVALID inspections say nothing about the part: they become missing."""
+    if "verdict" not in texts:
+        return dict(numbers)
+    invalid = np.array([verdict == INVALID for verdict in texts["verdict"]], dtype=np.bool_)
+    return {name: np.where(invalid, np.nan, column) for name, column in numbers.items()}
+
+
+def _columns(path: Path, header: list[str]) -> list[str]:
+    columns = [name.strip() for name in header]
+    if not columns or not all(columns) or len(set(columns)) != len(columns):
+        raise UsageError(f"{path}, line 1: the header must name every column, and each of them once")
+    if all(name in TEXTS for name in columns):
+        raise UsageError(
+            f"{path}, line 1: there is no column of numbers; columns other than {', '.join(TEXTS)} hold numbers"
+        )
+    return columns
+
+
+def _numbers(path: Path, name: str, column: Iterable[str], lines: list[int]) -> FloatArray:
+    found = np.empty(len(lines))
+    for place, text in enumerate(column):
+        try:
+            found[place] = value = float(text)
+        except ValueError:
+            if text.strip().lower() not in MISSING:
+                raise UsageError(
+                    f"{path}, line {lines[place]}: {name} is not a number: {text!r} (leave it empty if missing)"
+                ) from None
+            found[place] = np.nan
+            continue
+        if math.isinf(value):
+            raise UsageError(f"{path}, line {lines[place]}: {name} must be a finite number, not {text!r}")
+    return found

@@ -1,0 +1,209 @@
+"""The results of a detection study as Markdown, put between two marks of a page, and the numbers that they rest on."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from anisoscope.atomicfile import write_text
+from anisoscope.errors import UsageError
+
+Told = dict[str, Any]
+
+BEGIN, END = "<!-- results: begin -->", "<!-- results: end -->"
+WANTED = 0.99
+ALARMS = {
+    "shipped": "D² against the prediction, as shipped",
+    "spread": "… with the spread of the ridge angle stated",
+    "golden": "T² from 25 golden parts, as shipped",
+    "normal": "T² by the normal theory",
+    "taught": "prediction shifted to 25 golden parts, its own budget",
+    "area share over its limit": "area over its limit",
+    "verdict FAIL": "verdict, means and area together",
+}
+COVERED = {
+    "measured contrast holds the true one (measurement alone)": "measured contrasts hold the true ones",
+    "predicted contrast (as shipped)": "predicted contrasts hold the measured ones",
+    "ridge_angle_deg, fitted over the tilts": "ridge angle, fitted over the tilts",
+    "alpha_along, fitted over the tilts": "roughness along the ridges, fitted",
+    "alpha_across, fitted over the tilts": "roughness across the ridges, fitted",
+}
+
+
+def numbers_of(found: Told) -> Told:
+    """The numbers of a study that its page shows, few enough to be kept beside it."""
+    kept: Told = {"plan": {key: found["plan"][key] for key in ("parts", "defective", "seed")}, "cases": []}
+    for world, by in found["worlds"].items():
+        for recipe, told in by.items():
+            good = told["good"]
+            kept["cases"].append(
+                {
+                    "where": f"{world}, {recipe}",
+                    "alarms": {key: _rate(good["false_alarms"][key]) for key in ALARMS},
+                    "coverage": {
+                        key: _rate(good["coverage"][key]) for key in COVERED if key in good["coverage"]
+                    },
+                    "classes": [_class(one) for one in told["classes"]],
+                }
+            )
+    best = {name: _reaching(rows) for name, rows in found["outlook"].items()}
+    return {**kept, "outlook": best}
+
+
+def _rate(told: Told) -> list[float]:
+    """Rate and its interval, in per cent."""
+    low, high = told["interval"]
+    return [round(100.0 * value, 1) for value in (told["rate"] or 0.0, low, high)]
+
+
+def _class(one: Told) -> Told:
+    about, scores = one["diagnosis"], one["scores"]
+    best = max(("shipped+area", "golden+area"), key=lambda key: scores[key]["auc"])
+    return {
+        "name": one["name"],
+        "title": one["title"],
+        "fails": _rate(one["verdict_fail"])[0],
+        "auc": [round(scores[key]["auc"], 3) for key in ("shipped+area", "golden+area")],
+        "best": round(scores[best]["auc"], 3),
+        "sigmas": round(one["mean_shift_sigmas"], 1),
+        "limits": [[source, round(100.0 * share)] for source, share in one["limited_by"][:3]],
+        "separable": about["separable"],
+        "needed": about["told_apart_from"],
+        "first": _rate(about["right_first"])[0],
+        "tied": _rate(about["right_tied"])[0],
+        "wrong": _rate(about["confidently_wrong"])[0],
+        "golden_first": _rate(about["right_first_against_golden"])[0],
+        "extent": _rate(about["extent_interval_holds"])[0],
+    }
+
+
+def _reaching(rows: list[Told]) -> Told:
+    """The least that reaches the wanted area, in the order in which it was tried, and the best of all."""
+    short = [{**row, "sigmas": round(row["sigmas"], 1), "auc": round(row["auc"], 3)} for row in rows]
+    enough = [row for row in short if row["auc"] >= WANTED]
+    return {"enough": enough[:3], "best": max(short, key=lambda row: row["auc"])}
+
+
+def block_of(kept: Told) -> str:
+    """Markdown of the results, from the numbers that are kept."""
+    plan, cases = kept["plan"], kept["cases"]
+    where = [case["where"] for case in cases]
+    parts = [
+        (
+            f"{plan['parts']} good parts and {plan['defective']} of every class in each world, seed {plan['seed']}. "
+            "Per cent, with 95 % intervals; in bold what is separable by 3 σ."
+        ),
+        _table(
+            "good parts that are flagged at nominal 1 %",
+            where,
+            [[title, *(_interval(case["alarms"][key]) for case in cases)] for key, title in ALARMS.items()],
+        ),
+        _table(
+            "verdict FAIL as shipped / AUC as shipped / AUC with 25 golden parts", where, _detected(cases)
+        ),
+        _table(
+            "diagnosis: named first / among the ties / confidently wrong / first against golden parts",
+            where,
+            _diagnosed(cases),
+        ),
+        _table("95 % intervals that hold the truth", where, _covered(cases)),
+        _limits(cases, kept["outlook"]),
+    ]
+    return "\n\n".join(parts)
+
+
+def _interval(values: list[float]) -> str:
+    return f"{values[0]:g} ({values[1]:g}–{values[2]:g})"
+
+
+def _table(first: str, columns: list[str], rows: list[list[str]]) -> str:
+    head = [f"| {' | '.join([first, *columns])} |", "|" + "---|" * (len(columns) + 1)]
+    return "\n".join([*head, *(f"| {' | '.join(row)} |" for row in rows)])
+
+
+def _detected(cases: list[Told]) -> list[list[str]]:
+    rows = []
+    for number, one in enumerate(cases[0]["classes"]):
+        cells = [case["classes"][number] for case in cases]
+        rows.append(
+            [one["title"], *(f"{c['fails']:g} / {c['auc'][0]:.2f} / {c['auc'][1]:.2f}" for c in cells)]
+        )
+    return rows
+
+
+def _diagnosed(cases: list[Told]) -> list[list[str]]:
+    rows = []
+    for number, one in enumerate(cases[0]["classes"]):
+        cells = []
+        for case in cases:
+            c = case["classes"][number]
+            text = f"{c['first']:g} / {c['tied']:g} / {c['wrong']:g} / {c['golden_first']:g}"
+            cells.append(f"**{text}**" if c["separable"] else text)
+        rows.append([one["title"], *cells])
+    return rows
+
+
+def _covered(cases: list[Told]) -> list[list[str]]:
+    rows = [
+        [title, *(_interval(case["coverage"][key]) if key in case["coverage"] else "–" for case in cases)]
+        for key, title in COVERED.items()
+    ]
+    for number, one in enumerate(cases[0]["classes"]):
+        rows.append(
+            [f"extent of {one['title']}", *(f"{case['classes'][number]['extent']:g}" for case in cases)]
+        )
+    return rows
+
+
+def _limits(cases: list[Told], outlook: Told) -> str:
+    lines = [
+        "What keeps an area under the curve below .99 (better of the two rules; shares of σ² of the means):",
+        "",
+    ]
+    for case in cases:
+        for one in case["classes"]:
+            if one["best"] < WANTED:
+                why = ", ".join(f"{source} {share:g} %" for source, share in one["limits"])
+                lines.append(
+                    f"- {one['title']} ({case['where']}): {one['best']:.3f} at {one['sigmas']:g} σ; {why}"
+                )
+    lines += ["", "What would reach .99 by the means alone, computed for D² against the prediction:", ""]
+    for name, told in outlook.items():
+        title = next(one["title"] for one in cases[0]["classes"] if one["name"] == name)
+        found = (
+            "; ".join(_option(row) for row in told["enough"])
+            or f"nothing tried; best: {_option(told['best'])}"
+        )
+        lines.append(f"- {title}: {found}")
+    return "\n".join(lines)
+
+
+def _option(row: Told) -> str:
+    return f"{row['poses']}, {row['calibration']} ({row['sigmas']:g} σ, AUC {row['auc']:.3f})"
+
+
+def with_results(page: str, kept: Told) -> str:
+    """A Markdown page with the results between its marks.
+
+    Raises:
+        UsageError: the page has no such marks.
+    """
+    if page.count(BEGIN) != 1 or page.count(END) != 1:
+        raise UsageError(f"the page must have one line {BEGIN} and one {END}: the results come between them")
+    before, _, rest = page.partition(BEGIN)
+    return f"{before}{BEGIN}\n\n{block_of(kept)}\n\n{END}{rest.partition(END)[2]}"
+
+
+def write_results(path: Path, found: Told) -> None:
+    """Put the results of a study into a Markdown page, and its numbers beside it (``.json``).
+
+    Raises:
+        UsageError: the page is missing or has no marks.
+        RecordError: it cannot be written.
+    """
+    try:
+        page = path.read_text(encoding="utf-8")
+    except OSError as problem:
+        raise UsageError(f"{path} cannot be read: {problem.strerror}") from problem
+    kept = numbers_of(found)
+    write_text(path, with_results(page, kept))
+    write_text(path.with_suffix(".json"), json.dumps(kept, indent=1, ensure_ascii=False) + "\n")

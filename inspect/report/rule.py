@@ -1,0 +1,53 @@
+"""Which rule gave a verdict, in one sentence."""
+
+from anisoscope.record import Record
+
+NAMES = {"log_ratio": "ln ratio", "michelson": "Michelson contrast", "difference": "difference of radiance"}
+UNITS = {"log_ratio": "1", "michelson": "1", "difference": "1/sr"}
+PRECEDENCE = "INVALID goes before FAIL, FAIL before INCONCLUSIVE, INCONCLUSIVE before PASS"
+
+
+def deviation_decides(record: Record) -> bool:
+    """Whether a significant deviation fails the part: where the recipe says so, or gives no tolerance."""
+    without = bool(record.contrasts) and record.contrasts[0].tolerance is None
+    return record.recipe["decision"]["deviation"] == "fail" or without
+
+
+def rule_of(record: Record) -> str:
+    """The rule that decided."""
+    if record.verdict == "INVALID":
+        return "what makes a measurement unfit goes before all that was measured, and never fails a part"
+    broken = _saying(record, "FAIL")
+    if record.verdict == "FAIL":
+        return f"{_listed(broken)}; FAIL goes before every verdict but INVALID"
+    if record.verdict == "INCONCLUSIVE":
+        near = _saying(record, "INCONCLUSIVE")
+        return f"no limit is broken for certain, but {_listed(near)}"
+    return "every quantity lies within its limit by more than its guard band (ISO 14253-1)"
+
+
+def _saying(record: Record, verdict: str) -> list[str]:
+    """What gives this verdict."""
+    level, found = record.recipe["decision"]["alpha"], []
+    limited = [c for c in record.contrasts if c.verdict == verdict and c.tolerance is not None]
+    side = "outside" if verdict == "FAIL" else "on one side or the other of"
+    if limited:
+        lie = "contrast lies" if len(limited) == 1 else "contrasts lie"
+        found.append(
+            f"{len(limited)} {lie} {side} the tolerance by {_band(verdict)} the guard band (ISO 14253-1)"
+        )
+    if record.area is not None and record.area.verdict == verdict:
+        found.append(
+            f"the deviating area lies {side} its limit by {_band(verdict)} the guard band (ISO 14253-1)"
+        )
+    if verdict == "FAIL" and deviation_decides(record) and (record.p_value or 0.0) < level:
+        found.append(f"all contrasts together deviate significantly (p below {level:g})")
+    return found
+
+
+def _band(verdict: str) -> str:
+    return "more than" if verdict == "FAIL" else "less than"
+
+
+def _listed(found: list[str]) -> str:
+    return "; ".join(found) if found else "see the reasons above"

@@ -1,0 +1,37 @@
+"""Numbers, contrasts and causes as the report of an inspection words them."""
+
+from anisoscope.record import CauseRecord, Record
+from anisoscope.report.page import Filters
+from anisoscope.report.provenance import when
+
+
+def filters() -> Filters:
+    """What the template calls by name: numbers with a true minus sign, chances, times."""
+    return {
+        "short": lambda value: f"{value:.4f}" if value >= 5e-5 else "< 0.0001",
+        "signed": lambda value, digits=3: f"{value:+.{digits}f}".replace("-", "−"),
+        "number": lambda value, digits=3: f"{value:.{digits}g}".replace("-", "−"),
+        "chance": lambda value: f"{value:.2g}" if value >= 1e-4 else "< 0.0001",
+        "when": when,
+    }
+
+
+def labels_of(record: Record) -> list[str]:
+    """Names of the contrasts, such as ``0° / 90°, tilt 10°``."""
+    return [contrast_name(c.from_deg, c.to_deg, c.tilt_deg) for c in record.contrasts]
+
+
+def contrast_name(from_deg: float, to_deg: float, tilt_deg: float) -> str:
+    """A contrast by its stage angles, and by its tilt where there is one."""
+    tilt = f", tilt {tilt_deg:g}°" if tilt_deg else ""
+    return f"{from_deg:g}° / {to_deg:g}°{tilt}".replace("-", "−")
+
+
+def cause_text(cause: CauseRecord) -> str:
+    """A cause with its severity, such as ``ridge angle, off by −2.1° ± 0.2°``."""
+    if cause.cause == "nothing":
+        return cause.title
+    unit = cause.unit if cause.unit in {"", "°"} else f" {cause.unit}"
+    u = "u not determined" if cause.u is None else f"± {cause.u:.2g}{unit}"
+    more = " or more" if cause.at_bound else ""
+    return f"{cause.title} {cause.severity:.3g}{unit}{more} {u}".replace("-", "−")

@@ -1,0 +1,147 @@
+"""A history of 100 000 inspections: how long filters and series take, and how much a row weighs.
+
+The alternative of a series is to read whole rows.
+"""
+
+import os
+import time
+from datetime import UTC, datetime, timedelta
+from hashlib import sha256
+
+import numpy as np
+import pytest
+
+from anisoscope.history.filters import Filters
+from anisoscope.history.rows import NewRow
+from anisoscope.history.store import open_history
+
+pytestmark = pytest.mark.benchmark
+COUNT = 100_000
+AT_ONCE = 5000
+START = datetime(2024, 1, 1, tzinfo=UTC)
+VERDICTS = ("PASS",) * 47 + ("FAIL", "INCONCLUSIVE", "INVALID")
+PRODUCT = "ridged demo plate, pitch 100 µm, ridge angle 10°"
+REASONS = (
+    "ln ratio 0°/90° at tilt 0° deviates by -0.023 (tolerance ±0.25, guard band 0.084)",
+    "ln ratio 90°/180° at tilt 0° deviates by -0.018 (tolerance ±0.25, guard band 0.036)",
+    "0.1% of the area deviates in the contrast map (limit 3.0%)",
+)
+
+
+def new_row(number, draws):
+    contrasts = {}
+    for pair, value in (("0-90", 2.1), ("90-180", 0.1)):
+        off = float(draws[number % len(draws)])
+        contrasts |= {
+            f"ln {pair}": value + off,
+            f"u ln {pair}": 0.05,
+            f"deviation ln {pair}": off,
+            f"tolerance ln {pair}": 0.25,
+        }
+    return NewRow(
+        created_at=START + timedelta(minutes=10 * number),
+        serial=f"PART-{number:06d}",
+        product=PRODUCT,
+        recipe=f"{PRODUCT} {number % 3}123456789ab",
+        lot=f"LOT-{number // 500}",
+        cavity=str(number % 8),
+        station=f"line {number % 4}",
+        operator=("M. Meier", "A. Schulz")[number % 2],
+        verdict=VERDICTS[number % 50],
+        reasons=REASONS,
+        folder=f"/data/inspections/PART-{number:06d}-20240101T000000Z",
+        seal=sha256(str(number).encode()).hexdigest(),
+        software="anisoscope 0.1.0",
+        numbers=contrasts | {"d2": 1.2, "p": 0.55, "area share": 0.001, "conformance probability": 0.99},
+    )
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    return tmp_path_factory.mktemp("history") / "history.sqlite"
+
+
+@pytest.fixture(scope="module")
+def history(place):
+    draws = np.random.default_rng(1).normal(0.0, 0.03, 997)
+    begun = time.perf_counter()
+    with open_history(place) as found:
+        for start in range(0, COUNT, AT_ONCE):
+            found.append_all([new_row(number, draws) for number in range(start, start + AT_ONCE)])
+        print(f"\n{COUNT} inspections added in {time.perf_counter() - begun:.1f} s")
+        yield found
+
+
+def quickest(work, repeats=5):
+    times = []
+    for _ in range(repeats):
+        begun = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - begun)
+    return min(times)
+
+
+QUESTIONS = {
+    "the latest 50": Filters(limit=50),
+    "one part": Filters(serial="PART-012345", limit=50),
+    "one lot": Filters(lot="LOT-77", limit=1000),
+    "a week": Filters(since=START + timedelta(days=300), until=START + timedelta(days=307), limit=2000),
+    "the latest failures": Filters(verdict="FAIL", limit=50),
+    "failures of one cavity": Filters(verdict="FAIL", cavity="1", limit=50),
+    "one recipe, one station": Filters(recipe="1123", station="line 3", limit=50),
+    "a station that is none": Filters(station="none", limit=50),
+    "a product that is none": Filters(product="none", limit=50),
+}
+
+
+@pytest.mark.parametrize("question", QUESTIONS)
+def test_filters(history, question):
+    rows = history.rows(QUESTIONS[question])
+    took = quickest(lambda: history.rows(QUESTIONS[question]))
+    print(f"\n{question}: {len(rows)} rows in {1000 * took:.0f} ms")
+    assert took <= 0.3
+
+
+def test_a_series_of_everything_against_its_rows(history):
+    found = history.series(Filters(), "ln 0-90")
+    assert len(found) == COUNT
+    took = quickest(lambda: history.series(Filters(), "ln 0-90"))
+    alternative = quickest(lambda: [row.numbers["ln 0-90"] for row in history.rows()], 1)
+    print(f"\nseries of {COUNT}: {took:.2f} s; from whole rows {alternative:.2f} s")
+    assert took <= alternative
+
+
+def test_growth_is_linear_and_a_row_weighs_less_than_a_kilobyte(history, place, tmp_path):
+    draws = np.zeros(1)
+    with open_history(tmp_path / "small.sqlite") as small:
+        small.append_all([new_row(number, draws) for number in range(COUNT // 10)])
+    weights = []
+    for path, count in ((tmp_path / "small.sqlite", COUNT // 10), (place, COUNT)):
+        with open_history(path) as found, found._database.engine.connect() as connection:
+            connection.exec_driver_sql("COMMIT")
+            connection.exec_driver_sql("PRAGMA wal_checkpoint(TRUNCATE)")
+        weights.append(path.stat().st_size / count)
+    print(f"\nbytes a row, indexes included: {weights[0]:.0f} of 10 000, {weights[1]:.0f} of 100 000")
+    assert max(weights) <= 1024
+    assert weights[1] <= 1.05 * weights[0]
+
+
+def test_verifying(history):
+    took = quickest(history.verify_chain, 1)
+    print(f"\nevery hash of {COUNT} again: {took:.1f} s")
+    assert history.count() == COUNT
+
+
+def test_postgresql():
+    """Into the server's own database, which .ci/run throws away."""
+    server = os.environ.get("ANISOSCOPE_TEST_POSTGRESQL")
+    if not server:
+        pytest.skip("ANISOSCOPE_TEST_POSTGRESQL names no server of PostgreSQL")
+    draws = np.zeros(1)
+    with open_history(server) as found:
+        for start in range(0, COUNT, AT_ONCE):
+            found.append_all([new_row(number, draws) for number in range(start, start + AT_ONCE)])
+        for question, filters in QUESTIONS.items():
+            took = quickest(lambda filters=filters: found.rows(filters), 3)
+            print(f"\nPostgreSQL, {question}: {1000 * took:.0f} ms")
+        print(f"\nPostgreSQL, series: {quickest(lambda: found.series(Filters(), 'ln 0-90'), 2):.2f} s")

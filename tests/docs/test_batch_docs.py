@@ -1,0 +1,44 @@
+"""The page about batches: its list, its tables and its commands are understood."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from anisoscope.batch.partfile import PartFile
+from anisoscope.batch.tray import read_tray
+from anisoscope.cli import app
+from anisoscope.sim.bench.benchfile import SamplePart
+from anisoscope.sim.bench.partcode import printed
+
+PAGE = (Path(__file__).resolve().parents[2] / "docs" / "batch.md").read_text(encoding="utf-8")
+
+
+def blocks(language):
+    return re.findall(rf"```{language}\n(.*?)```", PAGE, re.DOTALL)
+
+
+def test_the_tray_list_is_one(tmp_path):
+    (tmp_path / "tray.csv").write_text(blocks("csv")[0])
+    slots = read_tray(tmp_path / "tray.csv").slots
+    assert [(slot.label, slot.serial, slot.lot, slot.cavity) for slot in slots] == [
+        ("A1", "P-1042", "L7", "1"),
+        ("A2", "P-1043", "L7", "2"),
+        ("A3", None, "L7", "3"),
+    ]
+
+
+def test_the_tables_are_understood():
+    code, part = map(tomllib.loads, blocks("toml"))
+    sample = SamplePart.model_validate(code["sample"])
+    assert printed(sample.code).shape[0] >= 10
+    assert PartFile.model_validate(part).serial == "A17"
+
+
+@pytest.mark.parametrize("line", [line for block in blocks("sh") for line in block.splitlines()])
+def test_the_commands_are_understood(line):
+    words = line.split("#")[0].split()
+    assert words[0] == "anisoscope"
+    _, bound, _ = app.parse_args(words[1:], exit_on_error=False, print_error=False)
+    assert bound.arguments

@@ -1,0 +1,226 @@
+"""spc, msa and camera on the command line."""
+
+import hashlib
+import json
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+import pytest
+import tomli_w
+
+from anisoscope.calibration.record import dated, write_calibration
+from anisoscope.cli import run
+from anisoscope.history.rows import NewRow
+from anisoscope.history.store import open_history
+
+RECIPE = {
+    "schema": 1,
+    "product": "plate",
+    "surface": {"pitch_um": 100.0, "design": {"ridge_angle_deg": 10.0}},
+    "material": {"alpha_along": 0.06, "alpha_across": 0.1, "albedo": 0.2},
+    "acquisition": {"exposure_s": 0.01},
+    "region": {"size_mm": [1.0, 1.0]},
+    "decision": {"tolerance": [0.5, 0.7]},
+}
+# AIAG, Measurement Systems Analysis, 4th edition: the bias example, which is stable
+QUIET = (5.8, 5.7, 5.9, 5.9, 6.0, 6.1, 6.0, 6.1, 6.4, 6.3, 6.0, 6.1, 6.2, 5.6, 6.0)
+
+
+@pytest.fixture
+def done(capsys):
+    """Runs a command line in this process: exit code, output, errors."""
+
+    def call(*arguments):
+        code = run([str(one) for one in arguments])
+        said = capsys.readouterr()
+        return code, said.out, said.err
+
+    return call
+
+
+@pytest.fixture
+def place(tmp_path):
+    """A history of 80 parts of two lots, the second of which is shifted."""
+    rng = np.random.default_rng(12)
+    rows = []
+    for k in range(80):
+        off = 0.02 * rng.normal() + (0.1 if k >= 40 else 0.0)
+        numbers = {
+            "ln 0-90": 1.0 + off,
+            "u ln 0-90": 0.01,
+            "deviation ln 0-90": off,
+            "tolerance ln 0-90": 0.3,
+        }
+        rows.append(
+            NewRow(
+                created_at=datetime(2026, 11, 1, tzinfo=UTC) + timedelta(minutes=k),
+                serial=f"SN-{k}",
+                product="plate",
+                recipe="plate 0123456789ab",
+                lot=f"L{k // 40}",
+                verdict="PASS",
+                reasons=(),
+                folder=f"/parts/{k}",
+                seal=hashlib.sha256(str(k).encode()).hexdigest(),
+                software="anisoscope 0",
+                numbers=numbers,
+            )
+        )
+    with open_history(tmp_path / "history.sqlite") as history:
+        history.append_all(rows)
+    return tmp_path / "history.sqlite"
+
+
+def csv_of(path, header, rows):
+    path.write_text("\n".join([header, *(",".join(map(str, row)) for row in rows)]) + "\n")
+    return path
+
+
+def test_spc_of_a_history_says_shift_and_capability(done, place, tmp_path):
+    page = tmp_path / "spc.html"
+    code, out, err = done("spc", "--history", place, "--number", "ln 0-90", "--baseline", 40, "--html", page)
+    assert (code, err) == (1, "")
+    assert "not stable" in out
+    assert "SN-4" in out
+    assert "Good parts lie between 0.7 and 1.3" in out
+    assert "nine values in a row" in out
+    assert "Control charts: ln 0-90" in page.read_text(encoding="utf-8")
+
+
+def test_spc_without_a_number_is_an_overview_and_by_lot_is_stable(done, place):
+    code, out, _ = done("spc", "--history", place)
+    assert code == 1
+    assert "All series at a glance" in out
+    assert "deviation ln 0-90" in out
+    assert "u ln 0-90" not in out.replace("deviation", "")
+    code, out, _ = done("spc", "--history", place, "-n", "ln 0-90", "--by", "lot", "--json")
+    content = json.loads(out)
+    assert [one["name"] for one in content["studies"]] == ["ln 0-90, L0", "ln 0-90, L1"]
+    centers = [one["limits"]["center"] for one in content["studies"]]
+    assert centers == [pytest.approx(1.0, abs=0.02), pytest.approx(1.1, abs=0.02)]
+    code, out, _ = done("spc", "--history", place, "-n", "ln 0-90", "--lot", "L0", "--json")
+    (study,) = json.loads(out)["studies"]
+    assert (study["measured"], code) == (40, 0 if study["stable"] else 1)
+
+
+def test_a_recipe_file_gives_the_limits(done, place, tmp_path):
+    recipe = tmp_path / "recipe.toml"
+    recipe.write_text(tomli_w.dumps(RECIPE))
+    _, out, err = done("spc", "--history", place, "-n", "ln 0-90", "--recipe", recipe, "--json")
+    assert err == ""
+    (study,) = json.loads(out)["studies"]
+    assert (study["capability"]["lower"], study["capability"]["upper"]) == (
+        pytest.approx(0.5),
+        pytest.approx(1.5),
+    )
+    _, out, _ = done("spc", "--history", place, "-n", "deviation ln 0-90", "--recipe", recipe, "--json")
+    assert json.loads(out)["studies"][0]["capability"]["upper"] == 0.5
+    recipe.write_text(tomli_w.dumps({**RECIPE, "decision": {}}))
+    code, _, err = done("spc", "--history", place, "--recipe", recipe)
+    assert (code, "no decision.tolerance" in err) == (64, True)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (("--number", "ln 9-9"), "there is no number 'ln 9-9'"),
+        (("--by", "colour"), "--by takes product, recipe, lot"),
+        (("--lower", "0"), "name it with --number"),
+        (("--lot", "L9"), "no inspection of this kind"),
+        (("--recipe", "none.toml"), "there is no file none.toml"),
+        (("--limit", "3"), "at least 5 measured values"),
+        (("--csv", "x.csv"), "name one of them"),
+        (("-n", "ln 0-90", "--center", "1"), "go together"),
+    ],
+)
+def test_spc_refuses_in_one_line(done, place, arguments, word):
+    code, out, err = done("spc", "--history", place, *arguments)
+    assert (code, out, err.count("\n")) == (64, "", 1)
+    assert word in err
+
+
+def test_spc_of_a_csv_file(done, tmp_path):
+    path = csv_of(
+        tmp_path / "r.csv", "serial,cavity,height", [(f"S{k}", k % 2, v) for k, v in enumerate(QUIET)]
+    )
+    code, out, _ = done("spc", "--csv", path, "--lower", 5, "--upper", 7)
+    assert (code, "15 readings" in out, "Cpk (short term)" in out) == (0, True, True)
+    code, _, err = done("spc", "--csv", path, "--since", "today")
+    assert (code, "--since and --until go with the history" in err) == (64, True)
+    path.write_text(path.read_text() + "S15,1,high\n")
+    code, _, err = done("spc", "--csv", path)
+    assert (code, "line 17: height is not a number: 'high'" in err) == (64, True)
+
+
+def test_no_history_is_one_line(done, tmp_path):
+    code, _, err = done("spc", "--history", tmp_path / "none.sqlite")
+    assert code >= 64
+    assert "there is no history" in err
+    assert not list(tmp_path.iterdir())
+
+
+def test_msa_gauge(done, tmp_path):
+    rng = np.random.default_rng(5)
+    rows = [(p, a, 3.0 * p + 0.1 * rng.normal()) for _ in range(3) for a in "ABC" for p in range(10)]
+    path = csv_of(tmp_path / "g.csv", "part,appraiser,value", rows)
+    page = tmp_path / "g.html"
+    code, out, err = done("msa", "gauge", "--csv", path, "--tolerance", 20, "--html", page)
+    assert (code, err) == (0, "")
+    assert "good: measuring makes up" in out
+    assert "Gauge R&amp;R: value" in page.read_text(encoding="utf-8")
+    code, out, _ = done("msa", "gauge", "--csv", path, "--tolerance", 0.5, "--json")
+    content = json.loads(out)
+    assert (code, content["parts"], content["trials"]) == (1, 10, 3)
+    assert content["components"]["gauge R&R"]["of_tolerance"] == pytest.approx(1.2, rel=0.3)
+
+
+def test_msa_bias_and_stability(done, tmp_path):
+    path = csv_of(
+        tmp_path / "b.csv", "time,reference,value", [(f"d{k}", 6.0, v) for k, v in enumerate(QUIET)]
+    )
+    for study in ("bias", "stability"):
+        page = tmp_path / f"{study}.html"
+        code, out, err = done("msa", study, "--csv", path, "--html", page)
+        assert (code, err) == (0, ""), out
+        assert "no bias is seen" in out
+        assert page.exists()
+    code, out, _ = done("msa", "bias", "--csv", path, "--reference", 5.0, "--json")
+    assert (code, json.loads(out)["significant"]) == (1, True)
+    code, _, err = done("msa", "bias", "--csv", csv_of(tmp_path / "n.csv", "value", [(1,), (2,), (3,)]))
+    assert (code, "name the known value" in err) == (64, True)
+
+
+def test_msa_linearity(done, tmp_path):
+    rng = np.random.default_rng(8)
+    rows = [(r, r + 0.02 * r + 0.01 * rng.normal()) for r in (2.0, 4.0, 6.0) for _ in range(6)]
+    path = csv_of(tmp_path / "l.csv", "reference,value", rows)
+    code, out, _ = done("msa", "linearity", "--csv", path, "--html", tmp_path / "l.html")
+    assert (code, "not linear: the bias changes by +0.02" in out) == (1, True)
+    code, _, err = done("msa", "linearity", "--csv", csv_of(tmp_path / "x.csv", "value", [(1,)]))
+    assert (code, "needs a column 'reference'" in err) == (64, True)
+
+
+def test_camera_of_a_record(done, tmp_path):
+    values = {
+        "gain": 0.2,
+        "saturation": 19000.0,
+        "linearity_error": 0.001,
+        "snr_max": 138.0,
+        "dynamic_range": 1800.0,
+    }
+    content = {
+        "rig": "rig",
+        "camera": {"model": "SIM", "serial": "1", "rows": 64, "cols": 64, "bit_depth": 12},
+        "exposure_s": 1.3,
+        "gain": 1.0,
+        "frames": 40,
+        "values": {name: {"value": value} for name, value in values.items()},
+    }
+    path = write_calibration(dated("linearity", content, valid_days=1.0), tmp_path / "linearity.json")
+    code, out, err = done("camera", path, "--html", tmp_path / "camera.html")
+    assert (code, err) == (0, "")
+    assert "system gain K" in out
+    assert "fit for measuring: linear within 0.10%, 65 dB of dynamic range" in out
+    assert "Camera SIM" in (tmp_path / "camera.html").read_text(encoding="utf-8")
+    assert json.loads(done("camera", path, "--json")[1])["in_limits"] is True
+    assert done("camera", tmp_path / "none.json")[0] == 3

@@ -1,0 +1,93 @@
+"""CSV, JSON and JUnit XML as other programs read them."""
+
+import csv
+import io
+import json
+from xml.etree import ElementTree as ET
+
+import pytest
+
+from anisoscope.history.export import to_csv, to_json, to_junit
+from anisoscope.history.filters import Filters
+
+HOSTILE = ("=1+1", "+1", "-1", "@x", "\tx", '"', "a,b\n", "<b>&'", "x\x00\x1b\ufffe", "]]>", "[red]")
+
+
+@pytest.fixture
+def exported(sqlite_history, new_row):
+    """Ten inspections, of which one was decided about twice."""
+    sqlite_history.append_all([new_row(number) for number in range(10)])
+    sqlite_history.append(new_row(10, product="other", numbers={"d2": 7.0}, lot=None))
+    sqlite_history.dispose(3, reviewer="Q", decision="hold")
+    sqlite_history.dispose(3, reviewer="R", decision="accept", comment="looks <fine>")
+    rows = sqlite_history.rows()
+    return rows, sqlite_history.dispositions_of([row.id for row in rows])
+
+
+def test_json_holds_everything(exported):
+    rows, decided = exported
+    found = json.loads(to_json(rows, decided))
+    assert [one["id"] for one in found] == [row.id for row in rows]
+    assert found[2]["numbers"] == rows[2].numbers
+    assert [one["decision"] for one in found[2]["dispositions"]] == ["hold", "accept"]
+    assert found[10]["lot"] is None
+    assert found[0]["created_at"] == "2026-11-01T06:00:00.000000+00:00"
+
+
+def test_csv_has_a_line_for_each_and_a_column_for_every_number(exported):
+    rows, decided = exported
+    found = list(csv.DictReader(io.StringIO(to_csv(rows, decided))))
+    assert len(found) == 11
+    assert [float(line["ln 0-90"]) for line in found[:10]] == [row.numbers["ln 0-90"] for row in rows[:10]]
+    assert (found[10]["ln 0-90"], found[10]["d2"], found[10]["lot"]) == ("", "7.0", "")
+    assert (found[2]["disposition"], found[2]["reviewer"]) == ("accept", "R")
+
+
+def test_csv_holds_no_formula(sqlite_history, new_row):
+    sqlite_history.append_all([new_row(number, lot=text) for number, text in enumerate(HOSTILE)])
+    found = [line["lot"] for line in csv.DictReader(io.StringIO(to_csv(sqlite_history.rows(), {})))]
+    assert found[:5] == ["'=1+1", "'+1", "'-1", "'@x", "'\tx"]
+    assert found[5:] == list(HOSTILE[5:])
+
+
+def test_junit_fails_what_failed(exported):
+    rows, decided = exported
+    root = ET.fromstring(to_junit(rows, decided))
+    assert (root.tag, root.get("tests")) == ("testsuites", "11")
+    verdicts = [row.verdict for row in rows]
+    for total, verdict in (("failures", "FAIL"), ("errors", "INVALID"), ("skipped", "INCONCLUSIVE")):
+        assert int(root.get(total)) == verdicts.count(verdict)
+        assert sum(int(suite.get(total)) for suite in root) == verdicts.count(verdict)
+    assert [suite.get("name") for suite in root] == ["ridged plate", "other"]
+    cases = {case.get("name"): case for case in root.iter("testcase")}
+    assert len(cases) == 11
+    tags = {case: [part.tag for part in cases[case] if part.tag != "system-out"] for case in cases}
+    assert tags["A0 (inspection 1)"] == []
+    assert tags["A2 (inspection 3)"] == ["failure"]
+    assert tags["A3 (inspection 4)"] == ["skipped"]
+    assert tags["A4 (inspection 5)"] == ["error"]
+    failure = cases["A2 (inspection 3)"].find("failure")
+    assert failure.get("message") == "all is well; indeed"
+    assert "ln 0-90 = 2.002" in failure.text
+    # what a reviewer says is told, and changes no outcome
+    assert "disposition: accept by R: looks <fine>" in cases["A2 (inspection 3)"].findtext("system-out")
+
+
+def test_junit_is_xml_whatever_the_fields_hold(sqlite_history, new_row):
+    texts = [text.replace("\0", "") for text in HOSTILE]
+    sqlite_history.append_all(
+        [
+            new_row(number, serial=text, lot=text, product=text, reasons=(text,), verdict="FAIL")
+            for number, text in enumerate(texts)
+        ]
+    )
+    root = ET.fromstring(to_junit(sqlite_history.rows(), {}))
+    assert int(root.get("failures")) == len(texts)
+    assert "x\ufffd\ufffd (inspection 9)" in {case.get("name") for case in root.iter("testcase")}
+
+
+def test_nothing_to_export(sqlite_history):
+    rows = sqlite_history.rows(Filters())
+    assert json.loads(to_json(rows, {})) == []
+    assert len(to_csv(rows, {}).splitlines()) == 1
+    assert ET.fromstring(to_junit(rows, {})).get("tests") == "0"

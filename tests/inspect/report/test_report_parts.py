@@ -1,0 +1,132 @@
+"""What the report of an inspection says: rules, peers, provenance, words."""
+
+import numpy as np
+import pytest
+
+from anisoscope.record import sha256_of
+from anisoscope.report.peers import LotMate, among, lot_of
+from anisoscope.report.provenance import UNSAID, calibrations_of, files_of, groups_of
+from anisoscope.report.rule import rule_of
+from anisoscope.report.wording import cause_text, contrast_name, filters
+
+
+def judged(*verdicts):
+    base = {"tolerance": 0.25, "guard": 0.08, "u": 0.05, "kind": "log_ratio", "tilt_deg": 0.0}
+    base |= {
+        "from_deg": 0.0,
+        "to_deg": 90.0,
+        "measured": 0.1,
+        "predicted": 0.0,
+        "conformance_probability": 0.5,
+    }
+    return [base | {"verdict": verdict} for verdict in verdicts]
+
+
+def area(verdict):
+    return {"share": 0.03, "u": 0.01, "max_share": 0.03, "cells": 99, "verdict": verdict}
+
+
+@pytest.mark.parametrize(
+    ("changes", "words", "not_words"),
+    [
+        ({"verdict": "INVALID"}, ["never fails a part"], ["tolerance"]),
+        ({"contrasts": judged("FAIL", "PASS")}, ["1 contrast lies outside", "FAIL goes before"], ["together", "area"]),
+        ({"contrasts": judged("FAIL", "FAIL")}, ["2 contrasts lie outside"], []),
+        ({"contrasts": judged("PASS"), "area": area("FAIL")}, ["the deviating area lies outside"], ["contrast lies"]),
+        (
+            {"verdict": "INCONCLUSIVE", "contrasts": judged("INCONCLUSIVE", "PASS"), "area": area("INCONCLUSIVE")},
+            ["no limit is broken for certain", "1 contrast lies on one side", "area lies on one side"],
+            ["outside"],
+        ),
+        ({"verdict": "PASS", "contrasts": judged("PASS")}, ["within its limit by more than its guard band"], []),
+    ],
+)  # fmt: skip
+def test_the_rule_that_decided_is_said(make_report_record, changes, words, not_words):
+    said = rule_of(make_report_record(**changes))
+    assert all(word in said for word in words), said
+    assert not any(word in said for word in not_words), said
+
+
+@pytest.mark.parametrize("how", ["no tolerance", "recipe"])
+def test_a_significant_deviation_is_the_rule_only_where_it_decides(make_report_record, how):
+    recipe = dict(make_report_record().recipe)
+    contrasts = judged("PASS")
+    assert "significantly" not in rule_of(make_report_record(contrasts=contrasts, area=area("FAIL")))
+    if how == "recipe":
+        recipe["decision"] = recipe["decision"] | {"deviation": "fail"}
+    else:
+        contrasts = [one | {"tolerance": None} for one in contrasts]
+    said = rule_of(make_report_record(recipe=recipe, contrasts=contrasts))
+    assert "all contrasts together deviate significantly (p below 0.001)" in said
+
+
+def test_places_among_peers_are_mean_deviation_and_rank():
+    peers = np.array([[1.0, 5.0], [2.0, 5.0], [3.0, 5.0], [6.0, 5.0]])
+    first, second = among(("a", "b"), peers, (4.0, 5.0), "peers", "ln ratio [1]").places
+    assert (first.mean, first.below) == (3.0, 3)
+    assert first.s == pytest.approx(np.sqrt(14.0 / 3.0))
+    assert first.off == pytest.approx(1.0 / first.s)
+    assert (second.s, second.off, second.below) == (0.0, None, 0)
+    (single,) = among(("a",), peers[:1, :1], (4.0,), "peers", "ln ratio [1]").places
+    assert (single.s, single.off, single.below) == (None, None, 1)
+
+
+def test_a_lot_is_the_last_of_every_other_part(make_report_record):
+    record = make_report_record()
+
+    def mate(serial, verdict="PASS", product="ridged plate", **numbers):
+        return LotMate(serial, product, verdict, {"ln 0-90": 2.0, "ln 90-180": 0.1} | numbers)
+
+    mates = (
+        mate("B", "FAIL"),
+        mate("B", "PASS", **{"ln 0-90": 2.5}),
+        mate("A-17"),
+        mate("C", product="something else"),
+        LotMate("D", "ridged plate", "INVALID", {}),
+    )
+    lot = lot_of(record, mates)
+    assert [(part.serial, part.verdict, part.contrasts) for part in lot.parts] == [
+        ("B", "PASS", (2.5, 0.1)),
+        ("D", "INVALID", ()),
+    ]
+    assert lot.verdicts == "1 PASS, 1 INVALID"
+    assert lot_of(record, ()) is None
+    assert lot_of(make_report_record(particulars={}), mates) is None
+
+
+def test_provenance_says_who_what_with_what(make_report_record):
+    told = {name: value for group in groups_of(make_report_record()) for name, value in group.rows}
+    assert told["lot"] == "L7"
+    assert told["inspected"] == "2026-03-04 05:06:07 UTC"
+    assert told["frames"] == "1 in 2 rounds"
+    assert "f5" * 32 in told["recipe"]
+    assert "21" * 32 in told["rig"]
+    assert told["drift"].startswith("−0.21 %")
+    assert "turned +0.01° from the stage's reading" in told["alignment"]
+    silent = {n: v for g in groups_of(make_report_record(particulars={}, poses=[])) for n, v in g.rows}
+    assert {silent[name] for name in ("lot", "cavity", "operator", "station")} == {UNSAID}
+    assert silent["alignment"] == "–"
+
+
+def test_calibrations_and_files(make_report_record, tmp_path):
+    record = make_report_record()
+    (white,) = calibrations_of(record, {})
+    assert (white.taken, white.valid_until, white.sha256) == ("2026-03-01 00:00:00 UTC", "–", "b6" * 32)
+    assert files_of(record, tmp_path) == record.inputs
+    (tmp_path / "frames.jsonl").write_text("{}\n")
+    assert files_of(record, tmp_path)[-1].sha256 == sha256_of(tmp_path / "frames.jsonl")
+
+
+def test_words(make_report_record):
+    ridge, seating = make_report_record().diagnosis.causes
+    assert cause_text(ridge) == "ridge angle, off by −2.05° ± 0.2°"
+    assert cause_text(seating) == "the part lies tilted about y −2.08° u not determined"
+    assert contrast_name(0.0, 90.0, 0.0) == "0° / 90°"
+    assert contrast_name(0.0, 90.0, -10.0) == "0° / 90°, tilt −10°"
+    told = filters()
+    assert (told["short"](4e-5), told["short"](0.00123)) == ("< 0.0001", "0.0012")
+    assert (told["signed"](-0.5), told["chance"](3e-5), told["number"](-1234.5)) == (
+        "−0.500",
+        "< 0.0001",
+        "−1.23e+03",
+    )
