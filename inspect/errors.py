@@ -11,6 +11,7 @@ The tree, with the exit code of the command line in brackets::
     │   └── RigFileError
     ├── SweepError [69]            a sweep that cannot be run to its end (in `study.sweep`)
     ├── RecordError [74]           an inspection folder that cannot be written or read
+    ├── HistoryError [74]          a history that cannot be reached, read or written (in `history.problems`)
     ├── RigError [69]              hardware
     │   ├── NotConnected           no such port, unplugged, silent, or somebody else's
     │   ├── ProtocolError          the device answers, but not what its protocol says

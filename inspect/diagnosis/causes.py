@@ -16,7 +16,20 @@ Change = Callable[[HeightMap, State, float], tuple[HeightMap, State]]
 # Defects that sit here and there, so that the contrast map shows them; the others change the whole surface alike.
 LOCAL = ("burrs", "scratches", "dust", "missing-ridges")
 SIGNED = ("ridge-angle", "pitch")
+EXTRUDED = ("ridge-angle", "wear", "incomplete-filling")
+"""Defects that are the same all along a ridge."""
 _STEPS = (0.05, 0.12, 0.25, 0.5, 1.0)
+_FINE_STEPS = (0.02, 0.05, 0.08, 0.12, 0.16, 0.2, 0.25, 0.32, 0.4, 0.5, 0.65, 0.8, 1.0)
+PITCHES = 24
+_MISSING = (1, 2, 4, 7, 10)  # of the ridges of the surface that is spoiled
+# How well the change of ln L is known. Marks: real ones vary in size and form. Ridges that are missing: which ones, and
+# how much of them lies within the region. Edges: a real crest is not cut or worn exactly so, and on rough facets the
+# change is 2 to 3 % of itself off that on smooth ones. Pitch: which flanks the ends of the region cut is not known.
+_DOUBT = {
+    "burrs": 0.3, "scratches": 0.3, "dust": 0.3, "missing-ridges": 0.2, "chatter": 0.2, "rough-facets": 0.1,
+    "wear": 0.1, "incomplete-filling": 0.05, "ridge-angle": 0.03, "pitch": 1.0,
+}  # fmt: skip
+_DOUBT_OF_LOBES = 0.05
 _SEED = 7  # the same places at every extent, so that a signature grows smoothly
 
 
@@ -33,6 +46,8 @@ class Cause:
         explains: what makes it happen.
         extents: extents to look at, ascending, 0 among them.
         change: the surface and the state of material and rig at an extent.
+        doubt: relative standard uncertainty of the change of ln L that is computed for it.
+        source: name of the source of uncertainty of the prediction that is the same thing, or "".
     """
 
     name: str
@@ -42,6 +57,8 @@ class Cause:
     explains: str
     extents: tuple[float, ...]
     change: Change
+    doubt: float = 0.0
+    source: str = ""
 
 
 def all_causes(ridge_angle_deg: float | None = None) -> tuple[Cause, ...]:
@@ -53,8 +70,8 @@ def all_causes(ridge_angle_deg: float | None = None) -> tuple[Cause, ...]:
     return (*_defects(ridge_angle_deg), *_finish(), *_rig())
 
 
-def _both_ways(extent: float, low: float = -np.inf) -> tuple[float, ...]:
-    values = sorted({0.0, *(s * extent for s in _STEPS), *(-s * extent for s in _STEPS)})
+def _both_ways(extent: float, low: float = -np.inf, steps: tuple[float, ...] = _STEPS) -> tuple[float, ...]:
+    values = sorted({0.0, *(s * extent for s in steps), *(-s * extent for s in steps)})
     return tuple(value for value in values if value > low)
 
 
@@ -74,15 +91,19 @@ def _defects(ridge_angle_deg: float | None) -> list[Cause]:
     found = []
     for name, defect in DEFECTS.items():
         most = defect.extent.default
+        steps = _FINE_STEPS if name in EXTRUDED else _STEPS
         if name in SIGNED:
-            extents = _both_ways(
-                most, low=-0.8 * (ridge_angle_deg or np.inf) if name == "ridge-angle" else -np.inf
-            )
+            low = -0.8 * (ridge_angle_deg or np.inf) if name == "ridge-angle" else -np.inf
+            extents = _both_ways(most, low, steps)
+        elif name == "missing-ridges":
+            extents = (0.0, *(count / PITCHES for count in _MISSING))
         else:
-            extents = (0.0, *(s * most for s in _STEPS))
+            extents = (0.0, *(s * most for s in steps))
         group: Group = "area" if name in LOCAL else "shape"
         unit = defect.extent.unit
-        found.append(Cause(name, titles[name], unit, group, defect.cause, extents, _spoiled(name)))
+        found.append(
+            Cause(name, titles[name], unit, group, defect.cause, extents, _spoiled(name), _DOUBT[name])
+        )
     return found
 
 
@@ -118,6 +139,8 @@ def _finish() -> list[Cause]:
             "tooling: polish of the tool worn or renewed; moulding: other surface of the melt",
             _both_ways(0.8),
             along,
+            _DOUBT_OF_LOBES,
+            "roughness along the ridges",
         ),
         Cause(
             "roughness-across",
@@ -127,6 +150,8 @@ def _finish() -> list[Cause]:
             "tooling: marks of the cutter; moulding: other surface of the melt",
             _both_ways(0.8),
             across,
+            _DOUBT_OF_LOBES,
+            "roughness across the ridges",
         ),
         Cause(
             "colour",
@@ -136,6 +161,8 @@ def _finish() -> list[Cause]:
             "material: another batch or pigment, degraded melt; handling: stain or film",
             _both_ways(0.8),
             colour,
+            _DOUBT_OF_LOBES,
+            "albedo of the plastic",
         ),
     ]
 
@@ -161,6 +188,7 @@ def _rig() -> list[Cause]:
             "handling: dirt under the part, part not pressed home",
             _both_ways(3.0),
             tilted(axis),
+            source=f"seating tilt about {name}",
         )
         for axis, name in enumerate("xy")
     ] + [
@@ -172,5 +200,6 @@ def _rig() -> list[Cause]:
             "rig: lamp or camera was moved since it was commissioned",
             _both_ways(3.0, low=-9.0),
             lamp,
+            source="light angle",
         )
     ]

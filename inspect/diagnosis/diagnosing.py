@@ -1,27 +1,33 @@
-"""Which cause explains what was measured: least squares along every signature, ranked.
+"""Which cause explains what was measured: greatest likelihood along every signature, ranked.
 
 d = ln L measured − predicted has the covariance V of measurement and prediction together, with the scale of the white
-reference as one more shared term. Along each signature g(e) the extent e minimises (d − g)ᵀV⁻¹(d − g), to which the
-share of deviating cells adds one more datum; its uncertainty follows from the curvature there. Causes are ranked by
-the Bayesian information criterion (Schwarz 1978). What lies within 3σ of the best fit and explains at least half of
-what that explains is a tie, and is said to be one.
+reference as one more shared term, and what is not known of the signature itself, in every pose for itself. Along each
+signature g(e) the extent e minimises (d − g)ᵀV⁻¹(d − g), V as at the extent before, to which the share of deviating
+cells adds one more datum; its uncertainty follows from the curvature there. Causes are ranked by the Bayesian
+information criterion (Schwarz 1978). What lies within 3σ of the best is a tie, and is said to be one. An extent that is
+an input of the prediction too, such as a roughness, is then fitted again without the uncertainty of that input in V.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from anisoscope.diagnosis.signatures import Signature, Signatures
-from anisoscope.expectation import Component
+from anisoscope.expectation import Component, Expectation
+from anisoscope.recipe import Recipe
+from anisoscope.response import Response
 
 FloatArray = npt.NDArray[np.float64]
 
 NOTHING = "nothing"
 TIE = 9.0  # 3σ in χ² for one parameter
-GRID = 201
-FINE, FINER = 41, 4  # points of every finer grid between the best point's neighbours, and grids in all
+FINE, FINER = 33, 2  # points of every finer grid between the best point's neighbours, and such grids
 SHARE_FLOOR = 0.003  # cells that deviate on one good part and not on another
+REWEIGHED = 3  # the first without the doubt of the signature, which is nil where nothing changes
+FARTHEST = 6.0  # u from the nominal state to which the second order is trusted
+_SAME = 1e-9
 SHARE_RELATIVE = 0.3  # how well a share of deviating cells is predicted: size and form of real marks vary
 
 
@@ -34,12 +40,18 @@ class Evidence:
         covariance: (P, P) of it, the scale included.
         share: share of cells that deviate in the contrast map, or None.
         u_share: its standard uncertainty.
+        background: share of cells that deviate on good parts.
+        u_background: its standard uncertainty.
+        inputs: of the prediction, that may be causes too, or None.
     """
 
     deviation: FloatArray
     covariance: FloatArray
     share: float | None = None
     u_share: float = 0.0
+    background: float = 0.0
+    u_background: float = 0.0
+    inputs: "Inputs | None" = None
 
 
 @dataclass(frozen=True)
@@ -95,6 +107,75 @@ def covariance_of(components: tuple[Component, ...], scale_share: float, poses: 
     return total
 
 
+@dataclass(frozen=True, eq=False)
+class Inputs:
+    """Uncertain inputs of the prediction that may be causes themselves.
+
+    Attributes:
+        response: of ln L to the inputs.
+        u: standard uncertainties of inputs by name, in the unit of the cause's extent.
+        rest: (P, P) covariance of everything else.
+    """
+
+    response: Response
+    u: Mapping[str, float]
+    rest: FloatArray
+
+    def covariance(self, source: str, extent: float) -> FloatArray:
+        """(P, P) covariance of ln L where one input is off by an extent, and not uncertain itself."""
+        k = self.response.sources.index(source)
+        z = np.zeros(len(self.response.sources))
+        z[k] = np.clip(extent / self.u[source], -FARTHEST, FARTHEST)
+        others = np.arange(len(z)) != k
+        tangent = self.response.tangent(z)[:, others]
+        bend = self.response.bend[:, others][:, :, others]
+        return np.asarray(self.rest + tangent @ tangent.T + 0.5 * np.einsum("pab,qab->pq", bend, bend))
+
+
+def inputs_of(recipe: Recipe, expected: Expectation, measured: tuple[Component, ...]) -> Inputs | None:
+    """The uncertain inputs of a recipe's prediction that may be causes, in the units of their extents."""
+    if expected.response is None:
+        return None
+    part, rig = recipe.material, recipe.uncertainty
+    u = {
+        "roughness along the ridges": part.u_alpha_share,
+        "roughness across the ridges": part.u_alpha_share,
+        "albedo of the plastic": part.u_albedo / part.albedo if part.albedo > 0.0 else 0.0,
+        "seating tilt about x": rig.seating_tilt_deg,
+        "seating tilt about y": rig.seating_tilt_deg,
+        "light angle": rig.light_angle_deg,
+    }
+    known = {source: value for source, value in u.items() if source in expected.response.sources and value}
+    rest = covariance_of(expected.alone + measured, rig.scale_share, len(expected.poses))
+    return Inputs(expected.response, known, rest)
+
+
+def background_of(max_share: float) -> tuple[float, float]:
+    """Share of deviating cells on good parts, and its uncertainty.
+
+    All that the limit allows, the less likely the nearer to it: a triangular distribution that falls to 0 at the limit
+    (JCGM 100:2008, 4.3.9, one side of it).
+    """
+    return max_share / 3.0, float(max_share / np.sqrt(18.0))
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """How well one extent of one cause explains a part.
+
+    Attributes:
+        extent: the extent.
+        u: its standard uncertainty.
+        chi2: what remains unexplained.
+        cost: −2 ln of the likelihood, but for what all causes share.
+    """
+
+    extent: float
+    u: float
+    chi2: float
+    cost: float
+
+
 def diagnose(known: Signatures, evidence: Evidence) -> Diagnosis:
     """Rank the causes.
 
@@ -108,37 +189,30 @@ def diagnose(known: Signatures, evidence: Evidence) -> Diagnosis:
     from scipy.stats import chi2 as chi2_distribution  # noqa: PLC0415 - 1 s
 
     weigh = whitening(evidence.covariance)
-    data = len(evidence.deviation) + (evidence.share is not None)
-    rows: list[tuple[Signature | None, float, float, float, int]] = [
-        (None, 0.0, 0.0, _misfit(evidence, weigh, np.zeros_like(evidence.deviation), known.share), 0)
-    ]
-    for signature in known.found:
-        extent, u, left = fit_extent(signature, evidence, weigh)
-        rows.append((signature, extent, u, left, 1))
-    bic = np.array([left + free * np.log(data) for *_, left, free in rows])
+    data = len(weigh) + (evidence.share is not None)
+    rows: list[tuple[Signature | None, Fitted]] = [(None, _nothing(evidence, weigh))]
+    rows += [(signature, _fitted(signature, evidence, weigh)) for signature in known.found]
+    bic = np.array([fit.cost + (one is not None) * np.log(data) for one, fit in rows])
     weight = np.exp(-0.5 * (bic - bic.min()))
     weight /= weight.sum()
     order = np.argsort(bic, kind="stable")
-    best = rows[order[0]]
-    findings = tuple(_finding(rows[k], float(weight[k]), best, rows[0][3]) for k in order)
-    dof = max(data - best[4], 1)
-    return Diagnosis(findings, float(chi2_distribution.sf(best[3], dof)))
+    best, nothing = rows[order[0]], rows[0][1]
+    findings = tuple(_finding(*rows[k], float(weight[k]), best[1], nothing) for k in order)
+    dof = max(data - (best[0] is not None), 1)
+    return Diagnosis(findings, float(chi2_distribution.sf(best[1].chi2, dof)))
 
 
 def _finding(
-    row: tuple[Signature | None, float, float, float, int],
-    weight: float,
-    best: tuple[Signature | None, float, float, float, int],
-    nothing: float,
+    signature: Signature | None, fit: Fitted, weight: float, best: Fitted, nothing: Fitted
 ) -> Finding:
-    signature, extent, u, left, _ = row
-    tie = row is best or (left - best[3] < TIE and nothing - left > 0.5 * (nothing - best[3]) > 0.0)
+    # what fits no better than nothing at all is no cause, however little the best one explains
+    explains = signature is None or nothing.cost - fit.cost > _SAME
+    tie = fit is best or (fit.cost - best.cost < TIE and explains)
     if signature is None:
-        return Finding(NOTHING, "as predicted", "", 0.0, 0.0, False, left, weight, tie)
-    low, high = signature.bounds
-    at_bound = extent in (low, high) and extent != 0.0
+        return Finding(NOTHING, "as predicted", "", 0.0, 0.0, False, fit.chi2, weight, tie)
+    at_bound = fit.extent in signature.bounds and fit.extent != 0.0
     cause = signature.cause
-    return Finding(cause.name, cause.title, cause.unit, extent, u, at_bound, left, weight, tie)
+    return Finding(cause.name, cause.title, cause.unit, fit.extent, fit.u, at_bound, fit.chi2, weight, tie)
 
 
 def whitening(covariance: FloatArray) -> FloatArray:
@@ -148,42 +222,91 @@ def whitening(covariance: FloatArray) -> FloatArray:
     return np.asarray((vectors[:, kept] / np.sqrt(values[kept])).T)
 
 
-def _misfit(evidence: Evidence, weigh: FloatArray, change: FloatArray, share: float) -> float:
-    chi2 = float(np.sum((weigh @ (evidence.deviation - change)) ** 2))
+def _nothing(evidence: Evidence, weigh: FloatArray) -> Fitted:
+    chi2 = float(np.sum((weigh @ evidence.deviation) ** 2))
+    cost = chi2
     if evidence.share is not None:
-        chi2 += ((evidence.share - share) / share_spread(share, evidence.u_share)) ** 2
-    return chi2
+        variance = share_variance(np.zeros(1), evidence.u_share, evidence.u_background)[0]
+        off = float((evidence.share - evidence.background) ** 2 / variance)
+        chi2, cost = chi2 + off, cost + off + float(np.log(variance))
+    return Fitted(0.0, 0.0, chi2, cost)
 
 
-def _misfits(signature: Signature, evidence: Evidence, weigh: FloatArray, extents: FloatArray) -> FloatArray:
-    """(E,) χ² that a cause leaves at each of several extents."""
-    changes, shares = signature.at(extents)
-    left = np.sum(((evidence.deviation - changes) @ weigh.T) ** 2, axis=1)
-    if evidence.share is not None:
-        spreads = np.sqrt(evidence.u_share**2 + SHARE_FLOOR**2 + (SHARE_RELATIVE * shares) ** 2)
-        left = left + ((evidence.share - shares) / spreads) ** 2
-    return np.asarray(left)
+def doubted(signature: Signature, changes: FloatArray, weigh: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """What the doubt of a signature makes of whitened deviations.
+
+    Args:
+        signature: of the cause.
+        changes: (E, P) changes of ln L.
+        weigh: (r, P) whitening of V.
+
+    Returns:
+        (E, r, r) L with LᵀL the inverse of their covariance, and (E,) its ln determinant.
+    """
+    own = (signature.cause.doubt * changes) ** 2
+    covariance = np.eye(len(weigh)) + np.einsum("ip,ep,jp->eij", weigh, own, weigh, optimize=True)
+    root = np.linalg.cholesky(covariance)
+    size = 2.0 * np.sum(np.log(np.diagonal(root, axis1=1, axis2=2)), axis=1)
+    return np.linalg.inv(root), np.asarray(size)
 
 
-def share_spread(share: float | FloatArray, u_share: float) -> float:
-    """Standard uncertainty of a share of deviating cells against the share that a cause predicts."""
-    return float(np.sqrt(u_share**2 + SHARE_FLOOR**2 + (SHARE_RELATIVE * np.max(share)) ** 2))
+def share_variance(shares: FloatArray, u_share: float, u_background: float) -> FloatArray:
+    """Variances of a share of deviating cells against the (E,) shares that causes predict."""
+    return np.asarray(u_share**2 + u_background**2 + SHARE_FLOOR**2 + (SHARE_RELATIVE * shares) ** 2)
 
 
-def fit_extent(signature: Signature, evidence: Evidence, weigh: FloatArray) -> tuple[float, float, float]:
-    """Best extent of a cause, its standard uncertainty, and the χ² that it leaves."""
-    low, high = signature.bounds
-    grid = np.unique(np.concatenate([np.linspace(low, high, GRID), signature.extents]))
-    extent, best = float(grid[0]), float("inf")
-    for _ in range(FINER):
-        left = _misfits(signature, evidence, weigh, grid)
-        k = int(np.argmin(left))
-        extent, best = float(grid[k]), float(left[k])
-        beside = grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)]
-        grid = np.unique(np.append(np.linspace(*beside, FINE), extent))
+def _fitted(signature: Signature, evidence: Evidence, weigh: FloatArray) -> Fitted:
+    found = fit_extent(signature, evidence, weigh)
+    source = signature.cause.source
+    if evidence.inputs is None or source not in evidence.inputs.u:
+        return found
+    alone = found
+    for _ in range(REWEIGHED):
+        alone = fit_extent(signature, evidence, whitening(evidence.inputs.covariance(source, alone.extent)))
+    return replace(found, extent=alone.extent, u=alone.u)
+
+
+def fit_extent(signature: Signature, evidence: Evidence, weigh: FloatArray) -> Fitted:
+    """Best extent of a cause.
+
+    Args:
+        signature: of the cause.
+        evidence: what was measured.
+        weigh: (r, P) whitening of its covariance.
+    """
+    extent, size = 0.0, 0.0
+    for _ in range(REWEIGHED if signature.cause.doubt > 0.0 else 1):
+        change, share = signature.at(np.array([extent]))
+        scaled, sizes = doubted(signature, change, weigh)
+        variance = float(share_variance(share, evidence.u_share, evidence.u_background)[0])
+        final, size = scaled[0] @ weigh, float(sizes[0])
+        extent, chi2 = _least(signature, evidence, final, variance)
     slope, share_slope = signature.slope(extent)
-    curvature = float(np.sum((weigh @ slope) ** 2))
+    curvature = float(np.sum((final @ slope) ** 2))
     if evidence.share is not None:
-        _, share = signature.at(extent)
-        curvature += (share_slope / share_spread(float(share), evidence.u_share)) ** 2
-    return extent, float(1.0 / np.sqrt(curvature)) if curvature > 0.0 else float("inf"), best
+        size += float(np.log(variance))
+        curvature += share_slope**2 / variance
+    u = float(1.0 / np.sqrt(curvature)) if curvature > 0.0 else float("inf")
+    return Fitted(extent, u, chi2, chi2 + size)
+
+
+def _least(
+    signature: Signature, evidence: Evidence, weigh: FloatArray, variance: float
+) -> tuple[float, float]:
+    """Extent of least squares with one weight for all extents, and what it leaves."""
+
+    def left(changes: FloatArray, shares: FloatArray) -> FloatArray:
+        chi2 = np.sum(((evidence.deviation - changes) @ weigh.T) ** 2, axis=1)
+        if evidence.share is not None:
+            chi2 = chi2 + (evidence.share - evidence.background - shares) ** 2 / variance
+        return np.asarray(chi2)
+
+    extents, changes, shares = signature.table
+    found = left(changes, shares)
+    for _ in range(FINER):
+        k = int(np.argmin(found))
+        fine = np.linspace(extents[max(k - 1, 0)], extents[min(k + 1, len(extents) - 1)], FINE)
+        extents = np.unique(np.append(fine, extents[k]))
+        found = left(*signature.at(extents))
+    k = int(np.argmin(found))
+    return float(extents[k]), float(found[k])

@@ -8,6 +8,7 @@ import hashlib
 import io
 import json
 import os
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from anisoscope.progress import Advance, silent
 from anisoscope.recipe import Recipe
 
 VARIABLE = "ANISOSCOPE_CACHE"
+_FORMAT = 2
 
 
 def cache_folder() -> Path:
@@ -46,6 +48,7 @@ def remembered_signatures(recipe: Recipe, light_angle_deg: float, advance: Advan
 def _key(recipe: Recipe, light_angle_deg: float) -> str:
     surface = recipe.surface.height_map
     told = {
+        "format": _FORMAT,
         "software": version("anisoscope"),
         "surface": recipe.surface.model_dump(mode="json"),
         "map": "" if surface is None else hashlib.sha256(surface.read_bytes()).hexdigest(),
@@ -61,6 +64,7 @@ def _key(recipe: Recipe, light_angle_deg: float) -> str:
 def _packed(found: Signatures) -> bytes:
     told = {
         "names": [one.cause.name for one in found.found],
+        "doubts": [one.cause.doubt for one in found.found],
         "left_out": found.left_out,
         "share": found.share,
     }
@@ -82,8 +86,10 @@ def _read(path: Path, recipe: Recipe) -> Signatures:
     with np.load(path, allow_pickle=False) as kept:
         told = json.loads(bytes(kept["told"]))
         found = tuple(
-            Signature(causes[name], kept[f"extents{n}"], kept[f"change{n}"], kept[f"share{n}"])
-            for n, name in enumerate(told["names"])
+            Signature(
+                replace(causes[name], doubt=doubt), kept[f"extents{n}"], kept[f"change{n}"], kept[f"share{n}"]
+            )
+            for n, (name, doubt) in enumerate(zip(told["names"], told["doubts"], strict=True))
         )
         left_out = tuple((name, reason) for name, reason in told["left_out"])
         return Signatures(recipe.poses.poses(), kept["radiance"], told["share"], found, left_out)

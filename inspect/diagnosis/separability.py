@@ -1,7 +1,8 @@
 """What a recipe's poses can tell, before any part is measured: from which extent a cause shows, beside which others.
 
-Two causes are told apart at an extent where no extent of the other comes nearer than 3σ in the metric of V⁻¹: the
-Fisher information of the poses, taken along the curves that the signatures are instead of along their tangents.
+Two causes are told apart at an extent where no extent of the other comes nearer than 3σ by the likelihood that the
+diagnosis uses: the Fisher information of the poses, taken along the curves that the signatures are instead of along
+their tangents, with what is not known of the signatures themselves.
 """
 
 from dataclasses import dataclass
@@ -9,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.diagnosis.diagnosing import GRID, share_spread, whitening
+from anisoscope.diagnosis.diagnosing import doubted, share_variance, whitening
 from anisoscope.diagnosis.signatures import Signature, Signatures
 from anisoscope.expectation import Expectation
 from anisoscope.recipe import Recipe
@@ -17,7 +18,7 @@ from anisoscope.recipe import Recipe
 FloatArray = npt.NDArray[np.float64]
 
 SIGMAS = 3.0
-_STEPS = 60
+GRID = 121
 
 
 @dataclass(frozen=True)
@@ -71,29 +72,33 @@ def planned_covariance(recipe: Recipe, expected: Expectation) -> FloatArray:
     return np.asarray(total + np.diag(alone + (rig.stage_deg * expected.per_degree) ** 2))
 
 
-def separability(known: Signatures, covariance: FloatArray, *, with_map: bool) -> tuple[Separability, ...]:
+def separability(
+    known: Signatures, covariance: FloatArray, *, with_map: bool, u_background: float = 0.0
+) -> tuple[Separability, ...]:
     """What can be told, cause by cause.
 
     Args:
         known: the signatures.
         covariance: (P, P) of ln L.
         with_map: the share of deviating cells counts too.
+        u_background: standard uncertainty of that share on good parts.
     """
     weigh = whitening(covariance)
-    curves = [_curve(signature, weigh, with_map=with_map) for signature in known.found]
-    good = _Curve(np.zeros(1), np.zeros((1, len(weigh))), np.array([known.share]), with_map)
+    u_map = u_background if with_map else None
+    curves = [_curve(signature, weigh, u_map) for signature in known.found]
+    shows = [_lead(curve, _good(weigh, u_map)) for curve in curves]
     rows = []
-    for signature, curve in zip(known.found, curves, strict=True):
+    for signature, curve, shown in zip(known.found, curves, shows, strict=True):
         cause = signature.cause
         others = {
-            other.cause.name: _least(curve, beside)
+            other.cause.name: _least(curve, _lead(curve, beside))
             for other, beside in zip(known.found, curves, strict=True)
             if other is not signature
         }
         greatest = float(np.abs(signature.extents).max())
         rows.append(
             Separability(
-                cause.name, cause.title, cause.unit, cause.group, _least(curve, good), others, greatest
+                cause.name, cause.title, cause.unit, cause.group, _least(curve, shown), others, greatest
             )
         )
     return tuple(rows)
@@ -101,24 +106,53 @@ def separability(known: Signatures, covariance: FloatArray, *, with_map: bool) -
 
 @dataclass(frozen=True, eq=False)
 class _Curve:
-    """A signature in units of σ: extents (S,), whitened changes (S, rank), shares of cells (S,)."""
+    """A signature in units of σ: S extents, (S, r) whitened changes, (S,) shares of cells.
+
+    ``scaled`` (S, r, r), ``variance`` (S,) and ``size`` (S,) are what the likelihood of every point needs: the root of
+    its weight, the variance of the share (None without a map), and ln of the determinant.
+    """
 
     extents: FloatArray
     whitened: FloatArray
     share: FloatArray
-    with_map: bool
+    scaled: FloatArray
+    variance: FloatArray | None
+    size: FloatArray
 
 
-def _curve(signature: Signature, weigh: FloatArray, *, with_map: bool) -> _Curve:
+def _curve(signature: Signature, weigh: FloatArray, u_background: float | None) -> _Curve:
     low, high = signature.bounds
     extents = np.linspace(low, high, GRID)
     change, share = signature.at(extents)
-    return _Curve(extents, change @ weigh.T, share, with_map)
+    scaled, size = doubted(signature, change, weigh)
+    variance = None if u_background is None else share_variance(share, 0.0, u_background)
+    size = size if variance is None else size + np.log(variance)
+    return _Curve(extents, change @ weigh.T, share, scaled, variance, size)
 
 
-def _least(curve: _Curve, other: _Curve) -> float | None:
-    """The extent of least size from which on a curve keeps 3σ from all points of another."""
-    apart = np.array([_distance(curve, k, other) >= SIGMAS for k in range(len(curve.extents))])
+def _good(weigh: FloatArray, u_background: float | None) -> _Curve:
+    """A good part, as a curve of one point."""
+    zero, rank = np.zeros(1), len(weigh)
+    variance = None if u_background is None else share_variance(zero, 0.0, u_background)
+    size = zero if variance is None else np.log(variance)
+    return _Curve(zero, np.zeros((1, rank)), zero, np.eye(rank)[None], variance, size)
+
+
+def _lead(curve: _Curve, other: _Curve) -> FloatArray:
+    """(S,) by how much the likelihood of every point of a curve exceeds the best of another one, as a χ²."""
+    found = np.full(len(curve.extents), np.inf)
+    for k in range(len(other.extents)):
+        off = (curve.whitened - other.whitened[k]) @ other.scaled[k].T
+        cost = np.sum(off**2, axis=1) + other.size[k]
+        if other.variance is not None:
+            cost += (curve.share - other.share[k]) ** 2 / other.variance[k]
+        np.minimum(found, cost, out=found)
+    return found - curve.size
+
+
+def _least(curve: _Curve, lead: FloatArray) -> float | None:
+    """The extent of least size from which on a curve leads by 3σ."""
+    apart = lead >= SIGMAS**2
     best = None
     for side in (1.0, -1.0):
         chosen = np.flatnonzero(np.sign(curve.extents) == side)
@@ -128,11 +162,3 @@ def _least(curve: _Curve, other: _Curve) -> float | None:
             extent = float(curve.extents[chosen[int(np.argmax(clear))]])
             best = extent if best is None or abs(extent) < abs(best) else best
     return best
-
-
-def _distance(curve: _Curve, k: int, other: _Curve) -> float:
-    squared = np.sum((other.whitened - curve.whitened[k]) ** 2, axis=1)
-    if curve.with_map:
-        spread = share_spread(float(curve.share[k]), 0.0)
-        squared = squared + ((other.share - curve.share[k]) / spread) ** 2
-    return float(np.sqrt(squared.min()))

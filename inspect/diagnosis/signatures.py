@@ -1,11 +1,12 @@
 """What every cause would change in the pictures: ln radiance of every pose, and the share of deviating cells.
 
 The recipe's surface is spoiled, step by step, and predicted like the good one (`anisoscope.sim.light`); the difference
-of the two is the signature of the defect. Random defects lie at the same places in every step.
+of the two is the signature of the defect. Random defects lie at the same places in every step. What is the same all
+along the ridges of a design is computed on a profile with points so close that worn edges are round.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -13,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.area import cell_deviations
-from anisoscope.diagnosis.causes import Cause, all_causes
+from anisoscope.diagnosis.causes import EXTRUDED, PITCHES, Cause, all_causes
 from anisoscope.errors import HeightMapError, ModelError
 from anisoscope.measurement import CELLS_PER_PITCH
 from anisoscope.prediction.mapuncertainty import relief_model
@@ -33,10 +34,14 @@ if TYPE_CHECKING:
 
 FloatArray = npt.NDArray[np.float64]
 
-PITCHES = 24
 ROWS_PITCHES = 8
 POINTS_ACROSS, POINTS_ALONG = 50, 25  # a pitch
 MAX_ROWS, MAX_COLS = 200, 1000
+TABLE = 193
+PROFILE_PITCHES = 6
+PROFILE_PIXEL_UM = 0.34  # the largest ball that rolls along edges may have 60 points in its radius
+PROFILE_POINTS = (50, 1500)  # a pitch, at least and at most
+DOUBT_ON_MAPS = 0.3  # of changes at edges that lie between the points of a map
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +52,7 @@ class Signature:
         cause: the cause.
         extents: (S,) extents at which it was computed, ascending; those that the surface cannot have are left out.
         change: (S, P) ln L − ln L of the good part.
-        share: (S,) share of the cells of the contrast map that deviate.
+        share: (S,) share of the cells of the contrast map that deviate, beyond those of the good part.
     """
 
     cause: Cause
@@ -60,6 +65,12 @@ class Signature:
         from scipy.interpolate import PchipInterpolator  # noqa: PLC0415 - 0.3 s
 
         return PchipInterpolator(self.extents, np.column_stack([self.change, self.share]), axis=0)
+
+    @cached_property
+    def table(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """(T,) extents close together, (T, P) changes and (T,) shares there."""
+        extents = np.unique(np.concatenate([np.linspace(*self.bounds, TABLE), self.extents]))
+        return extents, *self.at(extents)
 
     @property
     def bounds(self) -> tuple[float, float]:
@@ -135,9 +146,16 @@ def signatures(
 
 def _signature(scene: "_Scene", cause: Cause, good: FloatArray, good_share: float) -> Signature:
     extents, changes, shares = [], [], []
+    profile = scene.profile if cause.name in EXTRUDED else None
+    if profile is None and cause.name in EXTRUDED and cause.name != "ridge-angle":
+        cause = replace(cause, doubt=DOUBT_ON_MAPS)
+    base = good if profile is None else scene.look_along(profile)
     for extent in cause.extents:
+        share = good_share
         if extent == 0.0:
-            radiance, share = good, good_share
+            radiance = base
+        elif profile is not None:
+            radiance = scene.look_along(cause.change(profile, scene.state, extent)[0])
         else:
             surface, state = cause.change(scene.surface, scene.state, extent)
             radiance, share = scene.look(surface, state, with_map=cause.group in ("shape", "area"))
@@ -145,8 +163,8 @@ def _signature(scene: "_Scene", cause: Cause, good: FloatArray, good_share: floa
         if np.any(radiance <= 0.0):
             continue
         extents.append(extent)
-        changes.append(np.log(radiance / good))
-        shares.append(share)
+        changes.append(np.log(radiance / base))
+        shares.append(max(share - good_share, 0.0))
     if len(extents) < 2:
         raise ModelError(f"{cause.name}: the part would be black in some pose at every extent")
     return Signature(cause, np.array(extents), np.array(changes), np.array(shares))
@@ -162,6 +180,17 @@ class _Scene:
         self.azimuth_deg = recipe.poses.facet_azimuth_deg
         self.cell_deviation = None if recipe.area is None else recipe.area.cell_deviation
         self.surface = _surface(recipe)
+        self.profile = _profile(recipe)
+
+    def look_along(self, profile: HeightMap) -> FloatArray:
+        """(P,) radiances of ridges that are the same all along, from those in the middle."""
+        relief = Relief(profile, self.pitch_um)
+        convention = Convention(self.state.light_angle_deg, facet_azimuth_deg=self.azimuth_deg)
+        to_light, to_camera = directions(self.poses, convention)
+        points = (profile.shape[1] - 1) // PROFILE_PITCHES
+        inner = slice(points, (PROFILE_PITCHES - 1) * points)  # crests stand on both sides
+        shown = radiance_maps(relief, to_light, to_camera, self.state.material)
+        return np.array([float(np.mean(view[:, inner], dtype=np.float64)) for view in shown])
 
     def look(self, surface: HeightMap, state: State, *, with_map: bool) -> tuple[FloatArray, float]:
         """(P,) radiances, and the share of deviating cells (NaN where no map was asked for)."""
@@ -200,6 +229,16 @@ class _Scene:
         ratios = np.stack([np.log(safe[i] / safe[j]) for i, j in consecutive_pairs(self.poses)])
         off = np.abs(cell_deviations(ratios, self.cell_deviation)).max(axis=0)
         return float(np.mean(off > self.cell_deviation))
+
+
+def _profile(recipe: Recipe) -> HeightMap | None:
+    """Two rows of a design, a pitch apart so that no ball reaches from one to the other; None of a height map."""
+    if recipe.surface.design is None:
+        return None
+    pitch = recipe.surface.pitch_um
+    points = int(np.clip(pitch / PROFILE_PIXEL_UM, *PROFILE_POINTS))
+    shape = 2, PROFILE_PITCHES * points + 1
+    return ridges(recipe.surface.ridge_design(), shape, (pitch, pitch / points))
 
 
 def _surface(recipe: Recipe) -> HeightMap:

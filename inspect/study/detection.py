@@ -17,8 +17,10 @@ from anisoscope.atomicfile import write_text
 from anisoscope.diagnosis.remembering import cache_folder
 from anisoscope.errors import UsageError
 from anisoscope.progress import Advance, silent
-from anisoscope.study.detection_chunk import ChunkTask, inspect_chunk, read_chunk, signatures_of
+from anisoscope.study.detection_chunk import ChunkTask, inspect_chunk, read_chunk
+from anisoscope.study.detection_diagnosis import signatures_of
 from anisoscope.study.detection_lobes import lobes_of
+from anisoscope.study.detection_outlook import outlook
 from anisoscope.study.detection_product import (
     CLASSES,
     GOOD,
@@ -135,7 +137,8 @@ def chunk_tasks(plan: Plan, bounces: dict[World, dict[str, tuple[float, ...]]]) 
 
 def _joined(tasks: Sequence[ChunkTask], count: int) -> Columns:
     chunks = [read_chunk(task.path) for task in tasks]
-    return {name: np.concatenate([chunk[name] for chunk in chunks])[:count] for name in chunks[0]}
+    names = [name for name in chunks[0] if all(name in chunk for chunk in chunks)]
+    return {name: np.concatenate([chunk[name] for chunk in chunks])[:count] for name in names}
 
 
 def told_plan(plan: Plan) -> dict[str, Any]:
@@ -156,14 +159,19 @@ def told_study(plan: Plan, workers: Workers, advance: Advance = silent) -> dict[
     seen = collect(plan, workers, advance)
     found: dict[str, Any] = {"plan": told_plan(plan), "worlds": {}}
     steps = [(world, name) for world in plan.worlds for name in plan.recipes]
-    for number, (world, name) in enumerate(steps):
-        advance("evaluation", number, len(steps))
-        found["worlds"].setdefault(world, {})[name] = results_of(seen[world], name, plan.size)
-    advance("evaluation", len(steps), len(steps))
+    tasks = [(seen[world], name, plan.size) for world, name in steps]
+    told = sweep(_evaluated, tasks, workers, advance=advance, doing="evaluation")
+    for (world, name), results in zip(steps, told, strict=True):
+        found["worlds"].setdefault(world, {})[name] = results
     found["other_world"] = _of_other_world(plan)
+    found["outlook"] = outlook()
     found["notes"] = notes_of(plan)
     clean: dict[str, Any] = without_nan(found)
     return clean
+
+
+def _evaluated(task: tuple[dict[str, Columns], RecipeName, Size]) -> dict[str, Any]:
+    return results_of(*task)
 
 
 def _of_other_world(plan: Plan) -> dict[str, Any] | None:

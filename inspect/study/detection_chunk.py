@@ -1,5 +1,6 @@
-"""A chunk of the study: parts that share one camera, photographed, measured, judged and diagnosed as by ``inspect``.
+"""A chunk of the study: parts that share one camera, photographed, measured and judged as by ``inspect``.
 
+What can be told from radiances alone (significance, diagnosis) is told from what is kept, when the study is evaluated.
 A chunk depends on the seed, the world, the class and its number alone; it is kept in a file, so that a study that was
 cut off goes on where it stopped, and a larger one uses what a smaller one made.
 """
@@ -9,7 +10,6 @@ import io
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +18,8 @@ import numpy.typing as npt
 
 from anisoscope.atomicfile import write_bytes
 from anisoscope.decision import Decision, decide
-from anisoscope.diagnosis.diagnosing import Evidence, covariance_of, diagnose
-from anisoscope.diagnosis.remembering import remembered_signatures
-from anisoscope.diagnosis.signatures import Signatures, signatures
 from anisoscope.errors import MeasurementError
-from anisoscope.measurement import Measured, View, drift_complaint, measure
+from anisoscope.measurement import View, drift_complaint, measure
 from anisoscope.study.detection_pictures import (
     new_cameras,
     photograph,
@@ -32,9 +29,7 @@ from anisoscope.study.detection_pictures import (
 from anisoscope.study.detection_product import (
     BY_NAME,
     GOOD,
-    LIGHT_DEG,
     RECIPES,
-    DefectClass,
     RecipeName,
     Size,
     World,
@@ -47,7 +42,6 @@ from anisoscope.study.detection_sheets import FORMAT, SheetTask, cut, make_sheet
 FloatArray = npt.NDArray[np.float64]
 Row = dict[str, Any]
 
-NO_CAUSE = ""
 MEASURED_SOURCES = (
     "noise of camera and photons",
     "flicker of the lamp",
@@ -87,15 +81,6 @@ class ChunkTask:
         return SheetTask(
             self.world, kind, self.number % sheets_of(kind, self.size), self.size, self.seed, self.folder
         )
-
-
-@lru_cache(maxsize=8)
-def signatures_of(name: RecipeName, size: Size) -> Signatures:
-    """What every cause would change for the poses of a recipe."""
-    recipe = recipe_of(name, size)
-    if size.causes is None:
-        return remembered_signatures(recipe, LIGHT_DEG)
-    return signatures(recipe, LIGHT_DEG, names=size.causes)
 
 
 def inspect_chunk(task: ChunkTask) -> Path:
@@ -146,7 +131,6 @@ def _inspected(task: ChunkTask) -> list[Row]:
     camera_rng, *parts = np.random.SeedSequence([7, *entropy]).spawn(1 + task.size.chunk)
     cameras = new_cameras(task.size, task.world, np.random.default_rng(camera_rng))
     kind = BY_NAME.get(task.kind)
-    wanted = kind is not None or task.number < task.size.diagnosed_good
     rows = []
     for child in parts:
         rng = np.random.default_rng(child)
@@ -165,20 +149,12 @@ def _inspected(task: ChunkTask) -> list[Row]:
             "spoiled": float(sheet.spoiled[where].mean()),
         }
         for name in RECIPES:
-            row[name] = judge(views, truth, name, task.size, kind, wanted=wanted)
+            row[name] = judge(views, truth, name, task.size)
         rows.append(row)
     return rows
 
 
-def judge(
-    views: list[View],
-    truth: FloatArray,
-    name: RecipeName,
-    size: Size,
-    kind: DefectClass | None,
-    *,
-    wanted: bool,
-) -> Row:
+def judge(views: list[View], truth: FloatArray, name: RecipeName, size: Size) -> Row:
     """Everything that the study keeps of one part under one recipe.
 
     Args:
@@ -186,8 +162,6 @@ def judge(
         truth: (V,) radiances that an ideal measurement finds.
         name: of the recipe.
         size: of the study.
-        kind: what is wrong with the part, None for nothing.
-        wanted: the part is diagnosed.
     """
     recipe, expected = recipe_of(name, size), expected_of(name, size)
     poses = len(expected.poses)
@@ -200,22 +174,19 @@ def judge(
     deviation = np.log(measured.radiance / expected.radiance)
     own = np.array([c.relative for c in measured.components])
     assert tuple(c.source for c in measured.components) == MEASURED_SOURCES
-    row: Row = {
+    return {
         "valid": not unfit,
         "reason": "drift" if unfit else "",
         "deviation": deviation,
         "error": np.log(measured.radiance / truth[:poses]),
         "own": own,
-        "fails": decision.verdict == "FAIL",
         **_of_map(decision),
         **_of_means(decision),
     }
-    return {**row, **_diagnosed(measured, decision, deviation, name, size, kind, wanted=wanted)}
 
 
 def _of_means(decision: Decision) -> Row:
     return {
-        "d2": decision.d2,
         "p_means": decision.p_value,
         "pair_deviation": np.array([pair.deviation for pair in decision.pairs]),
         "pair_u": np.array([pair.u for pair in decision.pairs]),
@@ -235,52 +206,13 @@ def _of_map(decision: Decision) -> Row:
     }
 
 
-def _diagnosed(
-    measured: Measured,
-    decision: Decision,
-    deviation: FloatArray,
-    name: RecipeName,
-    size: Size,
-    kind: DefectClass | None,
-    *,
-    wanted: bool,
-) -> Row:
-    """First cause, its extent and uncertainty, and those of the cause that is truly there."""
-    found: Row = {
-        "first": NO_CAUSE, "second": NO_CAUSE, "tied": False, "right_extent": np.nan, "right_u": np.nan,
-        "right_at_bound": False, "unexplained_p": np.nan,
-    }  # fmt: skip
-    if not wanted:
-        return found
-    expected = expected_of(name, size)
-    scale = recipe_of(name, size).uncertainty.scale_share
-    covariance = covariance_of(expected.components + measured.components, scale, len(deviation))
-    assert decision.area is not None
-    evidence = Evidence(deviation, covariance, decision.area.share, decision.area.u)
-    told = diagnose(signatures_of(name, size), evidence)
-    found["first"], found["second"] = (finding.cause for finding in told.findings[:2])
-    found["unexplained_p"] = told.unexplained_p
-    if kind is not None:
-        right = next((finding for finding in told.findings if finding.cause == kind.cause), None)
-        if right is not None:
-            found.update(
-                right_extent=right.extent,
-                right_u=right.u,
-                right_at_bound=right.at_bound,
-                tied=right.tie,
-            )
-    return found
-
-
 def _nothing(poses: int) -> Row:
     """The row of a part that could not be judged."""
     nan = np.full(poses, np.nan)
     pairs = np.full(poses - poses // 3, np.nan)
     own = np.full((len(MEASURED_SOURCES), poses), np.nan)
     return {
-        "valid": False, "reason": "", "deviation": nan, "error": nan, "own": own, "fails": False,
+        "valid": False, "reason": "", "deviation": nan, "error": nan, "own": own,
         "share": np.nan, "u_share": np.nan, "share_fails": False, "p_marks": np.nan, "mark_cells": 0,
-        "mark_kind": "", "d2": np.nan, "p_means": np.nan, "pair_deviation": pairs, "pair_u": pairs,
-        "first": NO_CAUSE, "second": NO_CAUSE, "tied": False, "right_extent": np.nan, "right_u": np.nan,
-        "right_at_bound": False, "unexplained_p": np.nan,
+        "mark_kind": "", "p_means": np.nan, "pair_deviation": pairs, "pair_u": pairs,
     }  # fmt: skip

@@ -57,7 +57,6 @@ class Size:
         sheets: rendered surfaces of good parts; of every area defect a quarter as many.
         chunk: parts that share a camera, a flat and dark frames.
         causes: causes that the diagnosis looks for, all if None.
-        diagnosed_good: chunks of good parts that are diagnosed too.
     """
 
     ridges: int = 25
@@ -66,7 +65,6 @@ class Size:
     sheets: int = 8
     chunk: int = 25
     causes: tuple[str, ...] | None = None
-    diagnosed_good: int = 4
 
     @property
     def sensor(self) -> SensorPart:

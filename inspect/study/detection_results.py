@@ -1,28 +1,31 @@
 """What a detection study found, world by world and recipe by recipe, as plain numbers for JSON, page and console."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.diagnosis.diagnosing import Evidence, covariance_of, diagnose
-from anisoscope.diagnosis.separability import Separability, planned_covariance, separability
-from anisoscope.expectation import Component
+from anisoscope.diagnosis.separability import Separability
 from anisoscope.sim.light.contrasts import consecutive_pairs
-from anisoscope.study.detection_chunk import MEASURED_SOURCES, signatures_of
+from anisoscope.study.detection_diagnosis import (
+    COVERAGE,
+    diagnosed,
+    fitted_shapes,
+    separability_of,
+    true_extents,
+)
 from anisoscope.study.detection_product import (
     BY_NAME,
     CLASSES,
     GOOD,
     RecipeName,
     Size,
-    expected_of,
-    recipe_of,
 )
 from anisoscope.study.detection_rules import (
     GOLDEN_PARTS,
+    OF_GOLDEN,
     RULES,
-    SHARED_SOURCES,
     Bench,
     Columns,
     Rule,
@@ -46,9 +49,9 @@ FloatArray = npt.NDArray[np.float64]
 Told = dict[str, Any]
 
 LEVEL = 0.01
-GOLDEN_SETS = 8
-TAUGHT_DIAGNOSES = 10  # parts of a class that are diagnosed again against golden parts
-COVERAGE = 1.959964
+GOLDEN_SETS = 40
+TAUGHT_DIAGNOSES = 60  # parts of a class that are diagnosed again against golden parts
+_SEED = 3
 DRAWN = ("shipped+area", "known+area", "golden+area")
 _TINY = 1e-300
 
@@ -64,12 +67,16 @@ def results_of(seen: dict[str, Columns], name: RecipeName, size: Size) -> Told:
     valid = {kind: _valid(columns, name) for kind, columns in seen.items()}
     good = valid[GOOD]
     pool = golden_pool(len(good["extent"]))
-    benches = [bench_of(name, size, good[f"{name}/deviation"][part]) for part in pool]
-    scores = {kind: _scores(columns, kind, name, benches) for kind, columns in valid.items()}
+    own = covariance_of_measurement(good[f"{name}/own"]).mean(axis=0)
+    first = bench_of(name, size, good[f"{name}/deviation"][pool[0]], own)
+    benches = [replace(first, golden=good[f"{name}/deviation"][part]) for part in pool]
+    met = {
+        kind: met_sets(len(columns["extent"]), pool, of_good=kind == GOOD) for kind, columns in valid.items()
+    }
+    scores = {kind: _scores(columns, kind, name, benches, met[kind]) for kind, columns in valid.items()}
     with_area(scores)
-    used = sum(len(part) for part in pool)
-    told = {rule: _trusted(values, rule, used) for rule, values in scores[GOOD].items()}
-    apart = {row.cause: row for row in _separability(name, size)}
+    told = scores[GOOD]
+    apart = separability_of(name, size)
     return {
         "good": {
             "parts": len(good["extent"]),
@@ -87,10 +94,23 @@ def results_of(seen: dict[str, Columns], name: RecipeName, size: Size) -> Told:
 
 
 def golden_pool(parts: int) -> list[npt.NDArray[np.int_]]:
-    """Numbers of the good parts that serve as golden ones: sets of 25, at most half of all parts."""
-    sets = max(1, min(GOLDEN_SETS, parts // 2 // GOLDEN_PARTS))
+    """Numbers of the good parts that serve as golden ones: sets of 25, at most half of all parts, drawn at random.
+
+    Many of them, because what one set gives differs widely from what another gives.
+    """
     count = min(GOLDEN_PARTS, parts // 2)
-    return [np.arange(number * count, (number + 1) * count) for number in range(sets)]
+    rng = np.random.default_rng(_SEED)
+    return [rng.permutation(parts)[:count] for _ in range(GOLDEN_SETS)]
+
+
+def met_sets(parts: int, pool: list[npt.NDArray[np.int_]], *, of_good: bool) -> npt.NDArray[np.int_]:
+    """(parts,) number of the golden set that every part is compared with: in turn, never one that it belongs to."""
+    members = [set(part.tolist()) if of_good else set() for part in pool]
+    found = np.arange(parts) % len(pool)
+    for number in range(parts):
+        while number in members[found[number]]:
+            found[number] = (found[number] + 1) % len(pool)
+    return found
 
 
 def _valid(columns: Columns, name: RecipeName) -> Columns:
@@ -98,14 +118,18 @@ def _valid(columns: Columns, name: RecipeName) -> Columns:
     return {key: values[keep] for key, values in columns.items()}
 
 
-def _scores(seen: Columns, kind: str, name: RecipeName, benches: list[Bench]) -> dict[str, FloatArray]:
+def _scores(
+    seen: Columns, kind: str, name: RecipeName, benches: list[Bench], met: npt.NDArray[np.int_]
+) -> dict[str, FloatArray]:
     """Scores (high is bad) of every part: −lg p of the means by every rule and of the marks, and the share."""
     found: dict[str, FloatArray] = {}
     for rule in RULES:
-        if rule in ("golden", "taught"):  # every part meets one of the golden sets
+        if rule in OF_GOLDEN:
             p = np.full(len(seen["extent"]), np.nan)
             for number, bench in enumerate(benches):
-                mine = slice(number, None, len(benches))
+                mine = met == number
+                if not mine.any():
+                    continue
                 p[mine] = p_values(rule, {key: values[mine] for key, values in seen.items()}, kind, bench)
         else:
             p = p_values(rule, seen, kind, benches[0])
@@ -132,20 +156,20 @@ def with_area(scores: dict[str, dict[str, FloatArray]]) -> None:
             found[f"{rule}+area"] = np.maximum(found[rule], found["area"]) - np.log10(2.0)
 
 
-def _trusted(values: FloatArray, rule: str, used: int) -> FloatArray:
-    """Scores of good parts that are no golden ones themselves."""
-    return values[used:] if rule.partition("+")[0] in ("golden", "taught") else values
-
-
 def _false_alarms(good: Columns, name: RecipeName, scores: dict[str, FloatArray]) -> Told:
     limit = -np.log10(LEVEL)
     found: Told = {rule: _rate(rate(scores[rule] > limit)) for rule in RULES}
     found["marks"] = _rate(rate(good[f"{name}/p_marks"] < LEVEL))
     found["area share over its limit"] = _rate(rate(good[f"{name}/share_fails"].astype(bool)))
-    found["verdict FAIL"] = _rate(rate(good[f"{name}/fails"].astype(bool)))
+    found["verdict FAIL"] = _rate(rate(_fails(good, name, scores)))
     for rule in RULES:
         found[f"{rule}+area"] = _rate(rate(scores[f"{rule}+area"] > limit))
     return found
+
+
+def _fails(seen: Columns, name: RecipeName, scores: dict[str, FloatArray]) -> npt.NDArray[np.bool_]:
+    """Whether the verdict is FAIL as shipped: by the means or by the share of the area."""
+    return np.asarray((scores["shipped"] > -np.log10(LEVEL)) | seen[f"{name}/share_fails"].astype(bool))
 
 
 def _of_p(scores: FloatArray) -> Told:
@@ -185,6 +209,8 @@ def _coverage_of_good(good: Columns, name: RecipeName, bench: Bench) -> Told:
             f"{poses[i].stage_deg:g}°/{poses[j].stage_deg:g}° at tilt {poses[i].tilt_deg:g}° (spread stated)"
         )
         found[title] = _rate(rate(np.abs(off[:, number]) <= COVERAGE * more[:, number]))
+    for parameter, held in fitted_shapes(good, name, bench.size).items():
+        found[f"{parameter}, fitted over the tilts"] = _rate(rate(held))
     return found
 
 
@@ -209,7 +235,7 @@ def _class(
         "title": BY_NAME[kind].title,
         "parts": len(columns["extent"]),
         "area_share": float(columns["spoiled"].mean()),
-        "verdict_fail": _rate(rate(columns[f"{name}/fails"].astype(bool))),
+        "verdict_fail": _rate(rate(_fails(columns, name, own))),
         "scores": {key: _detection(own[key], good[key]) for key in keys},
         "roc": {key: [list(map(float, axis)) for axis in curve(own[key], good[key])] for key in DRAWN},
         "mean_shift_sigmas": sigmas,
@@ -228,57 +254,33 @@ def _detection(bad: FloatArray, good: FloatArray) -> Told:
     return found
 
 
-def _separability(name: RecipeName, size: Size) -> tuple[Separability, ...]:
-    covariance = planned_covariance(recipe_of(name, size), expected_of(name, size))
-    return separability(signatures_of(name, size), covariance, with_map=True)
-
-
 def _diagnosis(kind: str, seen: Columns, name: RecipeName, bench: Bench, apart: Separability | None) -> Told:
-    cause = BY_NAME[kind].cause
-    first = seen[f"{name}/first"].astype(str)
-    named, counts = np.unique(first, return_counts=True)
+    cause, extent, size = BY_NAME[kind].cause, BY_NAME[kind].extent, bench.size
+    told = diagnosed(kind, seen, name, size, len(seen["extent"]))
+    taught = diagnosed(kind, seen, name, size, TAUGHT_DIAGNOSES, bench.golden)
+    named, counts = np.unique(told["first"], return_counts=True)
     order = np.argsort(-counts)
-    extent = BY_NAME[kind].extent
     needed = None if apart is None else apart.told_apart_from
-    truth = seen["ridge_angle_deg"] - 10.0 if kind == "ridge-angle" else seen["extent"]
-    right, u = seen[f"{name}/right_extent"], seen[f"{name}/right_u"]
-    inside = np.isfinite(u) & ~seen[f"{name}/right_at_bound"].astype(bool)
-    taught = _taught(kind, seen, name, bench)
+    right, u = told["extent"], told["u"]
+    inside = np.isfinite(u)
+    off = np.abs(right - true_extents(kind, seen, size))
     return {
-        "right_first": _rate(rate(first == cause)),
-        "right_first_or_second": _rate(
-            rate((first == cause) | (seen[f"{name}/second"].astype(str) == cause))
-        ),
-        "right_tied": _rate(rate(seen[f"{name}/tied"].astype(bool))),
-        "right_first_against_golden": _rate(rate(taught == cause)),
+        "right_first": _rate(rate(told["first"] == cause)),
+        "right_first_or_second": _rate(rate((told["first"] == cause) | (told["second"] == cause))),
+        "right_tied": _rate(rate(told["tied"])),
+        "confidently_wrong": _rate(rate(told["wrong"])),
+        "ties": float(told["ties"].mean()),
+        "right_first_against_golden": _rate(rate(taught["first"] == cause)),
+        "confidently_wrong_against_golden": _rate(rate(taught["wrong"])),
         "first": [[str(named[k]) or "none", int(counts[k])] for k in order[:4]],
         "shows_from": None if apart is None else apart.shows_from,
         "told_apart_from": needed,
         "separable": bool(needed is not None and extent >= abs(needed)),
         "extent": extent,
-        "extent_interval_holds": _rate(rate(np.abs(right[inside] - truth[inside]) <= COVERAGE * u[inside])),
+        "extent_interval_holds": _rate(rate(off[inside] <= COVERAGE * u[inside])),
         "extent_median": float(np.median(right[inside])) if inside.any() else None,
         "extent_u_median": float(np.median(u[inside])) if inside.any() else None,
     }
 
 
-def _taught(kind: str, seen: Columns, name: RecipeName, bench: Bench) -> npt.NDArray[np.str_]:
-    """First causes where deviations count from the golden parts instead of the prediction."""
-    del kind
-    known = signatures_of(name, bench.size)
-    scale = recipe_of(name, bench.size).uncertainty.scale_share
-    first = []
-    for number in range(min(len(seen["extent"]), TAUGHT_DIAGNOSES)):
-        components = tuple(
-            Component(source, "measurement", relative, source in SHARED_SOURCES)
-            for source, relative in zip(MEASURED_SOURCES, seen[f"{name}/own"][number], strict=True)
-        )
-        deviation = seen[f"{name}/deviation"][number] - bench.golden.mean(axis=0)
-        covariance = covariance_of(bench.expected.components + components, scale, len(deviation))
-        share = float(seen[f"{name}/share"][number])
-        evidence = Evidence(deviation, covariance, share, float(seen[f"{name}/u_share"][number]))
-        first.append(diagnose(known, evidence).findings[0].cause)
-    return np.array(first)
-
-
-__all__ = ["LEVEL", "RULES", "Rule", "golden_pool", "results_of", "with_area"]
+__all__ = ["LEVEL", "RULES", "Rule", "golden_pool", "met_sets", "results_of", "with_area"]

@@ -1,9 +1,10 @@
 """Ways to weigh the means of the poses of many parts: as shipped, with more told, and against golden parts.
 
-`shipped` is what ``inspect`` decided. The others answer what a better recipe or calibration would give, from the same
+`shipped` is what ``inspect`` decides. The others answer what a better recipe or calibration would give, from the same
 measured radiances: `spread` adds the spread of the ridge angle of good parts to the budget; `known` knows roughness and
-albedo of every part's batch three times better; `golden` is Hotelling's T² against golden parts (the rule of
-``inspect`` where there are such); `taught` shifts the prediction to their mean and keeps the budget.
+albedo of every part's batch three times better; `golden` is T² against golden parts with the chance that
+good parts drawn from the budget have (the rule of ``inspect`` where there are such), `normal` the same with the chance
+of the normal distribution; `taught` shifts the prediction to their mean and keeps the budget.
 """
 
 from dataclasses import dataclass
@@ -13,8 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.expectation import Component, Expectation
+from anisoscope.response import Response, nearest
 from anisoscope.significance import hotelling, log_basis
 from anisoscope.study.detection_chunk import MEASURED_SOURCES
+from anisoscope.study.detection_diagnosis import SHARED_SOURCES
 from anisoscope.study.detection_product import (
     BY_NAME,
     RecipeName,
@@ -23,16 +26,17 @@ from anisoscope.study.detection_product import (
     recipe_of,
     ridge_angle_component,
 )
+from anisoscope.weighing import calibrated, golden_chances
 
 FloatArray = npt.NDArray[np.float64]
 Columns = dict[str, npt.NDArray[Any]]
-Rule = Literal["shipped", "spread", "known", "golden", "taught"]
+Rule = Literal["shipped", "spread", "known", "golden", "normal", "taught"]
 
-RULES: tuple[Rule, ...] = ("shipped", "spread", "known", "golden", "taught")
+RULES: tuple[Rule, ...] = ("shipped", "spread", "known", "golden", "normal", "taught")
+OF_GOLDEN = ("golden", "normal", "taught")
 GOLDEN_PARTS = 25
 BETTER = 3.0
 ALONG, ACROSS, ALBEDO = "roughness along the ridges", "roughness across the ridges", "albedo of the plastic"
-SHARED_SOURCES = ("stray light",)
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +49,7 @@ class Bench:
         golden: (n, P) ln L over the prediction of the golden parts.
         size: of the study.
         name: of the recipe.
+        drawn: p values that T² of good parts gets by the normal theory, drawn as ``inspect`` does.
     """
 
     expected: Expectation
@@ -52,13 +57,28 @@ class Bench:
     golden: FloatArray
     size: Size
     name: RecipeName
+    drawn: FloatArray
+
+    def response(self, *, spread: bool, better: float) -> Response:
+        """That of the prediction, with the ridge angle of good parts, or with the material known better."""
+        told = self.expected.response
+        assert told is not None
+        known = (ALONG, ACROSS, ALBEDO)
+        scale = np.array([1.0 / better if source in known else 1.0 for source in told.sources])
+        slope, bend = told.slope * scale, told.bend * np.outer(scale, scale)
+        if not spread:
+            return Response(told.sources, slope, bend)
+        angle = self.components[-1]
+        wide = np.pad(bend, ((0, 0), (0, 1), (0, 1)))
+        return Response((*told.sources, angle.source), np.column_stack([slope, angle.relative]), wide)
 
 
-def bench_of(name: RecipeName, size: Size, golden: FloatArray) -> Bench:
-    """The bench of a recipe; ``golden``: (n, P)."""
+def bench_of(name: RecipeName, size: Size, golden: FloatArray, own: FloatArray) -> Bench:
+    """The bench of a recipe; ``golden``: (n, P), ``own``: (P, P) usual covariance of a measurement."""
     expected = expected_of(name, size)
     spread = ridge_angle_component(expected)
-    return Bench(expected, (*expected.components, spread), golden, size, name)
+    drawn = _drawn(expected, len(golden), own)
+    return Bench(expected, (*expected.components, spread), golden, size, name, drawn)
 
 
 def p_values(rule: Rule, seen: Columns, kind: str, bench: Bench) -> FloatArray:
@@ -71,23 +91,29 @@ def p_values(rule: Rule, seen: Columns, kind: str, bench: Bench) -> FloatArray:
         bench: recipe and golden parts.
     """
     name = bench.name
-    if rule == "shipped":
-        return np.asarray(seen[f"{name}/p_means"], dtype=np.float64)
     deviation = np.asarray(seen[f"{name}/deviation"], dtype=np.float64)
-    if rule == "golden":
+    own = covariance_of_measurement(seen[f"{name}/own"])
+    if rule in ("golden", "normal"):
         basis = log_basis(deviation.shape[1])
-        golden = bench.golden @ basis.T
-        return _against_golden(deviation @ basis.T, golden)
-    components, own = bench.components, covariance_of_measurement(seen[f"{name}/own"])
+        normal = _against_golden(deviation @ basis.T, bench.golden @ basis.T)
+        return normal if rule == "normal" else calibrated(normal, bench.drawn)
+    response = bench.response(spread=rule != "shipped", better=BETTER if rule == "known" else 1.0)
+    alone = own + np.sum([component.covariance() for component in bench.expected.alone], axis=0)
     if rule == "known":
         deviation = deviation - _known(seen, kind, bench)
-        components = tuple(_scaled(component) for component in components)
-    covariance = own + np.sum([component.covariance() for component in components], axis=0)
     if rule == "taught":
         count = len(bench.golden)
         deviation = deviation - bench.golden.mean(axis=0)
-        covariance = covariance * (1.0 + 1.0 / count)
-    return _chi2(deviation, covariance)
+        # the mean of the golden parts is as good as the budget of one by their number
+        return _chi2(deviation / np.sqrt(1.0 + 1.0 / count), alone, response)
+    return _chi2(deviation, alone, response)
+
+
+def _drawn(expected: Expectation, count: int, own: FloatArray) -> FloatArray:
+    basis = log_basis(len(own))
+    alone = own + np.sum([component.covariance() for component in expected.alone], axis=0)
+    assert expected.response is not None
+    return golden_chances(expected.response.within(basis), basis @ alone @ basis.T, count)
 
 
 def _against_golden(values: FloatArray, golden: FloatArray) -> FloatArray:
@@ -119,16 +145,13 @@ def distances(deviation: FloatArray, covariance: FloatArray) -> FloatArray:
     return np.asarray(np.einsum("ni,ni->n", off, np.linalg.solve(within, off[..., None])[..., 0]))
 
 
-def _chi2(deviation: FloatArray, covariance: FloatArray) -> FloatArray:
+def _chi2(deviation: FloatArray, alone: FloatArray, response: Response) -> FloatArray:
+    """As `weighing.from_prediction`, for (N, P) parts with (N, P, P) covariances of what the response does not hold."""
     from scipy.stats import chi2  # noqa: PLC0415 - 1 s
 
-    return np.asarray(chi2.sf(distances(deviation, covariance), deviation.shape[1] - 1))
-
-
-def _scaled(component: Component) -> Component:
-    better = component.source in (ALONG, ACROSS, ALBEDO)
-    factor = 1.0 / BETTER if better else 1.0
-    return Component(component.source, component.kind, component.relative * factor, component.shared)
+    basis = log_basis(deviation.shape[1])
+    d2 = nearest(response.within(basis), deviation @ basis.T, basis @ alone @ basis.T)
+    return np.asarray(chi2.sf(d2, len(basis)))
 
 
 def _known(seen: Columns, kind: str, bench: Bench) -> FloatArray:
@@ -146,12 +169,13 @@ def _known(seen: Columns, kind: str, bench: Bench) -> FloatArray:
         (ALBEDO, seen["albedo"] - part.albedo, part.u_albedo),
     )
     rng = np.random.default_rng(11)  # the same error of the batch's calibration every time
-    relative = {component.source: component.relative for component in bench.components}
-    known = np.zeros((len(across), len(bench.expected.poses)))
+    response = bench.expected.response
+    assert response is not None
+    z = np.zeros((len(across), len(response.sources)))
     for source, value, u in truth:
         found = value / u + rng.standard_normal(len(across)) / BETTER
-        known += np.outer(found, relative[source])
-    return known
+        z[:, response.sources.index(source)] = found
+    return response.change(z)
 
 
 def limits(shift: FloatArray, seen: Columns, bench: Bench) -> tuple[float, list[tuple[str, float]]]:

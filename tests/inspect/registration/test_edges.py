@@ -85,7 +85,7 @@ def random_shots(rng, known_axis):
     return seen, [true for _, true in shots], axis
 
 
-def check_scenes(seed, known_axis, count):
+def check_scenes(seed, known_axis, count, most_refused=0.25):
     """Whatever is placed is placed right, and most of it is placed."""
     rng, errors, refused = np.random.default_rng(seed), [], 0
     for _ in range(count):
@@ -99,7 +99,7 @@ def check_scenes(seed, known_axis, count):
             worst_px(place, places[0], own, true[0]) for place, own in zip(places[1:], true[1:], strict=True)
         ]
     assert max(errors) < 0.3
-    assert refused <= 0.25 * count
+    assert refused <= most_refused * count
 
 
 @pytest.mark.parametrize("known_axis", [True, False])
@@ -111,7 +111,8 @@ def test_the_part_is_found_within_a_third_of_a_pixel(known_axis):
 @pytest.mark.parametrize("known_axis", [True, False])
 @pytest.mark.parametrize("part_of", range(10))
 def test_a_hundred_scenes_more(part_of, known_axis):
-    check_scenes([2, part_of, known_axis], known_axis, 10)
+    # of all hundred 17 are refused with an axis and 9 without; of ten there may be 4 by chance
+    check_scenes([2, part_of, known_axis], known_axis, 10, 0.5)
 
 
 def stripes(rng, pitch_um):

@@ -9,10 +9,13 @@ import pytest
 from scipy.stats import norm
 
 from anisoscope.errors import UsageError
-from anisoscope.measurement import measure
+from anisoscope.expectation import Component
+from anisoscope.measurement import Measured, measure
 from anisoscope.profiles.defects_contact import edge_wear
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.registration.placement import Grid
 from anisoscope.report.detection_page import tables_of, write_detection_page
+from anisoscope.report.detection_text import BEGIN, END, numbers_of, with_results, write_results
 from anisoscope.sim.bench.sensor import Sensor
 from anisoscope.sim.light.geometry import Convention, directions, seating_rotation
 from anisoscope.sim.light.ggx import lobe_maps
@@ -21,8 +24,10 @@ from anisoscope.sim.light.relief import Relief, radiance_maps
 from anisoscope.sim.light.shine import shine_in
 from anisoscope.study import detection_sheets
 from anisoscope.study.detection import Plan, collect, told_study
-from anisoscope.study.detection_chunk import ChunkTask, inspect_chunk, read_chunk
+from anisoscope.study.detection_chunk import MEASURED_SOURCES, ChunkTask, inspect_chunk, read_chunk
+from anisoscope.study.detection_diagnosis import true_extents
 from anisoscope.study.detection_lobes import lobes_of, quick_shine
+from anisoscope.study.detection_outlook import area_of
 from anisoscope.study.detection_pictures import (
     Window,
     new_cameras,
@@ -45,7 +50,7 @@ from anisoscope.study.detection_product import (
     expected_of,
     recipe_of,
 )
-from anisoscope.study.detection_results import RULES, golden_pool, with_area
+from anisoscope.study.detection_results import RULES, golden_pool, met_sets, with_area
 from anisoscope.study.detection_rules import bench_of, covariance_of_measurement, distances, limits, p_values
 from anisoscope.study.detection_sheets import POINTS, SheetTask, cut, make_sheet, read_sheet, sheet_surface
 from anisoscope.study.detection_statistics import (
@@ -57,10 +62,9 @@ from anisoscope.study.detection_statistics import (
     uniformity,
 )
 from anisoscope.study.sweep import Workers
+from anisoscope.weighing import from_prediction
 
-SMALL = Size(
-    ridges=7, pitches=5, sheets=2, chunk=4, causes=("roughness-across", "seating-y"), diagnosed_good=1
-)
+SMALL = Size(ridges=7, pitches=5, sheets=2, chunk=4, causes=("roughness-across", "seating-y"))
 POSES = expected_of("tilted", SMALL).poses
 SEEN = directions(POSES, Convention(LIGHT_DEG))
 NO_BOUNCES = np.zeros(len(POSES))
@@ -296,10 +300,10 @@ def test_one_ridge_in_twenty_five_is_missing_in_every_part(tmp_path, rng):
 
 def columns(count, rng):
     """Columns of parts whose deviations are drawn from the budget with the ridge angle."""
-    bench = bench_of("tilted", SMALL, np.zeros((25, len(POSES))))
     own = np.full((count, 8, len(POSES)), 0.001)
-    total = covariance_of_measurement(own)[0] + np.sum([c.covariance() for c in bench.components], axis=0)
-    draws = rng.multivariate_normal(np.zeros(len(POSES)), total, count + 200)
+    alone = covariance_of_measurement(own)[0]
+    bench = bench_of("tilted", SMALL, np.zeros((25, len(POSES))), alone)
+    draws = bench.response(spread=True, better=1.0).draw(alone, count + 200, rng)
     seen = {"tilted/deviation": draws[200:], "tilted/own": own}
     return seen, replace(bench, golden=draws[:25]), draws
 
@@ -307,6 +311,20 @@ def columns(count, rng):
 def test_p_values_of_parts_drawn_from_the_budget_are_uniform(rng):
     seen, bench, _ = columns(600, rng)
     assert uniformity(p_values("spread", seen, GOOD, bench))[1] > 0.001
+
+
+def test_the_rule_as_shipped_is_that_of_inspect(rng):
+    seen, bench, _ = columns(3, rng)
+    found = p_values("shipped", seen, GOOD, bench)
+    own = [
+        Component(source, "measurement", row, source == "stray light")
+        for source, row in zip(MEASURED_SOURCES, seen["tilted/own"][0], strict=True)
+    ]
+    nowhere = Grid((0.0, 0.0), 1.0, (1, 1))
+    for p, change in zip(found, seen["tilted/deviation"], strict=True):
+        radiance = bench.expected.radiance * np.exp(change)
+        part = Measured(radiance, tuple(own), (), np.ones((9, 1, 1)), np.zeros(9), nowhere, None)
+        assert p == pytest.approx(from_prediction(bench.expected, part)[2])
 
 
 def test_golden_parts_keep_the_level_on_average(rng):
@@ -337,9 +355,30 @@ def test_the_area_is_weighed_by_what_good_parts_show(rng):
 
 def test_golden_parts_are_none_of_those_that_are_judged():
     pool = golden_pool(1000)
-    assert len(pool) == 8
-    assert len(np.unique(np.concatenate(pool))) == 200
+    assert {len(np.unique(part)) for part in pool} == {25}
+    met = met_sets(1000, pool, of_good=True)
+    assert not any(number in pool[chosen] for number, chosen in enumerate(met))
+    assert np.bincount(met, minlength=len(pool)).min() > 15
     assert len(golden_pool(40)[0]) == 20
+    assert met_sets(3, pool, of_good=False).tolist() == [0, 1, 2]
+
+
+def test_the_true_extent_counts_what_good_parts_scatter_and_what_lies_within():
+    seen = {
+        "extent": np.array([0.2]), "across": np.log([1.26]), "ridge_angle_deg": np.array([10.6]),
+        "spoiled": np.array([1.0 / 26.0]),
+    }  # fmt: skip
+    assert true_extents("roughness", seen, Size())[0] == pytest.approx(0.26)
+    assert true_extents("ridge-angle", seen, Size())[0] == pytest.approx(0.6)
+    assert true_extents("missing-ridges", seen, Size())[0] == pytest.approx(0.04)
+    assert true_extents("wear", seen, Size())[0] == 0.2
+
+
+def test_the_area_under_the_curve_of_a_shift_is_that_of_drawn_parts(rng):
+    shifted = np.sum((rng.standard_normal((4000, 5)) + np.array([2.0, 0, 0, 0, 0])) ** 2, axis=1)
+    plain = np.sum(rng.standard_normal((4000, 5)) ** 2, axis=1)
+    assert area_of(2.0, 5) == pytest.approx(area_under_curve(shifted, plain).value, abs=0.015)
+    assert area_of(0.0, 5) == pytest.approx(0.5, abs=0.001)
 
 
 # the study -----------------------------------------------------------------------------------------------------
@@ -399,9 +438,32 @@ def test_a_page_shows_both_worlds_side_by_side(studied, tmp_path):
     text = (tmp_path / "d.html").read_text(encoding="utf-8")
     for wanted in ("same, standard", "other, tilted", "missing ridges, 1 in 25", "P values of good parts"):
         assert wanted in text
-    assert {len(row) for table in tables_of(told) for row in table.rows} <= set(range(3, 13))
+    assert {len(row) for table in tables_of(told) for row in table.rows} <= set(range(3, 14))
     for table in tables_of(told):
         assert all(len(row) == len(table.columns) for row in table.rows)
+
+
+def test_the_page_of_the_documents_is_written_from_the_numbers(studied, tmp_path):
+    _, told = studied
+    page = tmp_path / "page.md"
+    page.write_text(f"before\n{BEGIN}\nold\n{END}\nafter\n", encoding="utf-8")
+    write_results(page, told)
+    text, kept = page.read_text(encoding="utf-8"), json.loads((tmp_path / "page.json").read_text())
+    assert text == with_results(text, kept)
+    assert text.startswith("before\n")
+    assert text.endswith("after\n")
+    assert "old" not in text
+    assert "same, standard" in text
+    assert json.loads(json.dumps(numbers_of(told))) == kept
+    with pytest.raises(UsageError, match="one line"):
+        with_results("no marks", kept)
+
+
+def test_the_page_of_the_documents_shows_the_numbers_beside_it():
+    page = Path(__file__).parents[3] / "docs" / "detection.md"
+    text = page.read_text(encoding="utf-8")
+    kept = json.loads(page.with_suffix(".json").read_text(encoding="utf-8"))
+    assert text == with_results(text, kept)
 
 
 def test_a_study_goes_on_where_it_stopped_and_a_larger_one_uses_it(studied):

@@ -1,0 +1,76 @@
+"""Parts that are INVALID before they are photographed, because what lies in the slot is not what should."""
+
+from pathlib import Path
+
+from anisoscope.batch.scan import Scan
+from anisoscope.folder import new_folder
+from anisoscope.inspection import Inspected, conclude, expecting
+from anisoscope.job import prepare
+from anisoscope.jobfile import begin
+from anisoscope.progress import Advance, silent
+from anisoscope.record import Particulars
+from anisoscope.rig.frame import Frame, write_frame
+
+CODE_PICTURE = "code.tif"
+
+
+def mismatch(label: str, serial: str | None, lot: str | None, scan: Scan) -> str | None:
+    """What is wrong with a code in view of the tray list; None where they agree.
+
+    Args:
+        label: name of the slot.
+        serial: serial number of the part that should lie there, as far as the list says.
+        lot: its lot, likewise.
+        scan: what its code says.
+    """
+    if scan.serial is None:
+        return f"slot {label}: the code {scan.text} holds no serial number (GS1 identifier 21)"
+    if serial is not None and scan.serial != serial:
+        return f"slot {label} should hold {serial}, its code reads {scan.serial}"
+    if lot is not None and scan.lot is not None and scan.lot != lot:
+        return f"slot {label} should hold lot {lot}, its code reads lot {scan.lot}"
+    return None
+
+
+def refuse_part(
+    recipe_path: Path,
+    rig_path: Path,
+    serial: str,
+    out: Path,
+    reason: str,
+    on_progress: Advance = silent,
+    *,
+    particulars: Particulars | None = None,
+    picture: Frame | None = None,
+) -> Inspected:
+    """An inspection that is INVALID for a reason; nothing moves.
+
+    Args:
+        recipe_path: recipe file.
+        rig_path: rig file.
+        serial: serial number under which it is recorded.
+        out: folder that receives the inspection folder.
+        reason: in one line.
+        on_progress: progress.
+        particulars: operator, lot, cavity, station.
+        picture: what the code was read from; kept beside the record.
+
+    Raises:
+        UsageError, RecipeError, RigFileError, HeightMapError, CalibrationError: one of the files.
+        RecordError: the folder cannot be written.
+    """
+    job = prepare(recipe_path, rig_path, serial)
+    with expecting(job, on_progress) as ready, new_folder(out, serial) as folder:
+        here = rig_path.resolve().parent
+        made = begin(
+            folder,
+            job,
+            particulars or Particulars(),
+            plan=None,
+            frames=0,
+            rig_folder=here,
+            refused=reason,
+        )
+        if picture is not None:
+            write_frame(picture, folder / CODE_PICTURE)
+        return conclude(folder, made, job, ready, on_progress)

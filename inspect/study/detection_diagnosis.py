@@ -1,0 +1,157 @@
+"""What ``inspect`` tells of the parts of a study beside the verdict: causes with their extents, and fitted shapes.
+
+Both need the radiances alone that a chunk keeps, so that they are computed when a study is evaluated.
+"""
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.diagnosis.diagnosing import (
+    NOTHING,
+    Evidence,
+    background_of,
+    covariance_of,
+    diagnose,
+    inputs_of,
+)
+from anisoscope.diagnosis.remembering import remembered_signatures
+from anisoscope.diagnosis.separability import Separability, planned_covariance, separability
+from anisoscope.diagnosis.signatures import Signatures, signatures
+from anisoscope.expectation import Component
+from anisoscope.measurement import Measured
+from anisoscope.registration.placement import Grid
+from anisoscope.shapefit import fit_shape
+from anisoscope.study.detection_chunk import MEASURED_SOURCES
+from anisoscope.study.detection_product import (
+    BY_NAME,
+    LIGHT_DEG,
+    RIDGE_ANGLE_DEG,
+    WHOLE,
+    RecipeName,
+    Size,
+    expected_of,
+    recipe_of,
+)
+
+FloatArray = npt.NDArray[np.float64]
+Columns = dict[str, npt.NDArray[Any]]
+
+SHARED_SOURCES = ("stray light",)
+COVERAGE = 1.959964
+FITTED = 60
+"""Good parts to which shapes are fitted, a second each."""
+
+
+@lru_cache(maxsize=8)
+def signatures_of(name: RecipeName, size: Size) -> Signatures:
+    """What every cause would change for the poses of a recipe."""
+    recipe = recipe_of(name, size)
+    if size.causes is None:
+        return remembered_signatures(recipe, LIGHT_DEG)
+    return signatures(recipe, LIGHT_DEG, names=size.causes)
+
+
+def separability_of(name: RecipeName, size: Size) -> dict[str, Separability]:
+    """What a recipe can tell, by cause."""
+    recipe = recipe_of(name, size)
+    assert recipe.area is not None
+    u_background = background_of(recipe.area.max_share)[1]
+    covariance = planned_covariance(recipe, expected_of(name, size))
+    known = signatures_of(name, size)
+    return {
+        row.cause: row for row in separability(known, covariance, with_map=True, u_background=u_background)
+    }
+
+
+def components_of(seen: Columns, name: RecipeName, number: int) -> tuple[Component, ...]:
+    """Components of the measurement of one part."""
+    return tuple(
+        Component(source, "measurement", relative, source in SHARED_SOURCES)
+        for source, relative in zip(MEASURED_SOURCES, seen[f"{name}/own"][number], strict=True)
+    )
+
+
+def evidence(seen: Columns, name: RecipeName, size: Size, number: int, golden: FloatArray | None) -> Evidence:
+    """What one part is diagnosed from, as ``inspect`` has it.
+
+    Args:
+        seen: columns of a class.
+        name: of the recipe.
+        size: of the study.
+        number: of the part.
+        golden: (n, P) ln L over the prediction of golden parts, from whose mean the part deviates; None: from the
+            prediction.
+    """
+    recipe, expected = recipe_of(name, size), expected_of(name, size)
+    components = components_of(seen, name, number)
+    deviation = np.asarray(seen[f"{name}/deviation"][number], dtype=np.float64)
+    if golden is not None:
+        deviation = deviation - golden.mean(axis=0)
+    covariance = covariance_of(
+        expected.components + components, recipe.uncertainty.scale_share, len(deviation)
+    )
+    assert recipe.area is not None
+    background = background_of(recipe.area.max_share)
+    inputs = inputs_of(recipe, expected, components)
+    share, u_share = float(seen[f"{name}/share"][number]), float(seen[f"{name}/u_share"][number])
+    return Evidence(deviation, covariance, share, u_share, *background, inputs)
+
+
+def diagnosed(
+    kind: str, seen: Columns, name: RecipeName, size: Size, count: int, golden: FloatArray | None = None
+) -> Columns:
+    """First causes of the first parts of a class, what ties with them, and the extent of the true cause.
+
+    ``wrong`` is a confident wrong name: neither the true cause nor "nothing" ties, and the best one explains the part.
+    """
+    known, cause = signatures_of(name, size), BY_NAME[kind].cause
+    alpha = recipe_of(name, size).decision.alpha
+    rows = []
+    for number in range(min(count, len(seen["extent"]))):
+        told = diagnose(known, evidence(seen, name, size, number, golden))
+        ties = {finding.cause for finding in told.ties}
+        first = told.findings[0].cause
+        right = next((finding for finding in told.findings if finding.cause == cause), None)
+        wrong = not ties & {cause, NOTHING} and told.unexplained_p >= alpha
+        fit = (np.nan, np.nan) if right is None or right.at_bound else (right.extent, right.u)
+        rows.append((first, told.findings[1].cause, cause in ties, wrong, len(ties), *fit))
+    first, second, tied, wrong, ties, extent, u = zip(*rows, strict=True)
+    found = {"first": first, "second": second, "tied": tied, "wrong": wrong, "ties": ties}
+    return {name: np.array(values) for name, values in {**found, "extent": extent, "u": u}.items()}
+
+
+def true_extents(kind: str, seen: Columns, size: Size) -> FloatArray:
+    """Extents as they truly are: the scatter of good parts adds to some; ridges may be missing in part."""
+    if kind == "ridge-angle":
+        return np.asarray(seen["ridge_angle_deg"] - RIDGE_ANGLE_DEG)
+    if kind == "roughness":
+        return np.asarray(np.exp(seen["across"]) - 1.0)
+    if kind == "missing-ridges":  # of the area that is cut out, half a pitch wider on both sides
+        return np.asarray(seen["spoiled"] * (size.ridges + 1) / size.ridges)
+    return np.asarray(seen["extent"], dtype=np.float64)
+
+
+def fitted_shapes(seen: Columns, name: RecipeName, size: Size) -> dict[str, npt.NDArray[np.bool_]]:
+    """Whether the 95 % interval of every shape parameter that was determined holds the truth, by its name."""
+    recipe, expected = recipe_of(name, size), expected_of(name, size)
+    nowhere = Grid((0.0, 0.0), 1.0, (1, 1))
+    held: dict[str, list[bool]] = {}
+    for number in range(min(FITTED, len(seen["extent"]))):
+        radiance = expected.radiance * np.exp(seen[f"{name}/deviation"][number])
+        cells = np.zeros((len(radiance), 1, 1))
+        components = components_of(seen, name, number)
+        measured = Measured(radiance, components, (), cells, np.zeros(len(radiance)), nowhere, None)
+        shape, _ = fit_shape(recipe, expected, measured)
+        truth = {
+            "ridge_angle_deg": seen["ridge_angle_deg"][number],
+            "alpha_along": WHOLE.alpha_along * np.exp(seen["along"][number]),
+            "alpha_across": WHOLE.alpha_across * np.exp(seen["across"][number]),
+        }
+        for one in () if shape is None else shape.estimates:
+            if one.value is not None and one.u is not None and not one.at_bound and one.name in truth:
+                off = abs(one.value - float(truth[one.name]))
+                held.setdefault(one.name, []).append(off <= COVERAGE * one.u)
+    return {parameter: np.array(values) for parameter, values in held.items()}
