@@ -197,7 +197,7 @@ def diagnose(known: Signatures, evidence: Evidence) -> Diagnosis:
     weight /= weight.sum()
     order = np.argsort(bic, kind="stable")
     best, nothing = rows[order[0]], rows[0][1]
-    findings = tuple(_finding(*rows[k], float(weight[k]), best[1], nothing) for k in order)
+    findings = tuple(_finding(rows[k][0], rows[k][1], float(weight[k]), best[1], nothing) for k in order)
     dof = max(data - (best[0] is not None), 1)
     return Diagnosis(findings, float(chi2_distribution.sf(best[1].chi2, dof)))
 
@@ -274,12 +274,10 @@ def fit_extent(signature: Signature, evidence: Evidence, weigh: FloatArray) -> F
         evidence: what was measured.
         weigh: (r, P) whitening of its covariance.
     """
-    extent, size = 0.0, 0.0
-    for _ in range(REWEIGHED if signature.cause.doubt > 0.0 else 1):
-        change, share = signature.at(np.array([extent]))
-        scaled, sizes = doubted(signature, change, weigh)
-        variance = float(share_variance(share, evidence.u_share, evidence.u_background)[0])
-        final, size = scaled[0] @ weigh, float(sizes[0])
+    final, size, variance = _weight(signature, evidence, weigh, 0.0)
+    extent, chi2 = _least(signature, evidence, final, variance)
+    for _ in range(REWEIGHED - 1 if signature.cause.doubt > 0.0 else 0):
+        final, size, variance = _weight(signature, evidence, weigh, extent)
         extent, chi2 = _least(signature, evidence, final, variance)
     slope, share_slope = signature.slope(extent)
     curvature = float(np.sum((final @ slope) ** 2))
@@ -288,6 +286,16 @@ def fit_extent(signature: Signature, evidence: Evidence, weigh: FloatArray) -> F
         curvature += share_slope**2 / variance
     u = float(1.0 / np.sqrt(curvature)) if curvature > 0.0 else float("inf")
     return Fitted(extent, u, chi2, chi2 + size)
+
+
+def _weight(
+    signature: Signature, evidence: Evidence, weigh: FloatArray, extent: float
+) -> tuple[FloatArray, float, float]:
+    """(r, P) whitening with the doubt of a cause at an extent, ln determinant, and variance of the share."""
+    change, share = signature.at(np.array([extent]))
+    scaled, sizes = doubted(signature, change, weigh)
+    variance = share_variance(share, evidence.u_share, evidence.u_background)
+    return scaled[0] @ weigh, float(sizes[0]), float(variance[0])
 
 
 def _least(

@@ -118,9 +118,8 @@ def diagnosed(
         wrong = not ties & {cause, NOTHING} and told.unexplained_p >= alpha
         fit = (np.nan, np.nan) if right is None or right.at_bound else (right.extent, right.u)
         rows.append((first, told.findings[1].cause, cause in ties, wrong, len(ties), *fit))
-    first, second, tied, wrong, ties, extent, u = zip(*rows, strict=True)
-    found = {"first": first, "second": second, "tied": tied, "wrong": wrong, "ties": ties}
-    return {name: np.array(values) for name, values in {**found, "extent": extent, "u": u}.items()}
+    names = ("first", "second", "tied", "wrong", "ties", "extent", "u")
+    return {title: np.array(values) for title, values in zip(names, zip(*rows, strict=True), strict=True)}
 
 
 def true_extents(kind: str, seen: Columns, size: Size) -> FloatArray:
