@@ -72,9 +72,11 @@ def print_history(
         optional.append("disposition")
     lines = [_cells(row, optional, decided.get(row.id, ())) for row in rows]
     for number, column in enumerate(("id", "time", "serial", "verdict", *optional, "product", "why")):
-        # a line each: `show` says all of it
         longest = max(len(column), *(cell_len(line[number]) for line in lines))
-        table.add_column(column, no_wrap=True, min_width=None if column == "why" else min(longest, _MAX_CELL))
+        wordy = column in {"product", "why"}
+        table.add_column(
+            column, no_wrap=not wordy, overflow="fold", min_width=16 if wordy else min(longest, _MAX_CELL)
+        )
     for line in lines:
         table.add_row(*(Text(cell, style=COLORS.get(cell, "")) for cell in line))
     console().print(table)

@@ -98,6 +98,16 @@ def test_the_table(place, said):
     assert said("history", "--lot", "none")[1] == "no inspections\n"
 
 
+def test_long_words_leave_room_for_numbers_and_verdicts(said, tmp_path, monkeypatch):
+    path = tmp_path / "history.sqlite"
+    with open_history(path) as history:
+        history.append(row(2, product="ridged plate of a long name " * 3, reasons=("much to say " * 30,)))
+    code, out, _ = said("history", "--history", path)
+    assert code == 0
+    assert all(word in out for word in ("A2", "FAIL", "much to say", "long name"))
+    assert max(map(len, out.splitlines())) <= 120
+
+
 @pytest.mark.parametrize(
     "options",
     [
