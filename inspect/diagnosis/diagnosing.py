@@ -276,7 +276,8 @@ def fit_extent(signature: Signature, evidence: Evidence, weigh: FloatArray) -> F
     """
     final, size, variance = _weight(signature, evidence, weigh, 0.0)
     extent, chi2 = _least(signature, evidence, final, variance)
-    for _ in range(REWEIGHED - 1 if signature.cause.doubt > 0.0 else 0):
+    known = signature.cause.doubt == 0.0 and not signature.share.any()
+    for _ in range(0 if known else REWEIGHED - 1):
         final, size, variance = _weight(signature, evidence, weigh, extent)
         extent, chi2 = _least(signature, evidence, final, variance)
     slope, share_slope = signature.slope(extent)

@@ -88,6 +88,7 @@ def block_of(kept: Told) -> str:
     plan, cases = kept["plan"], kept["cases"]
     where = [case["where"] for case in cases]
     parts = [
+        *kept.get("notes", []),
         (
             f"{plan['parts']} good parts and {plan['defective']} of every class in each world, seed {plan['seed']}. "
             "Per cent, with 95 % intervals; in bold what is separable by 3 σ."
