@@ -77,7 +77,7 @@ def radiance_of(
     thinned = longest.raw.mean[::4, ::4] - longest.dark.mean[::4, ::4]
     return RadianceImage(
         value=np.asarray(merged.rate * scale, dtype=np.float32),
-        noise=np.asarray(np.sqrt(merged.variance) * scale, dtype=np.float32),
+        scatter=np.asarray(np.sqrt(merged.variance) * scale, dtype=np.float32),
         saturated=clipped,
         signal_share=float(np.percentile(thinned, 99) / full_scale),
         flicker=_flicker(ordered[0]),

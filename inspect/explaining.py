@@ -24,6 +24,8 @@ from anisoscope.recipe import Recipe
 from anisoscope.record import CauseRecord, DiagnosisRecord
 from anisoscope.verdict import Verdict
 
+TIES_SAID = 3  # in one line; the table of causes has all
+
 
 def explain(
     recipe: Recipe, expected: Expectation, measured: Measured, decision: Decision, advance: Advance = silent
@@ -88,7 +90,8 @@ def _says(found: Diagnosis, recipe: Recipe) -> str:
         return f"none of the causes explains the part (p = {found.unexplained_p:.2g} for the best of them)"
     if best.cause == NOTHING:
         return "nothing explains the part better than chance"
-    ties = [one for one in found.ties if one is not best]
-    return f"{best.title}" + (
-        f"; or, not to be told apart: {', '.join(one.title for one in ties)}" if ties else ""
-    )
+    ties = [one.title for one in found.ties if one is not best]
+    if not ties:
+        return best.title
+    more = f" and {len(ties) - TIES_SAID} more" if len(ties) > TIES_SAID else ""
+    return f"{best.title}; or, not to be told apart: {', '.join(ties[:TIES_SAID])}{more}"

@@ -173,7 +173,9 @@ def _power(aligned: tuple[Image, ...], factor: int) -> tuple[FloatArray, tuple[F
     spectra = []
     for picture in aligned:
         rows, cols = (size - size % factor for size in picture.shape)
-        known = np.nan_to_num(picture[:rows, :cols], nan=float(np.nanmean(picture)))
+        known = picture[:rows, :cols]
+        if not np.isfinite(known.sum(dtype=np.float64)):
+            known = np.nan_to_num(known, nan=float(np.nanmean(picture)))
         small = cv2.resize(known, (cols // factor, rows // factor), interpolation=cv2.INTER_AREA)
         small = small[:MAX_WINDOW, :MAX_WINDOW].astype(np.float64)
         window = np.hanning(small.shape[0])[:, None] * np.hanning(small.shape[1])

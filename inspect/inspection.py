@@ -8,11 +8,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from anisoscope.errors import CalibrationError, RecordError, RigError
-from anisoscope.expectation import Expectation, expectation
+from anisoscope.expectation import Expectation
 from anisoscope.folder import new_folder, sweep, tell_to_resume, working_in
 from anisoscope.job import Job, prepare
 from anisoscope.jobfile import JobFile, begin, one_round_more, reopen
 from anisoscope.judging import judge
+from anisoscope.keptprediction import kept_expectation
 from anisoscope.linear import check_size
 from anisoscope.progress import Advance, silent
 from anisoscope.record import RECORD_NAME, Particulars, Record, write_record
@@ -234,7 +235,7 @@ def expecting(job: Job, advance: Advance, lot_mates: Sequence[LotMate] = ()) -> 
         HeightMapError, RecipeError: nothing can be predicted.
     """
     advance("prediction", 0, 1)
-    expected = expectation(job.recipe, job.rig.light.angle_deg)
+    expected = kept_expectation(job.recipe, job.rig.light.angle_deg)
     renderer = start_renderer(expected.surface)
     try:
         yield Ready(expected, renderer, lot_mates)

@@ -196,7 +196,7 @@ def _photograph(
     black = shots[0].frame.black_level
     image = job.calibrations.masked(radiance_of(exposed, job.white, taken.full_scale, black))
     check_light(pose.stage_deg, image, job.recipe)
-    share = float(image.saturated.mean())
+    share = np.count_nonzero(image.saturated) / image.saturated.size
     if share > MAX_SATURATED_PICTURE:
         raise Saturated(
             f"at {pose.stage_deg:g}° {share:.1%} of the picture are saturated (limit "
@@ -244,7 +244,7 @@ def _without_stray(
         return sample
     stray = like("stray", sample.exposure_s, sample.gain)
     own = sample.noise**2 + sample.frames * (stray.noise**2 / stray.frames + dark.noise**2 / dark.frames)
-    return replace(sample, mean=sample.mean - (stray.mean - dark.mean), noise=np.sqrt(own))
+    return replace(sample, mean=sample.mean - (stray.mean - dark.mean), scatter=np.sqrt(own))
 
 
 def _most_changed(views: _Views, job: Job) -> tuple[View | None, float]:

@@ -3,7 +3,7 @@
 Pictures are worked on in blocks of rows that fit into a core's cache, because passes over whole ones wait for memory.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -16,11 +16,16 @@ from anisoscope.rig.frame import Frame
 
 Image = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
+Counts = npt.NDArray[np.uint16]
+Scatter = Image | tuple[Counts, ...]
+Window = tuple[slice, slice]
 
 SATURATION_SHARE = 0.98
 HOT_PIXEL_SIGMA = 12.0
 _BLOCK_BYTES = 1 << 18
 _SAMPLE_SIZE = 1 << 18
+_GUESS_SIZE = 1 << 12
+_EXACT_SUMS = 256  # so many 16-bit counts add up exactly in single precision
 
 
 def _blocks(shape: tuple[int, ...]) -> Iterator[slice]:
@@ -32,8 +37,12 @@ def _blocks(shape: tuple[int, ...]) -> Iterator[slice]:
 
 def _middle(image: Image) -> float:
     """Median of a picture; of a large one, of every n-th pixel."""
+    return float(np.median(_thinned(image)))
+
+
+def _thinned(image: Image) -> Image:
     step = max(1, int(np.sqrt(image.size / _SAMPLE_SIZE)))
-    return float(np.median(image[::step, ::step]))
+    return image[::step, ::step]
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +52,8 @@ class Stack:
     Attributes:
         mean: (rows, cols) mean counts.
         frames: how many frames it is the mean of.
-        noise: (rows, cols) standard deviation of one frame about the mean of the frames, in counts.
+        scatter: (rows, cols) standard deviation of one frame about the mean of the frames, in counts; or the frames,
+            which show it.
         saturated: (rows, cols) True where any frame reached full scale.
         exposure_s: exposure of every frame.
         gain: gain of every frame.
@@ -52,19 +62,28 @@ class Stack:
 
     mean: Image
     frames: int
-    noise: Image
+    scatter: Scatter
     saturated: Mask
     exposure_s: float
     gain: float
     flicker: float = 0.0
 
     @cached_property
+    def noise(self) -> Image:
+        """(rows, cols) standard deviation of one frame about the mean of the frames, in counts."""
+        return scatter_in(self.scatter, (slice(None), slice(None)))
+
+    @cached_property
     def hot(self) -> Mask:
         """Pixels whose signal stands out by more than 12 robust standard deviations: in the dark, hot ones."""
         middle = _middle(self.mean)
-        spread = 1.4826 * _middle(np.abs(self.mean - np.float32(middle))) + 0.5
+        spread = 1.4826 * float(np.median(np.abs(_thinned(self.mean) - np.float32(middle)))) + 0.5
         reach = np.float32(HOT_PIXEL_SIGMA * spread)
-        return np.asarray((self.mean > middle + reach) | (self.mean < middle - reach))
+        hot = np.empty(self.mean.shape, dtype=bool)
+        for rows in _blocks(hot.shape):
+            part = self.mean[rows]
+            np.logical_or(part > middle + reach, part < middle - reach, out=hot[rows])
+        return hot
 
 
 def stack(frames: Iterable[Frame]) -> Stack:
@@ -84,42 +103,68 @@ def stack(frames: Iterable[Frame]) -> Stack:
             first.gain,
         ):
             raise CalibrationError("frames of one pose differ in size, exposure or gain: take them again")
-    shape = first.counts.shape
-    mean, noise = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)
+    shape, counts = first.counts.shape, tuple(frame.counts for frame in frames)
+    mean = np.empty(shape, dtype=np.float32)
     for rows in _blocks(shape):
-        _mean_and_noise([frame.counts[rows] for frame in frames], mean[rows], noise[rows])
+        _mean([one[rows] for one in counts], mean[rows])
     saturated = np.zeros(shape, dtype=bool)
     for frame in frames:
         limit = np.ceil(SATURATION_SHARE * frame.full_scale)
         if frame.counts.max(initial=0) >= limit:
             saturated |= frame.counts >= frame.counts.dtype.type(limit)
-    means = [cv2.mean(frame.counts)[0] for frame in frames]
+    means = [cv2.mean(one)[0] for one in counts]
     flicker = float(np.std(means, ddof=1)) if len(frames) > 1 else 0.0
-    return Stack(mean, len(frames), noise, saturated, first.exposure_s, first.gain, flicker)
+    return Stack(mean, len(frames), counts, saturated, first.exposure_s, first.gain, flicker)
 
 
-def _mean_and_noise(counts: list[npt.NDArray[np.uint16]], mean: Image, noise: Image) -> None:
-    """Mean and standard deviation of counts, from their differences to the first: small ones, so nothing cancels."""
-    count = len(counts)
-    mean[:] = counts[0]
-    if count == 1:
-        noise[:] = 0.0
+def _mean(counts: list[Counts], mean: Image) -> None:
+    """Mean of counts, rounded once."""
+    if len(counts) > _EXACT_SUMS:
+        mean[:] = np.mean(counts, axis=0, dtype=np.float64)
         return
-    total, squares = np.zeros_like(mean), np.zeros_like(mean)
+    mean[:] = counts[0]
+    for later in counts[1:]:
+        cv2.accumulate(later, mean)
+    if len(counts) > 1:
+        mean /= np.float32(len(counts))
+
+
+def _seen(scatter: Scatter, window: Window) -> Scatter:
+    return tuple(one[window] for one in scatter) if isinstance(scatter, tuple) else scatter[window]
+
+
+def scatter_in(scatter: Scatter, window: Window) -> Image:
+    """A window of the scatter of a `Stack`, (rows, cols); of a single frame, zeros."""
+    counts = _seen(scatter, window)
+    if not isinstance(counts, tuple):
+        return counts
+    noise = np.zeros(counts[0].shape, dtype=np.float32)
+    if len(counts) > 1:
+        for rows in _blocks(noise.shape):
+            _deviation([one[rows] for one in counts], noise[rows])
+    return noise
+
+
+def _deviation(counts: list[Counts], noise: Image) -> None:
+    """Standard deviation of counts, from their differences to the first: small ones, so nothing cancels.
+
+    ``noise`` comes as zeros.
+    """
+    count, total, squares = len(counts), np.zeros_like(noise), noise
+    first = counts[0].astype(np.float32)
     for later in counts[1:]:
         off = later.astype(np.float32)
-        off -= counts[0]
+        off -= first
         total += off
         np.multiply(off, off, out=off)
         squares += off
     total *= np.float32(1.0 / count)
-    mean += total
     np.multiply(total, total, out=total)
     total *= np.float32(count)
     squares -= total
     np.maximum(squares, 0.0, out=squares)
     squares *= np.float32(1.0 / (count - 1))
-    np.sqrt(squares, out=noise)
+    np.sqrt(squares, out=squares)
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +195,11 @@ class WhiteReference:
     @cached_property
     def radiance_per_signal(self) -> Image:
         """(rows, cols) radiance of one count per second at unit gain; anything where there is no light."""
-        return np.asarray(np.float32(self.radiance) / np.where(self.unlit, np.float32(1.0), self.signal))
+        found = np.empty(self.signal.shape, dtype=np.float32)
+        for rows in _blocks(found.shape):
+            safe = np.where(self.unlit[rows], np.float32(1.0), self.signal[rows])
+            np.divide(np.float32(self.radiance), safe, out=found[rows])
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +208,8 @@ class RadianceImage:
 
     Attributes:
         value: (rows, cols); NaN where the pixel is unusable (hot, or saturated).
-        noise: (rows, cols) standard deviation of one pixel of the mean picture; NaN where there is no value.
+        scatter: (rows, cols) standard deviation of one pixel of the mean picture, or what tells it of a window;
+            only `noise` minds where there is no value.
         saturated: (rows, cols) True where a pixel reached full scale in any frame.
         signal_share: 99th percentile of the dark-corrected signal, as a share of full scale.
         flicker: relative standard deviation of the light from one frame to the next, common to all pixels.
@@ -167,7 +217,7 @@ class RadianceImage:
     """
 
     value: Image
-    noise: Image
+    scatter: Image | Callable[[Window], Image]
     saturated: Mask
     signal_share: float
     flicker: float = 0.0
@@ -177,6 +227,17 @@ class RadianceImage:
     def usable(self) -> Mask:
         """Pixels that carry a value."""
         return np.isfinite(self.value)
+
+    @cached_property
+    def noise(self) -> Image:
+        """(rows, cols) standard deviation of one pixel of the mean picture; NaN where there is no value."""
+        return self.noise_in((slice(None), slice(None)))
+
+    def noise_in(self, window: Window) -> Image:
+        """`noise` within a window: most of a picture is never asked for."""
+        found = self.scatter(window) if callable(self.scatter) else self.scatter[window]
+        unknown = np.isnan(self.value[window])
+        return np.where(unknown, np.float32(np.nan), found) if unknown.any() else found
 
 
 def hot_pixels(dark: Stack) -> Mask:
@@ -216,29 +277,65 @@ def linearise(sample: Stack, dark: Stack, white: WhiteReference, full_scale: int
     if dark.mean.shape != sample.mean.shape:
         raise CalibrationError("dark frames and sample frames differ in size: take the dark frames again")
     check_size(white, sample.mean.shape)
-    unusable = white.unlit | dark.hot | sample.saturated
-    value, noise = np.empty_like(sample.mean), np.empty_like(sample.mean)
+    value = np.empty_like(sample.mean)
     per_second = np.float32(1.0 / (sample.exposure_s * sample.gain))
-    light = 0.0
+    unlit, hot, saturated, light = white.unlit, dark.hot, sample.saturated, 0.0
     for rows in _blocks(value.shape):
         scale = white.radiance_per_signal[rows] * per_second
         signal = np.subtract(sample.mean[rows], dark.mean[rows], out=value[rows])
         light += cv2.sumElems(signal)[0]
         signal *= scale
-        spread = np.multiply(sample.noise[rows], sample.noise[rows], out=noise[rows])
-        spread *= np.float32(1.0 / sample.frames)
-        spread += np.square(dark.noise[rows]) * np.float32(1.0 / dark.frames)
-        np.sqrt(spread, out=spread)
-        spread *= scale
-        if unusable[rows].any():
-            np.copyto(signal, np.nan, where=unusable[rows])
-            np.copyto(spread, np.nan, where=unusable[rows])
+        unusable = unlit[rows] | hot[rows] | saturated[rows]
+        if unusable.any():
+            np.copyto(signal, np.nan, where=unusable)
     thinned = sample.mean[::4, ::4] - dark.mean[::4, ::4]
     return RadianceImage(
         value,
-        noise,
+        _noise_of(sample, dark, white),
         sample.saturated,
-        float(np.percentile(thinned, 99) / full_scale),
+        upper_quantile(thinned, 0.99) / full_scale,
         sample.flicker / max(light / value.size, 1e-9),
         sample.frames,
     )
+
+
+def _noise_of(sample: Stack, dark: Stack, white: WhiteReference) -> Callable[[Window], Image]:
+    """What tells the noise of a window of a linear picture, from the scatter of sample and dark frames."""
+    scatter, frames = sample.scatter, sample.frames  # without the mean, which need not live on
+    per_second = np.float32(1.0 / (sample.exposure_s * sample.gain))
+
+    def noise(window: Window) -> Image:
+        scale, own, of_dark = (
+            white.radiance_per_signal[window],
+            _seen(scatter, window),
+            _seen(dark.scatter, window),
+        )
+        found = np.empty(scale.shape, dtype=np.float32)
+        for rows in _blocks(found.shape):
+            block = (rows, slice(None))
+            spread = np.square(scatter_in(own, block))
+            spread *= np.float32(1.0 / frames)
+            spread += np.square(scatter_in(of_dark, block)) * np.float32(1.0 / dark.frames)
+            np.sqrt(spread, out=spread)
+            np.multiply(spread, scale[rows] * per_second, out=found[rows])
+        return found
+
+    return noise
+
+
+def upper_quantile(values: Image, share: float) -> float:
+    """The value below which a share (of .5 or more) of the values lies, linear between neighbours.
+
+    As `numpy.quantile`, but only the values above a guess, which every n-th of them allows, are put into order.
+    """
+    flat = values.ravel()
+    place = share * (flat.size - 1)
+    lower = int(place)
+    few = np.sort(flat[:: max(1, flat.size // _GUESS_SIZE)])
+    high = flat[flat >= few[int((2.0 * share - 1.0) * (few.size - 1))]]
+    if flat.size - high.size > lower:  # a poor guess
+        high = flat
+    at = lower - (flat.size - high.size)
+    ordered = np.partition(high, (at, min(at + 1, high.size - 1)))
+    first, second = float(ordered[at]), float(ordered[min(at + 1, high.size - 1)])
+    return first + (place - lower) * (second - first)

@@ -20,6 +20,7 @@ FloatArray = npt.NDArray[np.float64]
 Image = npt.NDArray[np.float32]
 
 CELLS_PER_PITCH = 4
+_MARGIN = 3  # pixels about the region that interpolation may touch
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
@@ -196,12 +197,17 @@ def mean_of(picture: Image) -> float:
     return total / picture.size if np.isfinite(total) else float(np.nanmean(picture, dtype=np.float64))
 
 
-def _lies_inside(view: View, grid: Grid) -> bool:
-    """Do the corners of the region, and so all of it, lie on pixels of the picture?"""
+def _corners(view: View, grid: Grid) -> FloatArray:
+    """(4, 2) column and row of the region's corners in the picture."""
     rows, cols = grid.shape
     ends = np.array([[x, y, 1.0] for x in (0, cols - 1) for y in (0, rows - 1)])
     seen = ends @ (view.placement.homography @ grid.to_mm()).T
-    at = seen[:, :2] / seen[:, 2:]
+    return np.asarray(seen[:, :2] / seen[:, 2:])
+
+
+def _lies_inside(view: View, grid: Grid) -> bool:
+    """Do the corners of the region, and so all of it, lie on pixels of the picture?"""
+    at = _corners(view, grid)
     return bool(np.all((at >= 0.0) & (at <= np.array(view.image.value.shape[::-1]) - 1.0)))
 
 
@@ -241,7 +247,17 @@ def _cell_means(picture: Image, side: int) -> FloatArray:
 
 
 def _mean_noise(view: View, grid: Grid) -> float:
-    noise = resample(view.image.noise, view.placement, grid)
+    """Root mean square of the noise of the region's pixels."""
+    at, shape = _corners(view, grid), view.image.value.shape
+    low, high = np.floor(at.min(axis=0)) - _MARGIN, np.ceil(at.max(axis=0)) + _MARGIN
+    cols, rows = (
+        slice(int(np.clip(a, 0, size)), int(np.clip(b, 0, size)))
+        for a, b, size in zip(low, high, shape[::-1], strict=True)
+    )
+    # of the full size, so that points fall as in the picture itself; pages that nobody touches cost nothing
+    whole = np.zeros(shape, dtype=np.float32)
+    whole[rows, cols] = view.image.noise_in((rows, cols))
+    noise = resample(whole, view.placement, grid)
     np.multiply(noise, noise, out=noise)
     return float(np.sqrt(mean_of(noise)))
 

@@ -101,11 +101,11 @@ class Calibrations:
             CalibrationError: the dark frames are not those of this camera any more.
         """
         self._check_dark(dark)
+        if self.stray is None and self._response(sample.gain) == 0.0:
+            return sample
         signal = self._linear(sample.mean - dark.mean, sample.gain)
         if self.stray is not None:
             signal = signal - self.stray * np.float32(sample.exposure_s * sample.gain)
-        elif self._response(sample.gain) == 0.0:
-            return sample
         return replace(sample, mean=dark.mean + signal)
 
     def white(self, white: WhiteReference) -> WhiteReference:
@@ -120,8 +120,7 @@ class Calibrations:
         """A picture without the pixels that the dark calibration found hot."""
         if self.hot is None or not self.hot.any():
             return image
-        value, noise = (np.where(self.hot, np.float32(np.nan), part) for part in (image.value, image.noise))
-        return replace(image, value=value, noise=noise)
+        return replace(image, value=np.where(self.hot, np.float32(np.nan), image.value))
 
     def check_place(self, stage_deg: float, place: Placement) -> None:
         """Does the fixture stand where the calibrated rotation puts it?

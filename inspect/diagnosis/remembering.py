@@ -11,6 +11,7 @@ import os
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -36,7 +37,9 @@ def remembered_signatures(recipe: Recipe, light_angle_deg: float, advance: Advan
     """The signatures of a recipe, computed once; arguments and errors as for `signatures`."""
     recipe = recipe.deciding()
     path = cache_folder() / "signatures" / f"{_key(recipe, light_angle_deg)}.npz"
-    with contextlib.suppress(OSError, KeyError, ValueError):  # missing or damaged: computed again
+    with contextlib.suppress(
+        OSError, KeyError, ValueError, EOFError, BadZipFile
+    ):  # missing or damaged: computed again
         return _read(path, recipe)
     found = signatures(recipe, light_angle_deg, advance)
     with contextlib.suppress(OSError, RecordError):  # no place to keep them: the next one computes them again
@@ -50,7 +53,7 @@ def _key(recipe: Recipe, light_angle_deg: float) -> str:
     told = {
         "format": _FORMAT,
         "software": version("anisoscope"),
-        "surface": recipe.surface.model_dump(mode="json"),
+        "surface": recipe.surface.model_dump(mode="json", exclude={"height_map"}),  # every folder has a copy
         "map": "" if surface is None else hashlib.sha256(surface.read_bytes()).hexdigest(),
         "material": vars(recipe.material.material()),
         "poses": recipe.poses.model_dump(mode="json"),
@@ -83,7 +86,7 @@ def _packed(found: Signatures) -> bytes:
 def _read(path: Path, recipe: Recipe) -> Signatures:
     design = recipe.surface.design
     causes = {cause.name: cause for cause in all_causes(None if design is None else design.ridge_angle_deg)}
-    with np.load(path, allow_pickle=False) as kept:
+    with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as kept:
         told = json.loads(bytes(kept["told"]))
         found = tuple(
             Signature(

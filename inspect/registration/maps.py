@@ -22,6 +22,7 @@ from anisoscope.sim.light.relief import Relief, radiance_maps
 
 FloatArray = npt.NDArray[np.float64]
 Image = npt.NDArray[np.float32]
+Spectrum = npt.NDArray[np.complex128]
 
 MIN_RATIO = 1.5
 MIN_CORRELATION = 0.2
@@ -218,35 +219,40 @@ def _correlations(
 
     Pictures are surrounded by nothing, so that a map may hang over; places with little overlap do not count.
     """
-    total: FloatArray | None = None
     shape, size = aligned[0].shape, rendered[0].shape
+    total, overlap = np.zeros([a + b - 1 for a, b in zip(shape, size, strict=True)]), _Overlap(shape, size)
     for seen, drawn in zip(aligned, rendered, strict=True):
-        one, two = _without_ridges(seen, pitch), _without_ridges(drawn, pitch)
-        found = _normalised(one, two)
-        total = found if total is None else total + found
-    assert total is not None
+        total += overlap.correlations(_without_ridges(seen, pitch), _without_ridges(drawn, pitch))
     return total / len(aligned), ((shape[0] + size[0]) / 2.0 - 1.0, (shape[1] + size[1]) / 2.0 - 1.0)
 
 
-def _normalised(seen: Image, drawn: Image) -> FloatArray:
-    """Full normalised cross-correlation of two pictures; 0 where they overlap too little."""
-    size = tuple(cv2.getOptimalDFTSize(a + b - 1) for a, b in zip(seen.shape, drawn.shape, strict=True))
-    full = tuple(a + b - 1 for a, b in zip(seen.shape, drawn.shape, strict=True))
+class _Overlap:
+    """Every place of pictures of one shape over pictures of another one."""
 
-    def correlate(one: FloatArray, two: FloatArray) -> FloatArray:
-        found = np.fft.irfft2(np.fft.rfft2(one, size) * np.fft.rfft2(two[::-1, ::-1], size), size)
-        return np.asarray(found[: full[0], : full[1]])
+    def __init__(self, seen: tuple[int, ...], drawn: tuple[int, ...]) -> None:
+        self._full = tuple(a + b - 1 for a, b in zip(seen, drawn, strict=True))
+        self._size = tuple(cv2.getOptimalDFTSize(n) for n in self._full)
+        self._ones = self._spectrum(np.ones(seen)), self._spectrum(np.ones(drawn))
+        self._count = np.maximum(np.rint(self._product(*self._ones)), 1.0)
+        self._enough = self._count >= MIN_OVERLAP * min(int(np.prod(seen)), int(np.prod(drawn)))
 
-    a, b = seen.astype(np.float64), drawn.astype(np.float64)
-    ones_a, ones_b = np.ones_like(a), np.ones_like(b)
-    count = np.maximum(np.rint(correlate(ones_a, ones_b)), 1.0)
-    sum_a, sum_b = correlate(a, ones_b), correlate(ones_a, b)
-    product = correlate(a, b) - sum_a * sum_b / count
-    spread_a = correlate(a * a, ones_b) - sum_a**2 / count
-    spread_b = correlate(ones_a, b * b) - sum_b**2 / count
-    found = product / np.sqrt(np.maximum(spread_a * spread_b, 1e-12))
-    enough = count >= MIN_OVERLAP * min(a.size, b.size)
-    return np.where(enough, found, 0.0)
+    def _spectrum(self, picture: FloatArray) -> Spectrum:
+        return np.asarray(np.fft.rfft2(picture, self._size))
+
+    def _product(self, one: Spectrum, two: Spectrum) -> FloatArray:
+        found = np.fft.irfft2(one * two, self._size)
+        return np.asarray(found[: self._full[0], : self._full[1]])
+
+    def correlations(self, seen: Image, drawn: Image) -> FloatArray:
+        """Full normalised cross-correlation of two pictures; 0 where they overlap too little."""
+        a, b = seen.astype(np.float64), drawn[::-1, ::-1].astype(np.float64)
+        of_a, of_b = self._spectrum(a), self._spectrum(b)
+        sum_a, sum_b = self._product(of_a, self._ones[1]), self._product(self._ones[0], of_b)
+        product = self._product(of_a, of_b) - sum_a * sum_b / self._count
+        spread_a = self._product(self._spectrum(a * a), self._ones[1]) - sum_a**2 / self._count
+        spread_b = self._product(self._ones[0], self._spectrum(b * b)) - sum_b**2 / self._count
+        found = product / np.sqrt(np.maximum(spread_a * spread_b, 1e-12))
+        return np.where(self._enough, found, 0.0)
 
 
 def _top(line: FloatArray, at: int) -> float:

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.linear import upper_quantile
 from anisoscope.rig.fixture import Fixture
 
 FloatArray = npt.NDArray[np.float64]
@@ -58,7 +59,9 @@ def find_markers(image: Image, fixture: Fixture) -> list[Marker]:
 
     Where the reduced picture shows less than all of them, the whole one is searched.
     """
-    top = max(float(np.nanpercentile(image[::4, ::4], 99.5)), 1e-9)
+    thinned = image[::4, ::4]
+    known = np.isfinite(thinned)
+    top = max(upper_quantile(thinned if known.all() else thinned[known], 0.995), 1e-9)
     wanted = {marker.id for marker in fixture.markers}
     factor = max(1, max(image.shape) // _REDUCED_PX)
     found = _detect(image, fixture, top, factor)
@@ -115,21 +118,21 @@ def _detection() -> cv2.aruco.DetectorParameters:
 
 def _measured(image: Image, number: int, corners: FloatArray, modules: int, top: float) -> Marker:
     """A marker whose corners are the crossings of lines through its sides, refined in two rounds."""
-    blur, black = 0.0, 0.0
+    edge, across = np.zeros(2), np.zeros(2)
     for _ in range(_ROUNDS):
-        points, along, blur, black = _sides(image, corners, modules, top)
+        points, along, edge, across = _sides(image, corners, modules, top)
         before, beside = np.roll(points, 1, axis=0), np.roll(along, 1, axis=0)
         turn = beside[:, 0] * along[:, 1] - beside[:, 1] * along[:, 0]
         gap = points - before
         steps = (gap[:, 0] * along[:, 1] - gap[:, 1] * along[:, 0]) / np.where(np.abs(turn) < 1e-3, 1.0, turn)
         corners = before + steps[:, None] * beside
-    return Marker(number, corners, blur, black)
+    return Marker(number, corners, _spread(edge, across), float(edge[0] / max(edge[-1], 1e-9)))
 
 
 def _sides(
     image: Image, corners: FloatArray, modules: int, top: float
-) -> tuple[FloatArray, FloatArray, float, float]:
-    """A point (4, 2) and the direction (4, 2) of every side, blur in pixels, and black by white."""
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """A point (4, 2) and the direction (4, 2) of every side, and the rising profile of the edges and its places."""
     ends = np.roll(corners, -1, axis=0)
     lengths = np.linalg.norm(ends - corners, axis=1)
     along = (ends - corners) / np.maximum(lengths, 1e-9)[:, None]
@@ -139,10 +142,9 @@ def _sides(
     across = np.linspace(-reach, reach, int(8 * reach) + 1)
     lines = int(np.clip(0.7 * lengths.mean(), 12, _MAX_LINES))
     base = corners[:, None, :] + np.linspace(0.15, 0.85, lines)[:, None] * (ends - corners)[:, None, :]
-    at = (base[:, :, None, :] + across[:, None] * normals[:, None, None, :]).astype(np.float32)
-    flat = at.reshape(4 * lines, len(across), 2)
-    seen = cv2.remap(image, flat[..., 0], flat[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    lit = np.clip(np.asarray(seen, dtype=np.float64).reshape(4, lines, -1) / top, 0.0, 2.0)
+    lit = _lit_along(image, base, across[:, None] * normals[:, None, :])
+    lit /= top
+    np.clip(lit, 0.0, 2.0, out=lit)
     offset, kept = _steps(lit, across)
     ramp = np.linspace(-1.0, 1.0, lines)
     level, slope, kept = _straight(ramp, offset, kept)
@@ -151,7 +153,17 @@ def _sides(
     direction = (stop - start) / np.maximum(np.linalg.norm(stop - start, axis=1), 1e-9)[:, None]
     edge = np.median([lit[side, kept[side]].mean(axis=0) for side in range(4)], axis=0)
     edge = edge[::-1] if edge[0] > edge[-1] else edge
-    return 0.5 * (start + stop), direction, _spread(edge, across), float(edge[0] / max(edge[-1], 1e-9))
+    return 0.5 * (start + stop), direction, edge, across
+
+
+def _lit_along(image: Image, base: FloatArray, away: FloatArray) -> FloatArray:
+    """Brightness (4, lines, points) at places (4, lines, 2) and points (4, points, 2) away from them."""
+    column, row = (
+        (base[:, :, None, axis] + away[:, None, :, axis]).astype(np.float32).reshape(-1, away.shape[1])
+        for axis in (0, 1)
+    )
+    seen = cv2.remap(image, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(seen, dtype=np.float64).reshape(*base.shape[:2], -1)
 
 
 def _steps(lit: FloatArray, across: FloatArray) -> tuple[FloatArray, Mask]:
@@ -161,28 +173,38 @@ def _steps(lit: FloatArray, across: FloatArray) -> tuple[FloatArray, Mask]:
         lit: (4, lines, points) brightness; NaN where a pixel has no value.
         across: (points,) places along the lines.
     """
-    steps = np.diff(lit, axis=2)
-    rise = steps.sum(axis=2)
-    whole = np.isfinite(rise)
+    middles = 0.5 * (across[1:] + across[:-1])
+    # the sum over steps of their height times their place, by parts; NaN where any of the line is
+    moment = lit @ (np.pad(middles, (1, 0)) - np.pad(middles, (0, 1)))
+    rise = lit[..., -1] - lit[..., 0]
+    whole = np.isfinite(moment)
     if not whole.all():
-        steps, rise = np.nan_to_num(steps), np.where(whole, rise, 0.0)
+        rise = np.where(whole, rise, 0.0)
+        moment = np.nan_to_num(np.diff(lit, axis=2)) @ middles
     sense = np.sign(rise.sum(axis=1))[:, None]  # signed, so that noise cancels
     rise = rise * sense
-    usual = np.median(rise, axis=1)[:, None]
-    offset = sense * (steps @ (0.5 * (across[1:] + across[:-1]))) / np.maximum(rise, 0.2 * usual + 1e-12)
+    usual = _medians(rise)[:, None]
+    offset = sense * moment / np.maximum(rise, 0.2 * usual + 1e-12)
     kept = whole & (rise > 0.5 * usual) & (rise < 1.5 * usual)
     kept |= kept.sum(axis=1, keepdims=True) < lit.shape[1] // 3
     return np.clip(offset, across[0], across[-1]), kept
 
 
+def _medians(values: FloatArray, kept: Mask | None = None) -> FloatArray:
+    """Median of every row, of the values kept: one of them at least."""
+    count = np.full(len(values), values.shape[1]) if kept is None else kept.sum(axis=1)
+    ordered = np.sort(values if kept is None else np.where(kept, values, np.inf), axis=1)
+    rows = np.arange(len(values))
+    return np.asarray(0.5 * (ordered[rows, (count - 1) // 2] + ordered[rows, count // 2]))
+
+
 def _straight(ramp: FloatArray, offset: FloatArray, kept: Mask) -> tuple[FloatArray, FloatArray, Mask]:
     """Level and slope (4,) of straight lines through most of the centres, and which were used."""
-    level = np.array([np.median(row[use]) for row, use in zip(offset, kept, strict=True)])
+    level = _medians(offset, kept)
     slope, close = np.zeros(len(level)), kept
     for _ in range(3):
         away = np.abs(offset - level[:, None] - slope[:, None] * ramp)
-        usual = np.array([np.median(row[use]) for row, use in zip(away, kept, strict=True)])
-        close = kept & (away <= np.maximum(3.0 * 1.4826 * usual, 0.05)[:, None])
+        close = kept & (away <= np.maximum(3.0 * 1.4826 * _medians(away, kept), 0.05)[:, None])
         count = np.maximum(close.sum(axis=1), 1)
         middle = close @ ramp / count
         mean = (close * offset).sum(axis=1) / count

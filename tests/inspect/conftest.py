@@ -1,5 +1,11 @@
 """A small, fast virtual rig: 512 × 512 pixels of 8 µm, a part of 1.2 mm, and a recipe with an ideal design."""
 
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -96,8 +102,8 @@ class VirtualRig:
 
     @property
     def folders(self) -> list[Path]:
-        """What lies in the folder for inspections."""
-        return sorted(self.out.iterdir()) if self.out.exists() else []
+        """The folders of inspections."""
+        return sorted(path for path in self.out.iterdir() if path.is_dir()) if self.out.exists() else []
 
     def inspect(self, serial: str = "T-1") -> inspection.Inspected:
         """Inspect the part."""
@@ -165,3 +171,55 @@ def make_recipe() -> Callable[..., Recipe]:
 def rng() -> np.random.Generator:
     """A generator of its own for every test."""
     return np.random.default_rng(20)
+
+
+@dataclass
+class Done:
+    """What a command left behind."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def json(self):
+        return json.loads(self.out)
+
+
+@pytest.fixture(scope="session")
+def anisoscope():
+    """Runs the real command line in a process of its own."""
+
+    def run(*arguments, cwd=None, timeout=400):
+        command = [sys.executable, "-Im", "anisoscope", *map(str, arguments)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=timeout, cwd=cwd)
+        return Done(done.returncode, done.stdout, done.stderr)
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def demo(anisoscope):
+    """A finished demo, made by one worker for all of them: folder, and what the command said."""
+    shared = Path(os.environ["ANISOSCOPE_CACHE"]) / "demo"
+    try:
+        shared.mkdir(parents=True)
+    except FileExistsError:
+        deadline = time.monotonic() + 600
+        while not (shared / "made").exists():
+            assert time.monotonic() < deadline, "the worker that makes the demo has failed"
+            time.sleep(0.2)
+    else:
+        done = anisoscope("demo", "--out", shared / "demo", "--seed", 5, "--json")
+        assert done.code == 0, done.err
+        (shared / "said.json").write_text(done.out)
+        (shared / "made").touch()
+    return shared / "demo", json.loads((shared / "said.json").read_text())
+
+
+@pytest.fixture(scope="session")
+def demo_folder(demo, tmp_path_factory):
+    """A copy of a finished demo: recipe, rigs, flat, inspections."""
+    mine = tmp_path_factory.mktemp("demo")
+    shutil.copytree(demo[0], mine, dirs_exist_ok=True)
+    return mine

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from anisoscope.errors import CalibrationError
-from anisoscope.linear import WhiteReference, hot_pixels, linearise, stack
+from anisoscope.linear import WhiteReference, hot_pixels, linearise, stack, upper_quantile
 from anisoscope.rig.frame import Frame
 
 SHAPE = (40, 60)
@@ -135,3 +135,31 @@ def test_signal_share_is_that_of_the_brightest_parts(share):
     sample, dark = (stack([frame(np.full(SHAPE, c))]) for c in (64 + share * 60000, 64))
     image = linearise(sample, dark, white(np.ones(SHAPE)), 60000)
     assert image.signal_share == pytest.approx(share, abs=1e-5)
+
+
+@pytest.mark.parametrize("share", [0.5, 0.9, 0.99, 0.995, 1.0])
+def test_an_upper_quantile_is_that_of_numpy(rng, share):
+    for values in (
+        rng.normal(size=(300, 400)),
+        np.sort(rng.exponential(size=5000)),
+        np.ones(7),
+        rng.normal(size=3),
+    ):
+        wanted = np.quantile(values.astype(np.float32), share)
+        assert upper_quantile(values.astype(np.float32), share) == pytest.approx(wanted, rel=1e-6)
+
+
+def test_the_noise_of_a_window_is_part_of_the_noise(rng):
+    frames, darks = ([frame(rng.integers(50 * k, 60 * k, (90, 70))) for _ in range(3)] for k in (20, 1))
+    flat = WhiteReference(np.full((90, 70), 1e5, np.float32), 0.3, "X", "", 0.99, "0")
+    image = linearise(stack(frames), stack(darks), flat, 4095)
+    window = slice(13, 50), slice(7, 69)
+    assert np.ptp(image.noise) > 0.0
+    np.testing.assert_array_equal(image.noise_in(window), image.noise[window])
+
+
+@pytest.mark.parametrize("count", [3, 300])
+def test_the_mean_of_frames_is_rounded_once(rng, count):
+    cube = rng.integers(0, 2**16, (count, 12, 9)).astype(np.uint16)
+    found = stack([frame(counts) for counts in cube]).mean
+    np.testing.assert_array_equal(found, cube.mean(axis=0, dtype=np.float64).astype(np.float32))

@@ -8,6 +8,7 @@ import pytest
 from anisoscope.expectation import Expectation
 from anisoscope.mapmatching import match_map
 from anisoscope.measurement import Measured
+from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
 from anisoscope.registration.maps import render
@@ -77,3 +78,30 @@ def test_without_a_map_nothing_is_said_and_a_small_one_is_not_matched(recipe):
     assert found is None
     assert "smaller than one pitch): only means are compared" in note
     assert match_map(recipe, replace(expected, surface=None), measured) == (None, None)
+
+
+def test_a_whole_inspection_tells_where_the_recipes_map_lies(virtual_rig, plain_report, tmp_path):
+    plain = ridges(RidgeDesign(PITCH_UM, 10.0), (301, 601), (4.0, 2.0))
+    part = add_facet_roughness(plain, 0.08, 0.08, 20.0, np.random.default_rng(6))
+    write_height_map(part, tmp_path / "part.x3p")
+    known = cut(part, slice(59, 260), slice(80, 481))
+    write_height_map(known, tmp_path / "known.x3p")
+    rig = virtual_rig(
+        recipe={"surface": {"design": None, "height_map": str(tmp_path / "known.x3p")}},
+        bench={
+            "sample": {
+                "kind": "height-map",
+                "file": str(tmp_path / "part.x3p"),
+                "pitch_um": None,
+                "ridge_angle_deg": None,
+                "resolved_alpha": None,
+            }
+        },
+    )
+    record = rig.inspect().record
+    found = record.map_place
+    assert (found.resolved, found.ratio > 2.0) == (True, True)
+    np.testing.assert_allclose([found.x_um, found.y_um], [(280 - 300) * 2.0, (159 - 150) * 4.0], atol=2.0)
+    assert abs(found.phase_um + 40.0) < 2.0
+    np.testing.assert_allclose(found.measured, found.predicted, rtol=0.05)
+    assert not any("height map" in note for note in record.notes)

@@ -172,6 +172,7 @@ def test_index_and_albedo_of_the_printed_model_are_refused_with_k(name):
         fit(made(TILTED, TRUTH, (*USUAL, name), model="printed"))
 
 
+@pytest.mark.soak
 def test_index_or_albedo_alone_can_be_had_from_the_corrected_model_but_not_both_beside_k():
     """Two amplitudes, glossy and diffuse, against the three unknowns k, albedo and index."""
     truth = TRUTH | {"albedo": 0.3}

@@ -1,8 +1,6 @@
 """Reports as a browser sees them: nothing asked from outside, nothing complained about, every picture decoded."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -11,12 +9,8 @@ pytestmark = pytest.mark.browser
 
 
 @pytest.fixture(scope="module")
-def demo(tmp_path_factory):
-    out = tmp_path_factory.mktemp("demo")
-    command = [sys.executable, "-Im", "anisoscope", "demo", "--out", str(out), "--seed", "3", "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)["parts"]
+def parts(demo):
+    return demo[1]["parts"]
 
 
 def test_the_watch_itself_notices_outside_requests_and_errors(page, tmp_path):
@@ -29,19 +23,19 @@ def test_the_watch_itself_notices_outside_requests_and_errors(page, tmp_path):
 
 
 @pytest.mark.parametrize("part", [0, 1, 2])
-def test_report_is_silent_self_contained_and_whole(page, demo, part):
-    report = demo[part]["report"]
+def test_report_is_silent_self_contained_and_whole(page, parts, part):
+    report = parts[part]["report"]
     page.open(f"file://{report}")
     assert page.complaints() == []
     assert page.requests() == [f"file://{report}"]
     pictures = page.evaluate("[...document.images].map(i => [i.complete, i.naturalWidth, i.alt])")
     assert len(pictures) >= 9
     assert all(complete and width > 100 and alt for complete, width, alt in pictures)
-    assert page.evaluate("document.getElementById('verdict').textContent") == demo[part]["verdict"]
+    assert page.evaluate("document.getElementById('verdict').textContent") == parts[part]["verdict"]
 
 
-def test_tables_say_what_the_record_says(page, demo):
-    report = demo[1]["report"]
+def test_tables_say_what_the_record_says(page, parts):
+    report = parts[1]["report"]
     page.open(f"file://{report}")
     rows = page.evaluate(
         "[...document.querySelectorAll('#contrasts tbody tr')].map(r => [...r.cells].map(c => c.innerText))"
@@ -59,10 +53,10 @@ def test_tables_say_what_the_record_says(page, demo):
     assert rows[-1][1] == f"{100 * record['area']['share']:.1f} %"
 
 
-def test_nothing_is_cut_off_on_a_printed_a4_page(page, demo):
+def test_nothing_is_cut_off_on_a_printed_a4_page(page, parts):
     try:
         page.call("Emulation.setEmulatedMedia", media="print")
-        page.open(f"file://{demo[2]['report']}", width=688)  # 182 mm of text at 96 dpi
+        page.open(f"file://{parts[2]['report']}", width=688)  # 182 mm of text at 96 dpi
         wide = "[...document.querySelectorAll('main, .wide, table')].filter(e => e.scrollWidth > e.clientWidth + 1)"
         assert page.evaluate(f"{wide}.length") == 0
     finally:
@@ -70,6 +64,6 @@ def test_nothing_is_cut_off_on_a_printed_a4_page(page, demo):
 
 
 @pytest.mark.parametrize("width", [390, 800, 1600])
-def test_nothing_overflows_sideways(page, demo, width):
-    page.open(f"file://{demo[1]['report']}", width=width)
+def test_nothing_overflows_sideways(page, parts, width):
+    page.open(f"file://{parts[1]['report']}", width=width)
     assert page.evaluate("document.documentElement.scrollWidth <= document.documentElement.clientWidth")
