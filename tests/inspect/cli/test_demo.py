@@ -43,6 +43,7 @@ def test_demo_writes_what_it_promises(anisoscope, demo_folder):
     assert all((Path(path).parent / "report.html").is_file() for path in records)
 
 
+@pytest.mark.soak
 def test_demo_in_json_and_again_into_the_same_folder(anisoscope, demo_folder):
     done = anisoscope("demo", "--out", demo_folder, "--seed", 6, "--json")
     assert done.code == 0, done.err

@@ -86,7 +86,7 @@ def test_the_model_that_is_fitted_is_the_corrected_one():
     np.testing.assert_allclose(place.radiance(values, interface_alpha(values)), exact, rtol=5e-5)
 
 
-@pytest.mark.parametrize("kind", ["exposure", "log_ratio"])
+@pytest.mark.parametrize("kind", [pytest.param("exposure", marks=pytest.mark.soak), "log_ratio"])
 def test_bias_and_coverage(kind):
     """Over 60 noisy tables: no bias, 2 u covers about 95 %, chi-square about 1 a degree of freedom."""
     rng = np.random.default_rng(11)

@@ -35,6 +35,7 @@ def test_isotropic_roughness_moves_the_best_angle_to_ten_degrees():
     assert all(np.diff([curve.best_deg for curve in found.curves]) > 0)
 
 
+@pytest.mark.soak
 def test_without_an_imperfection_all_agree(monkeypatch):
     names = ("height-loss", "edge-radius", "seating", "noise", "bounces", "burrs")
     for name in names:
