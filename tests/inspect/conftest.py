@@ -18,10 +18,13 @@ from anisoscope import explaining, inspection
 from anisoscope.calibration.pictures import take_flat
 from anisoscope.cli.demo_files import FIXTURE
 from anisoscope.diagnosis.signatures import signatures
+from anisoscope.errors import CameraError
 from anisoscope.progress import silent
 from anisoscope.recipe import Recipe
 from anisoscope.report.inspection_page import REPORT_NAME
+from anisoscope.rig.frame import Frame
 from anisoscope.sim.bench.bench import Bench, shared_bench
+from anisoscope.sim.bench.camera import SimulatedCamera
 
 LOBE = {"alpha_along": 0.06, "alpha_across": 0.10, "albedo": 0.2, "index": 1.5}
 EXPOSURE_S = 0.0015
@@ -108,6 +111,23 @@ class VirtualRig:
     def inspect(self, serial: str = "T-1") -> inspection.Inspected:
         """Inspect the part."""
         return inspection.inspect_part(self.recipe, self.rig, serial, self.out)
+
+    def break_off(self, monkeypatch: pytest.MonkeyPatch, after: int) -> Path:
+        """Inspect until the camera has given so many frames and fails; the folder that is left."""
+        grab, count = SimulatedCamera.grab, []
+
+        def fail(camera: SimulatedCamera) -> Frame:
+            count.append(1)
+            if len(count) > after:
+                raise CameraError("the cable came off")
+            return grab(camera)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(SimulatedCamera, "grab", fail)
+            with pytest.raises(CameraError, match="the cable came off"):
+                self.inspect()
+        (folder,) = self.folders
+        return folder
 
 
 @pytest.fixture(scope="session")

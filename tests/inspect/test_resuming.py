@@ -6,40 +6,21 @@ import shutil
 import pytest
 
 from anisoscope import inspection
-from anisoscope.errors import CameraError, RecordError
+from anisoscope.errors import RecordError
 from anisoscope.folder import working_in
 from anisoscope.inspection import resume_part
 from anisoscope.recomputing import recompute
 from anisoscope.record import read_record
 from anisoscope.rig.acquisition.journal import JOURNAL, read_journal
-from anisoscope.sim.bench.camera import SimulatedCamera
 from anisoscope.verifying import verify
 
 pytestmark = pytest.mark.usefixtures("plain_report")
 
 
-def interrupt(rig, monkeypatch, after):
-    """Inspect until so many frames were taken; returns the folder that is left."""
-    grab, count = SimulatedCamera.grab, []
-
-    def fail(camera):
-        count.append(1)
-        if len(count) > after:
-            raise CameraError("the cable came off")
-        return grab(camera)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(SimulatedCamera, "grab", fail)
-        with pytest.raises(CameraError, match="the cable came off"):
-            rig.inspect()
-    (folder,) = rig.folders
-    return folder
-
-
 @pytest.mark.parametrize("after", [1, 4, 9])  # of 2 dark frames and 4 × 2 at poses
 def test_a_resumed_inspection_judges_as_an_undisturbed_one(virtual_rig, monkeypatch, after):
     rig = virtual_rig()
-    folder = interrupt(rig, monkeypatch, after)
+    folder = rig.break_off(monkeypatch, after)
     assert verify(folder).intact
     assert not verify(folder).finished
     found = resume_part(folder)
@@ -55,9 +36,9 @@ def test_a_resumed_inspection_judges_as_an_undisturbed_one(virtual_rig, monkeypa
 
 def test_an_inspection_may_be_interrupted_twice(virtual_rig, monkeypatch):
     rig = virtual_rig()
-    folder = interrupt(rig, monkeypatch, 5)
+    folder = rig.break_off(monkeypatch, 5)
     monkeypatch.setattr(rig.__class__, "inspect", lambda _: resume_part(folder))
-    interrupt(rig, monkeypatch, 3)
+    rig.break_off(monkeypatch, 3)
     assert resume_part(folder).record.verdict == "PASS"
     journal = read_journal(folder)
     assert [run.run for run in journal.runs] == [0, 1, 2]
@@ -66,7 +47,7 @@ def test_an_inspection_may_be_interrupted_twice(virtual_rig, monkeypatch):
 
 def test_a_lamp_that_changed_meanwhile_makes_it_invalid(virtual_rig, monkeypatch):
     rig = virtual_rig()
-    folder = interrupt(rig, monkeypatch, 6)
+    folder = rig.break_off(monkeypatch, 6)
     bench = rig.rig.with_name("bench.toml")
     bench.write_text(bench.read_text().replace("electrons = 24000000.0", "electrons = 22000000.0"))
     record = resume_part(folder).record
@@ -109,7 +90,7 @@ def test_what_is_undecided_gets_its_further_round_even_if_the_program_died_befor
 
 def test_a_job_that_took_no_frame_yet_can_be_resumed(virtual_rig, monkeypatch):
     rig = virtual_rig()
-    folder = interrupt(rig, monkeypatch, 1)
+    folder = rig.break_off(monkeypatch, 1)
     for path in ((folder / JOURNAL), *(folder / "frames").iterdir()):
         path.unlink()
     assert resume_part(folder).record.verdict == "PASS"
@@ -117,7 +98,7 @@ def test_a_job_that_took_no_frame_yet_can_be_resumed(virtual_rig, monkeypatch):
 
 def test_what_a_killed_program_leaves_half_done_is_swept_away(virtual_rig, monkeypatch):
     rig = virtual_rig()
-    folder = interrupt(rig, monkeypatch, 5)
+    folder = rig.break_off(monkeypatch, 5)
     frames = folder / "frames"
     shutil.copy(frames / "000_dark.tif", frames / "005_sample_0090.00.tif")  # written, not yet in the journal
     (frames / ".frame-x1").write_bytes(b"half")
@@ -160,7 +141,7 @@ DAMAGE = {
 @pytest.mark.parametrize("name", DAMAGE)
 def test_a_damaged_folder_is_not_resumed_and_the_file_is_named(virtual_rig, monkeypatch, name):
     rig = virtual_rig()
-    folder = interrupt(rig, monkeypatch, 5)
+    folder = rig.break_off(monkeypatch, 5)
     damage, message = DAMAGE[name]
     damage(folder)
     with pytest.raises(RecordError, match=message) as caught:
@@ -183,7 +164,7 @@ def test_folders_that_are_no_inspections(tmp_path):
 
 def test_two_cannot_work_in_one_folder(virtual_rig, monkeypatch):
     rig = virtual_rig()
-    folder = interrupt(rig, monkeypatch, 5)
+    folder = rig.break_off(monkeypatch, 5)
     with working_in(folder), pytest.raises(RecordError, match="another process is at work"):
         resume_part(folder)
     assert resume_part(folder).record.verdict == "PASS"

@@ -5,6 +5,7 @@ import os
 import shutil
 import subprocess
 import time
+from html.parser import HTMLParser
 
 import numpy as np
 import pytest
@@ -330,3 +331,24 @@ def report_pictures():
         deviation=0.1 * rng.standard_normal((rows, cols)),
         surface=HeightMap(height, 2.0, 2.0),
     )
+
+
+class Elements(HTMLParser):
+    """All elements of a page with their attributes, and its text."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.found, self.text = [], ""
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.found.append((tag, dict(attrs)))
+
+    def handle_data(self, data):
+        self.text += data
+
+
+@pytest.fixture(scope="session")
+def parsed():
+    """``parsed(path)``: elements and text of a page on disk."""
+    return lambda path: Elements(path.read_text(encoding="utf-8"))

@@ -1,6 +1,5 @@
 import base64
 import re
-from html.parser import HTMLParser
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -50,28 +49,13 @@ def pages(experiments, maps, tmp_path_factory):
     return folder
 
 
-class Elements(HTMLParser):
-    """All elements of a page with their attributes, and its text."""
-
-    def __init__(self, text):
-        super().__init__()
-        self.found, self.text = [], ""
-        self.feed(text)
-
-    def handle_starttag(self, tag, attrs):
-        self.found.append((tag, dict(attrs)))
-
-    def handle_data(self, data):
-        self.text += data
-
-
 NAMES = ["plain", "complete", "partial", "findings"]
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_page_refers_to_nothing_outside_and_runs_nothing(pages, name):
+def test_a_page_refers_to_nothing_outside_and_runs_nothing(pages, name, parsed):
     source = (pages / f"{name}.html").read_text(encoding="utf-8")
-    elements = Elements(source).found
+    elements = parsed(pages / f"{name}.html").found
     assert not {"script", "link", "iframe", "object", "base", "form"} & {tag for tag, _ in elements}
     for _, attributes in elements:
         assert not [key for key in attributes if key.startswith("on")]
@@ -93,8 +77,8 @@ def test_a_page_refers_to_nothing_outside_and_runs_nothing(pages, name):
             assert all(value.startswith("#") for value in outside)
 
 
-def test_alt_texts_carry_the_means(pages, experiments):
-    elements = Elements((pages / "partial.html").read_text(encoding="utf-8")).found
+def test_alt_texts_carry_the_means(pages, experiments, parsed):
+    elements = parsed(pages / "partial.html").found
     alts = [a["alt"] for tag, a in elements if tag == "img"]
     assert len(alts) == 3
     for alt, name in zip(alts, ("tilt", "ridge_angle", "pair"), strict=True):
@@ -105,12 +89,12 @@ def test_alt_texts_carry_the_means(pages, experiments):
     assert "0 measured" not in alts[0].partition(" 10°")[2].partition(",")[0]
 
 
-def test_the_page_says_convention_model_and_scale(pages, experiments):
-    plain = Elements((pages / "plain.html").read_text(encoding="utf-8")).text
+def test_the_page_says_convention_model_and_scale(pages, experiments, parsed):
+    plain = parsed(pages / "plain.html").text
     assert "perpendicular to the light's plane" in plain
     assert "1 (nothing measured)" in plain
     assert "measured [" not in plain
-    complete = Elements((pages / "complete.html").read_text(encoding="utf-8")).text
+    complete = parsed(pages / "complete.html").text
     assert f"{experiments['complete'].k:.6g}, fitted" in complete
     assert "corrected" in complete
     assert "Not every row was measured" not in complete

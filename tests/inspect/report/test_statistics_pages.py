@@ -1,7 +1,6 @@
 """Pages of statistics: what they say, that they ask for nothing outside, and that a browser and a printer take them."""
 
 import re
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
@@ -110,28 +109,14 @@ def pages(studies, tmp_path_factory):
     return folder
 
 
-class Elements(HTMLParser):
-    """All elements of a page with their attributes, and its text."""
-
-    def __init__(self, text):
-        super().__init__()
-        self.found, self.text = [], ""
-        self.feed(text)
-
-    def handle_starttag(self, tag, attrs):
-        self.found.append((tag, dict(attrs)))
-
-    def handle_data(self, data):
-        self.text += data
-
-
-def page_of(pages, name):
-    return Elements((pages / f"{name}.html").read_text(encoding="utf-8"))
+@pytest.fixture(scope="module")
+def page_of(pages, parsed):
+    return lambda name: parsed(pages / f"{name}.html")
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_page_runs_nothing_and_refers_to_nothing_outside(pages, name):
-    elements = page_of(pages, name)
+def test_a_page_runs_nothing_and_refers_to_nothing_outside(page_of, name):
+    elements = page_of(name)
     assert not {"script", "link", "iframe", "object", "base", "form"} & {tag for tag, _ in elements.found}
     images = [attributes for tag, attributes in elements.found if tag == "img"]
     assert len(images) == PICTURES[name]
@@ -145,9 +130,9 @@ def test_a_page_runs_nothing_and_refers_to_nothing_outside(pages, name):
             assert attributes["scope"] in {"col", "row"}
 
 
-def test_the_control_page_says_what_the_study_says(pages, studies):
+def test_the_control_page_says_what_the_study_says(pages, studies, page_of):
     source = (pages / "spc.html").read_text(encoding="utf-8")
-    text = page_of(pages, "spc").text
+    text = page_of("spc").text
     for study in studies["spc"]:
         assert study.verdict.partition(",")[0].removeprefix("not stable: ") in text
     assert NASTY not in source
@@ -158,19 +143,19 @@ def test_the_control_page_says_what_the_study_says(pages, studies):
     assert "Anderson-Darling" in text
 
 
-def test_the_gauge_page_says_the_shares(pages, studies):
+def test_the_gauge_page_says_the_shares(page_of, studies):
     study = studies["gauge"]
-    text = page_of(pages, "gauge").text
+    text = page_of("gauge").text
     assert f"{100 * study.share_of_study(study.gauge):.1f} %" in text
     assert f"{100 * study.share_of_tolerance(study.gauge):.1f} %" in text
     assert f"(ndc): {study.categories}" in text
 
 
-def test_the_camera_page_says_values_in_words_of_the_standard(pages):
-    text = page_of(pages, "camera").text
+def test_the_camera_page_says_values_in_words_of_the_standard(page_of):
+    text = page_of("camera").text
     for words in ("system gain K", "DSNU1288", "PRNU1288", "5 e for one count", "65.1 dB, 10.8 bit"):
         assert words in text
-    assert "no transfer curve" in page_of(pages, "old-camera").text
+    assert "no transfer curve" in page_of("old-camera").text
 
 
 def test_a_folder_that_is_not_there_is_one_error(studies, tmp_path):
