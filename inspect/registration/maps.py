@@ -36,7 +36,7 @@ class MapPlace:
     Attributes:
         x_um: across the ridges, from the middle of the region.
         y_um: along them.
-        phase_um: x_um within ± half a pitch, of the ridges' own pattern; without an uncertainty: marks on the part shift it.
+        phase_um: x_um within ± half a pitch, of the ridges' own pattern; it has no uncertainty, and marks shift it.
         correlation: of what the map and the pictures share beside the ridges.
         ratio: correlation by that of the best place elsewhere.
         resolved: whether the place is clear; else only means and the phase count.
@@ -58,8 +58,8 @@ class MapPlace:
                 f"middle of the region (correlation {self.correlation:.2f}, {self.ratio:.1f} times the next best place)"
             )
         return (
-            f"unresolved: only means are compared; the ridges' phase is about {self.phase_um:+.0f} µm, but which ridge is "
-            f"which cannot be told (correlation {self.correlation:.2f}, {self.ratio:.1f} times the next best place; "
+            f"unresolved: only means are compared; the ridges' phase is about {self.phase_um:+.0f} µm, but which ridge "
+            f"is which cannot be told (correlation {self.correlation:.2f}, {self.ratio:.1f} times the next best place; "
             f"at least {MIN_CORRELATION:g} and {MIN_RATIO:g} times needed)"
         )
 
