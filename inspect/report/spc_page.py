@@ -154,7 +154,7 @@ def _capability(found: Capability) -> Grid:
     rows = tuple((name, interval(index)) for name, index in names if index is not None)
     rows += (
         ("outside, counted", f"{found.outside} of {found.count}"),
-        ("outside, as a normal distribution would have", f"{found.outside_expected * 1e6:.3g} in a million"),
+        ("outside, as a normal distribution would have", _in_a_million(found.outside_expected)),
     )
     title = f"Good parts lie between {number(spec.lower)} and {number(spec.upper)}"
     return Grid("Capability", title, ("what", f"value ({found.confidence:.0%} interval)"), rows, "capability")
@@ -181,3 +181,8 @@ def _points(labels: Sequence[str]) -> str:
     if len(labels) <= NAMED_POINTS:
         return ", ".join(labels)
     return f"{labels[0]} … {labels[-1]} ({len(labels)} values)"
+
+
+def _in_a_million(share: float) -> str:
+    count = share * 1e6
+    return f"{count:,.0f} in a million" if count >= 100.0 else f"{count:.2g} in a million"
