@@ -7,6 +7,7 @@ another one.
 
 import asyncio
 import signal
+import time
 import warnings
 from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import closing
@@ -25,6 +26,7 @@ CONNECT_TIMEOUT_S = 5.0
 NO_WORKERS_TIMEOUT_S = 20.0
 _PARTS = 64  # steps of the progress bar, about
 _SHOWN = 120  # characters of a failed task
+_RECOMPUTED_S = 0.05  # between looks at results that went with their worker
 
 
 class SweepError(AnisoscopeError):
@@ -248,8 +250,14 @@ def _collect(client: _Client, parts: list[_Part], address: str) -> _Finished:
             except TimeoutError:
                 _await_workers(client, address)
                 continue
+            if all(future.status == "lost" for future in ready):
+                _await_workers(client, address)
+                time.sleep(_RECOMPUTED_S)
+                continue
             for future in ready:
-                if future.status in ("cancelled", "lost"):
+                if future.status == "lost":  # with the worker that held its result: it is computed again
+                    continue
+                if future.status == "cancelled":
                     raise SweepError(f"the Dask scheduler at {address} was lost: its tasks are gone")
                 if future.status == "error":
                     raise SweepError(_explain(future.exception()))

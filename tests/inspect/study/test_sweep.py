@@ -78,8 +78,10 @@ def test_a_worker_killed_in_the_middle_changes_nothing(cluster, tmp_path):
             os.kill(pids[0], signal.SIGKILL)
             killed.append(done)
 
-    there = sweep(slow, range(60), Workers(scheduler=cluster.address), seed=9, advance=advance)
-    cluster.add_worker()
+    try:
+        there = sweep(slow, range(60), Workers(scheduler=cluster.address), seed=9, advance=advance)
+    finally:
+        cluster.add_worker()  # the other tests' second one
     assert killed
     assert killed[0] < 60
     assert there == sweep(draw(), range(60), Workers(), seed=9)
