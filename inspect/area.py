@@ -5,9 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.arealimit import KnownShares
 from anisoscope.errors import MeasurementError
 from anisoscope.measurement import CELLS_PER_PITCH, Measured
 from anisoscope.recipe import AreaPart
+from anisoscope.significance import holm
 from anisoscope.sim.light.contrasts import consecutive_pairs
 from anisoscope.sim.light.geometry import Pose
 from anisoscope.verdict import Verdict
@@ -28,6 +30,7 @@ class AreaResult:
         cells: how many cells there are.
         verdict: of the area alone.
         learnt: the limit is that of golden parts.
+        p_value: chance that a good part like the golden ones shows as much, or None without them.
     """
 
     share: float
@@ -36,6 +39,7 @@ class AreaResult:
     cells: int
     verdict: Verdict
     learnt: bool = False
+    p_value: float | None = None
 
 
 NEIGHBOURS = 6  # ridges to each side with which a line of cells is compared
@@ -89,7 +93,10 @@ def judge_area(
     poses: tuple[Pose, ...],
     rule: AreaPart | None,
     coverage: float,
-    learnt: float | None = None,
+    known: KnownShares | None = None,
+    *,
+    alpha: float = 0.01,
+    p_means: float = 1.0,
 ) -> tuple[AreaResult | None, npt.NDArray[np.bool_] | None]:
     """Judge the contrast map of a part.
 
@@ -98,7 +105,10 @@ def judge_area(
         poses: P poses.
         rule: threshold and limit.
         coverage: guard band by the standard uncertainty of the share.
-        learnt: limit from golden parts; without a guard band, because their scatter holds that of the measurement.
+        known: what golden parts have shown; their limit has no guard band, because their scatter holds that of the
+            measurement.
+        alpha: level of the means and of the area of golden parts together (Holm 1979).
+        p_means: p value of the means.
 
     Returns:
         The result and (cell rows, cell cols) where cells deviate; None and None without a rule.
@@ -123,11 +133,20 @@ def judge_area(
         float(np.mean(off > rule.cell_deviation + shift)) for shift in (0.0, -noise, noise)
     )
     u = float(np.hypot(0.5 * (at_low - at_high), 0.5 / off.size))
-    limit, guard = (rule.max_share, coverage * u) if learnt is None else (learnt, 0.0)
+    if known is not None:
+        return _beside_golden(share, u, known, alpha, p_means), off > rule.cell_deviation
+    limit, guard = rule.max_share, coverage * u
     verdict = Verdict.INCONCLUSIVE
     if share <= limit - guard:
         verdict = Verdict.PASS
     elif share >= limit + guard:
         verdict = Verdict.FAIL
-    result = AreaResult(share, u, limit, off.size, verdict, learnt is not None)
-    return result, off > rule.cell_deviation
+    return AreaResult(share, u, limit, off.size, verdict), off > rule.cell_deviation
+
+
+def _beside_golden(share: float, u: float, known: KnownShares, alpha: float, p_means: float) -> AreaResult:
+    chance = known.chance(share)
+    fails = holm(np.array([p_means, chance]))[1] < alpha
+    limit = known.limit(alpha if p_means < 0.5 * alpha else 0.5 * alpha)
+    verdict = Verdict.FAIL if fails else Verdict.PASS
+    return AreaResult(share, u, limit, known.cells, verdict, learnt=True, p_value=chance)

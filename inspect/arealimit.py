@@ -9,6 +9,7 @@ top.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -34,6 +35,47 @@ def learnt_limit(shares: Sequence[float], cells: int, alpha: float) -> float | N
     found = np.asarray(shares, dtype=np.float64)
     limit = max(_gamma_limit(found, alpha), _counting_limit(found, cells, alpha), float(found.max()))
     return min(limit, 1.0)
+
+
+@dataclass(frozen=True)
+class KnownShares:
+    """Shares of deviating cells that golden parts have shown.
+
+    Attributes:
+        shares: one a part, 0 to 1; at least `MIN_PARTS`.
+        cells: how many cells the contrast map has.
+    """
+
+    shares: tuple[float, ...]
+    cells: int
+
+    def limit(self, alpha: float) -> float:
+        """What one more good part exceeds with a chance of alpha."""
+        found = learnt_limit(self.shares, self.cells, alpha)
+        assert found is not None
+        return found
+
+    def chance(self, share: float) -> float:
+        """The chance that one more good part shows as much: the alpha whose limit this share just exceeds."""
+        found = np.asarray(self.shares, dtype=np.float64)
+        if share <= found.max():
+            return 1.0
+        return max(_gamma_chance(found, share), _counting_chance(found, self.cells, share))
+
+
+def _gamma_chance(shares: FloatArray, share: float) -> float:
+    from scipy.special import stdtr  # noqa: PLC0415 - heavy
+
+    roots, count = np.cbrt(shares), len(shares)
+    spread = float(roots.std(ddof=1)) * np.sqrt(1.0 + 1.0 / count)
+    return float(stdtr(count - 1, (roots.mean() - np.cbrt(share)) / spread)) if spread > 0.0 else 0.0
+
+
+def _counting_chance(shares: FloatArray, cells: int, share: float) -> float:
+    from scipy.special import betainc  # noqa: PLC0415 - heavy
+
+    seen, count = float(shares.sum()) * cells, len(shares)
+    return float(betainc(max(round(share * cells), 1), seen + 0.5, 1.0 / (count + 1.0)))
 
 
 def _gamma_limit(shares: FloatArray, alpha: float) -> float:

@@ -86,7 +86,8 @@ class Decision:
         d2: squared Mahalanobis distance of all deviations from the prediction; with golden parts Hotelling's T² from
             their mean.
         dof: number of independent contrasts.
-        p_value: probability of a larger distance for a part as predicted (or as the golden parts).
+        p_value: probability of a larger distance for a part as predicted (or as the golden parts); where the area is
+            judged by golden parts too, both share one level (Holm 1979).
         golden: number of golden parts compared with, 0 for none.
         conformance: probability that all deviations truly lie within their tolerances, or None.
         area: the contrast map judged, or None.
@@ -162,8 +163,10 @@ def decide(
     )
     d2, dof, p_value = weighed
     pairs = _judge_pairs(found, predicted, deviation, u, recipe)
-    learnt = None if golden is None else golden.area_limit(recipe)
-    area, deviating = judge_area(measured, expected.poses, recipe.area, rule.coverage, learnt)
+    known = None if golden is None else golden.known_shares(recipe)
+    area, deviating = judge_area(
+        measured, expected.poses, recipe.area, rule.coverage, known, alpha=rule.alpha, p_means=p_value
+    )
     regions = _regions(expected, measured, recipe)
     number = 0 if golden is None else len(golden.parts)
     verdict, reasons = _combine(pairs, p_value, area, rule, number)
@@ -267,10 +270,12 @@ def _combine(
             f"{_share(area, area.share)} of the area deviates in the contrast map (limit {_limit_of(area)})"
         )
         findings.append((area.verdict, line))
-    significant = p_value < rule.alpha
+    tests = [p_value] if area is None or area.p_value is None else [p_value, area.p_value]
+    significant = bool(holm(np.array(tests))[0] < rule.alpha)
     fails = significant and (pairs[0].tolerance is None or rule.deviation == "fail")
     alike = f"like the {golden} golden parts" if golden else "as predicted"
-    line = f"all contrasts together: p = {p_value:.2g} for a part {alike} (level {rule.alpha:g})"
+    shared = ", shared with the area" if len(tests) > 1 else ""
+    line = f"all contrasts together: p = {p_value:.2g} for a part {alike} (level {rule.alpha:g}{shared})"
     if significant:
         line += f", a significant deviation{_where(pairs, rule.alpha)}"
     findings.append((Verdict.FAIL if fails else Verdict.PASS, line))

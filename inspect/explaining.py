@@ -6,15 +6,8 @@ What cannot be told becomes a note: the causes are computed from models and kept
 import numpy as np
 
 from anisoscope.decision import Decision
-from anisoscope.diagnosis.diagnosing import (
-    NOTHING,
-    Diagnosis,
-    Evidence,
-    background_of,
-    covariance_of,
-    diagnose,
-    inputs_of,
-)
+from anisoscope.diagnosis.diagnosing import NOTHING, Diagnosis, diagnose
+from anisoscope.diagnosis.evidence import Evidence, background_of, covariance_of, inputs_of
 from anisoscope.diagnosis.remembering import remembered_signatures
 from anisoscope.errors import AnisoscopeError
 from anisoscope.expectation import Expectation
@@ -74,6 +67,7 @@ def _recorded(found: Diagnosis, recipe: Recipe) -> DiagnosisRecord:
             unit=one.unit,
             severity=one.extent,
             u=one.u if np.isfinite(one.u) else None,
+            interval=(one.low, one.high),
             weight=one.weight,
             chi2=one.chi2,
             at_bound=one.at_bound,

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from anisoscope.arealimit import learnt_limit
+from anisoscope.arealimit import MIN_PARTS, KnownShares
 from anisoscope.atomicfile import write_text
 from anisoscope.errors import CalibrationError
 from anisoscope.recipe import AreaPart, Recipe
@@ -76,13 +76,18 @@ class GoldenSet(BaseModel):
             if part.area_share is not None and part.cell_deviation == rule.cell_deviation
         )
 
-    def area_limit(self, recipe: Recipe) -> float | None:
-        """The limit of the area that these parts teach; None where the recipe gives its own or they are too few."""
+    def known_shares(self, recipe: Recipe) -> KnownShares | None:
+        """What these parts teach of the area; None where the recipe gives its own limit or they are too few."""
         rule = recipe.area
         if rule is None or limit_is_given(rule):
             return None
-        cells = [part.cells for part in self.parts if part.cells]
-        return learnt_limit(self.area_shares(rule), cells[-1], recipe.decision.alpha) if cells else None
+        cells, shares = [part.cells for part in self.parts if part.cells], self.area_shares(rule)
+        return KnownShares(tuple(shares), cells[-1]) if cells and len(shares) >= MIN_PARTS else None
+
+    def area_limit(self, recipe: Recipe) -> float | None:
+        """The limit of the area that these parts teach, for a part whose contrasts are as they should be."""
+        known = self.known_shares(recipe)
+        return None if known is None else known.limit(0.5 * recipe.decision.alpha)
 
     @property
     def needed(self) -> int:

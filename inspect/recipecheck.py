@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.decision import BudgetRow, contrast_gradient
-from anisoscope.diagnosis.diagnosing import background_of
+from anisoscope.diagnosis.evidence import background_of
 from anisoscope.diagnosis.remembering import remembered_signatures
 from anisoscope.diagnosis.separability import Separability, planned_covariance, separability
 from anisoscope.diagnosis.signatures import Signatures

@@ -84,7 +84,7 @@ class ContrastRecord(_Part):
 
 
 class AreaRecord(_Part):
-    """The contrast map judged; ``learnt`` if the limit is that of golden parts."""
+    """The contrast map judged; ``learnt`` if the limit is that of golden parts, ``p_value`` by them."""
 
     share: float
     u: float
@@ -92,6 +92,7 @@ class AreaRecord(_Part):
     cells: int
     verdict: str
     learnt: bool = False
+    p_value: float | None = None
 
 
 class CalibrationUse(InputFile):
@@ -126,13 +127,18 @@ class RegionRecord(_Part):
 
 
 class CauseRecord(_Part):
-    """One cause and how well it explains the part; ``u`` is None where the data do not determine the severity."""
+    """One cause and how well it explains the part.
+
+    ``u`` is None where the data do not determine the severity. ``interval`` holds it with 95 %; None for an end that
+    lies beyond what was looked at.
+    """
 
     cause: str
     title: str
     unit: str
     severity: float
     u: float | None
+    interval: tuple[float | None, float | None] | None = None
     weight: float
     chi2: float
     at_bound: bool

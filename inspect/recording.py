@@ -77,6 +77,7 @@ def results(
             cells=area.cells,
             verdict=area.verdict.value,
             learnt=area.learnt,
+            p_value=area.p_value,
         ),
         "budget": tuple(
             BudgetRecord(source=row.source, kind=row.kind, contributions=row.contributions)

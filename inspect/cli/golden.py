@@ -148,7 +148,8 @@ def _limit_says(known: "GoldenSet", recipe: "Recipe") -> str:
     if limit is not None:
         return (
             f"limit of the area: {limit:.2%}, learnt from {count} golden parts (one good part in "
-            f"{1.0 / recipe.decision.alpha:.0f} exceeds it)"
+            f"{2.0 / recipe.decision.alpha:.0f} exceeds it; contrasts and area share "
+            f"the level {recipe.decision.alpha:g})"
         )
     if limit_is_given(rule):
         return f"limit of the area: {rule.max_share:.2%}, as the recipe says in area.max_share"

@@ -145,10 +145,9 @@ def explained(record: "Record") -> list[str]:
 
 
 def _cause_line(cause: "CauseRecord") -> str:
-    u = "not determined" if cause.u is None else f"± {cause.u:.2g}"
-    unit = f" {cause.unit}" if cause.unit else ""
-    bound = ", at the end of what was looked at" if cause.at_bound else ""
-    return f"  {cause.title}: {cause.severity:.3g}{unit} {u} (weight {cause.weight:.0%}{bound})"
+    from anisoscope.report.wording import cause_text
+
+    return f"  {cause_text(cause)}, weight {cause.weight:.0%}"
 
 
 def _print(inspected: "Inspected") -> None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.diagnosis.diagnosing import doubted, share_variance, whitening
+from anisoscope.diagnosis.evidence import share_variance, whitening
 from anisoscope.diagnosis.signatures import Signature, Signatures
 from anisoscope.expectation import Expectation
 from anisoscope.recipe import Recipe
@@ -124,10 +124,28 @@ def _curve(signature: Signature, weigh: FloatArray, u_background: float | None) 
     low, high = signature.bounds
     extents = np.linspace(low, high, GRID)
     change, share = signature.at(extents)
-    scaled, size = doubted(signature, change, weigh)
+    scaled, size = _doubted(signature, change, weigh)
     variance = None if u_background is None else share_variance(share, 0.0, u_background)
     size = size if variance is None else size + np.log(variance)
     return _Curve(extents, change @ weigh.T, share, scaled, variance, size)
+
+
+def _doubted(signature: Signature, changes: FloatArray, weigh: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """What the doubt of a signature makes of whitened deviations.
+
+    Args:
+        signature: of the cause.
+        changes: (E, P) changes of ln L.
+        weigh: (r, P) whitening of V.
+
+    Returns:
+        (E, r, r) L with LᵀL the inverse of their covariance, and (E,) its ln determinant.
+    """
+    own = (signature.cause.doubt * changes) ** 2
+    covariance = np.eye(len(weigh)) + np.einsum("ip,ep,jp->eij", weigh, own, weigh, optimize=True)
+    root = np.linalg.cholesky(covariance)
+    size = 2.0 * np.sum(np.log(np.diagonal(root, axis1=1, axis2=2)), axis=1)
+    return np.linalg.inv(root), np.asarray(size)
 
 
 def _good(weigh: FloatArray, u_background: float | None) -> _Curve:

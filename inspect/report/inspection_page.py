@@ -16,10 +16,10 @@ from anisoscope.report.page import ready_template, write_page
 from anisoscope.report.peers import Lot, Peers, among
 from anisoscope.report.provenance import calibrations_of, files_of, groups_of
 from anisoscope.report.relief3d import Picture3D
-from anisoscope.report.rule import NAMES, PRECEDENCE, UNITS, deviation_decides, rule_of
+from anisoscope.report.rule import NAMES, PRECEDENCE, UNITS, deviation_decides, level_of, rule_of
 from anisoscope.report.surfaceview import SurfacePictures, SurfaceView, flat_drawings
 from anisoscope.report.viewer3d import viewer_of
-from anisoscope.report.wording import cause_text, contrast_name, filters, labels_of
+from anisoscope.report.wording import cause_range, cause_text, contrast_name, filters, labels_of
 
 FloatArray = npt.NDArray[np.float64]
 Image = npt.NDArray[np.float32]
@@ -101,11 +101,13 @@ def _content(record: Record, pictures: Pictures, folder: Path, view: Picture3D |
         "precedence": PRECEDENCE,
         "rule": record.recipe["decision"],
         "deviation_decides": deviation_decides(record),
+        "level": level_of(record),
         "kind": NAMES.get(record.contrasts[0].kind, "") if record.contrasts else "",
         "unit": UNITS.get(record.contrasts[0].kind, "1") if record.contrasts else "1",
         "surfaces": SURFACES,
         "regions": record.regions[:MAX_REGIONS],
         "causes": _causes(record),
+        "cause_range": cause_range,
         "cause_text": "; or, not to be told apart: ".join(cause_text(c) for c in _causes(record) if c.tie),
         "narrow": [c for c in record.contrasts if c.tolerance_ratio and c.tolerance_ratio < WANTED_RATIO],
         "budget": large,

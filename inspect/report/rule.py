@@ -13,6 +13,16 @@ def deviation_decides(record: Record) -> bool:
     return record.recipe["decision"]["deviation"] == "fail" or without
 
 
+def level_of(record: Record) -> float:
+    """Below which p all contrasts together deviate: alpha, of which a test of the area by golden parts takes its share.
+
+    Holm (1979): the less likely one of the two is held against half of alpha, and then the other one against all of it.
+    """
+    level: float = record.recipe["decision"]["alpha"]
+    other = None if record.area is None else record.area.p_value
+    return level if other is None or other < min(0.5 * level, record.p_value or 0.0) else 0.5 * level
+
+
 def rule_of(record: Record) -> str:
     """The rule that decided."""
     if record.verdict == "INVALID":
@@ -28,7 +38,7 @@ def rule_of(record: Record) -> str:
 
 def _saying(record: Record, verdict: str) -> list[str]:
     """What gives this verdict."""
-    level, found = record.recipe["decision"]["alpha"], []
+    level, found = level_of(record), []
     limited = [c for c in record.contrasts if c.verdict == verdict and c.tolerance is not None]
     side = "outside" if verdict == "FAIL" else "on one side or the other of"
     if limited:

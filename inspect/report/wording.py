@@ -28,10 +28,23 @@ def contrast_name(from_deg: float, to_deg: float, tilt_deg: float) -> str:
 
 
 def cause_text(cause: CauseRecord) -> str:
-    """A cause with its severity, such as ``ridge angle, off by −2.1° ± 0.2°``."""
+    """A cause with its severity, such as ``ridge angle, off by −2.1° (95 %: −2.5° to −1.7°)``."""
     if cause.cause == "nothing":
         return cause.title
     unit = cause.unit if cause.unit in {"", "°"} else f" {cause.unit}"
-    u = "u not determined" if cause.u is None else f"± {cause.u:.2g}{unit}"
-    more = " or more" if cause.at_bound else ""
-    return f"{cause.title} {cause.severity:.3g}{unit}{more} {u}".replace("-", "−")
+    return f"{cause.title} {cause.severity:.3g}{unit} ({cause_range(cause)})".replace("-", "−")
+
+
+def cause_range(cause: CauseRecord) -> str:
+    """How well a severity is known: its 95 % interval, such as ``95 %: −2.5° to −1.7°``."""
+    unit = cause.unit if cause.unit in {"", "°"} else f" {cause.unit}"
+    if cause.interval is None:  # records of earlier versions
+        return "not determined" if cause.u is None else f"± {cause.u:.2g}{unit}"
+    low, high = (None if end is None else f"{end:.3g}{unit}" for end in cause.interval)
+    if low is None and high is None:
+        return "not determined"
+    if high is None:
+        return f"95 %: {low} or more".replace("-", "−")
+    if low is None:
+        return f"95 %: {high} or less".replace("-", "−")
+    return f"95 %: {low} to {high}".replace("-", "−")

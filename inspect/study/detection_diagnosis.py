@@ -9,14 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.diagnosis.diagnosing import (
-    NOTHING,
-    Evidence,
-    background_of,
-    covariance_of,
-    diagnose,
-    inputs_of,
-)
+from anisoscope.diagnosis.diagnosing import NOTHING, diagnose
+from anisoscope.diagnosis.evidence import Evidence, background_of, covariance_of, inputs_of
 from anisoscope.diagnosis.remembering import remembered_signatures
 from anisoscope.diagnosis.separability import Separability, planned_covariance, separability
 from anisoscope.diagnosis.signatures import Signatures, signatures
@@ -116,10 +110,15 @@ def diagnosed(
         first = told.findings[0].cause
         right = next((finding for finding in told.findings if finding.cause == cause), None)
         wrong = not ties & {cause, NOTHING} and told.unexplained_p >= alpha
-        fit = (np.nan, np.nan) if right is None or right.at_bound else (right.extent, right.u)
+        fit = (np.nan,) * 4 if right is None else (right.extent, right.u, _end(right.low), _end(right.high))
         rows.append((first, told.findings[1].cause, cause in ties, wrong, len(ties), *fit))
-    names = ("first", "second", "tied", "wrong", "ties", "extent", "u")
+    names = ("first", "second", "tied", "wrong", "ties", "extent", "u", "low", "high")
     return {title: np.array(values) for title, values in zip(names, zip(*rows, strict=True), strict=True)}
+
+
+def _end(end: float | None) -> float:
+    """An end of an interval; NaN where it is open."""
+    return np.nan if end is None else end
 
 
 def true_extents(kind: str, seen: Columns, size: Size) -> FloatArray:

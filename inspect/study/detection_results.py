@@ -261,9 +261,12 @@ def _diagnosis(kind: str, seen: Columns, name: RecipeName, bench: Bench, apart: 
     named, counts = np.unique(told["first"], return_counts=True)
     order = np.argsort(-counts)
     needed = None if apart is None else apart.told_apart_from
-    right, u = told["extent"], told["u"]
-    inside = np.isfinite(u)
-    off = np.abs(right - true_extents(kind, seen, size))
+    right, u, low, high = (told[name] for name in ("extent", "u", "low", "high"))
+    inside = np.isfinite(right)
+    truth = true_extents(kind, seen, size)
+    # an open end holds everything beyond
+    held = ~(truth < low) & ~(truth > high)
+    closed = inside & np.isfinite(low) & np.isfinite(high)
     return {
         "right_first": _rate(rate(told["first"] == cause)),
         "right_first_or_second": _rate(rate((told["first"] == cause) | (told["second"] == cause))),
@@ -277,7 +280,8 @@ def _diagnosis(kind: str, seen: Columns, name: RecipeName, bench: Bench, apart: 
         "told_apart_from": needed,
         "separable": bool(needed is not None and extent >= abs(needed)),
         "extent": extent,
-        "extent_interval_holds": _rate(rate(off[inside] <= COVERAGE * u[inside])),
+        "extent_interval_holds": _rate(rate(held[inside])),
+        "extent_interval_closed": _rate(rate(closed[inside])),
         "extent_median": float(np.median(right[inside])) if inside.any() else None,
         "extent_u_median": float(np.median(u[inside])) if inside.any() else None,
     }

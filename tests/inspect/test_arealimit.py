@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from anisoscope.arealimit import MIN_PARTS, learnt_limit
+from anisoscope.arealimit import MIN_PARTS, KnownShares, learnt_limit
 from anisoscope.golden import GoldenPart, GoldenSet, recipe_key
 
 CELLS, ALPHA = 2800, 0.01
@@ -47,6 +47,23 @@ def test_no_golden_part_exceeds_its_own_limit_and_few_parts_teach_nothing(rng):
     assert learnt_limit(shares[: MIN_PARTS - 1], CELLS, ALPHA) is None
 
 
+@pytest.mark.parametrize("shape", [0.3, 2.0])
+@pytest.mark.parametrize("alpha", [0.2, 0.01, 1e-4])
+def test_the_chance_of_a_share_is_the_level_whose_limit_it_exceeds(rng, shape, alpha):
+    known = KnownShares(tuple(rng.gamma(shape, 2e-3, 25)), CELLS)
+    limit = known.limit(alpha)
+    step = 1.5 / CELLS
+    assert known.chance(limit + step) < alpha
+    assert known.chance(limit - step) >= min(alpha, 1.0)
+
+
+def test_a_share_that_a_golden_part_has_shown_is_no_surprise(rng):
+    shares = rng.gamma(2.0, 2e-3, 25)
+    assert KnownShares(tuple(shares), CELLS).chance(float(shares.max())) == 1.0
+    assert KnownShares((0.0,) * 25, CELLS).chance(0.0) == 1.0
+    assert 0.0 < KnownShares((0.0,) * 25, CELLS).chance(1.0 / CELLS) < 0.05
+
+
 def parts(shares, cell_deviation=0.3):
     one = {"inspected_at": "2026-01-02T03:04:05+00:00", "log_radiance": (0.0, 0.0, 0.0), "verdict": "PASS"}
     return tuple(
@@ -64,7 +81,7 @@ def test_the_recipes_own_limit_wins_and_other_thresholds_do_not_count(make_recip
         poses=((0.0, 0.0), (90.0, 0.0), (180.0, 0.0)),
         parts=parts(shares),
     )
-    assert known.area_limit(recipe) == learnt_limit(shares, CELLS, recipe.decision.alpha)
+    assert known.area_limit(recipe) == learnt_limit(shares, CELLS, 0.5 * recipe.decision.alpha)
     assert known.area_limit(recipe) < 0.02 < recipe.area.max_share
     assert known.area_limit(make_recipe(area={"max_share": 0.05})) is None
     assert known.area_limit(make_recipe(area={"cell_deviation": 0.2})) is None

@@ -7,6 +7,7 @@ import pytest
 from scipy.stats import norm
 
 from anisoscope.area import judge_area
+from anisoscope.arealimit import KnownShares
 from anisoscope.decision import contrast_gradient, decide, guarded
 from anisoscope.errors import MeasurementError
 from anisoscope.expectation import Component, Expectation
@@ -219,9 +220,22 @@ def test_a_learnt_limit_finds_what_the_recipes_default_passes(make_recipe):
     seen, rule = measured(TABLE, cells=cells), make_recipe().area
     result, _ = judge_area(seen, expected().poses, rule, 1.645)
     assert (result.verdict, result.max_share, result.learnt) == (PASS, 0.03, False)
-    for limit, verdict in ((0.01, FAIL), (result.share, PASS), (0.9 * result.share, FAIL)):
-        learnt, _ = judge_area(seen, expected().poses, rule, 1.645, limit)
-        assert (learnt.verdict, learnt.max_share, learnt.learnt) == (verdict, limit, True)
+    for most, verdict in ((0.002, FAIL), (result.share, PASS)):
+        golden = KnownShares(tuple(np.linspace(0.0, most, 25)), 1600)
+        learnt, _ = judge_area(seen, expected().poses, rule, 1.645, golden)
+        assert (learnt.verdict, learnt.max_share, learnt.learnt) == (verdict, golden.limit(0.005), True)
+
+
+def test_contrasts_and_area_share_one_level(make_recipe):
+    golden = KnownShares(tuple(np.linspace(0.0, 0.01, 25)), 1600)
+    share = 0.5 * (golden.limit(0.01) + golden.limit(0.005))
+    cells = deviating_cells(share)
+    seen, rule = measured(TABLE, cells=cells), make_recipe().area
+    verdicts = {
+        p: judge_area(seen, expected().poses, rule, 1.645, golden, p_means=p)[0].verdict
+        for p in (1.0, 0.006, 0.004)
+    }
+    assert verdicts == {1.0: PASS, 0.006: PASS, 0.004: FAIL}
 
 
 def test_a_whole_flank_that_is_alike_is_no_area_defect(make_recipe):

@@ -6,16 +6,9 @@ import numpy as np
 import pytest
 
 from anisoscope.diagnosis.causes import Cause, all_causes
-from anisoscope.diagnosis.diagnosing import (
-    NOTHING,
-    Evidence,
-    background_of,
-    covariance_of,
-    diagnose,
-    fit_extent,
-    inputs_of,
-    whitening,
-)
+from anisoscope.diagnosis.diagnosing import NOTHING, diagnose
+from anisoscope.diagnosis.evidence import Evidence, background_of, covariance_of, inputs_of
+from anisoscope.diagnosis.likelihood import fit_extent, interval
 from anisoscope.diagnosis.remembering import remembered_signatures
 from anisoscope.diagnosis.separability import planned_covariance, separability
 from anisoscope.diagnosis.signatures import Signature, Signatures, signatures
@@ -83,7 +76,7 @@ def test_the_fit_along_a_line_is_generalised_least_squares():
     d = 0.3 * slope + 0.01 * RNG.normal(size=len(POSES))
     inverse = np.linalg.inv(V)
     expected = slope @ inverse @ d / (slope @ inverse @ slope)
-    found = fit_extent(line("a", slope), Evidence(d, V), whitening(V))
+    found = fit_extent(line("a", slope), Evidence(d, V))
     assert found.extent == pytest.approx(expected, abs=1e-4)
     assert found.u == pytest.approx((slope @ inverse @ slope) ** -0.5, rel=1e-6)
     rest = d - expected * slope
@@ -97,10 +90,46 @@ def test_fitted_extents_scatter_as_their_uncertainty_says():
     z = []
     for _ in range(300):
         d = 0.2 * slope + root @ RNG.normal(size=len(POSES))
-        found = fit_extent(one, Evidence(d, V), whitening(V))
+        found = fit_extent(one, Evidence(d, V))
         z.append((found.extent - 0.2) / found.u)
     assert np.std(z) == pytest.approx(1.0, abs=0.15)
     assert np.mean(z) == pytest.approx(0.0, abs=0.2)
+
+
+def test_the_interval_of_a_line_is_that_of_the_normal_distribution():
+    V, slope = covariance(), RNG.normal(size=len(POSES))
+    one, evidence = line("a", slope), Evidence(0.1 * slope, V)
+    found = fit_extent(one, evidence)
+    low, high = interval(one, evidence, found)
+    assert (low, high) == pytest.approx(
+        (found.extent - 1.96 * found.u, found.extent + 1.96 * found.u), rel=2e-3
+    )
+
+
+def test_an_interval_beyond_what_was_looked_at_is_open_and_one_from_nil_is_not():
+    V, slope = covariance(), RNG.normal(size=len(POSES))
+    slope *= 0.2 * (slope @ np.linalg.inv(V) @ slope) ** -0.5  # u is five times what was looked at
+    one = line("a", slope, extents=(0.0, 0.5, 1.0))
+    assert interval(one, Evidence(0.0 * slope, V), fit_extent(one, Evidence(0.0 * slope, V))) == (0.0, None)
+
+
+@pytest.mark.parametrize("truth", [0.0, 0.15, 0.6])
+def test_intervals_hold_the_truth_where_a_signature_bends(truth):
+    """A change with the square of the extent, one-sided: a part may look good though it has some of the defect."""
+    rng, V = np.random.default_rng(3), 1e-4 * np.eye(len(POSES))
+    slope = np.full(len(POSES), 0.05)
+    extents = np.linspace(0.0, 1.5, 31)
+    bent = Signature(cause("bent", tuple(extents)), extents, np.outer(extents**2, slope), 0.0 * extents)
+    held = {"likelihood": 0, "curvature": 0}
+    for _ in range(400):
+        evidence = Evidence(truth**2 * slope + 0.01 * rng.normal(size=len(POSES)), V)
+        found = fit_extent(bent, evidence)
+        low, high = interval(bent, evidence, found)
+        held["likelihood"] += (low is None or low <= truth) and (high is None or truth <= high)
+        held["curvature"] += abs(found.extent - truth) <= 1.96 * found.u
+    assert held["likelihood"] >= 0.93 * 400
+    if truth == 0.15:
+        assert held["curvature"] < 0.93 * 400
 
 
 def test_the_cause_that_was_there_comes_first_and_a_scale_is_no_cause():
@@ -168,7 +197,7 @@ def test_extents_are_not_drawn_to_either_side_by_the_doubt():
     z = []
     for _ in range(300):
         real = 0.5 * slope * (1.0 + 0.1 * rng.standard_normal(6)) + 2e-3 * rng.standard_normal(6)
-        found = fit_extent(one, Evidence(real, V), whitening(V))
+        found = fit_extent(one, Evidence(real, V))
         z.append((found.extent - 0.5) / found.u)
     assert np.mean(z) == pytest.approx(0.0, abs=0.25)
     assert np.std(z) == pytest.approx(1.0, abs=0.15)
@@ -312,5 +341,5 @@ def replace_material(recipe):
 def test_an_unlimited_extent_has_an_infinite_uncertainty():
     V = covariance()
     flat = line("flat", np.zeros(len(POSES)))
-    assert fit_extent(flat, Evidence(np.ones(len(POSES)), V), whitening(V)).u == np.inf
+    assert fit_extent(flat, Evidence(np.ones(len(POSES)), V)).u == np.inf
     assert replace(flat, share=flat.share).bounds == (-1.0, 1.0)

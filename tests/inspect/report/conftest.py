@@ -243,8 +243,16 @@ RECORD = {
     "diagnosis": {
         "says": "ridge angle, off by; or, not to be told apart: the part lies tilted about y",
         "causes": [
-            cause("ridge-angle", "ridge angle, off by", "°", -2.048, 0.2),
-            cause("seating-y", "the part lies tilted about y", "°", -2.083, None, weight=0.3),
+            cause("ridge-angle", "ridge angle, off by", "°", -2.048, 0.2, interval=(-2.44, -1.65)),
+            cause(
+                "seating-y",
+                "the part lies tilted about y",
+                "°",
+                -2.083,
+                None,
+                interval=(None, None),
+                weight=0.3,
+            ),
         ],
         "unexplained_p": 0.4,
     },

@@ -11,6 +11,7 @@ import pytest
 
 from anisoscope.report.inspection_page import Pictures, start_renderer, write_report
 from anisoscope.report.peers import Lot, LotPart
+from anisoscope.report.wording import cause_range
 
 pytestmark = pytest.mark.browser
 
@@ -151,7 +152,7 @@ def test_tables_say_what_the_record_says(shown, report):
     assert [row[0] for row in rows["budget"][:-1]] == [row.source for row in record.budget[:2]]
     for row, c in zip(rows["diagnosis"], record.diagnosis.causes, strict=True):
         assert (row[0], number(row[1])) == (c.title, pytest.approx(c.severity, rel=5e-3))
-        assert row[2] == "not determined" if c.u is None else number(row[2]) == pytest.approx(c.u, rel=0.05)
+        assert row[2] == cause_range(c)
     for row, r in zip(rows["regions"], record.regions, strict=True):
         x, y = (number(part) for part in row[2].split(", "))
         assert (row[1], x, y) == (r.kind, pytest.approx(r.x, abs=5.1e-3), pytest.approx(r.y, abs=5.1e-3))
@@ -167,7 +168,7 @@ def test_it_says_why_and_how_to_check(shown, report):
     folder, record = report
     assert texts(shown, "#verdict") == ["FAIL"]
     assert "1 contrast lies outside the tolerance" in texts(shown, "#rule")[0]
-    assert "−2.05° ± 0.2°; or, not to be told apart" in texts(shown, "#cause")[0]
+    assert "−2.05° (95 %: −2.44° to −1.65°); or, not to be told apart" in texts(shown, "#cause")[0]
     assert "5 other parts inspected before, 5 PASS" in texts(shown, "#lot-verdicts")[0]
     commands = texts(shown, "pre")[0]
     assert f"anisoscope verify {folder.name}" in commands

@@ -7,7 +7,7 @@ from anisoscope.record import sha256_of
 from anisoscope.report.peers import LotMate, among, lot_of
 from anisoscope.report.provenance import UNSAID, calibrations_of, files_of, groups_of
 from anisoscope.report.rule import rule_of
-from anisoscope.report.wording import cause_text, contrast_name, filters
+from anisoscope.report.wording import cause_range, cause_text, contrast_name, filters
 
 
 def judged(*verdicts):
@@ -119,8 +119,12 @@ def test_calibrations_and_files(make_report_record, tmp_path):
 
 def test_words(make_report_record):
     ridge, seating = make_report_record().diagnosis.causes
-    assert cause_text(ridge) == "ridge angle, off by −2.05° ± 0.2°"
-    assert cause_text(seating) == "the part lies tilted about y −2.08° u not determined"
+    assert cause_text(ridge) == "ridge angle, off by −2.05° (95 %: −2.44° to −1.65°)"
+    assert cause_text(seating) == "the part lies tilted about y −2.08° (not determined)"
+    open_ends = [ridge.model_copy(update={"interval": ends}) for ends in ((-2.44, None), (None, -1.65))]
+    assert [cause_range(one) for one in open_ends] == ["95 %: −2.44° or more", "95 %: −1.65° or less"]
+    earlier = [one.model_copy(update={"interval": None}) for one in (ridge, seating)]
+    assert [cause_range(one) for one in earlier] == ["± 0.2°", "not determined"]
     assert contrast_name(0.0, 90.0, 0.0) == "0° / 90°"
     assert contrast_name(0.0, 90.0, -10.0) == "0° / 90°, tilt −10°"
     told = filters()

@@ -1,0 +1,172 @@
+"""How likely the extents of a cause make what was measured: the best extent, its uncertainty, and its 95 % interval.
+
+At every extent the covariance is the one that holds there: with the doubt of the signature, which grows with the
+change, and for a cause that is an input of the prediction too without that input's uncertainty. −2 ln of the likelihood
+is then χ² and the ln determinant together. The interval holds all extents that the likelihood ratio does not reject
+(Wilks 1938): where a signature bends, or an extent can only be positive, the curvature at the best point says too
+little, because a part may look good though it has some of the defect.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.diagnosis.evidence import Evidence, share_variance
+from anisoscope.diagnosis.signatures import Signature
+
+FloatArray = npt.NDArray[np.float64]
+
+QUANTILE = 3.841458820694124
+"""95 % of χ² with one degree of freedom."""
+_COARSE = 6  # every sixth extent of a signature's table is looked at first
+_FINE = 17  # points between the best point's neighbours
+_NEAR, _NEAR_POINTS = 4.0, 25  # u to both sides of the best extent, and points there
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """How well one extent of one cause explains a part.
+
+    Attributes:
+        extent: the extent.
+        u: its standard uncertainty, from the curvature; infinite where the data do not determine it.
+        chi2: what remains unexplained.
+        cost: −2 ln of the likelihood, but for what all causes share.
+    """
+
+    extent: float
+    u: float
+    chi2: float
+    cost: float
+
+
+def nothing(evidence: Evidence) -> Fitted:
+    """How well a part as predicted explains what was measured."""
+    chi2, cost = _weighed(
+        evidence, evidence.covariance[None], np.zeros((1, len(evidence.deviation))), np.zeros(1)
+    )
+    return Fitted(0.0, 0.0, float(chi2[0]), float(cost[0]))
+
+
+def fit_extent(signature: Signature, evidence: Evidence, *, as_input: bool = False) -> Fitted:
+    """Best extent of a cause.
+
+    Args:
+        signature: of the cause.
+        evidence: what was measured.
+        as_input: the covariance leaves out the input of the prediction that the cause is, if it is one.
+    """
+    extents = np.unique(np.append(signature.table[0][::_COARSE], [*signature.bounds, 0.0]))
+    extents = extents[(extents >= signature.bounds[0]) & (extents <= signature.bounds[1])]
+    chi2, cost = costs(signature, evidence, extents, as_input=as_input)
+    for _ in range(2):
+        k = int(np.argmin(cost))
+        between = np.linspace(extents[max(k - 1, 0)], extents[min(k + 1, len(extents) - 1)], _FINE)
+        extents = np.unique(np.append(between, extents[k]))
+        chi2, cost = costs(signature, evidence, extents, as_input=as_input)
+    k = int(np.argmin(cost))
+    extent = _vertex(extents, cost, k)
+    chi2, cost = costs(signature, evidence, np.array([extent]), as_input=as_input)
+    return Fitted(extent, _u(signature, evidence, extent, as_input=as_input), float(chi2[0]), float(cost[0]))
+
+
+def _vertex(extents: FloatArray, cost: FloatArray, k: int) -> float:
+    """Where the parabola through the least cost and its neighbours is least."""
+    if k in (0, len(extents) - 1):
+        return float(extents[k])
+    left, right = extents[k] - extents[k - 1], extents[k + 1] - extents[k]
+    down, up = cost[k - 1] - cost[k], cost[k + 1] - cost[k]
+    bend = down * right + up * left
+    if bend <= 0.0:
+        return float(extents[k])
+    return float(extents[k] + 0.5 * (down * right**2 - up * left**2) / bend)
+
+
+def _u(signature: Signature, evidence: Evidence, extent: float, *, as_input: bool) -> float:
+    at = np.array([extent])
+    change, share = signature.at(at)
+    covariance = _covariances(signature, evidence, at, change, as_input=as_input)[0]
+    slope, share_slope = signature.slope(extent)
+    curvature = float(_quadratic(covariance[None], slope[None])[0][0])
+    if evidence.share is not None:
+        curvature += share_slope**2 / float(share_variance(share, evidence.u_share, evidence.u_background)[0])
+    return float(1.0 / np.sqrt(curvature)) if curvature > 0.0 else float("inf")
+
+
+def interval(signature: Signature, evidence: Evidence, fit: Fitted) -> tuple[float | None, float | None]:
+    """Ends of the 95 % interval of an extent.
+
+    Args:
+        signature: of the cause.
+        evidence: what was measured.
+        fit: the best extent with its uncertainty, to know where to look.
+
+    Returns:
+        Least and greatest extent; None where the interval reaches the end of what was looked at, unless that is nil.
+    """
+    low, high = signature.bounds
+    looked = [signature.table[0][::_COARSE], np.array([low, high, fit.extent])]
+    if 0.0 < fit.u < np.inf:
+        looked.append(fit.extent + fit.u * np.linspace(-_NEAR, _NEAR, _NEAR_POINTS))
+    extents = np.unique(np.clip(np.concatenate(looked), low, high))
+    _, cost = costs(signature, evidence, extents, as_input=True)
+    limit = float(cost.min()) + QUANTILE
+    within = np.flatnonzero(cost <= limit)
+    first, last = int(within[0]), int(within[-1])
+    return (
+        _crossing(extents, cost, first, first - 1, limit) if first else (0.0 if low == 0.0 else None),
+        _crossing(extents, cost, last, last + 1, limit)
+        if last + 1 < len(extents)
+        else (0.0 if high == 0.0 else None),
+    )
+
+
+def _crossing(extents: FloatArray, cost: FloatArray, inside: int, outside: int, limit: float) -> float:
+    part = (limit - cost[inside]) / (cost[outside] - cost[inside])
+    return float(extents[inside] + part * (extents[outside] - extents[inside]))
+
+
+def costs(
+    signature: Signature, evidence: Evidence, extents: FloatArray, *, as_input: bool
+) -> tuple[FloatArray, FloatArray]:
+    """(E,) χ² and (E,) −2 ln of the likelihood of (E,) extents, but for what all causes share."""
+    changes, shares = signature.at(extents)
+    covariances = _covariances(signature, evidence, extents, changes, as_input=as_input)
+    return _weighed(evidence, covariances, changes, shares)
+
+
+def _weighed(
+    evidence: Evidence, covariances: FloatArray, changes: FloatArray, shares: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    chi2, size = _quadratic(covariances, evidence.deviation - changes)
+    if evidence.share is not None:
+        variance = share_variance(shares, evidence.u_share, evidence.u_background)
+        chi2 = chi2 + (evidence.share - evidence.background - shares) ** 2 / variance
+        size = size + np.log(variance)
+    return chi2, chi2 + size
+
+
+def _quadratic(covariances: FloatArray, off: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(E,) dᵀV⁻¹d and (E,) ln |V| of deviations (E, P) with covariances (E, P, P)."""
+    try:
+        root = np.linalg.cholesky(covariances)
+    except np.linalg.LinAlgError:  # something is certain: what nothing makes uncertain is not divided by nil
+        values, vectors = np.linalg.eigh(covariances)
+        values = np.maximum(values, values[:, -1:] * values.shape[-1] * np.finfo(np.float64).eps)
+        along = np.einsum("epk,ep->ek", vectors, off)
+        return np.sum(along**2 / values, axis=1), np.sum(np.log(values), axis=1)
+    chi2 = np.einsum("ep,ep->e", off, np.linalg.solve(covariances, off[..., None])[..., 0])
+    return chi2, 2.0 * np.sum(np.log(np.diagonal(root, axis1=1, axis2=2)), axis=1)
+
+
+def _covariances(
+    signature: Signature, evidence: Evidence, extents: FloatArray, changes: FloatArray, *, as_input: bool
+) -> FloatArray:
+    """(E, P, P) covariance of the deviation at every extent."""
+    own = (signature.cause.doubt * changes) ** 2
+    doubt = own[:, :, None] * np.eye(own.shape[1])
+    source, inputs = signature.cause.source, evidence.inputs
+    if not as_input or inputs is None or source not in inputs.u:
+        return np.asarray(evidence.covariance + doubt)
+    return inputs.covariance(source, extents) + doubt
