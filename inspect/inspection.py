@@ -18,7 +18,7 @@ from anisoscope.linear import check_size
 from anisoscope.progress import Advance, silent
 from anisoscope.record import RECORD_NAME, Particulars, Record, write_record
 from anisoscope.report.inspection_page import Pictures, start_renderer, write_report
-from anisoscope.report.peers import LotMate, lot_of
+from anisoscope.report.peers import LotMate, LotMates, lot_of, no_lot_mates
 from anisoscope.report.surfaceview import SurfaceView
 from anisoscope.rig.acquisition.journal import read_journal
 from anisoscope.rig.acquisition.plan import Plan
@@ -107,7 +107,11 @@ def _refused(job: Job, rig_path: Path, out: Path, particulars: Particulars, adva
 
 
 def resume_part(
-    folder: Path, on_progress: Advance = silent, *, cancel: threading.Event | None = None
+    folder: Path,
+    on_progress: Advance = silent,
+    *,
+    lot_mates: LotMates = no_lot_mates,
+    cancel: threading.Event | None = None,
 ) -> Inspected:
     """Take up an inspection that was interrupted, and finish it.
 
@@ -118,6 +122,7 @@ def resume_part(
     Args:
         folder: the inspection folder.
         on_progress: called with what is being done, steps done and steps in all.
+        lot_mates: who was inspected before of the lot that the folder names, for the report; must not raise.
         cancel: setting it stops the rig at once and ends the inspection with a `RigError`.
 
     Raises:
@@ -130,13 +135,14 @@ def resume_part(
         raise RecordError(f"{folder}: this inspection is finished; there is nothing to resume")
     with working_in(folder):
         made, job = reopen(folder)
+        mates = lot_mates(made.particulars.lot)
         check_frames(folder)
         sweep(folder)
         with contextlib.ExitStack() as cleanup:
             cleanup.enter_context(_going_on(folder))
             ready: Ready | None = None
             if missing_frames(made, read_journal(folder)) == 0:
-                ready = cleanup.enter_context(expecting(job, on_progress))
+                ready = cleanup.enter_context(expecting(job, on_progress, mates))
                 judged = _judge(made, folder, job, ready, on_progress)
                 if _settled(made, job, judged):
                     return conclude(folder, made, job, ready, on_progress, judged)
@@ -145,7 +151,7 @@ def resume_part(
                 raise RecordError(f"{folder}: not all frames were copied: inspect the folder of frames again")
             with open_rig(job.rig) as rig:
                 _check_rig(rig, made.plan, job)
-                ready = ready or cleanup.enter_context(expecting(job, on_progress))
+                ready = ready or cleanup.enter_context(expecting(job, on_progress, mates))
                 _photograph(made.plan, rig, folder, on_progress, cancel)
                 made, judged = _decide(made, rig, folder, job, ready, on_progress, cancel)
             return conclude(folder, made, job, ready, on_progress, judged)

@@ -13,6 +13,7 @@ from anisoscope.batch.tray import Slot, Tray
 from anisoscope.errors import RecordError, UsageError
 from anisoscope.inspection import Inspected
 from anisoscope.job import prepare
+from anisoscope.report.peers import LotMates, no_lot_mates
 
 TRAY_NAME = "tray.csv"
 
@@ -29,6 +30,7 @@ class Order:
         out: folder of the batch; slots get folders of their own in it.
         operator, station: for the records.
         look: how the camera reads the code of every part before it is inspected, or None.
+        lot_mates: who was inspected before of a lot, for the reports; must not raise.
     """
 
     tray: Tray
@@ -38,6 +40,7 @@ class Order:
     operator: str | None = None
     station: str | None = None
     look: Look | None = None
+    lot_mates: LotMates = no_lot_mates
 
     def files(self, slot: Slot) -> tuple[Path, Path]:
         """Recipe and rig file of a slot."""

@@ -1,15 +1,18 @@
-"""A picture of the part at the first pose of its recipe, to read its code from before it is inspected."""
+"""The part at the first pose of its recipe, where its code is read: photographed, or among frames that exist."""
 
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
 from anisoscope.batch.codes import Code, Kind, one_code, read_codes
-from anisoscope.recipe import read_recipe
+from anisoscope.batch.scan import Scan
+from anisoscope.recipe import Recipe, read_recipe
+from anisoscope.replayframes import Replay
 from anisoscope.rig.acquisition.opening import Rig, open_rig
 from anisoscope.rig.acquisition.plan import Plan, Pose
 from anisoscope.rig.acquisition.runner import check_plan
 from anisoscope.rig.frame import Frame
+from anisoscope.rig.framefolder import FrameEntry
 from anisoscope.rig.light import rest
 from anisoscope.rig.rigfile import read_rig
 
@@ -82,3 +85,32 @@ def code_on_part(recipe_path: Path, rig_path: Path, look: Look) -> tuple[Code, F
     """
     frame = photograph_first_pose(recipe_path, rig_path, look.exposure_s)
     return one_code(read_codes(frame.counts, look.kind), look.kind, "the picture at the first pose"), frame
+
+
+def scan_of(replay: Replay, recipe: Recipe, kind: Kind) -> Scan:
+    """What the only code in the frames at the first pose says; of several exposures, in the first that shows one.
+
+    Args:
+        replay: frames with their poses.
+        recipe: the recipe, for its first pose.
+        kind: look for this kind only.
+
+    Raises:
+        MeasurementError: no frame shows a code that can be read, or one shows several.
+        RecordError: a frame is damaged.
+        UsageError: a code that calls itself GS1, and is not.
+    """
+    first = recipe.poses.poses()[0]
+    pose = Pose(first.stage_deg, first.tilt_deg)
+    frames = [
+        entry for entry, at in replay.entries if entry.kind == "sample" and at == pose and not entry.again
+    ]
+    exposures: dict[float, FrameEntry] = {}
+    for entry in frames:
+        exposures.setdefault(entry.exposure_s, entry)
+    found: tuple[Code, ...] = ()
+    for entry in exposures.values():
+        found = read_codes(entry.load().counts, kind)
+        if found:
+            break
+    return one_code(found, kind, str(frames[0].path)).scan

@@ -4,6 +4,7 @@ import csv
 import io
 from pathlib import Path
 
+from anisoscope.batch.scan import Scan, mismatch
 from anisoscope.csvtable import read_text
 from anisoscope.errors import ConfigError, UsageError
 from anisoscope.job import check_serial
@@ -25,15 +26,20 @@ class PartFile(Part):
     station: str | None = None
 
 
-def whose(folder: Path) -> tuple[str, Particulars]:
+def whose(folder: Path, scan: Scan | None = None) -> tuple[str, Particulars]:
     """Serial number and particulars of the part in a folder of frames.
 
     What ``part.toml`` does not say, columns ``serial``, ``lot``, ``cavity``, ``operator`` and ``station`` of
-    ``frames.csv`` may; the name of the folder is the last source of a serial number.
+    ``frames.csv`` may. Then the code on the part says serial number and lot; where codes are not read, the name of
+    the folder is the last source of a serial number.
+
+    Args:
+        folder: the folder.
+        scan: what the code on the part says, or None where codes are not read.
 
     Raises:
         ConfigError: ``part.toml`` is wrong.
-        UsageError: lines of the table disagree, or there is no usable serial number.
+        UsageError: lines of the table disagree, or files and code, or there is no usable serial number.
     """
     path = folder / PART_NAME
     said = read_toml_model(path, PartFile, error=ConfigError) if path.exists() else PartFile()
@@ -41,6 +47,12 @@ def whose(folder: Path) -> tuple[str, Particulars]:
         name: text for name in COLUMNS if (text := getattr(said, name)) is not None
     }
     serial = known.pop("serial", None)
+    if scan is not None:
+        wrong = mismatch(str(folder), serial, known.get("lot"), scan)
+        if wrong is not None:
+            raise UsageError(wrong)
+        serial = scan.serial
+        known |= {} if scan.lot is None else {"lot": scan.lot}
     try:
         return check_serial(serial or folder.name), Particulars(**known)
     except UsageError as error:

@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-from anisoscope.batch.scan import Scan
 from anisoscope.folder import new_folder
 from anisoscope.inspection import Inspected, conclude, expecting
 from anisoscope.job import prepare
@@ -12,24 +11,6 @@ from anisoscope.record import Particulars
 from anisoscope.rig.frame import Frame, write_frame
 
 CODE_PICTURE = "code.tif"
-
-
-def mismatch(label: str, serial: str | None, lot: str | None, scan: Scan) -> str | None:
-    """What is wrong with a code in view of the tray list; None where they agree.
-
-    Args:
-        label: name of the slot.
-        serial: serial number of the part that should lie there, as far as the list says.
-        lot: its lot, likewise.
-        scan: what its code says.
-    """
-    if scan.serial is None:
-        return f"slot {label}: the code {scan.text} holds no serial number (GS1 identifier 21)"
-    if serial is not None and scan.serial != serial:
-        return f"slot {label} should hold {serial}, its code reads {scan.serial}"
-    if lot is not None and scan.lot is not None and scan.lot != lot:
-        return f"slot {label} should hold lot {lot}, its code reads lot {scan.lot}"
-    return None
 
 
 def refuse_part(

@@ -13,8 +13,8 @@ from anisoscope.batch.journal import (
     write_batch,
 )
 from anisoscope.batch.operator import Operator
-from anisoscope.batch.refusing import mismatch, refuse_part
-from anisoscope.batch.scan import Scan
+from anisoscope.batch.refusing import refuse_part
+from anisoscope.batch.scan import Scan, mismatch
 from anisoscope.batch.slotfolder import unfinished_in
 from anisoscope.batch.tray import Slot
 from anisoscope.errors import AnisoscopeError, MeasurementError, RecordError, UsageError
@@ -22,6 +22,7 @@ from anisoscope.folder import working_in
 from anisoscope.inspection import Inspected, inspect_part, resume_part
 from anisoscope.progress import Advance
 from anisoscope.record import Particulars
+from anisoscope.report.peers import LotMates
 from anisoscope.rig.frame import Frame
 
 FAULTS_IN_A_ROW = 2
@@ -142,8 +143,14 @@ class _Run:
                 recipe, rig, part.serial, home, part.wrong, advance, particulars=who, picture=part.picture
             )
         else:
-            inspected = _resumed(unfinished, advance) or inspect_part(
-                recipe, rig, part.serial, home, advance, particulars=who
+            inspected = _resumed(unfinished, order.lot_mates, advance) or inspect_part(
+                recipe,
+                rig,
+                part.serial,
+                home,
+                advance,
+                particulars=who,
+                lot_mates=order.lot_mates(part.lot),
             )
         self._note(number, **done_with(inspected, order.out))
         self.remember(inspected)
@@ -171,7 +178,7 @@ class _Run:
                 else f"slot {slot.label}: {trouble or 'no serial number'}"
             )
             return _Identity(serial, slot.lot, wrong=wrong, picture=picture)
-        wrong = mismatch(slot.label, slot.serial, slot.lot, scan) or self._twice(number, serial)
+        wrong = mismatch(f"slot {slot.label}", slot.serial, slot.lot, scan) or self._twice(number, serial)
         return _Identity(serial, slot.lot or scan.lot, scan.text, wrong, picture)
 
     def _twice(self, number: int, serial: str) -> str | None:
@@ -182,11 +189,11 @@ class _Run:
         return f"slot {self.batch.slots[number].slot}: its code reads {serial}, which slot {others[0].slot} holds"
 
 
-def _resumed(unfinished: Path | None, advance: Advance) -> Inspected | None:
+def _resumed(unfinished: Path | None, lot_mates: LotMates, advance: Advance) -> Inspected | None:
     """Go on with an inspection; None where there is none, or its folder was damaged and the part is taken anew."""
     if unfinished is None:
         return None
     try:
-        return resume_part(unfinished, advance)
+        return resume_part(unfinished, advance, lot_mates=lot_mates)
     except RecordError:
         return None

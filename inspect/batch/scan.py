@@ -105,3 +105,21 @@ def _elements(text: str) -> dict[str, str]:
         found[identifier] = value
         rest = rest[end:].lstrip(GROUP)
     return found
+
+
+def mismatch(place: str, serial: str | None, lot: str | None, scan: Scan) -> str | None:
+    """What is wrong with a code in view of what should be in its place; None where they agree.
+
+    Args:
+        place: where the part is, such as ``slot 3``.
+        serial: serial number of the part that should be there, as far as it is said.
+        lot: its lot, likewise.
+        scan: what its code says.
+    """
+    if scan.serial is None:
+        return f"{place}: the code {scan.text} holds no serial number (GS1 identifier 21)"
+    if serial is not None and scan.serial != serial:
+        return f"{place} should hold {serial}, its code reads {scan.serial}"
+    if lot is not None and scan.lot is not None and scan.lot != lot:
+        return f"{place} should hold lot {lot}, its code reads lot {scan.lot}"
+    return None

@@ -7,8 +7,10 @@ from pathlib import Path
 from typing import Protocol
 
 from anisoscope.batch.arrivals import Signature
+from anisoscope.batch.codes import Kind
 from anisoscope.inspection import Inspected
 from anisoscope.progress import Advance, silent
+from anisoscope.report.peers import LotMates, no_lot_mates
 
 Remember = Callable[[Inspected], None]
 
@@ -45,6 +47,8 @@ class Watched:
         reflectance: of the white tile in flat frames.
         settle_s: how long a folder must have kept still.
         poll_s: pause between looks.
+        code_kind: kind of code that every part bears, which says who it is; None where codes are not read.
+        lot_mates: who was inspected before of a lot, for the reports; must not raise.
     """
 
     root: Path
@@ -54,6 +58,8 @@ class Watched:
     reflectance: float = 0.99
     settle_s: float = 2.0
     poll_s: float = 1.0
+    code_kind: Kind | None = None
+    lot_mates: LotMates = no_lot_mates
 
 
 @dataclass(frozen=True)

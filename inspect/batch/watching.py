@@ -16,6 +16,7 @@ from anisoscope.batch.arrivals import (
     signature_of,
     whole_key,
 )
+from anisoscope.batch.firstpose import scan_of
 from anisoscope.batch.partfile import whose
 from anisoscope.batch.slotfolder import clear_copies, inspected_in
 from anisoscope.batch.watched import Bad, Listener, Remember, Watched
@@ -24,7 +25,7 @@ from anisoscope.errors import AnisoscopeError, RecordError, UsageError
 from anisoscope.folder import working_in
 from anisoscope.inspection import Inspected
 from anisoscope.recipe import Recipe, read_recipe
-from anisoscope.record import RECORD_NAME
+from anisoscope.record import RECORD_NAME, Particulars
 from anisoscope.replay import inspect_frames
 from anisoscope.replayframes import arrange
 from anisoscope.rig.acquisition.writer import FRAMES
@@ -145,8 +146,7 @@ class Watch:
         try:
             if name is not None:
                 raise RecordError(f"the table names {name}, which is not there yet")
-            whose(arrival.path)
-            arrange(read_frame_folder(arrival.path), self._recipe)
+            who = self._whose(arrival.path)
             frames = frames_key(arrival.path)
         except AnisoscopeError as error:
             self._complain(arrival.name, signature, str(error), incomplete=name is not None)
@@ -159,7 +159,7 @@ class Watch:
                 self.listener.same(arrival.name, Path(known.folder).name)
             return
         try:
-            self._inspect(arrival, key, frames)
+            self._inspect(arrival, who, key, frames)
         except AnisoscopeError as error:
             retry = time.monotonic() + RETRY_S if isinstance(error, RecordError) else None
             self._complain(arrival.name, signature, str(error), retry_at=retry)
@@ -181,9 +181,20 @@ class Watch:
             self._told[name] = what
             self.listener.bad(name, said)
 
-    def _inspect(self, arrival: Arrival, key: str, frames: str) -> None:
-        watched = self.watched
-        serial, who = whose(arrival.path)
+    def _whose(self, folder: Path) -> tuple[str, Particulars]:
+        """Whose frames these are, by files and, if wanted, by the code on the part; the frames are checked as well.
+
+        Raises:
+            ConfigError, UsageError, RecordError, MeasurementError: the folder cannot be inspected as it is.
+        """
+        kind = self.watched.code_kind
+        if kind is None:
+            whose(folder)  # quickly said, before pictures are read
+        replay = arrange(read_frame_folder(folder), self._recipe)
+        return whose(folder, None if kind is None else scan_of(replay, self._recipe, kind))
+
+    def _inspect(self, arrival: Arrival, part: tuple[str, Particulars], key: str, frames: str) -> None:
+        watched, (serial, who) = self.watched, part
         home = watched.out / arrival.name
         clear_copies(home)
         self._journal.add(Line(line="begin", folder=arrival.folder, key=key, frames=frames))
@@ -197,6 +208,7 @@ class Watch:
                 rig_path=watched.rig,
                 reflectance=watched.reflectance,
                 particulars=who,
+                lot_mates=watched.lot_mates(who.lot),
             )
         copied = frames_key(inspected.folder / FRAMES)
         if copied == frames:

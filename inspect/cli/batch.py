@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from anisoscope.cli.batch_operator import Terminal, table_of
+from anisoscope.cli.lotmates import lot_mates
 from anisoscope.cli.remembering import HistoryOption, history_place, remember
 
 if TYPE_CHECKING:
@@ -73,8 +74,8 @@ def batch(
     listed = read_tray(tray)
     folder = (out / f"batch-{tray.stem}").resolve()
     look = Look(code_kind, code_exposure) if read_code else None
-    order = Order(listed, recipe, rig, folder, operator, station, look)
     place = history_place(history, out)
+    order = Order(listed, recipe, rig, folder, operator, station, look, lambda lot: lot_mates(place, lot))
     who = Terminal(quiet=json_, answers=not yes)
     begun_before = (folder / BATCH_NAME).exists() and not resume
     for note in listed.notes:

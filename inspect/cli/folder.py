@@ -8,6 +8,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from anisoscope.cli.console import console, progress
+from anisoscope.cli.lotmates import lot_mates
 from anisoscope.cli.remembering import HistoryOption, history_place, remember
 
 Folder = Annotated[Path, Parameter(help="Folder of an inspection.")]
@@ -24,7 +25,7 @@ def resume(folder: Folder, /, *, history: HistoryOption = None, json_: Json = Fa
 
     place = history_place(history, folder.resolve().parent)
     with progress(folder.name, quiet=json_) as advance:
-        inspected = resume_part(folder, advance)
+        inspected = resume_part(folder, advance, lot_mates=lambda lot: lot_mates(place, lot))
     try:
         return show(inspected, json_=json_)
     finally:

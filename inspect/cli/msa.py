@@ -55,7 +55,8 @@ def gauge(
 
     Exit codes: 0 the gauge is good or usable, 1 it is not good enough, 64 and above nothing could be analysed.
     """
-    from anisoscope.quality.gauge import POOR_SHARE, gauge_study
+    from anisoscope.quality.gauge import gauge_study
+    from anisoscope.quality.gaugestudy import POOR_SHARE
     from anisoscope.quality.gaugetable import gauge_data
     from anisoscope.report.msa_page import anova, components, write_gauge_page
 

@@ -2,6 +2,8 @@
 
 import json
 import sys
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -17,6 +19,7 @@ from anisoscope.cli.predict_options import (
     input_uncertainty,
     monte_carlo,
 )
+from anisoscope.cli.predict_wave import WAVE_DEFAULTS, WAVE_GROUP, Model, WaveOptions, wanted_optics
 from anisoscope.errors import UsageError
 
 if TYPE_CHECKING:
@@ -26,7 +29,6 @@ if TYPE_CHECKING:
     from anisoscope.progress import Advance
     from anisoscope.sim.light.material import Material
 
-Model = Literal["printed", "corrected", "relief"]
 DEFAULT_ALBEDO, DEFAULT_INDEX = 0.2, 1.5
 
 
@@ -67,7 +69,10 @@ def predict(
     angles: Annotated[str, Parameter(help="Stage angles in degrees, comma-separated.")] = "0,90,180",
     tilts: Annotated[str, Parameter(help="Tilts in degrees, comma-separated (--tilts=-10,0,10).")] = "0",
     model: Annotated[
-        Model | None, Parameter(help="Default: corrected for a design, relief for a height map.")
+        Model | None,
+        Parameter(
+            help="Default auto: rays or waves, as the surface needs. Rays are corrected for a design, relief for a map."
+        ),
     ] = None,
     pixel: Annotated[
         str | None, Parameter(help="Pixel size in µm of a map without one: SIZE or Y,X.")
@@ -90,6 +95,7 @@ def predict(
         Literal["lobe", "plastic"],
         Parameter(help="Alpha is what a map does not resolve (lobe), or that of the plastic at all scales."),
     ] = "lobe",
+    waves: Annotated[WaveOptions, Parameter(name="*", group=WAVE_GROUP)] = WAVE_DEFAULTS,
     sizes: Annotated[OpticsOptions, Parameter(name="*", group=OPTICS_GROUP)] = OPTICS_DEFAULTS,
     uncertainties: Annotated[UncertaintyOptions, Parameter(name="*", group=GROUP)] = DEFAULTS,
     json_: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")] = False,
@@ -100,9 +106,12 @@ def predict(
         height_map: File with a measured height map; leave it out and give --ridge-angle for an ideal design.
     """
     from anisoscope.prediction.predicting import predict_design, predict_height_map
+    from anisoscope.prediction.withoptics import Rig, predict_with_optics
+    from anisoscope.profiles.heightmap import HeightMap
     from anisoscope.profiles.ideal import RidgeDesign
     from anisoscope.sim.light.geometry import Convention, pose_grid
     from anisoscope.sim.light.material import Material
+    from anisoscope.sim.light.wave.reflectance import LightSpectrum
 
     _check_choice(height_map, ridge_angle, model)
     _check_bounces(bounces, model)
@@ -117,12 +126,14 @@ def predict(
     convention = Convention(light_angle, tilt_plane, facet_azimuth)
     material = Material(alpha_along, alpha_across, albedo, index, internal_reflection)
     optics, count = optics_of(sizes), None if bounces == "all" else bounces
+    wanted = wanted_optics(waves, model, bounces, roughness)
     inputs, draws = input_uncertainty(uncertainties), monte_carlo(uncertainties)
+    subject: HeightMap | RidgeDesign
     if height_map is not None:
         from anisoscope.cli.profile import parse_pixel
         from anisoscope.profiles.files.load import read_height_map
 
-        surface = read_height_map(height_map, pixel_um=parse_pixel(pixel), role=role)
+        surface = subject = read_height_map(height_map, pixel_um=parse_pixel(pixel), role=role)
 
         def of(plastic: Material, advance: "Advance") -> "Predicted":
             return predict_height_map(
@@ -143,7 +154,7 @@ def predict(
             )
     else:
         assert ridge_angle is not None
-        design = RidgeDesign(100.0 if pitch is None else pitch, ridge_angle, wall, height_loss)
+        design = subject = RidgeDesign(100.0 if pitch is None else pitch, ridge_angle, wall, height_loss)
         of_design: Literal["printed", "corrected"] = "printed" if model == "printed" else "corrected"
 
         def of(plastic: Material, advance: "Advance") -> "Predicted":
@@ -151,12 +162,21 @@ def predict(
                 design, plastic, poses, convention, of_design, count, inputs, draws, advance, optics
             )
 
-    _predict_and_print(of, material, spectrum, as_json=json_, covariance=uncertainties.covariance)
+    def under(plastic: Material, advance: "Advance", wavelength_nm: float | None) -> "tuple[Predicted, ...]":
+        if wanted is None:
+            return (of(plastic, advance),)
+        asked = (
+            wanted if wavelength_nm is None else replace(wanted, light=LightSpectrum((1e-3 * wavelength_nm,)))
+        )
+        rig = Rig(plastic, poses, convention, optics, inputs, draws)
+        return predict_with_optics(subject, partial(of, plastic), rig, asked, pitch, level, advance)
+
+    _predict_and_print(under, material, spectrum, as_json=json_, covariance=uncertainties.covariance)
     return 0
 
 
 def _predict_and_print(
-    predict_one: "Callable[[Material, Advance], Predicted]",
+    predict_one: "Callable[[Material, Advance, float | None], tuple[Predicted, ...]]",
     material: "Material",
     spectrum: Path | None,
     *,
@@ -165,26 +185,35 @@ def _predict_and_print(
 ) -> None:
     from anisoscope.cli import predict_output as output
     from anisoscope.cli import predict_tables as tables
+    from anisoscope.cli.predict_wave import differences, print_differences
 
+    found: dict[str, object]
     if spectrum is None:
         with progress("predict") as advance:
-            result = predict_one(material, advance)
+            results = predict_one(material, advance, None)
         if not as_json:
-            tables.print_prediction(result)
+            for result in results:
+                tables.print_prediction(result)
+            if len(results) > 1:
+                print_differences(*results)
             return
-        found = output.as_json(result, covariance=covariance)
+        found = output.as_json(results[0], covariance=covariance)
+        if len(results) > 1:
+            geometric, wave = (output.as_json(result, covariance=covariance) for result in results)
+            found = {"geometric": geometric, "wave": wave, "difference": differences(*results)}
+            found["optics"] = geometric["optics"]
     else:
         from anisoscope.prediction.spectrumfile import read_spectrum
 
         colours = read_spectrum(spectrum)
-        results = []
+        lines = []
         for wavelength, plastic in zip(colours.wavelengths_nm, colours.materials(material), strict=True):
             with progress(f"{wavelength:g} nm") as advance:
-                results.append(predict_one(plastic, advance))
+                lines += predict_one(plastic, advance, wavelength)
         if not as_json:
-            tables.print_spectrum(results, colours.wavelengths_nm)
+            tables.print_spectrum(lines, colours.wavelengths_nm)
             return
-        found = output.spectrum_as_json(results, colours.wavelengths_nm, covariance=covariance)
+        found = output.spectrum_as_json(lines, colours.wavelengths_nm, covariance=covariance)
     json.dump(found, sys.stdout, indent=2, allow_nan=False)
     sys.stdout.write("\n")
 
@@ -202,6 +231,10 @@ def _check_surface(
 
 
 def _check_spectrum(model: Model | None, albedo: float, index: float) -> None:
+    if model == "both":
+        raise UsageError(
+            "--spectrum takes one model: --model wave and --model geometric, one after the other"
+        )
     if model == "printed":
         raise UsageError(
             "--spectrum needs --model corrected or relief: in the printed model index and albedo only scale"
@@ -215,7 +248,7 @@ def _check_spectrum(model: Model | None, albedo: float, index: float) -> None:
 def _check_choice(height_map: Path | None, ridge_angle: float | None, model: Model | None) -> None:
     if (height_map is None) == (ridge_angle is None):
         raise UsageError("give either a height map file or --ridge-angle of an ideal design")
-    if height_map is not None and model not in (None, "relief"):
+    if height_map is not None and model in ("printed", "corrected"):
         raise UsageError(
             f"--model {model} needs a design (--ridge-angle); a height map is predicted by --model relief"
         )

@@ -157,7 +157,7 @@ def spectrum_as_json(
     ):
         rows = zip(*(one[part] for one in each), strict=True)
         found[part] = [_stacked(row, fixed) for row in rows]
-    for key in ("budget", "covariance", "uncertainty_warning"):
+    for key in ("budget", "covariance", "uncertainty_warning", "optics"):
         if any(key in one for one in each):
             found[key] = [one.get(key) for one in each]
     return found

@@ -41,6 +41,9 @@ def _caption(result: "Predicted") -> str:
         f"{convention.rotation_sense}; k = {result.k:g}"
     )
     for name, value in result.notes.items():
+        if name == "optics":
+            caption += f"; optics: {value['reason']}"
+            continue
         if name in _IN_WORDS:
             caption += "; " + _IN_WORDS[name].format(100.0 * value)
             continue

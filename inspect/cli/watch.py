@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import os
 import signal
 import sys
 import threading
@@ -12,7 +13,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+from anisoscope.cli.batch import CodeKind
 from anisoscope.cli.console import console, print_table, progress
+from anisoscope.cli.lotmates import lot_mates
 from anisoscope.cli.remembering import HistoryOption, history_place, remember
 from anisoscope.errors import RecordError, UsageError
 from anisoscope.progress import Advance
@@ -35,6 +38,13 @@ def watch(
     reflectance: Annotated[float, Parameter(help="Reflectance of the white tile in flat frames.")] = 0.99,
     settle: Annotated[float, Parameter(help="Seconds for which a folder must have kept still.")] = 2.0,
     poll: Annotated[float, Parameter(help="Seconds between looks.")] = 1.0,
+    read_code: Annotated[
+        bool,
+        Parameter(
+            negative="", help="Read the code on every part from its first frame; it says who the part is."
+        ),
+    ] = False,
+    code_kind: CodeKind = "any",
     once: Annotated[bool, Parameter(negative="", help="Inspect what is there and at rest, and end.")] = False,
     history: HistoryOption = None,
     json_: Annotated[
@@ -43,8 +53,8 @@ def watch(
 ) -> int:
     """Inspect every folder of frames that arrives, once; Ctrl-C or SIGTERM ends after the one at work.
 
-    Serial number and lot stand in part.toml beside the frames, or in columns of frames.csv; else the folder's name is
-    the serial number.
+    Serial number and lot stand in part.toml beside the frames, or in columns of frames.csv, or with --read-code in the
+    code on the part; else the folder's name is the serial number.
 
     Exit codes: 0 when it was told to end; with --once that of the worst verdict (3, 1, 2, 0), 74 if folders were bad.
     """
@@ -54,7 +64,17 @@ def watch(
     if not (settle >= 0.0 and poll > 0.0):
         raise UsageError(f"--settle must be 0 s or more and --poll above 0 s, not {settle:g} and {poll:g}")
     place = history_place(history, out)
-    what = Watched(folder.resolve(), out.resolve(), recipe, rig, reflectance, settle, poll)
+    what = Watched(
+        folder.resolve(),
+        out.resolve(),
+        recipe,
+        rig,
+        reflectance,
+        settle,
+        poll,
+        code_kind if read_code else None,
+        lambda lot: lot_mates(place, lot),
+    )
     teller = Teller(json_=json_)
     watching = Watch(what, teller, lambda inspected: remember(inspected, place))
     with _until_told() as stop, watching.open():
@@ -142,7 +162,12 @@ def _until_told() -> Iterator[threading.Event]:
         if stop.is_set():
             raise KeyboardInterrupt
         stop.set()
-        print("anisoscope: ending after the folder at work; once more ends at once", file=sys.stderr)  # noqa: T201
+        with contextlib.suppress(
+            OSError, ValueError
+        ):  # not print: the signal may come while something is printed
+            os.write(
+                sys.stderr.fileno(), b"anisoscope: ending after the folder at work; once more ends at once\n"
+            )
         del number
 
     numbers = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]

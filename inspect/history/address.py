@@ -4,6 +4,7 @@ import os
 import ssl
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from sqlalchemy import URL, make_url
 from sqlalchemy.exc import ArgumentError
@@ -16,15 +17,22 @@ NONE = "none"
 _DRIVER = "postgresql+pg8000"
 _SCHEMES = ("postgresql", "postgres", _DRIVER)
 _PORT = 5432
+MODES = ("disable", "prefer", "require", "verify-ca", "verify-full")
 
 
 @dataclass(frozen=True)
 class Address:
-    """A history's place; ``path`` is None unless it is a file. As text it does not show the password."""
+    """A history's place; as text it does not show the password.
+
+    Attributes:
+        url: for the database's driver.
+        path: the file, or None of a server.
+        tls: how the connection is encrypted; False: not at all; None: if the server offers it.
+    """
 
     url: URL
     path: Path | None = None
-    tls: ssl.SSLContext | None = None
+    tls: ssl.SSLContext | Literal[False] | None = None
 
     def __str__(self) -> str:
         return str(self.path) if self.path is not None else self.url.render_as_string(hide_password=True)
@@ -35,8 +43,8 @@ def parse_address(text: str | Path) -> Address:
 
     Args:
         text: a file, a folder of inspections, ``sqlite:///FILE`` or ``postgresql://USER:PASSWORD@HOST/DATABASE``.
-            ``?host=/folder`` names the folder of a local server's socket, ``?sslmode=require`` or ``verify-full``
-            encrypts, as they do for PostgreSQL's own programs.
+            ``?host=/folder`` names the folder of a local server's socket; ``?sslmode=`` and ``sslrootcert=`` encrypt
+            as they do for PostgreSQL's own programs.
 
     Raises:
         UsageError: it is none of these.
@@ -83,24 +91,33 @@ def _file(path: Path) -> Address:
 
 def _server(url: URL) -> Address:
     query = dict(url.query)
-    host, mode = query.pop("host", None), query.pop("sslmode", "disable")
+    host, mode, root = query.pop("host", None), query.pop("sslmode", "prefer"), query.pop("sslrootcert", None)
     if query.keys() - {"unix_sock"} or not url.database:
         raise UsageError(
             f"the address {url.render_as_string(hide_password=True)} cannot be used: it takes a database, and after "
-            "a question mark host=/FOLDER, unix_sock=FILE or sslmode=require or verify-full"
+            f"a question mark host=/FOLDER, unix_sock=FILE, sslmode={', '.join(MODES)}, or sslrootcert=FILE"
         )
     if isinstance(host, str):
         query["unix_sock"] = f"{host}/.s.PGSQL.{url.port or _PORT}"
-    return Address(url.set(query=query), None, _tls(str(mode)))
+    return Address(url.set(query=query), None, _tls(str(mode), None if root is None else str(root)))
 
 
-def _tls(mode: str) -> ssl.SSLContext | None:
-    if mode == "disable":
-        return None
-    if mode not in {"require", "verify-full"}:
-        raise UsageError(f"sslmode is disable, require or verify-full, not {mode!r}")
-    context = ssl.create_default_context()
+def _tls(mode: str, root: str | None) -> ssl.SSLContext | Literal[False] | None:
+    if mode not in MODES:
+        raise UsageError(f"sslmode is one of {', '.join(MODES)}, not {mode!r}")
+    if root is not None and not mode.startswith("verify"):
+        raise UsageError(
+            f"sslrootcert is looked at with sslmode=verify-ca or verify-full only, not with {mode}"
+        )
+    if mode in {"disable", "prefer"}:
+        return False if mode == "disable" else None
+    try:
+        context = ssl.create_default_context(cafile=root)
+    except OSError as error:
+        raise UsageError(
+            f"sslrootcert={root}: holds no certificate that can be read: {error.strerror}"
+        ) from error
+    context.check_hostname = mode == "verify-full"
     if mode == "require":  # encrypts without knowing whom one talks to, as it does everywhere
-        context.check_hostname = False
         context.verify_mode = ssl.CERT_NONE
     return context

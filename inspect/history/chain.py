@@ -6,8 +6,14 @@ import struct
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 START = bytes(32)
 """What the first row has for the hash of the row before it."""
+KEPT, DIGITS = 1e-6, 7
+"""Numbers of a row are kept to this share of themselves, and shown with so many digits."""
+_SINGLE, _DOUBLE = struct.Struct("<f"), struct.Struct("<d")
 INSPECTION_FIELDS = (
     "id",
     "created_us",
@@ -47,13 +53,60 @@ def _plain(value: object) -> object:
 
 
 def pack(values: Sequence[float]) -> bytes:
-    """Numbers as little-endian doubles."""
+    """Numbers, little-endian: single precision where that keeps all of them to `KEPT`, else double.
+
+    An uncertainty is known to two digits; seven are kept of every number. The record in the folder holds all.
+    """
+    try:
+        single = struct.pack(f"<{len(values)}f", *values)
+    except OverflowError:
+        single = b""
+    if single and all(
+        one == kept or abs(one - kept) <= KEPT * abs(one)
+        for one, kept in zip(values, unpack(single, len(values)), strict=True)
+    ):
+        return single
     return struct.pack(f"<{len(values)}d", *values)
 
 
-def unpack(data: bytes) -> tuple[float, ...]:
-    """The numbers that `pack` took."""
-    return struct.unpack(f"<{len(data) // 8}d", data)
+def unpack(data: bytes, count: int) -> tuple[float, ...]:
+    """The numbers that `pack` took; of single precision those that a person would write.
+
+    Args:
+        data: what `pack` returned; rows of versions 1 and 2 of the tables are always double.
+        count: how many numbers there are.
+    """
+    if len(data) == 8 * count:
+        return struct.unpack(f"<{count}d", data)
+    return tuple(float(f"{value:.{DIGITS}g}") for value in struct.unpack(f"<{count}f", data))
+
+
+def unpack_one(data: bytes, count: int, place: int) -> float:
+    """The number at a place, counted from 0, as `unpack` gives it."""
+    if len(data) == 8 * count:
+        return float(_DOUBLE.unpack_from(data, 8 * place)[0])
+    return float(f"{_SINGLE.unpack_from(data, 4 * place)[0]:.{DIGITS}g}")
+
+
+def unpack_rows(rows: Sequence[bytes], count: int) -> npt.NDArray[np.float64]:
+    """The numbers of many rows at once, (rows, count), as `unpack` gives them."""
+    found = np.full((len(rows), count), np.nan)
+    for size in (4, 8):
+        at = [k for k, row in enumerate(rows) if count and len(row) == size * count]
+        block = np.frombuffer(b"".join(rows[k] for k in at), dtype=f"<f{size}").reshape(-1, count)
+        found[at] = block if size == 8 else _written(block.astype(np.float64))
+    return found
+
+
+def _written(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Numbers to `DIGITS` digits, each the double that is nearest to what would be written."""
+    size = np.abs(values)
+    usual = (size > 0.0) & np.isfinite(values)
+    places = DIGITS - 1 - np.floor(np.log10(np.where(usual, size, 1.0)))
+    scale = 10.0 ** np.abs(places)
+    with np.errstate(over="ignore", invalid="ignore"):
+        rounded = np.where(places >= 0.0, np.round(values * scale) / scale, np.round(values / scale) * scale)
+    return np.where(usual, rounded, values)
 
 
 def digest_of(labels: str) -> bytes:

@@ -57,7 +57,7 @@ def columns_of(new: NewRow, history: Path | None) -> dict[str, Any]:
 
 def row_from(values: Mapping[str, Any], history: Path | None) -> Row:
     """The inspection that a row of the database holds."""
-    product = values["product"]
+    product, labels = values["product"], parsed_labels(values["labels"])
     return Row(
         id=values["id"],
         created_at=us_to_datetime(values["created_us"]),
@@ -73,7 +73,7 @@ def row_from(values: Mapping[str, Any], history: Path | None) -> Row:
         folder=_shown_folder(values["folder"], history),
         seal=bytes(values["seal"]).hex(),
         software=values["software"],
-        numbers=dict(zip(parsed_labels(values["labels"]), unpack(bytes(values["numbers"])), strict=True)),
+        numbers=dict(zip(labels, unpack(bytes(values["numbers"]), len(labels)), strict=True)),
         hash=bytes(values["hash"]).hex(),
     )
 

@@ -1,6 +1,7 @@
 """The database of a history: SQLite in a file, or PostgreSQL by URL; transactions in which one process writes."""
 
 import sqlite3
+import ssl
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -78,6 +79,10 @@ def _reason(error: BaseException) -> str:
     said = origin.args[0] if origin.args else str(origin)
     if isinstance(said, dict):  # PostgreSQL's message with its parts
         said = said.get("M", said)
+    if isinstance(origin, ssl.SSLCertVerificationError):
+        said = f"its certificate is not trusted: {origin.verify_message}"
+    elif isinstance(origin, OSError):
+        said = origin.strerror or str(origin)
     lines = str(said).splitlines()
     return lines[0] if lines else type(origin).__name__
 

@@ -1,13 +1,14 @@
 """What is asked of a history's tables."""
 
 import re
-import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any, cast
 
 from sqlalchemy import ColumnElement, Connection, Select, func, select
 
 from anisoscope.errors import UsageError
+from anisoscope.history.chain import unpack_one
 from anisoscope.history.columns import parsed_labels, to_us
 from anisoscope.history.filters import Filters
 from anisoscope.history.schema import dispositions as _dispositions
@@ -48,7 +49,7 @@ def conditions(filters: Filters) -> list[ColumnElement[bool]]:
     return found
 
 
-def _chosen(statement: Select[Any], filters: Filters) -> Select[Any]:
+def chosen(statement: Select[Any], filters: Filters) -> Select[Any]:
     """The latest ones first, as many as wanted."""
     order = (inspections.c.created_us.desc(), inspections.c.id.desc())
     statement = statement.where(*conditions(filters)).order_by(*order)
@@ -57,7 +58,7 @@ def _chosen(statement: Select[Any], filters: Filters) -> Select[Any]:
 
 def rows(connection: Connection, filters: Filters) -> list[Values]:
     """Inspections with their labels, the oldest first."""
-    found = connection.execute(_chosen(_WHOLE, filters)).mappings().all()
+    found = connection.execute(chosen(_WHOLE, filters)).mappings().all()
     return [_values(row) for row in reversed(found)]
 
 
@@ -98,7 +99,7 @@ def series(connection: Connection, filters: Filters, number: str) -> tuple[list[
     """Ids, times in microseconds and values of one number, the oldest first."""
     table = inspections.c
     reads = _readers(connection, number)
-    statement = _chosen(select(table.id, table.created_us, table.layout, table.numbers), filters)
+    statement = chosen(select(table.id, table.created_us, table.layout, table.numbers), filters)
     statement = statement.where(table.layout.in_(list(reads)))
     found = [
         (row_id, moment, reads[layout](data))
@@ -113,17 +114,8 @@ def _readers(connection: Connection, number: str) -> dict[int, Callable[[bytes],
     found: dict[int, Callable[[bytes], float]] = {}
     for layout, line in connection.execute(select(layouts.c.id, layouts.c.labels)):
         if number in (names := parsed_labels(line)):
-            found[layout] = _reader(names.index(number))
+            found[layout] = partial(unpack_one, count=len(names), place=names.index(number))
     return found
-
-
-def _reader(place: int) -> Callable[[bytes], float]:
-    unpack_from, offset = struct.Struct("<d").unpack_from, 8 * place
-
-    def read(data: bytes) -> float:
-        return float(unpack_from(data, offset)[0])
-
-    return read
 
 
 def dispositions(connection: Connection, row_ids: Sequence[int]) -> Iterator[Values]:

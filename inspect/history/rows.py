@@ -13,7 +13,7 @@ from anisoscope.record import RECORD_NAME, ContrastRecord, Record, sha256_of
 CONTRAST_NAMES = {"log_ratio": "ln", "difference": "difference", "michelson": "Michelson"}
 RECIPE_DIGITS = 12
 MAX_TEXT = 200
-MAX_REASONS = 400
+MAX_REASONS = 240
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,7 +27,7 @@ class NewRow:
         recipe: short identity of the recipe: the product, a blank, and 12 digits of the file's SHA-256.
         lot, cavity, station, operator: as far as they were said.
         verdict: PASS, FAIL, INCONCLUSIVE or INVALID.
-        reasons: why; those beyond 400 characters stand in the record only.
+        reasons: why; those beyond 240 characters stand in the record only.
         folder: folder of the inspection, absolute.
         seal: the record's seal, hexadecimal: no two inspections share it.
         software: program and version.

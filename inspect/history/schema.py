@@ -98,7 +98,12 @@ def _second(connection: Connection) -> None:
     _guard(connection, dispositions)
 
 
-MIGRATIONS: Sequence[Callable[[Connection], None]] = (_first, _second)
+def _third(connection: Connection) -> None:
+    """Version 3: new rows hold numbers of single precision, which earlier programs would not understand."""
+    del connection
+
+
+MIGRATIONS: Sequence[Callable[[Connection], None]] = (_first, _second, _third)
 VERSION = len(MIGRATIONS)
 
 

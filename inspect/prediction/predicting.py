@@ -44,7 +44,7 @@ class Predicted:
     """A prediction with everything needed to read it.
 
     Attributes:
-        model: "printed", "corrected" or "relief".
+        model: "printed", "corrected", "relief" or "wave".
         convention: how the angles are counted.
         poses: P poses.
         radiance: (P,) radiances in 1/sr per unit irradiance perpendicular to the beam.
@@ -116,10 +116,10 @@ def predict_design(
     if model == "corrected" and inputs is not None:
         notes |= design_notes(*directions(poses, convention), design, material, radiance, bounces)
     found = Predicted(model, convention, poses, radiance, contrasts(poses, radiance), notes=notes)
-    return _with_uncertainty(found, shaped, nominal, inputs, monte_carlo, (), on_progress)
+    return with_uncertainty(found, shaped, nominal, inputs, monte_carlo, (), on_progress)
 
 
-def _with_uncertainty(
+def with_uncertainty(
     found: Predicted,
     surface: Surface,
     nominal: State,
@@ -128,6 +128,7 @@ def _with_uncertainty(
     additional: tuple[Contribution, ...],
     on_progress: Advance,
 ) -> Predicted:
+    """A prediction with its budget, and draws where they are asked for; unchanged without ``inputs``."""
     if inputs is None:
         return found
     poses, convention = found.poses, found.convention
@@ -224,4 +225,4 @@ def predict_height_map(
     found = Predicted("relief", convention, poses, radiance, contrasts(poses, radiance), notes=notes)
     nominal = State(lobe, convention.light_angle_deg)
     sampled = relief_surface(best_band(relief), optics)
-    return _with_uncertainty(found, sampled, nominal, inputs, monte_carlo, additional, on_progress)
+    return with_uncertainty(found, sampled, nominal, inputs, monte_carlo, additional, on_progress)

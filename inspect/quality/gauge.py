@@ -6,131 +6,23 @@ such as a machine that needs none, it is a one-way analysis.
 """
 
 import math
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
 from anisoscope.errors import UsageError
-from anisoscope.quality.individuals import FloatArray
-from anisoscope.quality.meansquares import CONFIDENCE, Component, MeanSquare, component
+from anisoscope.quality.gaugeshare import share_interval
+from anisoscope.quality.gaugestudy import POOR_SHARE, GaugeData, GaugeStudy
+from anisoscope.quality.meansquares import (
+    CONFIDENCE,
+    Component,
+    MeanSquare,
+    component,
+    crossed_squares,
+    joined,
+)
 
 POOLING_ALPHA = 0.25
-GOOD_SHARE, POOR_SHARE = 0.10, 0.30
-ENOUGH_CATEGORIES = 5
-
-
-@dataclass(frozen=True, eq=False)
-class GaugeData:
-    """Measurements of a crossed study.
-
-    Attributes:
-        parts: P names.
-        appraisers: O names.
-        values: (P, O, R); R repeated measurements of every part by every appraiser.
-    """
-
-    parts: tuple[str, ...]
-    appraisers: tuple[str, ...]
-    values: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
-class GaugeStudy:
-    """What the study finds.
-
-    Attributes:
-        data: the measurements.
-        table: the ANOVA table, with the interaction as long as there are two appraisers.
-        pooled: the interaction was counted as repeatability, for it is not significant at 0.25.
-        repeatability, reproducibility, gauge, part, total: variances; gauge is repeatability and reproducibility.
-        appraiser, interaction: the two of reproducibility; None where not estimated.
-        tolerance: width between the limits, or None.
-        notes: what the reader should know.
-        confidence: of the intervals.
-    """
-
-    data: GaugeData
-    table: tuple[MeanSquare, ...]
-    pooled: bool
-    repeatability: Component
-    reproducibility: Component | None
-    appraiser: Component | None
-    interaction: Component | None
-    gauge: Component
-    part: Component
-    total: Component
-    tolerance: float | None
-    notes: tuple[str, ...]
-    confidence: float
-
-    @property
-    def components(self) -> tuple[Component, ...]:
-        """All that were estimated, the gauge first."""
-        some = (
-            self.gauge, self.repeatability, self.reproducibility, self.appraiser, self.interaction, self.part,
-            self.total,
-        )  # fmt: skip
-        return tuple(one for one in some if one is not None)
-
-    def share_of_study(self, one: Component) -> float:
-        """Standard deviation over that of everything (%GRR as a share)."""
-        return one.sigma / self.total.sigma
-
-    def share_of_tolerance(self, one: Component) -> float | None:
-        """Six standard deviations over the tolerance; None without one."""
-        return None if self.tolerance is None else 6.0 * one.sigma / self.tolerance
-
-    @property
-    def categories(self) -> int | None:
-        """Number of distinct categories (ndc): 1.41 part over gauge, cut to a whole number; None without noise."""
-        return None if self.gauge.sigma == 0.0 else int(1.41 * self.part.sigma / self.gauge.sigma)
-
-    @property
-    def verdict(self) -> str:
-        """The outcome in plain words, by the rules of the AIAG manual."""
-        share, of = self.share_of_study(self.gauge), "of the study variation"
-        tolerance_share = self.share_of_tolerance(self.gauge)
-        if tolerance_share is not None:
-            share, of = max((share, of), (tolerance_share, "of the tolerance"))
-        if share < GOOD_SHARE:
-            word = "good"
-        elif share <= POOR_SHARE:
-            word = "usable for some purposes"
-        else:
-            word = "not good enough"
-        text = f"{word}: measuring makes up {share:.1%} {of}"
-        few = self.categories is not None and self.categories < ENOUGH_CATEGORIES
-        return text + (
-            f"; it tells only {self.categories} classes of parts apart ({ENOUGH_CATEGORIES} wanted)"
-            if few
-            else ""
-        )
-
-    def to_json(self) -> dict[str, Any]:
-        """All of it but the measurements, for JSON."""
-        return {
-            "parts": len(self.data.parts),
-            "appraisers": len(self.data.appraisers),
-            "trials": self.data.values.shape[2],
-            "anova": [vars(line) | {"mean_square": line.value} for line in self.table],
-            "pooled": self.pooled,
-            "components": {
-                one.name: vars(one)
-                | {
-                    "variance": one.variance,
-                    "sigma": one.sigma,
-                    "of_study": self.share_of_study(one),
-                    "of_tolerance": self.share_of_tolerance(one),
-                }
-                for one in self.components
-            },
-            "ndc": self.categories,
-            "tolerance": self.tolerance,
-            "confidence": self.confidence,
-            "verdict": self.verdict,
-            "notes": list(self.notes),
-        }
 
 
 def gauge_study(
@@ -166,10 +58,10 @@ def gauge_study(
 
 def _two_way(data: GaugeData, tolerance: float | None, confidence: float) -> GaugeStudy:
     p, o, r = data.values.shape
-    part, appraiser, interaction, repeat = _squares(data)
+    part, appraiser, interaction, repeat = crossed_squares(data.values)
     interaction = interaction.against(repeat)
     pooled = interaction.p is None or interaction.p > POOLING_ALPHA
-    error = _joined(interaction, repeat) if pooled else interaction
+    error = joined(interaction, repeat) if pooled else interaction
     noise = error if pooled else repeat
     part, appraiser = part.against(error), appraiser.against(error)
     by_whom, by_pair = 1.0 / (p * r), 0.0 if pooled else (p - 1.0) / (p * r)
@@ -181,32 +73,63 @@ def _two_way(data: GaugeData, tolerance: float | None, confidence: float) -> Gau
     who = of("appraiser", (by_whom, appraiser), (-by_whom, error))
     pair = None if pooled else of("interaction", (1.0 / r, interaction), (-1.0 / r, repeat))
     share = 1.0 - by_whom - by_pair
-    gauge = of("gauge R&R", (by_whom, appraiser), (by_pair, interaction), (share, noise))
+    measuring = ((by_whom, appraiser), (by_pair, interaction), (share, noise))
+    gauge = of("gauge R&R", *measuring)
     both = of("reproducibility", (by_whom, appraiser), (by_pair, interaction), (share - 1.0, noise))
-    parts = of("part", (1.0 / (o * r), part), (-1.0 / (o * r), error))
     between = 1.0 / (o * r)
+    among = ((between, part), (-between, error))
+    parts = of("part", *among)
     total = of("total", (between, part), (by_whom, appraiser), (by_pair - between, interaction), (share, noise)) \
         if not pooled else of("total", (between, part), (by_whom, appraiser), (share - between, noise))  # fmt: skip
     found = _kept([own, who, *([pair] if pair else [])], parts, (gauge, both, total))
     table = (part, appraiser, interaction, repeat, *((error,) if pooled else ()))
-    notes = _notes(data, (own, who, pair, parts), pooled=pooled)
+    reach = share_interval(measuring, among, confidence)
+    notes = (*_notes(data, (own, who, pair, parts), pooled=pooled), *_undecided(reach, confidence))
     return GaugeStudy(
-        data, table, pooled, own, found[1], who, pair, found[0], parts, found[2], tolerance, notes, confidence
+        data,
+        table,
+        pooled,
+        own,
+        found[1],
+        who,
+        pair,
+        found[0],
+        parts,
+        found[2],
+        tolerance,
+        notes,
+        confidence,
+        reach,
     )
 
 
 def _one_way(data: GaugeData, tolerance: float | None, confidence: float) -> GaugeStudy:
     r = data.values.shape[2]
-    part, _, _, repeat = _squares(data)
+    part, _, _, repeat = crossed_squares(data.values)
     part = part.against(repeat)
     own = component("repeatability", [(1.0, repeat)], confidence)
-    parts = component("part", [(1.0 / r, part), (-1.0 / r, repeat)], confidence)
+    among = ((1.0 / r, part), (-1.0 / r, repeat))
+    parts = component("part", among, confidence)
     gauge = component("gauge R&R", [(1.0, repeat)], confidence)
     total = component("total", [(1.0 / r, part), (1.0 - 1.0 / r, repeat)], confidence)
     (gauge, _, total) = _kept([own], parts, (gauge, gauge, total))
-    notes = _notes(data, (own, None, None, parts), pooled=False)
+    reach = share_interval([(1.0, repeat)], among, confidence)
+    notes = (*_notes(data, (own, None, None, parts), pooled=False), *_undecided(reach, confidence))
     return GaugeStudy(
-        data, (part, repeat), False, own, None, None, None, gauge, parts, total, tolerance, notes, confidence
+        data,
+        (part, repeat),
+        False,
+        own,
+        None,
+        None,
+        None,
+        gauge,
+        parts,
+        total,
+        tolerance,
+        notes,
+        confidence,
+        reach,
     )
 
 
@@ -220,27 +143,6 @@ def _kept(
         replace(gauge, raw=noise),
         replace(both, raw=noise - measuring[0].variance),
         replace(total, raw=noise + part.variance),
-    )
-
-
-def _squares(data: GaugeData) -> tuple[MeanSquare, MeanSquare, MeanSquare, MeanSquare]:
-    """Parts, appraisers, their interaction, and repetition."""
-    values = data.values
-    p, o, r = values.shape
-    mean, cells = values.mean(), values.mean(axis=2)
-    by_part, by_whom = cells.mean(axis=1) - mean, cells.mean(axis=0) - mean
-    left = cells - mean - by_part[:, None] - by_whom[None, :]
-    return (
-        MeanSquare("part", p - 1, float(o * r * np.sum(by_part**2))),
-        MeanSquare("appraiser", max(o - 1, 1), float(p * r * np.sum(by_whom**2))),
-        MeanSquare("part x appraiser", max((p - 1) * (o - 1), 1), float(r * np.sum(left**2))),
-        MeanSquare("repeatability", p * o * (r - 1), float(np.sum((values - cells[:, :, None]) ** 2))),
-    )
-
-
-def _joined(one: MeanSquare, other: MeanSquare) -> MeanSquare:
-    return MeanSquare(
-        "repeatability, pooled", one.freedom + other.freedom, one.sum_squares + other.sum_squares
     )
 
 
@@ -263,3 +165,15 @@ def _notes(data: GaugeData, found: tuple[Component | None, ...], *, pooled: bool
     if p < 10:
         notes.append(f"{p} parts; 10 that span the process are usual")
     return tuple(notes)
+
+
+def _undecided(reach: tuple[float, float], confidence: float) -> tuple[str, ...]:
+    """A study that is too small to tell a good gauge from a poor one says so."""
+    low, high = reach
+    if not low <= POOR_SHARE < high:
+        return ()
+    said = (
+        f"the share of the study variation lies between {low:.1%} and {high:.1%} ({confidence:.0%} interval), on both "
+        f"sides of {POOR_SHARE:.0%}: more appraisers or parts would tell"
+    )
+    return (said,)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from anisoscope.errors import UsageError
-from anisoscope.quality.gauge import GaugeData
+from anisoscope.quality.gaugestudy import GaugeData
 from anisoscope.quality.readings import Readings
 
 ALONE = "(one)"

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations, product
 
+from anisoscope.quality.individuals import FloatArray
+
 CONFIDENCE = 0.95
 
 
@@ -47,6 +49,31 @@ class MeanSquare:
         ratio = self.value / other.value
         p = float(fdtrc(self.freedom, other.freedom, ratio))
         return MeanSquare(self.source, self.freedom, self.sum_squares, ratio, p)
+
+
+def crossed_squares(values: FloatArray) -> tuple[MeanSquare, MeanSquare, MeanSquare, MeanSquare]:
+    """Parts, appraisers, their interaction, and repetition.
+
+    Args:
+        values: (P, O, R); R repeated measurements of every part by every appraiser.
+    """
+    p, o, r = values.shape
+    mean, cells = values.mean(), values.mean(axis=2)
+    by_part, by_whom = cells.mean(axis=1) - mean, cells.mean(axis=0) - mean
+    left = cells - mean - by_part[:, None] - by_whom[None, :]
+    return (
+        MeanSquare("part", p - 1, float(o * r * (by_part**2).sum())),
+        MeanSquare("appraiser", max(o - 1, 1), float(p * r * (by_whom**2).sum())),
+        MeanSquare("part x appraiser", max((p - 1) * (o - 1), 1), float(r * (left**2).sum())),
+        MeanSquare("repeatability", p * o * (r - 1), float(((values - cells[:, :, None]) ** 2).sum())),
+    )
+
+
+def joined(one: MeanSquare, other: MeanSquare) -> MeanSquare:
+    """Two lines counted as one."""
+    return MeanSquare(
+        "repeatability, pooled", one.freedom + other.freedom, one.sum_squares + other.sum_squares
+    )
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 import numpy as np
 
 from anisoscope.errors import UsageError
+from anisoscope.history.chain import KEPT
 from anisoscope.history.rows import contrast_label
 from anisoscope.quality.capability import Specification
 from anisoscope.quality.readings import Readings
@@ -10,7 +11,7 @@ from anisoscope.recipe import Recipe
 from anisoscope.sim.light.contrasts import consecutive_pairs
 
 DEVIATION, TOLERANCE, DOUBT = "deviation ", "tolerance ", "u "
-SAME = 1e-6  # two predictions of one recipe differ by rounding only
+SAME = 4.0 * KEPT  # two predictions of one recipe differ by rounding only
 
 
 def recipe_tolerances(recipe: Recipe) -> dict[str, float]:
@@ -62,7 +63,7 @@ def specification(
     known = predicted[~np.isnan(predicted)]
     if len(known) == 0:
         return None
-    if float(np.ptp(known)) > SAME:
+    if float(np.ptp(known)) > SAME * float(np.nanmax(np.abs(readings.numbers[contrast]))):
         raise UsageError(
             f"{readings.source}: {contrast} was predicted as {known.min():.4g} to {known.max():.4g}: chart "
             f"--number {DEVIATION + contrast!r}, or choose one recipe"
@@ -76,7 +77,7 @@ def _one(readings: Readings, name: str) -> float | None:
     known = np.array([]) if found is None else found[~np.isnan(found)]
     if len(known) == 0:
         return None
-    if float(np.ptp(known)) > SAME:
+    if float(np.ptp(known)) > SAME * float(known.max()):
         raise UsageError(
             f"{readings.source}: {name} is {known.min():.4g} for some parts and {known.max():.4g} for others: "
             "choose one recipe, or give --lower and --upper"

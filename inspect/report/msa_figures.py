@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from anisoscope.quality.gauge import GaugeStudy
+from anisoscope.quality.gaugestudy import GaugeStudy
 from anisoscope.quality.individuals import FloatArray
 from anisoscope.quality.linearity import GaugeLinearity
 from anisoscope.report.figures import BLUE, GREEN, INK, MUTED, ORANGE, PAPER, RED, _figure, _svg_uri

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from anisoscope.quality.bias import Bias
-from anisoscope.quality.gauge import GaugeStudy
+from anisoscope.quality.gaugestudy import GaugeStudy
 from anisoscope.quality.individuals import FloatArray
 from anisoscope.quality.linearity import GaugeLinearity
 from anisoscope.quality.stability import Stability
@@ -62,9 +62,22 @@ def components(study: GaugeStudy) -> Grid:
         "source", "sigma", "variance", f"{study.confidence:.0%} interval of the variance", "of variance", "of study",
         "of tolerance",
     )  # fmt: skip
+    return Grid("Components", "Components of variance", columns, rows, "components", note=_reach(study))
+
+
+def _reach(study: GaugeStudy) -> str:
+    """Shares of the gauge and ndc with their intervals, in a sentence."""
+
+    def between(ends: tuple[float, float]) -> str:
+        return f"{share(ends[0])} to {share(ends[1])}"
+
+    low, high = ("none" if end is None else str(end) for end in study.categories_interval)
     ndc = "–" if study.categories is None else str(study.categories)
-    title = f"Components of variance; distinct categories (ndc): {ndc}"
-    return Grid("Components", title, columns, rows, "components")
+    said = [f"{study.confidence:.0%} intervals of the gauge: {between(study.share)} of the study variation"]
+    said += (
+        [] if study.tolerance_interval is None else [f"{between(study.tolerance_interval)} of the tolerance"]
+    )
+    return ", ".join(said) + f". Distinct categories (ndc): {ndc}, interval {low} to {high}."
 
 
 def anova(study: GaugeStudy) -> Grid:

@@ -1,7 +1,7 @@
 """Where a part lies among others: the golden parts of its recipe, and the parts of its lot."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,6 +44,16 @@ class LotMate:
     product: str
     verdict: str
     numbers: Mapping[str, float]
+
+
+LotMates = Callable[[str | None], Sequence[LotMate]]
+"""The inspections of a lot, the oldest first; none where there is no lot."""
+
+
+def no_lot_mates(lot: str | None) -> tuple[LotMate, ...]:
+    """Nothing is known of any lot."""
+    del lot
+    return ()
 
 
 def lot_of(record: Record, mates: Sequence[LotMate]) -> Lot | None:

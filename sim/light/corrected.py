@@ -104,8 +104,7 @@ def radiance(
     along = np.array([0.0, 1.0, 0.0])
     brdf, cosines = [], []
     for run, rise, size in zip(dx, dz, length, strict=True):
-        normal = np.array([-rise, 0.0, run]) / size
-        across = np.cross(normal, along)
+        normal, across = np.array([[-rise, 0.0, run], [-run, 0.0, -rise]]) / size  # normal × along
         brdf.append(facet_brdf(to_light, to_camera, along, across, normal, material))
         cosines.append(np.maximum(to_light @ normal, 0.0) * np.maximum(to_camera @ normal, 0.0))
     weight = np.stack(brdf) * np.stack(cosines) * length[:, None]

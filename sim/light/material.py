@@ -151,10 +151,16 @@ def lobe_albedo(cosine: FloatArray, alpha: float, index: float) -> FloatArray:
     return np.asarray(np.sum(mirrored * weight, axis=(1, 2)), dtype=np.float64)
 
 
+@cache
+def _cosines() -> FloatArray:
+    grid = np.linspace(0.0, 1.0, TABLE_SIZE)
+    grid.flags.writeable = False
+    return grid
+
+
 @lru_cache(maxsize=256)
 def _interface(alpha: float, index: float) -> tuple[FloatArray, float]:
-    cosines = np.linspace(0.0, 1.0, TABLE_SIZE)
-    table = 1.0 - lobe_albedo(cosines, alpha, index)
+    table = 1.0 - lobe_albedo(_cosines(), alpha, index)
     table.flags.writeable = False
     node, weight = _gauss_legendre(256)
     mu = 0.5 * (node + 1.0)
@@ -169,7 +175,7 @@ def transmittance_table(material: Material) -> FloatArray:
 
 def transmittance(cosine: FloatArray, material: Material) -> FloatArray:
     """T(μ) = 1 − directional albedo of the lobe, interpolated; α is √(α_u·α_v)."""
-    return np.interp(cosine, np.linspace(0.0, 1.0, TABLE_SIZE), transmittance_table(material))
+    return np.interp(cosine, _cosines(), transmittance_table(material))
 
 
 def diffuse_scale(material: Material) -> float:

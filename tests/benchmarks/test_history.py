@@ -5,12 +5,15 @@ The alternative of a series is to read whole rows.
 
 import os
 import time
+import uuid
 from datetime import UTC, datetime, timedelta
 from hashlib import sha256
 
 import numpy as np
 import pytest
+from sqlalchemy import create_engine, make_url, text
 
+from anisoscope.history.address import parse_address
 from anisoscope.history.filters import Filters
 from anisoscope.history.rows import NewRow
 from anisoscope.history.store import open_history
@@ -132,16 +135,39 @@ def test_verifying(history):
     assert history.count() == COUNT
 
 
-def test_postgresql():
-    """Into the server's own database, which .ci/run throws away."""
-    server = os.environ.get("ANISOSCOPE_TEST_POSTGRESQL")
-    if not server:
+@pytest.fixture
+def server():
+    """The URL of a database of our own on the server that ANISOSCOPE_TEST_POSTGRESQL names."""
+    url = os.environ.get("ANISOSCOPE_TEST_POSTGRESQL")
+    if not url:
         pytest.skip("ANISOSCOPE_TEST_POSTGRESQL names no server of PostgreSQL")
-    draws = np.zeros(1)
+    name = f"anisoscope_{uuid.uuid4().hex}"
+    engine = create_engine(parse_address(url).url, isolation_level="AUTOCOMMIT")
+    with engine.connect() as connection:
+        connection.execute(text(f"CREATE DATABASE {name}"))
+    yield make_url(url).set(database=name).render_as_string(hide_password=False)
+    with engine.connect() as connection:
+        connection.execute(text(f"DROP DATABASE {name} WITH (FORCE)"))
+    engine.dispose()
+
+
+def test_postgresql(server):
+    draws = np.random.default_rng(1).normal(0.0, 0.03, 997)
     with open_history(server) as found:
+        begun = time.perf_counter()
         for start in range(0, COUNT, AT_ONCE):
             found.append_all([new_row(number, draws) for number in range(start, start + AT_ONCE)])
+        print(f"\nPostgreSQL, {COUNT} inspections added in {time.perf_counter() - begun:.1f} s")
+        took = {}
         for question, filters in QUESTIONS.items():
-            took = quickest(lambda filters=filters: found.rows(filters), 3)
-            print(f"\nPostgreSQL, {question}: {1000 * took:.0f} ms")
-        print(f"\nPostgreSQL, series: {quickest(lambda: found.series(Filters(), 'ln 0-90'), 2):.2f} s")
+            took[question] = quickest(lambda filters=filters: found.rows(filters), 3)
+            print(f"PostgreSQL, {question}: {1000 * took[question]:.0f} ms")
+        series = quickest(lambda: found.series(Filters(), "ln 0-90"), 2)
+        alternative = quickest(lambda: [row.numbers["ln 0-90"] for row in found.rows()], 1)
+        print(f"PostgreSQL, series of {COUNT}: {series:.2f} s; from whole rows {alternative:.2f} s")
+        with found._database.reading() as connection:
+            size = connection.scalar(text("SELECT pg_total_relation_size('inspections')"))
+        print(f"PostgreSQL, bytes a row, indexes included: {size / COUNT:.0f}")
+    assert max(took.values()) <= 0.3
+    assert series <= alternative
+    assert size / COUNT <= 1024

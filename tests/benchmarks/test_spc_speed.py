@@ -4,11 +4,19 @@ Two series: one that is stable, one that shifts so that nearly every value is fl
 page is to take 2 s of one core. Processor time counts, so that neighbours on the machine do not.
 """
 
+import math
+import resource
+import subprocess
+import sys
 import time
+from datetime import UTC, datetime, timedelta
+from hashlib import sha256
 
 import numpy as np
 import pytest
 
+from anisoscope.history.rows import NewRow
+from anisoscope.history.store import open_history
 from anisoscope.quality.capability import Specification
 from anisoscope.quality.control import Settings, control_study
 from anisoscope.report.spc_page import write_spc_page
@@ -39,3 +47,56 @@ def test_a_page_over_a_hundred_thousand_inspections(tmp_path, shift):
         f"{studied - started:.2f} s, page {done - studied:.2f} s, {size / 1e6:.2f} MB, {len(study.flags)} patterns"
     )
     assert done - started < WANTED_S
+
+
+def start_of(number):
+    """The made-up inspection with a number."""
+    contrasts = {}
+    for pair in ("0-90", "90-180"):
+        off = 0.03 * math.sin(12.9898 * number * number)
+        contrasts |= {f"ln {pair}": 2.0 + off, f"u ln {pair}": 0.05, f"deviation ln {pair}": off}
+        contrasts[f"tolerance ln {pair}"] = 0.25
+    return NewRow(
+        created_at=datetime(2024, 1, 1, tzinfo=UTC) + timedelta(minutes=number),
+        serial=f"PART-{number:06d}",
+        product="ridged plate",
+        recipe="ridged plate 0123456789ab",
+        lot=f"LOT-{number // 500}",
+        verdict="PASS",
+        reasons=("all is well",),
+        folder=f"/inspections/PART-{number:06d}",
+        seal=sha256(str(number).encode()).hexdigest(),
+        software="anisoscope",
+        numbers=contrasts | {"d2": 1.2, "p": 0.55},
+    )
+
+
+def command(*words):
+    """Processor seconds of the whole command, from its start to its end."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    done = subprocess.run(
+        [sys.executable, "-Im", "anisoscope", *map(str, words)], capture_output=True, text=True, check=False
+    )
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    assert done.returncode in {0, 1}, done.stderr
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def test_the_command_over_a_history_of_a_hundred_thousand_inspections(tmp_path):
+    """From the shell to the page; the alternative reads whole rows and writes them as CSV."""
+    place = tmp_path / "history.sqlite"
+    with open_history(place) as history:
+        for start in range(0, COUNT, 5000):
+            history.append_all([start_of(number) for number in range(start, start + 5000)])
+    few = tmp_path / "few.csv"
+    few.write_text("x\n" + "\n".join(str(math.sin(number)) for number in range(50)))
+    page = tmp_path / "page.html"
+    took = min(command("spc", "-n", "ln 0-90", "--history", place, "--html", page) for _ in range(3))
+    bare = min(command("spc", "--csv", few, "--html", page) for _ in range(3))
+    rows = command("export", "--history", place, "--csv", tmp_path / "all.csv", "--limit", 0)
+    print(
+        f"\nspc --html over a history of {COUNT}: {took:.2f} s of one core, {bare:.2f} s of which "
+        f"a page over 50 values takes as well; to export the rows as CSV takes {rows:.2f} s"
+    )
+    assert took - bare < WANTED_S
+    assert took < rows

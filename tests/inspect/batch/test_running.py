@@ -1,13 +1,18 @@
 """A tray on the virtual rig: verdicts, faults, skipped slots, codes that are not those of the list, going on."""
 
 import shutil
+from dataclasses import replace
 
 import pytest
 
+from anisoscope import inspection
 from anisoscope.batch.firstpose import Look
 from anisoscope.batch.journal import read_batch
-from anisoscope.batch.operator import Answer, seconds_left
+from anisoscope.batch.operator import Answer, Nobody, seconds_left
+from anisoscope.batch.running import run_batch
 from anisoscope.batch.scan import read_scan
+from anisoscope.cli.lotmates import lot_mates
+from anisoscope.cli.remembering import remember
 from anisoscope.errors import CameraError, UsageError
 from anisoscope.recomputing import recompute
 from anisoscope.record import read_record
@@ -207,3 +212,36 @@ def test_a_code_that_cannot_be_read_is_asked_for_or_makes_the_part_invalid(tray_
     assert "slot 3: no Data Matrix can be read in the picture at the first pose" in found.slots[1].reason
     assert found.slots[1].serial == "unread-3"
     assert [slot for slot, why in who.asked if why is not False] == ["1", "3"]
+
+
+def test_every_part_is_shown_beside_those_of_its_lot(tray_of, monkeypatch, tmp_path):
+    lots, write = [], inspection.write_report
+
+    def look(record, pictures, *others):
+        lots.append((record.serial, pictures.lot and [part.serial for part in pictures.lot.parts]))
+        return write(record, pictures, *others)
+
+    monkeypatch.setattr(inspection, "write_report", look)
+    place = tmp_path / "history.sqlite"
+    order = tray_of("slot,serial,lot\n1,A17,L7\n2,A18,L8\n3,A19,L7\n")
+    order = replace(order, lot_mates=lambda lot: lot_mates(place, lot))
+    run_batch(order, Nobody(), lambda inspected: remember(inspected, place))
+    assert lots == [("A17", None), ("A18", None), ("A19", ["A17"])]
+
+
+def test_a_part_that_is_taken_up_is_shown_beside_its_lot_as_well(tray_of, failing, monkeypatch, tmp_path):
+    lots, write = [], inspection.write_report
+
+    def look(record, pictures, *others):
+        lots.append((record.serial, pictures.lot and [part.serial for part in pictures.lot.parts]))
+        return write(record, pictures, *others)
+
+    monkeypatch.setattr(inspection, "write_report", look)
+    failing(2)
+    place = tmp_path / "history.sqlite"
+    order = replace(
+        tray_of("slot,serial,lot\n1,A17,L7\n2,A18,L7\n"), lot_mates=lambda lot: lot_mates(place, lot)
+    )
+    for resume in (False, True):
+        run_batch(order, Nobody(), lambda inspected: remember(inspected, place), resume=resume)
+    assert lots == [("A17", None), ("A18", ["A17"])]

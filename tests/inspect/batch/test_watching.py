@@ -5,11 +5,14 @@ import os
 import shutil
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import tomli_w
+import zxingcpp
 
+from anisoscope import inspection
 from anisoscope.batch import watching
 from anisoscope.batch.arrivals import arrivals
 from anisoscope.batch.partfile import whose
@@ -17,6 +20,8 @@ from anisoscope.batch.watched import Watched, silence
 from anisoscope.batch.watching import Watch
 from anisoscope.batch.watchjournal import WATCH_NAME, WatchJournal
 from anisoscope.cli.demo_files import FIXTURE
+from anisoscope.cli.lotmates import lot_mates
+from anisoscope.cli.remembering import remember
 from anisoscope.errors import ConfigError, RecordError, UsageError
 from anisoscope.record import read_record
 from anisoscope.rig.frame import Frame
@@ -50,14 +55,23 @@ def frame(kind, stage_deg, level, rng):
     )
 
 
-def write_part(folder, seed, rig=True):
-    """Frames without markers: INVALID, and quickly so."""
+def write_part(folder, seed, rig=True, first=1000):
+    """Frames without markers: INVALID, and quickly so; ``first`` is the level, or the picture, at the first pose."""
     rng = np.random.default_rng(seed)
-    levels = [("dark", 0.0, 64), ("flat", 0.0, 2000), ("sample", 0.0, 1000), ("sample", 90.0, 800)]
+    levels = [("dark", 0.0, 64), ("flat", 0.0, 2000), ("sample", 0.0, first), ("sample", 90.0, 800)]
     write_frame_folder(folder, [frame(*one, rng) for one in levels for _ in range(2)])
     if rig:
         (folder / "rig.toml").write_text(tomli_w.dumps(RIG))
     return folder
+
+
+def coded(text, options=""):
+    """(64, 64) counts of a part with a QR code."""
+    code = zxingcpp.create_barcode(text, zxingcpp.BarcodeFormat.QRCode, options=options)
+    share = np.kron(np.array(code.to_image(scale=1)) / 255.0, np.ones((2, 2)))
+    picture = np.ones((64, 64))
+    picture[: share.shape[0], : share.shape[1]] = share
+    return 400.0 + 600.0 * picture
 
 
 class Heard:
@@ -320,3 +334,69 @@ def test_old_folders_cost_one_look_at_their_table_each(place, monkeypatch):
         patch.setattr(watching, "signature_of", lambda _: 1 / 0)
         watch.look(threading.Event())
     assert len(count) <= 301
+
+
+def test_the_code_on_a_part_says_who_it_is(place):
+    place = replace(place, code_kind="any")
+    root = place.root
+    write_part(root / "by-code", 1, first=coded("A17"))
+    write_part(root / "by-gs1", 2, first=coded("(10)L7(21)A18", "gs1"))
+    write_part(root / "agreed", 3, first=coded("A19"))
+    (root / "agreed" / "part.toml").write_text('serial = "A19"\nlot = "L8"\n')
+    write_part(root / "wrong", 4, first=coded("A71"))
+    (root / "wrong" / "part.toml").write_text('serial = "A17"\n')
+    write_part(root / "wrong-lot", 5, first=coded("(10)L7(21)A20", "gs1"))
+    (root / "wrong-lot" / "part.toml").write_text('lot = "L8"\n')
+    write_part(root / "none", 6)
+    events, watch = look(place)
+    found = [read_record(path) for path in inspections(place)]
+    assert [(one.serial, one.particulars.lot) for one in found] == [
+        ("A19", "L8"),
+        ("A17", None),
+        ("A18", "L7"),
+    ]
+    told = dict(events)
+    assert told["wrong"].endswith("wrong should hold A17, its code reads A71")
+    assert told["wrong-lot"].endswith("wrong-lot should hold lot L8, its code reads lot L7")
+    assert "no code can be read in" in told["none"]
+    assert sorted(watch.bad) == ["none", "wrong", "wrong-lot"]
+    (root / "wrong" / "part.toml").write_text('serial = "A71"\n')
+    assert ("wrong", "INVALID") in look(place)[0]
+
+
+def test_of_several_exposures_the_one_that_shows_the_code_is_read(place):
+    rng = np.random.default_rng(1)
+    pictures = [(0.001, 70), (0.004, coded("A17"))]
+    frames = [replace(frame("dark", 0.0, 64, rng), exposure_s=at) for at, _ in pictures for _ in range(2)]
+    frames += [replace(frame("flat", 0.0, 2000, rng), exposure_s=0.001) for _ in range(2)]
+    for stage_deg in (0.0, 90.0):
+        frames += [
+            replace(frame("sample", stage_deg, one, rng), exposure_s=at)
+            for at, one in pictures
+            for _ in range(2)
+        ]
+    write_frame_folder(place.root / "B", frames)
+    (place.root / "B" / "rig.toml").write_text(tomli_w.dumps(RIG))
+    look(replace(place, code_kind="qr"))
+    assert [read_record(path).serial for path in inspections(place)] == ["A17"]
+
+
+def test_every_part_is_shown_beside_those_of_its_lot(place, monkeypatch, tmp_path):
+    lots, write = [], inspection.write_report
+
+    def note(record, pictures, *others):
+        lots.append((record.serial, pictures.lot and [part.serial for part in pictures.lot.parts]))
+        return write(record, pictures, *others)
+
+    monkeypatch.setattr(inspection, "write_report", note)
+    history = tmp_path / "history.sqlite"
+    for number in range(3):
+        (write_part(place.root / f"P{number}", number) / "part.toml").write_text(f'lot = "L{number % 2}"\n')
+    watch = Watch(
+        replace(place, lot_mates=lambda lot: lot_mates(history, lot)),
+        Heard(),
+        lambda found: remember(found, history),
+    )
+    with watch.open():
+        watch.run_once(threading.Event())
+    assert lots == [("P0", None), ("P1", None), ("P2", ["P0"])]

@@ -16,7 +16,7 @@ import time
 from pathlib import Path
 
 NURSERY = """
-import json, os, sys
+import gc, json, os, sys
 import matplotlib.figure, matplotlib.backends.backend_svg, scipy.special, scipy.stats, cv2
 import anisoscope.cli.folder, anisoscope.cli.inspection, anisoscope.replay, anisoscope.sim.bench.camera
 from pathlib import Path
@@ -24,6 +24,8 @@ from anisoscope.cli import main
 from anisoscope.expectation import expectation
 from anisoscope.recipe import read_recipe
 expectation(read_recipe(Path(sys.argv[1])), 10.0)  # what it keeps of the material, every child has
+gc.collect()
+gc.freeze()  # so that no child looks at all this again when it ends
 for line in sys.stdin:
     order = json.loads(line)
     child = os.fork()

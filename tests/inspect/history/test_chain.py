@@ -1,13 +1,16 @@
 """Whatever somebody changes behind the program's back is found, and the row is named."""
 
+import math
 import re
 import sqlite3
 from contextlib import closing
+from itertools import combinations
 
 import pytest
 from sqlalchemy import text
 
-from anisoscope.history.chain import hash_of
+from anisoscope.history.chain import hash_of, pack, unpack, unpack_one
+from anisoscope.history.rows import _shortened
 from anisoscope.history.schema import inspections
 from anisoscope.history.store import open_history
 
@@ -196,3 +199,53 @@ def test_what_is_hashed_tells_apart_what_databases_confuse():
     assert len({of(value) for value in values}) == len(values)
     assert of(b"12") == of(memoryview(b"12"))
     assert hash_of("disposition", ("a",), {"a": 1}) != hash_of("inspection", ("a",), {"a": 1})
+
+
+@pytest.mark.parametrize(
+    ("values", "size"),
+    [
+        ([], 0),
+        ([2.1, -0.0234567, 0.0, 0.25, 1e-30, math.inf], 4),
+        ([2.1, 1e-60], 8),  # a probability that single precision cannot hold
+        ([2.1, 1e300], 8),
+        ([2.1, math.nan], 8),
+    ],
+)
+def test_numbers_come_back_as_they_were_to_seven_digits(values, size):
+    data = pack(values)
+    assert len(data) == size * len(values)
+    assert unpack(data, len(values)) == pytest.approx(values, rel=1e-6, abs=0.0, nan_ok=True)
+    assert [unpack_one(data, len(values), place) for place in range(len(values))] == pytest.approx(
+        list(unpack(data, len(values))), rel=0.0, abs=0.0, nan_ok=True
+    )
+
+
+def test_what_has_seven_digits_comes_back_exactly():
+    values = [k * 1e-4 - 0.5 for k in range(10_000)]
+    written = [float(f"{value:.7g}") for value in values]
+    assert list(unpack(pack(written), len(written))) == written
+
+
+def test_a_row_of_fifteen_contrasts_weighs_less_than_a_kilobyte(sqlite_place, new_row):
+    """Six poses, all pairs, with numbers that do not repeat, and the indexes; growth is counted after the tables."""
+    pairs = [f"{a}-{b}" for a, b in combinations((0, 45, 90, 135, 180, 225), 2)]
+    kinds = ("", "u ", "deviation ", "tolerance ")
+
+    def row(number):
+        labels = [f"{kind}ln {pair}" for pair in pairs for kind in kinds] + ["d2", "p", "area share", "drift"]
+        numbers = {label: math.sin(number + 7 * at) for at, label in enumerate(labels)}
+        reasons = [f"ln ratio {pair} at tilt 0° deviates by {number} (tolerance ±0.25)" for pair in pairs]
+        folder = f"/data/inspections/PART-{number:06d}-20240101T000000Z"
+        return new_row(number, numbers=numbers, reasons=_shortened(tuple(reasons)), folder=folder)
+
+    def size():
+        with closing(sqlite3.connect(sqlite_place)) as database:
+            database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+            return database.execute("PRAGMA page_count").fetchone()[0] * 4096
+
+    sizes = []
+    with open_history(sqlite_place) as history:
+        for start in (0, 500):
+            history.append_all([row(number) for number in range(start, start + 500)])
+            sizes.append(size())
+    assert (sizes[1] - sizes[0]) / 500 <= 1024

@@ -58,7 +58,7 @@ def killed(place, times, seed):
 
 
 def test_what_was_reported_as_saved_outlives_kill_9(place):
-    assert killed(place, 8, seed=3)
+    assert killed(place, 12, seed=3)
 
 
 @pytest.mark.soak

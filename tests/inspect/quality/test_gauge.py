@@ -4,9 +4,13 @@ import json
 
 import numpy as np
 import pytest
+from scipy.special import fdtri
 
 from anisoscope.errors import UsageError
-from anisoscope.quality.gauge import GaugeData, gauge_study
+from anisoscope.quality import gaugeshare
+from anisoscope.quality.gauge import gauge_study
+from anisoscope.quality.gaugeshare import categories_of, share_interval
+from anisoscope.quality.gaugestudy import GaugeData
 from anisoscope.quality.meansquares import MeanSquare, component
 
 
@@ -20,6 +24,12 @@ def random_data(rng, shape=(10, 3, 3), part=1.0, appraiser=0.3, interaction=0.2,
     p, o, r = shape
     values = part * rng.normal(size=(p, 1, 1)) + appraiser * rng.normal(size=(1, o, 1))
     return data_of(values + interaction * rng.normal(size=(p, o, 1)) + noise * rng.normal(size=(p, o, r)))
+
+
+@pytest.fixture
+def few_draws(monkeypatch):
+    """For tests of hundreds of studies."""
+    monkeypatch.setattr(gaugeshare, "DRAWS", 2000)
 
 
 def test_aiag_example(published):
@@ -73,6 +83,7 @@ def test_an_interaction_that_is_there_stays(rng):
     assert study.total.variance == pytest.approx(study.gauge.variance + study.part.variance)
 
 
+@pytest.mark.usefixtures("few_draws")
 def test_components_come_back(rng):
     """Means of 300 studies; what came out negative is counted as it came out, so that nothing is biased."""
     found = [gauge_study(random_data(rng, (10, 5, 2), interaction=0.5)) for _ in range(300)]
@@ -81,6 +92,7 @@ def test_components_come_back(rng):
         assert mean == pytest.approx(truth, rel=0.15)
 
 
+@pytest.mark.usefixtures("few_draws")
 @pytest.mark.parametrize("interaction", [0.0, 0.6])
 def test_intervals_hold_as_often_as_they_say(rng, interaction):
     """1500 studies: 95 % intervals of all components; modified large-sample ones hold a little more often."""
@@ -123,6 +135,7 @@ def test_one_appraiser_is_a_one_way_study(published):
     assert "reproducibility was not studied" in " ".join(study.notes)
 
 
+@pytest.mark.usefixtures("few_draws")
 def test_parts_that_do_not_differ_are_a_negative_component_that_is_said(rng):
     for _ in range(50):
         study = gauge_study(random_data(rng, part=0.0))
@@ -154,3 +167,51 @@ def test_a_gauge_without_noise_is_good():
 def test_what_carries_no_study_is_refused(values, tolerance, word):
     with pytest.raises(UsageError, match=word):
         gauge_study(data_of(values), tolerance)
+
+
+@pytest.mark.parametrize(("f", "parts", "trials"), [(1.5, 5, 2), (8.0, 10, 3), (60.0, 20, 2)])
+def test_with_one_appraiser_the_interval_is_the_exact_one_of_the_intraclass_correlation(f, parts, trials):
+    """Part over repeatability: (F/F_upper - 1)/r to (F/F_lower - 1)/r; S. R. Searle, Linear Models (1971)."""
+    part = MeanSquare("part", parts - 1, f * (parts - 1))
+    repeat = MeanSquare("repeatability", parts * (trials - 1), float(parts * (trials - 1)))
+    low, high = share_interval([(1.0, repeat)], [(1.0 / trials, part), (-1.0 / trials, repeat)])
+    points = [fdtri(part.freedom, repeat.freedom, tail) for tail in (0.025, 0.975)]
+    ratios = [max((f / point - 1.0) / trials, 0.0) for point in points]
+    assert (low, high) == pytest.approx([1.0 / np.sqrt(1.0 + ratio) for ratio in ratios], rel=5e-3)
+
+
+@pytest.mark.usefixtures("few_draws")
+@pytest.mark.parametrize("interaction", [0.0, 0.6])
+def test_the_interval_of_the_share_holds_as_often_as_it_says(rng, interaction):
+    """500 studies with 4 appraisers; 95 % intervals of %GRR and of ndc."""
+    noise = 0.0625 + 0.09 + interaction**2
+    truth, ndc = np.sqrt(noise / (1.0 + noise)), int(1.41 / np.sqrt(noise))
+    hits = ndc_hits = 0
+    for _ in range(500):
+        study = gauge_study(random_data(rng, (8, 4, 2), interaction=interaction))
+        hits += study.share[0] <= truth <= study.share[1]
+        few, many = study.categories_interval
+        ndc_hits += few <= ndc <= many
+    assert 0.925 < hits / 500 < 0.985
+    assert hits <= ndc_hits
+
+
+def test_the_interval_does_not_depend_on_when_it_is_asked_for_and_bears_its_estimate(published):
+    data = data_of(published.aiag_gauge.transpose(2, 0, 1))
+    study = gauge_study(data, tolerance=8.0)
+    assert study.share == gauge_study(data).share
+    low, high = study.share
+    assert low < study.share_of_study(study.gauge) < high
+    few, many = study.categories_interval
+    assert few <= study.categories <= many
+    assert study.to_json()["ndc_interval"] == [few, many]
+    least, most = study.tolerance_interval
+    assert least < study.share_of_tolerance(study.gauge) < most
+    assert "on both sides of 30%" in " ".join(study.notes)  # three appraisers tell little
+
+
+def test_categories_go_with_the_share():
+    assert categories_of(0.0) is None
+    assert categories_of(1.0) == 0
+    gauge, part = 0.302373, 1.042327
+    assert categories_of(gauge / np.hypot(gauge, part)) == 4

@@ -1,4 +1,5 @@
 import base64
+import contextlib
 import itertools
 import json
 import os
@@ -18,7 +19,7 @@ from anisoscope.report.inspection_page import Pictures
 class Page:
     """A page in headless Chromium, driven over the DevTools pipe (file descriptors 3 and 4, NUL between messages)."""
 
-    def __init__(self, executable, profile):
+    def __init__(self, executable, profile, *options):
         to_browser_read, self._to_browser = os.pipe()
         self._from_browser, from_browser_write = os.pipe()
 
@@ -36,6 +37,7 @@ class Page:
             f"--user-data-dir={profile}",
             "--no-first-run",
             "--disable-background-networking",
+            *options,
             "about:blank",
         ]
         self._process = subprocess.Popen(
@@ -165,14 +167,27 @@ class Page:
         os.close(self._from_browser)
 
 
-@pytest.fixture(scope="session")
-def page(tmp_path_factory):
+@contextlib.contextmanager
+def browser(profile, *options):
     executable = shutil.which("chromium")
     if executable is None:
         pytest.skip("no chromium found (apt-get install chromium)")
-    found = Page(executable, tmp_path_factory.mktemp("chromium"))
+    found = Page(executable, profile, *options)
     yield found
     found.close()
+
+
+@pytest.fixture(scope="session")
+def page(tmp_path_factory):
+    with browser(tmp_path_factory.mktemp("chromium")) as found:
+        yield found
+
+
+@pytest.fixture
+def flat_page(tmp_path):
+    """A browser that has no WebGL."""
+    with browser(tmp_path / "profile", "--disable-3d-apis") as found:
+        yield found
 
 
 def contrast(from_deg, to_deg, measured, predicted, **changes):

@@ -309,3 +309,32 @@ def test_texts_stay_texts(page, tmp_path, make_report_record, report_pictures):
         "[...e.childNodes].filter(n => n.nodeType === 3).map(n => n.nodeValue).join('')))"
     )
     assert page.evaluate(f"{stray}.length") == 0  # direction marks end where their text does
+
+
+def test_without_webgl_the_still_picture_shows(flat_page, report, view):
+    if view.scene is None:
+        pytest.skip(f"no 3-D view can be made here: {view.note}")
+    address = (report[0] / "report.html").as_uri()
+    flat_page.prefer("light")
+    flat_page.open(address, height=900)
+    assert not flat_page.evaluate("Boolean(document.createElement('canvas').getContext('webgl2'))")
+    flat_page.evaluate("document.querySelector('.relief').scrollIntoView({block: 'center'})")
+    seen = poll(lambda: settled(flat_page))
+    flat_page.evaluate("document.querySelector('#viewer').remove()")
+    assert seen
+    assert (
+        poll(lambda: settled(flat_page)) == seen
+    )  # what is seen is the picture below the view, and nothing else
+    assert flat_page.complaints() == []
+    assert flat_page.requests() == [address]
+
+
+def test_on_paper_no_paragraph_and_no_heading_is_torn_from_what_it_belongs_to(shown):
+    shown.prefer("light", "print")
+    style = "getComputedStyle(document.querySelector('{}')).{}"
+    for what in ("p", "pre", "figure", "#budget"):
+        assert shown.evaluate(style.format(what, "breakInside")) == "avoid", what
+    for what in ("h2", "h3", "p:has(+ pre)"):
+        assert shown.evaluate(style.format(what, "breakAfter")) == "avoid", what
+    heights = "[...document.querySelectorAll('.row.two img')].map(i => i.getBoundingClientRect().height)"
+    assert max(shown.evaluate(heights)) < 240.0  # 62 mm: two rows of maps and their words share a page

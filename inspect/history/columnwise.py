@@ -1,0 +1,66 @@
+"""Many inspections column by column, as statistics want them: no row is built of what is only counted."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from sqlalchemy import Connection, select
+
+from anisoscope.history.chain import unpack_rows
+from anisoscope.history.columns import parsed_labels
+from anisoscope.history.filters import Filters
+from anisoscope.history.query import chosen
+from anisoscope.history.schema import inspections, layouts
+
+TEXTS = ("serial", "verdict", "product", "recipe", "lot", "cavity", "station", "operator")
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Inspections, the oldest first.
+
+    Attributes:
+        times: (n,) when their records were made, UTC, datetime64[us].
+        texts: n words by the names of `TEXTS`; "" where nothing was said. The recipe is product and digits, as in rows.
+        numbers: (n,) by label; NaN where an inspection does not have the number.
+    """
+
+    times: npt.NDArray[np.datetime64]
+    texts: Mapping[str, tuple[str, ...]]
+    numbers: Mapping[str, npt.NDArray[np.float64]]
+
+
+def read_columns(connection: Connection, filters: Filters) -> Columns:
+    """Read what `Columns` holds.
+
+    Raises:
+        UsageError: a filter that makes no sense.
+    """
+    table = inspections.c
+    wanted = (table.created_us, *(table[name] for name in TEXTS), table.layout, table.numbers)
+    found = connection.execute(chosen(select(*wanted), filters)).all()[::-1]
+    moments, *words, kinds, data = zip(*found, strict=True) if found else ((),) * len(wanted)
+    texts = {name: tuple(word or "" for word in column) for name, column in zip(TEXTS, words, strict=True)}
+    texts["recipe"] = tuple(f"{p} {r}" for p, r in zip(texts["product"], texts["recipe"], strict=True))
+    return Columns(
+        np.array(moments, dtype=np.int64).astype("datetime64[us]"), texts, _numbers(connection, kinds, data)
+    )
+
+
+def _numbers(
+    connection: Connection, kinds: Sequence[int], data: Sequence[bytes]
+) -> dict[str, npt.NDArray[np.float64]]:
+    """Numbers by label, from what each row holds under the labels of its layout."""
+    labels = {
+        int(row[0]): parsed_labels(row[1])
+        for row in connection.execute(select(layouts.c.id, layouts.c.labels))
+    }
+    layout = np.array(kinds, dtype=np.int64)
+    found: dict[str, npt.NDArray[np.float64]] = {}
+    for kind in dict.fromkeys(kinds):
+        at = np.flatnonzero(layout == kind)
+        values = unpack_rows([bytes(data[int(k)]) for k in at], len(labels[kind]))
+        for place, label in enumerate(labels[kind]):
+            found.setdefault(label, np.full(len(layout), np.nan))[at] = values[:, place]
+    return found

@@ -1,0 +1,115 @@
+"""Fits and colours of inks as plain data and as words, the same in terminal, JSON and page."""
+
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from anisoscope.ink.appearance import Show
+from anisoscope.ink.fitting import InkFit
+
+METHODS = {"joint": "joint fit of all readings", "paper": "two steps, as published"}
+
+
+def fit_as_json(found: InkFit) -> dict[str, Any]:
+    """A fit as plain data; None stands for an uncertainty that cannot be told."""
+    return {
+        "method": found.method,
+        "convention": "brdf",
+        "scale": found.scale,
+        "alpha": {"value": found.alpha, "u": _finite(found.u_alpha)},
+        "wavelengths_nm": found.nm.tolist(),
+        "rho": {"value": found.rho.tolist(), "u": [_finite(u) for u in found.u_rho.tolist()]},
+        "c": {"value": found.c.tolist(), "u": [_finite(u) for u in found.u_c.tolist()]},
+        "residual_rms": found.rms,
+        "readings": int(np.isfinite(found.grid.value).sum()),
+        "noise_floor": found.grid.floor,
+        "dropped": [asdict(one) for one in found.grid.dropped],
+        "warnings": list(found.warnings),
+    }
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def summary(found: InkFit) -> str:
+    """One line on a fit."""
+    u = "unknown" if not np.isfinite(found.u_alpha) else f"{found.u_alpha:.2g}"
+    used = int(np.isfinite(found.grid.value).sum())
+    return (
+        f"{METHODS[found.method]}: alpha {found.alpha:.5g} ± {u}, residuals {100 * found.rms:.2g} % rms over "
+        f"{used} readings at {len(found.grid.theta_i_deg)} places and {len(found.nm)} wavelengths"
+    )
+
+
+def fit_rows(found: InkFit) -> list[list[str]]:
+    """Wavelength, ρ, u, c, u as texts."""
+    values = zip(found.nm, found.rho, found.u_rho, found.c, found.u_c, strict=True)
+    return [[f"{nm:g}", f"{r:.5g}", f"{ur:.2g}", signed(c), f"{uc:.2g}"] for nm, r, ur, c, uc in values]
+
+
+FIT_COLUMNS = ("wavelength [nm]", "ρ [1]", "u(ρ) [1]", "c [1]", "u(c) [1]")
+
+
+def signed(value: float) -> str:
+    """A number with its sign, minus as the typographic one."""
+    return f"{value:+.3f}".replace("-", "−")
+
+
+def show_as_json(shown: Show) -> dict[str, Any]:
+    """Colours as plain data."""
+    return {
+        "illuminant": shown.illuminant.name,
+        "model": shown.model,
+        "exposure": shown.exposure,
+        "adapted": shown.adapted,
+        "inks": [
+            {
+                "name": one.ink.name,
+                "alpha": [one.ink.alpha, one.ink.across],
+                "source": one.ink.source,
+                "theta_deg": one.theta_deg.tolist(),
+                "off_mirror_deg": one.off_mirror_deg,
+                "xyz": one.xyz.tolist(),
+                "srgb": list(one.hexes),
+                "clipped": one.clipped,
+                "delta_e2000": one.difference.tolist(),
+            }
+            for one in shown.inks
+        ],
+    }
+
+
+SHOW_COLUMNS = ("θ [°]", "X [1]", "Y [1]", "Z [1]", "x [1]", "y [1]", "sRGB", "ΔE2000 from the first [1]")
+
+
+def show_rows(shown: Show, number: int) -> list[list[str]]:
+    """Angle, XYZ, chromaticity, hex and colour difference of one ink as texts."""
+    one = shown.inks[number]
+    rows = []
+    for theta, xyz, code, apart in zip(one.theta_deg, one.xyz, one.hexes, one.difference, strict=True):
+        total = max(float(xyz.sum()), 1e-30)
+        chroma = [f"{part / total:.4f}" for part in xyz[:2]]
+        rows.append([f"{theta:g}", *(f"{part:.4g}" for part in xyz), *chroma, code, f"{apart:.2f}"])
+    return rows
+
+
+def show_notes(shown: Show) -> list[str]:
+    """How the colours were made."""
+    where = "in the mirror direction"
+    if shown.inks[0].off_mirror_deg:
+        where = f"{shown.inks[0].off_mirror_deg:+g}° beside the mirror direction".replace("-", "−")
+    adapted = "white adapted to that of sRGB (Bradford)" if shown.adapted else "no chromatic adaptation"
+    clipped = sum(one.clipped for one in shown.inks)
+    total = sum(len(one.theta_deg) for one in shown.inks)
+    return [
+        (
+            f"Light {shown.illuminant.name}, {where}, model {shown.model}; CIE 1931 2° observer, "
+            f"Y = 1 for a perfect white; {adapted}."
+        ),
+        (
+            f"Shown and compared at exposure {shown.exposure:.3g}; {clipped} of {total} colours are out of the "
+            "gamut of sRGB and clipped."
+        ),
+    ]

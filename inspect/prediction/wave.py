@@ -1,0 +1,155 @@
+"""A predictor by wave optics that stands beside the geometric ones.
+
+Light mirrored by the surface is followed as a wave; the Lambertian base, which is light that was scattered inside the
+plastic, as rays. Radiances have the meaning and the unit of the geometric models.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.errors import ModelError
+from anisoscope.prediction.sensitivity import Model
+from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.optics import Optics
+from anisoscope.sim.light.wave.correlation import Correlation, correlation_of, reach_um
+from anisoscope.sim.light.wave.facets import facet_slopes, lobe_of
+from anisoscope.sim.light.wave.halfvectors import HalfVector, across_beam, half_vector
+from anisoscope.sim.light.wave.reflectance import LightSpectrum, radiance_scale
+from anisoscope.sim.light.wave.surface import WaveSurface, sampling_of
+from anisoscope.sim.light.wave.windows import Extent, Window
+
+FloatArray = npt.NDArray[np.float64]
+
+SAME_H_Z = 1e-3
+"""Relative difference of h_z up to which one correlation serves; directions are matched by their slopes."""
+
+_DESIGN_PITCHES = 8
+_DESIGN_POINTS = 2**20
+
+
+def wave_surface(surface: HeightMap) -> WaveSurface:
+    """The heights for wave optics; a map whose rows are all alike counts as a profile drawn out endlessly.
+
+    Raises:
+        HeightMapError: a pixel without a height.
+    """
+    found = WaveSurface.of(surface)
+    if np.ptp(found.height_um, axis=0).max() < 1e-6 * max(1.0, float(np.ptp(found.height_um))):
+        return replace(found, height_um=found.height_um[:1], is_profile=True)
+    return found
+
+
+def design_surface(design: RidgeDesign, light: LightSpectrum) -> WaveSurface:
+    """Profile of ideal ridges, sampled so finely that the walls hold the phase; vertical walls are jumps.
+
+    Raises:
+        ModelError: too many points would be needed.
+    """
+    steepest = np.tan(np.radians(design.ridge_angle_deg))
+    if design.wall == "perpendicular" and design.ridge_angle_deg > 0.0:
+        steepest = max(steepest, 1.0 / steepest)
+    limit = 0.25 * light.shortest_um / max(float(steepest), 1e-9)
+    a_pitch = int(np.ceil(design.pitch_um / min(0.8 * limit, 0.1 * light.shortest_um)))
+    if a_pitch * _DESIGN_PITCHES > _DESIGN_POINTS:
+        raise ModelError(
+            f"waves on walls of ridges of {design.ridge_angle_deg:g}° need {a_pitch} points a pitch: take a vertical "
+            "wall, a larger angle, or the geometric model"
+        )
+    x = (np.arange(a_pitch * _DESIGN_PITCHES) + 0.5) * (design.pitch_um / a_pitch)
+    return WaveSurface.of(design.profile(x), design.pitch_um / a_pitch)
+
+
+def window_of(
+    to_light: FloatArray, to_camera: FloatArray, optics: Optics, slope_variance: FloatArray
+) -> Window:
+    """Lamp and lens as discs about (3,) directions, with the roughness below the pixels.
+
+    Raises:
+        ModelError: a lamp at a finite distance, whose angle varies over the field.
+    """
+    if optics.light_distance_mm is not None and max(optics.field_mm) > 0.0:
+        raise ModelError(
+            "wave optics takes a lamp far away: leave the distance of the lamp out, or go geometric"
+        )
+    source = 2.0 * np.sin(np.radians(optics.light_half_angle_deg))
+    aperture = 2.0 * np.sin(np.radians(optics.camera_half_angle_deg))
+    return Window(
+        Extent("disc", float(source), across_beam(to_light)),
+        Extent("disc", float(aperture), across_beam(to_camera)),
+        slope_variance,
+    )
+
+
+@dataclass(eq=False)
+class WavePredictor:
+    """Predicts radiances by wave optics; keeps the correlations that it has taken.
+
+    Attributes:
+        surface: the heights, as fine as they are to be used.
+        base: the geometric model, which gives the Lambertian base: what it gives more with albedo than without.
+        optics: lamp and lens.
+        light: the wavelengths.
+    """
+
+    surface: WaveSurface
+    base: Model
+    optics: Optics
+    light: LightSpectrum
+    _slopes: FloatArray = field(init=False)
+    _kept: list[tuple[Correlation, tuple[float, float]]] = field(init=False, default_factory=list)
+
+    def __post_init__(self) -> None:
+        limit = 0.25 * self.light.shortest_um
+        self._slopes = facet_slopes(self.surface, limit, along_y=not self.surface.is_profile)
+
+    def __call__(self, to_light: FloatArray, to_camera: FloatArray, material: Material) -> FloatArray:
+        """(P,) radiances in 1/sr for (P, 3) unit vectors; the signature of every predictor.
+
+        Raises:
+            HeightMapError: the pixels are too coarse.
+            ModelError: a direction below the horizon, or a lamp close by.
+        """
+        halves = [half_vector(i, o) for i, o in zip(to_light, to_camera, strict=True)]
+        sampling_of(self.surface, self.light.shortest_um, max(half.z for half in halves)).check()
+        mirrored = np.array(
+            [self._mirrored(*one, material) for one in zip(halves, to_light, to_camera, strict=True)]
+        )
+        if material.albedo == 0.0:
+            return mirrored
+        inside = self.base(to_light, to_camera, material)
+        return np.asarray(mirrored + inside - self.base(to_light, to_camera, replace(material, albedo=0.0)))
+
+    def _mirrored(
+        self, half: HalfVector, to_light: FloatArray, to_camera: FloatArray, material: Material
+    ) -> float:
+        lobe = lobe_of(half, to_light, to_camera, self._slopes, material)
+        window = window_of(to_light, to_camera, self.optics, lobe.slope_variance)
+        total = 0.0
+        for wavelength, share in zip(self.light.wavelengths_um, self.light.weights, strict=True):
+            found = self._correlation(wavelength, half.z, window)
+            # another h_z is another wavelength, of the same slopes
+            matched = replace(half, x=half.x * found.h_z / half.z, y=half.y * found.h_z / half.z, z=found.h_z)
+            dense = (found.extruded_density if self.surface.is_profile else found.density)(matched, window)
+            dense *= (found.h_z / half.z) ** 2
+            total += share * radiance_scale(half, wavelength) * dense * self._cell(half, wavelength)
+        return total * lobe.factor
+
+    def _cell(self, half: HalfVector, wavelength_um: float) -> float:
+        from anisoscope.sim.light.wave.fused import cell_response  # noqa: PLC0415 - numba when first needed
+
+        return cell_response(self.surface, half, wavelength_um)
+
+    def _correlation(self, wavelength_um: float, h_z: float, window: Window) -> Correlation:
+        reach = reach_um(window, wavelength_um, h_z)
+        for kept, reached in self._kept:
+            near = kept.wavelength_um == wavelength_um and abs(kept.h_z / h_z - 1.0) < SAME_H_Z
+            if near and reached[0] >= reach[0] and reached[1] >= reach[1]:
+                return kept
+        roomy = 1.3 * reach[0], 1.3 * reach[1]  # other roughness and tilts are asked for next
+        found = correlation_of(self.surface, wavelength_um, h_z, roomy, endless=True)
+        self._kept.append((found, roomy))
+        return found

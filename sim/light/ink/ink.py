@@ -1,0 +1,143 @@
+"""One ink: roughness, and spectra of reflectance and of goniochromatism."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.errors import ModelError
+from anisoscope.sim.light.ink.distributions import DISTRIBUTIONS, Distribution
+
+FloatArray = npt.NDArray[np.float64]
+Scale = Literal["brdf", "factor"]
+
+SPECTRALON = 0.99
+"""Reflectance of the white reference of the paper, a 99 % Spectralon."""
+
+_MICROMETRES = 20.0
+_GAP = 4.0
+
+
+@dataclass(frozen=True)
+class Ink:
+    """Parameters of the model of Pranovich 2024 (Eq. 5) at W wavelengths.
+
+    Attributes:
+        name: for people.
+        alpha: roughness α, above 0 and at most 1; along the brushing where ``alpha_y`` is given.
+        wavelengths_nm: (W,) rising.
+        rho: (W,) ρ(λ), 0 or more, in the scale that ``convention`` says.
+        c: (W,) c(λ), of either sign.
+        convention: "brdf": Eq. 5 gives the BRDF in 1/sr; "factor": it gives the value over that of a white reference,
+            and the BRDF is white/π times as much. Taken for a BRDF, a factor makes everything 3.17 times too bright.
+        source: where the numbers come from.
+        white: reflectance of the white reference, for "factor".
+        alpha_y: roughness across the brushing; None for an isotropic print.
+        brush_deg: direction along which ``alpha`` holds, counter-clockwise from +x of the surface.
+        distribution: of the flakes' normals; "ggx" is the paper's (Eq. 3).
+
+    Raises:
+        ModelError: numbers that no ink can have; the message names the wavelength.
+    """
+
+    name: str
+    alpha: float
+    wavelengths_nm: tuple[float, ...]
+    rho: tuple[float, ...]
+    c: tuple[float, ...]
+    convention: Scale = "brdf"
+    source: str = ""
+    white: float = SPECTRALON
+    alpha_y: float | None = None
+    brush_deg: float = 0.0
+    distribution: Distribution = "ggx"
+
+    def __post_init__(self) -> None:
+        for name, value in (("alpha", self.alpha), ("alpha_y", self.across)):
+            if not 0.0 < value <= 1.0:
+                raise ModelError(f"{name} must lie above 0 and at most at 1, not {value:g}")
+        if not 0.0 < self.white <= 1.1:
+            raise ModelError(
+                f"the reflectance of the white reference must lie in 0 to 1.1, not {self.white:g}"
+            )
+        if self.distribution not in DISTRIBUTIONS:
+            raise ModelError(
+                f"no distribution is named {self.distribution!r}; known: {', '.join(DISTRIBUTIONS)}"
+            )
+        if self.convention not in ("brdf", "factor"):
+            raise ModelError(f"the scale of rho is 'brdf' or 'factor', not {self.convention!r}")
+        if not np.isfinite(self.brush_deg):
+            raise ModelError("the direction of the brushing must be a finite angle")
+        self._check_wavelengths()
+        self._check_spectra()
+
+    def _check_wavelengths(self) -> None:
+        nm = np.array(self.wavelengths_nm, dtype=np.float64)
+        if nm.size < 2 or not nm.size == len(self.rho) == len(self.c):
+            raise ModelError(
+                f"an ink needs as many rho and c as wavelengths, two or more: "
+                f"found {nm.size} wavelengths, {len(self.rho)} rho, {len(self.c)} c"
+            )
+        if not np.all(np.isfinite(nm)) or nm.min() <= 0.0:
+            raise ModelError("wavelengths must be finite numbers above 0")
+        if nm.max() < _MICROMETRES:
+            raise ModelError(
+                f"wavelengths up to {nm.max():g} look like µm: write them in nm, 1000 times larger"
+            )
+        steps = np.diff(nm)
+        if np.any(steps <= 0.0):
+            at = int(np.argmax(steps <= 0.0))
+            raise ModelError(f"wavelengths must rise: {nm[at + 1]:g} nm follows {nm[at]:g} nm")
+        if np.any(steps > _GAP * np.median(steps)):
+            at = int(np.argmax(steps))
+            raise ModelError(
+                f"the wavelengths have a gap between {nm[at]:g} and {nm[at + 1]:g} nm, where others are "
+                f"{np.median(steps):g} nm apart: fill it"
+            )
+
+    def _check_spectra(self) -> None:
+        for name, values in (("rho", self.rho), ("c", self.c)):
+            for nm, value in zip(self.wavelengths_nm, values, strict=True):
+                if not np.isfinite(value):
+                    raise ModelError(
+                        f"{name} at {nm:g} nm is {value:g}: every wavelength needs a finite number"
+                    )
+                if name == "rho" and value < 0.0:
+                    raise ModelError(f"rho at {nm:g} nm is {value:g}: a reflectance is 0 or more")
+                if name == "c" and abs(value) > 50.0:
+                    raise ModelError(f"c at {nm:g} nm is {value:g}: beyond ±50 it is no ink")
+
+    @property
+    def across(self) -> float:
+        """Roughness across the brushing, α itself where the print is isotropic."""
+        return self.alpha if self.alpha_y is None else self.alpha_y
+
+    @property
+    def isotropic(self) -> bool:
+        """The print looks alike however it is turned in its plane."""
+        return self.across == self.alpha
+
+    @property
+    def rho_brdf(self) -> FloatArray:
+        """(W,) ρ with which Eq. 5 gives the BRDF in 1/sr."""
+        factor = 1.0 if self.convention == "brdf" else self.white / np.pi
+        return factor * np.array(self.rho, dtype=np.float64)
+
+    @property
+    def c_values(self) -> FloatArray:
+        """(W,) c."""
+        return np.array(self.c, dtype=np.float64)
+
+    @property
+    def nm(self) -> FloatArray:
+        """(W,) wavelengths in nm."""
+        return np.array(self.wavelengths_nm, dtype=np.float64)
+
+    def in_brush_frame(self, vectors: FloatArray) -> FloatArray:
+        """(…, 3) vectors of the surface's frame, x turned into the direction of the brushing."""
+        if self.brush_deg == 0.0:
+            return np.asarray(vectors, dtype=np.float64)
+        x, y, z = np.moveaxis(np.asarray(vectors, dtype=np.float64), -1, 0)
+        cosine, sine = np.cos(np.radians(self.brush_deg)), np.sin(np.radians(self.brush_deg))
+        return np.stack([cosine * x + sine * y, cosine * y - sine * x, z], axis=-1)

@@ -1,0 +1,195 @@
+"""Pictures of printed shapes in directional light, by table; and by the plain sum over wavelengths, to check them.
+
+Colours are linear sRGB, unclipped. With the default irradiance π, a perfect white tile that faces the light is
+(1, 1, 1) under D65.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.errors import ModelError
+from anisoscope.sim.light import threads
+from anisoscope.sim.light.colour.illuminant import Illuminant, standard
+from anisoscope.sim.light.colour.observer import xyz_weights
+from anisoscope.sim.light.colour.spaces import linear_srgb
+from anisoscope.sim.light.ink import tio2
+from anisoscope.sim.light.ink.distributions import density, masking
+from anisoscope.sim.light.ink.ink import Ink
+from anisoscope.sim.light.ink.model import Model, spectral_term, table_argument
+from anisoscope.sim.light.ink.shapes import Surface
+from anisoscope.sim.light.ink.table import ink_table
+
+FloatArray = npt.NDArray[np.float64]
+Float32 = npt.NDArray[np.float32]
+Direction = tuple[float, float, float]
+
+UPWARD: Direction = (0.0, 0.0, 1.0)
+ROWS_A_SHARE = 8
+
+
+@dataclass(frozen=True)
+class Light:
+    """Directional light.
+
+    Attributes:
+        to_light: direction to it; its length does not matter.
+        irradiance: on a surface that faces it; π shows a perfect white tile as 1.
+        illuminant: its spectrum.
+    """
+
+    to_light: Direction
+    irradiance: float = float(np.pi)
+    illuminant: Illuminant = field(default_factory=lambda: standard("d65"))
+
+
+def _unit(direction: Direction) -> FloatArray:
+    found = np.array(direction, dtype=np.float64)
+    length = float(np.linalg.norm(found))
+    if found.shape != (3,) or not 0.0 < length < np.inf:
+        raise ModelError(f"a direction needs three finite components that are not all 0, not {direction}")
+    return np.asarray(found / length)
+
+
+def _checked_coverage(
+    surface: Surface, inks: Sequence[Ink], lights: Sequence[Light], coverage: npt.ArrayLike | None
+) -> Float32:
+    if not inks or not lights:
+        raise ModelError("a picture needs an ink and a light")
+    if coverage is None:
+        if len(inks) != 1:
+            raise ModelError(f"{len(inks)} inks need a coverage: (rows, cols, {len(inks)})")
+        return np.ones((1, 1, 1), dtype=np.float32)
+    found = np.ascontiguousarray(coverage, dtype=np.float32)
+    if found.shape not in ((1, 1, len(inks)), (*surface.normal.shape[:2], len(inks))):
+        raise ModelError(
+            f"the coverage must be (rows, cols, inks) = {(*surface.normal.shape[:2], len(inks))}, not {found.shape}"
+        )
+    return found
+
+
+def picture(
+    surface: Surface,
+    inks: Sequence[Ink],
+    lights: Sequence[Light],
+    *,
+    coverage: npt.ArrayLike | None = None,
+    to_camera: Direction = UPWARD,
+    model: Model = "goniochromatic",
+    tio2_source: str = tio2.DEFAULT,
+) -> Float32:
+    """(rows, cols, 3) linear sRGB of a print, Σ over lights and inks of E·w·f·cosθi, by table; 0 where nothing is.
+
+    Args:
+        surface: normals and tangents; of isotropic inks the tangents are not looked at.
+        inks: K of them.
+        lights: one or more, each with its own spectrum.
+        coverage: (rows, cols, K) share of the paper under each ink, or (1, 1, K) everywhere alike; None for one ink
+            that covers all.
+        to_camera: direction to the camera, the same for all pixels.
+        model: of the BRDF.
+        tio2_source: data set of the model "tio2".
+
+    Raises:
+        ModelError: shapes that do not fit, a direction without length, and as :func:`ink_table`.
+    """
+    from anisoscope.sim.light.ink.kernels import SCRATCH, shade  # noqa: PLC0415 - loads the compiler
+
+    covered = _checked_coverage(surface, inks, lights, coverage)
+    camera = _unit(to_camera)
+    towards = [_unit(light.to_light) for light in lights]
+    halves = [(one + camera) / max(float(np.linalg.norm(one + camera)), 1e-12) for one in towards]
+    beams = np.array(
+        [
+            [*one, *half, 0.25 * light.irradiance, 1.0 - float(np.clip(one @ half, 0.0, 1.0))]
+            for one, half, light in zip(towards, halves, lights, strict=True)
+        ],
+        dtype=np.float32,
+    )
+    colours = np.array(
+        [
+            [ink_table(k, light.illuminant, model, tio2_source=tio2_source).rgb for k in inks]
+            for light in lights
+        ],
+        dtype=np.float32,
+    )
+    normal = np.ascontiguousarray(surface.normal, dtype=np.float32)
+    tangent = np.ascontiguousarray(surface.tangent, dtype=np.float32)
+    result = np.empty_like(normal)
+    eye: Direction = tuple(map(np.float32, camera))  # type: ignore[assignment]
+    given = (eye, beams, lobes(inks), colours, model != "goniochromatic")
+
+    def rows(share: tuple[int, int]) -> None:
+        work = np.empty((SCRATCH, normal.shape[1]), dtype=np.float32)
+        shade(normal, tangent, covered, *given, *share, work, result)
+
+    threads.each(rows, threads.runs(len(normal), min(threads.count(), -(-len(normal) // ROWS_A_SHARE))))
+    return result
+
+
+def lobes(inks: Sequence[Ink]) -> Float32:
+    """(K, 6) α_x, α_y, cosine and sine of the brushing, 1 for Beckmann's lobe, 1 for an anisotropic one."""
+    return np.array(
+        [
+            [
+                ink.alpha,
+                ink.across,
+                np.cos(np.radians(ink.brush_deg)),
+                np.sin(np.radians(ink.brush_deg)),
+                ink.distribution == "beckmann",
+                not ink.isotropic,
+            ]
+            for ink in inks
+        ],
+        dtype=np.float32,
+    )
+
+
+def spectral_picture(
+    surface: Surface,
+    inks: Sequence[Ink],
+    lights: Sequence[Light],
+    *,
+    coverage: npt.ArrayLike | None = None,
+    to_camera: Direction = UPWARD,
+    model: Model = "goniochromatic",
+    tio2_source: str = tio2.DEFAULT,
+) -> FloatArray:
+    """The picture of :func:`picture` in float64, straightforwardly: every wavelength at every pixel, in numpy."""
+    covered = _checked_coverage(surface, inks, lights, coverage)
+    camera = _unit(to_camera)
+    result = np.zeros(surface.normal.shape)
+    for light in lights:
+        toward = _unit(light.to_light)
+        for number, ink in enumerate(inks):
+            weights = linear_srgb(xyz_weights(light.illuminant, ink.nm))
+            shown = _spectral_reflection(surface, ink, toward, camera, model, tio2_source) @ weights
+            result += light.irradiance * covered[..., number, None] * shown
+    return result
+
+
+def _spectral_reflection(
+    surface: Surface, ink: Ink, toward: FloatArray, camera: FloatArray, model: Model, tio2_source: str
+) -> FloatArray:
+    """(rows, cols, W) f·cosθi [1/sr]."""
+    light, seen = _in_frame(surface, ink, toward), _in_frame(surface, ink, camera)
+    half = _in_frame(surface, ink, (toward + camera) / np.linalg.norm(toward + camera))
+    cos_i, cos_o = light[..., 2], seen[..., 2]
+    lobe = density(half, ink.alpha, ink.across, ink.distribution) / 4.0
+    if model == "goniochromatic":
+        lobe = lobe * cos_i
+    else:
+        lobe = lobe * masking(light, seen, ink.alpha, ink.across, ink.distribution) / np.maximum(cos_o, 1e-12)
+    argument = table_argument(model, cos_i, cos_o, np.sum(light * half, axis=-1))
+    lobe = np.where((cos_i > 0.0) & (cos_o > 0.0), lobe, 0.0)
+    return np.asarray(lobe[..., None] * spectral_term(ink, argument, model, tio2_source=tio2_source))
+
+
+def _in_frame(surface: Surface, ink: Ink, direction: FloatArray) -> FloatArray:
+    """(rows, cols, 3) components of a direction along tangent, bitangent and normal, turned into the brushing."""
+    normal, tangent = surface.normal.astype(np.float64), surface.tangent.astype(np.float64)
+    across = np.cross(normal, tangent)
+    local = np.stack([tangent @ direction, across @ direction, normal @ direction], axis=-1)
+    return ink.in_brush_frame(local)

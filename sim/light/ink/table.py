@@ -1,0 +1,67 @@
+"""The colour of an ink as a table: under one light it depends on one number, so 256 entries replace 41 exponentials."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.errors import ModelError
+from anisoscope.sim.light.colour.illuminant import Illuminant
+from anisoscope.sim.light.colour.observer import xyz_weights
+from anisoscope.sim.light.colour.spaces import linear_srgb
+from anisoscope.sim.light.ink import tio2
+from anisoscope.sim.light.ink.ink import Ink
+from anisoscope.sim.light.ink.model import Model, spectral_term
+
+FloatArray = npt.NDArray[np.float64]
+
+ENTRIES = 256
+
+
+@dataclass(frozen=True, eq=False)
+class InkTable:
+    """Linear sRGB of what depends on wavelength in the BRDF of an ink, integrated under a light.
+
+    The BRDF as a colour is D/4 (times G/(cosθi cosθo) for the standard models) times :meth:`at` of the argument.
+
+    Attributes:
+        ink: the ink.
+        illuminant: name of the light.
+        model: of the BRDF; it says what the argument is.
+        rgb: (N, 3) at arguments that rise evenly from 0 to 1; negative where an ink is out of gamut.
+    """
+
+    ink: Ink
+    illuminant: str
+    model: Model
+    rgb: FloatArray
+
+    def at(self, argument: FloatArray) -> FloatArray:
+        """(…, 3) colours at (…,) arguments in [0, 1], linear between the entries."""
+        position = np.clip(argument, 0.0, 1.0) * (len(self.rgb) - 1)
+        index = np.minimum(position.astype(np.intp), len(self.rgb) - 2)
+        share = (position - index)[..., None]
+        return np.asarray((1.0 - share) * self.rgb[index] + share * self.rgb[index + 1])
+
+
+@lru_cache(maxsize=64)
+def ink_table(
+    ink: Ink,
+    illuminant: Illuminant,
+    model: Model = "goniochromatic",
+    *,
+    tio2_source: str = tio2.DEFAULT,
+    entries: int = ENTRIES,
+) -> InkTable:
+    """Table of one ink under one light; the same arguments give the same table.
+
+    Raises:
+        ModelError: wavelengths that give no colour, a model or data set that is not known, or fewer than two entries.
+    """
+    if entries < 2:
+        raise ModelError(f"a table needs two entries or more, not {entries}")
+    term = spectral_term(ink, np.linspace(0.0, 1.0, entries), model, tio2_source=tio2_source)
+    rgb = linear_srgb(term @ xyz_weights(illuminant, ink.nm))
+    rgb.flags.writeable = False
+    return InkTable(ink, illuminant.name, model, rgb)

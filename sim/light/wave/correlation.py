@@ -1,0 +1,174 @@
+"""Reflectance through windows much wider than the lines of the spectrum: correlation at short distances.
+
+Where unresolved roughness leaves light coherent over a few µm only, pairs of points further apart do not matter. The
+correlation of the wave at the distances that do is taken once for each h_z and wavelength, from overlapping tiles, and
+then serves every direction and every roughness.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.errors import ModelError
+from anisoscope.sim.light import threads
+from anisoscope.sim.light.wave.angular import wave
+from anisoscope.sim.light.wave.halfvectors import HalfVector
+from anisoscope.sim.light.wave.surface import WaveSurface
+from anisoscope.sim.light.wave.windows import Window
+
+FloatArray = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex128]
+
+REACH = 5.0
+"""Standard deviations of the coherence that are counted."""
+
+TILE_REACHES = 8
+"""Side of a tile in multiples of the largest distance."""
+
+
+@dataclass(frozen=True, eq=False)
+class Correlation:
+    """Mean of a(p)·a*(p − Δ) over a surface.
+
+    Attributes:
+        values: (2·reach_y + 1, 2·reach_x + 1) complex; 1 in the middle.
+        x_um: (2·reach_x + 1,) distances in µm.
+        y_um: (2·reach_y + 1,) distances in µm; one 0 for a profile.
+        wavelength_um: of the light.
+        h_z: as given.
+    """
+
+    values: ComplexArray
+    x_um: FloatArray
+    y_um: FloatArray
+    wavelength_um: float
+    h_z: float
+
+    def extruded_density(self, half: HalfVector, window: Window) -> float:
+        """Density in µm² of the surface that a profile drawn out endlessly along y makes."""
+        fx, fy = half.frequency(self.wavelength_um)
+        reach = reach_um(window, self.wavelength_um, self.h_z)[1]
+        highest = window.half_width(self.wavelength_um, self.h_z)[1] + abs(fy)
+        count = 2 * int(np.ceil(2.0 * reach * highest)) + 17
+        y = np.linspace(-reach, reach, count)
+        kernel = window.coherence(self.x_um[None, :], y[:, None], self.wavelength_um, self.h_z)
+        along = np.exp(-2j * np.pi * fy * y) @ kernel * (y[1] - y[0])
+        turned = self.values[0] * along * np.exp(-2j * np.pi * fx * self.x_um)
+        return float(turned.sum().real) * float(self.x_um[1] - self.x_um[0])
+
+    def density(self, half: HalfVector, window: Window) -> float:
+        """Blurred mean power spectrum in one direction as `fused.density`, in µm² (of a profile: µm)."""
+        fx, fy = half.frequency(self.wavelength_um)
+        kernel = window.coherence(self.x_um[None, :], self.y_um[:, None], self.wavelength_um, self.h_z)
+        turned = np.exp(-2j * np.pi * fy * self.y_um) @ (self.values * kernel)
+        found = turned @ np.exp(-2j * np.pi * fx * self.x_um)
+        pixels = [float(lags[1] - lags[0]) for lags in (self.x_um, self.y_um) if lags.size > 1]
+        return float(found.real) * float(np.prod(pixels))
+
+
+def reach_um(window: Window, wavelength_um: float, h_z: float) -> tuple[float, float]:
+    """Distances along x and y from which on unresolved roughness leaves no coherence worth counting.
+
+    Raises:
+        ModelError: the window has no roughness; source and aperture alone leave some coherence at any distance.
+    """
+    if window.slope_variance is None:
+        raise ModelError("short distances suffice only where roughness below the pixels blurs: give it one")
+    x, y = (
+        np.sqrt(np.diag(np.linalg.inv(window.slope_variance))) * REACH * wavelength_um / (4.0 * np.pi * h_z)
+    )
+    return float(x), float(y)
+
+
+def correlation_of(
+    surface: WaveSurface,
+    wavelength_um: float,
+    h_z: float,
+    reach_um: tuple[float, float],
+    *,
+    endless: bool = False,
+) -> Correlation:
+    """Correlation up to distances (x, y).
+
+    With ``endless`` the surface goes on beyond its edges like within them: the mean runs over the pairs of points that
+    there are. Else it is a dot of its size, whose edges diffract too.
+
+    Tiles overlap by half, weighed by the root of a Hann window each way; what the weights take off at a distance
+    is given back, so that a surface that repeats within a tile is exact.
+    """
+    rows, cols = surface.shape
+    cycles = 2.0 * h_z / wavelength_um
+    reach_x = min(int(np.ceil(reach_um[0] / surface.pixel_x_um)), cols - 1)
+    reach_y = 0 if surface.is_profile else min(int(np.ceil(reach_um[1] / surface.pixel_y_um)), rows - 1)
+    sides = [_side(count, reach) for count, reach in ((rows, reach_y), (cols, reach_x))]
+    tapers = [_taper(side, side < count) for side, count in zip(sides, (rows, cols), strict=True)]
+    starts = [_starts(count, side) for count, side in zip((rows, cols), sides, strict=True)]
+    places = [(y, x) for y in starts[0] for x in starts[1]]
+
+    def run(place: tuple[int, int]) -> ComplexArray:
+        return _tile(surface, cycles, place, tapers, (reach_y, reach_x))
+
+    total = sum(threads.each(run, places))
+    assert not isinstance(total, int)
+    total = total / _overlap(rows, starts[0], tapers[0], reach_y, endless=endless)[:, None]
+    total = total / _overlap(cols, starts[1], tapers[1], reach_x, endless=endless)
+    x = np.arange(-reach_x, reach_x + 1) * surface.pixel_x_um
+    y = np.arange(-reach_y, reach_y + 1) * (1.0 if surface.is_profile else surface.pixel_y_um)
+    return Correlation(total, x, y, wavelength_um, h_z)
+
+
+def _side(count: int, reach: int) -> int:
+    side = max(TILE_REACHES * reach, 256)
+    side += side % 2
+    return count if 2 * side >= count else side
+
+
+def _taper(side: int, tapered: bool) -> FloatArray:
+    return np.sin(np.pi * (np.arange(side) + 0.5) / side) if tapered else np.ones(side)
+
+
+def _starts(count: int, side: int) -> list[int]:
+    return [0] if side == count else list(range(-side // 2, count, side // 2))
+
+
+def _tile(
+    surface: WaveSurface,
+    cycles: float,
+    place: tuple[int, int],
+    tapers: list[FloatArray],
+    reach: tuple[int, int],
+) -> ComplexArray:
+    """Sums of w·a(p)·w·a*(p − Δ) over one tile."""
+    from scipy import fft  # noqa: PLC0415 - slow to import
+
+    cut = [
+        slice(max(0, start), min(count, start + taper.size))
+        for start, taper, count in zip(place, tapers, surface.shape, strict=True)
+    ]
+    kept = [
+        taper[part.start - start : part.stop - start].astype(np.float32)
+        for start, taper, part in zip(place, tapers, cut, strict=True)
+    ]
+    part = WaveSurface(surface.height_um[cut[0], cut[1]], surface.pixel_x_um, surface.pixel_y_um)
+    field = wave(part, cycles) * kept[0][:, None] * kept[1]
+    lengths = tuple(fft.next_fast_len(n + r) for n, r in zip(field.shape, reach, strict=True))
+    spectrum = fft.fft2(field, s=lengths)
+    found = fft.ifft2(spectrum.real**2 + spectrum.imag**2)
+    rows, cols = (np.arange(-r, r + 1) for r in reach)
+    return np.asarray(found[np.ix_(rows, cols)], dtype=np.complex128)
+
+
+def _overlap(count: int, starts: list[int], taper: FloatArray, reach: int, *, endless: bool) -> FloatArray:
+    """(2·reach + 1,) sums of w·w over pairs of points at every distance: what a constant wave gives.
+
+    Of a dot only what the weights take off is given back: fewer pairs at larger distances are in the nature of a dot.
+    """
+    lags = np.arange(reach + 1)
+    given = np.zeros(reach + 1)
+    for start in starts:
+        w = taper[max(0, -start) : max(0, min(taper.size, count - start))]
+        if w.size:
+            given += [float(w[lag:] @ w[: w.size - lag]) if lag < w.size else 0.0 for lag in lags]
+    total = given if endless else given * count / (count - lags)
+    return np.concatenate([total[:0:-1], total])

@@ -1,0 +1,123 @@
+"""Reflectance in one direction: one fused pass over the heights, then a small quadratic form.
+
+The wave is turned so that the wanted direction lies at frequency 0, low-passed to the width of the window and
+decimated, a strip of columns at a time. What is left is small; its quadratic form with the coherence of the window is
+taken by a zero-padded FFT, whose weights are the transform of the coherence at the distances that occur: that is exact.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.sim.light import threads
+from anisoscope.sim.light.wave.decimation import Decimation, decimation
+from anisoscope.sim.light.wave.halfvectors import HalfVector
+from anisoscope.sim.light.wave.surface import WaveSurface
+from anisoscope.sim.light.wave.windows import Window
+
+FloatArray = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complexfloating]
+
+STRIP = 256
+
+
+@dataclass(frozen=True, eq=False)
+class Reduced:
+    """The wave around one direction, low-passed and decimated.
+
+    Attributes:
+        wave: (outputs along y, outputs along x) complex.
+        along_y: how y was decimated; None for a profile.
+        along_x: how x was decimated.
+    """
+
+    wave: ComplexArray
+    along_y: Decimation | None
+    along_x: Decimation
+
+
+def density(surface: WaveSurface, half: HalfVector, wavelength_um: float, window: Window) -> float:
+    """Mean power spectrum in one direction, blurred by the window, in µm² (of a profile: µm).
+
+    S(ω) = (1/A)·∬∬ a(p)·a*(q)·exp(−2πi·ω·(p − q))·K(p − q), a = exp(−ik·2h_z·z); its integral over all ω is 1.
+    Source: Levin et al. 2013, Eq. 1 and 10, with the sign of Eq. 11 mended and Eq. 12 taken over all x0.
+    """
+    reduced = reduce(surface, half, wavelength_um, window)
+    form = quadratic_form(reduced, wavelength_um, half.z, window)
+    return form / surface.area_um2 * cell_response(surface, half, wavelength_um)
+
+
+def cell_response(surface: WaveSurface, half: HalfVector, wavelength_um: float) -> float:
+    """Power that a pixel of one height sends into a direction, as a share of that of a point; 1 for points."""
+    if not surface.cells:
+        return 1.0
+    fx, fy = half.frequency(wavelength_um)
+    response = np.sinc(fx * surface.pixel_x_um)
+    if not surface.is_profile:
+        response *= np.sinc(fy * surface.pixel_y_um)
+    return float(response**2)
+
+
+def reduce(surface: WaveSurface, half: HalfVector, wavelength_um: float, window: Window) -> Reduced:
+    """Low-pass and decimate the wave around one direction."""
+    from anisoscope.sim.light.wave.fused_kernels import gather, strip  # noqa: PLC0415 - numba when first needed
+
+    rows, cols = surface.shape
+    fx, fy = half.frequency(wavelength_um)
+    wide_x, wide_y = window.half_width(wavelength_um, half.z)
+    along_x = decimation(cols, surface.pixel_x_um, wide_x)
+    along_y = decimation(rows, surface.pixel_y_um, wide_y)
+    carrier_x = _turns(fx * surface.pixel_x_um, cols)
+    carrier_y = np.zeros(1, dtype=np.float32) if surface.is_profile else _turns(fy * surface.pixel_y_um, rows)
+    cycles = 2.0 * half.z / wavelength_um
+    taps_y = np.pad(along_y.taps, 3)
+
+    def run(columns: tuple[int, int]) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+        found = np.zeros((2, along_y.outputs, along_x.outputs), dtype=np.float32)
+        kept = np.empty((2, along_y.outputs, STRIP), dtype=np.float32)
+        work = np.empty((8, STRIP), dtype=np.float32)
+        for first in range(*columns, STRIP):
+            last = min(first + STRIP, columns[1])
+            kept[:] = 0.0
+            strip(
+                surface.height_um, first, last, cycles, carrier_x, carrier_y, taps_y, along_y.step,
+                kept[0], kept[1], work,
+            )  # fmt: skip
+            gather(kept[0], kept[1], first, last, along_x.taps, along_x.step, found[0], found[1])
+        return found[0], found[1]
+
+    parts = threads.each(run, threads.runs(cols, min(threads.count(), max(1, cols // STRIP))))
+    wave = np.empty((along_y.outputs, along_x.outputs), dtype=np.complex64)
+    wave.real = sum(part[0] for part in parts)
+    wave.imag = sum(part[1] for part in parts)
+    return Reduced(wave, None if surface.is_profile else along_y, along_x)
+
+
+def _turns(cycles_a_pixel: float, count: int) -> npt.NDArray[np.float32]:
+    """(count,) turns of a carrier about the middle, less whole ones."""
+    turns = cycles_a_pixel * (np.arange(count) - 0.5 * (count - 1))
+    return (turns - np.rint(turns)).astype(np.float32)
+
+
+def quadratic_form(reduced: Reduced, wavelength_um: float, h_z: float, window: Window) -> float:
+    """Σ a(p)·a*(q)·K(p − q) times the squared area of a pixel, in µm⁴ (of a profile: µm²)."""
+    from scipy import fft  # noqa: PLC0415 - slow to import
+
+    axes = [(1, reduced.along_x)] if reduced.along_y is None else [(0, reduced.along_y), (1, reduced.along_x)]
+    wave, scale = reduced.wave, 1.0
+    weights: list[FloatArray] = [np.ones(1), np.ones(1)]
+    lags: list[FloatArray] = [np.zeros(1), np.zeros(1)]
+    for axis, along in axes:
+        pixel = along.step * along.pixel_um
+        extra = 0 if along.step == 1 else 16  # room for the equaliser's response
+        length = fft.next_fast_len(2 * (along.outputs + extra))
+        wave = fft.fft(wave, length, axis=axis, workers=threads.count())
+        weights[axis] = along.equaliser(fft.fftfreq(length, pixel)) ** 2
+        lags[axis] = np.minimum(np.arange(length), length - np.arange(length)) * pixel
+        lags[axis] = np.where(np.arange(length) <= length // 2, lags[axis], -lags[axis])
+        scale *= pixel**2 / length
+    power = (wave.real.astype(np.float64) ** 2 + wave.imag.astype(np.float64) ** 2) * weights[0][:, None]
+    coherence = window.coherence(lags[1][None, :], lags[0][:, None], wavelength_um, h_z)
+    spread = fft.fft2(coherence, workers=threads.count()).real if coherence.size > 1 else coherence
+    return float(np.sum(power * weights[1] * spread)) * scale

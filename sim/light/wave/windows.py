@@ -1,0 +1,108 @@
+"""What blurs a diffraction pattern: the source, the camera's aperture, roughness below the pixels.
+
+Every one of them multiplies the mutual coherence of two points of the surface, a distance (Δx, Δy) apart, by the
+Fourier transform of its distribution over directions: sinc for a rectangle, 2·J₁(r)/r for a disc, a Gaussian for
+slopes. Frequencies are ω = 2·h/λ in cycles per µm, with h = (l + v)/2; an angular extent Δa widens a line of the
+spectrum to Δa/λ. Source: Levin et al. 2013, section 2.2; sinc(x) = sin πx / πx.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.errors import ModelError
+
+FloatArray = npt.NDArray[np.float64]
+
+TAIL = 4.5
+"""Standard deviations after which a Gaussian counts as nothing: e⁻¹⁰."""
+
+
+@dataclass(frozen=True, eq=False)
+class Extent:
+    """Angular extent of a source or of an aperture, uniform over its area in direction cosines.
+
+    Attributes:
+        shape: "rect" (a square; of a profile, a line) or "disc".
+        size: full width or diameter in direction cosines, about radians; 0 is a point.
+        axes: (2, 2) x and y components (columns) on the sample of two unit vectors (rows) across the axis of the
+            beam; None takes the x and y axes themselves.
+
+    Raises:
+        ModelError: a size outside 0 to 2.
+    """
+
+    shape: Literal["rect", "disc"] = "rect"
+    size: float = 0.0
+    axes: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        if self.shape not in ("rect", "disc"):
+            raise ModelError(f"an angular extent is a rect or a disc, not {self.shape!r}")
+        if not 0.0 <= self.size <= 2.0:
+            raise ModelError(f"an angular extent must be 0 to 2 in direction cosines, not {self.size:g}")
+
+    def coherence(self, x_um: FloatArray, y_um: FloatArray, wavelength_um: float) -> FloatArray:
+        """Degree of coherence of points (x, y) apart, 1 at no distance; shapes broadcast."""
+        if self.size == 0.0:
+            return np.ones(np.broadcast_shapes(np.shape(x_um), np.shape(y_um)))
+        axes = np.eye(2) if self.axes is None else self.axes
+        u, v = (self.size / wavelength_um * (axis[0] * x_um + axis[1] * y_um) for axis in axes)
+        if self.shape == "rect":
+            return np.asarray(np.sinc(u) * np.sinc(v))
+        from scipy.special import j1  # noqa: PLC0415 - slow to import
+
+        r = np.pi * np.hypot(u, v)
+        far = r > 1e-6
+        return np.where(far, 2.0 * j1(np.where(far, r, 1.0)) / np.where(far, r, 1.0), 1.0)
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        """Half-widths along x and y in direction cosines."""
+        axes = np.eye(2) if self.axes is None else self.axes
+        width = np.abs(axes).sum(axis=0) if self.shape == "rect" else np.sqrt((axes**2).sum(axis=0))
+        return 0.5 * self.size * float(width[0]), 0.5 * self.size * float(width[1])
+
+
+POINT = Extent()
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """Everything that blurs, together.
+
+    Attributes:
+        source: extent of the source.
+        aperture: extent of the camera's aperture, a second blur of the same kind.
+        slope_variance: (2, 2) covariance along x and y of slopes that the map does not show, or None. They are those
+            of a surface rough against the wavelength: its spectrum has the shape of the distribution of its slopes.
+    """
+
+    source: Extent = POINT
+    aperture: Extent = POINT
+    slope_variance: FloatArray | None = None
+
+    def coherence(self, x_um: FloatArray, y_um: FloatArray, wavelength_um: float, h_z: float) -> FloatArray:
+        """Degree of coherence K of points (x, y) µm apart; shapes broadcast, K(0, 0) = 1."""
+        found = self.source.coherence(x_um, y_um, wavelength_um)
+        found = found * self.aperture.coherence(x_um, y_um, wavelength_um)
+        if self.slope_variance is not None:
+            c = self.slope_variance
+            spread = c[0, 0] * x_um**2 + 2.0 * c[0, 1] * x_um * y_um + c[1, 1] * y_um**2
+            found = found * np.exp(-0.5 * (4.0 * np.pi * h_z / wavelength_um) ** 2 * spread)
+        return found
+
+    def half_width(self, wavelength_um: float, h_z: float) -> tuple[float, float]:
+        """How far along x and y the window reaches around its middle, in cycles per µm."""
+        found = np.add(self.source.reach, self.aperture.reach) / wavelength_um
+        if self.slope_variance is not None:
+            sigma = np.sqrt(np.diag(self.slope_variance))
+            found = found + TAIL * sigma * 2.0 * h_z / wavelength_um
+        return float(found[0]), float(found[1])
+
+
+def coherence_length_um(wavelength_um: float, extent: float) -> float:
+    """Δc = λ/Δa in µm, infinite for a point source (Levin et al. 2013, section 2.2)."""
+    return wavelength_um / extent if extent > 0.0 else float("inf")

@@ -1,0 +1,147 @@
+"""PostgreSQL that is reached encrypted only: a server of our own with a certificate that nobody else trusts."""
+
+import os
+import shutil
+import socket
+import subprocess
+import tempfile
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from sqlalchemy import text
+
+from anisoscope.errors import UsageError
+from anisoscope.history.address import parse_address
+from anisoscope.history.problems import HistoryError
+from anisoscope.history.store import open_history
+
+PASSWORD = "gr8-secret"
+# Nothing is let in but what is encrypted.
+ENTRANCES = "local all all trust\nhostssl all all 127.0.0.1/32 scram-sha-256\n"
+
+
+def programs():
+    """The folder of the newest PostgreSQL's programs."""
+    found = sorted(Path("/usr/lib/postgresql").glob("*/bin/initdb"), key=lambda path: int(path.parts[-3]))
+    if not found or shutil.which("openssl") is None:
+        pytest.skip("PostgreSQL and openssl are not installed here (apt-get install postgresql openssl)")
+    return found[-1].parent
+
+
+def run(folder, *command):
+    """The server refuses to run as root."""
+    as_server = ["runuser", "-u", "postgres", "--"] if os.geteuid() == 0 else []
+    done = subprocess.run(
+        [*as_server, *map(str, command)], cwd=folder, capture_output=True, text=True, check=False, timeout=120
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def lay_out(folder, where):
+    """A cluster with a certificate for ``localhost``, which it signed itself."""
+    data, secret = folder / "data", folder / "password"
+    secret.write_text(PASSWORD)
+    secret.chmod(0o644)
+    run(folder, where / "initdb", "-D", data, "-U", "anisoscope", "--pwfile", secret, "--no-sync")
+    key, certificate = data / "server.key", data / "server.crt"
+    made = ("-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-days", "2")
+    name = ("-subj", "/CN=localhost", "-addext", "subjectAltName=DNS:localhost")
+    run(folder, "openssl", "req", *made, *name, "-keyout", key, "-out", certificate)
+    shutil.copyfile(certificate, folder / "root.crt")
+    (data / "pg_hba.conf").write_text(ENTRANCES)
+    return data
+
+
+@contextmanager
+def server_in(folder):
+    where = programs()
+    if os.geteuid() == 0:
+        shutil.chown(folder, "postgres")
+    data = lay_out(folder, where)
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    options = f"-p {port} -k {folder} -c listen_addresses=127.0.0.1 -c fsync=off -c ssl=on"
+    control = (where / "pg_ctl", "-D", data, "-s")
+    run(folder, *control, "-w", "-l", folder / "log", "-o", options, "start")
+    try:
+        yield port
+    finally:
+        run(folder, *control, "-m", "immediate", "stop")
+
+
+@pytest.fixture(scope="module")
+def encrypted():
+    """``encrypted("sslmode=require", host="127.0.0.1")`` is the address of the history."""
+    folder = Path(tempfile.mkdtemp(prefix="anisoscope-encrypted-"))  # short: a socket lies there
+    try:
+        with server_in(folder) as port:
+            yield (
+                lambda query, host="127.0.0.1": (
+                    f"postgresql://anisoscope:{PASSWORD}@{host}:{port}/postgres?{query}".replace(
+                        "ROOT", str(folder / "root.crt")
+                    )
+                )
+            )
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+@pytest.mark.parametrize(
+    ("query", "host"),
+    [
+        ("", "127.0.0.1"),
+        ("sslmode=prefer", "127.0.0.1"),
+        ("sslmode=require", "127.0.0.1"),
+        ("sslmode=verify-ca&sslrootcert=ROOT", "127.0.0.1"),
+        ("sslmode=verify-full&sslrootcert=ROOT", "localhost"),
+    ],
+)
+def test_a_history_is_written_and_read_encrypted(encrypted, new_row, query, host):
+    with open_history(encrypted(query, host)) as history:
+        assert history.append(new_row(1)).serial == "A1"
+        assert history.verify_chain() == []
+        with history._database.reading() as connection:
+            own = "SELECT ssl, version FROM pg_stat_ssl WHERE pid = pg_backend_pid()"
+            used, version = connection.execute(text(own)).one()
+    assert used
+    assert version in {"TLSv1.2", "TLSv1.3"}
+
+
+@pytest.mark.parametrize(
+    ("query", "host", "said"),
+    [
+        ("sslmode=disable", "127.0.0.1", "no encryption"),
+        ("sslmode=verify-full", "localhost", "its certificate is not trusted: self-signed certificate"),
+        ("sslmode=verify-ca", "127.0.0.1", "its certificate is not trusted: self-signed certificate"),
+        (
+            "sslmode=verify-full&sslrootcert=ROOT",
+            "127.0.0.1",
+            "its certificate is not trusted: IP address mismatch",
+        ),
+    ],
+)
+def test_whom_one_does_not_trust_is_told_nothing(encrypted, query, host, said):
+    with pytest.raises(HistoryError) as caught:
+        open_history(encrypted(query, host))
+    message = str(caught.value).replace("self signed", "self-signed")
+    assert said in message
+    assert PASSWORD not in message
+    assert "\n" not in message
+
+
+def test_a_server_that_does_not_encrypt_is_refused(postgresql_place):
+    with pytest.raises(HistoryError, match="refuses SSL"):
+        open_history(f"{postgresql_place}?sslmode=require")
+
+
+def test_certificates_that_are_none(tmp_path):
+    (tmp_path / "none.crt").write_text("no certificate")
+    for path in (tmp_path / "none.crt", tmp_path / "missing.crt"):
+        with pytest.raises(UsageError, match="holds no certificate that can be read"):
+            parse_address(f"postgresql://h/db?sslmode=verify-full&sslrootcert={path}")
+    with pytest.raises(
+        UsageError, match="sslrootcert is looked at with sslmode=verify-ca or verify-full only"
+    ):
+        parse_address("postgresql://h/db?sslmode=require&sslrootcert=root.crt")
