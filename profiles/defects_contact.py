@@ -11,6 +11,7 @@ CREST_QUANTILE = 0.99
 TAPER_SHARE = 0.2
 SIZE_SPREAD = 0.4
 MAX_BALL_PIXELS = 60
+STRIP_POINTS = 20_000
 
 
 def _ball(radius_um: float, surface: HeightMap) -> list[tuple[int, int, float]]:
@@ -28,6 +29,19 @@ def _ball(radius_um: float, surface: HeightMap) -> list[tuple[int, int, float]]:
             if rest >= 0.0:
                 ball.append((i, j, float(np.sqrt(rest))))
     return ball
+
+
+def _least(field: FloatArray, ball: list[tuple[int, int, float]], shape: tuple[int, int]) -> FloatArray:
+    """Least of the windows of a shape into a field, each at an offset and less a height."""
+    found = np.full(shape, np.inf)
+    rows = max(1, STRIP_POINTS // shape[1])
+    for top in range(0, shape[0], rows):  # a strip stays in the processor's cache while the ball passes
+        strip = found[top : top + rows]
+        part = np.empty_like(strip)
+        for i, j, height in ball:
+            window = field[top + i : top + i + strip.shape[0], j : j + shape[1]]
+            np.minimum(strip, np.subtract(window, height, out=part), out=strip)
+    return found
 
 
 def edge_wear(surface: HeightMap, radius_um: float) -> HeightMap:
@@ -60,16 +74,10 @@ def edge_wear(surface: HeightMap, radius_um: float) -> HeightMap:
         constant_values=np.inf,
     )
     # centres of the ball, up to a radius beyond the field
-    centre = np.full((rows + 2 * reach_i, cols + 2 * reach_j), np.inf)
-    part = np.empty_like(centre)
-    for i, j, height in ball:
-        window = free[reach_i + i :, reach_j + j :][: centre.shape[0], : centre.shape[1]]
-        np.minimum(centre, np.subtract(window, height, out=part), out=centre)
+    ball = [(reach_i + i, reach_j + j, height) for i, j, height in ball]
+    centre = _least(free, ball, (rows + 2 * reach_i, cols + 2 * reach_j))
     centre[np.isinf(centre)] = -np.inf
-    opened, part = np.full((rows, cols), -np.inf), np.empty((rows, cols))
-    for i, j, height in ball:
-        window = centre[reach_i + i :, reach_j + j :][:rows, :cols]
-        np.maximum(opened, np.add(window, height, out=part), out=opened)
+    opened = -_least(-centre, ball, (rows, cols))  # the greatest, with heights added
     # the ball touches most points; rounding must not lift them
     worn = np.where(known, np.minimum(opened, surface.height_um), np.nan)
     return surface.with_height(worn)

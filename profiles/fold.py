@@ -48,11 +48,16 @@ def fold(surface: HeightMap, pitch_um: float, direction_deg: float = 0.0) -> Fol
     known = np.isfinite(surface.height_um)
     p, z = phase[known], surface.height_um[known]
     index = np.minimum((p * bins).astype(np.intp), bins - 1)
-    order = np.lexsort((z, index))
     count = np.bincount(index, minlength=bins)
-    start = np.cumsum(count) - count
     filled = np.flatnonzero(count)
-    z = z[order]
-    low, high = start[filled] + (count[filled] - 1) // 2, start[filled] + count[filled] // 2
     position = np.bincount(index, p, minlength=bins)[filled] / count[filled]
-    return Folded(phase, position, 0.5 * (z[low] + z[high]))
+    z = z[np.argsort(index.astype(np.uint16), kind="stable")]  # few short numbers: sorted by their digits
+    medians = [_median(part) for part in np.split(z, np.cumsum(count[filled])[:-1])]
+    return Folded(phase, position, np.array(medians))
+
+
+def _median(values: FloatArray) -> float:
+    """Of finite values, which it reorders."""
+    low, high = (values.size - 1) // 2, values.size // 2
+    values.partition((low, high))
+    return 0.5 * float(values[low] + values[high])

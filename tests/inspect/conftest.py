@@ -1,11 +1,13 @@
 """A small, fast virtual rig: 512 × 512 pixels of 8 µm, a part of 1.2 mm, and a recipe with an ideal design."""
 
+import importlib.util
 import json
 import os
 import shutil
 import subprocess
 import sys
 import time
+from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +19,7 @@ import tomli_w
 from anisoscope import explaining, inspection
 from anisoscope.calibration.pictures import take_flat
 from anisoscope.cli.demo_files import FIXTURE
+from anisoscope.diagnosis import remembering
 from anisoscope.diagnosis.signatures import signatures
 from anisoscope.errors import CameraError
 from anisoscope.progress import silent
@@ -26,8 +29,13 @@ from anisoscope.rig.frame import Frame
 from anisoscope.sim.bench.bench import Bench, shared_bench
 from anisoscope.sim.bench.camera import SimulatedCamera
 
+SPEC = importlib.util.spec_from_file_location("forkserver", Path(__file__).with_name("forkserver.py"))
+FORKSERVER = importlib.util.module_from_spec(SPEC)
+SPEC.loader.exec_module(FORKSERVER)
+ForkServer = FORKSERVER.ForkServer
 LOBE = {"alpha_along": 0.06, "alpha_across": 0.10, "albedo": 0.2, "index": 1.5}
 EXPOSURE_S = 0.0015
+QUICK = {}
 
 
 def merged(base, changes):
@@ -157,6 +165,34 @@ def virtual_rig(tmp_path, flat) -> Callable[..., VirtualRig]:
     return lay_out
 
 
+def _seen_through(bench, angle_deg, tilt_deg):
+    """All that a picture without noise depends on."""
+    file = bench.file
+    parts = file.model_dump_json(exclude={"stage", "tilt"})
+    sample = Path(file.sample.file).stat().st_mtime_ns if file.sample.file is not None else None
+    return parts, sample, angle_deg, tilt_deg
+
+
+@pytest.fixture(scope="session", autouse=True)
+def pictures_without_noise():
+    """Equal parts in equal poses are rendered once; half of all inspections here are of one and the same part."""
+    render, kept = Bench._render, OrderedDict()
+
+    def remember(bench, angle_deg, tilt_deg):
+        key = _seen_through(bench, angle_deg, tilt_deg)
+        if key not in kept:
+            kept[key] = render(bench, angle_deg, tilt_deg)
+            kept[key].flags.writeable = False
+        kept.move_to_end(key)
+        if len(kept) > 40:
+            kept.popitem(last=False)
+        return kept[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Bench, "_render", remember)
+        yield
+
+
 @pytest.fixture(autouse=True)
 def quick_causes(request, monkeypatch) -> None:
     """Causes of the plastic only, which take no map: all of them take half a minute. Marked soak, a test gets all."""
@@ -164,8 +200,11 @@ def quick_causes(request, monkeypatch) -> None:
         return
 
     def quick(recipe, light_angle_deg, advance=silent):
-        names = ("roughness-along", "roughness-across", "colour")
-        return signatures(recipe, light_angle_deg, advance, names)
+        key = remembering._key(recipe.deciding(), light_angle_deg)
+        if key not in QUICK:  # the product keeps them in a file
+            names = ("roughness-along", "roughness-across", "colour")
+            QUICK[key] = signatures(recipe, light_angle_deg, advance, names)
+        return QUICK[key]
 
     monkeypatch.setattr(explaining, "remembered_signatures", quick)
 
@@ -208,7 +247,15 @@ class Done:
 
 @pytest.fixture(scope="session")
 def anisoscope():
-    """Runs the real command line in a process of its own."""
+    """Runs the real command line in a process of its own, which begins with everything imported."""
+    server = ForkServer()
+    yield lambda *arguments, cwd=None, timeout=400: Done(*server.run(arguments, cwd, timeout))
+    server.close()
+
+
+@pytest.fixture(scope="session")
+def anisoscope_afresh():
+    """Runs the real command line in a new interpreter."""
 
     def run(*arguments, cwd=None, timeout=400):
         command = [sys.executable, "-Im", "anisoscope", *map(str, arguments)]
@@ -219,7 +266,7 @@ def anisoscope():
 
 
 @pytest.fixture(scope="session")
-def demo(anisoscope):
+def demo(anisoscope_afresh):
     """A finished demo, made by one worker for all of them: folder, and what the command said."""
     shared = Path(os.environ["ANISOSCOPE_CACHE"]) / "demo"
     try:
@@ -230,7 +277,7 @@ def demo(anisoscope):
             assert time.monotonic() < deadline, "the worker that makes the demo has failed"
             time.sleep(0.2)
     else:
-        done = anisoscope("demo", "--out", shared / "demo", "--seed", 5, "--json")
+        done = anisoscope_afresh("demo", "--out", shared / "demo", "--seed", 5, "--json")
         assert done.code == 0, done.err
         (shared / "said.json").write_text(done.out)
         (shared / "made").touch()

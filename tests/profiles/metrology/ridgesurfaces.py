@@ -104,8 +104,12 @@ class Truth:
                 self.lean * (bx * np.cos(a) + by * np.sin(a)) - start,
                 self.lean * (by * np.cos(a) - bx * np.sin(a)),
             )
-            inside = 1 - ((r - br) / (0.5 * half)) ** 2 - ((v - bv) / half) ** 2
-            z = z + height * np.maximum(inside, 0) ** 1.5
+            near = tuple(
+                slice(max(0, int((at - half) / step)), max(0, int((at + half) / step) + 2))
+                for at, step in ((by, py), (bx, px))
+            )
+            inside = 1 - ((r[near] - br) / (0.5 * half)) ** 2 - ((v[near] - bv) / half) ** 2
+            z[near] += height * np.maximum(inside, 0) ** 1.5
             self.made.append((bx, by, height, half, 0.5 * half))
         z = z + self.noise * rng.standard_normal(self.shape)
         at = rng.integers(0, z.size, self.spikes)

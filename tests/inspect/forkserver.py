@@ -1,0 +1,123 @@
+"""Runs the real command line in a process of its own without importing everything each time.
+
+A server imports the package once and then forks; every child runs ``anisoscope`` from its entry point to the end of
+the interpreter, in the folder and with the environment of the one who asks. What a command does at its very start
+(imports, variables that libraries read when they are imported) is not what is seen here.
+"""
+
+import contextlib
+import gc
+import importlib
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+# What the commands import when they run: half a second to two seconds of each of them.
+HEAVY = (
+    "scipy.stats",
+    "scipy.ndimage",
+    "scipy.optimize",
+    "scipy.signal",
+    "scipy.interpolate",
+    "cv2",
+    "matplotlib.figure",
+    "matplotlib.backends.backend_svg",
+    "numba",
+    "jinja2",
+    "sqlalchemy",
+    "rich.table",
+    "rich.progress",
+    "anisoscope.inspection",
+    "anisoscope.batch.running",
+    "anisoscope.explaining",
+    "anisoscope.recomputing",
+    "anisoscope.fit.fitting",
+    "anisoscope.fit.experiment",
+    "anisoscope.sim.bench.camera",
+    "anisoscope.sim.bench.serialports.protocol_sim",
+)
+CLI = "anisoscope.cli"
+
+
+def serve() -> None:
+    """Answer every line on standard input with the child's number and, at its end, with its exit code."""
+    from anisoscope.cli import main
+
+    folder = Path(importlib.import_module(CLI).__file__).parent
+    for name in (*HEAVY, *(f"{CLI}.{path.stem}" for path in sorted(folder.glob("[a-z]*.py")))):
+        importlib.import_module(name)
+    gc.collect()
+    gc.freeze()  # nothing of this is looked at again, least of all at every child's end
+    for line in sys.stdin:
+        order = json.loads(line)
+        child = os.fork()
+        if child == 0:
+            _become(order)
+            main()
+        os.write(1, b"%d\n" % child)
+        os.write(1, b"%d\n" % os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+
+
+def _become(order: dict) -> None:
+    """Take the place of a process that was started as ``anisoscope ...``."""
+    for number, path in enumerate((os.devnull, order["out"], order["err"])):
+        place = os.open(path, os.O_RDWR)
+        os.dup2(place, number)
+        os.close(place)
+    sys.stdin = open(0, encoding="utf-8", closefd=False)  # noqa: SIM115
+    sys.stdout = open(1, "w", encoding="utf-8", closefd=False)  # noqa: SIM115
+    how = {"encoding": "utf-8", "closefd": False, "buffering": 1, "errors": "backslashreplace"}
+    sys.stderr = open(2, "w", **how)  # noqa: SIM115
+    os.environ.clear()
+    os.environ.update(order["environment"])
+    os.chdir(order["folder"])
+    sys.argv = ["anisoscope", *order["arguments"]]
+
+
+class ForkServer:
+    """The one who asks; start it once for many commands."""
+
+    def __init__(self) -> None:
+        # threads and forks do not mix
+        environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+        command = [sys.executable, "-I", __file__]
+        self._process = subprocess.Popen(command, env=environment, bufsize=0, **pipes)
+
+    def run(self, arguments, cwd=None, timeout=400.0) -> tuple[int, str, str]:
+        """Run ``anisoscope`` with arguments: exit code, what it printed, what it printed on standard error.
+
+        Raises:
+            subprocess.TimeoutExpired: it ran longer than ``timeout`` seconds, and was killed.
+        """
+        with tempfile.TemporaryDirectory(prefix="anisoscope-test-") as folder:
+            out, err = (Path(folder) / name for name in ("out", "err"))
+            out.touch()
+            err.touch()
+            words = [str(argument) for argument in arguments]
+            order = {"arguments": words, "out": str(out), "err": str(err), "environment": dict(os.environ)}
+            order["folder"] = str(cwd or Path.cwd())
+            self._process.stdin.write(json.dumps(order).encode() + b"\n")
+            child = int(self._process.stdout.readline())
+            if not select.select([self._process.stdout], [], [], timeout)[0]:
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(child, signal.SIGKILL)
+                self._process.stdout.readline()
+                raise subprocess.TimeoutExpired(words, timeout)
+            code = int(self._process.stdout.readline())
+            return code, *(path.read_bytes().decode("utf-8").replace("\r\n", "\n") for path in (out, err))
+
+    def close(self) -> None:
+        """End the server."""
+        self._process.stdin.close()
+        self._process.wait(10)
+        self._process.stdout.close()
+
+
+if __name__ == "__main__":
+    serve()
