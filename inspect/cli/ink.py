@@ -17,7 +17,10 @@ HtmlOption = Annotated[Path | None, Parameter(help="Write a self-contained HTML 
 
 HORIZON_DEG = 90.0
 
-app = App(name="ink", help="Structural-colour inks: fit, colours.")
+app = App(name="ink", help="Structural-colour inks: fit, colours, halftones, soft proof.")
+app.command("anisoscope.cli.ink_halftone:halftone")
+app.command("anisoscope.cli.ink_proof:proof")
+app.command("anisoscope.cli.ink_compare:compare")
 
 
 @app.command

@@ -1,0 +1,61 @@
+"""What the commands about prints share: inks, separation, size."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from anisoscope.errors import UsageError
+
+if TYPE_CHECKING:
+    from anisoscope.sim.light.ink.ink import Ink
+
+JsonOption = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")]
+InksOption = Annotated[
+    str | None,
+    Parameter(
+        help="Three inks (red, green, blue), comma-separated: files *.toml or names; else the synthetic ones."
+    ),
+]
+IlluminantOption = Annotated[
+    str,
+    Parameter(help="Light for which the image is separated: d65, a, led-b3 …, or CSV wavelength_nm,power."),
+]
+AngleOption = Annotated[
+    float,
+    Parameter(help="Inclination of light and eye, on opposite sides, for which it is separated, in degrees."),
+]
+GainOption = Annotated[
+    float, Parameter(help="Factor on the image's linear light; above 1 the bright parts are cut.")
+]
+
+
+def three_inks(text: str | None) -> tuple["Ink", ...]:
+    """Inks by their names.
+
+    Raises:
+        UsageError: not three, or no such ink.
+    """
+    from anisoscope.ink.inkfile import SYNTHETIC, find_ink
+
+    names = list(SYNTHETIC) if text is None else [name.strip() for name in text.split(",")]
+    if len(names) != 3:
+        raise UsageError(
+            f"--inks takes three inks separated by commas, not {len(names)}: {', '.join(SYNTHETIC)}"
+        )
+    return tuple(find_ink(name) for name in names)
+
+
+def check_suffix(path: Path | None, option: str, *suffixes: str) -> None:
+    """Refuse a file of another kind before the work begins.
+
+    Raises:
+        UsageError: the name ends in none of the suffixes.
+    """
+    if path is not None and path.suffix.lower() not in suffixes:
+        raise UsageError(f"{option} writes {' or '.join('*' + one for one in suffixes)}, not {path.name}")
+
+
+def percent(share: float) -> str:
+    """A share in words."""
+    return "none" if share == 0.0 else f"{100.0 * share:.2g} %"

@@ -1,0 +1,232 @@
+"""The page of a soft proof: one file with a WebGL 2 view that asks for nothing from outside."""
+
+import base64
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.errors import UsageError
+from anisoscope.report.page import write_page
+from anisoscope.sim.light.colour.illuminant import Illuminant
+from anisoscope.sim.light.ink.ink import Ink
+from anisoscope.sim.light.ink.model import MODELS, Model
+from anisoscope.sim.light.ink.table import ENTRIES, ink_table
+
+Float32 = npt.NDArray[np.float32]
+FloatArray = npt.NDArray[np.float64]
+State = dict[str, Any]
+
+LABELS: dict[Model, str] = {
+    "goniochromatic": "Goniochromatic (Eq. 5)",
+    "schlick": "Standard (Schlick)",
+    "tio2": "Standard (TiO₂ × ρ)",
+}
+SELFTEST_SIZE = 40
+
+
+@dataclass(frozen=True, eq=False)
+class ProofLight:
+    """A light that the page offers.
+
+    Attributes:
+        illuminant: its spectrum.
+        white: (3,) linear sRGB of its white.
+        adapt: (3, 3) from its white to that of sRGB.
+    """
+
+    illuminant: Illuminant
+    white: FloatArray
+    adapt: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class ProofMesh:
+    """A mesh.
+
+    Attributes:
+        vertices: (V, 11) place, normal, tangent, place on the print.
+        triangles: (T, 3).
+    """
+
+    vertices: Float32
+    triangles: npt.NDArray[np.uint32]
+
+
+@dataclass(frozen=True, eq=False)
+class Proof:
+    """What a page shows.
+
+    Attributes:
+        title: of the page.
+        subtitle: below it.
+        inks: three.
+        lights: one or more.
+        halftone_png: RGB picture of the dots, 255 where an ink is.
+        tones_png: RGB picture of coverages, 255 for 1.
+        aspect: width of the print over its height.
+        exposure: factor on linear light.
+        fill: share of the view that a unit sphere takes.
+        second_light_deg: azimuth and elevation of the second light.
+        start: first state of the controls, by their names.
+        roughness: presets: name, label, α or None for the ink's own.
+        facts: pairs to list.
+        notes: sentences to add.
+        warnings: sentences to put first.
+        mesh: for the shape "mesh".
+        photo: a data URI.
+    """
+
+    title: str
+    subtitle: str
+    inks: tuple[Ink, ...]
+    lights: tuple[ProofLight, ...]
+    halftone_png: bytes
+    tones_png: bytes
+    aspect: float
+    exposure: float
+    fill: float
+    second_light_deg: tuple[float, float]
+    start: State
+    roughness: tuple[tuple[str, str, float | None], ...]
+    facts: tuple[tuple[str, str], ...] = ()
+    notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    mesh: ProofMesh | None = None
+    photo: str | None = None
+    selftest: tuple[State, ...] = field(default=())
+
+
+def write_proof_page(proof: Proof, path: Path) -> None:
+    """Write the page, all or nothing.
+
+    Raises:
+        UsageError: not three inks, or one whose distribution of normals the page does not know.
+        RecordError: the file cannot be written.
+    """
+    if len(proof.inks) != 3:
+        raise UsageError(f"a proof shows three inks, not {len(proof.inks)}")
+    for ink in proof.inks:
+        if ink.distribution != "ggx":
+            raise UsageError(
+                f"{ink.name}: the page draws the distribution 'ggx', not {ink.distribution!r}: use --png"
+            )
+    from markupsafe import Markup
+
+    models = [(key, LABELS[key]) for key in MODELS]
+    shapes = [("sphere", "sphere"), ("cylinder", "cylinder"), ("plane", "plane")]
+    prints = [("halftone", "halftone"), ("tones", "continuous tones")]
+    content = {
+        "title": proof.title,
+        "subtitle": proof.subtitle,
+        "warnings": proof.warnings,
+        "facts": proof.facts,
+        "notes": proof.notes,
+        "photo": proof.photo,
+        "shapes": shapes if proof.mesh is None else [*shapes, ("mesh", "mesh")],
+        "prints": prints + [(f"solid{k}", f"solid {ink.name}") for k, ink in enumerate(proof.inks, 1)],
+        "illuminants": [(k, one.illuminant.name) for k, one in enumerate(proof.lights)],
+        "models": models,
+        "roughness": [(key, label) for key, label, _ in proof.roughness],
+        "data": Markup(_json(_data(proof))),  # noqa: S704 - no character of it can end the element
+        "script": Markup(_script()),  # noqa: S704 - a file of this package
+        "script_hash": "sha256-" + base64.b64encode(hashlib.sha256(_script().encode()).digest()).decode(),
+    }
+    write_page(path, "proof.html", content)
+
+
+@cache
+def _script() -> str:
+    return (files("anisoscope.report") / "templates" / "proof.js").read_text(encoding="utf-8")
+
+
+def _json(content: dict[str, Any]) -> str:
+    return (
+        json.dumps(content, allow_nan=False)
+        .replace("<", "\\u003c")
+        .replace(">", "\\u003e")
+        .replace("&", "\\u0026")
+    )
+
+
+def _uri(png: bytes) -> str:
+    return "data:image/png;base64," + base64.b64encode(png).decode()
+
+
+def _packed(numbers: npt.NDArray[np.generic]) -> str:
+    """Little-endian bytes in base64."""
+    return base64.b64encode(
+        np.ascontiguousarray(numbers.astype(numbers.dtype.newbyteorder("<"))).tobytes()
+    ).decode()
+
+
+def tables(inks: Sequence[Ink], lights: Sequence[ProofLight]) -> Float32:
+    """(lights · models · inks, 256, 3) linear sRGB tables, in the order in which the page looks them up."""
+    found = [ink_table(ink, one.illuminant, model).rgb for one in lights for model in MODELS for ink in inks]
+    return np.array(found, dtype=np.float32).reshape(-1, ENTRIES, 3)
+
+
+def _data(proof: Proof) -> dict[str, Any]:
+    mesh = proof.mesh
+    return {
+        "inks": [
+            {"name": ink.name, "alpha": ink.alpha, "alpha_y": ink.across, "brush_deg": ink.brush_deg}
+            for ink in proof.inks
+        ],
+        "models": [{"key": key, "label": LABELS[key]} for key in MODELS],
+        "illuminants": [
+            {"name": one.illuminant.name, "white": one.white.tolist(), "adapt": one.adapt.ravel().tolist()}
+            for one in proof.lights
+        ],
+        "tables": _packed(tables(proof.inks, proof.lights)),
+        "halftone": _uri(proof.halftone_png),
+        "tones": _uri(proof.tones_png),
+        "aspect": proof.aspect,
+        "exposure": proof.exposure,
+        "fill": proof.fill,
+        "second": list(proof.second_light_deg),
+        "start": proof.start,
+        "roughness": [{"key": key, "alpha": alpha} for key, _, alpha in proof.roughness],
+        "mesh": None
+        if mesh is None
+        else {"vertices": _packed(mesh.vertices), "triangles": _packed(mesh.triangles)},
+        "selftest": list(proof.selftest or selftest_cases(mesh is not None, len(proof.lights))),
+        "selftest_size": SELFTEST_SIZE,
+    }
+
+
+def selftest_cases(mesh: bool, lights: int) -> list[State]:
+    """What ``#selftest`` draws: all inks, models and prints under two lights, and every shape and extra."""
+    plain = {
+        "shape": "sphere",
+        "yaw": 0,
+        "pitch": 0,
+        "second": True,
+        "dots": "each",
+        "roughness": "file",
+        "match": False,
+    }
+    plain |= {"zoom": 1, "exposure": 0, "adapt": False, "azimuth": 135, "elevation": 45}
+    found = [
+        plain | {"illuminant": number, "model": model, "print": what}
+        for number in range(min(lights, 2))
+        for model in MODELS
+        for what in ("halftone", "tones", "solid1", "solid2", "solid3")
+    ]
+    turned = plain | {"illuminant": 0, "model": "goniochromatic", "print": "tones", "yaw": 35, "pitch": 25}
+    match = {"match": True, "phong": 0.05, "shininess": 4, "scattering": 0.1, "behind": 0.1}
+    found += [
+        turned | {"shape": shape} for shape in ("sphere", "cylinder", "plane", *(["mesh"] if mesh else []))
+    ]
+    found.append(turned | {"shape": "plane", "yaw": 160, "pitch": -10} | match)
+    found.append(turned | {"shape": "cylinder"} | match)
+    found.append(turned | {"adapt": True, "illuminant": min(lights, 2) - 1, "exposure": 0.5})
+    found.append(turned | {"roughness": "own", "alpha": 0.3, "model": "schlick", "print": "halftone"})
+    return found

@@ -1,0 +1,1 @@
+"""Soft proofing of structural-colour prints: halftones, pictures of printed shapes, comparison of models."""

@@ -1,0 +1,219 @@
+"""Halftones of three inks that never meet: one mask for all of them, or vector error diffusion."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from threading import Lock
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.errors import ModelError
+from anisoscope.progress import Advance, silent
+from anisoscope.sim.light import threads
+from anisoscope.sim.proof.mask import thresholds
+from anisoscope.sim.proof.separation import INKS, TOLERANCE, Separation, decode_srgb
+
+Float32 = npt.NDArray[np.float32]
+FloatArray = npt.NDArray[np.float64]
+Dots = npt.NDArray[np.uint8]
+Method = Literal["mask", "diffusion"]
+
+BLOCK = 64
+ROWS = 128
+MOST_DOTS = 400_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class Halftone:
+    """Where which ink goes.
+
+    Attributes:
+        dots: (rows, cols) 0 for no ink, 1 to 3 for the inks; one number a dot, so that inks cannot meet.
+        method: how the dots were placed.
+        aimed: (3,) mean coverages asked for, after sums above 1 were scaled down.
+        printed: (3,) mean coverages of the dots.
+        block_error: (B,) largest difference between both over the inks, in blocks of 64 × 64 dots; cut ones left out.
+        outside: share of pixels whose colour the inks cannot mix.
+        scaled: share of pixels whose coverages summed up to more than 1.
+    """
+
+    dots: Dots
+    method: Method
+    aimed: FloatArray
+    printed: FloatArray
+    block_error: FloatArray
+    outside: float
+    scaled: float
+
+    def mask(self, ink: int) -> npt.NDArray[np.bool_]:
+        """(rows, cols) dots of one ink, 0 to 2."""
+        return np.asarray(self.dots == ink + 1)
+
+
+@dataclass(frozen=True, eq=False)
+class _Job:
+    """Bands of an image on their way to dots."""
+
+    image: npt.NDArray[np.uint8] | Float32
+    levels: Float32
+    colours: Float32
+    solvers: Float32
+    plan: Separation
+
+    def cover(self, begin: int, stop: int, counts: npt.NDArray[np.int64]) -> Float32:
+        """(stop − begin, cols, 3) coverages of rows."""
+        from anisoscope.sim.proof.halftone_kernels import limit_sum, separate  # noqa: PLC0415 - loads the compiler
+
+        band = self.image[begin:stop]
+        linear = self.levels[band] if band.dtype == np.uint8 else band * np.float32(self.plan.gain)
+        if self.plan.way == "channels":
+            limit_sum(linear, counts)
+            return np.asarray(linear)
+        found = np.empty_like(linear)
+        separate(linear, self.colours, self.solvers, TOLERANCE, found, counts)
+        return found
+
+
+def _job(image: npt.NDArray[np.uint8] | Float32, plan: Separation) -> _Job:
+    if image.ndim != 3 or image.shape[2] != INKS or 0 in image.shape:
+        raise ModelError(f"an image to halftone is (rows, cols, 3), not {image.shape}")
+    if image.dtype not in (np.uint8, np.float32):
+        raise ModelError(f"an image to halftone is 8-bit sRGB or linear float32, not {image.dtype}")
+    if image.shape[0] * image.shape[1] > MOST_DOTS:
+        raise ModelError(
+            f"{image.shape[1]} × {image.shape[0]} dots are more than {MOST_DOTS:,}: lower the dpi or the size"
+        )
+    # the adaptation is taken into the inks, so that every pixel is spared a product
+    backward = np.linalg.inv(plan.adaptation)
+    levels = (plan.gain * decode_srgb()).astype(np.float32)
+    solvers = (plan.solvers.astype(np.float64) @ plan.adaptation).astype(np.float32)
+    return _Job(image, levels, (backward @ plan.colours).astype(np.float32), solvers, plan)
+
+
+def coverage(image: npt.NDArray[np.uint8] | Float32, plan: Separation) -> Float32:
+    """(rows, cols, 3) coverages of three inks, sums at most 1, for an image as :func:`halftone` takes it.
+
+    Raises:
+        ModelError: no such image.
+    """
+    return _job(image, plan).cover(0, len(image), np.zeros(2, dtype=np.int64))
+
+
+def halftone(
+    image: npt.NDArray[np.uint8] | Float32,
+    plan: Separation,
+    method: Method = "mask",
+    *,
+    advance: Advance = silent,
+) -> Halftone:
+    """Place the dots of an image, one a pixel.
+
+    Args:
+        image: (rows, cols, 3) 8-bit sRGB, or linear sRGB in float32.
+        plan: how colours become coverages.
+        method: "mask": void and cluster; "diffusion": vector error diffusion.
+        advance: told how far it is.
+
+    Raises:
+        ModelError: no such image or method, or more dots than 400 million.
+    """
+    if method not in ("mask", "diffusion"):
+        raise ModelError(f"no halftone is named {method!r}; known: mask, diffusion")
+    job = _job(image, plan)
+    rows, cols = image.shape[:2]
+    dots = np.empty((rows, cols), dtype=np.uint8)
+    shape = (-(-rows // BLOCK), -(-cols // BLOCK))
+    aimed, printed = np.zeros((*shape, INKS)), np.zeros((*shape, INKS + 1), dtype=np.int64)
+    starts = range(0, rows, ROWS)
+    counts = np.zeros((len(starts), 2), dtype=np.int64)
+    place = _placer(method, cols)
+    lock, done = Lock(), [0]
+
+    def work(number: int) -> Float32:
+        from anisoscope.sim.proof.halftone_kernels import count_blocks  # noqa: PLC0415 - loads the compiler
+
+        begin, stop = starts[number], min(starts[number] + ROWS, rows)
+        cover = job.cover(begin, stop, counts[number])
+        if place is not None:
+            return cover
+        _screened(cover, begin, dots[begin:stop])
+        count_blocks(cover, dots[begin:stop], BLOCK, *_of_band(begin, stop, aimed, printed))
+        with lock:
+            done[0] += 1
+            advance("rows", min(done[0] * ROWS, rows), rows)
+        return cover[:0]
+
+    if place is None:
+        threads.each(work, range(len(starts)))
+    else:
+        _in_order(work, place, starts, dots, (aimed, printed), advance)
+    return _result(dots, method, aimed, printed, counts.sum(axis=0))
+
+
+Placer = Callable[[Float32, int, Dots], None]
+
+
+def _placer(method: Method, cols: int) -> Placer | None:
+    """What places the dots of a band after those of the band above; None where bands do not depend on each other."""
+    if method == "mask":
+        return None
+    from anisoscope.sim.proof.halftone_kernels import diffuse  # noqa: PLC0415 - loads the compiler
+
+    error = np.zeros((2, cols + 2, INKS), dtype=np.float32)
+    return lambda cover, begin, dots: diffuse(cover, begin, error, dots)
+
+
+def _screened(cover: Float32, begin: int, dots: Dots) -> None:
+    from anisoscope.sim.proof.halftone_kernels import screen  # noqa: PLC0415 - loads the compiler
+
+    screen(cover, thresholds(), begin, dots)
+
+
+def _of_band(
+    begin: int, stop: int, aimed: FloatArray, printed: npt.NDArray[np.int64]
+) -> tuple[FloatArray, npt.NDArray[np.int64]]:
+    part = slice(begin // BLOCK, -(-stop // BLOCK))
+    return aimed[part], printed[part]
+
+
+def _in_order(
+    work: Callable[[int], Float32],
+    place: Placer,
+    starts: range,
+    dots: Dots,
+    blocks: tuple[FloatArray, npt.NDArray[np.int64]],
+    advance: Advance,
+) -> None:
+    """Separate bands side by side, a few at a time, and diffuse their errors one after the other."""
+    from anisoscope.sim.proof.halftone_kernels import count_blocks  # noqa: PLC0415 - loads the compiler
+
+    rows, at_once = len(dots), 2 * threads.count()
+    for first in range(0, len(starts), at_once):
+        numbers = range(first, min(first + at_once, len(starts)))
+        for number, cover in zip(numbers, threads.each(work, numbers), strict=True):
+            begin, stop = starts[number], min(starts[number] + ROWS, rows)
+            place(cover, begin, dots[begin:stop])
+            count_blocks(cover, dots[begin:stop], BLOCK, *_of_band(begin, stop, *blocks))
+            advance("rows", stop, rows)
+
+
+def _result(
+    dots: Dots,
+    method: Method,
+    aimed: FloatArray,
+    printed: npt.NDArray[np.int64],
+    counts: npt.NDArray[np.int64],
+) -> Halftone:
+    whole = printed.sum(axis=-1) == BLOCK * BLOCK
+    error = np.abs(aimed - printed[..., 1:])[whole].max(axis=-1, initial=0.0) / BLOCK**2
+    pixels = dots.size
+    return Halftone(
+        dots,
+        method,
+        aimed.sum(axis=(0, 1)) / pixels,
+        printed[..., 1:].sum(axis=(0, 1)) / pixels,
+        error,
+        float(counts[0]) / pixels,
+        float(counts[1]) / pixels,
+    )

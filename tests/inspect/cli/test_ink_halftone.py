@@ -1,0 +1,67 @@
+"""``anisoscope ink halftone``, ``compare`` and ``proof`` as a user calls them."""
+
+import numpy as np
+import PIL.Image
+import pytest
+
+
+@pytest.fixture(scope="module")
+def image(tmp_path_factory):
+    path = tmp_path_factory.mktemp("image") / "print.png"
+    y, x = np.mgrid[:96, :128] / 128.0
+    PIL.Image.fromarray((255 * np.stack([x, y, 0.5 * np.ones_like(x)], axis=-1)).astype(np.uint8)).save(path)
+    return path
+
+
+def test_halftone_writes_dots_and_a_film_an_ink(anisoscope, image, tmp_path):
+    done = anisoscope(
+        "ink", "halftone", image, "--out", tmp_path / "dots.png", "--width", 10, "--dpi", 508, "--json"
+    )
+    assert done.code == 0, done.err
+    told = done.json
+    assert (told["cols"], told["rows"]) == (200, 150)
+    names = ["dots.png", *(f"dots-synthetic-{colour}.png" for colour in ("red", "green", "blue"))]
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(names)
+    films = []
+    for name in names[1:]:
+        with PIL.Image.open(tmp_path / name) as film:
+            assert film.size == (200, 150)
+            assert film.info["dpi"] == pytest.approx((508, 508), abs=0.02)
+            films.append(~np.array(film))
+    assert np.sum(films, axis=0).max() == 1
+    np.testing.assert_allclose([film.mean() for film in films], list(told["printed"].values()))
+    np.testing.assert_allclose(list(told["aimed"].values()), list(told["printed"].values()), atol=0.004)
+
+
+def test_halftone_says_what_was_lost(anisoscope, image, tmp_path):
+    done = anisoscope("ink", "halftone", image, "--out", tmp_path / "d.png", "--method", "diffusion", "--negative",
+                      "--separation", "channels")  # fmt: skip
+    assert done.code == 0, done.err
+    for words in (
+        "128 × 96 dots",
+        "10.8 × 8.1 mm at 300 dpi",
+        "Out of gamut: none",
+        "scaled down:",
+        "coverage aimed at [%]",
+    ):
+        assert words in done.out
+    with PIL.Image.open(tmp_path / "d-synthetic-red.png") as film:
+        assert np.array(film).mean() < 0.5  # white where the ink goes
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--out", "x.tif"], "--out writes *.png"),
+        (["--out", "x.png", "--dpi", "0"], "--dpi takes"),
+        (["--out", "x.png", "--width", "-3"], "--width takes"),
+        (["--out", "x.png", "--inks", "synthetic-red"], "three inks"),
+        (["--out", "x.png", "--inks", "synthetic-red,synthetic-red,synthetic-blue"], "too much alike"),
+        (["--out", "x.png", "--angle", "88"], "0 to 85"),
+    ],
+)
+def test_mistakes_are_told_in_one_line(anisoscope, image, arguments, message):
+    done = anisoscope("ink", "halftone", image, *arguments)
+    assert done.code not in (0, 1)
+    assert message in done.err
+    assert done.err.count("\n") == 1

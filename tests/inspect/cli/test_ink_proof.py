@@ -1,0 +1,77 @@
+"""``anisoscope ink proof`` as a user calls it."""
+
+import base64
+import io
+import json
+import re
+
+import numpy as np
+import PIL.Image
+import pytest
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("proof")
+    y, x = np.mgrid[:60, :90] / 90.0
+    PIL.Image.fromarray((255 * np.stack([x, y, 1 - x], axis=-1)).astype(np.uint8)).save(path / "print.png")
+    PIL.Image.new("RGB", (60, 40), (90, 80, 70)).save(path / "photo.jpg")
+    (path / "roof.obj").write_text(
+        "v -1 0 0\nv 0 0 1\nv 0 1 1\nv -1 1 0\nv 1 0 0\nv 1 1 0\nf 1 2 3 4\nf 2 5 6 3\n"
+    )
+    return path
+
+
+def test_page_and_picture(anisoscope, folder, tmp_path):
+    done = anisoscope("ink", "proof", folder / "print.png", "--out", tmp_path / "p.html", "--png", tmp_path / "p.png",
+                      "--mesh", folder / "roof.obj", "--photo", folder / "photo.jpg", "--dots", 120, "--size", 64,
+                      "--process", "binder-mixed", "--match", "--json")  # fmt: skip
+    assert done.code == 0, done.err
+    assert done.json["dots"] == [80, 120]
+    text = (tmp_path / "p.html").read_text(encoding="utf-8")
+    data = json.loads(re.search(r'id="data">(.*?)</script>', text, re.DOTALL).group(1))
+    assert (data["start"]["shape"], data["start"]["roughness"], data["start"]["match"]) == (
+        "mesh",
+        "binder-mixed",
+        True,
+    )
+    assert [one["name"] for one in data["illuminants"]][:2] == ["D65", "A"]
+    assert data["exposure"] == pytest.approx(done.json["exposure"])
+    dots = np.array(PIL.Image.open(io.BytesIO(base64.b64decode(data["halftone"].split(",")[1]))))
+    assert (dots > 0).sum(axis=-1).max() == 1
+    np.testing.assert_allclose((dots / 255.0).mean(axis=(0, 1)), done.json["printed"])
+    assert "The print is projected" in text or "projected along z" in text
+    assert "data:image/jpeg" in text
+    with PIL.Image.open(tmp_path / "p.png") as picture:
+        assert picture.size == (64, 64)
+        assert np.array(picture).max() > 150
+
+
+def test_pictures_follow_their_options(anisoscope, folder, tmp_path):
+    shown = {}
+    for name, options in {
+        "plain": [], "turned": ["--yaw", 40], "schlick": ["--model", "schlick"], "one-light": ["--no-second"],
+        "a": ["--illuminant", "a"], "sphere": ["--shape", "sphere"],
+    }.items():  # fmt: skip
+        path = tmp_path / f"{name}.png"
+        done = anisoscope("ink", "proof", folder / "print.png", "--png", path, "--size", 32, *options)
+        assert done.code == 0, done.err
+        assert "written" in done.out
+        shown[name] = np.array(PIL.Image.open(path)).astype(int)
+    for name in set(shown) - {"plain"}:
+        assert np.abs(shown[name] - shown["plain"]).max() > 10, name
+
+
+def test_mistakes_are_told_in_one_line(anisoscope, folder):
+    for arguments, message in (
+        ([], "needs something to write"),
+        (["--out", "p.txt"], "--out writes *.html"),
+        (["--png", "p.png", "--shape", "mesh"], "needs --mesh"),
+        (["--png", "p.png", "--dots", "-1"], "--dots takes"),
+        (["--png", "p.png", "--mesh", folder / "none.obj"], "cannot be read"),
+        (["--png", "p.png", "--illuminant", "moon"], "no illuminant is named"),
+    ):
+        done = anisoscope("ink", "proof", folder / "print.png", *arguments)
+        assert done.code not in (0, 1)
+        assert message in done.err
+        assert done.err.count("\n") == 1

@@ -1,0 +1,139 @@
+"""Separation and halftones: nothing overlaps, coverages come out as they were asked for."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import nnls
+
+from anisoscope.errors import ModelError
+from anisoscope.sim.light.colour.illuminant import standard
+from anisoscope.sim.proof.halftone import BLOCK, coverage, halftone
+from anisoscope.sim.proof.separation import decode_srgb, separation
+
+
+def flat(coverages, rows=256, cols=320):
+    return np.broadcast_to(np.float32(coverages), (rows, cols, 3)).astype(np.float32)
+
+
+TINTS = [
+    (0.1, 0.2, 0.3),
+    (0.33, 0.33, 0.34),
+    (0.02, 0.5, 0.4),
+    (0.25, 0.0, 0.6),
+    (0.05, 0.05, 0.05),
+    (0.0, 1.0, 0.0),
+]
+
+
+@pytest.mark.parametrize("tint", TINTS)
+def test_blocks_of_even_tints_are_covered_as_asked(plan, tint):
+    direct = replace(plan, way="channels")
+    found = halftone(flat(tint), direct)
+    assert found.block_error.shape == (20,)
+    assert found.block_error.max() <= 0.004
+    np.testing.assert_allclose(found.aimed, tint, atol=1e-6)
+    blocks = found.dots[:, :, None] == np.arange(1, 4)
+    smaller = blocks.reshape(8, 32, 10, 32, 3).mean(axis=(1, 3)) - tint
+    assert np.sqrt(np.mean(smaller**2)) <= 0.004  # blocks of 32 × 32, rms
+    diffused = halftone(flat(tint), direct, "diffusion")
+    assert np.abs(diffused.printed - tint).max() <= 0.004
+    inner = diffused.dots[BLOCK:-BLOCK, BLOCK:-BLOCK, None] == np.arange(1, 4)
+    assert np.abs(inner.reshape(2, 64, 3, 64, 3).mean(axis=(1, 3)) - tint).max() <= 0.004
+
+
+@pytest.mark.parametrize("method", ["mask", "diffusion"])
+def test_no_dot_bears_two_inks_and_every_dot_of_a_full_tint_bears_one(plan, rng, method):
+    image = rng.integers(0, 256, (200, 301, 3), dtype=np.uint8)
+    found = halftone(image, plan, method)
+    assert sum(found.mask(k).astype(int) for k in range(3)).max() == 1
+    np.testing.assert_allclose(found.printed, found.aimed, atol=0.004)
+    full = halftone(flat((0.5, 0.2, 0.3)), replace(plan, way="channels"), method)
+    assert full.printed.sum() == pytest.approx(
+        1.0, abs=2e-3 if method == "mask" else 0.01
+    )  # errors begin at 0
+
+
+def test_too_much_ink_is_scaled_down_and_told(plan):
+    found = halftone(flat((0.9, 0.6, 0.3)), replace(plan, way="channels"))
+    np.testing.assert_allclose(found.aimed, [0.5, 1 / 3, 1 / 6], atol=1e-6)
+    assert found.scaled == 1.0
+    assert halftone(flat((0.3, 0.3, 0.4)), replace(plan, way="channels")).scaled == 0.0
+
+
+def test_coverages_are_the_non_negative_least_squares_solution(plan, rng):
+    image = rng.integers(0, 256, (20, 20, 3), dtype=np.uint8)
+    found = coverage(image, plan)
+    linear = decode_srgb()[image] @ plan.adaptation.T
+    for got, aim in zip(found.reshape(-1, 3), linear.reshape(-1, 3), strict=True):
+        expected = nnls(plan.colours, aim)[0]
+        expected /= max(1.0, expected.sum())
+        np.testing.assert_allclose(got, expected, atol=3e-5)
+
+
+def test_colours_of_the_inks_come_back_under_either_light(inks):
+    for name in ("d65", "a"):
+        plan = separation(inks, standard(name))
+        mixed = np.array([0.2, 0.1, 0.05])
+        aim = np.linalg.solve(plan.adaptation, plan.colours @ mixed).astype(np.float32)
+        np.testing.assert_allclose(coverage(aim.reshape(1, 1, 3), plan)[0, 0], mixed, atol=1e-5)
+        white = coverage(np.full((1, 1, 3), 255, dtype=np.uint8), plan)[0, 0]
+        assert white.sum() == pytest.approx(1.0, abs=1e-5)
+        np.testing.assert_allclose(white, plan.neutral, atol=1e-4)
+
+
+def test_coverage_is_linear_in_light(plan):
+    grey = np.float32([[[0.1] * 3, [0.2] * 3, [0.4] * 3]])
+    found = coverage(grey, plan)[0]
+    np.testing.assert_allclose(found[1], 2 * found[0], rtol=1e-4)
+    np.testing.assert_allclose(found[2], 4 * found[0], rtol=1e-4)
+
+
+def test_out_of_gamut_is_counted(plan):
+    pure = np.zeros((8, 8, 3), dtype=np.uint8)
+    pure[:, :4, 1] = 255  # greener than the green ink
+    pure[:, 4:] = 40
+    assert halftone(pure, plan).outside == 0.5
+
+
+def test_decoding_inverts_the_encoding():
+    from anisoscope.sim.light.colour.spaces import encode
+
+    np.testing.assert_allclose(255 * encode(decode_srgb()).srgb, np.arange(256), atol=1e-9)
+
+
+def test_progress_ends_at_the_end_and_bands_do_not_show(plan, rng):
+    seen = []
+    image = rng.integers(0, 256, (300, 64, 3), dtype=np.uint8)
+    for method in ("mask", "diffusion"):
+        seen.clear()
+        whole = halftone(image, plan, method, advance=lambda _, done, total: seen.append((done, total)))
+        assert seen[-1] == (300, 300)
+        top = halftone(image[:140], plan, method)
+        np.testing.assert_array_equal(whole.dots[:140], top.dots)
+
+
+@pytest.mark.parametrize(
+    ("image", "message"),
+    [
+        (np.zeros((4, 4), np.uint8), "rows, cols, 3"),
+        (np.zeros((0, 4, 3), np.uint8), "rows, cols, 3"),
+        (np.zeros((4, 4, 3)), "float32"),
+    ],
+)
+def test_images_that_cannot_be_halftoned(plan, image, message):
+    with pytest.raises(ModelError, match=message):
+        halftone(image, plan)
+
+
+def test_separations_that_cannot_be_made(inks, d65):
+    for given, message in (
+        ({"inks": inks[:2]}, "three inks"),
+        ({"inks": (inks[0], inks[0], inks[2])}, "too much alike"),
+        ({"angle_deg": 89.0}, "0 to 85"),
+        ({"gain": 0.0}, "gain"),
+    ):
+        with pytest.raises(ModelError, match=message):
+            separation(**({"inks": inks, "illuminant": d65} | given))
+    with pytest.raises(ModelError, match="no halftone is named"):
+        halftone(np.zeros((4, 4, 3), np.uint8), separation(inks, d65), "dither")
