@@ -1,0 +1,183 @@
+"""The page of a designed surface: target, achieved, what stays out of reach, how it looks, and what errors do to it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.report.figures import BLUE, GRID, MUTED, ORANGE, RED, _figure, _svg_uri, png_uri
+from anisoscope.report.page import write_page
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class LobeCurves:
+    """A lobe along one axis.
+
+    Attributes:
+        axis: "x" or "y".
+        h: (H,) half vectors.
+        target: (H,) wanted, or None where nothing was asked for but what is there.
+        achieved: (H,) density in µm.
+    """
+
+    axis: str
+    h: FloatArray
+    target: FloatArray | None
+    achieved: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class PhaseCurve:
+    """|τ| over wavelength.
+
+    Attributes:
+        wavelength_nm: (W,).
+        tau: (W,).
+        band_nm: that it was made small for.
+    """
+
+    wavelength_nm: FloatArray
+    tau: FloatArray
+    band_nm: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """A picture.
+
+    Attributes:
+        pixels: (rows, cols, 3) encoded sRGB from 0 to 1, first row at the top.
+        caption: what it shows.
+    """
+
+    pixels: FloatArray
+    caption: str
+
+
+@dataclass(frozen=True, eq=False)
+class DesignPage:
+    """All that the page shows; what is empty is left out.
+
+    Attributes:
+        title: heading.
+        subtitle: one line below it.
+        warnings: what to mind.
+        figures: (name, value, unit) of the design.
+        lobes: along the axes.
+        phase: of the etch passes.
+        progress: (seconds, relative error) of a refinement.
+        pictures: the lobe on a screen, dots under white and green light.
+        looks: the pattern under two lights.
+        tolerances: rows of text.
+        notes: where things come from.
+    """
+
+    title: str
+    subtitle: str
+    warnings: Sequence[str] = ()
+    figures: Sequence[tuple[str, str, str]] = ()
+    lobes: Sequence[LobeCurves] = ()
+    phase: PhaseCurve | None = None
+    progress: Sequence[tuple[float, float]] = ()
+    pictures: Sequence[Shown] = ()
+    looks: Sequence[Shown] = ()
+    tolerances: Sequence[Sequence[str]] = ()
+    notes: Sequence[str] = ()
+
+
+TOLERANCE_COLUMNS = (
+    "error of depth [nm]", "error of width [nm]", "|τ| [1]", "largest |τ| over the band [1]", "spike over lobe [1]",
+    "light in the lobe [%]", "change of the lobe [%]",
+)  # fmt: skip
+
+
+def write_design_page(shown: DesignPage, path: Path) -> None:
+    """Write the page, all or nothing.
+
+    Raises:
+        RecordError: the file cannot be written.
+    """
+    charts = [(_lobe_chart(one), _lobe_text(one)) for one in shown.lobes]
+    if shown.phase is not None:
+        low, high = shown.phase.band_nm
+        where = f"at {low:g} nm" if low == high else f"from {low:g} to {high:g} nm"
+        text = f"Mean phase |τ| of all levels over wavelength; it was made small {where}"
+        charts.append((_phase_chart(shown.phase), text))
+    if len(shown.progress) > 1:
+        text = f"Relative error over time, from {shown.progress[0][1]:.3f} to {shown.progress[-1][1]:.4f}"
+        charts.append((_progress_chart(shown.progress), text))
+    content = {
+        "title": shown.title,
+        "subtitle": shown.subtitle,
+        "warnings": shown.warnings,
+        "figures": shown.figures,
+        "charts": charts,
+        "pictures": [(_picture_uri(one.pixels), one.caption) for one in shown.pictures],
+        "looks": [(_picture_uri(one.pixels), one.caption) for one in shown.looks],
+        "columns": TOLERANCE_COLUMNS,
+        "tolerances": shown.tolerances,
+        "notes": shown.notes,
+    }
+    write_page(path, "design.html", content)
+
+
+def _picture_uri(pixels: FloatArray) -> str:
+    values = np.asarray(np.rint(255.0 * np.clip(pixels, 0.0, 1.0)), dtype=np.uint8)
+    done, data = cv2.imencode(".png", values[..., ::-1])
+    assert done
+    return png_uri(data.tobytes())
+
+
+def _lobe_text(one: LobeCurves) -> str:
+    if one.target is None:
+        return f"Reflected density along h_{one.axis}"
+    missed = float(np.linalg.norm(one.target - one.achieved) / np.linalg.norm(one.target))
+    return f"Target and achieved lobe along h_{one.axis}; {100.0 * missed:.1f} % (L2) of the target stays out of reach"
+
+
+def _lobe_chart(one: LobeCurves) -> str:
+    with _figure(4.6, 3.0) as (figure, axes):
+        axes.axhline(0.0, color=GRID, linewidth=0.8)
+        if one.target is not None:
+            axes.fill_between(
+                one.h, one.target - one.achieved, color=ORANGE, alpha=0.6, linewidth=0, label="unreachable"
+            )
+            axes.plot(one.h, one.target, color=MUTED, linewidth=1.2, linestyle="--", label="target")
+        axes.plot(one.h, one.achieved, color=BLUE, linewidth=1.4, label="achieved")
+        axes.set_xlabel(f"h_{one.axis} [1]")
+        axes.set_ylabel("density [µm]")
+        axes.set_xlim(float(one.h[0]), float(one.h[-1]))
+        axes.grid()
+        axes.legend(frameon=False, fontsize=8)
+        return _svg_uri(figure)
+
+
+def _phase_chart(one: PhaseCurve) -> str:
+    with _figure(4.6, 3.0) as (figure, axes):
+        low, high = one.band_nm
+        if low < high:
+            axes.axvspan(low, high, color=GRID, alpha=0.5, linewidth=0)
+        else:
+            axes.axvline(low, color=RED, linewidth=0.8)
+        axes.plot(one.wavelength_nm, one.tau, color=BLUE, linewidth=1.4)
+        axes.set_xlabel("wavelength [nm]")
+        axes.set_ylabel("|τ| [1]")
+        axes.set_ylim(bottom=0.0)
+        axes.grid()
+        return _svg_uri(figure)
+
+
+def _progress_chart(progress: Sequence[tuple[float, float]]) -> str:
+    with _figure(4.6, 3.0) as (figure, axes):
+        seconds, error = np.array(progress).T
+        axes.step(seconds, error, where="post", color=BLUE, linewidth=1.4)
+        axes.set_xlabel("time [s]")
+        axes.set_ylabel("relative error [1]")
+        axes.set_ylim(bottom=0.0)
+        axes.grid()
+        return _svg_uri(figure)

@@ -1,0 +1,249 @@
+"""Refinement of one dot: a genetic search (Levin et al. 2013, Appendix B), a greedy polish, or both.
+
+The genetic search resamples a share of a dot's parameters and keeps the best of parents and children. Together with
+the polish every child is first brought to where single changes of levels help little: the genetic search then leads
+from one such dot to a better one, and out of what the polish alone gets stuck in.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from anisoscope.errors import ModelError
+from anisoscope.progress import Advance, silent
+from anisoscope.sim.design.dot import Dot, DotState, DotTask, Levels
+from anisoscope.sim.design.polish import BATCH, Bench, Polish
+from anisoscope.sim.light.wave.sampling import Widths
+
+Method = Literal["both", "genetic", "polish"]
+
+MUTATED = 0.02
+"""Share of the parameters that the genetic search resamples."""
+
+KICKED = 0.01
+"""The same where a polish follows."""
+
+TRIED = 6 * BATCH
+"""Changes that are tried before a child counts as polished."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """When to stop.
+
+    Attributes:
+        seconds: of wall-clock time, or None.
+        generations: of the search (of the polish: its steps), or None.
+        error: relative error that is good enough, or None.
+
+    Raises:
+        ModelError: no limit at all in time or generations, or one that is not positive.
+    """
+
+    seconds: float | None = 30.0
+    generations: int | None = None
+    error: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.seconds is None and self.generations is None:
+            raise ModelError("a refinement needs an end: give it seconds or generations")
+        if (self.seconds is not None and not self.seconds > 0.0) or (
+            self.generations is not None and self.generations < 1
+        ):
+            raise ModelError("a refinement needs more than 0 seconds, and 1 generation or more")
+
+
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """The best dot that was found.
+
+    Attributes:
+        dot: the dot.
+        error: ‖R_o − R_E‖/‖R_E‖ of it.
+        start_error: of the best dot of the first random ones.
+        history: (seconds, error) at every improvement.
+        generations: that were run.
+        stopped: why: "time", "generations", "good enough", "stuck" (polish alone), or "interrupted".
+    """
+
+    dot: Dot
+    error: float
+    start_error: float
+    history: tuple[tuple[float, float], ...]
+    generations: int
+    stopped: str
+
+
+@dataclass(eq=False)
+class _Search:
+    bench: Bench
+    limits: Limits
+    advance: Advance
+    clock: Callable[[], float]
+    began: float = field(init=False)
+    best: Dot | None = None
+    error: float = float("inf")
+    start: float = float("inf")
+    history: list[tuple[float, float]] = field(default_factory=list)
+    generation: int = 0
+
+    def __post_init__(self) -> None:
+        self.began = self.clock()
+
+    def seen(self, state: DotState, squared: float) -> None:
+        """Remember a dot if it is the best so far."""
+        relative = self.bench.relative(squared)
+        if relative < self.error:
+            self.best, self.error = state.frozen(), relative
+            self.history.append((self.clock() - self.began, relative))
+        spent = self.clock() - self.began
+        whole = self.limits.seconds or 0.0
+        self.advance(f"error {self.error:.4f}", int(min(spent, whole) * 1000), int(whole * 1000))
+
+    def over(self) -> str | None:
+        """Why to stop now, or None."""
+        if self.limits.error is not None and self.error <= self.limits.error:
+            return "good enough"
+        if self.limits.generations is not None and self.generation >= self.limits.generations:
+            return "generations"
+        if self.limits.seconds is not None and self.clock() - self.began >= self.limits.seconds:
+            return "time"
+        return None
+
+
+def refine(
+    task: DotTask,
+    rng: np.random.Generator,
+    limits: Limits | None = None,
+    *,
+    method: Method = "both",
+    population: int = 6,
+    on_progress: Advance = silent,
+    clock: Callable[[], float] = time.monotonic,
+) -> Refined:
+    """Find a dot whose reflectance is close to the expected one.
+
+    An interruption from the keyboard ends the search; the best dot so far is returned.
+
+    Args:
+        task: what dots are drawn from, and what they are to reflect.
+        rng: source of randomness; with a limit of generations only, the result depends on nothing else.
+        limits: when to stop; 30 s by default.
+        method: genetic search, polish of one dot, or both.
+        population: m, dots that the genetic search keeps; 2 or more.
+        on_progress: told along the way.
+        clock: seconds that pass.
+
+    Raises:
+        ModelError: a population below 2.
+    """
+    if population < 2:
+        raise ModelError(f"a genetic search needs a population of 2 dots or more, not {population}")
+    search = _Search(Bench(task), Limits() if limits is None else limits, on_progress, clock)
+    run = {"both": _both, "genetic": _genetic, "polish": _polish}[method]
+    try:
+        stopped = run(search, rng, population)
+    except KeyboardInterrupt:
+        stopped = "interrupted"
+        if search.best is None:
+            raise
+    assert search.best is not None
+    return Refined(search.best, search.error, search.start, tuple(search.history), search.generation, stopped)
+
+
+def _first(search: _Search, rng: np.random.Generator, population: int) -> list[tuple[float, Dot]]:
+    """Random dots, best first."""
+    found = []
+    for _ in range(population):
+        state = DotState(search.bench.task, search.bench.task.draw(rng))
+        squared = search.bench.measure(state)
+        search.seen(state, squared)
+        found.append((squared, state.frozen()))
+    search.start = search.error
+    return sorted(found, key=lambda one: one[0])
+
+
+def _genetic(search: _Search, rng: np.random.Generator, population: int) -> str:
+    """Appendix B: every dot gets a child by resampling; the best m of 2m stay."""
+    kept = _first(search, rng, population)
+    while (why := search.over()) is None:
+        children = []
+        for _, parent in kept:
+            state = DotState(search.bench.task, mutated(search.bench.task, parent, MUTATED, rng))
+            squared = search.bench.measure(state)
+            search.seen(state, squared)
+            children.append((squared, state.frozen()))
+            if search.over() == "time":
+                break
+        kept = sorted(kept + children, key=lambda one: one[0])[:population]
+        search.generation += 1
+    return why
+
+
+def _polish(search: _Search, rng: np.random.Generator, population: int) -> str:
+    """The best of the first random dots, polished until it is stuck."""
+    polish = Polish(search.bench, _first(search, rng, population)[0][1])
+    while (why := search.over()) is None:
+        if not polish.step():
+            return "stuck"
+        search.seen(polish.state, polish.error)
+        search.generation += 1
+    return why
+
+
+def _both(search: _Search, rng: np.random.Generator, population: int) -> str:
+    """Genetic search among polished dots; a child of the best so far first, of the others in turn."""
+    first = _first(search, rng, population)
+    kept: list[tuple[float, Dot]] = [_polished(search, first[0][1])]
+    while (why := search.over()) is None:
+        number = search.generation % 4
+        parent = kept[0 if number else int(rng.integers(len(kept)))]
+        child = mutated(search.bench.task, parent[1], KICKED, rng)
+        kept = sorted([*kept, _polished(search, child)], key=lambda one: one[0])[:population]
+        search.generation += 1
+    return why
+
+
+def _polished(search: _Search, dot: Dot) -> tuple[float, Dot]:
+    polish = Polish(search.bench, dot)
+    while search.over() is None and polish.step(TRIED):
+        search.seen(polish.state, polish.error)
+    return polish.error, polish.state.frozen()
+
+
+def mutated(task: DotTask, dot: Dot, share: float, rng: np.random.Generator) -> Dot:
+    """A copy with a share of its parameters resampled: levels of rectangles, or (as often) widths along one axis."""
+    levels, x, y = dot.levels.copy(), dot.edges_x_um, dot.edges_y_um
+    if rng.random() < 0.5:
+        cells = rng.random(levels.shape) < max(share, 1.0 / levels.size)
+        levels[cells] = rng.integers(0, len(task.levels_um), int(cells.sum()))
+    elif rng.random() < 0.5:
+        x, levels = _rewidened(task, task.widths_x, x, levels, share, rng)
+    else:
+        y, turned = _rewidened(task, task.widths_y, y, levels.T, share, rng)
+        levels = np.ascontiguousarray(turned.T)
+    return Dot(x, y, levels)
+
+
+def _rewidened(
+    task: DotTask,
+    widths: Widths,
+    edges_um: np.ndarray,
+    levels: Levels,
+    share: float,
+    rng: np.random.Generator,
+) -> tuple[np.ndarray, Levels]:
+    """Widths of a share of the columns drawn again; what no longer fits falls off, new columns get random levels."""
+    width = np.diff(edges_um)[:-1]  # the last one was cut to fit
+    redrawn = rng.random(width.size) < max(share, 1.0 / width.size)
+    shares = np.asarray(widths.probabilities) / sum(widths.probabilities)
+    width[redrawn] = rng.choice(widths.widths_um, int(redrawn.sum()), p=shares)
+    more = rng.choice(widths.widths_um, int(task.dot_um / min(widths.widths_um)) + 1, p=shares)
+    edges = np.concatenate([[0.0], np.cumsum(np.concatenate([width, more]))])
+    fitted = np.append(edges[edges <= task.dot_um - widths.min_width_um + 1e-9], task.dot_um)
+    many = fitted.size - 1
+    fresh = rng.integers(0, len(task.levels_um), (levels.shape[0], max(0, many - levels.shape[1])))
+    return fitted, np.ascontiguousarray(np.concatenate([levels, fresh], axis=1)[:, :many])

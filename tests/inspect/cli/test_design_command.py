@@ -1,0 +1,138 @@
+"""``anisoscope design`` as its users run it, on the examples of its page; and what it refuses."""
+
+import json
+import re
+import shlex
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from anisoscope.profiles.files.load import read_height_map
+
+DOCS = Path(__file__).resolve().parents[3] / "docs" / "design.md"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    here = tmp_path_factory.mktemp("design")
+    y, x = np.mgrid[:24, :24]
+    cv2.imwrite(str(here / "disc.png"), np.where((x - 12) ** 2 + (y - 12) ** 2 < 60, 255, 0).astype(np.uint8))
+    cv2.imwrite(str(here / "shades.png"), (10 * x).astype(np.uint8))
+    return here
+
+
+@pytest.fixture(scope="module")
+def page(folder, anisoscope):
+    """What every command of the page answered, in order."""
+    commands = re.findall(
+        r"^anisoscope (design .*|predict .*)$", DOCS.read_text(encoding="utf-8"), re.MULTILINE
+    )
+    found = {}
+    for command in commands:
+        done = anisoscope(*shlex.split(command.partition("#")[0]), cwd=folder)
+        assert done.code == 0, (command, done.err)
+        found[command] = done.out
+    assert len(found) >= 10
+    return found
+
+
+def test_every_command_of_the_page_runs_and_writes_its_files(page, folder):
+    for command in page:
+        for name in re.findall(r"--(?:out|html|png) (\S+)", command):
+            assert (folder / name).stat().st_size > 100, (command, name)
+
+
+def test_json_has_the_design_and_its_figures(anisoscope, folder):
+    done = anisoscope("design", "lobe", "--sigma", "0.04", "--json", cwd=folder)
+    found = json.loads(done.out)
+    assert found["rel_l2_x"] <= 0.044
+    assert found["depths_nm"] == [125.0]
+    assert found["epsilon"] < 1e-9
+    assert sum(p for _, p in found["p_a"]["x"]) == pytest.approx(1.0)
+    assert 0.0 < found["unreachable"]["x"] < 0.01
+    depths = json.loads(anisoscope("design", "depths", "--levels", "8", "--json", cwd=folder).out)
+    assert depths["epsilon"] <= 0.019
+    assert len(depths["depths_nm"]) == 3
+
+
+def test_maps_of_designs_layouts_and_masks_agree(page, folder):
+    masks, layout = (read_height_map(folder / name) for name in ("masks.x3p", "layout.x3p"))
+    np.testing.assert_allclose(masks.height_um, layout.height_um, atol=1e-9)
+    assert masks.pixel_x_um == 0.25
+
+
+def test_the_page_is_self_contained(page, folder):
+    text = (folder / "disc.html").read_text(encoding="utf-8")
+    assert "default-src 'none'" in text
+    assert not re.search(r'(src|href)="https?:', text)
+    assert "Lamp to the side" in text
+    assert text.count("<img") >= 7
+
+
+def test_a_whole_layout_is_streamed(anisoscope, page, folder):
+    assert anisoscope("design", "height", "dot.npz", "--out", "dot.x3p", cwd=folder).code == 0
+    done = anisoscope("design", "height", "dot.npz", "--out", "all.npy", "--json", cwd=folder)
+    assert done.code == 0, done.err
+    said = json.loads(done.out)
+    heights = np.load(folder / "all.npy")
+    assert heights.shape == (said["rows"], said["cols"]) == (224, 224)
+    np.testing.assert_allclose(heights, read_height_map(folder / "dot.x3p").height_um, atol=1e-6)
+    again = anisoscope("design", "height", "dot.npz", "--out", "all.npy", cwd=folder)
+    assert again.code == 64
+    assert "--overwrite" in again.err
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ("lobe --sigma 0.06", "out of reach.*--nearest"),
+        ("lobe --sigma 0.04 --min-width 2.1", "whole number of --grid"),
+        ("lobe --sigma 0.04 --depths 0", "steps need levels"),
+        ("antimirror --width 1", "smallest feature.*--min-width"),
+        ("antimirror --arrangement 3,1", "multiple of 2"),
+        ("depths --levels 6", "2ⁿ levels"),
+        ("depths --band 700,400", "rising wavelengths"),
+        ("refine hole.toml --seconds 1", "refine takes a lobe"),
+        ("refine none.toml --seconds 1", "no such file"),
+        ("pattern shades.png --classes wide-x.toml,wide-y.toml", "24 different values.*2 designs.*--dither"),
+        ("pattern disc.png --classes wide-x.toml", "2 different values.*1 designs"),
+        ("pattern disc.png --classes wide-x.toml,white.toml", "etched at once"),
+        ("pattern none.png --classes wide-x.toml", "cannot be read"),
+        ("mask wide-x.toml --out a.gds", "not a layout"),
+        ("mask disc.npz --out a.png", r"\*\.gds"),
+        ("height disc.npz --out w.x3p --corner 99999,0 --size 10,10", "choose a window inside"),
+        ("height disc.png --out p.x3p", "give a design"),
+        ("height wide-x.toml --out q.x3p --grid 1", "GDSII files"),
+        ("mixture wide-x.toml hole.toml --shares 0.5,0.6", "add up to 1"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_line(anisoscope, page, folder, command, words):
+    done = anisoscope("design", *shlex.split(command), cwd=folder)
+    assert done.code in (64, 65, 78), done.out + done.err
+    assert re.search(words, done.err), done.err
+    assert len(done.err.strip().splitlines()) == 1
+
+
+def test_the_nearest_lobe_says_what_it_misses(anisoscope, folder):
+    done = anisoscope("design", "lobe", "--sigma", "0.06", "--nearest", "--json", cwd=folder)
+    found = json.loads(done.out)
+    assert found["rel_l2_x"] == pytest.approx(0.214, abs=0.005)
+    assert "out of reach" in found["warnings"][0]
+
+
+def test_refinement_repeats_itself_and_ends_with_its_dot(anisoscope, page, folder):
+    runs = [
+        json.loads(
+            anisoscope(
+                *shlex.split(
+                    "design refine wide-x.toml --dot 40 --generations 1 --seconds 100 --seed 3 --json"
+                ),
+                cwd=folder,
+            ).out
+        )
+        for _ in range(2)
+    ]
+    assert runs[0]["error"] == runs[1]["error"] < runs[0]["start_error"]
+    assert runs[0]["stopped"] == "generations"
