@@ -114,6 +114,8 @@ def predict(
     from anisoscope.sim.light.wave.reflectance import LightSpectrum
 
     _check_choice(height_map, ridge_angle, model)
+    if spectrum is not None and waves.wavelengths is not None:
+        raise UsageError("--spectrum names the wavelengths itself: leave --wavelengths out")
     _check_bounces(bounces, model)
     _check_surface(height_map, model, height_loss, role, max_missing)
     _check_map_options(height_map, facets, roughness)
@@ -206,7 +208,7 @@ def _predict_and_print(
         from anisoscope.prediction.spectrumfile import read_spectrum
 
         colours = read_spectrum(spectrum)
-        lines = []
+        lines: list[Predicted] = []
         for wavelength, plastic in zip(colours.wavelengths_nm, colours.materials(material), strict=True):
             with progress(f"{wavelength:g} nm") as advance:
                 lines += predict_one(plastic, advance, wavelength)

@@ -43,6 +43,8 @@ def _caption(result: "Predicted") -> str:
     for name, value in result.notes.items():
         if name == "optics":
             caption += f"; optics: {value['reason']}"
+            if value["stated_error_per_sr"] is not None:
+                caption += f" (of the middle of a lobe: {value['stated_error_per_sr']:.2g} 1/sr)"
             continue
         if name in _IN_WORDS:
             caption += "; " + _IN_WORDS[name].format(100.0 * value)

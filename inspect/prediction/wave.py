@@ -59,7 +59,9 @@ def design_surface(design: RidgeDesign, light: LightSpectrum) -> WaveSurface:
             f"waves on walls of ridges of {design.ridge_angle_deg:g}° need {a_pitch} points a pitch: take a vertical "
             "wall, a larger angle, or the geometric model"
         )
-    x = (np.arange(a_pitch * _DESIGN_PITCHES) + 0.5) * (design.pitch_um / a_pitch)
+    x = np.asarray(
+        (np.arange(a_pitch * _DESIGN_PITCHES) + 0.5) * (design.pitch_um / a_pitch), dtype=np.float64
+    )
     return WaveSurface.of(design.profile(x), design.pitch_um / a_pitch)
 
 
@@ -136,7 +138,7 @@ class WavePredictor:
             dense = (found.extruded_density if self.surface.is_profile else found.density)(matched, window)
             dense *= (found.h_z / half.z) ** 2
             total += share * radiance_scale(half, wavelength) * dense * self._cell(half, wavelength)
-        return total * lobe.factor
+        return max(total * lobe.factor, 0.0)  # rounding leaves less than nothing where it is dark
 
     def _cell(self, half: HalfVector, wavelength_um: float) -> float:
         from anisoscope.sim.light.wave.fused import cell_response  # noqa: PLC0415 - numba when first needed

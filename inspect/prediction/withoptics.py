@@ -28,11 +28,16 @@ from anisoscope.progress import Advance, silent
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.contrasts import contrasts
 from anisoscope.sim.light.geometry import Convention, Pose, directions
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.material import Material, fresnel
 from anisoscope.sim.light.optics import POINT_LIKE, Optics, through
-from anisoscope.sim.light.wave.choice import NUMERICAL_ERROR, OpticsChoice, choose_optics
+from anisoscope.sim.light.wave.choice import (
+    NUMERICAL_ERROR,
+    OpticsChoice,
+    choose_optics,
+    effective_coherence_um,
+)
 from anisoscope.sim.light.wave.halfvectors import HalfVector, half_vector
-from anisoscope.sim.light.wave.reflectance import LightSpectrum
+from anisoscope.sim.light.wave.reflectance import LightSpectrum, radiance_scale
 from anisoscope.sim.light.wave.surface import WaveSurface, sampling_of
 from anisoscope.sim.light.wave.windows import Window
 
@@ -89,7 +94,7 @@ def optics_for(surface: HeightMap | RidgeDesign, rig: Rig, wanted: Wanted) -> Op
         facets = replace(surface, pitch_um=surface.facet_width_um, wall="vertical")
         pixel = min(0.125 * wanted.light.shortest_um, surface.pitch_um / 64.0)
         count = max(256, int(4.0 * facets.pitch_um / pixel))
-        heights = WaveSurface.of(facets.profile((np.arange(count) + 0.5) * pixel), pixel)
+        heights = WaveSurface.of(facets.profile(np.asarray((np.arange(count) + 0.5) * pixel)), pixel)
     elif surface.missing_share > 0.0:
         return None
     else:
@@ -129,7 +134,7 @@ def predict_with_optics(
     if model in ("wave", "both"):
         stepped = choice is not None and choice.stepped
         found.append(_by_waves(surface, rig, wanted, stepped, pitch_um, levelling, on_progress))
-    notes = optics_note(choice, wanted)
+    notes = optics_note(choice, wanted) | error_note(choice, rig, wanted)
     return tuple(replace(one, notes={**one.notes, "optics": notes}) for one in found)
 
 
@@ -152,6 +157,23 @@ def optics_note(choice: OpticsChoice | None, wanted: Wanted) -> dict[str, Any]:
         "coherence_um": _finite(choice.coherence_um),
         "wavelengths_nm": [1e3 * wavelength for wavelength in wanted.light.wavelengths_um],
     }
+
+
+def error_note(choice: OpticsChoice | None, rig: Rig, wanted: Wanted) -> dict[str, float | None]:
+    """The stated error in 1/sr: its share of the middle of the brightest lobe, which holds in every pose.
+
+    A pose that sees the foot of a lobe only may be off by more than the stated share of itself: what diffraction takes
+    out of a lobe falls off with the square of the angle, roughness much faster.
+    """
+    if choice is None:
+        return {"stated_error_per_sr": None}
+    longest, window = wanted.light.longest_um, _window(rig)
+    middles = []
+    for half in _halves(rig):
+        x, y = effective_coherence_um(window, longest, half.z)
+        mirrored = float(fresnel(np.sqrt(np.asarray(half.square)), rig.material.index))
+        middles.append(radiance_scale(half, longest) * x * y * mirrored)
+    return {"stated_error_per_sr": _finite(choice.stated_error * max(middles))}
 
 
 def _finite(value: float) -> float | None:
@@ -185,9 +207,9 @@ def _by_waves(
         of, shape = _of_design(surface, rig, wanted), Shape(surface.ridge_angle_deg, surface.height_loss)
     else:
         of, shape = fixed(_of_map(surface, rig, wanted, stepped, pitch_um, levelling)), None
-    nominal = State(
-        rig.material, rig.convention.light_angle_deg, **({} if shape is None else {"shape": shape})
-    )
+    nominal = State(rig.material, rig.convention.light_angle_deg)
+    if shape is not None:
+        nominal = replace(nominal, shape=shape)
     radiance = of(nominal.shape)(*directions(rig.poses, rig.convention), rig.material)
     notes: dict[str, Any] = {"bounces": 1}
     found = Predicted(

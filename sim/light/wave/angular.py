@@ -45,7 +45,8 @@ class AngularMap:
 
         x = 2.0 * np.asarray(h_x, dtype=np.float64) / self.wavelength_um
         if self.frequency_y.size == 1:
-            return np.interp(x, self.frequency_x, self.density[0], left=0.0, right=0.0)
+            line = np.asarray(self.density[0], dtype=np.float64)
+            return np.asarray(np.interp(x, self.frequency_x, line, left=0.0, right=0.0))
         y = 2.0 * np.asarray(0.0 if h_y is None else h_y, dtype=np.float64) / self.wavelength_um
         grid = RegularGridInterpolator(
             (self.frequency_y, self.frequency_x), self.density, bounds_error=False, fill_value=0.0

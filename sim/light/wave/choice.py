@@ -19,10 +19,14 @@ WAVE_BELOW = 8.0
 SMOOTH_FROM = 16.0
 FLAT_FROM = 32.0
 SHARP_ERROR = 1.4
-"""Error of the geometric model times f/Δc under a source and an aperture with edges."""
+"""Error of the geometric model times f/Δc under a source and an aperture with edges.
 
-ROUGH_ERROR = 0.35
-"""The same under a Gaussian: 1/π (the share of sinc² beyond it), and a little more for what is next to it."""
+A facet misplaces (ln(2π·f/Δc) + γ + 1)/π² times Δc/f of its light, 0.70 at 32 and 0.82 at 128 coherence lengths.
+"""
+
+ROUGH_ERROR = 0.7
+"""The same under a Gaussian: the middle of a lobe is off by up to 0.63, of which a facet alone makes 1/π and the ridges
+beside it the rest; of the light 0.39 is misplaced, half by the facets and half by their walls."""
 
 NUMERICAL_ERROR = 5e-4
 
@@ -34,8 +38,9 @@ class OpticsChoice:
     Attributes:
         model: "geometric" or "wave".
         reason: one sentence with the numbers.
-        stated_error: of the model that was chosen, relative to the brightest direction: that of neglecting waves, or
-            the numerical one of the wave model.
+        stated_error: of the model that was chosen, as a share of the brightest direction, and of all light that is
+            misplaced: that of neglecting waves, or the numerical one of the wave model. Weak directions may be off
+            by a larger share of themselves.
         f_um: width of the mirrors along the axis that decides, in µm.
         coherence_um: effective coherence length along it, in µm.
         stepped: the surface is made of level steps.

@@ -109,13 +109,14 @@ def correlation_of(
     def run(place: tuple[int, int]) -> ComplexArray:
         return _tile(surface, cycles, place, tapers, (reach_y, reach_x))
 
-    total = sum(threads.each(run, places))
-    assert not isinstance(total, int)
+    total: ComplexArray = np.asarray(sum(threads.each(run, places)), dtype=np.complex128)
     total = total / _overlap(rows, starts[0], tapers[0], reach_y, endless=endless)[:, None]
     total = total / _overlap(cols, starts[1], tapers[1], reach_x, endless=endless)
-    x = np.arange(-reach_x, reach_x + 1) * surface.pixel_x_um
-    y = np.arange(-reach_y, reach_y + 1) * (1.0 if surface.is_profile else surface.pixel_y_um)
-    return Correlation(total, x, y, wavelength_um, h_z)
+    x = np.arange(-reach_x, reach_x + 1, dtype=np.float64) * surface.pixel_x_um
+    y = np.arange(-reach_y, reach_y + 1, dtype=np.float64) * (
+        1.0 if surface.is_profile else surface.pixel_y_um
+    )
+    return Correlation(total, np.asarray(x), np.asarray(y), wavelength_um, h_z)
 
 
 def _side(count: int, reach: int) -> int:

@@ -88,16 +88,16 @@ def reduce(surface: WaveSurface, half: HalfVector, wavelength_um: float, window:
         return found[0], found[1]
 
     parts = threads.each(run, threads.runs(cols, min(threads.count(), max(1, cols // STRIP))))
-    wave = np.empty((along_y.outputs, along_x.outputs), dtype=np.complex64)
-    wave.real = sum(part[0] for part in parts)
-    wave.imag = sum(part[1] for part in parts)
-    return Reduced(wave, None if surface.is_profile else along_y, along_x)
+    real, imag = (np.sum([part[which] for part in parts], axis=0, dtype=np.float32) for which in (0, 1))
+    return Reduced(
+        np.asarray(real + 1j * imag, dtype=np.complex64), None if surface.is_profile else along_y, along_x
+    )
 
 
 def _turns(cycles_a_pixel: float, count: int) -> npt.NDArray[np.float32]:
     """(count,) turns of a carrier about the middle, less whole ones."""
     turns = cycles_a_pixel * (np.arange(count) - 0.5 * (count - 1))
-    return (turns - np.rint(turns)).astype(np.float32)
+    return np.asarray(turns - np.rint(turns), dtype=np.float32)
 
 
 def quadratic_form(reduced: Reduced, wavelength_um: float, h_z: float, window: Window) -> float:

@@ -148,7 +148,7 @@ class Sampling:
                 f"neighbours differ by more than {1e3 * self.limit_um:.0f} nm, worst {self.worst_change_um:.2f} µm "
                 f"at x = {self.worst_um[0]:.1f} µm, y = {self.worst_um[1]:.1f} µm (row {row}, column {col}); these "
                 f"pixels resolve slopes to {self.slope_deg:.1f}°: measure with smaller pixels, ask for interpolated "
-                "heights where the surface is smooth, take longer wavelengths, or the geometric model"
+                "heights where the surface is smooth (--interpolate), take longer wavelengths, or the geometric model"
             )
 
 
