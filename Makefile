@@ -33,7 +33,7 @@ lint: $(VENV)/.dev
 	$(BIN)/ruff check .
 
 # mypy and import-linter follow packages only where they lie as a wheel lays them.
-build/wheel: $(VENV)/.dev $(shell find inspect rig profiles sim -name '*.py' -o -name '*.html') pyproject.toml
+build/wheel: $(VENV)/.dev $(shell find inspect rig profiles sim -name '*.py' -o -name '*.html' -o -name '*.js') pyproject.toml
 	rm -rf build
 	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --target build/wheel .
 	@touch $@

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import App, Parameter
 
 from anisoscope.cli.console import parse_numbers
-from anisoscope.cli.design_output import deliver_design, print_depths, print_json
+from anisoscope.cli.design_output import check_seed, deliver_design, print_depths, print_json
 from anisoscope.errors import UsageError
 
 if TYPE_CHECKING:
@@ -58,9 +58,15 @@ class Making:
         """
         from anisoscope.sim.design.depths import Depths
 
-        if not self.wavelength > 0.0:
-            raise UsageError(f"--wavelength must be positive, not {self.wavelength:g} nm")
-        if not self.grid > 0.0 or abs(self.min_width / self.grid - round(self.min_width / self.grid)) > 1e-6:
+        if not 100.0 <= self.wavelength <= 20000.0:
+            raise UsageError(f"--wavelength takes 100 to 20000 nm, not {self.wavelength:g} nm")
+        if not 0.0 < self.coherence < float("inf"):
+            raise UsageError(f"--coherence must be a positive length in µm, not {self.coherence:g}")
+        if not (0.0 < self.min_width < float("inf") and 0.0 < self.grid < float("inf")):
+            raise UsageError(
+                f"--min-width and --grid must be positive lengths in µm, not {self.min_width:g} and {self.grid:g}"
+            )
+        if abs(self.min_width / self.grid - round(self.min_width / self.grid)) > 1e-6:
             raise UsageError(
                 f"--min-width {self.min_width:g} µm is not a whole number of --grid {self.grid:g} µm"
             )
@@ -69,6 +75,9 @@ class Making:
 
 
 MAKING = Making()
+
+FAINT_TAU = 0.05
+"""Mean phase of the levels from which on a warning is due."""
 
 
 def parse_band(text: str) -> tuple[float, float]:
@@ -128,6 +137,11 @@ def lobe(
     warnings = [] if found.x.feasible and found.y.feasible else [
         f"out of reach: {100.0 * found.rel_l2:.1f} % (L2) of the wanted lobe is missed; this is the nearest"
     ]  # fmt: skip
+    tau = etched.tau_at(making.wavelength)
+    if tau >= FAINT_TAU:
+        warnings.append(
+            f"the levels have a mean phase of {tau:.2f} at {making.wavelength:g} nm: a spike stands in the lobe"
+        )
     return deliver_design(design, out, html, as_json=json_, axes=(found.x, found.y), warnings=warnings)
 
 
@@ -181,7 +195,7 @@ def antimirror(
     }  # fmt: skip
     shape = "crossed " if crossed else ""
     title = name or f"{shape}anti-mirror {found.arrangement[0]}×{found.arrangement[1]}"
-    warnings = [] if tau < 0.05 else [
+    warnings = [] if tau < FAINT_TAU else [
         f"the levels have a mean phase of {tau:.2f} at {making.wavelength:g} nm: the hole is filled by a spike"
     ]  # fmt: skip
     design = _made(title, model, etched, making, figures)
@@ -224,6 +238,7 @@ def depths(
 
     if not (coherence > 0.0 and width > 0.0):
         raise UsageError("--coherence and --width must be positive")
+    check_seed(seed)
     found = design_depths(levels, parse_band(band), h_z, seed)
     spike = found.spike_over_lobe(coherence, width)
     result = {

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from anisoscope.cli.console import parse_numbers, print_table, progress
-from anisoscope.cli.design_output import print_json
+from anisoscope.cli.design_output import check_seed, print_json
 from anisoscope.errors import UsageError
 
 if TYPE_CHECKING:
@@ -23,6 +23,7 @@ HtmlOption = Annotated[Path | None, Parameter(help="Write a self-contained HTML 
 DotOption = Annotated[float, Parameter(help="Side of a dot, µm; 112 are 227 dpi.")]
 SeedOption = Annotated[int, Parameter(help="Seed of everything random.")]
 MIRROR = "mirror"
+SECONDS = 30.0
 
 
 def refine(
@@ -30,8 +31,11 @@ def refine(
     /,
     *,
     seconds: Annotated[
-        float, Parameter(help="Time to search; Ctrl-C ends it earlier and keeps the best.")
-    ] = 30.0,
+        float | None,
+        Parameter(
+            help="Time to search, 30 unless --generations is given; Ctrl-C ends it earlier and keeps the best."
+        ),
+    ] = None,
     dot: DotOption = 112.0,
     population: Annotated[int, Parameter(help="Dots that the genetic search keeps.")] = 6,
     method: Annotated[
@@ -59,6 +63,11 @@ def refine(
     from anisoscope.sim.design.refine import Limits
     from anisoscope.sim.design.refine import refine as search
 
+    check_seed(seed)
+    _check_written(out, png, html)
+    _check_dot(dot)
+    if seconds is None and generations is None:
+        seconds = SECONDS
     chosen = read_design(design)
     if not isinstance(chosen.model, LobeModel):
         raise UsageError(f"{design}: a {chosen.model.kind} has no widths to draw from: refine takes a lobe")
@@ -145,6 +154,9 @@ def pattern(
 
     from anisoscope.sim.design.pattern import PatternOptions, classes_of, make_layout
 
+    check_seed(seed)
+    _check_written(out, png, html)
+    _check_dot(dot)
     designs = _designs(classes)
     labels = classes_of(_picture(image, size, dot), len(designs), dither=dither)
     with progress("pattern", quiet=json_) as advance:
@@ -180,6 +192,20 @@ def pattern(
     return _said(out, png, html)
 
 
+def _check_written(out: Path | None, *others: Path | None) -> None:
+    """Before anything is searched: what could not be written would be lost."""
+    if out is not None and out.suffix.lower() != ".npz":
+        raise UsageError(f"a layout is written as *.npz, not {out.name}")
+    for path in (out, *others):
+        if path is not None and not path.parent.is_dir():
+            raise UsageError(f"{path}: there is no folder {path.parent}; make it first")
+
+
+def _check_dot(dot: float) -> None:
+    if not 0.0 < dot < float("inf"):
+        raise UsageError(f"--dot must be a positive length in µm, not {dot:g}")
+
+
 def _designs(text: str) -> "tuple[DesignFile, ...]":
     from anisoscope.sim.design.designfile import DesignFile, read_design
     from anisoscope.sim.design.models import MirrorModel
@@ -193,8 +219,6 @@ def _picture(image: Path, size: str | None, dot: float) -> "npt.NDArray[np.uint8
     import cv2
     import numpy as np
 
-    if not dot > 0.0:
-        raise UsageError(f"--dot must be positive, not {dot:g} µm")
     try:
         data = np.frombuffer(image.read_bytes(), dtype=np.uint8)
     except OSError as error:
@@ -218,8 +242,6 @@ def _write(layout: "Layout", designs: "tuple[DesignFile, ...]", out: Path | None
     if out is not None:
         from anisoscope.sim.design.designfile import write_layout
 
-        if out.suffix.lower() != ".npz":
-            raise UsageError(f"a layout is written as *.npz, not {out.name}")
         write_layout(layout, out, designs)
     if png is not None:
         from anisoscope.sim.design.mask import write_preview

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from anisoscope.cli.console import parse_numbers, print_table
-from anisoscope.cli.design_output import print_json
+from anisoscope.cli.design_output import check_seed, print_json
 from anisoscope.errors import UsageError
 
 if TYPE_CHECKING:
@@ -85,6 +85,9 @@ def height(
     """
     if out.exists() and not overwrite:
         raise UsageError(f"{out} exists; give another name, or --overwrite")
+    if not out.parent.is_dir():
+        raise UsageError(f"{out}: there is no folder {out.parent}; make it first")
+    check_seed(seed)
     at = parse_numbers(corner, "--corner")
     extent = None if size is None else parse_numbers(size, "--size")
     if len(at) != 2 or (extent is not None and (len(extent) not in (1, 2) or min(extent) <= 0.0)):
@@ -105,7 +108,7 @@ def height(
             as_json=json_,
         )
     layout = _layout_of(source, dots, dot, seed)
-    if out.suffix.lower() == ".npy" and extent is None:
+    if out.suffix.lower() == ".npy" and extent is None and low == (0.0, 0.0):
         return _stream(layout, out, as_json=json_)
     return _deliver(layout.window(low, window), out, as_json=json_)
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from anisoscope.cli.console import print_table
+from anisoscope.errors import UsageError
 
 if TYPE_CHECKING:
     from anisoscope.sim.design.depths import Depths
@@ -32,6 +33,16 @@ UNITS = {
     "hole_floor": ("floor of the hole over the ring, from the source", "1"),
 }
 """What the figures of a design file mean, and their units."""
+
+
+def check_seed(seed: int) -> None:
+    """Refuse a seed that is none.
+
+    Raises:
+        UsageError: below 0.
+    """
+    if seed < 0:
+        raise UsageError(f"--seed must be 0 or a positive whole number, not {seed}")
 
 
 def print_json(result: dict[str, Any]) -> int:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import App, Parameter
 
 from anisoscope.cli.console import parse_numbers
+from anisoscope.cli.ink_options import check_suffix
 from anisoscope.cli.ink_output import print_fit, print_json, print_line, print_show
 from anisoscope.errors import UsageError
 
@@ -69,6 +70,8 @@ def fit(
 
     if values == "brdf" and white is not None:
         raise UsageError("--white needs --values factor: a BRDF has no white reference")
+    check_suffix(out, "--out", ".toml")
+    check_suffix(html, "--html", ".html", ".htm")
     readings = to_brdf(read_goniometer(data), values, _white(white, white_table, white_readings))
     found = fit_ink(readings, method, noise=noise, floor=floor)
     ink = found.ink(name or data.stem, f"fitted to {data.name} ({summary(found)})")
@@ -138,7 +141,10 @@ def show(
 
     if not inks:
         raise UsageError(f"ink show needs an ink: a file *.toml, or {', '.join(SYNTHETIC)}")
+    check_suffix(html, "--html", ".html", ".htm")
     usual = tuple(angle for angle in ANGLES_DEG if abs(angle + off_mirror) < HORIZON_DEG)
+    if not usual:
+        raise UsageError(f"--off-mirror takes degrees between -90 and 90, not {off_mirror:g}")
     theta = usual if angles is None else parse_numbers(angles, "--angles")
     shown = show_inks(
         [find_ink(text) for text in inks],

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from anisoscope.sim.proof.comparison import Comparison
     from anisoscope.sim.proof.measured import Measured
 
+MOST_SIZE = 2048
 NAMES = {"goniochromatic": "ours", "schlick": "standard, Schlick", "tio2": "standard, TiO2 × ρ"}
 
 
@@ -51,6 +52,8 @@ def compare(
     from anisoscope.sim.proof.comparison import compare as run
 
     check_suffix(png, "--png", ".png")
+    if not size <= MOST_SIZE or seed < 0:
+        raise UsageError(f"--size takes pixels up to {MOST_SIZE}, --seed 0 or more")
     if bool(readings) == synthetic:
         raise UsageError("ink compare needs readings (CSV files), or --synthetic in their place")
     if values == "brdf" and white is not None:

@@ -14,7 +14,7 @@ from anisoscope.cli.ink_options import (
     IlluminantOption,
     InksOption,
     JsonOption,
-    check_suffix,
+    check_target,
     percent,
     three_inks,
 )
@@ -61,7 +61,7 @@ def halftone(
     from anisoscope.sim.proof.imagefile import MM_AN_INCH, read_image, to_dots
     from anisoscope.sim.proof.separation import separation as plan_separation
 
-    check_suffix(out, "--out", ".png")
+    check_target(out, "--out", (image,), ".png")
     if not 1.0 <= dpi <= 20000.0:
         raise UsageError(f"--dpi takes 1 to 20000, not {dpi:g}")
     if width is not None and not 0.0 < width < np.inf:

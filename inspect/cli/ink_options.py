@@ -1,5 +1,6 @@
 """What the commands about prints share: inks, separation, size."""
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -54,6 +55,17 @@ def check_suffix(path: Path | None, option: str, *suffixes: str) -> None:
     """
     if path is not None and path.suffix.lower() not in suffixes:
         raise UsageError(f"{option} writes {' or '.join('*' + one for one in suffixes)}, not {path.name}")
+
+
+def check_target(path: Path | None, option: str, inputs: Iterable[Path | None], *suffixes: str) -> None:
+    """As :func:`check_suffix`, and refuse to write over what is read.
+
+    Raises:
+        UsageError: the name ends in none of the suffixes, or is that of an input.
+    """
+    check_suffix(path, option, *suffixes)
+    if path is not None and path.resolve() in {one.resolve() for one in inputs if one is not None}:
+        raise UsageError(f"{option} {path} is an input: write to another file")
 
 
 def percent(share: float) -> str:

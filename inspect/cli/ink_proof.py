@@ -12,7 +12,7 @@ from anisoscope.cli.ink_options import (
     GainOption,
     InksOption,
     JsonOption,
-    check_suffix,
+    check_target,
     percent,
     three_inks,
 )
@@ -35,6 +35,8 @@ _CONVENTION = (
     "parallel rays. Sphere and cylinder bear the print on each half; backs are bare paper."
 )
 BRIGHT = 0.9
+MOST_DOTS = 16384
+MOST_TURN = 1e6
 
 
 @Parameter(name="*")
@@ -108,18 +110,29 @@ def proof(
     shown = view or View()
     if out is None and png is None:
         raise UsageError("ink proof needs something to write: --out proof.html, --png picture.png, or both")
-    check_suffix(out, "--out", ".html", ".htm")
-    check_suffix(png, "--png", ".png")
+    check_target(out, "--out", (image, photo, mesh), ".html", ".htm")
+    check_target(png, "--png", (image, photo, mesh), ".png")
+    if photo is not None and out is None:
+        raise UsageError("--photo shows a photograph on the page: it needs --out proof.html")
     if shown.shape == "mesh" and mesh is None:
         raise UsageError("--shape mesh needs --mesh FILE.obj")
-    if not 0 <= dots <= 16384 or not 16 <= size <= 8192 or not illuminant:
-        raise UsageError("--dots takes 0 to 16384, --size 16 to 8192, --illuminant a light or more")
+    if not 0 <= dots <= 16384 or not 16 <= size <= 4096 or not illuminant:
+        raise UsageError("--dots takes 0 to 16384, --size 16 to 4096, --illuminant a light or more")
+    if not (abs(shown.pitch) <= 90.0 and abs(shown.elevation) <= 90.0):
+        raise UsageError("--pitch and --elevation take degrees from -90 to 90")
+    if not (abs(shown.yaw) < MOST_TURN and abs(shown.azimuth) < MOST_TURN):
+        raise UsageError("--yaw and --azimuth take finite degrees")
     chosen = three_inks(inks)
     lamps = [find_illuminant(text) for text in illuminant]
     solid = None if mesh is None else read_obj(mesh)
     plan = plan_separation(chosen, lamps[0], way=separation, angle_deg=angle, gain=gain)
     picture = read_image(image)
     pixels = to_dots(picture, dots or picture.srgb.shape[1])
+    if out is not None and max(pixels.shape[:2]) > MOST_DOTS:
+        raise UsageError(
+            f"{pixels.shape[1]} × {pixels.shape[0]} dots are more than the {MOST_DOTS} a side that a page can show: "
+            "lower --dots"
+        )
     with progress("proof", quiet=json_) as advance:
         found = place_dots(pixels, plan, method, advance=advance)
     work = _Work(chosen, lamps, found, coverage(pixels, plan), solid, shown)
@@ -265,6 +278,10 @@ def _page(work: _Work, title: str, exposure: float, notes: tuple[str, ...], phot
     )
 
 
+def _around(degrees: float) -> float:
+    return (degrees + 180.0) % 360.0 - 180.0
+
+
 def _start(work: _Work, photo: bool) -> dict[str, Any]:
     from anisoscope.sim.proof.render import PHOTO
 
@@ -274,10 +291,10 @@ def _start(work: _Work, photo: bool) -> dict[str, Any]:
         "print": "halftone",
         "dots": "eye",
         "zoom": 1,
-        "yaw": view.yaw,
+        "yaw": _around(view.yaw),
         "pitch": view.pitch,
         "illuminant": 0,
-        "azimuth": view.azimuth,
+        "azimuth": _around(view.azimuth),
         "elevation": view.elevation,
         "drag": "print",
         "second": view.second,

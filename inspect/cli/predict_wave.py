@@ -86,16 +86,19 @@ def light_of(text: str | None) -> Any:  # noqa: ANN401 - a LightSpectrum, import
     return LightSpectrum(tuple(1e-3 * value for value in nm), tuple(weights))
 
 
-def differences(geometric: "Predicted", wave: "Predicted") -> list[dict[str, float]]:
-    """What waves change in every pose, relative to the brightest geometric radiance and to that of the pose."""
+def differences(geometric: "Predicted", wave: "Predicted") -> list[dict[str, float | None]]:
+    """What waves change in every pose, relative to the brightest geometric radiance and to that of the pose.
+
+    Null where that is dark.
+    """
     brightest = float(geometric.radiance.max())
     return [
         {
             "stage_deg": pose.stage_deg,
             "tilt_deg": pose.tilt_deg,
             "difference": float(w - g),
-            "relative": float(w / g - 1.0),
-            "of_brightest": float((w - g) / brightest),
+            "relative": float(w / g - 1.0) if g > 0.0 else None,
+            "of_brightest": float((w - g) / brightest) if brightest > 0.0 else None,
         }
         for pose, g, w in zip(geometric.poses, geometric.radiance, wave.radiance, strict=True)
     ]
@@ -108,8 +111,10 @@ def print_differences(geometric: "Predicted", wave: "Predicted") -> None:
             f"{one['stage_deg']:g}",
             f"{one['tilt_deg']:g}",
             f"{one['difference']:+.5f}",
-            f"{100.0 * one['relative']:+.2f}",
-            f"{100.0 * one['of_brightest']:+.2f}",
+            *(
+                "–" if share is None else f"{100.0 * share:+.2f}"
+                for share in (one["relative"], one["of_brightest"])
+            ),
         ]
         for one in differences(geometric, wave)
     ]

@@ -99,7 +99,7 @@ def show_inks(
     seen = theta + off_mirror_deg
     if not inks or theta.size == 0:
         raise UsageError("colours need an ink and an angle")
-    if theta.min() < 0.0 or max(theta.max(), np.abs(seen).max()) >= 90.0:
+    if not (theta.min() >= 0.0 and theta.max() < 90.0 and np.abs(seen).max() < 90.0):
         raise UsageError("angles of light and eye lie between 0 and 90°")
     if exposure is not None and not 0.0 < exposure < np.inf:
         raise UsageError(f"the exposure must be a number above 0, not {exposure:g}")

@@ -69,7 +69,8 @@ class White:
         reflectance: of the reference, 0.99 for the paper's Spectralon.
         correction: table of its BRDF over that of a Lambertian surface; a pressed white is not Lambertian near the
             mirror direction at large angles.
-        readings: of the reference itself, at the places of the sample's, where the values are not divided yet.
+        readings: of the reference itself, at the places of the sample's, where the values are not divided yet; a place
+            that was read more than once counts with its mean.
     """
 
     reflectance: float = SPECTRALON
@@ -132,8 +133,10 @@ def to_brdf(readings: Readings, values: Values, white: White) -> Readings:
 
 
 def _white_at(readings: Readings, white: Readings) -> FloatArray:
-    places = zip(white.theta_i_deg, white.theta_o_deg, white.wavelength_nm, strict=True)
-    known = dict(zip(places, white.value, strict=True))
+    at = np.stack([white.theta_i_deg, white.theta_o_deg, white.wavelength_nm], axis=-1)
+    once, number = np.unique(at, axis=0, return_inverse=True)
+    means = np.bincount(number.ravel(), white.value) / np.bincount(number.ravel())
+    known = dict(zip(map(tuple, once.tolist()), means.tolist(), strict=True))
     found = np.empty(len(readings.value))
     places = zip(readings.theta_i_deg, readings.theta_o_deg, readings.wavelength_nm, strict=True)
     for row, place in enumerate(places):

@@ -3,6 +3,10 @@
 ln f = ln(D(α, θh)/4) + ln ρ(λ) + c(λ)·x. For one α the rest is linear, wavelength by wavelength; what is left is a
 search along α alone (variable projection: Golub and Pereyra 1973). Because the linear part does not depend on α, the
 Gauss-Newton step of the projected residuals is exact in its Jacobian.
+
+All wavelengths of one place share the errors of its angles and of its level, and α is what these shift. So u(α) is the
+larger one of two: from the scatter of single readings, and from sums over places (Liang and Zeger 1986), which
+hold whatever the readings of one place share.
 """
 
 from dataclasses import dataclass
@@ -151,7 +155,7 @@ def _finish(
 ) -> Solution:
     lobe, slope = log_lobe(alpha, grid.half_deg)
     log_rho, c, rest = projection(base - lobe[:, None])
-    at_zero, turn, _ = projection(np.broadcast_to(slope[:, None], base.shape))
+    at_zero, turn, along = projection(np.broadcast_to(slope[:, None], base.shape))
     cost, _, curvature = _cost(grid, projection, base, alpha)
     freedom = int(given.sum()) - 2 * len(grid.nm) - 1
     if freedom < 1:
@@ -159,7 +163,9 @@ def _finish(
             f"{int(given.sum())} readings for {2 * len(grid.nm) + 1} parameters: measure at more angles"
         )
     scatter = cost / freedom
-    from_alpha = scatter / curvature
+    score = np.sum(projection.weight * along * rest, axis=1)
+    shared = float(score @ score) * len(score) / (len(score) - 1) / curvature**2
+    from_alpha = max(scatter / curvature, shared)
     u_slope = scatter / projection.spread
     u_start = scatter / projection.total + projection.middle**2 * u_slope
     return Solution(

@@ -63,7 +63,8 @@ def _mirror_spectra(grid: Grid, alpha: float) -> tuple[FloatArray, FloatArray, F
     """(W,) ρ, c, u(ln ρ), u(c) by least squares of the readings in the mirror direction."""
     value = grid.value[grid.mirror]
     given = np.isfinite(value)
-    if np.any(given.sum(axis=0) < 3):
+    angles = np.round(grid.theta_i_deg[grid.mirror], 2)
+    if min(len(np.unique(angles[column])) for column in given.T) < 3:
         raise UsageError(
             "the published fit needs readings in the mirror direction (θo = θi) at three angles or more"
         )

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import ModelError
+from anisoscope.errors import HeightMapError, ModelError
 from anisoscope.prediction.sensitivity import Model
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign
@@ -26,6 +26,12 @@ FloatArray = npt.NDArray[np.float64]
 
 SAME_H_Z = 1e-3
 """Relative difference of h_z up to which one correlation serves; directions are matched by their slopes."""
+
+CELL = 0.01
+"""Parts that a pixel of one height is taken in, times the width of the window in cycles: the window is off by 3e-4."""
+
+CUT = 0.01
+"""Coherence that may be left at the largest distance that a map has."""
 
 _DESIGN_PITCHES = 8
 _DESIGN_POINTS = 2**20
@@ -102,7 +108,7 @@ class WavePredictor:
     optics: Optics
     light: LightSpectrum
     _slopes: FloatArray = field(init=False)
-    _kept: list[tuple[Correlation, tuple[float, float]]] = field(init=False, default_factory=list)
+    _kept: list["_Kept"] = field(init=False, default_factory=list)
 
     def __post_init__(self) -> None:
         limit = 0.25 * self.light.shortest_um
@@ -112,7 +118,7 @@ class WavePredictor:
         """(P,) radiances in 1/sr for (P, 3) unit vectors; the signature of every predictor.
 
         Raises:
-            HeightMapError: the pixels are too coarse.
+            HeightMapError: the pixels are too coarse, or the map is smaller than light is coherent over.
             ModelError: a direction below the horizon, or a lamp close by.
         """
         halves = [half_vector(i, o) for i, o in zip(to_light, to_camera, strict=True)]
@@ -132,26 +138,67 @@ class WavePredictor:
         window = window_of(to_light, to_camera, self.optics, lobe.slope_variance)
         total = 0.0
         for wavelength, share in zip(self.light.wavelengths_um, self.light.weights, strict=True):
-            found = self._correlation(wavelength, half.z, window)
+            kept = self._correlation(wavelength, half.z, window)
+            found = kept.correlation
             # another h_z is another wavelength, of the same slopes
             matched = replace(half, x=half.x * found.h_z / half.z, y=half.y * found.h_z / half.z, z=found.h_z)
             dense = (found.extruded_density if self.surface.is_profile else found.density)(matched, window)
             dense *= (found.h_z / half.z) ** 2
-            total += share * radiance_scale(half, wavelength) * dense * self._cell(half, wavelength)
+            total += (
+                share * radiance_scale(half, wavelength) * dense * self._cell(half, wavelength, kept.times)
+            )
         return max(total * lobe.factor, 0.0)  # rounding leaves less than nothing where it is dark
 
-    def _cell(self, half: HalfVector, wavelength_um: float) -> float:
+    def _cell(self, half: HalfVector, wavelength_um: float, times: int) -> float:
         from anisoscope.sim.light.wave.fused import cell_response  # noqa: PLC0415 - numba when first needed
 
-        return cell_response(self.surface, half, wavelength_um)
+        return cell_response(self.surface, half, wavelength_um, times)
 
-    def _correlation(self, wavelength_um: float, h_z: float, window: Window) -> Correlation:
+    def _correlation(self, wavelength_um: float, h_z: float, window: Window) -> "_Kept":
         reach = reach_um(window, wavelength_um, h_z)
-        for kept, reached in self._kept:
-            near = kept.wavelength_um == wavelength_um and abs(kept.h_z / h_z - 1.0) < SAME_H_Z
-            if near and reached[0] >= reach[0] and reached[1] >= reach[1]:
+        times = self._times(wavelength_um, h_z, window)
+        for kept in self._kept:
+            one = kept.correlation
+            near = one.wavelength_um == wavelength_um and abs(one.h_z / h_z - 1.0) < SAME_H_Z
+            if near and kept.reach[0] >= reach[0] and kept.reach[1] >= reach[1] and 2 * kept.times >= times:
                 return kept
+        self._check_size(wavelength_um, h_z, window)
         roomy = 1.3 * reach[0], 1.3 * reach[1]  # other roughness and tilts are asked for next
         found = correlation_of(self.surface, wavelength_um, h_z, roomy, endless=True)
-        self._kept.append((found, roomy))
-        return found
+        self._kept.append(_Kept(found.of_cells(times), roomy, times))
+        return self._kept[-1]
+
+    def _times(self, wavelength_um: float, h_z: float, window: Window) -> int:
+        """Parts that pixels of one height are taken in."""
+        if not self.surface.cells or window.slope_variance is None:
+            return 1
+        rough = 2.0 * h_z / wavelength_um * np.sqrt(np.diag(window.slope_variance))
+        edges = 0.5 / wavelength_um * np.hypot(window.source.reach, window.aperture.reach)
+        pixels = np.array(
+            [self.surface.pixel_x_um, 0.0 if self.surface.is_profile else self.surface.pixel_y_um]
+        )
+        return max(1, int(np.ceil(float((np.hypot(rough, edges) * pixels).max()) / CELL)))
+
+    def _check_size(self, wavelength_um: float, h_z: float, window: Window) -> None:
+        rows, cols = self.surface.shape
+        high, wide = (rows - 1) * self.surface.pixel_y_um, (cols - 1) * self.surface.pixel_x_um
+        part, none = np.linspace(0.8, 1.0, 17), np.zeros(1)  # sinc and Airy pass through 0
+        left = [window.coherence(wide * part, none, wavelength_um, h_z)]
+        if not self.surface.is_profile:
+            left.append(window.coherence(none, high * part, wavelength_um, h_z))
+        worst = max(float(np.abs(one).max()) for one in left)
+        if worst > CUT:
+            size = f"{wide:.3g}" if self.surface.is_profile else f"{wide:.3g} × {high:.3g}"
+            raise HeightMapError(
+                f"the heights span {size} µm, and light is still coherent over that ({worst:.0%}): waves need a larger "
+                "map, a rougher plastic (--alpha-along, --alpha-across), or a lamp and a lens of some size"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class _Kept:
+    """A correlation, how far it reaches along x and y, and the parts that pixels of one height are taken in."""
+
+    correlation: Correlation
+    reach: tuple[float, float]
+    times: int

@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import ModelError
+from anisoscope.errors import HeightMapError, ModelError
 from anisoscope.prediction.mapuncertainty import relief_model
 from anisoscope.prediction.montecarlo import MonteCarlo
 from anisoscope.prediction.predicting import Predicted, with_uncertainty
@@ -42,9 +42,10 @@ from anisoscope.sim.light.wave.surface import WaveSurface, sampling_of
 from anisoscope.sim.light.wave.windows import Window
 
 FloatArray = npt.NDArray[np.float64]
-OpticsModel = Literal["auto", "geometric", "wave", "both"]
+MOST_TIMES = 24
+"""Points in the place of one that are put without being asked for."""
 
-MOST_TIMES = 8
+OpticsModel = Literal["auto", "geometric", "wave", "both"]
 
 
 @dataclass(frozen=True)
@@ -276,6 +277,9 @@ def fine_enough(
     """Heights interpolated as far as the blur asks for: what it lets through must not fold back at the pixels.
 
     Steps are left as they are: their heights hold for whole pixels.
+
+    Raises:
+        HeightMapError: too coarse pixels, or too many points.
     """
     if surface.cells:
         return surface
@@ -283,4 +287,11 @@ def fine_enough(
     wide = max(window.half_width(light.shortest_um, highest))
     turned = max(abs(f) for half in halves for f in half.frequency(light.shortest_um))
     pixel = surface.pixel_x_um if surface.is_profile else max(surface.pixel_x_um, surface.pixel_y_um)
-    return surface.interpolated(min(MOST_TIMES, max(1, int(np.ceil(2.0 * (wide + turned) * pixel)))))
+    times = max(1, int(np.ceil(2.0 * (wide + turned) * pixel)))
+    if times > MOST_TIMES:
+        raise HeightMapError(
+            f"pixels of {pixel:g} µm are too coarse for waves on this plastic: they need {times} points in place of "
+            f"one, at most {MOST_TIMES} are put by themselves: ask for more (--interpolate {times}), measure with "
+            "smaller pixels, or take the geometric model"
+        )
+    return surface.interpolated(times)

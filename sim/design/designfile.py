@@ -1,6 +1,8 @@
 """Files of designs: TOML for one reflectance, npz for a layout of dots; both with a schema version."""
 
-import json
+import io
+import zipfile
+import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -9,7 +11,7 @@ import numpy as np
 import tomli_w
 from pydantic import Field, ValidationError, model_validator
 
-from anisoscope.atomicfile import write_text
+from anisoscope.atomicfile import write_bytes, write_text
 from anisoscope.errors import ConfigError, ModelError
 from anisoscope.sim.design.depths import Depths
 from anisoscope.sim.design.layout import Layout
@@ -93,22 +95,21 @@ class LayoutHeader(Part):
 
 
 def write_layout(layout: Layout, path: Path, designs: tuple[DesignFile, ...] = ()) -> None:
-    """Write a layout as npz: ``header`` (JSON), ``tiles``, ``tile_class``, ``index``.
+    """Write a layout as npz, all or nothing: ``header`` (JSON), ``tiles``, ``tile_class``, ``index``.
 
     Raises:
-        ConfigError: the file cannot be written.
+        RecordError: the file cannot be written.
     """
     header = LayoutHeader(
         passes_nm=layout.passes_nm, grid_um=layout.grid_um, names=layout.names,
         wavelength_nm=layout.wavelength_nm, coherence_um=layout.coherence_um, designs=designs,
     )  # fmt: skip
     text = np.frombuffer(header.model_dump_json().encode(), dtype=np.uint8)
-    try:
-        np.savez_compressed(
-            path, header=text, tiles=layout.tiles, tile_class=layout.tile_class, index=layout.index
-        )
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be written ({error.strerror}); check the folder") from None
+    packed = io.BytesIO()
+    np.savez_compressed(
+        packed, header=text, tiles=layout.tiles, tile_class=layout.tile_class, index=layout.index
+    )
+    write_bytes(path, packed.getvalue())
 
 
 def read_layout(path: Path) -> tuple[Layout, tuple[DesignFile, ...]]:
@@ -118,21 +119,24 @@ def read_layout(path: Path) -> tuple[Layout, tuple[DesignFile, ...]]:
         ConfigError: missing, damaged, or not a layout.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             header = LayoutHeader.model_validate_json(bytes(file["header"]))
             tiles, tile_class, index = file["tiles"], file["tile_class"], file["index"]
     except ValidationError as problem:
         raise ConfigError(f"{path}: {one_line(problem, LayoutHeader)}") from None
     except FileNotFoundError:
         raise ConfigError(f"{path}: there is no such file") from None
-    except (OSError, ValueError, KeyError, EOFError, json.JSONDecodeError) as problem:
+    except (OSError, ValueError, KeyError, EOFError, TypeError, zipfile.BadZipFile, zlib.error) as problem:
         raise ConfigError(
             f"{path}: not a layout of dots ({problem}); make one with anisoscope design pattern or refine"
         ) from None
-    layout = Layout(
-        tiles, tile_class, index, header.passes_nm, header.grid_um, header.names, header.wavelength_nm,
-        header.coherence_um,
-    )  # fmt: skip
+    try:
+        layout = Layout(
+            tiles, tile_class, index, header.passes_nm, header.grid_um, header.names, header.wavelength_nm,
+            header.coherence_um,
+        )  # fmt: skip
+    except ConfigError as problem:
+        raise ConfigError(f"{path}: {problem}") from None
     return layout, header.designs
 
 

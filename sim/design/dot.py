@@ -17,6 +17,9 @@ Levels = npt.NDArray[np.int64]
 WIDE = 8
 """Bins that the window of the source covers; the reflectance is compared at every one of them."""
 
+MOST_SAMPLES = 8192
+"""Frequencies of the spectrum along each axis, at most: 1 GB."""
+
 
 @dataclass(frozen=True, eq=False)
 class Dot:
@@ -47,7 +50,7 @@ class DotTask:
         reach: largest |h_x| and |h_y| that counts.
 
     Raises:
-        ModelError: fewer than two levels, or a dot below the coherence length or two steps.
+        ModelError: fewer than two levels, a dot below the coherence length or two steps, or one too large to refine.
     """
 
     widths_x: Widths
@@ -68,6 +71,18 @@ class DotTask:
                 f"steps of up to {widest:g} µm: take a dot of {max(self.coherence_um, 2.0 * widest):g} µm or more"
             )
 
+        if not self.dot_um < MOST_SAMPLES * self.coherence_um or self.samples > MOST_SAMPLES:
+            raise ModelError(
+                f"a dot of {self.dot_um:g} µm under a coherence length of {self.coherence_um:g} µm needs more than "
+                f"{MOST_SAMPLES} frequencies along each axis: take a smaller dot, or a shorter coherence length"
+            )
+
+    @property
+    def samples(self) -> int:
+        """Frequencies of the spectrum along each axis."""
+        count = int(np.floor(2.0 * self.reach / self.wavelength_um * WIDE * self.coherence_um))
+        return (2 * count + WIDE) * self.fine
+
     @property
     def fine(self) -> int:
         """Frequencies in a bin: enough that the power of the dot, of twice its extent, is sampled."""
@@ -83,7 +98,7 @@ class DotTask:
     @property
     def frequencies(self) -> FloatArray:
         """(bins·fine,) frequencies of the spectrum."""
-        many = self.windows.size - 1 + WIDE
+        many = self.samples // self.fine
         step = 1.0 / (WIDE * self.coherence_um)
         return ((np.arange(many * self.fine) + 0.5) / self.fine - 0.5 * many) * step
 

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from anisoscope.errors import ConfigError, HeightMapError
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.sim.design.depths import level_heights
+from anisoscope.sim.design.depths import MOST_PASSES, level_heights
 
 FloatArray = npt.NDArray[np.float64]
 Tiles = npt.NDArray[np.uint16]
@@ -47,10 +47,21 @@ class Layout:
 
     def __post_init__(self) -> None:
         tiles, index = self.tiles, self.index
-        fits = tiles.ndim == 3 and index.ndim == 2 and tiles.shape[1] == tiles.shape[2] > 0 and index.size > 0
+        whole = all(np.issubdtype(one.dtype, np.integer) for one in (tiles, index, self.tile_class))
+        if not whole or len(self.passes_nm) > 2 * MOST_PASSES:
+            raise ConfigError(
+                f"a layout takes arrays of whole numbers and at most {2 * MOST_PASSES} etch passes: make it again"
+            )
+        if tiles.size == 0 or index.size == 0 or min(int(tiles.min()), int(index.min())) < 0:
+            raise ConfigError(
+                "tiles and index of a layout must hold numbers of 0 or more: make the layout again"
+            )
+        fits = tiles.ndim == 3 and index.ndim == 2 and tiles.shape[1] == tiles.shape[2]
         if not fits or self.tile_class.shape != tiles.shape[:1] or int(index.max()) >= tiles.shape[0]:
             raise ConfigError("tiles and index of a layout do not fit each other: make the layout again")
-        if int(tiles.max()) >= 2 ** len(self.passes_nm) or int(self.tile_class.max()) >= len(self.names):
+        if int(tiles.max()) >= 2 ** len(self.passes_nm) or not (
+            int(self.tile_class.min()) >= 0 and int(self.tile_class.max()) < len(self.names)
+        ):
             raise ConfigError(
                 "a tile of the layout has a level or a class that is not described: make it again"
             )

@@ -23,6 +23,9 @@ REACH = 0.5
 SINGLE = 0.18
 """Width of the one step that comes closest to a Gaussian of σ_h, times σ_h/λ."""
 
+MOST_WIDTHS = 2000
+"""Widths that a mixture is chosen from, at most: the least squares grow with their square."""
+
 SLACK = 1.25
 """How much worse than with steps of any width a fit may be before the least width counts as the limit."""
 
@@ -55,10 +58,15 @@ class LobeTask:
             raise ModelError(
                 f"the width σ of a lobe must be between 0 and 1 in units of h, not {self.sigma:g}"
             )
-        if not (0.0 < self.grid_um <= self.min_width_um < self.max_width_um):
+        if not (0.0 < self.grid_um <= self.min_width_um < self.max_width_um < np.inf):
             raise ModelError(
                 f"step widths from {self.min_width_um:g} to {self.max_width_um:g} µm on a grid of {self.grid_um:g} µm "
                 "leave no choice: the smallest feature must be a grid step or more, and less than the largest"
+            )
+        if self.max_width_um - self.min_width_um > MOST_WIDTHS * self.grid_um:
+            raise ModelError(
+                f"step widths from {self.min_width_um:g} to {self.max_width_um:g} µm on a grid of {self.grid_um:g} µm "
+                f"are more than {MOST_WIDTHS}: take a coarser grid, or a smaller largest width"
             )
         if not (0.1 <= self.wavelength_um <= 20.0 and self.coherence_um > 0.0):
             raise ModelError(

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from anisoscope.errors import ConfigError, HeightMapError
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.sim.design.depths import level_heights
+from anisoscope.sim.design.depths import MOST_PASSES, level_heights
 from anisoscope.sim.design.layout import MAX_POINTS
 from anisoscope.sim.design.mask import FIRST_LAYER, SCHEMA_VERSION, TEXT_LAYER
 
@@ -48,7 +48,12 @@ def read_gds(
         raise ConfigError(
             f"{path}: the file does not say depths and grid: give --depths in nm and --grid in µm"
         )
-    if grid > said.get("grid_um", grid) * (1.0 + 1e-9):
+    if len(depths) > 2 * MOST_PASSES or not min(depths) > 0.0:
+        raise ConfigError(
+            f"{path}: masks take 1 to {2 * MOST_PASSES} passes of positive depth in nm, not {list(depths)}"
+        )
+    parts = said.get("grid_um", grid) / grid
+    if parts < 1.0 - 1e-9 or abs(parts - round(parts)) > 1e-6 * parts:
         raise ConfigError(
             f"{path}: undersampled: its edges lie on a grid of {said['grid_um']:g} µm, {grid:g} µm would move them: "
             f"take --grid {said['grid_um']:g} or a whole part of it"
@@ -96,13 +101,29 @@ def _opened(path: Path) -> "tuple[gdstk.Cell, dict[str, Any]]":
         raise ConfigError(f"{path}: one top cell is needed, found: {names}; keep one")
     for label in tops[0].labels:
         if label.layer == TEXT_LAYER and label.text.startswith('{"anisoscope_masks"'):
-            said: dict[str, Any] = json.loads(label.text)
+            said = _said(label.text, path)
             if said["anisoscope_masks"] != SCHEMA_VERSION:
                 raise ConfigError(
                     f"{path}: masks of schema {said['anisoscope_masks']}; known is {SCHEMA_VERSION}"
                 )
             return tops[0], said
     return tops[0], {}
+
+
+def _said(text: str, path: Path) -> dict[str, Any]:
+    """What a text of ours says; of another schema the number of the schema only."""
+    try:
+        said: dict[str, Any] = json.loads(text)
+        if said["anisoscope_masks"] != SCHEMA_VERSION:
+            return said
+        numbers = [*said["passes_nm"], said["grid_um"], *said["size_um"]]
+        if len(said["size_um"]) == 2 and all(0.0 < float(one) < np.inf for one in numbers):
+            return said
+    except (ValueError, KeyError, TypeError):
+        pass
+    raise ConfigError(
+        f"{path}: the text that says depths and grid is damaged: remove it, or write the masks again"
+    )
 
 
 def _drawn(

@@ -29,9 +29,9 @@ class LobeModel(Part):
     """
 
     kind: Literal["lobe"] = "lobe"
-    widths_x_um: tuple[Positive, ...]
+    widths_x_um: tuple[Positive, ...] = Field(min_length=1)
     p_a_x: tuple[float, ...]
-    widths_y_um: tuple[Positive, ...]
+    widths_y_um: tuple[Positive, ...] = Field(min_length=1)
     p_a_y: tuple[float, ...]
 
     def axes(self, min_width_um: float) -> tuple[Widths, Widths]:
@@ -48,7 +48,7 @@ class LobeModel(Part):
     @property
     def finest_um(self) -> float:
         """Width of the narrowest step."""
-        return min(*self.widths_x_um, *self.widths_y_um)
+        return min(self.widths_x_um + self.widths_y_um)
 
 
 class AntiMirrorModel(Part):

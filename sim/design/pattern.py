@@ -24,6 +24,12 @@ Classes = npt.NDArray[np.int64]
 MOST_MM = 100.0
 """Side of the largest wafer that is laid out."""
 
+MOST_TILES = 2**16
+"""As many as the index of a layout can tell apart."""
+
+MOST_POINTS = 2**29
+"""Grid points of all tiles together: 1 GB."""
+
 
 @dataclass(frozen=True)
 class PatternOptions:
@@ -150,6 +156,10 @@ def make_layout(
             f"the pattern has {int(classes.max()) + 1} classes, but there are {len(designs)} designs: give one for each"
         )
     passes, grid = check_together(designs)
+    if not grid <= how.dot_um <= 1e3 * MOST_MM:
+        raise ModelError(
+            f"a dot must be a grid step of {grid:g} µm to {1e3 * MOST_MM:g} µm wide, not {how.dot_um:g} µm"
+        )
     points = round(how.dot_um / grid)
     size_mm = 1e-3 * points * grid * max(classes.shape)
     if size_mm > MOST_MM:
@@ -161,11 +171,17 @@ def make_layout(
         raise ModelError(
             "a pattern needs at least one tile for every design, and dots of two grid steps or more"
         )
+    many = sum(_tile_count(design, how.tiles) for design in designs)
+    if many > MOST_TILES or many * points**2 > MOST_POINTS:
+        raise ModelError(
+            f"{many} tiles of {points} × {points} grid points are too many (at most {MOST_TILES} tiles and "
+            f"{MOST_POINTS} points): take fewer tiles, smaller dots, or larger shares in mixtures"
+        )
     tiles: list[npt.NDArray[np.uint16]] = []
     owner: list[int] = []
     for number, design in enumerate(designs):
         for turn, model in enumerate(_models(design, how.tiles)):
-            on_progress(f"{design.name}, tile {turn + 1}", len(tiles), len(designs) * how.tiles)
+            on_progress(f"{design.name}, tile {turn + 1}", len(tiles), many)
             tiles.append(make_tile(design, model, points, rng, how.refine_s))
             owner.append(number)
     tile_class = np.array(owner)
@@ -182,12 +198,20 @@ def make_layout(
     )  # fmt: skip
 
 
+def _tile_count(design: DesignFile, count: int) -> int:
+    """How many tiles a design takes: of a mixture so many that its smallest share has one."""
+    if isinstance(design.model, MirrorModel):
+        return 1
+    if isinstance(design.model, MixtureModel):
+        return max(count, round(1.0 / min(design.model.shares)))
+    return count
+
+
 def _models(design: DesignFile, count: int) -> list[LobeModel | AntiMirrorModel | MirrorModel]:
     """What every tile of a design is made of: of a mixture each model as often as its share says, at least once."""
     if not isinstance(design.model, MixtureModel):
-        return [design.model] * (1 if isinstance(design.model, MirrorModel) else count)
-    shares = np.asarray(design.model.shares)
-    total = max(count, round(1.0 / float(shares.min())))
+        return [design.model] * _tile_count(design, count)
+    shares, total = np.asarray(design.model.shares), _tile_count(design, count)
     parts = np.floor(shares * total).astype(int)
     late = np.argsort(parts - shares * total, kind="stable")[: total - int(parts.sum())]
     parts[late] += 1

@@ -50,10 +50,14 @@ class Limits:
     def __post_init__(self) -> None:
         if self.seconds is None and self.generations is None:
             raise ModelError("a refinement needs an end: give it seconds or generations")
-        if (self.seconds is not None and not self.seconds > 0.0) or (
+        if (self.seconds is not None and not 0.0 < self.seconds < float("inf")) or (
             self.generations is not None and self.generations < 1
         ):
-            raise ModelError("a refinement needs more than 0 seconds, and 1 generation or more")
+            raise ModelError(
+                "a refinement needs a finite time of more than 0 seconds, and 1 generation or more"
+            )
+        if self.error is not None and not self.error > 0.0:
+            raise ModelError(f"a relative error that is good enough must be above 0, not {self.error:g}")
 
 
 @dataclass(frozen=True, eq=False)

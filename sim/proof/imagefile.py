@@ -1,6 +1,7 @@
 """Images from files, as 8-bit sRGB or linear light; screens to files, with their resolution."""
 
 import io
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -38,22 +39,23 @@ def read_image(path: Path) -> Image:
     """Read a picture that Pillow knows; its colour profile is applied, transparent parts become black (no ink).
 
     Raises:
-        UsageError: no such file, no picture, a CMYK picture without a profile, or more than 400 million pixels.
+        UsageError: no such file, no picture, a CMYK picture without a profile, one of floating-point pixels, or more
+            pixels than twice Pillow's guard against decompression bombs (179 million).
     """
     import PIL.Image  # noqa: PLC0415 - only who reads a picture needs it
     import PIL.ImageOps  # noqa: PLC0415
 
     try:
-        with PIL.Image.open(path) as opened:
-            if opened.width * opened.height > MOST_PIXELS:
-                raise UsageError(
-                    f"{path}: {opened.width} × {opened.height} pixels are too many: make it smaller"
-                )
-            upright = PIL.ImageOps.exif_transpose(opened)
-            return _as_srgb(upright, path)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", PIL.Image.DecompressionBombWarning)
+            with PIL.Image.open(path) as opened:
+                upright = PIL.ImageOps.exif_transpose(opened)
+                return _as_srgb(upright, path)
     except FileNotFoundError:
         raise UsageError(f"{path}: there is no such file") from None
-    except (OSError, SyntaxError, ValueError, PIL.Image.DecompressionBombError) as problem:
+    except PIL.Image.DecompressionBombError:
+        raise UsageError(f"{path}: too many pixels: make it smaller") from None
+    except (OSError, SyntaxError, ValueError) as problem:
         raise UsageError(
             f"{path}: not a picture that can be read: {' '.join(str(problem).split())}"
         ) from None
@@ -63,7 +65,9 @@ def _as_srgb(opened: "PIL.Image.Image", path: Path) -> Image:
     import PIL.Image  # noqa: PLC0415
 
     notes = []
-    if opened.mode.startswith(("I", "F")):
+    if opened.mode.startswith("F"):
+        raise UsageError(f"{path}: floating-point pixels have no agreed white: convert it to 8 or 16 bits")
+    if opened.mode.startswith("I"):
         opened, note = _eight_bits(opened)
         notes.append(note)
     if "A" in opened.getbands() or "transparency" in opened.info:
@@ -88,10 +92,10 @@ def _eight_bits(opened: "PIL.Image.Image") -> tuple["PIL.Image.Image", str]:
     import PIL.Image  # noqa: PLC0415
 
     values = np.asarray(opened, dtype=np.float64)
-    top = 65535.0 if values.max() > 255.0 else 255.0
-    return PIL.Image.fromarray(
-        np.rint(np.clip(values / top, 0.0, 1.0) * 255.0).astype(np.uint8)
-    ), "read with 8 bits"
+    top = 65535.0 if opened.mode.startswith("I;16") or values.max() > 255.0 else 255.0
+    found = PIL.Image.fromarray(np.rint(np.clip(values / top, 0.0, 1.0) * 255.0).astype(np.uint8))
+    found.info = {key: value for key, value in opened.info.items() if key == "icc_profile"}
+    return found, "read with 8 bits"
 
 
 def _from_profile(opened: "PIL.Image.Image", profile: bytes, path: Path) -> tuple["PIL.Image.Image", str]:

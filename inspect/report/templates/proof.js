@@ -188,6 +188,9 @@ async function picture(unit, uri) {
   const image = new Image();
   image.src = uri;
   await image.decode();
+  const most = gl.getParameter(gl.MAX_TEXTURE_SIZE);
+  if (Math.max(image.naturalWidth, image.naturalHeight) > most)
+    throw new Error(`the print has ${image.naturalWidth} × ${image.naturalHeight} dots, and this graphics driver takes ${most} a side: make the proof with fewer dots.`);
   texture(unit);
   gl.pixelStorei(gl.UNPACK_COLORSPACE_CONVERSION_WEBGL, gl.NONE);
   gl.pixelStorei(gl.UNPACK_PREMULTIPLY_ALPHA_WEBGL, false);

@@ -10,9 +10,9 @@ FloatArray = npt.NDArray[np.float64]
 
 
 def half_vector(to_light: FloatArray, to_camera: FloatArray) -> FloatArray:
-    """(…, 3) unit vectors halfway between (…, 3) unit vectors (Eq. 1)."""
+    """(…, 3) unit vectors halfway between (…, 3) unit vectors (Eq. 1); zero between opposite ones, which have none."""
     total = np.asarray(to_light) + np.asarray(to_camera)
-    return np.asarray(total / np.linalg.norm(total, axis=-1, keepdims=True))
+    return np.asarray(total / np.maximum(np.linalg.norm(total, axis=-1, keepdims=True), 1e-12))
 
 
 def cos_half_sum(cos_i: FloatArray, cos_o: FloatArray) -> FloatArray:

@@ -81,8 +81,8 @@ def cylinder(rows: int, cols: int, fill: float = 0.96) -> Surface:
 
     Arguments and errors as for :func:`sphere`; ``fill`` is the share of the width.
     """
-    x, y = _pixels(rows, cols, 1.0)
-    x = x / (fill * np.max(np.abs(x)) * cols / max(cols - 1, 1))
+    x, y = _pixels(rows, cols, fill)
+    x = x * min(rows, cols) / cols
     seen = np.abs(x) < 1.0
     z = np.sqrt(np.maximum(1.0 - x**2, 0.0))
     nothing = np.zeros_like(x)

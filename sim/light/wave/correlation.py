@@ -66,6 +66,22 @@ class Correlation:
         pixels = [float(lags[1] - lags[0]) for lags in (self.x_um, self.y_um) if lags.size > 1]
         return float(found.real) * float(np.prod(pixels))
 
+    def of_cells(self, times: int) -> "Correlation":
+        """At ``times`` as many distances, for heights that hold for whole pixels: there it is linear in between."""
+        if times == 1:
+            return self
+        values, lags = self.values, [self.y_um, self.x_um]
+        for axis, coarse in enumerate(lags):
+            if coarse.size == 1:
+                continue
+            fine = np.arange((coarse.size - 1) * times + 1) / times
+            low = np.minimum(fine.astype(int), coarse.size - 2)
+            share = np.moveaxis(np.atleast_2d(fine - low), -1, axis)
+            before, after = (np.take(values, low + more, axis=axis) for more in (0, 1))
+            values = before + share * (after - before)
+            lags[axis] = coarse[0] + fine * float(coarse[1] - coarse[0])
+        return Correlation(values, lags[1], lags[0], self.wavelength_um, self.h_z)
+
 
 def reach_um(window: Window, wavelength_um: float, h_z: float) -> tuple[float, float]:
     """Distances along x and y from which on unresolved roughness leaves no coherence worth counting.

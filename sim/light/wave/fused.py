@@ -48,14 +48,18 @@ def density(surface: WaveSurface, half: HalfVector, wavelength_um: float, window
     return form / surface.area_um2 * cell_response(surface, half, wavelength_um)
 
 
-def cell_response(surface: WaveSurface, half: HalfVector, wavelength_um: float) -> float:
-    """Power that a pixel of one height sends into a direction, as a share of that of a point; 1 for points."""
+def cell_response(surface: WaveSurface, half: HalfVector, wavelength_um: float, times: int = 1) -> float:
+    """Power that a pixel of one height sends into a direction, as a share of that of a point; 1 for points.
+
+    Of one of ``times`` parts of a pixel along each axis. It varies little over the window where the pixel, or the part,
+    is small against the coherence length; that is what makes it a factor.
+    """
     if not surface.cells:
         return 1.0
     fx, fy = half.frequency(wavelength_um)
-    response = np.sinc(fx * surface.pixel_x_um)
+    response = np.sinc(fx * surface.pixel_x_um / times)
     if not surface.is_profile:
-        response *= np.sinc(fy * surface.pixel_y_um)
+        response *= np.sinc(fy * surface.pixel_y_um / times)
     return float(response**2)
 
 

@@ -79,6 +79,9 @@ def test_a_whole_layout_is_streamed(anisoscope, page, folder):
     heights = np.load(folder / "all.npy")
     assert heights.shape == (said["rows"], said["cols"]) == (224, 224)
     np.testing.assert_allclose(heights, read_height_map(folder / "dot.x3p").height_um, atol=1e-6)
+    part = anisoscope("design", "height", "dot.npz", "--corner", "10,20", "--out", "part.npy", cwd=folder)
+    assert part.code == 0, part.err
+    np.testing.assert_allclose(np.load(folder / "part.npy"), heights[80:, 40:], atol=1e-6)
     again = anisoscope("design", "height", "dot.npz", "--out", "all.npy", cwd=folder)
     assert again.code == 64
     assert "--overwrite" in again.err
@@ -106,6 +109,20 @@ def test_a_whole_layout_is_streamed(anisoscope, page, folder):
         ("height disc.png --out p.x3p", "give a design"),
         ("height wide-x.toml --out q.x3p --grid 1", "GDSII files"),
         ("mixture wide-x.toml hole.toml --shares 0.5,0.6", "add up to 1"),
+        ("antimirror --wavelength 0.5", "100 to 20000 nm"),
+        ("antimirror --coherence=-5", "--coherence must be"),
+        ("antimirror --min-width nan", "--min-width and --grid"),
+        ("lobe --sigma 0.04 --max-width inf", "leave no choice"),
+        ("lobe --sigma 0.04 --grid 0.001", "coarser grid"),
+        ("depths --seed=-1", "--seed"),
+        ("refine wide-x.toml --out none/dot.npz", "no folder"),
+        ("refine wide-x.toml --out dot.png", r"\*\.npz"),
+        ("refine wide-x.toml --seconds inf", "finite time"),
+        ("refine wide-x.toml --dot 100000", "smaller dot"),
+        ("refine wide-x.toml --dot nan", "--dot must be"),
+        ("height disc.npz --out none/all.npy", "no folder"),
+        ("height disc.gds --out f.x3p --size 10,10 --grid 0.2", "whole part"),
+        ("height disc.gds --out f.x3p --size 10,10 --depths=-5", "positive depth"),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_line(anisoscope, page, folder, command, words):
@@ -122,13 +139,16 @@ def test_the_nearest_lobe_says_what_it_misses(anisoscope, folder):
     assert "out of reach" in found["warnings"][0]
 
 
+def test_levels_that_leave_a_spike_are_warned_of(anisoscope, folder):
+    done = anisoscope("design", "lobe", "--sigma", "0.04", "--depths", "50", "--json", cwd=folder)
+    assert "spike" in json.loads(done.out)["warnings"][0]
+
+
 def test_refinement_repeats_itself_and_ends_with_its_dot(anisoscope, page, folder):
     runs = [
         json.loads(
             anisoscope(
-                *shlex.split(
-                    "design refine wide-x.toml --dot 40 --generations 1 --seconds 100 --seed 3 --json"
-                ),
+                *shlex.split("design refine wide-x.toml --dot 40 --generations 1 --seed 3 --json"),
                 cwd=folder,
             ).out
         )

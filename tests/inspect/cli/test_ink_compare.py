@@ -62,6 +62,8 @@ def test_mistakes_are_told_in_one_line(anisoscope, readings, tmp_path):
         ([holes], "every wavelength at every place"),
         ([readings, "--png", "x.jpg"], "--png writes *.png"),
         ([readings, "--size", "8"], "32 pixels"),
+        ([readings, "--size", "30000"], "--size takes"),
+        (["--synthetic", "--seed", "-1"], "--seed 0 or more"),
     ):
         done = anisoscope("ink", "compare", *arguments)
         assert done.code not in (0, 1)

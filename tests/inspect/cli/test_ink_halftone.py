@@ -53,6 +53,7 @@ def test_halftone_says_what_was_lost(anisoscope, image, tmp_path):
     ("arguments", "message"),
     [
         (["--out", "x.tif"], "--out writes *.png"),
+        (["--out", "IMAGE"], "is an input"),
         (["--out", "x.png", "--dpi", "0"], "--dpi takes"),
         (["--out", "x.png", "--width", "-3"], "--width takes"),
         (["--out", "x.png", "--inks", "synthetic-red"], "three inks"),
@@ -61,7 +62,9 @@ def test_halftone_says_what_was_lost(anisoscope, image, tmp_path):
     ],
 )
 def test_mistakes_are_told_in_one_line(anisoscope, image, arguments, message):
-    done = anisoscope("ink", "halftone", image, *arguments)
+    before = image.read_bytes()
+    done = anisoscope("ink", "halftone", image, *(image if one == "IMAGE" else one for one in arguments))
+    assert image.read_bytes() == before
     assert done.code not in (0, 1)
     assert message in done.err
     assert done.err.count("\n") == 1

@@ -155,6 +155,8 @@ def test_scales_of_readings(two, written):
     divided = to_brdf(two, "factor", White(readings=white))
     np.testing.assert_allclose(divided.value, 0.99 / np.pi * np.array([0.25, 0.5]))
     assert "divided by those of the white reference" in divided.scale
+    again = read_goniometer(written(HEADER + "65,60,600,6\n20,20,500,8\n65,60,600,10\n", "twice.csv"))
+    np.testing.assert_allclose(to_brdf(two, "factor", White(readings=again)).value, divided.value)
 
 
 def test_white_references_that_do_not_reach(two, written):

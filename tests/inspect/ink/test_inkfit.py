@@ -68,6 +68,36 @@ def test_a_hundred_trials_at_three_percent(rng):
     assert 0.90 < np.mean(inside_c) < 0.98
 
 
+@pytest.mark.parametrize(("angle_deg", "level"), [(0.3, 0.0), (0.0, 0.02)])
+def test_errors_that_a_place_shares_count_in_u_of_alpha(rng, angle_deg, level):
+    """All wavelengths of a place share its angles and level; from single readings alone 40 % would lie within 2u."""
+    ink, at = synthetic_ink("synthetic-green"), places()
+    inside = []
+    for _ in range(40):
+        off = at + angle_deg * rng.standard_normal(at.shape)
+        shared = 1 + level * rng.standard_normal((len(at), 1))
+        value = shared * brdf_at_angles(ink, off[:, 0], off[:, 1])
+        value = value * (1 + 0.03 * rng.standard_normal(value.shape))
+        found = fit(replace(readings(ink, at=at), value=value.ravel()))
+        inside.append(abs(found.alpha - 0.19) < 2 * found.u_alpha)
+    assert np.mean(inside) >= 0.85  # 40 draws: 95 ± 3.4 % of them
+
+
+def test_a_place_whose_only_reading_is_left_out_is_no_place():
+    """One reading at a wavelength of its own: too few there, and nothing else at its angles."""
+    ink = synthetic_ink("synthetic-red")
+    some = readings(ink)
+    more = Readings(
+        np.append(some.theta_i_deg, 20.0), np.append(some.theta_o_deg, 80.0), np.append(some.wavelength_nm, 785.0),
+        np.append(some.value, 0.01), (*some.lines, 9999),
+    )  # fmt: skip
+    for method in ("joint", "paper"):
+        plain, found = fit(some, method), fit(more, method)
+        assert np.isfinite(found.grid.value).any(axis=1).all()
+        assert found.alpha == pytest.approx(plain.alpha, rel=1e-12)
+        assert [one.line for one in found.grid.dropped if "too few" in one.reason] == [9999]
+
+
 def test_the_published_two_steps_are_biased(rng):
     """Without noise α is off by about 1 % and ρ by more; at 3 % its ρ and c scatter 4 times as much."""
     ink = synthetic_ink("synthetic-green")
@@ -158,6 +188,7 @@ def test_a_bright_ink_is_told(rng):
         ([(20, 20), (40, 40)], "joint", "3 readings"),
         ([(20, 10), (20, 20), (20, 30)], "paper", "mirror direction"),
         ([(20, 20), (40, 40), (60, 60)], "paper", "beside the mirror direction"),
+        ([(20, 10), (20, 20), (20, 20), (20, 20), (20, 30)], "paper", "three angles"),
     ],
 )
 def test_too_little_to_fit_is_refused(at, method, words):

@@ -260,6 +260,16 @@ def test_nothing_comes_from_outside_and_nobody_complains(page, proof):
 
 
 @pytest.mark.browser
+def test_a_print_too_large_for_the_driver_is_told(page, proof, tmp_path):
+    long = np.zeros((40_000, 1, 3), dtype=np.uint8)
+    path = tmp_path / "long.html"
+    write_proof_page(replace(proof[1], halftone_png=picture_png(long)), path)
+    page.open(path.as_uri(), 800, 600)
+    wait(page, "!document.getElementById('missing').hidden")
+    assert "1 × 40000 dots" in page.evaluate("document.getElementById('missing-why').textContent")
+
+
+@pytest.mark.browser
 def test_without_webgl_the_page_says_so(proof, tmp_path):
     import shutil
 

@@ -16,6 +16,7 @@ from anisoscope.sim.design.designfile import (
     write_design,
     write_layout,
 )
+from anisoscope.sim.design.layout import Layout
 from anisoscope.sim.design.lobe import LobeTask, design_lobe
 from anisoscope.sim.design.mask import rectangles, write_gds
 from anisoscope.sim.design.maskreading import read_gds
@@ -259,6 +260,10 @@ def test_a_mixture_has_tiles_of_every_part_by_its_share(wide_x, hole):
             "schema_version=1\nname='a'\npasses_nm=[125]\nband_nm=[500,500]\n[model]\nkind='antimirror'\narrangement=[2,2]\nwidths_um=[1,2]\nlevels=2\n",
             "narrower than min_width_um",
         ),
+        (
+            "schema_version=1\nname='a'\npasses_nm=[125]\nband_nm=[500,500]\n[model]\nkind='lobe'\nwidths_x_um=[]\np_a_x=[]\nwidths_y_um=[2]\np_a_y=[1]\n",
+            "widths_x_um",
+        ),
     ],
 )
 def test_design_files_that_are_none_are_refused_in_one_line(tmp_path, text, match):
@@ -274,11 +279,43 @@ def test_layouts_and_masks_that_are_none_are_refused(tmp_path):
     np.savez(tmp_path / "o.npz", a=np.zeros(3))
     with pytest.raises(ConfigError, match="not a layout"):
         read_layout(tmp_path / "o.npz")
+    np.savez(tmp_path / "c.npz", a=np.zeros(30000))
+    (tmp_path / "c.npz").write_bytes((tmp_path / "c.npz").read_bytes()[:-400])
+    np.save(tmp_path / "one.npy", np.zeros(3))
+    (tmp_path / "one.npy").rename(tmp_path / "n.npz")
+    for damaged in ("c.npz", "n.npz"):
+        with pytest.raises(ConfigError, match="not a layout"):
+            read_layout(tmp_path / damaged)
     (tmp_path / "m.gds").write_bytes(b"not at all")
     with pytest.raises(ConfigError, match="not a GDSII"):
         read_gds(tmp_path / "m.gds")
     with pytest.raises(ConfigError, match="no such file"):
         read_gds(tmp_path / "n.gds")
+
+
+@pytest.mark.parametrize(
+    ("options", "match"),
+    [
+        (PatternOptions(float("nan")), "must be a grid step"),
+        (PatternOptions(50_000.0, 1), "too many"),
+        (PatternOptions(28.0, 70_000), "too many"),
+    ],
+)
+def test_dots_and_tiles_beyond_memory_and_index_are_refused(wide_x, options, match):
+    with pytest.raises(ModelError, match=match):
+        make_layout(np.zeros((1, 1), dtype=int), [wide_x], np.random.default_rng(0), options)
+
+
+def test_arrays_and_passes_that_no_layout_has_are_refused():
+    tiles, one, index = np.zeros((1, 4, 4), np.uint16), np.zeros(1, np.int64), np.zeros((1, 1), np.uint16)
+    for parts, passes in (
+        ((tiles - 1.5, one, index), (125.0,)),
+        ((tiles, one - 1, index), (125.0,)),
+        ((tiles, one, index.astype(int) - 1), (125.0,)),
+        ((tiles, one, index), (125.0,) * 40),
+    ):
+        with pytest.raises(ConfigError, match="make"):
+            Layout(*parts, passes, 0.25, ("a",))
 
 
 def test_the_spike_of_two_levels_shows_away_from_its_wavelength_only():

@@ -29,6 +29,8 @@ def test_deep_grey_and_transparent_pictures(tmp_path):
     found = read_image(saved(tmp_path / "deep.png", ramp))
     np.testing.assert_array_equal(found.srgb[..., 0].ravel(), np.arange(256))
     assert "8 bits" in found.notes[0]
+    dark = read_image(saved(tmp_path / "dark.png", (ramp // 257).astype(np.uint16)))
+    assert dark.srgb.max() == 1  # 255 of 65535
     clear = np.full((4, 4, 4), 255, dtype=np.uint8)
     clear[:, 2:, 3] = 0
     found = read_image(saved(tmp_path / "clear.png", clear))
@@ -71,7 +73,25 @@ def test_an_embedded_profile_is_applied(tmp_path):
     assert found.notes == ("converted from its colour profile (linear) to sRGB",)
 
 
+def test_the_profile_of_a_deep_picture_is_not_lost(tmp_path):
+    ramp = np.linspace(0, 65535, 16).astype(np.uint16).reshape(4, 4)
+    with pytest.raises(
+        UsageError, match="colour profile cannot be used"
+    ):  # one of three colours fits no grey
+        read_image(saved(tmp_path / "deep.png", ramp, icc_profile=linear_profile()))
+
+
+def test_too_many_pixels_are_told_as_such(tmp_path, monkeypatch):
+    path = saved(tmp_path / "a.png", np.zeros((30, 50), dtype=np.uint8))
+    monkeypatch.setattr(PIL.Image, "MAX_IMAGE_PIXELS", 1000)  # from here to twice as many Pillow only warns
+    assert read_image(path).srgb.shape == (30, 50, 3)
+    monkeypatch.setattr(PIL.Image, "MAX_IMAGE_PIXELS", 700)
+    with pytest.raises(UsageError, match="too many pixels"):
+        read_image(path)
+
+
 def test_pictures_that_cannot_be_read(tmp_path):
+    saved(tmp_path / "float.tif", np.linspace(0, 1, 16, dtype=np.float32).reshape(4, 4))
     (tmp_path / "text.png").write_text("no picture")
     PIL.Image.new("CMYK", (2, 2)).save(tmp_path / "cmyk.tif")
     PIL.Image.new("RGB", (2, 2)).save(tmp_path / "odd.png", icc_profile=b"nonsense")
@@ -80,6 +100,7 @@ def test_pictures_that_cannot_be_read(tmp_path):
         ("text.png", "not a picture"),
         ("cmyk.tif", "CMYK"),
         ("odd.png", "colour profile cannot be used"),
+        ("float.tif", "floating-point"),
     ):
         with pytest.raises(UsageError, match=message):
             read_image(tmp_path / name)

@@ -148,6 +148,13 @@ def test_below_the_horizon_nothing(make_ink):
     assert np.all(brdf(make_ink(), np.array([0.0, 0.0, 1.0]), down, "tio2") == 0.0)
 
 
+@pytest.mark.parametrize("model", MODELS)
+def test_opposite_directions_have_no_half_vector_and_no_light(make_ink, model):
+    up = np.array([0.0, 0.0, 1.0])
+    assert np.all(half_vector(up, -up) == 0.0)
+    assert np.all(brdf(make_ink(), up, -up, model) == 0.0)
+
+
 def test_unknown_names_are_refused(make_ink):
     with pytest.raises(ModelError, match="goniochromatic"):
         brdf_at_angles(make_ink(), 0.0, 0.0, "phong")

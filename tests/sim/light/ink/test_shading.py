@@ -110,7 +110,10 @@ def test_shapes_know_left_from_right():
     assert ball.normal[5, 15, 1] > 0.5
     assert ball.uv[15, 25, 0] > 0.6
     assert ball.uv[5, 15, 1] > 0.6
-    np.testing.assert_allclose(cylinder(5, 5).normal[2, 2], [0, 0, 1], atol=1e-6)
+    for shape in ((5, 5), (3, 1), (1, 1)):
+        middle = cylinder(*shape).normal[shape[0] // 2, shape[1] // 2]
+        np.testing.assert_allclose(middle, [0, 0, 1], atol=1e-6)
+    assert cylinder(4, 8, 0.5).normal[1, :, 2].astype(bool).tolist() == [False] * 2 + [True] * 4 + [False] * 2
     np.testing.assert_allclose(plane(3, 3, 30.0, 90.0).normal[0, 0], [0, 0.5, np.sqrt(0.75)], atol=1e-6)
 
 
@@ -128,5 +131,7 @@ def test_what_does_not_fit_is_refused(inks):
         plane(4, 4, 90.0)
     with pytest.raises(ModelError, match="rows"):
         sphere(0, 4)
+    with pytest.raises(ModelError, match="fill"):
+        cylinder(4, 4, 0.0)
     with pytest.raises(ModelError, match="two entries"):
         ink_table(inks[0], standard("a"), entries=1)
