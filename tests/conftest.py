@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import signal
 import tempfile
 
 import pytest
@@ -15,6 +16,9 @@ OWN_CACHE = pytest.StashKey[str]()
 
 def pytest_configure(config):
     """All workers of one run share what is computed once, and no run finds what another one left."""
+    # a shell ignores Ctrl-C for what runs in the background, and all that the tests start and interrupt would, too
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     if not hasattr(config, "workerinput") and CACHE not in os.environ:
         config.stash[OWN_CACHE] = os.environ[CACHE] = tempfile.mkdtemp(prefix="anisoscope-cache-")
 
