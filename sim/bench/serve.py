@@ -81,9 +81,7 @@ class PtyServer(Server):
 
     def close(self) -> None:
         """Release the pseudo terminal."""
-        for descriptor in (self._ours, self._theirs):
-            with contextlib.suppress(OSError):
-                os.close(descriptor)
+        _close(self._ours, self._theirs)
 
     def _open_pty(self) -> None:
         try:
@@ -107,13 +105,20 @@ class PtyServer(Server):
                 os.write(self._ours, answer)
             self._wait_s = 0.0 if answer else POLL_S
         except ConnectionError:
-            self.close()
-            self._open_pty()
+            hung_up = self._ours, self._theirs
+            self._open_pty()  # first, so that a client who notices finds the new port
+            _close(*hung_up)
         except BlockingIOError:
             pass  # nobody reads on the other side: the line is full, and the answer is lost
         except OSError as problem:
             if problem.errno != errno.EIO:  # EIO: the last client has gone
                 raise
+
+
+def _close(*descriptors: int) -> None:
+    for descriptor in descriptors:
+        with contextlib.suppress(OSError):
+            os.close(descriptor)
 
 
 class TcpServer(Server):
