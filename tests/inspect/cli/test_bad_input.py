@@ -114,10 +114,10 @@ def test_serials_that_could_do_harm(anisoscope, job, serial):
     ("fault", "words"),
     [("silent", ("silent",)), ("stall:100", ("stage",)), ("wrong-address", ()), ("hangup", ())],
 )
-def test_stage_in_trouble(anisoscope_afresh, job, fault, words):
+def test_stage_in_trouble(anisoscope, job, fault, words):
     with (job / "bench" / "good" / "bench.toml").open("a", encoding="utf-8") as stream:
         stream.write(f'\n[stage]\nfaults = ["{fault}"]\n')
-    done = inspect(anisoscope_afresh, job)
+    done = inspect(anisoscope, job)
     assert_one_line(done, 69, *words)
     assert records(job) == []
 
