@@ -44,7 +44,8 @@ class SurfaceView:
         self._flat: tuple[str, str] | None = None
         self._meanwhile = meanwhile
         self._relief = Renderer(surface.height_um, (surface.pixel_y_um, surface.pixel_x_um), interactive=True)
-        self._thread = threading.Thread(target=self._draw, name="height map drawings", daemon=True)
+        # no daemon: Python's end would cut it off within native code, and that aborts the program
+        self._thread = threading.Thread(target=self._draw, name="height map drawings")
         self._thread.start()
 
     def _draw(self) -> None:
@@ -59,5 +60,5 @@ class SurfaceView:
         return SurfacePictures(view.png, view.note, view.scene, above, profile)
 
     def discard(self) -> None:
-        """End the process if it still runs and forget its files; the thread ends by itself."""
+        """End the process if it still runs and forget its files; the thread ends by itself, before the program."""
         self._relief.discard()
