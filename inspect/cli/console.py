@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 
-def parse_numbers(text: str, option: str) -> tuple[float, ...]:
+def parse_numbers(text: str, option: str, example: str = "0,90,180") -> tuple[float, ...]:
     """Numbers of a comma-separated option.
 
     Raises:
@@ -21,7 +21,7 @@ def parse_numbers(text: str, option: str) -> tuple[float, ...]:
         numbers = tuple(float(part) for part in text.split(","))
     except ValueError:
         raise UsageError(
-            f"{option} takes numbers separated by commas, such as 0,90,180, not {text!r}"
+            f"{option} takes numbers separated by commas, such as {example}, not {text!r}"
         ) from None
     if not all(abs(number) < float("inf") for number in numbers):
         raise UsageError(f"{option} takes finite numbers, not {text!r}")

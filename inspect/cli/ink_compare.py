@@ -59,24 +59,27 @@ def compare(
     if values == "brdf" and white is not None:
         raise UsageError("--white needs --values factor: a BRDF has no white reference")
     lamp = find_illuminant(illuminant)
-    found = []
+    found, warnings = [], []
     sets = _made_up(seed) if synthetic else [(path.stem, _read(path, values, white)) for path in readings]
     with progress("compare", quiet=json_) as advance:
         for done, (name, (read, measured)) in enumerate(sets):
             advance(name, done, len(sets))
             from anisoscope.ink.fitting import fit
 
-            ink = fit(read).ink(name, "fitted to the readings")
+            fitted = fit(read)
+            warnings += [f"{name}: {warning}" for warning in fitted.warnings]
+            ink = fitted.ink(name, "fitted to the readings")
             ink = ink if alpha is None else replace(ink, alpha=alpha)
             found.append(run(measured, ink, illuminant=lamp, size=size))
     if png is not None:
         _write_png(found, png)
     if json_:
-        print_json(
-            {"synthetic": synthetic, "convention": CONVENTION, "inks": [_as_json(one) for one in found]}
-        )
+        inks = [_as_json(one) for one in found]
+        print_json({"synthetic": synthetic, "convention": CONVENTION, "inks": inks, "warnings": warnings})
         return 0
     _print(found, synthetic, size)
+    for warning in warnings:
+        print_line(f"warning: {warning}")
     print_line(f"Convention: {CONVENTION}.")
     if png is not None:
         print_line(f"{png}: written")

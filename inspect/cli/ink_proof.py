@@ -1,6 +1,6 @@
 """``anisoscope ink proof``: how a print will look, as a page to turn it in the browser, and as pictures."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -195,6 +195,7 @@ class _Work:
         """(size, size, 3) linear light; where a pixel holds many dots, the tones stand for their mean."""
         import numpy as np
 
+        from anisoscope.ink.inkfile import with_roughness
         from anisoscope.sim.light.ink.shading import Light
         from anisoscope.sim.proof.render import PHOTO, ROUGHNESS, direction, proof_picture
         from anisoscope.sim.proof.scene import printed, surface
@@ -202,7 +203,7 @@ class _Work:
         view = self.view
         inks = self.inks
         if view.process is not None:
-            inks = tuple(replace(ink, alpha=ROUGHNESS[view.process], alpha_y=None) for ink in inks)
+            inks = tuple(with_roughness(ink, ROUGHNESS[view.process]) for ink in inks)
         lights = [Light(direction(view.azimuth, view.elevation), np.pi, self.lamps[0])]
         if view.second:
             lights.append(Light(direction(*SECOND_LIGHT_DEG), 0.5 * np.pi, self.lamps[0]))

@@ -81,8 +81,10 @@ def light_of(text: str | None) -> Any:  # noqa: ANN401 - a LightSpectrum, import
     if text is None:
         return LightSpectrum()
     parts = [part.partition(":") for part in text.split(",")]
-    nm = [parse_numbers(part[0], "--wavelengths")[0] for part in parts]
-    weights = [parse_numbers(part[2], "--wavelengths")[0] if part[1] else 1.0 for part in parts]
+    nm = [parse_numbers(part[0], "--wavelengths", "530:1,550:2")[0] for part in parts]
+    weights = [
+        parse_numbers(part[2], "--wavelengths", "530:1,550:2")[0] if part[1] else 1.0 for part in parts
+    ]
     return LightSpectrum(tuple(1e-3 * value for value in nm), tuple(weights))
 
 

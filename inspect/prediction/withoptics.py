@@ -32,6 +32,7 @@ from anisoscope.sim.light.material import Material, fresnel
 from anisoscope.sim.light.optics import POINT_LIKE, Optics, through
 from anisoscope.sim.light.wave.choice import (
     NUMERICAL_ERROR,
+    SHARP_ERROR,
     OpticsChoice,
     choose_optics,
     effective_coherence_um,
@@ -124,19 +125,31 @@ def predict_with_optics(
         on_progress: told along the way.
 
     Raises:
-        HeightMapError: waves are asked for, and the map has missing points or too coarse pixels.
-        ModelError: waves are asked for with a lamp near the part.
+        HeightMapError: waves are asked for by name, and the map has missing points or too coarse pixels.
+        ModelError: waves are asked for by name, with a lamp near the part.
     """
     choice = optics_for(surface, rig, wanted)
     model = ("geometric" if choice is None else choice.model) if wanted.model == "auto" else wanted.model
     found = []
-    if model in ("geometric", "both"):
-        found.append(geometric(on_progress))
     if model in ("wave", "both"):
         stepped = choice is not None and choice.stepped
-        found.append(_by_waves(surface, rig, wanted, stepped, pitch_um, levelling, on_progress))
+        try:
+            found.append(_by_waves(surface, rig, wanted, stepped, pitch_um, levelling, on_progress))
+        except (HeightMapError, ModelError) as problem:
+            if wanted.model != "auto" or choice is None:
+                raise
+            choice, model = _by_rays_instead(choice, problem), "geometric"
+    if model in ("geometric", "both"):
+        found.insert(0, geometric(on_progress))
     notes = optics_note(choice, wanted) | error_note(choice, rig, wanted)
     return tuple(replace(one, notes={**one.notes, "optics": notes}) for one in found)
+
+
+def _by_rays_instead(choice: OpticsChoice, problem: Exception) -> OpticsChoice:
+    """What is said where waves would be right and cannot be had: nobody asked for them by name."""
+    reason = f"{choice.reason}; but waves cannot be had ({problem}): geometric, with an error"
+    error = min(1.0, SHARP_ERROR * choice.coherence_um / choice.f_um)
+    return replace(choice, model="geometric", reason=reason, stated_error=error)
 
 
 def optics_note(choice: OpticsChoice | None, wanted: Wanted) -> dict[str, Any]:

@@ -1,11 +1,13 @@
 """Pages and pictures of inks: a fit with its residuals, and colours against angle."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
-from anisoscope.ink.appearance import Show
+from anisoscope.ink.appearance import Appearance, Show
 from anisoscope.ink.fitting import InkFit
 from anisoscope.ink.text import FIT_COLUMNS, SHOW_COLUMNS, fit_rows, show_notes, show_rows, summary
 from anisoscope.report.figures import BLUE, GRID, MUTED, RED, _figure, _svg_uri
@@ -16,7 +18,11 @@ from anisoscope.sim.light.ink.ink import Ink
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+FloatArray = npt.NDArray[np.float64]
+
 LISTED = 200
+LEAST_APART = 60.0
+"""Distance in sRGB codes from which two curves are told apart by their colours."""
 
 
 def write_ink_fit_page(found: InkFit, ink: Ink, title: str, path: Path) -> None:
@@ -116,9 +122,9 @@ def _residual_map(found: InkFit) -> str:
     with _figure(4.2, 3.0) as (figure, axes):
         order = np.lexsort((found.grid.theta_o_deg, found.grid.theta_i_deg))
         most = float(np.nanpercentile(np.abs(found.residual), 99)) * 100.0 or 1.0
-        shown = axes.imshow(
-            100.0 * found.residual[order], aspect="auto", cmap="RdBu_r", vmin=-most, vmax=most, origin="lower",
-            extent=(found.nm[0], found.nm[-1], 0, len(order)), interpolation="nearest",
+        shown = axes.pcolormesh(
+            found.nm, np.arange(len(order)), 100.0 * found.residual[order], cmap="RdBu_r", vmin=-most, vmax=most,
+            shading="nearest", rasterized=True,
         )  # fmt: skip
         lights = found.grid.theta_i_deg[order]
         ticks = [int(np.argmax(lights == light)) for light in np.unique(lights)]
@@ -195,15 +201,19 @@ def write_ink_picture(shown: Show, path: Path) -> None:
 
 
 def _charts(shown: Show) -> list[Chart]:
-    names = [one.ink.name for one in shown.inks]
-    rho = tuple(Curve(n, o.ink.nm, o.ink.rho_brdf) for n, o in zip(names, shown.inks, strict=True))
-    c = tuple(Curve(n, o.ink.nm, o.ink.c_values) for n, o in zip(names, shown.inks, strict=True))
-    apart = tuple(Curve(n, o.theta_deg, o.difference) for n, o in zip(names, shown.inks, strict=True))
-    bright = tuple(Curve(n, o.theta_deg, o.xyz[:, 1]) for n, o in zip(names, shown.inks, strict=True))
-    place = tuple(
-        Curve(n, o.xyz[:, 0] / o.xyz.sum(axis=1), o.xyz[:, 1] / o.xyz.sum(axis=1))
-        for n, o in zip(names, shown.inks, strict=True)
-    )
+    colours = _own_colours(shown)
+
+    def curves(of: Callable[[Appearance], tuple[FloatArray, FloatArray]]) -> tuple[Curve, ...]:
+        return tuple(
+            Curve(one.ink.name, *of(one), colour=colour)
+            for one, colour in zip(shown.inks, colours, strict=True)
+        )
+
+    rho = curves(lambda one: (one.ink.nm, one.ink.rho_brdf))
+    c = curves(lambda one: (one.ink.nm, one.ink.c_values))
+    apart = curves(lambda one: (one.theta_deg, one.difference))
+    bright = curves(lambda one: (one.theta_deg, one.xyz[:, 1]))
+    place = curves(lambda one: (one.xyz[:, 0] / one.xyz.sum(axis=1), one.xyz[:, 1] / one.xyz.sum(axis=1)))
     return [
         Chart("Reflectance ρ", "wavelength [nm]", "ρ [1]", rho, points=False),
         Chart("Goniochromatism c", "wavelength [nm]", "c [1]", c, points=False),
@@ -211,6 +221,14 @@ def _charts(shown: Show) -> list[Chart]:
         Chart("Brightness against angle", "θ [°]", "Y [1]", bright),
         Chart("Colour difference from the first angle", "θ [°]", "ΔE2000 [1]", apart),
     ]
+
+
+def _own_colours(shown: Show) -> list[str | None]:
+    """The colour that every ink shows first; None for all of them where two look alike."""
+    codes = [one.hexes[0] for one in shown.inks]
+    rgb = np.array([[int(code[k : k + 2], 16) for k in (1, 3, 5)] for code in codes], dtype=np.float64)
+    apart = np.linalg.norm(rgb[:, None] - rgb[None, :], axis=-1) + 255.0 * np.eye(len(rgb))
+    return [None] * len(codes) if apart.min() < LEAST_APART else list(codes)
 
 
 def _chart_uri(chart: Chart) -> str:

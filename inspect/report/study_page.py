@@ -28,7 +28,7 @@ _PANEL = (4.2, 3.2)  # inches
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """One curve of a chart; ``low`` and ``high`` are a band about it."""
+    """One curve of a chart; ``low`` and ``high`` are a band about it, ``colour`` is its own (#rrggbb)."""
 
     label: str
     x: FloatArray
@@ -36,6 +36,7 @@ class Curve:
     low: FloatArray | None = None
     high: FloatArray | None = None
     dashed: bool = False
+    colour: str | None = None
 
 
 def _colour(number: int, count: int) -> str:
@@ -84,7 +85,8 @@ class Chart:
         """Draw into axes."""
         solid = [curve for curve in self.curves if not curve.dashed]
         for curve in self.curves:
-            colour = MUTED if curve.dashed else _colour(solid.index(curve), len(solid))
+            plain = MUTED if curve.dashed else _colour(solid.index(curve), len(solid))
+            colour = curve.colour or plain
             style = "--" if curve.dashed else "-"
             marker = "o" if self.points and not curve.dashed else ""
             axes.plot(

@@ -108,7 +108,7 @@ def check_together(designs: Sequence[DesignFile]) -> tuple[tuple[float, ...], fl
     A mirror is etched by no pass and goes with any.
 
     Raises:
-        ModelError: designs with different passes or grids.
+        ModelError: designs with different passes, grids, wavelengths or coherence lengths.
     """
     etched = [design for design in designs if not isinstance(design.model, MirrorModel)]
     if not etched:
@@ -118,6 +118,12 @@ def check_together(designs: Sequence[DesignFile]) -> tuple[tuple[float, ...], fl
         same = len(other.passes_nm) == len(first.passes_nm) and np.allclose(
             other.passes_nm, first.passes_nm, atol=0.05
         )
+        if (other.wavelength_nm, other.coherence_um) != (first.wavelength_nm, first.coherence_um):
+            raise ModelError(
+                f"{first.name} is designed for {first.wavelength_nm:g} nm and a coherence length of "
+                f"{first.coherence_um:g} µm, {other.name} for {other.wavelength_nm:g} nm and {other.coherence_um:g} "
+                "µm: one wafer is seen in one light; design them with the same --wavelength and --coherence"
+            )
         if not same or other.grid_um != first.grid_um:
             raise ModelError(
                 f"{first.name} and {other.name} have different etch passes or grids ({_nm(first)} on {first.grid_um:g} "

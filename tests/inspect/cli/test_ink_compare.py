@@ -39,6 +39,13 @@ def test_our_model_comes_first_on_a_file_of_readings(anisoscope, readings, tmp_p
         assert picture.size == (4 * 96, 96)
 
 
+def test_what_the_fit_warns_of_is_said(anisoscope, readings):
+    arguments = ("ink", "compare", readings, "--size", 32)
+    (warning,) = anisoscope(*arguments, "--json").json["warnings"]
+    assert warning.startswith("green: residuals of")  # the readings have a lobe that no model here has
+    assert "warning: green: residuals of" in anisoscope(*arguments).out
+
+
 def test_made_up_readings_are_called_so(anisoscope):
     done = anisoscope("ink", "compare", "--synthetic", "--size", 64)
     assert done.code == 0, done.err

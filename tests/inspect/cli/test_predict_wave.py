@@ -52,6 +52,17 @@ def radiances(found):
     return np.array([pose["radiance"] for pose in found["poses"]])
 
 
+def test_where_waves_would_be_right_and_cannot_be_had_rays_are_used_and_it_is_said(capsys, tmp_path):
+    small = str(tmp_path / "small.npz")
+    write_height_map(ridges(RidgeDesign(20.0, 5.0, "vertical"), (24, 241), 0.25), small)
+    polished = ("--alpha-along", "0.001", "--alpha-across", "0.001", "--albedo", "0", "--no-uncertainty")
+    assert "light" in refused(capsys, small, *polished, "--model", "wave")
+    optics = predicted(capsys, small, *polished)["optics"]
+    assert (optics["asked"], optics["model"]) == ("auto", "geometric")
+    assert "waves cannot be had" in optics["reason"]
+    assert optics["stated_error"] > 0.1
+
+
 def test_rays_serve_for_ridges_of_plastic(capsys):
     auto, geometric = (predicted(capsys, *DESIGN, "--model", model) for model in ("auto", "geometric"))
     assert auto["model"] == "corrected"

@@ -87,6 +87,11 @@ def test_designs_that_cannot_be_etched_together_are_refused(wide_x):
     other = wide_x.model_copy(update={"name": "other", "passes_nm": WHITE_PASSES})
     with pytest.raises(ModelError, match="one wafer is etched at once"):
         make_layout(np.array([[0, 1]]), [wide_x, other], np.random.default_rng(0))
+    for light in ({"wavelength_nm": 600.0}, {"coherence_um": 8.0}):
+        with pytest.raises(ModelError, match="one wafer is seen in one light"):
+            make_layout(
+                np.array([[0, 1]]), [wide_x, wide_x.model_copy(update=light)], np.random.default_rng(0)
+            )
     with pytest.raises(ModelError, match="2 classes, but there are 1 designs"):
         make_layout(np.array([[0, 1]]), [wide_x], np.random.default_rng(0))
     with pytest.raises(ModelError, match="smaller picture"):
