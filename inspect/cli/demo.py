@@ -2,8 +2,9 @@
 
 import json
 import sys
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, cast
 
 from cyclopts import Parameter
 
@@ -15,8 +16,23 @@ if TYPE_CHECKING:
     from anisoscope.inspection import Inspected
 
 
+Kind = Literal["ridges"]
+
+
+class _Scene(Protocol):
+    """What a module of a kind of demo offers: the parts with the verdicts that they should get, and their files."""
+
+    PARTS: dict[str, str]
+
+    @staticmethod
+    def lay_out(out: Path, seed: int, advance: Advance) -> Path:
+        """Write recipe, rig files and calibrations below a folder, and return it; parts lie in ``bench/NAME``."""
+        ...
+
+
 def demo(
     *,
+    kind: Annotated[Kind, Parameter(help="What is inspected: plastic with ridges.")] = "ridges",
     out: Annotated[Path, Parameter(help="Folder for recipe, rig files, frames and reports.")] = Path(
         "demo-output"
     ),
@@ -28,12 +44,12 @@ def demo(
     Makes a reference height map, takes a flat of a white tile, then photographs every part at 0°, 90° and 180°
     and judges it. Ends with exit code 0 when every verdict is the expected one.
     """
-    from anisoscope.cli.demo_files import PARTS, lay_out
     from anisoscope.history.address import HISTORY_NAME
 
+    scene = cast("_Scene", import_module(f"anisoscope.cli.demo_{kind}"))
     with progress("demo", quiet=json_) as advance:
-        folder = lay_out(out, seed, advance)
-        found = [(name, expected, _inspect(folder, name, advance)) for name, expected in PARTS.items()]
+        folder = scene.lay_out(out, seed, advance)
+        found = [(name, expected, _inspect(folder, name, advance)) for name, expected in scene.PARTS.items()]
     for _, _, inspected in found:
         remember(inspected, folder / "inspections" / HISTORY_NAME)
     parts = [

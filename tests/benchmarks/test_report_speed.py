@@ -12,7 +12,7 @@ import sys
 
 import pytest
 
-from anisoscope.cli.demo_files import lay_out
+from anisoscope.cli.demo_ridges import lay_out
 from anisoscope.progress import silent
 
 pytestmark = pytest.mark.benchmark

@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from anisoscope import inspection
-from anisoscope.cli.demo_files import PARTS, lay_out
+from anisoscope.cli.demo_ridges import PARTS, lay_out
 from anisoscope.progress import silent
 
 

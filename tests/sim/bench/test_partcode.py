@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from anisoscope.batch.codes import read_codes
-from anisoscope.cli.demo_files import FIXTURE
+from anisoscope.cli.demo_ridges import FIXTURE
 from anisoscope.errors import RigFileError
 from anisoscope.sim.bench.bench import Bench
 from anisoscope.sim.bench.benchfile import BenchFile, CodePart

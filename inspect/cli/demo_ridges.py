@@ -1,4 +1,4 @@
-"""The files of the demo: reference height map, recipe, one bench and rig file a part, and a flat."""
+"""The files of the demo with ridges: reference height map, recipe, one bench and rig file a part, and a flat."""
 
 from pathlib import Path
 from typing import Any
