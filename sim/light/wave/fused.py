@@ -19,7 +19,7 @@ from anisoscope.sim.light.wave.windows import Window
 FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complexfloating]
 
-STRIP = 256
+STRIP = 512
 
 
 @dataclass(frozen=True, eq=False)

@@ -59,16 +59,19 @@ def strip(
     scale = np.float32(cycles_per_um)
     rows, width, half = height_um.shape[0], last - first, (taps_y.size - 6) // 2
     lead = half // step_y
+    # Loops run over rows of their own: over two indices the compiler would guard every number against wrapping around.
+    beside = carrier_x[first:last]
     for top in range(0, rows, 4):
         for line in range(4):
             row = min(top + line, rows - 1)
-            turn = carrier_y[row]
+            turn, height = carrier_y[row], height_um[row, first:last]
+            cosine, sine = work[line], work[line + 4]
             for c in range(width):
-                t = height_um[row, first + c] * scale + (carrier_x[first + c] + turn)
+                t = height[c] * scale + (beside[c] + turn)
                 t -= np.floor(t + _HALF)
                 u = t * t
-                work[line, c] = c0 + u * (c1 + u * (c2 + u * (c3 + u * (c4 + u * c5))))
-                work[line + 4, c] = -t * (s0 + u * (s1 + u * (s2 + u * (s3 + u * (s4 + u * s5)))))
+                cosine[c] = c0 + u * (c1 + u * (c2 + u * (c3 + u * (c4 + u * c5))))
+                sine[c] = -t * (s0 + u * (s1 + u * (s2 + u * (s3 + u * (s4 + u * s5)))))
         if top + 4 > rows:
             work[rows - top : 4] = np.float32(0.0)
             work[4 + rows - top :] = np.float32(0.0)
@@ -101,11 +104,15 @@ def gather(
         for out in range(begin, lead + (last - 1 + half) // step_x + 1):
             middle = (out - lead) * step_x
             low, high = max(first, middle - half), min(last, middle + half + 1)
+            weights = taps_x[low - middle + half : high - middle + half]
+            seen_real, seen_imaginary = (
+                real[row, low - first : high - first],
+                imaginary[row, low - first : high - first],
+            )
             sum_real = np.float32(0.0)
             sum_imaginary = np.float32(0.0)
-            for c in range(low, high):
-                weight = taps_x[c - middle + half]
-                sum_real += weight * real[row, c - first]
-                sum_imaginary += weight * imaginary[row, c - first]
+            for c in range(weights.size):
+                sum_real += weights[c] * seen_real[c]
+                sum_imaginary += weights[c] * seen_imaginary[c]
             result_real[row, out] += sum_real
             result_imaginary[row, out] += sum_imaginary

@@ -48,8 +48,11 @@ class Extent:
         """Degree of coherence of points (x, y) apart, 1 at no distance; shapes broadcast."""
         if self.size == 0.0:
             return np.ones(np.broadcast_shapes(np.shape(x_um), np.shape(y_um)))
-        axes = np.eye(2) if self.axes is None else self.axes
-        u, v = (self.size / wavelength_um * (axis[0] * x_um + axis[1] * y_um) for axis in axes)
+        scale = self.size / wavelength_um
+        if self.axes is None:
+            u, v = scale * np.asarray(x_um), scale * np.asarray(y_um)
+        else:
+            u, v = (scale * (axis[0] * x_um + axis[1] * y_um) for axis in self.axes)
         if self.shape == "rect":
             return np.asarray(np.sinc(u) * np.sinc(v))
         from scipy.special import j1  # noqa: PLC0415 - slow to import
