@@ -22,8 +22,8 @@ HALF: float = np.float32(0.5)  # type: ignore[assignment]
 ONE: float = np.float32(1.0)  # type: ignore[assignment]
 FAINT: float = np.float32(1e-12)  # type: ignore[assignment]
 PI: float = np.float32(math.pi)  # type: ignore[assignment]
-SCRATCH = 7
-"""Rows of scratch space: the normal's components, cosines to camera and light, place in the table, lobe."""
+SCRATCH = 10
+"""Rows of scratch space: the normal's components, cosines to camera and light, place in the table, lobe, colours."""
 
 
 @borrowing(inline="always", fastmath=True)
@@ -50,18 +50,20 @@ def _density(spread: float, up: float, area: float, beckmann: bool) -> float:
 @borrowing(fastmath=True)
 def _cosines(work: Float32, x: float, y: float, z: float, into: int) -> None:
     """Cosines between the normals of a row and a unit vector."""
-    for c in range(work.shape[1]):
-        work[into, c] = work[0, c] * x + work[1, c] * y + work[2, c] * z
+    across, down, up, found = work[0], work[1], work[2], work[into]
+    for c in range(found.size):
+        found[c] = across[c] * x + down[c] * y + up[c] * z
 
 
 @borrowing(fastmath=True)
 def _places(work: Float32, last: float) -> None:
     """Where in the table the goniochromatic model looks (Eq. 6), cosines cut to [0, 1]."""
-    for c in range(work.shape[1]):
-        i = min(max(work[4, c], ZERO), ONE)
-        o = min(max(work[3, c], ZERO), ONE)
+    lit, seen, found = work[4], work[3], work[5]
+    for c in range(found.size):
+        i = min(max(lit[c], ZERO), ONE)
+        o = min(max(seen[c], ZERO), ONE)
         both, neither = (ONE + i) * (ONE + o), (ONE - i) * (ONE - o)
-        work[5, c] = max(ZERO, ONE - HALF * (math.sqrt(both) - math.sqrt(neither))) * last
+        found[c] = max(ZERO, ONE - HALF * (math.sqrt(both) - math.sqrt(neither))) * last
 
 
 @borrowing(fastmath=True)
@@ -73,13 +75,14 @@ def _plain_lobe(work: Float32, beam: Float32, alpha: float) -> None:
     hx, hy, hz = beam[3], beam[4], beam[5]
     narrow = ONE / (alpha * alpha)
     scale = beam[6] * narrow / PI
-    for c in range(work.shape[1]):
-        x, y, z = work[0, c], work[1, c], work[2, c]
+    along_x, along_y, along_z, seen, lit, found = work[0], work[1], work[2], work[3], work[4], work[6]
+    for c in range(found.size):
+        x, y, z = along_x[c], along_y[c], along_z[c]
         cx, cy, cz = y * hz - z * hy, z * hx - x * hz, x * hy - y * hx
         up = x * hx + y * hy + z * hz
         total = (cx * cx + cy * cy + cz * cz) * narrow + up * up
-        faces = work[4, c] > ZERO and work[3, c] > ZERO
-        work[6, c] = scale * work[4, c] / max(total * total, FAINT) if faces else ZERO
+        faces = lit[c] > ZERO and seen[c] > ZERO
+        found[c] = scale * lit[c] / max(total * total, FAINT) if faces else ZERO
 
 
 @borrowing(inline="always", fastmath=True)
@@ -131,25 +134,54 @@ def _any_lobe(
 
 
 @borrowing(fastmath=True)
-def _add(work: Float32, coverage: Float32, first: int, stop: int, colours: Float32, result: Float32) -> None:
-    """Add inks that share one lobe: coverage · lobe · colour at the place in their tables, to a row of the picture."""
-    alike, last = coverage.shape[0] == 1, colours.shape[1] - 1
-    for c in range(work.shape[1]):
-        value = work[6, c]
-        if value == ZERO:
+def _add_one(work: Float32, share: float, colours: Float32) -> None:
+    """Add an ink that covers a row evenly: share · lobe · colour at its place in the table."""
+    last = np.int32(colours.shape[0] - 2)
+    value, position, red, green, blue = work[6], work[5], work[7], work[8], work[9]
+    for c in range(value.size):
+        index = min(np.int32(position[c]), last)
+        beyond = position[c] - np.float32(index)
+        entry = colours[np.uint32(index)]  # unsigned: nothing to guard against wrapping around
+        strength = value[c] * share
+        red[c] += strength * (entry[0] + beyond * entry[3])
+        green[c] += strength * (entry[1] + beyond * entry[4])
+        blue[c] += strength * (entry[2] + beyond * entry[5])
+
+
+@borrowing(fastmath=True)
+def _add(work: Float32, coverage: Float32, first: int, stop: int, colours: Float32) -> None:
+    """Add inks that share one lobe: coverage · lobe · colour at the place in their tables."""
+    last, alike = np.int32(colours.shape[1] - 2), coverage.shape[0] == 1
+    value, position, red, green, blue = work[6], work[5], work[7], work[8], work[9]
+    for c in range(value.size):
+        if value[c] == ZERO:
             continue
-        position = work[5, c]
-        index = min(int(position), last - 1)
-        share = position - np.float32(index)
-        red, green, blue = result[c, 0], result[c, 1], result[c, 2]
+        index = min(np.int32(position[c]), last)
+        beyond = position[c] - np.float32(index)
+        covered = coverage[np.uint32(0 if alike else c)]
         for k in range(first, stop):
-            high = value * coverage[0 if alike else c, k]
-            low = high * (ONE - share)
-            high *= share
-            red += low * colours[k, index, 0] + high * colours[k, index + 1, 0]
-            green += low * colours[k, index, 1] + high * colours[k, index + 1, 1]
-            blue += low * colours[k, index, 2] + high * colours[k, index + 1, 2]
-        result[c, 0], result[c, 1], result[c, 2] = red, green, blue
+            strength = value[c] * covered[k]
+            entry = colours[k, np.uint32(index)]
+            red[c] += strength * (entry[0] + beyond * entry[3])
+            green[c] += strength * (entry[1] + beyond * entry[4])
+            blue[c] += strength * (entry[2] + beyond * entry[5])
+
+
+@borrowing()
+def _take_apart(normal: Float32, work: Float32) -> None:
+    """Components of the normals of a row, and no colours yet."""
+    x, y, z, red, green, blue = work[0], work[1], work[2], work[7], work[8], work[9]
+    for c in range(x.size):
+        x[c], y[c], z[c] = normal[c, 0], normal[c, 1], normal[c, 2]
+        red[c], green[c], blue[c] = ZERO, ZERO, ZERO
+
+
+@borrowing()
+def _put_together(work: Float32, result: Float32) -> None:
+    """The colours of a row."""
+    red, green, blue = work[7], work[8], work[9]
+    for c in range(red.size):
+        result[c, 0], result[c, 1], result[c, 2] = red[c], green[c], blue[c]
 
 
 @borrowing(inline="always")
@@ -188,7 +220,7 @@ def shade(
         camera: unit vector to the camera, in float32.
         beams: (L, 8) unit vector to the light, half vector, irradiance/4, and 1 − cosθd.
         lobes: (K, 6) as `shading.lobes` gives them.
-        colours: (L, K, N, 3) tables.
+        colours: (L, K, N, 6) tables: red, green, blue, and how much each changes up to the next entry.
         standard: Torrance-Sparrow in place of the goniochromatic model.
         begin: first row.
         stop: row after the last.
@@ -197,9 +229,7 @@ def shade(
     """
     last: float = np.float32(colours.shape[2] - 1)  # type: ignore[assignment]
     for r in range(begin, stop):
-        for c in range(work.shape[1]):
-            work[0, c], work[1, c], work[2, c] = normal[r, c, 0], normal[r, c, 1], normal[r, c, 2]
-            result[r, c, 0], result[r, c, 1], result[r, c, 2] = ZERO, ZERO, ZERO
+        _take_apart(normal[r], work)
         _cosines(work, camera[0], camera[1], camera[2], 3)
         covered = coverage[0 if coverage.shape[0] == 1 else r]
         for n in range(beams.shape[0]):
@@ -215,5 +245,9 @@ def shade(
                     _any_lobe(work, tangent[r], beams[n], camera, lobes[k], standard)
                 else:
                     _plain_lobe(work, beams[n], lobes[k, 0])
-                _add(work, covered, k, after, colours[n], result[r])
+                if after == k + 1 and coverage.shape[0] == 1:
+                    _add_one(work, covered[0, k], colours[n, k])
+                else:
+                    _add(work, covered, k, after, colours[n])
                 k = after
+        _put_together(work, result[r])

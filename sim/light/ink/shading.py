@@ -108,13 +108,10 @@ def picture(
         ],
         dtype=np.float32,
     )
-    colours = np.array(
-        [
-            [ink_table(k, light.illuminant, model, tio2_source=tio2_source).rgb for k in inks]
-            for light in lights
-        ],
-        dtype=np.float32,
-    )
+    tables = [
+        [ink_table(k, light.illuminant, model, tio2_source=tio2_source) for k in inks] for light in lights
+    ]
+    colours = np.array([[table.with_steps for table in row] for row in tables])
     normal = np.ascontiguousarray(surface.normal, dtype=np.float32)
     tangent = np.ascontiguousarray(surface.tangent, dtype=np.float32)
     result = np.empty_like(normal)

@@ -1,7 +1,7 @@
 """The colour of an ink as a table: under one light it depends on one number, so 256 entries replace 41 exponentials."""
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -36,6 +36,12 @@ class InkTable:
     illuminant: str
     model: Model
     rgb: FloatArray
+
+    @cached_property
+    def with_steps(self) -> npt.NDArray[np.float32]:
+        """(N, 6) every entry, and how much it changes up to the next one; kernels need not look at two."""
+        steps = np.diff(self.rgb, axis=0, append=self.rgb[-1:])
+        return np.concatenate([self.rgb, steps], axis=1).astype(np.float32)
 
     def at(self, argument: FloatArray) -> FloatArray:
         """(…, 3) colours at (…,) arguments in [0, 1], linear between the entries."""
