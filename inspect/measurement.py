@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from os import cpu_count
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 import cv2
 import numpy as np
@@ -13,16 +13,25 @@ import numpy.typing as npt
 from anisoscope.errors import MeasurementError, RegistrationError, Saturated
 from anisoscope.expectation import Component, Expectation
 from anisoscope.linear import RadianceImage
-from anisoscope.recipe import Recipe
+from anisoscope.recipe import LimitsPart, Recipe
 from anisoscope.registration.placement import Grid, Placement, angle_between, resample
 
 FloatArray = npt.NDArray[np.float64]
 Image = npt.NDArray[np.float32]
 
 CELLS_PER_PITCH = 4
-_MARGIN = 3  # pixels about the region that interpolation may touch
+_NOISE_SAMPLE = 1 << 17  # pixels that tell the noise to a fifth of a percent
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+
+
+class Limited(Protocol):
+    """A recipe of any kind, as far as it says what makes a measurement unfit."""
+
+    @property
+    def limits(self) -> LimitsPart:
+        """What makes a measurement INVALID."""
+        ...
 
 
 def for_each(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
@@ -83,7 +92,7 @@ def region_grid(recipe: Recipe, pixel_um: float) -> tuple[Grid, int]:
     return Grid(recipe.region.center_mm, step, (along, across), recipe.poses.facet_azimuth_deg), per_cell
 
 
-def check_view(view: View, first: View, recipe: Recipe, pixel_um: float) -> None:
+def check_view(view: View, first: View, recipe: Limited, pixel_um: float) -> None:
     """Gates of one picture.
 
     Raises:
@@ -178,7 +187,7 @@ def drift_complaint(measured: Measured, recipe: Recipe) -> str | None:
     )
 
 
-def check_light(stage_deg: float, image: RadianceImage, recipe: Recipe) -> None:
+def check_light(stage_deg: float, image: RadianceImage, recipe: Limited) -> None:
     """Is there any light in the picture?
 
     Raises:
@@ -247,19 +256,20 @@ def _cell_means(picture: Image, side: int) -> FloatArray:
 
 
 def _mean_noise(view: View, grid: Grid) -> float:
-    """Root mean square of the noise of the region's pixels."""
+    """Root mean square of the noise of the region's pixels; of a large region, of every n-th along either axis."""
     at, shape = _corners(view, grid), view.image.value.shape
-    low, high = np.floor(at.min(axis=0)) - _MARGIN, np.ceil(at.max(axis=0)) + _MARGIN
-    cols, rows = (
-        slice(int(np.clip(a, 0, size)), int(np.clip(b, 0, size)))
-        for a, b, size in zip(low, high, shape[::-1], strict=True)
-    )
-    # of the full size, so that points fall as in the picture itself; pages that nobody touches cost nothing
-    whole = np.zeros(shape, dtype=np.float32)
-    whole[rows, cols] = view.image.noise_in((rows, cols))
-    noise = resample(whole, view.placement, grid)
-    np.multiply(noise, noise, out=noise)
-    return float(np.sqrt(mean_of(noise)))
+    low = np.clip(np.floor(at.min(axis=0)), 0, np.array(shape[::-1]) - 1).astype(int)
+    high = np.clip(np.ceil(at.max(axis=0)) + 1, low + 1, shape[::-1]).astype(int)
+    step = 1 + 2 * int(
+        0.5 * np.sqrt(float(np.prod(high - low)) / _NOISE_SAMPLE)
+    )  # odd: on all filters of a mosaic
+    cols, rows = (slice(int(first), int(last), step) for first, last in zip(low, high, strict=True))
+    noise = view.image.noise_in((rows, cols))
+    inside = np.zeros(noise.shape, dtype=np.uint8)
+    edges = np.rint((at[[0, 1, 3, 2]] - low) / step).astype(np.int32)
+    cv2.fillConvexPoly(inside, edges, 1)
+    found = noise[(inside > 0) & np.isfinite(noise)]
+    return float(np.sqrt(np.mean(np.square(found), dtype=np.float64))) if found.size else 0.0
 
 
 def _components(
