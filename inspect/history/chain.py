@@ -91,9 +91,10 @@ def unpack_one(data: bytes, count: int, place: int) -> float:
 def unpack_rows(rows: Sequence[bytes], count: int) -> npt.NDArray[np.float64]:
     """The numbers of many rows at once, (rows, count), as `unpack` gives them."""
     found = np.full((len(rows), count), np.nan)
-    for size in (4, 8):
-        at = [k for k, row in enumerate(rows) if count and len(row) == size * count]
-        block = np.frombuffer(b"".join(rows[k] for k in at), dtype=f"<f{size}").reshape(-1, count)
+    lengths = np.fromiter(map(len, rows), dtype=np.int64, count=len(rows))
+    for size in (4, 8) if count else ():
+        at = np.flatnonzero(lengths == size * count)
+        block = np.frombuffer(b"".join(rows[k] for k in at.tolist()), dtype=f"<f{size}").reshape(-1, count)
         found[at] = block if size == 8 else _written(block.astype(np.float64))
     return found
 

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from anisoscope.errors import UsageError
 from anisoscope.history.columnwise import Columns
@@ -40,7 +41,15 @@ def readings_of(found: Columns, source: str) -> Readings:
         found: in the order in which they were measured.
         source: where they come from, for messages.
     """
-    written = np.datetime_as_string(found.times.astype("datetime64[s]")).tolist()
-    texts = {"time": tuple(moment.replace("T", " ") for moment in written)}
+    texts = {"time": _written(found.times)}
     texts |= {name: found.texts[name] for name in ("serial", "verdict", *GROUPS)}
     return Readings(source, texts, without_invalid(texts, found.numbers))
+
+
+def _written(times: npt.NDArray[np.datetime64]) -> tuple[str, ...]:
+    """Times to the second, day and time with a blank between them."""
+    written = np.datetime_as_string(times.astype("datetime64[s]"))
+    if written.size:
+        signs = written.view(("U1", written.dtype.itemsize // 4))
+        signs[:, np.argmax(signs[0] == "T")] = " "
+    return tuple(written.tolist())
