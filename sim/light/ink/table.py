@@ -1,13 +1,13 @@
 """The colour of an ink as a table: under one light it depends on one number, so 256 entries replace 41 exponentials."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
 import numpy.typing as npt
 
 from anisoscope.errors import ModelError
-from anisoscope.sim.light.colour.illuminant import Illuminant
+from anisoscope.sim.light.colour.illuminant import VISIBLE_NM, Illuminant
 from anisoscope.sim.light.colour.observer import xyz_weights
 from anisoscope.sim.light.colour.spaces import linear_srgb
 from anisoscope.sim.light.ink import tio2
@@ -67,7 +67,21 @@ def ink_table(
     """
     if entries < 2:
         raise ModelError(f"a table needs two entries or more, not {entries}")
-    term = spectral_term(ink, np.linspace(0.0, 1.0, entries), model, tio2_source=tio2_source)
-    rgb = linear_srgb(term @ xyz_weights(illuminant, ink.nm))
+    weights = xyz_weights(illuminant, ink.nm)
+    seen = _seen(weights)
+    term = spectral_term(_part(ink, seen), np.linspace(0.0, 1.0, entries), model, tio2_source=tio2_source)
+    rgb = linear_srgb(term @ weights[seen])
     rgb.flags.writeable = False
     return InkTable(ink, illuminant.name, model, rgb)
+
+
+def _seen(weights: FloatArray) -> slice:
+    """The wavelengths that make colour: those beyond weigh nothing, and what TiO2 does there is not known."""
+    lit = np.flatnonzero(weights.any(axis=1))
+    return slice(int(lit[0]), int(lit[-1]) + 1)
+
+
+def _part(ink: Ink, seen: slice) -> Ink:
+    """The ink at these wavelengths; where the outermost one lies just beyond what is seen, it counts as the edge."""
+    nm = tuple(float(value) for value in np.clip(ink.wavelengths_nm[seen], *VISIBLE_NM))
+    return replace(ink, wavelengths_nm=nm, rho=ink.rho[seen], c=ink.c[seen])
