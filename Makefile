@@ -26,7 +26,7 @@ test: lint contracts types
 
 # The long campaigns: hundreds of seeds, thousands of damaged files.
 soak: $(VENV)/.dev
-	$(BIN)/python -Im pytest -n $(WORKERS) -m soak
+	$(BIN)/python -Im pytest -n $(WORKERS) --dist worksteal -m soak
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff format --check .
