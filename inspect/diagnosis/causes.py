@@ -27,7 +27,7 @@ _MISSING = (1, 2, 4, 7, 10)  # of the ridges of the surface that is spoiled
 # change is 2 to 3 % of itself off that on smooth ones. Pitch: which flanks the ends of the region cut is not known.
 _DOUBT = {
     "burrs": 0.3, "scratches": 0.3, "dust": 0.3, "missing-ridges": 0.2, "chatter": 0.2, "rough-facets": 0.1,
-    "wear": 0.1, "incomplete-filling": 0.05, "ridge-angle": 0.03, "pitch": 1.0,
+    "wear": 0.1, "incomplete-filling": 0.03, "ridge-angle": 0.03, "pitch": 1.0,
 }  # fmt: skip
 _DOUBT_OF_LOBES = 0.05
 _SEED = 7  # the same places at every extent, so that a signature grows smoothly

@@ -5,7 +5,8 @@ reference as one more shared term, and what is not known of the signature itself
 signature g(e) the extent e has the greatest likelihood (`anisoscope.diagnosis.likelihood`), to which the share of
 deviating cells adds one more datum. Causes are ranked by the Bayesian information criterion (Schwarz 1978). What lies
 within 3σ of the best is a tie, and is said to be one. An extent that is an input of the prediction too, such as a
-roughness, is then fitted again without the uncertainty of that input in V.
+roughness, is then fitted again without the uncertainty of that input in V. With golden parts d is the distance from
+their mean, and V is what they and the budget tell together (`anisoscope.diagnosis.evidence.Learnt`).
 """
 
 from dataclasses import dataclass, replace
@@ -83,8 +84,6 @@ def diagnose(known: Signatures, evidence: Evidence) -> Diagnosis:
     Returns:
         The diagnosis; without any deviation "nothing" comes first.
     """
-    from scipy.stats import chi2 as chi2_distribution  # noqa: PLC0415 - 1 s
-
     data = len(evidence.deviation) + (evidence.share is not None)
     rows: list[tuple[Signature | None, Fitted]] = [(None, nothing(evidence))]
     rows += [(signature, _fitted(signature, evidence)) for signature in known.found]
@@ -95,7 +94,17 @@ def diagnose(known: Signatures, evidence: Evidence) -> Diagnosis:
     best, good = rows[order[0]], rows[0][1]
     findings = tuple(_finding(rows[k], float(weight[k]), best[1], good, evidence) for k in order)
     dof = max(data - (best[0] is not None), 1)
-    return Diagnosis(findings, float(chi2_distribution.sf(best[1].chi2, dof)))
+    return Diagnosis(findings, _chance(best[1].chi2, dof, evidence))
+
+
+def _chance(left: float, dof: int, evidence: Evidence) -> float:
+    """Probability of a greater distance: χ², or Hotelling's T² where golden parts tell the covariance."""
+    from scipy.stats import chi2, f  # noqa: PLC0415 - 1 s
+
+    if evidence.learnt is None:
+        return float(chi2.sf(left, dof))
+    free = evidence.learnt.freedom
+    return float(f.sf(left * (free - dof + 1.0) / (free * dof), dof, free - dof + 1.0))
 
 
 def _finding(

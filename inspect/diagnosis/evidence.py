@@ -1,11 +1,12 @@
 """What a diagnosis rests on: the deviation with its covariance, the share of deviating cells, and uncertain inputs."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.diagnosis.tangents import Tangents
 from anisoscope.expectation import Component, Expectation
 from anisoscope.recipe import Recipe
 from anisoscope.response import Response
@@ -23,12 +24,13 @@ class Evidence:
 
     Attributes:
         deviation: (P,) ln L measured − ln L predicted.
-        covariance: (P, P) of it, the scale included.
+        covariance: (P, P) of it on a part as predicted, the scale included.
         share: share of cells that deviate in the contrast map, or None.
         u_share: its standard uncertainty.
         background: share of cells that deviate on good parts.
         u_background: its standard uncertainty.
         inputs: of the prediction, that may be causes too, or None.
+        learnt: what golden parts teach where the deviation is that from their mean, or None.
     """
 
     deviation: FloatArray
@@ -38,6 +40,76 @@ class Evidence:
     background: float = 0.0
     u_background: float = 0.0
     inputs: "Inputs | None" = None
+    learnt: "Learnt | None" = None
+
+    @property
+    def good(self) -> FloatArray:
+        """(P, P) covariance of the deviation of a good part."""
+        stated = self.stated()
+        return stated if self.learnt is None else self.learnt.applied(stated)
+
+    def stated(
+        self, source: str | None = None, extent: float | FloatArray = 0.0, tangents: Tangents | None = None
+    ) -> FloatArray:
+        """(…, P, P) covariance as the budget states it; arguments as for `Inputs.covariance`."""
+        return self.covariance if self.inputs is None else self.inputs.covariance(source, extent, tangents)
+
+
+@dataclass(frozen=True, eq=False)
+class Learnt:
+    """What golden parts teach of good parts, and of how far the model can be believed.
+
+    The scatter of n parts is known to n − 1 degrees of freedom only, so that the stated covariance goes in as a prior
+    (inverse Wishart, worth as many parts as there are poses; Gelman et al., Bayesian Data Analysis, 3.6): few parts
+    leave it as it is, many replace it. What a cause makes of the stated one it makes of theirs.
+
+    Attributes:
+        scatter: (P, P) covariance of the distance of a good part from the mean of the golden ones, in units of a root
+            of the stated covariance.
+        freedom: degrees of freedom to which it is known.
+        misfit: (P,) relative doubt of every change of ln L: by how much the mean of the golden parts lies off the
+            prediction in that pose, and on average over the poses, the scale aside. A model that misses L by a share
+            misses its changes by that share at least, and one pose may be met by chance.
+    """
+
+    scatter: FloatArray
+    freedom: float
+    misfit: FloatArray
+
+    def applied(self, stated: FloatArray) -> FloatArray:
+        """(…, P, P) covariances of the deviation from golden parts, from (…, P, P) stated ones."""
+        root = root_of(stated)
+        return np.asarray(root @ self.scatter @ np.swapaxes(root, -1, -2))
+
+
+def against(evidence: Evidence, golden: FloatArray, scale_share: float) -> Evidence:
+    """The same part, compared with golden parts instead of the prediction: the model's own error cancels.
+
+    Args:
+        evidence: against the prediction.
+        golden: (n, P) ln L of golden parts over the predicted ones, n > 1.
+        scale_share: relative standard uncertainty of a scale that all poses share: golden parts need not show it.
+    """
+    count, poses = golden.shape
+    mean, stated = golden.mean(axis=0), evidence.stated()
+    root = root_of(stated)
+    own = np.cov(golden, rowvar=False) + scale_share**2
+    seen = np.linalg.solve(root, np.linalg.solve(root, own).T)
+    freedom = float(poses + count - 1)
+    scatter = (poses * np.eye(poses) + (count - 1) * seen) / freedom * (1.0 + 1.0 / count)
+    off = mean - np.median(mean)
+    learnt = Learnt(scatter, freedom, np.hypot(off, np.sqrt(np.mean(off**2))))
+    return replace(evidence, deviation=evidence.deviation - mean, learnt=learnt)
+
+
+def root_of(covariance: FloatArray) -> FloatArray:
+    """(…, P, P) R with R Rᵀ the covariances (…, P, P); what is certain gets next to no uncertainty instead of none."""
+    try:
+        return np.asarray(np.linalg.cholesky(covariance))
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(covariance)
+        least = values[..., -1:] * values.shape[-1] * np.finfo(np.float64).eps
+        return np.asarray(vectors * np.sqrt(np.maximum(values, least))[..., None, :])
 
 
 def covariance_of(components: tuple[Component, ...], scale_share: float, poses: int) -> FloatArray:
@@ -53,42 +125,67 @@ class Inputs:
     """Uncertain inputs of the prediction that may be causes themselves.
 
     Attributes:
-        response: of ln L to the inputs.
+        response: of ln L to the inputs, in units of their standard uncertainties.
         u: standard uncertainties of inputs by name, in the unit of the cause's extent.
         rest: (P, P) covariance of everything else.
+        units: (K,) standard uncertainties of the response's inputs, in the units of `Tangents`.
     """
 
     response: Response
     u: Mapping[str, float]
     rest: FloatArray
+    units: FloatArray
 
-    def covariance(self, source: str, extent: float | FloatArray) -> FloatArray:
-        """(…, P, P) covariance of ln L where one input is off by extents (…), and not uncertain itself."""
-        k = self.response.sources.index(source)
-        z = np.clip(np.asarray(extent) / self.u[source], -FARTHEST, FARTHEST)
-        others = np.arange(len(self.response.sources)) != k
-        tangent = self.response.slope[:, others] + self.response.bend[:, others, k] * z[..., None, None]
+    def covariance(
+        self, source: str | None = None, extent: float | FloatArray = 0.0, tangents: Tangents | None = None
+    ) -> FloatArray:
+        """(…, P, P) covariance of ln L where a cause has extents (…).
+
+        Args:
+            source: the input that the cause is: then it is off by the extent, and not uncertain itself.
+            extent: extents of the cause.
+            tangents: how the inputs act on the part there; None: as on the good part, to second order.
+        """
+        others = np.array([name != source for name in self.response.sources])
+        tangent = self.response.slope[:, others]
+        if tangents is not None:
+            told = tangents.change(extent, self.response.sources) * self.units
+            tangent = tangent + told[..., others]
+        elif source is not None:
+            k = self.response.sources.index(source)
+            z = np.clip(np.asarray(extent) / self.u[source], -FARTHEST, FARTHEST)
+            tangent = tangent + self.response.bend[:, others, k] * z[..., None, None]
         bend = self.response.bend[:, others][:, :, others]
         alone = self.rest + 0.5 * np.einsum("pab,qab->pq", bend, bend)
         return np.asarray(alone + tangent @ np.swapaxes(tangent, -1, -2))
 
+    def of(self, poses: Sequence[int]) -> "Inputs":
+        """Those of some of the poses."""
+        kept = list(poses)
+        told = self.response
+        response = Response(told.sources, told.slope[kept], told.bend[kept])
+        return replace(self, response=response, rest=self.rest[np.ix_(kept, kept)])
+
 
 def inputs_of(recipe: Recipe, expected: Expectation, measured: tuple[Component, ...]) -> Inputs | None:
-    """The uncertain inputs of a recipe's prediction that may be causes, in the units of their extents."""
+    """The uncertain inputs of a recipe's prediction, those that may be causes in the units of their extents."""
     if expected.response is None:
         return None
-    part, rig = recipe.material, recipe.uncertainty
-    u = {
+    part, rig, sources = recipe.material, recipe.uncertainty, expected.response.sources
+    units = {
         "roughness along the ridges": part.u_alpha_share,
         "roughness across the ridges": part.u_alpha_share,
-        "albedo of the plastic": part.u_albedo / part.albedo if part.albedo > 0.0 else 0.0,
+        "albedo of the plastic": part.u_albedo,
+        "refractive index": part.u_index,
         "seating tilt about x": rig.seating_tilt_deg,
         "seating tilt about y": rig.seating_tilt_deg,
         "light angle": rig.light_angle_deg,
     }
-    known = {source: value for source, value in u.items() if source in expected.response.sources and value}
+    u = {**units, "albedo of the plastic": part.u_albedo / part.albedo if part.albedo > 0.0 else 0.0}
+    del u["refractive index"]
+    known = {source: value for source, value in u.items() if source in sources and value}
     rest = covariance_of(expected.alone + measured, rig.scale_share, len(expected.poses))
-    return Inputs(expected.response, known, rest)
+    return Inputs(expected.response, known, rest, np.array([units.get(source, 0.0) for source in sources]))
 
 
 def background_of(max_share: float) -> tuple[float, float]:

@@ -1,7 +1,8 @@
 """How likely the extents of a cause make what was measured: the best extent, its uncertainty, and its 95 % interval.
 
-At every extent the covariance is the one that holds there: with the doubt of the signature, which grows with the
-change, and for a cause that is an input of the prediction too without that input's uncertainty. −2 ln of the likelihood
+At every extent the covariance is the one that holds there: with the uncertain inputs as they act on a part that has so
+much of the cause, with the doubt of the signature, which grows with the change, and for a cause that is an input of the
+prediction too without that input's uncertainty. −2 ln of the likelihood
 is then χ² and the ln determinant together. The interval holds all extents that the likelihood ratio does not reject
 (Wilks 1938): where a signature bends, or an extent can only be positive, the curvature at the best point says too
 little, because a part may look good though it has some of the defect.
@@ -43,9 +44,7 @@ class Fitted:
 
 def nothing(evidence: Evidence) -> Fitted:
     """How well a part as predicted explains what was measured."""
-    chi2, cost = _weighed(
-        evidence, evidence.covariance[None], np.zeros((1, len(evidence.deviation))), np.zeros(1)
-    )
+    chi2, cost = _weighed(evidence, evidence.good[None], np.zeros((1, len(evidence.deviation))), np.zeros(1))
     return Fitted(0.0, 0.0, float(chi2[0]), float(cost[0]))
 
 
@@ -140,11 +139,20 @@ def _weighed(
     evidence: Evidence, covariances: FloatArray, changes: FloatArray, shares: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     chi2, size = _quadratic(covariances, evidence.deviation - changes)
+    cost = _minus_two_ln(chi2, evidence) + size
     if evidence.share is not None:
         variance = share_variance(shares, evidence.u_share, evidence.u_background)
-        chi2 = chi2 + (evidence.share - evidence.background - shares) ** 2 / variance
-        size = size + np.log(variance)
-    return chi2, chi2 + size
+        off = (evidence.share - evidence.background - shares) ** 2 / variance
+        chi2, cost = chi2 + off, cost + off + np.log(variance)
+    return chi2, cost
+
+
+def _minus_two_ln(chi2: FloatArray, evidence: Evidence) -> FloatArray:
+    """−2 ln of the density at a squared distance: normal, or Student's where golden parts tell the covariance."""
+    if evidence.learnt is None:
+        return chi2
+    freedom = evidence.learnt.freedom
+    return np.asarray((freedom + len(evidence.deviation)) * np.log1p(chi2 / freedom))
 
 
 def _quadratic(covariances: FloatArray, off: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -164,9 +172,11 @@ def _covariances(
     signature: Signature, evidence: Evidence, extents: FloatArray, changes: FloatArray, *, as_input: bool
 ) -> FloatArray:
     """(E, P, P) covariance of the deviation at every extent."""
-    own = (signature.cause.doubt * changes) ** 2
-    doubt = own[:, :, None] * np.eye(own.shape[1])
-    source, inputs = signature.cause.source, evidence.inputs
-    if not as_input or inputs is None or source not in inputs.u:
-        return np.asarray(evidence.covariance + doubt)
-    return inputs.covariance(source, extents) + doubt
+    source, inputs, learnt = signature.cause.source, evidence.inputs, evidence.learnt
+    alone = source if as_input and inputs is not None and source in inputs.u else None
+    stated = evidence.stated(alone, extents, signature.tangents)
+    doubt = np.square(signature.cause.doubt)
+    if learnt is not None:
+        stated, doubt = learnt.applied(stated), doubt + learnt.misfit**2
+    own = doubt * changes**2
+    return np.asarray(stated + own[:, :, None] * np.eye(own.shape[1]))

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.diagnosis.evidence import share_variance, whitening
+from anisoscope.diagnosis.evidence import Inputs, covariance_of, inputs_of, share_variance, whitening
 from anisoscope.diagnosis.signatures import Signature, Signatures
-from anisoscope.expectation import Expectation
+from anisoscope.expectation import Component, Expectation
 from anisoscope.recipe import Recipe
 
 FloatArray = npt.NDArray[np.float64]
@@ -57,23 +57,38 @@ class Separability:
         return max([abs(self.shows_from), *extents])
 
 
-def planned_covariance(recipe: Recipe, expected: Expectation) -> FloatArray:
-    """(P, P) covariance of ln L that an inspection by this recipe will have, as far as the recipe says.
+def planned_components(recipe: Recipe, expected: Expectation) -> tuple[Component, ...]:
+    """What an inspection by this recipe will add to the prediction's uncertainty, as far as the recipe says.
 
     Noise of the pictures is small against the rest and left out; the lamp drifts by a quarter of its limit.
     """
-    rig, poses = recipe.uncertainty, len(expected.poses)
-    total = np.full((poses, poses), rig.scale_share**2)
-    for component in expected.components:
-        total += component.covariance()
-    stray = rig.stray_radiance / expected.radiance
-    total += np.outer(stray, stray)
-    alone = rig.flat_share**2 + rig.linearity_share**2 + (0.25 * recipe.limits.drift) ** 2 / 3.0
-    return np.asarray(total + np.diag(alone + (rig.stage_deg * expected.per_degree) ** 2))
+    rig = recipe.uncertainty
+    own = np.sqrt(rig.flat_share**2 + rig.linearity_share**2 + (0.25 * recipe.limits.drift) ** 2 / 3.0)
+    return (
+        Component("stray light", "measurement", rig.stray_radiance / expected.radiance, shared=True),
+        Component("camera and lamp", "measurement", np.full(len(expected.poses), own), shared=False),
+        Component("stage angle", "measurement", rig.stage_deg * expected.per_degree, shared=False),
+    )
+
+
+def planned_covariance(recipe: Recipe, expected: Expectation) -> FloatArray:
+    """(P, P) covariance of ln L that an inspection of a good part by this recipe will have."""
+    planned = expected.components + planned_components(recipe, expected)
+    return covariance_of(planned, recipe.uncertainty.scale_share, len(expected.poses))
+
+
+def planned_inputs(recipe: Recipe, expected: Expectation) -> Inputs | None:
+    """The uncertain inputs with what such an inspection will add, or None where it is not known how ln L bends."""
+    return inputs_of(recipe, expected, planned_components(recipe, expected))
 
 
 def separability(
-    known: Signatures, covariance: FloatArray, *, with_map: bool, u_background: float = 0.0
+    known: Signatures,
+    covariance: FloatArray,
+    *,
+    with_map: bool,
+    u_background: float = 0.0,
+    inputs: Inputs | None = None,
 ) -> tuple[Separability, ...]:
     """What can be told, cause by cause.
 
@@ -82,10 +97,11 @@ def separability(
         covariance: (P, P) of ln L.
         with_map: the share of deviating cells counts too.
         u_background: standard uncertainty of that share on good parts.
+        inputs: the uncertain inputs, which act otherwise on spoiled parts; None: as on the good part.
     """
-    weigh = whitening(covariance)
+    weigh = whitening(covariance if inputs is None else inputs.covariance())
     u_map = u_background if with_map else None
-    curves = [_curve(signature, weigh, u_map) for signature in known.found]
+    curves = [_curve(signature, weigh, u_map, inputs) for signature in known.found]
     shows = [_lead(curve, _good(weigh, u_map)) for curve in curves]
     rows = []
     for signature, curve, shown in zip(known.found, curves, shows, strict=True):
@@ -120,29 +136,38 @@ class _Curve:
     size: FloatArray
 
 
-def _curve(signature: Signature, weigh: FloatArray, u_background: float | None) -> _Curve:
+def _curve(
+    signature: Signature, weigh: FloatArray, u_background: float | None, inputs: Inputs | None
+) -> _Curve:
     low, high = signature.bounds
     extents = np.linspace(low, high, GRID)
     change, share = signature.at(extents)
-    scaled, size = _doubted(signature, change, weigh)
+    scaled, size = _doubted(signature, extents, change, weigh, inputs)
     variance = None if u_background is None else share_variance(share, 0.0, u_background)
     size = size if variance is None else size + np.log(variance)
     return _Curve(extents, change @ weigh.T, share, scaled, variance, size)
 
 
-def _doubted(signature: Signature, changes: FloatArray, weigh: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """What the doubt of a signature makes of whitened deviations.
+def _doubted(
+    signature: Signature, extents: FloatArray, changes: FloatArray, weigh: FloatArray, inputs: Inputs | None
+) -> tuple[FloatArray, FloatArray]:
+    """What inputs and doubt make of whitened deviations along a signature.
 
     Args:
         signature: of the cause.
-        changes: (E, P) changes of ln L.
+        extents: (E,) extents.
+        changes: (E, P) changes of ln L there.
         weigh: (r, P) whitening of V.
+        inputs: the uncertain inputs, or None.
 
     Returns:
         (E, r, r) L with LᵀL the inverse of their covariance, and (E,) its ln determinant.
     """
     own = (signature.cause.doubt * changes) ** 2
     covariance = np.eye(len(weigh)) + np.einsum("ip,ep,jp->eij", weigh, own, weigh, optimize=True)
+    if inputs is not None and signature.tangents is not None:
+        there = inputs.covariance(None, extents, signature.tangents)
+        covariance += weigh @ (there - inputs.covariance()) @ weigh.T
     root = np.linalg.cholesky(covariance)
     size = 2.0 * np.sum(np.log(np.diagonal(root, axis1=1, axis2=2)), axis=1)
     return np.linalg.inv(root), np.asarray(size)

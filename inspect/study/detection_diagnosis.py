@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.diagnosis.diagnosing import NOTHING, diagnose
-from anisoscope.diagnosis.evidence import Evidence, background_of, covariance_of, inputs_of
+from anisoscope.diagnosis.evidence import Evidence, against, background_of, covariance_of, inputs_of
 from anisoscope.diagnosis.remembering import remembered_signatures
-from anisoscope.diagnosis.separability import Separability, planned_covariance, separability
+from anisoscope.diagnosis.separability import Separability, planned_covariance, planned_inputs, separability
 from anisoscope.diagnosis.signatures import Signatures, signatures
 from anisoscope.expectation import Component
 from anisoscope.measurement import Measured
@@ -54,10 +54,10 @@ def separability_of(name: RecipeName, size: Size) -> dict[str, Separability]:
     assert recipe.area is not None
     u_background = background_of(recipe.area.max_share)[1]
     covariance = planned_covariance(recipe, expected_of(name, size))
+    inputs = planned_inputs(recipe, expected_of(name, size))
     known = signatures_of(name, size)
-    return {
-        row.cause: row for row in separability(known, covariance, with_map=True, u_background=u_background)
-    }
+    rows = separability(known, covariance, with_map=True, u_background=u_background, inputs=inputs)
+    return {row.cause: row for row in rows}
 
 
 def components_of(seen: Columns, name: RecipeName, number: int) -> tuple[Component, ...]:
@@ -82,16 +82,14 @@ def evidence(seen: Columns, name: RecipeName, size: Size, number: int, golden: F
     recipe, expected = recipe_of(name, size), expected_of(name, size)
     components = components_of(seen, name, number)
     deviation = np.asarray(seen[f"{name}/deviation"][number], dtype=np.float64)
-    if golden is not None:
-        deviation = deviation - golden.mean(axis=0)
-    covariance = covariance_of(
-        expected.components + components, recipe.uncertainty.scale_share, len(deviation)
-    )
+    scale_share = recipe.uncertainty.scale_share
+    covariance = covariance_of(expected.components + components, scale_share, len(deviation))
     assert recipe.area is not None
     background = background_of(recipe.area.max_share)
     inputs = inputs_of(recipe, expected, components)
     share, u_share = float(seen[f"{name}/share"][number]), float(seen[f"{name}/u_share"][number])
-    return Evidence(deviation, covariance, share, u_share, *background, inputs)
+    found = Evidence(deviation, covariance, share, u_share, *background, inputs)
+    return found if golden is None else against(found, golden, scale_share)
 
 
 def diagnosed(

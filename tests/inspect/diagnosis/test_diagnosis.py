@@ -12,6 +12,7 @@ from anisoscope.diagnosis.likelihood import fit_extent, interval
 from anisoscope.diagnosis.remembering import remembered_signatures
 from anisoscope.diagnosis.separability import planned_covariance, separability
 from anisoscope.diagnosis.signatures import Signature, Signatures, signatures
+from anisoscope.diagnosis.tangents import SOURCES
 from anisoscope.expectation import Component, expectation
 from anisoscope.profiles.defects_contact import edge_wear
 from anisoscope.profiles.ideal import RidgeDesign, ridges
@@ -325,6 +326,12 @@ def test_signatures_are_computed_once(recipe, of_the_recipe, monkeypatch, tmp_pa
         assert one.cause.name == other.cause.name
         np.testing.assert_array_equal(one.change, other.change)
         np.testing.assert_array_equal(one.at(0.3)[0], other.at(0.3)[0])
+        assert (one.tangents is None) == (other.tangents is None)
+        if one.tangents is not None:
+            np.testing.assert_array_equal(*(side.tangents.change(0.2, SOURCES) for side in (one, other)))
+    assert (
+        sum(one.tangents is not None for one in second.found) == len(of_the_recipe.found) - 1
+    )  # not of burrs
     rougher = recipe.model_copy(update={"material": replace_material(recipe)})
     remembered_signatures(rougher, 10.0)
     assert len(calls) == 2

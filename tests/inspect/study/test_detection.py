@@ -67,7 +67,7 @@ from anisoscope.study.sweep import Workers
 from anisoscope.weighing import from_prediction
 
 SMALL = Size(ridges=7, pitches=5, sheets=2, chunk=4, causes=("roughness-across", "seating-y"))
-POSES = expected_of("tilted", SMALL).poses
+POSES = recipe_of("tilted", SMALL).poses.poses()
 SEEN = directions(POSES, Convention(LIGHT_DEG))
 NO_BOUNCES = np.zeros(len(POSES))
 

@@ -1,0 +1,99 @@
+"""How the inputs of the prediction act on a part that is not as it should be.
+
+ln L of a spoiled surface answers otherwise to roughness, albedo and seating than that of the good one: a cut crest is a
+facet of its own that looks elsewhere, a broader lobe hides the Lambertian base. What the recipe's uncertainties make of
+ln L is therefore propagated anew (JCGM 100:2008, 5.2) at some extents of a cause, and interpolated between them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.prediction.propagation import propagate
+from anisoscope.prediction.sensitivity import DARK, InputUncertainty, Model, State, fixed
+from anisoscope.sim.light.geometry import Convention, Pose
+
+if TYPE_CHECKING:
+    from scipy.interpolate import PchipInterpolator
+
+FloatArray = npt.NDArray[np.float64]
+
+SOURCES = (
+    "roughness along the ridges",
+    "roughness across the ridges",
+    "albedo of the plastic",
+    "refractive index",
+    "light angle",
+    "seating tilt about x",
+    "seating tilt about y",
+)
+A_SIDE = 4
+"""Extents to either side of nil at which the inputs are looked at."""
+_UNIT = InputUncertainty(
+    alpha_share=1.0,
+    albedo=1.0,
+    index=1.0,
+    light_angle_deg=1.0,
+    seating_tilt_deg=1.0,
+    stage_deg=0.0,
+    stage_zero_deg=0.0,
+    tilt_deg=0.0,
+    tilt_zero_deg=0.0,
+    height_map_share=0.0,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Tangents:
+    """How ln L changes with the inputs along one cause.
+
+    Attributes:
+        extents: (T,) extents of the cause, ascending, nil among them.
+        slope: (T, P, K) change of ln L per unit of the K inputs of `SOURCES`: of ln α, of the albedo, of the index, per
+            degree.
+    """
+
+    extents: FloatArray
+    slope: FloatArray
+
+    @cached_property
+    def _curve(self) -> "PchipInterpolator":
+        from scipy.interpolate import PchipInterpolator  # noqa: PLC0415 - 0.3 s
+
+        good = self.slope[int(np.flatnonzero(self.extents == 0.0)[0])]
+        return PchipInterpolator(self.extents, self.slope - good, axis=0)
+
+    def change(self, extent: float | FloatArray, sources: Sequence[str]) -> FloatArray:
+        """(…, P, K) by how much the slopes of K sources differ from those of the good part; 0 for others."""
+        found = self._curve(np.clip(extent, self.extents[0], self.extents[-1]))
+        columns = [SOURCES.index(source) if source in SOURCES else -1 for source in sources]
+        known = np.array([column >= 0 for column in columns])
+        return np.asarray(found[..., columns] * known)
+
+    def of(self, poses: Sequence[int]) -> "Tangents":
+        """Those of some of the poses."""
+        return Tangents(self.extents, self.slope[:, list(poses)])
+
+
+def looked_at(extents: Sequence[float]) -> tuple[float, ...]:
+    """Nil and some extents to either side of it, the outermost among them, spread evenly over those that there are."""
+    found = {0.0}
+    for side in ([e for e in extents if e > 0.0], [e for e in reversed(extents) if e < 0.0]):
+        places = np.linspace(len(side) - 1, 0, A_SIDE + 1)[:-1] if len(side) > A_SIDE else range(len(side))
+        found |= {side[int(np.rint(place))] for place in places}
+    return tuple(sorted(found))
+
+
+def slopes_of(
+    model: Model, state: State, poses: tuple[Pose, ...], convention: Convention
+) -> FloatArray | None:
+    """(P, K) change of ln L per unit of every input of `SOURCES`; None where a pose is dark."""
+    budget = propagate(fixed(model), state, poses, convention, _UNIT)
+    if np.any(budget.radiance <= DARK):
+        return None
+    by_name = {one.source: one.absolute for one in budget.contributions}
+    return np.column_stack([by_name[source] / budget.radiance for source in SOURCES])

@@ -1,0 +1,111 @@
+"""What golden parts teach a diagnosis: its covariance, its chances, and how far signatures can be believed."""
+
+import numpy as np
+import pytest
+
+from anisoscope.diagnosis.causes import Cause
+from anisoscope.diagnosis.diagnosing import NOTHING, diagnose
+from anisoscope.diagnosis.evidence import Evidence, against, root_of
+from anisoscope.diagnosis.likelihood import fit_extent
+from anisoscope.diagnosis.signatures import Signature, Signatures
+from anisoscope.sim.light.geometry import Pose
+
+POSES = tuple(Pose(45.0 * k) for k in range(6))
+P = len(POSES)
+SCALE = 0.02
+
+
+def spread(rng, size):
+    """A covariance of full rank with a few large directions."""
+    shared = size * rng.normal(size=(P, 2))
+    return shared @ shared.T + (0.1 * size) ** 2 * np.eye(P)
+
+
+def line(slope):
+    cause = Cause("a", "a", "", "shape", "", (-1.0, 0.0, 1.0), lambda surface, state, _: (surface, state))
+    extents = np.linspace(-1.0, 1.0, 5)
+    return Signature(cause, extents, np.outer(extents, slope), np.zeros(5))
+
+
+def known(*found):
+    return Signatures(POSES, np.full(P, 0.05), 0.0, found, ())
+
+
+def test_budget_and_golden_parts_are_weighed_by_how_many_they_are():
+    rng = np.random.default_rng(1)
+    stated = spread(rng, 0.05)
+    for count in (P, 200):
+        golden = 0.03 * rng.normal(size=(count, P))
+        found = against(Evidence(np.zeros(P), stated), golden, SCALE)
+        scatter = np.cov(golden, rowvar=False) + SCALE**2
+        wanted = (P * stated + (count - 1) * scatter) / (P + count - 1) * (1.0 + 1.0 / count)
+        np.testing.assert_allclose(found.good, wanted, rtol=1e-9, atol=1e-15)
+        np.testing.assert_allclose(found.deviation, -golden.mean(axis=0))
+
+
+def test_where_golden_parts_scatter_as_stated_a_cause_keeps_its_own_covariance():
+    """What changes the stated covariance at an extent changes the learnt one alike."""
+    rng = np.random.default_rng(2)
+    parts, there = spread(rng, 0.05), spread(rng, 0.08)
+    golden = rng.normal(size=(4000, P)) @ root_of(parts).T
+    found = against(Evidence(np.zeros(P), parts + 0.01**2), golden, 0.01)
+    np.testing.assert_allclose(found.learnt.applied(there), there, atol=0.12 * np.abs(there).max())
+
+
+def test_good_parts_are_explained_by_nothing_as_often_as_the_level_says():
+    """Parts that scatter five times as stated: the budget alone calls most of them unexplained."""
+    rng = np.random.default_rng(3)
+    stated, true = spread(rng, 0.01), spread(rng, 0.05)
+    root, offset = root_of(true), 0.3 * rng.normal(size=P)
+    slope = 0.1 * rng.normal(size=P)
+    low = {"golden": 0, "budget": 0}
+    for _ in range(150):
+        golden = offset + rng.normal(size=(15, P)) @ root.T
+        part = Evidence(offset + root @ rng.normal(size=P), stated)
+        low["golden"] += diagnose(known(), against(part, golden, 0.0)).unexplained_p < 0.1
+        low["budget"] += diagnose(known(line(slope)), part).unexplained_p < 0.1
+    assert 0.01 <= low["golden"] / 150 <= 0.25
+    assert low["budget"] / 150 > 0.9
+
+
+def test_an_error_of_the_model_is_no_cause_against_golden_parts():
+    rng = np.random.default_rng(4)
+    stated, slope = spread(rng, 0.02), 0.3 * rng.normal(size=P)
+    model_error = np.array([0.3, -0.2, 0.0, 0.1, 0.0, 0.25])
+    golden = model_error + rng.normal(size=(20, P)) @ root_of(stated).T
+    real = Evidence(model_error + 0.6 * slope, stated)
+    assert diagnose(known(line(slope)), real).unexplained_p < 1e-6
+    told = diagnose(known(line(slope)), against(real, golden, SCALE))
+    assert told.findings[0].cause == "a"
+    assert told.unexplained_p > 0.05
+    assert abs(told.findings[0].extent - 0.6) < 3.0 * told.findings[0].u
+    fine = diagnose(known(line(slope)), against(Evidence(golden.mean(axis=0), stated), golden, SCALE))
+    assert fine.findings[0].cause == NOTHING
+
+
+def test_changes_are_believed_as_far_as_the_model_fits_good_parts():
+    rng = np.random.default_rng(5)
+    stated, slope = 1e-4 * np.eye(P), np.full(P, 0.5)
+    for error in (0.0, 0.3):
+        golden = error * np.array([1.0, -1.0, 0.0, 0.0, 0.0, 0.0]) + 0.01 * rng.normal(size=(50, P))
+        found = against(Evidence(slope, stated), golden, 0.0)
+        average = error / np.sqrt(3.0)
+        np.testing.assert_allclose(found.learnt.misfit[:2], np.hypot(error, average), atol=0.01)
+        np.testing.assert_allclose(found.learnt.misfit[2:], average, atol=0.01)
+        if error == 0.0:
+            sure = fit_extent(line(slope), found).u
+    assert fit_extent(line(slope), found).u > 1.05 * sure
+
+
+def test_a_scale_is_not_taken_for_misfit():
+    golden = 0.4 + 0.01 * np.random.default_rng(6).normal(size=(20, P))
+    found = against(Evidence(np.zeros(P), 1e-4 * np.eye(P)), golden, SCALE)
+    assert found.learnt.misfit.max() < 0.02
+
+
+def test_roots_of_singular_covariances():
+    half = np.array([[2.0, 0.0], [1.0, 0.0], [0.0, 0.0]])
+    root = root_of(half @ half.T)
+    np.testing.assert_allclose(root @ root.T, half @ half.T, atol=1e-12)
+    stack = root_of(np.stack([np.eye(3), 4.0 * np.eye(3)]))
+    assert stack[1, 2, 2] == pytest.approx(2.0)

@@ -1,0 +1,160 @@
+"""How inputs act on spoiled parts, against the closed form; and the intervals that rest on it, on parts drawn so."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from anisoscope.diagnosis.evidence import Evidence, covariance_of, inputs_of
+from anisoscope.diagnosis.likelihood import fit_extent, interval
+from anisoscope.diagnosis.signatures import DOUBTFUL, signatures
+from anisoscope.diagnosis.tangents import A_SIDE, SOURCES, Tangents, looked_at, slopes_of
+from anisoscope.expectation import Component, expectation
+from anisoscope.prediction.sensitivity import State, evaluate, fixed
+from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.recipe import Recipe
+from anisoscope.sim.light import corrected
+from anisoscope.sim.light.geometry import Convention
+
+LOSS = 0.1
+LIGHT = 10.0
+UNITS = {"alpha_along": 0.06, "alpha_across": 0.10, "albedo": 1.0, "index": 1.0}
+
+
+@pytest.fixture(scope="module")
+def recipe():
+    """Roughness and index are known, so that a part is computed in a millisecond."""
+    return Recipe.model_validate(
+        {
+            "schema": 1,
+            "product": "plate",
+            "surface": {"pitch_um": 100.0, "design": {"ridge_angle_deg": 10.0}},
+            "material": {"alpha_along": 0.06, "alpha_across": 0.1, "albedo": 0.2, "u_alpha_share": 0.0, "u_index": 0.0},
+            "poses": {"angles_deg": [0.0, 90.0, 180.0], "tilts_deg": [0.0, -10.0, 10.0]},
+            "acquisition": {"exposure_s": 0.006},
+            "region": {"size_mm": [2.0, 2.0]},
+            "uncertainty": {"seating_tilt_deg": 0.2, "scale_share": 0.01},
+        }
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def found(recipe):
+    return {
+        one.cause.name: one
+        for one in signatures(recipe, LIGHT, names=("incomplete-filling", "missing-ridges")).found
+    }
+
+
+def cut(loss):
+    """The closed form of ridges whose crests are missing."""
+
+    def model(to_light, to_camera, material):
+        return corrected.radiance(to_light, to_camera, RidgeDesign(100.0, 10.0, height_loss=loss), material)
+
+    return model
+
+
+def nominal(recipe):
+    return State(recipe.material.material(), LIGHT)
+
+
+def by_closed_form(recipe, loss, source, poses):
+    """Change of ln L per unit of one input, by steps that are larger than those of the propagation."""
+    state, part = nominal(recipe), recipe.material.material()
+    ends = []
+    for side in (-1.0, 1.0):
+        if source in ("roughness along the ridges", "roughness across the ridges"):
+            field = "alpha_along" if "along" in source else "alpha_across"
+            changed = replace(part, **{field: getattr(part, field) * np.exp(side * 0.02)})
+            ends.append((replace(state, material=changed), 0.04))
+        elif source == "albedo of the plastic":
+            ends.append((replace(state, material=replace(part, albedo=part.albedo + side * 0.004)), 0.008))
+        else:
+            ends.append((replace(state, seating_deg=(0.0, side * 0.04)), 0.08))
+    low, high = evaluate(fixed(cut(loss)), [state for state, _ in ends], poses, Convention(LIGHT))
+    return np.log(high / low) / ends[0][1]
+
+
+@pytest.mark.parametrize(
+    "source",
+    ["roughness along the ridges", "albedo of the plastic", "seating tilt about y"],
+)
+def test_inputs_act_on_a_cut_crest_as_the_closed_form_says(recipe, found, source):
+    poses = recipe.poses.poses()
+    good, spoiled = (by_closed_form(recipe, loss, source, poses) for loss in (0.0, LOSS))
+    told = found["incomplete-filling"].tangents.change(LOSS, (source,))[:, 0]
+    np.testing.assert_allclose(told, spoiled - good, atol=0.02 * np.abs(good).max())
+    assert np.abs(spoiled - good).max() > 0.2 * np.abs(good).max()  # it is worth while
+
+
+def test_what_is_in_doubt_anyway_is_not_looked_at(found):
+    assert found["missing-ridges"].cause.doubt >= DOUBTFUL > found["incomplete-filling"].cause.doubt
+    assert found["missing-ridges"].tangents is None
+
+
+def drawn(recipe, loss, count, rng):
+    """(count, P) ln L of parts with a height loss: albedo, seating and lamp as the recipe says, 0.4 % in every pose."""
+    part, rig = recipe.material.material(), recipe.uncertainty
+    states = [
+        State(
+            replace(part, albedo=part.albedo + recipe.material.u_albedo * rng.standard_normal()),
+            LIGHT + rig.light_angle_deg * rng.standard_normal(),
+            seating_deg=tuple(rig.seating_tilt_deg * rng.standard_normal(2)),
+        )
+        for _ in range(count)
+    ]
+    poses = recipe.poses.poses()
+    radiance = evaluate(fixed(cut(loss)), states, poses, Convention(LIGHT))
+    own = 0.004 * rng.standard_normal(radiance.shape) + rig.scale_share * rng.standard_normal((count, 1))
+    return np.log(radiance) + own
+
+
+def test_intervals_hold_the_truth_as_often_as_they_say_because_of_the_tangents(recipe, found):
+    """Inputs taken to act as on the good part leave intervals too short: a flat crest answers otherwise."""
+    expected = expectation(recipe, LIGHT)
+    own = (Component("own", "measurement", np.full(len(expected.poses), 0.004), shared=False),)
+    inputs = inputs_of(recipe, expected, own)
+    V = covariance_of(expected.components + own, recipe.uncertainty.scale_share, len(expected.poses))
+    exact = found["incomplete-filling"]
+    poses = recipe.poses.poses()
+    shown = [evaluate(fixed(cut(e)), [nominal(recipe)], poses, Convention(LIGHT))[0] for e in exact.extents]
+    certain = replace(exact, cause=replace(exact.cause, doubt=0.0), change=np.log(shown / shown[0]))
+    parts = drawn(recipe, LOSS, 160, np.random.default_rng(4)) - np.log(expected.radiance)
+
+    def held(one, count):
+        ends = []
+        for change in parts[:count]:
+            evidence = Evidence(change, V, inputs=inputs)
+            ends.append(interval(one, evidence, fit_extent(one, evidence)))
+        low, high = np.array(ends, dtype=float).T
+        return np.mean((low <= LOSS) & (high >= LOSS))
+
+    assert 0.91 <= held(certain, 160) <= 0.985
+    assert held(replace(certain, tangents=None), 60) < 0.7
+
+
+def test_nil_and_the_outermost_extents_are_looked_at():
+    assert looked_at((-3.0, -2.0, -1.0, 0.0, 5.0)) == (-3.0, -2.0, -1.0, 0.0, 5.0)
+    many = tuple(np.linspace(0.0, 1.0, 30))
+    assert looked_at(many)[0] == 0.0
+    assert looked_at(many)[-1] == 1.0
+    assert len(looked_at(many)) == A_SIDE + 1
+    assert looked_at((0.0,)) == (0.0,)
+
+
+def test_slopes_change_by_nothing_on_the_good_part_and_not_for_other_inputs():
+    slope = np.zeros((3, 2, len(SOURCES)))
+    slope[:, :, 2] = [[1.0, 2.0], [0.5, 0.5], [0.0, 1.0]]
+    told = Tangents(np.array([-1.0, 0.0, 2.0]), slope)
+    found = told.change(np.array([-1.0, 0.0, 2.0, 7.0]), (SOURCES[2], "depth of the etch passes", SOURCES[0]))
+    assert found.shape == (4, 2, 3)
+    np.testing.assert_allclose(found[:, :, 0], [[0.5, 1.5], [0.0, 0.0], [-0.5, 0.5], [-0.5, 0.5]])
+    assert not found[:, :, 1:].any()
+
+
+def test_black_parts_have_no_slopes(recipe):
+    def black(to_light, to_camera, material):
+        return np.zeros(len(to_light))
+
+    assert slopes_of(black, nominal(recipe), recipe.poses.poses(), Convention(LIGHT)) is None
