@@ -16,6 +16,9 @@ from pydantic_core import ErrorDetails
 from anisoscope.errors import ConfigError, RigFileError
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
+_FILES = {".csv", ".toml"}
+_CHOICE = re.compile(r"constrained-\w+|function-\w+\[.*\]")
+"""What pydantic adds to a key where one of several types is wanted."""
 _PLACEHOLDER = re.compile(r"\$\{([^}]*)\}")
 _TYPE_WORDS: dict[object, str] = {
     str: "a text",
@@ -34,11 +37,17 @@ def _beside(value: Path, info: ValidationInfo) -> Path:
     return value if folder is None else Path(folder) / value
 
 
+def _file_beside(value: str, info: ValidationInfo) -> str:
+    return str(_beside(Path(value), info)) if Path(value).suffix.lower() in _FILES else value
+
+
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
 LocalPath = Annotated[Path, AfterValidator(_beside)]
 """A path; a relative one counts from the folder of the file in which it stands."""
+NameOrFile = Annotated[str, Field(min_length=1), AfterValidator(_file_beside)]
+"""A name of something that comes with the package, or a path, which ends in .csv or .toml and counts as `LocalPath`."""
 
 
 class Part(BaseModel):
@@ -81,7 +90,8 @@ def one_line(problem: ValidationError, model: type[BaseModel]) -> str:
     mistakes = problem.errors(include_url=False)
     # A misspelt key shows twice, as unknown and as missing: the first says more.
     mistakes.sort(key=lambda mistake: mistake["type"] != "extra_forbidden")
-    more = f" (and {len(mistakes) - 1} more)" if len(mistakes) > 1 else ""
+    others = len({_key(mistake["loc"]) for mistake in mistakes}) - 1
+    more = f" (and {others} more)" if others else ""
     return _describe(mistakes[0], model) + more
 
 
@@ -138,7 +148,10 @@ def _describe(mistake: ErrorDetails, model: type[BaseModel]) -> str:
 def _key(location: tuple[str | int, ...]) -> str:
     text = ""
     for part in location:
-        text += f"[{part}]" if isinstance(part, int) else f".{part}"
+        if isinstance(part, int):
+            text += f"[{part}]"
+        elif not _CHOICE.fullmatch(part):
+            text += f".{part}"
     return text.removeprefix(".")
 
 

@@ -171,6 +171,7 @@ def _check_alike(frame: Frame, first: Frame) -> None:
         ("size", frame.counts.shape == first.counts.shape),
         ("gain", frame.gain == first.gain),
         ("bit depth", frame.bit_depth == first.bit_depth),
+        ("colour filters", frame.filters == first.filters),
         ("kind", frame.kind in {"dark", first.kind} and first.kind != "dark"),
         ("angle", frame.kind == "dark" or frame.commanded_deg == first.commanded_deg),
         ("tilt", frame.kind == "dark" or frame.tilt_deg == first.tilt_deg),

@@ -6,6 +6,9 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.errors import CameraError
+from anisoscope.rig.bayer import FILTERS
+
 UNCALIBRATED = (
     "uncalibrated: the camera does not count in proportion to light, and no response curve is given; such contrasts "
     "serve to compare parts on this rig, not with a prediction (see `anisoscope calibrate response`)"
@@ -25,6 +28,11 @@ class CameraInfo:
         pixel_pitch_um: distance of pixels on the sensor, if known.
         linear: whether counts grow in proportion to light; if not, contrasts are uncalibrated.
         auto_exposure: whether it has automatic exposure or gain, so that one has to prove that they are off.
+        filters: the colour filters on its pixels, named by the first two rows of the mosaic, such as "rggb"; "mono" has
+            none. See `anisoscope.rig.bayer`.
+
+    Raises:
+        CameraError: no such mosaic is known.
     """
 
     model: str
@@ -36,6 +44,13 @@ class CameraInfo:
     pixel_pitch_um: float | None = None
     linear: bool = True
     auto_exposure: bool = False
+    filters: str = "mono"
+
+    def __post_init__(self) -> None:
+        if self.filters not in FILTERS:
+            raise CameraError(
+                f"{self.model}: no colour filters are named {self.filters!r}; known: {', '.join(FILTERS)}"
+            )
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ import tifffile
 from pydantic import Field, TypeAdapter, ValidationError
 
 from anisoscope.errors import RecordError
+from anisoscope.rig.bayer import Filters, grey_of
 
 SCHEMA = 1
 SATURATION = 0.98
@@ -42,6 +43,7 @@ class Frame:
         tilt_deg: tilt of the camera arm in degrees.
         captured_at: UTC time, ISO 8601.
         camera: model and serial number.
+        filters: the colour filters on its pixels; see `anisoscope.rig.bayer`.
     """
 
     counts: npt.NDArray[np.uint16]
@@ -55,11 +57,17 @@ class Frame:
     tilt_deg: float
     captured_at: str
     camera: str
+    filters: str = "mono"
 
     @property
     def full_scale(self) -> int:
         """Largest count that the bit depth allows."""
         return (1 << self.bit_depth) - 1
+
+    @property
+    def grey(self) -> npt.NDArray[np.uint16]:
+        """(rows, cols) counts without the pattern of a mosaic, to look for things in."""
+        return grey_of(self.counts, self.filters)
 
     @property
     def saturated_share(self) -> float:
@@ -82,6 +90,7 @@ class _Header:
     tilt_deg: float
     captured_at: str
     camera: str
+    filters: Filters = "mono"
 
 
 _HEADER = TypeAdapter(_Header)
@@ -130,16 +139,7 @@ def read_frame(path: Path) -> Frame:
     Raises:
         RecordError: there is no such file, or it is not a frame that `write_frame` wrote.
     """
-    try:
-        with quiet_tifffile(), tifffile.TiffFile(path) as tiff:
-            page = tiff.pages[0]
-            counts = page.asarray()
-            description = getattr(page, "description", "")
-    except FileNotFoundError:
-        raise RecordError(f"{path}: there is no such file") from None
-    except Exception as problem:  # a damaged TIFF fails in many ways
-        reason = str(problem).split("\n", maxsplit=1)[0]
-        raise RecordError(f"{path}: not a readable TIFF file: {reason}") from problem
+    counts, description = _picture_and_words(path)
     try:
         header = _HEADER.validate_json(description)
     except ValidationError as problem:
@@ -151,3 +151,24 @@ def read_frame(path: Path) -> Frame:
             f"{path}: a frame has 16-bit counts of shape (rows, cols), not {counts.dtype}{counts.shape}"
         )
     return Frame(counts=counts, **{name: getattr(header, name) for name in _NAMES})
+
+
+def filters_said(path: Path) -> str | None:
+    """The colour filters that a frame of ours names in its metadata; None where it is no frame of ours."""
+    try:
+        with quiet_tifffile(), tifffile.TiffFile(path) as tiff:
+            return _HEADER.validate_json(getattr(tiff.pages[0], "description", "")).filters
+    except Exception:  # noqa: BLE001 - somebody else's picture, in any format
+        return None
+
+
+def _picture_and_words(path: Path) -> tuple[npt.NDArray[np.uint16], str]:
+    try:
+        with quiet_tifffile(), tifffile.TiffFile(path) as tiff:
+            page = tiff.pages[0]
+            return page.asarray(), str(getattr(page, "description", ""))
+    except FileNotFoundError:
+        raise RecordError(f"{path}: there is no such file") from None
+    except Exception as problem:  # a damaged TIFF fails in many ways
+        reason = str(problem).split("\n", maxsplit=1)[0]
+        raise RecordError(f"{path}: not a readable TIFF file: {reason}") from problem

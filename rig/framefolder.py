@@ -4,6 +4,9 @@
 
     file,kind,stage_deg,tilt_deg,exposure_s,gain,bit_depth,black_level
 
+An optional column ``filters`` names the colour filters on the camera's pixels (`anisoscope.rig.bayer`); without it,
+they are what a picture of ours says of itself, and ``mono`` otherwise.
+
 An optional column ``again`` (0 or 1) marks the frames after the return to the first pose. Without it, the
 sample frames at the end of the table that stand at the pose of the first sample frame are such, provided that
 sample frames at another pose lie between; angles that differ by full turns are the same pose. The format is
@@ -20,8 +23,8 @@ from typing import get_args
 from anisoscope.atomicfile import write_text
 from anisoscope.errors import RecordError, UsageError
 from anisoscope.rig.countsfile import as_frame_counts, read_counts
-from anisoscope.rig.frame import Frame, FrameKind, read_frame, write_frame
-from anisoscope.rig.framefolderline import COLUMNS, Line, find_inside, read_lines
+from anisoscope.rig.frame import Frame, FrameKind, filters_said, read_frame, write_frame
+from anisoscope.rig.framefolderline import COLUMNS, OPTIONAL, Line, find_inside, read_lines
 
 TABLE = "frames.csv"
 POSE_TOLERANCE_DEG = 0.5
@@ -42,6 +45,7 @@ class FrameEntry:
         bit_depth: bits per pixel of the camera; counts are right-justified.
         black_level: counts of a pixel without light.
         again: whether it was taken after the return to the first pose.
+        filters: the colour filters on the camera's pixels.
     """
 
     path: Path
@@ -53,6 +57,7 @@ class FrameEntry:
     bit_depth: int
     black_level: float
     again: bool = False
+    filters: str = "mono"
 
     def load(self) -> Frame:
         """The frame. What the table says holds; time and camera come from the picture if we wrote it.
@@ -81,6 +86,7 @@ class FrameEntry:
             tilt_deg=self.tilt_deg,
             captured_at=captured_at,
             camera=camera,
+            filters=self.filters,
         )
 
 
@@ -101,6 +107,11 @@ class FrameFolder:
     cols: int
     notes: tuple[str, ...] = ()
 
+    @property
+    def filters(self) -> str:
+        """The colour filters on the camera's pixels, the same in every frame."""
+        return self.entries[0].filters
+
     def of_kind(self, kind: FrameKind, *, again: bool | None = None) -> tuple[FrameEntry, ...]:
         """The frames of a kind; with `again`, only those after (or before) the return to the first pose."""
         return tuple(e for e in self.entries if e.kind == kind and again in {None, e.again})
@@ -115,7 +126,7 @@ def read_frame_folder(folder: Path) -> FrameFolder:
     table = folder / TABLE
     lines, columns = read_lines(table)
     notes = []
-    known = (*COLUMNS, "again")
+    known = (*COLUMNS, *OPTIONAL)
     if extra := [name for name in columns if name not in known]:
         notes.append(f"{table}: columns passed over: {', '.join(extra)}")
     entries, shape = _checked_entries(lines, folder, table)
@@ -157,12 +168,15 @@ def write_frame_folder(
         raise RecordError(f"{folder}: cannot be made: {problem.strerror}") from problem
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow((*COLUMNS, *(("again",) if again is not None else ())))
+    coloured = any(frame.filters != "mono" for frame in frames)
+    more = (*(("again",) if again is not None else ()), *(("filters",) if coloured else ()))
+    writer.writerow((*COLUMNS, *more))
     for number, frame in enumerate(frames):
         path = folder / f"{number:03d}_{frame.kind}_{frame.stage_deg:07.2f}.tif"
         as_frame_counts(frame.counts, frame.bit_depth, path)
         write_frame(frame, path)
-        mark = () if again is None else (int(again[number]),)
+        mark: tuple[int | str, ...] = () if again is None else (int(again[number]),)
+        mark += (frame.filters,) if coloured else ()
         writer.writerow((path.name, *(getattr(frame, name) for name in COLUMNS[1:]), *mark))
     write_text(table, text.getvalue())
     return read_frame_folder(folder)
@@ -191,6 +205,11 @@ def _checked_entries(
                 f"{place}: {line.file} has {found[0]} x {found[1]} pixels (rows x cols), the frames before "
                 f"have {shape[0]} x {shape[1]}; all frames of a folder are alike"
             )
+        if entries and entry.filters != entries[0].filters:
+            raise RecordError(
+                f"{place}: {line.file} was taken through filters {entry.filters}, the frames before through "
+                f"{entries[0].filters}; all frames of a folder are alike"
+            )
         shape = found
         entries.append(entry)
     if shape is None:
@@ -206,7 +225,10 @@ def _entry(line: Line, folder: Path, table: Path) -> FrameEntry:
         raise RecordError(
             f"{place}: unknown kind {line.kind!r}; it is one of {', '.join(get_args(FrameKind))}"
         )
-    return FrameEntry(path, kind, **{name: getattr(line, name) for name in (*COLUMNS[2:], "again")})
+    filters = line.filters or filters_said(path) or "mono"
+    return FrameEntry(
+        path, kind, **{name: getattr(line, name) for name in (*COLUMNS[2:], "again")}, filters=filters
+    )
 
 
 def _checked_shape(entry: FrameEntry, place: str) -> tuple[int, int]:

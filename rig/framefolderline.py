@@ -8,14 +8,16 @@ from dataclasses import dataclass
 from pathlib import Path, PureWindowsPath
 
 from anisoscope.errors import RecordError
+from anisoscope.rig.bayer import FILTERS
 
 COLUMNS = ("file", "kind", "stage_deg", "tilt_deg", "exposure_s", "gain", "bit_depth", "black_level")
+OPTIONAL = ("again", "filters")
 _AGAIN = {"": False, "0": False, "1": True}
 
 
 @dataclass(frozen=True)
 class Line:
-    """The values of a line; `number` counts from 1 at the header."""
+    """The values of a line; `number` counts from 1 at the header; `filters` is None where the table has none."""
 
     number: int
     file: str
@@ -27,6 +29,7 @@ class Line:
     bit_depth: int
     black_level: float
     again: bool
+    filters: str | None
 
 
 def read_header(fields: list[str], table: Path) -> tuple[str, ...]:
@@ -43,7 +46,7 @@ def read_header(fields: list[str], table: Path) -> tuple[str, ...]:
             close = difflib.get_close_matches(name, set(columns) - set(COLUMNS), n=1)
             hint = f"; is '{close[0]}' meant?" if close else f"; the header needs {','.join(COLUMNS)}"
             raise RecordError(f"{table}, line 1: the column {name} is missing{hint}")
-    for name in (*COLUMNS, "again"):
+    for name in (*COLUMNS, *OPTIONAL):
         if columns.count(name) > 1:
             raise RecordError(f"{table}, line 1: the column {name} stands twice")
     return columns
@@ -90,6 +93,9 @@ def parse_line(fields: list[str], columns: tuple[str, ...], place: str, number: 
     again = _AGAIN.get(texts.get("again", ""))
     if again is None:
         raise RecordError(f"{place}: again must be 0 or 1, not {texts['again']!r}")
+    filters = texts.get("filters", "").lower() or None
+    if filters is not None and filters not in FILTERS:
+        raise RecordError(f"{place}: filters must be one of {', '.join(FILTERS)}, not {texts['filters']!r}")
     values = {name: _number(texts[name], name, place) for name in COLUMNS[2:]}
     for name in ("exposure_s", "gain"):
         if values[name] <= 0.0:
@@ -114,6 +120,7 @@ def parse_line(fields: list[str], columns: tuple[str, ...], place: str, number: 
         bit_depth=int(bits),
         black_level=values["black_level"],
         again=again,
+        filters=filters,
     )
 
 

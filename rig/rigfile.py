@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 from anisoscope.errors import RigFileError
 from anisoscope.rig.camera import CameraInfo
 from anisoscope.rig.fixture import Fixture
-from anisoscope.tomlfile import LocalPath, Part, Positive, read_toml_model
+from anisoscope.tomlfile import LocalPath, NameOrFile, Part, Positive, read_toml_model
 
 Option = str | int | float | bool
 BY_HAND = "manual"
@@ -75,10 +75,19 @@ class TiltPart(AxisPart):
 
 
 class CameraPart(Part):
-    """The camera; `pixel_um` is the size of one of its pixels on the sample."""
+    """The camera.
+
+    Attributes:
+        driver: name of the driver.
+        pixel_um: size of one of its pixels on the sample.
+        sensitivities: file ``wavelength_nm,red,green,blue`` (or ``wavelength_nm,mono``) with the relative quantum
+            efficiency of its channels, or ``synthetic``, as on the virtual rig; needed where colours are predicted.
+        options: further options of the driver.
+    """
 
     driver: str
     pixel_um: Positive
+    sensitivities: NameOrFile | None = None
     options: dict[str, Option] = Field(default_factory=dict)
 
 
@@ -89,12 +98,15 @@ class LightPart(Part):
         driver: name of the driver; ``manual`` asks the operator.
         port: as for an axis; none where the driver needs none. Older files have it among the options.
         angle_deg: angle between light and camera, seen from the sample.
+        spectrum: its spectrum, needed where colours are predicted: ``led-white`` (made up), a CIE illuminant such as
+            ``d65`` or ``a``, or a file ``wavelength_nm,power``.
         options: further options of the driver.
     """
 
     driver: str = BY_HAND
     port: Annotated[str, Field(min_length=1)] | None = None
     angle_deg: float = 10.0
+    spectrum: NameOrFile | None = None
     options: dict[str, Option] = Field(default_factory=dict)
 
     @model_validator(mode="before")

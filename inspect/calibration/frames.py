@@ -109,6 +109,7 @@ class Bed:
             tilt_deg=self.tilt_deg,
             captured_at=datetime.now(UTC).isoformat(timespec="milliseconds"),
             camera=info.serial,
+            filters=info.filters,
         )
 
     def content(self, taking: Taking, frames: int, sample: Stack | None = None) -> dict[str, Any]:

@@ -94,9 +94,10 @@ def calibrate_flat(
             light_cosine=light_cosine,
             camera=bed.camera.serial,
             full_scale=bed.full_scale,
+            filters=bed.rig.camera.info.filters,
         )
     write_reference(out, reference)
-    tile = inspect_tile(reference["signal"], _relative_noise(flat, dark))
+    tile = inspect_tile(reference["signal"], _relative_noise(flat, dark), reference["meta"]["filters"])
     meta: dict[str, Any] = reference["meta"]
     content |= {
         "values": {

@@ -23,6 +23,7 @@ from anisoscope.progress import Advance, silent
 from anisoscope.registration.placement import Placement, angle_between, check_fixture, locate
 from anisoscope.rig.acquisition.plan import Plan, Pose
 from anisoscope.rig.acquisition.runner import FrameRecord, Progress, open_rig, run_plan
+from anisoscope.rig.bayer import grey_of
 from anisoscope.rig.fixture import Fixture
 from anisoscope.rig.rigfile import RigFile, read_rig
 
@@ -137,7 +138,8 @@ def _places(records: list[FrameRecord], fixture: Fixture) -> list[_Seen]:
             hot, np.float32(np.median(lit.mean)), lit.mean - np.where(hot, 0.0, dark.mean)
         )
         frame = shots[0].frame
-        found.append(_Seen(frame.stage_deg, locate(picture.astype(np.float32), fixture, frame.tilt_deg)))
+        even = grey_of(picture.astype(np.float32), frame.filters)
+        found.append(_Seen(frame.stage_deg, locate(even, fixture, frame.tilt_deg)))
     return found
 
 

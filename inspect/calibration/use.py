@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -23,10 +24,12 @@ from anisoscope.calibration.record import (
 )
 from anisoscope.errors import CalibrationError, RegistrationError
 from anisoscope.linear import Image, Mask, RadianceImage, Stack, WhiteReference
+from anisoscope.prints.recipe import PrintRecipe
 from anisoscope.recipe import Recipe
 from anisoscope.registration.placement import Placement, angle_between
 from anisoscope.rig.rigfile import CalibrationPart
 
+RecipeT = TypeVar("RecipeT", Recipe, PrintRecipe)
 CENTRE_PX = 5.0
 TURN_DEG = 0.2
 DARK_LEVEL_SHARE = 0.005
@@ -83,7 +86,7 @@ class Calibrations:
         record = self.records.get("rotation")
         return None if record is None else (record.number("centre_column"), record.number("centre_row"))
 
-    def applied_to(self, recipe: Recipe) -> Recipe:
+    def applied_to(self, recipe: RecipeT) -> RecipeT:
         """The recipe with the uncertainties that were calibrated in place of those it states."""
         found = {}
         if "stray" in self.records:

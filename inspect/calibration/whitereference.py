@@ -15,6 +15,7 @@ import numpy.typing as npt
 from anisoscope.atomicfile import write_bytes
 from anisoscope.errors import CalibrationError, RecordError
 from anisoscope.linear import Stack, WhiteReference, hot_pixels
+from anisoscope.rig.bayer import channel_of_pixels
 
 _KIND = "anisoscope white reference"
 SPOT_SHARE = 0.02
@@ -22,7 +23,14 @@ MAX_SPOTS, MAX_STRUCTURE, MAX_GRADIENT = 0.0005, 0.01, 0.2
 
 
 def make_reference(
-    flat: Stack, dark: Stack, *, reflectance: float, light_cosine: float, camera: str, full_scale: int
+    flat: Stack,
+    dark: Stack,
+    *,
+    reflectance: float,
+    light_cosine: float,
+    camera: str,
+    full_scale: int,
+    filters: str = "mono",
 ) -> dict[str, Any]:
     """Signal and metadata of a white reference from flat and dark frames.
 
@@ -33,6 +41,7 @@ def make_reference(
         light_cosine: cosine of the angle between the light and the normal of the tile.
         camera: serial number of the camera.
         full_scale: largest count of the camera.
+        filters: the colour filters on its pixels, as `anisoscope.rig.bayer` names them.
 
     Raises:
         CalibrationError: the tile is saturated or dark.
@@ -43,13 +52,14 @@ def make_reference(
             f"{saturated:.1%} of the flat are saturated: shorten --exposure and take it again"
         )
     signal = flat.mean - dark.mean
-    level = float(np.median(signal)) / full_scale
+    hot = hot_pixels(dark)
+    usual = usual_of_filters(signal, filters, hot)
+    level = float(usual.min()) / full_scale
     if level < 0.05:
         raise CalibrationError(
             f"the flat reaches only {level:.1%} of full scale: lengthen --exposure, light on?"
         )
-    signal = np.where(hot_pixels(dark), np.nan, signal) / (flat.exposure_s * flat.gain)
-    signal = np.where(np.isnan(signal), np.nanmedian(signal), signal)
+    signal = np.where(hot, usual, signal) / (flat.exposure_s * flat.gain)
     return {
         "signal": signal.astype(np.float32),
         "meta": {
@@ -60,6 +70,7 @@ def make_reference(
             "light_cosine": light_cosine,
             "reflectance": reflectance,
             "camera": camera,
+            "filters": filters,
             "frames": flat.frames,
             "exposure_s": flat.exposure_s,
             "gain": flat.gain,
@@ -67,6 +78,16 @@ def make_reference(
             "taken_at": datetime.now(UTC).isoformat(timespec="seconds"),
         },
     }
+
+
+def usual_of_filters(
+    signal: npt.NDArray[np.float32], filters: str, hot: npt.NDArray[np.bool_] | None = None
+) -> npt.NDArray[np.float32]:
+    """(rows, cols) median of the pixels behind the filter of each pixel, without hot ones; of all without filters."""
+    channel = channel_of_pixels(filters, (signal.shape[0], signal.shape[1]))
+    good = np.ones(signal.shape, dtype=bool) if hot is None else ~hot
+    medians = [np.median(signal[(channel == one) & good]) for one in range(int(channel.max()) + 1)]
+    return np.array(medians, dtype=np.float32)[channel]
 
 
 def write_reference(path: Path, reference: dict[str, Any]) -> None:
@@ -112,6 +133,7 @@ def read_reference(path: Path) -> WhiteReference:
             str(meta["taken_at"]),
             float(meta["reflectance"]),
             hashlib.sha256(path.read_bytes()).hexdigest(),
+            str(meta.get("filters", "mono")),
         )
     except CalibrationError:
         raise
@@ -137,13 +159,16 @@ class Tile:
     remarks: tuple[str, ...]
 
 
-def inspect_tile(signal: npt.NDArray[np.float32], noise: float) -> Tile:
+def inspect_tile(signal: npt.NDArray[np.float32], noise: float, filters: str = "mono") -> Tile:
     """Is the tile clean and evenly lit?
 
     Args:
         signal: (rows, cols) of the white reference.
         noise: relative standard deviation of a pixel that noise alone makes.
+        filters: the colour filters on the pixels; what they make of white is no structure of the tile.
     """
+    if filters != "mono":
+        signal = signal / usual_of_filters(signal, filters)
     rows, cols = signal.shape
     window = max(5, min(rows, cols) // 8 | 1)
     small = cv2.blur(signal, (3, 3))

@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from anisoscope.errors import CameraError, RecordError
 from anisoscope.live.view import Counts, View, signal_of
+from anisoscope.rig.bayer import demosaicked
 from anisoscope.rig.camera import CameraInfo
 from anisoscope.rig.frame import SATURATION
 
@@ -31,7 +32,8 @@ def draw(counts: Counts, info: CameraInfo, view: View, relative_focus: float) ->
         (rows, cols, 3) blue, green, red; at most 960 wide. Saturated pixels are red; a line through the middle
         runs along the ridges, if they have a direction.
     """
-    picture = np.repeat(eight_bits(counts, info)[:, :, None], 3, axis=2)
+    picture = to_show(counts, info)
+    picture = picture if picture.ndim == 3 else np.repeat(picture[:, :, None], 3, axis=2)
     scale = min(1.0, WIDTH_PX / counts.shape[1])
     full_scale = (1 << info.bit_depth) - 1
     burnt = (counts >= SATURATION * full_scale).astype(np.uint8)
@@ -55,8 +57,15 @@ def words(view: View, relative_focus: float) -> list[str]:
     return [f"ridges {ridges}", f"focus {focus}", f"saturated {100.0 * view.saturated_share:.2f} %"]
 
 
+def to_show(counts: Counts, info: CameraInfo) -> Picture:
+    """A frame for the eye: (rows, cols), or (rows, cols, 3) blue, green, red of a colour camera, white not balanced."""
+    if info.filters == "mono":
+        return eight_bits(counts, info)
+    return np.ascontiguousarray(eight_bits(demosaicked(counts, info.filters)[:, :, ::-1], info))
+
+
 def eight_bits(counts: Counts, info: CameraInfo) -> Picture:
-    """Black level to full scale as 0 to 255, (rows, cols); brightened for the eye (square root)."""
+    """Black level to full scale as 0 to 255, in the shape of the counts; brightened for the eye (square root)."""
     return np.asarray(np.sqrt(np.clip(signal_of(counts, info), 0.0, 1.0)) * 255.0 + 0.5, dtype=np.uint8)
 
 

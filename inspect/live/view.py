@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.rig.bayer import grey_of
 from anisoscope.rig.camera import CameraInfo
 from anisoscope.rig.frame import SATURATION
 
@@ -82,7 +83,7 @@ class Meter:
 
 
 def look_at(counts: Counts, info: CameraInfo, *, focus: FocusMeasure = "tenengrad", bins: int = 32) -> View:
-    """Judge a frame of a camera.
+    """Judge a frame of a camera; of a colour camera, focus and ridges without the pattern of its mosaic.
 
     Args:
         counts: (rows, cols) raw counts.
@@ -91,11 +92,12 @@ def look_at(counts: Counts, info: CameraInfo, *, focus: FocusMeasure = "tenengra
         bins: of the histogram.
     """
     signal = signal_of(counts, info)
-    direction, prominence = ridge_direction(signal)
+    grey = signal if info.filters == "mono" else signal_of(grey_of(counts, info.filters), info)
+    direction, prominence = ridge_direction(grey)
     return View(
         mean=float(signal.mean()),
         saturated_share=saturated_share(counts, info.bit_depth),
-        focus=focus_of(signal, focus),
+        focus=focus_of(grey, focus),
         ridge_deg=direction,
         prominence=prominence,
         histogram=histogram_of(signal, bins),

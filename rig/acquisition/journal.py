@@ -28,7 +28,8 @@ class _Line(BaseModel):
 class RunLine(_Line):
     """The start of a run: the first, or one that takes up an interrupted one.
 
-    ``linear`` says whether the camera counts in proportion to light, as far as it is known.
+    ``linear`` says whether the camera counts in proportion to light, as far as it is known; ``filters`` names the
+    colour filters on its pixels (`anisoscope.rig.bayer`).
     """
 
     line: Literal["run"] = "run"
@@ -36,6 +37,7 @@ class RunLine(_Line):
     stage: str
     tilt: str | None
     camera: str
+    filters: str = "mono"
     started_at: str
     linear: bool = True
 

@@ -128,6 +128,7 @@ class _Run:
             stage=self.rig.stage.name,
             tilt=None if tilt is None else tilt.name,
             camera=f"{info.model} {info.serial}",
+            filters=info.filters,
             started_at=datetime.now(UTC).isoformat(timespec="milliseconds"),
             linear=info.linear,
         )
@@ -259,4 +260,5 @@ class _Run:
             tilt_deg=self.at.tilt_deg,
             captured_at=datetime.now(UTC).isoformat(timespec="milliseconds"),
             camera=f"{info.model} {info.serial}",
+            filters=info.filters,
         )

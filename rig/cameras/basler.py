@@ -59,7 +59,8 @@ class BaslerCamera:
         Args:
             serial: serial number; without it and `name` there must be one camera only.
             name: name that the user gave the camera.
-            pixel_format: Mono12, Mono10 or Mono8; a camera without it is used with Mono8.
+            pixel_format: Mono12, Mono10 or Mono8, and a camera without it is used with Mono8; or the raw format of a
+                colour camera, such as BayerRG12, which is used or refused.
             width: columns of the picture, in the middle of the sensor; 0 for all.
             height: rows of the picture, likewise.
             black_level: counts of a pixel without light; read from the camera if not given.
@@ -74,7 +75,8 @@ class BaslerCamera:
         """
         if pixel_format not in nodes.BITS:
             raise RigFileError(
-                f"camera.options.pixel_format: expected {', '.join(nodes.BITS)}, not '{pixel_format}'"
+                "camera.options.pixel_format: expected Mono12, Mono10, Mono8 or the raw format of a colour camera, "
+                f"such as BayerRG12, not '{pixel_format}'"
             )
         if retries < 0 or timeout_s <= 0.0:
             raise RigFileError("camera.options: retries must be 0 or more, and timeout_s above 0")
@@ -95,6 +97,7 @@ class BaslerCamera:
                 cols=int(device.Width.Value),
                 bit_depth=nodes.BITS[used],
                 black_level=level,
+                filters=nodes.FILTERS[used],
             )
         except BaseException:
             _close(device)

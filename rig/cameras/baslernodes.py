@@ -12,7 +12,10 @@ from typing import Any
 from anisoscope.errors import CameraError, RigFileError
 from anisoscope.rig.cameras.baslersdk import load_genicam
 
-BITS = {"Mono12": 12, "Mono10": 10, "Mono8": 8}
+_MOSAICS = {"BayerRG": "rggb", "BayerGR": "grbg", "BayerGB": "gbrg", "BayerBG": "bggr"}
+BITS = {f"{kind}{bits}": bits for kind in ("Mono", *_MOSAICS) for bits in (12, 10, 8)}
+FILTERS = {name: _MOSAICS.get(name.rstrip("0128"), "mono") for name in BITS}
+"""Colour filters by pixel format; the letters of a Bayer format are the first two pixels of the picture."""
 EXPOSURE_TOLERANCE = 0.05
 GAIN_TOLERANCE_DB = 0.2
 _BLACK_LEVEL_BITS = 12
@@ -46,7 +49,10 @@ def prepare(device: Any, pixel_format: str, size: tuple[int, int]) -> str:
     for name, value in _PLAIN:
         _set(device, name, value)
     used = _set_pixel_format(device, pixel_format)
-    _set_size(device, size)
+    coloured = FILTERS[used] != "mono"
+    if coloured:
+        _set_even_white(device)
+    _set_size(device, size, even=coloured)
     _set(device, "AcquisitionMode", "Continuous")
     selector = _node(device, "TriggerSelector")
     if selector is not None:
@@ -163,18 +169,33 @@ def _set(device: Any, name: str, value: str | float | bool, *, needed: bool = Fa
 
 def _set_pixel_format(device: Any, pixel_format: str) -> str:
     offered = device.PixelFormat.Symbolics
-    for candidate in (pixel_format, "Mono8"):
+    wanted: list[str] = [pixel_format] + (["Mono8"] if FILTERS[pixel_format] == "mono" else [])
+    for candidate in wanted:
         if candidate in offered:
             if candidate != pixel_format:
                 _LOG.warning("the camera has no %s: %s is used", pixel_format, candidate)
             _set(device, "PixelFormat", candidate, needed=True)
             return candidate
     raise CameraError(
-        f"the camera has neither {pixel_format} nor Mono8, only {', '.join(offered)}; use a monochrome camera"
+        f"the camera has no {' nor '.join(dict.fromkeys(wanted))}, only {', '.join(offered)}; choose one of "
+        f"{', '.join(BITS)}"
     )
 
 
-def _set_size(device: Any, size: tuple[int, int]) -> None:
+def _set_even_white(device: Any) -> None:
+    """Counts as they are read out: no colour amplified against another."""
+    for name in ("LightSourcePreset", "BslLightSourcePreset", "LightSourceSelector"):
+        _set(device, name, "Off")
+    selector = _node(device, "BalanceRatioSelector")
+    if selector is not None:
+        for choice in selector.Symbolics:
+            selector.Value = choice
+            _set(device, "BalanceRatio", 1.0)
+            _set(device, "BalanceRatioAbs", 1.0)
+
+
+def _set_size(device: Any, size: tuple[int, int], *, even: bool) -> None:
+    """Set the size; `even` keeps the offset even, so that the mosaic begins with the same filter."""
     for name, offset, asked in (("Height", "OffsetY", size[0]), ("Width", "OffsetX", size[1])):
         _set(device, offset, 0)
         node = getattr(device, name)
@@ -187,5 +208,5 @@ def _set_size(device: Any, size: tuple[int, int]) -> None:
         _set(device, name, wanted, needed=True)
         shift = _node(device, offset)
         if asked and shift is not None:
-            middle = shift.Max // 2
-            _set(device, offset, middle - middle % shift.Inc)
+            middle, step = shift.Max // 2, math.lcm(shift.Inc, 2 if even else 1)
+            _set(device, offset, middle - middle % step)

@@ -80,6 +80,7 @@ class FolderCamera:
             bit_depth=bit_depth,
             black_level=black_level,
             linear=linear,
+            filters=read.filters,
         )
         return cls(entries, info, repeat=repeat)
 

@@ -14,14 +14,16 @@ from anisoscope.sim.bench.firmware.catalogue import LIGHT, Mount, build
 from anisoscope.sim.bench.firmware.device import Firmware
 from anisoscope.sim.bench.firmware.light import LightFirmware
 from anisoscope.sim.bench.lamp import Lamp
+from anisoscope.sim.bench.mosaic import Mosaic
 from anisoscope.sim.bench.optics import PLATE, image_of_fixture, image_of_surface, vignette
 from anisoscope.sim.bench.partcode import image_of_code
-from anisoscope.sim.bench.samples import build_surface, plastic
+from anisoscope.sim.bench.samples import Sample, build_sample
 from anisoscope.sim.bench.sensor import Sensor
+from anisoscope.sim.bench.spectra import vision_of
 from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_rotation
-from anisoscope.sim.light.relief import Relief, radiance_maps
 
 FloatArray = npt.NDArray[np.float64]
+Image = npt.NDArray[np.float32]
 Counts = npt.NDArray[np.uint16]
 
 
@@ -31,11 +33,14 @@ class Bench:
     The stage's firmware turns ``axis``; the light's firmware, or whoever sets ``light_on``, switches ``lamp``; the
     camera sees the sample at the angle where the axis *really* is, as bright as the lamp really is. Everything random
     comes from the file's seed.
+
+    Raises:
+        RigFileError: a spectrum that the file names cannot be used.
     """
 
     def __init__(self, file: BenchFile) -> None:
         self.file = file
-        surface_rng, sensor_rng, light_rng = np.random.default_rng(file.seed).spawn(3)
+        sample_rng, sensor_rng, light_rng = np.random.default_rng(file.seed).spawn(3)
         self.axis = RotaryAxis(time_scale=file.stage.time_scale, backlash_deg=file.stage.backlash_deg)
         mounts = [Mount(self.axis, file.stage.address)]
         self.tilt_axis: RotaryAxis | None = None
@@ -48,8 +53,9 @@ class Bench:
         self.sensor = Sensor(file.sensor, sensor_rng)
         self.lamp = Lamp(file.optics, light_rng)
         self.light_firmware = LightFirmware(self.lamp)
-        self._surface_rng = surface_rng
-        self._surface: Relief | None = None
+        self._sample_rng = sample_rng
+        self._sample: Sample | None = None
+        self._mosaic = Mosaic(file.sensor, vision_of(file).strengths())
         self._scene: tuple[tuple[float, float], FloatArray] | None = None
         self._lock = threading.Lock()
 
@@ -110,39 +116,37 @@ class Bench:
     def _render(self, angle_deg: float, tilt_deg: float) -> FloatArray:
         file = self.file
         convention = Convention(light_angle_deg=file.geometry.light_angle_deg)
-        cos_light = directions((Pose(angle_deg, tilt_deg),), convention)[0][0, 2]
+        to_light, to_camera = directions((Pose(angle_deg, tilt_deg),), convention)
+        cos_light = to_light[0, 2]
         shade = vignette(file.optics, file.sensor)
         if file.sample.kind == "white-tile":
             image = np.full(shade.shape, file.sample.reflectance / np.pi * cos_light)
         else:
-            if self._surface is None:
-                self._surface = build_surface(file.sample, self._surface_rng)
-            height = self._surface.surface
-            picture, cover = image_of_surface(
-                self._radiance_of_sample(self._surface, angle_deg, tilt_deg),
-                (height.pixel_y_um, height.pixel_x_um),
-                file.optics,
-                file.sensor,
-                angle_deg,
-                tilt_deg,
-            )
-            image = picture.astype(np.float64)
+            picture, cover = self._image_of_sample(angle_deg, tilt_deg, to_light, to_camera)
+            image = self._mosaic.pick(picture).astype(np.float64)
             if file.fixture is not None:
                 around = image_of_fixture(file.fixture, file.optics, file.sensor, angle_deg, tilt_deg)
                 if (code := file.sample.code) is not None:
                     around += image_of_code(code, file.optics, file.sensor, angle_deg, tilt_deg, PLATE)
                 image = image + (1.0 - cover) * around / np.pi * cos_light
-        return np.asarray((image + file.optics.stray_radiance) * shade, dtype=np.float64)
+        return np.asarray((image + file.optics.stray_radiance) * shade * self._mosaic.passed)
 
-    def _radiance_of_sample(
-        self, surface: Relief, angle_deg: float, tilt_deg: float
-    ) -> npt.NDArray[np.float32]:
-        convention = Convention(light_angle_deg=self.file.geometry.light_angle_deg)
-        to_light, to_camera = directions((Pose(angle_deg, tilt_deg),), convention)
-        seat = seating_rotation(*self.file.sample.seating_tilt_deg)
-        return next(
-            radiance_maps(surface, to_light @ seat, to_camera @ seat, plastic(self.file.sample.material))
-        )
+    def _image_of_sample(
+        self, angle_deg: float, tilt_deg: float, to_light: FloatArray, to_camera: FloatArray
+    ) -> tuple[Image, Image]:
+        """(channels, rows, cols) image of the sample on the sensor, and the share of each pixel that it covers.
+
+        The directions are (1, 3), in the frame of the stage's plate.
+        """
+        if self._sample is None:
+            self._sample = build_sample(self.file, self._sample_rng)
+        sample, file = self._sample, self.file
+        seat = seating_rotation(*file.sample.seating_tilt_deg)
+        shown = [
+            image_of_surface(channel, sample.pixel_um, file.optics, file.sensor, angle_deg, tilt_deg)
+            for channel in sample.radiance((to_light @ seat)[0], (to_camera @ seat)[0])
+        ]
+        return np.stack([image for image, _ in shown]), shown[0][1]
 
 
 @lru_cache(maxsize=4)

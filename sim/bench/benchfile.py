@@ -6,10 +6,13 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from anisoscope.errors import RigFileError, UsageError
+from anisoscope.rig.bayer import Filters
 from anisoscope.rig.fixture import Fixture
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
 from anisoscope.sim.bench.firmware.catalogue import Mount, build
-from anisoscope.tomlfile import LocalPath, NotNegative, Part, Positive, Share, read_toml_model
+from anisoscope.sim.bench.printpart import PrintPart
+from anisoscope.sim.bench.waferpart import WaferPart
+from anisoscope.tomlfile import LocalPath, NameOrFile, NotNegative, Part, Positive, Share, read_toml_model
 
 
 class MaterialPart(Part):
@@ -39,12 +42,13 @@ class CodePart(Part):
 
 
 class SamplePart(Part):
-    """The sample: made ridges, a height map from a file, or a white tile.
+    """The sample: made ridges, a height map from a file, a print, a wafer, or a white tile.
 
-    ``ridges`` are made from the fields below; ``height-map`` reads ``file`` and repeats it over the sample.
+    ``ridges`` are made from the fields below; ``height-map`` reads ``file`` and repeats it over the sample; ``print``
+    is a sheet as the table ``print`` describes it, ``wafer`` an etched pattern as the table ``wafer`` does.
     """
 
-    kind: Literal["ridges", "height-map", "white-tile"] = "ridges"
+    kind: Literal["ridges", "height-map", "print", "wafer", "white-tile"] = "ridges"
     file: LocalPath | None = None
     size_mm: Positive = 2.4
     pitch_um: Positive = 100.0
@@ -56,11 +60,21 @@ class SamplePart(Part):
     seating_tilt_deg: tuple[float, float] = (0.0, 0.0)
     material: MaterialPart = MaterialPart()
     code: CodePart | None = None
+    print: PrintPart | None = None
+    wafer: WaferPart | None = None
 
     @model_validator(mode="after")
     def _has_its_file(self) -> Self:
         if self.kind == "height-map" and self.file is None:
             raise ValueError("a sample of kind 'height-map' needs a file: set sample.file")
+        if self.print is not None and self.kind != "print":
+            raise ValueError(
+                f"there is a table [sample.print], but the kind is '{self.kind}': set kind = \"print\""
+            )
+        if self.kind == "wafer" and self.wafer is None:
+            raise ValueError(
+                "a sample of kind 'wafer' needs a table [sample.wafer] with the file of what is etched"
+            )
         return self
 
 
@@ -73,6 +87,9 @@ class SensorPart(Part):
 
     ``gamma`` and ``auto_exposure`` make a webcam of it: counts grow as light to the power 1/gamma; the camera has
     automatic exposure that can be switched off, or that stays ``on`` whatever it says.
+
+    ``filters`` make a colour sensor of it, a mosaic named by its first two rows; ``sensitivities`` is a file with the
+    relative quantum efficiency of each kind of pixel, in place of the made-up ones.
     """
 
     rows: Annotated[int, Field(ge=64, le=8192)] = 1024
@@ -89,13 +106,17 @@ class SensorPart(Part):
     nonlinearity: Annotated[float, Field(gt=-0.5, lt=0.5)] = 0.0
     gamma: Annotated[float, Field(ge=0.25, le=4.0)] = 1.0
     auto_exposure: Literal["none", "off", "on"] = "none"
+    filters: Filters = "mono"
+    sensitivities: NameOrFile = "synthetic"
 
 
 class OpticsPart(Part):
     """Lens and light: blur, vignetting, and how far the axis is off the picture's centre.
 
-    ``electrons`` is what one second of exposure at unit gain collects per pixel from a radiance of 1/sr. A cold lamp
-    is brighter by ``lamp_warmup_share`` (darker, if negative), and loses it over ``lamp_warmup_frames`` lit frames.
+    ``electrons`` is what one second of exposure at unit gain collects per pixel from a radiance of 1/sr; behind
+    colour filters, per pixel of the strongest colour. A cold lamp is brighter by ``lamp_warmup_share`` (darker, if
+    negative), and loses it over ``lamp_warmup_frames`` lit frames. ``spectrum`` is the lamp's: ``led-white`` (made
+    up), a CIE illuminant such as ``d65`` or ``a``, or a file *.csv.
     """
 
     pixel_um: Positive = 4.0
@@ -103,6 +124,7 @@ class OpticsPart(Part):
     vignetting: Share = 0.15
     axis_px: tuple[float, float] = (3.4, -2.2)
     electrons: Positive = 6.0e6
+    spectrum: NameOrFile = "led-white"
     lamp_noise: Share = 0.0005
     lamp_drift_per_frame: float = 0.0
     lamp_warmup_share: Annotated[float, Field(gt=-1.0, le=1.0)] = 0.0

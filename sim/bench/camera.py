@@ -28,6 +28,7 @@ class SimulatedCamera:
             black_level=part.black_level,
             linear=part.gamma == 1.0,
             auto_exposure=part.auto_exposure != "none",
+            filters=part.filters,
         )
 
     def configure(self, exposure_s: float, gain: float) -> CameraSettings:

@@ -88,7 +88,7 @@ class RemoteCamera:
             raise self._strange()
         try:
             return CameraInfo(**answer)
-        except TypeError:
+        except (TypeError, CameraError):
             raise self._strange() from None
 
     def _strange(self) -> ProtocolError:

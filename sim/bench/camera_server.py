@@ -5,7 +5,7 @@ line feed; where the answer has a key ``bytes``, so many raw bytes follow::
 
     {"do": "info"}
         {"protocol": 1, "model": …, "serial": …, "rows": …, "cols": …, "bit_depth": …, "black_level": …, "linear": …,
-         "pixel_pitch_um": …, "auto_exposure": …}
+         "pixel_pitch_um": …, "auto_exposure": …, "filters": …}
     {"do": "configure", "exposure_s": 0.01, "gain": 1.0}
         {"exposure_s": 0.01, "gain": 1.0}                    what the camera really uses, for this client
     {"do": "grab"}

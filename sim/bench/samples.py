@@ -1,17 +1,92 @@
-"""Whole virtual samples: the surface that lies on the stage."""
+"""Whole virtual samples: what lies on the stage, as the bench photographs it.
+
+A new kind of sample is a class with the two members of `Sample` in a module of its own, a table of its own in the bench
+file (`SamplePart`), a word for it in ``SamplePart.kind``, and a line in `build_sample`. It need not know of poses,
+seating, lens, lamp level or noise: these are the bench's.
+"""
+
+from typing import Protocol
 
 import numpy as np
+import numpy.typing as npt
 
 from anisoscope.profiles.defects import burrs
 from anisoscope.profiles.files.load import read_height_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
-from anisoscope.sim.bench.benchfile import MaterialPart, SamplePart
+from anisoscope.sim.bench.benchfile import BenchFile, MaterialPart, SamplePart
 from anisoscope.sim.light.material import Material
-from anisoscope.sim.light.relief import Relief
+from anisoscope.sim.light.relief import Relief, radiance_maps
+
+FloatArray = npt.NDArray[np.float64]
+Image = npt.NDArray[np.float32]
 
 PIXEL_X_UM = 1.0
 PIXEL_Y_UM = 2.0
+
+
+class Sample(Protocol):
+    """What lies on the stage, centred on its axis.
+
+    A perfect white diffuser that faces the lamp has the radiance 1/π, in every channel alike. So a grey sample is
+    equally bright in all channels; how much less light one colour filter passes than another is not the sample's
+    affair (`anisoscope.sim.bench.mosaic`).
+    """
+
+    @property
+    def pixel_um(self) -> tuple[float, float]:
+        """Size (y, x) of the pixels of `radiance`."""
+        ...
+
+    def radiance(self, to_light: FloatArray, to_camera: FloatArray) -> Image:
+        """(channels, rows, cols) radiance in the sample's own frame; row index rises with +y, NaN is not known.
+
+        One channel for a sample that is grey, or a camera without colour filters; otherwise three: red, green, blue,
+        each the mean over wavelengths under the bench's lamp as the filter of that colour weighs them
+        (`anisoscope.sim.light.colour.vision.Vision.weights`).
+
+        Args:
+            to_light: (3,) unit vector in the frame of the sample as it is seated.
+            to_camera: (3,) likewise.
+        """
+        ...
+
+
+class ReliefSample:
+    """A height map of plastic: grey."""
+
+    def __init__(self, relief: Relief, material: Material) -> None:
+        self.relief, self.material = relief, material
+
+    @property
+    def pixel_um(self) -> tuple[float, float]:
+        """Size (y, x) of a facet."""
+        return self.relief.surface.pixel_y_um, self.relief.surface.pixel_x_um
+
+    def radiance(self, to_light: FloatArray, to_camera: FloatArray) -> Image:
+        """(1, rows, cols) radiance of every facet."""
+        shown = next(radiance_maps(self.relief, to_light[None], to_camera[None], self.material))
+        return np.asarray(shown[None], dtype=np.float32)
+
+
+def build_sample(file: BenchFile, rng: np.random.Generator) -> Sample:
+    """The sample of a bench, but for a white tile, which has no edges and fills the picture.
+
+    Raises:
+        HeightMapError: the file of a height map cannot be read.
+        RigFileError: what the bench file names cannot be used.
+    """
+    part = file.sample
+    if part.kind == "print":
+        from anisoscope.sim.bench.prints import build_print  # noqa: PLC0415 - of one kind of sample only
+
+        return build_print(file, rng)
+    if part.kind == "wafer":
+        from anisoscope.sim.bench.wafer import build_wafer  # noqa: PLC0415 - of one kind of sample only
+
+        assert part.wafer is not None  # the bench file's own check
+        return build_wafer(part.wafer, part.size_mm, rng)
+    return ReliefSample(build_surface(part, rng), plastic(part.material))
 
 
 def plastic(part: MaterialPart) -> Material:

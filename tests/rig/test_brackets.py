@@ -159,6 +159,7 @@ def test_dark_current_and_offset_are_those_of_the_exposure():
         (lambda lit, dark: ([*lit, replace(lit[0], kind="flat")], dark), "differ in kind"),
         (lambda lit, dark: (dark, dark), "differ in kind"),
         (lambda lit, dark: ([*lit, replace(lit[0], bit_depth=16)], dark), "differ in bit depth"),
+        (lambda lit, dark: ([*lit, replace(lit[0], filters="rggb")], dark), "differ in colour filters"),
     ],
 )
 def test_frames_that_do_not_belong_together(spoil, expected):

@@ -1,5 +1,6 @@
 """Frames survive the disk, and what is no frame is refused in one line."""
 
+import json
 from dataclasses import fields, replace
 
 import numpy as np
@@ -8,7 +9,7 @@ import tifffile
 
 from anisoscope.errors import RecordError
 from anisoscope.rig import frame as module
-from anisoscope.rig.frame import Frame, read_frame, write_frame
+from anisoscope.rig.frame import Frame, filters_said, read_frame, write_frame
 
 
 @pytest.fixture
@@ -28,6 +29,27 @@ def test_round_trip(frame, tmp_path):
     for field in fields(Frame)[1:]:
         assert getattr(again, field.name) == getattr(frame, field.name)
     assert [file.name for file in tmp_path.iterdir()] == ["a.tif"]
+
+
+def test_the_mosaic_of_a_colour_camera_keeps_its_name(frame, tmp_path):
+    write_frame(replace(frame, filters="gbrg"), tmp_path / "colour.tif")
+    assert read_frame(tmp_path / "colour.tif").filters == filters_said(tmp_path / "colour.tif") == "gbrg"
+    no_tiff(tmp_path / "other.tif")
+    foreign(tmp_path / "foreign.tif")
+    assert filters_said(tmp_path / "other.tif") is filters_said(tmp_path / "foreign.tif") is None
+
+
+def test_a_frame_of_before_there_were_colours_is_grey(frame, tmp_path):
+    write_frame(frame, tmp_path / "a.tif")
+    with tifffile.TiffFile(tmp_path / "a.tif") as file:
+        said = json.loads(file.pages[0].description)
+    del said["filters"]
+    tifffile.imwrite(tmp_path / "old.tif", frame.counts, description=json.dumps(said), metadata=None)
+    assert read_frame(tmp_path / "old.tif").filters == "mono"
+    said["filters"] = "rgbw"
+    tifffile.imwrite(tmp_path / "odd.tif", frame.counts, description=json.dumps(said), metadata=None)
+    with pytest.raises(RecordError, match=r"odd\.tif: not a frame of anisoscope: filters: "):
+        read_frame(tmp_path / "odd.tif")
 
 
 def test_any_program_can_read_the_picture(frame, tmp_path):

@@ -420,3 +420,39 @@ def test_what_cannot_be_written(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(RecordError, match="cannot be made"):
         write_frame_folder(tmp_path / "file", [frame()])
+
+
+# -- colour cameras --------------------------------------------------------------------------------------------
+
+
+def test_the_table_names_the_filters_of_other_peoples_pictures(tmp_path):
+    lines = [line("a.tif") + ",RGGB", line("b.tif", stage=90) + ",rggb"]
+    read = read_frame_folder(make(tmp_path, *lines, header=HEADER + ",filters"))
+    assert (read.filters, read.notes) == ("rggb", ())
+    assert [entry.load().filters for entry in read.entries] == ["rggb", "rggb"]
+
+
+def test_pictures_of_ours_name_their_filters_themselves_unless_the_table_does(tmp_path):
+    write_frame_folder(tmp_path, [frame(filters="grbg"), frame(1.0, filters="grbg")])
+    table = tmp_path / "frames.csv"
+    text = table.read_text()
+    assert text.splitlines()[0].endswith(",filters")
+    assert read_frame_folder(tmp_path).filters == "grbg"
+    table.write_text(text.replace(",filters", "").replace(",grbg", ""))
+    assert read_frame_folder(tmp_path).filters == "grbg"
+    table.write_text(text.replace(",grbg", ",bggr"))
+    assert read_frame_folder(tmp_path).entries[0].load().filters == "bggr"
+
+
+def test_grey_cameras_have_no_such_column(tmp_path):
+    assert write_frame_folder(tmp_path, [frame()]).filters == "mono"
+    assert "filters" not in (tmp_path / "frames.csv").read_text()
+
+
+def test_filters_that_change_or_that_nobody_knows_are_told_with_their_line(tmp_path):
+    lines = [line("a.tif") + ",rggb", line("b.tif", stage=90) + ",bggr"]
+    message = refused(make(tmp_path, *lines, header=HEADER + ",filters"))
+    assert "line 3: b.tif was taken through filters bggr, the frames before through rggb" in message
+    (tmp_path / "other").mkdir()
+    message = refused(make(tmp_path / "other", line("a.tif") + ",xyz", header=HEADER + ",filters"))
+    assert "line 2: filters must be one of mono, rggb, bggr, grbg, gbrg, not 'xyz'" in message

@@ -72,6 +72,16 @@ def test_a_tilt_axis(tmp_path):
         read(tmp_path, text.replace("sign = -1", "sign = 2"))
 
 
+def test_what_colours_are_predicted_from_is_a_name_or_a_file_beside(tmp_path):
+    assert (read(tmp_path, GOOD).camera.sensitivities, read(tmp_path, GOOD).light.spectrum) == (None, None)
+    text = GOOD.replace("pixel_um = 4.0", 'pixel_um = 4.0\nsensitivities = "camera.csv"')
+    rig = read(tmp_path, text.replace("angle_deg = 10.0", 'angle_deg = 10.0\nspectrum = "d65"'))
+    assert rig.camera.sensitivities == str(tmp_path / "camera.csv")
+    assert rig.light.spectrum == "d65"
+    with pytest.raises(RigFileError, match=r"light\.spectrum: "):
+        read(tmp_path, GOOD.replace("angle_deg = 10.0", 'angle_deg = 10.0\nspectrum = ""'))
+
+
 def test_an_axis_set_by_hand_has_no_backlash(tmp_path):
     rig = read(tmp_path, GOOD.replace("[camera]", '[tilt]\ndriver = "manual"\n[camera]', 1))
     assert (rig.tilt.port, rig.tilt.approach_deg) == (None, 0.0)

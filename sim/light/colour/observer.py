@@ -28,21 +28,32 @@ def xyz_weights(illuminant: Illuminant, wavelengths_nm: FloatArray) -> FloatArra
     Raises:
         ModelError: wavelengths that do not rise, or do not reach from 400 to 700 nm.
     """
-    wavelengths = np.asarray(wavelengths_nm, dtype=np.float64)
-    if wavelengths.size < 2 or not np.all(np.diff(wavelengths) > 0.0):
-        raise ModelError("wavelengths of a reflectance must rise, in nm")
-    if wavelengths[0] > NEEDED_NM[0] or wavelengths[-1] < NEEDED_NM[1]:
-        raise ModelError(
-            f"a reflectance from {wavelengths[0]:g} to {wavelengths[-1]:g} nm has no colour; "
-            f"at least {NEEDED_NM[0]:g} to {NEEDED_NM[1]:g} nm are needed"
-        )
     fine, matching = matching_functions()
+    shares = shares_of_points(wavelengths_nm, fine)
     cell = np.ones_like(fine)
     cell[[0, -1]] = 0.5
     seen = (illuminant.band_means(fine, 1.0) * cell)[:, None] * matching
     seen /= seen[:, 1].sum()
-    shares = np.stack([np.interp(fine, wavelengths, unit) for unit in np.eye(wavelengths.size)])
     return np.asarray(shares @ seen)
+
+
+def shares_of_points(wavelengths_nm: FloatArray, fine_nm: FloatArray) -> FloatArray:
+    """(W, M) share that each of W points of a reflectance has in its value at M wavelengths.
+
+    The reflectance is linear between its points and constant beyond them.
+
+    Raises:
+        ModelError: points that do not rise, or do not reach from 400 to 700 nm.
+    """
+    points = np.asarray(wavelengths_nm, dtype=np.float64)
+    if points.size < 2 or not np.all(np.diff(points) > 0.0):
+        raise ModelError("wavelengths of a reflectance must rise, in nm")
+    if points[0] > NEEDED_NM[0] or points[-1] < NEEDED_NM[1]:
+        raise ModelError(
+            f"a reflectance from {points[0]:g} to {points[-1]:g} nm has no colour; "
+            f"at least {NEEDED_NM[0]:g} to {NEEDED_NM[1]:g} nm are needed"
+        )
+    return np.stack([np.interp(fine_nm, points, unit) for unit in np.eye(points.size)])
 
 
 def white_point(illuminant: Illuminant) -> FloatArray:

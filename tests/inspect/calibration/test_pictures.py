@@ -140,6 +140,16 @@ def test_gain_and_read_noise_of_the_bench_come_back(small, tmp_path, sensor):
     assert record.in_limits
 
 
+def test_filters_are_no_unevenness_of_the_pixels(small, tmp_path):
+    """EMVA 1288 takes colours one by one: full well and PRNU are those of the sensor, however filters differ."""
+    rig = small(sample=TILE, sensor={"filters": "grbg", "read_noise_e": 16.0, "prnu": 0.004})
+    record = calibrate_linearity(rig.rig, tmp_path / "linearity.json", Taking(0.002, frames=8), steps=12)
+    assert 1.0 / record.number("gain") == pytest.approx(7.5, rel=0.03)
+    assert record.number("prnu") == pytest.approx(0.004, rel=0.15)
+    assert record.number("saturation") == pytest.approx(30_000.0, rel=0.08)
+    assert record.in_limits
+
+
 def test_a_bent_response_is_found_and_fitted(small, tmp_path):
     rig = small(sample=TILE, sensor={"nonlinearity": 0.05})
     record = calibrate_linearity(rig.rig, tmp_path / "linearity.json", Taking(0.002, frames=8), steps=20)
@@ -159,9 +169,9 @@ def test_a_clipped_or_dark_start_is_refused(small, tmp_path):
         calibrate_linearity(rig.rig, tmp_path / "l.json", Taking(0.002), steps=3)
 
 
-@pytest.mark.parametrize("axis_px", [(3.4, -2.2), (-11.3, 7.9)])
-def test_rotation_centre_and_pixel_size_of_the_bench_come_back(small, tmp_path, axis_px):
-    rig = small(optics={"axis_px": list(axis_px)})
+@pytest.mark.parametrize(("axis_px", "filters"), [((3.4, -2.2), "mono"), ((-11.3, 7.9), "rggb")])
+def test_rotation_centre_and_pixel_size_of_the_bench_come_back(small, tmp_path, axis_px, filters):
+    rig = small(optics={"axis_px": list(axis_px)}, sensor={"filters": filters})
     record = calibrate_rotation(rig.rig, tmp_path / "rotation.json", Taking(0.006, frames=2), angles=8)
     centre = (COLS - 1) / 2 + axis_px[0], (ROWS - 1) / 2 + axis_px[1]
     found = record.number("centre_column"), record.number("centre_row")

@@ -7,7 +7,7 @@ import pytest
 
 from anisoscope.errors import UsageError
 from anisoscope.ink.goniometer import White, read_correction, read_goniometer, to_brdf
-from anisoscope.ink.inkfile import (
+from anisoscope.inkfile import (
     SYNTHETIC,
     InkFileError,
     find_ink,
@@ -18,7 +18,7 @@ from anisoscope.ink.inkfile import (
     with_roughness,
     write_ink,
 )
-from anisoscope.ink.spectrumfile import find_illuminant, read_spectrum
+from anisoscope.spectrumfile import find_illuminant, read_spectrum
 
 GOOD = """
 schema = 1

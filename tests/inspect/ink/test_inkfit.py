@@ -12,7 +12,7 @@ import pytest
 from anisoscope.errors import UsageError
 from anisoscope.ink.fitting import fit
 from anisoscope.ink.goniometer import Readings
-from anisoscope.ink.inkfile import SYNTHETIC, synthetic_ink
+from anisoscope.inkfile import SYNTHETIC, synthetic_ink
 from anisoscope.sim.light.ink.model import brdf_at_angles
 
 TRIALS = 100

@@ -1,9 +1,12 @@
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 
-from anisoscope.live.picture import GREEN, RED, as_jpeg, as_png, draw, eight_bits, words
+from anisoscope.live.picture import GREEN, RED, as_jpeg, as_png, draw, eight_bits, to_show, words
 from anisoscope.live.view import View
+from anisoscope.rig.bayer import channel_of_pixels
 from anisoscope.rig.camera import CameraInfo
 
 INFO = CameraInfo("test", "1", rows=200, cols=300, bit_depth=12, black_level=64.0)
@@ -47,6 +50,20 @@ def test_one_saturated_pixel_is_seen_in_a_small_picture():
     rows, cols = near(picture[200:], RED)
     assert len(rows) >= 1
     assert np.mean(cols) == pytest.approx(2001 * 960 / 4000, abs=2)
+
+
+@pytest.mark.parametrize("filters", ["rggb", "gbrg"])
+def test_a_colour_camera_shows_colours(filters):
+    levels = np.array(
+        [64 + 4031, 64 + 4031 // 4, 64], np.uint16
+    )  # saturated red, half as bright green, no blue
+    counts = levels[channel_of_pixels(filters, (200, 300))]
+    info = replace(INFO, filters=filters)
+    shown = to_show(counts, info)
+    assert shown.shape == (200, 300, 3)
+    np.testing.assert_allclose(shown[50, 50], [0, 127.5, 255], atol=1)  # blue, green, red
+    assert draw(counts, info, view(), 1.0).shape == (200, 300, 3)
+    assert to_show(counts, INFO).shape == (200, 300)
 
 
 def test_words_say_when_nothing_can_be_said():

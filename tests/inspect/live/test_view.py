@@ -1,6 +1,7 @@
 """What a live picture is judged by: identities, and the truth of the virtual rig."""
 
 import math
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -17,6 +18,7 @@ from anisoscope.live.view import (
     signal_of,
     wrapped_deg,
 )
+from anisoscope.rig.bayer import channel_of_pixels
 from anisoscope.rig.camera import CameraInfo
 
 INFO = CameraInfo("test", "1", rows=240, cols=320, bit_depth=12, black_level=64.0)
@@ -136,3 +138,22 @@ def test_meter_holds_focus_against_the_best_and_counts_frames():
 @pytest.mark.parametrize(("angle", "line"), [(0, 0), (90, 90), (-90, 90), (180, 0), (135, -45), (450, 90)])
 def test_lines_have_no_ends(angle, line):
     assert wrapped_deg(angle) == line
+
+
+def test_a_mosaic_makes_neither_focus_nor_ridges(rng):
+    """An even colour, and ridges of a grey part behind the filters: what is seen is what a grey camera sees."""
+    info, passed = replace(INFO, filters="rggb"), np.array([0.85, 1.0, 0.4])
+    seen = passed[channel_of_pixels("rggb", (240, 320))]
+    noise = rng.normal(0.0, 3.0, (240, 320))
+    picture = (64 + 2000.0 * seen).astype(np.uint16)
+    even, as_grey = (look_at(picture, one, focus="laplacian") for one in (info, INFO))
+    assert even.ridge_deg is None
+    assert even.focus < 1e-3 * as_grey.focus  # the mosaic would be taken for detail
+    rows, cols = np.mgrid[:240, :320]
+    ridges = 1.0 + 0.4 * np.sin(2.0 * np.pi * (cols * np.cos(0.3) + rows * np.sin(0.3)) / 9.0)
+    grey, colour = (
+        look_at((64 + 1500.0 * ridges * s + noise).astype(np.uint16), i)
+        for s, i in ((1.0, INFO), (seen, info))
+    )
+    assert colour.ridge_deg == pytest.approx(grey.ridge_deg, abs=0.3)
+    assert colour.mean == pytest.approx(grey.mean * seen.mean(), rel=0.01)

@@ -10,6 +10,7 @@ import pytest
 import tifffile
 
 from anisoscope.errors import CameraError, NotConnected, RigFileError
+from anisoscope.rig.bayer import channel_of_pixels
 from anisoscope.rig.camera import Camera
 from anisoscope.rig.cameras import baslersdk
 from anisoscope.rig.cameras.basler import BaslerCamera
@@ -75,6 +76,47 @@ def test_eight_bits(shown):
         np.testing.assert_array_equal(camera.grab(), counts_of() >> 4)
     finally:
         camera.close()
+
+
+@pytest.mark.parametrize(
+    ("pixel_format", "filters"),
+    [
+        ("BayerRG12", "rggb"),
+        ("BayerGR12", "grbg"),
+        ("BayerGB12", "gbrg"),
+        ("BayerBG8", "bggr"),
+        ("Mono12", "mono"),
+    ],
+)
+def test_a_mosaic_comes_as_the_sensor_has_it_with_the_name_of_its_filters(tmp_path, pixel_format, filters):
+    """The maker's emulation puts its own filters before a colour picture; they must be where we say that they are."""
+    levels = np.array([3000, 1500, 600])
+    tifffile.imwrite(tmp_path / "even.tif", np.broadcast_to(levels << 4, (ROWS, COLS, 3)).astype(np.uint16))
+    opened = BaslerCamera.open(
+        serial=FIRST, image_file=tmp_path / "even.tif", width=COLS, height=ROWS, pixel_format=pixel_format
+    )
+    try:
+        opened.configure(0.01, 1.0)
+        counts, info = opened.grab(), opened.info
+    finally:
+        opened.close()
+    assert info.filters == filters
+    if filters == "mono":
+        assert len(np.unique(counts)) == 1
+    else:
+        scale = 2.0 ** (info.bit_depth - 12)
+        np.testing.assert_allclose(counts, levels[channel_of_pixels(filters, (ROWS, COLS))] * scale, atol=1)
+
+
+def test_raw_counts_of_a_mosaic_come_back_one_by_one(shown):
+    opened = BaslerCamera.open(
+        serial=FIRST, image_file=shown, width=COLS, height=ROWS, pixel_format="BayerGR12"
+    )
+    try:
+        opened.configure(0.01, 1.0)
+        np.testing.assert_array_equal(opened.grab(), counts_of())
+    finally:
+        opened.close()
 
 
 def test_settings_are_those_that_the_camera_reports(camera):
@@ -232,7 +274,10 @@ def test_a_camera_that_is_not_there():
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
-        ({"pixel_format": "RGB8"}, "pixel_format: expected Mono12, Mono10, Mono8, not 'RGB8'"),
+        (
+            {"pixel_format": "RGB8"},
+            "pixel_format: expected Mono12, Mono10, Mono8 or .* BayerRG12, not 'RGB8'",
+        ),
         ({"retries": -1}, "retries must be 0 or more"),
         ({"image_file": "no.tif"}, "image_file: there is no file no.tif"),
         ({"width": 5000}, "width: must lie between 1 and 4096 in steps of 1, not 5000"),

@@ -96,6 +96,12 @@ def test_options_that_make_no_sense(folder, options, message):
         FolderCamera.open(**({"folder": folder} | options))
 
 
+def test_the_filters_are_those_of_the_frames(folder, tmp_path):
+    assert FolderCamera.open(folder=folder).info.filters == "mono"
+    write_frame_folder(tmp_path / "colour", [replace(one, filters="bggr") for one in FRAMES])
+    assert FolderCamera.open(folder=tmp_path / "colour").info.filters == "bggr"
+
+
 def test_one_camera_has_one_bit_depth(tmp_path):
     write_frame_folder(tmp_path / "two", [frame(0), frame(1, bit_depth=10)])
     with pytest.raises(RigFileError, match="bit_depth and black_level change from frame to frame"):

@@ -33,6 +33,18 @@ MISTAKES = {
         "fixture": {"marker_mm": 1.0, "markers": [{"id": 1, "x_mm": float(x), "y_mm": 0.0} for x in (0, 1)]}
     },
     "lamp: unknown key": {"lamp": {"drift": 0.1}},
+    "sample: there is a table [sample.print], but the kind is 'ridges': set kind = \"print\"": {
+        "sample": {"print": {"coverage": 0.5}}
+    },
+    "sample.print.substrate: input should be less than or equal to 1, not 1.5": {
+        "sample": {"kind": "print", "print": {"substrate": 1.5}}
+    },
+    "sample.print.wrong_share: input should be less than or equal to 1, not 5": {
+        "sample": {"kind": "print", "print": {"wrong_share": 5}}
+    },
+    "sample.print: wrong_share needs to know which ink it is": {
+        "sample": {"kind": "print", "print": {"wrong_share": 0.05}}
+    },
 }
 
 
@@ -44,6 +56,7 @@ def test_mistakes_are_one_line_that_names_file_and_key(tmp_path, message):
     assert message in text
     assert str(tmp_path / "bench.toml") in text
     assert "\n" not in text
+    assert " more)" not in text
 
 
 def test_another_schema_is_refused(tmp_path):

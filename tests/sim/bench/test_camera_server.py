@@ -3,6 +3,7 @@
 import json
 import socket
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -67,6 +68,18 @@ def test_the_driver_is_the_camera_that_is_served(served):
     assert served.opened[0].closed.wait(10)
     with pytest.raises(NotConnected, match="open it again"):
         camera.grab()
+
+
+def test_a_colour_camera_says_so_through_the_line_and_unknown_filters_are_refused():
+    coloured = CountingCamera()
+    coloured.info = replace(INFO, filters="grbg")
+    with CameraServer(lambda: coloured) as server:
+        camera = open_camera("simulated", port=server.port)
+        assert camera.info.filters == "grbg"
+        camera.close()
+        object.__setattr__(coloured.info, "filters", "rgbw")
+        with pytest.raises(ProtocolError, match="not as a simulated camera does"):
+            open_camera("simulated", port=server.port)
 
 
 def test_clients_have_settings_of_their_own(served):

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from anisoscope.batch.codes import read_codes
+from anisoscope.batch.codes import read_codes, read_picture
 from anisoscope.cli.demo_ridges import FIXTURE
 from anisoscope.errors import RigFileError
+from anisoscope.rig.frame import Frame, write_frame
 from anisoscope.sim.bench.bench import Bench
 from anisoscope.sim.bench.benchfile import BenchFile, CodePart
 from anisoscope.sim.bench.optics import pixel_from_mm
@@ -14,12 +15,12 @@ from anisoscope.sim.bench.partcode import printed
 PLACE = {"x_mm": 1.2, "y_mm": 1.25, "width_mm": 0.8}
 
 
-def bench(code):
+def bench(code, filters="mono"):
     sample = {"kind": "ridges", "size_mm": 0.3} | ({} if code is None else {"code": PLACE | code})
     table = {
         "schema": 1,
         "sample": sample,
-        "sensor": {"rows": 512, "cols": 512, "hot_pixel_share": 0.0},
+        "sensor": {"rows": 512, "cols": 512, "hot_pixel_share": 0.0, "filters": filters},
         "optics": {"pixel_um": 8.0, "electrons": 2.4e7},
         "stage": {"time_scale": 0.0, "zero_deg": 0.0},
         "fixture": FIXTURE,
@@ -44,6 +45,19 @@ def test_the_camera_sees_it_where_it_was_put(code):
     assert (found.kind, found.scan.serial) == (code.get("kind", "datamatrix"), "A17")
     wanted = pixel_from_mm(made.file.optics, made.file.sensor, made.sample_angle_deg) @ [1.2, 1.25, 1.0]
     assert np.mean(found.corners, axis=0) == pytest.approx(wanted, abs=6.0)
+
+
+def test_a_colour_camera_reads_it_as_well(tmp_path):
+    """Small modules and little contrast, behind filters that pass 2.5 times as much as others."""
+    made = bench({"text": "A17", "white": 0.2, "black": 0.08, "turned_deg": 200.0}, "gbrg")
+    counts = made.photograph(0.003, 1.0)
+    frame = Frame(counts, "sample", 12, 64.0, 0.003, 1.0, 0.0, 0.0, 0.0, "", "virtual", "gbrg")
+    write_frame(frame, tmp_path / "a.tif")
+    wanted = pixel_from_mm(made.file.optics, made.file.sensor, 0.0) @ [1.2, 1.25, 1.0]
+    for picture in (frame.grey, read_picture(tmp_path / "a.tif")):
+        (found,) = read_codes(picture)
+        assert found.scan.serial == "A17"
+        assert np.mean(found.corners, axis=0) == pytest.approx(wanted, abs=6.0)
 
 
 def test_the_rest_of_the_picture_is_as_without_it():

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from anisoscope.ink.inkfile import SYNTHETIC, synthetic_ink
+from anisoscope.inkfile import SYNTHETIC, synthetic_ink
 from anisoscope.sim.light.colour.illuminant import standard
 from anisoscope.sim.proof.separation import separation
 

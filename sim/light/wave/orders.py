@@ -1,0 +1,204 @@
+"""Reflectance of a tile of level steps that repeats: its diffraction orders, from one spectrum for every level.
+
+The wave of a stepped surface is one number for every level, exp(−ik·2h_z·z). Its Fourier coefficients over the tile are
+therefore sums of those of the levels' areas, which depend neither on wavelength nor on direction: they are taken once,
+and every further direction, wavelength or depth costs a few multiplications. An order at ω_q with the energy |â_q|²
+shines into the directions that source and aperture allow, so that the blurred power spectrum is Σ|â_q|²·W(ω − ω_q).
+For tiles that repeat this is exact; of a tile that is a window of something larger, the seams count as steps.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.errors import ModelError
+from anisoscope.profiles.etching import Etched
+from anisoscope.sim.light import threads
+from anisoscope.sim.light.wave.halfvectors import HalfVector
+from anisoscope.sim.light.wave.windows import Extent, Window
+
+FloatArray = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complexfloating]
+Bands = npt.NDArray[np.complex64]
+
+REACH = 1.25
+"""Frequencies that are kept, in cycles per µm: half vectors to 0.3 at 500 nm, mirrors tilted by 18°."""
+
+CHORDS = 64
+ROUND = 1.02
+"""Ratio of the axes up to which the smaller of two ellipses, seen as the larger is a circle, counts as a circle."""
+
+
+@dataclass(frozen=True, eq=False)
+class Orders:
+    """Fourier coefficients of the areas of the levels of a tile.
+
+    Attributes:
+        spectra: (K, Y, X) complex64, one for every level; at frequency 0 the share of its area.
+        frequency_x: (X,) rising frequencies in cycles per µm, 0 in the middle.
+        frequency_y: (Y,) likewise.
+    """
+
+    spectra: npt.NDArray[np.complex64]
+    frequency_x: FloatArray
+    frequency_y: FloatArray
+
+    @classmethod
+    def of(cls, tile: Etched, reach: float = REACH, kept: dict[str, Bands] | None = None) -> "Orders":
+        """From an etched tile, its moved edges drawn exactly.
+
+        Args:
+            tile: the tile.
+            reach: largest frequency that is kept, in cycles per µm.
+            kept: spectra of pieces of this tile with this reach; those that are taken are added, so that other widths
+                of it cost little.
+        """
+        rows, cols = tile.labels.shape
+        pixel, levels = tile.pixel_um, len(tile.levels_um)
+        half = [min(int(reach * n * pixel), (n - 1) // 2) for n in (rows, cols)]
+        fy, fx = (np.arange(-m, m + 1) / (n * pixel) for m, n in zip(half, (rows, cols), strict=True))
+        found = np.zeros((levels, fy.size, fx.size), dtype=np.complex64)
+        store = {} if kept is None else kept
+        for piece in tile.pieces():
+            if piece.key not in store:
+                store[piece.key] = _bands(piece.labels, levels, half)
+            form = [
+                size * np.sinc(size * pixel * f) * np.exp(-2j * np.pi * pixel * at * f)
+                for size, at, f in zip(piece.size, piece.middle, (fy, fx), strict=True)
+            ]
+            found[1:] += store[piece.key] * np.outer(*form).astype(np.complex64)
+        found[0] = -found[1:].sum(axis=0)  # all levels together fill the tile: nothing but order 0
+        found[0, half[0], half[1]] += 1.0
+        return cls(found, np.asarray(fx, dtype=np.float64), np.asarray(fy, dtype=np.float64))
+
+    @property
+    def size_um(self) -> tuple[float, float]:
+        """(along y, along x) of the tile."""
+        return 1.0 / float(self.frequency_y[1] - self.frequency_y[0]), 1.0 / float(
+            self.frequency_x[1] - self.frequency_x[0]
+        )
+
+    def around(
+        self, middle: tuple[float, float], half_width: tuple[float, float], phases: ComplexArray
+    ) -> tuple[ComplexArray, FloatArray, FloatArray]:
+        """Amplitudes of the orders near a direction.
+
+        Args:
+            middle: (x, y) frequency in cycles per µm.
+            half_width: how far to go along x and y.
+            phases: (K,) wave of every level.
+
+        Returns:
+            (Y, X) amplitudes, and their frequencies (X,) and (Y,).
+
+        Raises:
+            ModelError: frequencies that were not kept.
+        """
+        cut = []
+        for f, at, wide in zip((self.frequency_x, self.frequency_y), middle, half_width, strict=True):
+            if abs(at) + wide > -f[0]:
+                raise ModelError(
+                    f"a direction at {abs(at) + wide:.2g} cycles per µm lies beyond the {-f[0]:.2g} that this tile is "
+                    "sampled for: tilt less, or take a longer wavelength"
+                )
+            cut.append(
+                slice(int(np.searchsorted(f, at - wide)), int(np.searchsorted(f, at + wide, side="right")))
+            )
+        part = self.spectra[:, cut[1], cut[0]]
+        return np.tensordot(phases, part, axes=1), self.frequency_x[cut[0]], self.frequency_y[cut[1]]
+
+    def density(self, levels_um: FloatArray, half: HalfVector, wavelength_um: float, window: Window) -> float:
+        """Blurred mean power spectrum in one direction as `fused.density`, in µm², of (K,) heights."""
+        middle, wide = half.frequency(wavelength_um), window.half_width(wavelength_um, half.z)
+        waves, fx, fy = self.around(middle, wide, level_phases(levels_um, wavelength_um, half.z))
+        power = waves.real.astype(np.float64) ** 2 + waves.imag.astype(np.float64) ** 2
+        off = fx[None, :] - middle[0], fy[:, None] - middle[1]
+        return float(np.sum(power * window_density(window, *off, wavelength_um)))
+
+
+def _bands(labels: npt.NDArray[np.uint8], levels: int, half: list[int]) -> Bands:
+    """(K − 1, Y, X) Fourier coefficients, to ± half, of the areas of all levels but the first; pixels as points."""
+    from scipy import fft  # noqa: PLC0415 - slow to import
+
+    found = np.zeros((levels - 1, 2 * half[0] + 1, 2 * half[1] + 1), dtype=np.complex64)
+    for number in range(1, levels):
+        area = labels == number
+        if not area.any():
+            continue
+        right = fft.rfft2(area.astype(np.float32), workers=threads.count())[:, : half[1] + 1]
+        right = right[np.arange(-half[0], half[0] + 1)] / np.float32(labels.size)
+        found[number - 1, :, half[1] :] = right
+        found[number - 1, :, : half[1]] = right[::-1, :0:-1].conj()  # of a real picture
+    return found
+
+
+def level_phases(levels_um: FloatArray, wavelength_um: float, h_z: float) -> npt.NDArray[np.complex128]:
+    """(K,) wave exp(−ik·2h_z·z) of every level."""
+    turns = 2.0 * h_z / wavelength_um * np.asarray(levels_um, dtype=np.float64)
+    return np.asarray(np.exp(-2j * np.pi * turns))
+
+
+def window_density(window: Window, x: FloatArray, y: FloatArray, wavelength_um: float) -> FloatArray:
+    """W in µm²: density of the directions that source and aperture spread a line over; its integral is 1.
+
+    The overlap of two ellipses: a closed form where they are alike, as where lamp and lens stand within 11° of each
+    other, else by chords of the smaller one. Off by less than 0.4 % of the top, in the sum over orders far less, and
+    continuous.
+
+    Args:
+        window: two discs, of which one may be a point.
+        x: frequencies from the line, in cycles per µm.
+        y: likewise; broadcast with ``x``.
+        wavelength_um: of the light.
+
+    Raises:
+        ModelError: a window that is a point, a rectangle, or has roughness.
+    """
+    extents = sorted((window.source, window.aperture), key=lambda one: one.size)
+    if extents[1].size == 0.0 or window.slope_variance is not None or any(e.shape != "disc" for e in extents):
+        raise ModelError(
+            "diffraction orders need a lamp or a lens of some size, as discs, and nothing else that blurs"
+        )
+    small, large = (_ellipse(extent, wavelength_um) for extent in extents)
+    into = np.linalg.inv(large)
+    e = [into[k, 0] * x + into[k, 1] * y for k in (0, 1)]
+    area = np.pi * abs(float(np.linalg.det(large)))
+    if extents[0].size == 0.0:
+        return np.asarray((e[0] ** 2 + e[1] ** 2 <= 1.0) / area)
+    b = into @ small
+    long, short = np.linalg.svd(b, compute_uv=False).tolist()
+    if long <= ROUND * short:
+        return _lens(np.hypot(*e), float(np.sqrt(long * short))) / area
+    return _chords(e, b) / area
+
+
+def _lens(apart: FloatArray, radius: float) -> FloatArray:
+    """Share of a circle that lies within the unit circle, their middles apart."""
+    d = np.clip(apart, 1e-12, None)
+    inside = np.where(d <= 1.0 - radius, 1.0, 0.0)
+    cut = (d > 1.0 - radius) & (d < 1.0 + radius)
+    at = d[cut]
+    small = np.clip((at**2 + radius**2 - 1.0) / (2.0 * at * radius), -1.0, 1.0)
+    unit = np.clip((at**2 + 1.0 - radius**2) / (2.0 * at), -1.0, 1.0)
+    sides = (1.0 + radius + at) * (1.0 + radius - at) * (at + radius - 1.0) * (at - radius + 1.0)
+    kite = np.sqrt(np.maximum(sides, 0.0))
+    inside[cut] = (radius**2 * np.arccos(small) + np.arccos(unit) - 0.5 * kite) / (np.pi * radius**2)
+    return inside
+
+
+def _chords(e: list[FloatArray], b: FloatArray) -> FloatArray:
+    """Share of an ellipse, that the matrix b makes of the unit disc, within the unit disc about e."""
+    turn = ((np.arange(CHORDS) + 0.5) * np.pi / CHORDS).reshape(-1, *(1,) * max(np.ndim(one) for one in e))
+    reach, square = np.sin(turn), float(b[:, 1] @ b[:, 1])
+    gx, gy = (e[k] - b[k, 0] * np.cos(turn) for k in (0, 1))
+    middle = (gx * b[0, 1] + gy * b[1, 1]) / square
+    half = np.sqrt(np.maximum(middle**2 - (gx**2 + gy**2 - 1.0) / square, 0.0))
+    chord = np.minimum(middle + half, reach) - np.maximum(middle - half, -reach)
+    return np.asarray(np.sum(np.maximum(chord, 0.0) * reach, axis=0) / CHORDS)
+
+
+def _ellipse(extent: Extent, wavelength_um: float) -> FloatArray:
+    """(2, 2) map from the unit disc to the frequencies that an extent covers."""
+    axes = np.eye(2) if extent.axes is None else extent.axes
+    return np.asarray(0.5 * extent.size / wavelength_um * axes.T)
