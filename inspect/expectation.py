@@ -1,22 +1,20 @@
 """What the part should show: predicted radiances with everything that makes them uncertain (V_model)."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import HeightMapError, RecipeError
-from anisoscope.prediction.mapuncertainty import best_band, relief_model
-from anisoscope.prediction.preparing import AXIS_TOLERANCE_DEG, prepare_relief
+from anisoscope.errors import RecipeError
+from anisoscope.models import Models, models_of, moved_light
+from anisoscope.prediction.etched import EtchedPredictor
 from anisoscope.prediction.propagation import propagate
-from anisoscope.prediction.sensitivity import DARK, InputUncertainty, Model, State, evaluate, fixed
-from anisoscope.profiles.files.load import read_height_map
+from anisoscope.prediction.sensitivity import DARK, InputUncertainty, State, evaluate, fixed
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.recipe import Recipe
 from anisoscope.response import Response, known_inputs, response_of
-from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import Convention, Pose
-from anisoscope.sim.light.material import Material
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -28,6 +26,7 @@ _OF_THE_RECIPE = (
     "light angle",
     "seating tilt about x",
     "seating tilt about y",
+    "zero of the tilt",
 )
 SECOND_ORDER = ", second order"
 NEGLIGIBLE = 5e-4  # of ln L: a quarter of what cameras and lamps leave in a pose at best
@@ -61,7 +60,7 @@ class Expectation:
     """Predicted radiances of the recipe's poses.
 
     Attributes:
-        model: "relief" or "corrected".
+        model: "relief", "corrected" or "wave".
         poses: P poses.
         radiance: (P,) in 1/sr.
         components: sources of uncertainty.
@@ -69,6 +68,7 @@ class Expectation:
         surface: the height map, levelled, or None for a design.
         convention: how the angles are counted.
         response: how ln L bends with the inputs that all poses share, or None where that is not known.
+        optics: rays or waves, and why (`models.Models.optics`).
     """
 
     model: str
@@ -79,6 +79,7 @@ class Expectation:
     surface: HeightMap | None
     convention: Convention
     response: Response | None = None
+    optics: dict[str, Any] | None = None
 
     @property
     def alone(self) -> tuple[Component, ...]:
@@ -104,35 +105,90 @@ def expectation(recipe: Recipe, light_angle_deg: float) -> Expectation:
     """
     recipe, poses = recipe.deciding(), recipe.poses.poses()
     convention = Convention(light_angle_deg, facet_azimuth_deg=recipe.poses.facet_azimuth_deg)
-    model, sampled, surface, name = _models(recipe)
+    made = models_of(recipe, poses, convention)
     nominal = State(recipe.material.material(), light_angle_deg)
-    radiance = evaluate(fixed(model), [nominal], poses, convention)[0]
+    radiance = evaluate(fixed(made.model), [nominal], poses, convention)[0]
     black = [pose for pose, value in zip(poses, radiance, strict=True) if not value > DARK]
     if black:
         raise RecipeError(
             f"material: at {black[0].stage_deg:g}°, tilt {black[0].tilt_deg:g}°, no light of this part is predicted to "
             "reach the camera, so that no contrast is defined: correct albedo and roughness, or leave the pose out"
         )
-    budget = propagate(
-        fixed(sampled), nominal, poses, convention, recipe_uncertainty(recipe), radiance=radiance
-    )
+    inputs = recipe_uncertainty(recipe)
+    budget = propagate(fixed(made.sampled), nominal, poses, convention, inputs, radiance=radiance)
     components = [
         Component(c.source, c.kind, c.absolute / radiance, shared=True)
         for c in budget.contributions
-        if c.source in _OF_THE_RECIPE
+        if c.source in _OF_THE_RECIPE and (np.any(c.absolute) or not _may_be_left_out(c.source, recipe))
     ]
     per_u = {c.source: c.relative for c in components if np.any(c.relative)}
     straight = {source: per_u[source] for source in known_inputs(tuple(per_u))}
-    inputs = recipe_uncertainty(recipe)
-    response = response_of(sampled, nominal, poses, convention, inputs, straight) if straight else None
+    response = response_of(made.sampled, nominal, poses, convention, inputs, straight) if straight else None
     components += _second_order(response)
-    if surface is not None:
-        # about one pixel of facet is lost a pitch where a wall is narrower than a pixel; a rectangular bound
-        pixel = surface.pixel_x_um / recipe.surface.pitch_um / np.sqrt(3.0)
-        share = np.full(len(poses), np.hypot(recipe.uncertainty.height_map_share, pixel))
-        components.append(Component("height map (noise, pixel size)", "prediction", share, shared=False))
+    components += _of_the_model(recipe, made, radiance, nominal, convention)
     per_degree = budget.per_degree / radiance
-    return Expectation(name, poses, radiance, tuple(components), per_degree, surface, convention, response)
+    return Expectation(
+        made.name,
+        poses,
+        radiance,
+        tuple(components),
+        per_degree,
+        made.surface,
+        convention,
+        response,
+        made.optics,
+    )
+
+
+def _may_be_left_out(source: str, recipe: Recipe) -> bool:
+    """Does a source that adds nothing not belong to this recipe at all?"""
+    return recipe.is_wafer or source == "zero of the tilt"
+
+
+def _of_the_model(
+    recipe: Recipe, made: Models, radiance: FloatArray, nominal: State, convention: Convention
+) -> list[Component]:
+    """What the surface and its optics add: a height map, an etched tile with its light, neglected or computed waves."""
+    found = []
+    if recipe.is_wafer:
+        assert isinstance(made.model, EtchedPredictor)
+        found += _of_the_wafer(recipe, made.model, radiance, nominal, convention)
+    elif made.surface is not None:
+        # about one pixel of facet is lost a pitch where a wall is narrower than a pixel; a rectangular bound
+        pixel = made.surface.pixel_x_um / recipe.surface.pitch_um / np.sqrt(3.0)
+        share = np.full(len(radiance), np.hypot(recipe.uncertainty.height_map_share, pixel))
+        found.append(Component("height map (noise, pixel size)", "prediction", share, shared=False))
+    if made.numerical > 0.0:
+        share = np.full(len(radiance), made.numerical)
+        found.append(Component("numerical error of the wave model", "prediction", share, shared=False))
+    if made.neglected_per_sr is not None:
+        share = made.neglected_per_sr / np.sqrt(3.0) / radiance  # a bound, anywhere within it
+        found.append(Component("waves, neglected by rays", "prediction", share, shared=False))
+    return found
+
+
+def _of_the_wafer(
+    recipe: Recipe, wafer: EtchedPredictor, radiance: FloatArray, nominal: State, convention: Convention
+) -> list[Component]:
+    """What good etching and the stated lamp and lens leave open; every source shared by all poses."""
+    assert recipe.light is not None
+    poses, told = recipe.poses.poses(), recipe.uncertainty
+    cases = moved_light(recipe.light, wafer.light)
+    pairs = [(name, wafer.under(low), wafer.under(high)) for name, low, high in cases]
+    if (deep := told.etch_depth_nm) > 0.0:
+        pairs.append(("depth of the etch passes", wafer.with_depths(-deep), wafer.with_depths(deep)))
+    if (wide := told.etch_width_nm) > 0.0:
+        pairs.append(("width of the etched features", wafer.with_widths(-wide), wafer.with_widths(wide)))
+    found = []
+    for name, below, above in pairs:
+        low, high = (
+            np.log(evaluate(fixed(end), [nominal], poses, convention)[0] / radiance) for end in (below, above)
+        )
+        found.append(Component(name, "prediction", 0.5 * (high - low), shared=True))
+        bend = np.sqrt(3.0) * 0.5 * (high + low)  # root mean square of z² for a normal z
+        if np.abs(bend).max() > NEGLIGIBLE:
+            found.append(Component(f"{name}, beyond the slope", "prediction", bend, shared=True))
+    return found
 
 
 def _second_order(response: Response | None) -> list[Component]:
@@ -164,27 +220,6 @@ def recipe_uncertainty(recipe: Recipe) -> InputUncertainty:
         index=part.u_index,
         light_angle_deg=rig.light_angle_deg,
         seating_tilt_deg=rig.seating_tilt_deg,
+        tilt_zero_deg=rig.tilt_deg,
         height_map_share=rig.height_map_share,
     )
-
-
-def _models(recipe: Recipe) -> tuple[Model, Model, HeightMap | None, str]:
-    """The predictor, a cheaper one for the sensitivities, the surface, and the model's name."""
-    if recipe.surface.design is not None:
-        design = recipe.surface.ridge_design()
-
-        def ideal(to_light: FloatArray, to_camera: FloatArray, material: Material) -> FloatArray:
-            return corrected.radiance(to_light, to_camera, design, material)
-
-        return ideal, ideal, None, "corrected"
-    assert recipe.surface.height_map is not None
-    surface = read_height_map(
-        recipe.surface.height_map, pixel_um=recipe.surface.pixel_um, role=recipe.surface.role
-    )
-    relief, period = prepare_relief(surface, recipe.surface.pitch_um)
-    if abs(period.direction_deg) > AXIS_TOLERANCE_DEG:
-        raise HeightMapError(
-            f"{recipe.surface.height_map}: the ridges run {period.direction_deg:+.1f}° from the map's y axis (limit "
-            f"{AXIS_TOLERANCE_DEG:g}°): turn the part on the profilometer and measure again, or turn the map there"
-        )
-    return relief_model(relief), relief_model(best_band(relief)), relief.surface, "relief"

@@ -3,14 +3,17 @@
 What cannot be told becomes a note: the causes are computed from models and kept on disk, and neither may fail a part.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from anisoscope.decision import Decision
 from anisoscope.diagnosis.diagnosing import NOTHING, Diagnosis, diagnose
-from anisoscope.diagnosis.evidence import Evidence, background_of, covariance_of, inputs_of
+from anisoscope.diagnosis.evidence import Evidence, against, background_of, covariance_of, inputs_of
 from anisoscope.diagnosis.remembering import remembered_signatures
 from anisoscope.errors import AnisoscopeError
 from anisoscope.expectation import Expectation
+from anisoscope.golden import GoldenSet
 from anisoscope.measurement import Measured
 from anisoscope.progress import Advance, silent
 from anisoscope.recipe import Recipe
@@ -21,7 +24,12 @@ TIES_SAID = 3  # in one line; the table of causes has all
 
 
 def explain(
-    recipe: Recipe, expected: Expectation, measured: Measured, decision: Decision, advance: Advance = silent
+    recipe: Recipe,
+    expected: Expectation,
+    measured: Measured,
+    decision: Decision,
+    advance: Advance = silent,
+    golden: GoldenSet | None = None,
 ) -> tuple[DiagnosisRecord, str | None]:
     """Rank the causes where the part deviates or did not pass; else there is nothing to explain.
 
@@ -31,6 +39,7 @@ def explain(
         measured: the measurement.
         decision: the verdict, which stands.
         advance: told of every signature that is computed for the first time.
+        golden: the golden parts that decided what deviates, or None.
 
     Returns:
         The diagnosis, and a note where there is none although there should be.
@@ -39,24 +48,31 @@ def explain(
         return DiagnosisRecord(says="nothing: the part is as it should be"), None
     try:
         known = remembered_signatures(recipe, expected.convention.light_angle_deg, advance)
-        found = diagnose(known, evidence_of(recipe, expected, measured, decision))
+        found = diagnose(known, evidence_of(recipe, expected, measured, decision, golden))
     except (AnisoscopeError, ArithmeticError, ValueError, np.linalg.LinAlgError) as problem:
         return DiagnosisRecord(says="not possible"), f"no diagnosis: {problem}"
     return _recorded(found, recipe), None
 
 
-def evidence_of(recipe: Recipe, expected: Expectation, measured: Measured, decision: Decision) -> Evidence:
-    """What the causes are weighed by: ln L against the prediction, and the share of cells that deviate."""
-    deviation = np.log(measured.radiance / expected.radiance)
-    covariance = covariance_of(
-        expected.components + measured.components, recipe.uncertainty.scale_share, len(deviation)
-    )
-    area = decision.area
-    inputs = inputs_of(recipe, expected, measured.components)
-    if area is None:
-        return Evidence(deviation, covariance, inputs=inputs)
-    background = background_of(area.max_share)
-    return Evidence(deviation, covariance, area.share, area.u, *background, inputs)
+def evidence_of(
+    recipe: Recipe,
+    expected: Expectation,
+    measured: Measured,
+    decision: Decision,
+    golden: GoldenSet | None = None,
+) -> Evidence:
+    """What the causes are weighed by: ln L over golden parts, else over the prediction, and the share of the area."""
+    scale_share, predicted = recipe.uncertainty.scale_share, np.log(expected.radiance)
+    deviation = np.log(measured.radiance) - predicted
+    covariance = covariance_of(expected.components + measured.components, scale_share, len(deviation))
+    found = Evidence(deviation, covariance, inputs=inputs_of(recipe, expected, measured.components))
+    if (area := decision.area) is not None:
+        mean, u = background_of(area.max_share)
+        found = replace(found, share=area.share, u_share=area.u, background=mean, u_background=u)
+    if golden is None:
+        return found
+    shown = np.array([part.log_radiance for part in golden.parts]) - predicted
+    return against(found, shown, scale_share)
 
 
 def _recorded(found: Diagnosis, recipe: Recipe) -> DiagnosisRecord:

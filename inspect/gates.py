@@ -34,8 +34,8 @@ STILL_CELLS = 8.0
 DEFAULT_CELL_DEVIATION = 0.3
 
 
-def check_views(views: list[View], recipe: Recipe) -> None:
-    """Gates of the pictures, as far as markers show it.
+def check_views(views: list[View], recipe: Recipe | None = None) -> None:
+    """Gates of the pictures, as far as markers show it; without a recipe they need not resolve a pitch.
 
     Raises:
         RegistrationError: the arm stands at another tilt than it says.
@@ -65,14 +65,14 @@ def check_tilt(view: View) -> None:
     )
 
 
-def check_sharpness(view: View, first: View, recipe: Recipe) -> None:
+def check_sharpness(view: View, first: View, recipe: Recipe | None = None) -> None:
     """Are the markers' edges as sharp as in the first pose, and sharp enough for the cells of the contrast map?"""
     blur, usual = view.placement.blur_px, first.placement.blur_px
     if blur is None or usual is None:
         return
     blur_um = blur * view.placement.pixel_um
-    limit_um = BLUR_PITCHES * recipe.surface.pitch_um
-    if recipe.area is not None and blur_um > limit_um:
+    limit_um = np.inf if recipe is None else BLUR_PITCHES * recipe.surface.pitch_um
+    if recipe is not None and recipe.area is not None and blur_um > limit_um:
         raise MeasurementError(
             f"at {view.stage_deg:g}° the picture is out of focus: the markers' edges are smeared by {blur_um:.1f} µm "
             f"(limit {limit_um:g} µm, a quarter of a pitch): focus again, and clean the lens"
@@ -104,6 +104,8 @@ def check_part(views: list[View], measured: Measured, recipe: Recipe) -> None:
         MeasurementError: the ridges are not those of the recipe, or run elsewhere.
         CalibrationError: something stays in its place in the picture while the part turns.
     """
+    if recipe.is_wafer:  # no ridges, and the grain of its tile is alike wherever the tile repeats
+        return
     check_ridges(measured.aligned, measured.grid, recipe)
     rule = recipe.area.cell_deviation if recipe.area is not None else DEFAULT_CELL_DEVIATION
     check_dirt(views, measured, 0.5 * rule)

@@ -22,8 +22,8 @@ def insight(
     job: Job, expected: Expectation, measured: Measured, decision: Decision, advance: Advance
 ) -> dict[str, Any]:
     """Fields of the record that explain a verdict and never change it."""
-    recipe = job.recipe
-    diagnosis, unexplained = explain(recipe, expected, measured, decision, advance)
+    recipe = job.ridged
+    diagnosis, unexplained = explain(recipe, expected, measured, decision, advance, known_good(job))
     comparisons, reading, lost = compare(recipe, expected, measured)
     shape, unfitted = fit_shape(recipe, expected, measured)
     placed, unplaced = match_map(recipe, expected, measured)

@@ -15,6 +15,9 @@ from anisoscope.jobfile import JobFile, begin, one_round_more, reopen
 from anisoscope.judging import judge
 from anisoscope.keptprediction import kept_expectation
 from anisoscope.linear import check_size
+from anisoscope.prints.expecting import PrintExpectation
+from anisoscope.prints.light import expectation_of_print
+from anisoscope.prints.recipe import PrintRecipe
 from anisoscope.progress import Advance, silent
 from anisoscope.record import RECORD_NAME, Particulars, Record, write_record
 from anisoscope.report.inspection_page import Pictures, start_renderer, write_report
@@ -228,7 +231,7 @@ def _settled(made: JobFile, job: Job, judged: Judged) -> bool:
 class Ready:
     """What is there before the frames: the prediction, the drawings of the height map in work, and the lot."""
 
-    expected: Expectation
+    expected: Expectation | PrintExpectation
     renderer: SurfaceView | None
     lot_mates: Sequence[LotMate] = ()
 
@@ -238,10 +241,14 @@ def expecting(job: Job, advance: Advance, lot_mates: Sequence[LotMate] = ()) -> 
     """Predict the poses of a job, and let the height map be drawn meanwhile; leaving ends the drawing.
 
     Raises:
-        HeightMapError, RecipeError: nothing can be predicted.
+        HeightMapError, RecipeError, InkFileError: nothing can be predicted.
     """
     advance("prediction", 0, 1)
-    expected = kept_expectation(job.recipe, job.rig.light.angle_deg)
+    expected: Expectation | PrintExpectation
+    if isinstance(job.recipe, PrintRecipe):
+        expected = expectation_of_print(job.recipe, job.rig)
+    else:
+        expected = kept_expectation(job.recipe, job.rig.light.angle_deg)
     renderer = start_renderer(expected.surface)
     try:
         yield Ready(expected, renderer, lot_mates)

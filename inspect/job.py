@@ -11,7 +11,9 @@ from anisoscope.calibration.whitereference import read_reference
 from anisoscope.errors import CalibrationError, HeightMapError, RigFileError, UsageError
 from anisoscope.golden import GoldenSet, golden_path, read_golden
 from anisoscope.linear import WhiteReference
-from anisoscope.recipe import Recipe, read_recipe
+from anisoscope.prints.light import check_print_rig, print_files
+from anisoscope.prints.recipe import AnyRecipe, PrintRecipe, read_any_recipe
+from anisoscope.recipe import Recipe
 from anisoscope.record import sha256_of
 from anisoscope.registration.placement import check_fixture
 from anisoscope.rig.acquisition.plan import Plan, Pose
@@ -34,6 +36,13 @@ Role = Literal[
     "linearity record",
     "rotation record",
     "check record",
+    "ink",
+    "wrong ink 1",
+    "wrong ink 2",
+    "wrong ink 3",
+    "wrong ink 4",
+    "lamp spectrum",
+    "sensitivities",
 ]
 
 
@@ -62,13 +71,26 @@ class Job:
     """
 
     serial: str
-    recipe: Recipe
+    recipe: AnyRecipe
     rig: RigFile
     fixture: Fixture | None
     white: WhiteReference
     sources: tuple[Source, ...]
     golden: GoldenSet | None = None
     calibrations: Calibrations = field(default_factory=Calibrations)
+
+    @property
+    def ridged(self) -> Recipe:
+        """The recipe of a part with a surface.
+
+        Raises:
+            UsageError: it is that of a print.
+        """
+        if isinstance(self.recipe, PrintRecipe):
+            raise UsageError(
+                f"{self.recipe.product}: this works with recipes of surfaces, not with those of prints"
+            )
+        return self.recipe
 
     def plan(self) -> Plan:
         """What is to be photographed."""
@@ -112,13 +134,13 @@ def prepare(recipe_path: Path, rig_path: Path, serial: str, *, without: Kind | N
         RecipeError, RigFileError, HeightMapError, CalibrationError: a file that is missing or wrong.
     """
     check_serial(serial)
-    recipe, rig = read_recipe(recipe_path), read_rig(rig_path)
+    recipe, rig = read_any_recipe(recipe_path), read_rig(rig_path)
     white_path, fixture = flat_of(rig, rig_path), fixture_of(rig, rig_path)
     assert rig.calibration is not None
     calibrations = read_calibrations(rig.calibration, without)
     white = read_reference(white_path)
     sources = (
-        *sources_of(recipe_path, rig_path, recipe),
+        *sources_of(recipe_path, rig_path, recipe, rig),
         Source("white reference", white_path, white.sha256),
         *sources_of_calibrations(calibrations),
     )
@@ -133,13 +155,18 @@ def sources_of_calibrations(calibrations: Calibrations) -> tuple[Source, ...]:
     )
 
 
-def sources_of(recipe_path: Path, rig_path: Path, recipe: Recipe) -> tuple[Source, ...]:
-    """Recipe, rig file, height map and golden parts with their hashes.
+def sources_of(recipe_path: Path, rig_path: Path, recipe: AnyRecipe, rig: RigFile) -> tuple[Source, ...]:
+    """Recipe, rig file and what they name: height map and golden parts, or inks and spectra; with their hashes.
 
     Raises:
         HeightMapError: the height map is missing.
+        RigFileError: the rig file lacks what a print needs.
     """
     files: list[tuple[Role, Path]] = [("recipe", recipe_path), ("rig", rig_path)]
+    if isinstance(recipe, PrintRecipe):
+        check_print_rig(rig, rig_path)
+        files += [(cast("Role", role), path) for role, path in print_files(recipe, rig).items()]
+        return tuple(Source(role, path, sha256_of(path)) for role, path in files)
     if recipe.surface.height_map is not None:
         files.append(("height map", check_map(recipe.surface.height_map)))
     if golden_path(recipe_path).is_file():
@@ -147,13 +174,13 @@ def sources_of(recipe_path: Path, rig_path: Path, recipe: Recipe) -> tuple[Sourc
     return tuple(Source(role, path, sha256_of(path)) for role, path in files)
 
 
-def known_good(recipe_path: Path, recipe: Recipe) -> GoldenSet | None:
-    """The golden parts beside a recipe, or None.
+def known_good(recipe_path: Path, recipe: AnyRecipe) -> GoldenSet | None:
+    """The golden parts beside a recipe, or None; a print has none.
 
     Raises:
         CalibrationError: their file is damaged, or belongs to another recipe.
     """
-    return read_golden(golden_path(recipe_path), recipe)
+    return None if isinstance(recipe, PrintRecipe) else read_golden(golden_path(recipe_path), recipe)
 
 
 def check_map(path: Path) -> Path:

@@ -17,7 +17,8 @@ from anisoscope.errors import AnisoscopeError, RecordError, UsageError
 from anisoscope.folder import INPUTS, JOB
 from anisoscope.golden import read_golden
 from anisoscope.job import Job, Role, Source, fixture_of
-from anisoscope.recipe import read_recipe
+from anisoscope.prints.light import from_copies
+from anisoscope.prints.recipe import PrintRecipe, read_any_recipe
 from anisoscope.record import InputFile, Particulars, sha256_of
 from anisoscope.rig.acquisition.plan import Plan
 from anisoscope.rig.acquisition.writer import FRAMES
@@ -165,16 +166,20 @@ def reopen(folder: Path) -> tuple[JobFile, Job]:
     missing = {"recipe", "rig", "white reference"} - paths.keys()
     if missing:
         raise RecordError(f"{folder / JOB} is damaged: it names no {min(missing)}")
-    recipe = read_recipe(paths["recipe"])
-    if "height map" in paths:
+    recipe = read_any_recipe(paths["recipe"])
+    if "height map" in paths and not isinstance(recipe, PrintRecipe):
         surface = recipe.surface.model_copy(update={"height_map": paths["height map"]})
         recipe = recipe.model_copy(update={"surface": surface})
     here = Path(made.rig_folder)
     rig = read_rig(paths["rig"], here=here) if made.origin == "rig" else read_replay_rig(paths["rig"])
     rig = rig.model_copy(update={"calibration": CalibrationPart(flat=paths["white reference"])})
+    if isinstance(recipe, PrintRecipe):
+        recipe, rig = from_copies(recipe, rig, {str(role): path for role, path in paths.items()})
     white = read_reference(paths["white reference"])
     sources = tuple(Source(copy.role, folder / copy.name, copy.sha256) for copy in made.inputs)
-    golden = read_golden(paths["golden parts"], recipe) if "golden parts" in paths else None
+    golden = None
+    if "golden parts" in paths and not isinstance(recipe, PrintRecipe):
+        golden = read_golden(paths["golden parts"], recipe)
     calibrations = calibrations_of({str(role): path for role, path in paths.items()})
     white, fixture = calibrations.white(white), fixture_of(rig, paths["rig"])
     return made, Job(made.serial, recipe, rig, fixture, white, sources, golden, calibrations)

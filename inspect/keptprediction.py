@@ -20,6 +20,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 import anisoscope.expectation as expectation_module
+import anisoscope.models as models_module
 import anisoscope.response as response_module
 from anisoscope import prediction, profiles
 from anisoscope.atomicfile import write_bytes
@@ -32,7 +33,7 @@ from anisoscope.response import Response
 from anisoscope.sim import light
 from anisoscope.sim.light.geometry import Convention
 
-FORMAT = 1
+FORMAT = 2
 KEPT = 4
 DAMAGED = (OSError, KeyError, ValueError, TypeError, EOFError, BadZipFile, AnisoscopeError)
 """What reading a file that is missing or was cut off ends with."""
@@ -88,6 +89,7 @@ def _key(recipe: Recipe, light_angle_deg: float) -> str:
         "material": recipe.material.model_dump(mode="json"),
         "poses": recipe.poses.model_dump(mode="json"),
         "uncertainty": recipe.uncertainty.model_dump(mode="json"),
+        "light": recipe.light and recipe.light.model_dump(mode="json"),
         "light_angle_deg": light_angle_deg,
     }
     return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:32]
@@ -97,7 +99,7 @@ def _key(recipe: Recipe, light_angle_deg: float) -> str:
 def _code() -> str:
     """Hash of the sources that a prediction comes from."""
     digest = hashlib.sha256()
-    for module in (expectation_module, response_module, prediction, profiles, light):
+    for module in (expectation_module, models_module, response_module, prediction, profiles, light):
         home = Path(str(module.__file__))
         for file in sorted(home.parent.rglob("*.py")) if home.name == "__init__.py" else (home,):
             digest.update(file.name.encode() + b"\0" + file.read_bytes())
@@ -111,6 +113,7 @@ def packed(found: Expectation) -> bytes:
         "components": [(one.source, one.kind, one.shared) for one in found.components],
         "sources": None if found.response is None else found.response.sources,
         "origin": None if found.surface is None else found.surface.origin,
+        "optics": found.optics,
     }
     arrays = {
         "told": np.frombuffer(json.dumps(told).encode(), dtype=np.uint8),
@@ -150,4 +153,5 @@ def _unpacked(data: bytes, recipe: Recipe, light_angle_deg: float) -> Expectatio
             surface,
             Convention(light_angle_deg, facet_azimuth_deg=recipe.poses.facet_azimuth_deg),
             response,
+            told["optics"],
         )

@@ -178,6 +178,7 @@ class WhiteReference:
         taken_at: UTC time.
         reflectance: reflectance of the tile.
         sha256: hash of the file.
+        filters: the colour filters on the camera's pixels; every pixel has the scale of its own one.
     """
 
     signal: Image
@@ -186,6 +187,7 @@ class WhiteReference:
     taken_at: str
     reflectance: float
     sha256: str
+    filters: str = "mono"
 
     @cached_property
     def unlit(self) -> Mask:

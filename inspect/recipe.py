@@ -1,8 +1,9 @@
 """The recipe: what a part should look like, how it is photographed, and how it is judged."""
 
+import tomllib
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -12,9 +13,11 @@ from anisoscope.rig.acquisition.plan import LEAST_STEP
 from anisoscope.sim.light.geometry import Pose, pose_grid
 from anisoscope.sim.light.material import Material
 from anisoscope.tomlfile import LocalPath, NotNegative, Part, Positive, Share, read_toml_model
+from anisoscope.wafertables import CERTAIN, MIRROR, LightPart
 
 ContrastKind = Literal["log_ratio", "michelson", "difference"]
 Surface = Literal["height_map", "design"]
+AskedOptics = Literal["auto", "geometric", "wave"]
 
 
 class DesignPart(Part):
@@ -27,8 +30,10 @@ class DesignPart(Part):
 class SurfacePart(Part):
     """What the part is compared with: a measured height map, an ideal design, or both.
 
-    ``pitch_um`` is needed in all cases: the contrast map is evaluated over whole pitches. Of both, ``compare`` says
-    which one decides; the other is compared with as well.
+    ``pitch_um`` is needed in all cases: means and the contrast map are taken over whole pitches. Of a wafer it is the
+    side of the tile that repeats, and ``height_map`` is that tile. Of both surfaces, ``compare`` says which one
+    decides; the other is compared with as well. ``optics`` says how light is predicted: "auto" takes rays or waves,
+    whichever is right, "geometric" and "wave" insist.
     """
 
     pitch_um: Positive
@@ -37,6 +42,7 @@ class SurfacePart(Part):
     role: Literal["part", "tool"] = "part"
     design: DesignPart | None = None
     compare: Surface | None = None
+    optics: AskedOptics = "auto"
 
     @model_validator(mode="after")
     def _something_decides(self) -> Self:
@@ -69,7 +75,11 @@ class SurfacePart(Part):
 
 
 class MaterialPart(Part):
-    """The plastic, with standard uncertainties: relative for the roughness, absolute for the rest."""
+    """The plastic, with standard uncertainties: relative for the roughness, absolute for the rest.
+
+    With ``reflectance`` it is a mirror instead, such as a coated wafer: of the light that falls on it this share is
+    reflected, whatever the angle, and the share ``albedo`` of that is scattered everywhere.
+    """
 
     alpha_along: Positive
     alpha_across: Positive
@@ -79,6 +89,14 @@ class MaterialPart(Part):
     u_alpha_share: Share = 0.05
     u_albedo: NotNegative = 0.01
     u_index: NotNegative = 0.01
+    reflectance: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_a_mirror(cls, table: Any) -> Any:  # noqa: ANN401
+        if isinstance(table, dict) and table.get("reflectance") is not None:
+            return {**MIRROR, **CERTAIN, **table}
+        return table
 
     def material(self) -> Material:
         """The material of the reflectance model."""
@@ -181,7 +199,10 @@ class LimitsPart(Part):
 
 
 class RigUncertainty(Part):
-    """Standard uncertainties of the rig that one inspection cannot see."""
+    """Standard uncertainties of the rig that one inspection cannot see.
+
+    ``tilt_deg`` is of the zero of the tilt; ``etch_…`` are of good wafers: depth of the passes, width of features.
+    """
 
     light_angle_deg: NotNegative = 0.1
     stage_deg: NotNegative = 0.05
@@ -191,6 +212,9 @@ class RigUncertainty(Part):
     linearity_share: NotNegative = 0.001
     stray_radiance: NotNegative = 0.0003
     height_map_share: NotNegative = 0.01
+    tilt_deg: NotNegative = 0.0
+    etch_depth_nm: NotNegative = 1.0
+    etch_width_nm: NotNegative = 20.0
 
 
 class Recipe(Part):
@@ -208,6 +232,7 @@ class Recipe(Part):
     area: AreaPart | None = AreaPart()
     limits: LimitsPart = LimitsPart()
     uncertainty: RigUncertainty = RigUncertainty()
+    light: LightPart | None = None
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
@@ -218,7 +243,38 @@ class Recipe(Part):
         smallest_mm = 2.0 * self.surface.pitch_um / 1000.0
         if min(self.region.size_mm) < smallest_mm:
             raise ValueError(f"region.size_mm must span at least two pitches ({smallest_mm:g} mm)")
+        if self.is_wafer:
+            self._check_wafer()
         return self
+
+    def _check_wafer(self) -> None:
+        if self.area is not None and "area" in self.model_fields_set:
+            raise ValueError(
+                "area compares cells along the flanks of ridges: leave [area] out for a wafer (material.reflectance)"
+            )
+        object.__setattr__(self, "area", None)  # the default is one for ridges
+        if self.surface.height_map is None or self.surface.design is not None:
+            raise ValueError(
+                "surface: a wafer (material.reflectance) is compared with a height_map of the tile that repeats on it; "
+                "`anisoscope design height` makes one of a design, a layout or a mask"
+            )
+        if self.surface.optics == "geometric":
+            raise ValueError(
+                'surface.optics: rays know nothing of level steps; take "auto" or "wave" for a wafer'
+            )
+        if (
+            self.light is None
+            or not max(self.light.lamp_half_angle_deg, self.light.aperture_half_angle_deg) > 0.0
+        ):
+            raise ValueError(
+                "light: what a wafer shows depends on lamp and lens: give lamp_half_angle_deg and "
+                "aperture_half_angle_deg, and wavelength_nm"
+            )
+
+    @property
+    def is_wafer(self) -> bool:
+        """The part is a mirror with steps, which waves only can predict."""
+        return self.material.reflectance is not None
 
     def tolerances(self) -> tuple[float, ...] | None:
         """One tolerance a pair, or None."""
@@ -238,12 +294,23 @@ class Recipe(Part):
         return self.against(self.surface.decides) if self.surface.both else self
 
 
+def is_print(path: Path) -> bool:
+    """Is this the recipe of a print, with a [print] table? What is wrong with a file shows when it is read."""
+    try:
+        return "print" in tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except (OSError, ValueError):
+        return False
+
+
 def read_recipe(path: Path) -> Recipe:
     """Read a recipe; ``${here}`` in it stands for its own folder.
 
     Raises:
-        RecipeError: the file is missing or wrong; the message names file, key and what is expected.
+        RecipeError: the file is missing or wrong, or the recipe of a print; the message names file, key and what is
+            expected.
     """
+    if is_print(path):
+        raise RecipeError(f"{path}: the recipe of a print; this works with recipes of surfaces only")
     recipe = read_toml_model(
         path, Recipe, error=RecipeError, substitutions={"here": str(path.resolve().parent)}
     )

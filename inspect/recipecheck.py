@@ -9,7 +9,7 @@ import numpy.typing as npt
 from anisoscope.decision import BudgetRow, contrast_gradient
 from anisoscope.diagnosis.evidence import background_of
 from anisoscope.diagnosis.remembering import remembered_signatures
-from anisoscope.diagnosis.separability import Separability, planned_covariance, separability
+from anisoscope.diagnosis.separability import Separability, planned_covariance, planned_inputs, separability
 from anisoscope.diagnosis.signatures import Signatures
 from anisoscope.expectation import Expectation, expectation
 from anisoscope.progress import Advance, silent
@@ -95,7 +95,11 @@ def check_recipe(
     with_map = recipe.area is not None
     u_background = 0.0 if recipe.area is None else background_of(recipe.area.max_share)[1]
     causes = separability(
-        known, planned_covariance(recipe, expected), with_map=with_map, u_background=u_background
+        known,
+        planned_covariance(recipe, expected),
+        with_map=with_map,
+        u_background=u_background,
+        inputs=planned_inputs(recipe, expected),
     )
     new = [tilt for tilt in tries if tilt not in recipe.poses.tilts_deg]
     advice = _advice(recipe, light_angle_deg, new, advance) if new and _lacking(causes) else ()
@@ -171,12 +175,17 @@ def _advice(
         expectation(wide, light_angle_deg),
     )
     covariance, with_map = planned_covariance(wide, expected), recipe.area is not None
+    inputs = planned_inputs(wide, expected)
     u_background = 0.0 if recipe.area is None else background_of(recipe.area.max_share)[1]
 
     def told(chosen: Sequence[float]) -> tuple[Separability, ...]:
         kept = [k for k, pose in enumerate(known.poses) if pose.tilt_deg in chosen]
         return separability(
-            _of(known, kept), covariance[np.ix_(kept, kept)], with_map=with_map, u_background=u_background
+            _of(known, kept),
+            covariance[np.ix_(kept, kept)],
+            with_map=with_map,
+            u_background=u_background,
+            inputs=None if inputs is None else inputs.of(kept),
         )
 
     before = told(recipe.poses.tilts_deg)
@@ -190,7 +199,10 @@ def _of(known: Signatures, kept: list[int]) -> Signatures:
         known,
         poses=tuple(known.poses[k] for k in kept),
         radiance=known.radiance[kept],
-        found=tuple(replace(one, change=one.change[:, kept]) for one in known.found),
+        found=tuple(
+            replace(one, change=one.change[:, kept], tangents=one.tangents and one.tangents.of(kept))
+            for one in known.found
+        ),
     )
 
 

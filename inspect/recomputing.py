@@ -7,10 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from anisoscope.errors import RecordError
-from anisoscope.expectation import expectation
+from anisoscope.expectation import Expectation, expectation
 from anisoscope.folder import JOB
 from anisoscope.jobfile import reopen
 from anisoscope.judging import judge
+from anisoscope.prints.expecting import PrintExpectation
+from anisoscope.prints.light import expectation_of_print
+from anisoscope.prints.recipe import PrintRecipe
 from anisoscope.progress import Advance, silent
 from anisoscope.record import Record, read_record
 from anisoscope.taken import read_taken
@@ -59,7 +62,11 @@ def recompute(folder: Path, on_progress: Advance = silent) -> Recomputed:
         )
     made, job = reopen(folder)
     on_progress("prediction", 0, 1)
-    expected = expectation(job.recipe, job.rig.light.angle_deg)
+    expected: Expectation | PrintExpectation
+    if isinstance(job.recipe, PrintRecipe):
+        expected = expectation_of_print(job.recipe, job.rig)
+    else:
+        expected = expectation(job.recipe, job.rig.light.angle_deg)
     on_progress("measurement", 0, 1)
     record, _ = judge(made, job, expected, read_taken(folder, made), on_progress)
     # what an earlier version did not tell is not there to be compared

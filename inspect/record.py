@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from anisoscope.atomicfile import write_text
 from anisoscope.errors import RecordError
+from anisoscope.prints.record import PrintRecord
 
 RECORD_NAME = "record.json"
 UNSEALED = "0" * 64
@@ -177,6 +178,23 @@ class EstimateRecord(_Part):
     at_bound: bool
 
 
+class OpticsRecord(_Part):
+    """By rays or by waves, and why.
+
+    ``stated_error`` is that of the model that was taken, as a share of the middle of the brightest lobe; ``asked`` is
+    what the recipe says. None stands for what has no end, or was not known: a map with missing points.
+    """
+
+    asked: str
+    model: str
+    reason: str
+    stated_error: float | None
+    stated_error_per_sr: float | None
+    f_um: float | None
+    coherence_um: float | None
+    wavelengths_nm: tuple[float, ...] = ()
+
+
 class ShapeRecord(_Part):
     """Ideal ridges fitted to the contrasts over several tilts; ``held`` were not free."""
 
@@ -235,6 +253,7 @@ class Record(_Part):
     verdict: Literal["PASS", "FAIL", "INCONCLUSIVE", "INVALID"]
     reasons: tuple[str, ...]
     model: str
+    optics: OpticsRecord | None = None
     convention: dict[str, Any]
     poses: tuple[PoseRecord, ...]
     contrasts: tuple[ContrastRecord, ...]
@@ -252,6 +271,7 @@ class Record(_Part):
     shape: ShapeRecord | None = None
     golden: GoldenRecord | None = None
     map_place: MapPlaceRecord | None = None
+    print: PrintRecord | None = None
     rounds: int = 1
     notes: tuple[str, ...] = ()
     white_reference: dict[str, Any]

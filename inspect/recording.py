@@ -10,6 +10,7 @@ from anisoscope.job import Job, Role
 from anisoscope.jobfile import JobFile
 from anisoscope.localisation import Region
 from anisoscope.measurement import Measured, View
+from anisoscope.prints.expecting import PrintExpectation
 from anisoscope.record import (
     AreaRecord,
     BudgetRecord,
@@ -30,7 +31,7 @@ def results(
 ) -> dict[str, Any]:
     """The part of a record that a verdict rests on."""
     area = decision.area
-    kind = job.recipe.decision.contrast
+    kind = job.ridged.decision.contrast
     return {
         "poses": tuple(
             PoseRecord(
@@ -104,7 +105,7 @@ def _region_record(region: Region) -> RegionRecord:
 def make_record(
     made: JobFile,
     job: Job,
-    expected: Expectation,
+    expected: Expectation | PrintExpectation,
     taken: Taken,
     *,
     verdict: str,
@@ -126,6 +127,7 @@ def make_record(
             "verdict": verdict,
             "reasons": reasons,
             "model": expected.model,
+            "optics": expected.optics,
             "convention": vars(expected.convention),
             "white_reference": {
                 "taken_at": job.white.taken_at,

@@ -2,7 +2,7 @@
 
 Schema 1 only grows: this version reads every record of schema 1, whichever version wrote it, and an earlier version
 refuses, by name, what it does not know. Fields that came later are optional, and their defaults stand for "not told":
-``poses[].dropped``, ``area.learnt``, ``calibrations``, ``map_place``.
+``poses[].dropped``, ``area.learnt``, ``calibrations``, ``map_place``, ``optics``, ``print``.
 """
 
 import json

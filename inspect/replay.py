@@ -13,8 +13,8 @@ from anisoscope.inspection import Inspected, conclude, expecting
 from anisoscope.job import Job, Source, check_serial, fixture_of, flat_of, known_good, sources_of
 from anisoscope.jobfile import begin
 from anisoscope.linear import WhiteReference, check_size
+from anisoscope.prints.recipe import read_any_recipe
 from anisoscope.progress import Advance, silent
-from anisoscope.recipe import read_recipe
 from anisoscope.record import Particulars, sha256_of
 from anisoscope.replayframes import Replay, arrange, camera_of, white_of
 from anisoscope.report.peers import LotMate
@@ -63,14 +63,14 @@ def inspect_frames(
     if not 0.0 < reflectance <= 1.0:
         raise UsageError(f"the reflectance of the tile must lie between 0 and 1, not {reflectance}")
     rig_path = rig_path or _rig_beside(frames)
-    recipe, rig = read_recipe(recipe_path), read_replay_rig(rig_path)
+    recipe, rig = read_any_recipe(recipe_path), read_replay_rig(rig_path)
     fixture = fixture_of(rig, rig_path)
     golden = known_good(recipe_path, recipe)
     replay = arrange(read_frame_folder(frames), recipe)
     made_white = white_of(replay, reflectance, rig.light.angle_deg)
     white = None if made_white is not None else _white_of_rig(rig, rig_path, replay)
     sources = (
-        *sources_of(recipe_path, rig_path, recipe),
+        *sources_of(recipe_path, rig_path, recipe, rig),
         Source("frame table", frames / TABLE, sha256_of(frames / TABLE)),
     )
     with contextlib.ExitStack() as cleanup:

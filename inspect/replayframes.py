@@ -8,7 +8,7 @@ from anisoscope.bracketing import MIN_FRAMES
 from anisoscope.calibration.whitereference import make_reference
 from anisoscope.errors import RecordError
 from anisoscope.linear import stack
-from anisoscope.recipe import Recipe
+from anisoscope.prints.recipe import AnyRecipe
 from anisoscope.rig.acquisition.plan import Pose
 from anisoscope.rig.frame import FrameKind
 from anisoscope.rig.framefolder import POSE_TOLERANCE_DEG, FrameEntry, FrameFolder
@@ -38,7 +38,7 @@ class Replay:
         return [entry for entry, _ in self.entries if entry.kind == kind]
 
 
-def arrange(folder: FrameFolder, recipe: Recipe) -> Replay:
+def arrange(folder: FrameFolder, recipe: AnyRecipe) -> Replay:
     """Assign frames to the poses of a recipe, full turns aside.
 
     Raises:
@@ -150,4 +150,5 @@ def white_of(replay: Replay, reflectance: float, light_angle_deg: float) -> dict
         light_cosine=float(to_light[0, 2]),
         camera=camera_of(replay) or UNKNOWN,
         full_scale=2**first.bit_depth - 1,
+        filters=first.filters,
     )

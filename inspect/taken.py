@@ -50,6 +50,11 @@ class Taken:
     linear: bool = True
 
     @property
+    def filters(self) -> str:
+        """The colour filters on the camera's pixels; see `anisoscope.rig.bayer`."""
+        return self.shots[0].frame.filters
+
+    @property
     def full_scale(self) -> int:
         """Largest count that the camera can give."""
         return self.shots[0].frame.full_scale

@@ -100,7 +100,7 @@ def teach(recipe_path: Path, rig_path: Path, serial: str, out: Path, advance: Ad
     fixture = job.fixture
     if fixture is None:
         raise RigFileError(f"{rig_path} describes no [fixture]: teaching finds the part between its markers")
-    recipe, text = job.recipe, recipe_path.read_text(encoding="utf-8")
+    recipe, text = job.ridged, recipe_path.read_text(encoding="utf-8")
     kept = _kept(recipe_path, recipe.version)
     with open_rig(job.rig) as rig:
         probe = _probe(rig, recipe, fixture, advance)

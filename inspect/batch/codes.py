@@ -12,6 +12,8 @@ import numpy.typing as npt
 
 from anisoscope.batch.scan import Scan, read_scan
 from anisoscope.errors import MeasurementError, RecordError
+from anisoscope.rig.bayer import grey_of
+from anisoscope.rig.frame import filters_said
 
 Kind = Literal["any", "datamatrix", "code128", "qr"]
 Grey = npt.NDArray[np.uint8]
@@ -88,7 +90,7 @@ def one_code(codes: tuple[Code, ...], kind: Kind, where: str) -> Code:
 
 
 def read_picture(path: Path) -> Counts:
-    """A picture as (rows, cols) counts; colours become grey.
+    """A picture as (rows, cols) counts; colours become grey, and so does the mosaic of a frame of ours.
 
     Raises:
         RecordError: there is no such file, or it is no picture.
@@ -103,6 +105,8 @@ def read_picture(path: Path) -> Counts:
         image = None
     if image is None or image.dtype not in {np.dtype(np.uint8), np.dtype(np.uint16)}:
         raise RecordError(f"{path}: is no picture of 8 or 16 bits (PNG, TIFF, JPEG, BMP)")
+    if image.dtype == np.uint16 and (filters := filters_said(path)) is not None:
+        return grey_of(cast("npt.NDArray[np.uint16]", image), filters)
     return cast("Counts", image)
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from anisoscope.batch.codes import Code, Kind, one_code, read_codes
 from anisoscope.batch.scan import Scan
-from anisoscope.recipe import Recipe, read_recipe
+from anisoscope.prints.recipe import AnyRecipe, read_any_recipe
 from anisoscope.replayframes import Replay
 from anisoscope.rig.acquisition.opening import Rig, open_rig
 from anisoscope.rig.acquisition.plan import Plan, Pose
@@ -37,7 +37,7 @@ def photograph_first_pose(recipe_path: Path, rig_path: Path, exposure_s: float |
         RecipeError, RigFileError: one of the files.
         RigError: hardware.
     """
-    recipe = read_recipe(recipe_path)
+    recipe = read_any_recipe(recipe_path)
     first = recipe.poses.poses()[0]
     pose = Pose(first.stage_deg, first.tilt_deg)
     acquisition = recipe.acquisition
@@ -62,6 +62,7 @@ def photograph_first_pose(recipe_path: Path, rig_path: Path, exposure_s: float |
             tilt_deg=pose.tilt_deg,
             captured_at=datetime.now(UTC).isoformat(timespec="milliseconds"),
             camera=f"{info.model} {info.serial}",
+            filters=info.filters,
         )
 
 
@@ -84,10 +85,10 @@ def code_on_part(recipe_path: Path, rig_path: Path, look: Look) -> tuple[Code, F
         RecipeError, RigFileError, RigError: as for `photograph_first_pose`.
     """
     frame = photograph_first_pose(recipe_path, rig_path, look.exposure_s)
-    return one_code(read_codes(frame.counts, look.kind), look.kind, "the picture at the first pose"), frame
+    return one_code(read_codes(frame.grey, look.kind), look.kind, "the picture at the first pose"), frame
 
 
-def scan_of(replay: Replay, recipe: Recipe, kind: Kind) -> Scan:
+def scan_of(replay: Replay, recipe: AnyRecipe, kind: Kind) -> Scan:
     """What the only code in the frames at the first pose says; of several exposures, in the first that shows one.
 
     Args:
@@ -110,7 +111,7 @@ def scan_of(replay: Replay, recipe: Recipe, kind: Kind) -> Scan:
         exposures.setdefault(entry.exposure_s, entry)
     found: tuple[Code, ...] = ()
     for entry in exposures.values():
-        found = read_codes(entry.load().counts, kind)
+        found = read_codes(entry.load().grey, kind)
         if found:
             break
     return one_code(found, kind, str(frames[0].path)).scan

@@ -165,7 +165,7 @@ class _Run:
             picture = photograph_first_pose(recipe, rig, self.order.look.exposure_s)
             try:
                 kind = self.order.look.kind
-                scan = one_code(read_codes(picture.counts, kind), kind, "the picture at the first pose").scan
+                scan = one_code(read_codes(picture.grey, kind), kind, "the picture at the first pose").scan
             except (MeasurementError, UsageError) as error:
                 trouble = str(error)
         if scan is None and (trouble is not None or slot.serial is None):

@@ -57,5 +57,5 @@ def _picture(inside: Path) -> str | None:
     shown = [*sorted((inside / FRAMES).glob("*_sample_*.tif"))[:1], inside / CODE_PICTURE]
     for path in shown:
         with contextlib.suppress(RecordError):
-            return thumbnail(read_frame(path).counts)
+            return thumbnail(read_frame(path).grey)
     return None

@@ -24,7 +24,7 @@ from anisoscope.batch.watchjournal import Line, WatchJournal
 from anisoscope.errors import AnisoscopeError, RecordError, UsageError
 from anisoscope.folder import working_in
 from anisoscope.inspection import Inspected
-from anisoscope.recipe import Recipe, read_recipe
+from anisoscope.prints.recipe import AnyRecipe, read_any_recipe
 from anisoscope.record import RECORD_NAME, Particulars
 from anisoscope.replay import inspect_frames
 from anisoscope.replayframes import arrange
@@ -54,7 +54,7 @@ class Watch:
     bad: dict[str, Bad] = field(default_factory=dict)
     arriving: dict[str, tuple[Signature, float]] = field(default_factory=dict)
     _told: dict[str, str] = field(default_factory=dict)
-    _recipe: Recipe = field(init=False)
+    _recipe: AnyRecipe = field(init=False)
     _journal: WatchJournal = field(init=False)
 
     @contextlib.contextmanager
@@ -68,7 +68,7 @@ class Watch:
         watched = self.watched
         if not watched.root.is_dir():
             raise UsageError(f"{watched.root}: there is no such folder to watch")
-        self._recipe = read_recipe(watched.recipe)
+        self._recipe = read_any_recipe(watched.recipe)
         if watched.rig is not None:
             read_replay_rig(watched.rig)
         try:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from anisoscope.inspection import Inspected
 
 
-Kind = Literal["ridges"]
+Kind = Literal["ridges", "print", "wafer"]
 
 
 class _Scene(Protocol):
@@ -32,17 +32,22 @@ class _Scene(Protocol):
 
 def demo(
     *,
-    kind: Annotated[Kind, Parameter(help="What is inspected: plastic with ridges.")] = "ridges",
+    kind: Annotated[
+        Kind,
+        Parameter(
+            help="What is inspected: plastic with ridges, prints with a structural-colour ink, or etched wafers."
+        ),
+    ] = "ridges",
     out: Annotated[Path, Parameter(help="Folder for recipe, rig files, frames and reports.")] = Path(
         "demo-output"
     ),
     seed: Annotated[int, Parameter(help="Seed of everything random on the virtual rig.")] = 1,
     json_: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")] = False,
 ) -> int:
-    """Inspect three parts on a virtual rig: a good one, one with burrs, one with a wrong ridge angle.
+    """Inspect good and defective parts on a virtual rig: ridges with burrs or a wrong angle; bad prints; wafers off.
 
-    Makes a reference height map, takes a flat of a white tile, then photographs every part at 0°, 90° and 180°
-    and judges it. Ends with exit code 0 when every verdict is the expected one.
+    Takes a flat of a white tile, then photographs every part at 0°, 90° and 180° (prints and wafers at several tilts as
+    well) and judges it. Ends with exit code 0 when every verdict is the expected one.
     """
     from anisoscope.history.address import HISTORY_NAME
 

@@ -65,8 +65,8 @@ def fit(
     """
     from anisoscope.ink.fitting import fit as fit_ink
     from anisoscope.ink.goniometer import read_goniometer, to_brdf
-    from anisoscope.ink.inkfile import write_ink
     from anisoscope.ink.text import fit_as_json, summary
+    from anisoscope.inkfile import write_ink
 
     if values == "brdf" and white is not None:
         raise UsageError("--white needs --values factor: a BRDF has no white reference")
@@ -135,9 +135,9 @@ def show(
         inks: Ink files *.toml, or synthetic-red, synthetic-green, synthetic-blue.
     """
     from anisoscope.ink.appearance import ANGLES_DEG, show_inks
-    from anisoscope.ink.inkfile import SYNTHETIC, find_ink
-    from anisoscope.ink.spectrumfile import find_illuminant
     from anisoscope.ink.text import show_as_json
+    from anisoscope.inkfile import SYNTHETIC, find_ink
+    from anisoscope.spectrumfile import find_illuminant
 
     if not inks:
         raise UsageError(f"ink show needs an ink: a file *.toml, or {', '.join(SYNTHETIC)}")

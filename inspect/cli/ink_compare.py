@@ -47,9 +47,9 @@ def compare(
     Args:
         readings: CSV files theta_i_deg,theta_o_deg,wavelength_nm,value, one an ink; each is fitted first.
     """
-    from anisoscope.ink.spectrumfile import find_illuminant
     from anisoscope.sim.proof.comparison import CONVENTION
     from anisoscope.sim.proof.comparison import compare as run
+    from anisoscope.spectrumfile import find_illuminant
 
     check_suffix(png, "--png", ".png")
     if not size <= MOST_SIZE or seed < 0:
@@ -127,7 +127,7 @@ def _made_up(seed: int) -> list[tuple[str, Set]]:
     import numpy as np
 
     from anisoscope.ink.goniometer import Readings
-    from anisoscope.ink.inkfile import SYNTHETIC, synthetic_ink
+    from anisoscope.inkfile import SYNTHETIC, synthetic_ink
     from anisoscope.sim.proof.comparison import synthetic_readings
 
     found: list[tuple[str, Set]] = []

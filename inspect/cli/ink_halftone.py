@@ -56,10 +56,10 @@ def halftone(
     Args:
         image: The picture; its colour profile is applied.
     """
-    from anisoscope.ink.spectrumfile import find_illuminant
     from anisoscope.sim.proof.halftone import halftone as place_dots
     from anisoscope.sim.proof.imagefile import MM_AN_INCH, read_image, to_dots
     from anisoscope.sim.proof.separation import separation as plan_separation
+    from anisoscope.spectrumfile import find_illuminant
 
     check_target(out, "--out", (image,), ".png")
     if not 1.0 <= dpi <= 20000.0:

@@ -37,7 +37,7 @@ def three_inks(text: str | None) -> tuple["Ink", ...]:
     Raises:
         UsageError: not three, or no such ink.
     """
-    from anisoscope.ink.inkfile import SYNTHETIC, find_ink
+    from anisoscope.inkfile import SYNTHETIC, find_ink
 
     names = list(SYNTHETIC) if text is None else [name.strip() for name in text.split(",")]
     if len(names) != 3:

@@ -100,12 +100,12 @@ def proof(
     Args:
         image: The picture to print.
     """
-    from anisoscope.ink.spectrumfile import find_illuminant
     from anisoscope.sim.proof.halftone import coverage
     from anisoscope.sim.proof.halftone import halftone as place_dots
     from anisoscope.sim.proof.imagefile import read_image, to_dots
     from anisoscope.sim.proof.mesh import read_obj
     from anisoscope.sim.proof.separation import separation as plan_separation
+    from anisoscope.spectrumfile import find_illuminant
 
     shown = view or View()
     if out is None and png is None:
@@ -195,7 +195,7 @@ class _Work:
         """(size, size, 3) linear light; where a pixel holds many dots, the tones stand for their mean."""
         import numpy as np
 
-        from anisoscope.ink.inkfile import with_roughness
+        from anisoscope.inkfile import with_roughness
         from anisoscope.sim.light.ink.shading import Light
         from anisoscope.sim.proof.render import PHOTO, ROUGHNESS, direction, proof_picture
         from anisoscope.sim.proof.scene import printed, surface

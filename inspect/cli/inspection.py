@@ -47,7 +47,7 @@ def inspect(
     history: HistoryOption = None,
     json_: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")] = False,
 ) -> int:
-    """Photograph a part at the recipe's angles, compare its contrasts with the prediction, and decide.
+    """Photograph a part at the recipe's angles, compare contrasts (of a print: colours) with the prediction, decide.
 
     Exit codes: 0 PASS, 1 FAIL, 2 INCONCLUSIVE, 3 INVALID, 64 and above usage or hardware.
     """
@@ -117,6 +117,7 @@ def _as_json(inspected: "Inspected") -> dict[str, Any]:
         "shape": None if record.shape is None else record.shape.model_dump(),
         "golden_parts": 0 if record.golden is None else record.golden.parts,
         "map_place": None if record.map_place is None else record.map_place.model_dump(),
+        "print": None if record.print is None else record.print.model_dump(),
         "rounds": record.rounds,
         "dropped_markers": [list(pose.dropped) for pose in record.poses],
         "calibrations": [one.model_dump() for one in record.calibrations],
@@ -148,6 +149,20 @@ def _cause_line(cause: "CauseRecord") -> str:
     from anisoscope.report.wording import cause_text
 
     return f"  {cause_text(cause)}, weight {cause.weight:.0%}"
+
+
+def _print_quantities(record: "Record") -> None:
+    """What was judged of a print."""
+    from anisoscope.report.print_parts import quantity_row
+
+    assert record.print is not None
+    rows = [quantity_row(one) for one in record.print.quantities]
+    print_table(
+        f"{record.serial}: {record.product}",
+        ["quantity", "measured", "nominal", "off by", "u", "limit", ""],
+        [[row.title, row.value, row.nominal, row.deviation, row.u, row.limit, row.verdict] for row in rows],
+        ". ".join(record.print.not_judged) or None,
+    )
 
 
 def _print(inspected: "Inspected") -> None:
@@ -183,6 +198,8 @@ def _print(inspected: "Inspected") -> None:
                 for contrast in record.contrasts
             ],
         )
+    if record.print is not None:
+        _print_quantities(record)
     out = console()
     color = {"PASS": "green", "FAIL": "red", "INCONCLUSIVE": "yellow", "INVALID": "magenta"}[record.verdict]
     out.print(f"[bold {color}]{record.verdict}[/]")

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 app = App(name="recipe", help="Recipes: what a part should look like, how it is photographed and judged.")
 
+PRODUCT = "ridged part"
 File = Annotated[Path, Parameter(help="Recipe file (TOML).")]
 Json = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")]
 
@@ -24,16 +25,21 @@ Json = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")
 def new(
     *,
     out: Annotated[Path, Parameter(help="Recipe file to write; must not exist.")],
-    product: Annotated[str, Parameter(help="Name of the product.")] = "ridged part",
+    product: Annotated[str, Parameter(help="Name of the product.")] = PRODUCT,
     pitch: Annotated[float, Parameter(help="Pitch of the ridges in µm.")] = 100.0,
     ridge_angle: Annotated[
         float | None, Parameter(help="Ridge angle of the ideal design in degrees.")
     ] = None,
     height_map: Annotated[Path | None, Parameter(help="Height map of a good part or of the tool.")] = None,
+    ink: Annotated[
+        str | None,
+        Parameter(help="For a print instead: its ink, a file or one of the package, such as synthetic-red."),
+    ] = None,
 ) -> int:
     """Write a recipe with comments, valid as written; then adapt it.
 
-    With --ridge-angle and --height-map the height map decides, and the design is compared with as well.
+    With --ridge-angle and --height-map the height map decides, and the design is compared with as well. With --ink it
+    is the recipe of a print.
     """
     import os
 
@@ -43,6 +49,10 @@ def new(
 
     if out.exists():
         raise UsageError(f"{out} exists already: name another file, or change it with an editor")
+    if ink is not None:
+        if ridge_angle is not None or height_map is not None:
+            raise UsageError("--ink makes the recipe of a print: leave --ridge-angle and --height-map out")
+        return _new_print(out, "print" if product == PRODUCT else product, ink)
     if ridge_angle is None and height_map is None:
         ridge_angle = 10.0
     if height_map is not None and not height_map.is_file():
@@ -66,6 +76,34 @@ def new(
     return 0
 
 
+def _new_print(out: Path, product: str, ink: str) -> int:
+    """Write the recipe of a print; a file of an ink is named as seen from the recipe."""
+    import os
+
+    from anisoscope.atomicfile import write_text
+    from anisoscope.inkfile import SYNTHETIC, find_ink
+    from anisoscope.prints.recipe import read_print_recipe
+    from anisoscope.prints.recipetext import new_print_recipe
+
+    find_ink(ink)
+    if ink not in SYNTHETIC:
+        ink = Path(os.path.relpath(Path(ink).resolve(), out.resolve().parent)).as_posix()
+    others = tuple(name for name in SYNTHETIC if name != ink) if ink in SYNTHETIC else ()
+    write_text(out, new_print_recipe(product, ink, others))
+    try:
+        read_print_recipe(out)
+    except BaseException:
+        out.unlink()
+        raise
+    console().print(
+        f"{out}: written; adapt [print], [acquisition] and [region], then: anisoscope recipe check {out}",
+        markup=False,
+        highlight=False,
+        soft_wrap=True,
+    )
+    return 0
+
+
 @app.command
 def check(
     file: File,
@@ -78,11 +116,14 @@ def check(
     try_tilts: Annotated[str, Parameter(help="Tilts that might be added, degrees; none: ''.")] = "10,20",
     json_: Json = False,
 ) -> int:
-    """Predict the contrasts of a recipe, and say what it can and cannot tell apart; nothing moves."""
-    from anisoscope.recipe import read_recipe
+    """Predict what a recipe's poses show, and say what it can and cannot tell apart; nothing moves."""
+    from anisoscope.cli.recipe_print import check_print
+    from anisoscope.recipe import is_print, read_recipe
     from anisoscope.recipecheck import check_recipe
     from anisoscope.rig.rigfile import read_rig
 
+    if is_print(file):
+        return check_print(file, rig, light_angle, json_=json_)
     tries = parse_numbers(try_tilts, "--try-tilts") if try_tilts.strip() else ()
     recipe = read_recipe(file)
     angle = read_rig(rig).light.angle_deg if rig is not None else light_angle

@@ -161,10 +161,13 @@ def _write_rig(made: "Bench", urls: dict[str, str], path: Path) -> None:
         "pixel_um": file.optics.pixel_um,
         "options": {"port": urls["camera"]},
     }
+    if file.sensor.filters != "mono" or file.sample.kind == "print":
+        table["camera"]["sensitivities"] = file.sensor.sensitivities
     table["light"] = {
         "driver": "serial",
         "port": urls["light"],
         "angle_deg": file.geometry.light_angle_deg,
+        "spectrum": file.optics.spectrum,
     }
     if file.fixture is not None:
         table["fixture"] = file.fixture.model_dump(mode="json")

@@ -40,7 +40,8 @@ def snap(
 ) -> int:
     """Take a picture and write it to a file; nothing moves.
 
-    Prints mean, saturated share and sharpness (Tenengrad; larger is sharper, for the same object).
+    Prints mean, saturated share and sharpness (Tenengrad; larger is sharper, for the same object). Of a colour camera
+    the file holds the mosaic, unchanged; the preview is in colour.
     """
     from anisoscope.rig.acquisition.opening import open_devices
     from anisoscope.rig.frame import write_frame
@@ -108,6 +109,7 @@ def _take(
         tilt_deg=tilt_deg,
         captured_at=datetime.now(UTC).isoformat(timespec="milliseconds"),
         camera=f"{info.model} {info.serial}",
+        filters=info.filters,
     )
     return frame, max(saturated_share(counts, info.bit_depth) for counts in taken)
 
@@ -123,12 +125,12 @@ def _angles(devices: "Devices", file: "RigFile") -> tuple[float, float]:
 
 def _judge(frame: "Frame", info: Any, saturated: float, picture: Path | None) -> dict[str, Any]:  # noqa: ANN401
     from anisoscope.atomicfile import write_bytes
-    from anisoscope.live.picture import as_png, eight_bits
+    from anisoscope.live.picture import as_png, to_show
     from anisoscope.live.view import look_at
 
     view = look_at(frame.counts, info)
     if picture is not None:
-        write_bytes(picture, as_png(eight_bits(frame.counts, info)))
+        write_bytes(picture, as_png(to_show(frame.counts, info)))
     return {
         "rows": frame.counts.shape[0],
         "cols": frame.counts.shape[1],
@@ -139,6 +141,7 @@ def _judge(frame: "Frame", info: Any, saturated: float, picture: Path | None) ->
         "mean_counts": float(frame.counts.mean()),
         "mean": view.mean,
         "saturated_share": saturated,
+        "filters": frame.filters,
         "sharpness": view.focus,
         "ridge_deg": view.ridge_deg,
     }
@@ -152,6 +155,8 @@ def _print(out: Path, picture: Path | None, found: dict[str, Any]) -> None:
         f"{found['mean_counts']:.1f} counts ({found['mean']:.1%} of full scale), saturated "
         f"{found['saturated_share']:.3%}, sharpness {sharp}"
     )
+    if found["filters"] != "mono":
+        print(f"{out}: the mosaic as the sensor saw it, filters {found['filters']}")  # noqa: T201
     if picture is not None:
         print(f"{picture}: preview")  # noqa: T201
     if found["saturated_share"] > SATURATED_SHARE:

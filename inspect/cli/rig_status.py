@@ -78,6 +78,7 @@ def _camera(part: "CameraPart", file: "RigFile", stack: contextlib.ExitStack) ->
         "cols": info.cols,
         "bit_depth": info.bit_depth,
         "black_level": info.black_level,
+        "filters": info.filters,
         "linear": info.linear,
         "uncalibrated": file.uncalibrated(info),
         "pixel_um": part.pixel_um,
@@ -122,6 +123,7 @@ def _line(table: str, device: dict[str, Any]) -> str:
         words += [
             f"{device['rows']} × {device['cols']} pixels of {device['pixel_um']:g} µm on the sample",
             f"{device['bit_depth']} bits, black at {device['black_level']:g}",
+            *([] if device["filters"] == "mono" else [f"colour filters {device['filters']}"]),
             "linear" if device["linear"] else "not linear",
             *(
                 ["UNCALIBRATED: no response curve (anisoscope calibrate response)"]

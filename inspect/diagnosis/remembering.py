@@ -18,12 +18,14 @@ import numpy as np
 from anisoscope.atomicfile import write_bytes
 from anisoscope.diagnosis.causes import all_causes
 from anisoscope.diagnosis.signatures import Signature, Signatures, signatures
+from anisoscope.diagnosis.tangents import Tangents
+from anisoscope.diagnosis.wafers import wafer_causes
 from anisoscope.errors import RecordError
 from anisoscope.progress import Advance, silent
 from anisoscope.recipe import Recipe
 
 VARIABLE = "ANISOSCOPE_CACHE"
-_FORMAT = 2
+_FORMAT = 3
 
 
 def cache_folder() -> Path:
@@ -59,7 +61,8 @@ def _key(recipe: Recipe, light_angle_deg: float) -> str:
         "poses": recipe.poses.model_dump(mode="json"),
         "cells": None if recipe.area is None else recipe.area.cell_deviation,
         "light_angle_deg": light_angle_deg,
-        "causes": [(cause.name, cause.extents) for cause in all_causes()],
+        "causes": [(one.name, one.extents) for one in (wafer_causes() if recipe.is_wafer else all_causes())],
+        "light": recipe.light and recipe.light.model_dump(mode="json"),
     }
     return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:32]
 
@@ -78,6 +81,8 @@ def _packed(found: Signatures) -> bytes:
             f"change{number}": one.change,
             f"share{number}": one.share,
         }
+        if one.tangents is not None:
+            arrays |= {f"tangents{number}": one.tangents.slope, f"at{number}": one.tangents.extents}
     buffer = io.BytesIO()
     np.savez(buffer, **arrays)  # type: ignore[arg-type]
     return buffer.getvalue()
@@ -85,12 +90,19 @@ def _packed(found: Signatures) -> bytes:
 
 def _read(path: Path, recipe: Recipe) -> Signatures:
     design = recipe.surface.design
-    causes = {cause.name: cause for cause in all_causes(None if design is None else design.ridge_angle_deg)}
+    known = (
+        wafer_causes() if recipe.is_wafer else all_causes(None if design is None else design.ridge_angle_deg)
+    )
+    causes = {cause.name: cause for cause in known}
     with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as kept:
         told = json.loads(bytes(kept["told"]))
         found = tuple(
             Signature(
-                replace(causes[name], doubt=doubt), kept[f"extents{n}"], kept[f"change{n}"], kept[f"share{n}"]
+                replace(causes[name], doubt=doubt),
+                kept[f"extents{n}"],
+                kept[f"change{n}"],
+                kept[f"share{n}"],
+                Tangents(kept[f"at{n}"], kept[f"tangents{n}"]) if f"at{n}" in kept else None,
             )
             for n, (name, doubt) in enumerate(zip(told["names"], told["doubts"], strict=True))
         )

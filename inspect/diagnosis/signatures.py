@@ -5,6 +5,7 @@ of the two is the signature of the defect. Random defects lie at the same places
 along the ridges of a design is computed on a profile with points so close that worn edges are round.
 """
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -15,11 +16,12 @@ import numpy.typing as npt
 
 from anisoscope.area import cell_deviations
 from anisoscope.diagnosis.causes import EXTRUDED, PITCHES, Cause, all_causes
+from anisoscope.diagnosis.tangents import Tangents, looked_at, slopes_of
 from anisoscope.errors import HeightMapError, ModelError
 from anisoscope.measurement import CELLS_PER_PITCH
-from anisoscope.prediction.mapuncertainty import relief_model
+from anisoscope.prediction.mapuncertainty import best_band, relief_model
 from anisoscope.prediction.preparing import prepare_relief
-from anisoscope.prediction.sensitivity import State, evaluate, fixed
+from anisoscope.prediction.sensitivity import Model, State, evaluate, fixed
 from anisoscope.profiles.files.load import read_height_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import ridges
@@ -27,6 +29,7 @@ from anisoscope.progress import Advance, silent
 from anisoscope.recipe import Recipe
 from anisoscope.sim.light.contrasts import consecutive_pairs
 from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_rotation
+from anisoscope.sim.light.material import Material
 from anisoscope.sim.light.relief import Relief, radiance_maps
 
 if TYPE_CHECKING:
@@ -42,6 +45,8 @@ PROFILE_PITCHES = 6
 PROFILE_PIXEL_UM = 0.34  # the largest ball that rolls along edges may have 60 points in its radius
 PROFILE_POINTS = (50, 1500)  # a pitch, at least and at most
 DOUBT_ON_MAPS = 0.3  # of changes at edges that lie between the points of a map
+DOUBTFUL = 0.2
+"""Doubt of a signature from which on it hides how differently the inputs act on the spoiled surface."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,12 +58,14 @@ class Signature:
         extents: (S,) extents at which it was computed, ascending; those that the surface cannot have are left out.
         change: (S, P) ln L − ln L of the good part.
         share: (S,) share of the cells of the contrast map that deviate, beyond those of the good part.
+        tangents: how the inputs of the prediction act along the cause; None: as on the good part.
     """
 
     cause: Cause
     extents: FloatArray
     change: FloatArray
     share: FloatArray
+    tangents: Tangents | None = None
 
     @cached_property
     def _curve(self) -> "PchipInterpolator":
@@ -125,8 +132,14 @@ def signatures(
         HeightMapError: the recipe's height map cannot be read or used.
     """
     recipe = recipe.deciding()
+    if recipe.is_wafer:
+        from anisoscope.diagnosis.wafers import wafer_signatures  # noqa: PLC0415 - it is made of what stands here
+
+        return wafer_signatures(recipe, light_angle_deg, advance, names)
     scene = _Scene(recipe, light_angle_deg)
     good, good_share = scene.look(scene.surface, scene.state, with_map=True)
+    if np.isnan(good_share):  # a recipe that does not judge the area has no map
+        good_share = 0.0
     design = recipe.surface.design
     causes = [
         cause
@@ -167,7 +180,8 @@ def _signature(scene: "_Scene", cause: Cause, good: FloatArray, good_share: floa
         shares.append(max(share - good_share, 0.0))
     if len(extents) < 2:
         raise ModelError(f"{cause.name}: the part would be black in some pose at every extent")
-    return Signature(cause, np.array(extents), np.array(changes), np.array(shares))
+    tangents = scene.tangents(cause, extents) if cause.doubt < DOUBTFUL else None
+    return Signature(cause, np.array(extents), np.array(changes), np.array(shares), tangents)
 
 
 class _Scene:
@@ -183,14 +197,43 @@ class _Scene:
         self.profile = _profile(recipe)
 
     def look_along(self, profile: HeightMap) -> FloatArray:
-        """(P,) radiances of ridges that are the same all along, from those in the middle."""
-        relief = Relief(profile, self.pitch_um)
+        """(P,) radiances of ridges that are the same all along."""
         convention = Convention(self.state.light_angle_deg, facet_azimuth_deg=self.azimuth_deg)
-        to_light, to_camera = directions(self.poses, convention)
+        return self._along(profile)(*directions(self.poses, convention), self.state.material)
+
+    def _along(self, profile: HeightMap) -> Model:
+        """The predictor of ridges that are the same all along, from those in the middle."""
+        relief = Relief(profile, self.pitch_um)
         points = (profile.shape[1] - 1) // PROFILE_PITCHES
         inner = slice(points, (PROFILE_PITCHES - 1) * points)  # crests stand on both sides
-        shown = radiance_maps(relief, to_light, to_camera, self.state.material)
-        return np.array([float(np.mean(view[:, inner], dtype=np.float64)) for view in shown])
+
+        def predict(to_light: FloatArray, to_camera: FloatArray, material: Material) -> FloatArray:
+            shown = radiance_maps(relief, to_light, to_camera, material)
+            return np.array([float(np.mean(view[:, inner], dtype=np.float64)) for view in shown])
+
+        return predict
+
+    def _band(self, surface: HeightMap) -> Model:
+        """The predictor of as many rows of a surface as sensitivities need."""
+        return relief_model(best_band(Relief(surface, self.pitch_um, max_missing_share=1.0)))
+
+    def tangents(self, cause: Cause, extents: Sequence[float]) -> Tangents | None:
+        """How the inputs act along a cause; None where they cannot be moved on the good part."""
+        along = self.profile is not None and (cause.name in EXTRUDED or cause.group in ("finish", "rig"))
+        base = self.profile if along else self.surface
+        assert base is not None
+        convention = Convention(self.state.light_angle_deg, facet_azimuth_deg=self.azimuth_deg)
+        found: dict[float, FloatArray] = {}
+        for extent in looked_at(extents):
+            surface, state = cause.change(base, self.state, extent)
+            model = self._along(surface) if along else self._band(surface)
+            with contextlib.suppress(ModelError):  # a step would lead below the horizon
+                slopes = slopes_of(model, state, self.poses, convention)
+                if slopes is not None:
+                    found[extent] = slopes
+        if 0.0 not in found or len(found) < 2:
+            return None
+        return Tangents(np.array(list(found)), np.array(list(found.values())))
 
     def look(self, surface: HeightMap, state: State, *, with_map: bool) -> tuple[FloatArray, float]:
         """(P,) radiances, and the share of deviating cells (NaN where no map was asked for)."""

@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from anisoscope.errors import RecordError
+from anisoscope.prints.record import PrintRecord
 from anisoscope.record import RECORD_NAME, ContrastRecord, Record, sha256_of
 
 CONTRAST_NAMES = {"log_ratio": "ln", "difference": "difference", "michelson": "Michelson"}
@@ -93,12 +94,15 @@ def numbers_of(record: Record) -> dict[str, float]:
 
     A contrast is called by kind, stage angles and tilt: ``ln 0-90``, ``ln 0-90 @10``, ``difference 90-180``. For each
     of them there are ``u …`` (standard uncertainty, prediction included), ``deviation …`` (measured - predicted),
-    and ``tolerance …`` where the recipe gives one. Then, where they exist: ``d2``, ``p``, ``area share``,
-    ``conformance probability``, ``drift``.
+    and ``tolerance …`` where the recipe gives one. A quantity of a print is called ``print alpha x`` and so on, with
+    the same ones beside it. Then, where they exist: ``d2``, ``p``, ``area share``, ``conformance probability``,
+    ``drift``.
     """
     found: dict[str, float] = {}
     for contrast in record.contrasts:
         found |= _contrast_numbers(contrast)
+    if record.print is not None:
+        found |= _print_numbers(record.print)
     rest = {
         "d2": record.d2,
         "p": record.p_value,
@@ -139,6 +143,17 @@ def _contrast_numbers(contrast: ContrastRecord) -> dict[str, float]:
         f"deviation {label}": contrast.measured - contrast.predicted,
     }
     return found if contrast.tolerance is None else found | {f"tolerance {label}": contrast.tolerance}
+
+
+def _print_numbers(found: PrintRecord) -> dict[str, float]:
+    numbers: dict[str, float] = {}
+    for one in found.quantities:
+        label = f"print {one.name}"
+        numbers |= {label: one.value, f"u {label}": one.u, f"deviation {label}": one.deviation}
+        numbers[f"tolerance {label}"] = one.limit
+    if found.map is not None:
+        numbers["area share"] = found.map.share
+    return numbers
 
 
 def _recipe_digits(record: Record) -> str:

@@ -72,9 +72,9 @@ def design_surface(design: RidgeDesign, light: LightSpectrum) -> WaveSurface:
 
 
 def window_of(
-    to_light: FloatArray, to_camera: FloatArray, optics: Optics, slope_variance: FloatArray
+    to_light: FloatArray, to_camera: FloatArray, optics: Optics, slope_variance: FloatArray | None
 ) -> Window:
-    """Lamp and lens as discs about (3,) directions, with the roughness below the pixels.
+    """Lamp and lens as discs about (3,) directions, with the roughness below the pixels, if there is any.
 
     Raises:
         ModelError: a lamp at a finite distance, whose angle varies over the field.

@@ -138,14 +138,14 @@ def predict_with_optics(
         except (HeightMapError, ModelError) as problem:
             if wanted.model != "auto" or choice is None:
                 raise
-            choice, model = _by_rays_instead(choice, problem), "geometric"
+            choice, model = by_rays_instead(choice, problem), "geometric"
     if model in ("geometric", "both"):
         found.insert(0, geometric(on_progress))
     notes = optics_note(choice, wanted) | error_note(choice, rig, wanted)
     return tuple(replace(one, notes={**one.notes, "optics": notes}) for one in found)
 
 
-def _by_rays_instead(choice: OpticsChoice, problem: Exception) -> OpticsChoice:
+def by_rays_instead(choice: OpticsChoice, problem: Exception | str) -> OpticsChoice:
     """What is said where waves would be right and cannot be had: nobody asked for them by name."""
     reason = f"{choice.reason}; but waves cannot be had ({problem}): geometric, with an error"
     error = min(1.0, SHARP_ERROR * choice.coherence_um / choice.f_um)
@@ -233,6 +233,20 @@ def _by_waves(
     return with_uncertainty(
         found, of, nominal, rig.inputs, rig.monte_carlo, _contributions(surface, rig, radiance), on_progress
     )
+
+
+def wave_model(
+    surface: HeightMap | RidgeDesign, rig: Rig, wanted: Wanted, stepped: bool, pitch_um: float | None = None
+) -> Model:
+    """The wave predictor of a surface as it is, without uncertainty; arguments as for `predict_with_optics`.
+
+    Raises:
+        HeightMapError: the map has missing points or too coarse pixels.
+        ModelError: too many points would be needed.
+    """
+    if isinstance(surface, RidgeDesign):
+        return _of_design(surface, rig, wanted)(Shape(surface.ridge_angle_deg, surface.height_loss))
+    return _of_map(surface, rig, wanted, stepped, pitch_um, "auto")
 
 
 def _contributions(

@@ -1,6 +1,6 @@
 """Where the part stands in every picture: by the fixture's markers, or by edges where there are none."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,12 +16,20 @@ from anisoscope.rig.fixture import Fixture
 
 @dataclass(frozen=True, eq=False)
 class Photograph:
-    """One pose as photographed: commanded angles, the tilt at which the arm stood, and the picture."""
+    """One pose as photographed.
+
+    Attributes:
+        stage_deg, tilt_deg: commanded angles.
+        arm_deg: the tilt at which the arm stood.
+        image: the picture.
+        guide: what makes of it the picture in which markers and edges are searched, where it is another one.
+    """
 
     stage_deg: float
     tilt_deg: float
     arm_deg: float
     image: RadianceImage
+    guide: Callable[[npt.NDArray[np.float32]], npt.NDArray[np.float32]] | None = None
 
 
 def place(
@@ -48,7 +56,7 @@ def place(
         marked = fixture
 
         def located(one: Photograph) -> Placement:
-            return locate(_bright(one.image), marked, one.arm_deg)
+            return locate(_searched(one), marked, one.arm_deg)
 
         try:
             return _views(photographs, for_each(located, photographs))
@@ -65,7 +73,7 @@ def place(
 def _by_edges(
     photographs: Sequence[Photograph], pixel_um: float, axis_px: tuple[float, float] | None
 ) -> list[Placement]:
-    seen = [Seen(_bright(one.image), one.stage_deg, one.arm_deg) for one in photographs]
+    seen = [Seen(_searched(one), one.stage_deg, one.arm_deg) for one in photographs]
     return place_by_edges(seen, pixel_um, axis_px)
 
 
@@ -74,6 +82,11 @@ def _views(photographs: Sequence[Photograph], places: Sequence[Placement]) -> li
         View(one.stage_deg, one.tilt_deg, one.image, where)
         for one, where in zip(photographs, places, strict=True)
     ]
+
+
+def _searched(one: Photograph) -> npt.NDArray[np.float32]:
+    found = _bright(one.image)
+    return found if one.guide is None else one.guide(found)
 
 
 def _bright(image: RadianceImage) -> npt.NDArray[np.float32]:

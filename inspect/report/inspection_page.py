@@ -14,6 +14,7 @@ from anisoscope.record import BudgetRecord, CauseRecord, Record, RegionRecord
 from anisoscope.report import figures
 from anisoscope.report.page import ready_template, write_page
 from anisoscope.report.peers import Lot, Peers, among
+from anisoscope.report.print_parts import PrintPictures, print_parts, print_rule
 from anisoscope.report.provenance import calibrations_of, files_of, groups_of
 from anisoscope.report.relief3d import Picture3D
 from anisoscope.report.rule import NAMES, PRECEDENCE, UNITS, deviation_decides, level_of, rule_of
@@ -52,6 +53,7 @@ class Pictures:
         raw: pictures as photographed, where they could not be judged.
         calibrations: records of the rig's calibrations, by kind.
         lot: parts of the same lot that were inspected before, or None.
+        print: the colours of a print, or None.
     """
 
     aligned: tuple[Image, ...] = ()
@@ -63,6 +65,7 @@ class Pictures:
     raw: tuple[tuple[str, Image], ...] = field(default=())
     calibrations: Mapping[Kind, CalibrationRecord] = field(default_factory=dict)
     lot: Lot | None = None
+    print: PrintPictures | None = None
 
 
 def start_renderer(surface: HeightMap | None) -> SurfaceView | None:
@@ -97,7 +100,7 @@ def _content(record: Record, pictures: Pictures, folder: Path, view: Picture3D |
     return {
         "record": record,
         "meaning": MEANING[record.verdict],
-        "rule_text": rule_of(record),
+        "rule_text": rule_of(record) if record.print is None else print_rule(record),
         "precedence": PRECEDENCE,
         "rule": record.recipe["decision"],
         "deviation_decides": deviation_decides(record),
@@ -122,6 +125,7 @@ def _content(record: Record, pictures: Pictures, folder: Path, view: Picture3D |
         "folder": folder.name,
         **_photographs(record, pictures),
         **_maps(record, pictures),
+        **print_parts(record, pictures.print),
         **_surface(pictures.surface, view),
     }
 
@@ -164,7 +168,9 @@ def _maps(record: Record, pictures: Pictures) -> dict[str, Any]:
 
 
 def _budget(record: Record) -> tuple[list[BudgetRecord], list[BudgetRecord]]:
-    """Sources that make up a hundredth of some variance, and the others."""
+    """Sources that make up a hundredth of some variance, and the others; a print has a table of its own."""
+    if record.print is not None:
+        return [], []
     variance = np.array([contrast.u**2 for contrast in record.contrasts])
     large: list[BudgetRecord] = []
     small: list[BudgetRecord] = []

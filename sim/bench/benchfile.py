@@ -71,6 +71,10 @@ class SamplePart(Part):
             raise ValueError(
                 f"there is a table [sample.print], but the kind is '{self.kind}': set kind = \"print\""
             )
+        if self.wafer is not None and self.kind != "wafer":
+            raise ValueError(
+                f"there is a table [sample.wafer], but the kind is '{self.kind}': set kind = \"wafer\""
+            )
         if self.kind == "wafer" and self.wafer is None:
             raise ValueError(
                 "a sample of kind 'wafer' needs a table [sample.wafer] with the file of what is etched"

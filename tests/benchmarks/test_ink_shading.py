@@ -8,8 +8,8 @@ import pytest
 from anisoscope.ink.fitting import fit
 from anisoscope.ink.goniometer import Readings
 from anisoscope.ink.grid import grid_of
-from anisoscope.ink.inkfile import SYNTHETIC, synthetic_ink
 from anisoscope.ink.jointfit import solve_jointly
+from anisoscope.inkfile import SYNTHETIC, synthetic_ink
 from anisoscope.sim.light.ink.model import brdf_at_angles
 from anisoscope.sim.light.ink.shading import Light, picture, spectral_picture
 from anisoscope.sim.light.ink.shapes import sphere

@@ -5,7 +5,7 @@ import time
 import numpy as np
 import pytest
 
-from anisoscope.ink.inkfile import SYNTHETIC, synthetic_ink
+from anisoscope.inkfile import SYNTHETIC, synthetic_ink
 from anisoscope.sim.light.colour.illuminant import standard
 from anisoscope.sim.light.ink.shading import picture, spectral_picture
 from anisoscope.sim.proof.comparison import two_lights

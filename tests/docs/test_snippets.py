@@ -4,15 +4,24 @@ import re
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from anisoscope import explaining
 from anisoscope.calibration.pictures import take_flat
 from anisoscope.diagnosis.signatures import signatures
+from anisoscope.inkfile import synthetic_ink
 from anisoscope.inspection import inspect_part
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
 from anisoscope.recipe import read_recipe
+from anisoscope.rig.acquisition.opening import open_rig
+from anisoscope.rig.bayer import channel_of_pixels
+from anisoscope.rig.rigfile import read_rig
+from anisoscope.sim.light.colour.vision import Vision
+from anisoscope.sim.light.geometry import Convention, Pose, directions
+from anisoscope.sim.light.ink.model import brdf
+from anisoscope.spectrumfile import find_illuminant, find_sensitivities
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 
@@ -25,7 +34,7 @@ def blocks(page, language):
 def copied(tmp_path, rng):
     """Recipe, rig and bench as the docs show them, with the virtual rig's drivers in place of the hardware's."""
     recipe, rig = blocks("recipe-and-rig.md", "toml")
-    (bench,) = blocks("virtual-rig.md", "toml")
+    bench, _, _ = blocks("virtual-rig.md", "toml")
     rig = rig.replace('"/dev/ttyUSB0"', '"sim://elliptec?bench=${here}/bench.toml"')
     rig = rig.replace('driver = "manual"', 'driver = "simulated"')
     rig = rig.replace("[geometry]", '[light.options]\nbench = "${here}/bench.toml"\n[geometry]', 1)
@@ -50,6 +59,35 @@ def test_recipe_rig_and_bench_of_the_docs_inspect_a_part(copied, monkeypatch):
     (copied / "bench.toml").write_text(bench.replace("burr_coverage = 0.1", "burr_coverage = 0.0"))
     record = inspect_part(copied / "recipe.toml", copied / "rig.toml", "DOC-2", copied / "out").record
     assert record.verdict == "PASS", record.reasons
+
+
+def test_bench_and_rig_for_colour_photograph_a_print(tmp_path):
+    """The radiance of the ink comes out of the docs' own rig, white balanced by the docs' own lamp and camera."""
+    _, bench, rig_file = blocks("virtual-rig.md", "toml")
+    (tmp_path / "bench.toml").write_text(bench.replace("time_scale = 0.1", "time_scale = 0.0"))
+    (tmp_path / "rig.toml").write_text(rig_file)
+    file = read_rig(tmp_path / "rig.toml")
+    middle = slice(472, 552)
+    with open_rig(file) as rig:
+        for axis in rig.axes:
+            axis.home()
+        rig.stage.move_to(file.stage.reading_deg(20.0))
+        rig.tilt.move_to(file.tilt.reading_deg(10.0))
+        rig.light.on()
+        rig.camera.configure(0.006, 1.0)
+        counts = rig.camera.grab()[middle, middle].astype(float) - rig.camera.info.black_level
+        filters = rig.camera.info.filters
+    vision = Vision(
+        find_illuminant(file.light.spectrum), find_sensitivities(file.camera.sensitivities, filters)
+    )
+    seen = channel_of_pixels(filters, counts.shape)
+    found = (
+        np.array([counts[seen == k].mean() for k in range(3)]) * 7.5 / (6.0e6 * 0.006) / vision.strengths()
+    )
+    ink = synthetic_ink("synthetic-red")
+    to_light, to_camera = directions((Pose(20.0, 10.0),), Convention())
+    expected = to_light[0, 2] * brdf(ink, to_light[0], to_camera[0]) @ vision.weights(ink.nm)
+    np.testing.assert_allclose(found - 0.0002, expected, rtol=0.01)  # less the stray light
 
 
 def test_defaults_that_the_docs_show_are_the_defaults(copied):

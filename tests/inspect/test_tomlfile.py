@@ -6,7 +6,7 @@ import pytest
 from pydantic import BaseModel, ConfigDict
 
 from anisoscope.errors import RecipeError, RigFileError
-from anisoscope.tomlfile import read_toml_model
+from anisoscope.tomlfile import NameOrFile, read_toml_model
 
 
 class Inner(BaseModel):
@@ -21,6 +21,7 @@ class Outer(BaseModel):
 
     text: str = ""
     path: Path | None = None
+    known: NameOrFile = "d65"
     count: int = 0
     pair: tuple[float, float] = (0.0, 0.0)
     inner: Inner = Inner()
@@ -48,6 +49,13 @@ def test_substitutions_are_encoded_in_urls_only(tmp_path):
     assert read(tmp_path, 'text = "sim://x?bench=${here}/c"', **options).text == "sim://x?bench=/a%26b/c"
 
 
+def test_a_name_is_a_name_and_a_file_lies_beside(tmp_path):
+    assert read(tmp_path, "").known == "d65"
+    assert read(tmp_path, 'known = "led-b3"').known == "led-b3"
+    assert read(tmp_path, 'known = "lamps/mine.CSV"').known == str(tmp_path / "lamps" / "mine.CSV")
+    assert read(tmp_path, 'known = "/else/ink.toml"').known == "/else/ink.toml"
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -58,7 +66,7 @@ def test_substitutions_are_encoded_in_urls_only(tmp_path):
         ("[inner]\nheight_nm = 2.0", "inner.height_nm: unknown key; did you mean 'height_um'?"),
         ("[parts.a]\nheigth_um = 2.0", "parts.a.heigth_um: unknown key"),
         ("inner = 3", "inner: input should be an object, not 3"),
-        ("zzz = 3", "zzz: unknown key; known here: count, inner, pair, parts, path, text"),
+        ("zzz = 3", "zzz: unknown key; known here: count, inner, known, pair, parts, path, text"),
         ("a = ", "not valid TOML"),
         (b"\xff\xfe", "not a text file in UTF-8"),
     ],

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from anisoscope.ink.inkfile import read_ink, synthetic_ink
+from anisoscope.inkfile import read_ink, synthetic_ink
 from anisoscope.sim.light.ink.model import brdf_at_angles
 
 DOCS = Path(__file__).resolve().parents[3] / "docs" / "inks.md"

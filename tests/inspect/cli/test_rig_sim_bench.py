@@ -101,7 +101,7 @@ def test_a_part_is_inspected_through_another_process(serve, virtual_rig):
 
 
 def test_the_tilt_axis_is_on_the_line_of_the_stage(serve, virtual_rig, capsys):
-    bench = {"sample": {"kind": "white-tile"}, "tilt": {"zero_deg": 25.0}}
+    bench = {"sample": {"kind": "white-tile"}, "sensor": {"filters": "grbg"}, "tilt": {"zero_deg": 25.0}}
     served = serve(virtual_rig(bench=bench).rig.with_name("bench.toml"), "--pty")
     assert served.first_line.startswith("serving bench on stage /dev/pts/")
     assert run(["rig", "move", "5", "--sample", "--axis", "tilt", "-g", str(served.rig), "--yes"]) == 0
@@ -112,6 +112,9 @@ def test_the_tilt_axis_is_on_the_line_of_the_stage(serve, virtual_rig, capsys):
     assert found["tilt"]["angle_deg"] == pytest.approx(5.0, abs=0.01)
     assert found["stage"]["position_deg"] == 0.0
     assert (found["camera"]["rows"], found["light"]["driver"]) == (512, "serial")
+    file = read_rig(served.rig)
+    assert (found["camera"]["filters"], file.camera.sensitivities) == ("grbg", "synthetic")
+    assert file.light.spectrum == "led-white"
 
 
 def test_ports_can_be_chosen(serve, virtual_rig):

@@ -72,6 +72,21 @@ def test_many_frames_are_averaged(command, virtual_rig, tmp_path):
     assert spread[1] == pytest.approx(spread[0] / 4.0, rel=0.05)
 
 
+def test_a_colour_camera_gives_its_mosaic_and_a_preview_in_colour(command, virtual_rig, tmp_path):
+    rig = virtual_rig(bench={"sample": {"kind": "white-tile"}, "sensor": {"filters": "gbrg"}})
+    code, printed, _ = command(*snap(rig, tmp_path / "a.tif", "--preview"))
+    assert (code, "the mosaic as the sensor saw it, filters gbrg" in printed) == (0, True)
+    frame = read_frame(tmp_path / "a.tif")
+    assert frame.filters == "gbrg"
+    green, blue, red = (frame.counts[row::2, col::2].mean() for row, col in ((0, 0), (0, 1), (1, 0)))
+    assert green > red > blue
+    assert cv2.imread(str(tmp_path / "a.png"), cv2.IMREAD_UNCHANGED).shape == (*frame.counts.shape, 3)
+    code, out, _ = command(*live(rig, "--frames", 1, "--json"))
+    assert (code, json.loads(out)["ridge_deg"]) == (0, None)
+    code, printed, _ = command("rig", "status", "-g", rig.rig)
+    assert (code, "colour filters gbrg" in printed) == (0, True)
+
+
 def test_too_long_an_exposure_is_said(command, rig, tmp_path):
     code, out, err = command("rig", "snap", "-g", rig.rig, "--exposure", 1, "--out", tmp_path / "a.tif")
     assert code == 0

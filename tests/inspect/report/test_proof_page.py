@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from anisoscope.errors import UsageError
-from anisoscope.ink.inkfile import SYNTHETIC, synthetic_ink
+from anisoscope.inkfile import SYNTHETIC, synthetic_ink
 from anisoscope.report.proof_page import Proof, ProofLight, ProofMesh, write_proof_page
 from anisoscope.sim.light.colour.illuminant import standard
 from anisoscope.sim.light.colour.observer import white_point

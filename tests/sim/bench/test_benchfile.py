@@ -36,6 +36,9 @@ MISTAKES = {
     "sample: there is a table [sample.print], but the kind is 'ridges': set kind = \"print\"": {
         "sample": {"print": {"coverage": 0.5}}
     },
+    "sample: there is a table [sample.wafer], but the kind is 'ridges': set kind = \"wafer\"": {
+        "sample": {"wafer": {"file": "tile.npz"}}
+    },
     "sample.print.substrate: input should be less than or equal to 1, not 1.5": {
         "sample": {"kind": "print", "print": {"substrate": 1.5}}
     },

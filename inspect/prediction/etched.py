@@ -1,0 +1,146 @@
+"""A predictor of etched wafers: a tile of level steps that repeats, polished like a mirror, by its diffraction orders.
+
+The tile is the one that was etched, not an average over random ones, so that what a finite tile shows beyond the
+average is predicted too. What is reflected does not depend on the angle: the reflectance of metals changes by less than
+1 % up to 30° from the normal, that of silicon by less than 2 %, and contrasts do not know it at all.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.errors import HeightMapError, RecipeError
+from anisoscope.prediction.wave import window_of
+from anisoscope.profiles.etching import Etched
+from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.optics import Optics
+from anisoscope.sim.light.wave.halfvectors import half_vector
+from anisoscope.sim.light.wave.orders import REACH, Bands, Orders
+from anisoscope.sim.light.wave.reflectance import LightSpectrum, radiance_scale
+
+FloatArray = npt.NDArray[np.float64]
+
+WHOLE = 1e-3
+"""How far the side of a tile may be off the pitch of the recipe, relative."""
+
+
+@dataclass(frozen=True)
+class WaferLight:
+    """Lamp and lens.
+
+    Attributes:
+        wavelength_nm: middle of the spectrum.
+        bandwidth_nm: full width at half of its height.
+        lamp_half_angle_deg: of the cone of light that falls in.
+        aperture_half_angle_deg: of the cone that the lens collects.
+    """
+
+    wavelength_nm: float
+    bandwidth_nm: float
+    lamp_half_angle_deg: float
+    aperture_half_angle_deg: float
+
+    @property
+    def spectrum(self) -> LightSpectrum:
+        """The lines that stand for the lamp."""
+        return line_spectrum(self.wavelength_nm, self.bandwidth_nm)
+
+    @property
+    def optics(self) -> Optics:
+        """Sizes of lamp and lens."""
+        return Optics(self.lamp_half_angle_deg, self.aperture_half_angle_deg)
+
+
+def line_spectrum(wavelength_nm: float, bandwidth_nm: float) -> LightSpectrum:
+    """A lamp's spectrum; one line for a width of 0."""
+    if bandwidth_nm == 0.0:
+        return LightSpectrum((1e-3 * wavelength_nm,))
+    return LightSpectrum.led(wavelength_nm, bandwidth_nm, count=3)
+
+
+@dataclass(frozen=True, eq=False)
+class EtchedPredictor:
+    """Predicts radiances of a wafer; the signature of every predictor.
+
+    Attributes:
+        tile: what is etched.
+        light: lamp and lens.
+        reflectance: of the coating, 0 to 1.
+        orders: of the tile.
+        kept: spectra of the tile's pieces, for other widths.
+        reach: of the orders, in cycles per µm.
+    """
+
+    tile: Etched
+    light: WaferLight
+    reflectance: float
+    orders: Orders
+    kept: dict[str, Bands]
+    reach: float
+
+    @classmethod
+    def of(cls, tile: Etched, light: WaferLight, reflectance: float = 1.0, reach: float = REACH) -> Self:
+        """Of a tile; ``reach`` bounds the frequencies that any direction needs."""
+        kept: dict[str, Bands] = {}
+        return cls(tile, light, reflectance, Orders.of(tile, reach, kept), kept, reach)
+
+    def with_depths(self, deeper_nm: float) -> Self:
+        """The same wafer, every pass deeper: the areas of the levels stay."""
+        return replace(self, tile=self.tile.over_etched(1e-3 * deeper_nm))
+
+    def with_widths(self, wider_nm: float) -> Self:
+        """The same wafer, every etched feature wider."""
+        tile = self.tile.widened(1e-3 * wider_nm)
+        return replace(self, tile=tile, orders=Orders.of(tile, self.reach, self.kept))
+
+    def under(self, light: WaferLight) -> Self:
+        """The same wafer in another light."""
+        return replace(self, light=light)
+
+    def __call__(self, to_light: FloatArray, to_camera: FloatArray, material: Material) -> FloatArray:
+        """(P,) radiances in 1/sr for (P, 3) unit vectors; of the material its albedo alone counts, the scattered share.
+
+        Raises:
+            ModelError: light or camera at or below the horizon, or a direction that the tile is not sampled for.
+        """
+        levels, lines = np.array(self.tile.levels_um), self.light.spectrum
+        found = []
+        for light, camera in zip(to_light, to_camera, strict=True):
+            half = half_vector(light, camera)
+            window = window_of(light, camera, self.light.optics, None)
+            mirrored = sum(
+                share
+                * radiance_scale(half, wavelength)
+                * self.orders.density(levels, half, wavelength, window)
+                for wavelength, share in zip(lines.wavelengths_um, lines.weights, strict=True)
+            )
+            diffuse = material.albedo / np.pi * light[2]
+            found.append(self.reflectance * ((1.0 - material.albedo) * mirrored + diffuse))
+        return np.array(found)
+
+
+def tile_of(surface: HeightMap, pitch_um: float, name: str) -> Etched:
+    """The tile of a recipe's wafer.
+
+    Args:
+        surface: its height map.
+        pitch_um: of the recipe.
+        name: of the file, for messages.
+
+    Raises:
+        HeightMapError: it is no surface of level steps.
+        RecipeError: its sides are not the pitch.
+    """
+    high, wide = surface.extent_um
+    if max(abs(high / pitch_um - 1.0), abs(wide / pitch_um - 1.0)) > WHOLE:
+        raise RecipeError(
+            f"surface.pitch_um: {name} is {wide:g} × {high:g} µm, the pitch {pitch_um:g} µm: of a wafer the map "
+            "must be the square tile that repeats on it, and the pitch its side"
+        )
+    try:
+        return Etched.of(surface)
+    except HeightMapError as problem:
+        raise HeightMapError(f"{name}: {problem}") from None

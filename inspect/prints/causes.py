@@ -1,0 +1,257 @@
+"""What may be wrong with a print, what each would change in all channels, and which of it explains what was seen.
+
+The signatures come from the ink model for the recipe's poses; causes are weighed and ranked as those of ridged parts
+(`anisoscope.diagnosis.diagnosing`). Beside ln of the channels two numbers of the map are data: how the tilt
+changes across the region, and the share of the area that deviates from the rest.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.diagnosis.causes import Cause, Group
+from anisoscope.diagnosis.diagnosing import Diagnosis, diagnose
+from anisoscope.diagnosis.evidence import Evidence
+from anisoscope.diagnosis.likelihood import fit_extent, interval
+from anisoscope.diagnosis.signatures import Signature, Signatures
+from anisoscope.errors import ModelError
+from anisoscope.prediction.sensitivity import State as RidgeState
+from anisoscope.prints.deciding import PrintDecision
+from anisoscope.prints.expecting import PrintExpectation
+from anisoscope.prints.fitting import PrintFit
+from anisoscope.prints.measuring import MeasuredPrint, cell_grid
+from anisoscope.prints.model import Scene, State
+from anisoscope.prints.recipe import PrintRecipe
+from anisoscope.prints.sources import Source, total
+from anisoscope.profiles.heightmap import HeightMap
+
+FloatArray = npt.NDArray[np.float64]
+Extents = tuple[float, ...]
+
+_DOUBT = 0.02
+_BACKGROUND = 0.002
+U_BACKGROUND = 0.004
+"""Standard uncertainty of the share of the area that deviates on good prints."""
+_SIZES = (0.02, 0.05, 0.1, 0.15, 0.25, 0.4, 0.6, 0.8, 1.0)
+_SHARES = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7)
+_LEANS_DEG = (0.2, 0.5, 1.0, 1.5, 2.0, 3.0)
+_SHIFTS_NM = (2.0, 4.0, 6.0, 10.0, 15.0, 20.0, 30.0)
+_SHIFT_DOUBT = 0.1
+"""The spectra are known at steps of 10 nm, linear between them."""
+
+
+def explain_print(
+    recipe: PrintRecipe, expected: PrintExpectation, measured: MeasuredPrint, decision: PrintDecision
+) -> Diagnosis:
+    """Rank the causes of a print.
+
+    Args:
+        recipe: its recipe.
+        expected: the prediction.
+        measured: the channels.
+        decision: the verdict, with fit and map.
+    """
+    logs = np.log(measured.channels / expected.channels).ravel()
+    covariance = total(decision.sources, logs.size)
+    found = decision.map
+    if found is None:
+        known, evidence = known_causes(recipe, expected, decision.fit, 0), Evidence(logs, covariance)
+        return _alone(diagnose(known, evidence), known, evidence, decision.sources)
+    size = len(logs) + 1
+    whole = np.zeros((size, size))
+    whole[:-1, :-1], whole[-1, -1] = covariance, found.u_curl_deg**2
+    curl = float(np.linalg.norm(found.curl_deg, 2))
+    known = known_causes(recipe, expected, decision.fit, 1)
+    evidence = Evidence(np.append(logs, curl), whole, found.share, found.u_share, _BACKGROUND, U_BACKGROUND)
+    return _alone(diagnose(known, evidence), known, evidence, decision.sources)
+
+
+def _alone(found: Diagnosis, known: Signatures, evidence: Evidence, sources: tuple[Source, ...]) -> Diagnosis:
+    """The severities of the causes that count, each without the uncertainty of the input that it is itself."""
+    by_name = {signature.cause.name: signature for signature in known.found}
+    findings = []
+    for one in found.findings:
+        own = [source for source in sources if source.name in _OWN.get(one.cause, ())]
+        if own and (one.tie or one.weight > _COUNTS):
+            signature, rest = by_name[one.cause], evidence.covariance.copy()
+            count = len(own[0].factor)
+            rest[:count, :count] -= total(own, count)
+            without = replace(evidence, covariance=rest)
+            fit = fit_extent(signature, without)
+            low, high = interval(signature, without, fit)
+            one = replace(one, extent=fit.extent, u=fit.u, low=low, high=high)  # noqa: PLW2901
+        findings.append(one)
+    return replace(found, findings=tuple(findings))
+
+
+_COUNTS = 0.01
+_OWN = {
+    "roughness": ("roughness of the ink",),
+    "missing-ink": ("level of the ink",),
+    "lean": ("seating tilt about x", "seating tilt about y"),
+    "lobe-form": ("form of the lobe",),
+    "film-thickness": ("colour of the ink",),
+}
+"""Inputs of the prediction that are the same thing as a cause."""
+
+
+def known_causes(recipe: PrintRecipe, expected: PrintExpectation, fit: PrintFit, extra: int) -> Signatures:
+    """The signatures of all causes of a print.
+
+    Args:
+        recipe: its recipe.
+        expected: the prediction.
+        fit: gives the directions of brushing and lean.
+        extra: 1 if the change of tilt across the region is a datum after ln of the channels, else 0.
+
+    Raises:
+        InkFileError: one of the wrong inks cannot be read.
+    """
+    signatures = [_of_state(expected.scene, *one, extra) for one in _of_ink(fit)]
+    signatures += [
+        _of_state(
+            replace(expected.scene, other=ink),
+            _cause(f"wrong-ink-{ink.name}", f"share of {ink.name} in the ink", "", "finish", _WRONG),
+            _SHARES,
+            lambda extent: State(other=extent),
+            extra,
+        )
+        for ink in recipe.print.read_wrong_inks()
+    ]
+    if extra:
+        signatures += [_curl(recipe, expected), _spots(expected.scene)]
+    return Signatures(expected.poses, expected.channels.ravel(), 0.0, tuple(signatures), ())
+
+
+_WRONG = "press: ink of another job in the pan or the screen"
+_OF_INK = "ink: binder mixed in, other flakes or another batch; press: flakes do not lie flat"
+
+
+def _of_ink(fit: PrintFit) -> list[tuple[Cause, Extents, Callable[[float], State]]]:
+    """Causes with their extents, and what state of the print each makes of an extent."""
+    brush = np.array([fit.state.ratio, fit.state.skew])
+    brush = brush / max(float(np.linalg.norm(brush)), 1e-12) if np.any(brush) else np.array([1.0, 0.0])
+    brush = -brush if brush[0] < 0.0 else brush
+    along = _brush_deg(brush)
+    across = (along + 90.0) % 180.0
+    lean = np.array([fit.state.tilt_x_deg, fit.state.tilt_y_deg])
+    lean = lean / max(float(np.linalg.norm(lean)), 1e-12) if np.any(lean) else np.array([1.0, 0.0])
+    toward = round(float(np.degrees(np.arctan2(lean[1], lean[0])))) % 360
+    both = tuple(sorted({0.0, *(0.8 * s for s in _SIZES), *(-0.4 * s for s in _SIZES)}))
+    return [
+        (
+            _cause("roughness", "roughness of the lobe, relative change", "", "finish", _OF_INK),
+            both,
+            lambda e: State(alpha=float(np.log1p(e))),
+        ),
+        (
+            _cause("missing-ink", "missing ink, share", "", "finish", "press: too little ink, worn screen"),
+            _SHARES,
+            lambda e: State(missing=e),
+        ),
+        (
+            _cause(
+                "brushing",
+                f"brushed print: roughness at {across:.0f}° over {along:.0f}°, less 1",
+                "",
+                "finish",
+                "press: squeegee or roller combs the flakes",
+            ),
+            both,
+            lambda e: State(ratio=float(brush[0] * np.log1p(e)), skew=float(brush[1] * np.log1p(e))),
+        ),
+        (
+            _cause(
+                "lean",
+                f"flakes shingled, or sheet not flat in its seat: leans toward {toward}° by",
+                "°",
+                "finish",
+                "press: flakes lie on each other like shingles; handling: sheet does not lie flat",
+            ),
+            (0.0, *_LEANS_DEG),
+            lambda e: State(tilt_x_deg=float(lean[0] * e), tilt_y_deg=float(lean[1] * e)),
+        ),
+        (
+            _cause(
+                "film-thickness",
+                "film of the flakes: spectra shifted by",
+                "nm",
+                "finish",
+                "ink: flakes with a thicker or thinner coat",
+                _SHIFT_DOUBT,
+            ),
+            tuple(sorted({0.0, *_SHIFTS_NM, *(-s for s in _SHIFTS_NM)})),
+            lambda e: State(shift_nm=e),
+        ),
+        (
+            _cause(
+                "lobe-form",
+                "form of the lobe, 0 as in the recipe, 1 the other distribution",
+                "",
+                "finish",
+                "ink: flakes lie otherwise than those from which the ink file was made; set print.lobe by a good print",
+            ),
+            (-0.5, -0.25, -0.1, 0.0, 0.1, 0.25, 0.5, 0.75, 1.0, 1.5),
+            lambda e: State(lobe=e),
+        ),
+    ]
+
+
+def _brush_deg(brush: FloatArray) -> float:
+    """Direction of the smaller roughness, 0 to 180 degrees, of a unit vector (ratio, skew)."""
+    return round(float(0.5 * np.degrees(np.arctan2(brush[1], brush[0])))) % 180.0
+
+
+def _cause(name: str, title: str, unit: str, group: Group, explains: str, doubt: float = _DOUBT) -> Cause:
+    return Cause(name, title, unit, group, explains, (), _no_surface, doubt)
+
+
+def _no_surface(surface: HeightMap, state: RidgeState, _extent: float) -> tuple[HeightMap, RidgeState]:
+    """A print has no height map that a cause could change: its signature comes from the ink."""
+    return surface, state
+
+
+def _of_state(
+    scene: Scene, cause: Cause, extents: Extents, state: Callable[[float], State], extra: int
+) -> Signature:
+    good, kept, changes = scene.log_channels(), [], []
+    for extent in extents:
+        try:
+            changes.append(np.append(scene.log_channels(state(extent)) - good, np.zeros(extra)))
+        except ModelError:
+            continue
+        kept.append(extent)
+    return Signature(cause, np.array(kept), np.array(changes), np.zeros(len(kept)))
+
+
+def _curl(recipe: PrintRecipe, expected: PrintExpectation) -> Signature:
+    """A sheet that bends: tilt grows evenly across the region, so that its ends deviate from the middle."""
+    assert recipe.area is not None
+    extents = np.arange(
+        0.0, _LEANS_DEG[-1] + 0.05, 0.1
+    )  # close together: cells pass the limit one after the other
+    count = cell_grid(recipe).shape[1]
+    scene, eye, ramp = expected.scene, expected.eye, (np.arange(count) + 0.5) / count - 0.5
+    changes, shares = [], []
+    for extent in extents:
+        seen = np.stack([scene.channels(State(tilt_x_deg=float(extent * at))) for at in ramp])
+        mean = seen.mean(axis=0)
+        changes.append(np.append(np.log(mean / expected.channels).ravel(), extent))
+        off = eye.difference(seen, np.broadcast_to(np.median(seen, axis=0), seen.shape)).max(axis=1)
+        shares.append(float(np.mean(off > recipe.area.cell_delta_e)))
+    cause = _cause("curl", "curled sheet, change of tilt across the region", "°", "shape", _CURLED, 0.05)
+    return Signature(cause, extents, np.array(changes), np.array(shares))
+
+
+_CURLED = "handling: sheet dried unevenly, or is not held down at its edges"
+
+
+def _spots(scene: Scene) -> Signature:
+    """Ink that is missing here and there: those cells deviate, and the mean shows half of their share."""
+    good = scene.log_channels()
+    extents = np.array(_SHARES)
+    changes = [np.append(scene.log_channels(State(missing=0.5 * e)) - good, 0.0) for e in _SHARES]
+    cause = _cause("spots", "spots, share of the area", "", "area", "press: dust, pinholes, clogged mesh")
+    return Signature(cause, extents, np.array(changes), extents)

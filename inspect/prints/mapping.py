@@ -1,0 +1,187 @@
+"""The map of a print: colour differences cell by cell, how the flakes lean from cell to cell, and spots.
+
+Each cell is compared with the whole region, so that what is alike everywhere does not show; the difference to the
+prediction is kept beside it. A linear fit over all poses tells how every cell leans, and a plane through that is the
+curl of the sheet.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.errors import MeasurementError
+from anisoscope.prints.colour import Eye
+from anisoscope.prints.expecting import PrintExpectation
+from anisoscope.prints.fitting import PrintFit
+from anisoscope.prints.measuring import MeasuredPrint
+from anisoscope.prints.recipe import PrintArea
+from anisoscope.registration.placement import Grid
+from anisoscope.verdict import Verdict
+
+FloatArray = npt.NDArray[np.float64]
+
+MAX_NOISE_SHARE = 0.25
+"""Largest noise floor of the map, as a share of the limit of a cell."""
+FIELD_TILT_DEG = 0.03
+"""Standard uncertainty of a tilt across the region: the light's direction changes a little over the field."""
+_LOCAL = ("tilt_x_deg", "tilt_y_deg", "alpha", "red", "green", "blue")
+_FLOOR = 0.005
+_SPOTS = 12
+
+
+@dataclass(frozen=True)
+class Spot:
+    """Cells that deviate and touch each other: middle and extents in mm, and the largest CIEDE2000 among them."""
+
+    x_mm: float
+    y_mm: float
+    width_mm: float
+    length_mm: float
+    area_share: float
+    cells: int
+    delta_e: float
+
+
+@dataclass(frozen=True, eq=False)
+class PrintMap:
+    """The cells of a print, (rows, cols), first row at the top.
+
+    Attributes:
+        local: CIEDE2000 of every cell against the region, the largest over the poses.
+        total: CIEDE2000 against the prediction, the largest over the poses.
+        lean_deg: (2, rows, cols) lean of the flakes toward +x and +y of the print, against the region's.
+        noise: CIEDE2000 that noise alone makes, rms, in the worst pose.
+        deviating: cells whose local difference exceeds the limit.
+        share: share of the area that deviates; its standard uncertainty ``u_share``.
+        curl_deg: (2, 2) change of the lean toward x and y (rows) across the region along its x and y (columns).
+        u_curl_deg: standard uncertainty of each.
+        verdict: of the area alone.
+        spots: cells that deviate together, the largest first.
+    """
+
+    local: FloatArray
+    total: FloatArray
+    lean_deg: FloatArray
+    noise: float
+    deviating: npt.NDArray[np.bool_]
+    share: float
+    u_share: float
+    curl_deg: FloatArray
+    u_curl_deg: float
+    verdict: Verdict
+    spots: tuple[Spot, ...]
+
+
+def map_of(
+    measured: MeasuredPrint, expected: PrintExpectation, fit: PrintFit, rule: PrintArea, coverage: float
+) -> PrintMap:
+    """Judge the map of a print.
+
+    Args:
+        measured: cells and region.
+        expected: the prediction.
+        fit: the print as a whole.
+        rule: thresholds.
+        coverage: guard band by the standard uncertainty of the share.
+
+    Raises:
+        MeasurementError: the cells are too noisy to tell.
+    """
+    eye, usual = expected.eye, np.median(measured.cells, axis=(2, 3))
+    cells = np.maximum(np.moveaxis(measured.cells, 1, -1), 1e-7)
+    local = eye.difference(cells, np.broadcast_to(usual[:, None, None], cells.shape)).max(axis=0)
+    wanted = np.broadcast_to(expected.channels[:, None, None], cells.shape)
+    total = eye.difference(cells, wanted).max(axis=0)
+    noise = _noise_floor(eye, usual, measured.cell_noise)
+    limit = MAX_NOISE_SHARE * rule.cell_delta_e
+    if noise > limit:
+        raise MeasurementError(
+            f"noise alone makes ΔE {noise:.2f} in a cell, too much to tell one of {rule.cell_delta_e:g} (limit "
+            f"{limit:.2f}): take more frames_per_pose, a longer exposure (acquisition.brackets), or larger cells"
+        )
+    share, low, high = (float(np.mean(local > rule.cell_delta_e + off)) for off in (0.0, -noise, noise))
+    u = float(np.hypot(0.5 * (low - high), 0.5 / local.size))
+    lean = _lean(measured, expected, fit, usual)
+    curl, u_curl = _curl(lean)
+    deviating = local > rule.cell_delta_e
+    return PrintMap(
+        local,
+        total,
+        lean,
+        noise,
+        deviating,
+        share,
+        u,
+        curl,
+        u_curl,
+        _judged(share, u, rule.max_share, coverage),
+        _spots(deviating, local, measured.grid),
+    )
+
+
+def _judged(share: float, u: float, limit: float, coverage: float) -> Verdict:
+    if share <= limit - coverage * u:
+        return Verdict.PASS
+    return Verdict.FAIL if share >= limit + coverage * u else Verdict.INCONCLUSIVE
+
+
+def _noise_floor(eye: Eye, channels: FloatArray, noise: FloatArray) -> float:
+    """Root mean square of ΔE that noise makes in a cell, in the worst pose; (P, 3) channels and noise of their ln."""
+    metric = eye.metric(channels)
+    return float(np.sqrt(np.einsum("pii,pi->p", metric, noise**2).max()))
+
+
+def _lean(
+    measured: MeasuredPrint, expected: PrintExpectation, fit: PrintFit, usual: FloatArray
+) -> FloatArray:
+    """(2, rows, cols) lean of every cell, from ln of its channels over the region's in all poses."""
+    logs = np.log(np.maximum(measured.cells, 1e-7) / usual[:, :, None, None])
+    values = logs.reshape(usual.size, -1)
+    slopes = np.stack([expected.scene.slope(name, fit.state) for name in _LOCAL], axis=-1)
+    weight = 1.0 / np.hypot(measured.cell_noise.ravel(), _FLOOR)
+    found = np.linalg.lstsq(slopes * weight[:, None], values * weight[:, None], rcond=None)[0]
+    return np.asarray(found[:2].reshape(2, *measured.grid.shape))
+
+
+def _curl(lean: FloatArray) -> tuple[FloatArray, float]:
+    """(2, 2) change of the lean across the region, from a plane through all but the farthest cells; and its u."""
+    rows, cols = lean.shape[1:]
+    if min(rows, cols) < 2:
+        return np.zeros((2, 2)), np.inf
+    down, across = ((np.arange(count) + 0.5) / count - 0.5 for count in (rows, cols))
+    y, x = np.meshgrid(-down, across, indexing="ij")
+    base = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=-1)
+    found, kept = np.zeros((3, 2)), np.ones(x.size, dtype=bool)
+    values = lean.reshape(2, -1).T
+    for _ in range(5):
+        found = np.asarray(np.linalg.lstsq(base[kept], values[kept], rcond=None)[0], dtype=np.float64)
+        off = np.hypot(*(values - base @ found).T)
+        kept = off <= max(3.0 * float(np.median(off)), 1e-6)
+    scatter = float(np.sqrt(np.mean((values - base @ found)[kept] ** 2)))
+    u = float(np.hypot(scatter * np.sqrt(12.0 / kept.sum()), FIELD_TILT_DEG))
+    return np.asarray(found[:2].T), u
+
+
+def _spots(deviating: npt.NDArray[np.bool_], local: FloatArray, grid: Grid) -> tuple[Spot, ...]:
+    import cv2  # noqa: PLC0415
+
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(deviating.astype(np.uint8), connectivity=8)
+    found = []
+    for label in range(1, count):
+        left, top, width, height, cells = (int(value) for value in stats[label])
+        middle = np.array([left + (width - 1) / 2.0, top + (height - 1) / 2.0, 1.0])
+        x, y = (grid.to_mm() @ middle)[:2]
+        worst = float(local[labels == label].max())
+        found.append(
+            Spot(
+                float(x),
+                float(y),
+                width * grid.pixel_mm,
+                height * grid.pixel_mm,
+                cells / deviating.size,
+                cells,
+                worst,
+            )
+        )
+    return tuple(sorted(found, key=lambda spot: -spot.cells)[:_SPOTS])

@@ -1,0 +1,70 @@
+"""The colours of a print's poses: measured beside wanted, and by how much they differ."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.prints.colour import worst_direction
+from anisoscope.prints.expecting import PrintExpectation
+from anisoscope.prints.fitting import PARAMETERS, PrintFit
+from anisoscope.prints.measuring import MeasuredPrint
+from anisoscope.prints.model import State
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PoseColour:
+    """The colour of one pose.
+
+    Attributes:
+        measured, predicted: (3,) channels in 1/sr.
+        wanted: (3,) channels predicted for a print that lies and leans as this one does.
+        u: (3,) relative standard uncertainty of the measured over the wanted channels.
+        xyz, xyz_predicted: (3,) of measured and wanted, Y = 1 for the perfect diffuser.
+        delta_e: CIEDE2000 between them.
+        u_delta_e: its standard uncertainty.
+    """
+
+    measured: FloatArray
+    predicted: FloatArray
+    wanted: FloatArray
+    u: FloatArray
+    xyz: FloatArray
+    xyz_predicted: FloatArray
+    delta_e: float
+    u_delta_e: float
+
+
+def colours_of(
+    expected: PrintExpectation, measured: MeasuredPrint, fit: PrintFit, covariance: FloatArray
+) -> tuple[PoseColour, ...]:
+    """Colours against those of a print that leans alike: the lean, maybe that of its seat, is judged by itself."""
+    eye, metric = expected.eye, expected.eye.metric(measured.channels)
+    leans = State(tilt_x_deg=fit.state.tilt_x_deg, tilt_y_deg=fit.state.tilt_y_deg)
+    channels = expected.scene.channels(leans)
+    places = [PARAMETERS.index(name) for name in ("tilt_x_deg", "tilt_y_deg")]
+    # what the two fitted tilts follow is no deviation, and no uncertainty of one
+    kept = np.eye(len(covariance)) - fit.slopes[:, places] @ fit.gain[places]
+    covariance = kept @ covariance @ kept.T
+    delta = eye.difference(measured.channels, channels)
+    xyz, wanted = eye.xyz(measured.channels), eye.xyz(channels)
+    found = []
+    for k in range(len(delta)):
+        block = covariance[3 * k : 3 * k + 3, 3 * k : 3 * k + 3]
+        worst = worst_direction(block, metric[k])
+        u = float(np.sqrt(worst @ metric[k] @ worst))
+        found.append(
+            PoseColour(
+                measured.channels[k],
+                expected.channels[k],
+                channels[k],
+                np.sqrt(np.diag(block)),
+                xyz[k],
+                wanted[k],
+                float(delta[k]),
+                u,
+            )
+        )
+    return tuple(found)

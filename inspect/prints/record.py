@@ -1,0 +1,120 @@
+"""What the record of an inspection holds of a print."""
+
+from pydantic import BaseModel, ConfigDict
+
+Triple = tuple[float, float, float]
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class ColourRecord(_Part):
+    """One pose of a print: red, green and blue in 1/sr, XYZ with Y = 1 for a perfect white, and CIEDE2000.
+
+    ``predicted`` is what the recipe predicts; ``wanted`` what it predicts for a print that leans as this one does, with
+    which ``measured`` is compared. ``u`` are relative standard uncertainties of measured over wanted.
+    """
+
+    stage_deg: float
+    tilt_deg: float
+    measured: Triple
+    predicted: Triple
+    wanted: Triple
+    u: Triple
+    xyz: Triple
+    xyz_predicted: Triple
+    delta_e: float
+    u_delta_e: float
+
+
+class QuantityRecord(_Part):
+    """A quantity that is judged.
+
+    ``deviation``, ``u``, ``limit`` and ``guard`` have one unit: relative for roughness and level, else ``unit``.
+    """
+
+    name: str
+    title: str
+    unit: str
+    value: float
+    nominal: float
+    deviation: float
+    u: float
+    limit: float
+    guard: float
+    conformance_probability: float
+    verdict: str
+
+
+class SpotRecord(_Part):
+    """Cells that deviate together: middle and extents in mm, share of the area, and the largest CIEDE2000."""
+
+    x: float
+    y: float
+    width: float
+    length: float
+    area_share: float
+    cells: int
+    delta_e: float
+
+
+class PrintMapRecord(_Part):
+    """The map of local colour differences.
+
+    ``noise`` is the CIEDE2000 that noise alone makes. ``curl_deg`` holds the change of the tilt toward x and toward y
+    (rows) across the region along x and along y (columns).
+    """
+
+    cell_mm: float
+    rows: int
+    cols: int
+    cell_delta_e: float
+    noise: float
+    share: float
+    u: float
+    max_share: float
+    verdict: str
+    curl_deg: tuple[tuple[float, float], tuple[float, float]]
+    u_curl_deg: float
+    spots: tuple[SpotRecord, ...] = ()
+
+
+class LobeRecord(_Part):
+    """The fitted lobe.
+
+    ``form`` is 0 for the distribution of normals of the recipe, 1 for the other one of GGX and Beckmann, relative to
+    ``print.lobe`` of the recipe. ``tilt_deg`` leans toward x and y. ``levels`` are relative, of red, green and blue.
+    """
+
+    alpha: float
+    u_alpha: float
+    form: float
+    u_form: float
+    tilt_deg: tuple[float, float]
+    levels: Triple
+    chi2: float
+    dof: int
+
+
+class PrintRecord(_Part):
+    """A print: what it was compared with, the colours of its poses, the lobe, the map and what was judged.
+
+    ``to_xyz`` takes π times the channels to XYZ; ``matrix_residual`` is the CIEDE2000 that it leaves on the spectra of
+    a good print, ``exposure`` the factor on XYZ before colours are compared against ``white``.
+    """
+
+    ink: str
+    lamp: str
+    sensitivities: str
+    filters: str
+    to_xyz: tuple[Triple, Triple, Triple]
+    white: Triple
+    exposure: float
+    matrix_residual: float
+    matrix_residual_changed: float
+    colours: tuple[ColourRecord, ...]
+    quantities: tuple[QuantityRecord, ...]
+    lobe: LobeRecord
+    map: PrintMapRecord | None
+    not_judged: tuple[str, ...] = ()

@@ -1,0 +1,231 @@
+"""From the verdict on a print to the part of its record that it rests on."""
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.diagnosis.diagnosing import NOTHING, Diagnosis
+from anisoscope.measurement import View
+from anisoscope.prints.deciding import NOT_JUDGED, PrintDecision
+from anisoscope.prints.expecting import PrintExpectation
+from anisoscope.prints.mapping import PrintMap, Spot
+from anisoscope.prints.measuring import MeasuredPrint
+from anisoscope.prints.model import State
+from anisoscope.prints.quantities import Quantity
+from anisoscope.prints.recipe import PrintRecipe
+from anisoscope.prints.record import (
+    ColourRecord,
+    LobeRecord,
+    PrintMapRecord,
+    PrintRecord,
+    QuantityRecord,
+    SpotRecord,
+    Triple,
+)
+from anisoscope.record import BudgetRecord, CauseRecord, DiagnosisRecord, PoseRecord
+from anisoscope.verdict import Verdict
+
+FloatArray = npt.NDArray[np.float64]
+
+
+def triple(values: FloatArray) -> Triple:
+    """Three numbers as JSON holds them."""
+    red, green, blue = (float(value) for value in values)
+    return red, green, blue
+
+
+def print_results(
+    recipe: PrintRecipe,
+    expected: PrintExpectation,
+    views: list[View],
+    measured: MeasuredPrint,
+    decision: PrintDecision,
+    names: tuple[str, str],
+) -> dict[str, Any]:
+    """The fields of a record that a verdict on a print rests on.
+
+    Args:
+        recipe: its recipe.
+        expected: the prediction.
+        views: one a pose.
+        measured: the channels.
+        decision: the verdict.
+        names: of the sensitivities, and of the camera's filters.
+    """
+    return {
+        "poses": _poses(views, decision),
+        "contrasts": (),
+        "d2": decision.d2,
+        "dof": decision.dof,
+        "p_value": decision.p_value,
+        "area": None,
+        "budget": _budget(decision.quantities),
+        "drift": measured.drift,
+        "print": _print(recipe, expected, decision, names),
+    }
+
+
+def _poses(views: list[View], decision: PrintDecision) -> tuple[PoseRecord, ...]:
+    return tuple(
+        PoseRecord(
+            stage_deg=view.stage_deg,
+            tilt_deg=view.tilt_deg,
+            measured=float(colour.xyz[1] / np.pi),
+            predicted=float(colour.xyz_predicted[1] / np.pi),
+            marker_angle_deg=view.placement.angle_deg,
+            pixel_um=view.placement.pixel_um,
+            residual_px=view.placement.residual_px,
+            markers=view.placement.markers,
+            dropped=view.placement.dropped,
+        )
+        for view, colour in zip(views, decision.colours, strict=True)
+    )
+
+
+def _budget(quantities: tuple[Quantity, ...]) -> tuple[BudgetRecord, ...]:
+    """Contributions to every quantity that has some, largest share of a limit first; 0 where a source has none."""
+    told = [one for one in quantities if one.contributions]
+    sources = dict.fromkeys((name, kind) for one in told for name, kind, _ in one.contributions)
+    rows = []
+    for source, kind in sources:
+        values = tuple(
+            float(np.linalg.norm([u for name, _, u in one.contributions if name == source])) for one in told
+        )
+        rows.append(BudgetRecord(source=source, kind=kind, contributions=values))
+    limits = [one.limit for one in told]
+    return tuple(
+        sorted(
+            rows, key=lambda row: -max(u / limit for u, limit in zip(row.contributions, limits, strict=True))
+        )
+    )
+
+
+def _print(
+    recipe: PrintRecipe, expected: PrintExpectation, decision: PrintDecision, names: tuple[str, str]
+) -> PrintRecord:
+    eye, fit, ink = expected.eye, decision.fit, expected.scene.ink
+    good = State()
+    mean_alpha = float(np.sqrt(ink.alpha * ink.across) * np.exp(fit.state.alpha - good.alpha))
+    matrix = [triple(row) for row in eye.to_xyz]
+    return PrintRecord(
+        ink=ink.name,
+        lamp=eye.lamp,
+        sensitivities=names[0],
+        filters=names[1],
+        to_xyz=(matrix[0], matrix[1], matrix[2]),
+        white=triple(eye.white),
+        exposure=eye.exposure,
+        matrix_residual=eye.residual,
+        matrix_residual_changed=eye.residual_changed,
+        colours=tuple(
+            ColourRecord(
+                stage_deg=pose.stage_deg,
+                tilt_deg=pose.tilt_deg,
+                measured=triple(one.measured),
+                predicted=triple(one.predicted),
+                wanted=triple(one.wanted),
+                u=triple(one.u),
+                xyz=triple(one.xyz),
+                xyz_predicted=triple(one.xyz_predicted),
+                delta_e=one.delta_e,
+                u_delta_e=one.u_delta_e,
+            )
+            for pose, one in zip(expected.poses, decision.colours, strict=True)
+        ),
+        quantities=tuple(_quantity(one) for one in decision.quantities),
+        lobe=LobeRecord(
+            alpha=mean_alpha,
+            u_alpha=mean_alpha * fit.u("alpha"),
+            form=fit.value("lobe"),
+            u_form=fit.u("lobe"),
+            tilt_deg=(fit.state.tilt_x_deg, fit.state.tilt_y_deg),
+            levels=triple(np.exp([fit.state.red, fit.state.green, fit.state.blue])),
+            chi2=fit.chi2,
+            dof=fit.dof,
+        ),
+        map=None if decision.map is None else _map(decision.map, recipe),
+        not_judged=(NOT_JUDGED,),
+    )
+
+
+def _quantity(one: Quantity) -> QuantityRecord:
+    return QuantityRecord(
+        name=one.name,
+        title=one.title,
+        unit=one.unit,
+        value=one.value,
+        nominal=one.nominal,
+        deviation=one.deviation,
+        u=one.u,
+        limit=one.limit,
+        guard=one.guard,
+        conformance_probability=one.conformance,
+        verdict=one.verdict.value,
+    )
+
+
+def _map(found: PrintMap, recipe: PrintRecipe) -> PrintMapRecord:
+    assert recipe.area is not None
+    (xx, xy), (yx, yy) = found.curl_deg.tolist()
+    return PrintMapRecord(
+        cell_mm=recipe.area.cell_mm,
+        rows=found.local.shape[0],
+        cols=found.local.shape[1],
+        cell_delta_e=recipe.area.cell_delta_e,
+        noise=found.noise,
+        share=found.share,
+        u=found.u_share,
+        max_share=recipe.area.max_share,
+        verdict=found.verdict.value,
+        curl_deg=((xx, xy), (yx, yy)),
+        u_curl_deg=found.u_curl_deg,
+        spots=tuple(_spot(one) for one in found.spots),
+    )
+
+
+def _spot(one: Spot) -> SpotRecord:
+    return SpotRecord(
+        x=one.x_mm,
+        y=one.y_mm,
+        width=one.width_mm,
+        length=one.length_mm,
+        area_share=one.area_share,
+        cells=one.cells,
+        delta_e=one.delta_e,
+    )
+
+
+def diagnosis_record(found: Diagnosis, alpha: float) -> DiagnosisRecord:
+    """The causes of a print as its record tells them; ``alpha`` is the level of significance."""
+    causes = tuple(
+        CauseRecord(
+            cause=one.cause,
+            title=one.title,
+            unit=one.unit,
+            severity=one.extent,
+            u=one.u if np.isfinite(one.u) else None,
+            interval=(one.low, one.high),
+            weight=one.weight,
+            chi2=one.chi2,
+            at_bound=one.at_bound,
+            tie=one.tie,
+        )
+        for one in found.findings
+    )
+    return DiagnosisRecord(says=_says(found, alpha), causes=causes, unexplained_p=found.unexplained_p)
+
+
+def _says(found: Diagnosis, alpha: float) -> str:
+    best = found.findings[0]
+    if found.unexplained_p < alpha:
+        return f"none of the causes explains the print (p = {found.unexplained_p:.2g} for the best of them)"
+    if best.cause == NOTHING:
+        return "nothing explains the print better than chance"
+    ties = [one.title for one in found.ties if one is not best]
+    return f"{best.title}; or, not to be told apart: {', '.join(ties)}" if ties else best.title
+
+
+def nothing_wrong(decision: PrintDecision, alpha: float) -> bool:
+    """Is there nothing to explain?"""
+    return decision.verdict is Verdict.PASS and decision.p_value >= alpha

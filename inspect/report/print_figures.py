@@ -1,0 +1,133 @@
+"""Pictures of a print: its cells in colour, the lobe over the tilts, quantities against their limits, and maps."""
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.prints.record import ColourRecord, QuantityRecord
+from anisoscope.report.figures import (
+    BLUE,
+    GREEN,
+    INK,
+    MUTED,
+    ORANGE,
+    RED,
+    ZONE,
+    ZONE_EDGE,
+    _figure,
+    _map_figure,
+    _outline,
+    _svg_uri,
+    png_uri,
+)
+
+FloatArray = npt.NDArray[np.float64]
+
+SHADES = (BLUE, ORANGE, GREEN, RED, MUTED, INK)
+MARKS = ("o", "s", "^", "D", "v", "P")
+SHORTEST = 0.02
+"""Half height of the zone of a quantity without uncertainty, so that it is seen."""
+
+
+def cells_picture(srgb: FloatArray) -> str:
+    """(rows, cols, 3) encoded sRGB as a PNG, one pixel a cell."""
+    done, data = cv2.imencode(".png", np.asarray(np.rint(255.0 * srgb[..., ::-1]), dtype=np.uint8))
+    assert done
+    return png_uri(data.tobytes())
+
+
+def lobe_chart(colours: Sequence[ColourRecord]) -> str:
+    """Radiance of the green channel over the tilt, one line a stage angle: measured marks, predicted lines."""
+    with _figure(9.0, 3.4) as (figure, axes):
+        angles = sorted({one.stage_deg for one in colours})
+        for number, angle in enumerate(angles):
+            line = sorted((one for one in colours if one.stage_deg == angle), key=lambda one: one.tilt_deg)
+            tilts = np.array([one.tilt_deg for one in line])
+            shade, mark = SHADES[number % len(SHADES)], MARKS[number % len(MARKS)]
+            axes.plot(tilts, [one.predicted[1] for one in line], color=shade, linewidth=1.1, alpha=0.8)
+            axes.errorbar(
+                tilts,
+                [one.measured[1] for one in line],
+                yerr=[1.96 * one.u[1] * one.measured[1] for one in line],
+                fmt=mark,
+                color=shade,
+                markersize=6 - number,
+                capsize=2,
+                label=f"{angle:g}°",
+            )
+        axes.set_yscale("log")
+        axes.grid(which="both")
+        axes.set_xlabel("tilt of camera and light [°];  marks: measured with 95 % interval, lines: predicted")
+        axes.set_ylabel("green channel [1/sr]")
+        axes.legend(frameon=False, fontsize=8, title="stage angle", title_fontsize=8)
+        return _svg_uri(figure)
+
+
+def quantity_chart(quantities: Sequence[QuantityRecord]) -> str:
+    """Deviation of every quantity over its limit, with 95 % intervals, in front of the zone of good prints."""
+    count = len(quantities)
+    with _figure(9.0, 0.75 + 0.36 * count) as (figure, axes):
+        axes.axvspan(-1.0, 1.0, color=ZONE, ec=ZONE_EDGE, linewidth=0.8)
+        for row, one in enumerate(quantities):
+            at, reach = one.deviation / one.limit, 1.96 * one.u / one.limit
+            axes.errorbar(
+                at,
+                row,
+                xerr=max(reach, SHORTEST),
+                fmt="o",
+                color=BLUE,
+                capsize=4,
+                markersize=6,
+                linewidth=1.6,
+            )
+        axes.axvline(0.0, color=MUTED, linewidth=0.9)
+        axes.set_yticks(range(count), [one.title.replace("-", "−") for one in quantities])
+        axes.set_ylim(count - 0.45, -0.55)
+        axes.grid(axis="x")
+        axes.set_xlabel("deviation over its limit;  bar: 95 % interval, green: good prints")
+        reach = max((abs(one.deviation) + 1.96 * one.u) / one.limit for one in quantities)
+        axes.set_xlim(-1.1 * max(reach, 1.2), 1.1 * max(reach, 1.2))
+        return _svg_uri(figure)
+
+
+def difference_map(
+    delta_e: FloatArray, deviating: npt.NDArray[np.bool_] | None, size_mm: tuple[float, float], label: str
+) -> str:
+    """Colour differences of the cells, first row at the top; where cells deviate, their patches are outlined."""
+    height, width = size_mm
+    with _map_figure(size_mm) as (figure, axes, bar):
+        extent = (-width / 2, width / 2, -height / 2, height / 2)
+        top = max(float(np.percentile(delta_e, 99.5)), 0.5)
+        shown = axes.imshow(delta_e, cmap="cividis", vmin=0.0, vmax=top, extent=extent)
+        if deviating is not None and deviating.any():
+            axes.add_artist(_outline(deviating, size_mm))
+        figure.colorbar(shown, cax=bar, label=label)
+        return _svg_uri(figure)
+
+
+def lean_map(lean_deg: FloatArray, size_mm: tuple[float, float]) -> str:
+    """How the flakes lean in every cell against the whole region: size in colour, direction as arrows."""
+    height, width = size_mm
+    rows, cols = lean_deg.shape[1:]
+    with _map_figure(size_mm) as (figure, axes, bar):
+        extent = (-width / 2, width / 2, -height / 2, height / 2)
+        size = np.hypot(*lean_deg)
+        shown = axes.imshow(size, cmap="cividis", vmin=0.0, vmax=max(float(size.max()), 0.2), extent=extent)
+        step = max(1, max(rows, cols) // 10)
+        x = (np.arange(cols) + 0.5) / cols * width - width / 2
+        y = height / 2 - (np.arange(rows) + 0.5) / rows * height
+        part = np.s_[step // 2 :: step]
+        axes.quiver(
+            x[part],
+            y[part],
+            lean_deg[0][part, part],
+            lean_deg[1][part, part],
+            color="#ffffff",
+            angles="xy",
+            pivot="middle",
+            width=0.006,
+        )
+        figure.colorbar(shown, cax=bar, label="lean against the region [°]")
+        return _svg_uri(figure)

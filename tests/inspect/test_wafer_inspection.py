@@ -1,0 +1,153 @@
+"""Wafers inspected end to end: verdicts, what is wrong, optics in the record, the report, and computing it again."""
+
+import shutil
+
+import numpy as np
+import pytest
+import tomli_w
+
+from anisoscope import explaining, inspection
+from anisoscope.calibration.pictures import take_flat
+from anisoscope.cli import demo_wafer
+from anisoscope.diagnosis.remembering import remembered_signatures
+from anisoscope.inspection import inspect_part
+from anisoscope.keptprediction import kept_expectation
+from anisoscope.recipe import read_recipe
+from anisoscope.recomputing import recompute
+from anisoscope.report.inspection_page import REPORT_NAME
+from anisoscope.verifying import verify
+
+TILE_UM = 128.0
+WRONG = {"good": {}, "deep": {"over_etch_nm": 20.0}, "wide": {"width_bias_nm": 320.0}}
+
+
+def _plain(record, _pictures, folder, _view=None):
+    """A report of one line: drawing takes longer than all the rest."""
+    (folder / REPORT_NAME).write_text(record.verdict)
+    return folder / REPORT_NAME
+
+
+def small(table):
+    """A rig or bench of 512 × 512 pixels of 8 µm."""
+    for part in ("camera", "optics"):
+        if part in table:
+            table[part]["pixel_um"] = 8.0
+    if "sensor" in table:
+        table["sensor"] = {"rows": 512, "cols": 512}
+        table["stage"] = {"time_scale": 0.0}
+    return table
+
+
+@pytest.fixture(scope="module")
+def wafers(tmp_path_factory):
+    """Recipe, flat, and a rig for every wafer: the demo's, with a tile of 128 µm and two stage angles."""
+    folder = tmp_path_factory.mktemp("wafers")
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in (("DOT_UM", 64.0), ("DOTS", 2), ("TILE_UM", TILE_UM)):
+            patch.setattr(demo_wafer, name, value)
+        demo_wafer.write_tile(folder, np.random.default_rng(5))
+        recipe = demo_wafer.recipe()
+    recipe["poses"]["angles_deg"] = [0.0, 90.0]
+    recipe["acquisition"] |= {"frames_per_pose": 2, "dark_frames": 2}
+    (folder / "recipe.toml").write_text(tomli_w.dumps(recipe))
+    for name in (*WRONG, "white-tile"):
+        place = folder / "bench" / name
+        place.mkdir(parents=True)
+        sample = {"kind": "white-tile"}
+        if name in WRONG:
+            light = demo_wafer.LIGHT
+            wafer = {"file": "../../wafer.npz", "reflectance": 0.9, "scatter": 0.001, **light, **WRONG[name]}
+            sample = {"kind": "wafer", "size_mm": 0.6, "wafer": wafer}
+        (place / "bench.toml").write_text(tomli_w.dumps(small(demo_wafer.bench(sample, 7))))
+        (place / "rig.toml").write_text(tomli_w.dumps(small(demo_wafer.rig(name))))
+    rig = folder / "bench" / "white-tile" / "rig.toml"
+    take_flat(rig, folder / "flat.tif", exposure_s=0.03, frames=4, reflectance=0.99)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def inspected(wafers):
+    """``inspected(name)``: each wafer is inspected once, with all causes of wafers."""
+    kept = {}
+
+    def inspect(name):
+        if name not in kept:
+            rig = wafers / "bench" / name / "rig.toml"
+            with pytest.MonkeyPatch.context() as patch:
+                patch.setattr(explaining, "remembered_signatures", remembered_signatures)
+                patch.setattr(inspection, "start_renderer", lambda _: None)
+                if name != "good":  # one report is looked at
+                    patch.setattr(inspection, "write_report", _plain)
+                kept[name] = inspect_part(wafers / "recipe.toml", rig, f"W-{name}", wafers / "inspections")
+        return kept[name]
+
+    return inspect
+
+
+def test_a_good_wafer_passes_and_its_pictures_are_as_predicted(inspected):
+    record = inspected("good").record
+    assert record.verdict == "PASS", record.reasons
+    assert record.p_value > 0.01
+    for pose in record.poses:
+        assert pose.measured == pytest.approx(pose.predicted, rel=0.02)
+    assert inspected("good").notes == ()
+    # the wide axis is bright at 90°: the same wafer, turned by 90°, the other way round
+    dark, bright = (pose.predicted for pose in record.poses if pose.tilt_deg == demo_wafer.TILT_DEG)
+    assert np.log(bright / dark) > 1.5
+
+
+def test_the_record_and_the_report_say_which_optics_and_why(inspected):
+    record, report = inspected("good").record, inspected("good").report.read_text()
+    assert (record.model, record.optics.asked, record.optics.model) == ("wave", "auto", "wave")
+    assert "the surface is stepped" in record.optics.reason
+    assert 'id="optics"' in report
+    assert record.optics.reason in report
+    sources = {row.source for row in record.budget}
+    assert {"depth of the etch passes", "width of the etched features", "wavelength of the lamp"} <= sources
+    assert {"aperture of the lens", "size of the lamp", "seating tilt about x", "zero of the tilt"} <= sources
+    assert not any("roughness" in source for source in sources)
+    assert record.area is None
+    assert record.shape is None
+    assert record.map_place is None
+
+
+@pytest.mark.parametrize(
+    ("name", "cause", "true", "rel", "tied"),
+    [("deep", "over-etch", 20.0, 0.05, "under-etch"), ("wide", "width-bias", 320.0, 0.15, "width-loss")],
+)
+def test_wrong_etching_fails_and_is_named_with_its_size(inspected, name, cause, true, rel, tied):
+    record = inspected(name).record
+    assert record.verdict == "FAIL", record.reasons
+    causes = {one.cause: one for one in record.diagnosis.causes}
+    found = causes[cause]
+    assert found.tie
+    assert found.severity == pytest.approx(true, rel=rel)
+    assert found.interval[0] < true < found.interval[1]
+    assert found.u < 0.15 * true
+    best = record.diagnosis.causes[0].cause
+    assert best in (cause, tied)
+    assert record.diagnosis.unexplained_p > 0.001
+    assert not {"burrs", "wear", "ridge-angle", "roughness-across", "colour"} & set(causes)
+    other = {"over-etch", "under-etch", "width-bias", "width-loss"} - {cause, tied}
+    assert not any(causes[one].tie for one in other)
+
+
+def test_a_wafer_computes_again_to_the_same_numbers_and_every_change_shows(inspected, tmp_path):
+    folder = tmp_path / "copy"
+    shutil.copytree(inspected("good").folder, folder)
+    again = recompute(folder)
+    assert (again.differences, again.verdict) == ((), "PASS")
+    kept = verify(folder)
+    assert (kept.finished, kept.changed, kept.missing) == (True, (), ())
+    copies = [one.name for one in again.recorded.inputs]
+    assert any(name.endswith("tile.npz") for name in copies)
+    (tile,) = (folder / name for name in copies if name.endswith("tile.npz"))
+    tile.write_bytes(tile.read_bytes() + b" ")
+    assert verify(folder).changed == (str(tile.relative_to(folder)),)
+
+
+def test_the_prediction_of_a_wafer_is_kept(wafers, monkeypatch):
+    recipe = read_recipe(wafers / "recipe.toml")
+    first = kept_expectation(recipe, 0.0)
+    monkeypatch.setattr("anisoscope.keptprediction.expectation", lambda *_: pytest.fail("predicted again"))
+    assert kept_expectation(recipe, 0.0) is first
