@@ -16,7 +16,7 @@ from anisoscope.golden import GoldenSet
 from anisoscope.localisation import Region, deviation_map, find_regions
 from anisoscope.measurement import Measured
 from anisoscope.recipe import ContrastKind, DecisionPart, Recipe
-from anisoscope.significance import holm, joint_conformance, two_sided
+from anisoscope.significance import holm, joint_conformance, said, two_sided
 from anisoscope.sim.light.contrasts import Contrast, consecutive_pairs, contrasts
 from anisoscope.sim.light.geometry import Pose
 from anisoscope.verdict import Verdict
@@ -275,7 +275,7 @@ def _combine(
     fails = significant and (pairs[0].tolerance is None or rule.deviation == "fail")
     alike = f"like the {golden} golden parts" if golden else "as predicted"
     shared = ", shared with the area" if len(tests) > 1 else ""
-    line = f"all contrasts together: p = {p_value:.2g} for a part {alike} (level {rule.alpha:g}{shared})"
+    line = f"all contrasts together: p {said(p_value)} for a part {alike} (level {rule.alpha:g}{shared})"
     if significant:
         line += f", a significant deviation{_where(pairs, rule.alpha)}"
     findings.append((Verdict.FAIL if fails else Verdict.PASS, line))

@@ -18,6 +18,7 @@ from anisoscope.measurement import Measured
 from anisoscope.progress import Advance, silent
 from anisoscope.recipe import Recipe
 from anisoscope.record import CauseRecord, DiagnosisRecord
+from anisoscope.significance import said
 from anisoscope.verdict import Verdict
 
 TIES_SAID = 3  # in one line; the table of causes has all
@@ -97,7 +98,7 @@ def _recorded(found: Diagnosis, recipe: Recipe) -> DiagnosisRecord:
 def _says(found: Diagnosis, recipe: Recipe) -> str:
     best = found.findings[0]
     if found.unexplained_p < recipe.decision.alpha:
-        return f"none of the causes explains the part (p = {found.unexplained_p:.2g} for the best of them)"
+        return f"none of the causes explains the part (p {said(found.unexplained_p)} for the best of them)"
     if best.cause == NOTHING:
         return "nothing explains the part better than chance"
     ties = [one.title for one in found.ties if one is not best]

@@ -101,3 +101,8 @@ def joint_conformance(deviation: FloatArray, covariance: FloatArray, tolerances:
         high, mean=np.zeros_like(deviation), cov=covariance, allow_singular=True, lower_limit=low, rng=0
     )
     return float(np.clip(found, 0.0, 1.0))
+
+
+def said(p_value: float) -> str:
+    """A probability after the word p, such as ``= 0.012``; one too small for a double is no certainty: ``< 1e-300``."""
+    return f"= {p_value:.2g}" if p_value >= 1e-300 else "< 1e-300"

@@ -23,6 +23,7 @@ from anisoscope.rig.acquisition.plan import Plan, Pose
 from anisoscope.rig.acquisition.runner import Rig, open_rig, run_plan
 from anisoscope.rig.fixture import Fixture
 from anisoscope.rig.frame import Frame, read_frame
+from anisoscope.significance import said
 from anisoscope.teachregion import largest_region
 
 FloatArray = npt.NDArray[np.float64]
@@ -214,7 +215,7 @@ def _notes(record: Record, recipe_path: Path, recipe: Recipe) -> tuple[str, ...]
     notes = []
     if record.p_value is not None and record.p_value < recipe.decision.alpha:
         notes.append(
-            f"the part deviates significantly from the prediction (p = {record.p_value:.2g}): is it good, and are "
+            f"the part deviates significantly from the prediction (p {said(record.p_value)}): is it good, and are "
             "[material] and [surface] right?"
         )
     if golden_path(recipe_path).exists():

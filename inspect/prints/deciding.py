@@ -16,7 +16,7 @@ from anisoscope.prints.posecolours import PoseColour, colours_of
 from anisoscope.prints.quantities import Judge, Quantity, sentence
 from anisoscope.prints.recipe import PrintRecipe
 from anisoscope.prints.sources import Source, total
-from anisoscope.significance import mahalanobis
+from anisoscope.significance import mahalanobis, said
 from anisoscope.verdict import Verdict
 
 NOT_JUDGED = (
@@ -95,7 +95,7 @@ def _combine(
         )
         findings.append((found.verdict, line))
     significant = p_value < rule.alpha
-    line = f"all channels together: p = {p_value:.2g} for a print as predicted (level {rule.alpha:g})"
+    line = f"all channels together: p {said(p_value)} for a print as predicted (level {rule.alpha:g})"
     if significant:
         line += ", a significant deviation"
     fails = significant and rule.deviation == "fail"

@@ -24,6 +24,7 @@ from anisoscope.prints.record import (
     Triple,
 )
 from anisoscope.record import BudgetRecord, CauseRecord, DiagnosisRecord, PoseRecord
+from anisoscope.significance import said
 from anisoscope.verdict import Verdict
 
 FloatArray = npt.NDArray[np.float64]
@@ -219,7 +220,7 @@ def diagnosis_record(found: Diagnosis, alpha: float) -> DiagnosisRecord:
 def _says(found: Diagnosis, alpha: float) -> str:
     best = found.findings[0]
     if found.unexplained_p < alpha:
-        return f"none of the causes explains the print (p = {found.unexplained_p:.2g} for the best of them)"
+        return f"none of the causes explains the print (p {said(found.unexplained_p)} for the best of them)"
     if best.cause == NOTHING:
         return "nothing explains the print better than chance"
     ties = [one.title for one in found.ties if one is not best]

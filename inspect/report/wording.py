@@ -3,6 +3,7 @@
 from anisoscope.record import CauseRecord, Record
 from anisoscope.report.page import Filters
 from anisoscope.report.provenance import when
+from anisoscope.significance import said
 
 
 def filters() -> Filters:
@@ -12,6 +13,7 @@ def filters() -> Filters:
         "signed": lambda value, digits=3: f"{value:+.{digits}f}".replace("-", "−"),
         "number": lambda value, digits=3: f"{value:.{digits}g}".replace("-", "−"),
         "chance": lambda value: f"{value:.2g}" if value >= 1e-4 else "< 0.0001",
+        "p_said": said,
         "when": when,
     }
 

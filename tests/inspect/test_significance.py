@@ -5,7 +5,15 @@ import pytest
 from scipy.stats import chi2, f, multivariate_normal, norm
 
 from anisoscope.errors import MeasurementError
-from anisoscope.significance import holm, hotelling, joint_conformance, log_basis, mahalanobis, two_sided
+from anisoscope.significance import (
+    holm,
+    hotelling,
+    joint_conformance,
+    log_basis,
+    mahalanobis,
+    said,
+    two_sided,
+)
 
 
 def test_distance_and_rank():
@@ -93,3 +101,7 @@ def test_joint_conformance_of_deviations_that_move_together():
     share = np.mean((np.abs(draws) <= tolerance).all(axis=1))
     assert joint_conformance(deviation, covariance, tolerance) == pytest.approx(share, abs=0.004)
     assert joint_conformance(deviation, np.zeros((2, 2)), tolerance) == 1.0
+
+
+def test_a_probability_too_small_for_a_number_is_no_certainty():
+    assert (said(0.0123), said(1.9e-14), said(0.0)) == ("= 0.012", "= 1.9e-14", "< 1e-300")
