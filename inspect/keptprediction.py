@@ -12,29 +12,31 @@ import io
 import json
 import threading
 from collections import OrderedDict
-from functools import cache, partial
+from functools import partial
 from importlib.metadata import version
-from pathlib import Path
 from zipfile import BadZipFile
 
 import numpy as np
 
-import anisoscope.expectation as expectation_module
-import anisoscope.models as models_module
-import anisoscope.response as response_module
-from anisoscope import prediction, profiles
 from anisoscope.atomicfile import write_bytes
-from anisoscope.diagnosis.remembering import cache_folder
+from anisoscope.diagnosis.remembering import cache_folder, sources_digest
 from anisoscope.errors import AnisoscopeError, RecordError
 from anisoscope.expectation import Component, Expectation, expectation
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.recipe import Recipe
 from anisoscope.response import Response
-from anisoscope.sim import light
 from anisoscope.sim.light.geometry import Convention
 
 FORMAT = 2
 KEPT = 4
+_SOURCES = (
+    "anisoscope.expectation",
+    "anisoscope.models",
+    "anisoscope.response",
+    "anisoscope.prediction",
+    "anisoscope.profiles",
+    "anisoscope.sim.light",
+)
 DAMAGED = (OSError, KeyError, ValueError, TypeError, EOFError, BadZipFile, AnisoscopeError)
 """What reading a file that is missing or was cut off ends with."""
 _memory: OrderedDict[str, Expectation] = OrderedDict()
@@ -95,15 +97,9 @@ def _key(recipe: Recipe, light_angle_deg: float) -> str:
     return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:32]
 
 
-@cache
 def _code() -> str:
     """Hash of the sources that a prediction comes from."""
-    digest = hashlib.sha256()
-    for module in (expectation_module, models_module, response_module, prediction, profiles, light):
-        home = Path(str(module.__file__))
-        for file in sorted(home.parent.rglob("*.py")) if home.name == "__init__.py" else (home,):
-            digest.update(file.name.encode() + b"\0" + file.read_bytes())
-    return digest.hexdigest()
+    return sources_digest(*_SOURCES)
 
 
 def packed(found: Expectation) -> bytes:

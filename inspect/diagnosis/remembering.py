@@ -1,6 +1,7 @@
 """Signatures kept on disk: they depend on recipe and rig only, and take longer than an inspection.
 
-The folder is ``$ANISOSCOPE_CACHE``, or the user's cache folder; whatever is in it may be deleted at any time.
+What counts is content: of the recipe, of the height map's file, and of the code that computes them. The folder is
+``$ANISOSCOPE_CACHE``, or the user's cache folder; whatever is in it may be deleted at any time.
 """
 
 import contextlib
@@ -9,6 +10,8 @@ import io
 import json
 import os
 from dataclasses import replace
+from functools import cache
+from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 from zipfile import BadZipFile
@@ -26,6 +29,7 @@ from anisoscope.recipe import Recipe
 
 VARIABLE = "ANISOSCOPE_CACHE"
 _FORMAT = 3
+_SOURCES = ("anisoscope.diagnosis", "anisoscope.prediction", "anisoscope.profiles", "anisoscope.sim.light")
 
 
 def cache_folder() -> Path:
@@ -33,6 +37,17 @@ def cache_folder() -> Path:
     from platformdirs import user_cache_path  # noqa: PLC0415
 
     return Path(os.environ[VARIABLE]) if VARIABLE in os.environ else user_cache_path("anisoscope")
+
+
+@cache
+def sources_digest(*modules: str) -> str:
+    """Hash of the sources of modules and whole packages, so that nothing kept outlives what it was made by."""
+    digest = hashlib.sha256()
+    for name in modules:
+        home = Path(str(import_module(name).__file__))
+        for file in sorted(home.parent.rglob("*.py")) if home.name == "__init__.py" else (home,):
+            digest.update(file.name.encode() + b"\0" + file.read_bytes())
+    return digest.hexdigest()
 
 
 def remembered_signatures(recipe: Recipe, light_angle_deg: float, advance: Advance = silent) -> Signatures:
@@ -54,14 +69,17 @@ def _key(recipe: Recipe, light_angle_deg: float) -> str:
     surface = recipe.surface.height_map
     told = {
         "format": _FORMAT,
-        "software": version("anisoscope"),
+        "software": [version("anisoscope"), np.__version__, sources_digest(*_SOURCES)],
         "surface": recipe.surface.model_dump(mode="json", exclude={"height_map"}),  # every folder has a copy
         "map": "" if surface is None else hashlib.sha256(surface.read_bytes()).hexdigest(),
         "material": vars(recipe.material.material()),
         "poses": recipe.poses.model_dump(mode="json"),
         "cells": None if recipe.area is None else recipe.area.cell_deviation,
         "light_angle_deg": light_angle_deg,
-        "causes": [(one.name, one.extents) for one in (wafer_causes() if recipe.is_wafer else all_causes())],
+        "causes": [
+            (one.name, one.extents, one.doubt)
+            for one in (wafer_causes() if recipe.is_wafer else all_causes())
+        ],
         "light": recipe.light and recipe.light.model_dump(mode="json"),
     }
     return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:32]

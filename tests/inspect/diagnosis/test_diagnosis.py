@@ -339,6 +339,9 @@ def test_signatures_are_computed_once(recipe, of_the_recipe, monkeypatch, tmp_pa
         file.write_bytes(b"damaged")
     remembered_signatures(recipe, 10.0)
     assert len(calls) == 3
+    monkeypatch.setattr("anisoscope.diagnosis.remembering.sources_digest", lambda *_: "other code")
+    remembered_signatures(recipe, 10.0)
+    assert len(calls) == 4
 
 
 def replace_material(recipe):
