@@ -9,7 +9,7 @@ import numpy.typing as npt
 from anisoscope.errors import RecipeError
 from anisoscope.models import Models, models_of, moved_light
 from anisoscope.prediction.etched import EtchedPredictor
-from anisoscope.prediction.propagation import propagate
+from anisoscope.prediction.propagation import PLASTIC_AND_SEAT, propagate
 from anisoscope.prediction.sensitivity import DARK, InputUncertainty, State, evaluate, fixed
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.recipe import Recipe
@@ -18,16 +18,7 @@ from anisoscope.sim.light.geometry import Convention, Pose
 
 FloatArray = npt.NDArray[np.float64]
 
-_OF_THE_RECIPE = (
-    "roughness along the ridges",
-    "roughness across the ridges",
-    "albedo of the plastic",
-    "refractive index",
-    "light angle",
-    "seating tilt about x",
-    "seating tilt about y",
-    "zero of the tilt",
-)
+_OF_THE_RECIPE = (*PLASTIC_AND_SEAT, "zero of the tilt")
 SECOND_ORDER = ", second order"
 NEGLIGIBLE = 5e-4  # of ln L: a quarter of what cameras and lamps leave in a pose at best
 

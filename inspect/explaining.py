@@ -52,7 +52,7 @@ def explain(
         found = diagnose(known, evidence_of(recipe, expected, measured, decision, golden))
     except (AnisoscopeError, ArithmeticError, ValueError, np.linalg.LinAlgError) as problem:
         return DiagnosisRecord(says="not possible"), f"no diagnosis: {problem}"
-    return _recorded(found, recipe), None
+    return diagnosis_record(found, recipe.decision.alpha), None
 
 
 def evidence_of(
@@ -76,7 +76,14 @@ def evidence_of(
     return against(found, shown, scale_share)
 
 
-def _recorded(found: Diagnosis, recipe: Recipe) -> DiagnosisRecord:
+def diagnosis_record(found: Diagnosis, alpha: float, of: str = "part") -> DiagnosisRecord:
+    """The causes as a record tells them.
+
+    Args:
+        found: the causes, ranked.
+        alpha: level of significance: below it none of them explains what was inspected.
+        of: what was inspected, in words.
+    """
     causes = tuple(
         CauseRecord(
             cause=one.cause,
@@ -92,15 +99,15 @@ def _recorded(found: Diagnosis, recipe: Recipe) -> DiagnosisRecord:
         )
         for one in found.findings
     )
-    return DiagnosisRecord(says=_says(found, recipe), causes=causes, unexplained_p=found.unexplained_p)
+    return DiagnosisRecord(says=_says(found, alpha, of), causes=causes, unexplained_p=found.unexplained_p)
 
 
-def _says(found: Diagnosis, recipe: Recipe) -> str:
+def _says(found: Diagnosis, alpha: float, of: str) -> str:
     best = found.findings[0]
-    if found.unexplained_p < recipe.decision.alpha:
-        return f"none of the causes explains the part (p {said(found.unexplained_p)} for the best of them)"
+    if found.unexplained_p < alpha:
+        return f"none of the causes explains the {of} (p {said(found.unexplained_p)} for the best of them)"
     if best.cause == NOTHING:
-        return "nothing explains the part better than chance"
+        return f"nothing explains the {of} better than chance"
     ties = [one.title for one in found.ties if one is not best]
     if not ties:
         return best.title

@@ -7,7 +7,7 @@ import numpy as np
 import tomli_w
 
 from anisoscope.calibration.pictures import take_flat
-from anisoscope.errors import RecordError, UsageError
+from anisoscope.cli.demo_folder import FIXTURE, begin, write_bench
 from anisoscope.progress import Advance
 
 PARTS = {"good": "PASS", "brushed": "FAIL", "wrong-ink": "FAIL", "spot": "FAIL"}
@@ -17,15 +17,6 @@ LAMP = "led-white"
 EXPOSURE_S = 0.008
 PIXEL_UM, PIXELS = 6.3, 640
 TILTS_DEG = [0.0, 10.0, 20.0, -20.0, -10.0]
-FIXTURE = {
-    "marker_mm": 0.52,
-    "markers": [
-        {"id": 0, "x_mm": 1.56, "y_mm": 0.0},
-        {"id": 1, "x_mm": 0.0, "y_mm": 1.56},
-        {"id": 2, "x_mm": -1.56, "y_mm": 0.0},
-        {"id": 3, "x_mm": 0.0, "y_mm": -1.56},
-    ],
-}
 DEFECTS: dict[str, dict[str, Any]] = {
     "good": {},
     "brushed": {"anisotropy": 1.15, "brush_deg": 20.0},
@@ -49,25 +40,14 @@ def lay_out(out: Path, seed: int, advance: Advance) -> Path:
         UsageError: a negative seed.
         RecordError: the folder cannot be made.
     """
-    if seed < 0:
-        raise UsageError(f"--seed must be 0 or a positive whole number, not {seed}")
-    folder = out.resolve()
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RecordError(f"cannot make the folder {out}: {error.strerror}") from error
-    rng = np.random.default_rng(seed)
+    folder, rng = begin(out, seed)
     (folder / "recipe.toml").write_text(tomli_w.dumps(recipe_of(INK)), encoding="utf-8")
     for name in (*PARTS, "white-tile"):
-        bench = folder / "bench" / name
-        bench.mkdir(parents=True, exist_ok=True)
         sample = {"kind": "white-tile", "reflectance": 0.99}
         if name != "white-tile":
             sample = print_sample(DEFECTS[name], rng)
-        content = bench_of(sample, int(rng.integers(2**31)))
-        (bench / "bench.toml").write_text(tomli_w.dumps(content), encoding="utf-8")
         rig = rig_of(None if name == "white-tile" else "../../flat.tif")
-        (bench / "rig.toml").write_text(tomli_w.dumps(rig), encoding="utf-8")
+        write_bench(folder, name, bench_of(sample, int(rng.integers(2**31))), rig)
     advance("flat of the white tile", 0, 1)
     take_flat(
         folder / "bench" / "white-tile" / "rig.toml",

@@ -7,7 +7,7 @@ import numpy as np
 import tomli_w
 
 from anisoscope.calibration.pictures import take_flat
-from anisoscope.errors import RecordError, UsageError
+from anisoscope.cli.demo_folder import FIXTURE, begin, write_bench
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
 from anisoscope.progress import Advance
@@ -18,15 +18,6 @@ PITCH_UM = 100.0
 RIDGE_ANGLE_DEG = 10.0
 LOBE = {"alpha_along": 0.055, "alpha_across": 0.095, "albedo": 0.2, "index": 1.5}
 RESOLVED_ALPHA = 0.03
-FIXTURE = {
-    "marker_mm": 0.52,
-    "markers": [
-        {"id": 0, "x_mm": 1.56, "y_mm": 0.0},
-        {"id": 1, "x_mm": 0.0, "y_mm": 1.56},
-        {"id": 2, "x_mm": -1.56, "y_mm": 0.0},
-        {"id": 3, "x_mm": 0.0, "y_mm": -1.56},
-    ],
-}
 
 
 def lay_out(out: Path, seed: int, advance: Advance) -> Path:
@@ -44,22 +35,12 @@ def lay_out(out: Path, seed: int, advance: Advance) -> Path:
         UsageError: a negative seed.
         RecordError: the folder cannot be made.
     """
-    if seed < 0:
-        raise UsageError(f"--seed must be 0 or a positive whole number, not {seed}")
-    folder = out.resolve()
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RecordError(f"cannot make the folder {out}: {error.strerror}") from error
-    rng = np.random.default_rng(seed)
+    folder, rng = begin(out, seed)
     advance("reference height map", 0, 1)
     _write_reference(folder / "reference.x3p", rng)
     (folder / "recipe.toml").write_text(tomli_w.dumps(_recipe()), encoding="utf-8")
     for name in (*PARTS, "white-tile"):
-        bench = folder / "bench" / name
-        bench.mkdir(parents=True, exist_ok=True)
-        (bench / "bench.toml").write_text(tomli_w.dumps(_bench(_sample(name, rng), int(rng.integers(2**31)))))
-        (bench / "rig.toml").write_text(tomli_w.dumps(_rig(name)), encoding="utf-8")
+        write_bench(folder, name, _bench(_sample(name, rng), int(rng.integers(2**31))), _rig(name))
     advance("flat of the white tile", 0, 1)
     take_flat(
         folder / "bench" / "white-tile" / "rig.toml",

@@ -12,8 +12,7 @@ import numpy as np
 import tomli_w
 
 from anisoscope.calibration.pictures import take_flat
-from anisoscope.cli.demo_ridges import FIXTURE
-from anisoscope.errors import RecordError, UsageError
+from anisoscope.cli.demo_folder import FIXTURE, begin, write_bench
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.progress import Advance
 
@@ -60,23 +59,12 @@ def lay_out(out: Path, seed: int, advance: Advance) -> Path:
         UsageError: a negative seed.
         RecordError: the folder cannot be made.
     """
-    if seed < 0:
-        raise UsageError(f"--seed must be 0 or a positive whole number, not {seed}")
-    folder = out.resolve()
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RecordError(f"cannot make the folder {out}: {error.strerror}") from error
-    rng = np.random.default_rng(seed)
+    folder, rng = begin(out, seed)
     advance("wafer design", 0, 1)
     write_tile(folder, rng)
     (folder / "recipe.toml").write_text(tomli_w.dumps(recipe()), encoding="utf-8")
     for name in (*PARTS, "white-tile"):
-        place = folder / "bench" / name
-        place.mkdir(parents=True, exist_ok=True)
-        table = bench(sample(name, rng), int(rng.integers(2**31)))
-        (place / "bench.toml").write_text(tomli_w.dumps(table), encoding="utf-8")
-        (place / "rig.toml").write_text(tomli_w.dumps(rig(name)), encoding="utf-8")
+        write_bench(folder, name, bench(sample(name, rng), int(rng.integers(2**31))), rig(name))
     advance("flat of the white tile", 0, 1)
     white = folder / "bench" / "white-tile" / "rig.toml"
     take_flat(white, folder / "flat.tif", exposure_s=0.03, frames=16, reflectance=0.99)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import App, Parameter
 
 from anisoscope.cli.console import console, parse_numbers, print_table, progress
+from anisoscope.cli.recipe_causes import print_causes
 from anisoscope.errors import UsageError
 
 if TYPE_CHECKING:
@@ -161,20 +162,7 @@ def _print(found: "RecipeCheck", product: str) -> None:
         ["source", *(f"u({name})" for name in names)],
         [[row.source, *(f"{value:.4f}" for value in row.contributions)] for row in found.budget],
     )
-    print_table(
-        "causes",
-        ["cause", "shows from", "told apart from", "never told from"],
-        [
-            [
-                cause.title,
-                _extent(cause.shows_from, cause.unit),
-                _extent(cause.told_apart_from, cause.unit),
-                ", ".join(cause.never_told_from),
-            ]
-            for cause in found.causes
-        ],
-        "from which extent on a cause shows (3 standard uncertainties) and no other looks the same",
-    )
+    print_causes(found.causes)
     out = console()
     for cause, reason in found.left_out:
         out.print(f"not looked at: {cause}: {reason}", markup=False, highlight=False, soft_wrap=True)
@@ -191,10 +179,6 @@ def _print(found: "RecipeCheck", product: str) -> None:
         )
     for line in found.complaints:
         out.print(line, markup=False, highlight=False, soft_wrap=True)
-
-
-def _extent(value: float | None, unit: str) -> str:
-    return "–" if value is None else f"{abs(value):.3g} {unit}".strip()
 
 
 @app.command

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from anisoscope.cli.console import console, print_table, progress
+from anisoscope.cli.recipe_causes import print_causes
 
 if TYPE_CHECKING:
     from anisoscope.prints.recipecheck import PrintRecipeCheck
@@ -75,20 +76,7 @@ def _print(found: "PrintRecipeCheck", product: str, *, made_up: bool) -> None:
             for one in found.quantities
         ],
     )
-    print_table(
-        "causes",
-        ["cause", "shows from", "told apart from", "never told from"],
-        [
-            [
-                cause.title,
-                _extent(cause.shows_from, cause.unit),
-                _extent(cause.told_apart_from, cause.unit),
-                ", ".join(cause.never_told_from),
-            ]
-            for cause in found.causes
-        ],
-        "from which extent on a cause shows (3 standard uncertainties) and no other looks the same",
-    )
+    print_causes(found.causes)
     lines = [
         f"the matrix from the camera's channels to XYZ leaves ΔE {found.matrix_residual:.2f} on a good print"
     ]
@@ -96,7 +84,3 @@ def _print(found: "PrintRecipeCheck", product: str, *, made_up: bool) -> None:
         lines.append("lamp and camera are made-up ones: name a rig file with --rig for its own")
     for line in (*lines, *found.complaints):
         console().print(line, markup=False, highlight=False, soft_wrap=True)
-
-
-def _extent(value: float | None, unit: str) -> str:
-    return "–" if value is None else f"{abs(value):.3g} {unit}".strip()

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.prediction.propagation import propagate
+from anisoscope.prediction.propagation import PLASTIC_AND_SEAT, propagate
 from anisoscope.prediction.sensitivity import DARK, InputUncertainty, Model, State, fixed
 from anisoscope.sim.light.geometry import Convention, Pose
 
@@ -22,15 +22,6 @@ if TYPE_CHECKING:
 
 FloatArray = npt.NDArray[np.float64]
 
-SOURCES = (
-    "roughness along the ridges",
-    "roughness across the ridges",
-    "albedo of the plastic",
-    "refractive index",
-    "light angle",
-    "seating tilt about x",
-    "seating tilt about y",
-)
 A_SIDE = 4
 """Extents to either side of nil at which the inputs are looked at."""
 _UNIT = InputUncertainty(
@@ -53,8 +44,8 @@ class Tangents:
 
     Attributes:
         extents: (T,) extents of the cause, ascending, nil among them.
-        slope: (T, P, K) change of ln L per unit of the K inputs of `SOURCES`: of ln α, of the albedo, of the index, per
-            degree.
+        slope: (T, P, K) change of ln L per unit of the K inputs of `PLASTIC_AND_SEAT`: of ln α, of the albedo, of the
+            index, per degree.
     """
 
     extents: FloatArray
@@ -70,7 +61,7 @@ class Tangents:
     def change(self, extent: float | FloatArray, sources: Sequence[str]) -> FloatArray:
         """(…, P, K) by how much the slopes of K sources differ from those of the good part; 0 for others."""
         found = self._curve(np.clip(extent, self.extents[0], self.extents[-1]))
-        columns = [SOURCES.index(source) if source in SOURCES else -1 for source in sources]
+        columns = [PLASTIC_AND_SEAT.index(source) if source in PLASTIC_AND_SEAT else -1 for source in sources]
         known = np.array([column >= 0 for column in columns])
         return np.asarray(found[..., columns] * known)
 
@@ -91,9 +82,9 @@ def looked_at(extents: Sequence[float]) -> tuple[float, ...]:
 def slopes_of(
     model: Model, state: State, poses: tuple[Pose, ...], convention: Convention
 ) -> FloatArray | None:
-    """(P, K) change of ln L per unit of every input of `SOURCES`; None where a pose is dark."""
+    """(P, K) change of ln L per unit of every input of `PLASTIC_AND_SEAT`; None where a pose is dark."""
     budget = propagate(fixed(model), state, poses, convention, _UNIT)
     if np.any(budget.radiance <= DARK):
         return None
     by_name = {one.source: one.absolute for one in budget.contributions}
-    return np.column_stack([by_name[source] / budget.radiance for source in SOURCES])
+    return np.column_stack([by_name[source] / budget.radiance for source in PLASTIC_AND_SEAT])

@@ -24,6 +24,16 @@ from anisoscope.sim.light.geometry import Convention, Pose
 
 FloatArray = npt.NDArray[np.float64]
 
+PLASTIC_AND_SEAT = (
+    "roughness along the ridges",
+    "roughness across the ridges",
+    "albedo of the plastic",
+    "refractive index",
+    "light angle",
+    "seating tilt about x",
+    "seating tilt about y",
+)
+"""Names of the sources that a recipe states of plastic, lamp and seat."""
 _ANGLE_STEP = 0.1  # degrees
 _FIELD_NODE = np.sqrt(0.6)  # three-point Gauss-Legendre rule on −1…1, weights 5/18, 8/18, 5/18
 _STAGE = "stage"

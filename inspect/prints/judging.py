@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.errors import AnisoscopeError, CameraError, MeasurementError
+from anisoscope.explaining import diagnosis_record
 from anisoscope.gates import check_views
 from anisoscope.job import Job
 from anisoscope.jobfile import JobFile
@@ -16,7 +17,7 @@ from anisoscope.prints.expecting import PrintExpectation
 from anisoscope.prints.light import check_filters, lamp_and_sensitivities
 from anisoscope.prints.measuring import MeasuredPrint, measure_print, region_mean
 from anisoscope.prints.recipe import PrintRecipe
-from anisoscope.prints.recording import diagnosis_record, nothing_wrong, print_results
+from anisoscope.prints.recording import nothing_wrong, print_results
 from anisoscope.progress import Advance, silent
 from anisoscope.record import DiagnosisRecord, Record
 from anisoscope.recording import make_record
@@ -111,7 +112,7 @@ def _explained(
     except (AnisoscopeError, ArithmeticError, ValueError, np.linalg.LinAlgError) as problem:
         note = f"no diagnosis: {problem}"
         return {"diagnosis": DiagnosisRecord(says="not possible"), "notes": (note,)}
-    return {"diagnosis": diagnosis_record(found, alpha)}
+    return {"diagnosis": diagnosis_record(found, alpha, "print")}
 
 
 def _pictures(expected: PrintExpectation, measured: MeasuredPrint, decision: PrintDecision) -> PrintPictures:

@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.diagnosis.diagnosing import NOTHING, Diagnosis
 from anisoscope.measurement import View
 from anisoscope.prints.deciding import NOT_JUDGED, PrintDecision
 from anisoscope.prints.expecting import PrintExpectation
@@ -23,8 +22,7 @@ from anisoscope.prints.record import (
     SpotRecord,
     Triple,
 )
-from anisoscope.record import BudgetRecord, CauseRecord, DiagnosisRecord, PoseRecord
-from anisoscope.significance import said
+from anisoscope.record import BudgetRecord, PoseRecord
 from anisoscope.verdict import Verdict
 
 FloatArray = npt.NDArray[np.float64]
@@ -195,36 +193,6 @@ def _spot(one: Spot) -> SpotRecord:
         cells=one.cells,
         delta_e=one.delta_e,
     )
-
-
-def diagnosis_record(found: Diagnosis, alpha: float) -> DiagnosisRecord:
-    """The causes of a print as its record tells them; ``alpha`` is the level of significance."""
-    causes = tuple(
-        CauseRecord(
-            cause=one.cause,
-            title=one.title,
-            unit=one.unit,
-            severity=one.extent,
-            u=one.u if np.isfinite(one.u) else None,
-            interval=(one.low, one.high),
-            weight=one.weight,
-            chi2=one.chi2,
-            at_bound=one.at_bound,
-            tie=one.tie,
-        )
-        for one in found.findings
-    )
-    return DiagnosisRecord(says=_says(found, alpha), causes=causes, unexplained_p=found.unexplained_p)
-
-
-def _says(found: Diagnosis, alpha: float) -> str:
-    best = found.findings[0]
-    if found.unexplained_p < alpha:
-        return f"none of the causes explains the print (p {said(found.unexplained_p)} for the best of them)"
-    if best.cause == NOTHING:
-        return "nothing explains the print better than chance"
-    ties = [one.title for one in found.ties if one is not best]
-    return f"{best.title}; or, not to be told apart: {', '.join(ties)}" if ties else best.title
 
 
 def nothing_wrong(decision: PrintDecision, alpha: float) -> bool:

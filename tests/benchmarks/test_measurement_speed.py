@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 import pytest
 
-from anisoscope.cli.demo_ridges import FIXTURE
+from anisoscope.cli.demo_folder import FIXTURE
 from anisoscope.decision import decide
 from anisoscope.expectation import expectation
 from anisoscope.job import Job

@@ -18,7 +18,7 @@ import tomli_w
 
 from anisoscope import explaining, inspection
 from anisoscope.calibration.pictures import take_flat
-from anisoscope.cli.demo_ridges import FIXTURE
+from anisoscope.cli.demo_folder import FIXTURE
 from anisoscope.diagnosis import remembering
 from anisoscope.diagnosis.signatures import signatures
 from anisoscope.errors import CameraError

@@ -19,7 +19,7 @@ from anisoscope.batch.partfile import whose
 from anisoscope.batch.watched import Watched, silence
 from anisoscope.batch.watching import Watch
 from anisoscope.batch.watchjournal import WATCH_NAME, WatchJournal
-from anisoscope.cli.demo_ridges import FIXTURE
+from anisoscope.cli.demo_folder import FIXTURE
 from anisoscope.cli.lotmates import lot_mates
 from anisoscope.cli.remembering import remember
 from anisoscope.errors import ConfigError, RecordError, UsageError

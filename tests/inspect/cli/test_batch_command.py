@@ -17,7 +17,7 @@ from anisoscope.batch.tray import read_tray
 from anisoscope.calibration.pictures import take_flat
 from anisoscope.cli.batch_operator import Terminal, table_of
 from anisoscope.cli.console import console
-from anisoscope.cli.demo_ridges import FIXTURE
+from anisoscope.cli.demo_folder import FIXTURE
 from anisoscope.history.rows import seal_of
 from anisoscope.history.store import open_history
 from anisoscope.rig.frame import read_frame

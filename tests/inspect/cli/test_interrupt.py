@@ -11,7 +11,7 @@ import pytest
 import tomli_w
 
 from anisoscope.calibration.pictures import take_flat
-from anisoscope.cli.demo_ridges import FIXTURE
+from anisoscope.cli.demo_folder import FIXTURE
 from anisoscope.inspection import resume_part
 from anisoscope.recomputing import recompute
 from anisoscope.record import read_record

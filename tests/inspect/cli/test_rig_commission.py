@@ -3,7 +3,7 @@
 import pytest
 import tomli_w
 
-from anisoscope.cli.demo_ridges import FIXTURE
+from anisoscope.cli.demo_folder import FIXTURE
 from anisoscope.rig.rigfile import read_rig
 
 BENCH = {

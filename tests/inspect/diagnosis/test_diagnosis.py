@@ -12,8 +12,8 @@ from anisoscope.diagnosis.likelihood import fit_extent, interval
 from anisoscope.diagnosis.remembering import remembered_signatures
 from anisoscope.diagnosis.separability import planned_covariance, separability
 from anisoscope.diagnosis.signatures import Signature, Signatures, signatures
-from anisoscope.diagnosis.tangents import SOURCES
 from anisoscope.expectation import Component, expectation
+from anisoscope.prediction.propagation import PLASTIC_AND_SEAT
 from anisoscope.profiles.defects_contact import edge_wear
 from anisoscope.profiles.ideal import RidgeDesign, ridges
 from anisoscope.profiles.spoiling import DEFECTS
@@ -328,7 +328,9 @@ def test_signatures_are_computed_once(recipe, of_the_recipe, monkeypatch, tmp_pa
         np.testing.assert_array_equal(one.at(0.3)[0], other.at(0.3)[0])
         assert (one.tangents is None) == (other.tangents is None)
         if one.tangents is not None:
-            np.testing.assert_array_equal(*(side.tangents.change(0.2, SOURCES) for side in (one, other)))
+            np.testing.assert_array_equal(
+                *(side.tangents.change(0.2, PLASTIC_AND_SEAT) for side in (one, other))
+            )
     assert (
         sum(one.tangents is not None for one in second.found) == len(of_the_recipe.found) - 1
     )  # not of burrs

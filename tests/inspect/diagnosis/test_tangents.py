@@ -8,8 +8,9 @@ import pytest
 from anisoscope.diagnosis.evidence import Evidence, covariance_of, inputs_of
 from anisoscope.diagnosis.likelihood import fit_extent, interval
 from anisoscope.diagnosis.signatures import DOUBTFUL, signatures
-from anisoscope.diagnosis.tangents import A_SIDE, SOURCES, Tangents, looked_at, slopes_of
+from anisoscope.diagnosis.tangents import A_SIDE, Tangents, looked_at, slopes_of
 from anisoscope.expectation import Component, expectation
+from anisoscope.prediction.propagation import PLASTIC_AND_SEAT
 from anisoscope.prediction.sensitivity import State, evaluate, fixed
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.recipe import Recipe
@@ -144,10 +145,13 @@ def test_nil_and_the_outermost_extents_are_looked_at():
 
 
 def test_slopes_change_by_nothing_on_the_good_part_and_not_for_other_inputs():
-    slope = np.zeros((3, 2, len(SOURCES)))
+    slope = np.zeros((3, 2, len(PLASTIC_AND_SEAT)))
     slope[:, :, 2] = [[1.0, 2.0], [0.5, 0.5], [0.0, 1.0]]
     told = Tangents(np.array([-1.0, 0.0, 2.0]), slope)
-    found = told.change(np.array([-1.0, 0.0, 2.0, 7.0]), (SOURCES[2], "depth of the etch passes", SOURCES[0]))
+    found = told.change(
+        np.array([-1.0, 0.0, 2.0, 7.0]),
+        (PLASTIC_AND_SEAT[2], "depth of the etch passes", PLASTIC_AND_SEAT[0]),
+    )
     assert found.shape == (4, 2, 3)
     np.testing.assert_allclose(found[:, :, 0], [[0.5, 1.5], [0.0, 0.0], [-0.5, 0.5], [-0.5, 0.5]])
     assert not found[:, :, 1:].any()

@@ -5,12 +5,13 @@ import re
 import numpy as np
 import pytest
 
+from anisoscope.explaining import diagnosis_record
 from anisoscope.linear import RadianceImage
 from anisoscope.measurement import View
 from anisoscope.prints.causes import explain_print
 from anisoscope.prints.judging import _pictures
 from anisoscope.prints.model import State
-from anisoscope.prints.recording import diagnosis_record, print_results
+from anisoscope.prints.recording import print_results
 from anisoscope.record import Record
 from anisoscope.registration.placement import Placement
 from anisoscope.report.inspection_page import Pictures, write_report
@@ -89,7 +90,7 @@ def page(sheet, tmp_path):
                 "stage": "Y",
                 "inputs": (),
                 "frames": (),
-                "diagnosis": diagnosis_record(found, 0.01),
+                "diagnosis": diagnosis_record(found, 0.01, "print"),
                 **told,
             }
         )

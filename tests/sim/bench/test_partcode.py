@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from anisoscope.batch.codes import read_codes, read_picture
-from anisoscope.cli.demo_ridges import FIXTURE
+from anisoscope.cli.demo_folder import FIXTURE
 from anisoscope.errors import RigFileError
 from anisoscope.rig.frame import Frame, write_frame
 from anisoscope.sim.bench.bench import Bench
