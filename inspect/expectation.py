@@ -170,27 +170,16 @@ def _of_the_wafer(
         pairs.append(("depth of the etch passes", wafer.with_depths(-deep), wafer.with_depths(deep)))
     if (wide := told.etch_width_nm) > 0.0:
         pairs.append(("width of the etched features", wafer.with_widths(-wide), wafer.with_widths(wide)))
-    tail = _tail(recipe.decision.alpha)
     found = []
     for name, below, above in pairs:
         low, high = (
             np.log(evaluate(fixed(end), [nominal], poses, convention)[0] / radiance) for end in (below, above)
         )
         found.append(Component(name, "prediction", 0.5 * (high - low), shared=True))
-        bend = tail * 0.5 * (high + low)
+        bend = np.sqrt(3.0) * 0.5 * (high + low)  # root mean square of z² for a normal z
         if np.abs(bend).max() > NEGLIGIBLE:
             found.append(Component(f"{name}, beyond the slope", "prediction", bend, shared=True))
     return found
-
-
-def _tail(alpha: float) -> float:
-    """Standard deviation of a normal error that exceeds its own limit at the level ``alpha`` as often as z² does.
-
-    z² of a normal z has longer tails than a normal error of the same root mean square √3, which is the least here.
-    """
-    from scipy.special import ndtri  # noqa: PLC0415
-
-    return float(max(np.sqrt(3.0), -ndtri(0.5 * alpha)))
 
 
 def _second_order(response: Response | None) -> list[Component]:

@@ -93,7 +93,6 @@ def _key(recipe: Recipe, light_angle_deg: float) -> str:
         "uncertainty": recipe.uncertainty.model_dump(mode="json"),
         "light": recipe.light and recipe.light.model_dump(mode="json"),
         "light_angle_deg": light_angle_deg,
-        "alpha": recipe.decision.alpha if recipe.is_wafer else None,  # sets how tails of squares count
     }
     return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:32]
 
