@@ -13,27 +13,31 @@ from anisoscope.significance import log_basis
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import Convention, directions, seating_rotation
 
-RNG = np.random.default_rng(2)
+
+@pytest.fixture
+def rng():
+    """Every test draws for itself."""
+    return np.random.default_rng(2)
 
 
-def straight(values, inputs):
+def straight(values, inputs, rng):
     return Response(
-        tuple("abcdef"[:inputs]), RNG.normal(size=(values, inputs)), np.zeros((values, inputs, inputs))
+        tuple("abcdef"[:inputs]), rng.normal(size=(values, inputs)), np.zeros((values, inputs, inputs))
     )
 
 
-def bent(values, inputs, size):
-    bend = size * RNG.normal(size=(values, inputs, inputs))
-    return replace(straight(values, inputs), bend=bend + bend.transpose(0, 2, 1))
+def bent(values, inputs, size, rng):
+    bend = size * rng.normal(size=(values, inputs, inputs))
+    return replace(straight(values, inputs, rng), bend=bend + bend.transpose(0, 2, 1))
 
 
-def test_the_response_is_the_model_to_second_order(make_recipe):
+def test_the_response_is_the_model_to_second_order(make_recipe, rng):
     recipe = make_recipe(poses={"angles_deg": [0.0, 90.0, 180.0], "tilts_deg": [0.0, -10.0]})
     found = expectation(recipe, 10.0)
     part, rig = recipe.material, recipe.uncertainty
     assert found.response.sources[:2] == ("roughness along the ridges", "roughness across the ridges")
     errors, sizes = [], []
-    for z in RNG.standard_normal((6, 7)):
+    for z in rng.standard_normal((6, 7)):
         plastic = replace(
             part.material(),
             alpha_along=part.alpha_along * (1.0 + part.u_alpha_share * z[0]),
@@ -61,17 +65,17 @@ def test_components_of_second_order_are_what_the_response_adds(make_recipe):
     assert found.alone == ()
 
 
-def test_a_straight_response_gives_the_mahalanobis_distance():
-    response = straight(5, 3)
+def test_a_straight_response_gives_the_mahalanobis_distance(rng):
+    response = straight(5, 3, rng)
     alone = 0.1 * np.eye(5) + 0.05
-    d = RNG.normal(size=(4, 5))
+    d = rng.normal(size=(4, 5))
     total = response.slope @ response.slope.T + alone
     expected = np.einsum("ni,ij,nj->n", d, np.linalg.inv(total), d)
     np.testing.assert_allclose(nearest(response, d, np.broadcast_to(alone, (4, 5, 5))), expected, rtol=1e-9)
 
 
-def test_distances_from_a_bent_response_keep_their_level_where_a_covariance_does_not():
-    response, alone = bent(6, 3, 0.05), 1e-3 * np.eye(6)
+def test_distances_from_a_bent_response_keep_their_level_where_a_covariance_does_not(rng):
+    response, alone = bent(6, 3, 0.05, rng), 1e-3 * np.eye(6)
     d = response.draw(alone, 4000, np.random.default_rng(3))
     found = nearest(response, d, np.broadcast_to(alone, (4000, 6, 6)))
     spread = np.cov(d.T)
@@ -80,8 +84,8 @@ def test_distances_from_a_bent_response_keep_their_level_where_a_covariance_does
     assert np.mean(chi2.sf(gaussian, 6) < 0.01) > 0.02
 
 
-def test_a_deviation_on_the_curve_is_as_far_as_its_inputs():
-    response = bent(6, 2, 0.1)
+def test_a_deviation_on_the_curve_is_as_far_as_its_inputs(rng):
+    response = bent(6, 2, 0.1, rng)
     z = np.array([1.5, -1.0])
     alone = 1e-6 * np.eye(6)
     found = nearest(response, response.change(z)[None], alone[None])[0]
@@ -89,9 +93,9 @@ def test_a_deviation_on_the_curve_is_as_far_as_its_inputs():
     assert found == pytest.approx(np.sum(z**2), rel=0.01)
 
 
-def test_combinations_of_values_respond_alike():
-    response, basis = bent(4, 2, 0.3), log_basis(4)
-    z = RNG.normal(size=(5, 2))
+def test_combinations_of_values_respond_alike(rng):
+    response, basis = bent(4, 2, 0.3, rng), log_basis(4)
+    z = rng.normal(size=(5, 2))
     np.testing.assert_allclose(response.within(basis).change(z), response.change(z) @ basis.T)
     np.testing.assert_allclose(
         response.tangent(z[0]) @ np.array([1e-6, 2e-6]),

@@ -15,13 +15,18 @@ from anisoscope.weighing import calibrated, from_golden, from_prediction, golden
 
 POSES = pose_grid((0.0, 90.0, 180.0), (0.0, 10.0))
 RADIANCE = np.array([0.3, 0.05, 0.04, 0.2, 0.07, 0.1])
-RNG = np.random.default_rng(6)
-SLOPE = 0.05 * RNG.normal(size=(6, 2))
+SLOPE = 0.05 * np.random.default_rng(6).normal(size=(6, 2))
 BEND = np.zeros((6, 2, 2))
-BEND[:, 0, 0] = 0.03 * RNG.normal(size=6)
+BEND[:, 0, 0] = 0.03 * np.random.default_rng(7).normal(size=6)
 RESPONSE = Response(("a", "b"), SLOPE, BEND)
 OWN = Component("own", "measurement", np.full(6, 0.004), shared=False)
 NOISE = Component("z", "measurement", np.zeros(6), shared=True)
+
+
+@pytest.fixture
+def rng():
+    """Every test draws for itself."""
+    return np.random.default_rng(6)
 
 
 def expected(response=RESPONSE):
@@ -34,19 +39,19 @@ def measured(change, components=(OWN,)):
     return Measured(RADIANCE * np.exp(change), components, (), np.ones((6, 1, 1)), np.zeros(6), grid, None)
 
 
-def good_parts(count):
-    return RESPONSE.draw(OWN.covariance(), count, RNG)
+def good_parts(count, rng):
+    return RESPONSE.draw(OWN.covariance(), count, rng)
 
 
-def test_good_parts_are_flagged_as_often_as_the_level_says():
-    p = np.array([from_prediction(expected(), measured(change))[2] for change in good_parts(120)])
+def test_good_parts_are_flagged_as_often_as_the_level_says(rng):
+    p = np.array([from_prediction(expected(), measured(change))[2] for change in good_parts(120, rng)])
     assert np.mean(p < 0.1) == pytest.approx(0.1, abs=0.08)
-    normal = [from_prediction(expected(None), measured(change))[2] for change in good_parts(120)]
+    normal = [from_prediction(expected(None), measured(change))[2] for change in good_parts(120, rng)]
     assert np.mean(np.array(normal) < 0.01) > 0.05  # the curve told is what makes the difference
 
 
-def test_without_a_response_the_distance_is_that_of_the_covariance():
-    change = 0.02 * RNG.normal(size=6)
+def test_without_a_response_the_distance_is_that_of_the_covariance(rng):
+    change = 0.02 * rng.normal(size=6)
     basis = log_basis(6)
     total = SLOPE @ SLOPE.T + OWN.covariance()
     d2, dof, p = from_prediction(expected(None), measured(change))
@@ -63,12 +68,12 @@ def test_poses_without_any_error_of_their_own_are_weighed_too():
         from_prediction(nothing, measured(np.zeros(6), ()))
 
 
-def test_golden_parts_flag_as_many_as_the_level_says_where_the_normal_theory_does_not():
-    parts, basis = good_parts(6000), log_basis(6)
+def test_golden_parts_flag_as_many_as_the_level_says_where_the_normal_theory_does_not(rng):
+    parts, basis = good_parts(6000, rng), log_basis(6)
     normal = []
     for _ in range(40):
-        golden = parts[RNG.permutation(6000)[:20]] @ basis.T
-        normal += [hotelling(basis @ change, golden)[1] for change in parts[RNG.permutation(6000)[:30]]]
+        golden = parts[rng.permutation(6000)[:20]] @ basis.T
+        normal += [hotelling(basis @ change, golden)[1] for change in parts[rng.permutation(6000)[:30]]]
     drawn = golden_chances(RESPONSE.within(basis), basis @ OWN.covariance() @ basis.T, 20)
     found = calibrated(np.array(normal), drawn)
     assert np.mean(np.array(normal) < 0.01) > 1.4 * np.mean(found < 0.01)
@@ -87,8 +92,8 @@ def test_a_straight_response_leaves_the_chance_of_golden_parts_alone():
     np.testing.assert_allclose(calibrated(levels, drawn), levels, rtol=0.25)
 
 
-def test_calibrated_chances_rise_and_have_no_floor():
-    drawn = np.sort(RNG.random(10000) ** 1.5)
+def test_calibrated_chances_rise_and_have_no_floor(rng):
+    drawn = np.sort(rng.random(10000) ** 1.5)
     p = np.array([1e-250, 1e-12, 1e-4, 0.01, 0.1, 0.9, 1.0])
     found = calibrated(p, drawn)
     assert (np.diff(found) > 0.0).all()
