@@ -10,6 +10,7 @@ from anisoscope.calibration.use import Calibrations, read_calibrations
 from anisoscope.calibration.whitereference import read_reference
 from anisoscope.errors import CalibrationError, HeightMapError, RigFileError, UsageError
 from anisoscope.golden import GoldenSet, golden_path, read_golden
+from anisoscope.lampcheck import check_lamp
 from anisoscope.linear import WhiteReference
 from anisoscope.prints.light import check_print_rig, print_files
 from anisoscope.prints.recipe import AnyRecipe, PrintRecipe, read_any_recipe
@@ -160,13 +161,14 @@ def sources_of(recipe_path: Path, rig_path: Path, recipe: AnyRecipe, rig: RigFil
 
     Raises:
         HeightMapError: the height map is missing.
-        RigFileError: the rig file lacks what a print needs.
+        RigFileError: the rig file lacks what a print needs, or has another lamp than the recipe.
     """
     files: list[tuple[Role, Path]] = [("recipe", recipe_path), ("rig", rig_path)]
     if isinstance(recipe, PrintRecipe):
         check_print_rig(rig, rig_path)
         files += [(cast("Role", role), path) for role, path in print_files(recipe, rig).items()]
         return tuple(Source(role, path, sha256_of(path)) for role, path in files)
+    check_lamp(recipe, rig, rig_path)
     if recipe.surface.height_map is not None:
         files.append(("height map", check_map(recipe.surface.height_map)))
     if golden_path(recipe_path).is_file():

@@ -82,12 +82,14 @@ class CameraPart(Part):
         pixel_um: size of one of its pixels on the sample.
         sensitivities: file ``wavelength_nm,red,green,blue`` (or ``wavelength_nm,mono``) with the relative quantum
             efficiency of its channels, or ``synthetic``, as on the virtual rig; needed where colours are predicted.
+        half_angle_deg: of the cone of light that its lens collects; compared with recipes that predict with it.
         options: further options of the driver.
     """
 
     driver: str
     pixel_um: Positive
     sensitivities: NameOrFile | None = None
+    half_angle_deg: Annotated[float, Field(ge=0.0, le=90.0)] | None = None
     options: dict[str, Option] = Field(default_factory=dict)
 
 
@@ -100,6 +102,10 @@ class LightPart(Part):
         angle_deg: angle between light and camera, seen from the sample.
         spectrum: its spectrum, needed where colours are predicted: ``led-white`` (made up), a CIE illuminant such as
             ``d65`` or ``a``, or a file ``wavelength_nm,power``.
+        wavelength_nm: middle of the spectrum of a narrow lamp; like the next two compared with recipes that predict
+            with it.
+        bandwidth_nm: full width of its spectrum at half of its height.
+        half_angle_deg: of the cone of light that falls on a point of the sample.
         options: further options of the driver.
     """
 
@@ -107,6 +113,9 @@ class LightPart(Part):
     port: Annotated[str, Field(min_length=1)] | None = None
     angle_deg: float = 10.0
     spectrum: NameOrFile | None = None
+    wavelength_nm: Positive | None = None
+    bandwidth_nm: Annotated[float, Field(ge=0.0)] | None = None
+    half_angle_deg: Annotated[float, Field(ge=0.0, le=90.0)] | None = None
     options: dict[str, Option] = Field(default_factory=dict)
 
     @model_validator(mode="before")

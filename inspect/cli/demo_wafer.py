@@ -191,8 +191,20 @@ def rig(name: str) -> dict[str, Any]:
         "name": "virtual rig, lamp along the camera's axis",
         "stage": {"driver": "elliptec", "port": PORT, "zero_deg": 10.0, "options": {"address": "0"}},
         "tilt": {"driver": "elliptec", "port": PORT, "zero_deg": 30.0, "options": {"address": "1"}},
-        "camera": {"driver": "simulated", "pixel_um": 6.0, "options": {"bench": "${here}/bench.toml"}},
-        "light": {"driver": "simulated", "angle_deg": 0.0, "options": {"bench": "${here}/bench.toml"}},
+        "camera": {
+            "driver": "simulated",
+            "pixel_um": 6.0,
+            "half_angle_deg": LIGHT["aperture_half_angle_deg"],
+            "options": {"bench": "${here}/bench.toml"},
+        },
+        "light": {
+            "driver": "simulated",
+            "angle_deg": 0.0,
+            "wavelength_nm": LIGHT["wavelength_nm"],
+            "bandwidth_nm": LIGHT["bandwidth_nm"],
+            "half_angle_deg": LIGHT["lamp_half_angle_deg"],
+            "options": {"bench": "${here}/bench.toml"},
+        },
         "fixture": FIXTURE,
     }
     if name != "white-tile":
