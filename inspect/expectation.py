@@ -9,16 +9,17 @@ import numpy.typing as npt
 from anisoscope.errors import RecipeError
 from anisoscope.models import Models, models_of, moved_light
 from anisoscope.prediction.etched import EtchedPredictor
-from anisoscope.prediction.propagation import PLASTIC_AND_SEAT, propagate
-from anisoscope.prediction.sensitivity import DARK, InputUncertainty, State, evaluate, fixed
+from anisoscope.prediction.propagation import PLASTIC_AND_SEAT, RIDGE_ANGLE, propagate
+from anisoscope.prediction.sensitivity import DARK, InputUncertainty, Shape, State, evaluate, fixed
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.recipe import Recipe
 from anisoscope.response import Response, known_inputs, response_of
 from anisoscope.sim.light.geometry import Convention, Pose
+from anisoscope.waferstates import BEYOND, DEPTH, WIDTH, WaferStates
 
 FloatArray = npt.NDArray[np.float64]
 
-_OF_THE_RECIPE = (*PLASTIC_AND_SEAT, "zero of the tilt")
+_OF_THE_RECIPE = (*PLASTIC_AND_SEAT, "zero of the tilt", RIDGE_ANGLE)
 SECOND_ORDER = ", second order"
 NEGLIGIBLE = 5e-4  # of ln L: a quarter of what cameras and lamps leave in a pose at best
 
@@ -60,6 +61,7 @@ class Expectation:
         convention: how the angles are counted.
         response: how ln L bends with the inputs that all poses share, or None where that is not known.
         optics: rays or waves, and why (`models.Models.optics`).
+        states: of a wafer, the radiances in every state of what is uncertain; else None.
     """
 
     model: str
@@ -71,6 +73,15 @@ class Expectation:
     convention: Convention
     response: Response | None = None
     optics: dict[str, Any] | None = None
+    states: WaferStates | None = None
+
+    @property
+    def beside_states(self) -> tuple[Component, ...]:
+        """The components that the states of a wafer do not hold."""
+        assert self.states is not None
+        return tuple(
+            c for c in self.components if not (self.states.holds(c.source) or c.source.endswith(SECOND_ORDER))
+        )
 
     @property
     def alone(self) -> tuple[Component, ...]:
@@ -97,7 +108,7 @@ def expectation(recipe: Recipe, light_angle_deg: float) -> Expectation:
     recipe, poses = recipe.deciding(), recipe.poses.poses()
     convention = Convention(light_angle_deg, facet_azimuth_deg=recipe.poses.facet_azimuth_deg)
     made = models_of(recipe, poses, convention)
-    nominal = State(recipe.material.material(), light_angle_deg)
+    nominal = State(recipe.material.material(), light_angle_deg, shape=nominal_shape(recipe))
     radiance = evaluate(fixed(made.model), [nominal], poses, convention)[0]
     black = [pose for pose, value in zip(poses, radiance, strict=True) if not value > DARK]
     if black:
@@ -106,7 +117,7 @@ def expectation(recipe: Recipe, light_angle_deg: float) -> Expectation:
             "reach the camera, so that no contrast is defined: correct albedo and roughness, or leave the pose out"
         )
     inputs = recipe_uncertainty(recipe)
-    budget = propagate(fixed(made.sampled), nominal, poses, convention, inputs, radiance=radiance)
+    budget = propagate(made.sampled, nominal, poses, convention, inputs, radiance=radiance)
     components = [
         Component(c.source, c.kind, c.absolute / radiance, shared=True)
         for c in budget.contributions
@@ -128,7 +139,19 @@ def expectation(recipe: Recipe, light_angle_deg: float) -> Expectation:
         convention,
         response,
         made.optics,
+        states_of(recipe, light_angle_deg),
     )
+
+
+def nominal_shape(recipe: Recipe) -> Shape:
+    """The shape that is as designed; a height map is what it is."""
+    design = recipe.surface.design
+    return Shape() if design is None else Shape(ridge_angle_deg=design.ridge_angle_deg)
+
+
+def states_of(recipe: Recipe, light_angle_deg: float) -> WaferStates | None:
+    """The states of a wafer's recipe; they cost nothing before they are asked for."""
+    return WaferStates(recipe.deciding(), light_angle_deg) if recipe.is_wafer else None
 
 
 def _may_be_left_out(source: str, recipe: Recipe) -> bool:
@@ -167,9 +190,9 @@ def _of_the_wafer(
     cases = moved_light(recipe.light, wafer.light)
     pairs = [(name, wafer.under(low), wafer.under(high)) for name, low, high in cases]
     if (deep := told.etch_depth_nm) > 0.0:
-        pairs.append(("depth of the etch passes", wafer.with_depths(-deep), wafer.with_depths(deep)))
+        pairs.append((DEPTH, wafer.with_depths(-deep), wafer.with_depths(deep)))
     if (wide := told.etch_width_nm) > 0.0:
-        pairs.append(("width of the etched features", wafer.with_widths(-wide), wafer.with_widths(wide)))
+        pairs.append((WIDTH, wafer.with_widths(-wide), wafer.with_widths(wide)))
     found = []
     for name, below, above in pairs:
         low, high = (
@@ -178,7 +201,7 @@ def _of_the_wafer(
         found.append(Component(name, "prediction", 0.5 * (high - low), shared=True))
         bend = np.sqrt(3.0) * 0.5 * (high + low)  # root mean square of z² for a normal z
         if np.abs(bend).max() > NEGLIGIBLE:
-            found.append(Component(f"{name}, beyond the slope", "prediction", bend, shared=True))
+            found.append(Component(f"{name}{BEYOND}", "prediction", bend, shared=True))
     return found
 
 
@@ -202,7 +225,7 @@ def _second_order(response: Response | None) -> list[Component]:
 
 def recipe_uncertainty(recipe: Recipe) -> InputUncertainty:
     """The inputs' uncertainties that the recipe states; those of the stage belong to the measurement."""
-    part, rig = recipe.material, recipe.uncertainty
+    part, rig, design = recipe.material, recipe.uncertainty, recipe.surface.design
     none = InputUncertainty(stage_deg=0.0, stage_zero_deg=0.0, tilt_deg=0.0, tilt_zero_deg=0.0)
     return replace(
         none,
@@ -212,5 +235,6 @@ def recipe_uncertainty(recipe: Recipe) -> InputUncertainty:
         light_angle_deg=rig.light_angle_deg,
         seating_tilt_deg=rig.seating_tilt_deg,
         tilt_zero_deg=rig.tilt_deg,
+        ridge_angle_deg=0.0 if design is None else design.u_ridge_angle_deg,
         height_map_share=rig.height_map_share,
     )

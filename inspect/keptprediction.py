@@ -21,7 +21,7 @@ import numpy as np
 from anisoscope.atomicfile import write_bytes
 from anisoscope.diagnosis.remembering import cache_folder, sources_digest
 from anisoscope.errors import AnisoscopeError, RecordError
-from anisoscope.expectation import Component, Expectation, expectation
+from anisoscope.expectation import Component, Expectation, expectation, states_of
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.recipe import Recipe
 from anisoscope.response import Response
@@ -150,4 +150,5 @@ def _unpacked(data: bytes, recipe: Recipe, light_angle_deg: float) -> Expectatio
             Convention(light_angle_deg, facet_azimuth_deg=recipe.poses.facet_azimuth_deg),
             response,
             told["optics"],
+            states_of(recipe, light_angle_deg),
         )

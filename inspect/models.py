@@ -14,7 +14,7 @@ from anisoscope.errors import HeightMapError, ModelError, RecipeError
 from anisoscope.prediction.etched import EtchedPredictor, WaferLight, line_spectrum, tile_of
 from anisoscope.prediction.mapuncertainty import best_band, relief_model
 from anisoscope.prediction.preparing import AXIS_TOLERANCE_DEG, prepare_relief
-from anisoscope.prediction.sensitivity import Model
+from anisoscope.prediction.sensitivity import Model, Shape, Surface, fixed
 from anisoscope.prediction.withoptics import (
     Rig,
     Wanted,
@@ -50,7 +50,7 @@ class Models:
 
     Attributes:
         model: the predictor.
-        sampled: a cheaper one of the same surface, for sensitivities.
+        sampled: a cheaper one of the same surface, for sensitivities; of a design also of other ridge angles.
         surface: what is drawn of the height map, levelled; None for a design.
         name: "relief", "corrected" or "wave".
         optics: asked, model, reason, stated_error and the like, as `withoptics.optics_note` and `error_note` tell it.
@@ -59,7 +59,7 @@ class Models:
     """
 
     model: Model
-    sampled: Model
+    sampled: Surface
     surface: HeightMap | None
     name: str
     optics: dict[str, Any]
@@ -112,14 +112,19 @@ def models_of(recipe: Recipe, poses: tuple[Pose, ...], convention: Convention) -
     if recipe.surface.design is not None:
         design = recipe.surface.ridge_design()
 
-        def ideal(to_light: FloatArray, to_camera: FloatArray, material: Material) -> FloatArray:
-            return corrected.radiance(to_light, to_camera, design, material)
+        def ideal(shape: Shape) -> Model:
+            ridges = replace(design, ridge_angle_deg=shape.ridge_angle_deg)
 
-        seen = through(ideal, rig.optics)
-        return _chosen(recipe, design, rig, lambda: (seen, seen, None, "corrected"))
+            def predict(to_light: FloatArray, to_camera: FloatArray, material: Material) -> FloatArray:
+                return corrected.radiance(to_light, to_camera, ridges, material)
+
+            return through(predict, rig.optics)
+
+        seen = ideal(Shape(design.ridge_angle_deg))
+        return _chosen(recipe, design, rig, lambda: (seen, ideal, None, "corrected"))
     surface = _read(recipe)
 
-    def by_rays() -> tuple[Model, Model, HeightMap | None, str]:
+    def by_rays() -> tuple[Model, Surface, HeightMap | None, str]:
         relief, period = prepare_relief(surface, recipe.surface.pitch_um)
         if abs(period.direction_deg) > AXIS_TOLERANCE_DEG:
             raise HeightMapError(
@@ -127,7 +132,7 @@ def models_of(recipe: Recipe, poses: tuple[Pose, ...], convention: Convention) -
                 f"(limit {AXIS_TOLERANCE_DEG:g}°): turn the part on the profilometer and measure again, or turn the "
                 "map there"
             )
-        sampled = relief_model(best_band(relief), rig.optics)
+        sampled = fixed(relief_model(best_band(relief), rig.optics))
         return relief_model(relief, rig.optics), sampled, relief.surface, "relief"
 
     return _chosen(recipe, surface, rig, by_rays)
@@ -158,7 +163,7 @@ def _chosen(
     recipe: Recipe,
     surface: HeightMap | RidgeDesign,
     rig: Rig,
-    by_rays: Callable[[], tuple[Model, Model, HeightMap | None, str]],
+    by_rays: Callable[[], tuple[Model, Surface, HeightMap | None, str]],
 ) -> Models:
     """Rays or waves for plastic; rays with a stated error where waves would be right and cannot be had."""
     wanted = _wanted(recipe)
@@ -176,13 +181,27 @@ def _chosen(
                 raise RecipeError(f'surface.optics: waves cannot be had: {problem}; or take "auto"') from None
             choice = by_rays_instead(choice, problem)
         else:
-            return Models(found, found, drawn, "wave", _notes(choice, rig, wanted), numerical=NUMERICAL_ERROR)
+            turned = _turned(surface, found, rig, wanted)
+            return Models(
+                found, turned, drawn, "wave", _notes(choice, rig, wanted), numerical=NUMERICAL_ERROR
+            )
     elif choice is not None and choice.model == "wave":
         choice = by_rays_instead(choice, "rays are asked for")
     else:
         return Models(model, sampled, drawn, name, _notes(choice, rig, wanted))
     notes = _notes(choice, rig, wanted)
     return Models(model, sampled, drawn, name, notes, neglected_per_sr=notes["stated_error_per_sr"])
+
+
+def _turned(surface: HeightMap | RidgeDesign, found: Model, rig: Rig, wanted: Wanted) -> Surface:
+    """The waves of a surface as it is, and of a design of other ridge angles."""
+
+    def shaped(shape: Shape) -> Model:
+        if not isinstance(surface, RidgeDesign) or shape.ridge_angle_deg == surface.ridge_angle_deg:
+            return found
+        return wave_model(replace(surface, ridge_angle_deg=shape.ridge_angle_deg), rig, wanted, stepped=False)
+
+    return shaped
 
 
 def _of_wafer(recipe: Recipe, rig: Rig) -> Models:
@@ -196,15 +215,16 @@ def _of_wafer(recipe: Recipe, rig: Rig) -> Models:
     }
     points = int(SHOWN_UM / surface.pixel_x_um)
     drawn = surface.with_height(surface.height_um[:points, :points])
-    return Models(found, found, drawn, "wave", notes, numerical=NUMERICAL_ERROR)
+    return Models(found, fixed(found), drawn, "wave", notes, numerical=NUMERICAL_ERROR)
 
 
 def _notes(choice: OpticsChoice | None, rig: Rig, wanted: Wanted) -> dict[str, Any]:
     return optics_note(choice, wanted) | error_note(choice, rig, wanted)
 
 
-def moved_light(part: LightPart, light: WaferLight) -> tuple[tuple[str, WaferLight, WaferLight], ...]:
-    """Name, and lamp and lens one standard uncertainty below and above, of everything that is uncertain of them."""
+def light_steps(part: LightPart) -> tuple[tuple[str, str, float], ...]:
+    """Name, field of `WaferLight` and standard uncertainty of everything that is uncertain of lamp and lens."""
+    light = wafer_light(part)
     steps = (
         ("wavelength of the lamp", "wavelength_nm", part.u_wavelength_nm),
         ("bandwidth of the lamp", "bandwidth_nm", part.u_bandwidth_share * light.bandwidth_nm),
@@ -215,12 +235,16 @@ def moved_light(part: LightPart, light: WaferLight) -> tuple[tuple[str, WaferLig
             part.u_aperture_share * light.aperture_half_angle_deg,
         ),
     )
+    return tuple(step for step in steps if step[2] > 0.0)
+
+
+def moved_light(part: LightPart, light: WaferLight) -> tuple[tuple[str, WaferLight, WaferLight], ...]:
+    """Name, and lamp and lens one standard uncertainty below and above, of everything that is uncertain of them."""
     return tuple(
         (
             name,
             replace(light, **{field: getattr(light, field) - u}),
             replace(light, **{field: getattr(light, field) + u}),
         )
-        for name, field, u in steps
-        if u > 0.0
+        for name, field, u in light_steps(part)
     )

@@ -21,9 +21,10 @@ AskedOptics = Literal["auto", "geometric", "wave"]
 
 
 class DesignPart(Part):
-    """Ideal ridges."""
+    """Ideal ridges; ``u_ridge_angle_deg`` is how much the angle of good parts spreads, a standard deviation."""
 
     ridge_angle_deg: Annotated[float, Field(ge=0.0, lt=45.0)]
+    u_ridge_angle_deg: NotNegative = 0.0
     wall: Literal["perpendicular", "vertical"] = "perpendicular"
 
 
@@ -54,6 +55,11 @@ class SurfacePart(Part):
             )
         if self.compare is not None and getattr(self, self.compare) is None:
             raise ValueError(f'compare = "{self.compare}", but there is no {self.compare}')
+        if self.height_map is not None and self.design is not None and self.design.u_ridge_angle_deg > 0.0:
+            raise ValueError(
+                "design.u_ridge_angle_deg is the spread of ideal ridges, and cannot be given to those of a height_map: "
+                "leave one of the two out"
+            )
         return self
 
     @property
@@ -240,9 +246,10 @@ class Recipe(Part):
         tolerance = self.decision.tolerance
         if isinstance(tolerance, tuple) and len(tolerance) != pairs:
             raise ValueError(f"decision.tolerance lists {len(tolerance)} values for {pairs} pairs of angles")
-        smallest_mm = 2.0 * self.surface.pitch_um / 1000.0
-        if min(self.region.size_mm) < smallest_mm:
-            raise ValueError(f"region.size_mm must span at least two pitches ({smallest_mm:g} mm)")
+        pitches, words = (1.0, "one tile") if self.is_wafer else (2.0, "at least two pitches")
+        smallest_mm = pitches * self.surface.pitch_um / 1000.0
+        if min(self.region.size_mm) < smallest_mm * (1.0 - 1e-9):
+            raise ValueError(f"region.size_mm must span {words} ({smallest_mm:g} mm)")
         if self.is_wafer:
             self._check_wafer()
         return self

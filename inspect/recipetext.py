@@ -81,13 +81,16 @@ def new_recipe(
         lines.append(f"height_map = {_literal(height_map)}  # measured on a good part, or on the tool")
         lines.append('role = "part"  # or "tool": the map is turned over')
     if ridge_angle_deg is not None:
-        lines.append(
-            f'design = {{ ridge_angle_deg = {_literal(float(ridge_angle_deg))}, wall = "perpendicular" }}'
-        )
-    if len(lines) == 3:
-        lines.append(
-            'compare = "height_map"  # which of the two decides; the other one is compared with as well'
-        )
+        angle = f'ridge_angle_deg = {_literal(float(ridge_angle_deg))}, wall = "perpendicular"'
+        if height_map is None:
+            lines.append(
+                f"design = {{ {angle}, u_ridge_angle_deg = 0.0 }}  # u_...: how much good parts spread"
+            )
+        else:
+            lines.append(f"design = {{ {angle} }}")
+            lines.append(
+                'compare = "height_map"  # which of the two decides; the other one is compared with as well'
+            )
     side = max(1.0, round(20.0 * pitch_um / 1000.0, 3))
     return _TEMPLATE.format(
         product=_literal(product),

@@ -9,18 +9,20 @@ what every pose has for itself. Where f is straight this is the Mahalanobis dist
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.prediction.propagation import RIDGE_ANGLE
 from anisoscope.prediction.sensitivity import (
     ALPHA_RANGE,
     DARK,
+    SHAPE_RANGE,
     InputUncertainty,
-    Model,
     State,
+    Surface,
     evaluate,
-    fixed,
 )
 from anisoscope.sim.light.geometry import Convention, Pose
 
@@ -29,6 +31,8 @@ FloatArray = npt.NDArray[np.float64]
 INDEX_RANGE = (1.0, 4.0)
 _LEAST_STEP = 0.2  # in u; an input nearer to the end of what is possible than that is taken to be straight
 _STEPS, _HALVINGS, _SETTLED = 25, 6, 1e-9
+_NEAR_ENOUGH = 1e-4  # of a squared distance whose every step costs
+_ASIDE = 1.5  # u
 _SEAT = {"seating tilt about x": 0, "seating tilt about y": 1}
 _MATERIAL = {
     "roughness along the ridges": ("alpha_along", ALPHA_RANGE),
@@ -36,6 +40,44 @@ _MATERIAL = {
     "albedo of the plastic": ("albedo", (0.0, 1.0)),
     "refractive index": ("index", INDEX_RANGE),
 }
+
+
+class Curve(Protocol):
+    """Change of P values with K inputs, every input in units of its standard uncertainty."""
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """K names of the inputs."""
+        ...
+
+    def change(self, z: FloatArray) -> FloatArray:
+        """(…, P) change at inputs (…, K)."""
+        ...
+
+    def tangent(self, z: FloatArray) -> FloatArray:
+        """(…, P, K) derivative at inputs (…, K)."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Combined:
+    """Combinations (m, P) of the values of a curve."""
+
+    curve: Curve
+    basis: FloatArray
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """K names of the inputs."""
+        return self.curve.sources
+
+    def change(self, z: FloatArray) -> FloatArray:
+        """(…, m) change at inputs (…, K)."""
+        return np.asarray(self.curve.change(z) @ self.basis.T)
+
+    def tangent(self, z: FloatArray) -> FloatArray:
+        """(…, m, K) derivative at inputs (…, K)."""
+        return np.asarray(self.basis @ self.curve.tangent(z))
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +115,7 @@ class Response:
 
 
 def response_of(
-    model: Model,
+    surface: Surface,
     nominal: State,
     poses: tuple[Pose, ...],
     convention: Convention,
@@ -83,7 +125,7 @@ def response_of(
     """Second-order response of ln L, by probes one u to either side of every input and of every two together.
 
     Args:
-        model: the predictor.
+        surface: the predictor of a shape.
         nominal: the state in which the prediction is made.
         poses: P poses.
         convention: how the angles are counted.
@@ -100,7 +142,7 @@ def response_of(
     steps = np.array([_step(nominal, name, inputs) for name in names])
     offsets = _offsets(steps)
     states = [_moved(nominal, dict(zip(names, offset, strict=True)), inputs) for offset in offsets]
-    radiance = evaluate(fixed(model), states, poses, convention)
+    radiance = evaluate(surface, states, poses, convention)
     if np.any(radiance <= DARK):
         return None
     change = np.log(radiance / radiance[0])
@@ -130,11 +172,14 @@ def _offsets(steps: FloatArray) -> list[FloatArray]:
 
 def _step(nominal: State, name: str, inputs: InputUncertainty) -> float:
     """How many u may be probed to either side, at most one; 0 where it is too few to tell a bend."""
-    if name not in _MATERIAL:
+    if name == RIDGE_ANGLE:
+        value, (low, high) = nominal.shape.ridge_angle_deg, SHAPE_RANGE["ridge_angle_deg"]
+    elif name in _MATERIAL:
+        field, (low, high) = _MATERIAL[name]
+        value = getattr(nominal.material, field)
+    else:
         return 1.0
-    field, (low, high) = _MATERIAL[name]
-    value, u = getattr(nominal.material, field), _u(nominal, name, inputs)
-    room = 0.99 * min(value - low, high - value) / u
+    room = 0.99 * min(value - low, high - value) / _u(nominal, name, inputs)
     return float(min(room, 1.0)) if room >= _LEAST_STEP else 0.0
 
 
@@ -143,6 +188,8 @@ def _u(nominal: State, name: str, inputs: InputUncertainty) -> float:
         return inputs.seating_tilt_deg
     if name == "light angle":
         return inputs.light_angle_deg
+    if name == RIDGE_ANGLE:
+        return inputs.ridge_angle_deg
     field, _ = _MATERIAL[name]
     if field in ("albedo", "index"):
         return float(getattr(inputs, field))
@@ -151,6 +198,7 @@ def _u(nominal: State, name: str, inputs: InputUncertainty) -> float:
 
 def _moved(nominal: State, offset: dict[str, float], inputs: InputUncertainty) -> State:
     material, light, seat = nominal.material, nominal.light_angle_deg, list(nominal.seating_deg)
+    shape = nominal.shape
     for name, share in offset.items():
         step = float(share) * _u(nominal, name, inputs)
         if step == 0.0:
@@ -159,41 +207,68 @@ def _moved(nominal: State, offset: dict[str, float], inputs: InputUncertainty) -
             seat[_SEAT[name]] += step
         elif name == "light angle":
             light += step
+        elif name == RIDGE_ANGLE:
+            shape = replace(shape, ridge_angle_deg=shape.ridge_angle_deg + step)
         else:
             field, _ = _MATERIAL[name]
             material = replace(material, **{field: getattr(material, field) + step})
-    return replace(nominal, material=material, light_angle_deg=light, seating_deg=(seat[0], seat[1]))
+    return replace(
+        nominal, material=material, light_angle_deg=light, seating_deg=(seat[0], seat[1]), shape=shape
+    )
 
 
 def known_inputs(sources: Sequence[str]) -> tuple[str, ...]:
     """Those of several sources of uncertainty whose inputs can be moved."""
-    known = {*_MATERIAL, *_SEAT, "light angle"}
+    known = {*_MATERIAL, *_SEAT, "light angle", RIDGE_ANGLE}
     return tuple(source for source in sources if source in known)
 
 
-def nearest(response: Response, deviation: FloatArray, covariance: FloatArray) -> FloatArray:
+def nearest(
+    curve: Curve,
+    deviation: FloatArray,
+    covariance: FloatArray,
+    *,
+    start: FloatArray | None = None,
+    settled: float = _SETTLED,
+) -> FloatArray:
     """How far deviations lie from what the inputs allow: the least |z|² + (d − f(z))ᵀV⁻¹(d − f(z)).
 
-    By Gauss-Newton steps that are halved until they lead down; the first is that of the tangent at the nominal state.
-
     Args:
-        response: of the m values, with K inputs.
+        curve: of the m values, with K inputs.
         deviation: (N, m) of N parts.
         covariance: (N, m, m) of what every value has for itself, of full rank.
+        start: (N, K) states to start from; None: the nominal one.
+        settled: relative gain below which a further step is not taken.
 
     Returns:
         (N,) squared distances, χ² with m degrees of freedom for parts that are as predicted.
     """
+    begin = np.zeros((len(deviation), len(curve.sources))) if start is None else start
+    return nearest_states(curve, deviation, covariance, begin, settled=settled)[0]
+
+
+def nearest_states(
+    curve: Curve,
+    deviation: FloatArray,
+    covariance: FloatArray,
+    start: FloatArray,
+    *,
+    settled: float = _SETTLED,
+) -> tuple[FloatArray, FloatArray]:
+    """The same, and the (N, K) states themselves.
+
+    By Gauss-Newton steps that are halved until they lead down; the first is that of the tangent where it starts.
+    """
     weight = np.linalg.inv(covariance)
-    z = np.zeros((len(deviation), len(response.sources)))
+    z = start
 
     def misfit(at: FloatArray) -> FloatArray:
-        rest = deviation - response.change(at)
+        rest = deviation - curve.change(at)
         return np.asarray(np.sum(at**2, axis=1) + np.einsum("ni,nij,nj->n", rest, weight, rest))
 
     left = misfit(z)
     for _ in range(_STEPS):
-        tangent, rest = response.tangent(z), deviation - response.change(z)
+        tangent, rest = curve.tangent(z), deviation - curve.change(z)
         pull = np.einsum("nia,nij->naj", tangent, weight)
         curvature = np.eye(z.shape[1]) + pull @ tangent
         down = np.linalg.solve(curvature, (np.einsum("naj,nj->na", pull, rest) - z)[..., None])[..., 0]
@@ -206,6 +281,33 @@ def nearest(response: Response, deviation: FloatArray, covariance: FloatArray) -
             share *= 0.5
             if better.all():
                 break
-        if np.all(before - left <= _SETTLED * (1.0 + before)):
+        if np.all(before - left <= settled * (1.0 + before)):
             break
-    return left
+    return left, z
+
+
+def nearest_anywhere(curve: Curve, deviation: FloatArray, covariance: FloatArray) -> float:
+    """The same of one part, where an input may change the values by its square alone.
+
+    Such an input has no tangent at its nominal value, and a step would never leave it: from where the steps end they
+    are taken again with one such input set to either side.
+
+    Args:
+        curve: of the m values, with K inputs.
+        deviation: (m,).
+        covariance: (m, m).
+    """
+    count = len(curve.sources)
+    ends = curve.change(np.vstack([np.eye(count), -np.eye(count)]))
+    slope, bend = 0.5 * (ends[:count] - ends[count:]), 0.5 * (ends[:count] + ends[count:])
+    turning = np.flatnonzero(np.abs(bend).max(axis=1) > np.abs(slope).max(axis=1))
+    one, metric = deviation[None], covariance[None]
+    left, z = nearest_states(curve, one, metric, np.zeros((1, count)), settled=_NEAR_ENOUGH)
+    if not turning.size:
+        return float(left[0])
+    aside = np.repeat(z, 2 * turning.size, axis=0)
+    aside[np.arange(len(aside)), np.repeat(turning, 2)] = np.tile([-_ASIDE, _ASIDE], turning.size)
+    rest = deviation - curve.change(aside)
+    misfit = np.sum(aside**2, axis=1) + np.einsum("ni,ij,nj->n", rest, np.linalg.inv(covariance), rest)
+    best = aside[[int(np.argmin(misfit))]]
+    return float(min(left[0], nearest(curve, one, metric, start=best, settled=_NEAR_ENOUGH)[0]))

@@ -1,8 +1,9 @@
 """Is a part as predicted, or as the golden parts are? Squared distance, degrees of freedom and p value.
 
-Both take into account that ln L bends with the inputs that all poses share (`response`): the distance from the
-prediction is that from the nearest state of the inputs, and what T² of good parts exceeds how often is found by drawing
-golden sets and parts from the stated uncertainties instead of from a normal distribution.
+Both take into account that ln L bends with the inputs that all poses share (`response`; of a wafer, as the model itself
+says, `waferstates`): the distance from the prediction is that from the nearest state of the inputs, and what T² of
+good parts exceeds how often is found by drawing golden sets and parts from the stated uncertainties instead of from a
+normal distribution.
 """
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy.typing as npt
 
 from anisoscope.expectation import Component, Expectation
 from anisoscope.measurement import Measured
-from anisoscope.response import Response, nearest
+from anisoscope.response import Combined, Response, nearest, nearest_anywhere
 from anisoscope.significance import hotelling, log_basis, mahalanobis
 
 FloatArray = npt.NDArray[np.float64]
@@ -32,6 +33,11 @@ def from_prediction(expected: Expectation, measured: Measured) -> tuple[float, i
 
     basis = log_basis(len(expected.poses))
     off = basis @ np.log(measured.radiance / expected.radiance)
+    if expected.states is not None:
+        own = _covariance(expected.beside_states + measured.components, basis)
+        if _regular(own):
+            d2 = nearest_anywhere(Combined(expected.states, basis), off, own)
+            return d2, len(basis), float(chi2.sf(d2, len(basis)))
     alone = own_covariance(expected, measured)
     if expected.response is not None and _regular(alone):
         d2 = float(nearest(expected.response.within(basis), off[None], alone[None])[0])

@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 
+from anisoscope.prediction.propagation import RIDGE_ANGLE
 from anisoscope.prediction.sensitivity import State
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.spoiling import DEFECTS, spoil
@@ -101,8 +102,11 @@ def _defects(ridge_angle_deg: float | None) -> list[Cause]:
             extents = (0.0, *(s * most for s in steps))
         group: Group = "area" if name in LOCAL else "shape"
         unit = defect.extent.unit
+        source = RIDGE_ANGLE if name == "ridge-angle" else ""
         found.append(
-            Cause(name, titles[name], unit, group, defect.cause, extents, _spoiled(name), _DOUBT[name])
+            Cause(
+                name, titles[name], unit, group, defect.cause, extents, _spoiled(name), _DOUBT[name], source
+            )
         )
     return found
 

@@ -7,7 +7,8 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.diagnosis.tangents import Tangents
-from anisoscope.expectation import Component, Expectation
+from anisoscope.expectation import Component, Expectation, recipe_uncertainty
+from anisoscope.prediction.propagation import RIDGE_ANGLE
 from anisoscope.recipe import Recipe
 from anisoscope.response import Response
 
@@ -31,6 +32,8 @@ class Evidence:
         u_background: its standard uncertainty.
         inputs: of the prediction, that may be causes too, or None.
         learnt: what golden parts teach where the deviation is that from their mean, or None.
+        share_relative: relative standard uncertainty of a share of deviating cells that a signature predicts.
+        share_floor: standard uncertainty of any such share.
     """
 
     deviation: FloatArray
@@ -41,6 +44,12 @@ class Evidence:
     u_background: float = 0.0
     inputs: "Inputs | None" = None
     learnt: "Learnt | None" = None
+    share_relative: float = SHARE_RELATIVE
+    share_floor: float = SHARE_FLOOR
+
+    def share_variance(self, shares: FloatArray) -> FloatArray:
+        """(E,) variances of the share against the (E,) shares that causes predict."""
+        return share_variance(shares, self.u_share, self.u_background, self.share_relative, self.share_floor)
 
     @property
     def good(self) -> FloatArray:
@@ -180,6 +189,7 @@ def inputs_of(recipe: Recipe, expected: Expectation, measured: tuple[Component, 
         "seating tilt about x": rig.seating_tilt_deg,
         "seating tilt about y": rig.seating_tilt_deg,
         "light angle": rig.light_angle_deg,
+        RIDGE_ANGLE: recipe_uncertainty(recipe).ridge_angle_deg,
     }
     u = {**units, "albedo of the plastic": part.u_albedo / part.albedo if part.albedo > 0.0 else 0.0}
     del u["refractive index"]
@@ -204,6 +214,12 @@ def whitening(covariance: FloatArray) -> FloatArray:
     return np.asarray((vectors[:, kept] / np.sqrt(values[kept])).T)
 
 
-def share_variance(shares: FloatArray, u_share: float, u_background: float) -> FloatArray:
+def share_variance(
+    shares: FloatArray,
+    u_share: float,
+    u_background: float,
+    relative: float = SHARE_RELATIVE,
+    floor: float = SHARE_FLOOR,
+) -> FloatArray:
     """Variances of a share of deviating cells against the (E,) shares that causes predict."""
-    return np.asarray(u_share**2 + u_background**2 + SHARE_FLOOR**2 + (SHARE_RELATIVE * shares) ** 2)
+    return np.asarray(u_share**2 + u_background**2 + floor**2 + (relative * shares) ** 2)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.diagnosis.evidence import Evidence, share_variance
+from anisoscope.diagnosis.evidence import Evidence
 from anisoscope.diagnosis.signatures import Signature
 
 FloatArray = npt.NDArray[np.float64]
@@ -89,7 +89,7 @@ def _u(signature: Signature, evidence: Evidence, extent: float, *, as_input: boo
     slope, share_slope = signature.slope(extent)
     curvature = float(_quadratic(covariance[None], slope[None])[0][0])
     if evidence.share is not None:
-        curvature += share_slope**2 / float(share_variance(share, evidence.u_share, evidence.u_background)[0])
+        curvature += share_slope**2 / float(evidence.share_variance(share)[0])
     return float(1.0 / np.sqrt(curvature)) if curvature > 0.0 else float("inf")
 
 
@@ -141,7 +141,7 @@ def _weighed(
     chi2, size = _quadratic(covariances, evidence.deviation - changes)
     cost = _minus_two_ln(chi2, evidence) + size
     if evidence.share is not None:
-        variance = share_variance(shares, evidence.u_share, evidence.u_background)
+        variance = evidence.share_variance(shares)
         off = (evidence.share - evidence.background - shares) ** 2 / variance
         chi2, cost = chi2 + off, cost + off + np.log(variance)
     return chi2, cost

@@ -28,7 +28,7 @@ from anisoscope.progress import Advance, silent
 from anisoscope.recipe import Recipe
 
 VARIABLE = "ANISOSCOPE_CACHE"
-_FORMAT = 3
+_FORMAT = 4
 _SOURCES = ("anisoscope.diagnosis", "anisoscope.prediction", "anisoscope.profiles", "anisoscope.sim.light")
 
 

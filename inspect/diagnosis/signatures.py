@@ -18,13 +18,14 @@ from anisoscope.area import cell_deviations
 from anisoscope.diagnosis.causes import EXTRUDED, PITCHES, Cause, all_causes
 from anisoscope.diagnosis.tangents import Tangents, looked_at, slopes_of
 from anisoscope.errors import HeightMapError, ModelError
+from anisoscope.expectation import nominal_shape, recipe_uncertainty
 from anisoscope.measurement import CELLS_PER_PITCH
 from anisoscope.prediction.mapuncertainty import best_band, relief_model
 from anisoscope.prediction.preparing import prepare_relief
-from anisoscope.prediction.sensitivity import Model, State, evaluate, fixed
+from anisoscope.prediction.sensitivity import Model, Shape, State, Surface, evaluate, fixed
 from anisoscope.profiles.files.load import read_height_map
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import ridges
+from anisoscope.profiles.ideal import RidgeDesign, ridges
 from anisoscope.progress import Advance, silent
 from anisoscope.recipe import Recipe
 from anisoscope.sim.light.contrasts import consecutive_pairs
@@ -190,11 +191,13 @@ class _Scene:
     def __init__(self, recipe: Recipe, light_angle_deg: float) -> None:
         self.poses = recipe.poses.poses()
         self.pitch_um = recipe.surface.pitch_um
-        self.state = State(recipe.material.material(), light_angle_deg)
+        self.state = State(recipe.material.material(), light_angle_deg, shape=nominal_shape(recipe))
         self.azimuth_deg = recipe.poses.facet_azimuth_deg
         self.cell_deviation = None if recipe.area is None else recipe.area.cell_deviation
-        self.surface = _surface(recipe)
-        self.profile = _profile(recipe)
+        self.design = None if recipe.surface.design is None else recipe.surface.ridge_design()
+        self.turning = recipe_uncertainty(recipe).ridge_angle_deg > 0.0
+        self.surface = _measured(recipe) if self.design is None else _ideal(self.design)
+        self.profile = None if self.design is None else _profile(self.design)
 
     def look_along(self, profile: HeightMap) -> FloatArray:
         """(P,) radiances of ridges that are the same all along."""
@@ -219,21 +222,35 @@ class _Scene:
 
     def tangents(self, cause: Cause, extents: Sequence[float]) -> Tangents | None:
         """How the inputs act along a cause; None where they cannot be moved on the good part."""
-        along = self.profile is not None and (cause.name in EXTRUDED or cause.group in ("finish", "rig"))
-        base = self.profile if along else self.surface
-        assert base is not None
         convention = Convention(self.state.light_angle_deg, facet_azimuth_deg=self.azimuth_deg)
         found: dict[float, FloatArray] = {}
         for extent in looked_at(extents):
-            surface, state = cause.change(base, self.state, extent)
-            model = self._along(surface) if along else self._band(surface)
+            spoiled, state = self._spoiled(cause, extent)
             with contextlib.suppress(ModelError):  # a step would lead below the horizon
-                slopes = slopes_of(model, state, self.poses, convention)
+                slopes = slopes_of(spoiled, state, self.poses, convention, turning=self.turning)
                 if slopes is not None:
                     found[extent] = slopes
         if 0.0 not in found or len(found) < 2:
             return None
         return Tangents(np.array(list(found)), np.array(list(found.values())))
+
+    def _spoiled(self, cause: Cause, extent: float) -> tuple[Surface, State]:
+        """The predictor of the surface with a cause, by the shape that it has without, and the state."""
+        along = self.profile is not None and (cause.name in EXTRUDED or cause.group in ("finish", "rig"))
+        predictor = self._along if along else self._band
+        base = self.profile if along else self.surface
+        assert base is not None
+        surface, state = cause.change(base, self.state, extent)
+        nominal = predictor(surface)
+
+        def shaped(shape: Shape) -> Model:
+            if self.design is None or shape == self.state.shape:
+                return nominal
+            turned = replace(self.design, ridge_angle_deg=shape.ridge_angle_deg)
+            good = _profile(turned) if along else _ideal(turned)
+            return predictor(cause.change(good, self.state, extent)[0])
+
+        return shaped, state
 
     def look(self, surface: HeightMap, state: State, *, with_map: bool) -> tuple[FloatArray, float]:
         """(P,) radiances, and the share of deviating cells (NaN where no map was asked for)."""
@@ -274,25 +291,25 @@ class _Scene:
         return float(np.mean(off > self.cell_deviation))
 
 
-def _profile(recipe: Recipe) -> HeightMap | None:
-    """Two rows of a design, a pitch apart so that no ball reaches from one to the other; None of a height map."""
-    if recipe.surface.design is None:
-        return None
-    pitch = recipe.surface.pitch_um
+def _profile(design: RidgeDesign) -> HeightMap:
+    """Two rows of a design, a pitch apart so that no ball reaches from one to the other."""
+    pitch = design.pitch_um
     points = int(np.clip(pitch / PROFILE_PIXEL_UM, *PROFILE_POINTS))
     shape = 2, PROFILE_PITCHES * points + 1
-    return ridges(recipe.surface.ridge_design(), shape, (pitch, pitch / points))
+    return ridges(design, shape, (pitch, pitch / points))
 
 
-def _surface(recipe: Recipe) -> HeightMap:
-    pitch = recipe.surface.pitch_um
-    if recipe.surface.design is not None:
-        shape = ROWS_PITCHES * POINTS_ALONG + 1, PITCHES * POINTS_ACROSS + 1
-        return ridges(recipe.surface.ridge_design(), shape, (pitch / POINTS_ALONG, pitch / POINTS_ACROSS))
+def _ideal(design: RidgeDesign) -> HeightMap:
+    pitch = design.pitch_um
+    shape = ROWS_PITCHES * POINTS_ALONG + 1, PITCHES * POINTS_ACROSS + 1
+    return ridges(design, shape, (pitch / POINTS_ALONG, pitch / POINTS_ACROSS))
+
+
+def _measured(recipe: Recipe) -> HeightMap:
     assert recipe.surface.height_map is not None
     measured = read_height_map(
         recipe.surface.height_map, pixel_um=recipe.surface.pixel_um, role=recipe.surface.role
     )
-    relief, _ = prepare_relief(measured, pitch)
+    relief, _ = prepare_relief(measured, recipe.surface.pitch_um)
     height = relief.surface.height_um
     return relief.surface.with_height(height[:MAX_ROWS, :MAX_COLS])

@@ -6,15 +6,15 @@ ln L is therefore propagated anew (JCGM 100:2008, 5.2) at some extents of a caus
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.prediction.propagation import PLASTIC_AND_SEAT, propagate
-from anisoscope.prediction.sensitivity import DARK, InputUncertainty, Model, State, fixed
+from anisoscope.prediction.propagation import PLASTIC_AND_SEAT, RIDGE_ANGLE, propagate
+from anisoscope.prediction.sensitivity import DARK, InputUncertainty, State, Surface
 from anisoscope.sim.light.geometry import Convention, Pose
 
 if TYPE_CHECKING:
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 FloatArray = npt.NDArray[np.float64]
 
+INPUTS = (*PLASTIC_AND_SEAT, RIDGE_ANGLE)
+"""Inputs that are moved on spoiled surfaces."""
 A_SIDE = 4
 """Extents to either side of nil at which the inputs are looked at."""
 _UNIT = InputUncertainty(
@@ -44,8 +46,7 @@ class Tangents:
 
     Attributes:
         extents: (T,) extents of the cause, ascending, nil among them.
-        slope: (T, P, K) change of ln L per unit of the K inputs of `PLASTIC_AND_SEAT`: of ln α, of the albedo, of the
-            index, per degree.
+        slope: (T, P, K) change of ln L per unit of the K `INPUTS`: of ln α, of the albedo, of the index, per degree.
     """
 
     extents: FloatArray
@@ -61,7 +62,7 @@ class Tangents:
     def change(self, extent: float | FloatArray, sources: Sequence[str]) -> FloatArray:
         """(…, P, K) by how much the slopes of K sources differ from those of the good part; 0 for others."""
         found = self._curve(np.clip(extent, self.extents[0], self.extents[-1]))
-        columns = [PLASTIC_AND_SEAT.index(source) if source in PLASTIC_AND_SEAT else -1 for source in sources]
+        columns = [INPUTS.index(source) if source in INPUTS else -1 for source in sources]
         known = np.array([column >= 0 for column in columns])
         return np.asarray(found[..., columns] * known)
 
@@ -80,11 +81,20 @@ def looked_at(extents: Sequence[float]) -> tuple[float, ...]:
 
 
 def slopes_of(
-    model: Model, state: State, poses: tuple[Pose, ...], convention: Convention
+    surface: Surface, state: State, poses: tuple[Pose, ...], convention: Convention, *, turning: bool = False
 ) -> FloatArray | None:
-    """(P, K) change of ln L per unit of every input of `PLASTIC_AND_SEAT`; None where a pose is dark."""
-    budget = propagate(fixed(model), state, poses, convention, _UNIT)
+    """(P, K) change of ln L per unit of every one of `INPUTS`; None where a pose is dark.
+
+    Args:
+        surface: predictor of the spoiled surface, by the shape of the good one.
+        state: in which it is predicted.
+        poses: P poses.
+        convention: how the angles are counted.
+        turning: the ridge angle of the good surface is uncertain too; else its column is 0.
+    """
+    budget = propagate(surface, state, poses, convention, replace(_UNIT, ridge_angle_deg=float(turning)))
     if np.any(budget.radiance <= DARK):
         return None
     by_name = {one.source: one.absolute for one in budget.contributions}
-    return np.column_stack([by_name[source] / budget.radiance for source in PLASTIC_AND_SEAT])
+    nil = np.zeros(len(poses))
+    return np.column_stack([by_name.get(source, nil) / budget.radiance for source in INPUTS])

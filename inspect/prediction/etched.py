@@ -5,6 +5,7 @@ average is predicted too. What is reflected does not depend on the angle: the re
 1 % up to 30° from the normal, that of silicon by less than 2 %, and contrasts do not know it at all.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -20,6 +21,7 @@ from anisoscope.sim.light.optics import Optics
 from anisoscope.sim.light.wave.halfvectors import half_vector
 from anisoscope.sim.light.wave.orders import REACH, Bands, Orders
 from anisoscope.sim.light.wave.reflectance import LightSpectrum, radiance_scale
+from anisoscope.sim.light.wave.widthorders import WidthOrders
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -69,7 +71,7 @@ class EtchedPredictor:
         tile: what is etched.
         light: lamp and lens.
         reflectance: of the coating, 0 to 1.
-        orders: of the tile.
+        orders: of the tile; at any width near its own, where `near_widths` made the predictor.
         kept: spectra of the tile's pieces, for other widths.
         reach: of the orders, in cycles per µm.
     """
@@ -77,7 +79,7 @@ class EtchedPredictor:
     tile: Etched
     light: WaferLight
     reflectance: float
-    orders: Orders
+    orders: Orders | WidthOrders
     kept: dict[str, Bands]
     reach: float
 
@@ -95,6 +97,18 @@ class EtchedPredictor:
         """The same wafer, every etched feature wider."""
         tile = self.tile.widened(1e-3 * wider_nm)
         return replace(self, tile=tile, orders=Orders.of(tile, self.reach, self.kept))
+
+    def near_widths(self, step_nm: float) -> Callable[[float], Self]:
+        """The same wafer at any bias of its widths in nm, quick: by parabolas through widths up to a step away.
+
+        Within the step the radiances are right to 1e-4 where edges move by less than 0.01 of a period, at twice the
+        step to 1e-3.
+        """
+        tile, reach = self.tile, self.reach
+        series = WidthOrders.of(
+            lambda share: Orders.of(tile.widened(1e-3 * step_nm * share), reach, self.kept)
+        )
+        return lambda wider_nm: replace(self, orders=series.at(wider_nm / step_nm))
 
     def under(self, light: WaferLight) -> Self:
         """The same wafer in another light."""

@@ -34,6 +34,8 @@ PLASTIC_AND_SEAT = (
     "seating tilt about y",
 )
 """Names of the sources that a recipe states of plastic, lamp and seat."""
+RIDGE_ANGLE = "ridge angle of the design"
+"""Name of the source that a recipe states of the shape: how much good parts spread."""
 _ANGLE_STEP = 0.1  # degrees
 _FIELD_NODE = np.sqrt(0.6)  # three-point Gauss-Legendre rule on −1…1, weights 5/18, 8/18, 5/18
 _STAGE = "stage"
@@ -73,7 +75,7 @@ def _sources(nominal: State, inputs: InputUncertainty) -> list[_Source]:
         _Source("zero of the stage", _STAGE, inputs.stage_zero_deg),
         _Source("tilt of each pose", "tilt", inputs.tilt_deg, "independent"),
         _Source("zero of the tilt", "tilt", inputs.tilt_zero_deg),
-        _Source("ridge angle of the design", "ridge_angle_deg", inputs.ridge_angle_deg),
+        _Source(RIDGE_ANGLE, "ridge_angle_deg", inputs.ridge_angle_deg),
         _Source("height loss of the design", "height_loss", inputs.height_loss),
         _Source("height scale of the map", "height_factor", inputs.height_scale_share),
         # a pixel larger by some share flattens all slopes by it, and direct light knows no other length

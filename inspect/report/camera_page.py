@@ -8,7 +8,7 @@ import numpy as np
 from anisoscope.calibration.record import Value
 from anisoscope.calibration.transfercurve import GAIN_RANGE, FloatArray
 from anisoscope.quality.camera import NAMES, CameraSheet
-from anisoscope.report.figures import BLUE, GREEN, INK, MUTED, ORANGE, _figure, _svg_uri
+from anisoscope.report.figures import BLUE, GREEN, INK, MUTED, ORANGE, new_figure, svg_uri
 from anisoscope.report.page import write_page
 from anisoscope.report.statistics_parts import Grid, Picture, number
 
@@ -114,7 +114,7 @@ def _transfer(sheet: CameraSheet) -> str:
     curve = sheet.curve
     assert curve is not None
     gain, end = sheet.record.number("gain"), sheet.saturation_dn
-    with _figure(4.7, 3.4) as (figure, axes):
+    with new_figure(4.7, 3.4) as (figure, axes):
         axes.plot(
             curve.signal,
             curve.light_variance - curve.dark_variance,
@@ -130,11 +130,11 @@ def _transfer(sheet: CameraSheet) -> str:
         axes.set_ylabel("variance [counts²]")
         axes.grid()
         axes.legend(frameon=False, fontsize=8)
-        return _svg_uri(figure)
+        return svg_uri(figure)
 
 
 def _deviation(signal: FloatArray, deviation: FloatArray) -> str:
-    with _figure(4.7, 3.4) as (figure, axes):
+    with new_figure(4.7, 3.4) as (figure, axes):
         axes.plot(signal, 100.0 * deviation, "o-", color=BLUE, markersize=4, linewidth=0.9)
         axes.axhline(0.0, color=MUTED, linewidth=0.9)
         axes.set_xlabel("signal [counts]")
@@ -142,11 +142,11 @@ def _deviation(signal: FloatArray, deviation: FloatArray) -> str:
         reach = 1.2 * max(0.01, 100.0 * float(np.max(np.abs(deviation))))  # a perfect line must look like one
         axes.set_ylim(-reach, reach)
         axes.grid()
-        return _svg_uri(figure)
+        return svg_uri(figure)
 
 
 def _snr(sheet: CameraSheet, electrons: FloatArray, ratio: FloatArray) -> str:
-    with _figure(4.7, 3.4) as (figure, axes):
+    with new_figure(4.7, 3.4) as (figure, axes):
         axes.loglog(electrons, ratio, "o", color=BLUE, markersize=4, label="measured")
         noise = sheet.record.number("read_noise")
         x = np.geomspace(max(electrons.min() / 30.0, 0.5), electrons.max(), 100)
@@ -157,4 +157,4 @@ def _snr(sheet: CameraSheet, electrons: FloatArray, ratio: FloatArray) -> str:
         axes.grid()
         axes.tick_params(colors=INK)
         axes.legend(frameon=False, fontsize=8)
-        return _svg_uri(figure)
+        return svg_uri(figure)

@@ -10,7 +10,7 @@ from anisoscope.commission.commissioning import Commissioned
 from anisoscope.commission.model import RigModel
 from anisoscope.commission.observe import Picture
 from anisoscope.commission.record import Finding, FitRecord
-from anisoscope.report.figures import BLUE, GREEN, MUTED, ORANGE, RED, _figure, _svg_uri
+from anisoscope.report.figures import BLUE, GREEN, MUTED, ORANGE, RED, new_figure, svg_uri
 from anisoscope.report.page import write_page
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def finding_row(finding: Finding) -> tuple[str, str, str, str, str, str, str]:
 def picture_chart(picture: Picture) -> str:
     """A picture with markers, spot and ridges drawn in, as a data URI."""
     rows, cols = picture.image.shape
-    with _figure(4.2, 4.2 * rows / cols + 0.1) as (figure, axes):
+    with new_figure(4.2, 4.2 * rows / cols + 0.1) as (figure, axes):
         bright = max(float(np.percentile(picture.image, 99.5)), 1e-12)
         axes.imshow(np.sqrt(np.clip(picture.image / bright, 0.0, 1.0)), cmap="gray", vmin=0.0, vmax=1.0)
         for corners in picture.corners_px.reshape(-1, 4, 2):
@@ -71,7 +71,7 @@ def picture_chart(picture: Picture) -> str:
         axes.set_axis_off()
         axes.set_xlim(-0.5, cols - 0.5)
         axes.set_ylim(rows - 0.5, -0.5)
-        return _svg_uri(figure)
+        return svg_uri(figure)
 
 
 def _draw_spot(axes: "Axes", picture: Picture) -> None:
@@ -104,7 +104,7 @@ def radiance_chart(done: Commissioned) -> str:
     sense = 1.0 if turns == "ccw" else -1.0
     assert isinstance(zero, float)
     tilts = sorted({round(pose.tilt_reading_deg, 1) for pose in record.poses})
-    with _figure(8.6, 3.8) as (figure, axes):
+    with new_figure(8.6, 3.8) as (figure, axes):
         for tilt, colour in zip(tilts, _COLOURS * len(tilts), strict=False):
             poses = [
                 (number, pose)
@@ -121,12 +121,12 @@ def radiance_chart(done: Commissioned) -> str:
         axes.set_ylabel("radiance [1/sr]" if record.series["white_reference"] else "brightness [counts/s]")
         axes.grid(visible=True)
         figure.legend(loc="outside upper center", ncols=5, frameon=False, fontsize=8)
-        return _svg_uri(figure)
+        return svg_uri(figure)
 
 
 def residual_chart(done: Commissioned) -> str:
     """What is left of the angles of markers and ridges, over the reading, as a data URI."""
-    with _figure(8.6, 2.6) as (figure, axes):
+    with new_figure(8.6, 2.6) as (figure, axes):
         axes.axhline(0.0, color=MUTED, linewidth=0.8)
         for turning, name, colour in (
             (done.angles.markers, "markers", ORANGE),
@@ -138,7 +138,7 @@ def residual_chart(done: Commissioned) -> str:
         axes.set_xlabel("picture")
         axes.set_ylabel("angle off [°]")
         figure.legend(loc="outside upper center", ncols=2, frameon=False, fontsize=8)
-        return _svg_uri(figure)
+        return svg_uri(figure)
 
 
 def write_commission_page(done: Commissioned, path: Path) -> None:

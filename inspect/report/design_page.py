@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.report.figures import BLUE, GRID, MUTED, ORANGE, RED, _figure, _svg_uri, png_uri
+from anisoscope.report.figures import BLUE, GRID, MUTED, ORANGE, RED, new_figure, png_uri, svg_uri
 from anisoscope.report.page import write_page
 
 FloatArray = npt.NDArray[np.float64]
@@ -141,7 +141,7 @@ def _lobe_text(one: LobeCurves) -> str:
 
 
 def _lobe_chart(one: LobeCurves) -> str:
-    with _figure(4.6, 3.0) as (figure, axes):
+    with new_figure(4.6, 3.0) as (figure, axes):
         axes.axhline(0.0, color=GRID, linewidth=0.8)
         if one.target is not None:
             axes.fill_between(
@@ -154,11 +154,11 @@ def _lobe_chart(one: LobeCurves) -> str:
         axes.set_xlim(float(one.h[0]), float(one.h[-1]))
         axes.grid()
         axes.legend(frameon=False, fontsize=8)
-        return _svg_uri(figure)
+        return svg_uri(figure)
 
 
 def _phase_chart(one: PhaseCurve) -> str:
-    with _figure(4.6, 3.0) as (figure, axes):
+    with new_figure(4.6, 3.0) as (figure, axes):
         low, high = one.band_nm
         if low < high:
             axes.axvspan(low, high, color=GRID, alpha=0.5, linewidth=0)
@@ -169,15 +169,15 @@ def _phase_chart(one: PhaseCurve) -> str:
         axes.set_ylabel("|τ| [1]")
         axes.set_ylim(bottom=0.0)
         axes.grid()
-        return _svg_uri(figure)
+        return svg_uri(figure)
 
 
 def _progress_chart(progress: Sequence[tuple[float, float]]) -> str:
-    with _figure(4.6, 3.0) as (figure, axes):
+    with new_figure(4.6, 3.0) as (figure, axes):
         seconds, error = np.array(progress).T
         axes.step(seconds, error, where="post", color=BLUE, linewidth=1.4)
         axes.set_xlabel("time [s]")
         axes.set_ylabel("relative error [1]")
         axes.set_ylim(bottom=0.0)
         axes.grid()
-        return _svg_uri(figure)
+        return svg_uri(figure)

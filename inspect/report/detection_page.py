@@ -5,9 +5,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from anisoscope.report.figures import MUTED, _svg_uri
+from anisoscope.report.detection_text import INTERVALS
+from anisoscope.report.figures import MUTED, page_style, svg_uri
 from anisoscope.report.page import write_page
-from anisoscope.report.study_page import Chart, Curve, Table, _figure, _picture, _rc
+from anisoscope.report.study_page import Chart, Curve, Table, chart_figure, chart_uri
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -180,12 +181,30 @@ def _diagnosis(found: Told) -> Table:
 
 
 def _coverage(found: Told) -> Table:
-    rows = [
-        (title, f"{world}, {recipe}", percent(rate))
-        for world, recipe, told in _cases(found)
-        for title, rate in told["good"]["coverage"].items()
-    ]
-    return Table("Coverage of 95 % intervals, good parts", ("quantity", "where", "covered"), tuple(rows))
+    rows = []
+    for world, recipe, told in _cases(found):
+        where = f"{world}, {recipe}"
+        rows += [(title, where, percent(rate)) for title, rate in told["good"]["coverage"].items()]
+        for one in told["classes"]:
+            extent = f"extent of {one['title']}"
+            rows.append((extent, where, percent(one["diagnosis"]["extent_interval_holds"])))
+            if one["intervals"] is not None:
+                known = one["intervals"]
+                rows += [
+                    (f"{extent}, {words}", where, percent(known[key])) for key, words in INTERVALS.items()
+                ]
+                rows.append((f"{extent}, that doubt", where, _doubts(known["doubts"])))
+    note = (
+        "The spread of the ridge angle is that of good parts. Doubts as in this world: of the change of ln L and of "
+        "the share of deviating cells, counted on one half of the parts, tried on the other, and the halves change "
+        "places; the spread is stated as well."
+    )
+    return Table("Coverage of 95 % intervals", ("quantity", "where", "covered"), tuple(rows), note)
+
+
+def _doubts(halves: list[Told]) -> str:
+    change, share = (" and ".join(f"{half[key]:.1%}" for half in halves) for key in ("change", "share"))
+    return f"change {change}, share {share}"
 
 
 def _limits(found: Told) -> Table:
@@ -231,7 +250,7 @@ def _roc(told: Told) -> list[tuple[str, str]]:
         diagonal = np.linspace(0.0, 1.0, 2)
         lines.append(Curve("chance", diagonal, diagonal, dashed=True))
         chart = Chart(one["title"], "false alarms [1]", "detected [1]", tuple(lines), points=False)
-        charts.append((_picture(chart), one["title"]))
+        charts.append((chart_uri(chart), one["title"]))
     return charts
 
 
@@ -247,8 +266,8 @@ def _p_values(found: Told, world: str, recipe: str) -> tuple[str, str]:
     import matplotlib as mpl
 
     about = found["worlds"][world][recipe]["good"]["p_values"]
-    with mpl.rc_context(_rc()):
-        figure = _figure(1, 1)
+    with mpl.rc_context(page_style()):
+        figure = chart_figure(1, 1)
         axes: Axes = figure.subplots()
         for rule in ("shipped", "spread", "golden"):
             counts = np.array(about[rule]["histogram"], dtype=np.float64)
@@ -258,4 +277,4 @@ def _p_values(found: Told, world: str, recipe: str) -> tuple[str, str]:
         axes.set_xlabel("p of the means [1]")
         axes.set_ylabel("density [1]")
         axes.legend(frameon=False, fontsize=7.0)
-        return _svg_uri(figure), _where(world, recipe)
+        return svg_uri(figure), _where(world, recipe)

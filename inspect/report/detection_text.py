@@ -27,6 +27,10 @@ COVERED = {
     "alpha_along, fitted over the tilts": "roughness along the ridges, fitted",
     "alpha_across, fitted over the tilts": "roughness across the ridges, fitted",
 }
+INTERVALS = {
+    "spread_stated": "the spread of the ridge angle stated",
+    "doubt_of_this_world": "the doubt as in this world",
+}
 
 
 def numbers_of(found: Told) -> Told:
@@ -58,6 +62,12 @@ def _rate(told: Told) -> list[float]:
 def _class(one: Told) -> Told:
     about, scores = one["diagnosis"], one["scores"]
     best = max(("shipped+area", "golden+area"), key=lambda key: scores[key]["auc"])
+    kept: Told = {}
+    if one["intervals"] is not None:
+        kept = {key: _rate(one["intervals"][key]) for key in INTERVALS}
+        kept["doubts"] = [
+            [round(doubt[key], 3) for key in ("change", "share")] for doubt in one["intervals"]["doubts"]
+        ]
     return {
         "name": one["name"],
         "title": one["title"],
@@ -73,6 +83,7 @@ def _class(one: Told) -> Told:
         "wrong": _rate(about["confidently_wrong"])[0],
         "golden_first": _rate(about["right_first_against_golden"])[0],
         "extent": _rate(about["extent_interval_holds"])[0],
+        **kept,
     }
 
 
@@ -149,9 +160,12 @@ def _covered(cases: list[Told]) -> list[list[str]]:
         for key, title in COVERED.items()
     ]
     for number, one in enumerate(cases[0]["classes"]):
-        rows.append(
-            [f"extent of {one['title']}", *(f"{case['classes'][number]['extent']:g}" for case in cases)]
-        )
+        cells = [case["classes"][number] for case in cases]
+        rows.append([f"extent of {one['title']}", *(f"{cell['extent']:g}" for cell in cells)])
+        for key, words in INTERVALS.items():
+            if any(key in cell for cell in cells):
+                told = (_interval(cell[key]) if key in cell else "–" for cell in cells)
+                rows.append([f"… {words}", *told])
     return rows
 
 

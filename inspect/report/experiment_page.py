@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from anisoscope.experiment import Experiment, Mean, combinations
 from anisoscope.findingsmap import FindingsMap
-from anisoscope.report.figures import BLUE, GREEN, GRID, INK, MUTED, ORANGE, RED, _figure, _svg_uri
+from anisoscope.report.figures import BLUE, GREEN, GRID, INK, MUTED, ORANGE, RED, new_figure, svg_uri
 from anisoscope.report.page import Filters, write_page
 from anisoscope.sim.light.geometry import Convention
 
@@ -56,7 +56,7 @@ def bar_chart(
         unit: unit of the values.
     """
     width = 0.8 / len(series)
-    with _figure(3.5, 2.7) as (figure, axes):
+    with new_figure(3.5, 2.7) as (figure, axes):
         for number, (name, colour, values) in enumerate(series):
             at = np.arange(len(labels)) - 0.4 + width * (number + 0.5)
             heights = [np.nan if value is None else value for value in values]
@@ -69,7 +69,7 @@ def bar_chart(
         axes.grid(axis="y")
         if len(series) > 1:
             figure.legend(loc="outside upper center", ncols=2, frameon=False, fontsize=8)
-        return _svg_uri(figure)
+        return svg_uri(figure)
 
 
 def _series(means: Sequence[Mean], result: Experiment) -> list[tuple[str, str, list[float | None]]]:
@@ -94,7 +94,7 @@ def findings_chart(maps: Sequence[FindingsMap]) -> str:
     """Where on the grid of roughnesses the findings hold, one panel a convention, as a data URI."""
     from matplotlib.patches import Patch
 
-    with _figure(3.6 * len(maps) + 0.4, 4.3) as (figure, axes):
+    with new_figure(3.6 * len(maps) + 0.4, 4.3) as (figure, axes):
         axes.remove()
         panels = figure.subplots(1, len(maps), squeeze=False)[0]
         for panel, found in zip(panels, maps, strict=True):
@@ -106,7 +106,7 @@ def findings_chart(maps: Sequence[FindingsMap]) -> str:
             ncols=2,
             frameon=False,
         )
-        return _svg_uri(figure)
+        return svg_uri(figure)
 
 
 def _lacking(found: FindingsMap) -> npt.NDArray[np.intp]:

@@ -4,7 +4,7 @@ import base64
 import io
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -42,7 +42,8 @@ def png_uri(data: bytes) -> str:
     return "data:image/png;base64," + base64.b64encode(data).decode("ascii")
 
 
-def _style() -> dict[str, object]:
+def page_style() -> Any:  # noqa: ANN401 - keys of matplotlib's own closed type
+    """Settings of matplotlib that all drawings of a page share."""
     return {
         "font.family": "DejaVu Sans",
         "font.size": 9,
@@ -63,25 +64,26 @@ def _style() -> dict[str, object]:
 
 
 @contextmanager
-def _figure(width: float, height: float) -> Iterator[tuple["Figure", "Axes"]]:
+def new_figure(width: float, height: float) -> Iterator[tuple["Figure", "Axes"]]:
+    """A figure of a page, (width, height) in inches, with one pair of axes, in the style that all pages share."""
     import matplotlib as mpl
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
-    with mpl.rc_context(_style()):  # type: ignore[arg-type]
+    with mpl.rc_context(page_style()):
         figure = Figure(figsize=(width, height), layout="constrained")
         FigureCanvasSVG(figure)
         yield figure, figure.subplots()
 
 
 @contextmanager
-def _map_figure(size: tuple[float, float]) -> Iterator[tuple["Figure", "Axes", "Axes"]]:
+def new_map_figure(size: tuple[float, float]) -> Iterator[tuple["Figure", "Axes", "Axes"]]:
     """Axes for a map of ``size`` (height, width) and for its colour bar, alike in every map of a report."""
     width = 4.6
     side = 0.64 * width
     high = side * size[0] / size[1]
     height = high + 0.62
-    with _figure(width, height) as (figure, axes):
+    with new_figure(width, height) as (figure, axes):
         figure.set_layout_engine("none")
         bottom, top = 0.48 / height, high / height
         axes.set_position((0.13, bottom, side / width, top))
@@ -92,9 +94,13 @@ def _map_figure(size: tuple[float, float]) -> Iterator[tuple["Figure", "Axes", "
         yield figure, axes, figure.add_axes((0.80, bottom, 0.035, top))
 
 
-def _svg_uri(figure: "Figure") -> str:
+def svg_uri(figure: "Figure") -> str:
+    """The drawing as a data URI, in the colours of the reader's screen."""
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
     stream = io.BytesIO()
-    figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": "anisoscope"})
+    # savefig draws everything twice
+    FigureCanvasSVG(figure).print_svg(stream, metadata={"Date": None, "Creator": "anisoscope"})
     drawing = _for_both_lights(stream.getvalue().decode())
     return "data:image/svg+xml;base64," + base64.b64encode(drawing.encode()).decode("ascii")
 
@@ -135,13 +141,13 @@ def contrast_map(
     """
     height, width = size_mm
     low, high = np.percentile(ratio, [1, 99])
-    with _map_figure(size_mm) as (figure, axes, bar):
+    with new_map_figure(size_mm) as (figure, axes, bar):
         extent = (-width / 2, width / 2, -height / 2, height / 2)
         shown = axes.imshow(ratio, cmap="cividis", vmin=low, vmax=max(high, low + 0.05), extent=extent)
         if deviating is not None:
             axes.add_artist(_outline(deviating, size_mm))
         figure.colorbar(shown, cax=bar, label="ln ratio")
-        return _svg_uri(figure)
+        return svg_uri(figure)
 
 
 def deviation_map(
@@ -162,7 +168,7 @@ def deviation_map(
 
     height, width = size_mm
     reach = max(float(np.percentile(np.abs(deviation), 99.5)), 0.05)
-    with _map_figure(size_mm) as (figure, axes, bar):
+    with new_map_figure(size_mm) as (figure, axes, bar):
         extent = (-width / 2, width / 2, -height / 2, height / 2)
         shown = axes.imshow(deviation, cmap="PuOr", vmin=-reach, vmax=reach, extent=extent)
         if deviating is not None:
@@ -180,7 +186,7 @@ def deviation_map(
             )
             label.set_path_effects([withStroke(linewidth=2.5, foreground="white")])
         figure.colorbar(shown, cax=bar, label="ln ratio off")
-        return _svg_uri(figure)
+        return svg_uri(figure)
 
 
 def _outline(mask: npt.NDArray[np.bool_], size_mm: tuple[float, float]) -> "PathPatch":
@@ -209,7 +215,7 @@ def contrast_chart(
     unit: str,
 ) -> str:
     """Deviation of every contrast from its prediction with 95 % intervals, in front of the tolerance zone."""
-    with _figure(9.0, 0.75 + 0.5 * len(labels)) as (figure, axes):
+    with new_figure(9.0, 0.75 + 0.5 * len(labels)) as (figure, axes):
         for k in range(len(labels)):
             limit = tolerance[k]
             if limit is not None:
@@ -239,7 +245,7 @@ def contrast_chart(
         axes.set_xlabel(f"measured − predicted [{unit}];  bar: 95 % interval, green: tolerance")
         reach = max(abs(d) + max(1.96 * s, t or 0.0) for d, s, t in zip(deviation, u, tolerance, strict=True))
         axes.set_xlim(-1.12 * reach, 1.12 * reach)
-        return _svg_uri(figure)
+        return svg_uri(figure)
 
 
 def height_picture(height_um: FloatArray, pixel_um: tuple[float, float]) -> str:
@@ -252,19 +258,19 @@ def height_picture(height_um: FloatArray, pixel_um: tuple[float, float]) -> str:
     step = max(1, max(height_um.shape) // 500)
     shown = height_um[::step, ::step]
     extent_mm = (0.0, height_um.shape[1] * pixel_um[1] / 1000, 0.0, height_um.shape[0] * pixel_um[0] / 1000)
-    with _map_figure((extent_mm[3], extent_mm[1])) as (figure, axes, bar):
+    with new_map_figure((extent_mm[3], extent_mm[1])) as (figure, axes, bar):
         low, high = np.nanpercentile(shown, [0.5, 99.5])
         image = axes.imshow(shown, origin="lower", cmap="viridis", extent=extent_mm, vmin=low, vmax=high)
         figure.colorbar(image, cax=bar, label="height [µm]")
-        return _svg_uri(figure)
+        return svg_uri(figure)
 
 
 def profile_chart(x_um: FloatArray, z_um: FloatArray) -> str:
     """One line of the height map across the ridges."""
-    with _figure(9.0, 2.1) as (figure, axes):
+    with new_figure(9.0, 2.1) as (figure, axes):
         axes.plot(x_um, z_um, color=BLUE, linewidth=1.1)
         axes.grid()
         axes.set_xlabel("x [µm]")
         axes.set_ylabel("height [µm]")
         axes.set_xlim(float(x_um[0]), float(x_um[-1]))
-        return _svg_uri(figure)
+        return svg_uri(figure)

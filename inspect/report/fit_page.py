@@ -8,7 +8,7 @@ import numpy as np
 from anisoscope.fit.fitting import Fit
 from anisoscope.fit.parameters import PARAMETERS
 from anisoscope.fit.text import fixed, notes, number, quality, setup_text, unit_text, value_texts
-from anisoscope.report.figures import BLUE, GRID, RED, _figure, _svg_uri
+from anisoscope.report.figures import BLUE, GRID, RED, new_figure, svg_uri
 from anisoscope.report.page import write_page
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ def measured_chart(fit: Fit) -> str:
     """Measured values with bars of two standard uncertainties, and the model's, as a data URI."""
     readings = fit.problem.readings
     at = np.arange(len(readings.value))
-    with _figure(8.6, 3.6) as (figure, axes):
+    with new_figure(8.6, 3.6) as (figure, axes):
         axes.errorbar(
             at,
             readings.value,
@@ -43,20 +43,20 @@ def measured_chart(fit: Fit) -> str:
         axes.set_ylabel(f"{readings.kind.replace('_', ' ')} [{unit_text(fit)}]")
         _name_rows(axes, readings.labels)
         figure.legend(loc="outside upper center", ncols=2, frameon=False, fontsize=8)
-        return _svg_uri(figure)
+        return svg_uri(figure)
 
 
 def residual_chart(fit: Fit) -> str:
     """Residuals in units of their uncertainty, as a data URI."""
     at = np.arange(len(fit.z))
-    with _figure(8.6, 2.8) as (figure, axes):
+    with new_figure(8.6, 2.8) as (figure, axes):
         axes.axhspan(-2.0, 2.0, color=GRID, alpha=0.5, linewidth=0)
         axes.axhline(0.0, color=RED, linewidth=0.8)
         axes.vlines(at, 0.0, fit.z, color=BLUE, linewidth=1.0)
         axes.plot(at, fit.z, "o", color=BLUE, markersize=3)
         axes.set_ylabel("residual / u [1]")
         _name_rows(axes, fit.problem.readings.labels)
-        return _svg_uri(figure)
+        return svg_uri(figure)
 
 
 def _name_rows(axes: "Axes", labels: tuple[str, ...]) -> None:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from anisoscope.ink.appearance import Appearance, Show
 from anisoscope.ink.fitting import InkFit
 from anisoscope.ink.text import FIT_COLUMNS, SHOW_COLUMNS, fit_rows, show_notes, show_rows, summary
-from anisoscope.report.figures import BLUE, GRID, MUTED, RED, _figure, _svg_uri
+from anisoscope.report.figures import BLUE, GRID, MUTED, RED, new_figure, svg_uri
 from anisoscope.report.page import write_page
 from anisoscope.report.study_page import Chart, Curve, check_picture, write_picture
 from anisoscope.sim.light.ink.ink import Ink
@@ -80,7 +80,7 @@ _DROPPED = ("line", "θi [°]", "θo [°]", "wavelength [nm]", "BRDF [1/sr]", "r
 
 def _lobe_chart(found: InkFit) -> str:
     grid = found.grid
-    with _figure(4.2, 3.0) as (figure, axes):
+    with new_figure(4.2, 3.0) as (figure, axes):
         from matplotlib import colormaps
 
         lights = np.unique(grid.theta_i_deg)
@@ -98,11 +98,11 @@ def _lobe_chart(found: InkFit) -> str:
         axes.set_ylabel("BRDF, mean over wavelength [1/sr]")
         axes.grid()
         axes.legend(frameon=False, fontsize=7, ncols=2)
-        return _svg_uri(figure)
+        return svg_uri(figure)
 
 
 def _residual_chart(found: InkFit) -> str:
-    with _figure(4.2, 3.0) as (figure, axes):
+    with new_figure(4.2, 3.0) as (figure, axes):
         half = np.broadcast_to(found.grid.half_deg[:, None], found.residual.shape)
         axes.axhline(0.0, color=RED, linewidth=0.8)
         axes.plot(
@@ -115,11 +115,11 @@ def _residual_chart(found: InkFit) -> str:
             rasterized=True,
         )
         _label(axes, "half angle θh [°]", "residual of ln(BRDF) [%]")
-        return _svg_uri(figure)
+        return svg_uri(figure)
 
 
 def _residual_map(found: InkFit) -> str:
-    with _figure(4.2, 3.0) as (figure, axes):
+    with new_figure(4.2, 3.0) as (figure, axes):
         order = np.lexsort((found.grid.theta_o_deg, found.grid.theta_i_deg))
         most = float(np.nanpercentile(np.abs(found.residual), 99)) * 100.0 or 1.0
         shown = axes.pcolormesh(
@@ -132,12 +132,12 @@ def _residual_map(found: InkFit) -> str:
         axes.set_xlabel("wavelength [nm]")
         axes.set_ylabel("θi, within it rising θo")
         figure.colorbar(shown, ax=axes, label="residual [%]")
-        return _svg_uri(figure)
+        return svg_uri(figure)
 
 
 def _band_chart(found: InkFit, name: str) -> str:
     value, u = (found.rho, found.u_rho) if name == "rho" else (found.c, found.u_c)
-    with _figure(4.2, 3.0) as (figure, axes):
+    with new_figure(4.2, 3.0) as (figure, axes):
         bars = np.where(np.isfinite(u), 2.0 * u, 0.0)
         axes.errorbar(
             found.nm,
@@ -152,7 +152,7 @@ def _band_chart(found: InkFit, name: str) -> str:
         )
         axes.axhline(0.0, color=GRID, linewidth=0.8)
         _label(axes, "wavelength [nm]", "ρ [1]" if name == "rho" else "c [1]")
-        return _svg_uri(figure)
+        return svg_uri(figure)
 
 
 def _label(axes: "Axes", x: str, y: str) -> None:
@@ -232,6 +232,6 @@ def _own_colours(shown: Show) -> list[str | None]:
 
 
 def _chart_uri(chart: Chart) -> str:
-    with _figure(4.2, 3.2) as (figure, axes):
+    with new_figure(4.2, 3.2) as (figure, axes):
         chart.draw(axes)
-        return _svg_uri(figure)
+        return svg_uri(figure)

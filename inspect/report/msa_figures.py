@@ -7,7 +7,7 @@ import numpy as np
 from anisoscope.quality.gaugestudy import GaugeStudy
 from anisoscope.quality.individuals import FloatArray
 from anisoscope.quality.linearity import GaugeLinearity
-from anisoscope.report.figures import BLUE, GREEN, INK, MUTED, ORANGE, PAPER, RED, _figure, _svg_uri
+from anisoscope.report.figures import BLUE, GREEN, INK, MUTED, ORANGE, PAPER, RED, new_figure, svg_uri
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,7 +20,7 @@ NAMED = 40  # parts up to which the axis names them
 def share_picture(study: GaugeStudy) -> str:
     """Every component as a share of the study variation and of the tolerance, as a data URI."""
     shown = [one for one in study.components if one.name != "total"]
-    with _figure(9.4, 0.9 + 0.55 * len(shown)) as (figure, axes):
+    with new_figure(9.4, 0.9 + 0.55 * len(shown)) as (figure, axes):
         rows = np.arange(len(shown), dtype=np.float64)
         kinds = [("of the study variation", BLUE, "", [study.share_of_study(one) for one in shown])]
         if study.tolerance is not None:
@@ -41,13 +41,13 @@ def share_picture(study: GaugeStudy) -> str:
         axes.margins(x=0.12)
         axes.set_xlabel("standard deviation [%];  dashes: 10 % and 30 %, the limits for the gauge")
         axes.legend(frameon=False, fontsize=8)
-        return _svg_uri(figure)
+        return svg_uri(figure)
 
 
 def crossing_picture(study: GaugeStudy) -> str:
     """Every measurement over its part, and the means of every appraiser, as a data URI."""
     data = study.data
-    with _figure(9.4, 3.6) as (figure, axes):
+    with new_figure(9.4, 3.6) as (figure, axes):
         at = np.arange(len(data.parts), dtype=np.float64)
         count = len(data.appraisers)
         for k, name in enumerate(data.appraisers):
@@ -76,7 +76,7 @@ def crossing_picture(study: GaugeStudy) -> str:
         axes.set_xlabel("part")
         axes.set_ylabel("measured")
         axes.legend(frameon=False, fontsize=8, title="appraiser", title_fontsize=8)
-        return _svg_uri(figure)
+        return svg_uri(figure)
 
 
 def _name_parts(axes: "Axes", parts: tuple[str, ...]) -> None:
@@ -93,7 +93,7 @@ def bias_picture(values: FloatArray, reference: float, interval: tuple[float, fl
         reference: the known value.
         interval: of the bias.
     """
-    with _figure(9.4, 3.0) as (figure, axes):
+    with new_figure(9.4, 3.0) as (figure, axes):
         axes.plot(
             np.arange(1, len(values) + 1),
             values,
@@ -115,14 +115,14 @@ def bias_picture(values: FloatArray, reference: float, interval: tuple[float, fl
         axes.set_xlabel("measurement")
         axes.set_ylabel("value")
         axes.legend(frameon=False, fontsize=8)
-        return _svg_uri(figure)
+        return svg_uri(figure)
 
 
 def linearity_picture(study: GaugeLinearity) -> str:
     """Biases over the reference values, the line through them and its band, as a data URI."""
     x = np.linspace(study.references.min(), study.references.max(), 201)
     line, low, high = study.band(x)
-    with _figure(9.4, 3.8) as (figure, axes):
+    with new_figure(9.4, 3.8) as (figure, axes):
         axes.plot(study.references, study.biases, "o", color=BLUE, markersize=3.5, alpha=0.6, label="bias")
         axes.plot(
             [level.reference for level in study.levels],
@@ -141,4 +141,4 @@ def linearity_picture(study: GaugeLinearity) -> str:
         axes.set_xlabel("reference value")
         axes.set_ylabel("measured − reference")
         axes.legend(frameon=False, fontsize=8)
-        return _svg_uri(figure)
+        return svg_uri(figure)

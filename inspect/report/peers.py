@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.record import Record
-from anisoscope.report.figures import BLUE, INK, MUTED, ORANGE, _figure, _svg_uri
+from anisoscope.report.figures import BLUE, INK, MUTED, ORANGE, new_figure, svg_uri
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -139,7 +139,7 @@ def _strip(
 ) -> str:
     """Every peer as a dot and this part as a diamond, one strip a contrast, all from the mean of the peers."""
     off = peers - peers.mean(axis=0)
-    with _figure(9.0, 1.15 + 0.42 * len(labels)) as (figure, axes):
+    with new_figure(9.0, 1.15 + 0.42 * len(labels)) as (figure, axes):
         strip = np.arange(len(labels), dtype=np.float64)
         spread = 0.12 * (np.arange(len(off)) % 5 - 2)
         rows = (strip[None, :] + spread[:, None]).ravel()
@@ -156,4 +156,4 @@ def _strip(
         figure.legend(
             [known, mine], [name, "this part"], loc="outside upper right", ncols=2, frameon=False, fontsize=8
         )
-        return _svg_uri(figure)
+        return svg_uri(figure)

@@ -14,7 +14,17 @@ from anisoscope.profiles.metrology.ridgemeasurement import MeanRidge, RidgeMeasu
 from anisoscope.profiles.metrology.ridges import measure_ridges
 from anisoscope.profiles.textures.amplitude import amplitude
 from anisoscope.progress import Advance, silent
-from anisoscope.report.figures import BLUE, GREEN, MUTED, ORANGE, RED, _figure, _map_figure, _svg_uri, png_uri
+from anisoscope.report.figures import (
+    BLUE,
+    GREEN,
+    MUTED,
+    ORANGE,
+    RED,
+    new_figure,
+    new_map_figure,
+    png_uri,
+    svg_uri,
+)
 from anisoscope.report.page import write_page
 from anisoscope.report.relief3d import Renderer
 
@@ -53,7 +63,7 @@ def map_picture(surface: HeightMap, burrs: tuple[Outlier, ...] = ()) -> str:
     step = max(1, -(-max(rows, cols) // PICTURE_POINTS))
     shown = surface.height_um[::step, ::step]
     height, width = (n * 1e-3 for n in surface.extent_um)
-    with _map_figure((height, width)) as (figure, axes, bar):
+    with new_map_figure((height, width)) as (figure, axes, bar):
         low, high = np.nanpercentile(shown, [0.5, 99.5])
         axes.set_facecolor("#9aa5ae")
         image = axes.imshow(
@@ -80,12 +90,12 @@ def map_picture(surface: HeightMap, burrs: tuple[Outlier, ...] = ()) -> str:
         axes.set_xlim(0.0, width)
         axes.set_ylim(0.0, height)
         figure.colorbar(image, cax=bar, label="height [µm]")
-        return _svg_uri(figure)
+        return svg_uri(figure)
 
 
 def ridge_chart(mean: MeanRidge) -> str:
     """The mean ridge about its wall and the fitted facet, as a data URI."""
-    with _figure(4.6, 2.9) as (_figure_, axes):
+    with new_figure(4.6, 2.9) as (_figure_, axes):
         axes.plot(mean.x_um, mean.height_um, ".", color=BLUE, markersize=2.5, label="mean ridge")
         axes.plot(mean.facet_um, mean.facet_height_um, color=RED, linewidth=1.3, label="fitted facet")
         pitch = float(mean.x_um[-1] - mean.x_um[0])
@@ -100,7 +110,7 @@ def ridge_chart(mean: MeanRidge) -> str:
         axes.set_xlabel("position from the wall, facets falling to the right [µm]")
         axes.set_ylabel("height [µm]")
         axes.legend(frameon=False, fontsize=8)
-        return _svg_uri(_figure_)
+        return svg_uri(_figure_)
 
 
 def slope_chart(found: RidgeMeasurement) -> str:
@@ -109,7 +119,7 @@ def slope_chart(found: RidgeMeasurement) -> str:
     # of single points over one pixel: α is what is left of their variance without the noise
     extra = 2.0 * (noise / found.bandwidth_um[0]) ** 2
     mean = found.mean_ridge
-    with _figure(4.6, 2.9) as (figure, axes):
+    with new_figure(4.6, 2.9) as (figure, axes):
         series = (
             ("across", mean.slopes_across, found.alpha_across, BLUE),
             ("along", mean.slopes_along, found.alpha_along, GREEN),
@@ -144,7 +154,7 @@ def slope_chart(found: RidgeMeasurement) -> str:
         axes.set_xlim(-reach, reach)
         axes.grid()
         axes.legend(frameon=False, fontsize=7.5)
-        return _svg_uri(figure)
+        return svg_uri(figure)
 
 
 def _normal(x: FloatArray, variance: float) -> FloatArray:
@@ -154,7 +164,7 @@ def _normal(x: FloatArray, variance: float) -> FloatArray:
 
 def angle_chart(found: RidgeMeasurement) -> str:
     """Ridge angle of every ridge with its 95 % interval, as a data URI."""
-    with _figure(4.6, 2.4) as (figure, axes):
+    with new_figure(4.6, 2.4) as (figure, axes):
         for ridge in found.ridges:
             value, u = ridge.angle_deg.value, ridge.angle_deg.u
             if value is not None and u is not None:
@@ -167,7 +177,7 @@ def angle_chart(found: RidgeMeasurement) -> str:
         axes.set_xlabel("ridge")
         axes.set_ylabel("ridge angle [°]")
         axes.locator_params(axis="x", integer=True)
-        return _svg_uri(figure)
+        return svg_uri(figure)
 
 
 def _origin_lines(origin: dict[str, Any], prefix: str = "") -> list[tuple[str, str]]:

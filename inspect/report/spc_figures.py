@@ -8,7 +8,7 @@ from anisoscope.quality.control import ControlStudy
 from anisoscope.quality.individuals import BoolArray, FloatArray
 from anisoscope.quality.nelson import flagged
 from anisoscope.quality.thinning import distinct_on_paper, outline
-from anisoscope.report.figures import BLUE, GREEN, INK, MUTED, ORANGE, RED, _figure, _svg_uri
+from anisoscope.report.figures import BLUE, GREEN, INK, MUTED, ORANGE, RED, new_figure, svg_uri
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,7 +21,7 @@ BINS = 60
 
 def control_picture(study: ControlStudy) -> str:
     """Values, moving range and EWMA over each other, with their limits, as a data URI."""
-    with _figure(9.4, 7.2) as (figure, whole):
+    with new_figure(9.4, 7.2) as (figure, whole):
         whole.remove()
         values, ranges, average = figure.subplots(3, 1, sharex=True, height_ratios=(3.0, 1.6, 2.0))
         figure.set_dpi(150)
@@ -47,7 +47,7 @@ def control_picture(study: ControlStudy) -> str:
             axes.set_ylabel(name)
         average.set_xlabel("measurement")
         average.set_xlim(0.3, len(study.values) + 0.7)
-        return _svg_uri(figure)
+        return svg_uri(figure)
 
 
 def _line(axes: "Axes", values: FloatArray, marked: BoolArray) -> None:
@@ -95,7 +95,7 @@ def spread_picture(study: ControlStudy) -> str:
     """How the values are spread, beside a normal distribution and the limits of good parts, as a data URI."""
     measured = study.values[~np.isnan(study.values)]
     mean, sigma = float(measured.mean()), float(measured.std(ddof=1))
-    with _figure(9.4, 3.0) as (figure, axes):
+    with new_figure(9.4, 3.0) as (figure, axes):
         heights, edges, _ = axes.hist(
             measured, bins=min(BINS, max(6, int(2.0 * len(measured) ** 0.4))), color=BLUE, alpha=0.45
         )
@@ -115,4 +115,4 @@ def spread_picture(study: ControlStudy) -> str:
         axes.set_xlabel(study.name)
         axes.set_ylabel("parts")
         axes.legend(frameon=False, fontsize=8)
-        return _svg_uri(figure)
+        return svg_uri(figure)

@@ -4,14 +4,14 @@ import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from anisoscope.atomicfile import write_bytes
 from anisoscope.errors import UsageError
-from anisoscope.report.figures import BLUE, GREEN, MUTED, ORANGE, RED, _style, _svg_uri
+from anisoscope.report.figures import BLUE, GREEN, MUTED, ORANGE, RED, page_style, svg_uri
 from anisoscope.report.page import write_page
 
 if TYPE_CHECKING:
@@ -183,25 +183,23 @@ def write_study_page(
     Raises:
         RecordError: the file cannot be written.
     """
-    pictures = [(_picture(chart), chart.title) for chart in charts]
+    pictures = [(chart_uri(chart), chart.title) for chart in charts]
     content = {"title": title, "subtitle": subtitle, "pictures": pictures, "tables": tables, "notes": notes}
     write_page(path, "study.html", content)
 
 
-def _picture(chart: Chart | Map) -> str:
+def chart_uri(chart: Chart | Map) -> str:
+    """A chart as a data URI."""
     import matplotlib as mpl
 
-    with mpl.rc_context(_rc()):
-        figure = _figure(1, 1)
+    with mpl.rc_context(page_style()):
+        figure = chart_figure(1, 1)
         chart.draw(figure.subplots())
-        return _svg_uri(figure)
+        return svg_uri(figure)
 
 
-def _rc() -> Any:  # noqa: ANN401 - keys of matplotlib's own closed type
-    return _style()
-
-
-def _figure(rows: int, columns: int) -> "Figure":
+def chart_figure(rows: int, columns: int) -> "Figure":
+    """An empty figure with room for so many panels."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -231,8 +229,8 @@ def write_picture(path: Path, charts: Sequence[Chart | Map], columns: int = 3) -
 
     check_picture(path)
     across = min(columns, len(charts))
-    with mpl.rc_context(_rc()):
-        figure = _figure(-(-len(charts) // across), across)
+    with mpl.rc_context(page_style()):
+        figure = chart_figure(-(-len(charts) // across), across)
         for number, chart in enumerate(charts):
             axes = figure.add_subplot(-(-len(charts) // across), across, number + 1)
             chart.draw(axes)

@@ -90,6 +90,8 @@ def collect(plan: Plan, workers: Workers, advance: Advance = silent) -> dict[Wor
     for name in RECIPES:
         advance(f"signatures of the {name} recipe", 0, 1)
         signatures_of(name, plan.size)
+        if "same" in plan.worlds:
+            signatures_of(name, plan.size, stated=True)
     sheets = sheet_tasks(plan.worlds, plan.size, plan.seed, plan.folder)
     sweep(make_sheet, sheets, workers, advance=advance, doing="surfaces")
     bounces = {world: _bounces(plan, world, workers, advance) for world in plan.worlds}
@@ -159,7 +161,7 @@ def told_study(plan: Plan, workers: Workers, advance: Advance = silent) -> dict[
     seen = collect(plan, workers, advance)
     found: dict[str, Any] = {"plan": told_plan(plan), "worlds": {}}
     steps = [(world, name) for world in plan.worlds for name in plan.recipes]
-    tasks = [(seen[world], name, plan.size) for world, name in steps]
+    tasks = [(world, seen[world], name, plan.size) for world, name in steps]
     told = sweep(_evaluated, tasks, workers, advance=advance, doing="evaluation")
     for (world, name), results in zip(steps, told, strict=True):
         found["worlds"].setdefault(world, {})[name] = results
@@ -170,7 +172,7 @@ def told_study(plan: Plan, workers: Workers, advance: Advance = silent) -> dict[
     return clean
 
 
-def _evaluated(task: tuple[dict[str, Columns], RecipeName, Size]) -> dict[str, Any]:
+def _evaluated(task: tuple[World, dict[str, Columns], RecipeName, Size]) -> dict[str, Any]:
     return results_of(*task)
 
 

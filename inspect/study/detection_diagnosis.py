@@ -40,9 +40,9 @@ FITTED = 60
 
 
 @lru_cache(maxsize=8)
-def signatures_of(name: RecipeName, size: Size) -> Signatures:
-    """What every cause would change for the poses of a recipe."""
-    recipe = recipe_of(name, size)
+def signatures_of(name: RecipeName, size: Size, *, stated: bool = False) -> Signatures:
+    """What every cause would change for the poses of a recipe; arguments as for `recipe_of`."""
+    recipe = recipe_of(name, size, stated=stated)
     if size.causes is None:
         return remembered_signatures(recipe, LIGHT_DEG)
     return signatures(recipe, LIGHT_DEG, names=size.causes)
@@ -68,7 +68,15 @@ def components_of(seen: Columns, name: RecipeName, number: int) -> tuple[Compone
     )
 
 
-def evidence(seen: Columns, name: RecipeName, size: Size, number: int, golden: FloatArray | None) -> Evidence:
+def evidence(
+    seen: Columns,
+    name: RecipeName,
+    size: Size,
+    number: int,
+    golden: FloatArray | None,
+    *,
+    stated: bool = False,
+) -> Evidence:
     """What one part is diagnosed from, as ``inspect`` has it.
 
     Args:
@@ -78,8 +86,9 @@ def evidence(seen: Columns, name: RecipeName, size: Size, number: int, golden: F
         number: of the part.
         golden: (n, P) ln L over the prediction of golden parts, from whose mean the part deviates; None: from the
             prediction.
+        stated: the recipe states how much the ridge angle of good parts spreads.
     """
-    recipe, expected = recipe_of(name, size), expected_of(name, size)
+    recipe, expected = recipe_of(name, size, stated=stated), expected_of(name, size, stated=stated)
     components = components_of(seen, name, number)
     deviation = np.asarray(seen[f"{name}/deviation"][number], dtype=np.float64)
     scale_share = recipe.uncertainty.scale_share

@@ -27,7 +27,6 @@ from anisoscope.study.detection_product import (
     WHOLE,
     Size,
     recipe_of,
-    ridge_angle_component,
 )
 
 FloatArray = npt.NDArray[np.float64]
@@ -73,7 +72,7 @@ def outlook() -> dict[str, list[dict[str, Any]]]:
 
 
 def _recipe(angles: tuple[float, ...], tilts: tuple[float, ...]) -> Recipe:
-    told = recipe_of("standard", Size()).model_dump()
+    told = recipe_of("standard", Size(), stated=True).model_dump()
     told["schema"] = 1
     told.pop("schema_version", None)
     told["poses"] |= {"angles_deg": angles, "tilts_deg": tilts}
@@ -106,13 +105,11 @@ def _good(recipe: Recipe, expected: Expectation, better: tuple[str, ...]) -> tup
     assert told is not None
     basis = log_basis(len(expected.poses))
     scale = np.array([1.0 / BETTER if better and name.startswith(better) else 1.0 for name in told.sources])
-    angle = ridge_angle_component(expected)
-    slope = np.column_stack([told.slope * scale, angle.relative])
-    bend = np.pad(told.bend * np.outer(scale, scale), ((0, 0), (0, 1), (0, 1)))
+    response = Response(told.sources, told.slope * scale, told.bend * np.outer(scale, scale))
     predicted = np.sum([c.covariance() for c in expected.components], axis=0)
     alone = planned_covariance(recipe, expected) - predicted
     alone = basis @ alone @ basis.T * (BETTER**-2.0 if RIG in better else 1.0)
-    return Response((*told.sources, angle.source), slope, bend).within(basis), np.asarray(alone)
+    return response.within(basis), np.asarray(alone)
 
 
 def _sigmas(shift: FloatArray, good: tuple[Response, FloatArray]) -> float:

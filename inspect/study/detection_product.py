@@ -11,12 +11,9 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.expectation import Component, Expectation, expectation
-from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.expectation import Expectation, expectation
 from anisoscope.recipe import Recipe
 from anisoscope.sim.bench.benchfile import OpticsPart, SensorPart
-from anisoscope.sim.light import corrected
-from anisoscope.sim.light.geometry import directions
 from anisoscope.sim.light.material import Material
 
 FloatArray = npt.NDArray[np.float64]
@@ -125,12 +122,22 @@ CLASSES = (
 BY_NAME = {kind.name: kind for kind in CLASSES}
 
 
-def recipe_of(name: RecipeName, size: Size) -> Recipe:
-    """The recipe: an ideal design, its material and the rig with the uncertainties that the parts are drawn from."""
+def recipe_of(name: RecipeName, size: Size, *, stated: bool = False) -> Recipe:
+    """The recipe: an ideal design, its material and the rig with the uncertainties that the parts are drawn from.
+
+    Args:
+        name: of the recipe.
+        size: of the study.
+        stated: the recipe states how much the ridge angle of good parts spreads, too.
+    """
+    design = {
+        "ridge_angle_deg": RIDGE_ANGLE_DEG,
+        "u_ridge_angle_deg": RIDGE_ANGLE_SPREAD_DEG if stated else 0.0,
+    }
     told: dict[str, Any] = {
         "schema": 1,
         "product": "ridged plate of the detection study",
-        "surface": {"pitch_um": PITCH_UM, "design": {"ridge_angle_deg": RIDGE_ANGLE_DEG}},
+        "surface": {"pitch_um": PITCH_UM, "design": design},
         "material": {
             "alpha_along": WHOLE.alpha_along,
             "alpha_across": WHOLE.alpha_across,
@@ -149,21 +156,9 @@ def recipe_of(name: RecipeName, size: Size) -> Recipe:
 
 
 @lru_cache(maxsize=8)
-def expected_of(name: RecipeName, size: Size) -> Expectation:
-    """What the recipe predicts."""
-    return expectation(recipe_of(name, size), LIGHT_DEG)
-
-
-def ridge_angle_component(expected: Expectation) -> Component:
-    """What the spread of the ridge angle of good parts adds: no recipe states it yet."""
-    seen = directions(expected.poses, expected.convention)
-    step = 0.05
-    low, high = (
-        np.log(corrected.radiance(*seen, RidgeDesign(PITCH_UM, RIDGE_ANGLE_DEG + sign * step), WHOLE))
-        for sign in (-1.0, 1.0)
-    )
-    slope = (high - low) / (2.0 * step)
-    return Component("ridge angle of good parts", "prediction", slope * RIDGE_ANGLE_SPREAD_DEG, shared=True)
+def expected_of(name: RecipeName, size: Size, *, stated: bool = False) -> Expectation:
+    """What the recipe predicts; arguments as for `recipe_of`."""
+    return expectation(recipe_of(name, size, stated=stated), LIGHT_DEG)
 
 
 @dataclass(frozen=True, eq=False)

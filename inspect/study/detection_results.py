@@ -1,6 +1,6 @@
 """What a detection study found, world by world and recipe by recipe, as plain numbers for JSON, page and console."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -15,12 +15,14 @@ from anisoscope.study.detection_diagnosis import (
     separability_of,
     true_extents,
 )
+from anisoscope.study.detection_intervals import intervals_held
 from anisoscope.study.detection_product import (
     BY_NAME,
     CLASSES,
     GOOD,
     RecipeName,
     Size,
+    World,
 )
 from anisoscope.study.detection_rules import (
     GOLDEN_PARTS,
@@ -56,10 +58,11 @@ DRAWN = ("shipped+area", "known+area", "golden+area")
 _TINY = 1e-300
 
 
-def results_of(seen: dict[str, Columns], name: RecipeName, size: Size) -> Told:
+def results_of(world: World, seen: dict[str, Columns], name: RecipeName, size: Size) -> Told:
     """Everything about one recipe in one world.
 
     Args:
+        world: the world.
         seen: columns of every class, good parts among them.
         name: of the recipe.
         size: of the study.
@@ -87,9 +90,24 @@ def results_of(seen: dict[str, Columns], name: RecipeName, size: Size) -> Told:
             "coverage": _coverage_of_good(good, name, benches[0]),
         },
         "classes": [
-            _class(kind.name, valid, scores, told, name, benches[0], apart.get(kind.cause))
+            {
+                **_class(kind.name, valid, scores, told, name, benches[0], apart.get(kind.cause)),
+                "intervals": _intervals(kind.name, valid, name, size) if world == "same" else None,
+            }
             for kind in CLASSES
         ],
+    }
+
+
+def _intervals(kind: str, seen: dict[str, Columns], name: RecipeName, size: Size) -> Told | None:
+    """Intervals of extents where everything that varies is stated: only the world of the predictor is known so well."""
+    held = intervals_held(kind, seen, name, size)
+    if held is None:
+        return None
+    return {
+        "spread_stated": _rate(held.stated),
+        "doubt_of_this_world": _rate(held.doubted),
+        "doubts": [asdict(doubt) for doubt in held.doubts],
     }
 
 
@@ -198,8 +216,9 @@ def _coverage_of_good(good: Columns, name: RecipeName, bench: Bench) -> Told:
     }
     off, all_u = good[f"{name}/pair_deviation"], good[f"{name}/pair_u"]
     found["predicted contrast (as shipped)"] = _rate(rate(np.abs(off) <= COVERAGE * all_u))
-    spread = bench.components[-1].relative
-    more = np.hypot(all_u, spread[first] - spread[second])
+    spread = bench.spread()
+    of_pairs = spread[first, first] + spread[second, second] - 2.0 * spread[first, second]
+    more = np.sqrt(all_u**2 + of_pairs)
     found["predicted contrast (spread of the ridge angle stated)"] = _rate(
         rate(np.abs(off) <= COVERAGE * more)
     )

@@ -1,8 +1,8 @@
 """Ways to weigh the means of the poses of many parts: as shipped, with more told, and against golden parts.
 
 `shipped` is what ``inspect`` decides. The others answer what a better recipe or calibration would give, from the same
-measured radiances: `spread` adds the spread of the ridge angle of good parts to the budget; `known` knows roughness and
-albedo of every part's batch three times better; `golden` is T² against golden parts with the chance that
+measured radiances: `spread` is that of a recipe that states the spread of the ridge angle of good parts; `known` knows
+roughness and albedo of every part's batch three times better; `golden` is T² against golden parts with the chance that
 good parts drawn from the budget have (the rule of ``inspect`` where there are such), `normal` the same with the chance
 of the normal distribution; `taught` shifts the prediction to their mean and keeps the budget.
 """
@@ -24,7 +24,6 @@ from anisoscope.study.detection_product import (
     Size,
     expected_of,
     recipe_of,
-    ridge_angle_component,
 )
 from anisoscope.weighing import calibrated, golden_chances
 
@@ -45,7 +44,7 @@ class Bench:
 
     Attributes:
         expected: of the recipe.
-        components: of the prediction, the ridge angle of good parts among them.
+        stated: of the recipe that states the spread of the ridge angle too.
         golden: (n, P) ln L over the prediction of the golden parts.
         size: of the study.
         name: of the recipe.
@@ -53,7 +52,7 @@ class Bench:
     """
 
     expected: Expectation
-    components: tuple[Component, ...]
+    stated: Expectation
     golden: FloatArray
     size: Size
     name: RecipeName
@@ -61,24 +60,26 @@ class Bench:
 
     def response(self, *, spread: bool, better: float) -> Response:
         """That of the prediction, with the ridge angle of good parts, or with the material known better."""
-        told = self.expected.response
+        told = (self.stated if spread else self.expected).response
         assert told is not None
         known = (ALONG, ACROSS, ALBEDO)
         scale = np.array([1.0 / better if source in known else 1.0 for source in told.sources])
-        slope, bend = told.slope * scale, told.bend * np.outer(scale, scale)
-        if not spread:
-            return Response(told.sources, slope, bend)
-        angle = self.components[-1]
-        wide = np.pad(bend, ((0, 0), (0, 1), (0, 1)))
-        return Response((*told.sources, angle.source), np.column_stack([slope, angle.relative]), wide)
+        return Response(told.sources, told.slope * scale, told.bend * np.outer(scale, scale))
+
+    def spread(self) -> FloatArray:
+        """(P, P) covariance of ln L that the spread of the ridge angle adds."""
+        with_it, without = (
+            np.sum([component.covariance() for component in told.components], axis=0)
+            for told in (self.stated, self.expected)
+        )
+        return np.asarray(with_it - without)
 
 
 def bench_of(name: RecipeName, size: Size, golden: FloatArray, own: FloatArray) -> Bench:
     """The bench of a recipe; ``golden``: (n, P), ``own``: (P, P) usual covariance of a measurement."""
     expected = expected_of(name, size)
-    spread = ridge_angle_component(expected)
     drawn = _drawn(expected, len(golden), own)
-    return Bench(expected, (*expected.components, spread), golden, size, name, drawn)
+    return Bench(expected, expected_of(name, size, stated=True), golden, size, name, drawn)
 
 
 def p_values(rule: Rule, seen: Columns, kind: str, bench: Bench) -> FloatArray:
@@ -189,7 +190,7 @@ def limits(shift: FloatArray, seen: Columns, bench: Bench) -> tuple[float, list[
         for source, relative in zip(MEASURED_SOURCES, own, strict=True)
     ]
     basis = log_basis(len(shift))
-    parts = [(c.source, basis @ c.covariance() @ basis.T) for c in (*bench.components, *measured)]
+    parts = [(c.source, basis @ c.covariance() @ basis.T) for c in (*bench.stated.components, *measured)]
     total = np.sum([matrix for _, matrix in parts], axis=0)
     weight = np.linalg.solve(total, basis @ shift)
     square = float(weight @ total @ weight)

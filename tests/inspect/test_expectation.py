@@ -14,15 +14,16 @@ from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import Convention, directions, seating_rotation
 
 DESIGN = RidgeDesign(100.0, 10.0)
+SPREAD = {"design": {"u_ridge_angle_deg": 0.2}}
 ZS = 0.1 * norm.ppf((np.arange(12) + 0.5) / 12)  # small, so that the first order is all there is
 PAIRS = np.array([[1, -1, 0], [0, 1, -1]])
 
 
-def log_ratios(recipe, light_deg=10.0, seating=(0.0, 0.0), **material):
+def log_ratios(recipe, light_deg=10.0, seating=(0.0, 0.0), design=DESIGN, **material):
     to_light, to_camera = directions(recipe.poses.poses(), Convention(light_deg))
     seat = seating_rotation(*seating)
     plastic = replace(recipe.material.material(), **material)
-    return PAIRS @ np.log(corrected.radiance(to_light @ seat, to_camera @ seat, DESIGN, plastic))
+    return PAIRS @ np.log(corrected.radiance(to_light @ seat, to_camera @ seat, design, plastic))
 
 
 CHANGES = {
@@ -33,16 +34,32 @@ CHANGES = {
     "light angle": lambda recipe, z: log_ratios(recipe, light_deg=10.0 + 0.1 * z),
     "seating tilt about x": lambda recipe, z: log_ratios(recipe, seating=(0.05 * z, 0.0)),
     "seating tilt about y": lambda recipe, z: log_ratios(recipe, seating=(0.0, 0.05 * z)),
+    "ridge angle of the design": lambda recipe, z: log_ratios(
+        recipe, design=RidgeDesign(100.0, 10.0 + 0.2 * z)
+    ),
 }
 
 
 @pytest.mark.parametrize("source", CHANGES)
 def test_every_component_is_the_spread_that_its_cause_makes(make_recipe, source):
-    recipe = make_recipe()
+    recipe = make_recipe(surface=SPREAD)
     (part,) = (c for c in expectation(recipe, 10.0).components if c.source == source)
     stated = np.sqrt(np.diag(PAIRS @ part.covariance() @ PAIRS.T))
     spread = np.std([CHANGES[source](recipe, z) for z in ZS], axis=0) / np.std(ZS)
     np.testing.assert_allclose(stated, spread, rtol=0.03, atol=3e-4)
+
+
+def test_a_spread_that_is_not_stated_is_in_nothing(make_recipe):
+    plain, stated = (expectation(make_recipe(**change), 10.0) for change in ({}, {"surface": SPREAD}))
+    name = "ridge angle of the design"
+    assert not any(name in c.source for c in plain.components)
+    assert name not in plain.response.sources
+    assert stated.response.sources == (*plain.response.sources, name)
+    np.testing.assert_array_equal(stated.radiance, plain.radiance)
+    np.testing.assert_array_equal(stated.response.slope[:, :-1], plain.response.slope)
+    np.testing.assert_array_equal(stated.response.bend[:, :-1, :-1], plain.response.bend)
+    kept = [c for c in stated.components if name not in c.source]
+    assert [c.source for c in kept] == [c.source for c in plain.components]
 
 
 def test_the_whole_covariance_is_that_of_material_drawn_from_its_uncertainty(make_recipe):

@@ -55,10 +55,15 @@ def test_a_design_is_predicted_once_and_leaves_nothing_on_disk(made, make_recipe
 
 
 def test_what_the_prediction_rests_on_makes_it_anew(made, make_recipe):
-    changes = ({}, {"material": {"albedo": 0.21}}, {"uncertainty": {"seating_tilt_deg": 0.06}})
+    changes = (
+        {},
+        {"material": {"albedo": 0.21}},
+        {"uncertainty": {"seating_tilt_deg": 0.06}},
+        {"surface": {"design": {"u_ridge_angle_deg": 0.1}}},
+    )
     found = [kept_expectation(make_recipe(**change), 10.0) for change in changes]
     found.append(kept_expectation(make_recipe(), 11.0))
-    assert len(made) == len({packed(one) for one in found}) == 4
+    assert len(made) == len({packed(one) for one in found}) == 5
 
 
 def test_a_prediction_from_a_map_outlives_the_program_without_loss(made, of_a_map, tmp_path):

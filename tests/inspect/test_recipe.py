@@ -49,7 +49,16 @@ def test_the_design_is_the_one_of_the_file(read):
     assert (design.pitch_um, design.ridge_angle_deg, design.wall) == (100.0, 12.0, "vertical")
 
 
+def test_the_spread_of_the_ridge_angle_is_nil_unless_it_is_stated(read):
+    assert read(surface=DESIGN).surface.design.u_ridge_angle_deg == 0.0
+    stated = {**DESIGN, "design": {"ridge_angle_deg": 10.0, "u_ridge_angle_deg": 0.1}}
+    assert read(surface=stated).surface.design.u_ridge_angle_deg == 0.1
+    both = {**DESIGN, "height_map": "x", "compare": "design"}
+    assert read(surface=both).surface.decides == "design"
+
+
 MATERIAL = GOOD["material"]
+SPREAD = {"ridge_angle_deg": 10.0, "u_ridge_angle_deg": 0.1}
 MISTAKES = {
     "surface.pitch_mm: unknown key; did you mean 'pitch_um'?": {"surface": {**DESIGN, "pitch_mm": 0.1}},
     "tolerances: unknown key": {"tolerances": 0.1},
@@ -66,6 +75,12 @@ MISTAKES = {
     'compare = "height_map", but there is no height_map': {"surface": {**DESIGN, "compare": "height_map"}},
     "surface.role": {"surface": {"pitch_um": 100.0, "height_map": "x", "role": "mould"}},
     "surface.design.ridge_angle_deg": {"surface": {**DESIGN, "design": {"ridge_angle_deg": 50.0}}},
+    "surface.design.u_ridge_angle_deg": {
+        "surface": {**DESIGN, "design": {"ridge_angle_deg": 10.0, "u_ridge_angle_deg": -0.1}}
+    },
+    "surface: design.u_ridge_angle_deg is the spread of ideal ridges": {
+        "surface": {**DESIGN, "design": SPREAD, "height_map": "x", "compare": "design"}
+    },
     "decision.tolerance lists 1 values for 2 pairs": {"decision": {"tolerance": [0.1]}},
     "decision.tolerance": {"decision": {"tolerance": -0.1}},
     "decision.contrast": {"decision": {"contrast": "ratio"}},

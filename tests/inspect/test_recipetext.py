@@ -21,6 +21,7 @@ def test_a_new_recipe_is_valid(tmp_path, angle, height_map, decides):
     assert (recipe.product, recipe.surface.pitch_um) == ('a "quoted" part', 80.0)
     assert recipe.surface.decides == decides
     assert recipe.surface.both == (angle is not None and height_map is not None)
+    assert ("u_ridge_angle_deg = 0.0" in text) == (height_map is None)  # a map has no such spread
     known = set(Recipe.model_validate(tomllib.loads(text)).model_dump(by_alias=True))
     assert set(tomllib.loads(text)) <= known
 

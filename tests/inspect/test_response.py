@@ -32,12 +32,15 @@ def bent(values, inputs, size, rng):
 
 
 def test_the_response_is_the_model_to_second_order(make_recipe, rng):
-    recipe = make_recipe(poses={"angles_deg": [0.0, 90.0, 180.0], "tilts_deg": [0.0, -10.0]})
+    recipe = make_recipe(
+        poses={"angles_deg": [0.0, 90.0, 180.0], "tilts_deg": [0.0, -10.0]},
+        surface={"design": {"u_ridge_angle_deg": 0.2}},
+    )
     found = expectation(recipe, 10.0)
     part, rig = recipe.material, recipe.uncertainty
     assert found.response.sources[:2] == ("roughness along the ridges", "roughness across the ridges")
     errors, sizes = [], []
-    for z in rng.standard_normal((6, 7)):
+    for z in rng.standard_normal((6, 8)):
         plastic = replace(
             part.material(),
             alpha_along=part.alpha_along * (1.0 + part.u_alpha_share * z[0]),
@@ -45,9 +48,11 @@ def test_the_response_is_the_model_to_second_order(make_recipe, rng):
             albedo=part.albedo + part.u_albedo * z[2],
             index=part.index + part.u_index * z[3],
         )
-        seat = seating_rotation(*(rig.seating_tilt_deg * z[5:]))
+        seat = seating_rotation(*(rig.seating_tilt_deg * z[5:7]))
         to_light, to_camera = directions(found.poses, Convention(10.0 + rig.light_angle_deg * z[4]))
-        exact = corrected.radiance(to_light @ seat, to_camera @ seat, RidgeDesign(100.0, 10.0), plastic)
+        exact = corrected.radiance(
+            to_light @ seat, to_camera @ seat, RidgeDesign(100.0, 10.0 + 0.2 * z[7]), plastic
+        )
         change = np.log(exact / found.radiance)
         errors.append(change - found.response.change(z))
         sizes.append(change - z @ found.response.slope.T)

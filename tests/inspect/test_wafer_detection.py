@@ -1,8 +1,13 @@
 """How often good wafers fail and wrong ones are found, without a camera between: the bench's radiances, weighed.
 
 Parts vary as the demo's recipe says: etching, lamp, lens, seating, zero of the tilt, light angle; pictures add 0.3 %.
+ANISOSCOPE_WRITE_DOCS=1 writes the table of docs/wafers.md anew.
 """
 
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import SimpleNamespace
 
 import numpy as np
@@ -18,7 +23,40 @@ from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_
 from anisoscope.weighing import from_prediction
 
 PICTURES = 0.003
-GOOD, WRONG = 60, 10
+LAMP = 0.001  # what is left of the bench's lamp of 48 points, rms over poses and parts
+SEEDS = (3, 5)
+MANY, FEW = 60, 10
+PAGE = Path(__file__).parents[2] / "docs" / "wafers.md"
+BEGIN, END = "<!-- table of the soak test: begin -->", "<!-- table of the soak test: end -->"
+WRITING = os.environ.get("ANISOSCOPE_WRITE_DOCS") == "1"
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """What is wrong, how many parts are drawn, and whether every one must be found."""
+
+    title: str
+    wrong: dict
+    count: int = FEW
+    certain: bool = False
+
+
+CASES = (
+    Case("nothing: below 0.001, 0.01, 0.05", {}, MANY),
+    Case("3 nm too deep", {"over_etch_nm": 3.0}),
+    Case("4 nm too deep", {"over_etch_nm": 4.0}),
+    Case("5 nm too deep", {"over_etch_nm": 5.0}),
+    Case("6 nm too deep", {"over_etch_nm": 6.0}),
+    Case("6 nm too shallow", {"over_etch_nm": -6.0}),
+    Case("8 nm too deep", {"over_etch_nm": 8.0}, certain=True),
+    Case("8 nm too shallow", {"over_etch_nm": -8.0}, certain=True),
+    Case("150 nm too wide", {"width_bias_nm": 150.0}),
+    Case("200 nm too wide", {"width_bias_nm": 200.0}),
+    Case("225 nm too wide", {"width_bias_nm": 225.0}),
+    Case("225 nm too narrow", {"width_bias_nm": -225.0}),
+    Case("300 nm too wide", {"width_bias_nm": 300.0}, certain=True),
+    Case("300 nm too narrow", {"width_bias_nm": -300.0}, certain=True),
+)
 
 
 class World:
@@ -50,24 +88,56 @@ class World:
             for to_light, to_camera in zip(*directions(poses, Convention(light)), strict=True)
         ]
         radiance = np.array(seen) * np.exp(PICTURES * self.rng.standard_normal(len(seen)))
-        pictures = Component("pictures", "measurement", np.full(len(seen), PICTURES), shared=False)
-        measured = SimpleNamespace(radiance=radiance, components=(pictures,))
+        own = tuple(
+            Component(source, "measurement", np.full(len(seen), share), shared=False)
+            for source, share in (("pictures", PICTURES), ("lamp of the bench", LAMP))
+        )
+        measured = SimpleNamespace(radiance=radiance, components=own)
         return from_prediction(self.expected, measured)[2]
 
 
+def rates(seed):
+    """P values by what is wrong, of one tile."""
+    with TemporaryDirectory() as folder:
+        world = World(Path(folder), seed)
+        asked = CASES if WRITING else (case for case in CASES if case.count == MANY or case.certain)
+        return {case: np.array([world.p_value(**case.wrong) for _ in range(case.count)]) for case in asked}
+
+
 @pytest.mark.soak
-def test_good_wafers_pass_and_wrong_ones_are_found(tmp_path):
-    """At 0.001: at most 1 of 60 good wafers fails (more in 0.2 % of such runs); 8 nm and 300 nm are always found."""
-    world = World(tmp_path, 3)
-    good = np.array([world.p_value() for _ in range(GOOD)])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_good_wafers_pass_and_wrong_ones_are_found(seed):
+    """Of 60 good ones at most 2 fail at 0.01 and 1 at 0.001, and 8 at 0.05: more in 0.3 to 2 % of such runs each."""
+    found = rates(seed)
+    if WRITING:
+        write(seed, found)
+    good = next(p for case, p in found.items() if case.count == MANY)
     assert np.count_nonzero(good < 0.001) <= 1
-    assert np.count_nonzero(good < 0.05) <= 9  # 3 are expected, more than 9 in 0.1 % of such runs
-    assert np.median(good) > 0.2
-    for wrong in (
-        {"over_etch_nm": 8.0},
-        {"over_etch_nm": -8.0},
-        {"width_bias_nm": 300.0},
-        {"width_bias_nm": -300.0},
-    ):
-        found = np.array([world.p_value(**wrong) for _ in range(WRONG)])
-        assert np.all(found < 0.001), wrong
+    assert np.count_nonzero(good < 0.01) <= 3
+    assert np.count_nonzero(good < 0.05) <= 8
+    assert 0.3 < np.median(good) < 0.7
+    for case, p in found.items():
+        if case.certain:
+            assert np.all(p < 0.001), case.title
+
+
+def write(seed, found):
+    """Put the counts of a tile in place of those that stand on the page."""
+    text = PAGE.read_text(encoding="utf-8")
+    before, _, rest = text.partition(BEGIN)
+    inner, _, after = rest.partition(END)
+    told = {
+        row.split(" | ")[0][2:]: row.strip("| ").split(" | ")[1:]
+        for row in inner.splitlines()
+        if row[:2] == "| "
+    }
+    rows = []
+    for case, p in found.items():
+        levels = (0.001, 0.01, 0.05) if case.count == MANY else (0.001,)
+        counts = ", ".join(str(np.count_nonzero(p < level)) for level in levels)
+        kept = told.get(case.title, ["–"] * len(SEEDS))
+        kept[SEEDS.index(seed)] = f"{counts} of {case.count}"
+        rows.append(f"| {case.title} | " + " | ".join(kept) + " |")
+    head = ["| wrong by | one tile | another |", "|---|---|---|"]
+    table = "\n".join([*head, *rows])
+    PAGE.write_text(f"{before}{BEGIN}\n\n{table}\n\n{END}{after}", encoding="utf-8")

@@ -110,8 +110,12 @@ class Orders:
 
     def density(self, levels_um: FloatArray, half: HalfVector, wavelength_um: float, window: Window) -> float:
         """Blurred mean power spectrum in one direction as `fused.density`, in µm², of (K,) heights."""
+        return self.blurred(level_phases(levels_um, wavelength_um, half.z), half, wavelength_um, window)
+
+    def blurred(self, phases: ComplexArray, half: HalfVector, wavelength_um: float, window: Window) -> float:
+        """The same of (K,) waves of the levels."""
         middle, wide = half.frequency(wavelength_um), window.half_width(wavelength_um, half.z)
-        waves, fx, fy = self.around(middle, wide, level_phases(levels_um, wavelength_um, half.z))
+        waves, fx, fy = self.around(middle, wide, phases)
         power = waves.real.astype(np.float64) ** 2 + waves.imag.astype(np.float64) ** 2
         off = fx[None, :] - middle[0], fy[:, None] - middle[1]
         return float(np.sum(power * window_density(window, *off, wavelength_um)))

@@ -10,7 +10,7 @@ from anisoscope.diagnosis.likelihood import fit_extent, interval
 from anisoscope.diagnosis.signatures import DOUBTFUL, signatures
 from anisoscope.diagnosis.tangents import A_SIDE, Tangents, looked_at, slopes_of
 from anisoscope.expectation import Component, expectation
-from anisoscope.prediction.propagation import PLASTIC_AND_SEAT
+from anisoscope.prediction.propagation import PLASTIC_AND_SEAT, RIDGE_ANGLE
 from anisoscope.prediction.sensitivity import State, evaluate, fixed
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.recipe import Recipe
@@ -18,6 +18,7 @@ from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import Convention
 
 LOSS = 0.1
+SPREAD = 0.3
 LIGHT = 10.0
 UNITS = {"alpha_along": 0.06, "alpha_across": 0.10, "albedo": 1.0, "index": 1.0}
 
@@ -47,11 +48,27 @@ def found(recipe):
     }
 
 
-def cut(loss):
+@pytest.fixture(scope="module")
+def spread(recipe):
+    """The recipe that states how much the ridge angle of good parts spreads."""
+    told = recipe.model_dump() | {"schema": 1}
+    del told["schema_version"]
+    told["surface"]["design"]["u_ridge_angle_deg"] = SPREAD
+    return Recipe.model_validate(told)
+
+
+@pytest.fixture(scope="module")
+def turned(spread):
+    names = ("incomplete-filling", "ridge-angle")
+    return {one.cause.name: one for one in signatures(spread, LIGHT, names=names).found}
+
+
+def cut(loss, angle_deg=10.0):
     """The closed form of ridges whose crests are missing."""
 
     def model(to_light, to_camera, material):
-        return corrected.radiance(to_light, to_camera, RidgeDesign(100.0, 10.0, height_loss=loss), material)
+        design = RidgeDesign(100.0, angle_deg, height_loss=loss)
+        return corrected.radiance(to_light, to_camera, design, material)
 
     return model
 
@@ -94,9 +111,54 @@ def test_what_is_in_doubt_anyway_is_not_looked_at(found):
     assert found["missing-ridges"].tangents is None
 
 
+def test_the_ridge_angle_acts_on_a_cut_crest_as_the_closed_form_says(spread, found, turned):
+    poses, state = spread.poses.poses(), nominal(spread)
+
+    def slope(loss):
+        low, high = (
+            evaluate(fixed(cut(loss, 10.0 + side)), [state], poses, Convention(LIGHT))[0]
+            for side in (-0.08, 0.08)
+        )
+        return np.log(high / low) / 0.16
+
+    told = turned["incomplete-filling"].tangents.change(LOSS, (RIDGE_ANGLE,))[:, 0]
+    np.testing.assert_allclose(told, slope(LOSS) - slope(0.0), atol=0.02 * np.abs(slope(0.0)).max())
+    assert np.abs(told).max() > 0.1 * np.abs(slope(0.0)).max()
+    assert (
+        not found["incomplete-filling"].tangents.change(LOSS, (RIDGE_ANGLE,)).any()
+    )  # costs nothing if not stated
+
+
+def own_of(expected):
+    return (Component("own", "measurement", np.full(len(expected.poses), 0.004), shared=False),)
+
+
+def evidence_of(recipe, change):
+    expected = expectation(recipe, LIGHT)
+    own = own_of(expected)
+    V = covariance_of(expected.components + own, recipe.uncertainty.scale_share, len(expected.poses))
+    return Evidence(change, V, inputs=inputs_of(recipe, expected, own))
+
+
+def test_a_ridge_angle_is_fitted_without_its_own_spread(recipe, spread, turned):
+    """As an albedo is: its severity is how far it is off in all, and what it is by chance is not added to its u."""
+    angle = turned["ridge-angle"]
+    assert angle.cause.source == RIDGE_ANGLE
+    change, _ = angle.at(1.2)
+    alone, stated = (evidence_of(one, change) for one in (recipe, spread))
+    assert stated.inputs.u[RIDGE_ANGLE] == SPREAD
+    without = fit_extent(angle, alone, as_input=True)
+    found = fit_extent(angle, stated, as_input=True)
+    assert (found.extent, found.u) == pytest.approx((without.extent, without.u), rel=1e-3)
+    assert found.extent == pytest.approx(1.2, abs=0.05)
+    counted = fit_extent(angle, stated)
+    assert counted.u == pytest.approx(np.hypot(found.u, SPREAD), rel=0.1)
+    assert interval(angle, stated, found) == pytest.approx(interval(angle, alone, without), abs=2e-3)
+
+
 def drawn(recipe, loss, count, rng):
     """(count, P) ln L of parts with a height loss: albedo, seating and lamp as the recipe says, 0.4 % in every pose."""
-    part, rig = recipe.material.material(), recipe.uncertainty
+    part, rig, design = recipe.material.material(), recipe.uncertainty, recipe.surface.design
     states = [
         State(
             replace(part, albedo=part.albedo + recipe.material.u_albedo * rng.standard_normal()),
@@ -106,33 +168,53 @@ def drawn(recipe, loss, count, rng):
         for _ in range(count)
     ]
     poses = recipe.poses.poses()
-    radiance = evaluate(fixed(cut(loss)), states, poses, Convention(LIGHT))
+    turns = (
+        design.u_ridge_angle_deg * rng.standard_normal(count) if design.u_ridge_angle_deg else np.zeros(count)
+    )
+    radiance = np.vstack(
+        [
+            evaluate(fixed(cut(loss, design.ridge_angle_deg + turn)), [state], poses, Convention(LIGHT))
+            for state, turn in zip(states, turns, strict=True)
+        ]
+    )
     own = 0.004 * rng.standard_normal(radiance.shape) + rig.scale_share * rng.standard_normal((count, 1))
     return np.log(radiance) + own
 
 
 def test_intervals_hold_the_truth_as_often_as_they_say_because_of_the_tangents(recipe, found):
     """Inputs taken to act as on the good part leave intervals too short: a flat crest answers otherwise."""
-    expected = expectation(recipe, LIGHT)
-    own = (Component("own", "measurement", np.full(len(expected.poses), 0.004), shared=False),)
-    inputs = inputs_of(recipe, expected, own)
-    V = covariance_of(expected.components + own, recipe.uncertainty.scale_share, len(expected.poses))
-    exact = found["incomplete-filling"]
+    parts = drawn(recipe, LOSS, 160, np.random.default_rng(4)) - np.log(expectation(recipe, LIGHT).radiance)
+    sure = certain(found["incomplete-filling"], recipe)
+    assert 0.91 <= held(sure, recipe, parts) <= 0.985
+    assert held(replace(sure, tangents=None), recipe, parts[:60]) < 0.7
+
+
+def test_intervals_hold_the_truth_of_parts_whose_ridge_angle_spreads_where_that_is_stated(
+    recipe, spread, found, turned
+):
+    parts = drawn(spread, LOSS, 160, np.random.default_rng(8)) - np.log(expectation(spread, LIGHT).radiance)
+    assert 0.91 <= held(certain(turned["incomplete-filling"], spread), spread, parts) <= 0.985
+    assert held(certain(found["incomplete-filling"], recipe), recipe, parts[:60]) < 0.8
+
+
+def certain(signature, recipe):
+    """The signature by the closed form, beyond doubt."""
     poses = recipe.poses.poses()
-    shown = [evaluate(fixed(cut(e)), [nominal(recipe)], poses, Convention(LIGHT))[0] for e in exact.extents]
-    certain = replace(exact, cause=replace(exact.cause, doubt=0.0), change=np.log(shown / shown[0]))
-    parts = drawn(recipe, LOSS, 160, np.random.default_rng(4)) - np.log(expected.radiance)
+    shown = [
+        evaluate(fixed(cut(e)), [nominal(recipe)], poses, Convention(LIGHT))[0] for e in signature.extents
+    ]
+    return replace(signature, cause=replace(signature.cause, doubt=0.0), change=np.log(shown / shown[0]))
 
-    def held(one, count):
-        ends = []
-        for change in parts[:count]:
-            evidence = Evidence(change, V, inputs=inputs)
-            ends.append(interval(one, evidence, fit_extent(one, evidence)))
-        low, high = np.array(ends, dtype=float).T
-        return np.mean((low <= LOSS) & (high >= LOSS))
 
-    assert 0.91 <= held(certain, 160) <= 0.985
-    assert held(replace(certain, tangents=None), 60) < 0.7
+def held(signature, recipe, parts):
+    """How often the intervals hold the true height loss."""
+    ends = []
+    known = evidence_of(recipe, parts[0])
+    for change in parts:
+        evidence = replace(known, deviation=change)
+        ends.append(interval(signature, evidence, fit_extent(signature, evidence)))
+    low, high = np.array(ends, dtype=float).T
+    return np.mean((low <= LOSS) & (high >= LOSS))
 
 
 def test_nil_and_the_outermost_extents_are_looked_at():
@@ -161,4 +243,4 @@ def test_black_parts_have_no_slopes(recipe):
     def black(to_light, to_camera, material):
         return np.zeros(len(to_light))
 
-    assert slopes_of(black, nominal(recipe), recipe.poses.poses(), Convention(LIGHT)) is None
+    assert slopes_of(fixed(black), nominal(recipe), recipe.poses.poses(), Convention(LIGHT)) is None
