@@ -40,7 +40,7 @@ _Mover = Callable[[_Inputs, float], _Inputs]
 
 @dataclass(frozen=True, eq=False)
 class WaferStates:
-    """Change of ln L of the poses with everything that is uncertain; a `response.Curve`.
+    """Change of ln L of the poses with everything that is uncertain; a `neareststate.Curve`.
 
     Attributes:
         recipe: with the poses that decide.

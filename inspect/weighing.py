@@ -11,7 +11,8 @@ import numpy.typing as npt
 
 from anisoscope.expectation import Component, Expectation
 from anisoscope.measurement import Measured
-from anisoscope.response import Combined, Response, nearest, nearest_anywhere
+from anisoscope.neareststate import Combined, nearest, nearest_anywhere
+from anisoscope.response import Response
 from anisoscope.significance import hotelling, log_basis, mahalanobis
 
 FloatArray = npt.NDArray[np.float64]

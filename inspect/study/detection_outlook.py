@@ -13,9 +13,10 @@ import numpy.typing as npt
 
 from anisoscope.diagnosis.separability import planned_covariance
 from anisoscope.expectation import Expectation, expectation
+from anisoscope.neareststate import nearest
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.recipe import Recipe
-from anisoscope.response import Response, nearest
+from anisoscope.response import Response
 from anisoscope.significance import log_basis
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import directions

@@ -14,7 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.expectation import Component, Expectation
-from anisoscope.response import Response, nearest
+from anisoscope.neareststate import nearest
+from anisoscope.response import Response
 from anisoscope.significance import hotelling, log_basis
 from anisoscope.study.detection_chunk import MEASURED_SOURCES
 from anisoscope.study.detection_diagnosis import SHARED_SOURCES

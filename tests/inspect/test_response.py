@@ -7,8 +7,9 @@ import pytest
 from scipy.stats import chi2
 
 from anisoscope.expectation import SECOND_ORDER, expectation
+from anisoscope.neareststate import nearest
 from anisoscope.profiles.ideal import RidgeDesign
-from anisoscope.response import Response, nearest
+from anisoscope.response import Response
 from anisoscope.significance import log_basis
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import Convention, directions, seating_rotation

@@ -5,11 +5,11 @@ import pytest
 
 from anisoscope.expectation import SECOND_ORDER, expectation
 from anisoscope.models import recipe_wafer, wafer_light
+from anisoscope.neareststate import nearest_anywhere
 from anisoscope.prediction.etched import WaferLight
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.recipe import Recipe
-from anisoscope.response import nearest_anywhere
 from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_rotation
 
 SIDE_UM = 64.0
