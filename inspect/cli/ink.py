@@ -6,14 +6,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import App, Parameter
 
 from anisoscope.cli.console import parse_numbers
-from anisoscope.cli.ink_options import check_suffix
+from anisoscope.cli.ink_options import JsonOption, OverwriteOption, check_new, check_suffix
 from anisoscope.cli.ink_output import print_fit, print_json, print_line, print_show
 from anisoscope.errors import UsageError
 
 if TYPE_CHECKING:
     from anisoscope.ink.goniometer import White
 
-JsonOption = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")]
 HtmlOption = Annotated[Path | None, Parameter(help="Write a self-contained HTML page to this file.")]
 
 HORIZON_DEG = 90.0
@@ -56,6 +55,7 @@ def fit(
     name: Annotated[str | None, Parameter(help="Name of the ink.")] = None,
     out: Annotated[Path | None, Parameter(help="Write the ink file *.toml.")] = None,
     html: HtmlOption = None,
+    overwrite: OverwriteOption = False,
     json_: JsonOption = False,
 ) -> int:
     """Fit roughness, reflectance and goniochromatism of an ink to goniometer readings.
@@ -72,6 +72,7 @@ def fit(
         raise UsageError("--white needs --values factor: a BRDF has no white reference")
     check_suffix(out, "--out", ".toml")
     check_suffix(html, "--html", ".html", ".htm")
+    check_new((out, html), overwrite=overwrite)
     readings = to_brdf(read_goniometer(data), values, _white(white, white_table, white_readings))
     found = fit_ink(readings, method, noise=noise, floor=floor)
     ink = found.ink(name or data.stem, f"fitted to {data.name} ({summary(found)})")
@@ -127,6 +128,7 @@ def show(
     png: Annotated[
         Path | None, Parameter(help="Write a picture of the colours and spectra: *.png or *.svg.")
     ] = None,
+    overwrite: OverwriteOption = False,
     json_: JsonOption = False,
 ) -> int:
     """Colour of inks against angle.
@@ -142,6 +144,8 @@ def show(
     if not inks:
         raise UsageError(f"ink show needs an ink: a file *.toml, or {', '.join(SYNTHETIC)}")
     check_suffix(html, "--html", ".html", ".htm")
+    check_suffix(png, "--png", ".png", ".svg")
+    check_new((html, png), overwrite=overwrite)
     usual = tuple(angle for angle in ANGLES_DEG if abs(angle + off_mirror) < HORIZON_DEG)
     if not usual:
         raise UsageError(f"--off-mirror takes degrees between -90 and 90, not {off_mirror:g}")

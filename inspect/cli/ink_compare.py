@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from anisoscope.cli.console import print_table, progress
-from anisoscope.cli.ink_options import JsonOption, check_suffix
+from anisoscope.cli.ink_options import JsonOption, OverwriteOption, check_new, check_suffix
 from anisoscope.cli.ink_output import print_json, print_line
 from anisoscope.errors import UsageError
 
@@ -40,6 +40,7 @@ def compare(
         Path | None,
         Parameter(help="Write the spheres to this *.png: a row an ink; readings, then the models."),
     ] = None,
+    overwrite: OverwriteOption = False,
     json_: JsonOption = False,
 ) -> int:
     """Compare spheres shown by the models with ones made from readings: RMSE, SSIM and frame time.
@@ -52,6 +53,7 @@ def compare(
     from anisoscope.spectrumfile import find_illuminant
 
     check_suffix(png, "--png", ".png")
+    check_new((png,), overwrite=overwrite)
     if not size <= MOST_SIZE or seed < 0:
         raise UsageError(f"--size takes pixels up to {MOST_SIZE}, --seed 0 or more")
     if bool(readings) == synthetic:

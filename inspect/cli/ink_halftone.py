@@ -14,6 +14,8 @@ from anisoscope.cli.ink_options import (
     IlluminantOption,
     InksOption,
     JsonOption,
+    OverwriteOption,
+    check_new,
     check_target,
     percent,
     three_inks,
@@ -49,6 +51,7 @@ def halftone(
         bool,
         Parameter(negative="", help="Films with white where the ink goes; else black, as screens need them."),
     ] = False,
+    overwrite: OverwriteOption = False,
     json_: JsonOption = False,
 ) -> int:
     """Place dots of three inks that never meet, and write the films for their screens.
@@ -67,12 +70,16 @@ def halftone(
     if width is not None and not 0.0 < width < np.inf:
         raise UsageError(f"--width takes millimetres above 0, not {width:g}")
     chosen = three_inks(inks)
+    films = _films(out, chosen)
+    for film in films:
+        check_target(film, "the film", (image,), ".png")
+    check_new((out, *films), overwrite=overwrite)
     plan = plan_separation(chosen, find_illuminant(illuminant), way=separation, angle_deg=angle, gain=gain)
     picture = read_image(image)
     dots = picture.srgb.shape[1] if width is None else round(width / MM_AN_INCH * dpi)
     with progress("halftone", quiet=json_) as advance:
         found = place_dots(to_dots(picture, dots), plan, method, advance=advance)
-    written = _write(found, plan, chosen, out, dpi, negative)
+    written = _write(found, plan, out, films, dpi, negative)
     if json_:
         print_json(_as_json(found, chosen, written, dpi, picture.notes))
         return 0
@@ -82,8 +89,18 @@ def halftone(
     return 0
 
 
+def _films(out: Path, inks: "tuple[Ink, ...]") -> list[Path]:
+    """Where the film of every ink goes: beside the picture of all dots, named after the ink."""
+    names = [out]
+    for number, ink in enumerate(inks, start=1):
+        slug = re.sub(r"[^a-z0-9]+", "-", ink.name.lower()).strip("-") or f"ink-{number}"
+        path = out.with_name(f"{out.stem}-{slug}.png")
+        names.append(out.with_name(f"{out.stem}-{slug}-{number}.png") if path in names else path)
+    return names[1:]
+
+
 def _write(
-    found: "Halftone", plan: "Separation", inks: "tuple[Ink, ...]", out: Path, dpi: float, negative: bool
+    found: "Halftone", plan: "Separation", out: Path, films: list[Path], dpi: float, negative: bool
 ) -> list[Path]:
     from anisoscope.atomicfile import write_bytes
     from anisoscope.sim.light.colour.spaces import encode
@@ -91,16 +108,10 @@ def _write(
 
     shown = encode(plan.colours.T / plan.colours.max()).srgb
     palette = np.rint(255.0 * np.vstack([np.zeros(3), shown])).astype(np.uint8)
-    written = [out]
     write_bytes(out, dots_png(found.dots, palette, dpi))
-    for number, ink in enumerate(inks):
-        slug = re.sub(r"[^a-z0-9]+", "-", ink.name.lower()).strip("-") or f"ink-{number + 1}"
-        path = out.with_name(f"{out.stem}-{slug}.png")
-        if path in written:
-            path = out.with_name(f"{out.stem}-{slug}-{number + 1}.png")
+    for number, path in enumerate(films):
         write_bytes(path, film_png(found.mask(number), dpi, positive=not negative))
-        written.append(path)
-    return written
+    return [out, *films]
 
 
 def _print(

@@ -11,6 +11,9 @@ from anisoscope.errors import UsageError
 if TYPE_CHECKING:
     from anisoscope.sim.light.ink.ink import Ink
 
+OverwriteOption = Annotated[
+    bool, Parameter(name="--overwrite", negative="", help="Replace files that exist.")
+]
 JsonOption = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")]
 InksOption = Annotated[
     str | None,
@@ -66,6 +69,17 @@ def check_target(path: Path | None, option: str, inputs: Iterable[Path | None], 
     check_suffix(path, option, *suffixes)
     if path is not None and path.resolve() in {one.resolve() for one in inputs if one is not None}:
         raise UsageError(f"{option} {path} is an input: write to another file")
+
+
+def check_new(paths: Iterable[Path | None], *, overwrite: bool) -> None:
+    """Refuse to replace files before the work begins, unless that is wanted.
+
+    Raises:
+        UsageError: one of them exists.
+    """
+    for path in paths:
+        if path is not None and path.exists() and not overwrite:
+            raise UsageError(f"{path} exists; give another name, or --overwrite")
 
 
 def percent(share: float) -> str:

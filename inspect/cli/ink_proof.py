@@ -12,6 +12,8 @@ from anisoscope.cli.ink_options import (
     GainOption,
     InksOption,
     JsonOption,
+    OverwriteOption,
+    check_new,
     check_target,
     percent,
     three_inks,
@@ -93,6 +95,7 @@ def proof(
     dots: Annotated[int, Parameter(help="Dots across the print; 0: one a pixel of the image.")] = 768,
     size: Annotated[int, Parameter(help="Side of the picture of --png in pixels.")] = 1024,
     view: View | None = None,
+    overwrite: OverwriteOption = False,
     json_: JsonOption = False,
 ) -> int:
     """Show how a print of an image will look from all sides.
@@ -112,6 +115,7 @@ def proof(
         raise UsageError("ink proof needs something to write: --out proof.html, --png picture.png, or both")
     check_target(out, "--out", (image, photo, mesh), ".html", ".htm")
     check_target(png, "--png", (image, photo, mesh), ".png")
+    check_new((out, png), overwrite=overwrite)
     if photo is not None and out is None:
         raise UsageError("--photo shows a photograph on the page: it needs --out proof.html")
     if shown.shape == "mesh" and mesh is None:

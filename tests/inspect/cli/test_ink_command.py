@@ -111,3 +111,26 @@ def test_bad_input_is_one_line(anisoscope, folder, arguments, code, words):
     assert done.code == code, done.err
     assert words in done.err
     assert done.err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "name", "again"),
+    [
+        (("fit", "red.csv", "--method", "paper", "--out"), "kept.toml", True),
+        (("fit", "red.csv", "--html"), "kept.html", False),
+        (("show", "synthetic-red", "--html"), "kept.html", False),
+        (("show", "synthetic-red", "--png"), "kept.svg", False),  # with --overwrite: on the page
+        (("compare", "--synthetic", "--size", "32", "--png"), "kept.png", True),
+    ],
+)
+def test_files_are_replaced_only_on_demand(anisoscope, folder, tmp_path, arguments, name, again):
+    kept = tmp_path / name
+    kept.write_text("mine")
+    refused = anisoscope("ink", *arguments, kept, cwd=folder)
+    assert (refused.code, refused.out) == (64, "")
+    assert refused.err == f"anisoscope: {kept} exists; give another name, or --overwrite\n"
+    assert kept.read_text() == "mine"
+    if again:
+        done = anisoscope("ink", *arguments, kept, "--overwrite", cwd=folder)
+        assert done.code == 0, done.err
+        assert kept.read_bytes() != b"mine"

@@ -68,3 +68,25 @@ def test_mistakes_are_told_in_one_line(anisoscope, image, arguments, message):
     assert done.code not in (0, 1)
     assert message in done.err
     assert done.err.count("\n") == 1
+
+
+def test_dots_and_films_are_replaced_only_on_demand(anisoscope, image, tmp_path):
+    arguments = ("ink", "halftone", image, "--out", tmp_path / "d.png")
+    film = tmp_path / "d-synthetic-green.png"
+    film.write_text("mine")
+    refused = anisoscope(*arguments)
+    assert refused.code == 64
+    assert f"{film} exists; give another name, or --overwrite" in refused.err
+    assert [path.name for path in tmp_path.iterdir()] == [film.name]
+    assert anisoscope(*arguments, "--overwrite").code == 0
+    with PIL.Image.open(film) as picture:
+        assert picture.size == (128, 96)
+
+
+def test_a_film_does_not_replace_the_image(anisoscope, image, tmp_path):
+    mine = tmp_path / "d-synthetic-red.png"
+    mine.write_bytes(image.read_bytes())
+    done = anisoscope("ink", "halftone", mine, "--out", tmp_path / "d.png", "--overwrite")
+    assert done.code == 64
+    assert "is an input" in done.err
+    assert mine.read_bytes() == image.read_bytes()

@@ -80,3 +80,16 @@ def test_mistakes_are_told_in_one_line(anisoscope, folder):
         assert done.code not in (0, 1)
         assert message in done.err
         assert done.err.count("\n") == 1
+
+
+def test_files_are_replaced_only_on_demand(anisoscope, folder, tmp_path):
+    arguments = ("ink", "proof", folder / "print.png", "--size", 16, "--dots", 60)
+    for option, name in (("--out", "p.html"), ("--png", "p.png")):
+        kept = tmp_path / name
+        kept.write_text("mine")
+        refused = anisoscope(*arguments, option, kept)
+        assert refused.code == 64
+        assert f"{kept} exists; give another name, or --overwrite" in refused.err
+        assert kept.read_text() == "mine"
+        assert anisoscope(*arguments, option, kept, "--overwrite").code == 0
+        assert kept.read_bytes() != b"mine"
