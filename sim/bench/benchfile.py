@@ -201,8 +201,17 @@ def read_bench(path: Path) -> BenchFile:
     """Read a bench file; ``${here}`` in it stands for its own folder.
 
     Raises:
-        RigFileError: the file is missing or wrong; the message names the key.
+        RigFileError: the file is missing or wrong, or a print's ink or spectrum cannot be used; the message names the
+            key.
     """
-    return read_toml_model(
+    found = read_toml_model(
         path, BenchFile, error=RigFileError, substitutions={"here": str(path.resolve().parent)}
     )
+    if found.sample.kind == "print":
+        from anisoscope.sim.bench.prints import check_print  # noqa: PLC0415 - of one kind of sample only
+
+        try:
+            check_print(found)
+        except RigFileError as problem:
+            raise RigFileError(f"{path}: {problem}") from None
+    return found

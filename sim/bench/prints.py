@@ -77,6 +77,44 @@ def _found(text: str, key: str) -> Ink:
         raise RigFileError(f"sample.print.{key}: {problem}") from None
 
 
+def _printed_inks(part: PrintPart) -> tuple[Ink, ...]:
+    """The ink as it was printed, and the wrong one where some of it got among it.
+
+    Raises:
+        RigFileError: there is no such ink, or it cannot be printed so.
+    """
+    inks = (printed_ink(part),)
+    if part.wrong_ink is None:
+        return inks
+    wrong = _found(part.wrong_ink, "wrong_ink")
+    if part.wrong_share == 0.0:
+        return inks
+    return (*inks, wrong if part.distribution is None else replace(wrong, distribution=part.distribution))
+
+
+def _tables(inks: tuple[Ink, ...], vision: Vision) -> Image:
+    """(K, N, 6) tables of the inks; see `_table`.
+
+    Raises:
+        RigFileError: an ink whose wavelengths give no colour.
+    """
+    try:
+        return np.stack([_table(ink, vision) for ink in inks])
+    except AnisoscopeError as problem:
+        raise RigFileError(f"sample.print: {problem}") from None
+
+
+def check_print(file: BenchFile) -> None:
+    """Look up all that the table of a print names, so that a wrong name shows before the first picture.
+
+    Raises:
+        RigFileError: an ink or a spectrum that cannot be used; the message names the key.
+    """
+    part, vision = file.sample.print or PrintPart(), vision_of(file)
+    _tables(_printed_inks(part), vision)
+    _reflectance(part.substrate, vision)
+
+
 class PrintSample:
     """A printed sheet.
 
@@ -96,22 +134,13 @@ class PrintSample:
     ) -> None:
         grid = grid_of(size_mm, part.raster_um or raster_um)
         self.pixel_um = (grid.raster_um, grid.raster_um)
-        self.inks: tuple[Ink, ...] = (printed_ink(part),)
-        shares = [1.0 - part.wrong_share]
-        if part.wrong_ink is not None and part.wrong_share > 0.0:
-            wrong = _found(part.wrong_ink, "wrong_ink")
-            self.inks += (
-                wrong if part.distribution is None else replace(wrong, distribution=part.distribution),
-            )
-            shares.append(part.wrong_share)
+        self.inks = _printed_inks(part)
+        shares = [1.0 - part.wrong_share, part.wrong_share][: len(self.inks)]
         self._flakes = (np.radians(part.flake_tilt_deg), towards(part.flake_azimuth_deg))
         self._normal = normals(part, grid, size_mm)
         under_ink = inked(part, grid, rng)
         self._coverage = ((under_ink * grain(part, grid, rng))[..., None] * shares).astype(np.float32)
-        try:
-            self._colours = np.stack([_table(ink, vision) for ink in self.inks])
-        except AnisoscopeError as problem:
-            raise RigFileError(f"sample.print: {problem}") from None
+        self._colours = _tables(self.inks, vision)
         paper = _reflectance(part.substrate, vision)
         self._channels = len(paper)
         self._bare = ((1.0 - under_ink) / np.pi).astype(np.float32)[None] * paper.astype(np.float32)[

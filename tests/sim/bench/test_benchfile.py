@@ -48,6 +48,25 @@ MISTAKES = {
     "sample.print: wrong_share needs to know which ink it is": {
         "sample": {"kind": "print", "print": {"wrong_share": 0.05}}
     },
+    "sample.print.ink: no ink is named 'synthetic-pink'; known: synthetic-red, synthetic-green": {
+        "sample": {"kind": "print", "print": {"ink": "synthetic-pink"}}
+    },
+    "none.toml: there is no such file": {"sample": {"kind": "print", "print": {"ink": "none.toml"}}},
+    "sample.print.wrong_ink: no ink is named 'pink'": {
+        "sample": {"kind": "print", "print": {"wrong_ink": "pink", "wrong_share": 0.05}}
+    },
+    "sample.print: alpha must lie above 0 and at most at 1, not 1.8": {
+        "sample": {"kind": "print", "print": {"alpha": 0.9, "alpha_share": 1.0}}
+    },
+    "sample.print.substrate": {"sample": {"kind": "print", "print": {"substrate": "none.csv"}}},
+    "optics.spectrum: no illuminant is named 'd99'": {
+        "sample": {"kind": "print"},
+        "optics": {"spectrum": "d99"},
+    },
+    "sensor.sensitivities: no sensitivities are named 'eye'": {
+        "sample": {"kind": "print"},
+        "sensor": {"filters": "rggb", "sensitivities": "eye"},
+    },
 }
 
 
