@@ -4,7 +4,7 @@ Colours are linear sRGB, unclipped. With the default irradiance π, a perfect wh
 (1, 1, 1) under D65.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,14 +20,16 @@ from anisoscope.sim.light.ink.distributions import density, masking
 from anisoscope.sim.light.ink.ink import Ink
 from anisoscope.sim.light.ink.model import Model, spectral_term, table_argument
 from anisoscope.sim.light.ink.shapes import Surface
-from anisoscope.sim.light.ink.table import ink_table
+from anisoscope.sim.light.ink.table import InkTable, ink_table
 
 FloatArray = npt.NDArray[np.float64]
 Float32 = npt.NDArray[np.float32]
 Direction = tuple[float, float, float]
+Shade = Callable[[tuple[int, int], Float32], None]
 
 UPWARD: Direction = (0.0, 0.0, 1.0)
 ROWS_A_SHARE = 8
+SHARES_A_THREAD = 4
 
 
 @dataclass(frozen=True)
@@ -79,6 +81,7 @@ def picture(
     to_camera: Direction = UPWARD,
     model: Model = "goniochromatic",
     tio2_source: str = tio2.DEFAULT,
+    out: Float32 | None = None,
 ) -> Float32:
     """(rows, cols, 3) linear sRGB of a print, Σ over lights and inks of E·w·f·cosθi, by table; 0 where nothing is.
 
@@ -91,39 +94,95 @@ def picture(
         to_camera: direction to the camera, the same for all pixels.
         model: of the BRDF.
         tio2_source: data set of the model "tio2".
+        out: (rows, cols, 3) picture to fill and return, such as that of the frame before: fresh memory costs time.
 
     Raises:
         ModelError: shapes that do not fit, a direction without length, and as :func:`ink_table`.
     """
-    from anisoscope.sim.light.ink.kernels import SCRATCH, shade  # noqa: PLC0415 - loads the compiler
-
     covered = _checked_coverage(surface, inks, lights, coverage)
+    normal = np.ascontiguousarray(surface.normal, dtype=np.float32)
+    result = np.empty_like(normal) if out is None else _checked_target(out, normal)
     camera = _unit(to_camera)
-    towards = [_unit(light.to_light) for light in lights]
-    halves = [(one + camera) / max(float(np.linalg.norm(one + camera)), 1e-12) for one in towards]
-    beams = np.array(
-        [
-            [*one, *half, 0.25 * light.irradiance, 1.0 - float(np.clip(one @ half, 0.0, 1.0))]
-            for one, half, light in zip(towards, halves, lights, strict=True)
-        ],
-        dtype=np.float32,
-    )
+    eye: Direction = tuple(map(np.float32, camera))  # type: ignore[assignment]
+    beams = _beams(lights, camera)
     tables = [
         [ink_table(k, light.illuminant, model, tio2_source=tio2_source) for k in inks] for light in lights
     ]
-    colours = np.array([[table.with_steps for table in row] for row in tables])
-    normal = np.ascontiguousarray(surface.normal, dtype=np.float32)
-    tangent = np.ascontiguousarray(surface.tangent, dtype=np.float32)
-    result = np.empty_like(normal)
-    eye: Direction = tuple(map(np.float32, camera))  # type: ignore[assignment]
-    given = (eye, beams, lobes(inks), colours, model != "goniochromatic")
+    shade = _by_series(normal, covered, eye, beams, inks, tables)
+    if shade is None:
+        tangent = np.ascontiguousarray(surface.tangent, dtype=np.float32)
+        shade = _by_table(normal, tangent, covered, eye, beams, inks, tables)
+    most = min(SHARES_A_THREAD * threads.count(), -(-len(normal) // ROWS_A_SHARE))
+    threads.each(lambda share: shade(share, result), threads.runs(len(normal), most))
+    return result
 
-    def rows(share: tuple[int, int]) -> None:
+
+def _checked_target(out: Float32, normal: Float32) -> Float32:
+    if out.shape != normal.shape or out.dtype != np.float32 or not out.flags.c_contiguous:
+        raise ModelError(f"a picture is filled into a contiguous array of float32 of {normal.shape}")
+    return out
+
+
+def _beams(lights: Sequence[Light], camera: FloatArray) -> Float32:
+    """(L, 8) direction to every light, half vector, irradiance/4, 1 − cosθd."""
+    found = []
+    for light in lights:
+        one = _unit(light.to_light)
+        half = (one + camera) / max(float(np.linalg.norm(one + camera)), 1e-12)
+        found.append([*one, *half, 0.25 * light.irradiance, 1.0 - float(np.clip(one @ half, 0.0, 1.0))])
+    return np.array(found, dtype=np.float32)
+
+
+def _by_table(
+    normal: Float32,
+    tangent: Float32,
+    covered: Float32,
+    eye: Direction,
+    beams: Float32,
+    inks: Sequence[Ink],
+    tables: list[list[InkTable]],
+) -> Shade:
+    from anisoscope.sim.light.ink.kernels import SCRATCH, shade  # noqa: PLC0415 - loads the compiler
+
+    colours = np.array([[table.with_steps for table in row] for row in tables])
+    given = (eye, beams, lobes(inks), colours, tables[0][0].model != "goniochromatic")
+
+    def rows(share: tuple[int, int], result: Float32) -> None:
         work = np.empty((SCRATCH, normal.shape[1]), dtype=np.float32)
         shade(normal, tangent, covered, *given, *share, work, result)
 
-    threads.each(rows, threads.runs(len(normal), min(threads.count(), -(-len(normal) // ROWS_A_SHARE))))
-    return result
+    return rows
+
+
+def _by_series(
+    normal: Float32,
+    covered: Float32,
+    eye: Direction,
+    beams: Float32,
+    inks: Sequence[Ink],
+    tables: list[list[InkTable]],
+) -> Shade | None:
+    """Without look-up, which is twice as fast; None where lobes or colours need the table."""
+    series = [[table.series for table in row] for row in tables]
+    usual = tables[0][0].model == "goniochromatic" and all(
+        k.isotropic and k.distribution == "ggx" for k in inks
+    )
+    if not usual or any(one is None for row in series for one in row):
+        return None
+    from anisoscope.sim.light.ink.series_kernels import SCRATCH, shade_by_series  # noqa: PLC0415 - as above
+
+    terms = np.array(series, dtype=np.float32)
+    even = covered.shape[:2] == (1, 1)
+    if even:
+        terms *= covered[0, 0, :, None, None]
+    flat, alphas = normal.reshape(len(normal), -1), np.array([k.alpha for k in inks], dtype=np.float32)
+    given = (flat, covered.reshape(len(covered), -1), eye, beams, alphas, terms, even)
+
+    def rows(share: tuple[int, int], result: Float32) -> None:
+        work = np.empty((SCRATCH, normal.shape[1]), dtype=np.float32)
+        shade_by_series(*given, *share, work, result.reshape(len(normal), -1))
+
+    return rows
 
 
 def lobes(inks: Sequence[Ink]) -> Float32:

@@ -17,6 +17,10 @@ from anisoscope.sim.light.ink.model import Model, spectral_term
 FloatArray = npt.NDArray[np.float64]
 
 ENTRIES = 256
+TERMS = 9
+"""Of a polynomial in place of a table."""
+SERIES_TOLERANCE = 5e-6
+"""How far a polynomial may be off, relative to the strongest channel there: ΔE2000 of 0.0005 at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +46,21 @@ class InkTable:
         """(N, 6) every entry, and how much it changes up to the next one; kernels need not look at two."""
         steps = np.diff(self.rgb, axis=0, append=self.rgb[-1:])
         return np.concatenate([self.rgb, steps], axis=1).astype(np.float32)
+
+    @cached_property
+    def series(self) -> npt.NDArray[np.float32] | None:
+        """(3, TERMS) polynomials of 2·argument − 1 that say the same without look-up, lowest power first.
+
+        None where no polynomial follows the entries; c of ±3 still has one. Fitted to all entries, each as close as it
+        is bright.
+        """
+        powers = np.linspace(-1.0, 1.0, len(self.rgb))[:, None] ** np.arange(TERMS)
+        strongest = np.abs(self.rgb).max(axis=1, keepdims=True)
+        if len(self.rgb) < 4 * TERMS or not np.all(strongest > 0.0):
+            return None
+        found = np.linalg.lstsq(powers / strongest, self.rgb / strongest, rcond=None)[0].astype(np.float32)
+        off = np.abs(powers @ found - self.rgb) / strongest
+        return None if off.max() > SERIES_TOLERANCE else np.ascontiguousarray(found.T)
 
     def at(self, argument: FloatArray) -> FloatArray:
         """(…, 3) colours at (…,) arguments in [0, 1], linear between the entries."""

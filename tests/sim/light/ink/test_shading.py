@@ -8,6 +8,7 @@ from anisoscope.sim.light import threads
 from anisoscope.sim.light.colour.illuminant import standard
 from anisoscope.sim.light.colour.observer import white_point
 from anisoscope.sim.light.colour.spaces import SRGB_TO_XYZ, ciede2000, lab
+from anisoscope.sim.light.ink import shading
 from anisoscope.sim.light.ink.model import MODELS
 from anisoscope.sim.light.ink.shading import Light, picture, spectral_picture
 from anisoscope.sim.light.ink.shapes import Surface, cylinder, plane, sphere
@@ -52,6 +53,44 @@ def test_every_kind_of_lobe(make_ink, inks, changes, model):
     found = picture(surface, painted, LIGHTS, **given)
     np.testing.assert_allclose(found, exact, atol=3e-5 * exact.max())
     assert apart(found, exact).max() < 2e-3
+
+
+@pytest.mark.parametrize("by_series", [True, False])
+@pytest.mark.parametrize("even", [True, False])
+@pytest.mark.parametrize("rows", [1, 16])
+def test_polynomials_and_tables_show_the_same(make_ink, inks, rng, monkeypatch, by_series, even, rows):
+    """Lobes of several widths in turn, pixels with nothing among them, and as many rows as inks cover evenly: one."""
+    painted = [inks[0], inks[1], make_ink(alpha=0.3), inks[2]]
+    surface = sphere(rows, 40, 1.0 if rows == 1 else 0.6)
+    given = {
+        "coverage": rng.dirichlet((1, 1, 1, 1), (1, 1) if even else (rows, 40)),
+        "to_camera": (0.1, 0.2, 1),
+    }
+    if not by_series:
+        monkeypatch.setattr(shading, "_by_series", lambda *_: None)
+    found = picture(surface, painted, LIGHTS, **given)
+    exact = spectral_picture(surface, painted, LIGHTS, **given)
+    np.testing.assert_allclose(found, exact, atol=3e-5 * exact.max())
+    assert np.array_equal(np.any(found != 0.0, axis=-1), np.any(exact != 0.0, axis=-1))
+
+
+def test_colours_that_no_polynomial_follows_go_by_table(make_ink):
+    steep = make_ink(c=tuple(np.linspace(-9.0, 12.0, 41)))
+    assert ink_table(steep, standard("d65")).series is None
+    exact = spectral_picture(sphere(24, 24), [steep], LIGHTS)
+    np.testing.assert_allclose(
+        picture(sphere(24, 24), [steep], LIGHTS), exact, rtol=2e-3, atol=1e-4 * exact.max()
+    )
+
+
+def test_a_picture_may_be_filled_again(inks):
+    surface, kept = sphere(20, 30), np.full((20, 30, 3), np.nan, dtype=np.float32)
+    shown = picture(surface, inks[:1], LIGHTS, out=kept)
+    assert shown is kept
+    np.testing.assert_array_equal(shown, picture(surface, inks[:1], LIGHTS))
+    for wrong in (np.empty((20, 30, 3)), kept[:, ::2], kept[:5]):
+        with pytest.raises(ModelError, match=r"filled into a contiguous array of float32 of \(20, 30, 3\)"):
+            picture(surface, inks[:1], LIGHTS, out=wrong)
 
 
 def test_a_table_keeps_what_is_out_of_gamut_and_is_made_once(inks):
