@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.errors import HeightMapError, ModelError, RecipeError
+from anisoscope.neareststate import FARTHEST
 from anisoscope.prediction.etched import EtchedPredictor, WaferLight, line_spectrum, tile_of
 from anisoscope.prediction.mapuncertainty import best_band, relief_model
 from anisoscope.prediction.preparing import AXIS_TOLERANCE_DEG, prepare_relief
@@ -90,13 +91,17 @@ def recipe_wafer(recipe: Recipe, light_angle_deg: float) -> tuple[EtchedPredicto
 
 
 def _reach(recipe: Recipe, light: WaferLight, light_angle_deg: float) -> float:
-    """Largest frequency in cycles per µm that any direction near the recipe's poses needs."""
+    """Largest frequency in cycles per µm that directions near the recipe's poses need, in any state of the inputs."""
+    assert recipe.light is not None
+    told, lamp = recipe.uncertainty, recipe.light
+    turned = np.sqrt(2.0) * told.seating_tilt_deg + 0.5 * (told.light_angle_deg + told.tilt_deg)
+    cones = light.lamp_half_angle_deg * (1.0 + FARTHEST * lamp.u_lamp_share)
+    cones += light.aperture_half_angle_deg * (1.0 + FARTHEST * lamp.u_aperture_share)
     tilt = max(abs(angle) for angle in recipe.poses.tilts_deg)
-    steepest = (
-        tilt + abs(light_angle_deg) + light.lamp_half_angle_deg + light.aperture_half_angle_deg + AROUND_DEG
-    )
-    shortest = min(light.spectrum.wavelengths_um)
-    return float(2.0 * np.sin(np.radians(min(steepest, 90.0))) / (0.98 * shortest))
+    steepest = tilt + abs(light_angle_deg) + cones + max(AROUND_DEG, FARTHEST * turned)
+    middle = max(light.wavelength_nm - FARTHEST * lamp.u_wavelength_nm, 0.5 * light.wavelength_nm)
+    lines = line_spectrum(middle, light.bandwidth_nm * (1.0 + FARTHEST * lamp.u_bandwidth_share))
+    return float(2.0 * np.sin(np.radians(min(steepest, 90.0))) / (0.98 * min(lines.wavelengths_um)))
 
 
 def models_of(recipe: Recipe, poses: tuple[Pose, ...], convention: Convention) -> Models:

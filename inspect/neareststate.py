@@ -17,6 +17,9 @@ _STEPS, _HALVINGS, _SETTLED = 25, 6, 1e-9
 _NEAR_ENOUGH = 1e-4  # of a squared distance whose every step costs
 _ASIDE = 1.5  # u
 
+FARTHEST = 8.0
+"""Standard uncertainties to which a state that costs is looked at: a part beyond is as far off as none that is good."""
+
 
 class Curve(Protocol):
     """Change of P values with K inputs, every input in units of its standard uncertainty."""
@@ -62,7 +65,6 @@ def nearest(
     covariance: FloatArray,
     *,
     start: FloatArray | None = None,
-    settled: float = _SETTLED,
 ) -> FloatArray:
     """How far deviations lie from what the inputs allow: the least |z|² + (d − f(z))ᵀV⁻¹(d − f(z)).
 
@@ -71,13 +73,12 @@ def nearest(
         deviation: (N, m) of N parts.
         covariance: (N, m, m) of what every value has for itself, of full rank.
         start: (N, K) states to start from; None: the nominal one.
-        settled: relative gain below which a further step is not taken.
 
     Returns:
         (N,) squared distances, χ² with m degrees of freedom for parts that are as predicted.
     """
     begin = np.zeros((len(deviation), len(curve.sources))) if start is None else start
-    return nearest_states(curve, deviation, covariance, begin, settled=settled)[0]
+    return nearest_states(curve, deviation, covariance, begin)[0]
 
 
 def nearest_states(
@@ -87,8 +88,9 @@ def nearest_states(
     start: FloatArray,
     *,
     settled: float = _SETTLED,
+    farthest: float = np.inf,
 ) -> tuple[FloatArray, FloatArray]:
-    """The same, and the (N, K) states themselves.
+    """The same within ``farthest`` of every input, and the (N, K) states themselves.
 
     By Gauss-Newton steps that are halved until they lead down; the first is that of the tangent where it starts.
     """
@@ -107,7 +109,7 @@ def nearest_states(
         down = np.linalg.solve(curvature, (np.einsum("naj,nj->na", pull, rest) - z)[..., None])[..., 0]
         before, share = left, 1.0
         for _ in range(_HALVINGS):
-            trial = z + share * down
+            trial = np.clip(z + share * down, -farthest, farthest)
             found = misfit(trial)
             better = found < left
             z, left = np.where(better[:, None], trial, z), np.where(better, found, left)
@@ -120,10 +122,10 @@ def nearest_states(
 
 
 def nearest_anywhere(curve: Curve, deviation: FloatArray, covariance: FloatArray) -> float:
-    """The same of one part, where an input may change the values by its square alone.
+    """The same of one part, where an input may change the values by its square alone, and states cost.
 
     Such an input has no tangent at its nominal value, and a step would never leave it: from where the steps end they
-    are taken again with one such input set to either side.
+    are taken again with one such input set to either side. No input is looked at beyond `FARTHEST`.
 
     Args:
         curve: of the m values, with K inputs.
@@ -134,13 +136,17 @@ def nearest_anywhere(curve: Curve, deviation: FloatArray, covariance: FloatArray
     ends = curve.change(np.vstack([np.eye(count), -np.eye(count)]))
     slope, bend = 0.5 * (ends[:count] - ends[count:]), 0.5 * (ends[:count] + ends[count:])
     turning = np.flatnonzero(np.abs(bend).max(axis=1) > np.abs(slope).max(axis=1))
-    one, metric = deviation[None], covariance[None]
-    left, z = nearest_states(curve, one, metric, np.zeros((1, count)), settled=_NEAR_ENOUGH)
+
+    def search(start: FloatArray) -> tuple[FloatArray, FloatArray]:
+        one, metric = deviation[None], covariance[None]
+        return nearest_states(curve, one, metric, start, settled=_NEAR_ENOUGH, farthest=FARTHEST)
+
+    left, z = search(np.zeros((1, count)))
     if not turning.size:
         return float(left[0])
     aside = np.repeat(z, 2 * turning.size, axis=0)
     aside[np.arange(len(aside)), np.repeat(turning, 2)] = np.tile([-_ASIDE, _ASIDE], turning.size)
     rest = deviation - curve.change(aside)
     misfit = np.sum(aside**2, axis=1) + np.einsum("ni,ij,nj->n", rest, np.linalg.inv(covariance), rest)
-    best = aside[[int(np.argmin(misfit))]]
-    return float(min(left[0], nearest(curve, one, metric, start=best, settled=_NEAR_ENOUGH)[0]))
+    again, _ = search(aside[[int(np.argmin(misfit))]])
+    return float(min(left[0], again[0]))

@@ -24,7 +24,7 @@ DEPTH, WIDTH = "depth of the etch passes", "width of the etched features"
 BEYOND = ", beyond the slope"
 _STEP = 0.02  # u, of a derivative
 _WIDTHS = 2.0  # u, between the widths that are drawn
-_LEAST = 0.05  # of its nominal value: a lamp or lens does not get smaller
+_LEAST = 0.5  # of its nominal value: no lamp or lens is less than that
 
 
 @dataclass(frozen=True)

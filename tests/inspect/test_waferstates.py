@@ -5,7 +5,7 @@ import pytest
 
 from anisoscope.expectation import SECOND_ORDER, expectation
 from anisoscope.models import recipe_wafer, wafer_light
-from anisoscope.neareststate import nearest_anywhere
+from anisoscope.neareststate import FARTHEST, nearest_anywhere
 from anisoscope.prediction.etched import WaferLight
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
@@ -112,3 +112,14 @@ def test_a_wafer_that_is_off_within_what_is_stated_is_as_far_as_that(expected):
         found = nearest_anywhere(states, states.change(z), own)
         assert found <= z @ z + 1e-3
         assert found > 0.7 * z @ z
+
+
+def test_a_part_that_is_nothing_of_the_kind_is_far_off_and_no_state_is_asked_for_that_the_tile_does_not_know(
+    expected,
+):
+    """What no state explains drives the search to the ends: D² says so, not an error."""
+    states, own = expected.states, 1e-6 * np.eye(6)
+    for off in (np.array([2.0, -2.0, 2.0, -1.0, 1.0, 3.0]), np.array([0.0, 0.0, 0.0, 5.0, -5.0, 5.0])):
+        assert nearest_anywhere(states, off, own) > 1e4
+    for ends in (np.full(len(states.sources), FARTHEST), np.full(len(states.sources), -FARTHEST)):
+        assert np.isfinite(states.change(ends)).all()
