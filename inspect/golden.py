@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from anisoscope.arealimit import MIN_PARTS, KnownShares
 from anisoscope.atomicfile import write_text
 from anisoscope.errors import CalibrationError
-from anisoscope.recipe import AreaPart, Recipe
+from anisoscope.recipe import AcquisitionPart, AreaPart, Recipe
 from anisoscope.record import Record
 from anisoscope.significance import log_basis
 
@@ -125,10 +125,14 @@ def recipe_key(recipe: Recipe) -> str:
     Of the acquisition only what changes a measurement; what has its default counts as not there, so that a key outlives
     new fields.
     """
-    exposed = recipe.acquisition.model_dump(mode="json", exclude=set(_NO_MATTER))
-    usual = {name: field.default for name, field in type(recipe.acquisition).model_fields.items()}
-    kept = {name: value for name, value in exposed.items() if value != _plain(usual[name])}
-    return _hashed(recipe, kept)
+    return _hashed(recipe, same_exposure(recipe.acquisition))
+
+
+def same_exposure(acquisition: AcquisitionPart) -> dict[str, Any]:
+    """What of an acquisition must be the same, without what has its default."""
+    exposed = acquisition.model_dump(mode="json", exclude=set(_NO_MATTER))
+    usual = {name: field.default for name, field in type(acquisition).model_fields.items()}
+    return {name: value for name, value in exposed.items() if value != _plain(usual[name])}
 
 
 def _earlier_key(recipe: Recipe) -> str:
@@ -209,8 +213,8 @@ def add_part(known: GoldenSet | None, recipe: Recipe, record: Record) -> GoldenS
     return base.model_copy(update={"parts": (*base.parts, part)})
 
 
-def write_golden(path: Path, golden: GoldenSet) -> None:
-    """Write the set, all or nothing.
+def write_golden(path: Path, golden: BaseModel) -> None:
+    """Write the set, of parts or of prints, all or nothing.
 
     Raises:
         RecordError: the folder cannot be written.

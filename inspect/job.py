@@ -12,7 +12,8 @@ from anisoscope.errors import CalibrationError, HeightMapError, RigFileError, Us
 from anisoscope.golden import GoldenSet, golden_path, read_golden
 from anisoscope.lampcheck import check_lamp
 from anisoscope.linear import WhiteReference
-from anisoscope.prints.light import check_print_rig, print_files
+from anisoscope.prints.golden import GoldenPrints, read_golden_prints
+from anisoscope.prints.light import check_filters, check_print_rig, print_files
 from anisoscope.prints.recipe import AnyRecipe, PrintRecipe, read_any_recipe
 from anisoscope.recipe import Recipe
 from anisoscope.record import sha256_of
@@ -69,6 +70,7 @@ class Job:
         sources: the files, as they were read.
         golden: parts that are known to be good, or None.
         calibrations: those of the rig that have records.
+        golden_prints: prints that are known to be good, or None.
     """
 
     serial: str
@@ -79,6 +81,7 @@ class Job:
     sources: tuple[Source, ...]
     golden: GoldenSet | None = None
     calibrations: Calibrations = field(default_factory=Calibrations)
+    golden_prints: GoldenPrints | None = None
 
     @property
     def ridged(self) -> Recipe:
@@ -140,13 +143,16 @@ def prepare(recipe_path: Path, rig_path: Path, serial: str, *, without: Kind | N
     assert rig.calibration is not None
     calibrations = read_calibrations(rig.calibration, without)
     white = read_reference(white_path)
+    if isinstance(recipe, PrintRecipe):
+        check_filters(white.filters, f"camera {white.camera} of the flat", white.filters)
     sources = (
         *sources_of(recipe_path, rig_path, recipe, rig),
         Source("white reference", white_path, white.sha256),
         *sources_of_calibrations(calibrations),
     )
     golden, white = known_good(recipe_path, recipe), calibrations.white(white)
-    return Job(serial, recipe, rig, fixture, white, sources, golden, calibrations)
+    prints = good_prints(recipe_path, recipe, rig)
+    return Job(serial, recipe, rig, fixture, white, sources, golden, calibrations, prints)
 
 
 def sources_of_calibrations(calibrations: Calibrations) -> tuple[Source, ...]:
@@ -167,22 +173,38 @@ def sources_of(recipe_path: Path, rig_path: Path, recipe: AnyRecipe, rig: RigFil
     if isinstance(recipe, PrintRecipe):
         check_print_rig(rig, rig_path)
         files += [(cast("Role", role), path) for role, path in print_files(recipe, rig).items()]
+        files += _golden_file(recipe_path)
         return tuple(Source(role, path, sha256_of(path)) for role, path in files)
     check_lamp(recipe, rig, rig_path)
     if recipe.surface.height_map is not None:
         files.append(("height map", check_map(recipe.surface.height_map)))
-    if golden_path(recipe_path).is_file():
-        files.append(("golden parts", golden_path(recipe_path)))
+    files += _golden_file(recipe_path)
     return tuple(Source(role, path, sha256_of(path)) for role, path in files)
 
 
+def _golden_file(recipe_path: Path) -> list[tuple[Role, Path]]:
+    path = golden_path(recipe_path)
+    return [("golden parts", path)] if path.is_file() else []
+
+
 def known_good(recipe_path: Path, recipe: AnyRecipe) -> GoldenSet | None:
-    """The golden parts beside a recipe, or None; a print has none.
+    """The golden parts beside a recipe, or None; those of a print are of another kind (`good_prints`).
 
     Raises:
         CalibrationError: their file is damaged, or belongs to another recipe.
     """
     return None if isinstance(recipe, PrintRecipe) else read_golden(golden_path(recipe_path), recipe)
+
+
+def good_prints(recipe_path: Path, recipe: AnyRecipe, rig: RigFile) -> GoldenPrints | None:
+    """The golden prints beside the recipe of a print, or None.
+
+    Raises:
+        CalibrationError: their file is damaged, or belongs to another recipe, lamp or camera.
+    """
+    if not isinstance(recipe, PrintRecipe):
+        return None
+    return read_golden_prints(golden_path(recipe_path), recipe, rig)
 
 
 def check_map(path: Path) -> Path:

@@ -17,6 +17,7 @@ from anisoscope.errors import AnisoscopeError, RecordError, UsageError
 from anisoscope.folder import INPUTS, JOB
 from anisoscope.golden import read_golden
 from anisoscope.job import Job, Role, Source, fixture_of
+from anisoscope.prints.golden import read_golden_prints
 from anisoscope.prints.light import from_copies
 from anisoscope.prints.recipe import PrintRecipe, read_any_recipe
 from anisoscope.record import InputFile, Particulars, sha256_of
@@ -177,12 +178,14 @@ def reopen(folder: Path) -> tuple[JobFile, Job]:
         recipe, rig = from_copies(recipe, rig, {str(role): path for role, path in paths.items()})
     white = read_reference(paths["white reference"])
     sources = tuple(Source(copy.role, folder / copy.name, copy.sha256) for copy in made.inputs)
-    golden = None
-    if "golden parts" in paths and not isinstance(recipe, PrintRecipe):
-        golden = read_golden(paths["golden parts"], recipe)
+    golden, prints, known = None, None, paths.get("golden parts")
+    if isinstance(recipe, PrintRecipe):
+        prints = None if known is None else read_golden_prints(known, recipe)
+    elif known is not None:
+        golden = read_golden(known, recipe)
     calibrations = calibrations_of({str(role): path for role, path in paths.items()})
     white, fixture = calibrations.white(white), fixture_of(rig, paths["rig"])
-    return made, Job(made.serial, recipe, rig, fixture, white, sources, golden, calibrations)
+    return made, Job(made.serial, recipe, rig, fixture, white, sources, golden, calibrations, prints)
 
 
 def checked(file: InputFile, folder: Path) -> Path:

@@ -10,7 +10,16 @@ from anisoscope.calibration.whitereference import read_reference, write_referenc
 from anisoscope.errors import CalibrationError, RecordError, UsageError
 from anisoscope.folder import INPUTS, new_folder
 from anisoscope.inspection import Inspected, conclude, expecting
-from anisoscope.job import Job, Source, check_serial, fixture_of, flat_of, known_good, sources_of
+from anisoscope.job import (
+    Job,
+    Source,
+    check_serial,
+    fixture_of,
+    flat_of,
+    good_prints,
+    known_good,
+    sources_of,
+)
 from anisoscope.jobfile import begin
 from anisoscope.linear import WhiteReference, check_size
 from anisoscope.prints.recipe import read_any_recipe
@@ -65,7 +74,7 @@ def inspect_frames(
     rig_path = rig_path or _rig_beside(frames)
     recipe, rig = read_any_recipe(recipe_path), read_replay_rig(rig_path)
     fixture = fixture_of(rig, rig_path)
-    golden = known_good(recipe_path, recipe)
+    golden, prints = known_good(recipe_path, recipe), good_prints(recipe_path, recipe, rig)
     replay = arrange(read_frame_folder(frames), recipe)
     made_white = white_of(replay, reflectance, rig.light.angle_deg)
     white = None if made_white is not None else _white_of_rig(rig, rig_path, replay)
@@ -89,6 +98,7 @@ def inspect_frames(
             white,
             (*sources, Source("white reference", path, white.sha256)),
             golden,
+            golden_prints=prints,
         )
         ready = cleanup.enter_context(expecting(job, on_progress, lot_mates))
         made = begin(

@@ -13,14 +13,17 @@ from anisoscope.errors import MeasurementError, RecordError, RigFileError, Satur
 from anisoscope.golden import golden_path, read_golden
 from anisoscope.inspection import inspect_part
 from anisoscope.job import check_serial, prepare
+from anisoscope.prints.recipe import AnyRecipe, PrintRecipe, read_any_recipe
+from anisoscope.prints.tolerances import WHY, taught_tolerances
 from anisoscope.progress import Advance, silent
-from anisoscope.recipe import Recipe, read_recipe
+from anisoscope.recipe import Recipe
 from anisoscope.recipetext import with_values
 from anisoscope.record import Record
 from anisoscope.registration.placement import Placement, locate
 from anisoscope.rig.acquisition.journal import read_journal
 from anisoscope.rig.acquisition.plan import Plan, Pose
 from anisoscope.rig.acquisition.runner import Rig, open_rig, run_plan
+from anisoscope.rig.bayer import grey_of
 from anisoscope.rig.fixture import Fixture
 from anisoscope.rig.frame import Frame, read_frame
 from anisoscope.significance import said
@@ -81,7 +84,8 @@ def teach(recipe_path: Path, rig_path: Path, serial: str, out: Path, advance: Ad
     """Photograph a good part and write a new version of a recipe; the old one is kept beside it.
 
     The part is photographed once to find exposure and region, then inspected with them; tolerances follow from the
-    uncertainty of that inspection, and from the golden parts of the recipe where there are any.
+    uncertainty of that inspection, and from the golden parts of the recipe where there are any. The tolerances of a
+    print follow from the uncertainty and from what the print itself deviates.
 
     Args:
         recipe_path: recipe file.
@@ -101,7 +105,7 @@ def teach(recipe_path: Path, rig_path: Path, serial: str, out: Path, advance: Ad
     fixture = job.fixture
     if fixture is None:
         raise RigFileError(f"{rig_path} describes no [fixture]: teaching finds the part between its markers")
-    recipe, text = job.ridged, recipe_path.read_text(encoding="utf-8")
+    recipe, text = job.recipe, recipe_path.read_text(encoding="utf-8")
     kept = _kept(recipe_path, recipe.version)
     with open_rig(job.rig) as rig:
         probe = _probe(rig, recipe, fixture, advance)
@@ -122,11 +126,11 @@ def teach(recipe_path: Path, rig_path: Path, serial: str, out: Path, advance: Ad
         raise MeasurementError(
             f"the part cannot teach the recipe, which stays as it is: {'; '.join(record.reasons)} ({inspected.folder})"
         )
-    tolerances, whys = _tolerances(record, recipe, recipe_path)
-    values["decision", "tolerance"] = tolerances
+    limits, why = _limits(record, recipe, recipe_path)
+    values |= limits
     write_text(kept, text)
     write_text(recipe_path, with_values(text, values))
-    taught = read_recipe(recipe_path)
+    taught = read_any_recipe(recipe_path)
     changes = (
         Change(
             "acquisition.exposure_s",
@@ -140,12 +144,25 @@ def teach(recipe_path: Path, rig_path: Path, serial: str, out: Path, advance: Ad
             taught.region.size_mm,
             "the part shows in all poses and between the markers",
         ),
-        Change("decision.tolerance", recipe.decision.tolerance, taught.decision.tolerance, whys),
+        *(Change(".".join(key), _value(recipe, key), _value(taught, key), why) for key in limits),
     )
     return Taught(taught.version, kept, inspected.folder, changes, _notes(record, recipe_path, recipe))
 
 
-def _probe(rig: Rig, recipe: Recipe, fixture: Fixture, advance: Advance) -> _Probe:
+def _limits(record: Record, recipe: AnyRecipe, recipe_path: Path) -> tuple[dict[tuple[str, ...], Any], str]:
+    """The tolerances by their places in the recipe, and where they come from."""
+    if isinstance(recipe, PrintRecipe):
+        found = taught_tolerances(record, recipe)
+        return {("tolerances", key): value for key, value in found.items()}, WHY
+    tolerances, why = _tolerances(record, recipe, recipe_path)
+    return {("decision", "tolerance"): tolerances}, why
+
+
+def _value(recipe: AnyRecipe, key: tuple[str, ...]) -> Any:  # noqa: ANN401 - of any type
+    return getattr(getattr(recipe, key[0]), key[1])
+
+
+def _probe(rig: Rig, recipe: AnyRecipe, fixture: Fixture, advance: Advance) -> _Probe:
     """Photograph every pose once, exposed so that the brightest one reaches the wanted level.
 
     Raises:
@@ -160,10 +177,14 @@ def _probe(rig: Rig, recipe: Recipe, fixture: Fixture, advance: Advance) -> _Pro
         full = frames[0].full_scale - frames[0].black_level
         level = max(float(np.percentile(picture, BRIGHT_PERCENTILE)) for picture in pictures) / full
         if level < 0.99 and abs(level / LEVEL - 1.0) < 0.1:
+            grey = [
+                grey_of(p.astype(np.float32), frame.filters)
+                for p, frame in zip(pictures, frames, strict=True)
+            ]
             places = tuple(
-                locate(picture.astype(np.float32), fixture, frame.tilt_deg)
-                for picture, frame in zip(pictures, frames, strict=True)
+                locate(picture, fixture, frame.tilt_deg) for picture, frame in zip(grey, frames, strict=True)
             )
+            pictures = tuple(picture.astype(np.float64) for picture in grey)
             return _Probe(float(f"{frames[0].exposure_s:.3g}"), pictures, places)
         exposure_s = float(f"{exposure_s * (0.25 if level >= 0.99 else LEVEL / max(level, 0.01)):.3g}")
     raise Saturated(
@@ -211,12 +232,13 @@ def _kept(recipe_path: Path, version: int) -> Path:
     return path
 
 
-def _notes(record: Record, recipe_path: Path, recipe: Recipe) -> tuple[str, ...]:
+def _notes(record: Record, recipe_path: Path, recipe: AnyRecipe) -> tuple[str, ...]:
     notes = []
     if record.p_value is not None and record.p_value < recipe.decision.alpha:
+        tables = "is [print]" if isinstance(recipe, PrintRecipe) else "are [material] and [surface]"
         notes.append(
-            f"the part deviates significantly from the prediction (p {said(record.p_value)}): is it good, and are "
-            "[material] and [surface] right?"
+            f"the part deviates significantly from the prediction (p {said(record.p_value)}): is it good, and "
+            f"{tables} right?"
         )
     if golden_path(recipe_path).exists():
         notes.append(

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.errors import MeasurementError
-from anisoscope.recipe import Recipe
+from anisoscope.prints.recipe import AnyRecipe, PrintRecipe
 from anisoscope.registration.placement import Grid, Placement, resample
 from anisoscope.rig.fixture import Fixture
 
@@ -14,24 +14,25 @@ FloatArray = npt.NDArray[np.float64]
 
 UNLIKE = 2.0  # factor in brightness from which on a stretch along the border is not the part
 POINTS_A_PITCH = 4
+CELL_MM = 0.1
 QUIET = 1.25  # markers need white around them
 
 
 def largest_region(
-    pictures: Sequence[FloatArray], places: Sequence[Placement], fixture: Fixture, recipe: Recipe
+    pictures: Sequence[FloatArray], places: Sequence[Placement], fixture: Fixture, recipe: AnyRecipe
 ) -> float:
-    """Side of the largest square about the recipe's middle of the region, whole pitches, in mm.
+    """Side of the largest square about the recipe's middle of the region, whole pitches or cells of the map, in mm.
 
     Args:
         pictures: one a pose, proportional to radiance.
         places: where the part stands in them.
         fixture: the markers.
-        recipe: pitch, middle and direction of the region.
+        recipe: pitch or cell, middle and direction of the region.
 
     Raises:
-        MeasurementError: not even two pitches fit.
+        MeasurementError: not even two pitches or cells fit.
     """
-    pitch_mm = recipe.surface.pitch_um / 1000.0
+    pitch_mm = step_mm(recipe)
     turn = recipe.poses.facet_azimuth_deg
     best = 0
     most = int(_reach(fixture, recipe) / pitch_mm)
@@ -39,6 +40,9 @@ def largest_region(
     for count in range(2, most + 1):
         grid = _grid(recipe, count, turn)
         if not _clear_of_markers(fixture, recipe, count * pitch_mm):
+            best -= isinstance(
+                recipe, PrintRecipe
+            )  # its edge may lie here as well, and colours would show it
             break
         if not all(
             _shows(picture, place, grid, middle)
@@ -49,25 +53,36 @@ def largest_region(
         best = count
     if best < 2:
         raise MeasurementError(
-            "around region.center_mm not even two pitches of the part show in all poses: centre the part, or "
+            f"around region.center_mm not even two {_steps(recipe)} of the part show in all poses: centre the part, or "
             "correct region.center_mm in the recipe"
         )
     return round(best * pitch_mm, 6)
 
 
-def _reach(fixture: Fixture, recipe: Recipe) -> float:
+def step_mm(recipe: AnyRecipe) -> float:
+    """By what a region grows: a pitch, or a cell of the map of a print."""
+    if isinstance(recipe, PrintRecipe):
+        return CELL_MM if recipe.area is None else recipe.area.cell_mm
+    return recipe.surface.pitch_um / 1000.0
+
+
+def _steps(recipe: AnyRecipe) -> str:
+    return "cells" if isinstance(recipe, PrintRecipe) else "pitches"
+
+
+def _reach(fixture: Fixture, recipe: AnyRecipe) -> float:
     """Side beyond which no square can lie between the markers."""
     x, y = recipe.region.center_mm
     return 2.0 * max(float(np.hypot(one.x_mm - x, one.y_mm - y)) for one in fixture.markers)
 
 
-def _grid(recipe: Recipe, count: int, turn_deg: float) -> Grid:
+def _grid(recipe: AnyRecipe, count: int, turn_deg: float) -> Grid:
     points = count * POINTS_A_PITCH
-    step = recipe.surface.pitch_um / 1000.0 / POINTS_A_PITCH
+    step = step_mm(recipe) / POINTS_A_PITCH
     return Grid(recipe.region.center_mm, step, (points, points), turn_deg)
 
 
-def _clear_of_markers(fixture: Fixture, recipe: Recipe, side_mm: float) -> bool:
+def _clear_of_markers(fixture: Fixture, recipe: AnyRecipe, side_mm: float) -> bool:
     """Does a square keep off all markers and their white rims?"""
     turn = np.radians(recipe.poses.facet_azimuth_deg)
     reach = 0.5 * side_mm + 0.5 * QUIET * fixture.marker_mm * (abs(np.cos(turn)) + abs(np.sin(turn)))
@@ -79,7 +94,7 @@ def _clear_of_markers(fixture: Fixture, recipe: Recipe, side_mm: float) -> bool:
     return True
 
 
-def _middle(picture: FloatArray, place: Placement, recipe: Recipe) -> float:
+def _middle(picture: FloatArray, place: Placement, recipe: AnyRecipe) -> float:
     middle = resample(picture.astype(np.float32), place, _grid(recipe, 2, recipe.poses.facet_azimuth_deg))
     return float(np.nanmean(middle)) if np.isfinite(middle).any() else 0.0
 

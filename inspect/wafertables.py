@@ -1,8 +1,8 @@
 """What recipes of wafers say beyond others: lamp and lens, and a material that is a mirror."""
 
-from typing import Annotated
+from typing import Annotated, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from anisoscope.tomlfile import NotNegative, Part, Share
 
@@ -11,6 +11,10 @@ MIRROR: dict[str, float] = {"alpha_along": 0.001, "alpha_across": 0.001, "albedo
 
 CERTAIN: dict[str, float] = {"u_alpha_share": 0.0, "u_albedo": 0.0, "u_index": 0.0}
 """Likewise: what is uncertain of a plastic, and is of no account on a mirror."""
+
+
+WIDEST = 0.4
+"""Largest full width of a lamp's spectrum, by its wavelength: the bench's lamps are no wider."""
 
 
 class LightPart(Part):
@@ -28,3 +32,12 @@ class LightPart(Part):
     u_bandwidth_share: Share = 0.1
     u_lamp_share: Share = 0.05
     u_aperture_share: Share = 0.02
+
+    @model_validator(mode="after")
+    def _light_is_light(self) -> Self:
+        if self.bandwidth_nm > WIDEST * self.wavelength_nm:
+            raise ValueError(
+                f"bandwidth_nm = {self.bandwidth_nm:g} is too wide for a lamp about {self.wavelength_nm:g} nm: at most "
+                f"{WIDEST * self.wavelength_nm:.3g}"
+            )
+        return self

@@ -13,10 +13,11 @@ from anisoscope.cli.console import console, print_table
 from anisoscope.errors import CalibrationError, UsageError
 
 if TYPE_CHECKING:
+    from anisoscope.cli.golden_print import AnySet
     from anisoscope.golden import GoldenSet
     from anisoscope.recipe import Recipe
 
-app = App(name="golden", help="Parts that are known to be good, kept beside their recipe.")
+app = App(name="golden", help="Parts or prints that are known to be good, kept beside their recipe.")
 
 RecipeFile = Annotated[Path, Parameter(name=["--recipe", "-r"], help="Recipe file (TOML).")]
 Json = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")]
@@ -38,43 +39,45 @@ def add(
     json_: Json = False,
 ) -> int:
     """Add inspected parts that are known to be good; all of them or none."""
-    from anisoscope.golden import add_part, golden_path, read_golden, write_golden
-    from anisoscope.recipe import read_recipe
+    from anisoscope.cli.golden_print import read_set, with_one_more
+    from anisoscope.golden import golden_path, write_golden
+    from anisoscope.prints.recipe import read_any_recipe
     from anisoscope.record import read_record
 
     if not folders:
         raise UsageError("name the folders of one or more finished inspections")
-    rules, path = read_recipe(recipe), golden_path(recipe)
+    rules, path = read_any_recipe(recipe), golden_path(recipe)
     with _as_usage():
-        known = read_golden(path, rules)
+        known = read_set(path, rules)
         for folder in folders:
-            known = add_part(known, rules, read_record(folder))
+            known = with_one_more(known, rules, read_record(folder))
     assert known is not None
     write_golden(path, known)
-    return _say(path, len(folders), "added", known.lacking, len(known.parts), json_=json_)
+    return _say(path, len(folders), "added", known, json_=json_)
 
 
 @app.command
 def remove(*serials: str, recipe: RecipeFile, json_: Json = False) -> int:
     """Take parts out of the set, by serial number; an empty set is deleted."""
-    from anisoscope.golden import golden_path, read_golden, without_part, write_golden
-    from anisoscope.recipe import read_recipe
+    from anisoscope.cli.golden_print import read_set, without_one
+    from anisoscope.golden import golden_path, write_golden
+    from anisoscope.prints.recipe import read_any_recipe
 
     if not serials:
         raise UsageError("name the serial numbers of one or more golden parts")
     path = golden_path(recipe)
     with _as_usage():
-        known = read_golden(path, read_recipe(recipe))
+        known = read_set(path, read_any_recipe(recipe))
         if known is None:
             raise CalibrationError(f"{path}: there are no golden parts of this recipe")
         before = len(known.parts)
         for serial in serials:
-            known = without_part(known, serial)
+            known = without_one(known, serial)
     if known.parts:
         write_golden(path, known)
     else:
         path.unlink()
-    return _say(path, before - len(known.parts), "removed", known.lacking, len(known.parts), json_=json_)
+    return _say(path, before - len(known.parts), "removed", known, json_=json_)
 
 
 @app.command
@@ -82,20 +85,24 @@ def show(*, recipe: RecipeFile, json_: Json = False) -> int:
     """List the golden parts, and how much they vary."""
     import numpy as np
 
-    from anisoscope.golden import golden_path, read_golden
-    from anisoscope.recipe import read_recipe
+    from anisoscope.cli.golden_print import read_set, show_prints
+    from anisoscope.golden import GoldenSet, golden_path
+    from anisoscope.prints.recipe import PrintRecipe, read_any_recipe
 
-    path, rules = golden_path(recipe), read_recipe(recipe)
+    path, rules = golden_path(recipe), read_any_recipe(recipe)
     with _as_usage():
-        known = read_golden(path, rules)
+        known = read_set(path, rules)
         if known is None:
             raise CalibrationError(
                 f"{path}: there are no golden parts of this recipe: add some with `anisoscope golden add`"
             )
+    content = _content(path, known.lacking, len(known.parts))
+    if not isinstance(known, GoldenSet):
+        return show_prints(known, content, json_=json_)
+    assert not isinstance(rules, PrintRecipe)
     contrasts = known.contrasts()
     scatter = contrasts.std(axis=0, ddof=1) if len(contrasts) > 1 else np.full(contrasts.shape[1], np.nan)
     if json_:
-        content = _content(path, known.lacking, len(known.parts))
         content["parts"] = [part.model_dump() for part in known.parts]
         content["mean"] = [float(value) for value in contrasts.mean(axis=0)]
         content["scatter"] = [float(value) if np.isfinite(value) else None for value in scatter]
@@ -172,13 +179,19 @@ def _content(path: Path, lacking: str | None, count: int) -> dict[str, Any]:
     }
 
 
-def _say(path: Path, number: int, what: str, lacking: str | None, count: int, *, json_: bool) -> int:
+def _say(path: Path, number: int, what: str, known: "AnySet", *, json_: bool) -> int:
+    from anisoscope.golden import GoldenSet
+
+    lacking, count = known.lacking, len(known.parts)
+    kind = "parts" if isinstance(known, GoldenSet) else "prints"
     if json_:
         json.dump(_content(path, lacking if count else None, count) | {what: number}, sys.stdout, indent=2)
         sys.stdout.write("\n")
         return 0
     out = console()
-    out.print(f"{path}: {number} {what}, {count} golden parts", markup=False, highlight=False, soft_wrap=True)
+    out.print(
+        f"{path}: {number} {what}, {count} golden {kind}", markup=False, highlight=False, soft_wrap=True
+    )
     if lacking and count:
         out.print(lacking, markup=False, highlight=False, soft_wrap=True)
     return 0

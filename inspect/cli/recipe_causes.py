@@ -11,6 +11,8 @@ if TYPE_CHECKING:
 
 def print_causes(causes: "Iterable[Separability]") -> None:
     """From which extent on every cause shows, and from which on no other looks the same."""
+    causes = list(causes)
+    titles = {cause.cause: cause.title for cause in causes}
     print_table(
         "causes",
         ["cause", "shows from", "told apart from", "never told from"],
@@ -19,7 +21,7 @@ def print_causes(causes: "Iterable[Separability]") -> None:
                 cause.title,
                 _extent(cause.shows_from, cause.unit),
                 _extent(cause.told_apart_from, cause.unit),
-                ", ".join(cause.never_told_from),
+                "; ".join(titles.get(name, name) for name in cause.never_told_from),
             ]
             for cause in causes
         ],

@@ -105,7 +105,7 @@ def spc(
             else:
                 studies.append((name, study))
     if not studies:
-        raise UsageError(f"{readings.source}: {skipped[0]}")
+        raise UsageError(skipped[0])
     _deliver(readings, studies, skipped, html, json_=json_)
     return 0 if all(study.stable for _, study in studies) else 1
 

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from anisoscope.errors import RecordError
-from anisoscope.prints.record import PrintRecord
+from anisoscope.prints.record import RELATIVE, PrintRecord
 from anisoscope.record import RECORD_NAME, ContrastRecord, Record, sha256_of
 
 CONTRAST_NAMES = {"log_ratio": "ln", "difference": "difference", "michelson": "Michelson"}
@@ -148,9 +148,10 @@ def _contrast_numbers(contrast: ContrastRecord) -> dict[str, float]:
 def _print_numbers(found: PrintRecord) -> dict[str, float]:
     numbers: dict[str, float] = {}
     for one in found.quantities:
-        label = f"print {one.name}"
-        numbers |= {label: one.value, f"u {label}": one.u, f"deviation {label}": one.deviation}
-        numbers[f"tolerance {label}"] = one.limit
+        # what is told relative to its nominal value has everything in units of the value here
+        label, unit = f"print {one.name}", one.nominal if one.name in RELATIVE else 1.0
+        numbers |= {label: one.value, f"u {label}": unit * one.u, f"deviation {label}": unit * one.deviation}
+        numbers[f"tolerance {label}"] = unit * one.limit
     if found.map is not None:
         numbers["area share"] = found.map.share
     return numbers

@@ -37,6 +37,7 @@ U_BACKGROUND = 0.004
 _SIZES = (0.02, 0.05, 0.1, 0.15, 0.25, 0.4, 0.6, 0.8, 1.0)
 _SHARES = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7)
 _LEANS_DEG = (0.2, 0.5, 1.0, 1.5, 2.0, 3.0)
+_FAR_DEG = (*_LEANS_DEG, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 15.0)
 _SHIFTS_NM = (2.0, 4.0, 6.0, 10.0, 15.0, 20.0, 30.0)
 _SHIFT_DOUBT = 0.1
 """The spectra are known at steps of 10 nm, linear between them."""
@@ -53,19 +54,30 @@ def explain_print(
         measured: the channels.
         decision: the verdict, with fit and map.
     """
-    logs = np.log(measured.channels / expected.channels).ravel()
-    covariance = total(decision.sources, logs.size)
+    logs, covariance, sources = _deviation(expected, measured, decision)
     found = decision.map
     if found is None:
         known, evidence = known_causes(recipe, expected, decision.fit, 0), Evidence(logs, covariance)
-        return _alone(diagnose(known, evidence), known, evidence, decision.sources)
+        return _alone(diagnose(known, evidence), known, evidence, sources)
     size = len(logs) + 1
     whole = np.zeros((size, size))
     whole[:-1, :-1], whole[-1, -1] = covariance, found.u_curl_deg**2
     curl = float(np.linalg.norm(found.curl_deg, 2))
-    known = known_causes(recipe, expected, decision.fit, 1)
+    known = known_causes(recipe, expected, decision.fit, 1, found.curl_deg)
     evidence = Evidence(np.append(logs, curl), whole, found.share, found.u_share, _BACKGROUND, U_BACKGROUND)
-    return _alone(diagnose(known, evidence), known, evidence, decision.sources)
+    return _alone(diagnose(known, evidence), known, evidence, sources)
+
+
+def _deviation(
+    expected: PrintExpectation, measured: MeasuredPrint, decision: PrintDecision
+) -> tuple[FloatArray, FloatArray, tuple[Source, ...]]:
+    """Ln of the channels over the golden prints, or else over the prediction, its covariance, and the sources in it."""
+    logs, beside = np.log(measured.channels).ravel(), decision.golden
+    if beside is None:
+        return logs - np.log(expected.channels).ravel(), total(decision.sources, logs.size), decision.sources
+    # how good inks and seats vary shows in the golden prints' scatter
+    own = tuple(source for source in decision.sources if source not in expected.fitted)
+    return logs - beside.logs, total(own, logs.size) + beside.covariance, own
 
 
 def _alone(found: Diagnosis, known: Signatures, evidence: Evidence, sources: tuple[Source, ...]) -> Diagnosis:
@@ -97,7 +109,13 @@ _OWN = {
 """Inputs of the prediction that are the same thing as a cause."""
 
 
-def known_causes(recipe: PrintRecipe, expected: PrintExpectation, fit: PrintFit, extra: int) -> Signatures:
+def known_causes(
+    recipe: PrintRecipe,
+    expected: PrintExpectation,
+    fit: PrintFit,
+    extra: int,
+    curl_deg: FloatArray | None = None,
+) -> Signatures:
     """The signatures of all causes of a print.
 
     Args:
@@ -105,6 +123,7 @@ def known_causes(recipe: PrintRecipe, expected: PrintExpectation, fit: PrintFit,
         expected: the prediction.
         fit: gives the directions of brushing and lean.
         extra: 1 if the change of tilt across the region is a datum after ln of the channels, else 0.
+        curl_deg: (2, 2) that change as the map shows it (`PrintMap.curl_deg`), for its direction, or None.
 
     Raises:
         InkFileError: one of the wrong inks cannot be read.
@@ -121,7 +140,7 @@ def known_causes(recipe: PrintRecipe, expected: PrintExpectation, fit: PrintFit,
         for ink in recipe.print.read_wrong_inks()
     ]
     if extra:
-        signatures += [_curl(recipe, expected), _spots(expected.scene)]
+        signatures += [_curl(recipe, expected, curl_deg), _spots(expected.scene)]
     return Signatures(expected.poses, expected.channels.ravel(), 0.0, tuple(signatures), ())
 
 
@@ -154,7 +173,7 @@ def _of_ink(fit: PrintFit) -> list[tuple[Cause, Extents, Callable[[float], State
         (
             _cause(
                 "brushing",
-                f"brushed print: roughness at {across:.0f}° over {along:.0f}°, less 1",
+                f"brushed print: roughness at {across:.0f}° over {along:.0f}°, relative excess",
                 "",
                 "finish",
                 "press: squeegee or roller combs the flakes",
@@ -170,7 +189,7 @@ def _of_ink(fit: PrintFit) -> list[tuple[Cause, Extents, Callable[[float], State
                 "finish",
                 "press: flakes lie on each other like shingles; handling: sheet does not lie flat",
             ),
-            (0.0, *_LEANS_DEG),
+            (0.0, *_FAR_DEG),
             lambda e: State(tilt_x_deg=float(lean[0] * e), tilt_y_deg=float(lean[1] * e)),
         ),
         (
@@ -226,25 +245,34 @@ def _of_state(
     return Signature(cause, np.array(kept), np.array(changes), np.zeros(len(kept)))
 
 
-def _curl(recipe: PrintRecipe, expected: PrintExpectation) -> Signature:
+def _curl(recipe: PrintRecipe, expected: PrintExpectation, curl_deg: FloatArray | None) -> Signature:
     """A sheet that bends: tilt grows evenly across the region, so that its ends deviate from the middle."""
     assert recipe.area is not None
-    extents = np.arange(
-        0.0, _LEANS_DEG[-1] + 0.05, 0.1
-    )  # close together: cells pass the limit one after the other
-    count = cell_grid(recipe).shape[1]
-    scene, eye, ramp = expected.scene, expected.eye, (np.arange(count) + 0.5) / count - 0.5
-    changes, shares = [], []
+    # close together: cells pass the limit one after the other
+    extents = np.append(np.arange(0.0, _LEANS_DEG[-1] + 0.05, 0.1), np.arange(3.25, 8.1, 0.25))
+    way = np.diag([1.0, 0.0]) if curl_deg is None or not np.any(curl_deg) else curl_deg
+    tilts = _places(recipe) @ (way / np.linalg.norm(way, 2)).T
+    alike, of_cells = np.unique(np.round(tilts, 9), axis=0, return_inverse=True)
+    eye, changes, shares = expected.eye, [], []
     for extent in extents:
-        seen = np.stack([scene.channels(State(tilt_x_deg=float(extent * at))) for at in ramp])
+        ways = expected.scene.leaning(extent * alike)
+        seen = ways[of_cells.ravel()]
         mean = seen.mean(axis=0)
         changes.append(np.append(np.log(mean / expected.channels).ravel(), extent))
-        off = eye.difference(seen, np.broadcast_to(np.median(seen, axis=0), seen.shape)).max(axis=1)
-        shares.append(float(np.mean(off > recipe.area.cell_delta_e)))
+        off = eye.difference(ways, np.broadcast_to(np.median(seen, axis=0), ways.shape)).max(axis=1)
+        shares.append(float(np.mean(off[of_cells.ravel()] > recipe.area.cell_delta_e)))
     cause = _cause("curl", "curled sheet, change of tilt across the region", "°", "shape", _CURLED, 0.05)
     return Signature(cause, extents, np.array(changes), np.array(shares))
 
 
+def _places(recipe: PrintRecipe) -> FloatArray:
+    """(N, 2) places of cells, by the size of the region, from its middle; of large maps not all."""
+    rows, cols = (min(count, _MOST_PLACES) for count in cell_grid(recipe).shape)
+    y, x = np.meshgrid(*((np.arange(count) + 0.5) / count - 0.5 for count in (rows, cols)), indexing="ij")
+    return np.stack([x.ravel(), -y.ravel()], axis=-1)
+
+
+_MOST_PLACES = 24
 _CURLED = "handling: sheet dried unevenly, or is not held down at its edges"
 
 

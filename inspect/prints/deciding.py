@@ -8,8 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from anisoscope.prints.besidegolden import BesideGolden, beside_golden, linear_fit
 from anisoscope.prints.expecting import PrintExpectation, rig_sources
 from anisoscope.prints.fitting import PrintFit, fit_print
+from anisoscope.prints.golden import GoldenPrints
 from anisoscope.prints.mapping import PrintMap, map_of
 from anisoscope.prints.measuring import MeasuredPrint
 from anisoscope.prints.posecolours import PoseColour, colours_of
@@ -25,6 +27,10 @@ NOT_JUDGED = (
 )
 
 
+NAMED = 3
+"""Deviations that a reason names, at most."""
+
+
 @dataclass(frozen=True, eq=False)
 class PrintDecision:
     """Verdict on a print with everything that led to it.
@@ -36,10 +42,12 @@ class PrintDecision:
         colours: one a pose.
         fit: lobe, level and colour.
         map: local differences, or None where the recipe asks for none.
-        d2: squared Mahalanobis distance of ln of all channels from the prediction.
-        dof: how many they are.
-        p_value: probability of a larger distance for a print as predicted.
+        d2: squared Mahalanobis distance of ln of all channels from the prediction; with golden prints Hotelling's T² of
+            what is fitted, from their mean.
+        dof: how many numbers that are.
+        p_value: probability of a larger distance for a print as predicted; with golden prints of any of their tests.
         sources: of uncertainty, of prediction and measurement.
+        golden: the print beside the golden prints, where these decide what deviates.
     """
 
     verdict: Verdict
@@ -52,13 +60,25 @@ class PrintDecision:
     dof: int
     p_value: float
     sources: tuple[Source, ...]
+    golden: BesideGolden | None = None
 
 
-def decide_print(expected: PrintExpectation, measured: MeasuredPrint, recipe: PrintRecipe) -> PrintDecision:
+def decide_print(
+    expected: PrintExpectation,
+    measured: MeasuredPrint,
+    recipe: PrintRecipe,
+    golden: GoldenPrints | None = None,
+) -> PrintDecision:
     """Judge a print.
 
+    Args:
+        expected: the prediction.
+        measured: the channels.
+        recipe: limits and rule.
+        golden: good prints, instead of the prediction, to tell what is a deviation.
+
     Raises:
-        MeasurementError: the print cannot be fitted, or its map is too noisy.
+        MeasurementError: the print cannot be fitted, its map is too noisy, or the golden prints do not vary enough.
     """
     from scipy.stats import chi2 as chi2_distribution  # noqa: PLC0415 - 1 s
 
@@ -69,6 +89,12 @@ def decide_print(expected: PrintExpectation, measured: MeasuredPrint, recipe: Pr
     covariance = total(everything, logs.size)
     off = logs - np.log(expected.channels).ravel()
     d2, dof = mahalanobis(off, covariance)
+    p_value = float(chi2_distribution.sf(d2, dof))
+    beside = None
+    if golden is not None:
+        linear = linear_fit(expected, (*expected.common, *of_rig))
+        beside = beside_golden(golden, expected, logs, linear)
+        d2, dof, p_value = beside.t2, len(beside.measured), beside.p_value
     colours = colours_of(expected, measured, fit, covariance)
     found = None
     if recipe.area is not None:
@@ -77,27 +103,51 @@ def decide_print(expected: PrintExpectation, measured: MeasuredPrint, recipe: Pr
     quantities = (*judge.quantities(), judge.colour(colours))
     if found is not None:
         quantities = (*quantities, judge.curl(found))
-    p_value = float(chi2_distribution.sf(d2, dof))
-    verdict, reasons = _combine(quantities, found, p_value, recipe)
-    return PrintDecision(verdict, reasons, quantities, colours, fit, found, d2, dof, p_value, everything)
+    verdict, reasons = _combine(quantities, found, recipe, *_together(expected, p_value, beside, recipe))
+    return PrintDecision(
+        verdict, reasons, quantities, colours, fit, found, d2, dof, p_value, everything, beside
+    )
+
+
+def _together(
+    expected: PrintExpectation, p_value: float, beside: BesideGolden | None, recipe: PrintRecipe
+) -> tuple[bool, str]:
+    """Whether all channels together deviate significantly, and what to say of it."""
+    alpha = recipe.decision.alpha
+    significant = p_value < alpha
+    alike = "as predicted" if beside is None else f"like the {beside.count} golden prints"
+    line = f"all channels together: p {said(p_value)} for a print {alike} (level {alpha:g})"
+    if not significant:
+        return False, line
+    where = ""
+    if beside is not None:
+        named = ["lobe and level"] if beside.p_fitted < alpha else []
+        named += [
+            f"the colour at {pose.stage_deg:g}°, tilt {pose.tilt_deg:g}°"
+            for pose, one in zip(expected.poses, beside.colours, strict=True)
+            if one.p_value < alpha
+        ]
+        more = f" and {len(named) - NAMED} more" if len(named) > NAMED else ""
+        where = f" of {', '.join(named[:NAMED])}{more}"
+    return True, f"{line}, a significant deviation{where}"
 
 
 def _combine(
-    quantities: tuple[Quantity, ...], found: PrintMap | None, p_value: float, recipe: PrintRecipe
+    quantities: tuple[Quantity, ...],
+    found: PrintMap | None,
+    recipe: PrintRecipe,
+    significant: bool,
+    line: str,
 ) -> tuple[Verdict, tuple[str, ...]]:
     """Precedence FAIL > INCONCLUSIVE > PASS over all criteria, with a line for each that speaks."""
     rule = recipe.decision
     findings = [(one.verdict, sentence(one)) for one in quantities]
     if found is not None and recipe.area is not None:
-        line = (
+        area = (
             f"{found.share:.1%} of the area is off by more than ΔE {recipe.area.cell_delta_e:g} from the rest (limit "
             f"{recipe.area.max_share:.1%})"
         )
-        findings.append((found.verdict, line))
-    significant = p_value < rule.alpha
-    line = f"all channels together: p {said(p_value)} for a print as predicted (level {rule.alpha:g})"
-    if significant:
-        line += ", a significant deviation"
+        findings.append((found.verdict, area))
     fails = significant and rule.deviation == "fail"
     findings.append((Verdict.FAIL if fails else Verdict.PASS, line))
     order = [Verdict.FAIL, Verdict.INCONCLUSIVE, Verdict.PASS]

@@ -7,18 +7,22 @@ import numpy.typing as npt
 
 from anisoscope.errors import RecipeError
 from anisoscope.prints.colour import Eye, eye_of
-from anisoscope.prints.model import Scene, State
+from anisoscope.prints.fitting import check_poses
+from anisoscope.prints.model import Scene, State, roughness_matrix, squared_slopes
 from anisoscope.prints.recipe import PrintRecipe
 from anisoscope.prints.sources import Source, of_channels, of_each, of_poses, shared
 from anisoscope.sim.light.colour.illuminant import Illuminant
 from anisoscope.sim.light.colour.observer import xyz_weights
 from anisoscope.sim.light.colour.vision import Sensitivities, Vision
-from anisoscope.sim.light.geometry import Convention, Pose
+from anisoscope.sim.light.geometry import Convention, Pose, directions
+from anisoscope.sim.light.ink.angles import half_vector
 
 FloatArray = npt.NDArray[np.float64]
 
 MODEL = "ink"
 _DARK = 1e-9
+MOST_SLOPES = 40.0
+"""tan²θh/α² beyond which GGX and Beckmann differ by a factor of 10¹⁴, so that nothing is predicted there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,13 +83,15 @@ def expect_print(
 
     Raises:
         InkFileError: the ink cannot be read.
-        RecipeError: the print should be black in some pose and channel.
+        RecipeError: the print should be black in some pose and channel, a pose lies outside the lobe, or the poses do
+            not tell all that is judged.
         ModelError: wavelengths that give no colour, or a pose below the horizon.
     """
     part, ink = recipe.print, recipe.print.read_ink()
     poses = recipe.poses.poses()
     weights = Vision(lamp, sensitivities).weights(ink.nm)
     scene = Scene(ink, part.coverage, part.substrate, poses, light_angle_deg, weights, part.lobe)
+    _check_lobe(scene)
     channels = scene.channels()
     if channels.min() <= _DARK:
         at, channel = np.unravel_index(int(channels.argmin()), channels.shape)
@@ -93,6 +99,7 @@ def expect_print(
             f"print: at {poses[at].stage_deg:g}°, tilt {poses[at].tilt_deg:g}°, no light is predicted in the "
             f"{('red', 'green', 'blue')[channel]} channel: correct the ink, or leave the pose out"
         )
+    check_poses(scene)
     eye = eye_of(scene, lamp)
     return PrintExpectation(
         scene,
@@ -104,6 +111,17 @@ def expect_print(
         _fitted(recipe, scene),
         Convention(light_angle_deg),
     )
+
+
+def _check_lobe(scene: Scene) -> None:
+    matrix = roughness_matrix(scene.ink, State())
+    slopes = squared_slopes(half_vector(*directions(scene.poses, Convention(scene.light_angle_deg))), matrix)
+    if slopes.max() > MOST_SLOPES:
+        pose, widest = scene.poses[int(slopes.argmax())], np.sqrt(MOST_SLOPES * np.linalg.eigvalsh(matrix)[0])
+        raise RecipeError(
+            f"poses: at {pose.stage_deg:g}°, tilt {pose.tilt_deg:g}°, the lobe of {scene.ink.name} has ended, and only "
+            f"the form of its tail would show: keep tilts within about {np.degrees(np.arctan(widest)):.0f}°"
+        )
 
 
 def _common(recipe: PrintRecipe, scene: Scene) -> tuple[Source, ...]:

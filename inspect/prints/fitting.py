@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import MeasurementError
+from anisoscope.errors import MeasurementError, ModelError, RecipeError
 from anisoscope.prints.model import Scene, State
 from anisoscope.prints.sources import Source, total
 
@@ -19,6 +19,9 @@ FloatArray = npt.NDArray[np.float64]
 PARAMETERS = ("alpha", "ratio", "skew", "tilt_x_deg", "tilt_y_deg", "red", "green", "blue", "lobe")
 _ROUNDS = 60
 _SETTLED = 1e-9
+_WILDEST = {"alpha": 2.5, "tilt_x_deg": 60.0, "tilt_y_deg": 60.0, "lobe": 30.0}
+"""Beyond these no print is left: a lobe twelve times as wide as it should be is plain paper's."""
+_UNFIT = "the lobe of this print cannot be fitted: is this the recipe's ink, and does the print lie flat?"
 _STEP_LIMIT = {"alpha": 0.4, "ratio": 0.4, "skew": 0.4, "tilt_x_deg": 4.0, "tilt_y_deg": 4.0, "lobe": 0.5}
 _TITLES = {
     "alpha": "roughness", "ratio": "ratio of roughness 0°/90°", "skew": "ratio of roughness 45°/135°",
@@ -90,9 +93,9 @@ def fit_print(
         if abs(before - chi2) < _SETTLED * (1.0 + chi2):
             return _fitted(state, white, root, chi2, slopes)
         state, before = _moved(scene, state, step, log_channels, root, chi2), chi2
-    raise MeasurementError(
-        "the lobe of this print cannot be fitted: is this the recipe's ink, and does the print lie flat?"
-    )
+        if any(abs(getattr(state, name)) > most for name, most in _WILDEST.items()):
+            break
+    raise MeasurementError(_UNFIT)
 
 
 def _whitened(root: FloatArray, values: FloatArray) -> FloatArray:
@@ -116,13 +119,19 @@ def _moved(
     """A step of Gauss and Newton, shortened until it helps."""
     limits = np.array([_STEP_LIMIT.get(name, 1.0) for name in PARAMETERS])
     step = step / max(1.0, float(np.max(np.abs(step) / limits)))
-    best = state
+    best = None
     for _ in range(12):
-        best = _at(state, step)
-        off = _whitened(root, wanted - scene.log_channels(best))
-        if float(off @ off) <= chi2:
-            return best
+        trial = _at(state, step)
         step = 0.5 * step
+        try:
+            off = _whitened(root, wanted - scene.log_channels(trial))
+        except ModelError:  # leans so far that no flake reflects into some pose
+            continue
+        best = trial
+        if float(off @ off) <= chi2:
+            break
+    if best is None:
+        raise MeasurementError(_UNFIT)
     return best
 
 
@@ -137,6 +146,17 @@ def _fitted(state: State, white: FloatArray, root: FloatArray, chi2: float, slop
     covariance = np.asarray(np.linalg.inv(white.T @ white), dtype=np.float64)
     gain = covariance @ white.T @ np.linalg.inv(root)
     return PrintFit(state, covariance, gain, chi2, len(root) - len(PARAMETERS), slopes)
+
+
+def check_poses(scene: Scene) -> None:
+    """Do the poses tell every parameter?
+
+    Raises:
+        RecipeError: they do not.
+    """
+    slopes = _slopes(scene, State())
+    if _solved(slopes, np.zeros(len(slopes)))[1] < len(PARAMETERS):
+        raise RecipeError(_undetermined(slopes))
 
 
 def _undetermined(white: FloatArray) -> str:

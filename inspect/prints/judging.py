@@ -1,6 +1,7 @@
 """From the frames of a print to its record: linearise, register, measure by colour, fit, decide, explain."""
 
 from datetime import datetime
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +14,9 @@ from anisoscope.jobfile import JobFile
 from anisoscope.measurement import View, check_light, check_view
 from anisoscope.prints.causes import explain_print
 from anisoscope.prints.deciding import PrintDecision, decide_print
+from anisoscope.prints.dirt import check_print_dirt
 from anisoscope.prints.expecting import PrintExpectation
+from anisoscope.prints.golden import GoldenPrints
 from anisoscope.prints.light import check_filters, lamp_and_sensitivities
 from anisoscope.prints.measuring import MeasuredPrint, measure_print, region_mean
 from anisoscope.prints.recipe import PrintRecipe
@@ -44,17 +47,19 @@ def judge_print(
     recipe = job.calibrations.applied_to(job.recipe)
     try:
         views, measured, change = _measured(made, job, recipe, expected, taken)
-        decision = decide_print(expected, measured, recipe)
+        decision = decide_print(expected, measured, recipe, _known_good(job))
     except (MeasurementError, CameraError) as error:
         record = make_record(made, job, expected, taken, verdict="INVALID", reasons=(str(error),))
         return record, Pictures(raw=as_photographed(taken))
     unfit = complaint_on_resuming(change, job) or _drift_complaint(measured, recipe)
     undecided = decision.verdict is Verdict.INCONCLUSIVE
+    lacking = job.golden_prints and job.golden_prints.lacking
     names = (lamp_and_sensitivities(job.rig)[1].name, taken.filters)
-    explained = {}
+    explained: dict[str, Any] = {"notes": (lacking,) if lacking else ()}
     if not unfit and (final or not undecided):
         advance("causes", 0, 1)
-        explained = _explained(recipe, expected, measured, decision)
+        told = _explained(recipe, expected, measured, decision)
+        explained |= told | {"notes": explained["notes"] + told.get("notes", ())}
     record = make_record(
         made,
         job,
@@ -66,6 +71,12 @@ def judge_print(
         **explained,
     )
     return record, Pictures(print=_pictures(expected, measured, decision))
+
+
+def _known_good(job: Job) -> GoldenPrints | None:
+    """The golden prints that decide what deviates: None as long as there are too few of them."""
+    golden = job.golden_prints
+    return golden if golden is not None and golden.lacking is None else None
 
 
 def _measured(
@@ -87,7 +98,9 @@ def _measured(
         check_view(view, alike, recipe, job.rig.camera.pixel_um)
         job.calibrations.check_place(view.stage_deg, view.placement)
     check_views(views.poses)
-    return views.poses, measure_print(views.poses, closing, recipe, taken.filters), change
+    measured = measure_print(views.poses, closing, recipe, taken.filters)
+    check_print_dirt(views.poses, recipe, taken.filters, expected.eye, measured.channels)
+    return views.poses, measured, change
 
 
 def _drift_complaint(measured: MeasuredPrint, recipe: PrintRecipe) -> str | None:
@@ -102,7 +115,7 @@ def _drift_complaint(measured: MeasuredPrint, recipe: PrintRecipe) -> str | None
 
 def _explained(
     recipe: PrintRecipe, expected: PrintExpectation, measured: MeasuredPrint, decision: PrintDecision
-) -> dict[str, object]:
+) -> dict[str, Any]:
     """The causes, or a note where they cannot be told; they never change the verdict."""
     alpha = recipe.decision.alpha
     if nothing_wrong(decision, alpha):

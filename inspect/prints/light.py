@@ -3,8 +3,11 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from anisoscope.errors import CalibrationError, RigFileError, UsageError
+import numpy as np
+
+from anisoscope.errors import CalibrationError, RecipeError, RigFileError, UsageError
 from anisoscope.prints.expecting import PrintExpectation, expect_print
+from anisoscope.prints.measuring import MIN_PIXELS
 from anisoscope.prints.recipe import PrintRecipe, ink_file
 from anisoscope.rig.bayer import FILTERS
 from anisoscope.rig.rigfile import RigFile
@@ -101,5 +104,17 @@ def check_filters(filters: str, camera: str, of_flat: str) -> None:
 
 
 def expectation_of_print(recipe: PrintRecipe, rig: RigFile) -> PrintExpectation:
-    """Predict a print on a rig; errors as for `expect_print`."""
+    """Predict a print on a rig.
+
+    Raises:
+        RecipeError: cells of the map with too few pixels of a colour, and as for `expect_print`.
+        InkFileError, ModelError: as for `expect_print`.
+    """
+    # every other row and column of a mosaic has a red pixel
+    least_mm = 2.0 * np.sqrt(MIN_PIXELS) * 1e-3 * rig.camera.pixel_um
+    if recipe.area is not None and recipe.area.cell_mm < (1.0 - 1e-9) * least_mm:
+        raise RecipeError(
+            f"area.cell_mm: a cell of {recipe.area.cell_mm:g} mm holds fewer than {MIN_PIXELS} red pixels, each "
+            f"{rig.camera.pixel_um:g} µm wide: make cells {least_mm:.2g} mm or larger, better twice that"
+        )
     return expect_print(recipe, rig.light.angle_deg, *lamp_and_sensitivities(rig))

@@ -5,7 +5,7 @@ prediction is kept beside it. A linear fit over all poses tells how every cell l
 curl of the sheet.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +16,8 @@ from anisoscope.prints.expecting import PrintExpectation
 from anisoscope.prints.fitting import PrintFit
 from anisoscope.prints.measuring import MeasuredPrint
 from anisoscope.prints.recipe import PrintArea
+from anisoscope.prints.record import MOST_SPOTS
+from anisoscope.prints.spotarea import spot_shares
 from anisoscope.registration.placement import Grid
 from anisoscope.verdict import Verdict
 
@@ -27,12 +29,17 @@ FIELD_TILT_DEG = 0.03
 """Standard uncertainty of a tilt across the region: the light's direction changes a little over the field."""
 _LOCAL = ("tilt_x_deg", "tilt_y_deg", "alpha", "red", "green", "blue")
 _FLOOR = 0.005
-_SPOTS = 12
+U_EDGE_SHARE = 0.05
+"""Relative standard uncertainty of an area that pixels tell: lens and pixels blur its edge."""
 
 
 @dataclass(frozen=True)
 class Spot:
-    """Cells that deviate and touch each other: middle and extents in mm, and the largest CIEDE2000 among them."""
+    """Cells that deviate and touch each other: middle and extents in mm, and the largest CIEDE2000 among them.
+
+    ``area_share`` is the share of the area that the pixels off by more than the limit cover; without pictures, of the
+    cells.
+    """
 
     x_mm: float
     y_mm: float
@@ -53,11 +60,11 @@ class PrintMap:
         lean_deg: (2, rows, cols) lean of the flakes toward +x and +y of the print, against the region's.
         noise: CIEDE2000 that noise alone makes, rms, in the worst pose.
         deviating: cells whose local difference exceeds the limit.
-        share: share of the area that deviates; its standard uncertainty ``u_share``.
+        share: share of the area that deviates, the sum over all spots; its standard uncertainty ``u_share``.
         curl_deg: (2, 2) change of the lean toward x and y (rows) across the region along its x and y (columns).
         u_curl_deg: standard uncertainty of each.
         verdict: of the area alone.
-        spots: cells that deviate together, the largest first.
+        spots: cells that deviate together, the largest first, `MOST_SPOTS` at most.
     """
 
     local: FloatArray
@@ -90,7 +97,8 @@ def map_of(
     """
     eye, usual = expected.eye, np.median(measured.cells, axis=(2, 3))
     cells = np.maximum(np.moveaxis(measured.cells, 1, -1), 1e-7)
-    local = eye.difference(cells, np.broadcast_to(usual[:, None, None], cells.shape)).max(axis=0)
+    apart = eye.difference(cells, np.broadcast_to(usual[:, None, None], cells.shape))
+    local = apart.max(axis=0)
     wanted = np.broadcast_to(expected.channels[:, None, None], cells.shape)
     total = eye.difference(cells, wanted).max(axis=0)
     noise = _noise_floor(eye, usual, measured.cell_noise)
@@ -100,11 +108,19 @@ def map_of(
             f"noise alone makes ΔE {noise:.2f} in a cell, too much to tell one of {rule.cell_delta_e:g} (limit "
             f"{limit:.2f}): take more frames_per_pose, a longer exposure (acquisition.brackets), or larger cells"
         )
-    share, low, high = (float(np.mean(local > rule.cell_delta_e + off)) for off in (0.0, -noise, noise))
-    u = float(np.hypot(0.5 * (low - high), 0.5 / local.size))
     lean = _lean(measured, expected, fit, usual)
     curl, u_curl = _curl(lean)
     deviating = local > rule.cell_delta_e
+    labels = _labels(deviating)
+    spots = _spots(labels, local, measured.grid)
+    share, low, high = (float(np.mean(local > rule.cell_delta_e + off)) for off in (0.0, -noise, noise))
+    of_edges = 0.5 / local.size
+    if measured.pictures is not None:
+        areas = spot_shares(labels, apart, measured.pictures, measured.grid, eye, usual, rule.cell_delta_e)
+        spots = [replace(spot, area_share=float(area)) for spot, area in zip(spots, areas, strict=True)]
+        share = float(areas.sum())
+        of_edges = U_EDGE_SHARE * share
+    u = float(np.hypot(0.5 * (low - high), of_edges))
     return PrintMap(
         local,
         total,
@@ -116,7 +132,7 @@ def map_of(
         curl,
         u_curl,
         _judged(share, u, rule.max_share, coverage),
-        _spots(deviating, local, measured.grid),
+        tuple(sorted(spots, key=lambda spot: -spot.area_share)[:MOST_SPOTS]),
     )
 
 
@@ -163,25 +179,30 @@ def _curl(lean: FloatArray) -> tuple[FloatArray, float]:
     return np.asarray(found[:2].T), u
 
 
-def _spots(deviating: npt.NDArray[np.bool_], local: FloatArray, grid: Grid) -> tuple[Spot, ...]:
+def _labels(deviating: npt.NDArray[np.bool_]) -> npt.NDArray[np.int32]:
+    """Number of the spot of every cell, from 1 on; cells that touch each other are one, 0 does not deviate."""
     import cv2  # noqa: PLC0415
 
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(deviating.astype(np.uint8), connectivity=8)
+    return np.asarray(cv2.connectedComponents(deviating.astype(np.uint8), connectivity=8)[1], dtype=np.int32)
+
+
+def _spots(labels: npt.NDArray[np.int32], local: FloatArray, grid: Grid) -> list[Spot]:
+    """The spots in the order of their numbers, with the area of their cells."""
     found = []
-    for label in range(1, count):
-        left, top, width, height, cells = (int(value) for value in stats[label])
-        middle = np.array([left + (width - 1) / 2.0, top + (height - 1) / 2.0, 1.0])
+    for label in range(1, int(labels.max()) + 1):
+        inside = labels == label
+        rows, cols = np.nonzero(inside)
+        middle = np.array([0.5 * (cols.min() + cols.max()), 0.5 * (rows.min() + rows.max()), 1.0])
         x, y = (grid.to_mm() @ middle)[:2]
-        worst = float(local[labels == label].max())
         found.append(
             Spot(
                 float(x),
                 float(y),
-                width * grid.pixel_mm,
-                height * grid.pixel_mm,
-                cells / deviating.size,
-                cells,
-                worst,
+                float(np.ptp(cols) + 1) * grid.pixel_mm,
+                float(np.ptp(rows) + 1) * grid.pixel_mm,
+                len(rows) / labels.size,
+                len(rows),
+                float(local[inside].max()),
             )
         )
-    return tuple(sorted(found, key=lambda spot: -spot.cells)[:_SPOTS])
+    return found

@@ -26,6 +26,14 @@ MIN_PIXELS = 4
 
 
 @dataclass(frozen=True, eq=False)
+class Mosaics:
+    """The pictures of the poses themselves, divided by the flat, and the filters on their pixels."""
+
+    views: tuple[View, ...]
+    filters: str
+
+
+@dataclass(frozen=True, eq=False)
 class MeasuredPrint:
     """What the pictures of a print say.
 
@@ -36,6 +44,7 @@ class MeasuredPrint:
         sources: what of the measurement the pictures themselves show to be uncertain.
         grid: raster of the cells.
         drift: L(first pose, at the end)/L(first pose, at the start) − 1, or None.
+        pictures: what the cells were taken from, for a closer look; None where there are none.
     """
 
     channels: FloatArray
@@ -44,10 +53,11 @@ class MeasuredPrint:
     sources: tuple[Source, ...]
     grid: Grid
     drift: float | None
+    pictures: Mosaics | None = None
 
 
 def cell_grid(recipe: PrintRecipe) -> Grid:
-    """Raster of whole cells in the region; one cell for all of it where no map is judged."""
+    """Raster of whole cells in the region; where no map is judged, one cell that stands for all of it."""
     width, height = recipe.region.size_mm
     if recipe.area is None:
         return Grid(recipe.region.center_mm, min(width, height), (1, 1), recipe.poses.facet_azimuth_deg)
@@ -109,6 +119,7 @@ def measure_print(
         ),
         grid,
         drift,
+        Mosaics(tuple(views), filters),
     )
 
 
@@ -118,7 +129,7 @@ def region_mean(view: View, recipe: PrintRecipe, filters: str) -> float:
 
 
 def _seen(view: View, grid: Grid, filters: str, recipe: PrintRecipe) -> _Seen:
-    window, cell = _cells_of_pixels(view, grid)
+    window, cell = _cells_of_pixels(view, grid, recipe)
     value = view.image.value[window]
     inside = cell >= 0
     _check(view, window, inside, value, recipe)
@@ -145,14 +156,24 @@ def _seen(view: View, grid: Grid, filters: str, recipe: PrintRecipe) -> _Seen:
     )
 
 
-def _cells_of_pixels(view: View, grid: Grid) -> tuple[tuple[slice, slice], npt.NDArray[np.intp]]:
+def _to_mm(grid: Grid, recipe: PrintRecipe) -> FloatArray:
+    """(3, 3) map from (column, row, 1) of a cell to sample millimetres; one cell is as wide and high as the region."""
+    if recipe.area is not None:
+        return grid.to_mm()
+    (x, y), (width, height) = recipe.region.center_mm, recipe.region.size_mm
+    return np.array([[width, 0.0, x], [0.0, -height, y], [0.0, 0.0, 1.0]])
+
+
+def _cells_of_pixels(
+    view: View, grid: Grid, recipe: PrintRecipe
+) -> tuple[tuple[slice, slice], npt.NDArray[np.intp]]:
     """A window of the picture that holds the region, and the number of the cell of each of its pixels, −1 outside.
 
     Raises:
         RegistrationError: the region reaches beyond the picture.
     """
     rows, cols = grid.shape
-    to_pixel = view.placement.homography @ grid.to_mm()
+    to_pixel = view.placement.homography @ _to_mm(grid, recipe)
     ends = np.array([[x, y, 1.0] for x in (-0.5, cols - 0.5) for y in (-0.5, rows - 0.5)]) @ to_pixel.T
     corners = ends[:, :2] / ends[:, 2:]
     size = np.array(view.image.value.shape[::-1])

@@ -18,6 +18,8 @@ from anisoscope.sim.light.ink.ink import Ink
 FloatArray = npt.NDArray[np.float64]
 
 _STEP = 1e-4
+_FAINTEST = 600.0
+"""Largest exponent of a lobe: where a wild state of a fit leads beyond it, its logarithm stays finite."""
 
 
 @dataclass(frozen=True)
@@ -111,6 +113,19 @@ class Scene:
         paper = max(self.substrate + state.substrate, 0.0) / np.pi
         return np.asarray(cos_i[:, None] * (coverage * ink + (1.0 - coverage) * paper))
 
+    def leaning(self, tilts_deg: FloatArray) -> FloatArray:
+        """(K, P, 3) `channels` of good prints whose flakes lean by (K, 2) tilts toward +x and +y.
+
+        Raises:
+            ModelError: as for `channels`.
+        """
+        to_light, to_camera = directions(self.poses, Convention(self.light_angle_deg))
+        half, good = half_vector(to_light, to_camera), State()
+        leans = np.stack([seating_rotation(-y, x) for x, y in np.asarray(tilts_deg)])
+        shares = _density(self.ink, half @ leans, good, self.lobe) / _density(self.ink, half, good, self.lobe)
+        paper = to_light[:, 2:] * (1.0 - self.coverage) * self.substrate / np.pi
+        return np.asarray(paper + shares[..., None] * (self.channels() - paper))
+
     def log_channels(self, state: State | None = None) -> FloatArray:
         """(3 P,) ln of `channels`, channels fastest."""
         return np.asarray(np.log(self.channels(state)).ravel())
@@ -158,20 +173,32 @@ def _colour(ink: Ink, argument: FloatArray, state: State, nm: FloatArray) -> Flo
 
 def _lobe(ink: Ink, half: FloatArray, state: State, lobe: float) -> FloatArray:
     """(P,) D/4 at half vectors, of the ink's lobe turned, widened and leaned."""
-    lean = seating_rotation(-state.tilt_y_deg, state.tilt_x_deg)
-    x, y, z = (half @ lean).T
-    if np.any(z <= 0.0):
-        raise ModelError("a half vector lies below the print: no flake reflects there")
-    slopes = np.stack([x / z, y / z], axis=-1)
-    matrix = _roughness(ink, state)
-    q = np.einsum("pi,ij,pj->p", slopes, np.linalg.inv(matrix), slopes)
+    return _density(ink, half @ seating_rotation(-state.tilt_y_deg, state.tilt_x_deg), state, lobe)
+
+
+def _density(ink: Ink, half: FloatArray, state: State, lobe: float) -> FloatArray:
+    """(…) D/4 at (…, 3) half vectors as flakes that do not lean see them."""
+    z, matrix = half[..., 2], roughness_matrix(ink, state)
+    q = squared_slopes(half, matrix)
     ggx, beckmann = -2.0 * np.log1p(q), -q
     own, other = (ggx, beckmann) if ink.distribution == "ggx" else (beckmann, ggx)
-    shape = np.exp((1.0 - lobe) * own + lobe * other)
+    shape = np.exp(np.clip((1.0 - lobe) * own + lobe * other, -_FAINTEST, _FAINTEST))
     return np.asarray(shape / (4.0 * np.pi * np.sqrt(np.linalg.det(matrix)) * z**4))
 
 
-def _roughness(ink: Ink, state: State) -> FloatArray:
+def squared_slopes(half: FloatArray, matrix: FloatArray) -> FloatArray:
+    """(…) sᵀA⁻¹s of the slopes of (…, 3) half vectors, tan²θh/α² of an isotropic ink.
+
+    Raises:
+        ModelError: a half vector lies below the print.
+    """
+    if np.any(half[..., 2] <= 0.0):
+        raise ModelError("a half vector lies below the print: no flake reflects there")
+    slopes = half[..., :2] / half[..., 2:]
+    return np.asarray(np.einsum("...i,ij,...j->...", slopes, np.linalg.inv(matrix), slopes))
+
+
+def roughness_matrix(ink: Ink, state: State) -> FloatArray:
     """(2, 2) A: its quadratic form along a direction is α² there."""
     turn = np.radians(ink.brush_deg)
     axes = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
@@ -187,4 +214,4 @@ def roughness_along(ink: Ink, state: State, azimuth_deg: float) -> float:
     """α along a direction of the print, counter-clockwise from +x."""
     turn = np.radians(azimuth_deg)
     along = np.array([np.cos(turn), np.sin(turn)])
-    return float(np.sqrt(along @ _roughness(ink, state) @ along))
+    return float(np.sqrt(along @ roughness_matrix(ink, state) @ along))

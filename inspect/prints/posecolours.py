@@ -37,6 +37,13 @@ class PoseColour:
     u_delta_e: float
 
 
+def without_lean(fit: PrintFit, covariance: FloatArray) -> FloatArray:
+    """(N, N) covariance of ln of the channels: what the two fitted tilts follow is no deviation."""
+    places = [PARAMETERS.index(name) for name in ("tilt_x_deg", "tilt_y_deg")]
+    kept = np.eye(len(covariance)) - fit.slopes[:, places] @ fit.gain[places]
+    return np.asarray(kept @ covariance @ kept.T)
+
+
 def colours_of(
     expected: PrintExpectation, measured: MeasuredPrint, fit: PrintFit, covariance: FloatArray
 ) -> tuple[PoseColour, ...]:
@@ -44,10 +51,7 @@ def colours_of(
     eye, metric = expected.eye, expected.eye.metric(measured.channels)
     leans = State(tilt_x_deg=fit.state.tilt_x_deg, tilt_y_deg=fit.state.tilt_y_deg)
     channels = expected.scene.channels(leans)
-    places = [PARAMETERS.index(name) for name in ("tilt_x_deg", "tilt_y_deg")]
-    # what the two fitted tilts follow is no deviation, and no uncertainty of one
-    kept = np.eye(len(covariance)) - fit.slopes[:, places] @ fit.gain[places]
-    covariance = kept @ covariance @ kept.T
+    covariance = without_lean(fit, covariance)
     delta = eye.difference(measured.channels, channels)
     xyz, wanted = eye.xyz(measured.channels), eye.xyz(channels)
     found = []

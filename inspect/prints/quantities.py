@@ -172,8 +172,11 @@ class Judge:
     ) -> Quantity:
         """A quantity whose logarithm, or which itself, is a function of the state."""
         off = float((function(self.fit.state) - function(State()))[0])
-        u, rows = self._spread(self._slopes(function)[0], own)
-        share = float(np.expm1(off)) if name not in ("ratio", "skew") else off
+        relative = name not in ("ratio", "skew")
+        share = float(np.expm1(off)) if relative else off
+        # a change of the logarithm is one of the share times 1 + share
+        slope = (1.0 + share) * self._slopes(function)[0] if relative else self._slopes(function)[0]
+        u, rows = self._spread(slope, tuple((source, (1.0 + share) * size) for source, size in own))
         return self._made(name, title, "", nominal * (1.0 + share), nominal, share, u, limit, rows)
 
     def _length(

@@ -67,6 +67,12 @@ class PrintPart(Part):
     u_lobe: NotNegative = 0.05
     u_substrate: Share = 0.01
 
+    @model_validator(mode="after")
+    def _inks_differ(self) -> Self:
+        if len({self.ink, *self.wrong_inks}) <= len(self.wrong_inks):
+            raise ValueError("wrong_inks names an ink twice, or the print's own: leave it out")
+        return self
+
     def read_ink(self) -> Ink:
         """The ink.
 
@@ -95,7 +101,7 @@ class PrintPoses(PosesPart):
                 "tilts_deg needs three different tilts or more, such as [0.0, 10.0, 20.0], so that the width of the "
                 "lobe is told from its height and its form"
             )
-        if not any(abs((b - a) % 180.0 - 90.0) < 45.0 for a in self.angles_deg for b in self.angles_deg):
+        if not any(abs((b - a) % 180.0 - 90.0) <= 45.0 for a in self.angles_deg for b in self.angles_deg):
             raise ValueError(
                 "angles_deg needs two angles 45 to 135 degrees apart, such as [0.0, 90.0, 180.0], so that both "
                 "roughnesses show"
@@ -201,8 +207,13 @@ def read_print_recipe(path: Path) -> PrintRecipe:
     recipe = read_toml_model(
         path, PrintRecipe, error=RecipeError, substitutions={"here": str(path.resolve().parent)}
     )
-    recipe.print.read_ink()
-    recipe.print.read_wrong_inks()
+    names = [recipe.print.read_ink().name, *(ink.name for ink in recipe.print.read_wrong_inks())]
+    for name in names:
+        if names.count(name) > 1:
+            raise RecipeError(
+                f"{path}: print: two of its inks are called {name!r}, which the diagnosis could not tell apart: name "
+                "each ink once, or give the ink files different names"
+            )
     return recipe
 
 

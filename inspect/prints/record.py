@@ -3,6 +3,10 @@
 from pydantic import BaseModel, ConfigDict
 
 Triple = tuple[float, float, float]
+RELATIVE = frozenset({"alpha x", "alpha y", "gain"})
+"""Quantities whose deviation, uncertainty and limit are shares of what they should be."""
+MOST_SPOTS = 12
+"""Places of the map that a record lists, the largest first."""
 
 
 class _Part(BaseModel):
@@ -63,7 +67,7 @@ class PrintMapRecord(_Part):
     """The map of local colour differences.
 
     ``noise`` is the CIEDE2000 that noise alone makes. ``curl_deg`` holds the change of the tilt toward x and toward y
-    (rows) across the region along x and along y (columns).
+    (rows) across the region along x and along y (columns). ``spots`` are the largest, `MOST_SPOTS` at most.
     """
 
     cell_mm: float
@@ -97,6 +101,46 @@ class LobeRecord(_Part):
     dof: int
 
 
+class GoldenFitRecord(_Part):
+    """A fitted parameter beside the golden prints: this print's, their mean and standard deviation, and theirs.
+
+    All are taken linearly about the print that the recipe predicts, which has 0.
+    """
+
+    name: str
+    title: str
+    unit: str
+    measured: float
+    mean: float
+    s: float
+    golden: tuple[float, ...]
+
+
+class GoldenColourRecord(_Part):
+    """The colour of one pose beside the golden prints, all without what their lean makes.
+
+    ``delta_e`` is the CIEDE2000 from their mean, ``spread`` the root mean square of theirs, ``t2`` Hotelling's T² of
+    the three channels; ``p_value`` is adjusted over all tests (Holm).
+    """
+
+    stage_deg: float
+    tilt_deg: float
+    delta_e: float
+    spread: float
+    t2: float
+    p_value: float
+
+
+class GoldenPrintsRecord(_Part):
+    """The golden prints that decided what deviates; ``t2`` and ``p_value`` are of all fitted parameters together."""
+
+    parts: int
+    t2: float
+    p_value: float
+    fitted: tuple[GoldenFitRecord, ...]
+    colours: tuple[GoldenColourRecord, ...]
+
+
 class PrintRecord(_Part):
     """A print: what it was compared with, the colours of its poses, the lobe, the map and what was judged.
 
@@ -118,3 +162,4 @@ class PrintRecord(_Part):
     lobe: LobeRecord
     map: PrintMapRecord | None
     not_judged: tuple[str, ...] = ()
+    golden: GoldenPrintsRecord | None = None

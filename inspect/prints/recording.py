@@ -6,8 +6,10 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.measurement import View
+from anisoscope.prints.besidegolden import BesideGolden
 from anisoscope.prints.deciding import NOT_JUDGED, PrintDecision
 from anisoscope.prints.expecting import PrintExpectation
+from anisoscope.prints.fitting import PARAMETERS
 from anisoscope.prints.mapping import PrintMap, Spot
 from anisoscope.prints.measuring import MeasuredPrint
 from anisoscope.prints.model import State
@@ -15,6 +17,9 @@ from anisoscope.prints.quantities import Quantity
 from anisoscope.prints.recipe import PrintRecipe
 from anisoscope.prints.record import (
     ColourRecord,
+    GoldenColourRecord,
+    GoldenFitRecord,
+    GoldenPrintsRecord,
     LobeRecord,
     PrintMapRecord,
     PrintRecord,
@@ -26,6 +31,20 @@ from anisoscope.record import BudgetRecord, PoseRecord
 from anisoscope.verdict import Verdict
 
 FloatArray = npt.NDArray[np.float64]
+
+
+FIT_TITLES = {
+    "alpha": ("ln of the roughness", ""),
+    "ratio": ("ln of roughness at 90° over 0°", ""),
+    "skew": ("ln of roughness at 135° over 45°", ""),
+    "tilt_x_deg": ("lean toward +x", "°"),
+    "tilt_y_deg": ("lean toward +y", "°"),
+    "red": ("ln of the level of red", ""),
+    "green": ("ln of the level of green", ""),
+    "blue": ("ln of the level of blue", ""),
+    "lobe": ("form of the lobe", ""),
+}
+"""Fitted parameters, with their units."""
 
 
 def triple(values: FloatArray) -> Triple:
@@ -145,6 +164,36 @@ def _print(
         ),
         map=None if decision.map is None else _map(decision.map, recipe),
         not_judged=(NOT_JUDGED,),
+        golden=None if decision.golden is None else _golden(decision.golden, expected),
+    )
+
+
+def _golden(beside: BesideGolden, expected: PrintExpectation) -> GoldenPrintsRecord:
+    fitted = tuple(
+        GoldenFitRecord(
+            name=name,
+            title=FIT_TITLES[name][0],
+            unit=FIT_TITLES[name][1],
+            measured=float(own),
+            mean=float(known.mean()),
+            s=float(known.std(ddof=1)),
+            golden=tuple(known.tolist()),
+        )
+        for name, own, known in zip(PARAMETERS, beside.measured, beside.fitted.T, strict=True)
+    )
+    colours = tuple(
+        GoldenColourRecord(
+            stage_deg=pose.stage_deg,
+            tilt_deg=pose.tilt_deg,
+            delta_e=one.delta_e,
+            spread=one.spread,
+            t2=one.t2,
+            p_value=one.p_value,
+        )
+        for pose, one in zip(expected.poses, beside.colours, strict=True)
+    )
+    return GoldenPrintsRecord(
+        parts=beside.count, t2=beside.t2, p_value=beside.p_fitted, fitted=fitted, colours=colours
     )
 
 

@@ -100,7 +100,8 @@ def svg_uri(figure: "Figure") -> str:
 
     stream = io.BytesIO()
     # savefig draws everything twice
-    FigureCanvasSVG(figure).print_svg(stream, metadata={"Date": None, "Creator": "anisoscope"})
+    canvas = FigureCanvasSVG(figure)
+    canvas.print_svg(stream, metadata={"Date": None, "Creator": "anisoscope"})  # type: ignore[no-untyped-call]
     drawing = _for_both_lights(stream.getvalue().decode())
     return "data:image/svg+xml;base64," + base64.b64encode(drawing.encode()).decode("ascii")
 
@@ -242,7 +243,8 @@ def contrast_chart(
         axes.set_yticks(range(len(labels)), labels)
         axes.set_ylim(len(labels) - 0.45, -0.55)
         axes.grid(axis="x")
-        axes.set_xlabel(f"measured − predicted [{unit}];  bar: 95 % interval, green: tolerance")
+        zone = ", green: tolerance" if any(one is not None for one in tolerance) else ""
+        axes.set_xlabel(f"measured − predicted [{unit}];  bar: 95 % interval{zone}")
         reach = max(abs(d) + max(1.96 * s, t or 0.0) for d, s, t in zip(deviation, u, tolerance, strict=True))
         axes.set_xlim(-1.12 * reach, 1.12 * reach)
         return svg_uri(figure)

@@ -7,15 +7,21 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.prints.record import ColourRecord, QuantityRecord
+from anisoscope.prints.record import (
+    MOST_SPOTS,
+    RELATIVE,
+    ColourRecord,
+    GoldenPrintsRecord,
+    QuantityRecord,
+    SpotRecord,
+)
 from anisoscope.record import Record
 from anisoscope.report import print_figures
+from anisoscope.report.peers import among
 from anisoscope.sim.light.colour.spaces import hexadecimal
 
 FloatArray = npt.NDArray[np.float64]
 
-SHARES = frozenset({"alpha x", "alpha y", "gain"})
-"""Quantities whose deviation is relative."""
 UNSURE = 0.01
 
 
@@ -93,9 +99,21 @@ def print_parts(record: Record, pictures: PrintPictures | None) -> Mapping[str, 
         "print_labels": [one.title for one in told],
         "lobe_chart": print_figures.lobe_chart(found.colours),
         "quantity_chart": print_figures.quantity_chart(found.quantities),
-        "print_maps": () if pictures is None else _maps(pictures),
+        "print_maps": ()
+        if pictures is None
+        else _maps(pictures, () if found.map is None else found.map.spots),
+        "most_spots": MOST_SPOTS,
+        "golden_strip": None if found.golden is None else _golden_strip(found.golden),
     }
     return content
+
+
+def _golden_strip(golden: GoldenPrintsRecord) -> str:
+    """The fitted parameters beside those of the golden prints, each in their standard deviations."""
+    names = [one.title for one in golden.fitted]
+    known = np.array([np.subtract(one.golden, one.mean) / (one.s or 1.0) for one in golden.fitted]).T
+    mine = [(one.measured - one.mean) / (one.s or 1.0) for one in golden.fitted]
+    return among(names, known, mine, "golden prints", "in their standard deviations").strip
 
 
 def _patches(colours: tuple[ColourRecord, ...], pictures: PrintPictures) -> tuple[Patch, ...]:
@@ -106,25 +124,25 @@ def _patches(colours: tuple[ColourRecord, ...], pictures: PrintPictures) -> tupl
     )
 
 
-def _maps(pictures: PrintPictures) -> tuple[tuple[str, str, str], ...]:
+def _maps(pictures: PrintPictures, spots: tuple[SpotRecord, ...]) -> tuple[tuple[str, str, str], ...]:
     """Pictures of the maps with caption and alternative text."""
     if pictures.local is None or pictures.total is None or pictures.lean_deg is None:
         return ()
-    size = pictures.size_mm
+    size, center = pictures.size_mm, pictures.center_mm
     return (
         (
-            print_figures.difference_map(pictures.local, pictures.deviating, size, "ΔE2000"),
-            "Against the rest of the region: ΔE2000 of the worst pose; cells that deviate are outlined",
+            print_figures.difference_map(pictures.local, pictures.deviating, size, center, spots),
+            "Against the rest of the region: ΔE2000 of the worst pose; outlined what deviates, numbers as in the table",
             "Map of colour differences of cells against the whole region",
         ),
         (
-            print_figures.difference_map(pictures.total, None, size, "ΔE2000"),
+            print_figures.difference_map(pictures.total, None, size, center),
             "Against the prediction: ΔE2000 of the worst pose",
             "Map of colour differences of cells against the prediction",
         ),
         (
-            print_figures.lean_map(pictures.lean_deg, size),
-            "How the flakes lean in every cell, against the whole region",
+            print_figures.lean_map(pictures.lean_deg, size, center),
+            "How the flakes lean, against the whole region; an arrow that reaches the next one: the end of the scale",
             "Map of the tilt of the flakes",
         ),
     )
@@ -132,9 +150,9 @@ def _maps(pictures: PrintPictures) -> tuple[tuple[str, str, str], ...]:
 
 def quantity_row(one: QuantityRecord) -> QuantityRow:
     """A quantity as people read it: relative deviations in per cent."""
-    share = one.name in SHARES
+    share = one.name in RELATIVE
     signed = share or one.name in ("ratio", "skew")
-    digits = {"chromaticity": 4, "ratio": 3, "skew": 3}.get(one.name, 2)
+    digits = {"chromaticity": 4, "ratio": 4, "skew": 4}.get(one.name, 2)
 
     def number(value: float) -> str:
         places = 3 if share else digits

@@ -10,12 +10,18 @@ def filters() -> Filters:
     """What the template calls by name: numbers with a true minus sign, chances, times."""
     return {
         "short": lambda value: f"{value:.4f}" if value >= 5e-5 else "< 0.0001",
-        "signed": lambda value, digits=3: f"{value:+.{digits}f}".replace("-", "−"),
+        "signed": signed,
         "number": lambda value, digits=3: f"{value:.{digits}g}".replace("-", "−"),
         "chance": lambda value: f"{value:.2g}" if value >= 1e-4 else "< 0.0001",
         "p_said": said,
         "when": when,
     }
+
+
+def signed(value: float, digits: int = 3) -> str:
+    """A number with its sign, a true minus; what rounds to nothing has none."""
+    told = f"{value:+.{digits}f}"
+    return told[1:] if float(told) == 0.0 else told.replace("-", "−")
 
 
 def labels_of(record: Record) -> list[str]:

@@ -2,6 +2,9 @@
 
 import pytest
 
+from anisoscope.errors import RecipeError
+from anisoscope.recipe import read_recipe
+
 
 @pytest.fixture
 def recipe(anisoscope, tmp_path):
@@ -28,10 +31,15 @@ def test_a_recipe_of_a_print_is_begun_and_checked(anisoscope, recipe):
     assert done.json["matrix_residual"] < 1.0
 
 
-def test_commands_for_surfaces_refuse_it(anisoscope, recipe):
+def test_commands_for_surfaces_refuse_it(recipe):
+    with pytest.raises(RecipeError, match="works with recipes of surfaces only"):
+        read_recipe(recipe)
+
+
+def test_it_has_no_golden_prints_yet(anisoscope, recipe):
     done = anisoscope("golden", "show", "--recipe", recipe)
-    assert done.code == 78
-    assert "works with recipes of surfaces only" in done.err.replace("\n", " ")
+    assert done.code == 64
+    assert "there are no golden parts of this recipe" in done.err
 
 
 def test_it_excludes_the_surface(anisoscope, tmp_path):

@@ -56,6 +56,27 @@ def test_a_curled_sheet_fails_and_is_named(sheet):
     assert (best.cause, best.extent) == ("curl", pytest.approx(1.67, abs=0.15))
 
 
+def test_a_sheet_curled_along_a_diagonal_is_named_with_its_size(sheet):
+    rows, cols = sheet.grid.shape
+    x, y = np.meshgrid((np.arange(cols) + 0.5) / cols - 0.5, 0.5 - (np.arange(rows) + 0.5) / rows)
+    way = np.array([0.6, 0.8])
+    for place in np.ndindex(rows, cols):
+        tilt_x, tilt_y = np.round(3.0 * way * (way @ (x[place], y[place])), 9)
+        sheet.states[place] = State(tilt_x_deg=float(tilt_x), tilt_y_deg=float(tilt_y))
+    measured, decision = sheet.decided()
+    assert by_name(decision)["curl"].value == pytest.approx(3.0, abs=0.05)
+    best = explained(sheet, measured, decision).findings[0]
+    assert (best.cause, best.extent) == ("curl", pytest.approx(3.0, abs=0.1))
+    assert best.low <= 3.0 <= best.high
+
+
+def test_a_sheet_that_stands_on_edge_leans(sheet):
+    measured, decision = sheet.all(State(tilt_x_deg=-5.4, tilt_y_deg=7.2)).decided()
+    assert by_name(decision)["tilt"].value == pytest.approx(9.0, abs=0.01)
+    best = explained(sheet, measured, decision).findings[0]
+    assert (best.cause, best.extent) == ("lean", pytest.approx(9.0, rel=0.01))
+
+
 def test_a_spot_fails_and_is_found(sheet):
     measured, decision = sheet.spotted(slice(3, 6), slice(10, 14), 0.5).decided()
     assert decision.verdict is Verdict.FAIL
@@ -109,6 +130,16 @@ def test_a_significant_deviation_warns_or_fails(good, sheet):
         assert decision.p_value < 1e-6
         assert decision.verdict is verdict
         assert ("significant" in " ".join(decision.reasons)) is True
+
+
+def test_the_uncertainty_of_a_share_is_that_of_the_share(sheet):
+    """Twice the level is known twice as badly as one: ln of it is known alike."""
+    _, good = sheet.decided()
+    _, twice = sheet.all(State(red=np.log(2.0), green=np.log(2.0), blue=np.log(2.0))).decided()
+    one, two = (by_name(decision)["gain"] for decision in (good, twice))
+    assert two.deviation == pytest.approx(1.0, abs=0.01)
+    assert two.u == pytest.approx(2.0 * one.u, rel=0.01)
+    assert two.u == pytest.approx(np.linalg.norm([u for _, _, u in two.contributions]))
 
 
 def test_contributions_add_up_to_the_uncertainty(sheet):

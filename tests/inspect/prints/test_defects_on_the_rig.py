@@ -37,7 +37,12 @@ def test_a_good_print_passes_and_its_folder_explains_itself(print_rig, capsys):
     assert (again.differences, again.notes) == ((), ())
     assert verify(done.folder).intact
     numbers = numbers_of(record)
-    assert numbers["print alpha x"] == quantity(record, "alpha x").value
+    alpha = quantity(record, "alpha x")
+    assert numbers["print alpha x"] == alpha.value
+    # all of it in units of the value: value − deviation is what the recipe predicts
+    assert alpha.value - numbers["deviation print alpha x"] == pytest.approx(alpha.nominal)
+    assert numbers["u print alpha x"] == pytest.approx(alpha.nominal * alpha.u)
+    assert numbers["tolerance print alpha x"] == pytest.approx(alpha.nominal * alpha.limit)
     assert numbers["p"] == record.p_value
     said = _as_json(done)
     assert said["print"]["quantities"][0]["name"] == "alpha x"

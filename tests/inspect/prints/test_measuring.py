@@ -47,6 +47,17 @@ def test_each_channel_is_the_mean_of_its_own_pixels(make_recipe, mosaic):
     assert cell == pytest.approx(0.01 / np.sqrt(np.array([25.0, 50.0, 25.0])), rel=0.1)
 
 
+def test_without_a_map_all_of_a_long_region_counts(make_recipe):
+    """Of a region twice as wide as high the outer half is twice as bright."""
+    off = np.abs(np.arange(SIZE) - (SIZE - 1) / 2.0)
+    picture = np.tile(np.where(off > 60.0, 2.0, 1.0), (SIZE, 1))
+    region = {"size_mm": [2.4, 1.2], "center_mm": [0.0, 0.2]}
+    found = measure_print([view(picture)], None, make_recipe(area=None, region=region), "rggb")
+    assert found.channels == pytest.approx(np.full((1, 3), 1.5), rel=0.01)
+    assert found.cells.shape == (1, 3, 1, 1)
+    assert found.cells[..., 0, 0] == pytest.approx(found.channels)
+
+
 def test_cells_lie_where_the_region_says(make_recipe):
     recipe = make_recipe(region={"center_mm": [0.2, -0.1]})
     rows, cols = np.indices((SIZE, SIZE))

@@ -87,6 +87,20 @@ def test_a_lean_moves_the_peak_by_its_angle():
         assert seen == pytest.approx(np.tile(lobe(tilts - lean) / lobe(tilts), (3, 1)).T, rel=1e-9)
 
 
+def test_many_leans_at_once_are_those_one_by_one():
+    good = replace(scene(alpha_y=0.25, brush_deg=20.0), lobe=0.2)
+    tilts = np.array([[0.0, 0.0], [1.5, -2.0], [-6.0, 4.0]])
+    alone = [good.channels(State(tilt_x_deg=x, tilt_y_deg=y)) for x, y in tilts]
+    assert good.leaning(tilts) == pytest.approx(np.array(alone), rel=1e-12)
+
+
+def test_a_lobe_that_has_ended_has_a_logarithm(recwarn):
+    solid = replace(scene(), coverage=1.0, substrate=0.0)
+    for lobe in (-2.0, 3.0):
+        assert np.all(np.isfinite(solid.log_channels(State(alpha=-3.0, lobe=lobe))))
+    assert not recwarn.list
+
+
 def test_brushing_is_seen_on_the_flank_of_the_lobe():
     """In the mirror direction nothing is seen of it; light and camera 10° apart see a little of it at tilt 0."""
     change = np.abs(scene().log_channels(State(ratio=0.14)) - scene().log_channels()).reshape(3, 3, 3)

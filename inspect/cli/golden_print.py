@@ -1,0 +1,93 @@
+"""``anisoscope golden`` of prints: the same words for another kind of set."""
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from anisoscope.cli.console import console, print_table
+
+if TYPE_CHECKING:
+    from anisoscope.golden import GoldenSet
+    from anisoscope.prints.golden import GoldenPrints
+    from anisoscope.prints.recipe import AnyRecipe
+    from anisoscope.record import Record
+
+    AnySet = GoldenSet | GoldenPrints
+
+
+def read_set(path: Path, recipe: "AnyRecipe") -> "AnySet | None":
+    """The golden parts or prints of a recipe; errors as for `read_golden` and `read_golden_prints`."""
+    from anisoscope.golden import read_golden
+    from anisoscope.prints.golden import read_golden_prints
+    from anisoscope.prints.recipe import PrintRecipe
+
+    return read_golden_prints(path, recipe) if isinstance(recipe, PrintRecipe) else read_golden(path, recipe)
+
+
+def with_one_more(known: "AnySet | None", recipe: "AnyRecipe", record: "Record") -> "AnySet":
+    """A set with one part or print more; errors as for `add_part` and `add_print`."""
+    from anisoscope.golden import GoldenSet, add_part
+    from anisoscope.prints.golden import GoldenPrints, add_print
+    from anisoscope.prints.recipe import PrintRecipe
+
+    if isinstance(recipe, PrintRecipe):
+        assert not isinstance(known, GoldenSet)
+        return add_print(known, recipe, record)
+    assert not isinstance(known, GoldenPrints)
+    return add_part(known, recipe, record)
+
+
+def without_one(known: "AnySet", serial: str) -> "AnySet":
+    """A set without a serial number; errors as for `without_part`."""
+    from anisoscope.golden import GoldenSet, without_part
+    from anisoscope.prints.golden import without_print
+
+    return without_part(known, serial) if isinstance(known, GoldenSet) else without_print(known, serial)
+
+
+def show_prints(known: "GoldenPrints", content: dict[str, Any], *, json_: bool) -> int:
+    """List golden prints: how bright each is from their mean, and how far it is off besides."""
+    import numpy as np
+
+    logs = known.logs()
+    off = (logs - logs.mean(axis=0)).reshape(len(logs), -1, 3)
+    level = off.mean(axis=1)
+    rest = np.sqrt(np.mean((off - level[:, None]) ** 2, axis=(1, 2)))
+    if json_:
+        mean = logs.mean(axis=0).reshape(-1, 3)
+        scatter = off.std(axis=0, ddof=1) if len(off) > 1 else None
+        content |= {"seen": known.seen.model_dump(), "poses": [list(pose) for pose in known.poses]}
+        content["parts"] = [part.model_dump() for part in known.parts]
+        content |= {"mean": mean.tolist(), "scatter": None if scatter is None else scatter.tolist()}
+        json.dump(content, sys.stdout, indent=2, allow_nan=False)
+        sys.stdout.write("\n")
+        return 0
+    rows = [
+        [part.serial, part.inspected_at, part.verdict, _share(part.area_share)]
+        + [f"{value:+.4f}" for value in brightness]
+        + [f"{more:.4f}"]
+        for part, brightness, more in zip(known.parts, level, rest, strict=True)
+    ]
+    if len(level) > 1:
+        scatter = level.std(axis=0, ddof=1)
+        rows.append(["scatter", "", "", "", *(f"{value:.4f}" for value in scatter), ""])
+    print_table(
+        f"golden prints: {known.product}",
+        ["print", "inspected", "verdict", "area", "ln red", "ln green", "ln blue", "besides, rms"],
+        rows,
+        known.lacking,
+    )
+    seen = known.seen
+    console().print(
+        f"ln of the channels from the mean of these prints, over all {len(known.poses)} poses; seen: ink {seen.ink}, "
+        f"lamp {seen.lamp}, camera {seen.sensitivities} ({seen.filters})",
+        markup=False,
+        highlight=False,
+        soft_wrap=True,
+    )
+    return 0
+
+
+def _share(share: float | None) -> str:
+    return "–" if share is None else f"{share:.2%}"
