@@ -31,7 +31,7 @@ TILE_UM = DOT_UM * DOTS
 DRAWS = 12
 TILT_DEG = 3.0
 OVER_ETCH_NM = 20.0
-WIDTH_BIAS_NM = 250.0
+WIDTH_BIAS_NM = 320.0
 LIGHT = {
     "wavelength_nm": WAVELENGTH_NM,
     "bandwidth_nm": 10.0,
