@@ -10,8 +10,9 @@ from anisoscope.errors import HeightMapError, RecipeError
 from anisoscope.expectation import expectation
 from anisoscope.keptprediction import _unpacked, packed
 from anisoscope.prediction.predicting import predict_design
+from anisoscope.prediction.sensitivity import Shape
 from anisoscope.prediction.withoptics import Rig, Wanted, predict_with_optics
-from anisoscope.sim.light.geometry import Convention
+from anisoscope.sim.light.geometry import Convention, directions
 from anisoscope.sim.light.wave.choice import NUMERICAL_ERROR
 
 NARROW = {
@@ -21,9 +22,9 @@ NARROW = {
 SMOOTH = {"alpha_along": 0.04, "alpha_across": 0.04}
 
 
-def narrow(make_recipe, optics="auto", **change):
+def narrow(make_recipe, optics="auto", angle_deg=4.0, **change):
     """Ridges of 12 µm of a smooth plastic, where rays are off by a tenth."""
-    surface = {**NARROW["surface"], "optics": optics}
+    surface = {**NARROW["surface"], "optics": optics, "design": {"ridge_angle_deg": angle_deg}}
     poses = {"angles_deg": [0.0, 90.0]}
     return make_recipe(surface=surface, material=SMOOTH, region=NARROW["region"], poses=poses, **change)
 
@@ -69,6 +70,18 @@ def test_narrow_ridges_are_predicted_by_waves_as_predict_does_it(make_recipe, wa
     (numerical,) = (c for c in found.components if c.source == "numerical error of the wave model")
     assert numerical.relative == pytest.approx(NUMERICAL_ERROR)
     assert not numerical.shared
+
+
+def test_sensitivities_turn_the_ridges_of_a_design_by_rays_and_by_waves(make_recipe):
+    """What predicts another ridge angle is the predictor of a recipe with that angle."""
+    for optics, name in (("geometric", "corrected"), ("wave", "wave")):
+        recipe, turned = (narrow(make_recipe, optics, angle_deg) for angle_deg in (4.0, 4.2))
+        seen, material = directions(recipe.poses.poses(), Convention(10.0)), recipe.material.material()
+        made, other = (models.models_of(one, one.poses.poses(), Convention(10.0)) for one in (recipe, turned))
+        assert made.name == name
+        found = made.sampled(Shape(4.2))(*seen, material)
+        np.testing.assert_array_equal(found, other.model(*seen, material))
+        assert np.abs(np.log(found / made.model(*seen, material))).max() > 0.01
 
 
 def test_rays_that_are_asked_for_against_the_choice_carry_what_they_neglect(make_recipe, waves):

@@ -17,14 +17,14 @@ from anisoscope.profiles.defects_contact import edge_wear
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
 from anisoscope.registration.placement import Grid
 from anisoscope.report.detection_page import tables_of, write_detection_page
-from anisoscope.report.detection_text import BEGIN, END, numbers_of, with_results, write_results
+from anisoscope.report.detection_text import BEGIN, END, INTERVALS, numbers_of, with_results, write_results
 from anisoscope.sim.bench.sensor import Sensor
 from anisoscope.sim.light.geometry import Convention, directions, seating_rotation
 from anisoscope.sim.light.ggx import lobe_maps
 from anisoscope.sim.light.material import Material, transmittance
 from anisoscope.sim.light.relief import Relief, radiance_maps
 from anisoscope.sim.light.shine import shine_in
-from anisoscope.study import detection_sheets
+from anisoscope.study import detection_diagnosis, detection_sheets
 from anisoscope.study.detection import Plan, collect, told_study
 from anisoscope.study.detection_chunk import MEASURED_SOURCES, ChunkTask, inspect_chunk, read_chunk
 from anisoscope.study.detection_diagnosis import true_extents
@@ -340,10 +340,10 @@ def test_golden_parts_keep_the_level_on_average(rng):
 
 def test_what_limits_a_shift_adds_up_to_all(rng):
     seen, bench, _ = columns(50, rng)
-    sigmas, sources = limits(bench.components[0].relative * 4.0, seen, bench)
+    sigmas, sources = limits(bench.stated.components[0].relative * 4.0, seen, bench)
     assert sum(share for _, share in sources) == pytest.approx(1.0)
     assert 0.0 < sigmas < 4.0
-    assert sources[0][0] == bench.components[0].source
+    assert sources[0][0] == bench.stated.components[0].source
 
 
 def test_the_area_is_weighed_by_what_good_parts_show(rng):
@@ -401,6 +401,7 @@ def studied():
         return plan, json.loads((shared / "told.json").read_text(encoding="utf-8"))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(detection_sheets, "_PATHS", 256)
+        patch.setattr(detection_diagnosis, "FITTED", 3)  # a second each
         told = told_study(plan, Workers(1))
     (shared / "told.json").write_text(json.dumps(told), encoding="utf-8")
     (shared / "made").touch()
@@ -423,6 +424,13 @@ def test_the_numbers_of_a_study_fit_together(studied):
             for one in found["classes"]:
                 assert one["parts"] == 4
                 assert 0.0 <= one["scores"]["shipped"]["auc"] <= 1.0
+                # the predictor's own world is known so well, and of the causes one was looked for
+                tried = world == "same" and one["name"] == "roughness"
+                assert (one["intervals"] is not None) == tried
+                if tried:
+                    rates = [one["intervals"][key] for key in INTERVALS]
+                    assert [rate["of"] for rate in rates] == [4, 4]
+                    assert len(one["intervals"]["doubts"]) == 2
                 false, detected = one["roc"]["shipped+area"]
                 assert (np.diff(false) >= 0).all()
                 assert (np.diff(detected) >= -1e-12).all()
@@ -452,6 +460,8 @@ def test_a_page_shows_both_worlds_side_by_side(studied, tmp_path):
     text = (tmp_path / "d.html").read_text(encoding="utf-8")
     for wanted in ("same, standard", "other, tilted", "missing ridges, 1 in 25", "P values of good parts"):
         assert wanted in text
+    for wanted in INTERVALS.values():
+        assert f"extent of roughness across the ridges +20 %, {wanted}" in text
     assert {len(row) for table in tables_of(told) for row in table.rows} <= set(range(3, 14))
     for table in tables_of(told):
         assert all(len(row) == len(table.columns) for row in table.rows)
@@ -468,6 +478,8 @@ def test_the_page_of_the_documents_is_written_from_the_numbers(studied, tmp_path
     assert text.endswith("after\n")
     assert "written before" not in text
     assert "same, standard" in text
+    for wanted in INTERVALS.values():
+        assert f"| … {wanted} | " in text
     assert json.loads(json.dumps(numbers_of(told))) == kept
     with pytest.raises(UsageError, match="one line"):
         with_results("no marks", kept)
