@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.area import AreaResult, judge_area
+from anisoscope.betweentilts import deviating as deviating_between_tilts
 from anisoscope.expectation import Component, Expectation
 from anisoscope.golden import GoldenSet
 from anisoscope.localisation import Region, deviation_map, find_regions
@@ -169,7 +170,8 @@ def decide(
     )
     regions = _regions(expected, measured, recipe)
     number = 0 if golden is None else len(golden.parts)
-    verdict, reasons = _combine(pairs, p_value, area, rule, number)
+    where = _where(pairs, rule.alpha) or deviating_between_tilts(expected, measured, rule.alpha)
+    verdict, reasons = _combine(pairs, p_value, area, rule, number, where)
     tolerances = recipe.tolerances()
     conformance = (
         None if tolerances is None else joint_conformance(deviation, covariance, np.array(tolerances))
@@ -262,8 +264,12 @@ def _combine(
     area: AreaResult | None,
     rule: DecisionPart,
     golden: int,
+    where: tuple[str, ...],
 ) -> tuple[Verdict, tuple[str, ...]]:
-    """Precedence FAIL > INCONCLUSIVE > PASS over all criteria, with a line for each that speaks."""
+    """Precedence FAIL > INCONCLUSIVE > PASS over all criteria, with a line for each that speaks.
+
+    ``where`` names the contrasts that deviate by themselves.
+    """
     findings = [(pair.verdict, _of_tolerance(pair, rule)) for pair in pairs if pair.tolerance is not None]
     if area is not None:
         line = (
@@ -277,7 +283,7 @@ def _combine(
     shared = ", shared with the area" if len(tests) > 1 else ""
     line = f"all contrasts together: p {said(p_value)} for a part {alike} (level {rule.alpha:g}{shared})"
     if significant:
-        line += f", a significant deviation{_where(pairs, rule.alpha)}"
+        line += f", a significant deviation of {', '.join(where) or 'several together, of none by itself'}"
     findings.append((Verdict.FAIL if fails else Verdict.PASS, line))
     order = [Verdict.FAIL, Verdict.INCONCLUSIVE, Verdict.PASS]
     findings.sort(key=lambda finding: order.index(finding[0]))
@@ -301,7 +307,6 @@ def _of_tolerance(pair: PairResult, rule: DecisionPart) -> str:
     return f"{where} deviates by {pair.deviation:+.3f} (tolerance ±{pair.tolerance:g}, guard band {pair.guard:.3f})"
 
 
-def _where(pairs: tuple[PairResult, ...], alpha: float) -> str:
+def _where(pairs: tuple[PairResult, ...], alpha: float) -> tuple[str, ...]:
     """The pairs that deviate by themselves, at one level for all (Holm)."""
-    named = [f"{p.from_deg:g}°/{p.to_deg:g}° at tilt {p.tilt_deg:g}°" for p in pairs if p.p_value < alpha]
-    return f" of {', '.join(named)}" if named else " of several together, of none by itself"
+    return tuple(f"{p.from_deg:g}°/{p.to_deg:g}° at tilt {p.tilt_deg:g}°" for p in pairs if p.p_value < alpha)
