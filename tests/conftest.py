@@ -1,14 +1,27 @@
 """What could not be run is said at the end; with ANISOSCOPE_REQUIRE_ALL=1 it fails."""
 
+import importlib.util
 import os
 import shutil
 import signal
+import sys
 import tempfile
+from pathlib import Path
 
 import pytest
 
 REQUIRE_ALL = os.environ.get("ANISOSCOPE_REQUIRE_ALL") == "1"
+SIDE_BY_SIDE = "PYTEST_XDIST_WORKER" in os.environ
+# there are as many workers as cores: threads that wait for each other's shares would only take time from them
+if SIDE_BY_SIDE:
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
+        os.environ.setdefault(name, "1")
 
+SPEC = importlib.util.spec_from_file_location("sidebyside", Path(__file__).with_name("sidebyside.py"))
+
+# What takes a minute to make and serves many tests. Each begins the share of another worker, with the tests that need
+# it behind it, so that none waits for it while another one makes it.
+LONG = ("studied", "demo")
 
 CACHE = "ANISOSCOPE_CACHE"
 OWN_CACHE = pytest.StashKey[str]()
@@ -27,6 +40,37 @@ def pytest_unconfigure(config):
     if OWN_CACHE in config.stash:
         os.environ.pop(CACHE, None)
         shutil.rmtree(config.stash[OWN_CACHE], ignore_errors=True)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(config, items):
+    """Put the tests with the longest preparations first in the shares that `--dist worksteal` deals out."""
+    if not hasattr(config, "workerinput"):
+        return
+    workers = config.workerinput["workercount"]
+    groups = [[item for item in items if name in item.fixturenames] for name in LONG]
+    chosen = {id(item) for group in groups for item in group}
+    others = [item for item in items if id(item) not in chosen]
+    groups += [[]] * max(workers - len(groups), 0)
+    dealt, left = [], len(items)
+    for number, group in enumerate(groups):
+        share = left // (workers - number) if number < workers else 0
+        rest = max(share - len(group), 0)
+        dealt += [*group, *others[:rest]]
+        del others[:rest]
+        left -= share
+    items[:] = dealt + others
+
+
+def pytest_collection_finish(session):
+    """What the collected tests imported is set up for workers side by side."""
+    if SIDE_BY_SIDE and "numba" in sys.modules:
+        import numba
+
+        numba.set_num_threads(1)  # tests of threads take more
+        sidebyside = importlib.util.module_from_spec(SPEC)
+        SPEC.loader.exec_module(sidebyside)
+        sidebyside.share()
 
 
 @pytest.hookimpl(wrapper=True)

@@ -33,6 +33,7 @@ SPEC = importlib.util.spec_from_file_location("forkserver", Path(__file__).with_
 FORKSERVER = importlib.util.module_from_spec(SPEC)
 SPEC.loader.exec_module(FORKSERVER)
 ForkServer = FORKSERVER.ForkServer
+ONE_THREAD = FORKSERVER.ONE_THREAD
 LOBE = {"alpha_along": 0.06, "alpha_across": 0.10, "albedo": 0.2, "index": 1.5}
 EXPOSURE_S = 0.0015
 QUICK = {}
@@ -259,14 +260,15 @@ def anisoscope_afresh():
 
     def run(*arguments, cwd=None, timeout=400):
         command = [sys.executable, "-Im", "anisoscope", *map(str, arguments)]
-        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=timeout, cwd=cwd)
+        how = {"capture_output": True, "text": True, "env": os.environ | ONE_THREAD}
+        done = subprocess.run(command, check=False, timeout=timeout, cwd=cwd, **how)
         return Done(done.returncode, done.stdout, done.stderr)
 
     return run
 
 
 @pytest.fixture(scope="session")
-def demo(anisoscope_afresh):
+def demo(anisoscope):
     """A finished demo, made by one worker for all of them: folder, and what the command said."""
     shared = Path(os.environ["ANISOSCOPE_CACHE"]) / "demo"
     try:
@@ -277,7 +279,7 @@ def demo(anisoscope_afresh):
             assert time.monotonic() < deadline, "the worker that makes the demo has failed"
             time.sleep(0.2)
     else:
-        done = anisoscope_afresh("demo", "--out", shared / "demo", "--seed", 5, "--json")
+        done = anisoscope("demo", "--out", shared / "demo", "--seed", 5, "--json", timeout=550)
         assert done.code == 0, done.err
         (shared / "said.json").write_text(done.out)
         (shared / "made").touch()

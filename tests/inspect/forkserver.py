@@ -1,13 +1,16 @@
 """Runs the real command line in a process of its own without importing everything each time.
 
-A server imports the package once and then forks; every child runs ``anisoscope`` from its entry point to the end of
-the interpreter, in the folder and with the environment of the one who asks. What a command does at its very start
-(imports, variables that libraries read when they are imported) is not what is seen here.
+A server imports the package once and then forks; every child runs ``anisoscope`` from its entry point to what is to
+be done at exit, in the folder and with the environment of the one who asks. What a command does at its very start
+(imports, variables that libraries read when they are imported) is not what is seen here; nor is how the interpreter
+takes all its modules apart at the very end, which takes longer than most commands.
 """
 
+import atexit
 import contextlib
 import gc
 import importlib
+import importlib.util
 import json
 import os
 import select
@@ -15,6 +18,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 from pathlib import Path
 
 # What the commands import when they run: half a second to two seconds of each of them.
@@ -42,6 +46,9 @@ HEAVY = (
     "anisoscope.sim.bench.serialports.protocol_sim",
 )
 CLI = "anisoscope.cli"
+# threads and forks do not mix; and there are as many test workers as cores
+ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+SIDE_BY_SIDE = Path(__file__).parents[1] / "sidebyside.py"
 
 
 def serve() -> None:
@@ -51,6 +58,11 @@ def serve() -> None:
     folder = Path(importlib.import_module(CLI).__file__).parent
     for name in (*HEAVY, *(f"{CLI}.{path.stem}" for path in sorted(folder.glob("[a-z]*.py")))):
         importlib.import_module(name)
+    if "PYTEST_XDIST_TESTRUNUID" in os.environ:
+        spec = importlib.util.spec_from_file_location("sidebyside", SIDE_BY_SIDE)
+        sidebyside = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(sidebyside)
+        sidebyside.share()
     gc.collect()
     gc.freeze()  # nothing of this is looked at again, least of all at every child's end
     for line in sys.stdin:
@@ -58,7 +70,7 @@ def serve() -> None:
         child = os.fork()
         if child == 0:
             _become(order)
-            main()
+            _end(_code_of(main))
         os.write(1, b"%d\n" % child)
         os.write(1, b"%d\n" % os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
 
@@ -74,17 +86,40 @@ def _become(order: dict) -> None:
     how = {"encoding": "utf-8", "closefd": False, "buffering": 1, "errors": "backslashreplace"}
     sys.stderr = open(2, "w", **how)  # noqa: SIM115
     os.environ.clear()
-    os.environ.update(order["environment"])
+    os.environ.update(order["environment"] | ONE_THREAD)
     os.chdir(order["folder"])
     sys.argv = ["anisoscope", *order["arguments"]]
+
+
+def _code_of(main) -> int:
+    """Run a program; its exit code as the interpreter would give it."""
+    try:
+        main()
+    except SystemExit as end:
+        if isinstance(end.code, str):
+            sys.stderr.write(f"{end.code}\n")
+            return 1
+        return end.code or 0
+    except BaseException:  # noqa: BLE001 - whatever it is, it ends the program
+        sys.excepthook(*sys.exc_info())
+        return 1
+    return 0
+
+
+def _end(code: int) -> None:
+    """End as a program ends: threads are waited for, what is to be done at exit is done, all is written out."""
+    threading._shutdown()
+    atexit._run_exitfuncs()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code & 0xFF)
 
 
 class ForkServer:
     """The one who asks; start it once for many commands."""
 
     def __init__(self) -> None:
-        # threads and forks do not mix
-        environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+        environment = os.environ | ONE_THREAD
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
         command = [sys.executable, "-I", __file__]
         self._process = subprocess.Popen(command, env=environment, bufsize=0, **pipes)
@@ -115,7 +150,7 @@ class ForkServer:
     def close(self) -> None:
         """End the server."""
         self._process.stdin.close()
-        self._process.wait(10)
+        self._process.wait(60)
         self._process.stdout.close()
 
 

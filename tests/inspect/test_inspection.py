@@ -86,7 +86,7 @@ def test_a_good_part_passes_and_the_frames_on_disk_prove_it(virtual_rig, referen
         assert again == pytest.approx(pose.measured, rel=1e-6)
 
 
-def test_contrasts_of_the_record_follow_from_its_poses(virtual_rig):
+def test_contrasts_of_the_record_follow_from_its_poses(virtual_rig, plain_report):
     for kind, tolerance in (("log_ratio", 0.25), ("michelson", 0.1), ("difference", 0.04)):
         record = (
             virtual_rig(kind, recipe={"decision": {"contrast": kind, "tolerance": tolerance}})
@@ -105,7 +105,7 @@ def test_contrasts_of_the_record_follow_from_its_poses(virtual_rig):
         assert record.d2 < 20
 
 
-def test_the_same_files_give_the_same_numbers(virtual_rig):
+def test_the_same_files_give_the_same_numbers(virtual_rig, plain_report):
     first, second = (virtual_rig(name).inspect().record for name in ("one", "two"))
     assert same_record(first) == same_record(second)
     assert [f.sha256 for f in first.frames] != [f.sha256 for f in second.frames]  # they hold the time
@@ -162,7 +162,7 @@ def test_an_unfit_measurement_is_invalid_and_says_why(virtual_rig, case):
 @pytest.mark.parametrize("turns", ["ccw", "cw"])
 @pytest.mark.parametrize("backlash", [0.0, 1.0])
 def test_neither_the_sense_of_the_stage_nor_backlash_matters_where_the_rig_file_is_right(
-    virtual_rig, turns, backlash
+    virtual_rig, plain_report, turns, backlash
 ):
     stage = {"turns": turns, "zero_deg": 10.0 if turns == "ccw" else 200.0}
     rig = virtual_rig(rig={"stage": stage}, bench={"stage": {**stage, "backlash_deg": backlash}})
@@ -179,9 +179,12 @@ def lying(azimuth_deg):
     return HeightMap(RidgeDesign(100.0, 10.0).profile(along + 600.0), 2.0, 2.0)
 
 
-@pytest.mark.parametrize("azimuth", [0, 90, 180, 270])
+@pytest.mark.parametrize(
+    "azimuth",  # two of them, and what is said wrongly, are all that can be said
+    [pytest.param(0, marks=pytest.mark.soak), 90, 180, pytest.param(270, marks=pytest.mark.soak)],
+)
 def test_a_part_that_lies_turned_in_the_fixture_passes_where_the_recipe_says_so(
-    virtual_rig, tmp_path, azimuth
+    virtual_rig, plain_report, tmp_path, azimuth
 ):
     write_height_map(lying(azimuth), tmp_path / "part.x3p")
     lobe = {"alpha_along": 0.08, "alpha_across": 0.08}  # a map's roughness is counted along its own axes
@@ -198,7 +201,9 @@ def test_a_part_that_lies_turned_in_the_fixture_passes_where_the_recipe_says_so(
     assert verdicts == {"right": "PASS", "wrong": "INVALID", "opposite": "FAIL"}
 
 
-def test_the_height_map_of_the_part_itself_is_a_match_whichever_way_it_leans(virtual_rig, tmp_path):
+def test_the_height_map_of_the_part_itself_is_a_match_whichever_way_it_leans(
+    virtual_rig, plain_report, tmp_path
+):
     write_height_map(lying(180), tmp_path / "part.x3p")
     sample = {"kind": "height-map", "file": str(tmp_path / "part.x3p")}
     rig = virtual_rig(recipe=from_map(tmp_path / "part.x3p"), bench={"sample": sample})
@@ -357,7 +362,9 @@ def test_no_process_outlives_a_failed_inspection(virtual_rig, reference_map, mon
 
 
 @pytest.mark.parametrize("tilt", [-15.0, 15.0])
-def test_a_tilted_arm_sees_the_part_foreshortened_and_judges_it_all_the_same(virtual_rig, tmp_path, tilt):
+def test_a_tilted_arm_sees_the_part_foreshortened_and_judges_it_all_the_same(
+    virtual_rig, plain_report, tmp_path, tilt
+):
     geometry = {"tilt_deg": tilt}
     tile = virtual_rig(
         "tile", rig={"geometry": geometry}, bench={"geometry": geometry, "sample": {"kind": "white-tile"}}
@@ -398,7 +405,7 @@ TILTS = {
 }
 
 
-def test_a_recipe_with_several_tilts_on_a_second_axis_of_the_same_cable(virtual_rig, tmp_path):
+def test_a_recipe_with_several_tilts_on_a_second_axis_of_the_same_cable(virtual_rig, plain_report, tmp_path):
     tile = virtual_rig("tile", rig={"tilt": TILT}, bench={**TILTED_BENCH, "sample": {"kind": "white-tile"}})
     take_flat(tile.rig, tmp_path / "flat.tif", exposure_s=0.0015, frames=4)
     rig = {"tilt": TILT, "calibration": {"flat": str(tmp_path / "flat.tif")}}
@@ -414,7 +421,7 @@ def test_a_recipe_with_several_tilts_on_a_second_axis_of_the_same_cable(virtual_
     assert ", " in record.stage
 
 
-def test_a_tilt_set_by_hand(virtual_rig, monkeypatch):
+def test_a_tilt_set_by_hand(virtual_rig, plain_report, monkeypatch):
     rig = virtual_rig(recipe=TILTS, rig={"tilt": {"driver": "manual"}})
     asked = []
 

@@ -137,7 +137,9 @@ def nursery(path: Path, recipe: Path):
         recipe: a recipe like the one that will be used.
     """
     environment = os.environ | {"PYTHONPATH": str(path), "TERM": "xterm", "COLUMNS": "200"}
-    environment["OPENBLAS_NUM_THREADS"] = "1"  # threads and forks do not mix
+    environment |= dict.fromkeys(
+        ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
+    )  # they are forked
     with subprocess.Popen(
         [sys.executable, "-c", NURSERY, str(recipe)],
         stdin=subprocess.PIPE,

@@ -5,16 +5,26 @@ import shutil
 import numpy as np
 import pytest
 
+from anisoscope.cli.demo_ridges import lay_out
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.progress import silent
+
+
+@pytest.fixture(scope="module")
+def laid_out(tmp_path_factory):
+    """The demo's files before anything is inspected."""
+    return lay_out(tmp_path_factory.mktemp("demo"), 5, silent)
 
 
 @pytest.fixture
-def job(demo_folder, tmp_path):
-    """A copy of the demo's files, to be spoiled."""
+def job(laid_out, tmp_path):
+    """A copy of the demo's files, to be spoiled; a picture is as few frames as can be."""
     for name in ("recipe.toml", "reference.x3p", "flat.tif"):
-        shutil.copy(demo_folder / name, tmp_path)
-    shutil.copytree(demo_folder / "bench", tmp_path / "bench")
+        shutil.copy(laid_out / name, tmp_path)
+    shutil.copytree(laid_out / "bench", tmp_path / "bench")
+    frames = "frames_per_pose = {}\ndark_frames = {}"
+    edit(tmp_path / "recipe.toml", frames.format(4, 8), frames.format(2, 2))
     return tmp_path
 
 

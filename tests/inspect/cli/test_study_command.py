@@ -6,7 +6,7 @@ import pytest
 def test_convergence_with_page_and_picture(anisoscope, tmp_path):
     page, picture = tmp_path / "c.html", tmp_path / "c.svg"
     done = anisoscope(
-        "study", "convergence", "--defects", "height-loss,edge-rounding", "--quality", "quick", "--severities", 4,
+        "study", "convergence", "--defects", "height-loss,edge-rounding", "--quality", "quick", "--severities", 3,
         "--html", page, "--plot", picture, "--json",
     )  # fmt: skip
     assert done.code == 0, done.err

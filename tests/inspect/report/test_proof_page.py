@@ -21,6 +21,7 @@ from anisoscope.sim.proof.render import Extras, adaptation, direction, proof_pic
 from anisoscope.sim.proof.scene import Scene, printed, surface
 
 SECOND = (-15.0, 35.0)
+SMALL = (560, 620)  # a window with a quarter of the pixels to be drawn, here by the processor
 EXPOSURE = 2.0
 START = {
     "shape": "sphere", "print": "halftone", "dots": "eye", "zoom": 1, "yaw": 0, "pitch": 0, "illuminant": 0,
@@ -182,7 +183,7 @@ CHANGES = [
 
 @pytest.mark.browser
 def test_every_control_changes_what_is_seen(page, proof):
-    ready(page, proof[0].as_uri())
+    ready(page, proof[0].as_uri(), *SMALL)
     for key, value, first in CHANGES:
         page.evaluate("document.getElementById('reset').click()")
         for name, given in first.items():
@@ -202,7 +203,7 @@ def test_every_control_changes_what_is_seen(page, proof):
 
 @pytest.mark.browser
 def test_mouse_touch_and_keys_turn_the_print_and_move_the_light(page, proof):
-    ready(page, proof[0].as_uri())
+    ready(page, proof[0].as_uri(), *SMALL)
     x, y = page.evaluate(
         "(r => [r.x + r.width / 2, r.y + r.height / 2])(document.getElementById('proof').getBoundingClientRect())"
     )

@@ -96,13 +96,13 @@ def damage(made, tmp_path, heights, places, flips, seed=1):
 
 @pytest.mark.usefixtures("little_memory")
 def test_own_readers_survive(made_own, tmp_path, heights, capfd):
-    damage(made_own, tmp_path, heights, places=50, flips=200)
+    damage(made_own, tmp_path, heights, places=20, flips=40)
     assert capfd.readouterr() == ("", "")
 
 
 @pytest.mark.usefixtures("little_memory")
 def test_library_formats_survive(made_library, tmp_path, heights, capfd):
-    damage(made_library, tmp_path, heights, places=50, flips=200)
+    damage(made_library, tmp_path, heights, places=20, flips=40)
     assert capfd.readouterr() == ("", "")
 
 

@@ -30,7 +30,12 @@ def real(name):
 
 @pytest.mark.parametrize(
     ("pitch", "angle", "direction", "missing"),
-    [(50.0, 5.0, 30.0, 0.02), (100.0, 10.0, 0.0, 0.15), (150.0, 20.0, -70.0, 0.05), (100.3, 5.0, 3.0, 0.02)],
+    [
+        (50.0, 5.0, 30.0, 0.02),
+        pytest.param(100.0, 10.0, 0.0, 0.15, marks=pytest.mark.soak),
+        (150.0, 20.0, -70.0, 0.05),
+        pytest.param(100.3, 5.0, 3.0, 0.02, marks=pytest.mark.soak),
+    ],
 )
 def test_goals_on_spoiled_surfaces(pitch, angle, direction, missing):
     truth = Truth(pitch=pitch, angle=angle, direction=direction, missing=missing)
@@ -71,7 +76,15 @@ def test_direction_and_lean_of_clean_ridges(direction, lean):
     assert found.ridge_angle_deg.value == pytest.approx(truth.ridge_angle(), abs=0.005)
 
 
-@pytest.mark.parametrize(("angle", "wall"), [(10.0, None), (20.0, None), (20.0, 55.0), (15.0, 80.0)])
+@pytest.mark.parametrize(
+    ("angle", "wall"),
+    [
+        (10.0, None),
+        pytest.param(20.0, None, marks=pytest.mark.soak),
+        (20.0, 55.0),
+        pytest.param(15.0, 80.0, marks=pytest.mark.soak),
+    ],
+)
 def test_wall_angle_where_the_wall_is_resolved(angle, wall):
     truth = Truth(angle=angle, wall=wall, direction=3.0)
     found = measure_ridges(truth.surface(4))

@@ -44,16 +44,36 @@ def read_cases():
 
 
 CASES = read_cases()
+LINES = ("sim", "pty", "tcp")
 
 
 def pytest_generate_tests(metafunc):
-    """``case`` runs a test for every protocol, ``case`` with ``fault`` for every fault of every protocol."""
-    if "fault" in metafunc.fixturenames and "case" in metafunc.fixturenames:
-        pairs = [(case, fault) for case in CASES.values() for fault in case.faults]
-        ids = [f"{case.protocol}-{fault}" for case, fault in pairs]
+    """``case`` runs a test for every protocol, ``case`` with ``fault`` for every fault of every protocol.
+
+    Where such a test is served as well, every fault comes over ``sim`` and one of the two real lines, every line has
+    faults of every protocol, and ``make soak`` does the rest: nearly all of it is waiting.
+    """
+    asked = {"case", "fault", "served"} & set(metafunc.fixturenames)
+    pairs = [(case, fault) for case in CASES.values() for fault in case.faults]
+    ids = [f"{case.protocol}-{fault}" for case, fault in pairs]
+    if asked == {"case", "fault", "served"}:
+        metafunc.parametrize(
+            ("case", "fault", "served"),
+            [
+                pytest.param(*pair, line, id=f"{name}-{line}", marks=[pytest.mark.soak] if later else [])
+                for number, (name, pair) in enumerate(zip(ids, pairs, strict=True))
+                for line in LINES
+                for later in [line == LINES[1 + number % 2]]
+            ],
+            indirect=["served"],
+        )
+        return
+    if {"case", "fault"} <= asked:
         metafunc.parametrize(("case", "fault"), pairs, ids=ids)
-    elif "case" in metafunc.fixturenames:
+    elif "case" in asked:
         metafunc.parametrize("case", CASES.values(), ids=CASES)
+    if "served" in asked:
+        metafunc.parametrize("served", LINES, indirect=True)
 
 
 @pytest.fixture
@@ -73,7 +93,7 @@ def in_process(monkeypatch):
     return serve
 
 
-@pytest.fixture(params=["sim", "pty", "tcp"])
+@pytest.fixture
 def served(request, in_process):
     """The same over every line; gives (function that starts to serve and returns the port)."""
     with contextlib.ExitStack() as servers:

@@ -93,8 +93,8 @@ def run(case, examples):
     )
 
 
-def test_three_hundred_sequences(case):
-    run(case, 300)
+def test_eighty_sequences(case):
+    run(case, 80)
 
 
 @pytest.mark.soak
