@@ -129,7 +129,11 @@ def test_words(make_report_record):
     assert contrast_name(0.0, 90.0, -10.0) == "0° / 90°, tilt −10°"
     told = filters()
     assert (told["short"](4e-5), told["short"](0.00123)) == ("< 0.0001", "0.0012")
-    assert (told["signed"](-0.0004, 2), told["signed"](0.004, 2), told["signed"](0.005)) == ("0.00", "0.00", "+0.005")
+    assert (told["signed"](-0.0004, 2), told["signed"](0.004, 2), told["signed"](0.005)) == (
+        "0.00",
+        "0.00",
+        "+0.005",
+    )
     assert (told["signed"](-0.5), told["chance"](3e-5), told["number"](-1234.5)) == (
         "−0.500",
         "< 0.0001",
