@@ -1,5 +1,9 @@
 """``anisoscope ink halftone``, ``compare`` and ``proof`` as a user calls them."""
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import PIL.Image
 import pytest
@@ -90,3 +94,18 @@ def test_a_film_does_not_replace_the_image(anisoscope, image, tmp_path):
     assert done.code == 64
     assert "is an input" in done.err
     assert mine.read_bytes() == image.read_bytes()
+
+
+def test_compilation_is_announced_once_and_not_when_kernels_are_on_disk(image, tmp_path):
+    """A fresh cache: the first process compiles and says so in one line, the second says nothing."""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
+    # of all commands with kernels the one with the smallest
+    command = [sys.executable, "-m", "anisoscope", "ink", "halftone", image, "--out", tmp_path / "dots.png"]
+    command += ["--overwrite", "--json"]
+    first, second = (
+        subprocess.run(command, capture_output=True, text=True, check=True, env=environment) for _ in range(2)
+    )
+    assert first.stderr.count("\n") == 1
+    assert "compiling kernels" in first.stderr
+    assert second.stderr == ""
+    assert first.stdout == second.stdout

@@ -1,9 +1,6 @@
 """How light travels, as options of predict: reflections, sizes of lamp and lens, facets, roughness of the plastic."""
 
 import json
-import os
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -88,16 +85,3 @@ def test_wrong_options_are_one_line(capsys, arguments, message):
     error = capsys.readouterr().err
     assert message in error
     assert error.count("\n") == 1
-
-
-def test_compilation_is_announced_once_and_not_when_kernels_are_on_disk(tmp_path, rough_map):
-    """A fresh cache: the first process compiles and says so in one line, the second says nothing."""
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
-    command = [sys.executable, "-m", "anisoscope", "predict", rough_map, "--no-uncertainty", "--json"]
-    first, second = (
-        subprocess.run(command, capture_output=True, text=True, check=True, env=environment) for _ in range(2)
-    )
-    assert first.stderr.count("\n") == 1
-    assert "compiling kernels" in first.stderr
-    assert second.stderr == ""
-    assert first.stdout == second.stdout
