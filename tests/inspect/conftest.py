@@ -166,6 +166,22 @@ def virtual_rig(tmp_path, flat) -> Callable[..., VirtualRig]:
     return lay_out
 
 
+@pytest.fixture(scope="session")
+def small_wafer_rig() -> Callable[[dict], dict]:
+    """``small_wafer_rig(table)``: a rig or bench file of the demo's wafers with 512 × 512 pixels of 8 µm."""
+
+    def small(table):
+        for part in ("camera", "optics"):
+            if part in table:
+                table[part]["pixel_um"] = 8.0
+        if "sensor" in table:
+            table["sensor"] = {"rows": 512, "cols": 512}
+            table["stage"] = {"time_scale": 0.0}
+        return table
+
+    return small
+
+
 def _seen_through(bench, angle_deg, tilt_deg):
     """All that a picture without noise depends on."""
     file = bench.file

@@ -27,19 +27,8 @@ def _plain(record, _pictures, folder, _view=None):
     return folder / REPORT_NAME
 
 
-def small(table):
-    """A rig or bench of 512 × 512 pixels of 8 µm."""
-    for part in ("camera", "optics"):
-        if part in table:
-            table[part]["pixel_um"] = 8.0
-    if "sensor" in table:
-        table["sensor"] = {"rows": 512, "cols": 512}
-        table["stage"] = {"time_scale": 0.0}
-    return table
-
-
 @pytest.fixture(scope="module")
-def wafers(tmp_path_factory):
+def wafers(tmp_path_factory, small_wafer_rig):
     """Recipe, flat, and a rig for every wafer: the demo's, with a tile of 128 µm and two stage angles."""
     folder = tmp_path_factory.mktemp("wafers")
     with pytest.MonkeyPatch.context() as patch:
@@ -58,8 +47,8 @@ def wafers(tmp_path_factory):
             light = demo_wafer.LIGHT
             wafer = {"file": "../../wafer.npz", "reflectance": 0.9, "scatter": 0.001, **light, **WRONG[name]}
             sample = {"kind": "wafer", "size_mm": 0.6, "wafer": wafer}
-        (place / "bench.toml").write_text(tomli_w.dumps(small(demo_wafer.bench(sample, 7))))
-        (place / "rig.toml").write_text(tomli_w.dumps(small(demo_wafer.rig(name))))
+        (place / "bench.toml").write_text(tomli_w.dumps(small_wafer_rig(demo_wafer.bench(sample, 7))))
+        (place / "rig.toml").write_text(tomli_w.dumps(small_wafer_rig(demo_wafer.rig(name))))
     rig = folder / "bench" / "white-tile" / "rig.toml"
     take_flat(rig, folder / "flat.tif", exposure_s=0.03, frames=4, reflectance=0.99)
     return folder

@@ -21,19 +21,8 @@ MIDDLE_MM = 1e-3 * DOT_UM * (DOTS - AREA) / 2.0
 """Of the window from the middle of the part, towards +x and −y."""
 
 
-def small(table):
-    """A rig or bench of 512 × 512 pixels of 8 µm."""
-    for part in ("camera", "optics"):
-        if part in table:
-            table[part]["pixel_um"] = 8.0
-    if "sensor" in table:
-        table["sensor"] = {"rows": 512, "cols": 512}
-        table["stage"] = {"time_scale": 0.0}
-    return table
-
-
 @pytest.fixture(scope="module")
-def wafer(tmp_path_factory):
+def wafer(tmp_path_factory, small_wafer_rig):
     """Layout of dots that are wide along y but for an area, a window in its middle, rig and flat."""
     folder, rng = tmp_path_factory.mktemp("pattern"), np.random.default_rng(8)
     wide_x = demo_wafer.design()
@@ -56,8 +45,8 @@ def wafer(tmp_path_factory):
     for name, table in (("part", sample), ("white-tile", {"kind": "white-tile"})):
         place = folder / "bench" / name
         place.mkdir(parents=True)
-        (place / "bench.toml").write_text(tomli_w.dumps(small(demo_wafer.bench(table, 7))))
-        (place / "rig.toml").write_text(tomli_w.dumps(small(demo_wafer.rig(name))))
+        (place / "bench.toml").write_text(tomli_w.dumps(small_wafer_rig(demo_wafer.bench(table, 7))))
+        (place / "rig.toml").write_text(tomli_w.dumps(small_wafer_rig(demo_wafer.rig(name))))
     rig = folder / "bench" / "white-tile" / "rig.toml"
     take_flat(rig, folder / "flat.tif", exposure_s=0.03, frames=4, reflectance=0.99)
     return folder
