@@ -102,14 +102,19 @@ def diagnosis_record(found: Diagnosis, alpha: float, of: str = "part") -> Diagno
     return DiagnosisRecord(says=_says(found, alpha, of), causes=causes, unexplained_p=found.unexplained_p)
 
 
+def _without_size(title: str) -> str:
+    """A title to stand without its severity."""
+    return title.removesuffix(" by").removesuffix(",")
+
+
 def _says(found: Diagnosis, alpha: float, of: str) -> str:
     best = found.findings[0]
     if found.unexplained_p < alpha:
         return f"none of the causes explains the {of} (p {said(found.unexplained_p)} for the best of them)"
     if best.cause == NOTHING:
         return f"nothing explains the {of} better than chance"
-    ties = [one.title for one in found.ties if one is not best]
+    ties = [_without_size(one.title) for one in found.ties if one is not best]
     if not ties:
-        return best.title
+        return _without_size(best.title)
     more = f" and {len(ties) - TIES_SAID} more" if len(ties) > TIES_SAID else ""
-    return f"{best.title}; or, not to be told apart: {', '.join(ties[:TIES_SAID])}{more}"
+    return f"{_without_size(best.title)}; or, not to be told apart: {', '.join(ties[:TIES_SAID])}{more}"

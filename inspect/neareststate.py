@@ -18,7 +18,7 @@ _NEAR_ENOUGH = 1e-4  # of a squared distance whose every step costs
 _ASIDE = 1.5  # u
 
 FARTHEST = 8.0
-"""Standard uncertainties to which a state that costs is looked at: a part beyond is as far off as none that is good."""
+"""Standard uncertainties to which states are looked at where a model does not know all; no good part is beyond."""
 
 
 class Curve(Protocol):
@@ -88,7 +88,7 @@ def nearest_states(
     start: FloatArray,
     *,
     settled: float = _SETTLED,
-    farthest: float = np.inf,
+    farthest: float | FloatArray = np.inf,
 ) -> tuple[FloatArray, FloatArray]:
     """The same within ``farthest`` of every input, and the (N, K) states themselves.
 
@@ -121,16 +121,19 @@ def nearest_states(
     return left, z
 
 
-def nearest_anywhere(curve: Curve, deviation: FloatArray, covariance: FloatArray) -> float:
+def nearest_anywhere(
+    curve: Curve, deviation: FloatArray, covariance: FloatArray, farthest: float | FloatArray = FARTHEST
+) -> float:
     """The same of one part, where an input may change the values by its square alone, and states cost.
 
     Such an input has no tangent at its nominal value, and a step would never leave it: from where the steps end they
-    are taken again with one such input set to either side. No input is looked at beyond `FARTHEST`.
+    are taken again with one such input set to either side.
 
     Args:
         curve: of the m values, with K inputs.
         deviation: (m,).
         covariance: (m, m).
+        farthest: standard uncertainties to which the inputs, or (K,) each of them, are looked at.
     """
     count = len(curve.sources)
     ends = curve.change(np.vstack([np.eye(count), -np.eye(count)]))
@@ -139,7 +142,7 @@ def nearest_anywhere(curve: Curve, deviation: FloatArray, covariance: FloatArray
 
     def search(start: FloatArray) -> tuple[FloatArray, FloatArray]:
         one, metric = deviation[None], covariance[None]
-        return nearest_states(curve, one, metric, start, settled=_NEAR_ENOUGH, farthest=FARTHEST)
+        return nearest_states(curve, one, metric, start, settled=_NEAR_ENOUGH, farthest=farthest)
 
     left, z = search(np.zeros((1, count)))
     if not turning.size:

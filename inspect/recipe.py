@@ -246,7 +246,7 @@ class Recipe(Part):
         tolerance = self.decision.tolerance
         if isinstance(tolerance, tuple) and len(tolerance) != pairs:
             raise ValueError(f"decision.tolerance lists {len(tolerance)} values for {pairs} pairs of angles")
-        pitches, words = (1.0, "one tile") if self.is_wafer else (2.0, "at least two pitches")
+        pitches, words = (1.0, "at least one tile") if self.is_wafer else (2.0, "at least two pitches")
         smallest_mm = pitches * self.surface.pitch_um / 1000.0
         if min(self.region.size_mm) < smallest_mm * (1.0 - 1e-9):
             raise ValueError(f"region.size_mm must span {words} ({smallest_mm:g} mm)")

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.models import light_steps, recipe_wafer
+from anisoscope.neareststate import FARTHEST
 from anisoscope.prediction.etched import EtchedPredictor
 from anisoscope.prediction.sensitivity import State, evaluate, fixed
 from anisoscope.recipe import Recipe
@@ -24,6 +25,7 @@ DEPTH, WIDTH = "depth of the etch passes", "width of the etched features"
 BEYOND = ", beyond the slope"
 _STEP = 0.02  # u, of a derivative
 _WIDTHS = 2.0  # u, between the widths that are drawn
+_ETCHED = 40.0
 _LEAST = 0.5  # of its nominal value: no lamp or lens is less than that
 
 
@@ -54,6 +56,11 @@ class WaferStates:
     def sources(self) -> tuple[str, ...]:
         """K names of the inputs, as the budget has them."""
         return tuple(self._movers)
+
+    @property
+    def farthest(self) -> FloatArray:
+        """(K,) standard uncertainties to which the inputs are known: etching far beyond what turns or colours light."""
+        return np.array([_ETCHED if source in (DEPTH, WIDTH) else FARTHEST for source in self.sources])
 
     def holds(self, source: str) -> bool:
         """Is what the budget calls so part of these states?"""

@@ -37,7 +37,7 @@ def from_prediction(expected: Expectation, measured: Measured) -> tuple[float, i
     if expected.states is not None:
         own = _covariance(expected.beside_states + measured.components, basis)
         if _regular(own):
-            d2 = nearest_anywhere(Combined(expected.states, basis), off, own)
+            d2 = nearest_anywhere(Combined(expected.states, basis), off, own, expected.states.farthest)
             return d2, len(basis), float(chi2.sf(d2, len(basis)))
     alone = own_covariance(expected, measured)
     if expected.response is not None and _regular(alone):

@@ -123,3 +123,10 @@ def test_a_part_that_is_nothing_of_the_kind_is_far_off_and_no_state_is_asked_for
         assert nearest_anywhere(states, off, own) > 1e4
     for ends in (np.full(len(states.sources), FARTHEST), np.full(len(states.sources), -FARTHEST)):
         assert np.isfinite(states.change(ends)).all()
+
+
+def test_wrong_etching_is_as_far_off_as_it_is_wrong_however_far(expected):
+    """Twenty standard uncertainties of depth are 400, not what a bound of the search leaves."""
+    states, own = expected.states, 1e-6 * np.eye(6)
+    found = nearest_anywhere(states, states.change(moved(states, depth=20.0)), own, states.farthest)
+    assert 0.7 * 400.0 < found <= 400.0 + 1e-2
