@@ -7,7 +7,7 @@ belongs to the poses, the region and the exposure of one recipe; rows of another
 import hashlib
 import json
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +21,7 @@ from anisoscope.record import Record
 from anisoscope.significance import log_basis
 
 FloatArray = npt.NDArray[np.float64]
+Kept = TypeVar("Kept", bound=BaseModel)
 
 _MEASURED = ("surface", "poses", "region")
 _NO_MATTER = frozenset({"settle_s"})
@@ -152,19 +153,30 @@ def _hashed(recipe: Recipe, acquisition: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
+def kept_set(path: Path, model: type[Kept], what: str) -> Kept | None:
+    """A file of golden parts or prints, or None where there is none.
+
+    Raises:
+        CalibrationError: the file is damaged.
+    """
+    try:
+        return model.model_validate_json(path.read_bytes())
+    except FileNotFoundError:
+        return None
+    except (OSError, ValidationError) as problem:
+        reason = str(problem).splitlines()[0]
+        raise CalibrationError(f"the {what} in {path} cannot be read: {reason}") from problem
+
+
 def read_golden(path: Path, recipe: Recipe) -> GoldenSet | None:
     """The good parts of a recipe, or None where none were ever added.
 
     Raises:
         CalibrationError: the file is damaged, or belongs to another recipe.
     """
-    try:
-        found = GoldenSet.model_validate_json(path.read_bytes())
-    except FileNotFoundError:
+    found = kept_set(path, GoldenSet, "golden parts")
+    if found is None:
         return None
-    except (OSError, ValidationError) as problem:
-        reason = str(problem).splitlines()[0]
-        raise CalibrationError(f"the golden parts in {path} cannot be read: {reason}") from problem
     if found.recipe_key == _earlier_key(recipe):
         found = found.model_copy(update={"recipe_key": recipe_key(recipe)})
     if found.recipe_key != recipe_key(recipe):

@@ -11,10 +11,10 @@ from typing import Annotated, Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from anisoscope.errors import CalibrationError
-from anisoscope.golden import same_exposure
+from anisoscope.golden import kept_set, same_exposure
 from anisoscope.prints.fitting import PARAMETERS
 from anisoscope.prints.light import lamp_and_sensitivities
 from anisoscope.prints.recipe import PrintRecipe
@@ -113,13 +113,9 @@ def read_golden_prints(path: Path, recipe: PrintRecipe, rig: RigFile | None = No
     Raises:
         CalibrationError: the file is damaged, or belongs to another recipe, or to another lamp or camera.
     """
-    try:
-        found = GoldenPrints.model_validate_json(path.read_bytes())
-    except FileNotFoundError:
+    found = kept_set(path, GoldenPrints, "golden prints")
+    if found is None:
         return None
-    except (OSError, ValidationError) as problem:
-        reason = str(problem).splitlines()[0]
-        raise CalibrationError(f"the golden prints in {path} cannot be read: {reason}") from problem
     anew = "inspect good prints anew, add them to an empty set, and delete the old file"
     if found.recipe_key != print_key(recipe):
         raise CalibrationError(

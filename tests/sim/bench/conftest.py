@@ -1,18 +1,10 @@
 import pytest
 import tomli_w
 
+from anisoscope.cli.demo_folder import FIXTURE
 from anisoscope.sim.bench.bench import Bench
 from anisoscope.sim.bench.benchfile import read_bench
 
-FIXTURE = {
-    "marker_mm": 0.52,
-    "markers": [
-        {"id": 0, "x_mm": 1.56, "y_mm": 0.0},
-        {"id": 1, "x_mm": 0.0, "y_mm": 1.56},
-        {"id": 2, "x_mm": -1.56, "y_mm": 0.0},
-        {"id": 3, "x_mm": 0.0, "y_mm": -1.56},
-    ],
-}
 SMALL = {
     "seed": 5,
     "sample": {"size_mm": 0.6},
