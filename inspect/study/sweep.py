@@ -6,9 +6,8 @@ another one.
 """
 
 import asyncio
-import signal
+import os
 import time
-import warnings
 from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ import numpy as np
 
 from anisoscope.errors import AnisoscopeError, UsageError
 from anisoscope.progress import Advance, silent
+from anisoscope.study.processes import BrokenProcessPool, lent
 
 Result = TypeVar("Result")
 
@@ -172,29 +172,13 @@ def _locally(parts: list[_Part], jobs: int | None) -> _Finished:
         for part in parts:
             yield part, _compute(part)
         return
-    joblib: Any = import_module("joblib")  # slow to import, and without types
-    killed = import_module("joblib.externals.loky.process_executor").TerminatedWorkerError
-    count = min(jobs or joblib.cpu_count(), len(parts))
-    # what is dispatched ahead must fit into loky's queue: it stumbles over the rest when it is killed
-    parallel = joblib.Parallel(count, return_as="generator", batch_size=1, pre_dispatch="2*n_jobs")
-    # the processes inherit the mask: Ctrl-C, which a terminal sends to all, is left to this process
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
-        results = parallel(joblib.delayed(_compute)(part) for part in parts)
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-    try:
-        yield from zip(parts, results, strict=True)
-    except killed as error:
+        with lent(min(jobs or os.cpu_count() or 1, len(parts))) as processes:
+            yield from zip(parts, processes.map(_compute, parts), strict=True)
+    except BrokenProcessPool as error:
         raise SweepError(
             "a process of this sweep was killed, as happens when memory runs out: try fewer --jobs"
         ) from error
-    finally:
-        with warnings.catch_warnings():  # Ctrl-C, or a task failed: joblib warns of what it cancels
-            warnings.filterwarnings(
-                "ignore", ".*task.* (successfully executed|still being processed)", UserWarning
-            )
-            results.close()
 
 
 def _on_cluster(parts: list[_Part], address: str) -> _Finished:
