@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.stats import poisson
 
 from anisoscope.sim.bench.benchfile import SensorPart
-from anisoscope.sim.bench.sensor import Sensor
+from anisoscope.sim.bench.sensor import MANY, Sensor
 
 QUANTISATION = 1.0 / 12.0
 
@@ -39,6 +40,31 @@ def test_read_noise_is_what_remains_in_the_dark(noise):
     pairs = [frames(sensor(seed, read_noise_e=noise), 0.0, 2, gain=4.0) for seed in range(4)]
     found = 7.5 / 4.0 * np.sqrt(np.mean([temporal_variance(pair) for pair in pairs]) - QUANTISATION)
     assert found == pytest.approx(noise, rel=0.02)
+
+
+@pytest.mark.parametrize("level", [0.4, 20.0, 0.9 * MANY, 1.1 * MANY])
+def test_light_arrives_as_poisson_says(level):
+    """Shares of pixels up to three standard deviations about the mean; above MANY the normal distribution may show."""
+    device = sensor(
+        prnu=0.0, dsnu_e=0.0, dark_current_e_s=0.0, read_noise_e=0.0, gain_e_per_dn=1.0, bit_depth=16
+    )
+    found = frames(device, level, 4).ravel() - device.part.black_level
+    edges = np.floor(level + np.sqrt(level) * np.array([-2.0, -1.0, 0.0, 1.0, 2.0, 3.0]))
+    shares, expected = [np.mean(found <= edge) for edge in edges], poisson.cdf(edges, level)
+    noise = np.sqrt(expected * (1.0 - expected) / found.size)
+    assert np.all(np.abs(shares - expected) <= 4.5 * noise + (0.004 if level > MANY else 0.0))
+    assert np.mean(found) == pytest.approx(level, abs=4.5 * np.sqrt(level / found.size))
+    assert np.var(found) == pytest.approx(level + (QUANTISATION if level > MANY else 0.0), rel=0.015)
+
+
+def test_bright_and_dark_pixels_of_one_frame_have_their_own_noise():
+    device = sensor(prnu=0.0, dsnu_e=0.0, read_noise_e=0.0, gain_e_per_dn=1.0, bit_depth=16)
+    signal = np.full((256, 256), 50.0)
+    signal[:, 128:] = 9000.0
+    one, other = (device.expose(signal, 0.0, 1.0).astype(float) for _ in range(2))
+    for half, level in ((np.s_[:, :128], 50.0), (np.s_[:, 128:], 9000.0)):
+        assert np.mean(one[half]) - 64.0 == pytest.approx(level, abs=4.5 * np.sqrt(level / 2**15))
+        assert np.var(one[half] - other[half]) / 2.0 == pytest.approx(level, rel=0.04)
 
 
 def test_dark_current_is_the_slope_of_the_dark_level_over_time():
