@@ -50,6 +50,16 @@ def brdf_table(first: FloatArray, second: FloatArray, plastic: FloatArray, table
 
 
 @njit(cache=True)
+def brdf_square(directions: FloatArray, plastic: FloatArray, table: FloatArray) -> FloatArray:
+    """(N, N) BRDF [1/sr] among directions (N, 3) in the frame of the side; light and camera may change places."""
+    result = np.empty((len(directions), len(directions)))
+    for n in range(len(directions)):
+        for m in range(n + 1):
+            result[n, m] = result[m, n] = _brdf(directions[n], directions[m], plastic, table)
+    return result
+
+
+@njit(cache=True)
 def _lay_panels(breaks: FloatArray, start: int, centre: float, width: float) -> None:
     """Breakpoints around a Gaussian bump exp(−((x − centre)/width)²)."""
     breaks[start] = centre - 3.4 * width

@@ -11,7 +11,7 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.sim.light.bounces_kernels import brdf_table
+from anisoscope.sim.light.bounces_kernels import brdf_square, brdf_table
 from anisoscope.sim.light.material import Material, diffuse_scale, transmittance_table
 
 FloatArray = npt.NDArray[np.float64]
@@ -67,9 +67,12 @@ def direction_grid(opening: float, material: Material) -> DirectionGrid:
     sides = tuple(_fan(angle, phi, sign) for angle, sign in ((chi, 1.0), (np.pi - opening - chi, -1.0)))
     weight = np.outer(chi_weight, phi_weight).ravel()
     plastic, table = plastic_numbers(material)
+    first = brdf_square(sides[0], plastic, table)
+    # the second side's fan is the first one's, mirrored and with its angles in reverse
+    second = first.reshape(ANGLES, ELEVATIONS, ANGLES, ELEVATIONS)[::-1, :, ::-1].reshape(first.shape)
     scatter = tuple(
-        (brdf_table(side, side, plastic, table) * (side[:, 2] * weight)[:, None]).astype(np.float32)
-        for side in sides
+        (brdf * (side[:, 2] * weight)[:, None]).astype(np.float32)
+        for brdf, side in zip((first, second), sides, strict=True)
     )
     ratio = np.sin(chi) / np.sin(np.pi - opening - chi)
     return DirectionGrid((sides[0], sides[1]), weight, ratio, (scatter[0], scatter[1]))
