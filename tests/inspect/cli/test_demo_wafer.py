@@ -88,3 +88,12 @@ def test_a_recipe_that_makes_no_sense_for_a_wafer_is_refused(folder, tmp_path, c
 def test_a_negative_seed_is_refused(tmp_path):
     with pytest.raises(UsageError, match="--seed"):
         demo_wafer.lay_out(tmp_path, -1, lambda *_: None)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("seed", range(1, 7))
+def test_every_wafer_of_the_demo_gets_the_verdict_that_is_expected(anisoscope_afresh, tmp_path, seed):
+    done = anisoscope_afresh("demo", "--kind", "wafer", "--out", tmp_path / "demo", "--seed", seed, "--json")
+    assert done.code == 0, done.out + done.err
+    found = {part["serial"]: part["verdict"] for part in done.json["parts"]}
+    assert found == {f"DEMO-{name}": verdict for name, verdict in demo_wafer.PARTS.items()}
