@@ -8,8 +8,8 @@ from pathlib import Path
 
 from anisoscope.errors import RecordError
 from anisoscope.record import RECORD_NAME
+from anisoscope.rig.acquisition.interruptions import undisturbed
 from anisoscope.rig.acquisition.journal import JOURNAL, read_journal
-from anisoscope.rig.acquisition.opening import undisturbed
 from anisoscope.rig.acquisition.writer import FRAMES
 
 JOB = "job.json"

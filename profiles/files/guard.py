@@ -26,6 +26,8 @@ START_SECONDS = 120.0
 MEMORY_BYTES = 512 * 2**20
 MEMORY_PER_BYTE = 40
 SECONDS = 4.0
+PATIENCE = 10.0
+"""Times so long may reading take on a machine that does other things as well."""
 BYTES_PER_SECOND = 2**20
 ADVICE = "the file is damaged, or of a kind that this reader does not know; export x3p"
 COMMAND = [sys.executable, "-P", "-m", "anisoscope.profiles.files.guarded"]
@@ -127,7 +129,7 @@ _keeper = _Keeper()
 def decode(kind: str, path: Path, **request: object) -> tuple[dict[str, Any], npt.NDArray[Any]]:
     """Decode a file in the guarded process.
 
-    Memory is limited to 512 MiB and 40 times the size of the file, time to 4 s and 1 s for each MiB.
+    Memory is limited to 512 MiB and 40 times the size of the file, processor time to 4 s and 1 s for each MiB.
 
     Args:
         kind: "library" (SurfaceTopography), "tiff" or "png".
@@ -148,7 +150,8 @@ def decode(kind: str, path: Path, **request: object) -> tuple[dict[str, Any], np
         out = process.folder / "heights.npy"
         limits = {"memory_bytes": MEMORY_BYTES + MEMORY_PER_BYTE * size, "seconds": seconds}
         order = {"kind": kind, "path": str(path.resolve()), "out": str(out), **limits, **request}
-        answer = process.ask({"max_points": size * DEFLATE_LIMIT, **order}, seconds) if reader else None
+        order = {"max_points": size * DEFLATE_LIMIT, **order}
+        answer = process.ask(order, PATIENCE * seconds) if reader else None
         if answer is None:
             _keeper.drop()
             refuse(path.name, "reading", f"the decoder stopped, or took longer than {seconds:.0f} s", ADVICE)

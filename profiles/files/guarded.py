@@ -132,7 +132,7 @@ DECODERS = {"library": _library, "tiff": _tiff, "png": _png}
 
 
 def _limit(request: dict[str, Any]) -> None:
-    """Memory above what is in use now, and seconds, after which the kernel stops this process."""
+    """Memory above what is in use now, and seconds of processor time, after which the kernel stops this process."""
     if sys.platform != "linux":
         return
     import resource  # noqa: PLC0415
@@ -144,7 +144,7 @@ def _limit(request: dict[str, Any]) -> None:
     resource.setrlimit(
         resource.RLIMIT_AS, (wanted if hard == resource.RLIM_INFINITY else min(wanted, hard), hard)
     )
-    signal.alarm(int(request["seconds"]) + 1)
+    signal.setitimer(signal.ITIMER_PROF, float(request["seconds"]))
 
 
 def _unlimit() -> None:
@@ -153,7 +153,7 @@ def _unlimit() -> None:
     import resource  # noqa: PLC0415
     import signal  # noqa: PLC0415
 
-    signal.alarm(0)
+    signal.setitimer(signal.ITIMER_PROF, 0.0)
     hard = resource.getrlimit(resource.RLIMIT_AS)[1]
     resource.setrlimit(resource.RLIMIT_AS, (hard, hard))
 

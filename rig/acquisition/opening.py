@@ -2,24 +2,18 @@
 
 import atexit
 import contextlib
-import signal
-import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from types import FrameType
 from typing import Protocol
 
 from anisoscope.errors import RigError
+from anisoscope.rig.acquisition.interruptions import undisturbed
 from anisoscope.rig.camera import Camera
 from anisoscope.rig.drivers import open_camera, open_light, open_stage
 from anisoscope.rig.light import Light, rest
 from anisoscope.rig.rigfile import BY_HAND, AxisPart, CameraPart, LightPart, RigFile
 from anisoscope.rig.stage import RotationStage
 from anisoscope.rig.transport import shared_ports
-
-INTERRUPTIONS = tuple(
-    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
-)
 
 
 @dataclass(frozen=True)
@@ -91,34 +85,6 @@ def _attempt(actions: list[tuple[str, Callable[[], None]]]) -> tuple[str, ...]:
         except Exception as problem:  # noqa: BLE001 - whatever a driver raises, the next device has its turn
             problems.append(f"{failure}: {problem}")
     return tuple(problems)
-
-
-@contextlib.contextmanager
-def undisturbed() -> Iterator[None]:
-    """Hold back Ctrl-C, SIGTERM and SIGHUP; what came meanwhile is delivered at the end.
-
-    Only the main thread gets signals; in other threads this does nothing.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    came: list[int] = []
-
-    def remember(number: int, _frame: FrameType | None) -> None:
-        came.append(number)
-
-    # None stands for a handler that Python did not install; it could not be put back.
-    before = {one: signal.getsignal(one) for one in INTERRUPTIONS}
-    before = {one: handler for one, handler in before.items() if handler is not None}
-    for one in before:
-        signal.signal(one, remember)
-    try:
-        yield
-    finally:
-        for one, handler in before.items():
-            signal.signal(one, handler)
-    for number in came:
-        signal.raise_signal(number)
 
 
 @contextlib.contextmanager

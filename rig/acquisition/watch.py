@@ -5,7 +5,7 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
-from anisoscope.rig.acquisition.opening import undisturbed
+from anisoscope.rig.acquisition.interruptions import undisturbed
 
 POLL_S = 0.02
 REPEAT_S = 0.1

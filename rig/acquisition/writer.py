@@ -11,8 +11,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from anisoscope.rig.acquisition.interruptions import undisturbed
 from anisoscope.rig.acquisition.journal import FrameLine, JournalFile
-from anisoscope.rig.acquisition.opening import undisturbed
 from anisoscope.rig.acquisition.plan import Pose
 from anisoscope.rig.frame import Frame, write_frame
 

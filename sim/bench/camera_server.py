@@ -78,8 +78,10 @@ class CameraServer:
 
 
 class _Server(socketserver.ThreadingTCPServer):
-    daemon_threads = True  # a picture that is being rendered keeps nobody from leaving
-    block_on_close = False
+    # a picture that is being rendered ends before the program: Python's end would cut it off within native code, and
+    # that aborts the program
+    daemon_threads = False
+    block_on_close = False  # but closing does not wait for it
 
     def __init__(self, open_one: Callable[[], Camera], port: int) -> None:
         self.open_one = open_one

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from anisoscope.errors import HeightMapError
@@ -9,6 +9,7 @@ from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
 from anisoscope.profiles.textures.amplitude import amplitude
 
 
+@settings(deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 @given(pitch=st.floats(10, 500), angle=st.floats(0.5, 44.5))
 def test_perpendicular_wall_in_closed_form(pitch, angle):
     design = RidgeDesign(pitch, angle)
@@ -21,6 +22,7 @@ def test_perpendicular_wall_in_closed_form(pitch, angle):
     assert facet @ wall == pytest.approx(0.0, abs=1e-9 * pitch**2)
 
 
+@settings(deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 @given(angle=st.floats(1.0, 40.0), loss=st.floats(0.0, 1.0))
 def test_facets_lean_toward_plus_x_at_the_ridge_angle(angle, loss):
     design = RidgeDesign(100.0, angle, height_loss=loss)

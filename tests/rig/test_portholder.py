@@ -60,7 +60,7 @@ def test_the_holder_is_found_named_and_interrupted(other, port):
         Transport(port)
     assert not wait_until_released(port, 0.1)
     found.interrupt()
-    assert other.wait(20) == 7
+    assert other.wait(120) == 7
     assert wait_until_released(port, 0.0)
     Transport(port).close()
 

@@ -12,7 +12,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from pathlib import Path
 
 NURSERY = """
@@ -112,16 +111,16 @@ class Command:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(self.pid, getattr(signal, how))
 
-    def finish(self, timeout_s=60.0):
+    def finish(self, timeout_s=120.0):
         """Wait for the end; returns exit code and what was shown."""
         self._waiter.join(timeout_s)
         if self.running:
             os.kill(self.pid, signal.SIGKILL)
-            self._waiter.join(10)
+            self._waiter.join(60)
             raise AssertionError(f"did not end within {timeout_s} s: {self._shown[-2000:].decode()}")
-        time.sleep(0.02)  # the last words are on their way
-        os.close(self._theirs)
-        self._reader.join(0.2)
+        os.close(self._theirs)  # the reader sees the end of it once it has read the last words
+        self._reader.join(timeout_s)
+        assert not self._reader.is_alive(), "somebody still holds the terminal"
         shown = self._shown.decode(errors="replace")
         with contextlib.suppress(OSError):
             os.close(self._ours)
@@ -150,4 +149,4 @@ def nursery(path: Path, recipe: Path):
     ) as process:
         yield lambda *arguments: Command(process, arguments)
         process.stdin.close()
-        process.wait(10)
+        process.wait(120)

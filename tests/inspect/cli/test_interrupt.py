@@ -113,7 +113,7 @@ def folder_in(out):
 
 def wait_for(command, out, lines):
     """Until the journal has so many lines (0: until there is a folder), or the command has ended."""
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + 120
     while command.running:
         assert time.monotonic() < deadline, f"the journal never reached {lines} lines"
         folder = folder_in(out)
@@ -131,9 +131,9 @@ def assert_stands(port):
         for _ in range(2):
             line.discard()
             line.write(b"0gp")
-            said.append(line.read_until(b"\r\n", 2.0))
+            said.append(line.read_until(b"\r\n", 30.0))
         line.write(b"0gs")
-        assert line.read_until(b"\r\n", 2.0) == b"0GS00\r\n"
+        assert line.read_until(b"\r\n", 30.0) == b"0GS00\r\n"
     assert said[0] is not None
     assert said[0].startswith(b"0PO"), said
     assert said[0] == said[1], "the stage still moves"

@@ -155,7 +155,7 @@ def test_in_a_terminal_homing_is_asked_for(line, rig_file, answer, moved):
             asked += os.read(process.stderr.fileno(), 1000)
         assert axis.position() == 0.0
         os.write(ours, answer)
-        process.communicate(timeout=30)
+        process.communicate(timeout=120)
     os.close(ours)
     os.close(theirs)
     assert process.returncode == (0 if moved else 64)
@@ -212,13 +212,13 @@ def test_stop_reaches_a_stage_that_another_process_moves(command, line, rig_file
     rig = rig_file(url)
     moving = [sys.executable, "-Im", "anisoscope", "rig", "home", "--yes", "-g", str(rig)]
     with subprocess.Popen(moving, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        deadline = time.monotonic() + 60
+        deadline = time.monotonic() + 120
         while not axis.busy():
             assert time.monotonic() < deadline
             assert process.poll() is None, process.communicate()
             time.sleep(0.02)
         code, out, err = command("rig", "stop", "-g", rig, "--json")
-        _, said = process.communicate(timeout=30)
+        _, said = process.communicate(timeout=120)
     assert code == 0, err
     assert json.loads(out)["interrupted"] == [process.pid]
     assert f"interrupted process {process.pid} (" in err
@@ -233,12 +233,12 @@ def test_ctrl_c_stops_the_stage(line, rig_file):
     url, (axis, _) = line(time_scale=60.0, start_deg=300.0)
     moving = [sys.executable, "-Im", "anisoscope", "rig", "home", "--yes", "-g", str(rig_file(url))]
     with subprocess.Popen(moving, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        deadline = time.monotonic() + 60
+        deadline = time.monotonic() + 120
         while not axis.busy():
             assert time.monotonic() < deadline
             time.sleep(0.02)
         process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=30)
+        _, said = process.communicate(timeout=120)
     assert process.returncode == 130
     assert "the stage is stopped" in said
     assert not axis.busy()

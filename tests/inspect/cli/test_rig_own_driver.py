@@ -59,7 +59,7 @@ def installed(tmp_path_factory):
         str(target),
         str(build_wheel(folder)),
     ]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=200)
     assert done.returncode == 0, done.stderr
     return target
 
@@ -72,7 +72,7 @@ def anisoscope(installed, tmp_path):
         environment = os.environ | {"PYTHONPATH": str(installed)}
         command = [sys.executable, "-m", "anisoscope", *map(str, arguments)]
         return subprocess.run(
-            command, capture_output=True, text=True, check=False, timeout=60, cwd=tmp_path, env=environment
+            command, capture_output=True, text=True, check=False, timeout=200, cwd=tmp_path, env=environment
         )
 
     return go
@@ -111,7 +111,7 @@ def test_its_camera_takes_pictures(anisoscope, tmp_path):
 
 def test_without_the_package_its_name_is_unknown(tmp_path):
     command = [sys.executable, "-Im", "anisoscope", "rig", "status", "-g", str(EXAMPLE / "rig.toml")]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=200)
     assert done.returncode == 69
     assert "there is no stage driver 'turntable'; installed: apt" in done.stdout
 

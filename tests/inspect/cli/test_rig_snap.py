@@ -178,7 +178,7 @@ def test_live_in_a_terminal_ends_with_q_and_with_ctrl_c(rig, ending):
         with pytest.raises(OSError, match="Input/output"):  # the terminal's other side closes at the end
             while os.read(ours, 65536):
                 pass
-        _, errors = process.communicate(timeout=30)
+        _, errors = process.communicate(timeout=120)
     os.close(ours)
     assert (process.returncode, errors) == (0, b"")
     assert "of the best seen" in shown.decode()
@@ -199,7 +199,7 @@ def test_live_on_the_web_is_served_until_ctrl_c(rig):
         with urllib.request.urlopen(f"{address}numbers.json", timeout=60) as answer:
             numbers = json.load(answer)
         process.send_signal(signal.SIGINT)
-        _, errors = process.communicate(timeout=30)
+        _, errors = process.communicate(timeout=120)
     assert picture.shape == (512, 512, 3)
     assert numbers["frame"] >= 1
     assert 0.0 < numbers["mean"] < 1.0

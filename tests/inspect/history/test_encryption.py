@@ -33,7 +33,7 @@ def run(folder, *command):
     """The server refuses to run as root."""
     as_server = ["runuser", "-u", "postgres", "--"] if os.geteuid() == 0 else []
     done = subprocess.run(
-        [*as_server, *map(str, command)], cwd=folder, capture_output=True, text=True, check=False, timeout=120
+        [*as_server, *map(str, command)], cwd=folder, capture_output=True, text=True, check=False, timeout=300
     )
     assert done.returncode == 0, done.stdout + done.stderr
 
@@ -53,18 +53,31 @@ def lay_out(folder, where):
     return data
 
 
+def start(folder, *control):
+    """Start the server on a free port: the server cannot choose one, and somebody else may take it first."""
+    while True:
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            port = free.getsockname()[1]
+        options = f"-p {port} -k {folder} -c listen_addresses=127.0.0.1 -c fsync=off -c ssl=on"
+        log = folder / f"log-{port}"
+        try:
+            run(folder, *control, "-w", "-t", "120", "-l", log, "-o", options, "start")
+        except AssertionError:
+            if "Address already in use" not in log.read_text():
+                raise
+        else:
+            return port
+
+
 @contextmanager
 def server_in(folder):
     where = programs()
     if os.geteuid() == 0:
         shutil.chown(folder, "postgres")
     data = lay_out(folder, where)
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    options = f"-p {port} -k {folder} -c listen_addresses=127.0.0.1 -c fsync=off -c ssl=on"
     control = (where / "pg_ctl", "-D", data, "-s")
-    run(folder, *control, "-w", "-l", folder / "log", "-o", options, "start")
+    port = start(folder, *control)
     try:
         yield port
     finally:

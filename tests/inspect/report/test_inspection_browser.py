@@ -45,7 +45,7 @@ def shown(page, report):
     page.prefer("")
 
 
-def poll(probe, seconds=30.0):
+def poll(probe, seconds=180.0):
     """The first true answer of ``probe``, or its last."""
     deadline = time.monotonic() + seconds
     while not (found := probe()) and time.monotonic() < deadline:
@@ -70,11 +70,6 @@ def test_it_is_silent_self_contained_whole_and_small(shown, report):
     assert shown.complaints() == []
     assert shown.requests() == [address]
     assert (report[0] / "report.html").stat().st_size < 6e6
-
-
-def grave(complaints):
-    """Without the driver's remark that taking a screenshot of WebGL is slow."""
-    return [one for one in complaints if "ReadPixels" not in str(one)]
 
 
 @pytest.fixture
@@ -117,7 +112,7 @@ def test_the_height_map_turns_when_it_is_dragged(relief):
     before = settled(page)
     page.drag((x, y), [(12, 4)] * 10)
     assert poll(lambda: (after := settled(page)) and after != before), "it does not turn"
-    assert grave(page.complaints()) == []
+    assert page.complaints() == []
 
 
 def test_the_wheel_scrolls_the_page_and_keys_turn_the_map(relief):
@@ -131,7 +126,7 @@ def test_the_wheel_scrolls_the_page_and_keys_turn_the_map(relief):
     page.drag((x, y), [])  # a click, which gives it the keys
     page.call("Input.dispatchKeyEvent", type="keyDown", key="ArrowLeft", code="ArrowLeft")
     assert poll(lambda: (after := settled(page)) and after != before), "it does not turn"
-    assert grave(page.complaints()) == []
+    assert page.complaints() == []
 
 
 def test_tables_say_what_the_record_says(shown, report):

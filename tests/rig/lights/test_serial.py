@@ -121,7 +121,7 @@ def test_a_light_that_went_out_by_itself_is_told_when_it_is_switched_off(in_proc
     light = SerialLight(in_process(firmware), watchdog_s=1, **HURRY)
     light.on()
     firmware._power_up()  # its supply failed for a moment
-    end = time.monotonic() + 5.0
+    end = time.monotonic() + 60.0
     while not light._went_out and time.monotonic() < end:
         time.sleep(0.02)
     with pytest.raises(RigError, match="went out by itself; frames taken since may be dark"):

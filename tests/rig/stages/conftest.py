@@ -1,6 +1,7 @@
 """One case a protocol, and the lines on which a test can reach its simulated device."""
 
 import contextlib
+import threading
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
@@ -91,6 +92,29 @@ def in_process(monkeypatch):
         return "sim://device"
 
     return serve
+
+
+@pytest.fixture
+def when_it_turns():
+    """``when_it_turns(firmware, action)`` does something once the axis turns, in a thread that it returns."""
+    ended, threads = threading.Event(), []
+
+    def act(axis, start_deg, action):
+        while abs(axis.position() - start_deg) < 0.05:  # a few counts
+            if ended.wait(0.005):
+                return
+        action()
+
+    def wait(firmware, action):
+        axis = firmware.axis
+        threads.append(threading.Thread(target=act, args=(axis, axis.position(), action)))
+        threads[-1].start()
+        return threads[-1]
+
+    yield wait
+    ended.set()
+    for thread in threads:
+        thread.join()
 
 
 @pytest.fixture

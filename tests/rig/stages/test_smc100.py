@@ -1,7 +1,5 @@
 """The driver of SMC100 and CONEX controllers: states, references that survive, several on a line."""
 
-import threading
-
 import pytest
 
 from anisoscope.errors import LimitExceeded, NotConnected, NotHomed, ProtocolError, RigError, Stalled
@@ -130,12 +128,11 @@ def test_a_controller_being_configured_is_left_alone(in_process):
     assert firmware.axis.position() == 0.0
 
 
-def test_a_stopped_move_keeps_the_reference(in_process):
+def test_a_stopped_move_keeps_the_reference(in_process, when_it_turns):
     firmware = controller(time_scale=1.0)
     with Smc100.open(in_process(firmware), timeout_s=0.15) as stage:
         stage.home()
-        stopper = threading.Timer(0.2, stage.stop)
-        stopper.start()
+        stopper = when_it_turns(firmware, stage.stop)
         with pytest.raises(RigError, match="was stopped at"):
             stage.move_to(300.0)
         stopper.join()

@@ -1,6 +1,5 @@
 """What is particular to the Zaber driver; what all drivers do is in test_conformance."""
 
-import threading
 import time
 
 import pytest
@@ -131,12 +130,11 @@ def test_a_turn_of_the_knob_loses_nothing(in_process):
         assert stage.move_to(30.0) == pytest.approx(30.0, abs=COUNT_DEG)
 
 
-def test_another_program_interrupts_a_move(in_process):
+def test_another_program_interrupts_a_move(in_process, when_it_turns):
     firmware = firmware_with(time_scale=5.0)
     with Zaber.open(in_process(firmware), **(HURRY | {"margin_s": 5.0})) as stage:
         stage.home()
-        meddler = threading.Timer(0.2, firmware.write, args=(b"/1 stop\n",))
-        meddler.start()
+        meddler = when_it_turns(firmware, lambda: firmware.write(b"/1 stop\n"))
         with pytest.raises(
             MotionTimeout, match=r"was interrupted at .*\(NI\), by its knob or another program"
         ):
@@ -183,8 +181,8 @@ def test_an_alert_ends_a_rest(in_process):
         line.command("set comm.alert 1", axis=0)
         line.command("home")
         start = time.monotonic()
-        line.rest(20.0)
-        assert time.monotonic() - start < 10.0
+        line.rest(600.0)
+        assert time.monotonic() - start < 60.0
         line.rest(0.01)  # and without one it ends as well
 
 

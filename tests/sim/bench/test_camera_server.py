@@ -2,6 +2,9 @@
 
 import json
 import socket
+import subprocess
+import sys
+import textwrap
 import threading
 from dataclasses import replace
 
@@ -65,7 +68,7 @@ def test_the_driver_is_the_camera_that_is_served(served):
     assert np.array_equal(frame, served.opened[0].grab())
     camera.close()
     camera.close()
-    assert served.opened[0].closed.wait(10)
+    assert served.opened[0].closed.wait(60)
     with pytest.raises(NotConnected, match="open it again"):
         camera.grab()
 
@@ -102,7 +105,7 @@ def test_a_refusal_is_the_cameras_and_the_line_stays_open(served):
 def test_any_program_can_take_a_picture(served):
     """As the protocol is written down: one line each way, raw little-endian counts after it."""
     host, port = served.port.split(":")
-    with socket.create_connection((host, int(port)), timeout=10) as line, line.makefile("rb") as answers:
+    with socket.create_connection((host, int(port)), timeout=60) as line, line.makefile("rb") as answers:
         line.sendall(b'{"do": "info"}\n')
         info = json.loads(answers.readline())
         assert (info["protocol"], info["rows"], info["cols"], info["bit_depth"]) == (1, 3, 5, 12)
@@ -119,7 +122,7 @@ def test_any_program_can_take_a_picture(served):
 )
 def test_nonsense_is_answered_with_one_line(served, line):
     host, port = served.port.split(":")
-    with socket.create_connection((host, int(port)), timeout=10) as client, client.makefile("rb") as answers:
+    with socket.create_connection((host, int(port)), timeout=60) as client, client.makefile("rb") as answers:
         client.sendall(line + b"\n")
         assert set(json.loads(answers.readline())) == {"error"}
         client.sendall(b'{"do": "info"}\n')
@@ -139,11 +142,57 @@ def test_a_server_that_goes_is_not_connected(served):
 
 
 def test_a_camera_that_does_not_answer_is_given_up(served):
-    camera = open_camera("simulated", port=served.port, timeout_s=0.2)
+    camera = open_camera("simulated", port=served.port)
+    camera._timeout_s = 0.2
     served.opened[0].blocked.clear()
     with pytest.raises(NotConnected, match="does not answer"):
         camera.grab()
     served.opened[0].blocked.set()
+
+
+def test_a_program_that_ends_while_a_picture_is_rendered_ends_with_its_own_code():
+    """A thread that Python's end cuts off within native code, here that which transforms, takes the program down."""
+    script = textwrap.dedent("""
+        import sys, threading, time
+        import numpy as np
+        import scipy.fft
+        from anisoscope.rig.camera import CameraInfo
+        from anisoscope.rig.drivers import open_camera
+        from anisoscope.errors import NotConnected
+        from anisoscope.sim.bench.camera_server import CameraServer
+
+        begun = threading.Event()
+
+        class Slow:
+            info = CameraInfo("slow camera", "7", rows=3, cols=5, bit_depth=12, black_level=64.0)
+
+            def grab(self):
+                begun.set()
+                end = time.monotonic() + 1.5
+                while time.monotonic() < end:
+                    scipy.fft.fft2(np.ones((800, 800)))
+                return np.zeros((3, 5), np.uint16)
+
+            def close(self):
+                pass
+
+        def ask(port):
+            camera = open_camera("simulated", port=port)
+            try:
+                camera.grab()
+            except NotConnected:
+                camera.close()
+
+        with CameraServer(Slow) as server:
+            client = threading.Thread(target=ask, args=(server.port,))
+            client.start()
+            begun.wait()
+        client.join()
+        sys.exit(69)
+    """)
+    command = [sys.executable, "-c", script]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=200)
+    assert (done.returncode, done.stderr) == (69, "")
 
 
 @pytest.mark.parametrize(
@@ -168,7 +217,7 @@ def test_somebody_else_on_the_port(answer):
         thread = threading.Thread(target=serve)
         thread.start()
         with pytest.raises(ProtocolError, match="not as a simulated camera does"):
-            open_camera("simulated", port=f"127.0.0.1:{listener.getsockname()[1]}", timeout_s=5.0)
+            open_camera("simulated", port=f"127.0.0.1:{listener.getsockname()[1]}", timeout_s=60.0)
         thread.join()
 
 

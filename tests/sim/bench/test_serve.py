@@ -1,5 +1,6 @@
 """Serving to other programs, and the command line that does it."""
 
+import gc
 import json
 import os
 import signal
@@ -27,7 +28,7 @@ def test_any_program_can_talk_over_tcp():
     with TcpServer(firmware()) as server:
         host, port = server.port.split(":")
         for _ in range(3):
-            with socket.create_connection((host, int(port)), timeout=2.0) as client:
+            with socket.create_connection((host, int(port)), timeout=30.0) as client:
                 client.sendall(b"0in\r\n")
                 assert client.recv(100) == b"0IN0E1140051720231701016800023000\r\n"
 
@@ -53,11 +54,12 @@ def test_a_tcp_port_that_is_taken():
 
 
 def test_servers_leave_nothing_behind():
+    gc.collect()  # what other tests left is closed before, and not meanwhile
     before = len(list(Path("/proc/self/fd").iterdir()))
     for kind in (PtyServer, TcpServer):
         with kind(firmware()):
             pass
-    assert len(list(Path("/proc/self/fd").iterdir())) == before
+    assert len(list(Path("/proc/self/fd").iterdir())) <= before
 
 
 @pytest.mark.parametrize(
@@ -92,9 +94,9 @@ def test_the_command_serves_until_it_is_told_to_stop(option, ending):
         where = first.split()[-1]
         with Transport(where if where.startswith("/") else f"socket://{where}") as line:
             line.write(b"0gs")
-            assert line.read_until(b"\r\n", 2.0) == b"0GS00\r\n"
+            assert line.read_until(b"\r\n", 30.0) == b"0GS00\r\n"
         process.send_signal(ending)
-        _, errors = process.communicate(timeout=10.0)
+        _, errors = process.communicate(timeout=120.0)
     assert (process.returncode, errors) == (0, "")
 
 
