@@ -75,7 +75,9 @@ def _counting_chance(shares: FloatArray, cells: int, share: float) -> float:
     from scipy.special import betainc  # noqa: PLC0415 - heavy
 
     seen, count = float(shares.sum()) * cells, len(shares)
-    return float(betainc(max(round(share * cells), 1), seen + 0.5, 1.0 / (count + 1.0)))
+    # a share of a print is not one of whole cells: what is more than k of them exceeds a limit of k
+    more = max(int(np.ceil(share * cells - 1e-6)), 1)
+    return float(betainc(more, seen + 0.5, 1.0 / (count + 1.0)))
 
 
 def _gamma_limit(shares: FloatArray, alpha: float) -> float:

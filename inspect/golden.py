@@ -102,7 +102,8 @@ class GoldenSet(BaseModel):
         if count < self.needed:
             sensible = 3 * (self.needed - 1)
             return (
-                f"{count} golden parts: from {self.needed} on they are compared with, {sensible} are sensible"
+                f"{counted(count, 'golden part')}: from {self.needed} on they are compared with, {sensible} are "
+                "sensible"
             )
         scatter = np.atleast_2d(np.cov(self.contrasts(), rowvar=False))
         if np.linalg.matrix_rank(scatter) < len(scatter):
@@ -110,12 +111,17 @@ class GoldenSet(BaseModel):
         return None
 
 
+def counted(count: int, what: str) -> str:
+    """``1 golden part``, ``2 golden parts``."""
+    return f"{count} {what}" if count == 1 else f"{count} {what}s"
+
+
 def golden_path(recipe_path: Path) -> Path:
     """Where the good parts of a recipe are kept: ``NAME.golden.json`` beside it."""
     return recipe_path.with_name(f"{recipe_path.stem}.golden.json")
 
 
-def limit_is_given(rule: AreaPart) -> bool:
+def limit_is_given(rule: BaseModel) -> bool:
     """Does the recipe itself say how much of the area may deviate?"""
     return "max_share" in rule.model_fields_set
 

@@ -12,9 +12,10 @@ from anisoscope.atomicfile import write_text
 from anisoscope.errors import MeasurementError, RecordError, RigFileError, Saturated
 from anisoscope.golden import golden_path, read_golden
 from anisoscope.inspection import inspect_part
-from anisoscope.job import check_serial, prepare
+from anisoscope.job import Job, check_serial, prepare
+from anisoscope.prints.light import check_filters, expectation_of_print
 from anisoscope.prints.recipe import AnyRecipe, PrintRecipe, read_any_recipe
-from anisoscope.prints.tolerances import WHY, taught_tolerances
+from anisoscope.prints.tolerances import golden_tolerances, taught_tolerances
 from anisoscope.progress import Advance, silent
 from anisoscope.recipe import Recipe
 from anisoscope.recipetext import with_values
@@ -55,20 +56,21 @@ class Taught:
     Attributes:
         version: the new one.
         kept: where the old version lies.
-        folder: the inspection of the good part with the new exposure and region.
+        folder: the inspection of the good part with the new exposure and region; None where none was inspected.
         changes: what was changed.
         notes: what the user should know besides.
     """
 
     version: int
     kept: Path
-    folder: Path
+    folder: Path | None
     changes: tuple[Change, ...]
     notes: tuple[str, ...]
 
     def as_json(self) -> dict[str, Any]:
         """For `json.dump`."""
-        return asdict(self) | {"kept": str(self.kept), "folder": str(self.folder)}
+        folder = None if self.folder is None else str(self.folder)
+        return asdict(self) | {"kept": str(self.kept), "folder": folder}
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +87,8 @@ def teach(recipe_path: Path, rig_path: Path, serial: str, out: Path, advance: Ad
 
     The part is photographed once to find exposure and region, then inspected with them; tolerances follow from the
     uncertainty of that inspection, and from the golden parts of the recipe where there are any. The tolerances of a
-    print follow from the uncertainty and from what the print itself deviates.
+    print follow from its golden prints, or where there are too few from the uncertainty and from what the print itself
+    deviates.
 
     Args:
         recipe_path: recipe file.
@@ -106,8 +109,11 @@ def teach(recipe_path: Path, rig_path: Path, serial: str, out: Path, advance: Ad
     if fixture is None:
         raise RigFileError(f"{rig_path} describes no [fixture]: teaching finds the part between its markers")
     recipe, text = job.recipe, recipe_path.read_text(encoding="utf-8")
-    kept = _kept(recipe_path, recipe.version)
+    kept = kept_path(recipe_path, recipe.version)
     with open_rig(job.rig) as rig:
+        if isinstance(recipe, PrintRecipe):
+            info = rig.camera.info
+            check_filters(info.filters, f"camera {info.serial}", job.white.filters)
         probe = _probe(rig, recipe, fixture, advance)
     size = largest_region(probe.pictures, probe.places, fixture, recipe)
     values: dict[tuple[str, ...], Any] = {
@@ -126,8 +132,8 @@ def teach(recipe_path: Path, rig_path: Path, serial: str, out: Path, advance: Ad
         raise MeasurementError(
             f"the part cannot teach the recipe, which stays as it is: {'; '.join(record.reasons)} ({inspected.folder})"
         )
-    limits, why = _limits(record, recipe, recipe_path)
-    values |= limits
+    limits = _limits(record, recipe, recipe_path, job)
+    values |= {key: value for key, (value, _) in limits.items()}
     write_text(kept, text)
     write_text(recipe_path, with_values(text, values))
     taught = read_any_recipe(recipe_path)
@@ -144,18 +150,29 @@ def teach(recipe_path: Path, rig_path: Path, serial: str, out: Path, advance: Ad
             taught.region.size_mm,
             "the part shows in all poses and between the markers",
         ),
-        *(Change(".".join(key), _value(recipe, key), _value(taught, key), why) for key in limits),
+        *(
+            Change(".".join(key), _value(recipe, key), _value(taught, key), why)
+            for key, (_, why) in limits.items()
+        ),
     )
     return Taught(taught.version, kept, inspected.folder, changes, _notes(record, recipe_path, recipe))
 
 
-def _limits(record: Record, recipe: AnyRecipe, recipe_path: Path) -> tuple[dict[tuple[str, ...], Any], str]:
-    """The tolerances by their places in the recipe, and where they come from."""
+def _limits(
+    record: Record, recipe: AnyRecipe, recipe_path: Path, job: Job
+) -> dict[tuple[str, ...], tuple[Any, str]]:
+    """The tolerances by their places in the recipe, each with where it comes from."""
     if isinstance(recipe, PrintRecipe):
-        found = taught_tolerances(record, recipe)
-        return {("tolerances", key): value for key, value in found.items()}, WHY
+        if record.print is None or record.print.lobe is None:
+            raise MeasurementError("hardly anything is printed there: the recipe stays as it is")
+        golden = job.golden_prints
+        if golden is None or golden.lacking is not None:
+            found = taught_tolerances(record, recipe)
+        else:
+            found = golden_tolerances(golden, recipe, expectation_of_print(recipe, job.rig))
+        return {("tolerances", key): (one.value, one.why) for key, one in found.items()}
     tolerances, why = _tolerances(record, recipe, recipe_path)
-    return {("decision", "tolerance"): tolerances}, why
+    return {("decision", "tolerance"): (tolerances, why)}
 
 
 def _value(recipe: AnyRecipe, key: tuple[str, ...]) -> Any:  # noqa: ANN401 - of any type
@@ -220,7 +237,7 @@ def _tolerances(record: Record, recipe: Recipe, recipe_path: Path) -> tuple[list
     return [float(f"{value:.2g}") for value in np.maximum(by_u, spread)], why
 
 
-def _kept(recipe_path: Path, version: int) -> Path:
+def kept_path(recipe_path: Path, version: int) -> Path:
     """Where the old version goes.
 
     Raises:

@@ -98,7 +98,8 @@ def show(*, recipe: RecipeFile, json_: Json = False) -> int:
             )
     content = _content(path, known.lacking, len(known.parts))
     if not isinstance(known, GoldenSet):
-        return show_prints(known, content, json_=json_)
+        assert isinstance(rules, PrintRecipe)
+        return show_prints(known, rules, content, json_=json_)
     assert not isinstance(rules, PrintRecipe)
     contrasts = known.contrasts()
     scatter = contrasts.std(axis=0, ddof=1) if len(contrasts) > 1 else np.full(contrasts.shape[1], np.nan)
@@ -180,17 +181,17 @@ def _content(path: Path, lacking: str | None, count: int) -> dict[str, Any]:
 
 
 def _say(path: Path, number: int, what: str, known: "AnySet", *, json_: bool) -> int:
-    from anisoscope.golden import GoldenSet
+    from anisoscope.golden import GoldenSet, counted
 
     lacking, count = known.lacking, len(known.parts)
-    kind = "parts" if isinstance(known, GoldenSet) else "prints"
+    kind = "golden part" if isinstance(known, GoldenSet) else "golden print"
     if json_:
         json.dump(_content(path, lacking if count else None, count) | {what: number}, sys.stdout, indent=2)
         sys.stdout.write("\n")
         return 0
     out = console()
     out.print(
-        f"{path}: {number} {what}, {count} golden {kind}", markup=False, highlight=False, soft_wrap=True
+        f"{path}: {number} {what}, {counted(count, kind)}", markup=False, highlight=False, soft_wrap=True
     )
     if lacking and count:
         out.print(lacking, markup=False, highlight=False, soft_wrap=True)

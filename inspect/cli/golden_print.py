@@ -10,7 +10,7 @@ from anisoscope.cli.console import console, print_table
 if TYPE_CHECKING:
     from anisoscope.golden import GoldenSet
     from anisoscope.prints.golden import GoldenPrints
-    from anisoscope.prints.recipe import AnyRecipe
+    from anisoscope.prints.recipe import AnyRecipe, PrintRecipe
     from anisoscope.record import Record
 
     AnySet = GoldenSet | GoldenPrints
@@ -46,7 +46,7 @@ def without_one(known: "AnySet", serial: str) -> "AnySet":
     return without_part(known, serial) if isinstance(known, GoldenSet) else without_print(known, serial)
 
 
-def show_prints(known: "GoldenPrints", content: dict[str, Any], *, json_: bool) -> int:
+def show_prints(known: "GoldenPrints", recipe: "PrintRecipe", content: dict[str, Any], *, json_: bool) -> int:
     """List golden prints: how bright each is from their mean, and how far it is off besides."""
     import numpy as np
 
@@ -59,6 +59,10 @@ def show_prints(known: "GoldenPrints", content: dict[str, Any], *, json_: bool) 
         scatter = off.std(axis=0, ddof=1) if len(off) > 1 else None
         content |= {"seen": known.seen.model_dump(), "poses": [list(pose) for pose in known.poses]}
         content["parts"] = [part.model_dump() for part in known.parts]
+        content["area_limit"] = (
+            None if recipe.area is None else known.area_limit(recipe) or recipe.area.max_share
+        )
+        content["area_limit_says"] = _limit_says(known, recipe)
         content |= {"mean": mean.tolist(), "scatter": None if scatter is None else scatter.tolist()}
         json.dump(content, sys.stdout, indent=2, allow_nan=False)
         sys.stdout.write("\n")
@@ -86,7 +90,31 @@ def show_prints(known: "GoldenPrints", content: dict[str, Any], *, json_: bool) 
         highlight=False,
         soft_wrap=True,
     )
+    console().print(_limit_says(known, recipe), markup=False, highlight=False, soft_wrap=True)
     return 0
+
+
+def _limit_says(known: "GoldenPrints", recipe: "PrintRecipe") -> str:
+    """Where the limit of the area comes from, in words."""
+    from anisoscope.arealimit import MIN_PARTS
+    from anisoscope.golden import limit_is_given
+    from anisoscope.prints.golden import TESTS
+
+    rule, alpha = recipe.area, recipe.decision.alpha
+    if rule is None:
+        return "limit of the area: none, the recipe does not judge it"
+    limit, count = known.area_limit(recipe), len(known.area_shares(rule))
+    if limit is not None:
+        return (
+            f"limit of the area: {limit:.2%}, learnt from {count} golden prints (one good print in {TESTS / alpha:.0f} "
+            f"exceeds it; lobe, colours and area share the level {alpha:g})"
+        )
+    if limit_is_given(rule):
+        return f"limit of the area: {rule.max_share:.2%}, as the recipe says in area.max_share"
+    return (
+        f"limit of the area: {rule.max_share:.2%}; from {MIN_PARTS} golden prints judged in cells of "
+        f"{rule.cell_mm:g} mm at cell_delta_e {rule.cell_delta_e:g} on it is learnt from them, now there are {count}"
+    )
 
 
 def _share(share: float | None) -> str:

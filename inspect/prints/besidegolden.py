@@ -4,7 +4,8 @@ The scatter of 25 prints cannot weigh the 63 channels of 21 poses. What is weigh
 parameters of the fit (roughness in every direction, lean, levels, form of the lobe), taken linearly about the print
 that the recipe predicts, so that they are normal if the channels are; and pose by pose the three channels, without what
 the lean makes, because the lean may be that of the seat and is one of the nine. The scatter of golden prints holds the
-uncertainty of the measurement already. Lobe and colours share one level, and so do the poses' colours (Holm 1979).
+uncertainty of the measurement already. Lobe, colours and, where its limit is learnt, the area share one level, and so
+do the poses' colours (Holm 1979).
 """
 
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.arealimit import KnownShares
 from anisoscope.prints.expecting import PrintExpectation
 from anisoscope.prints.fitting import PARAMETERS
 from anisoscope.prints.golden import GoldenPrints
@@ -41,6 +43,21 @@ class GoldenColour:
     p_value: float
 
 
+@dataclass(frozen=True)
+class GoldenArea:
+    """The deviating area beside that of the golden prints.
+
+    Attributes:
+        limit: largest share of one more good print, but for its part of the level.
+        p_value: probability of as much for a print like the golden ones, Holm-adjusted over all tests.
+        prints: how many golden prints tell it.
+    """
+
+    limit: float
+    p_value: float
+    prints: int
+
+
 @dataclass(frozen=True, eq=False)
 class BesideGolden:
     """A print beside the golden prints.
@@ -54,6 +71,7 @@ class BesideGolden:
         colours: one a pose.
         logs: (3P,) mean of the golden prints' ln of the channels.
         covariance: (3P, 3P) by how much a good print's ln of the channels differs from it, as far as the nine tell.
+        area: the deviating area by that of the golden prints, or None where they do not tell.
     """
 
     count: int
@@ -64,10 +82,11 @@ class BesideGolden:
     colours: tuple[GoldenColour, ...]
     logs: FloatArray
     covariance: FloatArray
+    area: GoldenArea | None = None
 
     @property
     def p_value(self) -> float:
-        """Probability that a print like the golden ones deviates as much in any test."""
+        """Probability that a print like the golden ones deviates as much in any test but that of the area."""
         return min(self.p_fitted, *(one.p_value for one in self.colours))
 
 
@@ -92,7 +111,12 @@ def linear_fit(expected: PrintExpectation, sources: tuple[Source, ...]) -> Linea
 
 
 def beside_golden(
-    golden: GoldenPrints, expected: PrintExpectation, logs: FloatArray, fit: LinearFit
+    golden: GoldenPrints,
+    expected: PrintExpectation,
+    logs: FloatArray,
+    fit: LinearFit,
+    area: tuple[KnownShares, float] | None = None,
+    alpha: float = 0.01,
 ) -> BesideGolden:
     """Weigh a print by the golden prints.
 
@@ -101,6 +125,8 @@ def beside_golden(
         expected: the prediction.
         logs: (3P,) ln of the print's channels.
         fit: what is weighed, of all prints alike.
+        area: what golden prints have shown of the area, and the share that deviates here; None if they do not tell.
+        alpha: level of all tests together.
 
     Raises:
         MeasurementError: the golden prints are too few, or do not vary in every direction.
@@ -115,7 +141,10 @@ def beside_golden(
     here = (flat @ mine).reshape(-1, 3)
     tests = [hotelling(here[k], others[:, k]) for k in range(len(here))]
     of_poses = holm(np.array([p for _, p in tests]))
-    p_fitted, p_colours = (float(p) for p in holm(np.array([p_fitted, of_poses.min()])))
+    p_values = [p_fitted, float(of_poses.min())]
+    shares = None if area is None else _area(*area, p_values, alpha)
+    p_values += [] if area is None else [area[0].chance(area[1])]
+    p_fitted, p_colours = (float(p) for p in holm(np.array(p_values))[:2])
     apart, spread = _differences(expected, here, others)
     colours = tuple(
         GoldenColour(float(apart[k]), float(spread[k]), tests[k][0], float(max(of_poses[k], p_colours)))
@@ -124,7 +153,19 @@ def beside_golden(
     count = len(known)
     scatter = slopes @ np.cov(fitted, rowvar=False) @ slopes.T * (1.0 + 1.0 / count)
     mean = golden.logs().mean(axis=0)
-    return BesideGolden(count, fitted, own, t2, p_fitted, colours, mean, np.asarray(scatter))
+    return BesideGolden(count, fitted, own, t2, p_fitted, colours, mean, np.asarray(scatter), shares)
+
+
+def _area(known: KnownShares, share: float, others: list[float], alpha: float) -> GoldenArea:
+    """The test of the area beside the p values of the other tests; its limit is that of its step of Holm's."""
+    rejected = 0
+    for step, p_value in enumerate(sorted(others)):
+        if p_value * (len(others) + 1 - step) >= alpha:
+            break
+        rejected += 1
+    limit = known.limit(alpha / (len(others) + 1 - rejected))
+    adjusted = float(holm(np.array([*others, known.chance(share)]))[-1])
+    return GoldenArea(limit, adjusted, len(known.shares))
 
 
 def _differences(

@@ -11,36 +11,26 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.diagnosis.causes import Cause, Group
+from anisoscope.diagnosis.causes import Cause
 from anisoscope.diagnosis.diagnosing import Diagnosis, diagnose
 from anisoscope.diagnosis.evidence import Evidence
 from anisoscope.diagnosis.likelihood import fit_extent, interval
 from anisoscope.diagnosis.signatures import Signature, Signatures
 from anisoscope.errors import ModelError
-from anisoscope.prediction.sensitivity import State as RidgeState
+from anisoscope.prints.bare import MISSING_INK
 from anisoscope.prints.deciding import PrintDecision
 from anisoscope.prints.expecting import PrintExpectation
 from anisoscope.prints.fitting import PrintFit
+from anisoscope.prints.inkcauses import LEANS_DEG, SHARES, UP_TO_ALL, Extents, cause_of, of_ink, too_bright
 from anisoscope.prints.measuring import MeasuredPrint, cell_grid
 from anisoscope.prints.model import Scene, State
 from anisoscope.prints.recipe import PrintRecipe
 from anisoscope.prints.sources import Source, total
-from anisoscope.profiles.heightmap import HeightMap
 
 FloatArray = npt.NDArray[np.float64]
-Extents = tuple[float, ...]
-
-_DOUBT = 0.02
 _BACKGROUND = 0.002
 U_BACKGROUND = 0.004
 """Standard uncertainty of the share of the area that deviates on good prints."""
-_SIZES = (0.02, 0.05, 0.1, 0.15, 0.25, 0.4, 0.6, 0.8, 1.0)
-_SHARES = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7)
-_LEANS_DEG = (0.2, 0.5, 1.0, 1.5, 2.0, 3.0)
-_FAR_DEG = (*_LEANS_DEG, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 15.0)
-_SHIFTS_NM = (2.0, 4.0, 6.0, 10.0, 15.0, 20.0, 30.0)
-_SHIFT_DOUBT = 0.1
-"""The spectra are known at steps of 10 nm, linear between them."""
 
 
 def explain_print(
@@ -54,6 +44,8 @@ def explain_print(
         measured: the channels.
         decision: the verdict, with fit and map.
     """
+    if decision.bare is not None:
+        return decision.bare.diagnosis()
     logs, covariance, sources = _deviation(expected, measured, decision)
     found = decision.map
     if found is None:
@@ -101,7 +93,8 @@ def _alone(found: Diagnosis, known: Signatures, evidence: Evidence, sources: tup
 _COUNTS = 0.01
 _OWN = {
     "roughness": ("roughness of the ink",),
-    "missing-ink": ("level of the ink",),
+    MISSING_INK: ("level of the ink",),
+    "bright-ink": ("level of the ink",),
     "lean": ("seating tilt about x", "seating tilt about y"),
     "lobe-form": ("form of the lobe",),
     "film-thickness": ("colour of the ink",),
@@ -112,7 +105,7 @@ _OWN = {
 def known_causes(
     recipe: PrintRecipe,
     expected: PrintExpectation,
-    fit: PrintFit,
+    fit: PrintFit | None,
     extra: int,
     curl_deg: FloatArray | None = None,
 ) -> Signatures:
@@ -121,19 +114,20 @@ def known_causes(
     Args:
         recipe: its recipe.
         expected: the prediction.
-        fit: gives the directions of brushing and lean.
+        fit: gives the directions of brushing and lean; None for those along x.
         extra: 1 if the change of tilt across the region is a datum after ln of the channels, else 0.
         curl_deg: (2, 2) that change as the map shows it (`PrintMap.curl_deg`), for its direction, or None.
 
     Raises:
         InkFileError: one of the wrong inks cannot be read.
     """
-    signatures = [_of_state(expected.scene, *one, extra) for one in _of_ink(fit)]
+    made = [*of_ink(State() if fit is None else fit.state), *too_bright(expected.scene.coverage)]
+    signatures = [_of_state(expected.scene, *one, extra) for one in made]
     signatures += [
         _of_state(
             replace(expected.scene, other=ink),
-            _cause(f"wrong-ink-{ink.name}", f"share of {ink.name} in the ink", "", "finish", _WRONG),
-            _SHARES,
+            cause_of(f"wrong-ink-{ink.name}", f"share of {ink.name} in the ink", "", "finish", _WRONG),
+            UP_TO_ALL,
             lambda extent: State(other=extent),
             extra,
         )
@@ -145,91 +139,6 @@ def known_causes(
 
 
 _WRONG = "press: ink of another job in the pan or the screen"
-_OF_INK = "ink: binder mixed in, other flakes or another batch; press: flakes do not lie flat"
-
-
-def _of_ink(fit: PrintFit) -> list[tuple[Cause, Extents, Callable[[float], State]]]:
-    """Causes with their extents, and what state of the print each makes of an extent."""
-    brush = np.array([fit.state.ratio, fit.state.skew])
-    brush = brush / max(float(np.linalg.norm(brush)), 1e-12) if np.any(brush) else np.array([1.0, 0.0])
-    brush = -brush if brush[0] < 0.0 else brush
-    along = _brush_deg(brush)
-    across = (along + 90.0) % 180.0
-    lean = np.array([fit.state.tilt_x_deg, fit.state.tilt_y_deg])
-    lean = lean / max(float(np.linalg.norm(lean)), 1e-12) if np.any(lean) else np.array([1.0, 0.0])
-    toward = round(float(np.degrees(np.arctan2(lean[1], lean[0])))) % 360
-    both = tuple(sorted({0.0, *(0.8 * s for s in _SIZES), *(-0.4 * s for s in _SIZES)}))
-    return [
-        (
-            _cause("roughness", "roughness of the lobe, relative change", "", "finish", _OF_INK),
-            both,
-            lambda e: State(alpha=float(np.log1p(e))),
-        ),
-        (
-            _cause("missing-ink", "missing ink, share", "", "finish", "press: too little ink, worn screen"),
-            _SHARES,
-            lambda e: State(missing=e),
-        ),
-        (
-            _cause(
-                "brushing",
-                f"brushed print: roughness at {across:.0f}° over {along:.0f}°, relative excess",
-                "",
-                "finish",
-                "press: squeegee or roller combs the flakes",
-            ),
-            both,
-            lambda e: State(ratio=float(brush[0] * np.log1p(e)), skew=float(brush[1] * np.log1p(e))),
-        ),
-        (
-            _cause(
-                "lean",
-                f"flakes shingled, or sheet not flat in its seat: leans toward {toward}° by",
-                "°",
-                "finish",
-                "press: flakes lie on each other like shingles; handling: sheet does not lie flat",
-            ),
-            (0.0, *_FAR_DEG),
-            lambda e: State(tilt_x_deg=float(lean[0] * e), tilt_y_deg=float(lean[1] * e)),
-        ),
-        (
-            _cause(
-                "film-thickness",
-                "film of the flakes: spectra shifted by",
-                "nm",
-                "finish",
-                "ink: flakes with a thicker or thinner coat",
-                _SHIFT_DOUBT,
-            ),
-            tuple(sorted({0.0, *_SHIFTS_NM, *(-s for s in _SHIFTS_NM)})),
-            lambda e: State(shift_nm=e),
-        ),
-        (
-            _cause(
-                "lobe-form",
-                "form of the lobe, 0 as in the recipe, 1 the other distribution",
-                "",
-                "finish",
-                "ink: flakes lie otherwise than those from which the ink file was made; set print.lobe by a good print",
-            ),
-            (-0.5, -0.25, -0.1, 0.0, 0.1, 0.25, 0.5, 0.75, 1.0, 1.5),
-            lambda e: State(lobe=e),
-        ),
-    ]
-
-
-def _brush_deg(brush: FloatArray) -> float:
-    """Direction of the smaller roughness, 0 to 180 degrees, of a unit vector (ratio, skew)."""
-    return round(float(0.5 * np.degrees(np.arctan2(brush[1], brush[0])))) % 180.0
-
-
-def _cause(name: str, title: str, unit: str, group: Group, explains: str, doubt: float = _DOUBT) -> Cause:
-    return Cause(name, title, unit, group, explains, (), _no_surface, doubt)
-
-
-def _no_surface(surface: HeightMap, state: RidgeState, _extent: float) -> tuple[HeightMap, RidgeState]:
-    """A print has no height map that a cause could change: its signature comes from the ink."""
-    return surface, state
 
 
 def _of_state(
@@ -238,9 +147,12 @@ def _of_state(
     good, kept, changes = scene.log_channels(), [], []
     for extent in extents:
         try:
-            changes.append(np.append(scene.log_channels(state(extent)) - good, np.zeros(extra)))
+            channels = scene.channels(state(extent)).ravel()
         except ModelError:
             continue
+        if channels.min() <= 0.0:  # all the ink gone from a black sheet
+            continue
+        changes.append(np.append(np.log(channels) - good, np.zeros(extra)))
         kept.append(extent)
     return Signature(cause, np.array(kept), np.array(changes), np.zeros(len(kept)))
 
@@ -249,7 +161,7 @@ def _curl(recipe: PrintRecipe, expected: PrintExpectation, curl_deg: FloatArray 
     """A sheet that bends: tilt grows evenly across the region, so that its ends deviate from the middle."""
     assert recipe.area is not None
     # close together: cells pass the limit one after the other
-    extents = np.append(np.arange(0.0, _LEANS_DEG[-1] + 0.05, 0.1), np.arange(3.25, 8.1, 0.25))
+    extents = np.append(np.arange(0.0, LEANS_DEG[-1] + 0.05, 0.1), np.arange(3.25, 8.1, 0.25))
     way = np.diag([1.0, 0.0]) if curl_deg is None or not np.any(curl_deg) else curl_deg
     tilts = _places(recipe) @ (way / np.linalg.norm(way, 2)).T
     alike, of_cells = np.unique(np.round(tilts, 9), axis=0, return_inverse=True)
@@ -261,7 +173,7 @@ def _curl(recipe: PrintRecipe, expected: PrintExpectation, curl_deg: FloatArray 
         changes.append(np.append(np.log(mean / expected.channels).ravel(), extent))
         off = eye.difference(ways, np.broadcast_to(np.median(seen, axis=0), ways.shape)).max(axis=1)
         shares.append(float(np.mean(off[of_cells.ravel()] > recipe.area.cell_delta_e)))
-    cause = _cause("curl", "curled sheet, change of tilt across the region", "°", "shape", _CURLED, 0.05)
+    cause = cause_of("curl", "curled sheet, change of tilt across the region", "°", "shape", _CURLED, 0.05)
     return Signature(cause, extents, np.array(changes), np.array(shares))
 
 
@@ -279,7 +191,7 @@ _CURLED = "handling: sheet dried unevenly, or is not held down at its edges"
 def _spots(scene: Scene) -> Signature:
     """Ink that is missing here and there: those cells deviate, and the mean shows half of their share."""
     good = scene.log_channels()
-    extents = np.array(_SHARES)
-    changes = [np.append(scene.log_channels(State(missing=0.5 * e)) - good, 0.0) for e in _SHARES]
-    cause = _cause("spots", "spots, share of the area", "", "area", "press: dust, pinholes, clogged mesh")
+    extents = np.array(SHARES)
+    changes = [np.append(scene.log_channels(State(missing=0.5 * e)) - good, 0.0) for e in SHARES]
+    cause = cause_of("spots", "spots, share of the area", "", "area", "press: dust, pinholes, clogged mesh")
     return Signature(cause, extents, np.array(changes), extents)

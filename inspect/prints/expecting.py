@@ -1,6 +1,6 @@
 """What a print should show: the channels of every pose with everything that makes the prediction uncertain."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -124,49 +124,60 @@ def _check_lobe(scene: Scene) -> None:
         )
 
 
-def _common(recipe: PrintRecipe, scene: Scene) -> tuple[Source, ...]:
+def sources_at(recipe: PrintRecipe, expected: PrintExpectation, state: State) -> tuple[Source, ...]:
+    """All sources of uncertainty, of prediction and rig, as they act on a print in some state."""
+    scene = expected.scene
+    of_prediction = (*_common(recipe, scene, state), *_fitted(recipe, scene, state))
+    return (*of_prediction, *rig_sources(recipe, expected, state))
+
+
+def _common(recipe: PrintRecipe, scene: Scene, state: State | None = None) -> tuple[Source, ...]:
     part, rig, count = recipe.print, recipe.uncertainty, 3 * len(scene.poses)
     return (
-        shared("c of the ink", "prediction", part.u_c * scene.slope("c")),
-        shared("substrate", "prediction", part.u_substrate * _of_substrate(scene)),
-        shared("light angle", "prediction", rig.light_angle_deg * scene.slope("light_angle_deg")),
+        shared("c of the ink", "prediction", part.u_c * scene.slope("c", state)),
+        shared("substrate", "prediction", part.u_substrate * _of_substrate(scene, state or State())),
+        shared("light angle", "prediction", rig.light_angle_deg * scene.slope("light_angle_deg", state)),
         of_each("ink model", "prediction", np.full(count, rig.model_share)),
     )
 
 
-def _of_substrate(scene: Scene) -> FloatArray:
+def _of_substrate(scene: Scene, state: State) -> FloatArray:
     """Derivative of ln of the channels with respect to the substrate's reflectance, one-sided where it is black."""
     step = 1e-4
-    more = scene.log_channels(State(substrate=step))
-    return np.asarray((more - scene.log_channels()) / step)
+    more = scene.log_channels(replace(state, substrate=state.substrate + step))
+    return np.asarray((more - scene.log_channels(state)) / step)
 
 
-def _fitted(recipe: PrintRecipe, scene: Scene) -> tuple[Source, ...]:
+def _fitted(recipe: PrintRecipe, scene: Scene, state: State | None = None) -> tuple[Source, ...]:
     part, rig, poses = recipe.print, recipe.uncertainty, len(scene.poses)
-    level = [scene.slope(name) for name in ("red", "green", "blue")]
+    level = [scene.slope(name, state) for name in ("red", "green", "blue")]
     each = np.stack(level).sum(axis=0).reshape(poses, 3)
     return (
-        shared("roughness of the ink", "prediction", part.u_alpha_share * scene.slope("alpha")),
+        shared("roughness of the ink", "prediction", part.u_alpha_share * scene.slope("alpha", state)),
         shared("level of the ink", "prediction", part.u_rho_share * np.sum(level, axis=0)),
         of_channels("colour of the ink", "prediction", part.u_colour_share * each),
-        shared("form of the lobe", "prediction", part.u_lobe * scene.slope("lobe")),
-        shared("seating tilt about x", "prediction", rig.seating_tilt_deg * scene.slope("seat_x_deg")),
-        shared("seating tilt about y", "prediction", rig.seating_tilt_deg * scene.slope("seat_y_deg")),
+        shared("form of the lobe", "prediction", part.u_lobe * scene.slope("lobe", state)),
+        shared("seating tilt about x", "prediction", rig.seating_tilt_deg * scene.slope("seat_x_deg", state)),
+        shared("seating tilt about y", "prediction", rig.seating_tilt_deg * scene.slope("seat_y_deg", state)),
     )
 
 
-def rig_sources(recipe: PrintRecipe, expected: PrintExpectation) -> tuple[Source, ...]:
-    """Sources of the measurement that the recipe states: what one inspection cannot see."""
+def rig_sources(
+    recipe: PrintRecipe, expected: PrintExpectation, state: State | None = None
+) -> tuple[Source, ...]:
+    """Sources of the measurement that the recipe states: what one inspection cannot see; of a print in some state."""
     rig, scene, poses = recipe.uncertainty, expected.scene, len(expected.poses)
-    ones = np.ones((poses, 3))
-    arm = scene.slope("arm_deg").reshape(poses, 3)
+    ones, channels = np.ones((poses, 3)), expected.channels if state is None else scene.channels(state)
+    arm = scene.slope("arm_deg", state).reshape(poses, 3)
     return (
         shared("white tile", "measurement", rig.scale_share * ones.ravel()),
         of_channels("balance of the channels", "measurement", rig.channel_share * ones),
         of_each("flat field", "measurement", rig.flat_share * ones.ravel()),
         of_each("linearity of the camera", "measurement", rig.linearity_share * ones.ravel()),
-        shared("stray light", "measurement", rig.stray_radiance / expected.channels.ravel()),
-        of_poses("stage angle", "measurement", rig.stage_deg * scene.slope("stage_deg").reshape(poses, 3)),
+        shared("stray light", "measurement", rig.stray_radiance / channels.ravel()),
+        of_poses(
+            "stage angle", "measurement", rig.stage_deg * scene.slope("stage_deg", state).reshape(poses, 3)
+        ),
         _of_tilts(rig.tilt_deg * arm, expected.poses),
         shared("zero of the tilt", "measurement", rig.tilt_zero_deg * arm.ravel()),
     )

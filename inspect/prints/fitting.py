@@ -21,6 +21,8 @@ _ROUNDS = 60
 _SETTLED = 1e-9
 _WILDEST = {"alpha": 2.5, "tilt_x_deg": 60.0, "tilt_y_deg": 60.0, "lobe": 30.0}
 """Beyond these no print is left: a lobe twelve times as wide as it should be is plain paper's."""
+_VAGUE = 0.5
+"""Standard uncertainty of ln α beyond which it is no lobe whose width is told."""
 _UNFIT = "the lobe of this print cannot be fitted: is this the recipe's ink, and does the print lie flat?"
 _STEP_LIMIT = {"alpha": 0.4, "ratio": 0.4, "skew": 0.4, "tilt_x_deg": 4.0, "tilt_y_deg": 4.0, "lobe": 0.5}
 _TITLES = {
@@ -28,6 +30,10 @@ _TITLES = {
     "tilt_x_deg": "tilt toward +x", "tilt_y_deg": "tilt toward +y", "red": "level of red", "green": "level of green",
     "blue": "level of blue", "lobe": "form of the lobe",
 }  # fmt: skip
+
+
+class NoLobe(MeasurementError):
+    """No lobe of any width, height or form makes what the pictures show."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +78,8 @@ def fit_print(
         start: where to begin; the good print if None.
 
     Raises:
-        MeasurementError: the poses do not determine a parameter, or the fit does not settle.
+        MeasurementError: the poses do not determine a parameter.
+        NoLobe: the fit does not settle, or settles where there is no lobe to tell the width of.
     """
     covariance = total(sources, len(log_channels))
     try:
@@ -83,19 +90,22 @@ def fit_print(
             "state some under [uncertainty] in the recipe"
         ) from None
     state, before = start or State(), np.inf
-    for _ in range(_ROUNDS):
+    for turn in range(_ROUNDS):
         off, slopes = log_channels - scene.log_channels(state), _slopes(scene, state)
         white, white_off = _whitened(root, slopes), _whitened(root, off)
         chi2 = float(white_off @ white_off)
         step, rank = _solved(white, white_off)
         if rank < len(PARAMETERS):
-            raise MeasurementError(_undetermined(white))
+            raise NoLobe(_UNFIT) if turn else MeasurementError(_undetermined(white))
         if abs(before - chi2) < _SETTLED * (1.0 + chi2):
-            return _fitted(state, white, root, chi2, slopes)
+            found = _fitted(state, white, root, chi2, slopes)
+            if found.u("alpha") > _VAGUE:
+                break
+            return found
         state, before = _moved(scene, state, step, log_channels, root, chi2), chi2
         if any(abs(getattr(state, name)) > most for name, most in _WILDEST.items()):
             break
-    raise MeasurementError(_UNFIT)
+    raise NoLobe(_UNFIT)
 
 
 def _whitened(root: FloatArray, values: FloatArray) -> FloatArray:
@@ -131,7 +141,7 @@ def _moved(
         if float(off @ off) <= chi2:
             break
     if best is None:
-        raise MeasurementError(_UNFIT)
+        raise NoLobe(_UNFIT)
     return best
 
 

@@ -7,18 +7,19 @@ poses, the region and the exposure of one recipe, and to the lamp and the camera
 import hashlib
 import json
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
+from anisoscope.arealimit import MIN_PARTS, KnownShares
 from anisoscope.errors import CalibrationError
-from anisoscope.golden import kept_set, same_exposure
+from anisoscope.golden import counted, kept_set, limit_is_given, same_exposure
 from anisoscope.prints.fitting import PARAMETERS
 from anisoscope.prints.light import lamp_and_sensitivities
-from anisoscope.prints.recipe import PrintRecipe
-from anisoscope.prints.record import Triple
+from anisoscope.prints.recipe import PrintArea, PrintRecipe
+from anisoscope.prints.record import PrintRecord, Triple
 from anisoscope.record import Record
 from anisoscope.rig.rigfile import RigFile
 
@@ -27,6 +28,8 @@ FloatArray = npt.NDArray[np.float64]
 NEEDED = len(PARAMETERS) + 1
 """Prints from which on the scatter of all that is fitted can be told (Hotelling's T²)."""
 SENSIBLE = 3 * len(PARAMETERS)
+TESTS = 3
+"""What shares one level where golden prints decide: lobe and level, colours of the poses, and the area."""
 
 
 class Seen(BaseModel):
@@ -41,7 +44,12 @@ class Seen(BaseModel):
 
 
 class GoldenPrint(BaseModel):
-    """One good print: who it is, when it was inspected, and (P, 3) ln of its channels."""
+    """One good print: who it is, when it was inspected, and (P, 3) ln of its channels.
+
+    ``area_share`` is the share of the area that deviated by more than ``cell_delta_e`` in cells of ``cell_mm``, of
+    which there were ``cells``; ``curl_deg`` is the change of tilt across the region, and ``u_curl_deg`` its standard
+    uncertainty. Sets of earlier versions do not tell them.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -49,6 +57,11 @@ class GoldenPrint(BaseModel):
     inspected_at: str
     log_channels: tuple[Triple, ...]
     area_share: float | None
+    cell_delta_e: float | None = None
+    cell_mm: float | None = None
+    cells: int | None = None
+    curl_deg: float | None = None
+    u_curl_deg: float | None = None
     verdict: str
 
 
@@ -77,12 +90,38 @@ class GoldenPrints(BaseModel):
         """(n, 3P) ln of the channels of every print, channels fastest."""
         return np.array([part.log_channels for part in self.parts]).reshape(len(self.parts), -1)
 
+    def area_shares(self, rule: PrintArea) -> tuple[float, ...]:
+        """Shares of the area that deviated, of the prints that were judged with these cells and this threshold."""
+        return tuple(
+            part.area_share
+            for part in self.parts
+            if part.area_share is not None
+            and part.cell_delta_e == rule.cell_delta_e
+            and part.cell_mm == rule.cell_mm
+        )
+
+    def known_shares(self, recipe: PrintRecipe) -> KnownShares | None:
+        """What these prints teach of the area; None where the recipe gives its own limit or they are too few."""
+        rule = recipe.area
+        if rule is None or limit_is_given(rule):
+            return None
+        cells, shares = [part.cells for part in self.parts if part.cells], self.area_shares(rule)
+        return KnownShares(shares, cells[-1]) if cells and len(shares) >= MIN_PARTS else None
+
+    def area_limit(self, recipe: PrintRecipe) -> float | None:
+        """The limit of the area that these prints teach, for a print whose lobe and colours are as they should be."""
+        known = self.known_shares(recipe)
+        return None if known is None else known.limit(recipe.decision.alpha / TESTS)
+
     @property
     def lacking(self) -> str | None:
         """Why the prints cannot tell yet what is a deviation, or None if they can."""
         count = len(self.parts)
         if count < NEEDED:
-            return f"{count} golden prints: from {NEEDED} on prints are compared with them, {SENSIBLE} are sensible"
+            return (
+                f"{counted(count, 'golden print')}: from {NEEDED} on prints are compared with them, {SENSIBLE} are "
+                "sensible"
+            )
         logs = self.logs()
         if np.linalg.matrix_rank(logs - logs.mean(axis=0)) < len(PARAMETERS):
             return (
@@ -150,6 +189,10 @@ def add_print(known: GoldenPrints | None, recipe: PrintRecipe, record: Record) -
     if record.verdict == "INVALID" or record.print is None:
         what = "an INVALID inspection" if record.verdict == "INVALID" else "an inspection of something else"
         raise CalibrationError(f"{record.serial}: {what} says nothing about a good print")
+    if record.print.lobe is None:
+        raise CalibrationError(
+            f"{record.serial}: hardly anything is printed there, which says nothing about a good print"
+        )
     shown, key = record.print, print_key(recipe)
     then = PrintRecipe.model_validate(record.recipe)
     if print_key(then) != key:
@@ -173,10 +216,26 @@ def add_print(known: GoldenPrints | None, recipe: PrintRecipe, record: Record) -
         serial=record.serial,
         inspected_at=record.created_at,
         log_channels=tuple((red, green, blue) for red, green, blue in logs),
-        area_share=None if shown.map is None else shown.map.share,
         verdict=record.verdict,
+        **_of_map(shown),
     )
     return base.model_copy(update={"parts": (*base.parts, part)})
+
+
+def _of_map(shown: PrintRecord) -> dict[str, Any]:
+    """What a golden print keeps of its map."""
+    seen = shown.map
+    if seen is None:
+        return {"area_share": None}
+    curl = next(one for one in shown.quantities if one.name == "curl")
+    return {
+        "area_share": seen.share,
+        "cell_delta_e": seen.cell_delta_e,
+        "cell_mm": seen.cell_mm,
+        "cells": seen.rows * seen.cols,
+        "curl_deg": curl.value,
+        "u_curl_deg": curl.u,
+    }
 
 
 def without_print(known: GoldenPrints, serial: str) -> GoldenPrints:

@@ -93,8 +93,9 @@ def check_filters(filters: str, camera: str, of_flat: str) -> None:
     """
     if filters not in MOSAICS:
         raise CalibrationError(
-            f"a print needs a camera with colour filters; {camera} has {filters!r}: use a colour camera (a folder of "
-            "frames says it in the column filters)"
+            f"a print needs a camera with colour filters; {camera} has {filters!r}: use a colour camera in a colour "
+            'format, such as camera.options.pixel_format = "BayerRG12" (a folder of frames says it in the column '
+            "filters)"
         )
     if of_flat != filters:
         raise CalibrationError(

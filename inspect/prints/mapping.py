@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.errors import MeasurementError
+from anisoscope.prints.besidegolden import GoldenArea
 from anisoscope.prints.colour import Eye
 from anisoscope.prints.expecting import PrintExpectation
 from anisoscope.prints.fitting import PrintFit
@@ -63,7 +64,10 @@ class PrintMap:
         share: share of the area that deviates, the sum over all spots; its standard uncertainty ``u_share``.
         curl_deg: (2, 2) change of the lean toward x and y (rows) across the region along its x and y (columns).
         u_curl_deg: standard uncertainty of each.
+        max_share: limit of the share.
         verdict: of the area alone.
+        learnt: the limit is that of golden prints, without a guard band, because their scatter holds the measurement's.
+        p_value: probability of as much for a print like the golden ones, adjusted over all tests; None without them.
         spots: cells that deviate together, the largest first, `MOST_SPOTS` at most.
     """
 
@@ -76,8 +80,16 @@ class PrintMap:
     u_share: float
     curl_deg: FloatArray
     u_curl_deg: float
+    max_share: float
     verdict: Verdict
     spots: tuple[Spot, ...]
+    learnt: bool = False
+    p_value: float | None = None
+
+    def beside(self, golden: GoldenArea, alpha: float) -> "PrintMap":
+        """The same map judged by what golden prints have shown of the area."""
+        verdict = Verdict.FAIL if golden.p_value < alpha else Verdict.PASS
+        return replace(self, max_share=golden.limit, verdict=verdict, learnt=True, p_value=golden.p_value)
 
 
 def map_of(
@@ -131,6 +143,7 @@ def map_of(
         u,
         curl,
         u_curl,
+        rule.max_share,
         _judged(share, u, rule.max_share, coverage),
         tuple(sorted(spots, key=lambda spot: -spot.area_share)[:MOST_SPOTS]),
     )

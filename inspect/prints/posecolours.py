@@ -45,13 +45,17 @@ def without_lean(fit: PrintFit, covariance: FloatArray) -> FloatArray:
 
 
 def colours_of(
-    expected: PrintExpectation, measured: MeasuredPrint, fit: PrintFit, covariance: FloatArray
+    expected: PrintExpectation, measured: MeasuredPrint, fit: PrintFit | None, covariance: FloatArray
 ) -> tuple[PoseColour, ...]:
-    """Colours against those of a print that leans alike: the lean, maybe that of its seat, is judged by itself."""
+    """Colours against those of a print that leans alike: the lean, maybe that of its seat, is judged by itself.
+
+    Without a fit nothing is known of a lean, and the colours are compared with those of a print that lies flat.
+    """
     eye, metric = expected.eye, expected.eye.metric(measured.channels)
-    leans = State(tilt_x_deg=fit.state.tilt_x_deg, tilt_y_deg=fit.state.tilt_y_deg)
-    channels = expected.scene.channels(leans)
-    covariance = without_lean(fit, covariance)
+    channels = expected.channels
+    if fit is not None:
+        leans = State(tilt_x_deg=fit.state.tilt_x_deg, tilt_y_deg=fit.state.tilt_y_deg)
+        channels, covariance = expected.scene.channels(leans), without_lean(fit, covariance)
     delta = eye.difference(measured.channels, channels)
     xyz, wanted = eye.xyz(measured.channels), eye.xyz(channels)
     found = []

@@ -6,8 +6,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from anisoscope.errors import RecipeError
-from anisoscope.inkfile import SYNTHETIC, read_ink
+from anisoscope.errors import ModelError, RecipeError
+from anisoscope.inkfile import SYNTHETIC, InkFileError, read_ink
 from anisoscope.recipe import (
     AcquisitionPart,
     LimitsPart,
@@ -17,6 +17,7 @@ from anisoscope.recipe import (
     is_print,
     read_recipe,
 )
+from anisoscope.sim.light.colour.observer import shares_of_points
 from anisoscope.sim.light.ink.ink import Ink
 from anisoscope.tomlfile import NameOrFile, NotNegative, Part, Positive, Share, read_toml_model
 
@@ -140,7 +141,7 @@ class PrintArea(Part):
     """The map of local colour differences: square cells, each against the whole region.
 
     A cell deviates where its CIEDE2000 exceeds ``cell_delta_e`` in some pose; the print fails where more than
-    ``max_share`` of the area does.
+    ``max_share`` of the area does. Left out, golden prints teach it.
     """
 
     cell_mm: Positive = 0.1
@@ -202,12 +203,14 @@ def read_print_recipe(path: Path) -> PrintRecipe:
 
     Raises:
         RecipeError: the file is missing or wrong; the message names file, key and what is expected.
-        InkFileError: its ink cannot be read.
+        InkFileError: one of its inks cannot be read; the message names the key as well.
     """
     recipe = read_toml_model(
         path, PrintRecipe, error=RecipeError, substitutions={"here": str(path.resolve().parent)}
     )
-    names = [recipe.print.read_ink().name, *(ink.name for ink in recipe.print.read_wrong_inks())]
+    inks = [("print.ink", recipe.print.ink)]
+    inks += [(f"print.wrong_inks[{k}]", name) for k, name in enumerate(recipe.print.wrong_inks)]
+    names = [_named(path, key, name) for key, name in inks]
     for name in names:
         if names.count(name) > 1:
             raise RecipeError(
@@ -215,6 +218,23 @@ def read_print_recipe(path: Path) -> PrintRecipe:
                 "each ink once, or give the ink files different names"
             )
     return recipe
+
+
+def _named(path: Path, key: str, ink: str) -> str:
+    """The name of one of a recipe's inks.
+
+    Raises:
+        InkFileError: it cannot be read, or has no colour; the message names the recipe and its key as well.
+    """
+    try:
+        found = read_ink(ink_file(ink))
+    except InkFileError as problem:
+        raise InkFileError(f"{path}: {key}: {problem}") from None
+    try:
+        shares_of_points(found.nm, found.nm)
+    except ModelError as problem:
+        raise InkFileError(f"{path}: {key}: {ink}: {problem}") from None
+    return found.name
 
 
 def read_any_recipe(path: Path) -> AnyRecipe:

@@ -156,6 +156,7 @@ def _passing(one: Quantity) -> float:
 def _colours_passing(recipe: PrintRecipe, expected: PrintExpectation, decision: PrintDecision) -> float:
     """Share of good prints, drawn from all that is uncertain, with ΔE2000 below its limit in every pose."""
     count, metric = 3 * len(expected.poses), expected.eye.metric(expected.channels)
+    assert decision.fit is not None  # what is predicted has a lobe
     values, vectors = np.linalg.eigh(without_lean(decision.fit, total(decision.sources, count)))
     normal = np.random.default_rng(_SEED).standard_normal((_DRAWS, count))
     off = (normal * np.sqrt(np.maximum(values, 0.0)) @ vectors.T).reshape(_DRAWS, -1, 3)

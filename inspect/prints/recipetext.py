@@ -55,7 +55,7 @@ remeasure = 1  # how often an INCONCLUSIVE print is photographed again
 [area]
 cell_mm = 0.1
 cell_delta_e = 3.0  # a cell deviates beyond this CIEDE2000 from the rest of the region
-max_share = 0.01  # share of the area that may deviate
+# max_share = 0.01  # share of the area that may deviate; left out it is learnt from golden prints, 0.01 without
 
 [uncertainty]  # standard uncertainties of the rig that one inspection cannot see
 light_angle_deg = 0.1

@@ -5,6 +5,8 @@ from pydantic import BaseModel, ConfigDict
 Triple = tuple[float, float, float]
 RELATIVE = frozenset({"alpha x", "alpha y", "gain"})
 """Quantities whose deviation, uncertainty and limit are shares of what they should be."""
+LENGTHS = frozenset({"chromaticity", "tilt", "delta_e", "curl"})
+"""Quantities that are never negative: how far apart, whichever way."""
 MOST_SPOTS = 12
 """Places of the map that a record lists, the largest first."""
 
@@ -67,7 +69,8 @@ class PrintMapRecord(_Part):
     """The map of local colour differences.
 
     ``noise`` is the CIEDE2000 that noise alone makes. ``curl_deg`` holds the change of the tilt toward x and toward y
-    (rows) across the region along x and along y (columns). ``spots`` are the largest, `MOST_SPOTS` at most.
+    (rows) across the region along x and along y (columns). ``spots`` are the largest, `MOST_SPOTS` at most. ``learnt``
+    if the limit is that of golden prints, ``p_value`` by them.
     """
 
     cell_mm: float
@@ -82,6 +85,8 @@ class PrintMapRecord(_Part):
     curl_deg: tuple[tuple[float, float], tuple[float, float]]
     u_curl_deg: float
     spots: tuple[SpotRecord, ...] = ()
+    learnt: bool = False
+    p_value: float | None = None
 
 
 class LobeRecord(_Part):
@@ -145,7 +150,8 @@ class PrintRecord(_Part):
     """A print: what it was compared with, the colours of its poses, the lobe, the map and what was judged.
 
     ``to_xyz`` takes π times the channels to XYZ; ``matrix_residual`` is the CIEDE2000 that it leaves on the spectra of
-    a good print, ``exposure`` the factor on XYZ before colours are compared against ``white``.
+    a good print, ``exposure`` the factor on XYZ before colours are compared against ``white``. ``lobe`` is None where
+    nothing is printed, so that there is none.
     """
 
     ink: str
@@ -159,7 +165,7 @@ class PrintRecord(_Part):
     matrix_residual_changed: float
     colours: tuple[ColourRecord, ...]
     quantities: tuple[QuantityRecord, ...]
-    lobe: LobeRecord
+    lobe: LobeRecord | None
     map: PrintMapRecord | None
     not_judged: tuple[str, ...] = ()
     golden: GoldenPrintsRecord | None = None

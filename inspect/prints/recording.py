@@ -9,10 +9,9 @@ from anisoscope.measurement import View
 from anisoscope.prints.besidegolden import BesideGolden
 from anisoscope.prints.deciding import NOT_JUDGED, PrintDecision
 from anisoscope.prints.expecting import PrintExpectation
-from anisoscope.prints.fitting import PARAMETERS
+from anisoscope.prints.fitting import PARAMETERS, PrintFit
 from anisoscope.prints.mapping import PrintMap, Spot
 from anisoscope.prints.measuring import MeasuredPrint
-from anisoscope.prints.model import State
 from anisoscope.prints.quantities import Quantity
 from anisoscope.prints.recipe import PrintRecipe
 from anisoscope.prints.record import (
@@ -28,6 +27,7 @@ from anisoscope.prints.record import (
     Triple,
 )
 from anisoscope.record import BudgetRecord, PoseRecord
+from anisoscope.sim.light.ink.ink import Ink
 from anisoscope.verdict import Verdict
 
 FloatArray = npt.NDArray[np.float64]
@@ -122,9 +122,7 @@ def _budget(quantities: tuple[Quantity, ...]) -> tuple[BudgetRecord, ...]:
 def _print(
     recipe: PrintRecipe, expected: PrintExpectation, decision: PrintDecision, names: tuple[str, str]
 ) -> PrintRecord:
-    eye, fit, ink = expected.eye, decision.fit, expected.scene.ink
-    good = State()
-    mean_alpha = float(np.sqrt(ink.alpha * ink.across) * np.exp(fit.state.alpha - good.alpha))
+    eye, ink = expected.eye, expected.scene.ink
     matrix = [triple(row) for row in eye.to_xyz]
     return PrintRecord(
         ink=ink.name,
@@ -152,19 +150,24 @@ def _print(
             for pose, one in zip(expected.poses, decision.colours, strict=True)
         ),
         quantities=tuple(_quantity(one) for one in decision.quantities),
-        lobe=LobeRecord(
-            alpha=mean_alpha,
-            u_alpha=mean_alpha * fit.u("alpha"),
-            form=fit.value("lobe"),
-            u_form=fit.u("lobe"),
-            tilt_deg=(fit.state.tilt_x_deg, fit.state.tilt_y_deg),
-            levels=triple(np.exp([fit.state.red, fit.state.green, fit.state.blue])),
-            chi2=fit.chi2,
-            dof=fit.dof,
-        ),
+        lobe=None if decision.fit is None else _lobe(decision.fit, ink),
         map=None if decision.map is None else _map(decision.map, recipe),
         not_judged=(NOT_JUDGED,),
         golden=None if decision.golden is None else _golden(decision.golden, expected),
+    )
+
+
+def _lobe(fit: PrintFit, ink: Ink) -> LobeRecord:
+    alpha = float(np.sqrt(ink.alpha * ink.across) * np.exp(fit.state.alpha))
+    return LobeRecord(
+        alpha=alpha,
+        u_alpha=alpha * fit.u("alpha"),
+        form=fit.value("lobe"),
+        u_form=fit.u("lobe"),
+        tilt_deg=(fit.state.tilt_x_deg, fit.state.tilt_y_deg),
+        levels=triple(np.exp([fit.state.red, fit.state.green, fit.state.blue])),
+        chi2=fit.chi2,
+        dof=fit.dof,
     )
 
 
@@ -224,11 +227,13 @@ def _map(found: PrintMap, recipe: PrintRecipe) -> PrintMapRecord:
         noise=found.noise,
         share=found.share,
         u=found.u_share,
-        max_share=recipe.area.max_share,
+        max_share=found.max_share,
         verdict=found.verdict.value,
         curl_deg=((xx, xy), (yx, yy)),
         u_curl_deg=found.u_curl_deg,
         spots=tuple(_spot(one) for one in found.spots),
+        learnt=found.learnt,
+        p_value=found.p_value,
     )
 
 

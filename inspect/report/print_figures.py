@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.prints.record import ColourRecord, QuantityRecord, SpotRecord
+from anisoscope.prints.record import LENGTHS, ColourRecord, QuantityRecord, SpotRecord
 from anisoscope.report.figures import (
     BLUE,
     GREEN,
@@ -29,8 +29,6 @@ SHADES = (BLUE, ORANGE, GREEN, RED, MUTED, INK)
 LEGEND_ROWS = 6
 MARKS = ("o", "s", "^", "D", "v", "P")
 SMALLEST_MARK = 3
-LENGTHS = frozenset({"chromaticity", "tilt", "delta_e", "curl"})
-"""Quantities that are never negative: how far apart, whichever way."""
 SMALL_LEAN_DEG = 0.2
 SHORTEST = 0.02
 """Half height of the zone of a quantity without uncertainty, so that it is seen."""

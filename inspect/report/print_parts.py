@@ -206,6 +206,8 @@ def print_rule(record: Record) -> str:
         saying.append("the deviating area")
     rule = record.recipe["decision"]
     if record.verdict == "FAIL":
+        if found.lobe is None:
+            return "no lobe is left, and what the pictures show is explained by ink that is missing"
         if rule["deviation"] == "fail" and (record.p_value or 0.0) < rule["alpha"]:
             saying.append("all channels together")
         return f"outside the limit by more than the guard band (ISO 14253-1): {', '.join(saying)}"

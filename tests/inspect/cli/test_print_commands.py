@@ -47,7 +47,7 @@ def test_it_excludes_the_surface(anisoscope, tmp_path):
         "recipe", "new", "--ink", "synthetic-red", "--ridge-angle", 10, "--out", tmp_path / "r.toml"
     )
     assert done.code == 64
-    assert "leave --ridge-angle and --height-map out" in done.err.replace("\n", " ")
+    assert "--ink makes the recipe of a print: leave --ridge-angle" in done.err.replace("\n", " ")
     done = anisoscope("recipe", "new", "--ink", "magenta", "--out", tmp_path / "r.toml")
     assert done.code == 64
     assert "no ink is named 'magenta'" in done.err

@@ -11,6 +11,7 @@ from anisoscope.cli import demo_print
 from anisoscope.inspection import inspect_part
 from anisoscope.prints.deciding import decide_print
 from anisoscope.prints.expecting import expect_print
+from anisoscope.prints.golden import GoldenPrint, GoldenPrints, Seen, print_key
 from anisoscope.prints.measuring import MeasuredPrint, cell_grid
 from anisoscope.prints.model import State
 from anisoscope.prints.recipe import PrintRecipe
@@ -56,6 +57,31 @@ def good(make_recipe, predict):
     """The usual recipe, and what it predicts."""
     recipe = make_recipe()
     return recipe, predict(recipe)
+
+
+def golden_prints(recipe, expected, rows):
+    """A set of these rows."""
+    parts = tuple(
+        GoldenPrint(
+            serial=f"G-{k}",
+            inspected_at="2026-01-01T00:00:00Z",
+            log_channels=tuple(map(tuple, row.reshape(-1, 3).tolist())),
+            area_share=0.0,
+            verdict="PASS",
+        )
+        for k, row in enumerate(rows)
+    )
+    seen = Seen(ink="synthetic green", lamp="led-white", sensitivities="synthetic", filters="rggb")
+    poses = tuple((pose.stage_deg, pose.tilt_deg) for pose in expected.poses)
+    return GoldenPrints(
+        product="test print", recipe_key=print_key(recipe), seen=seen, poses=poses, parts=parts
+    )
+
+
+@pytest.fixture(scope="session")
+def golden_of():
+    """``golden_of(recipe, expected, rows)`` is a set of golden prints."""
+    return golden_prints
 
 
 class Sheet:

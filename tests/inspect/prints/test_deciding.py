@@ -22,6 +22,8 @@ LISTED = [
     (State(tilt_x_deg=0.6, tilt_y_deg=-0.8), "lean", 1.0),
     (State(shift_nm=10.0), "film-thickness", 10.0),
     (State(other=0.05), "wrong-ink-synthetic red", 0.05),
+    (State(other=1.0), "wrong-ink-synthetic red", 1.0),
+    (State(red=np.log(1.12), green=np.log(1.12), blue=np.log(1.12)), "bright-ink", 0.12),
 ]
 
 
@@ -42,8 +44,25 @@ def test_a_defect_of_the_listed_size_fails_and_is_named(sheet, state, cause, sev
     best, *others = explained(sheet, measured, decision).findings
     assert best.cause == cause
     assert best.extent == pytest.approx(severity, rel=0.05)
-    assert best.low <= severity <= best.high or best.extent == pytest.approx(severity, rel=0.02)
+    assert best.low <= severity <= (best.high or 1.0) or best.extent == pytest.approx(severity, rel=0.02)
     assert not any(one.tie for one in others)
+
+
+def test_a_halftone_with_too_much_ink_on_white_is_told_from_brighter_ink(make_recipe, predict, sheet):
+    """On a white sheet more ink covers more white; on a black one nothing tells it from ink that is brighter."""
+    for substrate, tied in ((0.8, {"dot-gain"}), (0.0, {"dot-gain", "bright-ink"})):
+        recipe = make_recipe(
+            print={"coverage": 0.6, "substrate": substrate, "u_substrate": 0.003},
+            poses={"tilts_deg": [0.0, 10.0, 20.0]},
+            area={"cell_mm": 0.4},
+        )
+        printed = type(sheet)(recipe, predict(recipe), np.random.default_rng(5)).all(State(missing=-0.25))
+        measured, decision = printed.decided()
+        assert by_name(decision)["gain"].deviation > 0.1
+        found = explained(printed, measured, decision).findings
+        assert {one.cause for one in found if one.tie} == tied
+        gain = next(one for one in found if one.cause == "dot-gain")
+        assert gain.extent == pytest.approx(0.25, abs=0.03)
 
 
 def test_a_curled_sheet_fails_and_is_named(sheet):

@@ -5,6 +5,7 @@ import json
 import pytest
 
 from anisoscope.cli.inspection import _as_json, show
+from anisoscope.errors import CalibrationError
 from anisoscope.history.rows import numbers_of
 from anisoscope.recomputing import recompute
 from anisoscope.record import RECORD_NAME
@@ -70,9 +71,12 @@ def test_a_defect_fails_and_its_cause_is_named(print_rig, defects, failing, caus
     assert causes(record) == [cause]
 
 
-@pytest.mark.usefixtures("plain_report")
-def test_a_camera_without_filters_makes_it_invalid(print_rig):
-    bench = {"sensor": {"filters": "mono"}}
-    record = print_rig.inspect({}, bench=bench).record
-    assert record.verdict == "INVALID"
-    assert "colour camera" in record.reasons[0]
+@pytest.mark.parametrize(
+    ("filters", "says"),
+    [("mono", "needs a camera with colour filters"), ("bggr", "flat was taken through filters 'rggb'")],
+)
+def test_a_camera_that_cannot_see_the_colours_is_refused_before_anything_moves(print_rig, filters, says):
+    """Of a camera without filters, or with others than its flat; the stage has not moved, and no folder was made."""
+    with pytest.raises(CalibrationError, match=says):
+        print_rig.inspect({}, bench={"sensor": {"filters": filters}})
+    assert not list(print_rig.folder.glob("inspections/*"))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from anisoscope.cli import golden as command
+from anisoscope.cli import recipe as recipe_command
 from anisoscope.errors import CalibrationError, UsageError
 from anisoscope.golden import golden_path, write_golden
 from anisoscope.inspection import inspect_part
@@ -45,12 +46,32 @@ def refused(recipe_path, rig_path, match):
         prepare(recipe_path, rig_path, "P-2")
 
 
+def check_that_they_teach(recipe_path, rig_path, capsys):
+    """The tolerances become those that the golden prints teach; all else stays."""
+    before, limits = recipe_path.read_text(), read_print_recipe(recipe_path).tolerances
+    with pytest.raises(UsageError, match="either a good part with --serial, or --golden"):
+        recipe_command.teach(recipe_path, rig=rig_path)
+    assert recipe_command.teach(recipe_path, rig=rig_path, golden=True, json_=True) == 0
+    told = json.loads(capsys.readouterr().out)
+    taught = read_print_recipe(recipe_path)
+    assert (taught.version, told["folder"]) == (2, None)
+    assert recipe_path.with_name("recipe.v1.toml").read_text() == before
+    for change in told["changes"]:
+        key = change["key"].removeprefix("tolerances.")
+        assert (change["old"], change["new"]) == (getattr(limits, key), getattr(taught.tolerances, key))
+        assert "23 golden prints: at least 95% of good prints pass all limits" in change["why"]
+    assert len(told["changes"]) == 7
+    assert told["notes"] == ["the limit of the area is learnt at every inspection: it is 1.00% now"]
+    # exposure, region and poses stay, and with them the golden prints
+    assert prepare(recipe_path, rig_path, "P-3").golden_prints.lacking is None
+
+
 def test_golden_prints_are_kept_and_decide_what_deviates(print_rig, capsys):
     done = print_rig.inspect({})
     recipe_path, rig_path = (print_rig.folder / "print" / f"{name}.toml" for name in ("recipe", "rig"))
     path, recipe = golden_path(recipe_path), read_print_recipe(recipe_path)
     assert command.add(done.folder, recipe=recipe_path) == 0
-    assert "1 added, 1 golden prints" in capsys.readouterr().out
+    assert "1 added, 1 golden print\n" in capsys.readouterr().out
     assert command.show(recipe=recipe_path, json_=True) == 0
     told = json.loads(capsys.readouterr().out)
     assert (told["count"], told["seen"]["lamp"], told["compared_with"]) == (1, done.record.print.lamp, False)
@@ -60,7 +81,7 @@ def test_golden_prints_are_kept_and_decide_what_deviates(print_rig, capsys):
         command.add(done.folder, recipe=recipe_path)
     job = prepare(recipe_path, rig_path, "P-2")
     assert _known_good(job) is None
-    assert job.golden_prints.lacking.startswith("1 golden prints: from 10 on")
+    assert job.golden_prints.lacking.startswith("1 golden print: from 10 on")
 
     for file, old, new, match in (
         (rig_path, "led-white", "d65", "seen with the lamp 'led-white .*, now it is 'D65'"),
@@ -93,7 +114,11 @@ def test_golden_prints_are_kept_and_decide_what_deviates(print_rig, capsys):
     assert record.p_value < 0.005
     assert min(one.p_value for one in beside.colours) == record.p_value
     assert "wrong-ink-synthetic red" in [one.cause for one in record.diagnosis.causes if one.tie]
-    assert "Beside the golden prints" in found.report.read_text()
+    seen = record.print.map
+    assert (seen.learnt, seen.verdict) == (True, "PASS")
+    # 100 cells of which none deviated on the golden prints
+    assert seen.max_share == pytest.approx(0.01)
+    assert "The area shares it too" in found.report.read_text()
     again = recompute(found.folder)
     assert (again.differences, again.notes) == ((), ())
     assert verify(found.folder).intact
@@ -101,3 +126,4 @@ def test_golden_prints_are_kept_and_decide_what_deviates(print_rig, capsys):
     assert "golden prints: " in capsys.readouterr().out
     assert command.remove("G-1", recipe=recipe_path) == 0
     assert "1 removed, 23 golden prints" in capsys.readouterr().out
+    check_that_they_teach(recipe_path, rig_path, capsys)

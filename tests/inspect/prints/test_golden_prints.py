@@ -11,7 +11,7 @@ from anisoscope.prints.causes import explain_print
 from anisoscope.prints.deciding import decide_print
 from anisoscope.prints.expecting import rig_sources
 from anisoscope.prints.fitting import PARAMETERS
-from anisoscope.prints.golden import NEEDED, GoldenPrint, GoldenPrints, Seen, print_key
+from anisoscope.prints.golden import NEEDED, print_key
 from anisoscope.prints.model import State
 from anisoscope.verdict import Verdict
 
@@ -30,27 +30,8 @@ def drawn(scene, rng, more=None):
     return logs + 0.001 * rng.standard_normal(logs.size)
 
 
-def golden_of(recipe, expected, rows):
-    """A set of these rows."""
-    parts = tuple(
-        GoldenPrint(
-            serial=f"G-{k}",
-            inspected_at="2026-01-01T00:00:00Z",
-            log_channels=tuple(map(tuple, row.reshape(-1, 3).tolist())),
-            area_share=0.0,
-            verdict="PASS",
-        )
-        for k, row in enumerate(rows)
-    )
-    seen = Seen(ink="synthetic green", lamp="led-white", sensitivities="synthetic", filters="rggb")
-    poses = tuple((pose.stage_deg, pose.tilt_deg) for pose in expected.poses)
-    return GoldenPrints(
-        product="test print", recipe_key=print_key(recipe), seen=seen, poses=poses, parts=parts
-    )
-
-
 @pytest.fixture(scope="module")
-def house(good):
+def house(good, golden_of):
     """Recipe, prediction and 40 golden prints."""
     recipe, expected = good
     rng = np.random.default_rng(8)
@@ -83,7 +64,7 @@ def decided(house, sheet):
     return decide
 
 
-def test_good_prints_are_like_the_golden_ones(house):
+def test_good_prints_are_like_the_golden_ones(house, golden_of):
     """Level and mean of T² (F of m and n − m) over 60 sets of 30 of the house's prints, each with one print more."""
     recipe, expected, _ = house
     rng = np.random.default_rng(21)

@@ -1,5 +1,6 @@
 """Recipes of prints: what they hold, what is refused, and how they are begun and checked."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -64,8 +65,30 @@ def test_an_ink_file_counts_from_the_recipe(written, tmp_path):
     recipe = read_print_recipe(written('ink = "synthetic-green"', 'ink = "mine.toml"'))
     assert Path(recipe.print.ink) == tmp_path / "mine.toml"
     assert recipe.print.read_ink().name == "synthetic blue"
-    with pytest.raises(InkFileError, match=r"none\.toml"):
-        read_print_recipe(written('ink = "synthetic-green"', 'ink = "none.toml"'))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key"),
+    [
+        ('ink = "synthetic-green"', 'ink = "{ink}"', r"print\.ink"),
+        (
+            'wrong_inks = ["synthetic-red"]',
+            'wrong_inks = ["synthetic-red", "{ink}"]',
+            r"print\.wrong_inks\[1\]",
+        ),
+    ],
+)
+def test_a_broken_ink_is_named_with_the_recipe_and_its_key(written, tmp_path, old, new, key):
+    (tmp_path / "broken.toml").write_text('schema = 1\nname = "x"\n')
+    infrared = replace(synthetic_ink("synthetic-green"), wavelengths_nm=tuple(range(980, 1381, 10)))
+    write_ink(infrared, tmp_path / "infrared.toml")
+    for ink, says in (
+        ("none.toml", "there is no such file"),
+        ("broken.toml", "missing; expected"),
+        ("infrared.toml", "at least 400 to 700 nm are needed"),
+    ):
+        with pytest.raises(InkFileError, match=rf"recipe\.toml: {key}: .*{ink}: .*{says}"):
+            read_print_recipe(written(old, new.replace("{ink}", ink)))
 
 
 @pytest.mark.parametrize(
