@@ -42,6 +42,14 @@ class AreaResult:
     p_value: float | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class CellMap:
+    """The contrast map: (pairs, cell rows, cell cols) ln ratios, and by how much every cell is off its flank."""
+
+    ratios: FloatArray
+    off: FloatArray
+
+
 NEIGHBOURS = 6  # ridges to each side with which a line of cells is compared
 MIN_NEIGHBOURS = 3
 
@@ -98,6 +106,12 @@ def cell_log_ratios(measured: Measured, poses: tuple[Pose, ...]) -> FloatArray:
     return np.stack([np.log(safe[i] / safe[j]) for i, j in consecutive_pairs(poses)])
 
 
+def cell_map(measured: Measured, poses: tuple[Pose, ...], rule: AreaPart) -> CellMap:
+    """The contrast map of a part, by a recipe's threshold."""
+    ratios = cell_log_ratios(measured, poses)
+    return CellMap(ratios, cell_deviations(ratios, rule.cell_deviation))
+
+
 def judge_area(
     measured: Measured,
     poses: tuple[Pose, ...],
@@ -107,6 +121,7 @@ def judge_area(
     *,
     alpha: float = 0.01,
     p_means: float = 1.0,
+    cells: CellMap | None = None,
 ) -> tuple[AreaResult | None, npt.NDArray[np.bool_] | None]:
     """Judge the contrast map of a part.
 
@@ -119,6 +134,7 @@ def judge_area(
             measurement.
         alpha: level of the means and of the area of golden parts together (Holm 1979).
         p_means: p value of the means.
+        cells: the contrast map, where it is known already.
 
     Returns:
         The result and (cell rows, cell cols) where cells deviate; None and None without a rule.
@@ -128,8 +144,8 @@ def judge_area(
     """
     if rule is None:
         return None, None
-    ratios = cell_log_ratios(measured, poses)
-    off = np.abs(cell_deviations(ratios, rule.cell_deviation)).max(axis=0)
+    found = cell_map(measured, poses, rule) if cells is None else cells
+    off = np.abs(found.off).max(axis=0)
     noise = float(
         max(np.hypot(measured.cell_noise[i], measured.cell_noise[j]) for i, j in consecutive_pairs(poses))
     )

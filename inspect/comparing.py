@@ -4,12 +4,17 @@ A recipe that gives both surfaces says which one decides; the other one is compa
 together tell where to look: at the shape, at the height map, or at dirt, plastic and rig.
 """
 
+from collections.abc import Callable
+
 from anisoscope.errors import AnisoscopeError
 from anisoscope.expectation import Expectation, expectation
 from anisoscope.measurement import Measured
 from anisoscope.recipe import Recipe, Surface
 from anisoscope.record import ComparisonRecord
 from anisoscope.weighing import from_prediction
+
+Predict = Callable[[Recipe, float], Expectation]
+"""Predicts a recipe by the rig's light angle: anew, or by what is kept."""
 
 READINGS = {
     (True, True): "as designed, and the light agrees with the height map",
@@ -26,7 +31,7 @@ READINGS = {
 
 
 def compare(
-    recipe: Recipe, expected: Expectation, measured: Measured
+    recipe: Recipe, expected: Expectation, measured: Measured, predict: Predict = expectation
 ) -> tuple[tuple[ComparisonRecord, ...], str | None, str | None]:
     """Compare with both surfaces of a recipe.
 
@@ -34,6 +39,7 @@ def compare(
         recipe: the recipe.
         expected: the prediction from the surface that decides.
         measured: the measurement.
+        predict: predicts the surface that does not decide.
 
     Returns:
         The comparisons, what they mean together (None of a recipe with one surface), and a note where the surface
@@ -45,7 +51,7 @@ def compare(
         return (mine,), None, None
     other: Surface = "design" if decides == "height_map" else "height_map"
     try:
-        second = expectation(recipe.against(other), expected.convention.light_angle_deg)
+        second = predict(recipe.against(other), expected.convention.light_angle_deg)
         found = (mine, _one(other, second, measured, recipe, decides=False))
     except AnisoscopeError as problem:
         return (mine,), None, f"no comparison with the {other.replace('_', ' ')}: {problem}"

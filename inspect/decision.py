@@ -10,17 +10,20 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.area import AreaResult, judge_area
+from anisoscope.area import AreaResult, CellMap, cell_map, judge_area
+from anisoscope.betweentilts import TiltResult, between_tilts
 from anisoscope.betweentilts import deviating as deviating_between_tilts
 from anisoscope.expectation import Component, Expectation
 from anisoscope.golden import GoldenSet
 from anisoscope.localisation import Region, deviation_map, find_regions
 from anisoscope.measurement import Measured
+from anisoscope.paircontrasts import pair_gradient
 from anisoscope.recipe import ContrastKind, DecisionPart, Recipe
 from anisoscope.significance import holm, joint_conformance, said, two_sided
 from anisoscope.sim.light.contrasts import Contrast, consecutive_pairs, contrasts
 from anisoscope.sim.light.geometry import Pose
 from anisoscope.verdict import Verdict
+from anisoscope.wafertables import source_name
 from anisoscope.weighing import from_golden, from_prediction
 
 FloatArray = npt.NDArray[np.float64]
@@ -94,7 +97,9 @@ class Decision:
         area: the contrast map judged, or None.
         regions: groups of deviating cells, the least probable first.
         budget: sources of uncertainty, largest first.
+        cells: the contrast map, or None where the area is not judged.
         deviating: (cell rows, cell cols) True where a cell deviates.
+        between_tilts: the contrasts between tilts, for information: all together they decide already.
     """
 
     verdict: Verdict
@@ -108,23 +113,14 @@ class Decision:
     area: AreaResult | None
     regions: tuple[Region, ...]
     budget: tuple[BudgetRow, ...]
+    cells: CellMap | None
     deviating: npt.NDArray[np.bool_] | None
+    between_tilts: tuple[TiltResult, ...]
 
 
 def contrast_gradient(poses: tuple[Pose, ...], radiance: FloatArray, kind: ContrastKind) -> FloatArray:
     """(pairs, P) derivative of every contrast with respect to ln L of every pose."""
-    pairs = consecutive_pairs(poses)
-    gradient = np.zeros((len(pairs), len(poses)))
-    for row, (i, j) in enumerate(pairs):
-        a, b = radiance[i], radiance[j]
-        if kind == "log_ratio":
-            gradient[row, [i, j]] = 1.0, -1.0
-        elif kind == "difference":
-            gradient[row, [i, j]] = a, -b
-        else:
-            slope = 2.0 * a * b / (a + b) ** 2
-            gradient[row, [i, j]] = slope, -slope
-    return gradient
+    return pair_gradient(consecutive_pairs(poses), radiance, kind)
 
 
 def _values(found: tuple[Contrast, ...], kind: ContrastKind) -> FloatArray:
@@ -165,10 +161,18 @@ def decide(
     d2, dof, p_value = weighed
     pairs = _judge_pairs(found, predicted, deviation, u, recipe)
     known = None if golden is None else golden.known_shares(recipe)
+    cells = None if recipe.area is None else cell_map(measured, expected.poses, recipe.area)
     area, deviating = judge_area(
-        measured, expected.poses, recipe.area, rule.coverage, known, alpha=rule.alpha, p_means=p_value
+        measured,
+        expected.poses,
+        recipe.area,
+        rule.coverage,
+        known,
+        alpha=rule.alpha,
+        p_means=p_value,
+        cells=cells,
     )
-    regions = _regions(expected, measured, recipe)
+    regions = _regions(cells, measured, recipe)
     number = 0 if golden is None else len(golden.parts)
     where = _where(pairs, rule.alpha) or deviating_between_tilts(expected, measured, rule.alpha)
     verdict, reasons = _combine(pairs, p_value, area, rule, number, where)
@@ -187,20 +191,28 @@ def decide(
         conformance,
         area,
         regions,
-        _budget(components, variances),
+        _budget(components, variances, recipe),
+        cells,
         deviating,
+        between_tilts(expected, measured, rule.contrast),
     )
 
 
-def _regions(expected: Expectation, measured: Measured, recipe: Recipe) -> tuple[Region, ...]:
-    if recipe.area is None:
+def _regions(cells: CellMap | None, measured: Measured, recipe: Recipe) -> tuple[Region, ...]:
+    if cells is None or recipe.area is None:
         return ()
-    return find_regions(deviation_map(measured, expected.poses, recipe.area), recipe.area, measured.grid)
+    return find_regions(deviation_map(cells), recipe.area, measured.grid)
 
 
-def _budget(components: tuple[Component, ...], variances: list[FloatArray]) -> tuple[BudgetRow, ...]:
+def _budget(
+    components: tuple[Component, ...], variances: list[FloatArray], recipe: Recipe
+) -> tuple[BudgetRow, ...]:
     rows = [
-        BudgetRow(c.source, c.kind, tuple(float(v) for v in np.sqrt(np.maximum(np.diag(variance), 0.0))))
+        BudgetRow(
+            source_name(c.source, wafer=recipe.is_wafer),
+            c.kind,
+            tuple(float(v) for v in np.sqrt(np.maximum(np.diag(variance), 0.0))),
+        )
         for c, variance in zip(components, variances, strict=True)
     ]
     return tuple(sorted(rows, key=lambda row: -max(row.contributions)))

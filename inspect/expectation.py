@@ -12,7 +12,7 @@ from anisoscope.prediction.etched import EtchedPredictor
 from anisoscope.prediction.propagation import PLASTIC_AND_SEAT, RIDGE_ANGLE, propagate
 from anisoscope.prediction.sensitivity import DARK, InputUncertainty, Shape, State, evaluate, fixed
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.recipe import Recipe
+from anisoscope.recipe import Recipe, check_poses
 from anisoscope.response import Response, known_inputs, response_of
 from anisoscope.sim.light.geometry import Convention, Pose
 from anisoscope.waferstates import BEYOND, DEPTH, WIDTH, WaferStates
@@ -103,9 +103,11 @@ def expectation(recipe: Recipe, light_angle_deg: float) -> Expectation:
 
     Raises:
         HeightMapError: the recipe's height map cannot be read or used.
-        RecipeError: the part should be black in some pose, so that no contrast is defined.
+        RecipeError: the part should be black in some pose, so that no contrast is defined; or light or camera stands
+            below its horizon.
     """
     recipe, poses = recipe.deciding(), recipe.poses.poses()
+    check_poses(recipe, light_angle_deg)
     convention = Convention(light_angle_deg, facet_azimuth_deg=recipe.poses.facet_azimuth_deg)
     made = models_of(recipe, poses, convention)
     nominal = State(recipe.material.material(), light_angle_deg, shape=nominal_shape(recipe))

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from anisoscope.decision import Decision
+from anisoscope.diagnosis.advice import advice_for, bare_title
 from anisoscope.diagnosis.diagnosing import NOTHING, Diagnosis, diagnose
 from anisoscope.diagnosis.evidence import Evidence, against, background_of, covariance_of, inputs_of
 from anisoscope.diagnosis.remembering import remembered_signatures
@@ -48,11 +49,17 @@ def explain(
     if decision.verdict is Verdict.PASS and decision.p_value >= recipe.decision.alpha:
         return DiagnosisRecord(says="nothing: the part is as it should be"), None
     try:
-        known = remembered_signatures(recipe, expected.convention.light_angle_deg, advance)
+        light_angle_deg = expected.convention.light_angle_deg
+        known = remembered_signatures(recipe, light_angle_deg, advance)
         found = diagnose(known, evidence_of(recipe, expected, measured, decision, golden))
     except (AnisoscopeError, ArithmeticError, ValueError, np.linalg.LinAlgError) as problem:
         return DiagnosisRecord(says="not possible"), f"no diagnosis: {problem}"
-    return diagnosis_record(found, recipe.decision.alpha), None
+    told = diagnosis_record(found, recipe.decision.alpha)
+    try:
+        tells = advice_for(recipe, light_angle_deg, found, advance)
+    except (AnisoscopeError, ArithmeticError, ValueError, np.linalg.LinAlgError) as problem:
+        return told, f"not known what would tell the tied causes apart: {problem}"
+    return told.model_copy(update={"tells": tells}), None
 
 
 def evidence_of(
@@ -102,19 +109,14 @@ def diagnosis_record(found: Diagnosis, alpha: float, of: str = "part") -> Diagno
     return DiagnosisRecord(says=_says(found, alpha, of), causes=causes, unexplained_p=found.unexplained_p)
 
 
-def _without_size(title: str) -> str:
-    """A title to stand without its severity."""
-    return title.removesuffix(" by").removesuffix(",")
-
-
 def _says(found: Diagnosis, alpha: float, of: str) -> str:
     best = found.findings[0]
     if found.unexplained_p < alpha:
         return f"none of the causes explains the {of} (p {said(found.unexplained_p)} for the best of them)"
     if best.cause == NOTHING:
         return f"nothing explains the {of} better than chance"
-    ties = [_without_size(one.title) for one in found.ties if one is not best]
+    ties = [bare_title(one.title) for one in found.ties if one is not best]
     if not ties:
-        return _without_size(best.title)
+        return bare_title(best.title)
     more = f" and {len(ties) - TIES_SAID} more" if len(ties) > TIES_SAID else ""
-    return f"{_without_size(best.title)}; or, not to be told apart: {', '.join(ties[:TIES_SAID])}{more}"
+    return f"{bare_title(best.title)}; or, not to be told apart: {', '.join(ties[:TIES_SAID])}{more}"

@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from anisoscope.comparing import compare
+from anisoscope.comparing import Predict, compare
 from anisoscope.decision import Decision
-from anisoscope.expectation import Expectation
+from anisoscope.expectation import Expectation, expectation
 from anisoscope.explaining import explain
 from anisoscope.golden import GoldenSet
 from anisoscope.job import Job
@@ -19,12 +19,26 @@ from anisoscope.significance import log_basis
 
 
 def insight(
-    job: Job, expected: Expectation, measured: Measured, decision: Decision, advance: Advance
+    job: Job,
+    expected: Expectation,
+    measured: Measured,
+    decision: Decision,
+    advance: Advance,
+    predict: Predict = expectation,
 ) -> dict[str, Any]:
-    """Fields of the record that explain a verdict and never change it."""
+    """Fields of the record that explain a verdict and never change it.
+
+    Args:
+        job: recipe, rig and golden parts.
+        expected: the prediction that decided.
+        measured: the measurement.
+        decision: the verdict.
+        advance: told what is being explained, where that takes long.
+        predict: predicts the surface that does not decide, where the recipe has two.
+    """
     recipe = job.ridged
     diagnosis, unexplained = explain(recipe, expected, measured, decision, advance, known_good(job))
-    comparisons, reading, lost = compare(recipe, expected, measured)
+    comparisons, reading, lost = compare(recipe, expected, measured, predict)
     shape, unfitted = fit_shape(recipe, expected, measured)
     placed, unplaced = match_map(recipe, expected, measured)
     lacking = job.golden and job.golden.lacking

@@ -16,7 +16,7 @@ from anisoscope.judging import judge
 from anisoscope.keptprediction import kept_expectation
 from anisoscope.linear import check_size
 from anisoscope.prints.expecting import PrintExpectation
-from anisoscope.prints.light import expectation_of_print
+from anisoscope.prints.light import check_filters, expectation_of_print
 from anisoscope.prints.recipe import PrintRecipe
 from anisoscope.progress import Advance, silent
 from anisoscope.record import RECORD_NAME, Particulars, Record, write_record
@@ -178,6 +178,8 @@ def _check_rig(rig: Rig, plan: Plan, job: Job) -> None:
             f"the flat was taken with camera {job.white.camera}, this is {info.serial}: "
             "take a new one with `anisoscope calibrate flat`"
         )
+    if isinstance(job.recipe, PrintRecipe):
+        check_filters(info.filters, f"camera {info.serial}", job.white.filters)
     check_size(job.white, (info.rows, info.cols))
     job.calibrations.check_camera(info.serial, (info.rows, info.cols))
 
@@ -215,7 +217,7 @@ def _decide(
 def _judge(made: JobFile, folder: Path, job: Job, ready: "Ready", advance: Advance) -> Judged:
     advance("measurement", 0, 1)
     taken, final = read_taken(folder, made), _is_last_round(made, job)
-    return judge(made, job, ready.expected, taken, advance, final=final)
+    return judge(made, job, ready.expected, taken, advance, final=final, predict=kept_expectation)
 
 
 def _is_last_round(made: JobFile, job: Job) -> bool:
@@ -275,7 +277,8 @@ def conclude(
     """
     if judged is None:
         advance("measurement", 0, 1)
-        judged = judge(made, job, ready.expected, read_taken(folder, made), advance)
+        taken = read_taken(folder, made)
+        judged = judge(made, job, ready.expected, taken, advance, predict=kept_expectation)
     record, pictures = judged
     advance("report", 0, 1)
     view = ready.renderer.result() if ready.renderer is not None else None

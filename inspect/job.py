@@ -15,7 +15,7 @@ from anisoscope.linear import WhiteReference
 from anisoscope.prints.golden import GoldenPrints, read_golden_prints
 from anisoscope.prints.light import check_filters, check_print_rig, print_files
 from anisoscope.prints.recipe import AnyRecipe, PrintRecipe, read_any_recipe
-from anisoscope.recipe import Recipe
+from anisoscope.recipe import Recipe, check_poses
 from anisoscope.record import sha256_of
 from anisoscope.registration.placement import check_fixture
 from anisoscope.rig.acquisition.plan import Plan, Pose
@@ -167,6 +167,7 @@ def sources_of(recipe_path: Path, rig_path: Path, recipe: AnyRecipe, rig: RigFil
 
     Raises:
         HeightMapError: the height map is missing.
+        RecipeError: light or camera would stand below the part's horizon.
         RigFileError: the rig file lacks what a print needs, or has another lamp than the recipe.
     """
     files: list[tuple[Role, Path]] = [("recipe", recipe_path), ("rig", rig_path)]
@@ -176,6 +177,7 @@ def sources_of(recipe_path: Path, rig_path: Path, recipe: AnyRecipe, rig: RigFil
         files += _golden_file(recipe_path)
         return tuple(Source(role, path, sha256_of(path)) for role, path in files)
     check_lamp(recipe, rig, rig_path)
+    check_poses(recipe, rig.light.angle_deg, recipe_path)
     if recipe.surface.height_map is not None:
         files.append(("height map", check_map(recipe.surface.height_map)))
     files += _golden_file(recipe_path)

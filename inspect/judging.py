@@ -3,9 +3,10 @@
 from datetime import datetime
 
 from anisoscope.area import cell_log_ratios
+from anisoscope.comparing import Predict
 from anisoscope.decision import decide
 from anisoscope.errors import CameraError, MeasurementError
-from anisoscope.expectation import Expectation
+from anisoscope.expectation import Expectation, expectation
 from anisoscope.gates import check_part, check_views
 from anisoscope.insight import insight, known_good
 from anisoscope.job import Job
@@ -32,6 +33,7 @@ def judge(
     advance: Advance = silent,
     *,
     final: bool = True,
+    predict: Predict = expectation,
 ) -> tuple[Record, Pictures]:
     """Measure and decide; what makes the measurement unfit becomes an INVALID record.
 
@@ -42,6 +44,7 @@ def judge(
         taken: its frames.
         advance: told what is being explained, where that takes long.
         final: what is INCONCLUSIVE is explained as well; it will not be measured again.
+        predict: predicts the surface that does not decide, where the recipe has two.
 
     Returns:
         The record, without the list of the folder's files, and the pictures of the report.
@@ -58,13 +61,13 @@ def judge(
         record = make_record(made, job, expected, taken, verdict="INVALID", reasons=(str(error),))
         return record, Pictures(raw=as_photographed(taken), surface=expected.surface)
     unfit = complaint_on_resuming(change, job) or drift_complaint(measured, job.ridged)
-    area, undecided = job.ridged.area, decision.verdict is Verdict.INCONCLUSIVE
+    cells, undecided = decision.cells, decision.verdict is Verdict.INCONCLUSIVE
     pictures = Pictures(
         aligned=measured.aligned,
         size_mm=measured.grid.size_mm,
-        ratios=cell_log_ratios(measured, expected.poses),
+        ratios=cell_log_ratios(measured, expected.poses) if cells is None else cells.ratios,
         deviating=decision.deviating,
-        deviation=None if area is None else deviation_map(measured, expected.poses, area),
+        deviation=None if cells is None else deviation_map(cells),
         surface=expected.surface,
     )
     record = make_record(
@@ -75,7 +78,11 @@ def judge(
         verdict="INVALID" if unfit else decision.verdict.value,
         reasons=(unfit,) if unfit else decision.reasons,
         **results(job, expected, views, measured, decision),
-        **({} if unfit or (undecided and not final) else insight(job, expected, measured, decision, advance)),
+        **(
+            {}
+            if unfit or (undecided and not final)
+            else insight(job, expected, measured, decision, advance, predict)
+        ),
     )
     return record, pictures
 

@@ -12,11 +12,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.area import cell_deviations, cell_log_ratios
-from anisoscope.measurement import CELLS_PER_PITCH, Measured
+from anisoscope.area import CellMap
+from anisoscope.measurement import CELLS_PER_PITCH
 from anisoscope.recipe import AreaPart
 from anisoscope.registration.placement import Grid
-from anisoscope.sim.light.geometry import Pose
 
 FloatArray = npt.NDArray[np.float64]
 Cells = npt.NDArray[np.bool_]
@@ -56,11 +55,10 @@ class Region:
     p_value: float
 
 
-def deviation_map(measured: Measured, poses: tuple[Pose, ...], rule: AreaPart) -> FloatArray:
+def deviation_map(cells: CellMap) -> FloatArray:
     """(cell rows, cell cols) ln ratio by which a cell is off, of the pair of angles where it is off most."""
-    off = cell_deviations(cell_log_ratios(measured, poses), rule.cell_deviation)
-    most = np.abs(off).argmax(axis=0)
-    return np.asarray(np.take_along_axis(off, most[None], axis=0)[0])
+    most = np.abs(cells.off).argmax(axis=0)
+    return np.asarray(np.take_along_axis(cells.off, most[None], axis=0)[0])
 
 
 def chance_of_a_cell(deviation: FloatArray, threshold: float) -> float:

@@ -75,8 +75,15 @@ def wafer_light(part: LightPart) -> WaferLight:
     )
 
 
-def recipe_wafer(recipe: Recipe, light_angle_deg: float) -> tuple[EtchedPredictor, HeightMap]:
+def recipe_wafer(
+    recipe: Recipe, light_angle_deg: float, reach: float = 0.0
+) -> tuple[EtchedPredictor, HeightMap]:
     """The predictor of a recipe's wafer, and its height map.
+
+    Args:
+        recipe: the recipe.
+        light_angle_deg: of the rig.
+        reach: frequencies in cycles per µm that are needed beyond those of the recipe (`needed_reach`).
 
     Raises:
         HeightMapError: the height map cannot be read, or is no surface of level steps.
@@ -87,13 +94,14 @@ def recipe_wafer(recipe: Recipe, light_angle_deg: float) -> tuple[EtchedPredicto
     tile = tile_of(surface, recipe.surface.pitch_um, str(recipe.surface.height_map))
     assert recipe.material.reflectance is not None
     light, reflectance = wafer_light(recipe.light), recipe.material.reflectance
-    return EtchedPredictor.of(tile, light, reflectance, _reach(recipe, light, light_angle_deg)), surface
+    reach = max(reach, needed_reach(recipe, light_angle_deg))
+    return EtchedPredictor.of(tile, light, reflectance, reach), surface
 
 
-def _reach(recipe: Recipe, light: WaferLight, light_angle_deg: float) -> float:
+def needed_reach(recipe: Recipe, light_angle_deg: float) -> float:
     """Largest frequency in cycles per µm that directions near the recipe's poses need, in any state of the inputs."""
     assert recipe.light is not None
-    told, lamp = recipe.uncertainty, recipe.light
+    told, lamp, light = recipe.uncertainty, recipe.light, wafer_light(recipe.light)
     turned = np.sqrt(2.0) * told.seating_tilt_deg + 0.5 * (told.light_angle_deg + told.tilt_deg)
     cones = light.lamp_half_angle_deg * (1.0 + FARTHEST * lamp.u_lamp_share)
     cones += light.aperture_half_angle_deg * (1.0 + FARTHEST * lamp.u_aperture_share)

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from anisoscope.errors import ModelError, RecipeError
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.rig.acquisition.plan import LEAST_STEP
-from anisoscope.sim.light.geometry import Pose, pose_grid
+from anisoscope.sim.light.geometry import Convention, Pose, directions, pose_grid
 from anisoscope.sim.light.material import Material
 from anisoscope.tomlfile import LocalPath, NotNegative, Part, Positive, Share, read_toml_model
 from anisoscope.wafertables import CERTAIN, MIRROR, LightPart
@@ -55,10 +55,10 @@ class SurfacePart(Part):
             )
         if self.compare is not None and getattr(self, self.compare) is None:
             raise ValueError(f'compare = "{self.compare}", but there is no {self.compare}')
-        if self.height_map is not None and self.design is not None and self.design.u_ridge_angle_deg > 0.0:
+        if self.compare == "height_map" and self.design is not None and self.design.u_ridge_angle_deg > 0.0:
             raise ValueError(
-                "design.u_ridge_angle_deg is the spread of ideal ridges, and cannot be given to those of a height_map: "
-                "leave one of the two out"
+                "design.u_ridge_angle_deg is the spread of ideal ridges, and cannot be given to those of a height_map "
+                'that decides: leave it out, or let the design decide (compare = "design")'
             )
         return self
 
@@ -307,6 +307,26 @@ def is_print(path: Path) -> bool:
         return "print" in tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except (OSError, ValueError):
         return False
+
+
+def check_poses(recipe: Recipe, light_angle_deg: float, path: Path | None = None) -> None:
+    """Do light and camera stand above the part in every pose?
+
+    Args:
+        recipe: the recipe.
+        light_angle_deg: of the rig, between light and camera.
+        path: of the recipe's file, for the message.
+
+    Raises:
+        RecipeError: in some pose one of them does not.
+    """
+    try:
+        directions(recipe.poses.poses(), Convention(light_angle_deg))
+    except ModelError as problem:
+        file = "" if path is None else f"{path}: "
+        raise RecipeError(
+            f"{file}poses.tilts_deg: {problem}, with the light {light_angle_deg:g}° from the camera: tilt less"
+        ) from None
 
 
 def read_recipe(path: Path) -> Recipe:

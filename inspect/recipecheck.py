@@ -1,20 +1,21 @@
 """What a recipe can tell before any part is there: contrasts with u, T/U, the budget, causes, and helping tilts."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from anisoscope.decision import BudgetRow, contrast_gradient
+from anisoscope.diagnosis.advice import remembered_options
 from anisoscope.diagnosis.evidence import background_of
 from anisoscope.diagnosis.remembering import remembered_signatures
 from anisoscope.diagnosis.separability import Separability, planned_covariance, planned_inputs, separability
-from anisoscope.diagnosis.signatures import Signatures
 from anisoscope.expectation import Expectation, expectation
 from anisoscope.progress import Advance, silent
 from anisoscope.recipe import Recipe
 from anisoscope.sim.light.contrasts import contrasts
+from anisoscope.wafertables import source_name
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -54,6 +55,14 @@ class TiltAdvice:
 
 
 @dataclass(frozen=True)
+class LampAdvice:
+    """What a second lamp would add to a wafer: pairs of causes that the recipe's poses under it would tell apart."""
+
+    says: str
+    tells_apart: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True)
 class RecipeCheck:
     """What a recipe can tell.
 
@@ -64,6 +73,8 @@ class RecipeCheck:
         left_out: causes that this surface cannot have, with the reason.
         advice: what further tilts would add, the best first; only those that add something.
         complaints: one line each, what should be changed.
+        lamps: of a wafer, second lamps that would add something, the nearest wavelength first.
+        never: causes and others that neither these poses tell them from, nor any tilt or lamp that was tried.
     """
 
     pairs: tuple[PlannedPair, ...]
@@ -72,6 +83,8 @@ class RecipeCheck:
     left_out: tuple[tuple[str, str], ...]
     advice: tuple[TiltAdvice, ...]
     complaints: tuple[str, ...]
+    lamps: tuple[LampAdvice, ...] = ()
+    never: tuple[tuple[str, str], ...] = ()
 
 
 def check_recipe(
@@ -103,7 +116,39 @@ def check_recipe(
     )
     new = [tilt for tilt in tries if tilt not in recipe.poses.tilts_deg]
     advice = _advice(recipe, light_angle_deg, new, advance) if new and _lacking(causes) else ()
-    return RecipeCheck(pairs, budget, causes, known.left_out, advice, _complaints(recipe, pairs))
+    untold = [(cause.cause, other) for cause in causes for other in cause.never_told_from]
+    lamps = (
+        second_lamps_for(recipe, light_angle_deg, untold, advance)
+        if new and recipe.is_wafer and untold
+        else ()
+    )
+    told = {pair for one in advice for pair in one.tells_apart}
+    told |= {pair for one in lamps for pair in one.tells_apart}
+    never = tuple(pair for pair in untold if pair not in told) if new else ()
+    return RecipeCheck(
+        pairs, budget, causes, known.left_out, advice, _complaints(recipe, pairs), lamps, never
+    )
+
+
+def second_lamps_for(
+    recipe: Recipe, light_angle_deg: float, untold: Sequence[tuple[str, str]], advance: Advance
+) -> tuple[LampAdvice, ...]:
+    """Second lamps for a wafer, the nearest first, each with the pairs that no nearer one tells apart.
+
+    Args:
+        recipe: the recipe.
+        light_angle_deg: of the rig.
+        untold: causes and others that the recipe's poses never tell them from.
+        advance: progress.
+    """
+    names = sorted({name for pair in untold for name in pair})
+    left, found = list(untold), []
+    for option in remembered_options(recipe, light_angle_deg, names, advance):
+        apart = tuple(pair for pair in left if option.told_from[pair[0]][pair[1]] is not None)
+        if option.kind == "lamp" and apart:
+            found.append(LampAdvice(option.says, apart))
+            left = [pair for pair in left if pair not in apart]
+    return tuple(found)
 
 
 def _plan(recipe: Recipe, expected: Expectation) -> tuple[tuple[PlannedPair, ...], tuple[BudgetRow, ...]]:
@@ -130,7 +175,8 @@ def _plan(recipe: Recipe, expected: Expectation) -> tuple[tuple[PlannedPair, ...
             contrasts(expected.poses, expected.radiance), u, tolerances, strict=True
         )
     )
-    names = [(c.source, c.kind) for c in expected.components] + [
+    wafer = recipe.is_wafer
+    names = [(source_name(c.source, wafer=wafer), c.kind) for c in expected.components] + [
         ("measurement, without noise", "measurement")
     ]
     rows = [
@@ -181,7 +227,7 @@ def _advice(
     def told(chosen: Sequence[float]) -> tuple[Separability, ...]:
         kept = [k for k, pose in enumerate(known.poses) if pose.tilt_deg in chosen]
         return separability(
-            _of(known, kept),
+            known.of(kept),
             covariance[np.ix_(kept, kept)],
             with_map=with_map,
             u_background=u_background,
@@ -192,18 +238,6 @@ def _advice(
     found = [_added(tilt, before, told((*recipe.poses.tilts_deg, tilt))) for tilt in tries]
     useful = [one for one in found if one.shows or one.tells_apart]
     return tuple(sorted(useful, key=lambda one: -(len(one.shows) + len(one.tells_apart))))
-
-
-def _of(known: Signatures, kept: list[int]) -> Signatures:
-    return replace(
-        known,
-        poses=tuple(known.poses[k] for k in kept),
-        radiance=known.radiance[kept],
-        found=tuple(
-            replace(one, change=one.change[:, kept], tangents=one.tangents and one.tangents.of(kept))
-            for one in known.found
-        ),
-    )
 
 
 def _added(tilt_deg: float, before: tuple[Separability, ...], after: tuple[Separability, ...]) -> TiltAdvice:

@@ -66,15 +66,22 @@ stray_radiance = 0.0003
 
 
 def new_recipe(
-    product: str, pitch_um: float, *, ridge_angle_deg: float | None, height_map: str | None
+    product: str,
+    pitch_um: float,
+    *,
+    ridge_angle_deg: float | None,
+    height_map: str | None,
+    u_ridge_angle_deg: float | None = None,
 ) -> str:
-    """The text of a recipe with comments; of two surfaces the height map decides.
+    """The text of a recipe with comments; of two surfaces the height map decides, unless a spread is given.
 
     Args:
         product: name of the product.
         pitch_um: pitch of the ridges.
         ridge_angle_deg: of the ideal design, or None.
         height_map: path of a height map, as it shall stand there, or None.
+        u_ridge_angle_deg: spread of the ridge angle of good parts; beside a height map None, unless the design is to
+            decide.
     """
     lines = []
     if height_map is not None:
@@ -82,14 +89,15 @@ def new_recipe(
         lines.append('role = "part"  # or "tool": the map is turned over')
     if ridge_angle_deg is not None:
         angle = f'ridge_angle_deg = {_literal(float(ridge_angle_deg))}, wall = "perpendicular"'
-        if height_map is None:
-            lines.append(
-                f"design = {{ {angle}, u_ridge_angle_deg = 0.0 }}  # u_...: how much good parts spread"
-            )
+        decides = "height_map" if u_ridge_angle_deg is None else "design"
+        if height_map is None or decides == "design":
+            spread = f"u_ridge_angle_deg = {_literal(float(u_ridge_angle_deg or 0.0))}"
+            lines.append(f"design = {{ {angle}, {spread} }}  # u_...: how much good parts spread")
         else:
             lines.append(f"design = {{ {angle} }}")
+        if height_map is not None:
             lines.append(
-                'compare = "height_map"  # which of the two decides; the other one is compared with as well'
+                f'compare = "{decides}"  # which of the two decides; the other one is compared with as well'
             )
     side = max(1.0, round(20.0 * pitch_um / 1000.0, 3))
     return _TEMPLATE.format(

@@ -17,6 +17,7 @@ from anisoscope.prints.recipe import PrintRecipe
 from anisoscope.progress import Advance, silent
 from anisoscope.record import Record, read_record
 from anisoscope.taken import read_taken
+from anisoscope.wafertables import source_name
 
 TOLERANCE = 1e-9
 NOT_COMPARED = frozenset({"software", "created_at", "files", "recipe", "rig"})
@@ -71,6 +72,7 @@ def recompute(folder: Path, on_progress: Advance = silent) -> Recomputed:
     record, _ = judge(made, job, expected, read_taken(folder, made), on_progress)
     # what an earlier version did not tell is not there to be compared
     old = recorded.model_dump(mode="json", exclude=set(NOT_COMPARED), exclude_unset=True)
+    _call_as_now(old, wafer=not isinstance(job.recipe, PrintRecipe) and job.recipe.is_wafer)
     untold: set[str] = set()
     new = _told(old, record.model_dump(mode="json", exclude=set(NOT_COMPARED)), untold)
     notes: tuple[str, ...] = ()
@@ -81,6 +83,12 @@ def recompute(folder: Path, on_progress: Advance = silent) -> Recomputed:
             f"not compared, because the version that recorded did not tell it: {', '.join(sorted(untold))}",
         )
     return Recomputed(folder, recorded, record.verdict, tuple(differences(old, new)), notes)
+
+
+def _call_as_now(old: dict[str, Any], *, wafer: bool) -> None:
+    """Give the sources of an earlier version's budget the names that they bear now."""
+    for row in old["budget"]:
+        row["source"] = source_name(row["source"], wafer=wafer)
 
 
 def _told(old: Any, new: Any, untold: set[str], name: str = "") -> Any:  # noqa: ANN401

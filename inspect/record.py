@@ -84,6 +84,24 @@ class ContrastRecord(_Part):
     tolerance_ratio: float | None = None
 
 
+class TiltContrastRecord(_Part):
+    """One contrast of a stage angle between the first tilt and another one, for information.
+
+    ``u`` is of measured − predicted, the others are of each alone; ``p_value`` is Holm-adjusted over all of them.
+    """
+
+    stage_deg: float
+    from_tilt_deg: float
+    to_tilt_deg: float
+    kind: str
+    measured: float
+    predicted: float
+    u_measured: float
+    u_predicted: float
+    u: float
+    p_value: float
+
+
 class AreaRecord(_Part):
     """The contrast map judged; ``learnt`` if the limit is that of golden parts, ``p_value`` by them."""
 
@@ -147,11 +165,15 @@ class CauseRecord(_Part):
 
 
 class DiagnosisRecord(_Part):
-    """What is wrong: one line, and the causes, the best first; none where nothing was to be explained."""
+    """What is wrong: one line, and the causes, the best first; none where nothing was to be explained.
+
+    ``tells`` says what would tell the tied causes apart, where that was computed.
+    """
 
     says: str
     causes: tuple[CauseRecord, ...] = ()
     unexplained_p: float | None = None
+    tells: str | None = None
 
 
 class ComparisonRecord(_Part):
@@ -257,6 +279,7 @@ class Record(_Part):
     convention: dict[str, Any]
     poses: tuple[PoseRecord, ...]
     contrasts: tuple[ContrastRecord, ...]
+    between_tilts: tuple[TiltContrastRecord, ...] = ()
     d2: float | None
     dof: int | None
     p_value: float | None

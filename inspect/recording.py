@@ -21,6 +21,7 @@ from anisoscope.record import (
     PoseRecord,
     Record,
     RegionRecord,
+    TiltContrastRecord,
 )
 from anisoscope.rig.camera import UNCALIBRATED
 from anisoscope.taken import Shot, Taken
@@ -64,6 +65,21 @@ def results(
                 tolerance_ratio=pair.tolerance_ratio,
             )
             for pair in decision.pairs
+        ),
+        "between_tilts": tuple(
+            TiltContrastRecord(
+                stage_deg=one.stage_deg,
+                from_tilt_deg=one.from_tilt_deg,
+                to_tilt_deg=one.to_tilt_deg,
+                kind=kind,
+                measured=one.measured,
+                predicted=one.predicted,
+                u_measured=one.u_measured,
+                u_predicted=one.u_predicted,
+                u=one.u,
+                p_value=one.p_value,
+            )
+            for one in decision.between_tilts
         ),
         "d2": decision.d2,
         "dof": decision.dof,

@@ -2,7 +2,8 @@
 
 Schema 1 only grows: this version reads every record of schema 1, whichever version wrote it, and an earlier version
 refuses, by name, what it does not know. Fields that came later are optional, and their defaults stand for "not told":
-``poses[].dropped``, ``area.learnt``, ``calibrations``, ``map_place``, ``optics``, ``print``.
+``poses[].dropped``, ``area.learnt``, ``calibrations``, ``map_place``, ``optics``, ``print``,
+``between_tilts``, ``diagnosis.tells``, ``print.map.learnt``, ``print.map.p_value``. ``print.lobe`` may be null.
 """
 
 import json

@@ -17,6 +17,18 @@ WIDEST = 0.4
 """Largest full width of a lamp's spectrum, by its wavelength: the bench's lamps are no wider."""
 
 
+_SOURCES = {"albedo of the plastic": "share of scattered light"}
+"""Sources of uncertainty that are called otherwise on a wafer than the model's input of the same place."""
+
+
+def source_name(source: str, *, wafer: bool) -> str:
+    """What a source of uncertainty is called in a budget."""
+    if wafer:
+        for plastic, mirror in _SOURCES.items():
+            source = source.replace(plastic, mirror)
+    return source
+
+
 class LightPart(Part):
     """Lamp and lens as the part sees them, with standard uncertainties: what waves make of a part depends on them.
 

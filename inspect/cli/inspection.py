@@ -102,6 +102,7 @@ def _as_json(inspected: "Inspected") -> dict[str, Any]:
         "verdict": record.verdict,
         "reasons": list(record.reasons),
         "contrasts": [contrast.model_dump() for contrast in record.contrasts],
+        "between_tilts": [one.model_dump() for one in record.between_tilts],
         "area": None if record.area is None else record.area.model_dump(),
         "d2": record.d2,
         "dof": record.dof,
@@ -110,6 +111,7 @@ def _as_json(inspected: "Inspected") -> dict[str, Any]:
         "budget": [row.model_dump() for row in record.budget],
         "diagnosis": [] if diagnosis is None else [cause.model_dump() for cause in diagnosis.causes],
         "says": None if diagnosis is None else diagnosis.says,
+        "tells": None if diagnosis is None else diagnosis.tells,
         "unexplained_p": None if diagnosis is None else diagnosis.unexplained_p,
         "regions": [region.model_dump() for region in record.regions],
         "comparisons": [one.model_dump() for one in record.comparisons],
@@ -134,6 +136,7 @@ def explained(record: "Record") -> list[str]:
     if diagnosis is not None and diagnosis.causes:
         lines.append(f"cause: {diagnosis.says}")
         lines += [_cause_line(cause) for cause in diagnosis.causes if cause.tie and cause.cause != "nothing"]
+        lines += [f"what would tell them apart: {diagnosis.tells}"] if diagnosis.tells else []
     if record.reading is not None:
         lines.append(f"design and height map: {record.reading}")
     if record.verdict != "PASS":
@@ -162,6 +165,21 @@ def _print_quantities(record: "Record") -> None:
         ["quantity", "measured", "nominal", "off by", "u", "limit", ""],
         [[row.title, row.value, row.nominal, row.deviation, row.u, row.limit, row.verdict] for row in rows],
         ". ".join(record.print.not_judged) or None,
+    )
+
+
+def _print_between_tilts(record: "Record") -> None:
+    """The contrasts between tilts; of many the least likely ones, in their order."""
+    from anisoscope.report.tiltparts import shown_between_tilts, tilt_row
+    from anisoscope.report.wording import U_SAID
+
+    shown, folded = shown_between_tilts(record)
+    print_table(
+        "the same stage angle at two tilts",
+        ["contrast", "at [°]", "tilts [°]", "measured", "U", "predicted", "U", "deviation", "U", "p"],
+        [[row.kind, row.stage, row.tilts, *row.numbers, row.chance] for row in map(tilt_row, shown)],
+        f"{U_SAID}; for information"
+        + (f"; {len(folded)} more, all likelier, in record.json" if folded else ""),
     )
 
 
@@ -198,6 +216,8 @@ def _print(inspected: "Inspected") -> None:
                 for contrast in record.contrasts
             ],
         )
+    if record.between_tilts:
+        _print_between_tilts(record)
     if record.print is not None:
         _print_quantities(record)
     out = console()

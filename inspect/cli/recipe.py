@@ -10,14 +10,18 @@ from cyclopts import App, Parameter
 
 from anisoscope.cli.console import console, parse_numbers, print_table, progress
 from anisoscope.cli.recipe_causes import print_causes
-from anisoscope.errors import UsageError
+from anisoscope.errors import CalibrationError, UsageError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from anisoscope.recipecheck import RecipeCheck
+    from anisoscope.teaching import Taught
 
 app = App(name="recipe", help="Recipes: what a part should look like, how it is photographed and judged.")
 
 PRODUCT = "ridged part"
+MOST_PAIRS = 6
 File = Annotated[Path, Parameter(help="Recipe file (TOML).")]
 Json = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")]
 
@@ -31,6 +35,10 @@ def new(
     ridge_angle: Annotated[
         float | None, Parameter(help="Ridge angle of the ideal design in degrees.")
     ] = None,
+    u_ridge_angle: Annotated[
+        float | None,
+        Parameter(help="How much the ridge angle of good parts spreads, a standard deviation in degrees."),
+    ] = None,
     height_map: Annotated[Path | None, Parameter(help="Height map of a good part or of the tool.")] = None,
     ink: Annotated[
         str | None,
@@ -39,8 +47,8 @@ def new(
 ) -> int:
     """Write a recipe with comments, valid as written; then adapt it.
 
-    With --ridge-angle and --height-map the height map decides, and the design is compared with as well. With --ink it
-    is the recipe of a print.
+    With --ridge-angle and --height-map the height map decides, and the design is compared with as well; with
+    --u-ridge-angle besides the design decides. With --ink it is the recipe of a print.
     """
     import os
 
@@ -51,16 +59,26 @@ def new(
     if out.exists():
         raise UsageError(f"{out} exists already: name another file, or change it with an editor")
     if ink is not None:
-        if ridge_angle is not None or height_map is not None:
-            raise UsageError("--ink makes the recipe of a print: leave --ridge-angle and --height-map out")
+        if (ridge_angle, u_ridge_angle, height_map) != (None, None, None):
+            raise UsageError(
+                "--ink makes the recipe of a print: leave --ridge-angle, --u-ridge-angle and --height-map out"
+            )
         return _new_print(out, "print" if product == PRODUCT else product, ink)
     if ridge_angle is None and height_map is None:
         ridge_angle = 10.0
+    if u_ridge_angle is not None and ridge_angle is None:
+        raise UsageError(
+            "--u-ridge-angle is the spread of a design's ridges: give --ridge-angle as well, or leave it out"
+        )
     if height_map is not None and not height_map.is_file():
         raise UsageError(f"{height_map}: there is no such file")
     beside = None if height_map is None else os.path.relpath(height_map.resolve(), out.resolve().parent)
     text = new_recipe(
-        product, pitch, ridge_angle_deg=ridge_angle, height_map=beside and Path(beside).as_posix()
+        product,
+        pitch,
+        ridge_angle_deg=ridge_angle,
+        u_ridge_angle_deg=u_ridge_angle,
+        height_map=beside and Path(beside).as_posix(),
     )
     write_text(out, text)
     try:
@@ -119,7 +137,7 @@ def check(
 ) -> int:
     """Predict what a recipe's poses show, and say what it can and cannot tell apart; nothing moves."""
     from anisoscope.cli.recipe_print import check_print
-    from anisoscope.recipe import is_print, read_recipe
+    from anisoscope.recipe import check_poses, is_print, read_recipe
     from anisoscope.recipecheck import check_recipe
     from anisoscope.rig.rigfile import read_rig
 
@@ -128,6 +146,7 @@ def check(
     tries = parse_numbers(try_tilts, "--try-tilts") if try_tilts.strip() else ()
     recipe = read_recipe(file)
     angle = read_rig(rig).light.angle_deg if rig is not None else light_angle
+    check_poses(recipe, angle, file)
     with progress(file.name, quiet=json_) as advance:
         found = check_recipe(recipe, angle, tries, advance)
     if json_:
@@ -167,18 +186,25 @@ def _print(found: "RecipeCheck", product: str) -> None:
     for cause, reason in found.left_out:
         out.print(f"not looked at: {cause}: {reason}", markup=False, highlight=False, soft_wrap=True)
     for one in found.advice:
-        apart = ", ".join(f"{a} from {b}" for a, b in one.tells_apart[:6])
-        more = f" and {len(one.tells_apart) - 6} more" if len(one.tells_apart) > 6 else ""
         told = [f"show {', '.join(one.shows)}"] if one.shows else []
-        told += [f"tell {apart}{more}"] if apart else []
+        told += [f"tell {_apart(one.tells_apart)}"] if one.tells_apart else []
         out.print(
             f"a tilt of {one.tilt_deg:g}° besides would {' and '.join(told)}",
             markup=False,
             highlight=False,
             soft_wrap=True,
         )
-    for line in found.complaints:
+    lines = [f"{one.says} would tell {_apart(one.tells_apart)}" for one in found.lamps]
+    if found.never:
+        lines.append(f"nothing that was tried would tell {_apart(found.never)}")
+    for line in (*lines, *found.complaints):
         out.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def _apart(pairs: "Sequence[tuple[str, str]]") -> str:
+    """Causes and what they are told from; of many the first."""
+    more = f" and {len(pairs) - MOST_PAIRS} more" if len(pairs) > MOST_PAIRS else ""
+    return ", ".join(f"{a} from {b}" for a, b in pairs[:MOST_PAIRS]) + more
 
 
 @app.command
@@ -187,18 +213,29 @@ def teach(
     /,
     *,
     rig: Annotated[Path, Parameter(name=["--rig", "-g"], help="Rig file (TOML).")],
-    serial: Annotated[str, Parameter(name=["--serial", "-s"], help="Serial number of the good part.")],
+    serial: Annotated[
+        str | None, Parameter(name=["--serial", "-s"], help="Serial number of the good part.")
+    ] = None,
+    golden: Annotated[
+        bool,
+        Parameter(negative="", help="Of a print: tolerances by its golden prints; nothing is photographed."),
+    ] = False,
+    share: Annotated[
+        float, Parameter(help="With --golden: share of good prints that should pass all limits.")
+    ] = 0.95,
     out: Annotated[Path, Parameter(help="Folder that receives the inspection folder.")] = Path("inspections"),
     json_: Json = False,
 ) -> int:
     """Photograph a good part; set exposure, region and tolerances of a recipe by it.
 
-    The recipe becomes a new version; the old one is kept beside it as NAME.v1.toml and so on.
+    With --golden the tolerances of a print alone, by its golden prints. The recipe becomes a new version; the old one
+    is kept beside it as NAME.v1.toml and so on.
     """
-    from anisoscope.teaching import teach as by_part
-
-    with progress(serial, quiet=json_) as advance:
-        found = by_part(file, rig, serial, out, advance)
+    if golden == (serial is not None):
+        raise UsageError(
+            "name either a good part with --serial, or --golden for the golden prints of a recipe"
+        )
+    found = _by_golden(file, rig, share) if serial is None else _by_part(file, rig, serial, out, json_=json_)
     if json_:
         json.dump(found.as_json(), sys.stdout, indent=2, allow_nan=False)
         sys.stdout.write("\n")
@@ -208,7 +245,25 @@ def teach(
         ["value", "was", "is", "because"],
         [[change.key, str(change.old), str(change.new), change.why] for change in found.changes],
     )
-    lines = [f"the version before: {found.kept}", f"the inspection: {found.folder}", *found.notes]
-    for line in lines:
+    lines = [f"the version before: {found.kept}"]
+    lines += [] if found.folder is None else [f"the inspection: {found.folder}"]
+    for line in (*lines, *found.notes):
         console().print(line, markup=False, highlight=False, soft_wrap=True)
     return 0
+
+
+def _by_part(file: Path, rig: Path, serial: str, out: Path, *, json_: bool) -> "Taught":
+    from anisoscope.teaching import teach as by_part
+
+    with progress(serial, quiet=json_) as advance:
+        return by_part(file, rig, serial, out, advance)
+
+
+def _by_golden(file: Path, rig: Path, share: float) -> "Taught":
+    """No part is judged here, so no exit code may look like a verdict."""
+    from anisoscope.prints.goldenteaching import teach_by_golden
+
+    try:
+        return teach_by_golden(file, rig, share)
+    except CalibrationError as error:
+        raise UsageError(str(error)) from error

@@ -114,6 +114,19 @@ class Signatures:
     found: tuple[Signature, ...]
     left_out: tuple[tuple[str, str], ...]
 
+    def of(self, poses: Sequence[int]) -> "Signatures":
+        """Those of some of the poses, by their numbers."""
+        kept = list(poses)
+        return replace(
+            self,
+            poses=tuple(self.poses[k] for k in kept),
+            radiance=self.radiance[kept],
+            found=tuple(
+                replace(one, change=one.change[:, kept], tangents=one.tangents and one.tangents.of(kept))
+                for one in self.found
+            ),
+        )
+
 
 def signatures(
     recipe: Recipe,

@@ -91,6 +91,15 @@ def _scattering(wafer: EtchedPredictor, state: State, extent: float) -> tuple[Et
     return wafer, replace(state, material=replace(state.material, albedo=albedo))
 
 
+def spoiled(
+    cause: Cause, wafer: EtchedPredictor, state: State, extent: float, surface: HeightMap
+) -> tuple[EtchedPredictor, State]:
+    """A wafer with a cause of this extent, and the state of scatter, lamp and seat; ``surface`` is its height map."""
+    if cause.name in _CHANGES:
+        return _CHANGES[cause.name](wafer, state, extent)
+    return wafer, cause.change(surface, state, extent)[1]
+
+
 _CHANGES: dict[str, Changed] = {
     "over-etch": _deeper,
     "under-etch": _shallower,
@@ -120,10 +129,7 @@ def wafer_signatures(
         extents, changes = [], []
         try:
             for extent in cause.extents:
-                if cause.name in _CHANGES:
-                    changed, moved = _CHANGES[cause.name](wafer, state, extent)
-                else:
-                    changed, moved = wafer, cause.change(surface, state, extent)[1]
+                changed, moved = spoiled(cause, wafer, state, extent, surface)
                 seen = good if extent == 0.0 else evaluate(fixed(changed), [moved], poses, convention)[0]
                 extents.append(extent)
                 changes.append(np.log(seen / good))

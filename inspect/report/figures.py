@@ -4,6 +4,7 @@ import base64
 import io
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import cv2
@@ -130,8 +131,27 @@ def photograph(radiance: Image, white: float) -> str:
     return png_uri(data.tobytes())
 
 
+@dataclass(frozen=True)
+class MapFrame:
+    """Where a map lies: its middle from the rotation axis, in mm along its own axes, and what these are called."""
+
+    middle_mm: tuple[float, float] = (0.0, 0.0)
+    across: str = "x"
+    along: str = "y"
+
+    def label(self, axes: "Axes", size_mm: tuple[float, float]) -> tuple[float, float, float, float]:
+        """Name the axes of a map of (height, width), and return its (left, right, lower, upper) ends in mm."""
+        axes.set_xlabel(f"{self.across} from the rotation axis [mm]")
+        axes.set_ylabel(f"{self.along} [mm]")
+        (x, y), (height, width) = self.middle_mm, size_mm
+        return x - width / 2, x + width / 2, y - height / 2, y + height / 2
+
+
 def contrast_map(
-    ratio: FloatArray, deviating: npt.NDArray[np.bool_] | None, size_mm: tuple[float, float]
+    ratio: FloatArray,
+    deviating: npt.NDArray[np.bool_] | None,
+    size_mm: tuple[float, float],
+    frame: MapFrame = MapFrame(),
 ) -> str:
     """Cells of the contrast map; where cells deviate, their patches are outlined.
 
@@ -139,14 +159,14 @@ def contrast_map(
         ratio: (cell rows, cell cols) ln ratio, first row at the top.
         deviating: same shape, or None.
         size_mm: (height, width) of the region.
+        frame: where it lies.
     """
-    height, width = size_mm
     low, high = np.percentile(ratio, [1, 99])
     with new_map_figure(size_mm) as (figure, axes, bar):
-        extent = (-width / 2, width / 2, -height / 2, height / 2)
+        extent = frame.label(axes, size_mm)
         shown = axes.imshow(ratio, cmap="cividis", vmin=low, vmax=max(high, low + 0.05), extent=extent)
         if deviating is not None:
-            axes.add_artist(_outline(deviating, size_mm))
+            axes.add_artist(_outline(deviating, size_mm, frame.middle_mm))
         figure.colorbar(shown, cax=bar, label="ln ratio")
         return svg_uri(figure)
 
@@ -156,24 +176,25 @@ def deviation_map(
     deviating: npt.NDArray[np.bool_] | None,
     places: Sequence[tuple[float, float]],
     size_mm: tuple[float, float],
+    frame: MapFrame = MapFrame(),
 ) -> str:
     """By how much every cell is off, with the regions outlined and numbered from 1.
 
     Args:
         deviation: (cell rows, cell cols) ln ratio, first row at the top.
         deviating: same shape, or None.
-        places: (x, y) of the middle of every numbered region in mm from the middle of the map.
+        places: (x, y) of the middle of every numbered region in mm from the rotation axis, along the map's axes.
         size_mm: (height, width) of the region.
+        frame: where it lies.
     """
     from matplotlib.patheffects import withStroke
 
-    height, width = size_mm
     reach = max(float(np.percentile(np.abs(deviation), 99.5)), 0.05)
     with new_map_figure(size_mm) as (figure, axes, bar):
-        extent = (-width / 2, width / 2, -height / 2, height / 2)
+        extent = frame.label(axes, size_mm)
         shown = axes.imshow(deviation, cmap="PuOr", vmin=-reach, vmax=reach, extent=extent)
         if deviating is not None:
-            axes.add_artist(_outline(deviating, size_mm))
+            axes.add_artist(_outline(deviating, size_mm, frame.middle_mm))
         for number, (x, y) in enumerate(places, start=1):
             label = axes.annotate(
                 str(number),
@@ -190,7 +211,9 @@ def deviation_map(
         return svg_uri(figure)
 
 
-def _outline(mask: npt.NDArray[np.bool_], size_mm: tuple[float, float]) -> "PathPatch":
+def _outline(
+    mask: npt.NDArray[np.bool_], size_mm: tuple[float, float], middle_mm: tuple[float, float] = (0.0, 0.0)
+) -> "PathPatch":
     """The edges between cells that deviate and cells that do not, as one path: thousands of lines take seconds."""
     from matplotlib.patches import PathPatch
     from matplotlib.path import Path
@@ -202,7 +225,7 @@ def _outline(mask: npt.NDArray[np.bool_], size_mm: tuple[float, float]) -> "Path
     ends = np.concatenate([np.add(upright, (0, 1)), np.add(level, (1, 0))])
     lines = np.stack([np.concatenate([upright, level]), ends], axis=1)
     scale = np.array([size_mm[1] / cols, -size_mm[0] / rows])
-    corner = np.array([-size_mm[1] / 2, size_mm[0] / 2])
+    corner = np.array([middle_mm[0] - size_mm[1] / 2, middle_mm[1] + size_mm[0] / 2])
     codes = np.tile(np.array([Path.MOVETO, Path.LINETO], dtype=np.uint8), len(lines))
     path = Path((lines * scale + corner).reshape(-1, 2), codes)
     return PathPatch(path, fill=False, edgecolor=MARK, linewidth=0.6)

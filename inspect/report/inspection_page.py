@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from anisoscope.calibration.record import CalibrationRecord, Kind
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.record import BudgetRecord, CauseRecord, Record, RegionRecord
+from anisoscope.record import BudgetRecord, CauseRecord, Record
 from anisoscope.report import figures
 from anisoscope.report.page import ready_template, write_page
 from anisoscope.report.peers import Lot, Peers, among
@@ -19,6 +19,7 @@ from anisoscope.report.provenance import calibrations_of, files_of, groups_of
 from anisoscope.report.relief3d import Picture3D
 from anisoscope.report.rule import NAMES, PRECEDENCE, UNITS, deviation_decides, level_of, rule_of
 from anisoscope.report.surfaceview import SurfacePictures, SurfaceView, flat_drawings
+from anisoscope.report.tiltparts import tilt_parts
 from anisoscope.report.viewer3d import viewer_of
 from anisoscope.report.wording import cause_range, cause_text, contrast_name, filters, labels_of
 
@@ -125,6 +126,7 @@ def _content(record: Record, pictures: Pictures, folder: Path, view: Picture3D |
         "folder": folder.name,
         **_photographs(record, pictures),
         **_maps(record, pictures),
+        **tilt_parts(record),
         **print_parts(record, pictures.print),
         **_surface(pictures.surface, view),
     }
@@ -147,13 +149,13 @@ def _maps(record: Record, pictures: Pictures) -> dict[str, Any]:
     labels = labels_of(record)
     found: dict[str, Any] = {"labels": labels, "maps": [], "chart": None, "deviation_map": None}
     if pictures.deviation is not None:
-        places = [_local(record, region) for region in record.regions[:MAX_REGIONS]]
+        places = [_on_map(record, (region.x, region.y)) for region in record.regions[:MAX_REGIONS]]
         found["deviation_map"] = figures.deviation_map(
-            pictures.deviation, pictures.deviating, places, pictures.size_mm
+            pictures.deviation, pictures.deviating, places, pictures.size_mm, _frame(record)
         )
     if pictures.ratios is not None:
         found["maps"] = [
-            (label, figures.contrast_map(ratio, pictures.deviating, pictures.size_mm))
+            (label, figures.contrast_map(ratio, pictures.deviating, pictures.size_mm, _frame(record)))
             for label, ratio in zip(labels, pictures.ratios, strict=True)
         ]
     if record.contrasts:
@@ -201,11 +203,18 @@ def _lot_peers(record: Record, lot: Lot | None) -> Peers | None:
     )
 
 
-def _local(record: Record, region: RegionRecord) -> tuple[float, float]:
-    """Middle of a region, from the middle of the map: x across the ridges, y along them."""
-    x, y = np.subtract((region.x, region.y), record.recipe["region"]["center_mm"])
-    turn = np.radians(record.recipe["poses"]["facet_azimuth_deg"])
+def _on_map(record: Record, place_mm: tuple[float, float]) -> tuple[float, float]:
+    """A place of the part at 0° along the axes of the map, whose ridges stand upright; both from the rotation axis."""
+    (x, y), turn = place_mm, np.radians(record.recipe["poses"]["facet_azimuth_deg"])
     return float(np.cos(turn) * x + np.sin(turn) * y), float(np.cos(turn) * y - np.sin(turn) * x)
+
+
+def _frame(record: Record) -> figures.MapFrame:
+    """Where the maps lie, and what their axes are."""
+    middle = _on_map(record, record.recipe["region"]["center_mm"])
+    if record.recipe["poses"]["facet_azimuth_deg"] == 0.0:
+        return figures.MapFrame(middle)
+    return figures.MapFrame(middle, "across the ridges", "along the ridges")
 
 
 def _causes(record: Record) -> tuple[CauseRecord, ...]:

@@ -5,6 +5,8 @@ from anisoscope.report.page import Filters
 from anisoscope.report.provenance import when
 from anisoscope.significance import said
 
+U_SAID = "U = 2u: expanded uncertainty"
+
 
 def filters() -> Filters:
     """What the template calls by name: numbers with a true minus sign, chances, times."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from anisoscope.area import judge_area
+from anisoscope.area import cell_deviations, judge_area
 from anisoscope.arealimit import KnownShares
 from anisoscope.decision import contrast_gradient, decide, guarded
 from anisoscope.errors import MeasurementError
@@ -236,6 +236,21 @@ def test_contrasts_and_area_share_one_level(make_recipe):
         for p in (1.0, 0.006, 0.004)
     }
     assert verdicts == {1.0: PASS, 0.006: PASS, 0.004: FAIL}
+
+
+def test_the_contrast_map_is_made_once(make_recipe, monkeypatch):
+    made = []
+
+    def counted(*arguments):
+        made.append(arguments)
+        return cell_deviations(*arguments)
+
+    monkeypatch.setattr("anisoscope.area.cell_deviations", counted)
+    found = judge(make_recipe, 0.0, deviating_cells(0.1))
+    assert len(made) == 1
+    assert found.regions
+    assert found.cells.off.shape == found.cells.ratios.shape == (2, 40, 40)
+    assert np.array_equal(np.abs(found.cells.off).max(axis=0) > 0.3, found.deviating)
 
 
 def test_a_whole_flank_that_is_alike_is_no_area_defect(make_recipe):

@@ -10,7 +10,10 @@ from anisoscope.comparing import READINGS, compare
 from anisoscope.errors import ModelError
 from anisoscope.expectation import Component, expectation
 from anisoscope.golden import add_part, golden_path, write_golden
+from anisoscope.keptprediction import forget
 from anisoscope.measurement import Measured
+from anisoscope.profiles.files.load import write_height_map
+from anisoscope.profiles.ideal import RidgeDesign, ridges
 from anisoscope.recipe import Recipe, read_recipe
 from anisoscope.recomputing import recompute
 from anisoscope.record import Record, read_record
@@ -103,7 +106,7 @@ def test_too_few_golden_parts_are_said_to_be_too_few(virtual_rig):
     write_golden(golden_path(rig.recipe), add_part(None, read_recipe(rig.recipe), record))
     found = rig.inspect("T-2")
     assert (found.record.verdict, found.record.golden) == ("PASS", None)
-    assert "1 golden parts: from 3 on they are compared with, 6 are sensible" in found.notes
+    assert "1 golden part: from 3 on they are compared with, 6 are sensible" in found.notes
 
 
 @pytest.mark.usefixtures("plain_report")
@@ -142,22 +145,46 @@ def test_records_of_before_stay_readable(virtual_rig, plain_report):
 
 
 @pytest.mark.parametrize("agrees", [(True, True), (True, False), (False, True), (False, False)])
-def test_both_surfaces_read_together(make_recipe, tmp_path, agrees, monkeypatch):
+def test_both_surfaces_read_together(make_recipe, tmp_path, agrees):
     recipe = make_recipe(surface={"height_map": str(tmp_path / "map.x3p"), "compare": "design"})
     design = expectation(recipe, 10.0)
     other = design.radiance * np.array([1.0, 2.0, 0.6])
     mapped = design.__class__(**{**vars(design), "radiance": other, "model": "relief"})
-    monkeypatch.setattr("anisoscope.comparing.expectation", lambda *_: mapped if not all(agrees) else design)
+    second = design if all(agrees) else mapped
     radiance = {
         (True, True): design.radiance,
         (True, False): design.radiance,
         (False, True): other,
         (False, False): design.radiance * np.array([1.0, 0.3, 3.0]),
     }[agrees]
-    found, reading, note = compare(recipe, design, seen(radiance))
+    found, reading, note = compare(recipe, design, seen(radiance), lambda *_: second)
     assert tuple(one.agrees for one in found) == agrees
     assert (reading, note) == (READINGS[agrees], None)
     assert [one.decides for one in found] == [True, False]
+
+
+@pytest.mark.usefixtures("plain_report")
+def test_the_second_surface_is_predicted_once_for_all_parts_and_anew_to_recompute(virtual_rig, monkeypatch):
+    rig = virtual_rig(recipe={"surface": {"height_map": "map.npz", "compare": "design"}})
+    ridged = ridges(RidgeDesign(100.0, 10.0), (241, 1201), (5.0, 1.0))
+    write_height_map(ridged, rig.recipe.parent / "map.npz")
+    predicted = []
+
+    def counted(recipe, light_angle_deg):
+        predicted.append(recipe.surface.decides)
+        return expectation(recipe, light_angle_deg)
+
+    monkeypatch.setattr("anisoscope.keptprediction.expectation", counted)
+    forget()
+    records = [rig.inspect(serial).record for serial in ("K-1", "K-2")]
+    assert sorted(predicted) == ["design", "height_map"]
+    for record in records:
+        assert [one.surface for one in record.comparisons] == ["design", "height_map"]
+    assert records[0].comparisons[1].predicted == records[1].comparisons[1].predicted
+    last = rig.inspect("K-3").folder
+    del predicted[:]
+    assert recompute(last).differences == ()
+    assert predicted == []
 
 
 def test_a_surface_that_cannot_be_read_is_a_note(make_recipe, tmp_path):

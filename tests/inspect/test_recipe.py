@@ -2,7 +2,8 @@ import pytest
 import tomli_w
 
 from anisoscope.errors import RecipeError
-from anisoscope.recipe import read_recipe
+from anisoscope.expectation import expectation, recipe_uncertainty
+from anisoscope.recipe import check_poses, read_recipe
 
 GOOD = {
     "schema": 1,
@@ -53,8 +54,13 @@ def test_the_spread_of_the_ridge_angle_is_nil_unless_it_is_stated(read):
     assert read(surface=DESIGN).surface.design.u_ridge_angle_deg == 0.0
     stated = {**DESIGN, "design": {"ridge_angle_deg": 10.0, "u_ridge_angle_deg": 0.1}}
     assert read(surface=stated).surface.design.u_ridge_angle_deg == 0.1
-    both = {**DESIGN, "height_map": "x", "compare": "design"}
-    assert read(surface=both).surface.decides == "design"
+    both = {**stated, "height_map": "x", "compare": "design"}
+    recipe = read(surface=both)
+    assert recipe.surface.decides == "design"
+    assert recipe_uncertainty(recipe.deciding()).ridge_angle_deg == 0.1
+    assert (
+        recipe_uncertainty(recipe.against("height_map")).ridge_angle_deg == 0.0
+    )  # its ridges are what they are
 
 
 MATERIAL = GOOD["material"]
@@ -79,7 +85,7 @@ MISTAKES = {
         "surface": {**DESIGN, "design": {"ridge_angle_deg": 10.0, "u_ridge_angle_deg": -0.1}}
     },
     "surface: design.u_ridge_angle_deg is the spread of ideal ridges": {
-        "surface": {**DESIGN, "design": SPREAD, "height_map": "x", "compare": "design"}
+        "surface": {**DESIGN, "design": SPREAD, "height_map": "x", "compare": "height_map"}
     },
     "decision.tolerance lists 1 values for 2 pairs": {"decision": {"tolerance": [0.1]}},
     "decision.tolerance": {"decision": {"tolerance": -0.1}},
@@ -105,6 +111,22 @@ def test_mistakes_are_one_line_that_names_file_and_key(read, tmp_path, message):
     assert message in text
     assert text.startswith(str(tmp_path / "recipe.toml"))
     assert "\n" not in text
+
+
+@pytest.mark.parametrize(
+    ("tilt", "light", "name"), [(95.0, 10.0, "light"), (-91.0, 0.0, "light"), (90.0, 20.0, "light")]
+)
+def test_a_pose_below_the_horizon_names_file_key_and_pose(read, tmp_path, tilt, light, name):
+    recipe = read(poses={"tilts_deg": [0.0, tilt]})
+    path = tmp_path / "recipe.toml"
+    with pytest.raises(RecipeError, match=f"at tilt {tilt:g}° the {name} stands at or below") as caught:
+        check_poses(recipe, light, path)
+    text = str(caught.value)
+    assert text.startswith(f"{path}: poses.tilts_deg: ")
+    assert text.endswith(f"with the light {light:g}° from the camera: tilt less")
+    check_poses(read(poses={"tilts_deg": [0.0, 80.0]}), light, path)
+    with pytest.raises(RecipeError, match=r"^poses\.tilts_deg: at tilt"):
+        expectation(recipe, light)
 
 
 def test_a_recipe_that_is_not_there_is_named(tmp_path):

@@ -4,6 +4,8 @@ import pytest
 
 from anisoscope import recipecheck
 from anisoscope.diagnosis.signatures import signatures
+from anisoscope.diagnosis.telling import Option
+from anisoscope.progress import silent
 from anisoscope.recipecheck import check_recipe
 
 CAUSES = ("roughness-along", "light-angle")
@@ -26,7 +28,7 @@ def test_planned_contrasts_budget_and_causes(make_recipe):
         total = sum(row.contributions[k] ** 2 for row in found.budget) ** 0.5
         assert total == pytest.approx(pair.u, rel=1e-6)
     assert {cause.cause for cause in found.causes} == set(CAUSES)
-    assert found.advice == ()
+    assert (found.advice, found.never) == ((), ())  # nothing was tried
 
 
 def test_a_narrow_tolerance_and_none_are_said(make_recipe):
@@ -43,3 +45,32 @@ def test_tilts_that_help_are_named(make_recipe):
     assert by_name["light-angle"].never_told_from == ("roughness-along",)
     assert [one.tilt_deg for one in found.advice] == [20.0]
     assert ("light-angle", "roughness-along") in found.advice[0].tells_apart
+    assert ("light-angle", "roughness-along") not in found.never
+    assert found.lamps == ()  # of plastic no other wavelength is tried
+
+
+def test_what_nothing_tells_is_said(make_recipe):
+    poses = {"angles_deg": [0.0, 180.0]}
+    found = check_recipe(make_recipe(poses=poses, area=None), 10.0, tries=(0.5,))
+    assert found.advice == ()
+    assert ("light-angle", "roughness-along") in found.never
+
+
+def test_a_second_lamp_is_named_by_what_no_nearer_one_tells(make_recipe, monkeypatch):
+    pair, back, third = ("a", "b"), ("b", "a"), ("a", "c")
+    known = (
+        Option("tilt", "a tilt", {"a": {"b": 1.0, "c": None}, "b": {"a": 1.0}}),
+        Option("lamp", "no help", {"a": {"b": None, "c": None}, "b": {"a": None}}),
+        Option("lamp", "near", {"a": {"b": 2.0, "c": None}, "b": {"a": None}}),
+        Option("lamp", "far", {"a": {"b": 1.0, "c": None}, "b": {"a": 1.0}}),
+    )
+    asked = []
+
+    def options(_recipe, _angle, names, _advance):
+        asked.append(names)
+        return known
+
+    monkeypatch.setattr(recipecheck, "remembered_options", options)
+    found = recipecheck.second_lamps_for(make_recipe(), 0.0, [pair, back, third], silent)
+    assert [(one.says, one.tells_apart) for one in found] == [("near", (pair,)), ("far", (back,))]
+    assert asked == [["a", "b", "c"]]

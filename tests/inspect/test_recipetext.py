@@ -21,9 +21,21 @@ def test_a_new_recipe_is_valid(tmp_path, angle, height_map, decides):
     assert (recipe.product, recipe.surface.pitch_um) == ('a "quoted" part', 80.0)
     assert recipe.surface.decides == decides
     assert recipe.surface.both == (angle is not None and height_map is not None)
-    assert ("u_ridge_angle_deg = 0.0" in text) == (height_map is None)  # a map has no such spread
+    assert ("u_ridge_angle_deg = 0.0" in text) == (
+        height_map is None
+    )  # a map that decides has no such spread
     known = set(Recipe.model_validate(tomllib.loads(text)).model_dump(by_alias=True))
     assert set(tomllib.loads(text)) <= known
+
+
+@pytest.mark.parametrize("height_map", [None, "a.x3p"])
+def test_a_spread_of_the_ridge_angle_stands_in_the_design_which_then_decides(tmp_path, height_map):
+    text = new_recipe("part", 80.0, ridge_angle_deg=12.0, height_map=height_map, u_ridge_angle_deg=0.15)
+    path = tmp_path / "recipe.toml"
+    path.write_text(text, encoding="utf-8")
+    surface = read_recipe(path).surface
+    assert (surface.decides, surface.design.u_ridge_angle_deg) == ("design", 0.15)
+    assert surface.both == (height_map is not None)
 
 
 def test_changed_values_leave_comments_and_everything_else():

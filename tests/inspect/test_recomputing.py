@@ -111,7 +111,7 @@ def test_differences(old, new, names):
     assert [line.partition(":")[0] for line in differences(old, new)] == names
 
 
-LATER_FIELDS = ("calibrations", "map_place")
+LATER_FIELDS = ("calibrations", "map_place", "between_tilts")
 
 
 def as_written_before(folder):
@@ -134,7 +134,7 @@ def test_what_an_earlier_version_did_not_tell_is_no_difference(finished):
     found = recompute(finished)
     assert (found.verdict, found.differences) == ("PASS", ())
     assert "recorded by anisoscope 0.0.1" in found.notes[0]
-    assert "did not tell it: area.learnt, calibrations" in found.notes[1]
+    assert "did not tell it: area.learnt, between_tilts, calibrations" in found.notes[1]
     assert "poses[].dropped" in found.notes[1]
 
 

@@ -1,5 +1,7 @@
 """Wafers inspected end to end: verdicts, what is wrong, optics in the record, the report, and computing it again."""
 
+import hashlib
+import json
 import shutil
 
 import numpy as np
@@ -14,6 +16,7 @@ from anisoscope.inspection import inspect_part
 from anisoscope.keptprediction import kept_expectation
 from anisoscope.recipe import read_recipe
 from anisoscope.recomputing import recompute
+from anisoscope.record import RECORD_NAME, UNSEALED
 from anisoscope.report.inspection_page import REPORT_NAME
 from anisoscope.verifying import verify
 
@@ -119,6 +122,49 @@ def test_wrong_etching_fails_and_is_named_with_its_size(inspected, name, cause, 
     assert not {"burrs", "wear", "ridge-angle", "roughness-across", "colour"} & set(causes)
     other = {"over-etch", "under-etch", "width-bias", "width-loss"} - {cause, tied}
     assert not any(causes[one].tie for one in other)
+
+
+def test_the_spike_shows_in_the_contrasts_between_tilts_of_record_and_report(inspected):
+    good, deep = inspected("good"), inspected("deep").record
+    for record in (good.record, deep):
+        radiance = {(pose.stage_deg, pose.tilt_deg): pose for pose in record.poses}
+        assert len(record.between_tilts) == 2
+        for one in record.between_tilts:
+            first, other = (radiance[one.stage_deg, tilt] for tilt in (one.from_tilt_deg, one.to_tilt_deg))
+            assert one.measured == pytest.approx(np.log(first.measured / other.measured))
+            assert one.predicted == pytest.approx(np.log(first.predicted / other.predicted))
+            assert one.u == pytest.approx(np.hypot(one.u_measured, one.u_predicted))
+            assert one.u_measured < 0.01 < one.u_predicted  # the seat decides where the mirror direction is
+    assert min(one.p_value for one in good.record.between_tilts) > 0.01
+    assert max(one.p_value for one in deep.between_tilts) < 1e-6
+    assert all(one.p_value > 0.001 for one in deep.contrasts)  # at one tilt nothing is seen of it
+    report = good.report.read_text()
+    assert 'id="between-tilts"' in report
+    assert "0°, tilt 0° / 3°" in report
+
+
+def test_what_would_tell_too_deep_from_too_shallow_is_computed(inspected):
+    tells = inspected("deep").record.diagnosis.tells
+    assert "a second lamp of 470 nm with the same poses" in tells
+    assert "stage angles" not in tells
+    assert inspected("good").record.diagnosis.tells is None
+
+
+def test_scattered_light_is_called_so_and_records_of_before_compute_again(inspected, tmp_path):
+    folder = tmp_path / "old"
+    shutil.copytree(inspected("good").folder, folder)
+    path = folder / RECORD_NAME
+    content = json.loads(path.read_text(encoding="utf-8"))
+    (row,) = (row for row in content["budget"] if row["source"] == "share of scattered light")
+    assert not any("plastic" in other["source"] for other in content["budget"])
+    row["source"] = "albedo of the plastic"
+    del content["between_tilts"], content["diagnosis"]["tells"]
+    text = json.dumps(content | {"seal": UNSEALED}, indent=2)
+    path.write_text(text.replace(UNSEALED, hashlib.sha256(text.encode()).hexdigest()), encoding="utf-8")
+    again = recompute(folder)
+    assert (again.differences, again.verdict) == ((), "PASS")
+    assert "did not tell it: between_tilts, diagnosis.tells" in again.notes[-1]
+    assert verify(folder).intact
 
 
 def test_a_wafer_computes_again_to_the_same_numbers_and_every_change_shows(inspected, tmp_path):

@@ -265,14 +265,18 @@ def _hex32(counts: int) -> bytes:
 
 
 def build(mounts: Sequence[Mount], model: str, faults: Sequence[str]) -> Firmware:
-    """One stage an axis, at the addresses of the mounts."""
+    """One stage an axis, at the addresses of the mounts; serial numbers count on from that of the model."""
     stages = []
     for number, mount in enumerate(mounts):
         address = mount.address or f"{number:X}"
         if len(address) != 1 or address.encode() not in ADDRESSES:
             raise UsageError(f"'{address}' is not an Elliptec address; use one of 0…9, A…F")
         wrong = faults if number == 0 else ()
-        stages.append(ElliptecFirmware(mount.axis, address=address, model=MODELS[model], faults=wrong))
+        made = MODELS[model]
+        serial = f"{int(made.serial) + number:0{len(made.serial)}d}"
+        stages.append(
+            ElliptecFirmware(mount.axis, address=address, model=replace(made, serial=serial), faults=wrong)
+        )
     return stages[0] if len(stages) == 1 else Bus(*stages)
 
 

@@ -10,6 +10,7 @@ settings that need a restart, streams, triggers, lockstep, parking, ``tools``, `
 """
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 
 from anisoscope.errors import UsageError
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
@@ -235,15 +236,15 @@ class ZaberFirmware(ZaberController):
 
 
 def build(mounts: Sequence[Mount], model: str, faults: Sequence[str]) -> Firmware:
-    """One stage an axis, at the addresses of the mounts."""
+    """One stage an axis, at the addresses of the mounts; serial numbers count on from that of the model."""
     stages = []
     for place, mount in enumerate(mounts):
         address = mount.address or str(place + 1)
         if not address.isdecimal() or not 1 <= int(address) <= MAX_ADDRESS:
             raise UsageError(f"'{address}' is not a Zaber address; use one of 1…{MAX_ADDRESS}")
         wrong = faults if place == 0 else ()
-        made = ZaberFirmware(mount.axis, address=int(address), model=MODELS[model], faults=wrong, place=place)
-        stages.append(made)
+        made = replace(MODELS[model], serial=MODELS[model].serial + place)
+        stages.append(ZaberFirmware(mount.axis, address=int(address), model=made, faults=wrong, place=place))
     return stages[0] if len(stages) == 1 else Bus(*stages)
 
 

@@ -102,7 +102,7 @@ def rows_in(path):
 
 
 def wait_until(command, condition, what):
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + 120
     while command.running and not condition():
         assert time.monotonic() < deadline, f"{what} never came: {command._shown[-800:].decode()}"
         time.sleep(0.005)

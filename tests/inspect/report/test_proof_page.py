@@ -71,7 +71,7 @@ def ready(page, url, width=1300, height=1000):
     wait(page, "document.body.dataset.ready === 'yes'")
 
 
-def wait(page, condition, seconds=60.0):
+def wait(page, condition, seconds=180.0):
     deadline = time.monotonic() + seconds
     while not page.evaluate(condition):
         assert time.monotonic() < deadline, condition

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from anisoscope.record import sha256_of
+from anisoscope.report import figures, inspection_page
 from anisoscope.report.peers import LotMate, among, lot_of
 from anisoscope.report.provenance import UNSAID, calibrations_of, files_of, groups_of
 from anisoscope.report.rule import rule_of
+from anisoscope.report.tiltparts import MOST, shown_between_tilts, tilt_parts, tilt_row
 from anisoscope.report.wording import cause_range, cause_text, contrast_name, filters
 
 
@@ -139,3 +141,57 @@ def test_words(make_report_record):
         "< 0.0001",
         "−1.23e+03",
     )
+
+
+def between(count):
+    """Contrasts between tilts, ever likelier ones, the least likely ones last."""
+    base = {"stage_deg": -90.0, "from_tilt_deg": 0.0, "kind": "log_ratio", "measured": 0.31, "predicted": 0.3}
+    base |= {"u_measured": 0.003, "u_predicted": 0.004, "u": 0.005}
+    return [base | {"to_tilt_deg": float(k), "p_value": 1.0 - k / 100.0} for k in range(1, count + 1)]
+
+
+@pytest.mark.parametrize("count", [0, 3, MOST, MOST + 4])
+def test_of_many_contrasts_between_tilts_the_least_likely_are_shown(make_report_record, count):
+    record = make_report_record(between_tilts=between(count))
+    shown, folded = shown_between_tilts(record)
+    assert (len(shown), len(folded)) == (min(count, MOST), max(count - MOST, 0))
+    assert [one.to_tilt_deg for one in (*folded, *shown)] == [float(k) for k in range(1, count + 1)]
+    parts = tilt_parts(record)
+    assert [len(parts["tilt_rows"]), len(parts["tilt_folded"])] == [len(shown), len(folded)]
+    assert (parts["tilt_chart"] is None) == (count == 0)
+
+
+def test_a_contrast_between_tilts_says_every_value_with_its_expanded_uncertainty(make_report_record):
+    (one,) = make_report_record(between_tilts=between(1)).between_tilts
+    row = tilt_row(one)
+    assert row.label == "−90°, tilt 0° / 1°"
+    assert row.numbers == ("+0.310", "0.006", "+0.300", "0.008", "+0.010", "0.010")
+    assert row.chance == "0.99"
+
+
+@pytest.mark.parametrize("azimuth", [0.0, 90.0])
+def test_map_and_table_count_from_the_rotation_axis(
+    make_report_record, report_pictures, monkeypatch, azimuth
+):
+    region = {"x": 5.1, "y": 1.9, "width": 0.1, "length": 0.2, "area_share": 0.01, "cells": 4, "kind": "spot"}
+    base = make_report_record()
+    recipe = base.recipe | {"region": {"center_mm": [5.0, 2.0]}, "poses": {"facet_azimuth_deg": azimuth}}
+    record = make_report_record(recipe=recipe, regions=[region | {"deviation": 0.4, "p_value": 0.001}])
+    drawn = {}
+
+    def keep(_deviation, _mask, places, size_mm, frame):
+        with figures.new_map_figure(size_mm) as (_, axes, _bar):
+            drawn.update(ends=frame.label(axes, size_mm), names=(axes.get_xlabel(), axes.get_ylabel()))
+        drawn["places"] = places
+        return ""
+
+    monkeypatch.setattr(figures, "deviation_map", keep)
+    inspection_page._maps(record, report_pictures)
+    (place,), (left, right, low, high) = drawn["places"], drawn["ends"]
+    height, width = report_pictures.size_mm
+    assert (right - left, high - low) == pytest.approx((width, height))
+    turned = {0.0: (lambda x, y: (x, y)), 90.0: (lambda x, y: (y, -x))}[azimuth]
+    assert place == pytest.approx(turned(5.1, 1.9))
+    assert (0.5 * (left + right), 0.5 * (low + high)) == pytest.approx(turned(5.0, 2.0))
+    assert "from the rotation axis [mm]" in drawn["names"][0]
+    assert drawn["names"][0].startswith("x " if azimuth == 0.0 else "across the ridges ")

@@ -3,7 +3,7 @@
 import itertools
 
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
@@ -15,6 +15,7 @@ def still_clock():
     return 0.0
 
 
+@settings(deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 @given(start=angles, target=angles)
 def test_it_starts_at_the_start_ends_at_the_target_and_never_turns_back(start, target):
     axis = RotaryAxis(start_deg=start, clock=still_clock)

@@ -4,8 +4,9 @@ import pytest
 
 from anisoscope.errors import UsageError
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
+from anisoscope.sim.bench.firmware.catalogue import Mount
 from anisoscope.sim.bench.firmware.device import Bus
-from anisoscope.sim.bench.firmware.elliptec import ELL8, ElliptecFirmware
+from anisoscope.sim.bench.firmware.elliptec import ELL8, ElliptecFirmware, build
 from anisoscope.sim.bench.firmware.faults import Fault, FaultKind
 
 
@@ -33,6 +34,11 @@ def instant(**options):
 
 def test_information_is_that_of_a_real_device():
     assert ask(instant(address="2"), b"2in") == b"2IN0E1140051720231701016800023000\r\n"
+
+
+def test_no_two_devices_of_a_bus_bear_one_serial_number():
+    bus = build([Mount(RotaryAxis(time_scale=0.0)), Mount(RotaryAxis(time_scale=0.0))], "ELL14", ())
+    assert [ask(bus, b"%din" % number)[5:13] for number in (0, 1)] == [b"11400517", b"11400518"]
 
 
 @pytest.mark.parametrize(

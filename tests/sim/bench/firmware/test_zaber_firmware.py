@@ -55,6 +55,12 @@ def test_the_makers_client_is_answered():
     assert ask(firmware, b"/1 1 16:F7\n").startswith(b"@01 1 16 OK IDLE -- 0:")
 
 
+def test_no_two_devices_of_a_bus_bear_one_serial_number():
+    bus = build("zaber", [Mount(RotaryAxis(time_scale=0.0)), Mount(RotaryAxis(time_scale=0.0))])
+    found = [ask(bus, b"/%d get system.serial\n" % number).split()[-1] for number in (1, 2)]
+    assert found == [b"68101", b"68102"]
+
+
 def test_homing_as_the_makers_older_library_expects_it(clock):
     # From the tests of zaber.serial: neither number nor checksum, CR LF.
     firmware = ZaberFirmware(RotaryAxis(clock=clock, start_deg=20.0))

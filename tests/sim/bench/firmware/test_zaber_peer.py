@@ -184,7 +184,7 @@ def test_it_hears_alerts(connect):
     subscription = connection.alert.subscribe(hear)
     connection.enable_alerts()
     axis.home()
-    assert heard.wait(5.0)
+    assert heard.wait(60.0)
     subscription.dispose()
     assert alerts[0] == (1, 1, "IDLE")
 

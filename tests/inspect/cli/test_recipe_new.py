@@ -1,0 +1,48 @@
+"""``anisoscope recipe new`` with a spread of the ridge angle, and ``recipe check`` of poses that cannot be."""
+
+import pytest
+
+from anisoscope.recipe import read_recipe
+
+
+def test_a_spread_of_the_ridge_angle_goes_into_the_design(anisoscope, tmp_path):
+    done = anisoscope(
+        "recipe", "new", "--out", tmp_path / "a.toml", "--ridge-angle", 12, "--u-ridge-angle", 0.15
+    )
+    assert done.code == 0, done.err
+    design = read_recipe(tmp_path / "a.toml").surface.design
+    assert (design.ridge_angle_deg, design.u_ridge_angle_deg) == (12.0, 0.15)
+    assert anisoscope("recipe", "new", "--out", tmp_path / "d.toml", "--u-ridge-angle", 0.1).code == 0
+    assert read_recipe(tmp_path / "d.toml").surface.design.u_ridge_angle_deg == 0.1
+    (tmp_path / "map.npz").write_bytes(b"")
+    both = "--height-map", tmp_path / "map.npz", "--ridge-angle", 12
+    for name, more, decides in (("b", (), "height_map"), ("c", ("--u-ridge-angle", 0.2), "design")):
+        path = tmp_path / f"{name}.toml"
+        assert anisoscope("recipe", "new", "--out", path, *both, *more).code == 0
+        assert read_recipe(path).surface.decides == decides
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "says"),
+    [
+        (("--u-ridge-angle", 0.1, "--height-map", __file__), 64, "give --ridge-angle as well"),
+        (("--u-ridge-angle", 0.1, "--ink", "synthetic-red"), 64, "leave --ridge-angle, --u-ridge-angle"),
+        (("--u-ridge-angle", -0.1, "--ridge-angle", 10), 78, "surface.design.u_ridge_angle_deg"),
+    ],
+)
+def test_a_spread_of_nothing_is_refused(anisoscope, tmp_path, options, code, says):
+    done = anisoscope("recipe", "new", "--out", tmp_path / "a.toml", *options)
+    assert done.code == code
+    assert says in done.err
+    assert done.err.count("\n") == 1
+    assert not (tmp_path / "a.toml").exists()
+
+
+def test_a_pose_below_the_horizon_names_recipe_and_key(anisoscope, tmp_path):
+    path = tmp_path / "a.toml"
+    assert anisoscope("recipe", "new", "--out", path).code == 0
+    path.write_text(path.read_text().replace("tilts_deg = [0.0]", "tilts_deg = [0.0, 95.0]"))
+    done = anisoscope("recipe", "check", path)
+    assert done.code == 78
+    assert f"{path}: poses.tilts_deg: at tilt 95° the light stands" in done.err
+    assert done.err.count("\n") == 1
