@@ -42,6 +42,7 @@ from anisoscope.study.detection_sheets import FORMAT, SheetTask, cut, make_sheet
 FloatArray = npt.NDArray[np.float64]
 Row = dict[str, Any]
 
+CAMERA = 2  # of chunks that are kept: another simulated camera makes other pictures
 MEASURED_SOURCES = (
     "noise of camera and photons",
     "flicker of the lamp",
@@ -69,7 +70,7 @@ class ChunkTask:
     @property
     def path(self) -> Path:
         """Its file."""
-        told = [FORMAT, self.world, self.kind, self.number, self.seed, asdict(self.size), self.bounces]
+        told = [FORMAT, CAMERA, self.world, self.kind, self.number, self.seed, asdict(self.size), self.bounces]
         key = hashlib.sha256(json.dumps(told).encode()).hexdigest()[:24]
         return self.folder / f"chunk-{key}.npz"
 
