@@ -70,7 +70,16 @@ class ChunkTask:
     @property
     def path(self) -> Path:
         """Its file."""
-        told = [FORMAT, CAMERA, self.world, self.kind, self.number, self.seed, asdict(self.size), self.bounces]
+        told = [
+            FORMAT,
+            CAMERA,
+            self.world,
+            self.kind,
+            self.number,
+            self.seed,
+            asdict(self.size),
+            self.bounces,
+        ]
         key = hashlib.sha256(json.dumps(told).encode()).hexdigest()[:24]
         return self.folder / f"chunk-{key}.npz"
 
