@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import App, Parameter
 
 from anisoscope.cli.console import console, print_table
+from anisoscope.cli.golden_limit import limit_says
 from anisoscope.errors import CalibrationError, UsageError
 
 if TYPE_CHECKING:
@@ -145,25 +146,17 @@ def _share(share: float | None) -> str:
 
 
 def _limit_says(known: "GoldenSet", recipe: "Recipe") -> str:
-    """Where the limit of the area comes from, in words."""
-    from anisoscope.arealimit import MIN_PARTS
     from anisoscope.golden import limit_is_given
 
-    rule = recipe.area
-    if rule is None:
-        return "limit of the area: none, the recipe does not judge it"
-    limit, count = known.area_limit(recipe), len(known.area_shares(rule))
-    if limit is not None:
-        return (
-            f"limit of the area: {limit:.2%}, learnt from {count} golden parts (one good part in "
-            f"{2.0 / recipe.decision.alpha:.0f} exceeds it; contrasts and area share "
-            f"the level {recipe.decision.alpha:g})"
-        )
-    if limit_is_given(rule):
-        return f"limit of the area: {rule.max_share:.2%}, as the recipe says in area.max_share"
-    return (
-        f"limit of the area: {rule.max_share:.2%}; from {MIN_PARTS} golden parts judged at cell_deviation "
-        f"{rule.cell_deviation:g} on it is learnt from them, now there are {count}"
+    rule, alpha = recipe.area, recipe.decision.alpha
+    return limit_says(
+        None if rule is None else rule.max_share,
+        None if rule is None else known.area_limit(recipe),
+        0 if rule is None else len(known.area_shares(rule)),
+        given=rule is not None and limit_is_given(rule),
+        things="parts",
+        exceeds=f"one good part in {2.0 / alpha:.0f} exceeds it; contrasts and area share the level {alpha:g}",
+        judged="" if rule is None else f"at cell_deviation {rule.cell_deviation:g}",
     )
 
 

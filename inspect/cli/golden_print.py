@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from anisoscope.cli.console import console, print_table
+from anisoscope.cli.golden_limit import limit_says
 
 if TYPE_CHECKING:
     from anisoscope.golden import GoldenSet
@@ -95,25 +96,21 @@ def show_prints(known: "GoldenPrints", recipe: "PrintRecipe", content: dict[str,
 
 
 def _limit_says(known: "GoldenPrints", recipe: "PrintRecipe") -> str:
-    """Where the limit of the area comes from, in words."""
-    from anisoscope.arealimit import MIN_PARTS
     from anisoscope.golden import limit_is_given
     from anisoscope.prints.golden import TESTS
 
     rule, alpha = recipe.area, recipe.decision.alpha
-    if rule is None:
-        return "limit of the area: none, the recipe does not judge it"
-    limit, count = known.area_limit(recipe), len(known.area_shares(rule))
-    if limit is not None:
-        return (
-            f"limit of the area: {limit:.2%}, learnt from {count} golden prints (one good print in {TESTS / alpha:.0f} "
-            f"exceeds it; lobe, colours and area share the level {alpha:g})"
-        )
-    if limit_is_given(rule):
-        return f"limit of the area: {rule.max_share:.2%}, as the recipe says in area.max_share"
-    return (
-        f"limit of the area: {rule.max_share:.2%}; from {MIN_PARTS} golden prints judged in cells of "
-        f"{rule.cell_mm:g} mm at cell_delta_e {rule.cell_delta_e:g} on it is learnt from them, now there are {count}"
+    often = f"one good print in {TESTS / alpha:.0f} exceeds it"
+    return limit_says(
+        None if rule is None else rule.max_share,
+        None if rule is None else known.area_limit(recipe),
+        0 if rule is None else len(known.area_shares(rule)),
+        given=rule is not None and limit_is_given(rule),
+        things="prints",
+        exceeds=f"{often}; lobe, colours and area share the level {alpha:g}",
+        judged=""
+        if rule is None
+        else f"in cells of {rule.cell_mm:g} mm at cell_delta_e {rule.cell_delta_e:g}",
     )
 
 
