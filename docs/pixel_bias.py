@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from anisoscope.prediction.pixelbias import PixelBias, find_pixel_bias
+from anisoscope.prediction.pixel_bias import PixelBias, find_pixel_bias
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light.geometry import Convention, pose_grid
 from anisoscope.sim.light.material import Material

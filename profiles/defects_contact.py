@@ -2,9 +2,10 @@
 
 import numpy as np
 
-from anisoscope.errors import HeightMapError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.files.checks import check_heights
-from anisoscope.profiles.heightmap import FloatArray, HeightMap
+from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.level import level
 
 CREST_QUANTILE = 0.99

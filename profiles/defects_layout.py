@@ -6,9 +6,10 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import HeightMapError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.fold import Folded, fold
-from anisoscope.profiles.heightmap import FloatArray, HeightMap
+from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.level import level
 from anisoscope.profiles.period import Period, find_period
 

@@ -2,11 +2,12 @@
 
 import numpy as np
 
-from anisoscope.errors import HeightMapError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.defects_layout import RidgeLayout, positions, ridge_layout, ridge_numbers
 from anisoscope.profiles.files.checks import check_heights
 from anisoscope.profiles.fold import Folded, fold
-from anisoscope.profiles.heightmap import FloatArray, HeightMap
+from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.period import find_period
 
 

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from anisoscope.profiles.heightmap import FloatArray, HeightMap
+from anisoscope.base.arrays import FloatArray
+from anisoscope.profiles.heightmap import HeightMap
 
 MAX_BINS = 2048
 

@@ -4,11 +4,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
 
-from anisoscope.errors import HeightMapError
-
-FloatArray = npt.NDArray[np.float64]
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import HeightMapError
 
 
 def _owned(height_um: FloatArray) -> FloatArray:

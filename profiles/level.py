@@ -9,8 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.profiles.files.checks import check_heights
-from anisoscope.profiles.heightmap import FloatArray, HeightMap
+from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.period import Period, find_period
 
 MIN_PAIRS = 100

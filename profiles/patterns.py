@@ -8,8 +8,9 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from anisoscope.errors import HeightMapError
-from anisoscope.profiles.heightmap import FloatArray, HeightMap
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import HeightMapError
+from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign
 
 Pixel = float | tuple[float, float]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from anisoscope.errors import HeightMapError
+from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.defects import burrs, ridge_angle_error
 from anisoscope.profiles.defects_contact import dust, edge_wear, scratches
 from anisoscope.profiles.defects_layout import ridge_layout

@@ -7,8 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from anisoscope.errors import HeightMapError
-from anisoscope.profiles.heightmap import FloatArray, HeightMap
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import HeightMapError
+from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.patterns import Pixel, across_lines, pattern_map, pixels
 
 

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import CalibrationError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import CalibrationError
 from anisoscope.rig.frame import SATURATION, Frame
 
-FloatArray = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 NEAR_CLIP_SIGMA = 4.0

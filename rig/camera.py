@@ -6,7 +6,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import CameraError
+from anisoscope.base.errors import CameraError
 from anisoscope.rig.bayer import FILTERS
 
 UNCALIBRATED = (

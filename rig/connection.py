@@ -17,7 +17,7 @@ from typing import Any, Self
 import serial
 from serial.tools import list_ports
 
-from anisoscope.errors import NotConnected
+from anisoscope.base.errors import NotConnected
 from anisoscope.rig.portholder import claim, holder_of, release
 
 HANDLER_GROUP = "anisoscope.serial_handlers"

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import tifffile
 
-from anisoscope.errors import RecordError
+from anisoscope.base.errors import RecordError
 from anisoscope.rig.frame import quiet_tifffile
 
 Counts = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]

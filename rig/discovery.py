@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
 
-from anisoscope.errors import AnisoscopeError, NotConnected, RigFileError
+from anisoscope.base.errors import AnisoscopeError, NotConnected, RigFileError
 from anisoscope.rig.drivers import LIGHTS, STAGES, installed, open_light, open_stage
 from anisoscope.rig.rigfile import BY_HAND
 from anisoscope.rig.transport import Transport

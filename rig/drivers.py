@@ -7,7 +7,7 @@ from importlib.metadata import EntryPoint, entry_points
 from inspect import Parameter, signature
 from typing import cast
 
-from anisoscope.errors import RigFileError
+from anisoscope.base.errors import RigFileError
 from anisoscope.rig.camera import Camera
 from anisoscope.rig.light import Light
 from anisoscope.rig.stage import RotationStage

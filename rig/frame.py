@@ -18,7 +18,7 @@ import numpy.typing as npt
 import tifffile
 from pydantic import Field, TypeAdapter, ValidationError
 
-from anisoscope.errors import RecordError
+from anisoscope.base.errors import RecordError
 from anisoscope.rig.bayer import Filters, grey_of
 
 SCHEMA = 1

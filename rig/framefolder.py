@@ -20,8 +20,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import get_args
 
-from anisoscope.atomicfile import write_text
-from anisoscope.errors import RecordError, UsageError
+from anisoscope.base.atomic_write import write_text
+from anisoscope.base.errors import RecordError, UsageError
 from anisoscope.rig.countsfile import as_frame_counts, read_counts
 from anisoscope.rig.frame import Frame, FrameKind, filters_said, read_frame, write_frame
 from anisoscope.rig.framefolderline import COLUMNS, OPTIONAL, Line, find_inside, read_lines

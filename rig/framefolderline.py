@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 from pathlib import Path, PureWindowsPath
 
-from anisoscope.errors import RecordError
+from anisoscope.base.errors import RecordError
 from anisoscope.rig.bayer import FILTERS
 
 COLUMNS = ("file", "kind", "stage_deg", "tilt_deg", "exposure_s", "gain", "bit_depth", "black_level")

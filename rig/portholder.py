@@ -17,7 +17,7 @@ import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from anisoscope.errors import RigError
+from anisoscope.base.errors import RigError
 
 POLL_S = 0.05
 SIMULATED = "sim://"  # lives in its own process: nobody else can want it

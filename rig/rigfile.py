@@ -5,10 +5,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from anisoscope.errors import RigFileError
+from anisoscope.base.errors import RigFileError
+from anisoscope.base.toml_file import LocalPath, NameOrFile, Part, Positive, read_toml_model
 from anisoscope.rig.camera import CameraInfo
 from anisoscope.rig.fixture import Fixture
-from anisoscope.tomlfile import LocalPath, NameOrFile, Part, Positive, read_toml_model
 
 Option = str | int | float | bool
 BY_HAND = "manual"

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
-from anisoscope.errors import LimitExceeded
+from anisoscope.base.errors import LimitExceeded
 
 
 @runtime_checkable

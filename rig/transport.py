@@ -11,7 +11,7 @@ from typing import NoReturn, Self
 import serial
 from serial.serialutil import PortNotOpenError
 
-from anisoscope.errors import NotConnected
+from anisoscope.base.errors import NotConnected
 from anisoscope.rig.connection import PORT_ERRORS, available_ports, connect, register_handlers, shared_ports
 
 __all__ = ["Transport", "available_ports", "register_handlers", "shared_ports"]

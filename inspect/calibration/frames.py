@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from anisoscope.atomicfile import write_bytes
+from anisoscope.base.atomic_write import write_bytes
+from anisoscope.base.errors import CameraError, RecordError, UsageError
+from anisoscope.base.progress import Advance
 from anisoscope.calibration.record import CameraRecord
-from anisoscope.errors import CameraError, RecordError, UsageError
-from anisoscope.linear import Image, Stack, stack
-from anisoscope.progress import Advance
+from anisoscope.imaging.linearisation import Image, Stack, stack
 from anisoscope.rig.acquisition.runner import Rig, open_rig
 from anisoscope.rig.frame import Frame, FrameKind
 from anisoscope.rig.rigfile import RigFile, read_rig

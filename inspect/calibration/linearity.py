@@ -4,10 +4,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import CalibrationError, UsageError
+from anisoscope.base.progress import Advance, silent
 from anisoscope.calibration.frames import Bed, Taking, calibration_bed
-from anisoscope.calibration.phototransfer import MIN_STACK, PhotoTransfer, photo_transfer
+from anisoscope.calibration.photon_transfer import (
+    LINEARITY_RANGE,
+    MIN_STACK,
+    Counts,
+    Estimate,
+    ExposureStep,
+    PhotoTransfer,
+    curve_of,
+    photo_transfer,
+)
 from anisoscope.calibration.record import (
     CalibrationRecord,
     Value,
@@ -16,12 +27,7 @@ from anisoscope.calibration.record import (
     record_path,
     write_calibration,
 )
-from anisoscope.calibration.transfercurve import LINEARITY_RANGE, Counts, Estimate, ExposureStep, curve_of
-from anisoscope.errors import CalibrationError, UsageError
-from anisoscope.progress import Advance, silent
 from anisoscope.rig.frame import Frame
-
-FloatArray = npt.NDArray[np.float64]
 
 WINDOW_SHARE = 0.4  # of rows and columns: beyond, vignetting spreads the signal
 MIN_STEPS, MAX_STEPS = 10, 200

@@ -5,6 +5,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
 
+from anisoscope.base.errors import CalibrationError
 from anisoscope.calibration.record import (
     KINDS,
     CalibrationRecord,
@@ -14,8 +15,7 @@ from anisoscope.calibration.record import (
     read_calibration,
     record_path,
 )
-from anisoscope.calibration.whitereference import read_reference
-from anisoscope.errors import CalibrationError
+from anisoscope.calibration.white_reference import read_reference
 from anisoscope.rig.rigfile import CalibrationPart, read_rig
 
 State = Literal["valid", "expired", "out of limits", "no record", "damaged", "missing"]

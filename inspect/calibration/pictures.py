@@ -5,6 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from anisoscope.base.errors import CalibrationError, UsageError
+from anisoscope.base.progress import Advance, silent
 from anisoscope.calibration.frames import Bed, Taking, calibration_bed, write_picture
 from anisoscope.calibration.record import (
     CalibrationRecord,
@@ -17,15 +19,13 @@ from anisoscope.calibration.record import (
     record_path,
     write_calibration,
 )
-from anisoscope.calibration.whitereference import (
+from anisoscope.calibration.white_reference import (
     inspect_tile,
     make_reference,
     read_reference,
     write_reference,
 )
-from anisoscope.errors import CalibrationError, UsageError
-from anisoscope.linear import Stack, WhiteReference, check_size
-from anisoscope.progress import Advance, silent
+from anisoscope.imaging.linearisation import Stack, WhiteReference, check_size
 from anisoscope.rig.rigfile import read_rig
 from anisoscope.sim.light.geometry import Convention, Pose, directions
 

@@ -13,9 +13,9 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from anisoscope.atomicfile import write_text
-from anisoscope.errors import CalibrationError, RecordError, UsageError
-from anisoscope.record import UNSEALED, InputFile, sha256_of
+from anisoscope.base.atomic_write import write_text
+from anisoscope.base.errors import CalibrationError, RecordError, UsageError
+from anisoscope.record.schema import UNSEALED, InputFile, sha256_of
 
 Kind = Literal["flat", "dark", "stray", "linearity", "rotation", "check"]
 KINDS: tuple[Kind, ...] = get_args(Kind)

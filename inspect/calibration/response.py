@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
+from anisoscope.base.errors import CalibrationError
+from anisoscope.base.progress import Advance, silent
 from anisoscope.calibration.frames import Taking, calibration_bed
-from anisoscope.errors import CalibrationError
-from anisoscope.progress import Advance, silent
 from anisoscope.rig.cameras.response import ResponseCurve, fit_response, write_response
 
 STEPS = 9

@@ -6,8 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import RigFileError, UsageError
+from anisoscope.base.progress import Advance, silent
 from anisoscope.calibration.frames import Bed, Taking
 from anisoscope.calibration.record import (
     CalibrationRecord,
@@ -17,17 +19,13 @@ from anisoscope.calibration.record import (
     record_path,
     write_calibration,
 )
-from anisoscope.errors import RigFileError, UsageError
-from anisoscope.linear import Image, hot_pixels, stack
-from anisoscope.progress import Advance, silent
-from anisoscope.registration.placement import Placement, angle_between, check_fixture, locate
+from anisoscope.imaging.linearisation import Image, hot_pixels, stack
+from anisoscope.imaging.registration.placement import Placement, angle_between, check_fixture, locate
 from anisoscope.rig.acquisition.plan import Plan, Pose
 from anisoscope.rig.acquisition.runner import FrameRecord, Progress, open_rig, run_plan
 from anisoscope.rig.bayer import grey_of
 from anisoscope.rig.fixture import Fixture
 from anisoscope.rig.rigfile import RigFile, read_rig
-
-FloatArray = npt.NDArray[np.float64]
 
 MIN_ANGLES = 6
 MAX_RUNOUT_PX = 1.0

@@ -4,8 +4,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from anisoscope.errors import UsageError
-from anisoscope.progress import Advance, silent
+from anisoscope.base.errors import UsageError
+from anisoscope.base.progress import Advance, silent
 
 if TYPE_CHECKING:
     from rich.console import Console

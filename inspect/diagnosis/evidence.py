@@ -4,15 +4,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.diagnosis.tangents import Tangents
-from anisoscope.expectation import Component, Expectation, recipe_uncertainty
+from anisoscope.prediction.expectation import Component, Expectation, recipe_uncertainty
 from anisoscope.prediction.propagation import RIDGE_ANGLE
-from anisoscope.recipe import Recipe
-from anisoscope.response import Response
-
-FloatArray = npt.NDArray[np.float64]
+from anisoscope.prediction.second_order import Response
+from anisoscope.recipe.recipe import Recipe
 
 FARTHEST = 6.0  # u from the nominal state to which the second order is trusted
 SHARE_FLOOR = 0.003  # cells that deviate on one good part and not on another

@@ -11,12 +11,10 @@ little, because a part may look good though it has some of the defect.
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.diagnosis.evidence import Evidence
 from anisoscope.diagnosis.signatures import Signature
-
-FloatArray = npt.NDArray[np.float64]
 
 QUANTILE = 3.841458820694124
 """95 % of χ² with one degree of freedom."""

@@ -8,14 +8,12 @@ their tangents, with what is not known of the signatures themselves.
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.diagnosis.evidence import Inputs, covariance_of, inputs_of, share_variance, whitening
 from anisoscope.diagnosis.signatures import Signature, Signatures
-from anisoscope.expectation import Component, Expectation
-from anisoscope.recipe import Recipe
-
-FloatArray = npt.NDArray[np.float64]
+from anisoscope.prediction.expectation import Component, Expectation
+from anisoscope.recipe.recipe import Recipe
 
 SIGMAS = 3.0
 GRID = 121

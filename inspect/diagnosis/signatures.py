@@ -14,20 +14,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.area import cell_deviations
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import HeightMapError, ModelError
+from anisoscope.base.progress import Advance, silent
 from anisoscope.diagnosis.causes import EXTRUDED, PITCHES, Cause, all_causes
 from anisoscope.diagnosis.tangents import Tangents, looked_at, slopes_of
-from anisoscope.errors import HeightMapError, ModelError
-from anisoscope.expectation import nominal_shape, recipe_uncertainty
-from anisoscope.measurement import CELLS_PER_PITCH
-from anisoscope.prediction.mapuncertainty import best_band, relief_model
-from anisoscope.prediction.preparing import prepare_relief
+from anisoscope.imaging.deviation_map import cell_deviations
+from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH
+from anisoscope.prediction.expectation import nominal_shape, recipe_uncertainty
+from anisoscope.prediction.height_map_uncertainty import best_band, relief_model
+from anisoscope.prediction.relief_preparation import prepare_relief
 from anisoscope.prediction.sensitivity import Model, Shape, State, Surface, evaluate, fixed
 from anisoscope.profiles.files.load import read_height_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign, ridges
-from anisoscope.progress import Advance, silent
-from anisoscope.recipe import Recipe
+from anisoscope.recipe.recipe import Recipe
 from anisoscope.sim.light.contrasts import consecutive_pairs
 from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_rotation
 from anisoscope.sim.light.material import Material
@@ -36,7 +37,6 @@ from anisoscope.sim.light.relief import Relief, radiance_maps
 if TYPE_CHECKING:
     from scipy.interpolate import PchipInterpolator
 
-FloatArray = npt.NDArray[np.float64]
 
 ROWS_PITCHES = 8
 POINTS_ACROSS, POINTS_ALONG = 50, 25  # a pitch

@@ -11,8 +11,8 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.prediction.propagation import PLASTIC_AND_SEAT, RIDGE_ANGLE, propagate
 from anisoscope.prediction.sensitivity import DARK, InputUncertainty, State, Surface
 from anisoscope.sim.light.geometry import Convention, Pose
@@ -20,7 +20,6 @@ from anisoscope.sim.light.geometry import Convention, Pose
 if TYPE_CHECKING:
     from scipy.interpolate import PchipInterpolator
 
-FloatArray = npt.NDArray[np.float64]
 
 INPUTS = (*PLASTIC_AND_SEAT, RIDGE_ANGLE)
 """Inputs that are moved on spoiled surfaces."""

@@ -8,14 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
-from anisoscope.csvtable import Table, read_table
-from anisoscope.errors import UsageError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.csv_table import Table, read_table
+from anisoscope.base.errors import UsageError
 from anisoscope.fit.problem import Readings
 from anisoscope.fit.table import UNKNOWN, uncorrelated
-
-FloatArray = npt.NDArray[np.float64]
 
 COLUMNS = ("theta_i_deg", "phi_i_deg", "theta_o_deg", "phi_o_deg", "value")
 STEEPEST_DEG = 89.0

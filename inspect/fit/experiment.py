@@ -4,14 +4,12 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from anisoscope.experiment import PAIRS_DEG, RIDGE_ANGLES_DEG, STAGE_DEG, TILTS_DEG, combinations
+from anisoscope.base.arrays import FloatArray
+from anisoscope.experiment.experiment import PAIRS_DEG, RIDGE_ANGLES_DEG, STAGE_DEG, TILTS_DEG, combinations
 from anisoscope.fit.problem import Problem, Readings, Scene
 from anisoscope.fit.table import UNKNOWN
 from anisoscope.sim.light.geometry import Convention, directions, pose_grid
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def experiment_problem(

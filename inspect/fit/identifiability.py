@@ -10,14 +10,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.fit.parameters import PARAMETERS
 from anisoscope.fit.problem import Problem, Readings, interface_alpha
 from anisoscope.sim.light.contrasts import consecutive_pairs
 from anisoscope.sim.light.geometry import Pose, directions, pose_grid
-
-FloatArray = npt.NDArray[np.float64]
 
 MODEL_SHARE = 0.01  # of every radiance; a lobe that scatters once loses 2 to 3 % of it at alpha up to 0.1
 QUIETER = 0.1

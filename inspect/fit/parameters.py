@@ -4,11 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from anisoscope.errors import UsageError
-
-FloatArray = npt.NDArray[np.float64]
+from anisoscope.base.errors import UsageError
 
 
 @dataclass(frozen=True)

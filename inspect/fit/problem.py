@@ -7,13 +7,13 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import UsageError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import UsageError
 from anisoscope.profiles.ideal import RidgeDesign, Wall
 from anisoscope.sim.light import corrected, printed
 from anisoscope.sim.light.geometry import Convention, Pose, seating_rotation
 from anisoscope.sim.light.material import InternalReflection, Material
 
-FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
 Model = Literal["printed", "corrected"]
 Kind = Literal["exposure", "brdf", "difference", "absolute", "michelson", "log_ratio"]

@@ -7,13 +7,13 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.csvtable import Table, read_table, read_text
-from anisoscope.errors import UsageError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.csv_table import Table, read_table, read_text
+from anisoscope.base.errors import UsageError
 from anisoscope.fit.problem import RATIOS, Kind, Readings
 from anisoscope.sim.light.contrasts import consecutive_pairs
 from anisoscope.sim.light.geometry import Pose
 
-FloatArray = npt.NDArray[np.float64]
 Errors = Literal["shared", "independent"]
 
 EXPOSURES = ("stage_deg", "tilt_deg", "value")

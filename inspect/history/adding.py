@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
-from anisoscope.errors import RecordError, UsageError
+from anisoscope.base.errors import RecordError, UsageError
+from anisoscope.base.progress import Advance, silent
 from anisoscope.history.rows import NewRow, row_of
 from anisoscope.history.store import History
-from anisoscope.progress import Advance, silent
-from anisoscope.record import RECORD_NAME, read_record
+from anisoscope.record.schema import RECORD_NAME, read_record
 
 _AT_ONCE = 200
 

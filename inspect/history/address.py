@@ -9,7 +9,7 @@ from typing import Literal
 from sqlalchemy import URL, make_url
 from sqlalchemy.exc import ArgumentError
 
-from anisoscope.errors import UsageError
+from anisoscope.base.errors import UsageError
 
 HISTORY_NAME = "history.sqlite"
 VARIABLE = "ANISOSCOPE_HISTORY"

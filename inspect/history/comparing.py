@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from anisoscope.errors import RecordError
+from anisoscope.base.errors import RecordError
 from anisoscope.history.rows import Row, seal_of
-from anisoscope.record import Record, read_record
+from anisoscope.record.schema import Record, read_record
 
 _PREFIXES = ("u ", "deviation ", "tolerance ")
 _ROW_FIELDS = ("product", "recipe", "lot", "cavity", "station", "operator", "software")

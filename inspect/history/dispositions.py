@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Literal, get_args
 
-from anisoscope.errors import UsageError
+from anisoscope.base.errors import UsageError
 from anisoscope.history.rows import storable
 
 Decision = Literal["accept", "reject", "rework", "remeasure", "hold"]

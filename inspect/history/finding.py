@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
-from anisoscope.errors import UsageError
+from anisoscope.base.errors import UsageError
 from anisoscope.history.filters import Filters
 from anisoscope.history.rows import Row, seal_of
 from anisoscope.history.store import History
-from anisoscope.record import RECORD_NAME
+from anisoscope.record.schema import RECORD_NAME
 
 _BY_ID, _BY_SERIAL = "id:", "serial:"
 _MAX_DIGITS = 18

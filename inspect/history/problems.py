@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from anisoscope.errors import AnisoscopeError
+from anisoscope.base.errors import AnisoscopeError
 
 
 class HistoryError(AnisoscopeError):

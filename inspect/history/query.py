@@ -7,7 +7,7 @@ from typing import Any, cast
 
 from sqlalchemy import ColumnElement, Connection, Select, func, select
 
-from anisoscope.errors import UsageError
+from anisoscope.base.errors import UsageError
 from anisoscope.history.chain import unpack_one
 from anisoscope.history.columns import parsed_labels, to_us
 from anisoscope.history.filters import Filters

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from anisoscope.errors import RecordError
-from anisoscope.prints.record import RELATIVE, PrintRecord
-from anisoscope.record import RECORD_NAME, ContrastRecord, Record, sha256_of
+from anisoscope.base.errors import RecordError
+from anisoscope.kinds.prints.record import RELATIVE, PrintRecord
+from anisoscope.record.schema import RECORD_NAME, ContrastRecord, Record, sha256_of
 
 CONTRAST_NAMES = {"log_ratio": "ln", "difference": "difference", "michelson": "Michelson"}
 RECIPE_DIGITS = 12

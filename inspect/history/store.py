@@ -9,11 +9,11 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import UsageError
+from anisoscope.base.errors import UsageError
 from anisoscope.history import audit, query, schema, writing
 from anisoscope.history.address import Address, parse_address
+from anisoscope.history.column_wise import Columns, read_columns
 from anisoscope.history.columns import disposition_from, row_from
-from anisoscope.history.columnwise import Columns, read_columns
 from anisoscope.history.database import Database
 from anisoscope.history.dispositions import Disposition, checked_disposition
 from anisoscope.history.filters import Filters

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from anisoscope.errors import UsageError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import UsageError
 from anisoscope.sim.light.colour.illuminant import Illuminant
 from anisoscope.sim.light.colour.observer import white_point, xyz_weights
 from anisoscope.sim.light.colour.spaces import (
@@ -20,8 +20,6 @@ from anisoscope.sim.light.colour.spaces import (
 )
 from anisoscope.sim.light.ink.ink import Ink
 from anisoscope.sim.light.ink.model import Model, brdf_at_angles
-
-FloatArray = npt.NDArray[np.float64]
 
 ANGLES_DEG = tuple(float(angle) for angle in range(0, 81, 10))
 

@@ -1,4 +1,21 @@
-"""Fit of an ink to goniometer readings: parameters, their uncertainties, and what speaks against them."""
+"""Fit of an ink to goniometer readings: parameters, their uncertainties, and what speaks against them.
+
+The joint fit: α, ρ(λ) and c(λ) at once, from the logarithms of all readings.
+
+ln f = ln(D(α, θh)/4) + ln ρ(λ) + c(λ)·x. For one α the rest is linear, wavelength by wavelength; what is left is a
+search along α alone (variable projection: Golub and Pereyra 1973). Because the linear part does not depend on α, the
+Gauss-Newton step of the projected residuals is exact in its Jacobian.
+
+All wavelengths of one place share the errors of its angles and of its level, and α is what these shift. So u(α) is the
+larger one of two: from the scatter of single readings, and from sums over places (Liang and Zeger 1986), which
+hold whatever the readings of one place share.
+
+The two-step fit of Pranovich 2024, as published, to compare with: it is biased, also without noise.
+
+Step 1: spectrum-averaged readings of each angle of the light are fitted by a GGX lobe of any height; α is the mean.
+The rise of exp(c·x) across the lobe is taken for a part of its width. Step 2: ρ and c of every wavelength in the mirror
+direction (Eq. 7), α held. Light at 70° is left out.
+"""
 
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -6,15 +23,252 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import UsageError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import UsageError
 from anisoscope.ink.goniometer import Readings
 from anisoscope.ink.grid import Grid, grid_of
-from anisoscope.ink.jointfit import ALPHA_RANGE, Solution, solve_jointly
-from anisoscope.ink.paperfit import SKIPPED_FROM_DEG, solve_as_published
 from anisoscope.sim.light.ink.albedo import albedo_warning
 from anisoscope.sim.light.ink.ink import Ink
 
-FloatArray = npt.NDArray[np.float64]
+ALPHA_RANGE = (0.005, 1.0)
+_STARTS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
+_REWEIGHTED = 2
+_STEPS = 30
+_CLOSE = 1e-8
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Parameters and standard uncertainties, W wavelengths.
+
+    Attributes:
+        alpha: roughness.
+        u_alpha: its standard uncertainty.
+        log_rho: (W,) ln ρ, BRDF scale.
+        u_log_rho: (W,).
+        c: (W,).
+        u_c: (W,).
+        residual: (G, W) ln measured − ln fitted, NaN where there is no reading.
+    """
+
+    alpha: float
+    u_alpha: float
+    log_rho: FloatArray
+    u_log_rho: FloatArray
+    c: FloatArray
+    u_c: FloatArray
+    residual: FloatArray
+
+
+def log_lobe(alpha: float, half_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(G,) ln(D/4) of Eq. 3 at half angles, and its derivative by ln α."""
+    sine, cosine = np.sin(np.radians(half_deg)) ** 2, np.cos(np.radians(half_deg)) ** 2
+    square = alpha**2
+    total = square * cosine + sine
+    value = np.log(square / (4.0 * np.pi)) - 2.0 * np.log(total)
+    return value, 2.0 - 4.0 * square * cosine / total
+
+
+def _sum(one: FloatArray, other: FloatArray) -> FloatArray:
+    return np.asarray(np.einsum("gw,gw->w", one, other))
+
+
+class _Projection:
+    """Weighted least squares in (1, x) of every wavelength: (G, W) weights, 0 where there is no reading."""
+
+    def __init__(self, x: FloatArray, weight: FloatArray) -> None:
+        self.weight = weight
+        self.total = weight.sum(axis=0)
+        self.middle = (x @ weight) / self.total
+        self.x = x[:, None] - self.middle
+        self.spread = _sum(weight * self.x, self.x)
+
+    def __call__(self, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Value at x = 0, slope, and residuals of (G, W) values."""
+        weighted = self.weight * y
+        mean = weighted.sum(axis=0) / self.total
+        slope = _sum(weighted, self.x) / self.spread
+        return mean - slope * self.middle, slope, y - mean - slope * self.x
+
+
+def solve_jointly(grid: Grid, noise: float) -> Solution:
+    """Fit all readings of a grid.
+
+    Args:
+        grid: the readings.
+        noise: relative standard deviation of a reading, beside the floor of the grid; it weighs, the uncertainties come
+            from the scatter about the fit.
+
+    Raises:
+        UsageError: readings that do not tell ρ from c, or do not say how wide the lobe is.
+    """
+    given = np.isfinite(grid.value)
+    measured = np.where(given, grid.value, 1.0)
+    level, alpha = measured, np.nan
+    projection, base = _projection(grid, given, noise, level)
+    for _ in range(_REWEIGHTED):
+        alpha = _search(grid, projection, base, alpha)
+        log_rho, c, _ = projection(base - log_lobe(alpha, grid.half_deg)[0][:, None])
+        level = np.exp(log_lobe(alpha, grid.half_deg)[0][:, None] + log_rho + c * grid.x[:, None])
+        projection, base = _projection(grid, given, noise, level)
+    return _finish(grid, given, projection, base, _search(grid, projection, base, alpha))
+
+
+def _projection(
+    grid: Grid, given: npt.NDArray[np.bool_], noise: float, level: FloatArray
+) -> tuple[_Projection, FloatArray]:
+    """Weights for the level of the fit, and logarithms of the readings."""
+    variance = noise**2 + (grid.floor / level) ** 2
+    projection = _Projection(grid.x, np.where(given, 1.0 / variance, 0.0))
+    if np.any(projection.spread <= 1e-9 * projection.total):
+        at = int(np.argmax(projection.spread <= 1e-9 * projection.total))
+        raise UsageError(
+            f"at {grid.nm[at]:g} nm all readings have the same sum of angles, which does not tell rho from c: "
+            "measure at several angles of the light"
+        )
+    return projection, np.log(np.where(given, grid.value, 1.0))
+
+
+def _cost(grid: Grid, projection: _Projection, base: FloatArray, alpha: float) -> tuple[float, float, float]:
+    """Weighted sum of squares at an α, its Gauss-Newton step in ln α, and the curvature."""
+    lobe, slope = log_lobe(alpha, grid.half_deg)
+    rest = projection(base - lobe[:, None])[2]
+    along = projection(np.broadcast_to(slope[:, None], base.shape))[2]
+    weighted = projection.weight * along
+    curvature, pull = float(np.vdot(weighted, along)), float(np.vdot(weighted, rest))
+    return float(np.vdot(projection.weight * rest, rest)), pull / max(curvature, 1e-30), curvature
+
+
+def _search(grid: Grid, projection: _Projection, base: FloatArray, start: float) -> float:
+    alpha = start
+    if not np.isfinite(start):
+        alpha = min(_STARTS, key=lambda one: _cost(grid, projection, base, float(one))[0])
+    cost, step, curvature = _cost(grid, projection, base, alpha)
+    if curvature <= 1e-6 * float(projection.weight.sum()):
+        raise UsageError(
+            "the readings do not say how wide the lobe is: measure beside the mirror direction as well as in it"
+        )
+    for _ in range(_STEPS):
+        step = float(np.clip(step, -0.5, 0.5))
+        trial = float(np.clip(alpha * np.exp(step), *ALPHA_RANGE))
+        found = _cost(grid, projection, base, trial)
+        if found[0] <= cost:
+            alpha, (cost, step, _) = trial, found
+        else:
+            step *= 0.5
+        if abs(step) < _CLOSE:
+            break
+    return float(alpha)
+
+
+def _finish(
+    grid: Grid, given: npt.NDArray[np.bool_], projection: _Projection, base: FloatArray, alpha: float
+) -> Solution:
+    lobe, slope = log_lobe(alpha, grid.half_deg)
+    log_rho, c, rest = projection(base - lobe[:, None])
+    at_zero, turn, along = projection(np.broadcast_to(slope[:, None], base.shape))
+    cost, _, curvature = _cost(grid, projection, base, alpha)
+    freedom = int(given.sum()) - 2 * len(grid.nm) - 1
+    if freedom < 1:
+        raise UsageError(
+            f"{int(given.sum())} readings for {2 * len(grid.nm) + 1} parameters: measure at more angles"
+        )
+    scatter = cost / freedom
+    score = np.sum(projection.weight * along * rest, axis=1)
+    shared = float(score @ score) * len(score) / (len(score) - 1) / curvature**2
+    from_alpha = max(scatter / curvature, shared)
+    u_slope = scatter / projection.spread
+    u_start = scatter / projection.total + projection.middle**2 * u_slope
+    return Solution(
+        alpha,
+        alpha * float(np.sqrt(from_alpha)),
+        log_rho,
+        np.sqrt(u_start + at_zero**2 * from_alpha),
+        c,
+        np.sqrt(u_slope + turn**2 * from_alpha),
+        np.where(given, rest, np.nan),
+    )
+
+
+SKIPPED_FROM_DEG = 70.0
+_STEPS_paperfit = 20
+
+
+def solve_as_published(grid: Grid) -> Solution:
+    """Fit a grid in two steps; uncertainties of ρ and c hold for the α found, and do not carry its own.
+
+    Raises:
+        UsageError: too few angles for one of the steps.
+    """
+    alphas = _lobe_widths(grid)
+    alpha = float(np.mean(alphas))
+    u_alpha = float(np.std(alphas, ddof=1) / np.sqrt(len(alphas))) if len(alphas) > 1 else float("nan")
+    rho, c, u_log_rho, u_c = _mirror_spectra(grid, alpha)
+    fitted = log_lobe(alpha, grid.half_deg)[0][:, None] + np.log(rho) + c * grid.x[:, None]
+    return Solution(alpha, u_alpha, np.log(rho), u_log_rho, c, u_c, np.log(grid.value) - fitted)
+
+
+def _lobe_widths(grid: Grid) -> FloatArray:
+    """One α for each angle of the light with three readings or more."""
+    from scipy.optimize import minimize_scalar  # noqa: PLC0415 - loads slowly
+
+    widths = []
+    for angle in np.unique(grid.theta_i_deg):
+        chosen = grid.theta_i_deg == angle
+        mean, half = np.nanmean(grid.value[chosen], axis=1), grid.half_deg[chosen]
+        if len(mean) < 3:
+            continue
+
+        def misfit(log_alpha: float, mean: FloatArray = mean, half: FloatArray = half) -> float:
+            shape = np.exp(log_lobe(float(np.exp(log_alpha)), half)[0])
+            height = float(shape @ mean / (shape @ shape))
+            return float(np.sum((mean - height * shape) ** 2))
+
+        starts = np.linspace(np.log(ALPHA_RANGE[0]), np.log(ALPHA_RANGE[1]), 40)
+        best = int(np.argmin([misfit(float(one)) for one in starts]))
+        bounds = float(starts[max(best - 1, 0)]), float(starts[min(best + 1, len(starts) - 1)])
+        widths.append(float(np.exp(minimize_scalar(misfit, bounds=bounds, method="bounded").x)))
+    if not widths:
+        raise UsageError(
+            "no angle of the light has three readings: the published fit needs some beside the mirror direction"
+        )
+    return np.array(widths)
+
+
+def _mirror_spectra(grid: Grid, alpha: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """(W,) ρ, c, u(ln ρ), u(c) by least squares of the readings in the mirror direction."""
+    value = grid.value[grid.mirror]
+    given = np.isfinite(value)
+    angles = np.round(grid.theta_i_deg[grid.mirror], 2)
+    if min(len(np.unique(angles[column])) for column in given.T) < 3:
+        raise UsageError(
+            "the published fit needs readings in the mirror direction (θo = θi) at three angles or more"
+        )
+    x = np.where(given, grid.x[grid.mirror][:, None], 0.0)
+    value = np.where(given, value, 0.0)
+    rows = given.astype(np.float64)
+    logs = np.log(np.where(given, value, 1.0))
+    slope = _slope(x, logs, rows)
+    height = (logs * rows).sum(axis=0) / rows.sum(axis=0) - slope * (x * rows).sum(axis=0) / rows.sum(axis=0)
+    a = b = d = inverse = np.ones_like(height)
+    for _ in range(_STEPS_paperfit):
+        fitted = rows * np.exp(height + slope * x)
+        a, b, d = (fitted**2).sum(axis=0), (fitted**2 * x).sum(axis=0), (fitted**2 * x**2).sum(axis=0)
+        p, q = (fitted * (value - fitted)).sum(axis=0), (fitted * x * (value - fitted)).sum(axis=0)
+        inverse = 1.0 / (a * d - b * b)
+        height, slope = height + (d * p - b * q) * inverse, slope + (a * q - b * p) * inverse
+    freedom = np.maximum(rows.sum(axis=0) - 2.0, 1.0)
+    scatter = ((value - rows * np.exp(height + slope * x)) ** 2).sum(axis=0) / freedom
+    rho = 4.0 * np.pi * alpha**2 * np.exp(height)
+    return rho, slope, np.sqrt(scatter * d * inverse), np.sqrt(scatter * a * inverse)
+
+
+def _slope(x: FloatArray, y: FloatArray, rows: FloatArray) -> FloatArray:
+    count = rows.sum(axis=0)
+    centred = (x - (x * rows).sum(axis=0) / count) * rows
+    return np.asarray((centred * y).sum(axis=0) / (centred**2).sum(axis=0))
+
+
 Method = Literal["joint", "paper"]
 
 NOISE = 0.03
@@ -76,7 +330,7 @@ def fit(
 
     Args:
         readings: as a BRDF.
-        method: "joint": all at once (`anisoscope.ink.jointfit`); "paper": two steps, as published.
+        method: "joint": all at once (`anisoscope.ink.fitting`); "paper": two steps, as published.
         noise: relative standard deviation of a reading, for the weights of the joint fit.
         floor: noise floor in 1/sr; readings up to three times as large are dropped, those above it weigh less.
             None: 1e-5 of the largest reading.

@@ -5,13 +5,12 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
-from anisoscope.csvtable import Table, read_table
-from anisoscope.errors import UsageError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.csv_table import Table, read_table
+from anisoscope.base.errors import UsageError
 from anisoscope.sim.light.ink.ink import SPECTRALON
 
-FloatArray = npt.NDArray[np.float64]
 Values = Literal["factor", "brdf"]
 
 COLUMNS = ("theta_i_deg", "theta_o_deg", "wavelength_nm", "value")

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import UsageError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import UsageError
 from anisoscope.ink.goniometer import Readings
 from anisoscope.sim.light.ink.angles import shift
 
-FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 
 FLOOR_SHARE = 1e-5

@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 
-from anisoscope.errors import HeightMapError, RecipeError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import HeightMapError, RecipeError
 from anisoscope.prediction.wave import window_of
 from anisoscope.profiles.etching import Etched
 from anisoscope.profiles.heightmap import HeightMap
@@ -22,8 +22,6 @@ from anisoscope.sim.light.wave.halfvectors import half_vector
 from anisoscope.sim.light.wave.orders import REACH, Bands, Orders
 from anisoscope.sim.light.wave.reflectance import LightSpectrum, radiance_scale
 from anisoscope.sim.light.wave.widthorders import WidthOrders
-
-FloatArray = npt.NDArray[np.float64]
 
 WHOLE = 1e-3
 """How far the side of a tile may be off the pitch of the recipe, relative."""

@@ -5,8 +5,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.progress import Advance, silent
 from anisoscope.prediction.sensitivity import (
     ALPHA_RANGE,
     DARK,
@@ -19,10 +20,7 @@ from anisoscope.prediction.sensitivity import (
     Surface,
     evaluate,
 )
-from anisoscope.progress import Advance, silent
 from anisoscope.sim.light.geometry import Convention, Pose
-
-FloatArray = npt.NDArray[np.float64]
 
 PLASTIC_AND_SEAT = (
     "roughness along the ridges",

@@ -13,12 +13,12 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import ModelError
-from anisoscope.progress import Advance, silent
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import ModelError
+from anisoscope.base.progress import Advance, silent
 from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_rotation
 from anisoscope.sim.light.material import Material
 
-FloatArray = npt.NDArray[np.float64]
 Correlation = Literal["shared", "independent", "partial"]
 Model = Callable[[FloatArray, FloatArray, Material], FloatArray]
 

@@ -7,9 +7,9 @@ plastic, as rays. Radiances have the meaning and the unit of the geometric model
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
-from anisoscope.errors import HeightMapError, ModelError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import HeightMapError, ModelError
 from anisoscope.prediction.sensitivity import Model
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign
@@ -21,8 +21,6 @@ from anisoscope.sim.light.wave.halfvectors import HalfVector, across_beam, half_
 from anisoscope.sim.light.wave.reflectance import LightSpectrum, radiance_scale
 from anisoscope.sim.light.wave.surface import WaveSurface, sampling_of
 from anisoscope.sim.light.wave.windows import Extent, Window
-
-FloatArray = npt.NDArray[np.float64]
 
 SAME_H_Z = 1e-3
 """Relative difference of h_z up to which one correlation serves; directions are matched by their slopes."""

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from anisoscope.errors import UsageError
-from anisoscope.quality.individuals import FloatArray
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import UsageError
 
 ALPHA = 0.05
 MIN_COUNT = 3

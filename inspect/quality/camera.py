@@ -6,14 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import CalibrationError
+from anisoscope.calibration.photon_transfer import LINEARITY_RANGE, TransferCurve, linearity_deviations
 from anisoscope.calibration.record import CalibrationRecord, Value, advice, read_calibration
-from anisoscope.calibration.transfercurve import (
-    LINEARITY_RANGE,
-    FloatArray,
-    TransferCurve,
-    linearity_deviations,
-)
-from anisoscope.errors import CalibrationError
 from anisoscope.rig.rigfile import read_rig
 
 NAMES = {

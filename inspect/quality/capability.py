@@ -9,8 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from anisoscope.errors import UsageError
-from anisoscope.quality.individuals import FloatArray, Limits, sigma_freedom
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import UsageError
+from anisoscope.quality.individuals import Limits, sigma_freedom
 
 CONFIDENCE = 0.95
 GOOD, POOR = 1.33, 1.0

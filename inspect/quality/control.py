@@ -1,23 +1,159 @@
-"""One number under control: chart, EWMA, patterns, capability and normality of a series, and a verdict in words."""
+"""One number under control: chart, EWMA, patterns, capability and normality of a series, and a verdict in words.
 
+Exponentially weighted moving average: slow drifts that no single value shows.
+
+Source: S. W. Roberts, Technometrics 1 (1959) 239; NIST/SEMATECH e-Handbook 6.3.2.4. The limits are the exact ones,
+which are narrower for the first values.
+
+Are values normal? Anderson-Darling, with what to do if not.
+
+Source: R. B. D'Agostino and M. A. Stephens (ed.), Goodness-of-Fit Techniques (1986), table 4.9: the statistic for a
+mean and a standard deviation that are estimated, and its p-value.
+"""
+
+import math
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from anisoscope.errors import UsageError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import UsageError
 from anisoscope.quality.capability import GOOD, POOR, Capability, Specification, capability
-from anisoscope.quality.ewma import WEIGHT, WIDTH, Ewma, ewma
-from anisoscope.quality.individuals import (
-    BoolArray,
-    FloatArray,
-    Limits,
-    given_limits,
-    limits_of,
-    moving_range,
-)
+from anisoscope.quality.individuals import BoolArray, Limits, given_limits, limits_of, moving_range
 from anisoscope.quality.nelson import Flag, flags
-from anisoscope.quality.normality import Normality, anderson_darling
+
+WEIGHT, WIDTH = 0.2, 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class Ewma:
+    """The average after every value, and its limits.
+
+    Attributes:
+        average: (N,); NaN where no value was measured: the average then stands still.
+        lower, upper: (N,) exact limits for as many values as were measured so far.
+        weight: lambda, the share of the newest value.
+        width: L, in standard deviations of the average.
+    """
+
+    average: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    weight: float
+    width: float
+
+    @property
+    def outside(self) -> BoolArray:
+        """(N,) averages beyond their limits."""
+        return (self.average < self.lower) | (self.average > self.upper)
+
+
+def ewma(values: FloatArray, limits: Limits, weight: float = WEIGHT, width: float = WIDTH) -> Ewma:
+    """The average of a series, started at the centre of its limits.
+
+    Args:
+        values: (N,), NaN is missing.
+        limits: centre and short-term standard deviation.
+        weight: lambda, above 0 and at most 1; 1 is the chart of the values themselves.
+        width: L, above 0.
+
+    Raises:
+        UsageError: a weight or a width that makes no sense.
+    """
+    if not 0.0 < weight <= 1.0:
+        raise UsageError(f"the weight of an EWMA (lambda) lies above 0 and at most at 1, not at {weight:g}")
+    if not 0.0 < width < 100.0:
+        raise UsageError(f"the width of the limits of an EWMA (L) lies above 0, not at {width:g}")
+    there = ~np.isnan(values)
+    average = np.full(len(values), np.nan)
+    average[there] = _averaged(values[there], limits.center, weight)
+    seen = np.maximum(np.cumsum(there), 1)
+    spread = weight / (2.0 - weight) * -np.expm1(2.0 * seen * np.log1p(-weight)) if weight < 1.0 else 1.0
+    reach = width * limits.sigma * np.sqrt(np.broadcast_to(spread, average.shape))
+    return Ewma(average, limits.center - reach, limits.center + reach, weight, width)
+
+
+def _averaged(values: FloatArray, start: float, weight: float) -> FloatArray:
+    found, last = np.empty(len(values)), start
+    for number, value in enumerate(values.tolist()):
+        last += weight * (value - last)
+        found[number] = last
+    return found
+
+
+MIN_COUNT = 8
+LARGE = 5000
+ALPHA = 0.05
+
+
+@dataclass(frozen=True)
+class Normality:
+    """The test.
+
+    Attributes:
+        statistic: A², not adjusted.
+        adjusted: A²·(1 + 0.75/n + 2.25/n²).
+        p: probability of so large a value among normal ones.
+        count: measured values.
+        hint: what it means and what to do.
+    """
+
+    statistic: float
+    adjusted: float
+    p: float
+    count: int
+    hint: str
+
+
+def anderson_darling(values: FloatArray) -> Normality | None:
+    """Test a series; None for fewer than 8 values, or where all are the same.
+
+    Args:
+        values: (N,), NaN is missing.
+    """
+    from scipy.special import log_ndtr  # noqa: PLC0415 - heavy
+
+    ordered = np.sort(values[~np.isnan(values)])
+    count = len(ordered)
+    if count < MIN_COUNT or ordered[0] == ordered[-1]:
+        return None
+    z = (ordered - ordered.mean()) / ordered.std(ddof=1)
+    weight = 2.0 * np.arange(1, count + 1) - 1.0
+    statistic = -count - float(np.mean(weight * (log_ndtr(z) + log_ndtr(-z[::-1]))))
+    adjusted = statistic * (1.0 + 0.75 / count + 2.25 / count**2)
+    p = p_value(adjusted)
+    distinct = 1 + int(np.count_nonzero(np.diff(ordered)))
+    return Normality(statistic, adjusted, p, count, _hint(p, count, distinct))
+
+
+def p_value(adjusted: float) -> float:
+    """Probability of the adjusted statistic, after D'Agostino and Stephens."""
+    a = adjusted
+    if a >= 0.6:
+        power = 1.2937 - 5.709 * a + 0.0186 * a * a if a < 13.0 else -math.inf
+        return math.exp(power)
+    if a >= 0.34:
+        return math.exp(0.9177 - 4.279 * a - 1.38 * a * a)
+    if a >= 0.2:
+        return 1.0 - math.exp(-8.318 + 42.796 * a - 59.938 * a * a)
+    return 1.0 - math.exp(-13.436 + 101.14 * a - 223.73 * a * a)
+
+
+def _hint(p: float, count: int, distinct: int) -> str:
+    if p >= ALPHA:
+        return "nothing speaks against normal values"
+    why = "the values are not normal: "
+    if distinct < 20 and distinct < count / 3:
+        return why + f"only {distinct} different ones occur, so they are rounded; record more digits"
+    advice = (
+        "first look for shifts and for mixed lots or cavities (--by); if the chart is quiet, trust the values that "
+        "were counted beyond the limits more than Cpk"
+    )
+    if count > LARGE:
+        return why + "with so many, the smallest departure shows; " + advice
+    return why + advice
+
 
 FEW = 20
 

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import UsageError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import UsageError
 
-FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 
 D2 = 2.0 / math.sqrt(math.pi)  # mean range of two values of a normal distribution, in sigma

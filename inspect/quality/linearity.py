@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from anisoscope.errors import UsageError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import UsageError
 from anisoscope.quality.bias import ALPHA, MIN_COUNT, Bias, bias_study
-from anisoscope.quality.individuals import FloatArray
 
 MIN_LEVELS = 3
 

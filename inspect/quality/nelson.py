@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.quality.individuals import BoolArray, FloatArray
+from anisoscope.base.arrays import FloatArray
+from anisoscope.quality.individuals import BoolArray
 
 IntArray = npt.NDArray[np.int64]
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from anisoscope.csvtable import read_text
-from anisoscope.errors import UsageError
-from anisoscope.quality.individuals import FloatArray
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.csv_table import read_text
+from anisoscope.base.errors import UsageError
 
 GROUPS = ("product", "recipe", "lot", "cavity", "station", "operator")
 TEXTS = ("time", "serial", *GROUPS, "verdict", "part", "appraiser", "trial")

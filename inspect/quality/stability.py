@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from typing import Any
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.quality.bias import ALPHA, Bias, bias_study
 from anisoscope.quality.control import ControlStudy, Settings, control_study
-from anisoscope.quality.individuals import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

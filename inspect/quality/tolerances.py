@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from anisoscope.errors import UsageError
+from anisoscope.base.errors import UsageError
 from anisoscope.history.chain import KEPT
 from anisoscope.history.rows import contrast_label
 from anisoscope.quality.capability import Specification
 from anisoscope.quality.readings import Readings
-from anisoscope.recipe import Recipe
+from anisoscope.recipe.recipe import Recipe
 from anisoscope.sim.light.contrasts import consecutive_pairs
 
 DEVIATION, TOLERANCE, DOUBT = "deviation ", "tolerance ", "u "

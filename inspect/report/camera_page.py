@@ -5,12 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
+from anisoscope.base.arrays import FloatArray
+from anisoscope.calibration.photon_transfer import GAIN_RANGE
 from anisoscope.calibration.record import Value
-from anisoscope.calibration.transfercurve import GAIN_RANGE, FloatArray
 from anisoscope.quality.camera import NAMES, CameraSheet
 from anisoscope.report.figures import BLUE, GREEN, INK, MUTED, ORANGE, new_figure, svg_uri
 from anisoscope.report.page import write_page
-from anisoscope.report.statistics_parts import Grid, Picture, number
+from anisoscope.report.statistics_sections import Grid, Picture, number
 
 PERCENT = {NAMES[name] for name in ("prnu", "raw_error", "linearity_error")}
 RATIOS = {NAMES[name] for name in ("snr_max", "dynamic_range")}

@@ -4,19 +4,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
-from anisoscope.commission.commissioning import Commissioned
-from anisoscope.commission.model import RigModel
-from anisoscope.commission.observe import Picture
-from anisoscope.commission.record import Finding, FitRecord
+from anisoscope.base.arrays import FloatArray
+from anisoscope.commissioning.commissioning import Commissioned
+from anisoscope.commissioning.model import RigModel
+from anisoscope.commissioning.observation import Picture
+from anisoscope.commissioning.record import Finding, FitRecord
 from anisoscope.report.figures import BLUE, GREEN, MUTED, ORANGE, RED, new_figure, svg_uri
 from anisoscope.report.page import write_page
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-FloatArray = npt.NDArray[np.float64]
 
 _COLOURS = (BLUE, ORANGE, GREEN, RED, MUTED, "#7a4fa3", "#b58900")
 

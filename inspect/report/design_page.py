@@ -6,12 +6,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.report.figures import BLUE, GRID, MUTED, ORANGE, RED, new_figure, png_uri, svg_uri
 from anisoscope.report.page import write_page
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

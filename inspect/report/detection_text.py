@@ -4,8 +4,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-from anisoscope.atomicfile import write_text
-from anisoscope.errors import UsageError
+from anisoscope.base.atomic_write import write_text
+from anisoscope.base.errors import UsageError
 
 Told = dict[str, Any]
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.experiment import Experiment, Mean, combinations
-from anisoscope.findingsmap import FindingsMap
+from anisoscope.experiment.experiment import Experiment, Mean, combinations
+from anisoscope.experiment.findings_map import FindingsMap
 from anisoscope.report.figures import BLUE, GREEN, GRID, INK, MUTED, ORANGE, RED, new_figure, svg_uri
 from anisoscope.report.page import Filters, write_page
 from anisoscope.sim.light.geometry import Convention

@@ -11,12 +11,13 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.base.arrays import FloatArray
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.patches import PathPatch
 
-FloatArray = npt.NDArray[np.float64]
 Image = npt.NDArray[np.float32]
 
 INK, MUTED, GRID = "#1c2733", "#5b6b7b", "#d7dee5"

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.ink.appearance import Appearance, Show
 from anisoscope.ink.fitting import InkFit
 from anisoscope.ink.text import FIT_COLUMNS, SHOW_COLUMNS, fit_rows, show_notes, show_rows, summary
@@ -18,7 +18,6 @@ from anisoscope.sim.light.ink.ink import Ink
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-FloatArray = npt.NDArray[np.float64]
 
 LISTED = 200
 LEAST_APART = 60.0

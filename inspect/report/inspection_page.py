@@ -8,22 +8,20 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.calibration.record import CalibrationRecord, Kind
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.record import BudgetRecord, CauseRecord, Record
+from anisoscope.record.schema import BudgetRecord, CauseRecord, Record
 from anisoscope.report import figures
 from anisoscope.report.page import ready_template, write_page
 from anisoscope.report.peers import Lot, Peers, among
-from anisoscope.report.print_parts import PrintPictures, print_parts, print_rule
+from anisoscope.report.print_sections import PrintPictures, print_parts, print_rule
 from anisoscope.report.provenance import calibrations_of, files_of, groups_of
-from anisoscope.report.relief3d import Picture3D
 from anisoscope.report.rule import NAMES, PRECEDENCE, UNITS, deviation_decides, level_of, rule_of
-from anisoscope.report.surfaceview import SurfacePictures, SurfaceView, flat_drawings
-from anisoscope.report.tiltparts import tilt_parts
-from anisoscope.report.viewer3d import viewer_of
+from anisoscope.report.surface_view import Picture3D, SurfacePictures, SurfaceView, flat_drawings, viewer_of
+from anisoscope.report.tilt_sections import tilt_parts
 from anisoscope.report.wording import cause_range, cause_text, contrast_name, filters, labels_of
 
-FloatArray = npt.NDArray[np.float64]
 Image = npt.NDArray[np.float32]
 
 REPORT_NAME = "report.html"

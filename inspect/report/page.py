@@ -5,7 +5,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from anisoscope.atomicfile import write_text
+from anisoscope.base.atomic_write import write_text
 
 if TYPE_CHECKING:
     import jinja2

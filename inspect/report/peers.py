@@ -5,12 +5,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from anisoscope.record import Record
+from anisoscope.base.arrays import FloatArray
+from anisoscope.record.schema import Record
 from anisoscope.report.figures import BLUE, INK, MUTED, ORANGE, new_figure, svg_uri
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

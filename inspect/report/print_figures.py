@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.prints.record import LENGTHS, ColourRecord, QuantityRecord, SpotRecord
+from anisoscope.base.arrays import FloatArray
+from anisoscope.kinds.prints.record import LENGTHS, ColourRecord, QuantityRecord, SpotRecord
 from anisoscope.report.figures import (
     BLUE,
     GREEN,
@@ -22,8 +23,6 @@ from anisoscope.report.figures import (
     png_uri,
     svg_uri,
 )
-
-FloatArray = npt.NDArray[np.float64]
 
 SHADES = (BLUE, ORANGE, GREEN, RED, MUTED, INK)
 LEGEND_ROWS = 6

@@ -5,15 +5,16 @@ from typing import Any
 
 import numpy as np
 
-from anisoscope.errors import HeightMapError
-from anisoscope.profiles.heightmap import FloatArray, HeightMap
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import HeightMapError
+from anisoscope.base.progress import Advance, silent
+from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.level import level
 from anisoscope.profiles.metrology.burrlist import Outlier
 from anisoscope.profiles.metrology.quantity import as_text
 from anisoscope.profiles.metrology.ridgemeasurement import MeanRidge, RidgeMeasurement
 from anisoscope.profiles.metrology.ridges import measure_ridges
 from anisoscope.profiles.textures.amplitude import amplitude
-from anisoscope.progress import Advance, silent
 from anisoscope.report.figures import (
     BLUE,
     GREEN,
@@ -26,7 +27,7 @@ from anisoscope.report.figures import (
     svg_uri,
 )
 from anisoscope.report.page import write_page
-from anisoscope.report.relief3d import Renderer
+from anisoscope.report.surface_view import Renderer
 
 PICTURE_POINTS = 900
 MARKED = 200

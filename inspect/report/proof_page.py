@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import UsageError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import UsageError
 from anisoscope.report.page import write_page
 from anisoscope.sim.light.colour.illuminant import Illuminant
 from anisoscope.sim.light.ink.ink import Ink
@@ -21,7 +22,6 @@ from anisoscope.sim.light.ink.model import MODELS, Model
 from anisoscope.sim.light.ink.table import ENTRIES, ink_table
 
 Float32 = npt.NDArray[np.float32]
-FloatArray = npt.NDArray[np.float64]
 State = dict[str, Any]
 
 LABELS: dict[Model, str] = {

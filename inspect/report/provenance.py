@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from anisoscope.calibration.record import CalibrationRecord, Kind
-from anisoscope.record import InputFile, PoseRecord, Record, sha256_of
+from anisoscope.record.schema import InputFile, PoseRecord, Record, sha256_of
 from anisoscope.rig.acquisition.journal import JOURNAL
 
 UNSAID = "not stated"

@@ -1,6 +1,6 @@
 """Which rule gave a verdict, in one sentence."""
 
-from anisoscope.record import Record
+from anisoscope.record.schema import Record
 
 NAMES = {"log_ratio": "ln ratio", "michelson": "Michelson contrast", "difference": "difference of radiance"}
 UNITS = {"log_ratio": "1", "michelson": "1", "difference": "1/sr"}

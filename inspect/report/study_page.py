@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
-from anisoscope.atomicfile import write_bytes
-from anisoscope.errors import UsageError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.atomic_write import write_bytes
+from anisoscope.base.errors import UsageError
 from anisoscope.report.figures import BLUE, GREEN, MUTED, ORANGE, RED, page_style, svg_uri
 from anisoscope.report.page import write_page
 
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
-FloatArray = npt.NDArray[np.float64]
 
 COLOURS = (BLUE, ORANGE, GREEN, RED)
 SUFFIXES = (".png", ".svg")

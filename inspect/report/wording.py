@@ -1,9 +1,9 @@
 """Numbers, contrasts and causes as the report of an inspection words them."""
 
-from anisoscope.record import CauseRecord, Record
+from anisoscope.base.significance import said
+from anisoscope.record.schema import CauseRecord, Record
 from anisoscope.report.page import Filters
 from anisoscope.report.provenance import when
-from anisoscope.significance import said
 
 U_SAID = "U = 2u: expanded uncertainty"
 

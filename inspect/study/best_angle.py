@@ -10,13 +10,21 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
-from anisoscope.errors import UsageError
-from anisoscope.experiment import PAIRS_DEG, RIDGE_ANGLES_DEG, SHAPE, STAGE_DEG, TILTS_DEG, Findings, findings
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import UsageError
+from anisoscope.base.progress import Advance, silent
+from anisoscope.experiment.experiment import (
+    PAIRS_DEG,
+    RIDGE_ANGLES_DEG,
+    SHAPE,
+    STAGE_DEG,
+    TILTS_DEG,
+    Findings,
+    findings,
+)
 from anisoscope.profiles.defects import burrs
 from anisoscope.profiles.ideal import RidgeDesign
-from anisoscope.progress import Advance, silent
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import Convention, directions, pose_grid, seating_rotation
 from anisoscope.sim.light.material import Material
@@ -25,8 +33,6 @@ from anisoscope.sim.light.relief import radiance as relief_radiance
 from anisoscope.study.convergence import PITCH_UM, Sampling, ideal_map, signed_contrasts
 from anisoscope.study.ridges import ridge_radiance
 from anisoscope.study.sweep import Workers, sweep
-
-FloatArray = npt.NDArray[np.float64]
 
 _SEATINGS = 7  # Gauss-Hermite nodes about each axis
 

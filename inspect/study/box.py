@@ -4,12 +4,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
-from anisoscope.errors import HeightMapError, ModelError, UsageError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import HeightMapError, ModelError, UsageError
 from anisoscope.study.objective import Part, Scoring, score
 
-FloatArray = npt.NDArray[np.float64]
 Bounds = Mapping[str, tuple[float, float]]
 
 LIMITS = {

@@ -11,15 +11,15 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-import numpy.typing as npt
 
-from anisoscope.errors import UsageError
-from anisoscope.experiment import STAGE_DEG, TILTS_DEG
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import UsageError
+from anisoscope.base.progress import Advance, silent
+from anisoscope.experiment.experiment import STAGE_DEG, TILTS_DEG
 from anisoscope.profiles.defects import burrs, ridge_angle_error
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
 from anisoscope.profiles.period import Period
-from anisoscope.progress import Advance, silent
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import Convention, directions, pose_grid
 from anisoscope.sim.light.material import Material
@@ -27,7 +27,6 @@ from anisoscope.sim.light.relief import Relief
 from anisoscope.sim.light.relief import radiance as relief_radiance
 from anisoscope.study.sweep import Workers, sweep
 
-FloatArray = npt.NDArray[np.float64]
 Defect = Literal["roughness", "burrs", "angle-error", "height-loss", "edge-rounding"]
 
 DEFECTS: tuple[Defect, ...] = get_args(Defect)

@@ -11,13 +11,13 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import UsageError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import UsageError
 from anisoscope.profiles.ideal import RidgeDesign, Wall
 from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_rotation
 from anisoscope.sim.light.material import Material
 from anisoscope.study.ridges import ridge_radiance
 
-FloatArray = npt.NDArray[np.float64]
 Kind = Literal["difference", "michelson", "log_ratio"]
 Over = Literal["mean", "worst"]
 

@@ -9,14 +9,12 @@ exact (`sim.light.corrected`). With a radius of 0 this is the corrected model.
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from anisoscope.errors import ModelError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import ModelError
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light.corrected import ridge_polyline, visible_shares
 from anisoscope.sim.light.material import Material, facet_brdf
-
-FloatArray = npt.NDArray[np.float64]
 
 ARC_SEGMENTS = 24
 TABLES_PER_E_FOLD = 8  # interface tables; between two of them the radiance is interpolated

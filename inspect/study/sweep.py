@@ -16,8 +16,8 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
-from anisoscope.errors import AnisoscopeError, UsageError
-from anisoscope.progress import Advance, silent
+from anisoscope.base.errors import AnisoscopeError, UsageError
+from anisoscope.base.progress import Advance, silent
 from anisoscope.study.processes import BrokenProcessPool, lent
 
 Result = TypeVar("Result")

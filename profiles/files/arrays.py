@@ -13,12 +13,13 @@ from typing import BinaryIO
 import numpy as np
 from numpy.lib import format as npy_format
 
-from anisoscope.errors import HeightMapError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.files.checks import DEFLATE_LIMIT, check_claim, checked_map, refuse
 from anisoscope.profiles.files.content import scaled
 from anisoscope.profiles.files.units import micrometres_per, require_pixel
 from anisoscope.profiles.files.x3p import DAMAGED, ZIP_TROUBLE
-from anisoscope.profiles.heightmap import FloatArray, HeightMap
+from anisoscope.profiles.heightmap import HeightMap
 
 MAX_ENTRY_BYTES = 2**31
 HEADER_TROUBLE = (*ZIP_TROUBLE, SyntaxError, TypeError, RecursionError, MemoryError, tokenize.TokenError)

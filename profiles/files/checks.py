@@ -12,8 +12,9 @@ from typing import Any, NoReturn
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import HeightMapError
-from anisoscope.profiles.heightmap import FloatArray, HeightMap
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import HeightMapError
+from anisoscope.profiles.heightmap import HeightMap
 
 PIXEL_LIMITS_UM = (0.01, 1000.0)
 MAX_FIELD_UM = 0.5e6

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import HeightMapError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.files.checks import check_claim, refuse
-from anisoscope.profiles.heightmap import FloatArray
 
 MAX_BYTES = 2**33
 DAMAGED = "the file is truncated or damaged; copy or export it again"

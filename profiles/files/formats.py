@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from anisoscope.errors import HeightMapError
+from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.files.arrays import read_array
 from anisoscope.profiles.files.checks import refuse
 from anisoscope.profiles.files.gsf import MAGIC as GSF_MAGIC

@@ -8,7 +8,7 @@ https://gwyddion.net/documentation/user-guide-en/gsf.html.
 from pathlib import Path
 from typing import Any
 
-from anisoscope.errors import HeightMapError
+from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.files.checks import checked_map, refuse
 from anisoscope.profiles.files.content import DAMAGED, Content, load_content, scaled
 from anisoscope.profiles.files.units import Given, stated_micrometres_per, stated_or_given_pixel

@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from anisoscope.errors import HeightMapError
+from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.files.arrays import write_array
 from anisoscope.profiles.files.checks import refuse
 from anisoscope.profiles.files.formats import Format, find_format

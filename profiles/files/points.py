@@ -4,8 +4,9 @@ from typing import Any
 
 import numpy as np
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.profiles.files.checks import AXIS_TOLERANCE, check_claim, checked_map, refuse
-from anisoscope.profiles.heightmap import FloatArray, HeightMap
+from anisoscope.profiles.heightmap import HeightMap
 
 MIN_FILLED = 0.05
 

@@ -16,10 +16,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.profiles.files.checks import check_claim, checked_map, refuse
 from anisoscope.profiles.files.content import DAMAGED, Content, load_content, scaled
 from anisoscope.profiles.files.units import Given, stated_or_given_pixel
-from anisoscope.profiles.heightmap import FloatArray, HeightMap
+from anisoscope.profiles.heightmap import HeightMap
 
 VERSIONS = ("ISO-1.0", "ISO-2.0", "BCR-1.0")
 COUNTS = {"ISO-1.0": "<HH", "ISO-2.0": "<II", "BCR-1.0": "<HH"}

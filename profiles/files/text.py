@@ -10,12 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
-from anisoscope.errors import HeightMapError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.files.checks import check_claim, checked_map, refuse
 from anisoscope.profiles.files.content import scaled
 from anisoscope.profiles.files.points import points_to_map
 from anisoscope.profiles.files.units import Layout, micrometres_per, require_pixel
-from anisoscope.profiles.heightmap import FloatArray, HeightMap
+from anisoscope.profiles.heightmap import HeightMap
 
 MISSING = {"", "-", "--", "***", "nan", "na", "n/a", "null", "bad"}
 HEADER = re.compile(r"\W*x", re.IGNORECASE)

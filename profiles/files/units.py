@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from anisoscope.errors import HeightMapError
+from anisoscope.base.errors import HeightMapError
 
 MICROMETRES_PER = {"um": 1.0, "µm": 1.0, "nm": 1e-3, "mm": 1e3, "m": 1e6}
 STATED_MICROMETRES_PER = {

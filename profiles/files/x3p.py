@@ -14,11 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from anisoscope.errors import HeightMapError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.files.checks import DEFLATE_LIMIT, check_claim, checked_map, equidistant_step, refuse
 from anisoscope.profiles.files.x3p_header import Header, micrometres, read_header
 from anisoscope.profiles.files.x3p_write import ULPS, add_ulps, listed_digest, write_x3p
-from anisoscope.profiles.heightmap import FloatArray, HeightMap
+from anisoscope.profiles.heightmap import HeightMap
 
 __all__ = ["read_x3p", "write_x3p"]
 

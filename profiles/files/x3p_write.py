@@ -17,8 +17,9 @@ from xml.sax.saxutils import escape  # escapes our own text; nothing is parsed
 
 import numpy as np
 
-from anisoscope.errors import HeightMapError
-from anisoscope.profiles.heightmap import FloatArray, HeightMap
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import HeightMapError
+from anisoscope.profiles.heightmap import HeightMap
 
 NAMESPACE = "http://www.opengps.eu/2008/ISO5436_2"
 ULPS = "anisoscope/ulps.bin"

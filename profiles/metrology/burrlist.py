@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.profiles.heightmap import FloatArray
+from anisoscope.base.arrays import FloatArray
 from anisoscope.profiles.metrology.ridgekernels import Mask
 
 Kind = Literal["burr", "spike", "pit"]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from anisoscope.profiles.heightmap import FloatArray
+from anisoscope.base.arrays import FloatArray
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from anisoscope.profiles.heightmap import FloatArray
+from anisoscope.base.arrays import FloatArray
 from anisoscope.profiles.metrology.quantity import Quantity, jackknife
 
 CORE = (0.2, 0.8)

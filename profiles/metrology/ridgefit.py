@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from anisoscope.errors import HeightMapError
-from anisoscope.profiles.heightmap import FloatArray
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.metrology import ridgekernels as kernels
 from anisoscope.profiles.metrology.quantity import Quantity, jackknife, weighted_mean
 from anisoscope.profiles.metrology.ridgefold import Course, Facet, Folded, Grid

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from anisoscope.errors import HeightMapError
-from anisoscope.profiles.heightmap import FloatArray
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.metrology import ridgekernels as kernels
 from anisoscope.profiles.metrology.ridgekernels import Frame, Mask
 

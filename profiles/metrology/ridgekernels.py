@@ -7,7 +7,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-FloatArray = npt.NDArray[np.float64]
+from anisoscope.base.arrays import FloatArray
+
 Mask = npt.NDArray[np.bool_]
 
 

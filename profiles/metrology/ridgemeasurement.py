@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from anisoscope.profiles.heightmap import FloatArray
+from anisoscope.base.arrays import FloatArray
 from anisoscope.profiles.metrology.burrlist import Outlier
 from anisoscope.profiles.metrology.quantity import Quantity
 

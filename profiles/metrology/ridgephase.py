@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from anisoscope.profiles.heightmap import FloatArray
+from anisoscope.base.arrays import FloatArray
 from anisoscope.profiles.metrology import ridgekernels as kernels
 from anisoscope.profiles.metrology.quantity import Quantity, jackknife
 from anisoscope.profiles.metrology.ridgefold import Course, Folded, Grid

@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import HeightMapError
-from anisoscope.profiles.heightmap import FloatArray, HeightMap
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import HeightMapError
+from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.level import periodic_tilt
 from anisoscope.profiles.metrology import ridgekernels as kernels
 from anisoscope.profiles.metrology.burrlist import Outlier, find_outliers, limits

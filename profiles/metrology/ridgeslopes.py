@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.profiles.heightmap import FloatArray
+from anisoscope.base.arrays import FloatArray
 from anisoscope.profiles.metrology.quantity import Quantity, jackknife
 from anisoscope.profiles.metrology.ridgefold import Course
 from anisoscope.profiles.metrology.ridgesums import noise_sums, structure_sums

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from anisoscope.profiles.heightmap import FloatArray
+from anisoscope.base.arrays import FloatArray
 from anisoscope.profiles.metrology.ridgekernels import Frame, Mask, shape_at
 
 

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.profiles.files.checks import check_heights
-from anisoscope.profiles.heightmap import FloatArray, HeightMap
+from anisoscope.profiles.heightmap import HeightMap
 
 CURVE_POINTS = 10_000
 SECANT = 0.4

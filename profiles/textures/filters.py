@@ -15,9 +15,10 @@ from typing import Literal
 
 import numpy as np
 
-from anisoscope.errors import HeightMapError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.files.checks import check_heights
-from anisoscope.profiles.heightmap import FloatArray, HeightMap
+from anisoscope.profiles.heightmap import HeightMap
 
 Form = Literal["plane", "poly2", "none"]
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from anisoscope.profiles.heightmap import FloatArray, HeightMap
+from anisoscope.base.arrays import FloatArray
+from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.textures.spectra import known_heights, lay
 
 THRESHOLD = 0.2

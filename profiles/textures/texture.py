@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from anisoscope.errors import HeightMapError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.files.checks import check_heights
-from anisoscope.profiles.heightmap import FloatArray, HeightMap
+from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.textures.bearing import Core, Volumes, bearing, core, volumes
 from anisoscope.profiles.textures.filters import Form, ScaleLimited, scale_limited
 from anisoscope.profiles.textures.spatial import Spatial, spatial

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from anisoscope.errors import RigError
+from anisoscope.base.errors import RigError
 from anisoscope.rig.acquisition.interruptions import undisturbed
 from anisoscope.rig.camera import Camera
 from anisoscope.rig.drivers import open_camera, open_light, open_stage

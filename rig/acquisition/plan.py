@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal
 
-from anisoscope.errors import UsageError
+from anisoscope.base.errors import UsageError
 
 LEAST_STEP = 1.5
 """Smallest ratio of neighbouring exposures of a bracket."""

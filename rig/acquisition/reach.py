@@ -1,6 +1,6 @@
 """Can a rig go where a plan wants it to? Asked before anything moves."""
 
-from anisoscope.errors import RigError, RigFileError
+from anisoscope.base.errors import RigError, RigFileError
 from anisoscope.rig.acquisition.opening import Rig
 from anisoscope.rig.acquisition.plan import Plan
 from anisoscope.rig.rigfile import AxisPart

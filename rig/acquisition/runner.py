@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from anisoscope.errors import CameraError, RecordError, RigError
+from anisoscope.base.errors import CameraError, RecordError, RigError
 from anisoscope.rig.acquisition.journal import Journal, JournalFile, RunLine, read_journal
 from anisoscope.rig.acquisition.opening import Rig, open_rig
 from anisoscope.rig.acquisition.plan import (

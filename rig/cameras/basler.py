@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import CameraError, NotConnected, RigFileError
+from anisoscope.base.errors import CameraError, NotConnected, RigFileError
 from anisoscope.rig.camera import CameraInfo, CameraSettings
 from anisoscope.rig.cameras import baslernodes as nodes
 from anisoscope.rig.cameras.baslersdk import find_device, load_genicam, load_pylon, one_line

@@ -9,7 +9,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from anisoscope.errors import CameraError, RigFileError
+from anisoscope.base.errors import CameraError, RigFileError
 from anisoscope.rig.cameras.baslersdk import load_genicam
 
 _MOSAICS = {"BayerRG": "rggb", "BayerGR": "grbg", "BayerGB": "gbrg", "BayerBG": "bggr"}

@@ -5,7 +5,7 @@ import importlib
 import warnings
 from typing import Any
 
-from anisoscope.errors import CameraError, NotConnected
+from anisoscope.base.errors import CameraError, NotConnected
 
 
 def load_pylon() -> Any:

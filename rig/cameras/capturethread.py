@@ -14,7 +14,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import CameraError, NotConnected
+from anisoscope.base.errors import CameraError, NotConnected
 
 T = TypeVar("T")
 _TRIES = 2

@@ -13,7 +13,7 @@ from typing import get_args
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import CameraError, RecordError, RigFileError
+from anisoscope.base.errors import CameraError, RecordError, RigFileError
 from anisoscope.rig.camera import CameraInfo, CameraSettings
 from anisoscope.rig.frame import FrameKind
 from anisoscope.rig.framefolder import FrameEntry, read_frame_folder

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import CameraError
+from anisoscope.base.errors import CameraError
 
 Grey = npt.NDArray[np.uint8]
 _Y_PLACE = {"YUYV": 0, "YUY2": 0, "UYVY": 1}

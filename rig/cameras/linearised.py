@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import CalibrationError, RigFileError
+from anisoscope.base.errors import CalibrationError, RigFileError
 from anisoscope.rig.camera import Camera, CameraSettings
 from anisoscope.rig.cameras.response import LINEAR_BITS, LINEAR_BLACK, ResponseCurve, read_response
 

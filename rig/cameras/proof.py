@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from anisoscope.errors import CameraError, UsageError
+from anisoscope.base.errors import CameraError, UsageError
 from anisoscope.rig.camera import Camera
 from anisoscope.rig.frame import SATURATION
 

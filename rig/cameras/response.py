@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from anisoscope.atomicfile import write_text
-from anisoscope.errors import CalibrationError
+from anisoscope.base.atomic_write import write_text
+from anisoscope.base.errors import CalibrationError
 from anisoscope.rig.cameras.responsefit import MOST_CLIPPED, Series, solve
 from anisoscope.rig.frame import Frame
 

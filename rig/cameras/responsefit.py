@@ -7,9 +7,9 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import CalibrationError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import CalibrationError
 
-FloatArray = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 KNOTS = 33

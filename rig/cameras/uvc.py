@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import CameraError, RigFileError
+from anisoscope.base.errors import CameraError, RigFileError
 from anisoscope.rig.camera import CameraInfo, CameraSettings
 from anisoscope.rig.cameras import uvcsetup
 from anisoscope.rig.cameras.capturethread import Capture, CaptureThread

@@ -10,7 +10,7 @@ import sys
 from dataclasses import dataclass
 from typing import Literal
 
-from anisoscope.errors import CameraError, RigFileError
+from anisoscope.base.errors import CameraError, RigFileError
 
 STEP_S = 1e-4
 EXPOSURE_TOLERANCE = 0.05

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
-from anisoscope.errors import CameraError, RigFileError
+from anisoscope.base.errors import CameraError, RigFileError
 from anisoscope.rig.cameras.capturethread import Capture, CaptureThread
 from anisoscope.rig.cameras.uvcbackends import BACKENDS, Backend
 

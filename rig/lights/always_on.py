@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Callable
 
-from anisoscope.errors import RigError
+from anisoscope.base.errors import RigError
 from anisoscope.rig.stages.manual import ask_in_terminal
 
 

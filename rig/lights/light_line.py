@@ -6,7 +6,7 @@ import time
 from dataclasses import dataclass
 from typing import Self
 
-from anisoscope.errors import NotConnected, ProtocolError, RigError
+from anisoscope.base.errors import NotConnected, ProtocolError, RigError
 from anisoscope.rig.transport import Transport
 
 _log = logging.getLogger(__name__)

@@ -9,7 +9,7 @@ import logging
 import threading
 import time
 
-from anisoscope.errors import RigError
+from anisoscope.base.errors import RigError
 from anisoscope.rig.lights.light_line import LightLine, LightStatus
 from anisoscope.rig.transport import Transport
 

@@ -9,7 +9,7 @@ import logging
 import time
 from typing import ClassVar
 
-from anisoscope.errors import NotHomed, RigError
+from anisoscope.base.errors import NotHomed, RigError
 from anisoscope.rig.stage import MotionRules
 from anisoscope.rig.stages.apt_line import AptLine
 from anisoscope.rig.stages.apt_scales import scale_of

@@ -3,7 +3,7 @@
 import logging
 import time
 
-from anisoscope.errors import NotConnected, ProtocolError, RigError
+from anisoscope.base.errors import NotConnected, ProtocolError, RigError
 from anisoscope.rig.stages.apt_wire import (
     ACK_DC_STATUS,
     GET_DC_STATUS,

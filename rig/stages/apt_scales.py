@@ -6,7 +6,7 @@ period of the controller's clock, times 65536. Source: Thorlabs APT communicatio
 
 from dataclasses import dataclass
 
-from anisoscope.errors import RigError
+from anisoscope.base.errors import RigError
 
 # One count per second in the units of velocity parameters.
 STEPPER_VELOCITY = 53.68

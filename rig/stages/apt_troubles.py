@@ -1,6 +1,6 @@
 """What the status bits of a Thorlabs APT controller say about a motor that stands where it should not."""
 
-from anisoscope.errors import LimitExceeded, RigError, Stalled
+from anisoscope.base.errors import LimitExceeded, RigError, Stalled
 from anisoscope.rig.stages.apt_wire import Status
 
 # By bit; the controller keeps them until its channel is switched off and on.

@@ -9,7 +9,7 @@ import struct
 from dataclasses import dataclass
 from typing import Self
 
-from anisoscope.errors import LimitExceeded, ProtocolError, RigError
+from anisoscope.base.errors import LimitExceeded, ProtocolError, RigError
 
 HEADER = 6
 HOST = 0x01

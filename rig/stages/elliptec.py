@@ -8,7 +8,7 @@ that, and forgets it when the connection ends. Source: Thorlabs ELLx protocol ma
 import time
 from typing import ClassVar
 
-from anisoscope.errors import RigError
+from anisoscope.base.errors import RigError
 from anisoscope.rig.stage import MotionRules
 from anisoscope.rig.stages.elliptec_line import BUSY_POLL_S, ElliptecLine
 from anisoscope.rig.stages.elliptec_wire import (

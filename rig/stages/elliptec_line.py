@@ -3,7 +3,7 @@
 import logging
 import time
 
-from anisoscope.errors import MotionTimeout, NotConnected, ProtocolError, RigError
+from anisoscope.base.errors import MotionTimeout, NotConnected, ProtocolError, RigError
 from anisoscope.rig.stages.elliptec_wire import BUSY, OK, TERMINATOR, UNSOLICITED, Answer, error_of_status
 from anisoscope.rig.transport import Transport
 

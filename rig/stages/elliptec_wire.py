@@ -9,7 +9,7 @@ import re
 from dataclasses import dataclass
 from typing import Self
 
-from anisoscope.errors import LimitExceeded, MotionTimeout, ProtocolError, RigError, Stalled
+from anisoscope.base.errors import LimitExceeded, MotionTimeout, ProtocolError, RigError, Stalled
 
 TERMINATOR = b"\r\n"
 ADDRESSES = "0123456789ABCDEF"

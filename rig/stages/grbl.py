@@ -10,7 +10,7 @@ Source: interface description of Grbl 1.1.
 import time
 from typing import ClassVar
 
-from anisoscope.errors import NotHomed, RigError
+from anisoscope.base.errors import NotHomed, RigError
 from anisoscope.rig.stages.grbl_axis import GrblAxis
 from anisoscope.rig.stages.grbl_board import GrblBoard, board_on
 from anisoscope.rig.stages.grbl_wire import (

@@ -3,7 +3,7 @@
 import time
 from abc import abstractmethod
 
-from anisoscope.errors import NotConnected, NotHomed, ProtocolError, RigError
+from anisoscope.base.errors import NotConnected, NotHomed, ProtocolError, RigError
 from anisoscope.rig.stage import MotionRules
 from anisoscope.rig.stages.grbl_board import GrblBoard
 from anisoscope.rig.stages.grbl_wire import (

@@ -3,7 +3,7 @@
 import time
 import weakref
 
-from anisoscope.errors import NotConnected, ProtocolError
+from anisoscope.base.errors import NotConnected, ProtocolError
 from anisoscope.rig.stages.grbl_talk import TRIES, GrblTalk
 from anisoscope.rig.stages.grbl_wire import (
     ACCELERATION,

@@ -4,7 +4,7 @@ import logging
 import time
 from collections.abc import Callable
 
-from anisoscope.errors import NotConnected, ProtocolError
+from anisoscope.base.errors import NotConnected, ProtocolError
 from anisoscope.rig.stages.grbl_wire import (
     CRITICAL_ALARMS,
     TERMINATOR,

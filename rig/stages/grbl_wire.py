@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass
 from typing import Self
 
-from anisoscope.errors import LimitExceeded, MotionTimeout, NotHomed, ProtocolError, RigError, Stalled
+from anisoscope.base.errors import LimitExceeded, MotionTimeout, NotHomed, ProtocolError, RigError, Stalled
 
 TERMINATOR = b"\n"
 STATUS, FEED_HOLD, RESET, JOG_CANCEL = b"?", b"!", b"\x18", b"\x85"

@@ -4,7 +4,7 @@ import math
 import sys
 from collections.abc import Callable
 
-from anisoscope.errors import LimitExceeded, NotConnected, RigError
+from anisoscope.base.errors import LimitExceeded, NotConnected, RigError
 
 Ask = Callable[[str], None]
 

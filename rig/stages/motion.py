@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import Self
 
-from anisoscope.errors import LimitExceeded, MotionTimeout, NotHomed, RigError
+from anisoscope.base.errors import LimitExceeded, MotionTimeout, NotHomed, RigError
 from anisoscope.rig.stage import MotionRules, check_limits
 
 POLL_S = 0.1

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from inspect import signature
 from typing import Any, ClassVar, Self
 
-from anisoscope.errors import RigError
+from anisoscope.base.errors import RigError
 from anisoscope.rig.stages.motion import StageBase
 from anisoscope.rig.transport import Transport
 

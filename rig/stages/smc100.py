@@ -9,7 +9,7 @@ import contextlib
 import time
 from typing import ClassVar
 
-from anisoscope.errors import NotConnected, NotHomed, ProtocolError, RigError, Stalled
+from anisoscope.base.errors import NotConnected, NotHomed, ProtocolError, RigError, Stalled
 from anisoscope.rig.stage import MotionRules
 from anisoscope.rig.stages.portstage import PortStage
 from anisoscope.rig.stages.smc100_line import Smc100Line

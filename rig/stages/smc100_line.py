@@ -3,7 +3,7 @@
 import logging
 import time
 
-from anisoscope.errors import NotConnected, ProtocolError, RigError
+from anisoscope.base.errors import NotConnected, ProtocolError, RigError
 from anisoscope.rig.stages.smc100_wire import NO_ERROR, TERMINATOR, Answer, State, error_of_letter
 from anisoscope.rig.transport import Transport
 

@@ -8,7 +8,7 @@ import re
 from dataclasses import dataclass
 from typing import Self
 
-from anisoscope.errors import (
+from anisoscope.base.errors import (
     LimitExceeded,
     MotionTimeout,
     NotConnected,

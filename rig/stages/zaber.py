@@ -8,7 +8,7 @@ and an answer counts only if both are right. Source: Zaber ASCII protocol manual
 import contextlib
 from typing import ClassVar
 
-from anisoscope.errors import MotionTimeout, ProtocolError, RigError
+from anisoscope.base.errors import MotionTimeout, ProtocolError, RigError
 from anisoscope.rig.stage import MotionRules
 from anisoscope.rig.stages.portstage import PortStage
 from anisoscope.rig.stages.zaber_line import ZaberLine

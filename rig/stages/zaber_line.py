@@ -4,7 +4,7 @@ import itertools
 import logging
 import time
 
-from anisoscope.errors import NotConnected, ProtocolError, RigError
+from anisoscope.base.errors import NotConnected, ProtocolError, RigError
 from anisoscope.rig.stages.zaber_wire import (
     NO_FLAG,
     TERMINATOR,

@@ -5,7 +5,7 @@ Whoever asks holds the lock of the transport.
 
 import math
 
-from anisoscope.errors import LimitExceeded, ProtocolError
+from anisoscope.base.errors import LimitExceeded, ProtocolError
 from anisoscope.rig.stages.zaber_line import ZaberLine
 from anisoscope.rig.stages.zaber_wire import deg_s2_of_acceleration, deg_s_of_speed, error_of_flag
 

@@ -10,7 +10,7 @@ import re
 from dataclasses import dataclass
 from typing import Self
 
-from anisoscope.errors import LimitExceeded, MotionTimeout, NotHomed, ProtocolError, RigError, Stalled
+from anisoscope.base.errors import LimitExceeded, MotionTimeout, NotHomed, ProtocolError, RigError, Stalled
 
 TERMINATOR = b"\n"
 NO_FLAG = "--"

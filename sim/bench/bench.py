@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import UsageError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import UsageError
 from anisoscope.sim.bench.benchfile import BenchFile, read_bench
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
 from anisoscope.sim.bench.firmware.catalogue import LIGHT, Mount, build
@@ -22,7 +23,6 @@ from anisoscope.sim.bench.sensor import Sensor
 from anisoscope.sim.bench.spectra import vision_of
 from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_rotation
 
-FloatArray = npt.NDArray[np.float64]
 Image = npt.NDArray[np.float32]
 Counts = npt.NDArray[np.uint16]
 

@@ -5,14 +5,22 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from anisoscope.errors import RigFileError, UsageError
+from anisoscope.base.errors import RigFileError, UsageError
+from anisoscope.base.toml_file import (
+    LocalPath,
+    NameOrFile,
+    NotNegative,
+    Part,
+    Positive,
+    Share,
+    read_toml_model,
+)
 from anisoscope.rig.bayer import Filters
 from anisoscope.rig.fixture import Fixture
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
 from anisoscope.sim.bench.firmware.catalogue import Mount, build
 from anisoscope.sim.bench.printpart import PrintPart
 from anisoscope.sim.bench.waferpart import WaferPart
-from anisoscope.tomlfile import LocalPath, NameOrFile, NotNegative, Part, Positive, Share, read_toml_model
 
 
 class MaterialPart(Part):

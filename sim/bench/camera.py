@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import CameraError, RigFileError
+from anisoscope.base.errors import CameraError, RigFileError
 from anisoscope.rig.camera import Camera, CameraInfo, CameraSettings
 from anisoscope.rig.cameras.linearised import linearised
 from anisoscope.sim.bench.bench import Bench, shared_bench

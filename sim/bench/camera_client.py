@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import CameraError, NotConnected, ProtocolError
+from anisoscope.base.errors import CameraError, NotConnected, ProtocolError
 from anisoscope.rig.camera import CameraInfo, CameraSettings
 from anisoscope.sim.bench.camera_server import MAX_LINE, PROTOCOL
 

@@ -24,7 +24,7 @@ from dataclasses import asdict
 from types import TracebackType
 from typing import Any, Self, cast
 
-from anisoscope.errors import AnisoscopeError, CameraError, RigError
+from anisoscope.base.errors import AnisoscopeError, CameraError, RigError
 from anisoscope.rig.camera import Camera
 
 PROTOCOL = 1

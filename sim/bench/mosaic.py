@@ -3,10 +3,10 @@
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.rig.bayer import channel_of_pixels
 from anisoscope.sim.bench.benchfile import SensorPart
 
-FloatArray = npt.NDArray[np.float64]
 Image = npt.NDArray[np.float32]
 
 

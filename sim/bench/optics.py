@@ -4,11 +4,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import RigFileError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import RigFileError
 from anisoscope.rig.fixture import Fixture
 from anisoscope.sim.bench.benchfile import OpticsPart, SensorPart
 
-FloatArray = npt.NDArray[np.float64]
 Image = npt.NDArray[np.float32]
 
 _PAPER_WHITE = 0.75

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import RigFileError
+from anisoscope.base.errors import RigFileError
 from anisoscope.sim.bench.benchfile import CodePart, OpticsPart, SensorPart
 from anisoscope.sim.bench.optics import pixel_from_mm
 

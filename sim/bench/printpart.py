@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from anisoscope.tomlfile import NameOrFile, Part, Positive, Share
+from anisoscope.base.toml_file import NameOrFile, Part, Positive, Share
 
 SmallAngle = Annotated[float, Field(ge=-30.0, le=30.0)]
 

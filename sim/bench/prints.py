@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import AnisoscopeError, RigFileError
-from anisoscope.inkfile import find_ink
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import AnisoscopeError, RigFileError
 from anisoscope.sim.bench.benchfile import BenchFile
 from anisoscope.sim.bench.printpart import PrintPart
 from anisoscope.sim.bench.sheet import grain, grid_of, inked, normals, towards
@@ -23,9 +23,9 @@ from anisoscope.sim.light.ink.angles import half_vector
 from anisoscope.sim.light.ink.ink import Ink
 from anisoscope.sim.light.ink.model import spectral_term
 from anisoscope.sim.light.ink.shading import lobes
-from anisoscope.spectrumfile import read_reflectance
+from anisoscope.sim.materials.inks import find_ink
+from anisoscope.sim.materials.spectra import read_reflectance
 
-FloatArray = npt.NDArray[np.float64]
 Image = npt.NDArray[np.float32]
 
 ENTRIES = 1024

@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.profiles.defects import burrs
 from anisoscope.profiles.files.load import read_height_map
 from anisoscope.profiles.heightmap import HeightMap
@@ -18,7 +19,6 @@ from anisoscope.sim.bench.benchfile import BenchFile, MaterialPart, SamplePart
 from anisoscope.sim.light.material import Material
 from anisoscope.sim.light.relief import Relief, radiance_maps
 
-FloatArray = npt.NDArray[np.float64]
 Image = npt.NDArray[np.float32]
 
 PIXEL_X_UM = 1.0

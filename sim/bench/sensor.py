@@ -3,9 +3,9 @@
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.sim.bench.benchfile import SensorPart
 
-FloatArray = npt.NDArray[np.float64]
 Counts = npt.NDArray[np.uint16]
 
 AUTOMATIC_LEVEL = 0.4

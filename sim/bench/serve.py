@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from types import TracebackType
 from typing import Self
 
-from anisoscope.errors import RigError
+from anisoscope.base.errors import RigError
 from anisoscope.sim.bench.firmware.device import Firmware
 
 POLL_S = 0.005

@@ -1,9 +1,9 @@
 """What the bench file says of light and colour, as spectra."""
 
-from anisoscope.errors import ModelError, RigFileError, UsageError
+from anisoscope.base.errors import ModelError, RigFileError, UsageError
 from anisoscope.sim.bench.benchfile import BenchFile
 from anisoscope.sim.light.colour.vision import Vision
-from anisoscope.spectrumfile import find_illuminant, find_sensitivities
+from anisoscope.sim.materials.spectra import find_illuminant, find_sensitivities
 
 
 def vision_of(file: BenchFile) -> Vision:

@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import AnisoscopeError, HeightMapError, RigFileError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import AnisoscopeError, HeightMapError, RigFileError
 from anisoscope.profiles.etching import Etched
 from anisoscope.profiles.files.load import read_height_map
 from anisoscope.profiles.heightmap import HeightMap
@@ -20,7 +21,6 @@ from anisoscope.sim.light.wave.halfvectors import across_beam, half_vector
 from anisoscope.sim.light.wave.orders import Orders, level_phases
 from anisoscope.sim.light.wave.reflectance import LightSpectrum, radiance_scale
 
-FloatArray = npt.NDArray[np.float64]
 Image = npt.NDArray[np.float32]
 
 LINES = 5

@@ -4,7 +4,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from anisoscope.tomlfile import LocalPath, NotNegative, Part, Positive, Share
+from anisoscope.base.toml_file import LocalPath, NotNegative, Part, Positive, Share
 
 SmallHalfAngle = Annotated[float, Field(gt=0.0, le=10.0)]
 

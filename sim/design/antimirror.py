@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import ModelError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import ModelError
 from anisoscope.sim.light.wave.claims import anti_mirror, anti_mirror_2d, crossed
 from anisoscope.sim.light.wave.sampling import MIN_WIDTH_UM
 
-FloatArray = npt.NDArray[np.float64]
 Labels = npt.NDArray[np.uint16]
 Integers = npt.NDArray[np.int64]
 

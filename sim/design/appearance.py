@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.sim.design.depths import Depths
 from anisoscope.sim.design.designfile import DesignFile
 from anisoscope.sim.design.layout import Layout
@@ -16,8 +16,6 @@ from anisoscope.sim.design.models import model_density
 from anisoscope.sim.light.colour.illuminant import standard
 from anisoscope.sim.light.colour.observer import matching_functions, xyz_weights
 from anisoscope.sim.light.colour.spaces import encode, linear_srgb
-
-FloatArray = npt.NDArray[np.float64]
 
 WHITE_NM = tuple(float(w) for w in np.arange(400.0, 701.0, 20.0))
 LINE_NM = 550.0

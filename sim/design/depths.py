@@ -8,11 +8,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from anisoscope.errors import ModelError
-
-FloatArray = npt.NDArray[np.float64]
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import ModelError
 
 MOST_PASSES = 6
 SAMPLES = 601

@@ -11,12 +11,12 @@ import numpy as np
 import tomli_w
 from pydantic import Field, ValidationError, model_validator
 
-from anisoscope.atomicfile import write_bytes, write_text
-from anisoscope.errors import ConfigError, ModelError
+from anisoscope.base.atomic_write import write_bytes, write_text
+from anisoscope.base.errors import ConfigError, ModelError
+from anisoscope.base.toml_file import Part, Positive, one_line, read_toml_model
 from anisoscope.sim.design.depths import Depths
 from anisoscope.sim.design.layout import Layout
 from anisoscope.sim.design.models import MixtureModel, Model
-from anisoscope.tomlfile import Part, Positive, one_line, read_toml_model
 
 
 class DesignFile(Part):

@@ -5,11 +5,11 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import ModelError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import ModelError
 from anisoscope.sim.light.wave.claims import blurred_sinc2, lobe, mean_phase, with_spike
 from anisoscope.sim.light.wave.sampling import Widths
 
-FloatArray = npt.NDArray[np.float64]
 Floats = npt.NDArray[np.float32]
 ComplexArray = npt.NDArray[np.complex64]
 Levels = npt.NDArray[np.int64]

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import ConfigError, HeightMapError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import ConfigError, HeightMapError
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.sim.design.depths import MOST_PASSES, level_heights
 
-FloatArray = npt.NDArray[np.float64]
 Tiles = npt.NDArray[np.uint16]
 Index = npt.NDArray[np.uint16]
 

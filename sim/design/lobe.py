@@ -8,13 +8,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
-from anisoscope.errors import ModelError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import ModelError
 from anisoscope.sim.light.wave.claims import blurred_sinc2
 from anisoscope.sim.light.wave.sampling import MIN_WIDTH_UM, Widths
-
-FloatArray = npt.NDArray[np.float64]
 
 POINTS = 401
 REACH = 0.5

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import ConfigError
+from anisoscope.base.errors import ConfigError
 from anisoscope.sim.design.layout import Layout
 
 Booleans = npt.NDArray[np.bool_]
@@ -128,7 +128,7 @@ def write_png(shades: npt.NDArray[np.floating], path: Path) -> None:
     """
     import cv2  # noqa: PLC0415 - slow to import
 
-    from anisoscope.atomicfile import write_bytes  # noqa: PLC0415
+    from anisoscope.base.atomic_write import write_bytes  # noqa: PLC0415
 
     done, data = cv2.imencode(".png", np.asarray(np.rint(shades), dtype=np.uint8))
     assert done

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import ConfigError, HeightMapError
+from anisoscope.base.errors import ConfigError, HeightMapError
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.sim.design.depths import MOST_PASSES, level_heights
 from anisoscope.sim.design.layout import MAX_POINTS

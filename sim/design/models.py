@@ -9,13 +9,12 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, model_validator
 
-from anisoscope.errors import ModelError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import ModelError
+from anisoscope.base.toml_file import Part, Positive
 from anisoscope.sim.design.antimirror import AntiMirror, Labels
 from anisoscope.sim.light.wave.claims import blurred_sinc2, lobe, mixture
 from anisoscope.sim.light.wave.sampling import Widths
-from anisoscope.tomlfile import Part, Positive
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class LobeModel(Part):

@@ -10,15 +10,15 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import ModelError
-from anisoscope.progress import Advance, silent
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import ModelError
+from anisoscope.base.progress import Advance, silent
 from anisoscope.sim.design.designfile import DesignFile
 from anisoscope.sim.design.dot import Dot, DotTask
 from anisoscope.sim.design.layout import Layout
 from anisoscope.sim.design.models import AntiMirrorModel, LobeModel, MirrorModel, MixtureModel, random_dot
 from anisoscope.sim.design.refine import Limits, refine
 
-FloatArray = npt.NDArray[np.float64]
 Classes = npt.NDArray[np.int64]
 
 MOST_MM = 100.0

@@ -12,8 +12,8 @@ from typing import Literal
 
 import numpy as np
 
-from anisoscope.errors import ModelError
-from anisoscope.progress import Advance, silent
+from anisoscope.base.errors import ModelError
+from anisoscope.base.progress import Advance, silent
 from anisoscope.sim.design.dot import Dot, DotState, DotTask, Levels
 from anisoscope.sim.design.polish import BATCH, Bench, Polish
 from anisoscope.sim.light.wave.sampling import Widths

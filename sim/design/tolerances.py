@@ -10,9 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.sim.design.depths import Depths, wavelengths
-
-FloatArray = npt.NDArray[np.float64]
 
 OVER_ETCH_NM = (-10.0, -5.0, -2.0, 0.0, 2.0, 5.0, 10.0)
 WIDTH_BIAS_NM = (0.0, 25.0, 50.0, 100.0, 200.0)

@@ -11,15 +11,13 @@ around the lobes. From three reflections on, the field within the groove is foll
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from anisoscope.errors import ModelError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import ModelError
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light.corrected import radiance as direct_radiance
 from anisoscope.sim.light.corrected import ridge_polyline, visible_shares
 from anisoscope.sim.light.material import Material
-
-FloatArray = npt.NDArray[np.float64]
 
 NODES = 6  # of the Gauss-Legendre rule in each panel
 BATCH = 64  # poses followed together, for the sake of memory

@@ -8,12 +8,10 @@ elevation φ out of that plane. The lobes stand at fixed sin φ, whatever χ, so
 import math
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.sim.light.kernels import _fresnel, _lambda, _table
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @njit(cache=True)

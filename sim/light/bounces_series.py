@@ -11,10 +11,10 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.sim.light.bounces_kernels import brdf_square, brdf_table
 from anisoscope.sim.light.material import Material, diffuse_scale, transmittance_table
 
-FloatArray = npt.NDArray[np.float64]
 FieldArray = npt.NDArray[np.float32]
 
 ANGLES = 24

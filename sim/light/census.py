@@ -6,13 +6,13 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.sim.light import threads
 from anisoscope.sim.light.horizon import Horizon
 from anisoscope.sim.light.material import Material
 from anisoscope.sim.light.shine import Shine
 
-FloatArray = npt.NDArray[np.float64]
 Floats = npt.NDArray[np.float32]
 Cells = tuple[npt.NDArray[np.int64], FloatArray]
 Facets = Literal["symmetric", "diagonal", "antidiagonal"]

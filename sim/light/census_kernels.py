@@ -15,10 +15,10 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.sim.light.compiled import borrowing
 from anisoscope.sim.light.kernels import EDGE, around_edge, blend, cell_slopes
 
-FloatArray = npt.NDArray[np.float64]
 Floats = npt.NDArray[np.float32]
 Indices = npt.NDArray[np.int64]
 Marks = npt.NDArray[np.bool_]

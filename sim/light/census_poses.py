@@ -5,12 +5,12 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.sim.light.census_kernels import cubic, projected
 from anisoscope.sim.light.compiled import borrowing
 from anisoscope.sim.light.kernels import shine_of, split_shares, visible
 from anisoscope.sim.light.shine import Shine, Vector
 
-FloatArray = npt.NDArray[np.float64]
 Floats = npt.NDArray[np.float32]
 Indices = npt.NDArray[np.int64]
 

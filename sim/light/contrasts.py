@@ -4,11 +4,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.sim.light.geometry import Pose
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

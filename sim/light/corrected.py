@@ -8,12 +8,10 @@ reflects more than once is the business of `bounces`.
 """
 
 import numpy as np
-import numpy.typing as npt
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light.material import Material, facet_brdf
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def ridge_polyline(design: RidgeDesign) -> tuple[FloatArray, FloatArray]:

@@ -10,11 +10,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
-from anisoscope.errors import ModelError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import ModelError
 
-FloatArray = npt.NDArray[np.float64]
 TiltPlane = Literal["perpendicular", "in-plane"]
 RotationSense = Literal["ccw", "cw"]
 

@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.sim.light.compiled import announce, borrowing
 from anisoscope.sim.light.horizon import Horizon
 from anisoscope.sim.light.kernels import (
@@ -28,7 +29,6 @@ from anisoscope.sim.light.shine import Shine
 
 announce()
 
-FloatArray = npt.NDArray[np.float64]
 ShareArray = npt.NDArray[np.float32]
 Lobe = Literal["beckmann", "ggx"]
 

@@ -9,12 +9,12 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.sim.light.compiled import announce, borrowing
 from anisoscope.sim.light.shine import Shine, Vector
 
 announce()
 
-FloatArray = npt.NDArray[np.float64]
 ShareArray = npt.NDArray[np.float32]
 
 FAINT = 45.0

@@ -11,11 +11,10 @@ from functools import cache, lru_cache
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
-from anisoscope.errors import ModelError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import ModelError
 
-FloatArray = npt.NDArray[np.float64]
 InternalReflection = Literal["nonlinear", "linear"]
 
 TABLE_SIZE = 513

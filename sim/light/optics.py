@@ -10,12 +10,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from anisoscope.errors import ModelError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import ModelError
 from anisoscope.sim.light.material import Material
 
-FloatArray = npt.NDArray[np.float64]
 Model = Callable[[FloatArray, FloatArray, Material], FloatArray]
 
 _FIELD_NODES = 3  # Gauss-Legendre, on each axis of the field

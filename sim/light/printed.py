@@ -9,12 +9,11 @@ corrected model.
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light.material import Material, beckmann, fresnel
 
-FloatArray = npt.NDArray[np.float64]
 ShadowFrame = Literal["pitch-normal", "half-vector"]
 
 

@@ -13,9 +13,10 @@ from threading import Lock
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import HeightMapError, ModelError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import HeightMapError, ModelError
+from anisoscope.base.progress import Advance, silent
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.progress import Advance, silent
 from anisoscope.sim.light import threads
 from anisoscope.sim.light.census import (
     FACETS,
@@ -29,7 +30,6 @@ from anisoscope.sim.light.horizon import Horizon
 from anisoscope.sim.light.material import Material
 from anisoscope.sim.light.shine import shine_in
 
-FloatArray = npt.NDArray[np.float64]
 ShareArray = npt.NDArray[np.float32]
 
 MAX_MISSING_SHARE = 0.25

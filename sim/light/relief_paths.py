@@ -13,10 +13,10 @@ from threading import Lock
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
-from anisoscope.errors import ModelError
-from anisoscope.progress import Advance, silent
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import ModelError
+from anisoscope.base.progress import Advance, silent
 from anisoscope.sim.light import threads
 from anisoscope.sim.light.census import FACETS
 from anisoscope.sim.light.horizon import Horizon
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from anisoscope.sim.light.relief_rays import Terrain
     from anisoscope.sim.light.relief_scatter import Plastic
 
-FloatArray = npt.NDArray[np.float64]
 
 PATHS = 32768
 REPLICATES = 8

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.sim.light.compiled import borrowing
 from anisoscope.sim.light.relief_rays import Terrain, height, meet, slopes
 from anisoscope.sim.light.relief_scatter import (
@@ -26,7 +27,6 @@ from anisoscope.sim.light.relief_scatter import (
     to_facet,
 )
 
-FloatArray = npt.NDArray[np.float64]
 Facet = tuple[Frame, Vector, tuple[int, int]]
 
 LONGEST = 200  # reflections followed at most

@@ -6,13 +6,10 @@ The frame is that of `facet_brdf`: along the ridges, across, normal; slopes gx, 
 import math
 from typing import NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
+from anisoscope.base.arrays import FloatArray
 from anisoscope.sim.light.compiled import borrowing
 from anisoscope.sim.light.kernels import _fresnel, _lambda, _table
 
-FloatArray = npt.NDArray[np.float64]
 Vector = tuple[float, float, float]
 Frame = tuple[float, float, float, float]
 

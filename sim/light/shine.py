@@ -3,11 +3,10 @@
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.sim.light.material import Material, diffuse_scale, fresnel, transmittance_table
 
-FloatArray = npt.NDArray[np.float64]
 Vector = tuple[float, float, float]
 
 

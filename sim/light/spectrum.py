@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from anisoscope.errors import ModelError
+from anisoscope.base.errors import ModelError
 from anisoscope.sim.light.material import Material
 
 

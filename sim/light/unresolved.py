@@ -10,10 +10,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.sim.light.material import Material
 from anisoscope.sim.light.relief import Relief
-
-FloatArray = npt.NDArray[np.float64]
 
 SMOOTHEST = 0.001  # the smallest roughness that a material can have
 _CLIP = 3.0

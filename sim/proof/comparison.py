@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import ModelError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import ModelError
 from anisoscope.sim.light.colour.illuminant import Illuminant, standard
 from anisoscope.sim.light.colour.spaces import encode
 from anisoscope.sim.light.ink.ink import Ink
@@ -24,7 +25,6 @@ from anisoscope.sim.proof.measured import Measured, measured_picture
 from anisoscope.sim.proof.render import direction
 from anisoscope.sim.proof.scene import Scene, surface
 
-FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 
 SIZE = 512

@@ -8,14 +8,14 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import ModelError
-from anisoscope.progress import Advance, silent
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import ModelError
+from anisoscope.base.progress import Advance, silent
 from anisoscope.sim.light import threads
 from anisoscope.sim.proof.mask import thresholds
 from anisoscope.sim.proof.separation import INKS, TOLERANCE, Separation, decode_srgb
 
 Float32 = npt.NDArray[np.float32]
-FloatArray = npt.NDArray[np.float64]
 Dots = npt.NDArray[np.uint8]
 Method = Literal["mask", "diffusion"]
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import ModelError
+from anisoscope.base.errors import ModelError
 
 Ranks = npt.NDArray[np.int64]
 Thresholds = npt.NDArray[np.float32]

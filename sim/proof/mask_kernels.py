@@ -3,11 +3,11 @@
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.sim.light.compiled import announce, borrowing
 
 announce()
 
-FloatArray = npt.NDArray[np.float64]
 Ranks = npt.NDArray[np.int64]
 Pattern = npt.NDArray[np.bool_]
 

@@ -9,15 +9,13 @@ then cover all directions.
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from anisoscope.errors import ModelError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import ModelError
 from anisoscope.sim.light.colour.observer import xyz_weights
 from anisoscope.sim.light.colour.spaces import linear_srgb
 from anisoscope.sim.light.ink.shading import UPWARD, Light
 from anisoscope.sim.light.ink.shapes import Surface
-
-FloatArray = npt.NDArray[np.float64]
 
 NEIGHBOURS = 4
 _NEAR = 0.05

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import UsageError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import UsageError
 
-FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 MOST_TRIANGLES = 500_000

@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import ModelError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import ModelError
 from anisoscope.sim.light.colour.illuminant import Illuminant
 from anisoscope.sim.light.colour.observer import white_point
 from anisoscope.sim.light.colour.spaces import (
@@ -29,7 +30,6 @@ from anisoscope.sim.light.ink.model import Model
 from anisoscope.sim.light.ink.shading import UPWARD, Light, picture
 from anisoscope.sim.light.ink.shapes import Surface
 
-FloatArray = npt.NDArray[np.float64]
 Float32 = npt.NDArray[np.float32]
 
 ROUGHNESS = {"brushed": 0.19, "binder-mixed": 0.30}

@@ -11,11 +11,11 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import ModelError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import ModelError
 from anisoscope.sim.light.ink.shapes import Surface
 from anisoscope.sim.proof.mesh import Mesh
 
-FloatArray = npt.NDArray[np.float64]
 Float32 = npt.NDArray[np.float32]
 Shape = Literal["sphere", "cylinder", "plane", "mesh"]
 

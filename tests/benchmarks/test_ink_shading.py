@@ -5,15 +5,14 @@ import time
 import numpy as np
 import pytest
 
-from anisoscope.ink.fitting import fit
+from anisoscope.ink.fitting import fit, solve_jointly
 from anisoscope.ink.goniometer import Readings
 from anisoscope.ink.grid import grid_of
-from anisoscope.ink.jointfit import solve_jointly
-from anisoscope.inkfile import SYNTHETIC, synthetic_ink
 from anisoscope.sim.light.ink import shading
 from anisoscope.sim.light.ink.model import brdf_at_angles
 from anisoscope.sim.light.ink.shading import Light, picture, spectral_picture
 from anisoscope.sim.light.ink.shapes import sphere
+from anisoscope.sim.materials.inks import SYNTHETIC, synthetic_ink
 
 pytestmark = pytest.mark.benchmark
 LIGHTS = [Light((0.3, 0.4, 1.0)), Light((-1.0, 0.2, 0.5), 2.0)]

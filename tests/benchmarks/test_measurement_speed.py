@@ -17,23 +17,23 @@ import cv2
 import numpy as np
 import pytest
 
-from anisoscope.cli.demo_folder import FIXTURE
-from anisoscope.decision import decide
-from anisoscope.expectation import expectation
-from anisoscope.job import Job
-from anisoscope.jobfile import JobFile
-from anisoscope.judging import measure_frames
-from anisoscope.linear import HOT_PIXEL_SIGMA, SATURATION_SHARE, WhiteReference
-from anisoscope.measurement import region_grid
-from anisoscope.recipe import Recipe
-from anisoscope.registration.placement import locate, resample
+from anisoscope.cli.demo.folder import FIXTURE
+from anisoscope.decision.decision import decide
+from anisoscope.imaging.linearisation import HOT_PIXEL_SIGMA, SATURATION_SHARE, WhiteReference
+from anisoscope.imaging.pose_radiance import region_grid
+from anisoscope.imaging.registration.placement import locate, resample
+from anisoscope.inspection.frames import Shot, Taken
+from anisoscope.inspection.job import Job
+from anisoscope.inspection.manifest import JobFile
+from anisoscope.inspection.pipeline import measure_frames
+from anisoscope.prediction.expectation import expectation
+from anisoscope.recipe.recipe import Recipe
 from anisoscope.rig.acquisition.plan import Pose
 from anisoscope.rig.fixture import Fixture
 from anisoscope.rig.frame import Frame
 from anisoscope.rig.rigfile import RigFile
 from anisoscope.sim.bench.benchfile import OpticsPart, SensorPart
 from anisoscope.sim.bench.optics import image_of_fixture, pixel_from_mm
-from anisoscope.taken import Shot, Taken
 
 pytestmark = pytest.mark.benchmark
 

@@ -12,8 +12,8 @@ import sys
 
 import pytest
 
-from anisoscope.cli.demo_ridges import lay_out
-from anisoscope.progress import silent
+from anisoscope.base.progress import silent
+from anisoscope.cli.demo.ridges import lay_out
 
 pytestmark = pytest.mark.benchmark
 REPEATS = 2

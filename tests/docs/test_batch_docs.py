@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from anisoscope.batch.partfile import PartFile
-from anisoscope.batch.tray import read_tray
 from anisoscope.cli import app
+from anisoscope.inspection.batch.arrivals import PartFile
+from anisoscope.inspection.batch.tray import read_tray
 from anisoscope.sim.bench.benchfile import SamplePart
 from anisoscope.sim.bench.partcode import printed
 

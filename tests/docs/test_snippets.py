@@ -7,21 +7,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from anisoscope import explaining
 from anisoscope.calibration.pictures import take_flat
+from anisoscope.diagnosis import part_diagnosis as explaining
 from anisoscope.diagnosis.signatures import signatures
-from anisoscope.inkfile import synthetic_ink
-from anisoscope.inspection import inspect_part
+from anisoscope.inspection.run import inspect_part
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
-from anisoscope.recipe import read_recipe
+from anisoscope.recipe.recipe import read_recipe
 from anisoscope.rig.acquisition.opening import open_rig
 from anisoscope.rig.bayer import channel_of_pixels
 from anisoscope.rig.rigfile import read_rig
 from anisoscope.sim.light.colour.vision import Vision
 from anisoscope.sim.light.geometry import Convention, Pose, directions
 from anisoscope.sim.light.ink.model import brdf
-from anisoscope.spectrumfile import find_illuminant, find_sensitivities
+from anisoscope.sim.materials.inks import synthetic_ink
+from anisoscope.sim.materials.spectra import find_illuminant, find_sensitivities
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 

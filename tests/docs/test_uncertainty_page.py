@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from anisoscope.cli.predict_options import DEFAULTS, UncertaintyOptions, input_uncertainty
-from anisoscope.cli.predict_output import contrast_u, radiance_u
-from anisoscope.prediction.montecarlo import MonteCarlo
-from anisoscope.prediction.pixelbias import find_pixel_bias
-from anisoscope.prediction.predicting import predict_design
+from anisoscope.cli.predict.options import DEFAULTS, UncertaintyOptions, input_uncertainty
+from anisoscope.cli.predict.output import contrast_u, radiance_u
+from anisoscope.prediction.monte_carlo import MonteCarlo
+from anisoscope.prediction.pixel_bias import find_pixel_bias
+from anisoscope.prediction.predict import predict_design
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light.geometry import Convention, pose_grid
 from anisoscope.sim.light.material import Material

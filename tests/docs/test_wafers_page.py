@@ -7,9 +7,8 @@ from pathlib import Path
 import pytest
 
 from anisoscope.cli import app
-from anisoscope.recipe import Recipe, RigUncertainty
+from anisoscope.recipe.recipe import LightPart, Recipe, RigUncertainty
 from anisoscope.sim.bench.benchfile import SamplePart
-from anisoscope.wafertables import LightPart
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "wafers.md").read_text(encoding="utf-8")
 

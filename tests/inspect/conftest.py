@@ -16,14 +16,15 @@ import numpy as np
 import pytest
 import tomli_w
 
-from anisoscope import explaining, inspection
+from anisoscope.base.errors import CameraError
+from anisoscope.base.progress import silent
 from anisoscope.calibration.pictures import take_flat
-from anisoscope.cli.demo_folder import FIXTURE
-from anisoscope.diagnosis import remembering
+from anisoscope.cli.demo.folder import FIXTURE
+from anisoscope.diagnosis import part_diagnosis as explaining
+from anisoscope.diagnosis import signature_cache as remembering
 from anisoscope.diagnosis.signatures import signatures
-from anisoscope.errors import CameraError
-from anisoscope.progress import silent
-from anisoscope.recipe import Recipe
+from anisoscope.inspection import run as inspection
+from anisoscope.recipe.recipe import Recipe
 from anisoscope.report.inspection_page import REPORT_NAME
 from anisoscope.rig.frame import Frame
 from anisoscope.sim.bench.bench import Bench, shared_bench

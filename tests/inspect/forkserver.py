@@ -36,10 +36,10 @@ HEAVY = (
     "sqlalchemy",
     "rich.table",
     "rich.progress",
-    "anisoscope.inspection",
-    "anisoscope.batch.running",
-    "anisoscope.explaining",
-    "anisoscope.recomputing",
+    "anisoscope.inspection.run",
+    "anisoscope.inspection.batch.run",
+    "anisoscope.diagnosis.part_diagnosis",
+    "anisoscope.inspection.recompute",
     "anisoscope.fit.fitting",
     "anisoscope.fit.experiment",
     "anisoscope.sim.bench.camera",
@@ -51,12 +51,16 @@ ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NU
 SIDE_BY_SIDE = Path(__file__).parents[1] / "sidebyside.py"
 
 
+def _module(folder: Path, path: Path) -> str:
+    return ".".join([CLI, *path.relative_to(folder).with_suffix("").parts])
+
+
 def serve() -> None:
     """Answer every line on standard input with the child's number and, at its end, with its exit code."""
     from anisoscope.cli import main
 
     folder = Path(importlib.import_module(CLI).__file__).parent
-    for name in (*HEAVY, *(f"{CLI}.{path.stem}" for path in sorted(folder.glob("[a-z]*.py")))):
+    for name in (*HEAVY, *(_module(folder, path) for path in sorted(folder.rglob("[a-z]*.py")))):
         importlib.import_module(name)
     if "PYTEST_XDIST_TESTRUNUID" in os.environ:
         spec = importlib.util.spec_from_file_location("sidebyside", SIDE_BY_SIDE)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from anisoscope.errors import HeightMapError
+from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.defects_contact import dust, edge_wear, scratches
 from anisoscope.profiles.defects_layout import ridge_layout, ridge_numbers
 from anisoscope.profiles.defects_ridges import chatter, incomplete_filling, missing_ridges, pitch_error

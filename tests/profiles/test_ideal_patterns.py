@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from anisoscope.errors import HeightMapError
+from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.ideal import RidgeDesign, ridges
 from anisoscope.profiles.patterns import GrooveDesign, checkerboard, flat, turned_ridges, v_grooves
 from anisoscope.profiles.period import find_period

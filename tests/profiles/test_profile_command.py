@@ -5,8 +5,8 @@ import sys
 import numpy as np
 import pytest
 
-from anisoscope.cli.profile import app, parse_pixel
-from anisoscope.errors import HeightMapError, UsageError
+from anisoscope.base.errors import HeightMapError, UsageError
+from anisoscope.cli.profile.profile import app, parse_pixel
 from anisoscope.profiles.files.load import read_height_map
 
 
@@ -54,7 +54,7 @@ def test_errors_are_ours(tmp_path):
 def test_reading_a_map_imports_nothing_slow():
     code = (
         "import sys, anisoscope.profiles.files.load, anisoscope.profiles.level, anisoscope.profiles.defects, "
-        "anisoscope.cli.profile; "
+        "anisoscope.cli.profile.profile; "
         "print([m for m in ('scipy', 'cv2', 'pyvista', 'matplotlib') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from anisoscope.errors import CameraError
+from anisoscope.base.errors import CameraError
 from anisoscope.rig.bayer import FILTERS, channel_of_pixels, demosaicked, grey_of
 from anisoscope.rig.camera import CameraInfo
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from anisoscope.errors import CalibrationError
+from anisoscope.base.errors import CalibrationError
 from anisoscope.rig.brackets import SensorNoise, merge_brackets
 from anisoscope.rig.frame import Frame
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from anisoscope.errors import RecordError
+from anisoscope.base.errors import RecordError
 from anisoscope.rig import frame as module
 from anisoscope.rig.frame import Frame, filters_said, read_frame, write_frame
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from anisoscope.errors import RecordError, UsageError
+from anisoscope.base.errors import RecordError, UsageError
 from anisoscope.rig.frame import Frame
 from anisoscope.rig.framefolder import read_frame_folder, write_frame_folder
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from anisoscope.errors import NotConnected
+from anisoscope.base.errors import NotConnected
 from anisoscope.rig.portholder import claim, release
 from anisoscope.rig.rigfile import read_rig
 from anisoscope.rig.transport import Transport

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from anisoscope.errors import NotConnected, RigError
+from anisoscope.base.errors import NotConnected, RigError
 from anisoscope.rig import portholder
 from anisoscope.rig.portholder import Holder, claim, holder_of, release, wait_until_released
 from anisoscope.rig.transport import Transport

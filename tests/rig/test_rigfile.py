@@ -2,7 +2,7 @@
 
 import pytest
 
-from anisoscope.errors import RigFileError
+from anisoscope.base.errors import RigFileError
 from anisoscope.rig.rigfile import StagePart, read_replay_rig, read_rig
 
 GOOD = """

@@ -2,7 +2,7 @@
 
 import pytest
 
-from anisoscope.errors import NotConnected
+from anisoscope.base.errors import NotConnected
 from anisoscope.rig.acquisition.opening import open_rig
 from anisoscope.rig.rigfile import read_rig
 from anisoscope.rig.transport import Transport, shared_ports

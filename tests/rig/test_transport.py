@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from anisoscope.errors import NotConnected
+from anisoscope.base.errors import NotConnected
 from anisoscope.rig import transport as module
 from anisoscope.rig.transport import Transport, available_ports, register_handlers
 from anisoscope.sim.bench.firmware.axis import RotaryAxis

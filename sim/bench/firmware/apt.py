@@ -11,7 +11,7 @@ import struct
 from collections.abc import Callable, Iterable, Sequence
 from typing import ClassVar
 
-from anisoscope.errors import UsageError
+from anisoscope.base.errors import UsageError
 from anisoscope.sim.bench.firmware.apt_bytes import (
     Packet,
     information,

@@ -10,7 +10,7 @@ recorded answers.
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from anisoscope.errors import UsageError
+from anisoscope.base.errors import UsageError
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
 from anisoscope.sim.bench.firmware.catalogue import Mount, Simulated
 from anisoscope.sim.bench.firmware.device import Bus, Firmware, SimulatedDevice

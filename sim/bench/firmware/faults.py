@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Self
 
-from anisoscope.errors import UsageError
+from anisoscope.base.errors import UsageError
 
 
 class FaultKind(StrEnum):

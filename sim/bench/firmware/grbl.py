@@ -8,7 +8,7 @@ at once, without its ramp. Source: interface description of Grbl 1.1.
 
 from collections.abc import Sequence
 
-from anisoscope.errors import UsageError
+from anisoscope.base.errors import UsageError
 from anisoscope.sim.bench.firmware.catalogue import Mount, Simulated
 from anisoscope.sim.bench.firmware.device import Firmware
 from anisoscope.sim.bench.firmware.faults import FaultKind

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from typing import ClassVar, Protocol
 
-from anisoscope.errors import UsageError
+from anisoscope.base.errors import UsageError
 from anisoscope.sim.bench.firmware.catalogue import Mount, Simulated
 from anisoscope.sim.bench.firmware.device import Firmware, SimulatedDevice
 from anisoscope.sim.bench.firmware.faults import Fault, FaultKind

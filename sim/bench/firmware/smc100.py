@@ -9,7 +9,7 @@ motor is disabled with a following error. Source: Newport SMC100CC/PP user's man
 import re
 from collections.abc import Callable, Sequence
 
-from anisoscope.errors import UsageError
+from anisoscope.base.errors import UsageError
 from anisoscope.sim.bench.firmware.catalogue import Mount, Simulated
 from anisoscope.sim.bench.firmware.device import Bus, Firmware
 from anisoscope.sim.bench.firmware.faults import FaultKind

@@ -12,7 +12,7 @@ settings that need a restart, streams, triggers, lockstep, parking, ``tools``, `
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
-from anisoscope.errors import UsageError
+from anisoscope.base.errors import UsageError
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
 from anisoscope.sim.bench.firmware.catalogue import Mount, Simulated
 from anisoscope.sim.bench.firmware.device import Bus, Firmware

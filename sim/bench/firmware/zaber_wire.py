@@ -4,7 +4,7 @@ import re
 from dataclasses import dataclass
 from typing import Self
 
-from anisoscope.errors import UsageError
+from anisoscope.base.errors import UsageError
 
 NO_REPLY = "--"
 # What a warning flag can be, the gravest first; a fault with a number as its parameter counts in this list from 1.

@@ -14,7 +14,7 @@ from urllib.parse import unquote
 
 from serial.serialutil import PortNotOpenError, SerialBase, SerialException, Timeout
 
-from anisoscope.errors import AnisoscopeError
+from anisoscope.base.errors import AnisoscopeError
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
 from anisoscope.sim.bench.firmware.catalogue import Mount, build
 from anisoscope.sim.bench.firmware.device import Firmware

@@ -7,12 +7,10 @@ colour-science 0.4.7 (BSD-3-Clause).
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from anisoscope.errors import ModelError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import ModelError
 from anisoscope.sim.light.colour.tables import package_table
-
-FloatArray = npt.NDArray[np.float64]
 
 VISIBLE_NM = (380.0, 780.0)
 NEEDED_NM = (400.0, 700.0)

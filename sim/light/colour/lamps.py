@@ -3,11 +3,9 @@
 from functools import cache
 
 import numpy as np
-import numpy.typing as npt
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.sim.light.colour.illuminant import Illuminant
-
-FloatArray = npt.NDArray[np.float64]
 
 LED_WHITE = "led-white"
 STEP_NM = 5.0

@@ -4,13 +4,11 @@ Matching functions: CIE 018:2019 (ISO/CIE 11664-1), 1 nm, taken from colour-scie
 """
 
 import numpy as np
-import numpy.typing as npt
 
-from anisoscope.errors import ModelError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import ModelError
 from anisoscope.sim.light.colour.illuminant import NEEDED_NM, VISIBLE_NM, Illuminant
 from anisoscope.sim.light.colour.tables import package_table
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def matching_functions() -> tuple[FloatArray, FloatArray]:

@@ -7,9 +7,8 @@ lights must be formed before anything is cut off.
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from anisoscope.base.arrays import FloatArray
 
 _PRIMARIES = np.array([[0.64, 0.33], [0.30, 0.60], [0.15, 0.06]])
 _WHITE = (0.3127, 0.3290)

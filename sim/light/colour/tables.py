@@ -4,9 +4,8 @@ from functools import cache
 from importlib.resources import files
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from anisoscope.base.arrays import FloatArray
 
 
 @cache

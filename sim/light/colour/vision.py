@@ -9,14 +9,12 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-import numpy.typing as npt
 
-from anisoscope.errors import ModelError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import ModelError
 from anisoscope.sim.light.colour.illuminant import NEEDED_NM, VISIBLE_NM, Illuminant
 from anisoscope.sim.light.colour.lamps import STEP_NM, skewed
 from anisoscope.sim.light.colour.observer import shares_of_points
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -3,14 +3,12 @@
 from functools import cache
 
 import numpy as np
-import numpy.typing as npt
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.sim.light.ink.angles import in_plane
 from anisoscope.sim.light.ink.distributions import density, normals_by_share
 from anisoscope.sim.light.ink.ink import Ink
 from anisoscope.sim.light.ink.model import Model, lobe, spectral_term
-
-FloatArray = npt.NDArray[np.float64]
 
 WATCHED_DEG = (0, 15, 30, 45, 60, 70, 80)
 BINS = 64

@@ -4,9 +4,8 @@ The frame of the surface: z is its normal. Source: Pranovich 2024, Eqs. 1 and 6.
 """
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from anisoscope.base.arrays import FloatArray
 
 
 def half_vector(to_light: FloatArray, to_camera: FloatArray) -> FloatArray:

@@ -7,9 +7,9 @@ may be anisotropic, as brushing makes them. Forms and Smith's Λ: Walter 2007; H
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from anisoscope.base.arrays import FloatArray
+
 Distribution = Literal["ggx", "beckmann"]
 DISTRIBUTIONS: tuple[Distribution, ...] = ("ggx", "beckmann")
 

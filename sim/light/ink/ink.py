@@ -4,12 +4,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
-from anisoscope.errors import ModelError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import ModelError
 from anisoscope.sim.light.ink.distributions import DISTRIBUTIONS, Distribution
 
-FloatArray = npt.NDArray[np.float64]
 Scale = Literal["brdf", "factor"]
 
 SPECTRALON = 0.99

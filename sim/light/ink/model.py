@@ -11,15 +11,14 @@ light: Eq. 5 is 17 to 526 times smaller there at 20° to 65° for α = 0.19.
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
-from anisoscope.errors import ModelError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import ModelError
 from anisoscope.sim.light.ink import tio2
 from anisoscope.sim.light.ink.angles import goniometer, half_vector, shift
 from anisoscope.sim.light.ink.distributions import density, masking
 from anisoscope.sim.light.ink.ink import Ink
 
-FloatArray = npt.NDArray[np.float64]
 Model = Literal["goniochromatic", "schlick", "tio2"]
 MODELS: tuple[Model, ...] = ("goniochromatic", "schlick", "tio2")
 

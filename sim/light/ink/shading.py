@@ -10,7 +10,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import ModelError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import ModelError
 from anisoscope.sim.light import threads
 from anisoscope.sim.light.colour.illuminant import Illuminant, standard
 from anisoscope.sim.light.colour.observer import xyz_weights
@@ -22,7 +23,6 @@ from anisoscope.sim.light.ink.model import Model, spectral_term, table_argument
 from anisoscope.sim.light.ink.shapes import Surface
 from anisoscope.sim.light.ink.table import InkTable, ink_table
 
-FloatArray = npt.NDArray[np.float64]
 Float32 = npt.NDArray[np.float32]
 Direction = tuple[float, float, float]
 Shade = Callable[[tuple[int, int], Float32], None]

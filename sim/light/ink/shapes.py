@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import ModelError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import ModelError
 
-FloatArray = npt.NDArray[np.float64]
 Float32 = npt.NDArray[np.float32]
 
 

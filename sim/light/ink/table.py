@@ -6,15 +6,14 @@ from functools import cached_property, lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import ModelError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import ModelError
 from anisoscope.sim.light.colour.illuminant import VISIBLE_NM, Illuminant
 from anisoscope.sim.light.colour.observer import xyz_weights
 from anisoscope.sim.light.colour.spaces import linear_srgb
 from anisoscope.sim.light.ink import tio2
 from anisoscope.sim.light.ink.ink import Ink
 from anisoscope.sim.light.ink.model import Model, spectral_term
-
-FloatArray = npt.NDArray[np.float64]
 
 ENTRIES = 256
 TERMS = 9

@@ -9,10 +9,10 @@ database's set of Kischkat 2012 begins in the infrared and is left out. Where a 
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import ModelError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import ModelError
 from anisoscope.sim.light.colour.tables import package_table
 
-FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
 
 DEFAULT = "siefke"

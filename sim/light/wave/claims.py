@@ -9,11 +9,10 @@ from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
-from anisoscope.errors import ModelError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import ModelError
 
-FloatArray = npt.NDArray[np.float64]
 Density = Callable[[FloatArray], FloatArray]
 
 _NODES = 96

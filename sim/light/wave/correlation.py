@@ -10,14 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import ModelError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import ModelError
 from anisoscope.sim.light import threads
 from anisoscope.sim.light.wave.angular import wave
 from anisoscope.sim.light.wave.halfvectors import HalfVector
 from anisoscope.sim.light.wave.surface import WaveSurface
 from anisoscope.sim.light.wave.windows import Window
 
-FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
 
 REACH = 5.0

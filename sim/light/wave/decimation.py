@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from anisoscope.base.arrays import FloatArray
+
 Floats = npt.NDArray[np.float32]
 
 STOP_DB = 80.0

@@ -9,13 +9,11 @@ gives, lobe, Fresnel and Smith's shadowing by the roughness included.
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.sim.light.material import Material, fresnel, smith
 from anisoscope.sim.light.wave.halfvectors import HalfVector
 from anisoscope.sim.light.wave.surface import WaveSurface
-
-FloatArray = npt.NDArray[np.float64]
 
 MOST_FACETS = 40_000
 _FAINT = 30.0

@@ -5,12 +5,10 @@ approaches as structures grow against the coherence length (Levin et al. 2013, F
 """
 
 import numpy as np
-import numpy.typing as npt
 
-from anisoscope.errors import ModelError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import ModelError
 from anisoscope.sim.light.wave.windows import Window
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def slope_density(

@@ -3,11 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from anisoscope.errors import ModelError
-
-FloatArray = npt.NDArray[np.float64]
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import ModelError
 
 
 @dataclass(frozen=True)

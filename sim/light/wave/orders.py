@@ -12,13 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.errors import ModelError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import ModelError
 from anisoscope.profiles.etching import Etched
 from anisoscope.sim.light import threads
 from anisoscope.sim.light.wave.halfvectors import HalfVector
 from anisoscope.sim.light.wave.windows import Extent, Window
 
-FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complexfloating]
 Bands = npt.NDArray[np.complex64]
 

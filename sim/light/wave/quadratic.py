@@ -3,11 +3,10 @@
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.sim.light.wave.halfvectors import HalfVector
 from anisoscope.sim.light.wave.surface import WaveSurface
 from anisoscope.sim.light.wave.windows import Window
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def modulation(surface: WaveSurface, half: HalfVector, wavelength_um: float) -> npt.NDArray[np.complex128]:

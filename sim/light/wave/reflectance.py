@@ -3,15 +3,13 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from anisoscope.errors import ModelError
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import ModelError
 from anisoscope.sim.light.wave import fused
 from anisoscope.sim.light.wave.halfvectors import HalfVector, half_vector
 from anisoscope.sim.light.wave.surface import WaveSurface, sampling_of
 from anisoscope.sim.light.wave.windows import Window
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

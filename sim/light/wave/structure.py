@@ -5,9 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.sim.light.wave.surface import WaveSurface
-
-FloatArray = npt.NDArray[np.float64]
 
 LINES = 48
 """Rows and columns that are looked at."""

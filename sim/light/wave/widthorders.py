@@ -11,13 +11,11 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.sim.light.wave.halfvectors import HalfVector
 from anisoscope.sim.light.wave.orders import Orders, level_phases
 from anisoscope.sim.light.wave.windows import Window
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

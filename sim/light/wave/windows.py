@@ -10,11 +10,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
-from anisoscope.errors import ModelError
-
-FloatArray = npt.NDArray[np.float64]
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import ModelError
 
 TAIL = 4.5
 """Standard deviations after which a Gaussian counts as nothing: e⁻¹⁰."""

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from anisoscope.calibration.whitereference import (
+from anisoscope.base.errors import CalibrationError
+from anisoscope.calibration.white_reference import (
     inspect_tile,
     make_reference,
     read_reference,
     usual_of_filters,
     write_reference,
 )
-from anisoscope.errors import CalibrationError
-from anisoscope.linear import Stack
+from anisoscope.imaging.linearisation import Stack
 from anisoscope.rig.bayer import channel_of_pixels
 
 SHAPE = (64, 96)

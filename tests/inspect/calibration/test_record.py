@@ -5,6 +5,7 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
+from anisoscope.base.errors import CalibrationError, RecordError, UsageError
 from anisoscope.calibration.record import (
     KINDS,
     VALID_FOR_DAYS,
@@ -14,7 +15,6 @@ from anisoscope.calibration.record import (
     record_path,
     write_calibration,
 )
-from anisoscope.errors import CalibrationError, RecordError, UsageError
 
 CAMERA = {"model": "SIM", "serial": "CAM-7", "rows": 4, "cols": 5, "bit_depth": 12}
 CONTENT = {

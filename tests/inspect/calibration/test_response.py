@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from anisoscope.base.errors import CalibrationError, RigFileError
 from anisoscope.calibration.frames import Taking
 from anisoscope.calibration.pictures import take_flat
 from anisoscope.calibration.response import calibrate_response
 from anisoscope.cli import run
-from anisoscope.errors import CalibrationError, RigFileError
-from anisoscope.recomputing import recompute
+from anisoscope.inspection.recompute import recompute
 from anisoscope.rig.cameras.response import ResponseCurve, read_response, write_response
 from anisoscope.rig.drivers import open_camera
 

@@ -17,11 +17,12 @@ from pathlib import Path
 NURSERY = """
 import gc, json, os, sys
 import matplotlib.figure, matplotlib.backends.backend_svg, scipy.special, scipy.stats, cv2
-import anisoscope.cli.folder, anisoscope.cli.inspection, anisoscope.replay, anisoscope.sim.bench.camera
+import anisoscope.cli.inspect.folder, anisoscope.cli.inspect.inspection
+import anisoscope.inspection.replay, anisoscope.sim.bench.camera
 from pathlib import Path
 from anisoscope.cli import main
-from anisoscope.expectation import expectation
-from anisoscope.recipe import read_recipe
+from anisoscope.prediction.expectation import expectation
+from anisoscope.recipe.recipe import read_recipe
 expectation(read_recipe(Path(sys.argv[1])), 10.0)  # what it keeps of the material, every child has
 gc.collect()
 gc.freeze()  # so that no child looks at all this again when it ends

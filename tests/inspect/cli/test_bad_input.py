@@ -5,10 +5,10 @@ import shutil
 import numpy as np
 import pytest
 
-from anisoscope.cli.demo_ridges import lay_out
+from anisoscope.base.progress import silent
+from anisoscope.cli.demo.ridges import lay_out
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.progress import silent
 
 
 @pytest.fixture(scope="module")

@@ -12,17 +12,17 @@ from pathlib import Path
 import pytest
 import tomli_w
 
-from anisoscope.batch.journal import read_batch
-from anisoscope.batch.tray import read_tray
 from anisoscope.calibration.pictures import take_flat
-from anisoscope.cli.batch_operator import Terminal, table_of
 from anisoscope.cli.console import console
-from anisoscope.cli.demo_folder import FIXTURE
+from anisoscope.cli.demo.folder import FIXTURE
+from anisoscope.cli.inspect.batch_operator import Terminal, table_of
 from anisoscope.history.rows import seal_of
 from anisoscope.history.store import open_history
+from anisoscope.inspection.batch.journal import read_batch
+from anisoscope.inspection.batch.tray import read_tray
+from anisoscope.inspection.integrity import verify
 from anisoscope.rig.frame import read_frame
 from anisoscope.rig.framefolder import write_frame_folder
-from anisoscope.verifying import verify
 
 SPEC = importlib.util.spec_from_file_location("nursery", Path(__file__).with_name("nursery.py"))
 nurseries = importlib.util.module_from_spec(SPEC)
@@ -248,7 +248,7 @@ def test_inspect_takes_a_scanned_serial_number_and_lot(start, rig, tmp_path):
 
 
 def test_texts_of_the_list_stay_texts(rig, capsys):
-    from anisoscope.batch.journal import new_batch
+    from anisoscope.inspection.batch.journal import new_batch
 
     tray = read_tray(rig / "tray.csv")
     batch = new_batch(tray, rig / "recipe.toml", rig / "rig.toml", None, None)

@@ -3,9 +3,9 @@ from pathlib import Path
 
 import pytest
 
-from anisoscope import inspection
-from anisoscope.cli.demo_ridges import PARTS, lay_out
-from anisoscope.progress import silent
+from anisoscope.base.progress import silent
+from anisoscope.cli.demo.ridges import PARTS, lay_out
+from anisoscope.inspection import run as inspection
 
 
 @pytest.fixture

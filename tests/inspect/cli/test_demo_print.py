@@ -2,7 +2,7 @@
 
 import pytest
 
-from anisoscope.cli.demo_print import PARTS
+from anisoscope.cli.demo.prints import PARTS
 
 
 @pytest.mark.soak

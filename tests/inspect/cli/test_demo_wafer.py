@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import tomli_w
 
-from anisoscope.cli import demo_wafer
-from anisoscope.errors import RecipeError, UsageError
-from anisoscope.recipe import read_recipe
+from anisoscope.base.errors import RecipeError, UsageError
+from anisoscope.cli.demo import wafers as demo_wafer
+from anisoscope.recipe.recipe import read_recipe
 from anisoscope.rig.rigfile import read_rig
 from anisoscope.sim.bench.benchfile import read_bench
 

@@ -4,7 +4,7 @@ import shutil
 
 import pytest
 
-from anisoscope.record import read_record
+from anisoscope.record.schema import read_record
 from anisoscope.rig.frame import read_frame
 from anisoscope.rig.framefolder import write_frame_folder
 

@@ -4,8 +4,8 @@ import shutil
 
 import pytest
 
-from anisoscope.golden import golden_path
-from anisoscope.recipe import read_recipe
+from anisoscope.decision.reference_parts import golden_path
+from anisoscope.recipe.recipe import read_recipe
 
 
 @pytest.mark.usefixtures("plain_report")

@@ -4,10 +4,11 @@ import sqlite3
 
 import pytest
 
-from anisoscope import cli, inspection
+from anisoscope import cli
 from anisoscope.history.rows import seal_of
 from anisoscope.history.store import History, open_history
-from anisoscope.record import Particulars, Record, read_record, write_record
+from anisoscope.inspection import run as inspection
+from anisoscope.record.schema import Particulars, Record, read_record, write_record
 
 pytestmark = pytest.mark.usefixtures("plain_report", "no_history_said")
 INCONCLUSIVE = 2

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from anisoscope.inkfile import read_ink, synthetic_ink
 from anisoscope.sim.light.ink.model import brdf_at_angles
+from anisoscope.sim.materials.inks import read_ink, synthetic_ink
 
 DOCS = Path(__file__).resolve().parents[3] / "docs" / "inks.md"
 

@@ -4,7 +4,7 @@ import numpy as np
 import PIL.Image
 import pytest
 
-from anisoscope.inkfile import synthetic_ink
+from anisoscope.sim.materials.inks import synthetic_ink
 from anisoscope.sim.proof.comparison import synthetic_readings
 
 

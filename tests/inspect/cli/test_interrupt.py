@@ -11,13 +11,13 @@ import pytest
 import tomli_w
 
 from anisoscope.calibration.pictures import take_flat
-from anisoscope.cli.demo_folder import FIXTURE
-from anisoscope.inspection import resume_part
-from anisoscope.recomputing import recompute
-from anisoscope.record import read_record
+from anisoscope.cli.demo.folder import FIXTURE
+from anisoscope.inspection.integrity import verify
+from anisoscope.inspection.recompute import recompute
+from anisoscope.inspection.run import resume_part
+from anisoscope.record.schema import read_record
 from anisoscope.rig.acquisition.journal import JOURNAL, read_journal
 from anisoscope.rig.transport import Transport
-from anisoscope.verifying import verify
 
 SPEC = importlib.util.spec_from_file_location("nursery", Path(__file__).with_name("nursery.py"))
 nurseries = importlib.util.module_from_spec(SPEC)

@@ -5,11 +5,11 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from anisoscope.cli.predict_options import DEFAULTS, input_uncertainty
+from anisoscope.cli.predict.options import DEFAULTS, input_uncertainty
 from anisoscope.prediction.sensitivity import InputUncertainty
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.ideal import RidgeDesign, ridges
-from anisoscope.recipe import MaterialPart, RigUncertainty
+from anisoscope.recipe.recipe import MaterialPart, RigUncertainty
 
 FAST = ("--u-alpha", 0, "--u-index", 0)
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from anisoscope.errors import RecipeError
-from anisoscope.recipe import read_recipe
+from anisoscope.base.errors import RecipeError
+from anisoscope.recipe.recipe import read_recipe
 
 
 @pytest.fixture

@@ -196,7 +196,7 @@ def test_a_region_is_the_part_of_the_map_that_was_asked_for(here, tmp_path, heig
 
 
 def test_a_large_map_is_cut_to_its_middle_and_that_is_said(here, tmp_path, height_map, monkeypatch):
-    from anisoscope.cli import render_scene
+    from anisoscope.cli.render import scene as render_scene
 
     monkeypatch.setattr(render_scene, "MAX_POINTS", 15_000)
     frame = ("render", "frame", height_map, "--stage", 0, "--json", "--out", tmp_path / "f.png")

@@ -3,7 +3,7 @@
 import pytest
 import tomli_w
 
-from anisoscope.cli.demo_folder import FIXTURE
+from anisoscope.cli.demo.folder import FIXTURE
 from anisoscope.rig.rigfile import read_rig
 
 BENCH = {
@@ -94,8 +94,8 @@ def test_commission_finds_and_writes_and_check_agrees(anisoscope, rig, tmp_path)
     ],
 )
 def test_what_is_missing_is_named(rig, options, message):
-    from anisoscope.cli.rig import app
-    from anisoscope.errors import UsageError
+    from anisoscope.base.errors import UsageError
+    from anisoscope.cli.rig.rig import app
 
     with pytest.raises(UsageError, match=message):
         app(["commission", "--rig", str(rig), *options], result_action="return_value", exit_on_error=False)

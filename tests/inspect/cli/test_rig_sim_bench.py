@@ -13,8 +13,8 @@ import pytest
 import tomli_w
 
 from anisoscope.cli import run
-from anisoscope.inspection import inspect_part
-from anisoscope.live.view import look_at, wrapped_deg
+from anisoscope.inspection.run import inspect_part
+from anisoscope.live_view.view import look_at, wrapped_deg
 from anisoscope.rig.acquisition.opening import open_rig
 from anisoscope.rig.drivers import open_camera
 from anisoscope.rig.frame import read_frame

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from anisoscope.cli import run
-from anisoscope.cli.rig_live import blocks
+from anisoscope.cli.rig.live import blocks
 from anisoscope.rig.frame import read_frame
 
 

@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 
 from anisoscope.diagnosis.causes import Cause, all_causes
-from anisoscope.diagnosis.diagnosing import NOTHING, diagnose
 from anisoscope.diagnosis.evidence import Evidence, background_of, covariance_of, inputs_of
 from anisoscope.diagnosis.likelihood import fit_extent, interval
-from anisoscope.diagnosis.remembering import remembered_signatures
+from anisoscope.diagnosis.ranking import NOTHING, diagnose
 from anisoscope.diagnosis.separability import planned_covariance, separability
+from anisoscope.diagnosis.signature_cache import remembered_signatures
 from anisoscope.diagnosis.signatures import Signature, Signatures, signatures
-from anisoscope.expectation import Component, expectation
+from anisoscope.prediction.expectation import Component, expectation
 from anisoscope.prediction.propagation import PLASTIC_AND_SEAT
 from anisoscope.profiles.defects_contact import edge_wear
 from anisoscope.profiles.ideal import RidgeDesign, ridges
 from anisoscope.profiles.spoiling import DEFECTS
-from anisoscope.recipe import Recipe
+from anisoscope.recipe.recipe import Recipe
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import Convention, Pose, directions
 from anisoscope.sim.light.relief import Relief, radiance_maps
@@ -324,7 +324,7 @@ def test_signatures_are_computed_once(recipe, of_the_recipe, monkeypatch, tmp_pa
         calls.append(1)
         return of_the_recipe
 
-    monkeypatch.setattr("anisoscope.diagnosis.remembering.signatures", compute)
+    monkeypatch.setattr("anisoscope.diagnosis.signature_cache.signatures", compute)
     first, second = (remembered_signatures(recipe, 10.0) for _ in range(2))
     assert len(calls) == 1
     for one, other in zip(first.found, second.found, strict=True):
@@ -346,7 +346,7 @@ def test_signatures_are_computed_once(recipe, of_the_recipe, monkeypatch, tmp_pa
         file.write_bytes(b"damaged")
     remembered_signatures(recipe, 10.0)
     assert len(calls) == 3
-    monkeypatch.setattr("anisoscope.diagnosis.remembering.sources_digest", lambda *_: "other code")
+    monkeypatch.setattr("anisoscope.diagnosis.signature_cache.sources_digest", lambda *_: "other code")
     remembered_signatures(recipe, 10.0)
     assert len(calls) == 4
 

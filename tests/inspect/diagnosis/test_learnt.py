@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from anisoscope.diagnosis.causes import Cause
-from anisoscope.diagnosis.diagnosing import NOTHING, diagnose
 from anisoscope.diagnosis.evidence import Evidence, against, root_of
 from anisoscope.diagnosis.likelihood import fit_extent
+from anisoscope.diagnosis.ranking import NOTHING, diagnose
 from anisoscope.diagnosis.signatures import Signature, Signatures
 from anisoscope.sim.light.geometry import Pose
 

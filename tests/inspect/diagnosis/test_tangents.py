@@ -9,11 +9,11 @@ from anisoscope.diagnosis.evidence import Evidence, covariance_of, inputs_of
 from anisoscope.diagnosis.likelihood import fit_extent, interval
 from anisoscope.diagnosis.signatures import DOUBTFUL, signatures
 from anisoscope.diagnosis.tangents import A_SIDE, Tangents, looked_at, slopes_of
-from anisoscope.expectation import Component, expectation
+from anisoscope.prediction.expectation import Component, expectation
 from anisoscope.prediction.propagation import PLASTIC_AND_SEAT, RIDGE_ANGLE
 from anisoscope.prediction.sensitivity import State, evaluate, fixed
 from anisoscope.profiles.ideal import RidgeDesign
-from anisoscope.recipe import Recipe
+from anisoscope.recipe.recipe import Recipe
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import Convention
 

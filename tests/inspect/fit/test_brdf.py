@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from anisoscope.errors import UsageError
+from anisoscope.base.errors import UsageError
 from anisoscope.fit.brdf import COLUMNS, read_brdf, reciprocity, unit_vectors
 from anisoscope.fit.fitting import fit
 from anisoscope.fit.parameters import checked_values

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from anisoscope.errors import UsageError
-from anisoscope.experiment import Setup, absolute_contrasts
+from anisoscope.base.errors import UsageError
+from anisoscope.experiment.experiment import Setup, absolute_contrasts
 from anisoscope.fit.experiment import experiment_problem
 from anisoscope.fit.fitting import fit
 from anisoscope.fit.identifiability import information, whitening

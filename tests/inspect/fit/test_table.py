@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from anisoscope.errors import UsageError
+from anisoscope.base.errors import UsageError
 from anisoscope.fit.table import matrix_of_shared, read_readings
 from anisoscope.sim.light.geometry import Pose
 

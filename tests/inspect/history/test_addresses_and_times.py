@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from sqlalchemy import make_url, text
 
-from anisoscope.errors import UsageError
+from anisoscope.base.errors import UsageError
 from anisoscope.history.address import VARIABLE, chosen, parse_address
 from anisoscope.history.store import open_history
 from anisoscope.history.times import parse_moment

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from sqlalchemy import text
 
-from anisoscope.errors import UsageError
+from anisoscope.base.errors import UsageError
 from anisoscope.history.address import parse_address
 from anisoscope.history.problems import HistoryError
 from anisoscope.history.store import open_history

@@ -4,11 +4,11 @@ import shutil
 
 import pytest
 
-from anisoscope.errors import RecordError, UsageError
+from anisoscope.base.errors import RecordError, UsageError
 from anisoscope.history.adding import add_folders, finished_folders
 from anisoscope.history.comparing import record_of
 from anisoscope.history.finding import find
-from anisoscope.record import RECORD_NAME
+from anisoscope.record.schema import RECORD_NAME
 
 
 def test_a_whole_tree_enters_once(sqlite_history, inspected, tmp_path):

@@ -5,9 +5,9 @@ from datetime import UTC, datetime
 
 import pytest
 
-from anisoscope.errors import RecordError
+from anisoscope.base.errors import RecordError
 from anisoscope.history.rows import numbers_of, row_of, seal_of
-from anisoscope.record import RECORD_NAME, read_record
+from anisoscope.record.schema import RECORD_NAME, read_record
 
 
 def contrast(record, **changes):

@@ -9,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from anisoscope.errors import UsageError
+from anisoscope.base.errors import UsageError
 from anisoscope.ink.fitting import fit
 from anisoscope.ink.goniometer import Readings
-from anisoscope.inkfile import SYNTHETIC, synthetic_ink
 from anisoscope.sim.light.ink.model import brdf_at_angles
+from anisoscope.sim.materials.inks import SYNTHETIC, synthetic_ink
 
 TRIALS = 100
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from anisoscope.errors import ModelError
+from anisoscope.base.errors import ModelError
 from anisoscope.prediction.propagation import propagate
 from anisoscope.prediction.sensitivity import InputUncertainty, Shape, State, fixed
 from anisoscope.sim.light import corrected

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from anisoscope.errors import HeightMapError
+from anisoscope.base.errors import HeightMapError
+from anisoscope.prediction.optics_selection import Rig, _halves, _window, fine_enough
 from anisoscope.prediction.wave import WavePredictor
-from anisoscope.prediction.withoptics import Rig, _halves, _window, fine_enough
 from anisoscope.sim.light.geometry import Convention, Pose, directions
 from anisoscope.sim.light.material import Material
 from anisoscope.sim.light.optics import Optics

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from anisoscope.prediction.predicting import predict_design
+from anisoscope.prediction.predict import lost_in_roughness, predict_design
 from anisoscope.prediction.sensitivity import InputUncertainty
-from anisoscope.prediction.weakness import lost_in_roughness
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light.geometry import Convention, pose_grid
 from anisoscope.sim.light.material import Material

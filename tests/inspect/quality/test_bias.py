@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from anisoscope.errors import UsageError
+from anisoscope.base.errors import UsageError
 from anisoscope.quality.bias import bias_study
 from anisoscope.quality.control import Settings
 from anisoscope.quality.linearity import gauge_linearity

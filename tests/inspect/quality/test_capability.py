@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from anisoscope.errors import UsageError
+from anisoscope.base.errors import UsageError
 from anisoscope.quality.capability import Specification, capability, nearer_index, spread_index
 from anisoscope.quality.individuals import limits_of
 

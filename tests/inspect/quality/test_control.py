@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from anisoscope.errors import UsageError
+from anisoscope.base.errors import UsageError
 from anisoscope.quality.capability import Specification
 from anisoscope.quality.control import Settings, control_study
 

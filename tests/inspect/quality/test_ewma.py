@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from anisoscope.errors import UsageError
-from anisoscope.quality.ewma import ewma
+from anisoscope.base.errors import UsageError
+from anisoscope.quality.control import ewma
 from anisoscope.quality.individuals import given_limits
 
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.special import fdtri
 
-from anisoscope.errors import UsageError
-from anisoscope.quality import gaugeshare
+from anisoscope.base.errors import UsageError
+from anisoscope.quality import gauge_share as gaugeshare
 from anisoscope.quality.gauge import gauge_study
-from anisoscope.quality.gaugeshare import categories_of, share_interval
-from anisoscope.quality.gaugestudy import GaugeData
-from anisoscope.quality.meansquares import MeanSquare, component
+from anisoscope.quality.gauge_share import categories_of, share_interval
+from anisoscope.quality.gauge_study import GaugeData
+from anisoscope.quality.mean_squares import MeanSquare, component
 
 
 def data_of(values):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from anisoscope.errors import UsageError
+from anisoscope.base.errors import UsageError
 from anisoscope.quality.individuals import given_limits, limits_of, moving_range, sigma_freedom
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from anisoscope.quality.normality import anderson_darling, p_value
+from anisoscope.quality.control import anderson_darling, p_value
 
 
 def test_published_critical_values():

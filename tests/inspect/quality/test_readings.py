@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from anisoscope.errors import UsageError
-from anisoscope.quality.gaugetable import gauge_data
+from anisoscope.base.errors import UsageError
+from anisoscope.quality.gauge import gauge_data
 from anisoscope.quality.readings import read_readings
 
 TEXT = """serial,lot,ln 0-90,drift,verdict

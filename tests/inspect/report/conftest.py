@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.record import Record
+from anisoscope.record.schema import Record
 from anisoscope.report.inspection_page import Pictures
 
 # Chromium wants its pipes as descriptors 3 and 4. They may have any number here, also 3 and 4 themselves.

@@ -5,9 +5,9 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from anisoscope.errors import RecordError
-from anisoscope.experiment import SHAPE, Setup, run_experiment
-from anisoscope.findingsmap import findings_share
+from anisoscope.base.errors import RecordError
+from anisoscope.experiment.experiment import SHAPE, Setup, run_experiment
+from anisoscope.experiment.findings_map import findings_share
 from anisoscope.report.experiment_page import (
     bar_chart,
     findings_svg,

@@ -1,9 +1,9 @@
 """The page of inks: curves in the colours of the inks, as long as eyes can tell them apart."""
 
 from anisoscope.ink.appearance import show_inks
-from anisoscope.inkfile import synthetic_ink
 from anisoscope.report.ink_page import _charts
-from anisoscope.spectrumfile import find_illuminant
+from anisoscope.sim.materials.inks import synthetic_ink
+from anisoscope.sim.materials.spectra import find_illuminant
 
 
 def test_curves_have_the_colours_of_their_inks_unless_two_look_alike():

@@ -5,10 +5,10 @@ import threading
 import numpy as np
 import pytest
 
-from anisoscope.cli.rig_live import numbers
-from anisoscope.live.page import LivePage
-from anisoscope.live.picture import as_jpeg, draw
-from anisoscope.live.view import Meter, look_at
+from anisoscope.cli.rig.live import numbers
+from anisoscope.live_view.page import LivePage
+from anisoscope.live_view.picture import as_jpeg, draw
+from anisoscope.live_view.view import Meter, look_at
 from anisoscope.rig.camera import CameraInfo
 
 pytestmark = pytest.mark.browser

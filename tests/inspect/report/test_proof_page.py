@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from anisoscope.errors import UsageError
-from anisoscope.inkfile import SYNTHETIC, synthetic_ink
+from anisoscope.base.errors import UsageError
 from anisoscope.report.proof_page import Proof, ProofLight, ProofMesh, write_proof_page
 from anisoscope.sim.light.colour.illuminant import standard
 from anisoscope.sim.light.colour.observer import white_point
 from anisoscope.sim.light.colour.spaces import linear_srgb
 from anisoscope.sim.light.ink.shading import Light
+from anisoscope.sim.materials.inks import SYNTHETIC, synthetic_ink
 from anisoscope.sim.proof.imagefile import picture_png
 from anisoscope.sim.proof.mesh import read_obj
 from anisoscope.sim.proof.render import Extras, adaptation, direction, proof_picture, to_screen

@@ -8,8 +8,8 @@ import zipfile
 import numpy as np
 import pytest
 
-from anisoscope.report import relief3d
-from anisoscope.report.relief3d import MAX_POINTS, Renderer
+from anisoscope.report import surface_view as relief3d
+from anisoscope.report.surface_view import MAX_POINTS, Renderer
 
 PNG = b"\x89PNG\r\n\x1a\n"
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from anisoscope.record import sha256_of
+from anisoscope.record.schema import sha256_of
 from anisoscope.report import figures, inspection_page
 from anisoscope.report.peers import LotMate, among, lot_of
 from anisoscope.report.provenance import UNSAID, calibrations_of, files_of, groups_of
 from anisoscope.report.rule import rule_of
-from anisoscope.report.tiltparts import MOST, shown_between_tilts, tilt_parts, tilt_row
+from anisoscope.report.tilt_sections import MOST, shown_between_tilts, tilt_parts, tilt_row
 from anisoscope.report.wording import cause_range, cause_text, contrast_name, filters
 
 

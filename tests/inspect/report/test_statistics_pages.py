@@ -5,15 +5,15 @@ import re
 import numpy as np
 import pytest
 
+from anisoscope.base.errors import RecordError
+from anisoscope.calibration.photon_transfer import TransferCurve
 from anisoscope.calibration.record import dated, write_calibration
-from anisoscope.calibration.transfercurve import TransferCurve
-from anisoscope.errors import RecordError
 from anisoscope.quality.bias import bias_study
 from anisoscope.quality.camera import read_camera
 from anisoscope.quality.capability import Specification
 from anisoscope.quality.control import Settings, control_study
 from anisoscope.quality.gauge import gauge_study
-from anisoscope.quality.gaugestudy import GaugeData
+from anisoscope.quality.gauge_study import GaugeData
 from anisoscope.quality.linearity import gauge_linearity
 from anisoscope.quality.stability import stability_study
 from anisoscope.report.camera_page import write_camera_page

@@ -8,8 +8,8 @@ from html.parser import HTMLParser
 
 import pytest
 
-from anisoscope.report import viewer3d
-from anisoscope.report.viewer3d import viewer_of
+from anisoscope.report import surface_view as viewer3d
+from anisoscope.report.surface_view import viewer_of
 
 
 class Scripts(HTMLParser):

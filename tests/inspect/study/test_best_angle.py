@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from anisoscope.errors import UsageError
-from anisoscope.experiment import Setup, absolute_contrasts, findings
+from anisoscope.base.errors import UsageError
+from anisoscope.experiment.experiment import Setup, absolute_contrasts, findings
 from anisoscope.sim.light.material import Material
 from anisoscope.study.best_angle import IMPERFECTIONS, best_angle, folded_mean
 from anisoscope.study.convergence import Sampling

@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from anisoscope.errors import UsageError
-from anisoscope.expectation import Component
-from anisoscope.measurement import Measured, measure
+from anisoscope.base.errors import UsageError
+from anisoscope.decision.consistency_test import from_prediction
+from anisoscope.imaging.pose_radiance import Measured, measure
+from anisoscope.imaging.registration.placement import Grid
+from anisoscope.prediction.expectation import Component
 from anisoscope.profiles.defects_contact import edge_wear
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
-from anisoscope.registration.placement import Grid
 from anisoscope.report.detection_page import tables_of, write_detection_page
 from anisoscope.report.detection_text import BEGIN, END, INTERVALS, numbers_of, with_results, write_results
 from anisoscope.sim.bench.sensor import Sensor
@@ -24,22 +25,24 @@ from anisoscope.sim.light.ggx import lobe_maps
 from anisoscope.sim.light.material import Material, transmittance
 from anisoscope.sim.light.relief import Relief, radiance_maps
 from anisoscope.sim.light.shine import shine_in
-from anisoscope.study import detection_diagnosis, detection_sheets
-from anisoscope.study.detection import Plan, collect, told_study
-from anisoscope.study.detection_chunk import MEASURED_SOURCES, ChunkTask, inspect_chunk, read_chunk
-from anisoscope.study.detection_diagnosis import true_extents
-from anisoscope.study.detection_lobes import lobes_of, quick_shine
-from anisoscope.study.detection_outlook import area_of
-from anisoscope.study.detection_pictures import (
+from anisoscope.study.detection import diagnosis as detection_diagnosis
+from anisoscope.study.detection import sheets as detection_sheets
+from anisoscope.study.detection.chunk import (
+    MEASURED_SOURCES,
+    ChunkTask,
     Window,
+    inspect_chunk,
     new_cameras,
     nominal,
     photograph,
     profile_radiance,
     radiance_of_part,
+    read_chunk,
     views_of_series,
 )
-from anisoscope.study.detection_product import (
+from anisoscope.study.detection.diagnosis import true_extents
+from anisoscope.study.detection.lobes import lobes_of, quick_shine
+from anisoscope.study.detection.product import (
     BY_NAME,
     CLASSES,
     GOOD,
@@ -52,10 +55,11 @@ from anisoscope.study.detection_product import (
     expected_of,
     recipe_of,
 )
-from anisoscope.study.detection_results import RULES, golden_pool, met_sets, with_area
-from anisoscope.study.detection_rules import bench_of, covariance_of_measurement, distances, limits, p_values
-from anisoscope.study.detection_sheets import POINTS, SheetTask, cut, make_sheet, read_sheet, sheet_surface
-from anisoscope.study.detection_statistics import (
+from anisoscope.study.detection.results import RULES, golden_pool, met_sets, with_area
+from anisoscope.study.detection.rules import bench_of, covariance_of_measurement, distances, limits, p_values
+from anisoscope.study.detection.run import Plan, area_of, collect, told_study
+from anisoscope.study.detection.sheets import POINTS, SheetTask, cut, make_sheet, read_sheet, sheet_surface
+from anisoscope.study.detection.statistics import (
     area_under_curve,
     curve,
     histogram,
@@ -64,7 +68,6 @@ from anisoscope.study.detection_statistics import (
     uniformity,
 )
 from anisoscope.study.sweep import Workers
-from anisoscope.weighing import from_prediction
 
 SMALL = Size(ridges=7, pitches=5, sheets=2, chunk=4, causes=("roughness-across", "seating-y"))
 POSES = recipe_of("tilted", SMALL).poses.poses()

@@ -6,8 +6,8 @@ import pytest
 from anisoscope.diagnosis.causes import Cause
 from anisoscope.diagnosis.evidence import Evidence, background_of
 from anisoscope.diagnosis.signatures import Signature, Signatures
-from anisoscope.study import detection_intervals
-from anisoscope.study.detection_intervals import (
+from anisoscope.study.detection import intervals as detection_intervals
+from anisoscope.study.detection.intervals import (
     Doubt,
     Part,
     background_of_good,
@@ -16,7 +16,7 @@ from anisoscope.study.detection_intervals import (
     holds,
     intervals_held,
 )
-from anisoscope.study.detection_product import Size
+from anisoscope.study.detection.product import Size
 
 DIRECTION = np.array([1.0, 0.4, -0.6, 0.2, 0.0])
 EXTENTS = np.linspace(0.0, 2.0, 9)

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from anisoscope.errors import UsageError
-from anisoscope.prediction.predicting import predict_design
+from anisoscope.base.errors import UsageError
+from anisoscope.prediction.predict import predict_design
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light.geometry import Convention, pose_grid
 from anisoscope.sim.light.material import Material

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from anisoscope.errors import UsageError
+from anisoscope.base.errors import UsageError
 from anisoscope.study import box
 from anisoscope.study import optimum as search
 from anisoscope.study.objective import Part, Scored, Scoring, Tolerances, score

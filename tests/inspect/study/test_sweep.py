@@ -10,7 +10,7 @@ import time
 
 import pytest
 
-from anisoscope.errors import HeightMapError, UsageError
+from anisoscope.base.errors import HeightMapError, UsageError
 from anisoscope.study import sweep as sweep_module
 from anisoscope.study.sweep import SweepError, Workers, sweep
 

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from anisoscope.errors import HeightMapError
+from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.files import guard
 
 MISBEHAVING = """

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from anisoscope.errors import HeightMapError
+from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.files.formats import FORMATS
 from anisoscope.profiles.files.load import read_height_map, write_height_map
 from anisoscope.profiles.files.nms import read_nms

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from anisoscope.errors import HeightMapError
+from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.files.load import read_height_map, write_height_map
 from anisoscope.profiles.heightmap import HeightMap
 

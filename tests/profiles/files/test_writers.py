@@ -8,7 +8,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from anisoscope.errors import HeightMapError, UsageError
+from anisoscope.base.errors import HeightMapError, UsageError
 from anisoscope.profiles.files.library import read_library
 from anisoscope.profiles.files.load import WRITERS, read_height_map, write_height_map
 from anisoscope.profiles.files.x3p import read_x3p, write_x3p
@@ -98,7 +98,7 @@ def test_gsf_and_tiff_begin_at_the_top(tmp_path):
 
 
 def test_convert_overwrites_only_on_purpose(tmp_path):
-    from anisoscope.cli.profile import app
+    from anisoscope.cli.profile.profile import app
 
     def run(*arguments):
         return app([str(a) for a in arguments], exit_on_error=False, print_error=False,

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from anisoscope.errors import HeightMapError
+from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.files.load import read_height_map, write_height_map
 from anisoscope.profiles.files.x3p import read_x3p, write_x3p
 from anisoscope.profiles.heightmap import HeightMap

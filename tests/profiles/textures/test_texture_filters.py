@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from anisoscope.errors import HeightMapError
+from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.textures.filters import (
     gaussian_mean,

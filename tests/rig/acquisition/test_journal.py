@@ -2,7 +2,7 @@
 
 import pytest
 
-from anisoscope.errors import RecordError
+from anisoscope.base.errors import RecordError
 from anisoscope.rig.acquisition.journal import JOURNAL, FrameLine, JournalFile, RunLine, read_journal
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from anisoscope.errors import NotConnected, RigError, RigFileError
+from anisoscope.base.errors import NotConnected, RigError, RigFileError
 from anisoscope.rig.acquisition.interruptions import undisturbed
 from anisoscope.rig.acquisition.opening import open_devices, open_rig
 from anisoscope.rig.rigfile import CameraPart, LightPart, RigFile, StagePart, TiltPart

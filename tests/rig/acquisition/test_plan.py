@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from anisoscope.errors import UsageError
+from anisoscope.base.errors import UsageError
 from anisoscope.rig.acquisition.plan import (
     DarkEvent,
     ExposeEvent,

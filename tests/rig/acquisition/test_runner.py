@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from anisoscope.errors import CameraError, NotConnected, RecordError, RigError, RigFileError
-from anisoscope.record import sha256_of
+from anisoscope.base.errors import CameraError, NotConnected, RecordError, RigError, RigFileError
+from anisoscope.record.schema import sha256_of
 from anisoscope.rig import drivers
 from anisoscope.rig.acquisition import opening, writer
 from anisoscope.rig.acquisition.journal import read_journal

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from anisoscope.errors import CameraError, NotConnected, RigFileError
+from anisoscope.base.errors import CameraError, NotConnected, RigFileError
 from anisoscope.rig.bayer import channel_of_pixels
 from anisoscope.rig.camera import Camera
 from anisoscope.rig.cameras import baslersdk
@@ -311,7 +311,7 @@ def test_without_pypylon_the_remedy_is_named():
     program = (
         "import sys; sys.modules['pypylon'] = None\n"
         "from anisoscope.rig.drivers import open_camera\n"
-        "from anisoscope.errors import CameraError\n"
+        "from anisoscope.base.errors import CameraError\n"
         "try: open_camera('basler', serial='1')\n"
         "except CameraError as problem: print(problem)\n"
     )

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from anisoscope.errors import CameraError, RigFileError
+from anisoscope.base.errors import CameraError, RigFileError
 from anisoscope.rig.camera import Camera
 from anisoscope.rig.cameras.folder import FolderCamera
 from anisoscope.rig.drivers import open_camera

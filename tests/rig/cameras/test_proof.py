@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from anisoscope.errors import CameraError, UsageError
+from anisoscope.base.errors import CameraError, UsageError
 from anisoscope.rig.camera import CameraInfo, CameraSettings
 from anisoscope.rig.cameras.proof import prove_exposure
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from anisoscope.errors import CalibrationError, RigFileError
+from anisoscope.base.errors import CalibrationError, RigFileError
 from anisoscope.rig.cameras.response import (
     LINEAR_BLACK,
     fit_response,

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from anisoscope.errors import CameraError, NotConnected, RigFileError
+from anisoscope.base.errors import CameraError, NotConnected, RigFileError
 from anisoscope.rig.camera import Camera
 from anisoscope.rig.cameras import uvcsetup
 from anisoscope.rig.cameras.uvc import UvcCamera

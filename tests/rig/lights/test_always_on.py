@@ -1,6 +1,6 @@
 import pytest
 
-from anisoscope.errors import RigError
+from anisoscope.base.errors import RigError
 from anisoscope.rig.drivers import open_light
 from anisoscope.rig.light import Light, rest
 from anisoscope.rig.lights.always_on import AlwaysOn

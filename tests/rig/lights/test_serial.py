@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from anisoscope.errors import NotConnected, ProtocolError, RigError
+from anisoscope.base.errors import NotConnected, ProtocolError, RigError
 from anisoscope.rig.drivers import open_light
 from anisoscope.rig.light import Light
 from anisoscope.rig.lights.light_line import LightStatus

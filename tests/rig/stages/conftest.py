@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from anisoscope import errors
+from anisoscope.base import errors
 from anisoscope.rig.drivers import open_stage
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
 from anisoscope.sim.bench.firmware.catalogue import Mount, build

@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from anisoscope.errors import LimitExceeded, MotionTimeout, NotHomed, ProtocolError, RigError, Stalled
+from anisoscope.base.errors import LimitExceeded, MotionTimeout, NotHomed, ProtocolError, RigError, Stalled
 from anisoscope.rig.stages.apt import Apt
 from anisoscope.rig.stages.apt_scales import scale_of
 from anisoscope.rig.stages.apt_wire import (

@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from anisoscope.errors import LimitExceeded, MotionTimeout, NotConnected, NotHomed, RigError, Stalled
+from anisoscope.base.errors import LimitExceeded, MotionTimeout, NotConnected, NotHomed, RigError, Stalled
 from anisoscope.rig.drivers import STAGES, installed
 from anisoscope.rig.stage import RotationStage
 from anisoscope.sim.bench.firmware import catalogue

@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from anisoscope.errors import LimitExceeded, NotConnected, NotHomed, ProtocolError, RigError, Stalled
+from anisoscope.base.errors import LimitExceeded, NotConnected, NotHomed, ProtocolError, RigError, Stalled
 from anisoscope.rig.stages.grbl import Grbl
 from anisoscope.rig.stages.grbl_wire import (
     Alarm,

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from anisoscope.errors import LimitExceeded, NotConnected, RigError
+from anisoscope.base.errors import LimitExceeded, NotConnected, RigError
 from anisoscope.rig.drivers import open_stage
 from anisoscope.rig.stage import RotationStage
 from anisoscope.rig.stages.manual import ManualStage, ask_in_terminal

@@ -11,7 +11,7 @@ from hypothesis.stateful import (
     run_state_machine_as_test,
 )
 
-from anisoscope.errors import LimitExceeded, NotHomed
+from anisoscope.base.errors import LimitExceeded, NotHomed
 from anisoscope.sim.bench.serialports import protocol_sim
 
 HARMLESS = [(), ("split",), ("unsolicited",), ("garbage",), ("joined",), ("busy:1",)]

@@ -2,7 +2,7 @@
 
 import pytest
 
-from anisoscope.errors import LimitExceeded, NotConnected, NotHomed, ProtocolError, RigError, Stalled
+from anisoscope.base.errors import LimitExceeded, NotConnected, NotHomed, ProtocolError, RigError, Stalled
 from anisoscope.rig.stages.smc100 import Smc100
 from anisoscope.rig.stages.smc100_wire import Answer, State, error_of_letter
 from anisoscope.rig.transport import Transport, shared_ports

@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from anisoscope.errors import (
+from anisoscope.base.errors import (
     LimitExceeded,
     MotionTimeout,
     NotConnected,

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from anisoscope.errors import NotConnected, RigFileError, Stalled
+from anisoscope.base.errors import NotConnected, RigFileError, Stalled
+from anisoscope.imaging.registration.placement import angle_between, locate
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign, ridges
-from anisoscope.registration.placement import angle_between, locate
 from anisoscope.rig.lights.serial import SerialLight
 from anisoscope.rig.stages.elliptec import Elliptec
 from anisoscope.sim.bench.bench import shared_bench

@@ -1,7 +1,7 @@
 import pytest
 import tomli_w
 
-from anisoscope.errors import RigFileError
+from anisoscope.base.errors import RigFileError
 from anisoscope.sim.bench.benchfile import read_bench
 
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from anisoscope.errors import CameraError
+from anisoscope.base.errors import CameraError
 from anisoscope.rig.camera import Camera
 from anisoscope.rig.drivers import open_camera, open_light
 from anisoscope.rig.light import Light

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from anisoscope.errors import CameraError, NotConnected, ProtocolError, RigFileError
+from anisoscope.base.errors import CameraError, NotConnected, ProtocolError, RigFileError
 from anisoscope.rig.camera import Camera, CameraInfo, CameraSettings
 from anisoscope.rig.drivers import open_camera
 from anisoscope.sim.bench.camera import SimulatedCamera
@@ -158,7 +158,7 @@ def test_a_program_that_ends_while_a_picture_is_rendered_ends_with_its_own_code(
         import scipy.fft
         from anisoscope.rig.camera import CameraInfo
         from anisoscope.rig.drivers import open_camera
-        from anisoscope.errors import NotConnected
+        from anisoscope.base.errors import NotConnected
         from anisoscope.sim.bench.camera_server import CameraServer
 
         begun = threading.Event()

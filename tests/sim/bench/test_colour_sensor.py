@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from anisoscope.errors import RigFileError
+from anisoscope.base.errors import RigFileError
 from anisoscope.rig.bayer import FILTERS, channel_of_pixels
 from anisoscope.sim.bench.benchfile import SensorPart
 from anisoscope.sim.bench.camera import SimulatedCamera

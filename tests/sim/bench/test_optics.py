@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from anisoscope.errors import RigFileError
+from anisoscope.base.errors import RigFileError
 from anisoscope.rig.fixture import Fixture, Marker
 from anisoscope.sim.bench.benchfile import OpticsPart, SensorPart
 from anisoscope.sim.bench.optics import image_of_fixture, image_of_surface, pixel_from_mm, vignette

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from anisoscope.batch.codes import read_codes, read_picture
-from anisoscope.cli.demo_folder import FIXTURE
-from anisoscope.errors import RigFileError
+from anisoscope.base.errors import RigFileError
+from anisoscope.cli.demo.folder import FIXTURE
+from anisoscope.inspection.batch.codes import read_codes, read_picture
 from anisoscope.rig.frame import Frame, write_frame
 from anisoscope.sim.bench.bench import Bench
 from anisoscope.sim.bench.benchfile import BenchFile, CodePart

@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from anisoscope.errors import RigFileError
-from anisoscope.inkfile import synthetic_ink, write_ink
-from anisoscope.registration.placement import angle_between, locate
+from anisoscope.base.errors import RigFileError
+from anisoscope.imaging.registration.placement import angle_between, locate
 from anisoscope.rig.bayer import channel_of_pixels, grey_of
 from anisoscope.sim.bench.printpart import PrintPart
 from anisoscope.sim.bench.prints import PrintSample, printed_ink
@@ -16,6 +15,7 @@ from anisoscope.sim.light.colour.vision import Vision, synthetic_bayer, syntheti
 from anisoscope.sim.light.geometry import Convention, Pose, directions
 from anisoscope.sim.light.ink.distributions import density
 from anisoscope.sim.light.ink.model import brdf
+from anisoscope.sim.materials.inks import synthetic_ink, write_ink
 
 VISION = Vision(synthetic_white_led(), synthetic_bayer())
 RED, BLUE = synthetic_ink("synthetic-red"), synthetic_ink("synthetic-blue")

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from anisoscope.cli.rig import ports
-from anisoscope.cli.rig_sim import device
-from anisoscope.errors import RigError, UsageError
+from anisoscope.base.errors import RigError, UsageError
+from anisoscope.cli.rig.rig import ports
+from anisoscope.cli.rig.sim import device
 from anisoscope.rig.transport import Transport
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
 from anisoscope.sim.bench.firmware.elliptec import ElliptecFirmware
@@ -83,7 +83,7 @@ def test_the_command_serves_until_it_is_told_to_stop(option, ending):
         "import signal, sys\n"
         "def end(*_): raise KeyboardInterrupt\n"
         "signal.signal(signal.SIGTERM, end)\n"
-        "from anisoscope.cli.rig import app\n"
+        "from anisoscope.cli.rig.rig import app\n"
         "sys.exit(app(sys.argv[1:], result_action='return_value'))\n"
     )
     command = [sys.executable, "-c", code, "sim", "elliptec", option, "--time-scale", "0", "--fault", "split"]

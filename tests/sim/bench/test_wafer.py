@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import tomli_w
 
-from anisoscope.errors import RigFileError
+from anisoscope.base.errors import RigFileError
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.sim.bench.bench import Bench
 from anisoscope.sim.bench.benchfile import read_bench

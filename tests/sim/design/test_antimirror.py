@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from anisoscope.errors import ModelError
+from anisoscope.base.errors import ModelError
 from anisoscope.sim.design.antimirror import AntiMirror
 from anisoscope.sim.light.wave.claims import anti_mirror
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from anisoscope.errors import ModelError
+from anisoscope.base.errors import ModelError
 from anisoscope.sim.design.depths import Depths, design_depths, mean_phases, wavelengths
 from anisoscope.sim.light.wave.claims import mean_phase
 

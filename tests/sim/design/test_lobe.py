@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from anisoscope.errors import ModelError
+from anisoscope.base.errors import ModelError
 from anisoscope.sim.design.lobe import LobeTask, design_axis, design_lobe, gaussian
 from anisoscope.sim.light.wave.claims import lobe
 from anisoscope.sim.light.wave.sampling import steps_profile

@@ -6,7 +6,7 @@ import gdstk
 import numpy as np
 import pytest
 
-from anisoscope.errors import ConfigError, HeightMapError, ModelError
+from anisoscope.base.errors import ConfigError, HeightMapError, ModelError
 from anisoscope.sim.design.appearance import mirrored_dots, pattern_under, screen, spectral_density
 from anisoscope.sim.design.designfile import (
     DesignFile,

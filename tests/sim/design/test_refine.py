@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from anisoscope.errors import ModelError
+from anisoscope.base.errors import ModelError
 from anisoscope.sim.design.dot import Dot, DotState, DotTask
 from anisoscope.sim.design.polish import Bench, Polish
 from anisoscope.sim.design.refine import Limits, mutated, refine

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from anisoscope.errors import ModelError
+from anisoscope.base.errors import ModelError
 from anisoscope.sim.light.geometry import Convention, Pose, directions, pose_grid, seating_rotation
 
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from anisoscope.errors import ModelError
+from anisoscope.base.errors import ModelError
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
 from anisoscope.sim.light import relief
 from anisoscope.sim.light.geometry import Convention, Pose, directions

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from anisoscope.errors import ModelError
+from anisoscope.base.errors import ModelError
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import Convention, Pose, directions, pose_grid

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from anisoscope.errors import HeightMapError, ModelError
+from anisoscope.base.errors import HeightMapError, ModelError
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light import corrected

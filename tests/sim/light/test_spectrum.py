@@ -1,6 +1,6 @@
 import pytest
 
-from anisoscope.errors import ModelError
+from anisoscope.base.errors import ModelError
 from anisoscope.sim.light.material import Material
 from anisoscope.sim.light.spectrum import Spectrum
 

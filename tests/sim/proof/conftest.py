@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from anisoscope.inkfile import SYNTHETIC, synthetic_ink
 from anisoscope.sim.light.colour.illuminant import standard
+from anisoscope.sim.materials.inks import SYNTHETIC, synthetic_ink
 from anisoscope.sim.proof.separation import separation
 
 

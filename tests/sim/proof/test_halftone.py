@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
-from anisoscope.errors import ModelError
+from anisoscope.base.errors import ModelError
 from anisoscope.sim.light.colour.illuminant import standard
 from anisoscope.sim.proof.halftone import BLOCK, coverage, halftone
 from anisoscope.sim.proof.separation import decode_srgb, separation

@@ -5,7 +5,7 @@ import numpy as np
 import PIL.Image
 import pytest
 
-from anisoscope.errors import UsageError
+from anisoscope.base.errors import UsageError
 from anisoscope.sim.proof.imagefile import dots_png, film_png, photo_uri, read_image, to_dots
 from anisoscope.sim.proof.separation import decode_srgb
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from anisoscope.errors import ModelError
+from anisoscope.base.errors import ModelError
 from anisoscope.sim.proof.mask import SEED, SIZE, thresholds, void_and_cluster
 
 

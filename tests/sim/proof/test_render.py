@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from anisoscope.errors import ModelError
+from anisoscope.base.errors import ModelError
 from anisoscope.sim.light.colour.illuminant import standard
 from anisoscope.sim.light.colour.observer import white_point
 from anisoscope.sim.light.colour.spaces import linear_srgb

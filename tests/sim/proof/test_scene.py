@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from anisoscope.errors import ModelError, UsageError
+from anisoscope.base.errors import ModelError, UsageError
 from anisoscope.sim.light.ink.shapes import sphere
 from anisoscope.sim.proof.mesh import read_obj
 from anisoscope.sim.proof.scene import Scene, cylinder_size, plane_size, printed, surface

@@ -4,7 +4,7 @@ import struct
 
 import pytest
 
-from anisoscope.errors import UsageError
+from anisoscope.base.errors import UsageError
 from anisoscope.sim.bench.firmware.apt import AptFirmware
 from anisoscope.sim.bench.firmware.apt_models import MODELS
 from anisoscope.sim.bench.firmware.axis import RotaryAxis

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from anisoscope.errors import ModelError
+from anisoscope.base.errors import ModelError
 from anisoscope.sim.light.colour.illuminant import Illuminant, standard, standard_names
 from anisoscope.sim.light.colour.observer import matching_functions, white_point, xyz_weights
 from anisoscope.sim.light.colour.spaces import (

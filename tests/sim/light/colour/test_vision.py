@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from anisoscope.errors import ModelError
+from anisoscope.base.errors import ModelError
 from anisoscope.sim.light.colour.illuminant import Illuminant, standard
 from anisoscope.sim.light.colour.lamps import synthetic_white_led
 from anisoscope.sim.light.colour.observer import matching_functions, xyz_weights

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from anisoscope.errors import ModelError
+from anisoscope.base.errors import ModelError
 from anisoscope.sim.light.ink.albedo import albedo_warning, directional_albedo
 from anisoscope.sim.light.ink.angles import in_plane
 from anisoscope.sim.light.ink.model import MODELS, brdf, brdf_at_angles

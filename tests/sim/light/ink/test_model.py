@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from anisoscope.errors import ModelError
+from anisoscope.base.errors import ModelError
 from anisoscope.sim.light.ink import tio2
 from anisoscope.sim.light.ink.angles import cos_half_sum, goniometer, half_vector, shift
 from anisoscope.sim.light.ink.distributions import density, masking, smith_lambda

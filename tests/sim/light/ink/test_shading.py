@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from anisoscope.errors import ModelError
+from anisoscope.base.errors import ModelError
 from anisoscope.sim.light import threads
 from anisoscope.sim.light.colour.illuminant import standard
 from anisoscope.sim.light.colour.observer import white_point

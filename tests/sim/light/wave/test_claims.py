@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from anisoscope.errors import ModelError
+from anisoscope.base.errors import ModelError
 from anisoscope.sim.light.wave import claims, sampling
 from anisoscope.sim.light.wave.angular import angular_map
 from anisoscope.sim.light.wave.surface import WaveSurface

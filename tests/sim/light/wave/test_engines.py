@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from anisoscope.errors import ModelError
+from anisoscope.base.errors import ModelError
 from anisoscope.sim.light.wave import fused, quadratic
 from anisoscope.sim.light.wave.angular import angular_map
 from anisoscope.sim.light.wave.correlation import correlation_of, reach_um

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from anisoscope.errors import ModelError
+from anisoscope.base.errors import ModelError
 from anisoscope.profiles.etching import Etched
 from anisoscope.sim.light.wave import fused
 from anisoscope.sim.light.wave.halfvectors import across_beam, half_vector

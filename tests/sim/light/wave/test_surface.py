@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import uniform_filter1d
 
-from anisoscope.errors import HeightMapError
+from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.sim.light.wave.angular import angular_map
 from anisoscope.sim.light.wave.surface import WaveSurface, sampling_of, slope_limit_deg

@@ -1,0 +1,1 @@
+"""Foundations without optics: errors, files that are written whole, tables, progress, caches."""

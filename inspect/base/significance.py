@@ -1,0 +1,106 @@
+"""Is a deviation more than chance? Distances in the metric of their covariance, and which of many deviations count.
+
+Contrasts of pairs of angles depend on each other: (0°, 90°), (90°, 180°) and (0°, 180°) are three numbers and two
+facts. All deviations together are weighed in the basis ln L − ln L of the first pose, of which there are poses − 1.
+"""
+
+import numpy as np
+
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import MeasurementError
+
+
+def log_basis(poses: int) -> FloatArray:
+    """(P − 1, P) matrix that takes ln L to its differences from the first pose; the scale k cancels."""
+    return np.asarray(np.hstack([-np.ones((poses - 1, 1)), np.eye(poses - 1)]))
+
+
+def mahalanobis(deviation: FloatArray, covariance: FloatArray) -> tuple[float, int]:
+    """Squared distance dᵀV⁺d within the range of V, and the rank of V.
+
+    Args:
+        deviation: (m,).
+        covariance: (m, m).
+
+    Raises:
+        MeasurementError: V is zero: nothing would be uncertain.
+    """
+    values, vectors = np.linalg.eigh(covariance)
+    kept = values > max(values[-1], 0.0) * values.size * np.finfo(np.float64).eps
+    if not kept.any():
+        raise MeasurementError(
+            "no source of uncertainty is left, so that no deviation can be weighed: "
+            "state some under [uncertainty] in the recipe"
+        )
+    return float(np.sum((deviation @ vectors[:, kept]) ** 2 / values[kept])), int(kept.sum())
+
+
+def hotelling(value: FloatArray, sample: FloatArray) -> tuple[float, float]:
+    """Hotelling's T² of one new observation against n earlier ones, and its p value.
+
+    T² = n/(n + 1)·(x − x̄)ᵀS⁻¹(x − x̄), and T²·(n − m)/(m·(n − 1)) is F-distributed with m and n − m degrees of
+    freedom (Hotelling 1931; Montgomery, Introduction to Statistical Quality Control, phase II). The scatter S of the
+    earlier parts holds the uncertainty of the measurement already.
+
+    Args:
+        value: (m,) of the new part.
+        sample: (n, m) of the earlier ones, n > m.
+
+    Raises:
+        MeasurementError: too few earlier parts, or they do not vary in every direction.
+    """
+    from scipy.stats import f  # noqa: PLC0415 - 1 s
+
+    n, m = sample.shape
+    if n <= m:
+        raise MeasurementError(
+            f"{n} good parts cannot tell how {m} contrasts vary: at least {m + 1} are needed, {3 * m} are sensible"
+        )
+    scatter = np.atleast_2d(np.cov(sample, rowvar=False))
+    if np.linalg.matrix_rank(scatter) < m:
+        raise MeasurementError(
+            "the good parts do not vary independently in all contrasts: were some of them added twice?"
+        )
+    off = value - sample.mean(axis=0)
+    t2 = n / (n + 1.0) * float(off @ np.linalg.solve(scatter, off))
+    return t2, float(f.sf(t2 * (n - m) / (m * (n - 1.0)), m, n - m))
+
+
+def holm(p_values: FloatArray) -> FloatArray:
+    """P values made comparable with one level for all of them (Holm 1979): (m,) in the order given."""
+    order = np.argsort(p_values, kind="stable")
+    stepped = np.asarray(p_values)[order] * np.arange(len(p_values), 0, -1)
+    adjusted = np.empty(len(p_values))
+    adjusted[order] = np.minimum(np.maximum.accumulate(stepped), 1.0)
+    return adjusted
+
+
+def two_sided(z: FloatArray) -> FloatArray:
+    """Two-sided p values of standard normal scores."""
+    from scipy.special import erfc  # noqa: PLC0415
+
+    return np.asarray(erfc(np.abs(z) / np.sqrt(2.0)))
+
+
+def joint_conformance(deviation: FloatArray, covariance: FloatArray, tolerances: FloatArray) -> float:
+    """Probability that all true deviations lie within their tolerances at once (JCGM 106:2012, 7.2, for several).
+
+    Args:
+        deviation: (m,) measured deviations.
+        covariance: (m, m) of them.
+        tolerances: (m,) largest allowed ones.
+    """
+    from scipy.stats import multivariate_normal  # noqa: PLC0415 - 1 s
+
+    if not np.any(covariance):
+        return float(np.all(np.abs(deviation) <= tolerances))
+    low, high = -tolerances - deviation, tolerances - deviation
+    found = multivariate_normal.cdf(
+        high, mean=np.zeros_like(deviation), cov=covariance, allow_singular=True, lower_limit=low, rng=0
+    )
+    return float(np.clip(found, 0.0, 1.0))
+
+
+def said(p_value: float) -> str:
+    """A probability after the word p, such as ``= 0.012``; one too small for a double is no certainty: ``< 1e-300``."""
+    return f"= {p_value:.2g}" if p_value >= 1e-300 else "< 1e-300"

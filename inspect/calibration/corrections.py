@@ -1,0 +1,231 @@
+"""What an inspection takes from the rig's calibrations: corrections, uncertainties, and whether they still hold.
+
+A file that is missing, damaged or of another camera is an error before anything moves (exit code 3). A calibration that
+has expired, or was out of its limits, makes an INVALID record that says so.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from datetime import datetime
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.base.errors import CalibrationError, RegistrationError
+from anisoscope.calibration.record import (
+    KINDS,
+    CalibrationRecord,
+    Kind,
+    advice,
+    picture_path,
+    read_calibration,
+    record_path,
+)
+from anisoscope.imaging.linearisation import Image, Mask, RadianceImage, Stack, WhiteReference
+from anisoscope.imaging.registration.placement import Placement, angle_between
+from anisoscope.kinds.prints.recipe import PrintRecipe
+from anisoscope.recipe.recipe import Recipe
+from anisoscope.rig.rigfile import CalibrationPart
+
+RecipeT = TypeVar("RecipeT", Recipe, PrintRecipe)
+CENTRE_PX = 5.0
+TURN_DEG = 0.2
+DARK_LEVEL_SHARE = 0.005
+
+
+@dataclass(frozen=True, eq=False)
+class Calibrations:
+    """The calibrations of a rig that have records, as an inspection uses them.
+
+    Attributes:
+        records: by kind; a flat of an earlier version has none.
+        stray: (rows, cols) stray light in counts per second at gain 1.
+        hot: (rows, cols) pixels that the dark calibration found hot.
+        files: every file that was read, with its role.
+    """
+
+    records: Mapping[Kind, CalibrationRecord] = field(default_factory=dict)
+    stray: Image | None = None
+    hot: Mask | None = None
+    files: Mapping[str, Path] = field(default_factory=dict)
+
+    def check_valid(self, at: datetime) -> None:
+        """Do all calibrations hold at a time?
+
+        Raises:
+            CalibrationError: one has expired, or was out of its limits.
+        """
+        for kind in KINDS:
+            complaint = self.records[kind].complaint(at) if kind in self.records else None
+            if complaint is not None:
+                raise CalibrationError(complaint)
+
+    def check_camera(self, serial: str, shape: tuple[int, int]) -> None:
+        """Were all calibrations taken with this camera?
+
+        Raises:
+            CalibrationError: one was not.
+        """
+        for kind, record in self.records.items():
+            if record.camera.serial != serial:
+                raise CalibrationError(
+                    f"the {kind} calibration {record.id} was taken with camera {record.camera.serial}, this is "
+                    f"{serial}: {advice(kind)}"
+                )
+            if kind in {"dark", "stray", "rotation"} and (record.camera.rows, record.camera.cols) != shape:
+                raise CalibrationError(
+                    f"the {kind} calibration {record.id} has {record.camera.cols} × {record.camera.rows} pixels, the "
+                    f"camera {shape[1]} × {shape[0]}: {advice(kind)}"
+                )
+
+    @property
+    def axis_px(self) -> tuple[float, float] | None:
+        """(column, row) of the rotation axis in the picture, where it was calibrated."""
+        record = self.records.get("rotation")
+        return None if record is None else (record.number("centre_column"), record.number("centre_row"))
+
+    def applied_to(self, recipe: RecipeT) -> RecipeT:
+        """The recipe with the uncertainties that were calibrated in place of those it states."""
+        found = {}
+        if "stray" in self.records:
+            found["stray_radiance"] = self.records["stray"].uncertainty("stray_radiance")
+        if "linearity" in self.records:
+            found["linearity_share"] = self.records["linearity"].number("linearity_error")
+        if not found:
+            return recipe
+        return recipe.model_copy(update={"uncertainty": recipe.uncertainty.model_copy(update=found)})
+
+    def corrected(self, sample: Stack, dark: Stack) -> Stack:
+        """A sample as a linear camera would have counted it, without stray light.
+
+        Raises:
+            CalibrationError: the dark frames are not those of this camera any more.
+        """
+        self._check_dark(dark)
+        if self.stray is None and self._response(sample.gain) == 0.0:
+            return sample
+        signal = self._linear(sample.mean - dark.mean, sample.gain)
+        if self.stray is not None:
+            signal = signal - self.stray * np.float32(sample.exposure_s * sample.gain)
+        return replace(sample, mean=dark.mean + signal)
+
+    def white(self, white: WhiteReference) -> WhiteReference:
+        """The white reference as a linear camera would have taken it; needs the record of the flat."""
+        flat = self.records.get("flat")
+        if flat is None or self._response(flat.gain) == 0.0:
+            return white
+        counts = np.float32(flat.exposure_s * flat.gain)
+        return replace(white, signal=self._linear(white.signal * counts, flat.gain) / counts)
+
+    def masked(self, image: RadianceImage) -> RadianceImage:
+        """A picture without the pixels that the dark calibration found hot."""
+        if self.hot is None or not self.hot.any():
+            return image
+        return replace(image, value=np.where(self.hot, np.float32(np.nan), image.value))
+
+    def check_place(self, stage_deg: float, place: Placement) -> None:
+        """Does the fixture stand where the calibrated rotation puts it?
+
+        The axis must lie within 5 px, and the fixture within 0.2°, of what was calibrated.
+
+        Raises:
+            RegistrationError: it does not.
+        """
+        record = self.records.get("rotation")
+        if record is None or place.markers == 0:
+            return
+        eccentricity = np.array([record.number("eccentricity_x"), record.number("eccentricity_y")])
+        axis = place.homography @ np.append(-eccentricity, 1.0)
+        wanted = record.number("centre_column"), record.number("centre_row")
+        off = float(np.hypot(*(axis[:2] / axis[2] - wanted)))
+        if off > CENTRE_PX:
+            raise RegistrationError(
+                f"at {stage_deg:g}° the fixture turns about a point {off:.1f} px from the calibrated rotation centre "
+                f"(limit {CENTRE_PX:g} px): seat the fixture as it was, check that the camera was not moved, or "
+                + advice("rotation")
+            )
+        turned = angle_between(stage_deg + record.number("fixture_angle"), place.angle_deg)
+        if abs(turned) > TURN_DEG:
+            raise RegistrationError(
+                f"at {stage_deg:g}° the fixture stands {turned:+.2f}° from where it stood at the rotation calibration "
+                f"(limit ±{TURN_DEG:g}°): seat the fixture again, or {advice('rotation')}"
+            )
+
+    def _response(self, gain: float) -> float:
+        """Second-order term of the camera's response, per count; 0 where it is linear."""
+        record = self.records.get("linearity")
+        if record is None or record.gain != gain:
+            return 0.0
+        return float(record.details.get("response_per_count", 0.0))
+
+    def _linear(self, signal: Image, gain: float) -> Image:
+        bend = np.float32(self._response(gain))
+        return np.asarray(signal * (1.0 + bend * signal), dtype=np.float32) if bend else signal
+
+    def _check_dark(self, dark: Stack) -> None:
+        record = self.records.get("dark")
+        if record is None or (record.exposure_s, record.gain) != (dark.exposure_s, dark.gain):
+            return
+        off = float(np.median(dark.mean)) - record.number("level")
+        limit = max(DARK_LEVEL_SHARE * 2**record.camera.bit_depth, 5.0 * record.uncertainty("level"))
+        if abs(off) > limit:
+            raise CalibrationError(
+                f"the dark frames lie {off:+.1f} counts from the dark calibration {record.id} (limit ±{limit:.1f}): "
+                f"keep other light off the camera, let it warm up, or {advice('dark')}"
+            )
+
+
+def read_calibrations(part: CalibrationPart, without: Kind | None = None) -> Calibrations:
+    """Read what the rig file names under [calibration], but for one kind; an old flat needs no record.
+
+    Raises:
+        CalibrationError: a file is missing, damaged, or of another kind.
+    """
+    files: dict[str, Path] = {}
+    for kind in KINDS:
+        path: Path | None = getattr(part, kind)
+        if path is None or kind == without or (kind == "flat" and not record_path(path).is_file()):
+            continue
+        files[f"{kind} record"] = record_path(path)
+        if kind in {"dark", "stray"}:
+            files[f"{kind} picture"] = picture_path(path)
+        if kind == "flat":
+            files["white reference"] = path
+    return calibrations_of(files)
+
+
+def calibrations_of(files: Mapping[str, Path]) -> Calibrations:
+    """Calibrations from their files by role, such as ``stray record`` and ``stray picture``.
+
+    Raises:
+        CalibrationError: as for `read_calibrations`.
+    """
+    records: dict[Kind, CalibrationRecord] = {}
+    pictures: dict[Kind, Image] = {}
+    for kind in KINDS:
+        if f"{kind} record" not in files:
+            continue
+        picture = files.get("white reference" if kind == "flat" else f"{kind} picture")
+        records[kind] = read_calibration(files[f"{kind} record"], kind, picture)
+        if picture is not None and kind != "flat":
+            pictures[kind] = read_picture(picture, kind)
+    hot = pictures["dark"][1] > 0.5 if "dark" in pictures else None
+    own = {role: path for role, path in files.items() if role != "white reference"}
+    return Calibrations(records, pictures.get("stray"), hot, own)
+
+
+def read_picture(path: Path, kind: Kind) -> npt.NDArray[np.float32]:
+    """The picture of a calibration: (rows, cols), or (2, rows, cols) with the hot pixels of a dark one.
+
+    Raises:
+        CalibrationError: it cannot be read.
+    """
+    import tifffile  # noqa: PLC0415
+
+    try:
+        return np.asarray(tifffile.imread(path), dtype=np.float32)
+    except Exception as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise CalibrationError(f"{path} cannot be read ({reason}): {advice(kind)}") from error

@@ -1,0 +1,110 @@
+"""``anisoscope demo``: the whole job on a virtual rig, with good and defective parts."""
+
+import json
+import sys
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, cast
+
+from cyclopts import Parameter
+
+from anisoscope.base.progress import Advance
+from anisoscope.cli.console import console, print_table, progress
+from anisoscope.cli.inspect.history_entry import remember
+
+if TYPE_CHECKING:
+    from anisoscope.inspection.run import Inspected
+
+
+Kind = Literal["ridges", "print", "wafer"]
+
+
+class _Scene(Protocol):
+    """What a module of a kind of demo offers: the parts with the verdicts that they should get, and their files."""
+
+    PARTS: dict[str, str]
+
+    @staticmethod
+    def lay_out(out: Path, seed: int, advance: Advance) -> Path:
+        """Write recipe, rig files and calibrations below a folder, and return it; parts lie in ``bench/NAME``."""
+        ...
+
+
+def demo(
+    *,
+    kind: Annotated[
+        Kind,
+        Parameter(
+            help="What is inspected: plastic with ridges, prints with a structural-colour ink, or etched wafers."
+        ),
+    ] = "ridges",
+    out: Annotated[Path, Parameter(help="Folder for recipe, rig files, frames and reports.")] = Path(
+        "demo-output"
+    ),
+    seed: Annotated[int, Parameter(help="Seed of everything random on the virtual rig.")] = 1,
+    json_: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")] = False,
+) -> int:
+    """Inspect good and defective parts on a virtual rig: ridges with burrs or a wrong angle; bad prints; wafers off.
+
+    Takes a flat of a white tile, then photographs every part at 0°, 90° and 180° (prints and wafers at several tilts as
+    well) and judges it. Ends with exit code 0 when every verdict is the expected one.
+    """
+    from anisoscope.history.address import HISTORY_NAME
+
+    scene = cast("_Scene", import_module(f"anisoscope.cli.demo_{kind}"))
+    with progress("demo", quiet=json_) as advance:
+        folder = scene.lay_out(out, seed, advance)
+        found = [(name, expected, _inspect(folder, name, advance)) for name, expected in scene.PARTS.items()]
+    for _, _, inspected in found:
+        remember(inspected, folder / "inspections" / HISTORY_NAME)
+    parts = [
+        {
+            "serial": inspected.record.serial,
+            "expected": expected,
+            "verdict": inspected.record.verdict,
+            "report": str(inspected.report),
+        }
+        for _, expected, inspected in found
+    ]
+    right = all(part["verdict"] == part["expected"] for part in parts)
+    if json_:
+        json.dump({"parts": parts}, sys.stdout, indent=2)
+        sys.stdout.write("\n")
+    else:
+        _print(parts, found, right)
+    return 0 if right else 1
+
+
+def _inspect(folder: Path, name: str, advance: Advance) -> "Inspected":
+    from anisoscope.inspection.run import inspect_part
+
+    return inspect_part(
+        folder / "recipe.toml",
+        folder / "bench" / name / "rig.toml",
+        f"DEMO-{name}",
+        folder / "inspections",
+        on_progress=lambda doing, done, total: advance(f"{name}: {doing}", done, total),
+    )
+
+
+def _print(parts: list[dict[str, Any]], found: "list[tuple[str, str, Inspected]]", right: bool) -> None:
+    print_table(
+        "Verdicts",
+        ["part", "expected", "verdict", "why"],
+        [
+            [part["serial"], part["expected"], part["verdict"], inspected.record.reasons[0]]
+            for part, (_, _, inspected) in zip(parts, found, strict=True)
+        ],
+    )
+    out = console()
+    for part in parts:
+        out.print(f"report of {part['serial']}: {part['report']}", highlight=False, soft_wrap=True)
+    said: dict[str, list[str]] = {}
+    for part, (_, _, inspected) in zip(parts, found, strict=True):
+        for note in inspected.notes:
+            said.setdefault(note, []).append(part["serial"])
+    for note, serials in said.items():
+        out.print(f"note on {', '.join(serials)}: {note}", markup=False, highlight=False, soft_wrap=True)
+    out.print(
+        "Every verdict is the expected one." if right else "[bold]A verdict is not the expected one.[/bold]"
+    )

@@ -1,0 +1,131 @@
+"""The files of the demo with prints: recipe, one bench and rig file a part, and a flat of a colour camera."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
+
+from anisoscope.base.progress import Advance
+from anisoscope.calibration.pictures import take_flat
+from anisoscope.cli.demo.folder import FIXTURE, begin, write_bench
+
+PARTS = {"good": "PASS", "brushed": "FAIL", "wrong-ink": "FAIL", "spot": "FAIL"}
+
+INK = "synthetic-green"
+LAMP = "led-white"
+EXPOSURE_S = 0.008
+PIXEL_UM, PIXELS = 6.3, 640
+TILTS_DEG = [0.0, 10.0, 20.0, -20.0, -10.0]
+DEFECTS: dict[str, dict[str, Any]] = {
+    "good": {},
+    "brushed": {"anisotropy": 1.15, "brush_deg": 20.0},
+    "wrong-ink": {"wrong_ink": "synthetic-red", "wrong_share": 0.05},
+    "spot": {"spots": [{"x_mm": 0.3, "y_mm": -0.4, "diameter_mm": 0.4, "missing_share": 0.6}]},
+}
+
+
+def lay_out(out: Path, seed: int, advance: Advance) -> Path:
+    """Write all files of the demo below ``out`` and take the flat on the virtual rig.
+
+    Args:
+        out: folder, made if it is missing.
+        seed: seed of everything random.
+        advance: progress.
+
+    Returns:
+        The folder, absolute.
+
+    Raises:
+        UsageError: a negative seed.
+        RecordError: the folder cannot be made.
+    """
+    folder, rng = begin(out, seed)
+    (folder / "recipe.toml").write_text(tomli_w.dumps(recipe_of(INK)), encoding="utf-8")
+    for name in (*PARTS, "white-tile"):
+        sample = {"kind": "white-tile", "reflectance": 0.99}
+        if name != "white-tile":
+            sample = print_sample(DEFECTS[name], rng)
+        rig = rig_of(None if name == "white-tile" else "../../flat.tif")
+        write_bench(folder, name, bench_of(sample, int(rng.integers(2**31))), rig)
+    advance("flat of the white tile", 0, 1)
+    take_flat(
+        folder / "bench" / "white-tile" / "rig.toml",
+        folder / "flat.tif",
+        exposure_s=0.012,
+        frames=16,
+        reflectance=0.99,
+    )
+    return folder
+
+
+def recipe_of(ink: str) -> dict[str, Any]:
+    """The recipe of a print with one of the made-up inks."""
+    return {
+        "schema": 1,
+        "product": f"demo print, {ink}",
+        "print": {"ink": ink, "wrong_inks": [name for name in _INKS if name != ink]},
+        "poses": {"tilts_deg": TILTS_DEG},
+        "acquisition": {
+            "exposure_s": EXPOSURE_S,
+            "brackets": [8.0],
+            "frames_per_pose": 2,
+            "dark_frames": 4,
+            "settle_s": 0.0,
+        },
+        "region": {"size_mm": [2.0, 2.0]},
+    }
+
+
+_INKS = ("synthetic-red", "synthetic-green", "synthetic-blue")
+
+
+def print_sample(defects: dict[str, Any], rng: np.random.Generator) -> dict[str, Any]:
+    """A sheet of a good print, as prints vary, with defects."""
+    varied = {"alpha_share": float(0.005 * rng.standard_normal()), "substrate": 0.04, "ink": INK}
+    return {
+        "kind": "print",
+        "size_mm": 2.4,
+        "seating_tilt_deg": [float(tilt) for tilt in 0.05 * rng.standard_normal(2)],
+        "print": varied | defects,
+    }
+
+
+def bench_of(sample: dict[str, Any], seed: int) -> dict[str, Any]:
+    """A bench with a colour camera, a white lamp and an axis that tilts the arm."""
+    return {
+        "schema": 1,
+        "seed": seed,
+        "sample": sample,
+        "sensor": {"rows": PIXELS, "cols": PIXELS, "filters": "rggb"},
+        "optics": {"pixel_um": PIXEL_UM, "spectrum": LAMP},
+        "tilt": {"zero_deg": 30.0},
+        "fixture": FIXTURE,
+    }
+
+
+def rig_of(flat: str | None) -> dict[str, Any]:
+    """The rig file of such a bench."""
+    port = "sim://elliptec?bench=${here}/bench.toml"
+    found: dict[str, Any] = {
+        "schema": 1,
+        "name": "virtual colour rig",
+        "stage": {"driver": "elliptec", "port": port, "zero_deg": 10.0, "options": {"address": "0"}},
+        "tilt": {"driver": "elliptec", "port": port, "zero_deg": 30.0, "options": {"address": "1"}},
+        "camera": {
+            "driver": "simulated",
+            "pixel_um": PIXEL_UM,
+            "sensitivities": "synthetic",
+            "options": {"bench": "${here}/bench.toml"},
+        },
+        "light": {
+            "driver": "simulated",
+            "angle_deg": 10.0,
+            "spectrum": LAMP,
+            "options": {"bench": "${here}/bench.toml"},
+        },
+        "fixture": FIXTURE,
+    }
+    if flat is not None:
+        found["calibration"] = {"flat": flat}
+    return found

@@ -1,0 +1,127 @@
+"""The files of the demo with ridges: reference height map, recipe, one bench and rig file a part, and a flat."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
+
+from anisoscope.base.progress import Advance
+from anisoscope.calibration.pictures import take_flat
+from anisoscope.cli.demo.folder import FIXTURE, begin, write_bench
+from anisoscope.profiles.files.load import write_height_map
+from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+
+PARTS = {"good": "PASS", "burrs": "FAIL", "angle": "FAIL"}
+
+PITCH_UM = 100.0
+RIDGE_ANGLE_DEG = 10.0
+LOBE = {"alpha_along": 0.055, "alpha_across": 0.095, "albedo": 0.2, "index": 1.5}
+RESOLVED_ALPHA = 0.03
+
+
+def lay_out(out: Path, seed: int, advance: Advance) -> Path:
+    """Write all files of the demo below ``out`` and take the flat on the virtual rig.
+
+    Args:
+        out: folder, made if it is missing.
+        seed: seed of everything random.
+        advance: progress.
+
+    Returns:
+        The folder, absolute.
+
+    Raises:
+        UsageError: a negative seed.
+        RecordError: the folder cannot be made.
+    """
+    folder, rng = begin(out, seed)
+    advance("reference height map", 0, 1)
+    _write_reference(folder / "reference.x3p", rng)
+    (folder / "recipe.toml").write_text(tomli_w.dumps(_recipe()), encoding="utf-8")
+    for name in (*PARTS, "white-tile"):
+        write_bench(folder, name, _bench(_sample(name, rng), int(rng.integers(2**31))), _rig(name))
+    advance("flat of the white tile", 0, 1)
+    take_flat(
+        folder / "bench" / "white-tile" / "rig.toml",
+        folder / "flat.tif",
+        exposure_s=0.006,
+        frames=16,
+        reflectance=0.99,
+    )
+    return folder
+
+
+def _write_reference(path: Path, rng: np.random.Generator) -> None:
+    """A part measured by a profilometer: 1 mm × 1 mm, 1 µm pixels, 5 nm noise, seated askew."""
+    design = RidgeDesign(pitch_um=PITCH_UM, ridge_angle_deg=RIDGE_ANGLE_DEG)
+    surface = ridges(design, (1001, 1001), (1.0, 1.0))
+    surface = add_facet_roughness(
+        surface, alpha_along=RESOLVED_ALPHA, alpha_across=RESOLVED_ALPHA, correlation_um=8.0, rng=rng
+    )
+    rows, cols = np.indices(surface.shape)
+    height = surface.height_um + 0.005 * rng.standard_normal(surface.shape) + 0.002 * cols - 0.001 * rows
+    height[rng.random(surface.shape) < 0.0005] = np.nan
+    write_height_map(surface.with_height(height), path)
+
+
+def _recipe() -> dict[str, Any]:
+    return {
+        "schema": 1,
+        "product": "ridged demo plate, pitch 100 µm, ridge angle 10°",
+        "surface": {"height_map": "reference.x3p", "pitch_um": PITCH_UM},
+        "material": {**LOBE, "u_alpha_share": 0.03, "u_albedo": 0.006, "u_index": 0.005},
+        "poses": {"angles_deg": [0.0, 90.0, 180.0]},
+        "acquisition": {"exposure_s": 0.006, "frames_per_pose": 4, "dark_frames": 8, "settle_s": 0.0},
+        "region": {"size_mm": [2.0, 2.0]},
+        "decision": {"contrast": "log_ratio", "tolerance": 0.25, "alpha": 0.001, "deviation": "fail"},
+        "area": {"cell_deviation": 0.3, "max_share": 0.03},
+        "uncertainty": {"seating_tilt_deg": 0.05},
+    }
+
+
+def _sample(name: str, rng: np.random.Generator) -> dict[str, Any]:
+    if name == "white-tile":
+        return {"kind": "white-tile", "reflectance": 0.99}
+
+    def spread(value: float, share: float) -> float:
+        return float(value * (1.0 + share * rng.standard_normal()))
+
+    off = float(rng.choice([-2.0, 2.0])) if name == "angle" else 0.0
+    return {
+        "kind": "ridges",
+        "pitch_um": PITCH_UM,
+        "ridge_angle_deg": RIDGE_ANGLE_DEG + float(0.1 * rng.standard_normal()) + off,
+        "resolved_alpha": RESOLVED_ALPHA,
+        "burr_coverage": 0.10 if name == "burrs" else float(rng.uniform(0.0, 0.002)),
+        "seating_tilt_deg": [float(t) for t in 0.05 * rng.standard_normal(2)],
+        "material": {
+            "alpha_along": spread(LOBE["alpha_along"], 0.03),
+            "alpha_across": spread(LOBE["alpha_across"], 0.03),
+            "albedo": spread(LOBE["albedo"], 0.03),
+            "index": LOBE["index"],
+        },
+    }
+
+
+def _bench(sample: dict[str, Any], seed: int) -> dict[str, Any]:
+    return {"schema": 1, "seed": seed, "sample": sample, "fixture": FIXTURE}
+
+
+def _rig(name: str) -> dict[str, Any]:
+    found: dict[str, Any] = {
+        "schema": 1,
+        "name": "virtual rig",
+        "stage": {
+            "driver": "elliptec",
+            "port": "sim://elliptec?bench=${here}/bench.toml",
+            "zero_deg": 10.0,
+            "options": {"address": "0"},
+        },
+        "camera": {"driver": "simulated", "pixel_um": 4.0, "options": {"bench": "${here}/bench.toml"}},
+        "light": {"driver": "simulated", "angle_deg": 10.0, "options": {"bench": "${here}/bench.toml"}},
+        "fixture": FIXTURE,
+    }
+    if name != "white-tile":
+        found["calibration"] = {"flat": "../../flat.tif"}
+    return found

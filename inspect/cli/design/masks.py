@@ -1,0 +1,169 @@
+"""``anisoscope design mask`` and ``design height``: what the lithographer gets, and what instruments will measure."""
+
+import sys
+from pathlib import Path
+from shutil import disk_usage
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from anisoscope.base.errors import UsageError
+from anisoscope.cli.console import parse_numbers, print_table
+from anisoscope.cli.design.output import check_seed, print_json
+
+if TYPE_CHECKING:
+    from anisoscope.profiles.heightmap import HeightMap
+    from anisoscope.sim.design.layout import Layout
+
+JsonOption = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")]
+GDS = (".gds", ".gds2", ".gdsii")
+
+
+def mask(
+    layout: Path,
+    /,
+    *,
+    out: Annotated[Path, Parameter(help="Masks to write, *.gds.")],
+    png: Annotated[Path | None, Parameter(help="Write a picture of the classes, a pixel a dot.")] = None,
+    json_: JsonOption = False,
+) -> int:
+    """Write etch masks as GDSII: a cell for every tile, a layer for every pass, units µm.
+
+    Args:
+        layout: Layout *.npz of ``design pattern`` or ``design refine``.
+    """
+    from anisoscope.sim.design.designfile import read_layout
+    from anisoscope.sim.design.mask import FIRST_LAYER, write_gds, write_preview
+
+    if out.suffix.lower() not in GDS:
+        raise UsageError(f"masks are written as *.gds, not {out.name}")
+    found, _ = read_layout(layout)
+    counts = write_gds(found, out)
+    if png is not None:
+        write_preview(found, png)
+    high, wide = (1e-3 * side for side in found.size_um)
+    layers = {str(FIRST_LAYER + n): depth for n, depth in enumerate(found.passes_nm)}
+    if json_:
+        return print_json(
+            {**counts, "layers_nm": layers, "size_mm": [high, wide], "bytes": out.stat().st_size}
+        )
+    print_table(
+        out.name,
+        ["quantity", "value", "unit"],
+        [
+            ["size along x, y", f"{wide:.3f}, {high:.3f}", "mm"],
+            *([f"depth of layer {layer}", f"{depth:.1f}", "nm"] for layer, depth in layers.items()),
+            ["cells", str(counts["cells"]), ""],
+            ["rectangles in cells", str(counts["polygons"]), ""],
+            ["references", str(counts["references"]), ""],
+        ],
+    )
+    return 0
+
+
+def height(
+    source: Path,
+    /,
+    *,
+    out: Annotated[Path, Parameter(help="Map to write: x3p or npz; npy row by row, for any size.")],
+    corner: Annotated[str, Parameter(help="Lower left corner X,Y of the window, µm.")] = "0,0",
+    size: Annotated[str | None, Parameter(help="Size W,H of the window, µm; all if not given.")] = None,
+    dots: Annotated[int, Parameter(help="Dots along each side, of a design *.toml.")] = 4,
+    dot: Annotated[float, Parameter(help="Side of a dot, µm, of a design *.toml.")] = 112.0,
+    seed: Annotated[int, Parameter(help="Seed, of a design *.toml.")] = 0,
+    depths: Annotated[
+        str | None, Parameter(help="Depth of every pass in nm, of a GDSII that does not say.")
+    ] = None,
+    grid: Annotated[float | None, Parameter(help="Pixel in µm, of a GDSII.")] = None,
+    overwrite: Annotated[bool, Parameter(negative="", help="Replace the map if it exists.")] = False,
+    json_: JsonOption = False,
+) -> int:
+    """Make a height map of a design, a layout or a GDSII file: ``predict`` and the virtual rig read it.
+
+    Args:
+        source: Design *.toml, layout *.npz or masks *.gds.
+    """
+    if out.exists() and not overwrite:
+        raise UsageError(f"{out} exists; give another name, or --overwrite")
+    if not out.parent.is_dir():
+        raise UsageError(f"{out}: there is no folder {out.parent}; make it first")
+    check_seed(seed)
+    at = parse_numbers(corner, "--corner")
+    extent = None if size is None else parse_numbers(size, "--size")
+    if len(at) != 2 or (extent is not None and (len(extent) not in (1, 2) or min(extent) <= 0.0)):
+        raise UsageError("--corner takes X,Y in µm, --size one or two positive numbers of µm")
+    low, window = (at[1], at[0]), None if extent is None else (extent[-1], extent[0])
+    kind = source.suffix.lower()
+    if kind not in GDS and (depths is not None or grid is not None):
+        raise UsageError(f"--depths and --grid are for GDSII files; {source.name} says its own")
+    if kind in GDS:
+        from anisoscope.sim.design.maskreading import read_gds
+
+        passes = None if depths is None else parse_numbers(depths, "--depths")
+        if grid is not None and not grid > 0.0:
+            raise UsageError(f"--grid must be positive, not {grid:g} µm")
+        return _deliver(
+            read_gds(source, corner_um=low, size_um=window, grid_um=grid, passes_nm=passes),
+            out,
+            as_json=json_,
+        )
+    layout = _layout_of(source, dots, dot, seed)
+    if out.suffix.lower() == ".npy" and extent is None and low == (0.0, 0.0):
+        return _stream(layout, out, as_json=json_)
+    return _deliver(layout.window(low, window), out, as_json=json_)
+
+
+def _layout_of(source: Path, dots: int, dot: float, seed: int) -> "Layout":
+    import numpy as np
+
+    from anisoscope.sim.design.designfile import read_design, read_layout
+    from anisoscope.sim.design.pattern import PatternOptions, make_layout
+
+    kind = source.suffix.lower()
+    if kind == ".npz":
+        return read_layout(source)[0]
+    if kind != ".toml":
+        raise UsageError(f"{source.name}: give a design *.toml, a layout *.npz or masks *.gds")
+    if not 1 <= dots <= 1000:
+        raise UsageError(f"--dots must be 1 to 1000, not {dots}")
+    design = read_design(source)
+    classes = np.zeros((dots, dots), dtype=np.int64)
+    return make_layout(classes, [design], np.random.default_rng(seed), PatternOptions(dot, min(dots**2, 16)))
+
+
+def _deliver(surface: "HeightMap", out: Path, *, as_json: bool) -> int:
+    from anisoscope.cli.profile.surfaces_output import deliver
+
+    return deliver(surface, out, as_json=as_json)
+
+
+def _stream(layout: "Layout", out: Path, *, as_json: bool) -> int:
+    """The whole surface, a row of dots at a time, float32 in µm."""
+    import numpy as np
+
+    n = layout.tiles.shape[1]
+    rows, cols = (n * many for many in layout.index.shape)
+    table = layout.heights_um.astype(np.float32)
+    needed, free = 4 * rows * cols, disk_usage(out.resolve().parent).free
+    if needed > free:
+        raise UsageError(
+            f"{rows} × {cols} heights take {needed / 1e9:.1f} GB, {free / 1e9:.1f} GB are free: give --size"
+        )
+    header = {"descr": "<f4", "fortran_order": False, "shape": (rows, cols)}
+    try:
+        with out.open("wb") as stream:
+            np.lib.format.write_array_header_1_0(stream, header)
+            for block in layout.dot_rows():
+                stream.write(table[block].tobytes())
+    except (OSError, KeyboardInterrupt) as error:
+        out.unlink(missing_ok=True)
+        if isinstance(error, KeyboardInterrupt):
+            raise
+        raise UsageError(f"{out}: cannot be written ({error.strerror}); check folder and space") from None
+    result = {"file": str(out), "rows": rows, "cols": cols, "pixel_um": layout.grid_um}
+    if as_json:
+        return print_json(result)
+    sys.stdout.write(
+        f"written: {out}, {rows} × {cols} heights in µm, pixel {layout.grid_um:g} µm (--pixel)\n"
+    )
+    return 0

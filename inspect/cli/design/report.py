@@ -1,0 +1,209 @@
+"""Pages of ``anisoscope design``: gathers what `report.design_page` shows."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from anisoscope.cli.design.output import figure_rows
+from anisoscope.report.design_page import DesignPage, LobeCurves, PhaseCurve, Shown, write_design_page
+from anisoscope.sim.design.appearance import Picture, mirrored_dots, pattern_under, screen
+from anisoscope.sim.design.models import LobeModel, MixtureModel, model_density
+from anisoscope.sim.design.pattern import PatternOptions, make_layout
+from anisoscope.sim.design.tolerances import tolerances
+
+if TYPE_CHECKING:
+    from anisoscope.sim.design.designfile import DesignFile
+    from anisoscope.sim.design.layout import Layout
+    from anisoscope.sim.design.lobe import AxisLobe
+    from anisoscope.sim.design.refine import Refined
+
+LOOK_H = 0.06
+"""Half vector of the two lights under which patterns are shown: a lamp 7° from the camera."""
+
+SOURCE = (
+    "Levin et al. 2013, Fabricating BRDFs at high spatial resolution using wave optics, with its equations mended: the "
+    "source blurs the lobe too, and mixtures count by area. Scalar waves, no shadows, one material."
+)
+SHOWN_BAND = (380.0, 750.0)
+
+
+def write_design_report(
+    design: "DesignFile", path: Path, axes: "Sequence[AxisLobe]" = (), warnings: Sequence[str] = ()
+) -> None:
+    """Write the page of one reflectance.
+
+    Raises:
+        RecordError: the file cannot be written.
+    """
+    tile = make_layout(
+        np.zeros((1, 1), dtype=np.int64), [design], np.random.default_rng(0), PatternOptions(tiles=4)
+    )
+    write_design_page(
+        DesignPage(
+            title=design.name,
+            subtitle=_subtitle(design),
+            warnings=warnings,
+            figures=figure_rows(design),
+            lobes=_curves(design, axes),
+            phase=_phase(design),
+            pictures=_pictures(design),
+            tolerances=tolerance_rows(design, tile),
+            notes=(SOURCE, _brightness_note()),
+        ),
+        path,
+    )
+
+
+def write_refined_report(design: "DesignFile", layout: "Layout", found: "Refined", path: Path) -> None:
+    """Write the page of a refined dot.
+
+    Raises:
+        RecordError: the file cannot be written.
+    """
+    table = layout.heights_um
+    grey = (table - table.min()) / max(float(np.ptp(table)), 1e-9)
+    dot = Shown(np.repeat(grey[layout.tiles[0]][::-1, :, None], 3, axis=2), "The dot; deeper is darker")
+    figures = [
+        ("relative error of the best random dot", f"{found.start_error:.4f}", "1"),
+        ("relative error", f"{found.error:.4f}", "1"),
+        ("generations", str(found.generations), "1"),
+        ("ended by", found.stopped, ""),
+        *figure_rows(design),
+    ]
+    write_design_page(
+        DesignPage(
+            title=f"Dot of {design.name}",
+            subtitle=_subtitle(design),
+            figures=figures,
+            phase=_phase(design),
+            progress=found.history,
+            pictures=(dot, *_pictures(design)),
+            tolerances=tolerance_rows(design, layout),
+            notes=(SOURCE, _brightness_note()),
+        ),
+        path,
+    )
+
+
+def write_pattern_report(layout: "Layout", designs: "Sequence[DesignFile]", path: Path) -> None:
+    """Write the page of a pattern.
+
+    Raises:
+        RecordError: the file cannot be written.
+    """
+    seen = [
+        (pattern_under(layout, designs, *h), words)
+        for h, words in (((LOOK_H, 0.0), "Lamp to the side (x)"), ((0.0, LOOK_H), "Lamp above (y)"))
+    ]
+    brightest = max(float(each.max()) for (_, each), _ in seen)
+    looks = tuple(
+        Shown(np.repeat(_encoded(picture / brightest)[..., None], 3, axis=2), f"{words}, h = {LOOK_H:g}")
+        for (picture, _), words in seen
+    )
+    figures = [
+        (
+            name,
+            f"{seen[0][0][1][number] / brightest:.3f}, {seen[1][0][1][number] / brightest:.3f}",
+            "side, above",
+        )
+        for number, name in enumerate(layout.names)
+    ]
+    high, wide = (1e-3 * side for side in layout.size_um)
+    etched = next(design for design in designs if design.passes_nm)
+    pictures = tuple(
+        Shown(shown.srgb, f"{design.name}: {shown.caption}")
+        for design in designs
+        for shown in (screen(design, white=True), mirrored_dots(design, white=True))
+    )
+    write_design_page(
+        DesignPage(
+            title="Pattern of " + ", ".join(layout.names),
+            subtitle=f"{wide:.2f} × {high:.2f} mm, {layout.index.size} dots of {layout.dot_um:g} µm, "
+            f"{len(layout.tiles)} tiles",
+            figures=figures,
+            phase=_phase(etched),
+            pictures=pictures,
+            looks=looks,
+            tolerances=tolerance_rows(etched, layout),
+            notes=(SOURCE, "Brightness of the classes is relative to the brightest.", _brightness_note()),
+        ),
+        path,
+    )
+
+
+def _encoded(
+    linear: "np.ndarray[tuple[int, ...], np.dtype[np.float64]]",
+) -> "np.ndarray[tuple[int, ...], np.dtype[np.float64]]":
+    from anisoscope.sim.light.colour.spaces import encode
+
+    return encode(np.repeat(linear[..., None], 3, axis=-1)).srgb[..., 0]
+
+
+def _brightness_note() -> str:
+    return "Pictures are scaled to their brightest parts; a specular spike may burn out."
+
+
+def _subtitle(design: "DesignFile") -> str:
+    kind = {"lobe": "glossy lobe", "antimirror": "anti-mirror", "mirror": "mirror", "mixture": "mixture"}
+    passes = " + ".join(f"{depth:.1f}" for depth in design.passes_nm)
+    return f"{kind[design.model.kind]}; {2 ** len(design.passes_nm)} levels from etch passes of {passes} nm"
+
+
+def _curves(design: "DesignFile", axes: "Sequence[AxisLobe]") -> tuple[LobeCurves, ...]:
+    if axes:
+        return tuple(
+            LobeCurves(name, one.h, one.target, one.achieved)
+            for name, one in zip(("x", "y"), axes, strict=True)
+        )
+    h = np.linspace(-0.3, 0.3, 601)
+    f, zero = 2.0e3 * h / design.wavelength_nm, np.zeros(1)
+    tau = design.depths.tau_at(design.wavelength_nm)
+    along_x = model_density(design.model, f, zero, design.coherence_um, 112.0, tau)[0]
+    along_y = model_density(design.model, zero, f, design.coherence_um, 112.0, tau)[:, 0]
+    return LobeCurves("x", h, None, along_x), LobeCurves("y", h, None, along_y)
+
+
+def _phase(design: "DesignFile") -> PhaseCurve:
+    nm = np.linspace(min(SHOWN_BAND[0], design.band_nm[0]), max(SHOWN_BAND[1], design.band_nm[1]), 371)
+    return PhaseCurve(nm, design.depths.tau(nm), design.band_nm)
+
+
+def _pictures(design: "DesignFile") -> tuple[Shown, ...]:
+    found: list[Picture] = [
+        screen(design, white=False), screen(design, white=True),
+        mirrored_dots(design, white=False), mirrored_dots(design, white=True),
+    ]  # fmt: skip
+    return tuple(Shown(one.srgb, one.caption) for one in found)
+
+
+def tolerance_rows(design: "DesignFile", layout: "Layout") -> list[list[str]]:
+    """Rows of the table of tolerances."""
+    if not design.passes_nm:
+        return []
+    mine = [number for number, name in enumerate(layout.names) if name == design.name]
+    tiles = layout.tiles[np.isin(layout.tile_class, mine)]
+    rows = tolerances(
+        design.depths, tiles, layout.grid_um, wavelength_nm=design.wavelength_nm,
+        coherence_um=design.coherence_um, width_um=mean_width_um(design),
+    )  # fmt: skip
+    return [
+        [
+            f"{one.over_etch_nm:+g}".replace("-", "−") if one.over_etch_nm else "0", f"{one.width_bias_nm:g}",
+            f"{one.tau:.4f}", f"{one.worst_tau:.4f}", f"{max(one.spike_over_lobe, 0.0):.4f}",
+            f"{100.0 * one.lobe_energy:.2f}", f"{100.0 * one.lobe_change:.2f}",
+        ]
+        for one in rows
+    ]  # fmt: skip
+
+
+def mean_width_um(design: "DesignFile") -> float:
+    """Geometric mean of the mean widths of the steps along both axes."""
+    model = design.model
+    if isinstance(model, MixtureModel):
+        model = model.models[0]
+    if isinstance(model, LobeModel):
+        x, y = (widths.mean_um for widths in model.axes(0.0))
+        return float(np.sqrt(x * y))
+    return float(np.sqrt(np.prod(model.widths_um))) if model.kind == "antimirror" else 1.0

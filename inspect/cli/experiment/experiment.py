@@ -1,0 +1,369 @@
+"""``anisoscope experiment``: the published experiment, predicted, and beside it what was measured."""
+
+import csv
+import math
+import sys
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from anisoscope.cli.console import console, print_table
+
+if TYPE_CHECKING:
+    from anisoscope.experiment.experiment import Experiment, Findings, Mean, Setup
+    from anisoscope.experiment.findings_map import FindingsMap
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import App, Parameter
+
+from anisoscope.base.errors import UsageError
+
+if TYPE_CHECKING:
+    from anisoscope.experiment.findings_map import FindingsMap
+
+
+def say(text: str) -> None:
+    """Print a line as it is."""
+    console().print(text, markup=False, highlight=False, soft_wrap=True)
+
+
+def _unit(result: "Experiment") -> str:
+    return "1/sr" if result.measured is None else "as measured"
+
+
+def _setup_as_json(setup: "Setup") -> dict[str, Any]:
+    found: dict[str, Any] = {"model": setup.model, "convention": asdict(setup.convention)}
+    if setup.model == "printed":
+        found["shadow_frame"] = setup.shadow_frame
+    return found
+
+
+def experiment_as_json(result: "Experiment") -> dict[str, Any]:
+    """The experiment as a table for JSON."""
+    from anisoscope.experiment.experiment import COLUMNS, combinations
+
+    rows = []
+    for place, row in combinations():
+        entry: dict[str, Any] = dict(zip(COLUMNS, (*row, float(result.predicted[place])), strict=True))
+        if result.measured is not None and math.isfinite(result.measured[place]):
+            entry["measured"] = float(result.measured[place])
+        rows.append(entry)
+    found = _setup_as_json(result.setup) | {"material": asdict(result.setup.material), "k": result.k}
+    if result.measured is not None:
+        found["rms_residual"] = result.rms_residual
+    found |= {
+        "unit": _unit(result),
+        "rows": rows,
+        "means": {
+            name: [_mean_as_json(m, with_measured=result.measured is not None) for m in means]
+            for name, means in result.means.items()
+        },
+        "findings": asdict(result.findings),
+    }
+    if result.measured_findings is not None:
+        found["measured_findings"] = asdict(result.measured_findings)
+    return found
+
+
+def _mean_as_json(mean: "Mean", *, with_measured: bool) -> dict[str, Any]:
+    level = mean.level_deg[0] if len(mean.level_deg) == 1 else list(mean.level_deg)
+    found: dict[str, Any] = {"level_deg": level, "predicted": mean.predicted}
+    if with_measured:
+        found["measured"] = mean.measured
+        found["measured_rows"] = mean.measured_rows
+        found["predicted_same_rows"] = mean.predicted_same_rows
+    return found
+
+
+def print_csv(result: "Experiment") -> None:
+    """Print one line a combination."""
+    from anisoscope.experiment.experiment import COLUMNS, combinations
+
+    writer = csv.writer(sys.stdout, lineterminator="\n")
+    with_measured = result.measured is not None
+    writer.writerow([*COLUMNS, "measured"] if with_measured else COLUMNS)
+    for place, row in combinations():
+        values = [*(f"{value:g}" for value in row), repr(float(result.predicted[place]))]
+        if result.measured is not None:
+            seen = float(result.measured[place])
+            values.append(repr(seen) if math.isfinite(seen) else "")
+        writer.writerow(values)
+
+
+def _yes(value: bool) -> str:
+    return "yes" if value else "no"
+
+
+def _best(found: "Findings") -> str:
+    return "none" if found.best_ridge_angle_deg is None else f"{found.best_ridge_angle_deg:g}°"
+
+
+def _findings_text(found: "Findings") -> str:
+    return (
+        f"largest at zero tilt: {_yes(found.max_at_zero_tilt)} (falling on both sides: "
+        f"{_yes(found.falls_on_both_sides)}); 0°/90° larger than 90°/180°: {_yes(found.first_pair_larger)}; "
+        f"best ridge angle: {_best(found)}"
+    )
+
+
+def _scale_text(result: "Experiment") -> str:
+    if result.measured is None:
+        return "k = 1"
+    return f"k = {result.k:.6g} (least squares), rms residual {result.rms_residual:.3g}"
+
+
+def _number(value: float | None) -> str:
+    return "–" if value is None or not math.isfinite(value) else f"{value:.5g}"
+
+
+def print_experiment(result: "Experiment") -> None:
+    """Print means and findings."""
+    from anisoscope.experiment.experiment import combinations
+    from anisoscope.report.experiment_page import AXIS_NAMES, convention_text, level_text
+
+    measured = result.measured
+    head = [f"predicted [{_unit(result)}]"] + ([] if measured is None else ["measured"])
+    print_table(
+        "Absolute contrasts of radiant exposure",
+        ["ridge angle [°]", "tilt [°]", "from [°]", "to [°]", *head],
+        [
+            [f"{value:g}" for value in row]
+            + [_number(float(result.predicted[place]))]
+            + ([] if measured is None else [_number(float(measured[place]))])
+            for place, row in combinations()
+        ],
+    )
+    if measured is not None and not result.complete:
+        head.insert(1, "predicted, measured rows")
+    rows = []
+    for name in AXIS_NAMES:
+        for m in result.means[name]:
+            values = [m.predicted] + ([] if measured is None else [m.measured])
+            if measured is not None and not result.complete:
+                values.insert(1, m.predicted_same_rows)
+            rows.append(
+                [f"{AXIS_NAMES[name]} {level_text(m.level_deg)}", *(_number(value) for value in values)]
+            )
+    setup = result.setup
+    frame = f", shadow frame {setup.shadow_frame}" if setup.model == "printed" else ""
+    print_table("Mean contrasts", ["mean over all others", *head], rows)
+    setup = result.setup
+    frame = f", shadow frame {setup.shadow_frame}" if setup.model == "printed" else ""
+    say(f"model {setup.model}{frame}; {convention_text(setup.convention)}; {_scale_text(result)}")
+    say(f"predicted: {_findings_text(result.findings)}")
+    if result.measured_findings is not None:
+        say(f"measured: {_findings_text(result.measured_findings)}")
+
+
+def maps_as_json(maps: "list[FindingsMap]") -> dict[str, Any]:
+    """The maps of the findings as a table for JSON."""
+    return {
+        "model": maps[0].setup.model,
+        "alpha_along": maps[0].alpha_along.tolist(),
+        "alpha_across": maps[0].alpha_across.tolist(),
+        "maps": [
+            _setup_as_json(m.setup)
+            | {
+                "share": m.share,
+                "share_falling_too": float(m.falling_too.mean()),
+                "shares": {
+                    "max_at_zero_tilt": float(m.max_at_zero_tilt.mean()),
+                    "falls_on_both_sides": float(m.falls_on_both_sides.mean()),
+                    "first_pair_larger": float(m.first_pair_larger.mean()),
+                    "best_at_five": float(m.best_at_five.mean()),
+                },
+                "extent": m.extent and {"alpha_along": m.extent[0], "alpha_across": m.extent[1]},
+                "all_three": m.all_three.tolist(),
+            }
+            for m in maps
+        ],
+    }
+
+
+def print_maps(maps: "list[FindingsMap]") -> None:
+    """Print on which share of the grid the findings hold."""
+    from anisoscope.report.experiment_page import convention_text
+
+    extents = [m.extent or (None, None) for m in maps]
+    rows = [
+        ["mean contrast is largest at zero tilt", *(f"{m.max_at_zero_tilt.mean():.1%}" for m in maps)],
+        ["0°/90° exceeds 90°/180°", *(f"{m.first_pair_larger.mean():.1%}" for m in maps)],
+        ["5° is the best ridge angle", *(f"{m.best_at_five.mean():.1%}" for m in maps)],
+        ["all three", *(f"{m.share:.1%}" for m in maps)],
+        ["  within alpha along", *(_range(along) for along, _ in extents)],
+        ["  within alpha across", *(_range(across) for _, across in extents)],
+        ["all three, and falling on both sides", *(f"{m.falling_too.mean():.1%}" for m in maps)],
+    ]
+    print_table(
+        "Share of the grid on which the published findings hold",
+        ["finding", *(f"tilt {m.setup.convention.tilt_plane}" for m in maps)],
+        rows,
+    )
+    side, setup = maps[0].alpha_along, maps[0].setup
+    frame = f", shadow frame {setup.shadow_frame}" if setup.model == "printed" else ""
+    say(
+        f"model {setup.model}{frame}; {side.size} × {side.size} roughnesses from {side[0]:g} to {side[-1]:g}, "
+        "even in the logarithm"
+    )
+    for m in maps:
+        say(f"tilt {m.setup.convention.tilt_plane}: {convention_text(m.setup.convention)}")
+
+
+def _range(ends: tuple[float, float] | None) -> str:
+    return "–" if ends is None else f"{ends[0]:.3g}…{ends[1]:.3g}"
+
+
+Model = Literal["printed", "corrected"]
+ModelOption = Annotated[Model, Parameter(help="The model as published, or corrected.")]
+AlbedoOption = Annotated[float, Parameter(help="Diffuse albedo, 0 to 1; only scales the printed model.")]
+IndexOption = Annotated[float, Parameter(help="Refractive index; only scales the printed model.")]
+FacetOption = Annotated[float, Parameter(help="Azimuth toward which the facets lean at 0°, in degrees.")]
+LightOption = Annotated[float, Parameter(help="Angle between light and camera in degrees.")]
+FrameOption = Annotated[
+    Literal["pitch-normal", "half-vector"],
+    Parameter(help="Axis from which the printed model counts its shadowing."),
+]
+JsonOption = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")]
+HtmlOption = Annotated[Path | None, Parameter(help="Write a self-contained HTML page to this file.")]
+
+app = App(name="experiment", help="Repeat the published experiment on ridges.")
+
+
+@app.command
+def ridges(
+    *,
+    model: ModelOption = "printed",
+    measured: Annotated[
+        Path | None,
+        Parameter(help="CSV: ridge_angle_deg,tilt_deg,from_deg,to_deg,contrast; the scale k is fitted."),
+    ] = None,
+    alpha_along: Annotated[float, Parameter(help="Beckmann roughness along the ridges.")] = 0.06,
+    alpha_across: Annotated[float, Parameter(help="Beckmann roughness across the ridges.")] = 0.10,
+    albedo: AlbedoOption = 0.2,
+    index: IndexOption = 1.5,
+    tilt_plane: Annotated[
+        Literal["perpendicular", "in-plane"], Parameter(help="Plane in which camera and light tilt.")
+    ] = "perpendicular",
+    facet_azimuth: FacetOption = 0.0,
+    light_angle: LightOption = 10.0,
+    shadow_frame: FrameOption = "pitch-normal",
+    json_: JsonOption = False,
+    csv_: Annotated[
+        bool, Parameter(name="--csv", negative="", help="Print CSV, as --measured reads it.")
+    ] = False,
+    html: HtmlOption = None,
+) -> int:
+    """Predict the contrasts of the ridge experiment and their marginal means (Luongo et al. 2017, Fig. 8)."""
+    from anisoscope.experiment.experiment import Setup, run_experiment
+    from anisoscope.experiment.measured_table import read_measured
+    from anisoscope.sim.light.geometry import Convention
+    from anisoscope.sim.light.material import Material
+
+    _at_most_one({"--json": json_, "--csv": csv_, "--html": html is not None})
+    _check_finite(facet_azimuth)
+    setup = Setup(
+        model,
+        Material(alpha_along, alpha_across, albedo, index),
+        Convention(light_angle, tilt_plane, facet_azimuth),
+        shadow_frame,
+    )
+    result = run_experiment(setup, None if measured is None else read_measured(measured))
+    if json_:
+        _print_json(experiment_as_json(result))
+    elif csv_:
+        print_csv(result)
+    elif html is not None:
+        from anisoscope.report.experiment_page import write_experiment_page
+
+        write_experiment_page(result, _unit(result), html)
+        say(f"{html}: {_findings_text(result.findings)}; {_scale_text(result)}")
+    else:
+        print_experiment(result)
+    return 0
+
+
+@app.command
+def findings(
+    *,
+    model: ModelOption = "printed",
+    grid: Annotated[int, Parameter(help="Roughnesses a side of the grid, 2 to 100.")] = 24,
+    alpha_from: Annotated[float, Parameter(help="Smallest roughness of the grid.")] = 0.03,
+    alpha_to: Annotated[float, Parameter(help="Largest roughness of the grid.")] = 0.3,
+    albedo: AlbedoOption = 0.2,
+    index: IndexOption = 1.5,
+    facet_azimuth: FacetOption = 0.0,
+    light_angle: LightOption = 10.0,
+    shadow_frame: FrameOption = "pitch-normal",
+    json_: JsonOption = False,
+    html: HtmlOption = None,
+    svg: Annotated[Path | None, Parameter(help="Write the map as an SVG picture to this file.")] = None,
+) -> int:
+    """Map the roughnesses at which the published findings come out, for both planes of tilt.
+
+    The grid is even in the logarithm. The corrected model takes about half a minute, the printed one a second.
+    """
+    import numpy as np
+
+    from anisoscope.experiment.experiment import Setup
+    from anisoscope.experiment.findings_map import findings_share
+    from anisoscope.sim.light.geometry import Convention
+    from anisoscope.sim.light.material import Material
+
+    _at_most_one({"--json": json_, "--html": html is not None, "--svg": svg is not None})
+    _check_finite(facet_azimuth)
+    if not 2 <= grid <= 100:
+        raise UsageError(f"--grid takes 2 to 100, not {grid}")
+    if not 0.0 < alpha_from < alpha_to:
+        raise UsageError(f"--alpha-from {alpha_from} must lie above 0 and below --alpha-to {alpha_to}")
+    Material(alpha_from, alpha_to)
+    alphas = np.geomspace(alpha_from, alpha_to, grid)
+    alphas[[0, -1]] = alpha_from, alpha_to
+    maps = [
+        findings_share(
+            Setup(
+                model,
+                Material(albedo=albedo, index=index),
+                Convention(light_angle, plane, facet_azimuth),
+                shadow_frame,
+            ),
+            alphas,
+            alphas,
+        )
+        for plane in ("perpendicular", "in-plane")
+    ]
+    if json_:
+        _print_json(maps_as_json(maps))
+    elif html is not None or svg is not None:
+        _write_maps(maps, html, svg)
+    else:
+        print_maps(maps)
+    return 0
+
+
+def _at_most_one(given: dict[str, bool]) -> None:
+    names = [name for name, used in given.items() if used]
+    if len(names) > 1:
+        raise UsageError(f"{' and '.join(names)} exclude each other")
+
+
+def _check_finite(facet_azimuth: float) -> None:
+    if not math.isfinite(facet_azimuth):
+        raise UsageError(f"--facet-azimuth takes a finite number, not {facet_azimuth}")
+
+
+def _print_json(table: dict[str, Any]) -> None:
+    json.dump(table, sys.stdout, indent=2, allow_nan=False)
+    sys.stdout.write("\n")
+
+
+def _write_maps(maps: "list[FindingsMap]", html: Path | None, svg: Path | None) -> None:
+    from anisoscope.base.atomic_write import write_text
+    from anisoscope.report.experiment_page import findings_svg, write_findings_page
+
+    shares = "; ".join(f"tilt {m.setup.convention.tilt_plane} {m.share:.1%}" for m in maps)
+    if html is not None:
+        write_findings_page(maps, html)
+    if svg is not None:
+        write_text(svg, findings_svg(maps))
+    say(f"{html or svg}: all three findings hold on: {shares} of the grid")

@@ -1,0 +1,1 @@
+"""``anisoscope history``, ``show``, ``compare``, ``export``."""

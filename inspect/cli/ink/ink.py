@@ -1,0 +1,176 @@
+"""``anisoscope ink``: structural-colour inks, fitted to goniometer readings and shown as colours."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import App, Parameter
+
+from anisoscope.base.errors import UsageError
+from anisoscope.cli.console import parse_numbers
+from anisoscope.cli.ink.options import JsonOption, OverwriteOption, check_new, check_suffix
+from anisoscope.cli.ink.output import print_fit, print_json, print_line, print_show
+
+if TYPE_CHECKING:
+    from anisoscope.ink.goniometer import White
+
+HtmlOption = Annotated[Path | None, Parameter(help="Write a self-contained HTML page to this file.")]
+
+HORIZON_DEG = 90.0
+
+app = App(name="ink", help="Structural-colour inks: fit, colours, halftones, soft proof.")
+app.command("anisoscope.cli.ink.halftone:halftone")
+app.command("anisoscope.cli.ink.proof:proof")
+app.command("anisoscope.cli.ink.compare:compare")
+
+
+@app.command
+def fit(
+    data: Path,
+    /,
+    *,
+    method: Annotated[
+        Literal["joint", "paper"], Parameter(help="All parameters at once, or the published two steps.")
+    ] = "joint",
+    values: Annotated[
+        Literal["factor", "brdf"],
+        Parameter(help="Values are ratios to the white reference, or BRDF in 1/sr."),
+    ] = "factor",
+    white: Annotated[
+        float | None, Parameter(help="Reflectance of the white reference; 0.99 where it is not given.")
+    ] = None,
+    white_table: Annotated[
+        Path | None,
+        Parameter(
+            help="CSV: theta_i_deg[,theta_o_deg],correction: BRDF of the reference over a Lambertian one."
+        ),
+    ] = None,
+    white_readings: Annotated[
+        Path | None,
+        Parameter(help="CSV as DATA: readings of the reference, where values are not divided yet."),
+    ] = None,
+    noise: Annotated[float, Parameter(help="Relative noise of a reading, for the weights.")] = 0.03,
+    floor: Annotated[
+        float | None, Parameter(help="Noise floor in 1/sr; readings up to 3 times as large are dropped.")
+    ] = None,
+    name: Annotated[str | None, Parameter(help="Name of the ink.")] = None,
+    out: Annotated[Path | None, Parameter(help="Write the ink file *.toml.")] = None,
+    html: HtmlOption = None,
+    overwrite: OverwriteOption = False,
+    json_: JsonOption = False,
+) -> int:
+    """Fit roughness, reflectance and goniochromatism of an ink to goniometer readings.
+
+    Args:
+        data: CSV: theta_i_deg,theta_o_deg,wavelength_nm,value; θo counts away from the light, θo = θi is the mirror.
+    """
+    from anisoscope.ink.fitting import fit as fit_ink
+    from anisoscope.ink.goniometer import read_goniometer, to_brdf
+    from anisoscope.ink.text import fit_as_json, summary
+    from anisoscope.sim.materials.inks import write_ink
+
+    if values == "brdf" and white is not None:
+        raise UsageError("--white needs --values factor: a BRDF has no white reference")
+    check_suffix(out, "--out", ".toml")
+    check_suffix(html, "--html", ".html", ".htm")
+    check_new((out, html), overwrite=overwrite)
+    readings = to_brdf(read_goniometer(data), values, _white(white, white_table, white_readings))
+    found = fit_ink(readings, method, noise=noise, floor=floor)
+    ink = found.ink(name or data.stem, f"fitted to {data.name} ({summary(found)})")
+    if out is not None:
+        write_ink(ink, out)
+    if html is not None:
+        from anisoscope.report.ink_page import write_ink_fit_page
+
+        write_ink_fit_page(found, ink, f"Ink {ink.name}", html)
+    if json_:
+        print_json(fit_as_json(found))
+    else:
+        print_fit(found, f"Fit of {data.name}")
+        for path in (out, html):
+            if path is not None:
+                print_line(f"{path}: written")
+    return 0
+
+
+def _white(reflectance: float | None, table: Path | None, readings: Path | None) -> "White":
+    from anisoscope.ink.goniometer import White, read_correction, read_goniometer
+    from anisoscope.sim.light.ink.ink import SPECTRALON
+
+    return White(
+        SPECTRALON if reflectance is None else reflectance,
+        None if table is None else read_correction(table),
+        None if readings is None else read_goniometer(readings),
+    )
+
+
+@app.command
+def show(
+    *inks: str,
+    illuminant: Annotated[
+        str,
+        Parameter(
+            help="d65, a, led-b1 … led-b5, led-bh1, led-rgb1, led-v1, led-v2, or CSV wavelength_nm,power."
+        ),
+    ] = "d65",
+    angles: Annotated[str | None, Parameter(help="Angles of the light in degrees, comma-separated.")] = None,
+    off_mirror: Annotated[float, Parameter(help="Eye beside the mirror direction, in degrees.")] = 0.0,
+    model: Annotated[
+        Literal["goniochromatic", "schlick", "tio2"], Parameter(help="The ink model, or a standard one.")
+    ] = "goniochromatic",
+    exposure: Annotated[
+        float | None,
+        Parameter(help="Factor on XYZ before it is shown; else the brightest channel becomes 1."),
+    ] = None,
+    adapt: Annotated[
+        bool, Parameter(negative="", help="Adapt the light's white to that of sRGB (Bradford).")
+    ] = False,
+    html: HtmlOption = None,
+    png: Annotated[
+        Path | None, Parameter(help="Write a picture of the colours and spectra: *.png or *.svg.")
+    ] = None,
+    overwrite: OverwriteOption = False,
+    json_: JsonOption = False,
+) -> int:
+    """Colour of inks against angle.
+
+    Args:
+        inks: Ink files *.toml, or synthetic-red, synthetic-green, synthetic-blue.
+    """
+    from anisoscope.ink.appearance import ANGLES_DEG, show_inks
+    from anisoscope.ink.text import show_as_json
+    from anisoscope.sim.materials.inks import SYNTHETIC, find_ink
+    from anisoscope.sim.materials.spectra import find_illuminant
+
+    if not inks:
+        raise UsageError(f"ink show needs an ink: a file *.toml, or {', '.join(SYNTHETIC)}")
+    check_suffix(html, "--html", ".html", ".htm")
+    check_suffix(png, "--png", ".png", ".svg")
+    check_new((html, png), overwrite=overwrite)
+    usual = tuple(angle for angle in ANGLES_DEG if abs(angle + off_mirror) < HORIZON_DEG)
+    if not usual:
+        raise UsageError(f"--off-mirror takes degrees between -90 and 90, not {off_mirror:g}")
+    theta = usual if angles is None else parse_numbers(angles, "--angles")
+    shown = show_inks(
+        [find_ink(text) for text in inks],
+        find_illuminant(illuminant),
+        theta_deg=theta,
+        off_mirror_deg=off_mirror,
+        model=model,
+        exposure=exposure,
+        adapt=adapt,
+    )
+    if html is not None or png is not None:
+        from anisoscope.report.ink_page import write_ink_picture, write_ink_show_page
+
+        if html is not None:
+            write_ink_show_page(shown, "Inks against angle", html)
+        if png is not None:
+            write_ink_picture(shown, png)
+    if json_:
+        print_json(show_as_json(shown))
+    else:
+        print_show(shown)
+        for path in (html, png):
+            if path is not None:
+                print_line(f"{path}: written")
+    return 0

@@ -1,0 +1,87 @@
+"""What the commands about prints share: inks, separation, size."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from anisoscope.base.errors import UsageError
+
+if TYPE_CHECKING:
+    from anisoscope.sim.light.ink.ink import Ink
+
+OverwriteOption = Annotated[
+    bool, Parameter(name="--overwrite", negative="", help="Replace files that exist.")
+]
+JsonOption = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")]
+InksOption = Annotated[
+    str | None,
+    Parameter(
+        help="Three inks (red, green, blue), comma-separated: files *.toml or names; else the synthetic ones."
+    ),
+]
+IlluminantOption = Annotated[
+    str,
+    Parameter(help="Light for which the image is separated: d65, a, led-b3 …, or CSV wavelength_nm,power."),
+]
+AngleOption = Annotated[
+    float,
+    Parameter(help="Inclination of light and eye, on opposite sides, for which it is separated, in degrees."),
+]
+GainOption = Annotated[
+    float, Parameter(help="Factor on the image's linear light; above 1 the bright parts are cut.")
+]
+
+
+def three_inks(text: str | None) -> tuple["Ink", ...]:
+    """Inks by their names.
+
+    Raises:
+        UsageError: not three, or no such ink.
+    """
+    from anisoscope.sim.materials.inks import SYNTHETIC, find_ink
+
+    names = list(SYNTHETIC) if text is None else [name.strip() for name in text.split(",")]
+    if len(names) != 3:
+        raise UsageError(
+            f"--inks takes three inks separated by commas, not {len(names)}: {', '.join(SYNTHETIC)}"
+        )
+    return tuple(find_ink(name) for name in names)
+
+
+def check_suffix(path: Path | None, option: str, *suffixes: str) -> None:
+    """Refuse a file of another kind before the work begins.
+
+    Raises:
+        UsageError: the name ends in none of the suffixes.
+    """
+    if path is not None and path.suffix.lower() not in suffixes:
+        raise UsageError(f"{option} writes {' or '.join('*' + one for one in suffixes)}, not {path.name}")
+
+
+def check_target(path: Path | None, option: str, inputs: Iterable[Path | None], *suffixes: str) -> None:
+    """As :func:`check_suffix`, and refuse to write over what is read.
+
+    Raises:
+        UsageError: the name ends in none of the suffixes, or is that of an input.
+    """
+    check_suffix(path, option, *suffixes)
+    if path is not None and path.resolve() in {one.resolve() for one in inputs if one is not None}:
+        raise UsageError(f"{option} {path} is an input: write to another file")
+
+
+def check_new(paths: Iterable[Path | None], *, overwrite: bool) -> None:
+    """Refuse to replace files before the work begins, unless that is wanted.
+
+    Raises:
+        UsageError: one of them exists.
+    """
+    for path in paths:
+        if path is not None and path.exists() and not overwrite:
+            raise UsageError(f"{path} exists; give another name, or --overwrite")
+
+
+def percent(share: float) -> str:
+    """A share in words."""
+    return "none" if share == 0.0 else f"{100.0 * share:.2g} %"

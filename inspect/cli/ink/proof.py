@@ -1,0 +1,318 @@
+"""``anisoscope ink proof``: how a print will look, as a page to turn it in the browser, and as pictures."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+from anisoscope.base.errors import UsageError
+from anisoscope.cli.console import progress
+from anisoscope.cli.ink.options import (
+    AngleOption,
+    GainOption,
+    InksOption,
+    JsonOption,
+    OverwriteOption,
+    check_new,
+    check_target,
+    percent,
+    three_inks,
+)
+from anisoscope.cli.ink.output import print_json, print_line
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from anisoscope.report.proof_page import Proof
+    from anisoscope.sim.light.colour.illuminant import Illuminant
+    from anisoscope.sim.light.ink.ink import Ink
+    from anisoscope.sim.proof.halftone import Halftone
+    from anisoscope.sim.proof.mesh import Mesh
+    from anisoscope.sim.proof.scene import Scene
+
+SECOND_LIGHT_DEG = (-15.0, 35.0)
+_CONVENTION = (
+    "Colours are linear sums of coverage times the inks' colours in sRGB, clipped at the end; the eye looks along "
+    "parallel rays. Sphere and cylinder bear the print on each half; backs are bare paper."
+)
+BRIGHT = 0.9
+MOST_DOTS = 16384
+MOST_TURN = 1e6
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """How the page begins, and what ``--png`` shows."""
+
+    shape: Annotated[
+        Literal["sphere", "cylinder", "plane", "mesh"] | None, Parameter(help="What is printed on.")
+    ] = None
+    yaw: Annotated[float, Parameter(help="Turn about the upright axis, degrees.")] = 0.0
+    pitch: Annotated[float, Parameter(help="Tilt about the horizontal axis, degrees.")] = 0.0
+    azimuth: Annotated[
+        float, Parameter(help="Azimuth of the light, counter-clockwise from the right, degrees.")
+    ] = 135.0
+    elevation: Annotated[float, Parameter(help="Elevation of the light above the picture, degrees.")] = 45.0
+    second: Annotated[bool, Parameter(help="A second light, half as bright, from the right.")] = True
+    model: Annotated[
+        Literal["goniochromatic", "schlick", "tio2"], Parameter(help="The ink model, or a standard one.")
+    ] = "goniochromatic"
+    process: Annotated[
+        Literal["brushed", "binder-mixed"] | None,
+        Parameter(help="Roughness by the way of printing: brushed 0.19, binder-mixed 0.30 (assumed)."),
+    ] = None
+    match: Annotated[
+        bool,
+        Parameter(
+            negative="",
+            help="Add what photographs show: highlight and scattering of the paper, light behind.",
+        ),
+    ] = False
+
+
+def proof(
+    image: Path,
+    /,
+    *,
+    out: Annotated[Path | None, Parameter(help="Write the page *.html.")] = None,
+    png: Annotated[Path | None, Parameter(help="Write a picture *.png, without a browser.")] = None,
+    inks: InksOption = None,
+    mesh: Annotated[Path | None, Parameter(help="Mesh *.obj to print on.")] = None,
+    photo: Annotated[Path | None, Parameter(help="Photograph to show beside the proof.")] = None,
+    illuminant: Annotated[
+        tuple[str, ...],
+        Parameter(
+            help="Lights: names or CSV files; the first is that of the separation and the picture.",
+            negative="",
+        ),
+    ] = ("d65", "a", "led-b1", "led-b3", "led-b5", "led-rgb1", "led-v1"),
+    method: Annotated[Literal["mask", "diffusion"], Parameter(help="How the dots are placed.")] = "mask",
+    separation: Annotated[Literal["match", "channels"], Parameter(help="As for ink halftone.")] = "match",
+    angle: AngleOption = 20.0,
+    gain: GainOption = 1.0,
+    dots: Annotated[int, Parameter(help="Dots across the print; 0: one a pixel of the image.")] = 768,
+    size: Annotated[int, Parameter(help="Side of the picture of --png in pixels.")] = 1024,
+    view: View | None = None,
+    overwrite: OverwriteOption = False,
+    json_: JsonOption = False,
+) -> int:
+    """Show how a print of an image will look from all sides.
+
+    Args:
+        image: The picture to print.
+    """
+    from anisoscope.sim.materials.spectra import find_illuminant
+    from anisoscope.sim.proof.halftone import coverage
+    from anisoscope.sim.proof.halftone import halftone as place_dots
+    from anisoscope.sim.proof.imagefile import read_image, to_dots
+    from anisoscope.sim.proof.mesh import read_obj
+    from anisoscope.sim.proof.separation import separation as plan_separation
+
+    shown = view or View()
+    if out is None and png is None:
+        raise UsageError("ink proof needs something to write: --out proof.html, --png picture.png, or both")
+    check_target(out, "--out", (image, photo, mesh), ".html", ".htm")
+    check_target(png, "--png", (image, photo, mesh), ".png")
+    check_new((out, png), overwrite=overwrite)
+    if photo is not None and out is None:
+        raise UsageError("--photo shows a photograph on the page: it needs --out proof.html")
+    if shown.shape == "mesh" and mesh is None:
+        raise UsageError("--shape mesh needs --mesh FILE.obj")
+    if not 0 <= dots <= 16384 or not 16 <= size <= 4096 or not illuminant:
+        raise UsageError("--dots takes 0 to 16384, --size 16 to 4096, --illuminant a light or more")
+    if not (abs(shown.pitch) <= 90.0 and abs(shown.elevation) <= 90.0):
+        raise UsageError("--pitch and --elevation take degrees from -90 to 90")
+    if not (abs(shown.yaw) < MOST_TURN and abs(shown.azimuth) < MOST_TURN):
+        raise UsageError("--yaw and --azimuth take finite degrees")
+    chosen = three_inks(inks)
+    lamps = [find_illuminant(text) for text in illuminant]
+    solid = None if mesh is None else read_obj(mesh)
+    plan = plan_separation(chosen, lamps[0], way=separation, angle_deg=angle, gain=gain)
+    picture = read_image(image)
+    pixels = to_dots(picture, dots or picture.srgb.shape[1])
+    if out is not None and max(pixels.shape[:2]) > MOST_DOTS:
+        raise UsageError(
+            f"{pixels.shape[1]} × {pixels.shape[0]} dots are more than the {MOST_DOTS} a side that a page can show: "
+            "lower --dots"
+        )
+    with progress("proof", quiet=json_) as advance:
+        found = place_dots(pixels, plan, method, advance=advance)
+    work = _Work(chosen, lamps, found, coverage(pixels, plan), solid, shown)
+    exposure = work.exposure()
+    if png is not None:
+        work.write_png(png, size, exposure)
+    if out is not None:
+        from anisoscope.report.proof_page import write_proof_page
+
+        notes = tuple(f"Image: {note}." for note in picture.notes)
+        page = _page(work, f"Soft proof of {image.name}", exposure, notes, None if photo is None else photo)
+        write_proof_page(page, out)
+    _tell(found, exposure, [path for path in (png, out) if path is not None], json_)
+    return 0
+
+
+def _tell(found: "Halftone", exposure: float, written: list[Path], json_: bool) -> None:
+    if json_:
+        content: dict[str, Any] = {
+            "dots": list(found.dots.shape),
+            "printed": found.printed.tolist(),
+            "out_of_gamut": found.outside,
+            "scaled_down": found.scaled,
+            "exposure": exposure,
+            "files": [str(path) for path in written],
+        }
+        print_json(content)
+        return
+    print_line(
+        f"{found.dots.shape[1]} × {found.dots.shape[0]} dots; out of gamut: {percent(found.outside)}, "
+        f"coverages scaled down: {percent(found.scaled)}; exposure {exposure:.3g}."
+    )
+    for path in written:
+        print_line(f"{path}: written")
+
+
+@dataclass(frozen=True, eq=False)
+class _Work:
+    """A print, and how it is looked at."""
+
+    inks: "tuple[Ink, ...]"
+    lamps: "list[Illuminant]"
+    halftone: "Halftone"
+    tones: "np.ndarray[Any, Any]"
+    mesh: "Mesh | None"
+    view: View
+
+    @property
+    def shape(self) -> Literal["sphere", "cylinder", "plane", "mesh"]:
+        return self.view.shape or ("cylinder" if self.mesh is None else "mesh")
+
+    @property
+    def scene(self) -> "Scene":
+        from anisoscope.sim.proof.scene import Scene
+
+        rows, cols = self.halftone.dots.shape
+        return Scene(self.shape, self.view.yaw, self.view.pitch, cols / rows, mesh=self.mesh)
+
+    def linear(self, size: int) -> "np.ndarray[Any, Any]":
+        """(size, size, 3) linear light; where a pixel holds many dots, the tones stand for their mean."""
+        import numpy as np
+
+        from anisoscope.sim.light.ink.shading import Light
+        from anisoscope.sim.materials.inks import with_roughness
+        from anisoscope.sim.proof.render import PHOTO, ROUGHNESS, direction, proof_picture
+        from anisoscope.sim.proof.scene import printed, surface
+
+        view = self.view
+        inks = self.inks
+        if view.process is not None:
+            inks = tuple(with_roughness(ink, ROUGHNESS[view.process]) for ink in inks)
+        lights = [Light(direction(view.azimuth, view.elevation), np.pi, self.lamps[0])]
+        if view.second:
+            lights.append(Light(direction(*SECOND_LIGHT_DEG), 0.5 * np.pi, self.lamps[0]))
+        where = surface(self.scene, size, size)
+        extras = PHOTO if view.match else None
+        cover = printed(where, self.tones)
+        return proof_picture(where, inks, lights, cover, model=view.model, extras=extras)
+
+    def exposure(self) -> float:
+        """Factor at which 99 % of the print stay below 0.9."""
+        import numpy as np
+
+        brightest = self.linear(192).max(axis=-1)
+        lit = brightest[brightest > 0.0]
+        return BRIGHT / float(np.quantile(lit, 0.99)) if lit.size else 1.0
+
+    def write_png(self, path: Path, size: int, exposure: float) -> None:
+        import numpy as np
+
+        from anisoscope.base.atomic_write import write_bytes
+        from anisoscope.sim.proof.imagefile import picture_png
+        from anisoscope.sim.proof.render import to_screen
+
+        # four samples a pixel, so that edges and tones are even
+        fine = self.linear(2 * size).reshape(size, 2, size, 2, 3).mean(axis=(1, 3))
+        write_bytes(path, picture_png(np.ascontiguousarray(to_screen(fine, exposure))))
+
+
+def _page(work: _Work, title: str, exposure: float, notes: tuple[str, ...], photo: Path | None) -> "Proof":
+    import numpy as np
+
+    from anisoscope.report.proof_page import Proof, ProofLight, ProofMesh
+    from anisoscope.sim.light.colour.observer import white_point
+    from anisoscope.sim.light.colour.spaces import linear_srgb
+    from anisoscope.sim.proof.imagefile import photo_uri, picture_png, read_image
+    from anisoscope.sim.proof.render import ROUGHNESS, adaptation
+
+    dots = np.stack([work.halftone.mask(k) for k in range(3)], axis=-1).astype(np.uint8) * 255
+    mesh = work.mesh
+    vertices = None if mesh is None else np.hstack([mesh.position, mesh.normal, mesh.tangent, mesh.uv])
+    more = notes if mesh is None else (*notes, *(f"Mesh: {note}." for note in mesh.notes))
+    return Proof(
+        title=title,
+        subtitle=f"{dots.shape[1]} × {dots.shape[0]} dots of three inks that never meet ({work.halftone.method}); "
+        f"out of gamut {percent(work.halftone.outside)}, coverages scaled down {percent(work.halftone.scaled)}",
+        inks=work.inks,
+        lights=tuple(ProofLight(one, linear_srgb(white_point(one)), adaptation(one)) for one in work.lamps),
+        halftone_png=picture_png(dots),
+        tones_png=picture_png(np.rint(255.0 * work.tones).astype(np.uint8)),
+        aspect=work.scene.aspect,
+        exposure=exposure,
+        fill=work.scene.fill,
+        second_light_deg=SECOND_LIGHT_DEG,
+        start=_start(work, photo is not None),
+        roughness=(
+            ("file", "as the ink files say", None),
+            ("brushed", "brushed, 0.19", ROUGHNESS["brushed"]),
+            ("binder-mixed", "binder-mixed, 0.30 (assumed)", ROUGHNESS["binder-mixed"]),
+            ("own", "own value", None),
+        ),
+        facts=tuple(
+            (ink.name, f"α {ink.alpha:g}; coverage {100 * share:.1f} %. {ink.source}")
+            for ink, share in zip(work.inks, work.halftone.printed, strict=True)
+        ),
+        notes=(
+            *more,
+            _CONVENTION,
+        ),
+        mesh=None
+        if mesh is None or vertices is None
+        else ProofMesh(vertices.astype(np.float32), mesh.triangles.astype(np.uint32)),
+        photo=None if photo is None else photo_uri(read_image(photo)),
+    )
+
+
+def _around(degrees: float) -> float:
+    return (degrees + 180.0) % 360.0 - 180.0
+
+
+def _start(work: _Work, photo: bool) -> dict[str, Any]:
+    from anisoscope.sim.proof.render import PHOTO
+
+    view = work.view
+    return {
+        "shape": work.shape,
+        "print": "halftone",
+        "dots": "eye",
+        "zoom": 1,
+        "yaw": _around(view.yaw),
+        "pitch": view.pitch,
+        "illuminant": 0,
+        "azimuth": _around(view.azimuth),
+        "elevation": view.elevation,
+        "drag": "print",
+        "second": view.second,
+        "exposure": 0,
+        "adapt": False,
+        "model": view.model,
+        "beside": "schlick" if view.model != "schlick" else "goniochromatic",
+        "roughness": view.process or "file",
+        "alpha": work.inks[0].alpha,
+        "match": view.match,
+        "phong": PHOTO.phong,
+        "shininess": PHOTO.shininess,
+        "scattering": PHOTO.scattering,
+        "behind": PHOTO.behind,
+        "photo": photo,
+    }

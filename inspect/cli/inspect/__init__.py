@@ -1,0 +1,1 @@
+"""Commands that inspect parts and reopen inspection folders."""

@@ -1,0 +1,119 @@
+"""``anisoscope batch``: inspect the parts of a tray, one after the other."""
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Parameter
+
+from anisoscope.cli.inspect.batch_operator import Terminal, table_of
+from anisoscope.cli.inspect.history_entry import HistoryOption, history_place, remember
+from anisoscope.cli.inspect.lot_mates import lot_mates
+
+if TYPE_CHECKING:
+    from anisoscope.inspection.batch.journal import BatchFile
+
+CodeKind = Annotated[
+    Literal["any", "datamatrix", "code128", "qr"],
+    Parameter(name="--code-kind", help="Kind of code to look for, where several are in the picture."),
+]
+
+
+def batch(
+    tray: Annotated[
+        Path, Parameter(help="Tray list: CSV with slot,serial and, if wanted, lot,cavity,recipe,rig.")
+    ],
+    /,
+    *,
+    recipe: Annotated[Path, Parameter(name=["--recipe", "-r"], help="Recipe file (TOML).")],
+    rig: Annotated[Path, Parameter(name=["--rig", "-g"], help="Rig file (TOML).")],
+    out: Annotated[
+        Path, Parameter(help="Folder that receives the folder of the batch, batch-NAME after the list.")
+    ] = Path("inspections"),
+    resume: Annotated[
+        bool, Parameter(negative="", help="Go on with a batch that was interrupted; what is done stays.")
+    ] = False,
+    yes: Annotated[
+        bool,
+        Parameter(
+            name=["--yes", "-y"],
+            negative="",
+            help="Ask nobody: the tray fills itself, or the rig is virtual.",
+        ),
+    ] = False,
+    read_code: Annotated[
+        bool, Parameter(negative="", help="Read the code on every part with the camera before inspecting it.")
+    ] = False,
+    code_kind: CodeKind = "any",
+    code_exposure: Annotated[
+        float | None,
+        Parameter(help="Exposure in seconds for the picture of the code; by default the recipe's."),
+    ] = None,
+    operator: Annotated[str | None, Parameter(help="Who inspects; goes into the records.")] = None,
+    station: Annotated[str | None, Parameter(help="Where the rig stands.")] = None,
+    history: HistoryOption = None,
+    json_: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")] = False,
+) -> int:
+    """Inspect the parts of a tray list; one part's trouble does not stop the others.
+
+    Before each part: Enter goes on, s skips it, q stops; a code that is scanned is compared with the list. Writes
+    batch.json and batch.html, and an inspection folder a part.
+
+    Exit codes: that of the first hardware fault (64 and above); else of the worst verdict: 3 INVALID, 1 FAIL,
+    2 INCONCLUSIVE; 75 slots were left out; 0 all PASS.
+    """
+    from anisoscope.inspection.batch.first_pose import Look
+    from anisoscope.inspection.batch.journal import BATCH_NAME, read_batch
+    from anisoscope.inspection.batch.operator import Nobody
+    from anisoscope.inspection.batch.run import run_batch
+    from anisoscope.inspection.batch.start import Order
+    from anisoscope.inspection.batch.summary import write_summary
+    from anisoscope.inspection.batch.tray import read_tray
+
+    listed = read_tray(tray)
+    folder = (out / f"batch-{tray.stem}").resolve()
+    look = Look(code_kind, code_exposure) if read_code else None
+    place = history_place(history, out)
+    order = Order(listed, recipe, rig, folder, operator, station, look, lambda lot: lot_mates(place, lot))
+    who = Terminal(quiet=json_, answers=not yes)
+    begun_before = (folder / BATCH_NAME).exists() and not resume
+    for note in listed.notes:
+        who.say(f"note: {note}")
+    try:
+        found = run_batch(
+            order,
+            Nobody() if yes and json_ else who,
+            lambda inspected: remember(inspected, place),
+            resume=resume,
+        )
+    except KeyboardInterrupt:
+        if not begun_before and (folder / BATCH_NAME).exists():
+            write_summary(read_batch(folder), folder)
+        raise
+    page = write_summary(found, folder)
+    _show(found, folder, page, json_=json_)
+    return found.exit_code
+
+
+def _show(found: "BatchFile", folder: Path, page: Path, *, json_: bool) -> None:
+    from anisoscope.cli.console import console
+
+    if json_:
+        content = {
+            "exit_code": found.exit_code,
+            "counts": found.counts,
+            "slots": [slot.model_dump(mode="json") for slot in found.slots],
+            "folder": str(folder),
+            "page": str(page),
+        }
+        json.dump(content, sys.stdout, indent=2, allow_nan=False)
+        sys.stdout.write("\n")
+        return
+    out = console()
+    out.print(table_of(found))
+    for line in (
+        ", ".join(f"{number} {word}" for word, number in found.counts.items() if number),
+        f"page: {page}",
+    ):
+        out.print(line, markup=False, highlight=False, soft_wrap=True)

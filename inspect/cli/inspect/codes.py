@@ -1,0 +1,85 @@
+"""``anisoscope code``: read the code on a part, from a picture or with the camera."""
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from anisoscope.base.errors import UsageError
+from anisoscope.cli.inspect.batch import CodeKind
+
+if TYPE_CHECKING:
+    from anisoscope.inspection.batch.codes import Code, Counts
+
+
+def code(
+    picture: Annotated[Path | None, Parameter(help="Picture to read (PNG, TIFF, JPEG).")] = None,
+    /,
+    *,
+    rig: Annotated[
+        Path | None,
+        Parameter(name=["--rig", "-g"], help="Instead of a picture: rig file; its camera takes one."),
+    ] = None,
+    recipe: Annotated[
+        Path | None,
+        Parameter(name=["--recipe", "-r"], help="With --rig: recipe, for its first pose and exposure."),
+    ] = None,
+    exposure: Annotated[float | None, Parameter(help="With --rig: exposure in seconds instead.")] = None,
+    code_kind: CodeKind = "any",
+    json_: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")] = False,
+) -> int:
+    """Read a Data Matrix, Code 128 or QR code, turned, pale or small; GS1 codes give lot and serial number.
+
+    Exit codes: 0 one code, 3 none that can be read or several, 64 and above usage or hardware.
+    """
+    from anisoscope.inspection.batch.codes import one_code, read_codes
+
+    counts, where = _picture(picture, rig, recipe, exposure)
+    found = read_codes(counts, code_kind)
+    if json_:
+        json.dump({"codes": [_as_json(one) for one in found]}, sys.stdout, indent=2, allow_nan=False)
+        sys.stdout.write("\n")
+        return 0 if len(found) == 1 else 3
+    for line in _lines(one_code(found, code_kind, where)):
+        print(line)  # noqa: T201
+    return 0
+
+
+def _picture(
+    picture: Path | None, rig: Path | None, recipe: Path | None, exposure: float | None
+) -> "tuple[Counts, str]":
+    from anisoscope.inspection.batch.codes import read_picture
+    from anisoscope.inspection.batch.first_pose import photograph_first_pose
+
+    if (picture is None) == (rig is None):
+        raise UsageError("name a picture, or a rig file with --rig")
+    if picture is not None:
+        return read_picture(picture), str(picture)
+    if recipe is None:
+        raise UsageError(
+            "--rig needs --recipe: it says at which pose and for how long the part is photographed"
+        )
+    assert rig is not None
+    return photograph_first_pose(recipe, rig, exposure).counts, "the picture at the first pose"
+
+
+def _lines(one: "Code") -> list[str]:
+    scan = one.scan
+    lines = [f"{one.title}: {scan.text}"]
+    if scan.gs1:
+        lines += [f"serial: {scan.serial or '–'}", f"lot: {scan.lot or '–'}"]
+    return lines
+
+
+def _as_json(one: "Code") -> dict[str, Any]:
+    scan = one.scan
+    return {
+        "kind": one.kind,
+        "text": scan.text,
+        "serial": scan.serial,
+        "lot": scan.lot,
+        "gs1": scan.gs1,
+        "corners": [list(corner) for corner in one.corners],
+    }

@@ -1,0 +1,232 @@
+"""``anisoscope inspect``: photograph one part, or take a folder of frames, and judge it."""
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from anisoscope.base.errors import UsageError
+from anisoscope.cli.console import console, print_table, progress
+from anisoscope.cli.inspect.batch_operator import ask_serial
+from anisoscope.cli.inspect.history_entry import HistoryOption, history_place, remember
+from anisoscope.cli.inspect.lot_mates import lot_mates
+
+if TYPE_CHECKING:
+    from anisoscope.inspection.run import Inspected
+    from anisoscope.record.schema import CauseRecord, Record
+
+MAX_REGIONS = 5
+
+
+def inspect(
+    *,
+    recipe: Annotated[Path, Parameter(name=["--recipe", "-r"], help="Recipe file (TOML).")],
+    rig: Annotated[
+        Path | None,
+        Parameter(
+            name=["--rig", "-g"], help="Rig file (TOML); with --frames rig.toml beside them by default."
+        ),
+    ] = None,
+    serial: Annotated[
+        str | None,
+        Parameter(name=["--serial", "-s"], help="Serial number of the part; without it you type or scan it."),
+    ] = None,
+    frames: Annotated[
+        Path | None, Parameter(help="Judge the frames of this folder (frames.csv) instead of taking any.")
+    ] = None,
+    reflectance: Annotated[
+        float, Parameter(help="With --frames: reflectance of the white tile in its flat frames.")
+    ] = 0.99,
+    out: Annotated[Path, Parameter(help="Folder that receives the inspection folder.")] = Path("inspections"),
+    operator: Annotated[str | None, Parameter(help="Who inspects; goes into the record.")] = None,
+    lot: Annotated[str | None, Parameter(help="Lot of the part.")] = None,
+    cavity: Annotated[str | None, Parameter(help="Cavity of the mould.")] = None,
+    station: Annotated[str | None, Parameter(help="Where the rig stands.")] = None,
+    history: HistoryOption = None,
+    json_: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")] = False,
+) -> int:
+    """Photograph a part at the recipe's angles, compare contrasts (of a print: colours) with the prediction, decide.
+
+    Exit codes: 0 PASS, 1 FAIL, 2 INCONCLUSIVE, 3 INVALID, 64 and above usage or hardware.
+    """
+    from anisoscope.inspection.replay import inspect_frames
+    from anisoscope.inspection.run import inspect_part
+    from anisoscope.record.schema import Particulars
+
+    if serial is None:
+        serial, lot = ask_serial(lot)
+    who = Particulars(operator=operator, lot=lot, cavity=cavity, station=station)
+    place = history_place(history, out)
+    mates = lot_mates(place, lot)
+    with progress(serial, quiet=json_) as advance:
+        if frames is not None:
+            inspected = inspect_frames(
+                frames,
+                recipe,
+                serial,
+                out,
+                advance,
+                rig_path=rig,
+                reflectance=reflectance,
+                particulars=who,
+                lot_mates=mates,
+            )
+        elif rig is None:
+            raise UsageError("name a rig file with --rig, or a folder of frames with --frames")
+        else:
+            inspected = inspect_part(recipe, rig, serial, out, advance, particulars=who, lot_mates=mates)
+    try:
+        return show(inspected, json_=json_)
+    finally:
+        remember(inspected, place)
+
+
+def show(inspected: "Inspected", *, json_: bool) -> int:
+    """Print a finished inspection and return its exit code."""
+    from anisoscope.record.verdict import Verdict
+
+    if json_:
+        json.dump(_as_json(inspected), sys.stdout, indent=2, allow_nan=False)
+        sys.stdout.write("\n")
+    else:
+        _print(inspected)
+    return Verdict(inspected.record.verdict).exit_code
+
+
+def _as_json(inspected: "Inspected") -> dict[str, Any]:
+    record = inspected.record
+    diagnosis = record.diagnosis
+    return {
+        "verdict": record.verdict,
+        "reasons": list(record.reasons),
+        "contrasts": [contrast.model_dump() for contrast in record.contrasts],
+        "between_tilts": [one.model_dump() for one in record.between_tilts],
+        "area": None if record.area is None else record.area.model_dump(),
+        "d2": record.d2,
+        "dof": record.dof,
+        "p_value": record.p_value,
+        "conformance_probability": record.conformance_probability,
+        "budget": [row.model_dump() for row in record.budget],
+        "diagnosis": [] if diagnosis is None else [cause.model_dump() for cause in diagnosis.causes],
+        "says": None if diagnosis is None else diagnosis.says,
+        "tells": None if diagnosis is None else diagnosis.tells,
+        "unexplained_p": None if diagnosis is None else diagnosis.unexplained_p,
+        "regions": [region.model_dump() for region in record.regions],
+        "comparisons": [one.model_dump() for one in record.comparisons],
+        "reading": record.reading,
+        "shape": None if record.shape is None else record.shape.model_dump(),
+        "golden_parts": 0 if record.golden is None else record.golden.parts,
+        "map_place": None if record.map_place is None else record.map_place.model_dump(),
+        "print": None if record.print is None else record.print.model_dump(),
+        "rounds": record.rounds,
+        "dropped_markers": [list(pose.dropped) for pose in record.poses],
+        "calibrations": [one.model_dump() for one in record.calibrations],
+        "folder": str(inspected.folder),
+        "report": str(inspected.report),
+        "notes": list(inspected.notes),
+    }
+
+
+def explained(record: "Record") -> list[str]:
+    """What is wrong and where, in a line each; empty for a part as it should be."""
+    lines = []
+    diagnosis = record.diagnosis
+    if diagnosis is not None and diagnosis.causes:
+        lines.append(f"cause: {diagnosis.says}")
+        lines += [_cause_line(cause) for cause in diagnosis.causes if cause.tie and cause.cause != "nothing"]
+        lines += [f"what would tell them apart: {diagnosis.tells}"] if diagnosis.tells else []
+    if record.reading is not None:
+        lines.append(f"design and height map: {record.reading}")
+    if record.verdict != "PASS":
+        lines += [
+            f"{region.kind} at x {region.x:+.2f} mm, y {region.y:+.2f} mm: {region.area_share:.2%} of the area, "
+            f"p = {region.p_value:.2g}"
+            for region in record.regions[:MAX_REGIONS]
+        ]
+    return lines
+
+
+def _cause_line(cause: "CauseRecord") -> str:
+    from anisoscope.report.wording import cause_text
+
+    return f"  {cause_text(cause)}, weight {cause.weight:.0%}"
+
+
+def _print_quantities(record: "Record") -> None:
+    """What was judged of a print."""
+    from anisoscope.report.print_sections import quantity_row
+
+    assert record.print is not None
+    rows = [quantity_row(one) for one in record.print.quantities]
+    print_table(
+        f"{record.serial}: {record.product}",
+        ["quantity", "measured", "nominal", "off by", "u", "limit", ""],
+        [[row.title, row.value, row.nominal, row.deviation, row.u, row.limit, row.verdict] for row in rows],
+        ". ".join(record.print.not_judged) or None,
+    )
+
+
+def _print_between_tilts(record: "Record") -> None:
+    """The contrasts between tilts; of many the least likely ones, in their order."""
+    from anisoscope.report.tilt_sections import shown_between_tilts, tilt_row
+    from anisoscope.report.wording import U_SAID
+
+    shown, folded = shown_between_tilts(record)
+    print_table(
+        "the same stage angle at two tilts",
+        ["contrast", "at [°]", "tilts [°]", "measured", "U", "predicted", "U", "deviation", "U", "p"],
+        [[row.kind, row.stage, row.tilts, *row.numbers, row.chance] for row in map(tilt_row, shown)],
+        f"{U_SAID}; for information"
+        + (f"; {len(folded)} more, all likelier, in record.json" if folded else ""),
+    )
+
+
+def _print(inspected: "Inspected") -> None:
+    record = inspected.record
+    if record.contrasts:
+        print_table(
+            f"{record.serial}: {record.product}",
+            [
+                "contrast",
+                "from [°]",
+                "to [°]",
+                "tilt [°]",
+                "measured",
+                "predicted",
+                "deviation",
+                "u",
+                "tolerance",
+                "",
+            ],
+            [
+                [
+                    contrast.kind,
+                    f"{contrast.from_deg:g}",
+                    f"{contrast.to_deg:g}",
+                    f"{contrast.tilt_deg:g}",
+                    f"{contrast.measured:+.4f}",
+                    f"{contrast.predicted:+.4f}",
+                    f"{contrast.measured - contrast.predicted:+.4f}",
+                    f"{contrast.u:.4f}",
+                    "–" if contrast.tolerance is None else f"±{contrast.tolerance:g}",
+                    contrast.verdict if contrast.tolerance is not None else "",
+                ]
+                for contrast in record.contrasts
+            ],
+        )
+    if record.between_tilts:
+        _print_between_tilts(record)
+    if record.print is not None:
+        _print_quantities(record)
+    out = console()
+    color = {"PASS": "green", "FAIL": "red", "INCONCLUSIVE": "yellow", "INVALID": "magenta"}[record.verdict]
+    out.print(f"[bold {color}]{record.verdict}[/]")
+    for reason in record.reasons:
+        out.print(f"  {reason}", markup=False, highlight=False, soft_wrap=True)
+    for line in explained(record):
+        out.print(f"  {line}", markup=False, highlight=False, soft_wrap=True)
+    for note in inspected.notes:
+        out.print(f"note: {note}", markup=False, highlight=False, soft_wrap=True)
+    out.print(f"report: {inspected.report}", markup=False, highlight=False, soft_wrap=True)

@@ -1,0 +1,180 @@
+"""``anisoscope watch``: inspect folders of frames as they arrive."""
+
+import contextlib
+import json
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from anisoscope.base.errors import RecordError, UsageError
+from anisoscope.base.progress import Advance
+from anisoscope.cli.console import console, print_table, progress
+from anisoscope.cli.inspect.batch import CodeKind
+from anisoscope.cli.inspect.history_entry import HistoryOption, history_place, remember
+from anisoscope.cli.inspect.lot_mates import lot_mates
+
+if TYPE_CHECKING:
+    from anisoscope.inspection.batch.watch import Watch
+    from anisoscope.inspection.run import Inspected
+
+
+def watch(
+    folder: Annotated[Path, Parameter(help="Folder in which folders of frames (with frames.csv) arrive.")],
+    /,
+    *,
+    recipe: Annotated[Path, Parameter(name=["--recipe", "-r"], help="Recipe file (TOML).")],
+    rig: Annotated[
+        Path | None,
+        Parameter(name=["--rig", "-g"], help="Rig file (TOML); by default rig.toml beside the frames."),
+    ] = None,
+    out: Annotated[Path, Parameter(help="Folder that receives the inspections.")] = Path("inspections"),
+    reflectance: Annotated[float, Parameter(help="Reflectance of the white tile in flat frames.")] = 0.99,
+    settle: Annotated[float, Parameter(help="Seconds for which a folder must have kept still.")] = 2.0,
+    poll: Annotated[float, Parameter(help="Seconds between looks.")] = 1.0,
+    read_code: Annotated[
+        bool,
+        Parameter(
+            negative="", help="Read the code on every part from its first frame; it says who the part is."
+        ),
+    ] = False,
+    code_kind: CodeKind = "any",
+    once: Annotated[bool, Parameter(negative="", help="Inspect what is there and at rest, and end.")] = False,
+    history: HistoryOption = None,
+    json_: Annotated[
+        bool, Parameter(name="--json", negative="", help="Print JSON, one line an event.")
+    ] = False,
+) -> int:
+    """Inspect every folder of frames that arrives, once; Ctrl-C or SIGTERM ends after the one at work.
+
+    Serial number and lot stand in part.toml beside the frames, or in columns of frames.csv, or with --read-code in the
+    code on the part; else the folder's name is the serial number.
+
+    Exit codes: 0 when it was told to end; with --once that of the worst verdict (3, 1, 2, 0), 74 if folders were bad.
+    """
+    from anisoscope.inspection.batch.watch import Watch, Watched
+
+    if not (settle >= 0.0 and poll > 0.0):
+        raise UsageError(f"--settle must be 0 s or more and --poll above 0 s, not {settle:g} and {poll:g}")
+    place = history_place(history, out)
+    what = Watched(
+        folder.resolve(),
+        out.resolve(),
+        recipe,
+        rig,
+        reflectance,
+        settle,
+        poll,
+        code_kind if read_code else None,
+        lambda lot: lot_mates(place, lot),
+    )
+    teller = Teller(json_=json_)
+    watching = Watch(what, teller, lambda inspected: remember(inspected, place))
+    with _until_told() as stop, watching.open():
+        teller.say({"event": "watching", "folder": str(what.root)}, f"watching {what.root}; Ctrl-C ends")
+        (watching.run_once if once else watching.run)(stop)
+    teller.end(watching)
+    return _exit_code(watching) if once else 0
+
+
+def _exit_code(watching: "Watch") -> int:
+    from anisoscope.inspection.batch.journal import VERDICTS
+    from anisoscope.record.verdict import Verdict
+
+    worst = next((word for word in VERDICTS if word in watching.verdicts), "PASS")
+    return RecordError.exit_code if watching.bad else Verdict(worst).exit_code
+
+
+class Teller:
+    """Says what happens: in lines for people, or as JSON."""
+
+    def __init__(self, *, json_: bool) -> None:
+        self._json = json_
+
+    def say(self, event: dict[str, Any], text: str) -> None:
+        """Say it in one way or the other."""
+        if self._json:
+            print(json.dumps(event, allow_nan=False), flush=True)  # noqa: T201
+        else:
+            console().print(text, markup=False, highlight=False, soft_wrap=True)
+            sys.stdout.flush()
+
+    def inspected(self, name: str, inspected: "Inspected") -> None:
+        """The verdict in a line."""
+        record = inspected.record
+        why = f": {record.reasons[0]}" if record.reasons and record.verdict != "PASS" else ""
+        self.say(
+            {
+                "event": "inspected",
+                "folder": name,
+                "serial": record.serial,
+                "verdict": record.verdict,
+                "reasons": list(record.reasons),
+                "inspection": str(inspected.folder),
+            },
+            f"{name}: {record.verdict}{why}",
+        )
+
+    def same(self, name: str, other: str) -> None:
+        """The same frames again."""
+        self.say(
+            {"event": "same", "folder": name, "as": other}, f"{name}: the same frames as {other}; passed over"
+        )
+
+    def bad(self, name: str, reason: str) -> None:
+        """Why a folder cannot be inspected."""
+        self.say({"event": "bad", "folder": name, "reason": reason}, f"{name}: not inspected: {reason}")
+
+    @contextlib.contextmanager
+    def progress(self, name: str) -> Iterator[Advance]:
+        """A bar for the folder at work."""
+        with progress(name, quiet=self._json) as advance:
+            yield advance
+
+    def end(self, watching: "Watch") -> None:
+        """What was done, and what is left."""
+        bad = {name: one.reason for name, one in sorted(watching.bad.items())}
+        counts = {word: watching.verdicts.count(word) for word in dict.fromkeys(watching.verdicts)}
+        if bad and not self._json:
+            print_table("Not inspected", ["folder", "why"], [[name, why] for name, why in bad.items()])
+        said = ", ".join(f"{count} {word}" for word, count in counts.items()) or "nothing new"
+        left = f"; still arriving: {', '.join(sorted(watching.arriving))}" if watching.arriving else ""
+        self.say(
+            {"event": "end", "counts": counts, "bad": bad, "arriving": sorted(watching.arriving)},
+            f"{said}{left}",
+        )
+
+
+@contextlib.contextmanager
+def _until_told() -> Iterator[threading.Event]:
+    """An event that the first Ctrl-C or SIGTERM sets; a second one interrupts at once."""
+    stop = threading.Event()
+    before: dict[int, Any] = {}
+
+    def tell(number: int, _frame: FrameType | None) -> None:
+        if stop.is_set():
+            raise KeyboardInterrupt
+        stop.set()
+        with contextlib.suppress(
+            OSError, ValueError
+        ):  # not print: the signal may come while something is printed
+            os.write(
+                sys.stderr.fileno(), b"anisoscope: ending after the folder at work; once more ends at once\n"
+            )
+        del number
+
+    numbers = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    for number in numbers:
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            before[number] = signal.signal(number, tell)
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,310 @@
+"""What ``anisoscope predict --json`` prints."""
+
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from anisoscope.base.arrays import FloatArray
+    from anisoscope.prediction.predict import Predicted
+    from anisoscope.prediction.sensitivity import Budget
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from anisoscope.cli.console import print_table
+
+if TYPE_CHECKING:
+    from anisoscope.base.arrays import FloatArray
+    from anisoscope.prediction.predict import Predicted
+    from anisoscope.prediction.sensitivity import Budget
+
+
+KINDS = ("difference", "michelson", "log_ratio")
+_DISAGREES = 0.2
+_SURE = 4.0  # standard uncertainties of a u from draws
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if abs(value) < float("inf") else None
+
+
+def pose_names(result: "Predicted") -> list[str]:
+    """Short names of the poses."""
+    return [f"{pose.stage_deg:g}°, tilt {pose.tilt_deg:g}°" for pose in result.poses]
+
+
+def contrast_names(result: "Predicted") -> list[str]:
+    """Short names of the contrasts."""
+    return [f"{c.from_deg:g}°/{c.to_deg:g}°, tilt {c.tilt_deg:g}°" for c in result.contrasts]
+
+
+def radiance_u(result: "Predicted") -> list[float] | None:
+    """Standard uncertainty of every pose radiance in 1/sr, or None where it was not asked for."""
+    if result.budget is None:
+        return None
+    u: list[float] = (result.budget if result.drawn is None else result.drawn).u().tolist()
+    return u
+
+
+def contrast_u(result: "Predicted", kind: str) -> list[float] | None:
+    """Standard uncertainty of every contrast; infinite where a dark pose leaves it undefined."""
+    import numpy as np
+
+    covariance = result.contrast_covariance(kind)
+    return None if covariance is None else [float(np.sqrt(value)) for value in np.diag(covariance)]
+
+
+def uncertainty_warning(result: "Predicted") -> str | None:
+    """Where first-order propagation fails, or may fail; None where it serves."""
+    if result.budget is None:
+        return None
+    from anisoscope.prediction.monte_carlo import disagreement
+
+    names = pose_names(result)
+    if result.drawn is None:
+        doubtful = [name for name, bent in zip(names, result.budget.not_linear(), strict=True) if bent]
+        if not doubtful:
+            return None
+        return f"first-order uncertainty is in doubt at {'; '.join(doubtful)}: check with --monte-carlo 500"
+    limit = max(_DISAGREES, _SURE * result.drawn.u_error_share)
+    off = [
+        f"{name} (×{1.0 + share:.3g})"
+        for name, share in zip(names, disagreement(result.budget, result.drawn), strict=True)
+        if abs(share) > limit
+    ]
+    if not off:
+        return None
+    return f"first-order uncertainty fails, u of the Monte Carlo differs from it at {'; '.join(off)}"
+
+
+def _budget_as_json(budget: "Budget") -> list[dict[str, Any]]:
+    return [
+        {
+            "source": part.source,
+            "kind": part.kind,
+            "correlation": part.correlation,
+            "u": [float(value) for value in part.absolute],
+            "relative": [
+                None if dark else float(value)
+                for value, dark in zip(budget.relative(part.absolute), budget.dark, strict=True)
+            ],
+        }
+        for part in budget.contributions
+    ]
+
+
+def _covariances(result: "Predicted") -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    matrices = {"radiance": result.covariance} | {kind: result.contrast_covariance(kind) for kind in KINDS}
+    for name, matrix in matrices.items():
+        assert matrix is not None
+        labels = pose_names(result) if name == "radiance" else contrast_names(result)
+        found[name] = {"labels": labels, "matrix": [[_finite(v) for v in row] for row in matrix.tolist()]}
+    return found
+
+
+def _monte_carlo_as_json(result: "Predicted") -> dict[str, Any]:
+    assert result.budget is not None
+    assert result.drawn is not None
+    return {
+        "draws": len(result.drawn.radiance),
+        "u_error_share": result.drawn.u_error_share,
+        "mean": result.drawn.radiance.mean(axis=0).tolist(),
+        "u": result.drawn.u().tolist(),
+        "u_first_order": result.budget.u().tolist(),
+    }
+
+
+def as_json(result: "Predicted", *, covariance: bool = False) -> dict[str, Any]:
+    """One prediction as plain data; null stands for what a dark pose leaves undefined."""
+    u = radiance_u(result)
+    poses: list[dict[str, Any]] = [
+        {"stage_deg": pose.stage_deg, "tilt_deg": pose.tilt_deg, "radiance": float(value)}
+        for pose, value in zip(result.poses, result.radiance, strict=True)
+    ]
+    pairs: list[dict[str, Any]] = [
+        {key: _finite(value) for key, value in asdict(contrast).items()} for contrast in result.contrasts
+    ]
+    found: dict[str, Any] = {
+        "model": result.model,
+        "convention": asdict(result.convention),
+        "k": result.k,
+        "poses": poses,
+        "contrasts": pairs,
+        **result.notes,
+    }
+    if u is None or result.budget is None:
+        return found
+    for pose, value in zip(poses, u, strict=True):
+        pose["u"] = value
+    by_kind = {kind: contrast_u(result, kind) or [] for kind in KINDS}
+    for number, pair in enumerate(pairs):
+        pair["u"] = {kind: _finite(values[number]) for kind, values in by_kind.items()}
+    found["budget"] = _budget_as_json(result.budget)
+    if result.drawn is not None:
+        found["monte_carlo"] = _monte_carlo_as_json(result)
+    warning = uncertainty_warning(result)
+    if warning is not None:
+        found["uncertainty_warning"] = warning
+    if covariance:
+        found["covariance"] = _covariances(result)
+    return found
+
+
+def spectrum_as_json(
+    results: "list[Predicted]", wavelengths_nm: tuple[float, ...], *, covariance: bool
+) -> dict[str, Any]:
+    """Predictions at several wavelengths: numbers become lists with one entry a wavelength."""
+    each = [as_json(result, covariance=covariance) for result in results]
+    found = {key: value for key, value in each[0].items() if key not in {"poses", "contrasts"}}
+    found["wavelengths_nm"] = list(wavelengths_nm)
+    for part, fixed in (
+        ("poses", {"stage_deg", "tilt_deg"}),
+        ("contrasts", {"from_deg", "to_deg", "tilt_deg"}),
+    ):
+        rows = zip(*(one[part] for one in each), strict=True)
+        found[part] = [_stacked(row, fixed) for row in rows]
+    for key in ("budget", "covariance", "uncertainty_warning", "optics"):
+        if any(key in one for one in each):
+            found[key] = [one.get(key) for one in each]
+    return found
+
+
+def _stacked(rows: tuple[dict[str, Any], ...], fixed: set[str]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for key, value in rows[0].items():
+        if key in fixed:
+            found[key] = value
+        elif isinstance(value, dict):
+            found[key] = _stacked(tuple(row[key] for row in rows), set())
+        else:
+            found[key] = [row[key] for row in rows]
+    return found
+
+
+_MAX_POSE_COLUMNS = 6
+
+
+def _with_u(value: float, u: float | None, digits: int, sign: str = "") -> str:
+    if not abs(value) < float("inf"):
+        return "–"
+    text = f"{value:{sign}.{digits}f}"
+    if u is None:
+        return text
+    return f"{text} ± {u:.{digits}f}" if u < float("inf") else f"{text} ± –"
+
+
+_IN_WORDS = {
+    "second_reflection_would_add": "direct light only: a second reflection would add up to {:.2g} % (--bounces all)",
+    "lost_in_roughness": "single scattering loses up to {:.2g} % of the lobe",
+}
+
+
+def _caption(result: "Predicted") -> str:
+    convention = result.convention
+    caption = (
+        f"model {result.model}; light {convention.light_angle_deg:g}° from the camera, tilt plane "
+        f"{convention.tilt_plane}, facets toward {convention.facet_azimuth_deg:g}°, stage turns "
+        f"{convention.rotation_sense}; k = {result.k:g}"
+    )
+    for name, value in result.notes.items():
+        if name == "optics":
+            caption += f"; optics: {value['reason']}"
+            if value["stated_error_per_sr"] is not None:
+                caption += f" (of the middle of a lobe: {value['stated_error_per_sr']:.2g} 1/sr)"
+            continue
+        if name in _IN_WORDS:
+            caption += "; " + _IN_WORDS[name].format(100.0 * value)
+            continue
+        shown = f"{value:.4g}" if isinstance(value, float) else str(value)
+        caption += f"; {name.replace('_', ' ')}: {shown}"
+    if result.budget is not None:
+        source = "first order" if result.drawn is None else f"{len(result.drawn.radiance)} draws"
+        caption += f"; ± is the standard uncertainty (coverage factor 1), from {source}"
+    warning = uncertainty_warning(result)
+    return caption if warning is None else f"{caption}; warning: {warning}"
+
+
+def radiance_rows(result: "Predicted") -> list[list[str]]:
+    """Rows of the table of radiances."""
+    u: Sequence[float | None] = radiance_u(result) or [None] * len(result.poses)
+    rows = []
+    for number, pose in enumerate(result.poses):
+        value = float(result.radiance[number])
+        row = [f"{pose.stage_deg:g}", f"{pose.tilt_deg:g}", _with_u(value, u[number], 5)]
+        if result.drawn is not None and result.budget is not None:
+            mean = float(result.drawn.radiance[:, number].mean())
+            row += [f"{result.budget.u()[number]:.5f}", f"{result.drawn.u()[number]:.5f}", f"{mean:.5f}"]
+        rows.append(row)
+    return rows
+
+
+def contrast_rows(result: "Predicted") -> list[list[str]]:
+    """Rows of the table of contrasts."""
+    unknown: list[float | None] = [None] * len(result.contrasts)
+    u: dict[str, Sequence[float | None]] = {kind: contrast_u(result, kind) or unknown for kind in KINDS}
+    digits = {"difference": 5, "michelson": 4, "log_ratio": 4}
+    return [
+        [
+            f"{c.from_deg:g}",
+            f"{c.to_deg:g}",
+            f"{c.tilt_deg:g}",
+            *(_with_u(getattr(c, kind), u[kind][n], digits[kind], "+") for kind in KINDS),
+        ]
+        for n, c in enumerate(result.contrasts)
+    ]
+
+
+def columns_of(result: "Predicted") -> tuple[list[str], list[str]]:
+    """Headers of the tables of radiances and of contrasts."""
+    pm = "" if result.budget is None else " ± u"
+    radiance = ["stage [°]", "tilt [°]", f"radiance{pm} [1/sr]"]
+    if result.drawn is not None:
+        radiance += ["u first order [1/sr]", "u Monte Carlo [1/sr]", "mean of draws [1/sr]"]
+    contrast = [f"difference{pm} [1/sr]", f"Michelson{pm}", f"ln ratio{pm}"]
+    return radiance, ["from [°]", "to [°]", "tilt [°]", *contrast]
+
+
+def print_prediction(result: "Predicted") -> None:
+    """Print radiances, contrasts and the budget."""
+    radiance, contrast = columns_of(result)
+    print_table("Radiance per unit irradiance", radiance, radiance_rows(result))
+    print_table("Contrasts", contrast, contrast_rows(result), caption=_caption(result))
+    if result.budget is not None:
+        _print_budget(result, result.budget)
+
+
+def _print_budget(result: "Predicted", budget: "Budget") -> None:
+    import numpy as np
+
+    names = pose_names(result)
+    few = len(names) <= _MAX_POSE_COLUMNS
+
+    def cells(absolute: "FloatArray") -> list[str]:
+        shares = np.abs(budget.relative(absolute))
+        if not few:
+            return [f"{100.0 * shares.max():.3g}", names[int(shares.argmax())]]
+        return ["–" if dark else f"{100.0 * v:.3g}" for v, dark in zip(shares, budget.dark, strict=True)]
+
+    parts = sorted(
+        budget.contributions, key=lambda part: -float(np.abs(budget.relative(part.absolute)).max())
+    )
+    rows = [[p.source, p.correlation, *cells(p.absolute)] for p in parts if np.any(p.absolute != 0.0)]
+    rows.append(["all, first order", "", *cells(budget.u())])
+    exact = [part.source for part in parts if not np.any(part.absolute != 0.0)]
+    head = [f"u at {name} [%]" for name in names] if few else ["largest u [%]", "at"]
+    caption = f"nothing comes from: {', '.join(exact)}" if exact else None
+    print_table("Uncertainty budget, relative", ["source", "between poses", *head], rows, caption=caption)
+
+
+def print_spectrum(results: "list[Predicted]", wavelengths_nm: tuple[float, ...]) -> None:
+    """Print radiances and contrasts of every wavelength."""
+    radiance, contrast = columns_of(results[0])
+    wavelength_head = "wavelength [nm]"
+    shown = [f"{wavelength:g}" for wavelength in wavelengths_nm]
+    for title, head, rows_of, caption in (
+        ("Radiance per unit irradiance", radiance, radiance_rows, None),
+        ("Contrasts", contrast, contrast_rows, _caption(results[0])),
+    ):
+        rows = [[name, *row] for name, one in zip(shown, results, strict=True) for row in rows_of(one)]
+        print_table(title, [wavelength_head, *head], rows, caption=caption)

@@ -1,0 +1,338 @@
+"""``anisoscope predict``: radiance and contrasts of a design or of a height map."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Group, Parameter
+
+from anisoscope.base.errors import UsageError
+from anisoscope.cli.console import parse_numbers
+
+if TYPE_CHECKING:
+    from anisoscope.sim.light.optics import Optics
+import json
+import sys
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from anisoscope.cli.console import progress
+from anisoscope.cli.predict.options import (
+    DEFAULTS,
+    GROUP,
+    UncertaintyOptions,
+    check_options,
+    input_uncertainty,
+    monte_carlo,
+)
+from anisoscope.cli.predict.wave import WAVE_DEFAULTS, WAVE_GROUP, Model, WaveOptions, wanted_optics
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from anisoscope.base.progress import Advance
+    from anisoscope.prediction.predict import Predicted
+    from anisoscope.sim.light.material import Material
+
+
+OPTICS_GROUP = Group(
+    "Lamp and lens", help="Sizes as the sample sees them; without them both are points far away.", sort_key=9
+)
+
+
+@dataclass(frozen=True)
+class OpticsOptions:
+    """The options; meaning as in `anisoscope.sim.light.optics.Optics`."""
+
+    lamp_half_angle: Annotated[
+        float, Parameter("--lamp-half-angle", help="Half of the angle that the lamp subtends, degrees.")
+    ] = 0.0
+    aperture: Annotated[float, Parameter("--aperture", help="Numerical aperture of the lens.")] = 0.0
+    lamp_distance: Annotated[
+        float | None, Parameter("--lamp-distance", help="From the middle of the field to the lamp, mm.")
+    ] = None
+    field: Annotated[
+        str | None,
+        Parameter(
+            "--field",
+            help="Size of the field on the sample in mm: SIZE or WIDTH,HEIGHT; with --lamp-distance.",
+        ),
+    ] = None
+    disc_rings: Annotated[
+        int,
+        Parameter("--disc-rings", help="Rings of directions for lamp and lens; more where lobes are narrow."),
+    ] = 1
+
+
+OPTICS_DEFAULTS = OpticsOptions()
+
+
+def optics_of(options: OpticsOptions) -> "Optics":
+    """The optics of the options.
+
+    Raises:
+        UsageError: a field without a lamp distance or the other way round, or a numerical aperture beyond 0 to 0.86.
+    """
+    import numpy as np
+
+    from anisoscope.sim.light.optics import Optics
+
+    if (options.field is None) != (options.lamp_distance is None):
+        raise UsageError("--lamp-distance and --field belong together: the light angle varies over the field")
+    if not 0.0 <= options.aperture < 0.86:
+        raise UsageError(f"--aperture must be a numerical aperture of 0 to 0.86, not {options.aperture:g}")
+    size = (0.0,) if options.field is None else parse_numbers(options.field, "--field")
+    if len(size) not in (1, 2) or (options.field is not None and min(size) <= 0.0):
+        raise UsageError(f"--field takes one or two positive numbers of mm, not {options.field!r}")
+    half_angle = float(np.degrees(np.arcsin(options.aperture)))
+    field = size[0], size[-1]
+    return Optics(options.lamp_half_angle, half_angle, options.lamp_distance, field, options.disc_rings)
+
+
+DEFAULT_ALBEDO, DEFAULT_INDEX = 0.2, 1.5
+
+
+def predict(
+    height_map: Path | None = None,
+    /,
+    *,
+    ridge_angle: Annotated[float | None, Parameter(help="Ridge angle of an ideal design in degrees.")] = None,
+    pitch: Annotated[
+        float | None, Parameter(help="Pitch in µm; of a height map it is found where four ridges lie in it.")
+    ] = None,
+    alpha_along: Annotated[float, Parameter(help="Beckmann roughness along the ridges.")] = 0.06,
+    alpha_across: Annotated[float, Parameter(help="Beckmann roughness across the ridges.")] = 0.10,
+    albedo: Annotated[float, Parameter(help="Diffuse albedo of the plastic, 0 to 1.")] = DEFAULT_ALBEDO,
+    index: Annotated[float, Parameter(help="Refractive index of the plastic.")] = DEFAULT_INDEX,
+    spectrum: Annotated[
+        Path | None,
+        Parameter(help="CSV file with wavelength_nm,index,albedo: predict at each wavelength."),
+    ] = None,
+    wall: Annotated[
+        Literal["perpendicular", "vertical"], Parameter(help="Wall of an ideal ridge.")
+    ] = "perpendicular",
+    height_loss: Annotated[
+        float, Parameter(help="Share of the height that is missing at the crest of an ideal ridge.")
+    ] = 0.0,
+    internal_reflection: Annotated[
+        Literal["nonlinear", "linear"], Parameter(help="Colour of light sent back inside the plastic.")
+    ] = "nonlinear",
+    bounces: Annotated[
+        int | Literal["all"],
+        Parameter(help="Reflections followed: 1 is direct light; a larger number, or 'all'."),
+    ] = 1,
+    light_angle: Annotated[float, Parameter(help="Angle between light and camera in degrees.")] = 10.0,
+    tilt_plane: Annotated[
+        Literal["perpendicular", "in-plane"], Parameter(help="Plane in which camera and light tilt.")
+    ] = "perpendicular",
+    facet_azimuth: Annotated[float, Parameter(help="Azimuth toward which the facets lean at 0°.")] = 0.0,
+    angles: Annotated[str, Parameter(help="Stage angles in degrees, comma-separated.")] = "0,90,180",
+    tilts: Annotated[str, Parameter(help="Tilts in degrees, comma-separated (--tilts=-10,0,10).")] = "0",
+    model: Annotated[
+        Model | None,
+        Parameter(
+            help="Default auto: rays or waves, as the surface needs. Rays are corrected for a design, relief for a map."
+        ),
+    ] = None,
+    pixel: Annotated[
+        str | None, Parameter(help="Pixel size in µm of a map without one: SIZE or Y,X.")
+    ] = None,
+    level: Annotated[
+        Literal["auto", "plane", "none"],
+        Parameter(help="How a height map is levelled; auto: by whole pitches if ridges are known, else not."),
+    ] = "auto",
+    role: Annotated[
+        Literal["part", "tool"], Parameter(help="Map of the part, or of the tool (mould).")
+    ] = "part",
+    max_missing: Annotated[
+        float, Parameter(help="Share of missing facets above which a height map is refused.")
+    ] = 0.25,
+    facets: Annotated[
+        Literal["symmetric", "diagonal", "antidiagonal"],
+        Parameter(help="Four points of a map as one facet, or as two triangles along a diagonal."),
+    ] = "symmetric",
+    roughness: Annotated[
+        Literal["lobe", "plastic"],
+        Parameter(help="Alpha is what a map does not resolve (lobe), or that of the plastic at all scales."),
+    ] = "lobe",
+    waves: Annotated[WaveOptions, Parameter(name="*", group=WAVE_GROUP)] = WAVE_DEFAULTS,
+    sizes: Annotated[OpticsOptions, Parameter(name="*", group=OPTICS_GROUP)] = OPTICS_DEFAULTS,
+    uncertainties: Annotated[UncertaintyOptions, Parameter(name="*", group=GROUP)] = DEFAULTS,
+    json_: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")] = False,
+) -> int:
+    """Predict radiances and contrasts, with their uncertainty, of a height map or of an ideal ridge design.
+
+    Args:
+        height_map: File with a measured height map; leave it out and give --ridge-angle for an ideal design.
+    """
+    from anisoscope.prediction.optics_selection import Rig, predict_with_optics
+    from anisoscope.prediction.predict import predict_design, predict_height_map
+    from anisoscope.profiles.heightmap import HeightMap
+    from anisoscope.profiles.ideal import RidgeDesign
+    from anisoscope.sim.light.geometry import Convention, pose_grid
+    from anisoscope.sim.light.material import Material
+    from anisoscope.sim.light.wave.reflectance import LightSpectrum
+
+    _check_choice(height_map, ridge_angle, model)
+    if spectrum is not None and waves.wavelengths is not None:
+        raise UsageError("--spectrum names the wavelengths itself: leave --wavelengths out")
+    _check_bounces(bounces, model)
+    _check_surface(height_map, model, height_loss, role, max_missing)
+    _check_map_options(height_map, facets, roughness)
+    if spectrum is not None:
+        _check_spectrum(model, albedo, index)
+    check_options(
+        uncertainties, height_map=height_map is not None, as_json=json_, spectrum=spectrum is not None
+    )
+    poses = pose_grid(parse_numbers(angles, "--angles"), parse_numbers(tilts, "--tilts"))
+    convention = Convention(light_angle, tilt_plane, facet_azimuth)
+    material = Material(alpha_along, alpha_across, albedo, index, internal_reflection)
+    optics, count = optics_of(sizes), None if bounces == "all" else bounces
+    wanted = wanted_optics(waves, model, bounces, roughness)
+    inputs, draws = input_uncertainty(uncertainties), monte_carlo(uncertainties)
+    subject: HeightMap | RidgeDesign
+    if height_map is not None:
+        from anisoscope.cli.profile.profile import parse_pixel
+        from anisoscope.profiles.files.load import read_height_map
+
+        surface = subject = read_height_map(height_map, pixel_um=parse_pixel(pixel), role=role)
+
+        def of(plastic: Material, advance: "Advance") -> "Predicted":
+            return predict_height_map(
+                surface,
+                plastic,
+                poses,
+                convention,
+                pitch,
+                level,
+                max_missing,
+                inputs,
+                draws,
+                advance,
+                bounces=count,
+                optics=optics,
+                facets=facets,
+                roughness=roughness,
+            )
+    else:
+        assert ridge_angle is not None
+        design = subject = RidgeDesign(100.0 if pitch is None else pitch, ridge_angle, wall, height_loss)
+        of_design: Literal["printed", "corrected"] = "printed" if model == "printed" else "corrected"
+
+        def of(plastic: Material, advance: "Advance") -> "Predicted":
+            return predict_design(
+                design, plastic, poses, convention, of_design, count, inputs, draws, advance, optics
+            )
+
+    def under(plastic: Material, advance: "Advance", wavelength_nm: float | None) -> "tuple[Predicted, ...]":
+        if wanted is None:
+            return (of(plastic, advance),)
+        asked = (
+            wanted if wavelength_nm is None else replace(wanted, light=LightSpectrum((1e-3 * wavelength_nm,)))
+        )
+        rig = Rig(plastic, poses, convention, optics, inputs, draws)
+        return predict_with_optics(subject, partial(of, plastic), rig, asked, pitch, level, advance)
+
+    _predict_and_print(under, material, spectrum, as_json=json_, covariance=uncertainties.covariance)
+    return 0
+
+
+def _predict_and_print(
+    predict_one: "Callable[[Material, Advance, float | None], tuple[Predicted, ...]]",
+    material: "Material",
+    spectrum: Path | None,
+    *,
+    as_json: bool,
+    covariance: bool,
+) -> None:
+    from anisoscope.cli.predict import output
+    from anisoscope.cli.predict import output as tables
+    from anisoscope.cli.predict.wave import differences, print_differences
+
+    found: dict[str, object]
+    if spectrum is None:
+        with progress("predict") as advance:
+            results = predict_one(material, advance, None)
+        if not as_json:
+            for result in results:
+                tables.print_prediction(result)
+            if len(results) > 1:
+                print_differences(*results)
+            return
+        found = output.as_json(results[0], covariance=covariance)
+        if len(results) > 1:
+            geometric, wave = (output.as_json(result, covariance=covariance) for result in results)
+            found = {"geometric": geometric, "wave": wave, "difference": differences(*results)}
+            found["optics"] = geometric["optics"]
+    else:
+        from anisoscope.sim.materials.lamp_spectrum import read_spectrum
+
+        colours = read_spectrum(spectrum)
+        lines: list[Predicted] = []
+        for wavelength, plastic in zip(colours.wavelengths_nm, colours.materials(material), strict=True):
+            with progress(f"{wavelength:g} nm") as advance:
+                lines += predict_one(plastic, advance, wavelength)
+        if not as_json:
+            tables.print_spectrum(lines, colours.wavelengths_nm)
+            return
+        found = output.spectrum_as_json(lines, colours.wavelengths_nm, covariance=covariance)
+    json.dump(found, sys.stdout, indent=2, allow_nan=False)
+    sys.stdout.write("\n")
+
+
+def _check_surface(
+    height_map: Path | None, model: Model | None, height_loss: float, role: str, max_missing: float
+) -> None:
+    if height_loss != 0.0 and (height_map is not None or model == "printed"):
+        what = "a height map has the heights it has" if height_map is not None else "printed knows none"
+        raise UsageError(f"--height-loss needs a design under --model corrected; {what}")
+    if height_map is None and role != "part":
+        raise UsageError("--role tool belongs to a height map; a design is that of the part")
+    if not 0.0 <= max_missing <= 1.0:
+        raise UsageError(f"--max-missing must be a share of 0 to 1, not {max_missing:g}")
+
+
+def _check_spectrum(model: Model | None, albedo: float, index: float) -> None:
+    if model == "both":
+        raise UsageError(
+            "--spectrum takes one model: --model wave and --model geometric, one after the other"
+        )
+    if model == "printed":
+        raise UsageError(
+            "--spectrum needs --model corrected or relief: in the printed model index and albedo only scale"
+        )
+    if (albedo, index) != (DEFAULT_ALBEDO, DEFAULT_INDEX):
+        raise UsageError(
+            "--spectrum states index and albedo of each wavelength: leave --index and --albedo out"
+        )
+
+
+def _check_choice(height_map: Path | None, ridge_angle: float | None, model: Model | None) -> None:
+    if (height_map is None) == (ridge_angle is None):
+        raise UsageError("give either a height map file or --ridge-angle of an ideal design")
+    if height_map is not None and model in ("printed", "corrected"):
+        raise UsageError(
+            f"--model {model} needs a design (--ridge-angle); a height map is predicted by --model relief"
+        )
+    if height_map is None and model == "relief":
+        raise UsageError(
+            "--model relief needs a height map file; a design is predicted by corrected or printed"
+        )
+
+
+def _check_bounces(bounces: int | Literal["all"], model: Model | None) -> None:
+    if bounces == 1:
+        return
+    if bounces != "all" and bounces < 1:
+        raise UsageError(f"--bounces must be 1 or more, or all, not {bounces}")
+    if model == "printed":
+        raise UsageError(
+            f"--bounces {bounces} needs --model corrected; --model printed knows direct light only"
+        )
+
+
+def _check_map_options(height_map: Path | None, facets: str, roughness: str) -> None:
+    if height_map is None and (facets != "symmetric" or roughness != "lobe"):
+        which = "--facets" if facets != "symmetric" else "--roughness"
+        raise UsageError(f"{which} belongs to a height map; a design has no facets of its own")

@@ -1,0 +1,171 @@
+"""``anisoscope profile``: look at height maps and convert them."""
+
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import App, Parameter
+
+from anisoscope.base.errors import UsageError
+from anisoscope.cli.console import parse_numbers, print_table
+
+if TYPE_CHECKING:
+    from anisoscope.profiles.heightmap import HeightMap
+
+app = App(name="profile", help="Read, measure, convert, make and spoil height maps.")
+app.command("anisoscope.cli.profile.ridges:ridges")
+app.command("anisoscope.cli.profile.texture:texture")
+app.command("anisoscope.cli.profile.surfaces:make")
+app.command("anisoscope.cli.profile.surfaces:spoil")
+app.command("anisoscope.cli.profile.report:report")
+
+Unit = Literal["um", "nm", "mm", "m"]
+Layout = Literal["auto", "matrix", "xyz"]
+Role = Literal["part", "tool"]
+Rows = Literal["auto", "up", "down"]
+
+
+def parse_pixel(text: str | None) -> tuple[float, float] | None:
+    """Pixel size (y, x) in µm of an option SIZE or Y,X.
+
+    Raises:
+        UsageError: not one or two positive numbers.
+    """
+    if text is None:
+        return None
+    numbers = parse_numbers(text, "--pixel")
+    if len(numbers) not in (1, 2) or min(numbers) <= 0:
+        raise UsageError(f"--pixel takes one or two positive numbers of µm, SIZE or Y,X, not {text!r}")
+    return numbers[0], numbers[-1]
+
+
+@dataclass(frozen=True)
+class Scales:
+    """What a file does not say about itself."""
+
+    pixel: Annotated[str | None, Parameter(help="Pixel size in µm of a file without one: SIZE or Y,X.")] = (
+        None
+    )
+    z_unit: Annotated[Unit | None, Parameter(help="Unit of the heights of a file that states none.")] = None
+    height_per_count: Annotated[
+        float | None, Parameter(help="Height of one count of an integer picture, in --z-unit (µm).")
+    ] = None
+    xy_unit: Annotated[
+        Unit | None, Parameter(help="Unit of x and y of a list of points; that of the heights if not given.")
+    ] = None
+    layout: Annotated[Layout, Parameter(help="What a text file with three columns holds.")] = "auto"
+    rows: Annotated[
+        Rows,
+        Parameter(help="Whether y goes up or down with the rows of the file; auto: see docs/height-maps.md."),
+    ] = "auto"
+    role: Annotated[
+        Role, Parameter(help="Map of the part, or of the tool (mould), whose negative the part is.")
+    ] = "part"
+
+    def read(self, file: Path) -> "HeightMap":
+        """Read a height map with these scales."""
+        from anisoscope.profiles.files.load import read_height_map
+
+        return read_height_map(
+            file,
+            pixel_um=parse_pixel(self.pixel),
+            z_unit=self.z_unit,
+            role=self.role,
+            xy_unit=self.xy_unit,
+            layout=self.layout,
+            height_per_count=self.height_per_count,
+            rows=self.rows,
+        )
+
+
+AS_STATED = Scales()
+
+
+@app.command
+def info(
+    file: Path,
+    /,
+    *,
+    json_: Annotated[bool, Parameter(name="--json", negative="")] = False,
+    scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
+) -> int:
+    """Size, missing share and height parameters (ISO 25178-2, mean removed, not levelled) of a height map.
+
+    Args:
+        file: Height map in a format of docs/height-maps.md.
+        json_: Print JSON.
+    """
+    from anisoscope.profiles.textures.amplitude import amplitude
+
+    surface = scales.read(file)
+    rows, cols = surface.shape
+    found = amplitude(surface)
+    if json_:
+        result = {
+            "rows": rows,
+            "cols": cols,
+            "pixel_um": [surface.pixel_y_um, surface.pixel_x_um],
+            "missing_share": surface.missing_share,
+            "sa_um": found.sa_um,
+            "sq_um": found.sq_um,
+            "sz_um": found.sz_um,
+            "field_um": list(surface.extent_um),
+            "origin": surface.origin,
+        }
+        json.dump(result, sys.stdout, indent=2, allow_nan=False)
+        sys.stdout.write("\n")
+        return 0
+    field_y, field_x = surface.extent_um
+    print_table(
+        file.name,
+        ["quantity", "value", "unit"],
+        [
+            ["rows", str(rows), ""],
+            ["columns", str(cols), ""],
+            ["pixel along y, x", f"{surface.pixel_y_um:.6g}, {surface.pixel_x_um:.6g}", "µm"],
+            ["field along y, x", f"{field_y:.6g}, {field_x:.6g}", "µm"],
+            ["missing", f"{100 * surface.missing_share:.3g}", "%"],
+            ["Sa", f"{found.sa_um:.6g}", "µm"],
+            ["Sq", f"{found.sq_um:.6g}", "µm"],
+            ["Sz", f"{found.sz_um:.6g}", "µm"],
+        ],
+        caption=_caption(surface.origin),
+    )
+    return 0
+
+
+def _caption(origin: dict[str, Any]) -> str:
+    """Where a map comes from and what was changed on the way, in lines for people."""
+    lines = [f"format {origin['format']}, role {origin['role']}, reader {origin['reader']}"]
+    instrument = " ".join(str(part) for part in origin.get("instrument", {}).values())
+    lines += [f"measured {' '.join((instrument, str(origin.get('date', '')))).strip()}"] if instrument else []
+    lines += [f"other channels: {', '.join(origin['other_channels'])}"] if "other_channels" in origin else []
+    return "\n".join(lines + list(origin.get("corrected", [])))
+
+
+@app.command
+def convert(
+    source: Path,
+    target: Path,
+    /,
+    *,
+    overwrite: Annotated[bool, Parameter(negative="")] = False,
+    scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
+) -> int:
+    """Read a height map and write it in the format of another extension.
+
+    x3p, npz and csv keep every bit of the heights, gsf and tif 24 bits.
+
+    Args:
+        source: Height map in a format of docs/height-maps.md.
+        target: File to write: x3p, gsf, npz, npy, csv, txt or tif.
+        overwrite: Replace the target if it exists.
+    """
+    from anisoscope.profiles.files.load import write_height_map
+
+    if target.exists() and not overwrite:
+        raise UsageError(f"{target} exists; give another name, or --overwrite")
+    write_height_map(scales.read(source), target)
+    return 0

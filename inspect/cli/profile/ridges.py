@@ -1,0 +1,151 @@
+"""``anisoscope profile ridges``: pitch, angles, heights, roughness and burrs of a ridged height map."""
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from anisoscope.cli.console import print_table
+from anisoscope.cli.profile.profile import AS_STATED, Scales
+
+if TYPE_CHECKING:
+    from anisoscope.profiles.metrology.burrlist import Outlier
+    from anisoscope.profiles.metrology.quantity import Quantity
+    from anisoscope.profiles.metrology.ridgemeasurement import RidgeMeasurement
+
+SHOWN_BURRS = 12
+NAMES = (
+    ("pitch_um", "pitch", "µm"),
+    ("direction_deg", "direction from +y", "°"),
+    ("ridge_angle_deg", "ridge angle", "°"),
+    ("wall_angle_deg", "wall angle", "°"),
+    ("height_um", "ridge height", "µm"),
+    ("height_loss", "height loss at the crest", "1"),
+    ("edge_radius_um", "edge radius of the crest", "µm"),
+    ("alpha_along", "alpha along the ridges", "1"),
+    ("alpha_across", "alpha across the ridges", "1"),
+    ("noise_um", "noise of the heights", "µm"),
+    ("angle_variation_deg", "ridge angle, ridge to ridge", "°"),
+    ("height_variation_um", "ridge height, ridge to ridge", "µm"),
+    ("shift_variation_um", "position, ridge to ridge", "µm"),
+)
+
+
+def _number(quantity: "Quantity") -> dict[str, float | None]:
+    found: dict[str, float | None] = {"value": quantity.value, "u": quantity.u}
+    if quantity.at_least is not None:
+        found["at_least"] = quantity.at_least
+    if quantity.at_most is not None:
+        found["at_most"] = quantity.at_most
+    return found
+
+
+def measurement_as_json(found: "RidgeMeasurement") -> dict[str, Any]:
+    """The measurement as plain data; a number is {value, u}, with at_least or at_most where only a bound is known."""
+    numbers = {name: _number(getattr(found, name)) for name, _, _ in NAMES}
+    ridges = [
+        {
+            "number": ridge.number,
+            "position_um": ridge.position_um,
+            "angle_deg": _number(ridge.angle_deg),
+            "height_um": _number(ridge.height_um),
+            "shift_um": _number(ridge.shift_um),
+            "points": ridge.points,
+        }
+        for ridge in found.ridges
+    ]
+    return {
+        **numbers,
+        "bandwidth_um": list(found.bandwidth_um),
+        "lean_deg": found.lean_deg,
+        "facet_share": found.facet_share,
+        "plateau": found.plateau,
+        "periodicity": found.score,
+        "missing_share": found.missing_share,
+        "ridges": ridges,
+        "burrs": [_outlier(one) for one in found.burrs],
+    }
+
+
+def _outlier(one: "Outlier") -> dict[str, Any]:
+    return {
+        "kind": one.kind,
+        "x_um": one.x_um,
+        "y_um": one.y_um,
+        "height_um": one.height_um,
+        "area_um2": one.area_um2,
+        "volume_um3": one.volume_um3,
+        "points": one.points,
+    }
+
+
+def ridges(
+    file: Path,
+    /,
+    *,
+    json_: Annotated[bool, Parameter(name="--json", negative="")] = False,
+    scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
+) -> int:
+    """Measure pitch, direction, angles, heights, roughness and burrs of a ridged height map, with uncertainties.
+
+    Args:
+        file: Height map of at least four ridges, in any direction.
+        json_: Print JSON.
+    """
+    from anisoscope.profiles.metrology.ridges import measure_ridges
+
+    surface = scales.read(file)
+    found = measure_ridges(surface)
+    if json_:
+        json.dump(measurement_as_json(found), sys.stdout, indent=2, allow_nan=False)
+        sys.stdout.write("\n")
+        return 0
+    _print(file.name, found)
+    return 0
+
+
+def _print(name: str, found: "RidgeMeasurement") -> None:
+    from anisoscope.profiles.metrology.quantity import as_text
+
+    low, high = found.bandwidth_um
+    print_table(
+        name,
+        ["quantity", "value", "u (k = 1)", "unit"],
+        [[text, *as_text(getattr(found, key)), unit] for key, text, unit in NAMES],
+        caption=f"facets fall toward {found.lean_deg:.1f}° from +x and take {found.facet_share:.0%} of the pitch; "
+        f"roughness from {low:.3g} to {high:.3g} µm; {found.missing_share:.2%} missing; periodicity {found.score:.2f}",
+    )
+    ridge_rows = []
+    for one in found.ridges:
+        cells = (cell for each in (one.angle_deg, one.height_um, one.shift_um) for cell in as_text(each))
+        ridge_rows.append([str(one.number), f"{one.position_um:.2f}", *cells])
+    columns = [
+        "ridge",
+        "position [µm]",
+        "angle [°]",
+        "u [°]",
+        "height [µm]",
+        "u [µm]",
+        "out of row [µm]",
+        "u [µm]",
+    ]
+    print_table("ridges", columns, ridge_rows)
+    if found.burrs:
+        _print_burrs(found.burrs)
+
+
+def _print_burrs(burrs: "tuple[Outlier, ...]") -> None:
+    rows = []
+    for one in burrs[:SHOWN_BURRS]:
+        size = f"{one.height_um:.2f}", f"{one.area_um2:.4g}", f"{one.volume_um3:.4g}"
+        rows.append([one.kind, f"{one.x_um:.1f}", f"{one.y_um:.1f}", *size])
+    count = {kind: sum(one.kind == kind for one in burrs) for kind in ("burr", "spike", "pit")}
+    more = f"; {SHOWN_BURRS} shown, all with --json" if len(burrs) > SHOWN_BURRS else ""
+    print_table(
+        "what stands out, largest volume first",
+        ["kind", "x [µm]", "y [µm]", "height [µm]", "area [µm²]", "volume [µm³]"],
+        rows,
+        caption=f"{count['burr']} burrs, {count['spike']} spikes, {count['pit']} pits{more}",
+    )

@@ -1,0 +1,231 @@
+"""``anisoscope profile make`` and ``profile spoil``: ideal surfaces, and defects of known extent."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+from anisoscope.base.errors import UsageError
+from anisoscope.cli.console import parse_numbers
+from anisoscope.cli.profile.profile import AS_STATED, Scales, parse_pixel
+from anisoscope.cli.profile.surfaces_output import deliver, list_defects
+
+if TYPE_CHECKING:
+    from anisoscope.profiles.heightmap import HeightMap
+
+Pattern = Literal["ridges", "v-grooves", "checkerboard", "flat", "staircase"]
+MAX_POINTS = 100_000_000
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class RidgeOptions:
+    """Ridges, alone or on a checkerboard, and V-grooves."""
+
+    pitch: Annotated[float, Parameter(help="Distance of ridges or grooves in µm.")] = 100.0
+    ridge_angle: Annotated[float, Parameter(help="Slope of the large facets in degrees.")] = 10.0
+    wall: Annotated[Literal["perpendicular", "vertical"], Parameter(help="Wall of the ridges.")] = (
+        "perpendicular"
+    )
+    height_loss: Annotated[float, Parameter(help="Share of the height missing at the crest.")] = 0.0
+    direction: Annotated[
+        float, Parameter(help="Direction of the lines in degrees, counter-clockwise from +y.")
+    ] = 0.0
+    phase: Annotated[float, Parameter(help="Place of the first crest or groove as a share of the pitch.")] = (
+        0.0
+    )
+    second_direction: Annotated[
+        float, Parameter(help="Direction of every second field of a checkerboard.")
+    ] = -90.0
+    field: Annotated[float, Parameter(help="Side of a field of a checkerboard in µm.")] = 250.0
+    flank: Annotated[float, Parameter(help="Slope of both flanks of V-grooves in degrees.")] = 45.0
+    land: Annotated[float, Parameter(help="Flat land between V-grooves in µm.")] = 0.0
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class StairOptions:
+    """Staircases."""
+
+    levels: Annotated[int, Parameter(help="Number of levels, evenly spaced.")] = 2
+    step: Annotated[float, Parameter(help="Height between two levels in nm.")] = 127.3
+    passes: Annotated[
+        str | None,
+        Parameter(help="Depths of etch passes in nm, comma-separated: 2ⁿ levels instead of --levels."),
+    ] = None
+    width: Annotated[float, Parameter(help="Width of a step in µm, the least width if --random.")] = 2.0
+    random: Annotated[
+        bool, Parameter(negative="", help="Rectangles of random width and level instead of stairs.")
+    ] = False
+    spread: Annotated[float, Parameter(help="Widths of --random exceed the least by up to this share.")] = 1.0
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class RoughOptions:
+    """Gaussian roughness added along z."""
+
+    alpha_along: Annotated[float, Parameter(help="Beckmann roughness along +y.")] = 0.0
+    alpha_across: Annotated[float, Parameter(help="Beckmann roughness along +x.")] = 0.0
+    correlation: Annotated[float, Parameter(help="Mean correlation length in µm.")] = 8.0
+
+
+RIDGES, STAIRS, SMOOTH = RidgeOptions(), StairOptions(), RoughOptions()
+
+
+def make(
+    pattern: Pattern,
+    /,
+    *,
+    out: Annotated[
+        Path, Parameter(help="File to write: x3p or npz (they keep design and seed), or another format.")
+    ],
+    size: Annotated[str, Parameter(help="Size of the field in µm: SIZE or Y,X.")] = "1000",
+    pixel: Annotated[str, Parameter(help="Pixel size in µm: SIZE or Y,X.")] = "1",
+    lines: Annotated[RidgeOptions, Parameter(group="Ridges and grooves")] = RIDGES,
+    stairs: Annotated[StairOptions, Parameter(group="Staircases")] = STAIRS,
+    rough: Annotated[RoughOptions, Parameter(group="Roughness")] = SMOOTH,
+    seed: Annotated[int, Parameter(help="Seed of everything random.")] = 0,
+    overwrite: Annotated[bool, Parameter(negative="", help="Replace the file if it exists.")] = False,
+    json_: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")] = False,
+) -> int:
+    """Make an ideal surface, smooth or with Gaussian roughness.
+
+    Args:
+        pattern: What to make.
+    """
+    import numpy as np
+
+    from anisoscope.profiles.ideal import add_facet_roughness
+
+    _check_target(out, overwrite)
+    _check_seed(seed)
+    rng = np.random.default_rng(seed)
+    surface = _pattern(pattern, *_grid(size, pixel), lines, stairs, rng)
+    surface = add_facet_roughness(surface, rough.alpha_along, rough.alpha_across, rough.correlation, rng)
+    made = {**surface.origin, "seed": seed}
+    return deliver(surface.with_height(surface.height_um, made=made), out, as_json=json_)
+
+
+def _grid(size: str, pixel: str) -> tuple[tuple[int, int], tuple[float, float]]:
+    pixel_um = parse_pixel(pixel)
+    field = parse_numbers(size, "--size")
+    if pixel_um is None or len(field) not in (1, 2) or min(field) <= 0:
+        raise UsageError(f"--size takes one or two positive numbers of µm, SIZE or Y,X, not {size!r}")
+    rows, cols = (round(length / step) for length, step in zip((field[0], field[-1]), pixel_um, strict=True))
+    if rows * cols > MAX_POINTS:
+        raise UsageError(
+            f"--size and --pixel give {rows} × {cols} points; at most {MAX_POINTS // 10**6} million"
+        )
+    return (rows, cols), pixel_um
+
+
+def _pattern(
+    pattern: Pattern,
+    shape: tuple[int, int],
+    pixel_um: tuple[float, float],
+    lines: RidgeOptions,
+    stairs: StairOptions,
+    rng: Any,  # noqa: ANN401 - numpy is imported where it is needed
+) -> "HeightMap":
+    from anisoscope.profiles import patterns
+    from anisoscope.profiles.ideal import RidgeDesign
+
+    if pattern == "flat":
+        return patterns.flat(shape, pixel_um)
+    if pattern == "staircase":
+        return _staircase(shape, pixel_um, stairs, lines.direction, rng)
+    if pattern == "v-grooves":
+        grooves = patterns.GrooveDesign(lines.pitch, lines.flank, lines.land)
+        return patterns.v_grooves(grooves, shape, pixel_um, direction_deg=lines.direction, phase=lines.phase)
+    design = RidgeDesign(lines.pitch, lines.ridge_angle, lines.wall, lines.height_loss)
+    if pattern == "checkerboard":
+        both = (lines.direction, lines.second_direction)
+        return patterns.checkerboard(design, shape, pixel_um, lines.field, directions_deg=both)
+    return patterns.turned_ridges(design, shape, pixel_um, direction_deg=lines.direction, phase=lines.phase)
+
+
+def _staircase(
+    shape: tuple[int, int],
+    pixel_um: tuple[float, float],
+    stairs: StairOptions,
+    direction: float,
+    rng: Any,  # noqa: ANN401 - numpy is imported where it is needed
+) -> "HeightMap":
+    from anisoscope.profiles import staircases
+
+    if stairs.passes is None:
+        levels = staircases.even_levels(stairs.levels, 1e-3 * stairs.step)
+    else:
+        levels = staircases.etched_levels(
+            [1e-3 * depth for depth in parse_numbers(stairs.passes, "--passes")]
+        )
+    if stairs.random:
+        both = (stairs.width, stairs.width)
+        return staircases.random_steps(levels, shape, pixel_um, both, rng, spread=stairs.spread)
+    return staircases.staircase(levels, shape, pixel_um, stairs.width, direction_deg=direction)
+
+
+def spoil(
+    file: Path | None = None,
+    defect: str | None = None,
+    /,
+    *,
+    out: Annotated[
+        Path | None, Parameter(help="File to write: x3p or npz (they keep what was done), ...")
+    ] = None,
+    severity: Annotated[float | None, Parameter(help="0 (none) to 1 (gross).")] = None,
+    seed: Annotated[int, Parameter(help="Seed of everything random.")] = 0,
+    list_: Annotated[bool, Parameter(name="--list", negative="", help="List the defects.")] = False,
+    overwrite: Annotated[bool, Parameter(negative="", help="Replace the file if it exists.")] = False,
+    json_: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")] = False,
+    scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
+    **parameters: float,
+) -> int:
+    """Add a defect to a height map: by its severity, or by its dimensions.
+
+    Args:
+        file: Height map to spoil.
+        defect: Name of the defect; see --list.
+        parameters: Dimensions of the defect by name, such as --radius-um 5; see --list.
+    """
+    import numpy as np
+
+    from anisoscope.profiles import spoiling
+    from anisoscope.profiles.provenance import with_made
+
+    if list_:
+        return list_defects(as_json=json_)
+    if file is None or defect is None or out is None:
+        raise UsageError("spoil needs a height map, a defect and --out FILE; --list shows the defects")
+    _check_target(out, overwrite)
+    _check_seed(seed)
+    surface = with_made(scales.read(file), file)
+    given = {name.replace("-", "_"): value for name, value in parameters.items()}
+    spoiled = spoiling.spoil(
+        surface, defect, np.random.default_rng(seed), severity=severity, values=given, seed=seed
+    )
+    changed = spoiled.height_um - surface.height_um
+    changed = changed[np.isfinite(changed)]
+    deviation = {
+        "rms_um": float(np.sqrt(np.mean(changed**2))),
+        "highest_um": float(changed.max()),
+        "lowest_um": float(changed.min()),
+        "share_changed": float(np.mean(changed != 0.0)),
+    }
+    return deliver(spoiled, out, as_json=json_, deviation=deviation)
+
+
+def _check_target(out: Path, overwrite: bool) -> None:
+    from anisoscope.profiles.files.load import WRITERS
+
+    if out.suffix.lower() not in WRITERS:
+        raise UsageError(f"--out {out}: unknown extension; written are {', '.join(WRITERS)}")
+    if out.exists() and not overwrite:
+        raise UsageError(f"{out} exists; give another name, or --overwrite")
+
+
+def _check_seed(seed: int) -> None:
+    if seed < 0:
+        raise UsageError(f"--seed takes a whole number from 0, not {seed}")

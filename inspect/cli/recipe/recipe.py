@@ -1,0 +1,269 @@
+"""``anisoscope recipe``: begin a recipe, see what it can tell, and teach it a good part."""
+
+import json
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import App, Parameter
+
+from anisoscope.base.errors import CalibrationError, UsageError
+from anisoscope.cli.console import console, parse_numbers, print_table, progress
+from anisoscope.cli.recipe.causes import print_causes
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from anisoscope.inspection.recipe_check import RecipeCheck
+    from anisoscope.inspection.teach import Taught
+
+app = App(name="recipe", help="Recipes: what a part should look like, how it is photographed and judged.")
+
+PRODUCT = "ridged part"
+MOST_PAIRS = 6
+File = Annotated[Path, Parameter(help="Recipe file (TOML).")]
+Json = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")]
+
+
+@app.command
+def new(
+    *,
+    out: Annotated[Path, Parameter(help="Recipe file to write; must not exist.")],
+    product: Annotated[str, Parameter(help="Name of the product.")] = PRODUCT,
+    pitch: Annotated[float, Parameter(help="Pitch of the ridges in µm.")] = 100.0,
+    ridge_angle: Annotated[
+        float | None, Parameter(help="Ridge angle of the ideal design in degrees.")
+    ] = None,
+    u_ridge_angle: Annotated[
+        float | None,
+        Parameter(help="How much the ridge angle of good parts spreads, a standard deviation in degrees."),
+    ] = None,
+    height_map: Annotated[Path | None, Parameter(help="Height map of a good part or of the tool.")] = None,
+    ink: Annotated[
+        str | None,
+        Parameter(help="For a print instead: its ink, a file or one of the package, such as synthetic-red."),
+    ] = None,
+) -> int:
+    """Write a recipe with comments, valid as written; then adapt it.
+
+    With --ridge-angle and --height-map the height map decides, and the design is compared with as well; with
+    --u-ridge-angle besides the design decides. With --ink it is the recipe of a print.
+    """
+    import os
+
+    from anisoscope.base.atomic_write import write_text
+    from anisoscope.recipe.recipe import read_recipe
+    from anisoscope.recipe.template import new_recipe
+
+    if out.exists():
+        raise UsageError(f"{out} exists already: name another file, or change it with an editor")
+    if ink is not None:
+        if (ridge_angle, u_ridge_angle, height_map) != (None, None, None):
+            raise UsageError(
+                "--ink makes the recipe of a print: leave --ridge-angle, --u-ridge-angle and --height-map out"
+            )
+        return _new_print(out, "print" if product == PRODUCT else product, ink)
+    if ridge_angle is None and height_map is None:
+        ridge_angle = 10.0
+    if u_ridge_angle is not None and ridge_angle is None:
+        raise UsageError(
+            "--u-ridge-angle is the spread of a design's ridges: give --ridge-angle as well, or leave it out"
+        )
+    if height_map is not None and not height_map.is_file():
+        raise UsageError(f"{height_map}: there is no such file")
+    beside = None if height_map is None else os.path.relpath(height_map.resolve(), out.resolve().parent)
+    text = new_recipe(
+        product,
+        pitch,
+        ridge_angle_deg=ridge_angle,
+        u_ridge_angle_deg=u_ridge_angle,
+        height_map=beside and Path(beside).as_posix(),
+    )
+    write_text(out, text)
+    try:
+        read_recipe(out)
+    except BaseException:
+        out.unlink()
+        raise
+    console().print(
+        f"{out}: written; adapt [material] and [region], then: anisoscope recipe check {out}",
+        markup=False,
+        highlight=False,
+        soft_wrap=True,
+    )
+    return 0
+
+
+def _new_print(out: Path, product: str, ink: str) -> int:
+    """Write the recipe of a print; a file of an ink is named as seen from the recipe."""
+    import os
+
+    from anisoscope.base.atomic_write import write_text
+    from anisoscope.kinds.prints.recipe import read_print_recipe
+    from anisoscope.kinds.prints.template import new_print_recipe
+    from anisoscope.sim.materials.inks import SYNTHETIC, find_ink
+
+    find_ink(ink)
+    if ink not in SYNTHETIC:
+        ink = Path(os.path.relpath(Path(ink).resolve(), out.resolve().parent)).as_posix()
+    others = tuple(name for name in SYNTHETIC if name != ink) if ink in SYNTHETIC else ()
+    write_text(out, new_print_recipe(product, ink, others))
+    try:
+        read_print_recipe(out)
+    except BaseException:
+        out.unlink()
+        raise
+    console().print(
+        f"{out}: written; adapt [print], [acquisition] and [region], then: anisoscope recipe check {out}",
+        markup=False,
+        highlight=False,
+        soft_wrap=True,
+    )
+    return 0
+
+
+@app.command
+def check(
+    file: File,
+    /,
+    *,
+    rig: Annotated[
+        Path | None, Parameter(name=["--rig", "-g"], help="Rig file, for its light angle.")
+    ] = None,
+    light_angle: Annotated[float, Parameter(help="Without --rig: angle of the light, degrees.")] = 10.0,
+    try_tilts: Annotated[str, Parameter(help="Tilts that might be added, degrees; none: ''.")] = "10,20",
+    json_: Json = False,
+) -> int:
+    """Predict what a recipe's poses show, and say what it can and cannot tell apart; nothing moves."""
+    from anisoscope.cli.recipe.prints import check_print
+    from anisoscope.inspection.recipe_check import check_recipe
+    from anisoscope.recipe.recipe import check_poses, is_print, read_recipe
+    from anisoscope.rig.rigfile import read_rig
+
+    if is_print(file):
+        return check_print(file, rig, light_angle, json_=json_)
+    tries = parse_numbers(try_tilts, "--try-tilts") if try_tilts.strip() else ()
+    recipe = read_recipe(file)
+    angle = read_rig(rig).light.angle_deg if rig is not None else light_angle
+    check_poses(recipe, angle, file)
+    with progress(file.name, quiet=json_) as advance:
+        found = check_recipe(recipe, angle, tries, advance)
+    if json_:
+        content = asdict(found)
+        for row, cause in zip(content["causes"], found.causes, strict=True):
+            row |= {"told_apart_from": cause.told_apart_from, "never_told_from": list(cause.never_told_from)}
+        json.dump(content | {"contrast": recipe.decision.contrast}, sys.stdout, indent=2, allow_nan=False)
+        sys.stdout.write("\n")
+    else:
+        _print(found, recipe.product)
+    return 0
+
+
+def _print(found: "RecipeCheck", product: str) -> None:
+    names = [f"{p.from_deg:g}°/{p.to_deg:g}° @ {p.tilt_deg:g}°" for p in found.pairs]
+    print_table(
+        product,
+        ["pair", "predicted", "u", "tolerance", "T/U"],
+        [
+            [
+                name,
+                f"{pair.predicted:+.4f}",
+                f"{pair.u:.4f}",
+                "–" if pair.tolerance is None else f"±{pair.tolerance:g}",
+                "–" if pair.ratio is None else f"{pair.ratio:.1f}",
+            ]
+            for name, pair in zip(names, found.pairs, strict=True)
+        ],
+    )
+    print_table(
+        "uncertainty budget",
+        ["source", *(f"u({name})" for name in names)],
+        [[row.source, *(f"{value:.4f}" for value in row.contributions)] for row in found.budget],
+    )
+    print_causes(found.causes)
+    out = console()
+    for cause, reason in found.left_out:
+        out.print(f"not looked at: {cause}: {reason}", markup=False, highlight=False, soft_wrap=True)
+    for one in found.advice:
+        told = [f"show {', '.join(one.shows)}"] if one.shows else []
+        told += [f"tell {_apart(one.tells_apart)}"] if one.tells_apart else []
+        out.print(
+            f"a tilt of {one.tilt_deg:g}° besides would {' and '.join(told)}",
+            markup=False,
+            highlight=False,
+            soft_wrap=True,
+        )
+    lines = [f"{one.says} would tell {_apart(one.tells_apart)}" for one in found.lamps]
+    if found.never:
+        lines.append(f"nothing that was tried would tell {_apart(found.never)}")
+    for line in (*lines, *found.complaints):
+        out.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def _apart(pairs: "Sequence[tuple[str, str]]") -> str:
+    """Causes and what they are told from; of many the first."""
+    more = f" and {len(pairs) - MOST_PAIRS} more" if len(pairs) > MOST_PAIRS else ""
+    return ", ".join(f"{a} from {b}" for a, b in pairs[:MOST_PAIRS]) + more
+
+
+@app.command
+def teach(
+    file: File,
+    /,
+    *,
+    rig: Annotated[Path, Parameter(name=["--rig", "-g"], help="Rig file (TOML).")],
+    serial: Annotated[
+        str | None, Parameter(name=["--serial", "-s"], help="Serial number of the good part.")
+    ] = None,
+    golden: Annotated[
+        bool,
+        Parameter(negative="", help="Of a print: tolerances by its golden prints; nothing is photographed."),
+    ] = False,
+    share: Annotated[
+        float, Parameter(help="With --golden: share of good prints that should pass all limits.")
+    ] = 0.95,
+    out: Annotated[Path, Parameter(help="Folder that receives the inspection folder.")] = Path("inspections"),
+    json_: Json = False,
+) -> int:
+    """Photograph a good part; set exposure, region and tolerances of a recipe by it.
+
+    With --golden the tolerances of a print alone, by its golden prints. The recipe becomes a new version; the old one
+    is kept beside it as NAME.v1.toml and so on.
+    """
+    if golden == (serial is not None):
+        raise UsageError(
+            "name either a good part with --serial, or --golden for the golden prints of a recipe"
+        )
+    found = _by_golden(file, rig, share) if serial is None else _by_part(file, rig, serial, out, json_=json_)
+    if json_:
+        json.dump(found.as_json(), sys.stdout, indent=2, allow_nan=False)
+        sys.stdout.write("\n")
+        return 0
+    print_table(
+        f"{file}: version {found.version}",
+        ["value", "was", "is", "because"],
+        [[change.key, str(change.old), str(change.new), change.why] for change in found.changes],
+    )
+    lines = [f"the version before: {found.kept}"]
+    lines += [] if found.folder is None else [f"the inspection: {found.folder}"]
+    for line in (*lines, *found.notes):
+        console().print(line, markup=False, highlight=False, soft_wrap=True)
+    return 0
+
+
+def _by_part(file: Path, rig: Path, serial: str, out: Path, *, json_: bool) -> "Taught":
+    from anisoscope.inspection.teach import teach as by_part
+
+    with progress(serial, quiet=json_) as advance:
+        return by_part(file, rig, serial, out, advance)
+
+
+def _by_golden(file: Path, rig: Path, share: float) -> "Taught":
+    """No part is judged here, so no exit code may look like a verdict."""
+    from anisoscope.kinds.prints.teach import teach_by_golden
+
+    try:
+        return teach_by_golden(file, rig, share)
+    except CalibrationError as error:
+        raise UsageError(str(error)) from error

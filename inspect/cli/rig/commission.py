@@ -1,0 +1,210 @@
+"""``anisoscope rig commission`` and ``anisoscope rig check``: is the rig what its file says, and is it fit today?"""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from anisoscope.base.errors import UsageError
+from anisoscope.cli.console import console, parse_numbers, print_table, progress
+
+if TYPE_CHECKING:
+    from anisoscope.commissioning.part import RidgedPart
+    from anisoscope.commissioning.record import Commissioning
+    from anisoscope.commissioning.selftest import SelfTest
+
+_RigOption = Annotated[Path, Parameter(name=["--rig", "-g"], help="Rig file (TOML).")]
+_Json = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")]
+
+
+def commission(
+    *,
+    rig: _RigOption,
+    part: Annotated[
+        Path | None, Parameter(name=["--part", "-r"], help="Recipe of the part on the stage.")
+    ] = None,
+    exposure: Annotated[float | None, Parameter(help="Exposure in seconds; else the recipe's.")] = None,
+    gain: Annotated[float, Parameter(help="Gain of the camera, as a factor.")] = 1.0,
+    ridge_angle: Annotated[float | None, Parameter(help="Ridge angle of the part in degrees.")] = None,
+    u_ridge_angle: Annotated[float, Parameter(help="Its standard uncertainty in degrees.")] = 0.1,
+    pitch: Annotated[float | None, Parameter(help="Pitch of the ridges in µm.")] = None,
+    alpha: Annotated[
+        str | None, Parameter(help="Roughness along and across the ridges, such as 0.06,0.1.")
+    ] = None,
+    u_alpha: Annotated[float | None, Parameter(help="Its relative standard uncertainty.")] = None,
+    spot_mm: Annotated[
+        float | None, Parameter(help="Diameter of the spot on the part; else the recipe's region.")
+    ] = None,
+    step: Annotated[float, Parameter(help="Step of the stage over one turn, degrees.")] = 15.0,
+    tilts: Annotated[
+        str, Parameter(help="How far the tilt axis goes from its present zero.")
+    ] = "-20,-10,10,20",
+    frames: Annotated[int, Parameter(help="Frames a pose.")] = 2,
+    settle: Annotated[float, Parameter(help="Seconds to wait after every move.")] = 0.1,
+    all_reflections: Annotated[
+        bool, Parameter(negative="", help="Fit with light that reflects more than once.")
+    ] = False,
+    keep_frames: Annotated[Path | None, Parameter(help="Empty folder that keeps the frames.")] = None,
+    out: Annotated[
+        Path | None, Parameter(help="Record to write; else RIG.commissioning.json beside the rig file.")
+    ] = None,
+    html: Annotated[Path | None, Parameter(help="Page to write.")] = None,
+    write: Annotated[bool, Parameter(negative="", help="Put what was found into the rig file.")] = False,
+    json_: _Json = False,
+) -> int:
+    """Find rotation sense, zero, centre, pixel size, tilt and light angle of a rig, from a known ridged part.
+
+    Lay the part on the stage, then run this. It turns the part all round, and under tilts where an axis tilts the arm;
+    it needs neither sense nor zero of the rig file to be right. Exit code 0: done; what could not be told says so.
+    """  # fmt: skip
+    from anisoscope.commissioning.angles import Assumed
+    from anisoscope.commissioning.commissioning import commission as find
+    from anisoscope.commissioning.commissioning import write_to_rig_file
+    from anisoscope.commissioning.record import default_record_path, write_commissioning
+    from anisoscope.commissioning.series import Series
+    from anisoscope.recipe.recipe import read_recipe
+
+    recipe = None if part is None else read_recipe(part)
+    if exposure is None:
+        if recipe is None:
+            raise UsageError("give --exposure SECONDS, or --part RECIPE whose exposure is taken")
+        exposure = recipe.acquisition.exposure_s
+    known = _part(part, ridge_angle, u_ridge_angle, pitch, alpha, u_alpha, spot_mm)
+    series = Series(
+        exposure, gain, step, parse_numbers(tilts, "--tilts"), max(step, 60.0), frames, max(frames, 4), settle
+    )
+    with progress("commissioning", quiet=json_) as advance:
+        done = find(
+            rig,
+            known,
+            series,
+            Assumed(bounces=None if all_reflections else 1),
+            frames=keep_frames,
+            on_progress=advance,
+        )
+    target = default_record_path(rig) if out is None else out
+    write_commissioning(done.record, target)
+    if html is not None:
+        from anisoscope.report.commission_page import write_commission_page
+
+        write_commission_page(done, html)
+    said = [f"record: {target}"]
+    if write:
+        written = write_to_rig_file(rig, done.record)
+        said.append(
+            "the rig file says all this already" if written is None else _written(rig, written.backup)
+        )
+        if written is not None and not written.comments_kept:
+            said.append("the comments of the rig file could not be kept; they stand in the old file")
+    _show(done.record, said, json_)
+    return 0
+
+
+def _written(rig: Path, backup: Path) -> str:
+    return f"{rig} was updated; the old file is {backup.name}"
+
+
+def _part(
+    recipe_path: Path | None,
+    ridge_angle: float | None,
+    u_ridge_angle: float,
+    pitch: float | None,
+    alpha: str | None,
+    u_alpha: float | None,
+    spot_mm: float | None,
+) -> "RidgedPart":
+    from dataclasses import replace
+
+    from anisoscope.commissioning.commissioning import part_of_recipe
+    from anisoscope.commissioning.part import RidgedPart
+    from anisoscope.recipe.recipe import read_recipe
+
+    if recipe_path is not None:
+        known = part_of_recipe(read_recipe(recipe_path), ridge_angle, u_ridge_angle)
+    elif ridge_angle is None or pitch is None or spot_mm is None:
+        raise UsageError("say what lies on the stage: --part RECIPE, or --ridge-angle, --pitch and --spot-mm")
+    else:
+        known = RidgedPart(pitch, ridge_angle, u_ridge_angle_deg=u_ridge_angle, spot_mm=spot_mm)
+    changes: dict[str, float] = {}
+    if pitch is not None:
+        changes["pitch_um"] = pitch
+    if spot_mm is not None:
+        changes["spot_mm"] = spot_mm
+    if u_alpha is not None:
+        changes["u_alpha_share"] = u_alpha
+    if alpha is not None:
+        values = parse_numbers(alpha, "--alpha")
+        if len(values) not in (1, 2) or min(values) <= 0.0:
+            raise UsageError(f"--alpha takes one or two numbers above 0, such as 0.06,0.1, not {alpha!r}")
+        changes |= {"alpha_along": values[0], "alpha_across": values[-1]}
+    return replace(known, **changes)  # type: ignore[arg-type]  # every field named above is a float
+
+
+def _show(record: "Commissioning", said: list[str], as_json: bool) -> None:
+    from anisoscope.report.commission_page import finding_row
+
+    if as_json:
+        sys.stdout.write(record.model_dump_json(by_alias=True, indent=2) + "\n")
+        return
+    rows = [finding_row(finding) for finding in record.findings]
+    shown = [[words, unit, old, value, u] for words, _, unit, old, value, u, _ in rows]
+    print_table(f"Commissioning of {record.rig}", ["what", "unit", "rig file", "found", "u"], shown)
+    remarks = [f"{row[1]}: {row[6]}" for row in rows if row[6]]
+    for line in (*remarks, *record.notes, *said):
+        console().print(line, markup=False, highlight=False)
+
+
+def check(
+    *,
+    rig: _RigOption,
+    exposure: Annotated[
+        float, Parameter(help="Exposure in seconds, with the part or tile that lies on the stage.")
+    ],
+    gain: Annotated[float, Parameter(help="Gain of the camera, as a factor.")] = 1.0,
+    commissioned: Annotated[
+        Path | None, Parameter(help="Record of the commissioning; else that beside the rig file.")
+    ] = None,
+    frames: Annotated[int, Parameter(help="Frames to watch the lamp over.")] = 20,
+    tile: Annotated[
+        bool, Parameter(negative="", help="The white tile lies on the stage: compare its shading.")
+    ] = False,
+    out: Annotated[Path | None, Parameter(help="Folder that receives the result as JSON.")] = None,
+    json_: _Json = False,
+) -> int:
+    """Test a rig at the start of a shift: stage, camera, light, markers, focus. Exit code 0: fit; 3: not fit.
+
+    The stage homes and turns: nothing may stand in its way.
+    """  # fmt: skip
+    from anisoscope.commissioning.selftest import Settings, self_test, write_self_test
+
+    settings = Settings(exposure_s=exposure, gain=gain, frames=frames, tile=tile)
+    with progress("self test", quiet=json_) as advance:
+        result = self_test(rig, settings, commissioned, on_progress=advance)
+    kept = None if out is None else write_self_test(result, out)
+    if json_:
+        sys.stdout.write(result.model_dump_json(by_alias=True, indent=2) + "\n")
+    else:
+        _show_checks(result, kept)
+    return result.exit_code
+
+
+def _show_checks(result: "SelfTest", kept: Path | None) -> None:
+
+    rows = [
+        [one.words, _short(one.value), _short(one.limit), one.unit or "1", one.outcome]
+        for one in result.checks
+    ]
+    print_table(f"Self test of {result.rig}", ["check", "value", "limit", "unit", "outcome"], rows)
+    for one in result.checks:
+        if one.remark:
+            console().print(f"{one.words}: {one.remark}", markup=False, highlight=False)
+    words = "the rig is fit" if result.fit else "the rig is NOT fit: what it measures is INVALID"
+    console().print(words if kept is None else f"{words}; record: {kept}", markup=False, highlight=False)
+
+
+def _short(value: float | str | None) -> str:
+    """Three digits: these are limits and how far off them a rig is."""
+    return (
+        f"{value:.3g}".replace("-", "−") if isinstance(value, float) else "–" if value is None else str(value)
+    )

@@ -1,0 +1,216 @@
+"""``anisoscope rig live``: the picture while a rig is set up, as numbers in the terminal or as a page in a browser."""
+
+import math
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+from anisoscope.base.errors import UsageError
+from anisoscope.cli.rig.options import Json, RigPath, say
+from anisoscope.cli.rig.snap import Exposure, Gain, LightState
+
+if TYPE_CHECKING:
+    from anisoscope.live_view.page import LivePage
+    from anisoscope.live_view.view import Counts, FocusMeasure, Reading
+    from anisoscope.rig.camera import Camera, CameraInfo
+
+    Sink = Callable[[Counts, CameraInfo, Reading], None]
+
+BLOCKS = " ▁▂▃▄▅▆▇█"
+BAR = 30
+
+
+def live(
+    *,
+    rig: RigPath,
+    exposure: Exposure,
+    gain: Gain = 1.0,
+    light: LightState = "on",
+    focus: Annotated[Literal["tenengrad", "laplacian"], Parameter(help="Focus measure.")] = "tenengrad",
+    frames: Annotated[int | None, Parameter(help="End after so many frames.")] = None,
+    fps: Annotated[float, Parameter(help="Frames per second at most.")] = 10.0,
+    web: Annotated[bool, Parameter(negative="", help="Show the picture on a page for the browser.")] = False,
+    port: Annotated[int, Parameter(help="With --web: TCP port of 127.0.0.1; 0 takes any free one.")] = 0,
+    json_: Json = False,
+) -> int:
+    """Show focus (of the best seen), saturation, mean, histogram and ridge direction, until Ctrl-C or q and Enter.
+
+    The stage's port stays closed: turn it from another terminal meanwhile. The light goes off at the end. With --web
+    the first line is the address to open; it works on this machine only, and only for whoever knows it.
+    """
+    from anisoscope.rig.acquisition.opening import open_devices
+    from anisoscope.rig.rigfile import read_rig
+
+    if frames is not None and frames < 1:
+        raise UsageError(f"--frames must be 1 or more, not {frames}")
+    if not 0.0 < fps <= 1000.0:
+        raise UsageError(f"--fps must lie above 0 and up to 1000, not {fps:g}")
+    file = read_rig(rig)
+    with open_devices({}, file.camera, file.light) as devices:
+        camera, lamp = devices.camera, devices.light
+        assert camera is not None
+        assert lamp is not None
+        camera.configure(exposure, gain)
+        (lamp.on if light == "on" else lamp.off)()
+        by_hand = file.light.driver == "manual"  # which asks in the same terminal
+        try:
+            with _sinks(web, port, file.name, json_=json_) as sinks:
+                _watch(camera, sinks, focus, frames, 1.0 / fps, asked_to_end(listen=not by_hand))
+        except KeyboardInterrupt:
+            return 0
+    return 0
+
+
+def _watch(
+    camera: "Camera",
+    sinks: "list[Sink]",
+    focus: "FocusMeasure",
+    frames: int | None,
+    pause_s: float,
+    ended: threading.Event,
+) -> None:
+    from anisoscope.live_view.view import Meter, look_at
+
+    meter, info = Meter(), camera.info
+    while not ended.is_set():
+        started = time.monotonic()
+        counts = camera.grab()
+        reading = meter.read(look_at(counts, info, focus=focus), time.monotonic())
+        for sink in sinks:
+            sink(counts, info, reading)
+        if frames is not None and reading.frame >= frames:
+            return
+        ended.wait(max(0.0, pause_s - (time.monotonic() - started)))
+
+
+def asked_to_end(*, listen: bool) -> threading.Event:
+    """Set once somebody typed q and Enter in the terminal; never, where there is none or `listen` is False."""
+    ended = threading.Event()
+    if not listen or sys.stdin is None or not sys.stdin.isatty():
+        return ended
+    descriptor = sys.stdin.fileno()
+
+    def wait_for_q() -> None:
+        # The descriptor, not the stream: a thread that waits in the stream would hold its lock when Python ends.
+        while line := os.read(descriptor, 64):
+            if line.strip().lower() == b"q":
+                ended.set()
+                return
+
+    threading.Thread(target=wait_for_q, name="wait for q", daemon=True).start()
+    return ended
+
+
+@contextmanager
+def _sinks(web: bool, port: int, title: str, *, json_: bool) -> "Iterator[list[Sink]]":
+    with ExitStack() as stack:
+        if web:
+            from anisoscope.live_view.page import LivePage
+
+            page = stack.enter_context(LivePage(port, f"{title} – live"))
+            print(f"live picture at {page.address}", flush=True)  # noqa: T201
+            say("Ctrl-C ends it")
+            yield [_to_page(page)]
+        elif json_:
+            yield [_json_line]
+        elif sys.stdout.isatty():
+            from rich.live import Live
+
+            screen = stack.enter_context(Live(auto_refresh=False, transient=False))
+            yield [_to_screen(screen)]
+        else:
+            yield [lambda _counts, _info, reading: print(plain(reading), flush=True)]  # noqa: T201
+
+
+def _to_page(page: "LivePage") -> "Sink":
+    from anisoscope.live_view.picture import as_jpeg, draw
+
+    def show(counts: "Counts", info: "CameraInfo", reading: "Reading") -> None:
+        page.publish(as_jpeg(draw(counts, info, reading.view, reading.relative_focus)), numbers(reading))
+
+    return show
+
+
+def _json_line(_counts: "Counts", _info: "CameraInfo", reading: "Reading") -> None:
+    import json
+
+    finite = {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in numbers(reading).items()}
+    print(json.dumps(finite), flush=True)  # noqa: T201
+
+
+def _to_screen(screen: Any) -> "Sink":  # noqa: ANN401 - rich's Live
+    from rich.text import Text
+
+    def show(_counts: "Counts", _info: "CameraInfo", reading: "Reading") -> None:
+        screen.update(Text(panel(reading)), refresh=True)
+
+    return show
+
+
+def numbers(reading: "Reading") -> dict[str, Any]:
+    """A reading as plain values."""
+    view = reading.view
+    return {
+        "frame": reading.frame,
+        "frames_per_s": reading.frames_per_s,
+        "mean": view.mean,
+        "saturated_share": view.saturated_share,
+        "focus": view.focus,
+        "relative_focus": reading.relative_focus,
+        "ridge_deg": view.ridge_deg,
+        "prominence": view.prominence,
+        "histogram": list(view.histogram),
+    }
+
+
+def plain(reading: "Reading") -> str:
+    """A reading as one line."""
+    view = reading.view
+    ridges = "undefined" if view.ridge_deg is None else f"{view.ridge_deg:+.1f}°"
+    return (
+        f"frame {reading.frame}  focus {_percent(reading.relative_focus)} of best  mean {view.mean:.1%}  "
+        f"saturated {view.saturated_share:.2%}  ridges {ridges}  {blocks(view.histogram)}  "
+        f"{_speed(reading.frames_per_s)}"
+    )
+
+
+def panel(reading: "Reading") -> str:
+    """A reading as some lines for the terminal."""
+    view = reading.view
+    known = 0.0 if math.isnan(reading.relative_focus) else reading.relative_focus
+    filled = round(BAR * known)
+    ridges = (
+        "undefined" if view.ridge_deg is None else f"{view.ridge_deg:+.1f}° counter-clockwise from upright"
+    )
+    return "\n".join(
+        [
+            f"focus      {'█' * filled}{'·' * (BAR - filled)} {_percent(reading.relative_focus)} of the best seen",
+            f"saturated  {view.saturated_share:.2%} of the pixels",
+            f"mean       {view.mean:.1%} of full scale",
+            f"histogram  {blocks(view.histogram)} (black to full scale)",
+            f"ridges     {ridges}",
+            f"frame      {reading.frame}, {_speed(reading.frames_per_s)}; q and Enter, or Ctrl-C, ends it",
+        ]
+    )
+
+
+def blocks(histogram: tuple[float, ...]) -> str:
+    """A histogram as a row of blocks, by the square root of the share so that small shares show."""
+    top = max(histogram)
+    if top <= 0.0:
+        return BLOCKS[0] * len(histogram)
+    return "".join(BLOCKS[math.ceil((len(BLOCKS) - 1) * math.sqrt(share / top))] for share in histogram)
+
+
+def _percent(share: float) -> str:
+    return "too dark" if math.isnan(share) else f"{share:.0%}"
+
+
+def _speed(frames_per_s: float) -> str:
+    return "" if math.isnan(frames_per_s) else f"{frames_per_s:.1f} frames/s"

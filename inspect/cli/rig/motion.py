@@ -1,0 +1,224 @@
+"""``anisoscope rig home|move|jog|stop``: turn the stage or the tilt axis by hand, from the command line."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from anisoscope.base.errors import AnisoscopeError, NotConnected, RigError
+from anisoscope.cli.rig.options import (
+    NOTHING_NAMED,
+    AxisName,
+    Json,
+    Which,
+    Yes,
+    confirm,
+    print_json,
+    say,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from anisoscope.rig.portholder import Holder
+    from anisoscope.rig.rigfile import AxisPart, RigFile
+    from anisoscope.rig.stage import RotationStage
+
+    Go = Callable[[RotationStage, AxisPart], None]
+
+Devices = Annotated[Which, Parameter(name="*")]
+Axis = Annotated[AxisName, Parameter(name="--axis", help="Which axis: stage, or tilt.")]
+RELEASE_S = 15.0
+
+
+@dataclass(frozen=True)
+class _Moved:
+    """A motion that ended; `before_deg` is None where nobody knew."""
+
+    axis: str
+    device: str
+    before_deg: float | None
+    after_deg: float
+    homed: bool
+
+
+def home(
+    *, which: Devices = NOTHING_NAMED, axis: Axis = "stage", yes: Yes = False, json_: Json = False
+) -> int:
+    """Search the reference of an axis. It may turn a full turn: this asks first, unless --yes."""
+    from anisoscope.rig.acquisition.opening import open_devices
+
+    file, part = which.axis(axis)
+    with open_devices({axis: part}) as devices:
+        stage = devices.axes[axis]
+        before = _position(stage)
+        _home(stage, part, yes=yes)
+        moved = _Moved(axis, stage.name, before, stage.position_deg(), homed=True)
+    return _show(moved, file, part, json_=json_)
+
+
+def move(
+    angle_deg: Annotated[
+        float, Parameter(help="Reading of the axis in degrees; with --sample: of the sample.")
+    ],
+    /,
+    *,
+    sample: Annotated[
+        bool,
+        Parameter(
+            negative="",
+            help="The angle is that of the sample (or of the arm), as zero_deg and turns of the rig file say; "
+            "approached from below, as an inspection does.",
+        ),
+    ] = False,
+    which: Devices = NOTHING_NAMED,
+    axis: Axis = "stage",
+    yes: Yes = False,
+    json_: Json = False,
+) -> int:
+    """Move an axis to an angle. An axis that was not homed is homed first, which this asks for, unless --yes."""
+    from anisoscope.base.errors import UsageError
+    from anisoscope.rig.stage import check_limits
+
+    if sample and which.rig is None:
+        raise UsageError("--sample needs a rig file: only that says at which reading the sample stands at 0°")
+
+    def target(part: "AxisPart") -> float:
+        return part.reading_deg(angle_deg) if sample else angle_deg
+
+    def look(stage: "RotationStage", part: "AxisPart") -> None:
+        check_limits(stage, target(part))
+
+    def go(stage: "RotationStage", part: "AxisPart") -> None:
+        if sample and stage.position_deg() > (below := target(part) - part.approach_deg):
+            check_limits(stage, below)
+            stage.move_to(below)
+        stage.move_to(target(part))
+
+    return _motion(which, axis, go, look, yes=yes, json_=json_)
+
+
+def jog(
+    delta_deg: Annotated[float, Parameter(help="By how much, in degrees of the reading; may be negative.")],
+    /,
+    *,
+    which: Devices = NOTHING_NAMED,
+    axis: Axis = "stage",
+    yes: Yes = False,
+    json_: Json = False,
+) -> int:
+    """Move an axis by an angle. An axis that was not homed is homed first, which this asks for, unless --yes."""
+
+    def go(stage: "RotationStage", _part: "AxisPart") -> None:
+        stage.move_by(delta_deg)
+
+    return _motion(which, axis, go, yes=yes, json_=json_)
+
+
+def stop(*, which: Devices = NOTHING_NAMED, json_: Json = False) -> int:
+    """Stop all axes at once, also those that another anisoscope process is moving.
+
+    A port is open once. Where another anisoscope process has it, that process is interrupted as by Ctrl-C: it stops
+    its axes, switches the light off, and ends.
+    """
+    from anisoscope.rig.acquisition.opening import open_devices
+
+    _, axes = which.read()
+    told = [_interrupt(holder) for holder in _holders(axes)]
+    with open_devices(axes) as devices:
+        problems = devices.make_safe()
+        found = {table: (axis.name, _position(axis)) for table, axis in devices.axes.items()}
+    if problems:
+        raise RigError("; ".join(problems))
+    if json_:
+        rows = {table: {"device": name, "at_deg": at} for table, (name, at) in found.items()}
+        print_json({"interrupted": told, "axes": rows})
+        return 0
+    for table, (name, at) in found.items():
+        print(f"{table} {name}: stopped, is at {_degrees(at)}")  # noqa: T201
+    return 0
+
+
+def _motion(
+    which: Which, axis: AxisName, go: "Go", look: "Go | None" = None, *, yes: bool, json_: bool
+) -> int:
+    """Home if need be, and move; `look` comes before both and may refuse."""
+    from anisoscope.rig.acquisition.opening import open_devices
+
+    file, part = which.axis(axis)
+    with open_devices({axis: part}) as devices:
+        stage = devices.axes[axis]
+        if look is not None:
+            look(stage, part)
+        before = _position(stage)
+        homed = not stage.is_homed
+        if homed:
+            _home(stage, part, yes=yes)
+        go(stage, part)
+        moved = _Moved(axis, stage.name, before, stage.position_deg(), homed)
+    return _show(moved, file, part, json_=json_)
+
+
+def _home(stage: "RotationStage", part: "AxisPart", *, yes: bool) -> None:
+    from anisoscope.rig.rigfile import BY_HAND
+
+    if part.driver != BY_HAND:  # there the operator is asked for every single turn
+        confirm(f"homing {stage.name}: it searches its reference and may turn a full turn", yes=yes)
+    stage.home()
+
+
+def _position(stage: "RotationStage") -> float | None:
+    try:
+        return stage.position_deg()
+    except NotConnected:
+        raise
+    except AnisoscopeError:  # an axis by hand that nobody has set yet
+        return None
+
+
+def _holders(axes: "dict[str, AxisPart]") -> "list[Holder]":
+    from anisoscope.rig.portholder import holder_of
+
+    found = [holder_of(part.port) for part in axes.values() if part.port is not None]
+    return list({holder.pid: holder for holder in found if holder is not None}.values())
+
+
+def _interrupt(holder: "Holder") -> int:
+    from anisoscope.rig.portholder import wait_until_released
+
+    holder.interrupt()
+    say(f"interrupted process {holder.pid} ({holder.program}), which has {holder.port} open")
+    if not wait_until_released(holder.port, RELEASE_S):
+        raise RigError(
+            f"process {holder.pid} ({holder.program}) was interrupted, but still has {holder.port} open after "
+            f"{RELEASE_S:g} s: look at the rig, and press Ctrl-C in its window"
+        )
+    return holder.pid
+
+
+def _show(moved: _Moved, file: "RigFile | None", part: "AxisPart", *, json_: bool) -> int:
+    def angle(reading: float | None) -> float | None:
+        return None if file is None or reading is None else part.angle_deg(reading)
+
+    if json_:
+        print_json(
+            {
+                "axis": moved.axis,
+                "device": moved.device,
+                "homed": moved.homed,
+                "before_deg": moved.before_deg,
+                "after_deg": moved.after_deg,
+                "angle_before_deg": angle(moved.before_deg),
+                "angle_after_deg": angle(moved.after_deg),
+            }
+        )
+        return 0
+    whose = "sample" if moved.axis == "stage" else "arm"
+    after = "" if file is None else f" ({whose} {_degrees(angle(moved.after_deg))})"
+    before = _degrees(moved.before_deg)
+    print(f"{moved.axis} {moved.device}: was at {before}, is at {_degrees(moved.after_deg)}{after}")  # noqa: T201
+    return 0
+
+
+def _degrees(angle_deg: float | None) -> str:
+    return "an unknown angle" if angle_deg is None else f"{angle_deg:.3f}°"

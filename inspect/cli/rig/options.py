@@ -1,0 +1,128 @@
+"""Options that the commands of ``anisoscope rig`` share, and how they print."""
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+from anisoscope.base.errors import UsageError
+
+if TYPE_CHECKING:
+    from anisoscope.rig.rigfile import AxisPart, RigFile
+
+AxisName = Literal["stage", "tilt"]
+RigPath = Annotated[Path, Parameter(name=["--rig", "-g"], help="Rig file (TOML).")]
+Json = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")]
+Yes = Annotated[bool, Parameter(name=["--yes", "-y"], negative="", help="Home without asking.")]
+
+
+@dataclass(frozen=True)
+class Which:
+    """Which devices: those of a rig file, or a stage alone."""
+
+    rig: Annotated[
+        Path | None, Parameter(name=["--rig", "-g"], help="Rig file (TOML) that names the devices.")
+    ] = None
+    driver: Annotated[
+        str | None, Parameter(name="--driver", help="Instead of a rig file: driver of a stage.")
+    ] = None
+    port: Annotated[str | None, Parameter(name="--port", help="With --driver: its port.")] = None
+    option: Annotated[
+        tuple[str, ...],
+        Parameter(
+            name="--option", negative="", help="With --driver: its option as KEY=VALUE; may be repeated."
+        ),
+    ] = ()
+
+    def read(self) -> "tuple[RigFile | None, dict[str, AxisPart]]":
+        """The rig file, if one is named; and its axes by table, the stage first.
+
+        Raises:
+            UsageError: neither a rig file nor a driver is named, or both.
+            RigFileError: the rig file.
+        """
+        from anisoscope.rig.rigfile import StagePart, read_rig
+
+        if (self.rig is None) == (self.driver is None):
+            raise UsageError("name the devices: --rig FILE, or --driver NAME --port PORT for a stage alone")
+        if self.rig is None:
+            assert self.driver is not None
+            options = dict(_pair(text) for text in self.option)
+            return None, {"stage": StagePart(driver=self.driver, port=self.port, options=options)}
+        if self.port is not None or self.option:
+            raise UsageError("--port and --option go with --driver; with --rig they stand in the rig file")
+        file = read_rig(self.rig)
+        axes: dict[str, AxisPart] = {"stage": file.stage}
+        if file.tilt is not None:
+            axes["tilt"] = file.tilt
+        return file, axes
+
+    def axis(self, name: AxisName) -> "tuple[RigFile | None, AxisPart]":
+        """The rig file, if one is named; and one of its axes. Errors as for `read`.
+
+        Raises:
+            UsageError: the rig has no such axis.
+        """
+        file, axes = self.read()
+        if name not in axes:
+            raise UsageError("--axis tilt: nothing tilts there; the rig file has no table [tilt]")
+        return file, axes[name]
+
+
+NOTHING_NAMED = Which()
+
+
+def _pair(text: str) -> "tuple[str, str | int | float | bool]":
+    key, equals, value = text.partition("=")
+    if not (key and equals):
+        raise UsageError(f"--option takes KEY=VALUE, such as address=2, not {text!r}")
+    if value in {"true", "false"}:
+        return key, value == "true"
+    if key == "address":  # a text also where it looks like a number, as Elliptec's 0…F
+        return key, value
+    for kind in (int, float):
+        try:
+            return key, kind(value)
+        except ValueError:
+            continue
+    return key, value
+
+
+def print_json(value: Any) -> None:  # noqa: ANN401
+    """Print JSON; NaN becomes null."""
+    import json
+
+    print(json.dumps(_finite(value), ensure_ascii=False, indent=2, allow_nan=False), flush=True)  # noqa: T201
+
+
+def _finite(value: Any) -> Any:  # noqa: ANN401
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    if isinstance(value, float) and not abs(value) < float("inf"):
+        return None
+    return value
+
+
+def say(text: str) -> None:
+    """Tell people what happens, on standard error."""
+    print(text, file=sys.stderr, flush=True)  # noqa: T201
+
+
+def confirm(what: str, *, yes: bool) -> None:
+    """Announce what is about to happen, and ask whether it may.
+
+    Raises:
+        UsageError: nobody said yes, or there is no terminal to ask in.
+    """
+    if yes:
+        say(what)
+        return
+    if sys.stdin is None or not sys.stdin.isatty():
+        raise UsageError(f"{what}; there is no terminal to ask in whether it may: say so with --yes")
+    print(f"{what}. Go on? [y/N] ", end="", file=sys.stderr, flush=True)  # noqa: T201
+    if sys.stdin.readline().strip().lower() not in {"y", "yes"}:
+        raise UsageError("nothing was moved: nobody said yes")

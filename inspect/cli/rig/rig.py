@@ -1,0 +1,87 @@
+"""``anisoscope rig``: look after the rig: its ports, its motion, its picture; and simulated devices."""
+
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import App, Group, Parameter
+
+from anisoscope.base.errors import UsageError
+from anisoscope.cli.rig.commission import check, commission
+from anisoscope.cli.rig.live import live
+from anisoscope.cli.rig.motion import home, jog, move, stop
+from anisoscope.cli.rig.sim import app as sim
+from anisoscope.cli.rig.snap import snap
+from anisoscope.cli.rig.status import status
+
+if TYPE_CHECKING:
+    from anisoscope.rig.discovery import Answer, FoundPort
+
+app = App(name="rig", help="Look after the rig: ports, motion, live picture; simulated devices.")
+_look = Group.create_ordered("Look")
+_move = Group.create_ordered("Move")
+_set_up = Group.create_ordered("Set up and check")
+_simulate = Group.create_ordered("Simulate")
+
+
+app.command(status, group=_look)
+app.command(snap, group=_look)
+app.command(live, group=_look)
+for _motion in (home, move, jog, stop):
+    app.command(_motion, group=_move)
+for _check in (commission, check):
+    app.command(_check, group=_set_up)
+sim.group = _simulate
+app.command(sim)
+
+
+@app.command(group=_look)
+def ports(
+    *,
+    probe: Annotated[bool, Parameter(negative="")] = False,
+    port: tuple[str, ...] = (),
+    json: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """List the serial ports of this machine and what may hang on them, without opening any.
+
+    Args:
+        probe: open each port and ask who is there; opening resets some boards (Arduino).
+        port: only this port, also one that is not listed; may be repeated.
+        json: print a JSON list instead of lines.
+    """
+    from anisoscope.rig.discovery import FoundPort, find_ports
+    from anisoscope.rig.discovery import probe as ask
+
+    found = list(find_ports())
+    if port:
+        listed = {one.port: one for one in found}
+        if not probe and (strange := [name for name in port if name not in listed]):
+            raise UsageError(
+                f"--port {strange[0]}: not a port of this machine; --probe asks on it all the same"
+            )
+        found = [listed.get(name) or FoundPort(name, "", "", "", "", "", ()) for name in port]
+    answers = [ask(one.port, one.may_be) if probe else None for one in found]
+    if json:
+        from anisoscope.cli.rig.options import print_json
+
+        print_json(
+            [
+                asdict(one) | ({} if answer is None else {"probe": asdict(answer)})
+                for one, answer in zip(found, answers, strict=True)
+            ]
+        )
+        return
+    for one, answer in zip(found, answers, strict=True):
+        print(_line(one, answer))  # noqa: T201
+    if not found:
+        print("no serial ports")  # noqa: T201
+
+
+def _line(found: "FoundPort", answer: "Answer | None") -> str:
+    words = [found.port, found.usb, found.maker, found.product or found.description]
+    if found.serial:
+        words.append(f"serial {found.serial}")
+    if answer is not None:
+        words.append(f"{answer.driver}: {answer.device} answered" if answer.driver else answer.problem)
+    elif found.may_be:
+        words.append(f"may be {' or '.join(found.may_be)}")
+    return "  ".join(word for word in words if word)

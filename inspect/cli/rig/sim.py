@@ -1,0 +1,179 @@
+"""``anisoscope rig sim``: simulated devices, and a whole virtual rig, for other programs."""
+
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import App, Parameter
+
+from anisoscope.base.errors import UsageError
+
+if TYPE_CHECKING:
+    from anisoscope.sim.bench.bench import Bench
+    from anisoscope.sim.bench.firmware.device import Firmware
+    from anisoscope.sim.bench.serve import PtyServer, TcpServer
+
+app = App(name="sim", help="Serve a simulated device, byte by byte, to any program.")
+OTHERS = 3
+
+
+@app.default
+def device(
+    name: Annotated[str, Parameter(help="Protocol: elliptec, zaber, grbl, apt or smc100; or light.")],
+    /,
+    *,
+    pty: Annotated[bool, Parameter(negative="")] = False,
+    tcp: int | None = None,
+    model: str = "",
+    address: str = "",
+    time_scale: float = 1.0,
+    fault: Annotated[tuple[str, ...], Parameter(negative="")] = (),
+) -> int:
+    """Serve a simulated stage or light until Ctrl-C; the first line says where.
+
+    Args:
+        pty: serve on a new pseudo terminal.
+        tcp: serve on this TCP port of 127.0.0.1; 0 takes any free one.
+        model: which device of the protocol; the usual one if not given.
+        address: bus address; the protocol's first if not given.
+        time_scale: stretch of time; 1 is real time, 0 ends every move at once.
+        fault: what is wrong with the device, as NAME or NAME:NUMBER; may be repeated.
+    """
+    from anisoscope.sim.bench.firmware.axis import RotaryAxis
+    from anisoscope.sim.bench.firmware.catalogue import Mount, build
+    from anisoscope.sim.bench.serve import PtyServer, TcpServer
+
+    if pty == (tcp is not None):
+        raise UsageError(f"rig sim {name}: give exactly one of --pty and --tcp PORT")
+    if not 0.0 <= time_scale < float("inf"):
+        raise UsageError(f"rig sim {name}: --time-scale must be a number, 0 or more")
+    firmware = build(name, [Mount(RotaryAxis(time_scale=time_scale), address)], model=model, faults=fault)
+    return _serve(name, PtyServer(firmware) if tcp is None else TcpServer(firmware, tcp))
+
+
+def _serve(name: str, server: "PtyServer | TcpServer") -> int:
+    """Serve until Ctrl-C or SIGTERM (which the command line turns into the same); that is a normal end."""
+    print(f"serving {name} on {server.port}", flush=True)  # noqa: T201
+    try:
+        server.run()
+    except KeyboardInterrupt:
+        return 0
+    finally:
+        server.close()
+    return 0
+
+
+@app.command
+def bench(
+    file: Annotated[Path, Parameter(help="Bench file (TOML).")],
+    /,
+    *,
+    tcp_base: Annotated[
+        int | None,
+        Parameter(
+            help="TCP port of the stage; the light has the next, the camera the one after; 0: any free ones."
+        ),
+    ] = None,
+    pty: Annotated[
+        bool, Parameter(negative="", help="Stage and light on pseudo terminals; the camera stays on TCP.")
+    ] = False,
+    write_rig: Annotated[Path | None, Parameter(help="Write a rig file that uses them.")] = None,
+) -> int:
+    """Serve a whole virtual rig until Ctrl-C: what its stage does, its camera sees, whoever asks.
+
+    The first line says where: serving bench on stage 127.0.0.1:4001, light 127.0.0.1:4002, camera 127.0.0.1:4003.
+    A tilt axis is on the line of the stage. Only programs of this machine can connect.
+    """
+    import threading
+
+    from anisoscope.sim.bench.bench import Bench
+    from anisoscope.sim.bench.benchfile import read_bench
+
+    if pty and tcp_base is not None:
+        raise UsageError("rig sim bench: give one of --pty and --tcp-base PORT")
+    base = tcp_base or 0
+    if not 0 <= base < 65536 - OTHERS:
+        raise UsageError(f"--tcp-base must lie between 0 and {65535 - OTHERS}, not {base}")
+    made = Bench(read_bench(file))
+    with ExitStack() as stack:
+        try:
+            places, urls = _serve_bench(made, base, stack, pty=pty)
+            if write_rig is not None:
+                _write_rig(made, urls, write_rig)
+            shown = ", ".join(f"{name} {place}" for name, place in places.items())
+            print(f"serving bench on {shown}", flush=True)  # noqa: T201
+            threading.Event().wait()
+        except KeyboardInterrupt:
+            return 0
+    return 0
+
+
+def _serve_bench(
+    made: "Bench", base: int, stack: ExitStack, *, pty: bool
+) -> tuple[dict[str, str], dict[str, str]]:
+    """Serve all devices; where each is found, and what a rig file calls that."""
+    from anisoscope.sim.bench.camera import SimulatedCamera
+    from anisoscope.sim.bench.camera_server import CameraServer
+    from anisoscope.sim.bench.serve import PtyServer, TcpServer
+
+    def line(firmware: "Firmware", number: int) -> "PtyServer | TcpServer":
+        return PtyServer(firmware) if pty else TcpServer(firmware, base and base + number)
+
+    stage, light = line(made.device(made.file.stage.protocol), 0), line(made.device("light"), 1)
+    camera = CameraServer(lambda: SimulatedCamera(made), base and base + 2)
+    for server in (stage, light, camera):
+        stack.enter_context(server)
+    places = {"stage": stage.port, "light": light.port, "camera": camera.port}
+    return places, {"stage": stage.url, "light": light.url, "camera": camera.port}
+
+
+def _write_rig(made: "Bench", urls: dict[str, str], path: Path) -> None:
+    """A rig file that knows the truth about the bench: zeros, senses, pixel size, fixture."""
+    import tomli_w
+
+    from anisoscope.base.atomic_write import write_text
+
+    file = made.file
+    stage: dict[str, Any] = {
+        "driver": file.stage.protocol,
+        "port": urls["stage"],
+        "zero_deg": file.stage.zero_deg,
+        "turns": file.stage.turns,
+    }
+    if file.stage.address:
+        stage["options"] = {_AXIS_OPTION.get(file.stage.protocol, "address"): file.stage.address}
+    table: dict[str, Any] = {"schema": 1, "name": "virtual rig in another process", "stage": stage}
+    if file.tilt is not None:
+        protocol = file.stage.protocol
+        table["tilt"] = {
+            "driver": protocol,
+            "port": urls["stage"],
+            "zero_deg": file.tilt.zero_deg,
+            "sign": file.tilt.sign,
+            "options": {
+                _AXIS_OPTION.get(protocol, "address"): file.tilt.address or _SECOND.get(protocol, "2")
+            },
+        }
+    else:
+        table["geometry"] = {"tilt_deg": file.geometry.tilt_deg}
+    table["camera"] = {
+        "driver": "simulated",
+        "pixel_um": file.optics.pixel_um,
+        "options": {"port": urls["camera"]},
+    }
+    if file.sensor.filters != "mono" or file.sample.kind == "print":
+        table["camera"]["sensitivities"] = file.sensor.sensitivities
+    table["light"] = {
+        "driver": "serial",
+        "port": urls["light"],
+        "angle_deg": file.geometry.light_angle_deg,
+        "spectrum": file.optics.spectrum,
+    }
+    if file.fixture is not None:
+        table["fixture"] = file.fixture.model_dump(mode="json")
+    write_text(path, tomli_w.dumps(table))
+
+
+# How a driver is told which axis of the line it drives, and what the second of a bench is called.
+_AXIS_OPTION = {"grbl": "axis"}
+_SECOND = {"elliptec": "1", "zaber": "2", "grbl": "Y", "smc100": "2"}

@@ -1,0 +1,163 @@
+"""``anisoscope rig snap``: one frame to a file, and what it is worth."""
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+from anisoscope.base.errors import UsageError
+from anisoscope.cli.rig.options import Json, RigPath, print_json, say
+
+if TYPE_CHECKING:
+    from anisoscope.rig.acquisition.opening import Devices
+    from anisoscope.rig.frame import Frame
+    from anisoscope.rig.rigfile import RigFile
+
+Exposure = Annotated[float, Parameter(help="Exposure in seconds.")]
+Gain = Annotated[float, Parameter(help="Gain as a factor.")]
+LightState = Annotated[Literal["on", "off"], Parameter(help="Light while the picture is taken.")]
+SATURATED_SHARE = 0.001
+
+
+def snap(
+    *,
+    rig: RigPath,
+    out: Annotated[Path, Parameter(help="File to write (.tif): 16 bits, with our metadata.")],
+    exposure: Exposure,
+    gain: Gain = 1.0,
+    frames: Annotated[int, Parameter(help="Frames to average, rounded to counts.")] = 1,
+    light: LightState = "on",
+    preview: Annotated[bool, Parameter(negative="", help="Also write a PNG to look at, beside it.")] = False,
+    stage: Annotated[
+        bool,
+        Parameter(
+            negative="--no-stage", help="Read the axes, so that the file says at which angle it was taken."
+        ),
+    ] = True,
+    overwrite: Annotated[bool, Parameter(negative="", help="Replace files that exist.")] = False,
+    json_: Json = False,
+) -> int:
+    """Take a picture and write it to a file; nothing moves.
+
+    Prints mean, saturated share and sharpness (Tenengrad; larger is sharper, for the same object). Of a colour camera
+    the file holds the mosaic, unchanged; the preview is in colour.
+    """
+    from anisoscope.rig.acquisition.opening import open_devices
+    from anisoscope.rig.frame import write_frame
+    from anisoscope.rig.rigfile import read_rig
+
+    picture = out.with_suffix(".png") if preview else None
+    _check_files(out, picture, overwrite=overwrite)
+    if not 1 <= frames <= 10_000:
+        raise UsageError(f"--frames must lie between 1 and 10000, not {frames}")
+    file = read_rig(rig)
+    axes = {"stage": file.stage} | ({} if file.tilt is None else {"tilt": file.tilt})
+    with open_devices(axes if stage else {}, file.camera, file.light) as devices:
+        frame, saturated = _take(devices, file, exposure, gain, frames, light=light)
+        assert devices.camera is not None
+        info = devices.camera.info
+        unsure = [axis.name for axis in devices.axes.values() if not axis.is_homed]
+    write_frame(frame, out)
+    found = _judge(frame, info, saturated, picture)
+    if unsure:
+        say(f"{' and '.join(unsure)}: not homed since connected; the angle in the file is what was read")
+    if json_:
+        print_json({"file": str(out), "preview": None if picture is None else str(picture), **found})
+    else:
+        _print(out, picture, found)
+    return 0
+
+
+def _check_files(out: Path, picture: Path | None, *, overwrite: bool) -> None:
+    if out.suffix.lower() not in {".tif", ".tiff"}:
+        raise UsageError(f"--out {out}: frames are TIFF files; name it .tif")
+    for path in (out, picture):
+        if path is not None and path.exists() and not overwrite:
+            raise UsageError(f"{path} exists; name another file, or say --overwrite")
+
+
+def _take(
+    devices: "Devices", file: "RigFile", exposure: float, gain: float, frames: int, *, light: str
+) -> "tuple[Frame, float]":
+    """The mean of some frames, and the largest saturated share among them."""
+    from datetime import UTC, datetime
+
+    import numpy as np
+
+    from anisoscope.live_view.view import saturated_share
+    from anisoscope.rig.frame import Frame
+
+    camera, lamp = devices.camera, devices.light
+    assert camera is not None
+    assert lamp is not None
+    settings = camera.configure(exposure, gain)
+    (lamp.on if light == "on" else lamp.off)()
+    info = camera.info
+    taken = [camera.grab().copy() for _ in range(frames)]
+    mean = np.rint(np.mean(taken, axis=0)).astype(np.uint16) if frames > 1 else taken[0]
+    stage_deg, tilt_deg = _angles(devices, file)
+    frame = Frame(
+        counts=mean,
+        kind="sample" if light == "on" else "dark",
+        bit_depth=info.bit_depth,
+        black_level=info.black_level,
+        exposure_s=settings.exposure_s,
+        gain=settings.gain,
+        stage_deg=stage_deg,
+        commanded_deg=stage_deg,
+        tilt_deg=tilt_deg,
+        captured_at=datetime.now(UTC).isoformat(timespec="milliseconds"),
+        camera=f"{info.model} {info.serial}",
+        filters=info.filters,
+    )
+    return frame, max(saturated_share(counts, info.bit_depth) for counts in taken)
+
+
+def _angles(devices: "Devices", file: "RigFile") -> tuple[float, float]:
+    """Angles of sample and arm in degrees; NaN where no axis was asked."""
+    stage, tilt = devices.axes.get("stage"), devices.axes.get("tilt")
+    stage_deg = math.nan if stage is None else file.stage.angle_deg(stage.position_deg())
+    if file.tilt is None:
+        return stage_deg, file.geometry.tilt_deg
+    return stage_deg, math.nan if tilt is None else file.tilt.angle_deg(tilt.position_deg())
+
+
+def _judge(frame: "Frame", info: Any, saturated: float, picture: Path | None) -> dict[str, Any]:  # noqa: ANN401
+    from anisoscope.base.atomic_write import write_bytes
+    from anisoscope.live_view.picture import as_png, to_show
+    from anisoscope.live_view.view import look_at
+
+    view = look_at(frame.counts, info)
+    if picture is not None:
+        write_bytes(picture, as_png(to_show(frame.counts, info)))
+    return {
+        "rows": frame.counts.shape[0],
+        "cols": frame.counts.shape[1],
+        "exposure_s": frame.exposure_s,
+        "gain": frame.gain,
+        "angle_deg": frame.stage_deg,
+        "tilt_deg": frame.tilt_deg,
+        "mean_counts": float(frame.counts.mean()),
+        "mean": view.mean,
+        "saturated_share": saturated,
+        "filters": frame.filters,
+        "sharpness": view.focus,
+        "ridge_deg": view.ridge_deg,
+    }
+
+
+def _print(out: Path, picture: Path | None, found: dict[str, Any]) -> None:
+    sharp = "too dark to tell" if math.isnan(found["sharpness"]) else f"{found['sharpness']:.3g}"
+    at = "" if math.isnan(found["angle_deg"]) else f" at {found['angle_deg']:.3f}°"
+    print(  # noqa: T201
+        f"{out}: {found['rows']} × {found['cols']}{at}, {found['exposure_s']:g} s, gain {found['gain']:g}; mean "
+        f"{found['mean_counts']:.1f} counts ({found['mean']:.1%} of full scale), saturated "
+        f"{found['saturated_share']:.3%}, sharpness {sharp}"
+    )
+    if found["filters"] != "mono":
+        print(f"{out}: the mosaic as the sensor saw it, filters {found['filters']}")  # noqa: T201
+    if picture is not None:
+        print(f"{picture}: preview")  # noqa: T201
+    if found["saturated_share"] > SATURATED_SHARE:
+        say("too many saturated pixels to measure anything: expose shorter")

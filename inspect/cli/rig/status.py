@@ -1,0 +1,136 @@
+"""``anisoscope rig status``: what stands on the rig and answers; nothing moves, nothing is switched."""
+
+import contextlib
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from anisoscope.base.errors import AnisoscopeError, RigError
+from anisoscope.cli.rig.options import NOTHING_NAMED, Json, Which, print_json
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from anisoscope.rig.rigfile import AxisPart, CameraPart, LightPart, RigFile
+
+
+def status(*, which: Annotated[Which, Parameter(name="*")] = NOTHING_NAMED, json_: Json = False) -> int:
+    """Ask every device of the rig who it is and how it stands. Nothing moves.
+
+    A device that does not answer does not hide the others; the exit code is then that of a hardware error.
+    """
+    from anisoscope.rig.transport import shared_ports
+
+    file, axes = which.read()
+    found: dict[str, Any] = {"rig": None if file is None else file.name}
+    with contextlib.ExitStack() as stack, shared_ports():
+        for table, part in axes.items():
+            found[table] = _of(_axis, part, table, stack)
+            if file is None:  # nobody said where the sample stands at 0°
+                found[table].pop("angle_deg", None)
+        if file is not None:
+            found["camera"] = _of(_camera, file.camera, file, stack)
+            found["light"] = _of(_light, file.light, stack)
+    if json_:
+        print_json(found)
+    else:
+        _print(found)
+    failed = any(isinstance(device, dict) and "error" in device for device in found.values())
+    return RigError.exit_code if failed else 0
+
+
+def _of(ask: "Callable[..., dict[str, Any]]", part: Any, *rest: Any) -> dict[str, Any]:  # noqa: ANN401
+    try:
+        return {"driver": part.driver, **ask(part, *rest)}
+    except AnisoscopeError as problem:
+        return {"driver": part.driver, "error": " ".join(str(problem).split())}
+
+
+def _axis(part: "AxisPart", table: str, stack: contextlib.ExitStack) -> dict[str, Any]:
+    from anisoscope.rig.acquisition.opening import open_axis
+    from anisoscope.rig.rigfile import BY_HAND
+
+    if part.driver == BY_HAND:
+        return {"device": "set by hand"}
+    axis = open_axis(part, table)
+    stack.callback(axis.close)
+    reading = axis.position_deg()
+    return {
+        "port": part.port,
+        "device": axis.name,
+        "position_deg": reading,
+        "angle_deg": part.angle_deg(reading),
+        "homed": axis.is_homed,
+        "limits_deg": list(axis.limits_deg),
+        "resolution_deg": axis.resolution_deg,
+    }
+
+
+def _camera(part: "CameraPart", file: "RigFile", stack: contextlib.ExitStack) -> dict[str, Any]:
+    from anisoscope.rig.drivers import open_camera
+
+    camera = open_camera(part.driver, **part.options)
+    stack.callback(camera.close)
+    info = camera.info
+    return {
+        "device": f"{info.model} {info.serial}".strip(),
+        "rows": info.rows,
+        "cols": info.cols,
+        "bit_depth": info.bit_depth,
+        "black_level": info.black_level,
+        "filters": info.filters,
+        "linear": info.linear,
+        "uncalibrated": file.uncalibrated(info),
+        "pixel_um": part.pixel_um,
+    }
+
+
+def _light(part: "LightPart", stack: contextlib.ExitStack) -> dict[str, Any]:
+    from anisoscope.rig.drivers import open_light
+
+    light = open_light(part.driver, port=part.port, **part.options)
+    stack.callback(light.close)
+    return {
+        "port": part.port,
+        "device": str(getattr(light, "name", part.driver)),
+        "angle_deg": part.angle_deg,
+    }
+
+
+def _print(found: dict[str, Any]) -> None:
+    if found["rig"] is not None:
+        print(f"rig     {found['rig']}")  # noqa: T201
+    for table in ("stage", "tilt", "camera", "light"):
+        if table in found:
+            print(f"{table:<7} {_line(table, found[table])}")  # noqa: T201
+
+
+def _line(table: str, device: dict[str, Any]) -> str:
+    if "error" in device:
+        return f"{device['driver']}: {device['error']}"
+    words = [device["device"]]
+    if "position_deg" in device:
+        low, high = device["limits_deg"]
+        whose = "sample" if table == "stage" else "arm"
+        angle = f" ({whose} {device['angle_deg']:.3f}°)" if "angle_deg" in device else ""
+        words += [
+            f"at {device['position_deg']:.3f}°{angle}",
+            "homed" if device["homed"] else "not homed since it was connected",
+            f"reaches {low:g}°…{high:g}°",
+            f"steps of {device['resolution_deg']:.2g}°",
+        ]
+    elif table == "camera":
+        words += [
+            f"{device['rows']} × {device['cols']} pixels of {device['pixel_um']:g} µm on the sample",
+            f"{device['bit_depth']} bits, black at {device['black_level']:g}",
+            *([] if device["filters"] == "mono" else [f"colour filters {device['filters']}"]),
+            "linear" if device["linear"] else "not linear",
+            *(
+                ["UNCALIBRATED: no response curve (anisoscope calibrate response)"]
+                if device["uncalibrated"]
+                else []
+            ),
+        ]
+    elif table == "light":
+        words.append(f"{device['angle_deg']:g}° from the camera")
+    return ", ".join(words)

@@ -1,0 +1,1 @@
+"""``anisoscope spc``, ``msa``, ``camera``."""

@@ -1,0 +1,46 @@
+"""``anisoscope camera``: what a camera is, after EMVA 1288."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from anisoscope.cli.history.options import Json
+from anisoscope.cli.statistics.source import Html, print_grid, say
+
+
+def camera(
+    source: Annotated[
+        Path, Parameter(help="Rig file (TOML), or the record of a linearity calibration (JSON).")
+    ],
+    /,
+    *,
+    html: Html = None,
+    json_: Json = False,
+) -> int:
+    """Show what the linearity calibration found of a camera, as EMVA 1288 calls it.
+
+    Take the calibration with `anisoscope calibrate linearity`.
+
+    Exit codes: 0 fit for measuring, 3 not.
+    """
+    from anisoscope.quality.camera import read_camera
+    from anisoscope.report.camera_page import values_table, write_camera_page
+
+    sheet = read_camera(source)
+    if html is not None:
+        write_camera_page(html, sheet)
+    if json_:
+        json.dump(sheet.to_json(), sys.stdout, indent=2, allow_nan=False)
+        sys.stdout.write("\n")
+    else:
+        record = sheet.record
+        until = f"valid until {record.valid_until:%Y-%m-%d}"
+        say(f"camera {record.camera.model} at gain {record.gain:g}: {record.id}, {until}")
+        print_grid(values_table(sheet))
+        say(*sheet.notes, sheet.verdict)
+        if html is not None:
+            say(f"{html}: the page")
+    return 0 if sheet.record.in_limits else 3

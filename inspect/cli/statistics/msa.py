@@ -1,0 +1,207 @@
+"""``anisoscope msa``: measurement systems analysis."""
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import App, Parameter
+
+from anisoscope.base.errors import UsageError
+from anisoscope.cli.history.options import Json, Place
+from anisoscope.cli.statistics.source import (
+    EVERYTHING,
+    Alpha,
+    Csv,
+    Html,
+    Limit,
+    Number,
+    Selection,
+    print_grid,
+    readings_from,
+    say,
+)
+
+if TYPE_CHECKING:
+    from anisoscope.base.arrays import FloatArray
+    from anisoscope.quality.readings import Readings
+    from anisoscope.report.statistics_sections import Grid
+
+app = App(name="msa", help="How good is the measuring? Gauge R&R, bias, linearity, stability.")
+
+REFERENCE = "reference"
+Reference = Annotated[float | None, Parameter(help="The value that the part is known to have.")]
+
+
+@app.command
+def gauge(
+    *,
+    csv: Csv = None,
+    place: Place = None,
+    number: Number = None,
+    which: Selection = EVERYTHING,
+    limit: Limit = 0,
+    tolerance: Annotated[
+        float | None,
+        Parameter(help="Width between the limits of good parts, for the share of the tolerance."),
+    ] = None,
+    html: Html = None,
+    json_: Json = False,
+) -> int:
+    """Crossed gauge R&R: every part measured equally often by every appraiser.
+
+    Columns of the CSV file: part, appraiser, and a number. Of the history, serial numbers are the parts and operators
+    the appraisers.
+
+    Exit codes: 0 the gauge is good or usable, 1 it is not good enough, 64 and above nothing could be analysed.
+    """
+    from anisoscope.quality.gauge import gauge_data, gauge_study
+    from anisoscope.quality.gauge_study import POOR_SHARE
+    from anisoscope.report.msa_page import anova, components, write_gauge_page
+
+    readings, name, _ = _number(csv, place, which, limit, number)
+    study = gauge_study(gauge_data(readings, name), tolerance)
+    if html is not None:
+        write_gauge_page(html, f"Gauge R&R: {name}", readings.source, study)
+    _show(study.to_json(), (components(study), anova(study)), study.notes, html, json_=json_)
+    shares = (study.share_of_study(study.gauge), study.share_of_tolerance(study.gauge) or 0.0)
+    return 0 if max(shares) <= POOR_SHARE else 1
+
+
+@app.command
+def bias(
+    *,
+    csv: Csv = None,
+    place: Place = None,
+    number: Number = None,
+    which: Selection = EVERYTHING,
+    limit: Limit = 0,
+    reference: Reference = None,
+    alpha: Alpha = 0.05,
+    html: Html = None,
+    json_: Json = False,
+) -> int:
+    """Bias: one part of known value, measured again and again.
+
+    The known value is --reference, or the column `reference` of the CSV file.
+
+    Exit codes: 0 no bias is seen, 1 there is one, 64 and above nothing could be analysed.
+    """
+    from anisoscope.quality.bias import bias_study
+    from anisoscope.report.msa_page import biases, write_bias_page
+
+    readings, name, values = _number(csv, place, which, limit, number)
+    known = _reference(readings, reference)
+    if known is None:
+        raise UsageError("name the known value: --reference, or a column `reference` in the CSV file")
+    study = bias_study(values, known, alpha)
+    if html is not None:
+        write_bias_page(html, f"Bias: {name}", readings.source, study, values)
+    _show(study.to_json(), (biases((study,)),), (), html, json_=json_)
+    return 1 if study.significant else 0
+
+
+@app.command
+def linearity(
+    *,
+    csv: Annotated[Path, Parameter(name="--csv", help="CSV file with the columns reference and a number.")],
+    number: Number = None,
+    alpha: Alpha = 0.05,
+    html: Html = None,
+    json_: Json = False,
+) -> int:
+    """Linearity: parts of several known values; does the bias change with what is measured?
+
+    Exit codes: 0 no bias is seen over the whole range, 1 there is one, 64 and above nothing could be analysed.
+    """
+    from anisoscope.quality.linearity import gauge_linearity
+    from anisoscope.report.msa_page import biases, line_table, write_linearity_page
+
+    readings, name, values = _number(csv, None, EVERYTHING, 0, number)
+    if REFERENCE not in readings.numbers:
+        raise UsageError(f"{csv}, line 1: a linearity study needs a column {REFERENCE!r}")
+    study = gauge_linearity(readings.numbers[REFERENCE], values, alpha)
+    if html is not None:
+        write_linearity_page(html, f"Linearity: {name}", readings.source, study)
+    _show(study.to_json(), (biases(study.levels), line_table(study)), (), html, json_=json_)
+    return 0 if study.fit else 1
+
+
+@app.command
+def stability(
+    *,
+    csv: Csv = None,
+    place: Place = None,
+    number: Number = None,
+    which: Selection = EVERYTHING,
+    limit: Limit = 0,
+    reference: Reference = None,
+    baseline: Annotated[
+        int | None, Parameter(help="Limits from this many measured values at the start; else from all.")
+    ] = None,
+    alpha: Alpha = 0.05,
+    html: Html = None,
+    json_: Json = False,
+) -> int:
+    """Stability: a check standard over days and weeks, on a control chart.
+
+    Of the history, choose the standard with --serial.
+
+    Exit codes: 0 stable, 1 not stable or biased, 64 and above nothing could be analysed.
+    """
+    from anisoscope.quality.control import Settings
+    from anisoscope.quality.stability import stability_study
+    from anisoscope.report.msa_page import biases, write_stability_page
+    from anisoscope.report.spc_page import tables
+
+    readings, name, values = _number(csv, place, which, limit, number)
+    known = _reference(readings, reference)
+    study = stability_study(values, readings.labels, Settings(baseline), known, alpha, name=name)
+    if html is not None:
+        write_stability_page(html, f"Stability: {name}", readings.source, study)
+    grids = (*tables(study.chart, 20), *(() if study.bias is None else (biases((study.bias,)),)))
+    _show(study.to_json(), grids, study.chart.notes, html, json_=json_)
+    return 1 if not study.chart.stable or (study.bias is not None and study.bias.significant) else 0
+
+
+def _number(
+    csv: Path | None, place: str | None, which: Selection, limit: int, number: str | None
+) -> "tuple[Readings, str, FloatArray]":
+    """Readings, and the number that is meant: the first one that is no reference."""
+    readings = readings_from(csv, place, which, limit)
+    if number is None:
+        number = next((name for name in readings.numbers if name != REFERENCE), None)
+        if number is None:
+            raise UsageError(f"{readings.source}: there is no number beside the reference")
+    return readings, *readings.number(number)
+
+
+def _reference(readings: "Readings", given: float | None) -> float | None:
+    """The known value: as given, or the one that a column says throughout."""
+    if given is not None or REFERENCE not in readings.numbers:
+        return given
+    known = set(readings.numbers[REFERENCE].tolist())
+    if len(known) != 1:
+        raise UsageError(
+            f"{readings.source}: the column {REFERENCE!r} holds more than one value: use `anisoscope msa linearity`"
+        )
+    return float(known.pop())
+
+
+def _show(
+    content: dict[str, Any],
+    grids: "tuple[Grid, ...]",
+    notes: tuple[str, ...],
+    html: Path | None,
+    *,
+    json_: bool,
+) -> None:
+    if json_:
+        json.dump(content, sys.stdout, indent=2, allow_nan=False)
+        sys.stdout.write("\n")
+        return
+    for grid in grids:
+        print_grid(grid)
+    say(*notes, str(content["verdict"]))
+    if html is not None:
+        say(f"{html}: the page")

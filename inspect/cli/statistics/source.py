@@ -1,0 +1,78 @@
+"""Where the commands of statistics take their numbers from: a CSV file or the history."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from anisoscope.base.errors import UsageError
+from anisoscope.cli.console import console
+from anisoscope.cli.history.options import ALL, DEFAULT_OUT, Which
+
+if TYPE_CHECKING:
+    from anisoscope.quality.readings import Readings
+    from anisoscope.report.statistics_sections import Grid
+
+Csv = Annotated[
+    Path | None,
+    Parameter(
+        name="--csv", help="Readings from this CSV file instead of the history: see docs/statistics.md."
+    ),
+]
+Html = Annotated[Path | None, Parameter(name="--html", help="Write a page with charts to this file.")]
+Number = Annotated[
+    str | None,
+    Parameter(name=["--number", "-n"], help="Which number, such as 'ln 0-90'; else the first one."),
+]
+Limit = Annotated[int, Parameter(help="At most so many, the latest ones; 0 for all.")]
+Alpha = Annotated[float, Parameter(help="Significance of the tests; intervals cover the rest.")]
+Selection = Annotated[Which, Parameter(name="*")]
+EVERYTHING = ALL
+
+
+def readings_from(csv: Path | None, place: str | None, which: Which, limit: int = 0) -> "Readings":
+    """The readings that are meant.
+
+    Args:
+        csv: a file, or None for the history.
+        place: the history.
+        which: which of them; times only with the history.
+        limit: at most so many, the latest ones; 0 for all.
+
+    Raises:
+        UsageError: options that do not go together, a wrong line, or nothing left.
+        HistoryError: there is no history, or it cannot be read.
+    """
+    if csv is None:
+        from anisoscope.history.address import chosen
+        from anisoscope.quality.history_readings import history_readings
+
+        found = chosen(place, DEFAULT_OUT)
+        if found is None:
+            raise UsageError("name the readings: --csv FILE or --history PLACE")
+        return history_readings(found, which.filters(limit))
+    from anisoscope.quality.readings import read_readings
+
+    if place is not None:
+        raise UsageError("--csv and --history are two sources: name one of them")
+    if which.since is not None or which.until is not None:
+        raise UsageError(
+            "--since and --until go with the history: leave out the lines of the CSV file instead"
+        )
+    if limit < 0:
+        raise UsageError(f"--limit takes a positive whole number, or 0 for all, not {limit}")
+    columns = ("serial", "product", "recipe", "lot", "cavity", "verdict", "station", "operator")
+    return read_readings(csv).only({name: getattr(which, name) for name in columns}).latest(limit)
+
+
+def print_grid(grid: "Grid") -> None:
+    """Print a table of a page."""
+    from anisoscope.cli.console import print_table
+
+    print_table(grid.title, list(grid.columns), [list(row) for row in grid.rows], grid.note or None)
+
+
+def say(*lines: str) -> None:
+    """Print sentences as they are."""
+    for line in lines:
+        console().print(line, markup=False, highlight=False, soft_wrap=True)

@@ -1,0 +1,395 @@
+"""Commissioning of a rig: find its rotation sense, zero, centre, tilt and light angle, and keep them."""
+
+import copy
+import json
+import re
+import tempfile
+import threading
+import tomllib
+import uuid
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from anisoscope.base.atomic_write import write_bytes, write_text
+from anisoscope.base.errors import RecordError, RigFileError, UsageError
+from anisoscope.base.progress import Advance, silent
+from anisoscope.calibration.white_reference import read_reference
+from anisoscope.commissioning.angles import Angles, Assumed, evaluate
+from anisoscope.commissioning.findings import findings_of
+from anisoscope.commissioning.light import LightFit
+from anisoscope.commissioning.observation import Observed, Picture, observe
+from anisoscope.commissioning.part import RidgedPart
+from anisoscope.commissioning.record import Commissioning, Finding, FitRecord, ParameterRecord, PoseRecord
+from anisoscope.commissioning.series import Series, Taken, take
+from anisoscope.imaging.linearisation import WhiteReference
+from anisoscope.imaging.registration.placement import check_fixture
+from anisoscope.profiles.files.load import read_height_map
+from anisoscope.profiles.metrology.ridges import measure_ridges
+from anisoscope.recipe.recipe import Recipe
+from anisoscope.record.schema import sha256_of
+from anisoscope.rig.rigfile import RigFile, read_rig
+
+Value = str | int | float
+Changes = Mapping[tuple[str, str], Value]
+
+_HEADER = re.compile(r"^\s*\[(?P<name>[^\[\]]+)\]\s*(#.*)?$")
+_ANY_HEADER = re.compile(r"^\s*\[")
+
+
+@dataclass(frozen=True)
+class Written:
+    """What became of the rig file: the backup of the old one, and whether its comments were kept."""
+
+    backup: Path
+    comments_kept: bool
+
+
+def update_rig_file(path: Path, changes: Changes) -> Written:
+    """Change values of a rig file, all or nothing; the old file stays beside it with its date in the name.
+
+    Args:
+        path: the rig file.
+        changes: new values by (table, key).
+
+    Raises:
+        RigFileError: the file cannot be read, or would no longer be a rig file.
+        RecordError: it cannot be written.
+    """
+    read_rig(path)
+    before = path.read_bytes()
+    text = before.decode("utf-8-sig")
+    wanted = _changed(tomllib.loads(text), changes)
+    edited = _edited(text, changes)
+    kept = edited is not None and tomllib.loads(edited) == wanted
+    backup = path.with_name(f"{path.name}.{datetime.now(UTC):%Y%m%dT%H%M%S%f}.bak")
+    write_bytes(backup, before)
+    write_text(path, edited if edited is not None and kept else _dumped(wanted))
+    try:
+        read_rig(path)
+    except RigFileError:
+        write_bytes(path, before)
+        raise
+    return Written(backup, kept)
+
+
+def _dumped(tables: dict[str, Any]) -> str:
+    import tomli_w  # noqa: PLC0415
+
+    return tomli_w.dumps(tables)
+
+
+def _changed(tables: dict[str, Any], changes: Changes) -> dict[str, Any]:
+    found = copy.deepcopy(tables)
+    for (table, key), value in changes.items():
+        found.setdefault(table, {})[key] = value
+    return found
+
+
+def _edited(text: str, changes: Changes) -> str | None:
+    """The text with changed values; None where it is written in a way that this does not understand."""
+    lines = text.splitlines(keepends=True)
+    for (table, key), value in changes.items():
+        block = _block(lines, table)
+        if block is None:
+            return None
+        shown = _shown(value)
+        pattern = re.compile(rf"^(\s*{re.escape(key)}\s*=\s*)([^#\n\r]*?)(\s*(#[^\n\r]*)?)(\r?\n|$)")
+        for number in block:
+            if match := pattern.match(lines[number]):
+                lines[number] = f"{match[1]}{shown}{match[3]}{match[5]}"
+                break
+        else:
+            end = "\r\n" if "\r\n" in text else "\n"
+            lines.insert(block.start, f"{key} = {shown}{end}")
+    try:
+        edited = "".join(lines)
+        tomllib.loads(edited)
+    except tomllib.TOMLDecodeError:
+        return None
+    return edited
+
+
+def _block(lines: list[str], table: str) -> range | None:
+    """The lines of a table without its header."""
+    starts = [
+        n for n, line in enumerate(lines) if (match := _HEADER.match(line)) and match["name"].strip() == table
+    ]
+    if len(starts) != 1 or not lines[starts[0]].endswith(("\n", "\r\n")):
+        return None
+    first = starts[0] + 1
+    end = next((n for n in range(first, len(lines)) if _ANY_HEADER.match(lines[n])), len(lines))
+    return range(first, end)
+
+
+def _shown(value: Value) -> str:
+    if isinstance(value, str):
+        return f'"{value}"'
+    return repr(value)
+
+
+MAX_DRIFT = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class Commissioned:
+    """A commissioning: its record, and what only the page shows."""
+
+    record: Commissioning
+    pictures: tuple[Picture, ...]
+    angles: Angles
+    part: RidgedPart
+
+
+def part_of_recipe(recipe: Recipe, ridge_angle_deg: float | None, u_ridge_angle_deg: float) -> RidgedPart:
+    """The ridged part that a recipe describes; the spot is the largest circle in its region.
+
+    A recipe's roughness is what its height map does not resolve. Where it has a map, ridge angle and resolved
+    roughness are measured there, and the two roughnesses add in quadrature.
+
+    Args:
+        recipe: the recipe.
+        ridge_angle_deg: ridge angle, where it is known better than by design or height map.
+        u_ridge_angle_deg: its standard uncertainty.
+
+    Raises:
+        HeightMapError: the recipe's height map cannot be read, or has no ridges.
+    """
+    made, design = recipe.material, recipe.surface.design
+    along, across, u_share = made.alpha_along, made.alpha_across, made.u_alpha_share
+    angle = ridge_angle_deg if ridge_angle_deg is not None or design is None else design.ridge_angle_deg
+    if recipe.surface.height_map is not None and design is None:
+        found = measure_ridges(
+            read_height_map(
+                recipe.surface.height_map, pixel_um=recipe.surface.pixel_um, role=recipe.surface.role
+            )
+        )
+        along, across = (
+            float(np.hypot(mine, seen.value or 0.0))
+            for mine, seen in ((along, found.alpha_along), (across, found.alpha_across))
+        )
+        if angle is None:
+            angle, u_ridge_angle_deg = found.ridge_angle_deg.value, float(found.ridge_angle_deg.u or 0.1)
+    if angle is None:
+        raise UsageError("the height map of the recipe shows no ridge angle: give --ridge-angle")
+    return RidgedPart(
+        pitch_um=recipe.surface.pitch_um,
+        ridge_angle_deg=angle,
+        alpha_along=along,
+        alpha_across=across,
+        albedo=made.albedo,
+        index=made.index,
+        u_ridge_angle_deg=max(u_ridge_angle_deg, 1e-3),
+        u_alpha_share=max(u_share, 1e-4),
+        u_albedo=max(made.u_albedo, 1e-5),
+        u_index=max(made.u_index, 1e-5),
+        u_seating_deg=max(recipe.uncertainty.seating_tilt_deg, 1e-3),
+        wall="perpendicular" if design is None else design.wall,
+        facet_azimuth_deg=recipe.poses.facet_azimuth_deg,
+        center_mm=recipe.region.center_mm,
+        spot_mm=min(recipe.region.size_mm),
+    )
+
+
+def commission(
+    rig_path: Path,
+    part: RidgedPart,
+    series: Series,
+    assumed: Assumed | None = None,
+    *,
+    frames: Path | None = None,
+    on_progress: Advance = silent,
+    cancel: threading.Event | None = None,
+) -> Commissioned:
+    """Photograph a ridged part all round, and under tilts, and find out how the rig stands.
+
+    Of the rig file only devices, fixture, pixel size and the zero of the tilt are used, the last as a first guess; no
+    file is changed.
+
+    Args:
+        rig_path: rig file.
+        part: the part on the stage.
+        series: what to photograph.
+        assumed: what is assumed of rig and model.
+        frames: empty or missing folder that keeps the frames; by default they are thrown away.
+        on_progress: progress.
+        cancel: setting it stops the axes and ends the series with a `RigError`.
+
+    Raises:
+        RigFileError, RigError: the rig.
+        UsageError: the folder for the frames holds something.
+        CalibrationError: the white reference does not fit.
+        MeasurementError: the pictures do not carry it.
+        RecordError: the frames cannot be written.
+    """
+    file = read_rig(rig_path)
+    if file.fixture is not None:
+        check_fixture(file.fixture)
+    white = _white(file)
+    assumed = assumed or Assumed()
+    with ExitStack() as cleanup:
+        folder = frames or Path(cleanup.enter_context(tempfile.TemporaryDirectory(prefix="commissioning-")))
+        if folder.exists() and any(folder.iterdir()):
+            raise UsageError(f"the folder {folder} for the frames is not empty: name a new one")
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise RecordError(f"cannot make the folder {folder}: {error.strerror}") from error
+        taken = take(file, series, folder, white, on_progress, cancel)
+        observed = observe(taken, file, part, on_progress)
+    on_progress("fit", 0, 1)
+    angles = evaluate(observed, file, part, assumed, taken.absolute)
+    record = _record(rig_path, file, part, series, assumed, taken, observed, angles)
+    on_progress("done", 1, 1)
+    return Commissioned(record, observed.pictures, angles, part)
+
+
+def _white(file: RigFile) -> WhiteReference | None:
+    return None if file.calibration is None else read_reference(file.calibration.flat)
+
+
+def changes_of(record: Commissioning) -> dict[tuple[str, str], str | int | float]:
+    """What ``--write`` puts into the rig file, rounded to a tenth of the uncertainty: what was found, and differs."""
+    found = {}
+    for finding in record.findings:
+        if not finding.goes_to_rig_file or finding.status != "found" or finding.value is None:
+            continue
+        value = finding.value
+        if isinstance(value, float):
+            value = round(value, _decimals(finding))
+        if value != finding.old:
+            table, _, key = finding.key.partition(".")
+            found[table, key] = value
+    return found
+
+
+def _decimals(finding: Finding) -> int:
+    return 6 if not finding.u else min(max(1 - int(np.floor(np.log10(finding.u))), 0), 6)
+
+
+def write_to_rig_file(rig_path: Path, record: Commissioning) -> Written | None:
+    """Put what was found into the rig file; None if nothing differs.
+
+    Raises:
+        UsageError: the rig file was changed since the pictures were taken.
+        RigFileError, RecordError: it cannot be read or written.
+    """
+    if sha256_of(rig_path) != record.rig_file_sha256:
+        raise UsageError(f"{rig_path} was changed since it was commissioned: commission the rig again")
+    changes: Changes = changes_of(record)
+    return update_rig_file(rig_path, changes) if changes else None
+
+
+def _record(
+    rig_path: Path,
+    file: RigFile,
+    part: RidgedPart,
+    series: Series,
+    assumed: Assumed,
+    taken: Taken,
+    observed: Observed,
+    angles: Angles,
+) -> Commissioning:
+    return Commissioning(
+        id=uuid.uuid4().hex,
+        created_at=datetime.now(UTC).isoformat(timespec="seconds"),
+        software=f"anisoscope {version('anisoscope')}",
+        rig=file.name,
+        rig_file=rig_path.name,
+        rig_file_sha256=sha256_of(rig_path),
+        devices=taken.devices,
+        part=_plain(asdict(part)),
+        series=_plain(asdict(series) | asdict(assumed) | {"white_reference": taken.absolute}),
+        findings=findings_of(angles, file, taken, part.facet_azimuth_deg),
+        poses=_poses(observed, angles),
+        fit=_fit(angles.light),
+        drift=angles.drift,
+        dark_level=taken.dark_level,
+        dark_noise=taken.dark_noise,
+        blur_px=observed.blur_px,
+        notes=_notes(file, taken, angles),
+        frames_sha256=taken.sha256,
+    )
+
+
+def _plain(table: dict[str, Any]) -> dict[str, Any]:
+    """A table as it comes back from JSON: lists, no tuples."""
+    found: dict[str, Any] = json.loads(json.dumps(table))
+    return found
+
+
+def _poses(observed: Observed, angles: Angles) -> tuple[PoseRecord, ...]:
+    light = angles.light
+    found = []
+    for n, seen in enumerate(one for one in observed.seen if not one.again):
+        fix = seen.fix
+        found.append(
+            PoseRecord(
+                reading_deg=seen.reading_deg,
+                tilt_reading_deg=seen.tilt_reading_deg,
+                marker_deg=None if fix is None else fix.angle_deg,
+                marker_residual_px=None if fix is None else fix.residual_px,
+                squeeze=None if fix is None else fix.squeeze,
+                ridge_deg=seen.ridge_deg,
+                radiance=float(angles.corrected[n]),
+                u_relative=float(angles.u_relative[n]),
+                fitted=float(light.fitted[n]),
+                z=float(light.z[n]),
+            )
+        )
+    return tuple(found)
+
+
+def _fit(light: LightFit) -> FitRecord:
+    parameters = tuple(
+        ParameterRecord(
+            name=one.name,
+            words=one.words,
+            prior=None if one.u_prior is None else one.prior,
+            u_prior=one.u_prior,
+            value=one.value,
+            u=one.u,
+            u_alone=one.u_alone if np.isfinite(one.u_alone) else None,
+        )
+        for one in light.parameters
+    )
+    correlation = tuple(tuple(float(x) for x in row) for row in light.correlation)
+    return FitRecord(
+        parameters=parameters,
+        correlation=correlation,
+        chi2=light.chi2,
+        dof=light.dof,
+        widened=light.widened,
+        side_chi2=light.side_chi2,
+        sign_chi2=light.sign_chi2,
+    )
+
+
+def _notes(file: RigFile, taken: Taken, angles: Angles) -> tuple[str, ...]:
+    found = [] if taken.exposure is None else [taken.exposure]
+    if file.fixture is None:
+        found.append("the rig file describes no fixture: centre and pixel size were not measured")
+    elif angles.markers is None:
+        found.append("fewer than 5 pictures show the markers: sense and zero come from the ridges alone")
+    if angles.ridges is None:
+        found.append("the camera does not resolve the ridges: their direction comes from brightness alone")
+    if not taken.absolute:
+        found.append(
+            "no white reference: the scale of the radiances is free, and shading stays in the pictures"
+        )
+    if abs(angles.drift) > MAX_DRIFT:
+        found.append(
+            f"the lamp drifted by {angles.drift:+.1%} over the series: let it warm up, and commission again"
+        )
+    if angles.light.widened > 2.0:
+        found.append(
+            f"the model misses the radiances by {angles.light.widened:.1f} times their uncertainty: is the part the "
+            "one described, clean and flat? Uncertainties were widened by this"
+        )
+    return tuple(found)

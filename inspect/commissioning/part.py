@@ -1,0 +1,49 @@
+"""The part that a rig is commissioned with, and how well it is known."""
+
+from dataclasses import dataclass
+
+from anisoscope.base.errors import UsageError
+from anisoscope.profiles.ideal import Wall
+
+
+@dataclass(frozen=True)
+class RidgedPart:
+    """The part that is commissioned with, and what is known of it: values and standard uncertainties.
+
+    Attributes:
+        pitch_um: pitch of the ridges.
+        ridge_angle_deg, u_ridge_angle_deg: ridge angle.
+        alpha_along, alpha_across, u_alpha_share: roughness and its relative standard uncertainty.
+        albedo, u_albedo: albedo of the plastic.
+        index, u_index: its refractive index.
+        u_seating_deg: standard uncertainty of its seating about either axis.
+        wall: shape of the wall.
+        facet_azimuth_deg: azimuth in the fixture toward which the facets are said to lean.
+        center_mm: middle of the ridged area in the fixture.
+        spot_mm: diameter of the spot that is looked at.
+    """
+
+    pitch_um: float
+    ridge_angle_deg: float
+    alpha_along: float = 0.06
+    alpha_across: float = 0.10
+    albedo: float = 0.2
+    index: float = 1.5
+    u_ridge_angle_deg: float = 0.1
+    u_alpha_share: float = 0.05
+    u_albedo: float = 0.01
+    u_index: float = 0.01
+    u_seating_deg: float = 0.1
+    wall: Wall = "perpendicular"
+    facet_azimuth_deg: float = 0.0
+    center_mm: tuple[float, float] = (0.0, 0.0)
+    spot_mm: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not 0.5 <= self.ridge_angle_deg < 45.0:
+            raise UsageError(
+                f"commissioning needs ridges of 0.5° to 45°, not {self.ridge_angle_deg:g}°: a flat part looks alike "
+                "all round"
+            )
+        if not self.spot_mm > 2.0 * self.pitch_um / 1000.0:
+            raise UsageError(f"the spot must span at least two pitches, not {self.spot_mm:g} mm")

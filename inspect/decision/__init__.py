@@ -1,0 +1,1 @@
+"""Verdicts: guard bands, the consistency test, reference parts."""

@@ -1,0 +1,154 @@
+"""Contrasts of one stage angle between two tilts: a spike, or a lobe that is too wide, changes those and no others."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.significance import holm, two_sided
+from anisoscope.imaging.pose_radiance import Measured
+from anisoscope.prediction.expectation import Component, Expectation
+from anisoscope.recipe.recipe import ContrastKind
+from anisoscope.sim.light.geometry import Pose
+
+Pairs = Sequence[tuple[int, int]]
+
+
+def pair_values(pairs: Pairs, radiance: FloatArray, kind: ContrastKind) -> FloatArray:
+    """(N,) contrasts of N pairs of poses, first against second.
+
+    Args:
+        pairs: indices of the poses.
+        radiance: (P,) of all poses, above 0.
+        kind: ln ratio, Michelson contrast, or difference.
+    """
+    a, b = (radiance[list(side)] for side in zip(*pairs, strict=True))
+    if kind == "log_ratio":
+        return np.asarray(np.log(a / b))
+    return np.asarray(a - b if kind == "difference" else (a - b) / (a + b))
+
+
+def pair_gradient(pairs: Pairs, radiance: FloatArray, kind: ContrastKind) -> FloatArray:
+    """(N, P) derivative of N contrasts with respect to ln L of every pose; arguments as for `pair_values`."""
+    gradient = np.zeros((len(pairs), len(radiance)))
+    for row, (i, j) in enumerate(pairs):
+        a, b = radiance[i], radiance[j]
+        if kind == "log_ratio":
+            gradient[row, [i, j]] = 1.0, -1.0
+        elif kind == "difference":
+            gradient[row, [i, j]] = a, -b
+        else:
+            slope = 2.0 * a * b / (a + b) ** 2
+            gradient[row, [i, j]] = slope, -slope
+    return gradient
+
+
+@dataclass(frozen=True)
+class TiltResult:
+    """One contrast between the first tilt and another one, measured beside predicted.
+
+    Attributes:
+        stage_deg: stage angle of both poses.
+        from_tilt_deg: the first tilt.
+        to_tilt_deg: the other tilt.
+        measured: the measured contrast.
+        predicted: the predicted contrast.
+        u_measured: standard uncertainty of the measured one.
+        u_predicted: standard uncertainty of the predicted one.
+        p_value: of their difference, Holm-adjusted over all contrasts between tilts.
+    """
+
+    stage_deg: float
+    from_tilt_deg: float
+    to_tilt_deg: float
+    measured: float
+    predicted: float
+    u_measured: float
+    u_predicted: float
+    p_value: float
+
+    @property
+    def u(self) -> float:
+        """Standard uncertainty of measured − predicted."""
+        return float(np.hypot(self.u_measured, self.u_predicted))
+
+
+def between_tilts(expected: Expectation, measured: Measured, kind: ContrastKind) -> tuple[TiltResult, ...]:
+    """The contrasts of every stage angle between the first tilt and each other one, in the order of the poses.
+
+    Args:
+        expected: prediction with its uncertainty components.
+        measured: measurement with its uncertainty components.
+        kind: of contrast.
+    """
+    pairs = tuple(_pairs(expected.poses))
+    if not pairs:
+        return ()
+    seen, meant = (pair_values(pairs, side.radiance, kind) for side in (measured, expected))
+    components = expected.components + measured.components
+    u_seen = _spread(pairs, measured.radiance, kind, [c for c in components if c.kind == "measurement"])
+    u_meant = _spread(pairs, expected.radiance, kind, [c for c in components if c.kind != "measurement"])
+    adjusted = holm(two_sided(_by_u(seen - meant, np.hypot(u_seen, u_meant))))
+    poses = expected.poses
+    return tuple(
+        TiltResult(
+            poses[i].stage_deg,
+            poses[i].tilt_deg,
+            poses[j].tilt_deg,
+            *(float(column[k]) for column in (seen, meant, u_seen, u_meant, adjusted)),
+        )
+        for k, (i, j) in enumerate(pairs)
+    )
+
+
+def deviating(expected: Expectation, measured: Measured, alpha: float) -> tuple[str, ...]:
+    """Names of the ln ratios between the first tilt and another one that deviate by themselves, at one level (Holm).
+
+    Args:
+        expected: prediction with its uncertainty components.
+        measured: measurement with its uncertainty components.
+        alpha: level of all together.
+    """
+    pairs = tuple(_pairs(expected.poses))
+    if not pairs:
+        return ()
+    off = np.log(measured.radiance / expected.radiance)
+    components = expected.components + measured.components
+    covariance = np.sum([component.covariance() for component in components], axis=0)
+    i, j = np.array(pairs).T
+    variance = covariance[i, i] + covariance[j, j] - 2.0 * covariance[i, j]
+    u, change = np.sqrt(np.maximum(variance, 0.0)), off[i] - off[j]
+    adjusted = holm(two_sided(_by_u(change, u)))
+    return tuple(
+        f"{expected.poses[a].stage_deg:g}° between tilt {expected.poses[a].tilt_deg:g}° and "
+        f"{expected.poses[b].tilt_deg:g}° (ln ratio off by {change[k]:+.3f}, u {u[k]:.3f})"
+        for k, (a, b) in enumerate(pairs)
+        if adjusted[k] < alpha
+    )
+
+
+def _spread(
+    pairs: tuple[tuple[int, int], ...], radiance: FloatArray, kind: ContrastKind, components: list[Component]
+) -> FloatArray:
+    """(N,) standard uncertainties that components make of contrasts."""
+    gradient = pair_gradient(pairs, radiance, kind)
+    total = np.zeros((len(radiance), len(radiance)))
+    for component in components:
+        total += component.covariance()
+    return np.sqrt(np.maximum(np.diag(gradient @ total @ gradient.T), 0.0))
+
+
+def _by_u(change: FloatArray, u: FloatArray) -> FloatArray:
+    """Deviations in standard uncertainties; what is certain and off at all is off without end."""
+    return np.divide(change, u, out=np.where(change == 0.0, 0.0, np.inf), where=u > 0.0)
+
+
+def _pairs(poses: tuple[Pose, ...]) -> Iterator[tuple[int, int]]:
+    """Every pose beside the first one at its stage angle."""
+    first: dict[float, int] = {}
+    for number, pose in enumerate(poses):
+        if pose.stage_deg in first:
+            yield first[pose.stage_deg], number
+        else:
+            first[pose.stage_deg] = number

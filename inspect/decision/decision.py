@@ -1,0 +1,321 @@
+"""The verdict: guard-banded tolerances, significance over all contrasts, and the contrast map.
+
+Precedence: INVALID > FAIL > INCONCLUSIVE > PASS. Guard band after ISO 14253-1, conformance probability after
+JCGM 106:2012, §7. Whether the part deviates at all is decided by the means of all poses together; marks in the map are
+judged by the share of the area that they cover, because no two maps scatter alike.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.significance import holm, joint_conformance, said, two_sided
+from anisoscope.decision.consistency_test import from_golden, from_prediction
+from anisoscope.decision.cross_tilt_contrasts import TiltResult, between_tilts, pair_gradient
+from anisoscope.decision.cross_tilt_contrasts import deviating as deviating_between_tilts
+from anisoscope.decision.reference_parts import GoldenSet
+from anisoscope.imaging.defect_regions import Region, deviation_map, find_regions
+from anisoscope.imaging.deviation_map import AreaResult, CellMap, cell_map, judge_area
+from anisoscope.imaging.pose_radiance import Measured
+from anisoscope.prediction.expectation import Component, Expectation
+from anisoscope.recipe.recipe import ContrastKind, DecisionPart, Recipe, source_name
+from anisoscope.record.verdict import Verdict
+from anisoscope.sim.light.contrasts import Contrast, consecutive_pairs, contrasts
+from anisoscope.sim.light.geometry import Pose
+
+
+@dataclass(frozen=True)
+class PairResult:
+    """One contrast, measured beside predicted.
+
+    Attributes:
+        from_deg: first stage angle.
+        to_deg: second stage angle.
+        tilt_deg: tilt of camera and light.
+        measured: the measured contrast.
+        predicted: the predicted contrast.
+        u: standard uncertainty of their difference.
+        tolerance: largest allowed deviation, or None.
+        guard: guard band, or None.
+        conformance: probability that the deviation truly lies within the tolerance, or None.
+        verdict: of this pair alone; without a tolerance PASS.
+        p_value: of this deviation, Holm-adjusted over all pairs.
+    """
+
+    from_deg: float
+    to_deg: float
+    tilt_deg: float
+    measured: float
+    predicted: float
+    u: float
+    tolerance: float | None
+    guard: float | None
+    conformance: float | None
+    verdict: Verdict
+    p_value: float
+
+    @property
+    def tolerance_ratio(self) -> float | None:
+        """T/U of tolerance and expanded uncertainty (k = 2); below 4 good parts often end undecided."""
+        return None if self.tolerance is None or self.u == 0.0 else self.tolerance / (2.0 * self.u)
+
+    @property
+    def deviation(self) -> float:
+        """Measured − predicted."""
+        return self.measured - self.predicted
+
+
+@dataclass(frozen=True)
+class BudgetRow:
+    """One source of uncertainty, as its contribution to every contrast."""
+
+    source: str
+    kind: str
+    contributions: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Decision:
+    """Verdict with everything that led to it.
+
+    Attributes:
+        verdict: of the part.
+        reasons: one line each, most important first.
+        pairs: the contrasts.
+        d2: squared Mahalanobis distance of all deviations from the prediction; with golden parts Hotelling's T² from
+            their mean.
+        dof: number of independent contrasts.
+        p_value: probability of a larger distance for a part as predicted (or as the golden parts); where the area is
+            judged by golden parts too, both share one level (Holm 1979).
+        golden: number of golden parts compared with, 0 for none.
+        conformance: probability that all deviations truly lie within their tolerances, or None.
+        area: the contrast map judged, or None.
+        regions: groups of deviating cells, the least probable first.
+        budget: sources of uncertainty, largest first.
+        cells: the contrast map, or None where the area is not judged.
+        deviating: (cell rows, cell cols) True where a cell deviates.
+        between_tilts: the contrasts between tilts, for information: all together they decide already.
+    """
+
+    verdict: Verdict
+    reasons: tuple[str, ...]
+    pairs: tuple[PairResult, ...]
+    d2: float
+    dof: int
+    p_value: float
+    golden: int
+    conformance: float | None
+    area: AreaResult | None
+    regions: tuple[Region, ...]
+    budget: tuple[BudgetRow, ...]
+    cells: CellMap | None
+    deviating: npt.NDArray[np.bool_] | None
+    between_tilts: tuple[TiltResult, ...]
+
+
+def contrast_gradient(poses: tuple[Pose, ...], radiance: FloatArray, kind: ContrastKind) -> FloatArray:
+    """(pairs, P) derivative of every contrast with respect to ln L of every pose."""
+    return pair_gradient(consecutive_pairs(poses), radiance, kind)
+
+
+def _values(found: tuple[Contrast, ...], kind: ContrastKind) -> FloatArray:
+    return np.array([getattr(contrast, kind) for contrast in found])
+
+
+def decide(
+    expected: Expectation, measured: Measured, recipe: Recipe, golden: GoldenSet | None = None
+) -> Decision:
+    """Judge a part.
+
+    Args:
+        expected: prediction with its uncertainty components.
+        measured: measurement with its uncertainty components.
+        recipe: the decision rule.
+        golden: good parts, instead of the prediction, to tell what is a deviation.
+
+    Raises:
+        MeasurementError: nothing is uncertain, so that nothing can be weighed; or too few golden parts.
+    """
+    rule = recipe.decision
+    found = contrasts(expected.poses, measured.radiance)
+    predicted = _values(contrasts(expected.poses, expected.radiance), rule.contrast)
+    deviation = _values(found, rule.contrast) - predicted
+    gradient = {
+        "prediction": contrast_gradient(expected.poses, expected.radiance, rule.contrast),
+        "measurement": contrast_gradient(expected.poses, measured.radiance, rule.contrast),
+    }
+    components = expected.components + measured.components
+    variances = [gradient[c.kind] @ c.covariance() @ gradient[c.kind].T for c in components]
+    covariance = np.asarray(np.sum(variances, axis=0))
+    u = np.sqrt(np.diag(covariance))
+    weighed = (
+        from_prediction(expected, measured)
+        if golden is None
+        else from_golden(expected, measured, golden.contrasts())
+    )
+    d2, dof, p_value = weighed
+    pairs = _judge_pairs(found, predicted, deviation, u, recipe)
+    known = None if golden is None else golden.known_shares(recipe)
+    cells = None if recipe.area is None else cell_map(measured, expected.poses, recipe.area)
+    area, deviating = judge_area(
+        measured,
+        expected.poses,
+        recipe.area,
+        rule.coverage,
+        known,
+        alpha=rule.alpha,
+        p_means=p_value,
+        cells=cells,
+    )
+    regions = _regions(cells, measured, recipe)
+    number = 0 if golden is None else len(golden.parts)
+    where = _where(pairs, rule.alpha) or deviating_between_tilts(expected, measured, rule.alpha)
+    verdict, reasons = _combine(pairs, p_value, area, rule, number, where)
+    tolerances = recipe.tolerances()
+    conformance = (
+        None if tolerances is None else joint_conformance(deviation, covariance, np.array(tolerances))
+    )
+    return Decision(
+        verdict,
+        reasons,
+        pairs,
+        d2,
+        dof,
+        p_value,
+        number,
+        conformance,
+        area,
+        regions,
+        _budget(components, variances, recipe),
+        cells,
+        deviating,
+        between_tilts(expected, measured, rule.contrast),
+    )
+
+
+def _regions(cells: CellMap | None, measured: Measured, recipe: Recipe) -> tuple[Region, ...]:
+    if cells is None or recipe.area is None:
+        return ()
+    return find_regions(deviation_map(cells), recipe.area, measured.grid)
+
+
+def _budget(
+    components: tuple[Component, ...], variances: list[FloatArray], recipe: Recipe
+) -> tuple[BudgetRow, ...]:
+    rows = [
+        BudgetRow(
+            source_name(c.source, wafer=recipe.is_wafer),
+            c.kind,
+            tuple(float(v) for v in np.sqrt(np.maximum(np.diag(variance), 0.0))),
+        )
+        for c, variance in zip(components, variances, strict=True)
+    ]
+    return tuple(sorted(rows, key=lambda row: -max(row.contributions)))
+
+
+def guarded(deviation: float, u: float, tolerance: float, coverage: float) -> tuple[Verdict, float, float]:
+    """Guard-banded decision on one deviation (ISO 14253-1).
+
+    Returns:
+        Verdict, guard band g = coverage·u, and the conformance probability of JCGM 106.
+    """
+    from scipy.special import ndtr  # noqa: PLC0415
+
+    guard = coverage * u
+    if u > 0.0:
+        conformance = float(ndtr((tolerance - deviation) / u) - ndtr((-tolerance - deviation) / u))
+    else:
+        conformance = float(abs(deviation) <= tolerance)
+    if abs(deviation) <= tolerance - guard:
+        return Verdict.PASS, guard, conformance
+    if abs(deviation) >= tolerance + guard:
+        return Verdict.FAIL, guard, conformance
+    return Verdict.INCONCLUSIVE, guard, conformance
+
+
+def _judge_pairs(
+    found: tuple[Contrast, ...], predicted: FloatArray, deviation: FloatArray, u: FloatArray, recipe: Recipe
+) -> tuple[PairResult, ...]:
+    results = []
+    tolerances = recipe.tolerances()
+    z = np.divide(deviation, u, out=np.where(deviation == 0.0, 0.0, np.inf), where=u > 0.0)
+    adjusted = holm(two_sided(z))
+    for k, contrast in enumerate(found):
+        tolerance = None if tolerances is None else tolerances[k]
+        verdict, guard, conformance = Verdict.PASS, None, None
+        if tolerance is not None:
+            verdict, guard, conformance = guarded(
+                float(deviation[k]), float(u[k]), tolerance, recipe.decision.coverage
+            )
+        results.append(
+            PairResult(
+                contrast.from_deg,
+                contrast.to_deg,
+                contrast.tilt_deg,
+                float(predicted[k] + deviation[k]),
+                float(predicted[k]),
+                float(u[k]),
+                tolerance,
+                guard,
+                conformance,
+                verdict,
+                float(adjusted[k]),
+            )
+        )
+    return tuple(results)
+
+
+def _combine(
+    pairs: tuple[PairResult, ...],
+    p_value: float,
+    area: AreaResult | None,
+    rule: DecisionPart,
+    golden: int,
+    where: tuple[str, ...],
+) -> tuple[Verdict, tuple[str, ...]]:
+    """Precedence FAIL > INCONCLUSIVE > PASS over all criteria, with a line for each that speaks.
+
+    ``where`` names the contrasts that deviate by themselves.
+    """
+    findings = [(pair.verdict, _of_tolerance(pair, rule)) for pair in pairs if pair.tolerance is not None]
+    if area is not None:
+        line = (
+            f"{_share(area, area.share)} of the area deviates in the contrast map (limit {_limit_of(area)})"
+        )
+        findings.append((area.verdict, line))
+    tests = [p_value] if area is None or area.p_value is None else [p_value, area.p_value]
+    significant = bool(holm(np.array(tests))[0] < rule.alpha)
+    fails = significant and (pairs[0].tolerance is None or rule.deviation == "fail")
+    alike = f"like the {golden} golden parts" if golden else "as predicted"
+    shared = ", shared with the area" if len(tests) > 1 else ""
+    line = f"all contrasts together: p {said(p_value)} for a part {alike} (level {rule.alpha:g}{shared})"
+    if significant:
+        line += f", a significant deviation of {', '.join(where) or 'several together, of none by itself'}"
+    findings.append((Verdict.FAIL if fails else Verdict.PASS, line))
+    order = [Verdict.FAIL, Verdict.INCONCLUSIVE, Verdict.PASS]
+    findings.sort(key=lambda finding: order.index(finding[0]))
+    verdict = findings[0][0]
+    decisive = tuple(line for found, line in findings if found == verdict)
+    warn = significant and verdict == Verdict.PASS
+    return verdict, (("warning: significant deviation within the tolerance",) if warn else ()) + decisive
+
+
+def _share(area: AreaResult, share: float) -> str:
+    return f"{share:.2%}" if area.learnt else f"{share:.1%}"
+
+
+def _limit_of(area: AreaResult) -> str:
+    return _share(area, area.max_share) + (", learnt from golden parts" if area.learnt else "")
+
+
+def _of_tolerance(pair: PairResult, rule: DecisionPart) -> str:
+    name = {"log_ratio": "ln ratio", "michelson": "Michelson contrast", "difference": "difference"}
+    where = f"{name[rule.contrast]} {pair.from_deg:g}°/{pair.to_deg:g}° at tilt {pair.tilt_deg:g}°"
+    return f"{where} deviates by {pair.deviation:+.3f} (tolerance ±{pair.tolerance:g}, guard band {pair.guard:.3f})"
+
+
+def _where(pairs: tuple[PairResult, ...], alpha: float) -> tuple[str, ...]:
+    """The pairs that deviate by themselves, at one level for all (Holm)."""
+    return tuple(f"{p.from_deg:g}°/{p.to_deg:g}° at tilt {p.tilt_deg:g}°" for p in pairs if p.p_value < alpha)

@@ -1,0 +1,251 @@
+"""Golden parts: what parts that are known to be good have shown, kept beside their recipe.
+
+The file (JSON, schema 1) holds one row a part: ln radiance of every pose, and the share of the area that deviates. It
+belongs to the poses, the region and the exposure of one recipe; rows of another one are refused.
+"""
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.atomic_write import write_text
+from anisoscope.base.errors import CalibrationError
+from anisoscope.base.significance import log_basis
+from anisoscope.imaging.area_limit import MIN_PARTS, KnownShares
+from anisoscope.recipe.recipe import AcquisitionPart, AreaPart, Recipe
+from anisoscope.record.schema import Record
+
+Kept = TypeVar("Kept", bound=BaseModel)
+
+_MEASURED = ("surface", "poses", "region")
+_NO_MATTER = frozenset({"settle_s"})
+_EARLIER = ("exposure_s", "gain", "frames_per_pose", "dark_frames", "settle_s")
+
+
+class GoldenPart(BaseModel):
+    """One good part: who it is, when it was inspected, and (P,) ln radiances.
+
+    ``area_share`` is the share of the ``cells`` that deviated by more than ``cell_deviation``; sets of earlier versions
+    do not say by how much.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    serial: str
+    inspected_at: str
+    log_radiance: tuple[float, ...]
+    area_share: float | None
+    cell_deviation: float | None = None
+    cells: int | None = None
+    verdict: str
+
+
+class GoldenSet(BaseModel):
+    """The good parts of one recipe.
+
+    Attributes:
+        product: of the recipe.
+        recipe_key: hash of what the parts have in common in their recipes.
+        poses: (stage angle, tilt) of every pose, degrees.
+        parts: the parts, in the order in which they were added.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
+    product: str
+    recipe_key: str
+    poses: tuple[tuple[float, float], ...]
+    parts: tuple[GoldenPart, ...] = ()
+
+    def contrasts(self) -> FloatArray:
+        """(n, P − 1) differences of ln L from the first pose, of every part."""
+        values = np.array([part.log_radiance for part in self.parts]).reshape(-1, len(self.poses))
+        return np.asarray(values @ log_basis(len(self.poses)).T)
+
+    def area_shares(self, rule: AreaPart) -> tuple[float, ...]:
+        """Shares of the area that deviated, of the parts that were judged with this threshold."""
+        return tuple(
+            part.area_share
+            for part in self.parts
+            if part.area_share is not None and part.cell_deviation == rule.cell_deviation
+        )
+
+    def known_shares(self, recipe: Recipe) -> KnownShares | None:
+        """What these parts teach of the area; None where the recipe gives its own limit or they are too few."""
+        rule = recipe.area
+        if rule is None or limit_is_given(rule):
+            return None
+        cells, shares = [part.cells for part in self.parts if part.cells], self.area_shares(rule)
+        return KnownShares(tuple(shares), cells[-1]) if cells and len(shares) >= MIN_PARTS else None
+
+    def area_limit(self, recipe: Recipe) -> float | None:
+        """The limit of the area that these parts teach, for a part whose contrasts are as they should be."""
+        known = self.known_shares(recipe)
+        return None if known is None else known.limit(0.5 * recipe.decision.alpha)
+
+    @property
+    def needed(self) -> int:
+        """How many parts it takes before they tell what is a deviation."""
+        return len(self.poses)
+
+    @property
+    def lacking(self) -> str | None:
+        """Why the parts cannot tell yet what is a deviation, or None if they can."""
+        count = len(self.parts)
+        if count < self.needed:
+            sensible = 3 * (self.needed - 1)
+            return (
+                f"{counted(count, 'golden part')}: from {self.needed} on they are compared with, {sensible} are "
+                "sensible"
+            )
+        scatter = np.atleast_2d(np.cov(self.contrasts(), rowvar=False))
+        if np.linalg.matrix_rank(scatter) < len(scatter):
+            return f"{count} golden parts: they do not vary independently, so that they are not compared with"
+        return None
+
+
+def counted(count: int, what: str) -> str:
+    """``1 golden part``, ``2 golden parts``."""
+    return f"{count} {what}" if count == 1 else f"{count} {what}s"
+
+
+def golden_path(recipe_path: Path) -> Path:
+    """Where the good parts of a recipe are kept: ``NAME.golden.json`` beside it."""
+    return recipe_path.with_name(f"{recipe_path.stem}.golden.json")
+
+
+def limit_is_given(rule: BaseModel) -> bool:
+    """Does the recipe itself say how much of the area may deviate?"""
+    return "max_share" in rule.model_fields_set
+
+
+def recipe_key(recipe: Recipe) -> str:
+    """Hash of what must be the same for contrasts to be comparable.
+
+    Of the acquisition only what changes a measurement; what has its default counts as not there, so that a key outlives
+    new fields.
+    """
+    return _hashed(recipe, same_exposure(recipe.acquisition))
+
+
+def same_exposure(acquisition: AcquisitionPart) -> dict[str, Any]:
+    """What of an acquisition must be the same, without what has its default."""
+    exposed = acquisition.model_dump(mode="json", exclude=set(_NO_MATTER))
+    usual = {name: field.default for name, field in type(acquisition).model_fields.items()}
+    return {name: value for name, value in exposed.items() if value != _plain(usual[name])}
+
+
+def _earlier_key(recipe: Recipe) -> str:
+    """The key as it was made before: of the whole acquisition, as far as there was one."""
+    exposed = recipe.acquisition.model_dump(mode="json")
+    return _hashed(recipe, {k: v for k, v in exposed.items() if k in _EARLIER or (k == "brackets" and v)})
+
+
+def _plain(value: object) -> object:
+    return list(value) if isinstance(value, tuple) else value
+
+
+def _hashed(recipe: Recipe, acquisition: dict[str, Any]) -> str:
+    told = recipe.model_dump(mode="json")
+    told["surface"] = {"pitch_um": told["surface"]["pitch_um"]}
+    content = {name: told[name] for name in _MEASURED} | {"acquisition": acquisition}
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def kept_set(path: Path, model: type[Kept], what: str) -> Kept | None:
+    """A file of golden parts or prints, or None where there is none.
+
+    Raises:
+        CalibrationError: the file is damaged.
+    """
+    try:
+        return model.model_validate_json(path.read_bytes())
+    except FileNotFoundError:
+        return None
+    except (OSError, ValidationError) as problem:
+        reason = str(problem).splitlines()[0]
+        raise CalibrationError(f"the {what} in {path} cannot be read: {reason}") from problem
+
+
+def read_golden(path: Path, recipe: Recipe) -> GoldenSet | None:
+    """The good parts of a recipe, or None where none were ever added.
+
+    Raises:
+        CalibrationError: the file is damaged, or belongs to another recipe.
+    """
+    found = kept_set(path, GoldenSet, "golden parts")
+    if found is None:
+        return None
+    if found.recipe_key == _earlier_key(recipe):
+        found = found.model_copy(update={"recipe_key": recipe_key(recipe)})
+    if found.recipe_key != recipe_key(recipe):
+        raise CalibrationError(
+            f"the golden parts in {path} were inspected with other poses, region or exposure than the recipe has now: "
+            "inspect good parts anew, add them to an empty set, and delete the old file"
+        )
+    return found
+
+
+def add_part(known: GoldenSet | None, recipe: Recipe, record: Record) -> GoldenSet:
+    """A set with one part more.
+
+    Args:
+        known: the set so far, or None.
+        recipe: the recipe of the set.
+        record: of the inspection of a good part.
+
+    Raises:
+        CalibrationError: the inspection was INVALID, was made with other poses, or is in the set already.
+    """
+    poses = tuple((pose.stage_deg, pose.tilt_deg) for pose in recipe.poses.poses())
+    if record.verdict == "INVALID" or not record.poses:
+        raise CalibrationError(f"{record.serial}: an INVALID inspection says nothing about a good part")
+    seen = tuple((pose.stage_deg, pose.tilt_deg) for pose in record.poses)
+    key, recipe_then = recipe_key(recipe), Recipe.model_validate(record.recipe)
+    if seen != poses or recipe_key(recipe_then) != key:
+        raise CalibrationError(
+            f"{record.serial} was inspected with another recipe (poses, region or exposure differ): inspect it again"
+        )
+    base = known or GoldenSet(product=recipe.product, recipe_key=key, poses=poses)
+    if any((part.serial, part.inspected_at) == (record.serial, record.created_at) for part in base.parts):
+        raise CalibrationError(
+            f"this inspection of {record.serial} ({record.created_at}) is in the set already"
+        )
+    rule = recipe_then.area
+    part = GoldenPart(
+        serial=record.serial,
+        inspected_at=record.created_at,
+        log_radiance=tuple(float(np.log(pose.measured)) for pose in record.poses),
+        area_share=None if record.area is None else record.area.share,
+        cell_deviation=None if rule is None or record.area is None else rule.cell_deviation,
+        cells=None if record.area is None else record.area.cells,
+        verdict=record.verdict,
+    )
+    return base.model_copy(update={"parts": (*base.parts, part)})
+
+
+def write_golden(path: Path, golden: BaseModel) -> None:
+    """Write the set, of parts or of prints, all or nothing.
+
+    Raises:
+        RecordError: the folder cannot be written.
+    """
+    write_text(path, json.dumps(golden.model_dump(mode="json", by_alias=True), indent=2, allow_nan=False))
+
+
+def without_part(known: GoldenSet, serial: str) -> GoldenSet:
+    """The set without all rows of a serial number.
+
+    Raises:
+        CalibrationError: there is none.
+    """
+    kept = tuple(part for part in known.parts if part.serial != serial)
+    if len(kept) == len(known.parts):
+        raise CalibrationError(f"there is no golden part {serial}")
+    return known.model_copy(update={"parts": kept})

@@ -1,0 +1,122 @@
+"""What is wrong with a part that deviates, as its record tells it. It never changes the verdict.
+
+What cannot be told becomes a note: the causes are computed from models and kept on disk, and neither may fail a part.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from anisoscope.base.errors import AnisoscopeError
+from anisoscope.base.progress import Advance, silent
+from anisoscope.base.significance import said
+from anisoscope.decision.decision import Decision
+from anisoscope.decision.reference_parts import GoldenSet
+from anisoscope.diagnosis.discriminating_poses import advice_for, bare_title
+from anisoscope.diagnosis.evidence import Evidence, against, background_of, covariance_of, inputs_of
+from anisoscope.diagnosis.ranking import NOTHING, Diagnosis, diagnose
+from anisoscope.diagnosis.signature_cache import remembered_signatures
+from anisoscope.imaging.pose_radiance import Measured
+from anisoscope.prediction.expectation import Expectation
+from anisoscope.recipe.recipe import Recipe
+from anisoscope.record.schema import CauseRecord, DiagnosisRecord
+from anisoscope.record.verdict import Verdict
+
+TIES_SAID = 3  # in one line; the table of causes has all
+
+
+def explain(
+    recipe: Recipe,
+    expected: Expectation,
+    measured: Measured,
+    decision: Decision,
+    advance: Advance = silent,
+    golden: GoldenSet | None = None,
+) -> tuple[DiagnosisRecord, str | None]:
+    """Rank the causes where the part deviates or did not pass; else there is nothing to explain.
+
+    Args:
+        recipe: the recipe.
+        expected: the prediction that decided.
+        measured: the measurement.
+        decision: the verdict, which stands.
+        advance: told of every signature that is computed for the first time.
+        golden: the golden parts that decided what deviates, or None.
+
+    Returns:
+        The diagnosis, and a note where there is none although there should be.
+    """
+    if decision.verdict is Verdict.PASS and decision.p_value >= recipe.decision.alpha:
+        return DiagnosisRecord(says="nothing: the part is as it should be"), None
+    try:
+        light_angle_deg = expected.convention.light_angle_deg
+        known = remembered_signatures(recipe, light_angle_deg, advance)
+        found = diagnose(known, evidence_of(recipe, expected, measured, decision, golden))
+    except (AnisoscopeError, ArithmeticError, ValueError, np.linalg.LinAlgError) as problem:
+        return DiagnosisRecord(says="not possible"), f"no diagnosis: {problem}"
+    told = diagnosis_record(found, recipe.decision.alpha)
+    try:
+        tells = advice_for(recipe, light_angle_deg, found, advance)
+    except (AnisoscopeError, ArithmeticError, ValueError, np.linalg.LinAlgError) as problem:
+        return told, f"not known what would tell the tied causes apart: {problem}"
+    return told.model_copy(update={"tells": tells}), None
+
+
+def evidence_of(
+    recipe: Recipe,
+    expected: Expectation,
+    measured: Measured,
+    decision: Decision,
+    golden: GoldenSet | None = None,
+) -> Evidence:
+    """What the causes are weighed by: ln L over golden parts, else over the prediction, and the share of the area."""
+    scale_share, predicted = recipe.uncertainty.scale_share, np.log(expected.radiance)
+    deviation = np.log(measured.radiance) - predicted
+    covariance = covariance_of(expected.components + measured.components, scale_share, len(deviation))
+    found = Evidence(deviation, covariance, inputs=inputs_of(recipe, expected, measured.components))
+    if (area := decision.area) is not None:
+        mean, u = background_of(area.max_share)
+        found = replace(found, share=area.share, u_share=area.u, background=mean, u_background=u)
+    if golden is None:
+        return found
+    shown = np.array([part.log_radiance for part in golden.parts]) - predicted
+    return against(found, shown, scale_share)
+
+
+def diagnosis_record(found: Diagnosis, alpha: float, of: str = "part") -> DiagnosisRecord:
+    """The causes as a record tells them.
+
+    Args:
+        found: the causes, ranked.
+        alpha: level of significance: below it none of them explains what was inspected.
+        of: what was inspected, in words.
+    """
+    causes = tuple(
+        CauseRecord(
+            cause=one.cause,
+            title=one.title,
+            unit=one.unit,
+            severity=one.extent,
+            u=one.u if np.isfinite(one.u) else None,
+            interval=(one.low, one.high),
+            weight=one.weight,
+            chi2=one.chi2,
+            at_bound=one.at_bound,
+            tie=one.tie,
+        )
+        for one in found.findings
+    )
+    return DiagnosisRecord(says=_says(found, alpha, of), causes=causes, unexplained_p=found.unexplained_p)
+
+
+def _says(found: Diagnosis, alpha: float, of: str) -> str:
+    best = found.findings[0]
+    if found.unexplained_p < alpha:
+        return f"none of the causes explains the {of} (p {said(found.unexplained_p)} for the best of them)"
+    if best.cause == NOTHING:
+        return f"nothing explains the {of} better than chance"
+    ties = [bare_title(one.title) for one in found.ties if one is not best]
+    if not ties:
+        return bare_title(best.title)
+    more = f" and {len(ties) - TIES_SAID} more" if len(ties) > TIES_SAID else ""
+    return f"{bare_title(best.title)}; or, not to be told apart: {', '.join(ties[:TIES_SAID])}{more}"

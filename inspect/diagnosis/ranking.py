@@ -1,0 +1,129 @@
+"""Which cause explains what was measured: greatest likelihood along every signature, ranked.
+
+d = ln L measured − predicted has the covariance V of measurement and prediction together, with the scale of the white
+reference as one more shared term, and what is not known of the signature itself, in every pose for itself. Along each
+signature g(e) the extent e has the greatest likelihood (`anisoscope.diagnosis.likelihood`), to which the share of
+deviating cells adds one more datum. Causes are ranked by the Bayesian information criterion (Schwarz 1978). What lies
+within 3σ of the best is a tie, and is said to be one. An extent that is an input of the prediction too, such as a
+roughness, is then fitted again without the uncertainty of that input in V. With golden parts d is the distance from
+their mean, and V is what they and the budget tell together (`anisoscope.diagnosis.evidence.Learnt`).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from anisoscope.diagnosis.evidence import Evidence
+from anisoscope.diagnosis.likelihood import Fitted, fit_extent, interval, nothing
+from anisoscope.diagnosis.signatures import Signature, Signatures
+
+NOTHING = "nothing"
+TIE = 9.0  # 3σ in χ² for one parameter
+_SAME = 1e-9
+
+
+@dataclass(frozen=True)
+class Finding:
+    """How well one cause explains a part.
+
+    Attributes:
+        cause: its name; "nothing" is the part as predicted.
+        title: what it is, for people.
+        unit: of the extent.
+        extent: fitted extent; 0 for nothing.
+        u: its standard uncertainty from the curvature; infinite where the data do not determine it.
+        low: lower end of the 95 % interval; None where it reaches past what was looked at.
+        high: upper end.
+        at_bound: the fit ended at the end of what was looked at.
+        chi2: what remains unexplained.
+        weight: share of the belief, exp(−BIC/2) over all causes.
+        tie: no data tell it from the best cause.
+    """
+
+    cause: str
+    title: str
+    unit: str
+    extent: float
+    u: float
+    low: float | None
+    high: float | None
+    at_bound: bool
+    chi2: float
+    weight: float
+    tie: bool
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """All causes, the best first.
+
+    Attributes:
+        findings: ranked causes, "nothing" among them.
+        unexplained_p: probability of the χ² that the best leaves; small: none of the causes explains the part.
+    """
+
+    findings: tuple[Finding, ...]
+    unexplained_p: float
+
+    @property
+    def ties(self) -> tuple[Finding, ...]:
+        """The best cause and those that cannot be told from it."""
+        return tuple(finding for finding in self.findings if finding.tie)
+
+
+def diagnose(known: Signatures, evidence: Evidence) -> Diagnosis:
+    """Rank the causes.
+
+    Args:
+        known: the signatures of the recipe's poses.
+        evidence: what was measured.
+
+    Returns:
+        The diagnosis; without any deviation "nothing" comes first.
+    """
+    data = len(evidence.deviation) + (evidence.share is not None)
+    rows: list[tuple[Signature | None, Fitted]] = [(None, nothing(evidence))]
+    rows += [(signature, _fitted(signature, evidence)) for signature in known.found]
+    bic = np.array([fit.cost + (one is not None) * np.log(data) for one, fit in rows])
+    weight = np.exp(-0.5 * (bic - bic.min()))
+    weight /= weight.sum()
+    order = np.argsort(bic, kind="stable")
+    best, good = rows[order[0]], rows[0][1]
+    findings = tuple(_finding(rows[k], float(weight[k]), best[1], good, evidence) for k in order)
+    dof = max(data - (best[0] is not None), 1)
+    return Diagnosis(findings, _chance(best[1].chi2, dof, evidence))
+
+
+def _chance(left: float, dof: int, evidence: Evidence) -> float:
+    """Probability of a greater distance: χ², or Hotelling's T² where golden parts tell the covariance."""
+    from scipy.stats import chi2, f  # noqa: PLC0415 - 1 s
+
+    if evidence.learnt is None:
+        return float(chi2.sf(left, dof))
+    free = evidence.learnt.freedom
+    return float(f.sf(left * (free - dof + 1.0) / (free * dof), dof, free - dof + 1.0))
+
+
+def _finding(
+    row: tuple[Signature | None, Fitted], weight: float, best: Fitted, good: Fitted, evidence: Evidence
+) -> Finding:
+    signature, fit = row
+    # what fits no better than nothing at all is no cause, however little the best one explains
+    explains = signature is None or good.cost - fit.cost > _SAME
+    tie = fit is best or (fit.cost - best.cost < TIE and explains)
+    if signature is None:
+        return Finding(NOTHING, "as predicted", "", 0.0, 0.0, 0.0, 0.0, False, fit.chi2, weight, tie)
+    at_bound = fit.extent in signature.bounds and fit.extent != 0.0
+    cause, (low, high) = signature.cause, interval(signature, evidence, fit)
+    return Finding(
+        cause.name, cause.title, cause.unit, fit.extent, fit.u, low, high, at_bound, fit.chi2, weight, tie
+    )
+
+
+def _fitted(signature: Signature, evidence: Evidence) -> Fitted:
+    """Weighed with all that is uncertain, so that causes compare; the extent without the input that it is itself."""
+    found = fit_extent(signature, evidence)
+    if evidence.inputs is None or signature.cause.source not in evidence.inputs.u:
+        return found
+    alone = fit_extent(signature, evidence, as_input=True)
+    return replace(found, extent=alone.extent, u=alone.u)

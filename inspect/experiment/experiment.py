@@ -1,0 +1,238 @@
+"""The experiment of the ridge paper (Luongo et al. 2017, section 4 and Fig. 8), predicted.
+
+Ridge angles 5, 10, 15 and 20°, tilts of camera and light from -20° to 20°, stage angles 0, 90 and 180°. Contrast is
+|H(0°) - H(90°)| and |H(90°) - H(180°)|, H = k·L the radiant exposure, k one global scale. Arrays of contrasts have
+the shape (ridge angles, tilts, pairs); NaN is not measured.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import UsageError
+from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.sim.light import corrected, printed
+from anisoscope.sim.light.contrasts import fit_scale
+from anisoscope.sim.light.geometry import Convention, directions, pose_grid
+from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.printed import ShadowFrame
+
+Model = Literal["printed", "corrected"]
+
+RIDGE_ANGLES_DEG = (5.0, 10.0, 15.0, 20.0)
+TILTS_DEG = (-20.0, -10.0, 0.0, 10.0, 20.0)
+STAGE_DEG = (0.0, 90.0, 180.0)
+PAIRS_DEG = ((0.0, 90.0), (90.0, 180.0))
+SHAPE = (len(RIDGE_ANGLES_DEG), len(TILTS_DEG), len(PAIRS_DEG))
+PUBLISHED_BEST_DEG = 5.0
+COLUMNS = ("ridge_angle_deg", "tilt_deg", "from_deg", "to_deg", "contrast")
+AXES = ("ridge_angle", "tilt", "pair")
+
+_PITCH_UM = 100.0  # enters neither model: both know angles only
+_TIE = 1e-9  # contrasts that symmetry makes equal differ by rounding
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What is predicted, and how angles are counted.
+
+    Attributes:
+        model: "printed" as published, or "corrected".
+        material: the plastic; index and albedo only scale the printed experiment.
+        convention: how angles are counted.
+        shadow_frame: of the printed model only: the axis from which its shadowing is counted.
+    """
+
+    model: Model = "printed"
+    material: Material = field(default_factory=Material)
+    convention: Convention = field(default_factory=Convention)
+    shadow_frame: ShadowFrame = "pitch-normal"
+
+    def __post_init__(self) -> None:
+        if self.model != "printed" and self.shadow_frame != "pitch-normal":
+            raise UsageError(f"the shadow frame {self.shadow_frame} belongs to the printed model only")
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What the paper found, asked of a table of contrasts.
+
+    Attributes:
+        max_at_zero_tilt: the mean contrast at zero tilt is larger than at every other tilt.
+        falls_on_both_sides: it also falls from each tilt to the next, away from zero.
+        first_pair_larger: the mean of 0°/90° exceeds that of 90°/180°.
+        best_ridge_angle_deg: ridge angle of the largest mean contrast; None where two tie.
+    """
+
+    max_at_zero_tilt: bool
+    falls_on_both_sides: bool
+    first_pair_larger: bool
+    best_ridge_angle_deg: float | None
+
+    @property
+    def as_published(self) -> bool:
+        """All three findings of the paper's prediction hold."""
+        return (
+            self.max_at_zero_tilt
+            and self.first_pair_larger
+            and self.best_ridge_angle_deg == PUBLISHED_BEST_DEG
+        )
+
+
+@dataclass(frozen=True)
+class Mean:
+    """Mean contrast at one level of one parameter, over all levels of the others.
+
+    Attributes:
+        level_deg: the level; for a pair its two stage angles.
+        predicted: mean of all predicted contrasts at this level.
+        measured: mean of the measured ones, None where there are none.
+        predicted_same_rows: mean of the predicted contrasts that were measured too.
+        measured_rows: how many were measured.
+    """
+
+    level_deg: tuple[float, ...]
+    predicted: float
+    measured: float | None
+    predicted_same_rows: float | None
+    measured_rows: int
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """The experiment predicted, and measured where that was given.
+
+    Attributes:
+        setup: what was predicted.
+        k: the global scale of the predictions; 1 unless it was fitted.
+        predicted: contrasts, k included; in 1/sr where k was not fitted, else in the unit of the measured ones.
+        measured: contrasts of the same shape, NaN where not measured, or None.
+        rms_residual: root mean square of predicted - measured over the measured rows, or None.
+    """
+
+    setup: Setup
+    k: float
+    predicted: FloatArray
+    measured: FloatArray | None
+    rms_residual: float | None
+
+    @property
+    def complete(self) -> bool:
+        """Every row was measured."""
+        return self.measured is not None and bool(np.isfinite(self.measured).all())
+
+    @property
+    def findings(self) -> Findings:
+        """What the predicted contrasts say."""
+        return findings(self.predicted)
+
+    @property
+    def measured_findings(self) -> Findings | None:
+        """What the measured contrasts say; None unless all rows were measured."""
+        return findings(self.measured) if self.measured is not None and self.complete else None
+
+    @property
+    def means(self) -> dict[str, tuple[Mean, ...]]:
+        """The three marginal means of Fig. 8, keyed "ridge_angle", "tilt" and "pair"."""
+        return {name: tuple(self._means(axis)) for axis, name in enumerate(AXES)}
+
+    def _means(self, axis: int) -> Iterator[Mean]:
+        measured = np.full(SHAPE, np.nan) if self.measured is None else self.measured
+        for number, level in enumerate(_levels(axis)):
+            cut = np.take(self.predicted, number, axis)
+            seen = np.take(measured, number, axis)
+            given = np.isfinite(seen)
+            rows = int(given.sum())
+            yield Mean(
+                level,
+                float(cut.mean()),
+                float(seen[given].mean()) if rows else None,
+                float(cut[given].mean()) if rows else None,
+                rows,
+            )
+
+
+def _levels(axis: int) -> tuple[tuple[float, ...], ...]:
+    return (tuple((a,) for a in RIDGE_ANGLES_DEG), tuple((t,) for t in TILTS_DEG), PAIRS_DEG)[axis]
+
+
+def combinations() -> Iterator[tuple[tuple[int, int, int], tuple[float, float, float, float]]]:
+    """Every row of the experiment: its index, and its ridge angle, tilt and two stage angles in degrees."""
+    for a, t, p in np.ndindex(*SHAPE):
+        yield (a, t, p), (RIDGE_ANGLES_DEG[a], TILTS_DEG[t], *PAIRS_DEG[p])
+
+
+def absolute_contrasts(setup: Setup) -> FloatArray:
+    """Predicted absolute contrasts with k = 1, in 1/sr.
+
+    Raises:
+        ModelError: light or camera stands below the horizon in some pose.
+    """
+    to_light, to_camera = directions(pose_grid(STAGE_DEG, TILTS_DEG), setup.convention)
+    return contrast_table(setup, setup.material, to_light, to_camera)
+
+
+def contrast_table(
+    setup: Setup, material: Material, to_light: FloatArray, to_camera: FloatArray
+) -> FloatArray:
+    """(ridge angle, tilt, pair) absolute contrasts for a material and known directions, each (P, 3)."""
+    exposure = []
+    for angle in RIDGE_ANGLES_DEG:
+        design = RidgeDesign(_PITCH_UM, angle)
+        if setup.model == "corrected":
+            exposure.append(corrected.radiance(to_light, to_camera, design, material))
+        else:
+            brdf = printed.ridge_brdf(to_light, to_camera, design, material, setup.shadow_frame)
+            exposure.append(brdf * to_light[:, 2])
+    table = np.reshape(exposure, (len(RIDGE_ANGLES_DEG), len(TILTS_DEG), len(STAGE_DEG)))
+    return np.abs(np.diff(table, axis=2))
+
+
+def run_experiment(setup: Setup, measured: FloatArray | None = None) -> Experiment:
+    """Predict the experiment and, where contrasts were measured, fit the one global scale k to them.
+
+    Args:
+        setup: what to predict.
+        measured: contrasts, NaN where not measured.
+
+    Raises:
+        ModelError: light or camera stands below the horizon in some pose.
+        UsageError: no positive scale fits, as where all measured rows are zero or predicted as zero.
+    """
+    predicted = absolute_contrasts(setup)
+    if measured is None:
+        return Experiment(setup, 1.0, predicted, None, None)
+    given = np.isfinite(measured)
+    with np.errstate(all="ignore"):
+        k = fit_scale(predicted[given], measured[given])
+        rms = float(np.sqrt(np.mean((k * predicted[given] - measured[given]) ** 2)))
+    if not (k > 0.0 and np.isfinite([k, rms]).all()):
+        raise UsageError(
+            "no scale k can be fitted: the predicted or the measured contrasts are all zero, or not sane"
+        )
+    return Experiment(setup, k, k * predicted, measured, rms)
+
+
+def findings(table: FloatArray) -> Findings:
+    """The paper's findings, asked of a table of contrasts; levels that tie count as not larger."""
+    angle, tilt, pair = (table.mean(axis=others) for others in ((1, 2), (0, 2), (0, 1)))
+    zero, best = TILTS_DEG.index(0.0), int(np.argmax(angle))
+    left, right = tilt[: zero + 1], tilt[zero:][::-1]
+    return Findings(
+        max_at_zero_tilt=_is_largest(tilt, zero),
+        falls_on_both_sides=all(_larger(b, a) for side in (left, right) for a, b in pairwise(side)),
+        first_pair_larger=_larger(pair[0], pair[1]),
+        best_ridge_angle_deg=RIDGE_ANGLES_DEG[best] if _is_largest(angle, best) else None,
+    )
+
+
+def _larger(a: float, b: float) -> bool:
+    return bool(a - b > _TIE * abs(a))
+
+
+def _is_largest(values: FloatArray, index: int) -> bool:
+    return all(_larger(values[index], value) for value in np.delete(values, index))

@@ -1,0 +1,1 @@
+"""From frames to pose radiances and deviation maps."""

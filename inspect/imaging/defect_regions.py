@@ -1,0 +1,143 @@
+"""Where a part deviates: connected cells of the contrast map, with place, area, kind and the chance of finding such.
+
+The chance is an upper bound: on a good part cells deviate with a probability q each, for themselves, so that fewer
+than N·A(n)·qⁿ groups of n touching cells are expected among N cells, A(n) being the number of shapes that n cells can
+have (fixed polyplets; OEIS A006770). q is the tail of the map's own scatter, or what good parts have shown.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.base.arrays import FloatArray
+from anisoscope.imaging.deviation_map import CellMap
+from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH
+from anisoscope.imaging.registration.placement import Grid
+from anisoscope.recipe.recipe import AreaPart
+
+Cells = npt.NDArray[np.bool_]
+Kind = Literal["missing ridge", "flank", "scratch", "spot", "patch"]
+
+SHAPES = (1, 4, 20, 110, 638, 3832, 23592, 147941)
+GROWTH = 6.5  # A(n + 1)/A(n) beyond the table
+WHOLE_LINE = 0.7  # share of the region's length from which on a mark runs along the whole ridge
+ELONGATED = 3.0
+SPOT_CELLS = 6
+
+
+@dataclass(frozen=True)
+class Region:
+    """A group of cells that deviate together.
+
+    Attributes:
+        x_mm: across the ridges, from the rotation axis, of its middle; sample frame at stage angle 0.
+        y_mm: along the ridges.
+        width_mm: extent across the ridges.
+        length_mm: extent along them.
+        area_share: share of the judged area.
+        cells: how many cells.
+        kind: what it looks like.
+        deviation: ln ratio by which its cells are off on average, of the pair where it shows most.
+        p_value: probability that a good part shows a group of this size anywhere.
+    """
+
+    x_mm: float
+    y_mm: float
+    width_mm: float
+    length_mm: float
+    area_share: float
+    cells: int
+    kind: Kind
+    deviation: float
+    p_value: float
+
+
+def deviation_map(cells: CellMap) -> FloatArray:
+    """(cell rows, cell cols) ln ratio by which a cell is off, of the pair of angles where it is off most."""
+    most = np.abs(cells.off).argmax(axis=0)
+    return np.asarray(np.take_along_axis(cells.off, most[None], axis=0)[0])
+
+
+def chance_of_a_cell(deviation: FloatArray, threshold: float) -> float:
+    """Probability that a cell of a good part deviates, from the map itself.
+
+    Beyond the 99th percentile the tail goes on as it fell from the 90th: exponentially, heavier than a normal one,
+    because rough facets scatter so.
+    """
+    size = np.abs(deviation - np.median(deviation))
+    at_90, at_99 = np.quantile(size, [0.9, 0.99])
+    if threshold <= at_99:
+        return float(np.mean(size > threshold))
+    return float(0.01 * 10.0 ** (-(threshold - at_99) / (at_99 - at_90))) if at_99 > at_90 else 0.0
+
+
+def chance_of_a_group(cells: int, among: int, chance: float) -> float:
+    """Probability that a group of at least so many touching cells deviates by chance somewhere.
+
+    Args:
+        cells: size of the group.
+        among: cells of the map.
+        chance: probability of one cell.
+    """
+    if chance <= 0.0:
+        return 0.0
+    beyond = max(cells - len(SHAPES), 0)
+    log_shapes = np.log(SHAPES[min(cells, len(SHAPES)) - 1]) + beyond * np.log(GROWTH)
+    log_expected = np.log(among) + log_shapes + cells * np.log(chance)
+    return float(-np.expm1(-np.exp(min(log_expected, 5.0))))
+
+
+def find_regions(
+    deviation: FloatArray, rule: AreaPart, grid: Grid, chance: float | None = None
+) -> tuple[Region, ...]:
+    """Groups of deviating cells, the least probable (then the largest) first.
+
+    Args:
+        deviation: (cell rows, cell cols), as from `deviation_map`; the first row lies farthest along the ridges.
+        rule: threshold.
+        grid: raster of the aligned pictures, for places.
+        chance: probability that a cell of a good part deviates, where it is known from good parts.
+    """
+    over = np.abs(deviation) > rule.cell_deviation
+    if not over.any():
+        return ()
+    q = chance_of_a_cell(deviation, rule.cell_deviation) if chance is None else chance
+    count, labels = cv2.connectedComponents(over.astype(np.uint8), connectivity=8)
+    regions = [_region(labels == k, deviation, grid, q) for k in range(1, count)]
+    return tuple(sorted(regions, key=lambda region: (region.p_value, -region.cells)))
+
+
+def _region(inside: Cells, deviation: FloatArray, grid: Grid, chance: float) -> Region:
+    rows, cols = np.nonzero(inside)
+    along, across = grid.size_mm
+    step_y, step_x = along / inside.shape[0], across / inside.shape[1]
+    turn = np.radians(grid.turn_deg)
+    u = (cols.mean() - 0.5 * (inside.shape[1] - 1)) * step_x
+    v = (0.5 * (inside.shape[0] - 1) - rows.mean()) * step_y
+    return Region(
+        x_mm=float(grid.center_mm[0] + np.cos(turn) * u - np.sin(turn) * v),
+        y_mm=float(grid.center_mm[1] + np.sin(turn) * u + np.cos(turn) * v),
+        width_mm=float((np.ptp(cols) + 1) * step_x),
+        length_mm=float((np.ptp(rows) + 1) * step_y),
+        area_share=float(inside.mean()),
+        cells=len(rows),
+        kind=kind_of(inside),
+        deviation=float(deviation[inside].mean()),
+        p_value=chance_of_a_group(len(rows), inside.size, chance),
+    )
+
+
+def kind_of(inside: Cells) -> Kind:
+    """What a group of cells looks like, from its form alone."""
+    rows, cols = np.nonzero(inside)
+    height, width = np.ptp(rows) + 1, np.ptp(cols) + 1
+    if height >= WHOLE_LINE * inside.shape[0] and len(rows) >= 0.5 * height * width:
+        return "missing ridge" if width >= CELLS_PER_PITCH - 1 else "flank"
+    if len(rows) <= SPOT_CELLS and max(height, width) <= CELLS_PER_PITCH:
+        return "spot"
+    spread = np.linalg.eigvalsh(np.cov(np.stack([rows, cols]).astype(float)) + np.eye(2) / 12.0)
+    elongated = np.sqrt(spread[1] / spread[0]) >= ELONGATED
+    return "scratch" if elongated else "patch"

@@ -1,0 +1,177 @@
+"""The contrast map judged: which cells deviate from their flank, and whether that is too much of the area."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import MeasurementError
+from anisoscope.base.significance import holm
+from anisoscope.imaging.area_limit import KnownShares
+from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH, Measured
+from anisoscope.recipe.recipe import AreaPart
+from anisoscope.record.verdict import Verdict
+from anisoscope.sim.light.contrasts import consecutive_pairs
+from anisoscope.sim.light.geometry import Pose
+
+MAX_CELL_NOISE = 0.25
+
+
+@dataclass(frozen=True)
+class AreaResult:
+    """The contrast map judged: share of deviating cells.
+
+    Attributes:
+        share: share of the cells that deviate.
+        u: its standard uncertainty.
+        max_share: limit.
+        cells: how many cells there are.
+        verdict: of the area alone.
+        learnt: the limit is that of golden parts.
+        p_value: chance that a good part like the golden ones shows as much, or None without them.
+    """
+
+    share: float
+    u: float
+    max_share: float
+    cells: int
+    verdict: Verdict
+    learnt: bool = False
+    p_value: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class CellMap:
+    """The contrast map: (pairs, cell rows, cell cols) ln ratios, and by how much every cell is off its flank."""
+
+    ratios: FloatArray
+    off: FloatArray
+
+
+NEIGHBOURS = 6  # ridges to each side with which a line of cells is compared
+MIN_NEIGHBOURS = 3
+
+
+def cell_deviations(ratios: FloatArray, cell_deviation: float) -> FloatArray:
+    """By how much every cell is off what its place should show.
+
+    Each line of cells (a column) runs along one flank of one ridge, so its median is what that flank shows; marks
+    stand out against it. A whole line that is off by more than ``cell_deviation`` from the same flank of the
+    neighbouring ridges belongs to a ridge that is missing or deformed: all of it deviates. Smaller differences of
+    lines come from where the raster cuts the flanks, and do not count.
+
+    Args:
+        ratios: (pairs, cell rows, cell cols) ln ratios, `CELLS_PER_PITCH` columns a pitch.
+        cell_deviation: threshold.
+
+    Returns:
+        The same shape.
+    """
+    lines = np.median(ratios, axis=1)
+    off_lines = lines - _same_flank(lines)
+    whole = np.where(np.abs(off_lines) > cell_deviation, off_lines, 0.0)
+    return np.asarray(ratios - lines[:, None, :] + whole[:, None, :])
+
+
+def _same_flank(lines: FloatArray) -> FloatArray:
+    """(pairs, cols) median of the same flank on the ridges beside; the line itself where there are too few."""
+    pairs, cols = lines.shape
+    steps = CELLS_PER_PITCH * np.array([j for j in range(-NEIGHBOURS, NEIGHBOURS + 1) if j])
+    at = np.arange(cols)[:, None] + steps
+    inside = (at >= 0) & (at < cols)
+    beside = np.where(inside, lines[:, np.clip(at, 0, cols - 1)], np.nan)
+    enough = inside.sum(axis=1) >= MIN_NEIGHBOURS
+    found = lines.copy()
+    if enough.any():
+        found[:, enough] = _median_of_known(beside[:, enough])
+    assert found.shape == (pairs, cols)
+    return found
+
+
+def _median_of_known(values: FloatArray) -> FloatArray:
+    """Median along the last axis without NaN; three times faster than nanmedian where that axis is short."""
+    rising = np.sort(values, axis=-1)  # NaN last
+    count = np.count_nonzero(~np.isnan(values), axis=-1)[..., None]
+    low, high = (
+        np.take_along_axis(rising, np.maximum(place, 0), axis=-1) for place in ((count - 1) // 2, count // 2)
+    )
+    return np.asarray(0.5 * (low + high)[..., 0])
+
+
+def cell_log_ratios(measured: Measured, poses: tuple[Pose, ...]) -> FloatArray:
+    """(pairs, cell rows, cell cols) ln ratio of every cell for consecutive stage angles."""
+    safe = np.maximum(measured.cells, 1e-6)
+    return np.stack([np.log(safe[i] / safe[j]) for i, j in consecutive_pairs(poses)])
+
+
+def cell_map(measured: Measured, poses: tuple[Pose, ...], rule: AreaPart) -> CellMap:
+    """The contrast map of a part, by a recipe's threshold."""
+    ratios = cell_log_ratios(measured, poses)
+    return CellMap(ratios, cell_deviations(ratios, rule.cell_deviation))
+
+
+def judge_area(
+    measured: Measured,
+    poses: tuple[Pose, ...],
+    rule: AreaPart | None,
+    coverage: float,
+    known: KnownShares | None = None,
+    *,
+    alpha: float = 0.01,
+    p_means: float = 1.0,
+    cells: CellMap | None = None,
+) -> tuple[AreaResult | None, npt.NDArray[np.bool_] | None]:
+    """Judge the contrast map of a part.
+
+    Args:
+        measured: the part.
+        poses: P poses.
+        rule: threshold and limit.
+        coverage: guard band by the standard uncertainty of the share.
+        known: what golden parts have shown; their limit has no guard band, because their scatter holds that of the
+            measurement.
+        alpha: level of the means and of the area of golden parts together (Holm 1979).
+        p_means: p value of the means.
+        cells: the contrast map, where it is known already.
+
+    Returns:
+        The result and (cell rows, cell cols) where cells deviate; None and None without a rule.
+
+    Raises:
+        MeasurementError: the cells are too noisy to tell.
+    """
+    if rule is None:
+        return None, None
+    found = cell_map(measured, poses, rule) if cells is None else cells
+    off = np.abs(found.off).max(axis=0)
+    noise = float(
+        max(np.hypot(measured.cell_noise[i], measured.cell_noise[j]) for i, j in consecutive_pairs(poses))
+    )
+    if noise > MAX_CELL_NOISE * rule.cell_deviation:
+        raise MeasurementError(
+            f"the ln ratio of a cell is uncertain by {noise:.3f}, too much to tell deviations of "
+            f"{rule.cell_deviation:g} (limit {MAX_CELL_NOISE * rule.cell_deviation:.3f}): "
+            "take more frames_per_pose, a longer exposure_s, or brackets (acquisition.brackets)"
+        )
+    share, at_low, at_high = (
+        float(np.mean(off > rule.cell_deviation + shift)) for shift in (0.0, -noise, noise)
+    )
+    u = float(np.hypot(0.5 * (at_low - at_high), 0.5 / off.size))
+    if known is not None:
+        return _beside_golden(share, u, known, alpha, p_means), off > rule.cell_deviation
+    limit, guard = rule.max_share, coverage * u
+    verdict = Verdict.INCONCLUSIVE
+    if share <= limit - guard:
+        verdict = Verdict.PASS
+    elif share >= limit + guard:
+        verdict = Verdict.FAIL
+    return AreaResult(share, u, limit, off.size, verdict), off > rule.cell_deviation
+
+
+def _beside_golden(share: float, u: float, known: KnownShares, alpha: float, p_means: float) -> AreaResult:
+    chance = known.chance(share)
+    fails = holm(np.array([p_means, chance]))[1] < alpha
+    limit = known.limit(alpha if p_means < 0.5 * alpha else 0.5 * alpha)
+    verdict = Verdict.FAIL if fails else Verdict.PASS
+    return AreaResult(share, u, limit, known.cells, verdict, learnt=True, p_value=chance)

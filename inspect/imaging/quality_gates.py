@@ -1,0 +1,300 @@
+"""What makes a measurement unfit, seen in the pictures themselves; every complaint says what to do.
+
+Light, saturation, place and drift are checked where they are measured (`measurement`); here are the gates that compare
+pictures: tilt, sharpness, stray light, dirt that stays while the part turns, and whether this is
+the recipe's part at all.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import CalibrationError, MeasurementError, RegistrationError
+from anisoscope.imaging.pose_radiance import Measured, View
+from anisoscope.imaging.registration.placement import Grid, angle_between
+from anisoscope.recipe.recipe import Recipe
+
+Image = npt.NDArray[np.float32]
+
+TILT_DEG = 1.0
+MIN_SQUEEZE_SHARE = 0.002
+BLUR_GROWTH, BLUR_ADDED_PX = 1.5, 0.7
+BLUR_PITCHES = 0.25
+BLACK_SHARE = 0.25
+PITCH_SHARE = 0.03
+DIRECTION_DEG = 5.0
+CLEAR_PEAK = 0.2
+PEAK_KEPT = 0.01
+POINTS_A_PITCH = 6.0
+MAX_WINDOW = 512
+STILL_CELLS = 8.0
+DEFAULT_CELL_DEVIATION = 0.3
+
+
+def check_views(views: list[View], recipe: Recipe | None = None) -> None:
+    """Gates of the pictures, as far as markers show it; without a recipe they need not resolve a pitch.
+
+    Raises:
+        RegistrationError: the arm stands at another tilt than it says.
+        MeasurementError: a picture is out of focus, or stray light fills the shadows.
+    """
+    for view in views:
+        check_tilt(view)
+        check_sharpness(view, views[0], recipe)
+        check_stray(view)
+
+
+def check_tilt(view: View) -> None:
+    """Does the plate look as foreshortened as the tilt of the arm makes it?"""
+    place = view.placement
+    cos = float(np.cos(np.radians(view.tilt_deg)))
+    near, far = (np.cos(np.radians(abs(view.tilt_deg) + turn)) for turn in (-TILT_DEG, TILT_DEG))
+    share = max(abs(float(near) - cos), abs(float(far) - cos)) / cos
+    if abs(place.squeeze - 1.0) <= max(share, MIN_SQUEEZE_SHARE) + 4.0 * place.u_squeeze:
+        return
+    seen = float(np.degrees(np.arccos(min(place.squeeze * cos, 1.0))))
+    words = f"the markers say {seen:.1f}°"
+    if place.squeeze * cos > 1.0:
+        words = f"in the markers columns are foreshortened instead of rows, by {1.0 - 1.0 / (place.squeeze * cos):.2%}"
+    raise RegistrationError(
+        f"at {view.stage_deg:g}° the arm stands at {view.tilt_deg:.1f}° tilt, {words} (limit ±{TILT_DEG:g}°): check "
+        "tilt axis and geometry.tilt_deg in the rig file, and that the fixture lies flat"
+    )
+
+
+def check_sharpness(view: View, first: View, recipe: Recipe | None = None) -> None:
+    """Are the markers' edges as sharp as in the first pose, and sharp enough for the cells of the contrast map?"""
+    blur, usual = view.placement.blur_px, first.placement.blur_px
+    if blur is None or usual is None:
+        return
+    blur_um = blur * view.placement.pixel_um
+    limit_um = np.inf if recipe is None else BLUR_PITCHES * recipe.surface.pitch_um
+    if recipe is not None and recipe.area is not None and blur_um > limit_um:
+        raise MeasurementError(
+            f"at {view.stage_deg:g}° the picture is out of focus: the markers' edges are smeared by {blur_um:.1f} µm "
+            f"(limit {limit_um:g} µm, a quarter of a pitch): focus again, and clean the lens"
+        )
+    added = float(np.sqrt(abs(blur**2 - usual**2)))
+    if max(blur, usual) > BLUR_GROWTH * min(blur, usual) and added > BLUR_ADDED_PX:
+        worse, better = (view, first) if blur > usual else (first, view)
+        raise MeasurementError(
+            f"at {worse.stage_deg:g}° the picture is less sharp than at {better.stage_deg:g}° (edges of the markers "
+            f"{max(blur, usual):.2f} px instead of {min(blur, usual):.2f} px): focus again, and check that the fixture "
+            "lies flat and the stage does not wobble"
+        )
+
+
+def check_stray(view: View) -> None:
+    """Is the black of the markers black?"""
+    black = view.placement.black_share
+    if black is not None and black > BLACK_SHARE:
+        raise MeasurementError(
+            f"at {view.stage_deg:g}° the black of the markers is {black:.0%} as bright as their white (limit "
+            f"{BLACK_SHARE:.0%}): keep other light off the rig, look for glare on the fixture, calibrate stray light"
+        )
+
+
+def check_part(views: list[View], measured: Measured, recipe: Recipe) -> None:
+    """Gates of the aligned pictures.
+
+    Raises:
+        MeasurementError: the ridges are not those of the recipe, or run elsewhere.
+        CalibrationError: something stays in its place in the picture while the part turns.
+    """
+    if recipe.is_wafer:  # no ridges, and the grain of its tile is alike wherever the tile repeats
+        return
+    check_ridges(measured.aligned, measured.grid, recipe)
+    rule = recipe.area.cell_deviation if recipe.area is not None else DEFAULT_CELL_DEVIATION
+    check_dirt(views, measured, 0.5 * rule)
+
+
+@dataclass(frozen=True)
+class Ridges:
+    """What repeats in the aligned pictures.
+
+    Attributes:
+        pitch_um: distance.
+        direction_deg: across the ridges, from where the recipe has it, −90 to 90.
+        share: share of the pictures' variation in this wave.
+        expected_share: share in the wave that the recipe expects.
+        is_expected: whether that is the strongest one, as far as the pictures are wide enough to tell.
+    """
+
+    pitch_um: float
+    direction_deg: float
+    share: float
+    expected_share: float
+    is_expected: bool
+
+
+def find_ridges(aligned: tuple[Image, ...], pixel_um: float, pitch_um: float) -> Ridges | None:
+    """The strongest wave in pictures whose columns should run along ridges; None where a pitch is hardly resolved.
+
+    Args:
+        aligned: P pictures (rows, cols).
+        pixel_um: distance of their points.
+        pitch_um: what the recipe expects.
+    """
+    factor = max(1, int(pitch_um / pixel_um / POINTS_A_PITCH))
+    step_um = factor * pixel_um
+    if pitch_um < 3.0 * step_um:
+        return None
+    power, frequencies = _power(aligned, factor)
+    down, across = (axis / step_um for axis in frequencies)
+    radius = np.hypot(down[:, None], across)
+    searched = (radius > 0.3 / pitch_um) & (across >= 0.0)[None, :]
+    inside = np.where(searched, power, 0.0)
+    row, col = (int(i) for i in np.unravel_index(inside.argmax(), inside.shape))
+    f_down, f_across = (_refined(power, (row, col), axis, frequencies[axis]) / step_um for axis in (0, 1))
+    total = float(inside.sum())
+    if total <= 0.0:
+        return None
+    bin_size = 1.0 / (step_um * np.array(power.shape))
+
+    def around(at_down: float, at_across: float, bins: float) -> npt.NDArray[np.bool_]:
+        rows = np.abs(down - at_down) <= bins * bin_size[0]
+        return np.asarray(rows[:, None] & (np.abs(across - at_across) <= bins * bin_size[1])[None, :])
+
+    near, peak = around(0.0, 1.0 / pitch_um, 1.6), around(f_down, f_across, 1.6)
+    beside = near & ~around(f_down, f_across, 2.1)  # the window spreads a wave over four bins
+    direction = float(np.degrees(np.arctan2(f_down, f_across)))
+    return Ridges(
+        float(1.0 / max(np.hypot(f_down, f_across), 1e-12)),
+        (direction + 90.0) % 180.0 - 90.0,
+        float(inside[peak].sum()) / total,
+        float(inside[beside].sum()) / total,
+        bool(near[row, col]),
+    )
+
+
+def _power(aligned: tuple[Image, ...], factor: int) -> tuple[FloatArray, tuple[FloatArray, FloatArray]]:
+    """Mean of the pictures' power spectra, each of them counting alike, and the frequencies of rows and columns."""
+    spectra = []
+    for picture in aligned:
+        rows, cols = (size - size % factor for size in picture.shape)
+        known = picture[:rows, :cols]
+        if not np.isfinite(known.sum(dtype=np.float64)):
+            known = np.nan_to_num(known, nan=float(np.nanmean(picture)))
+        small = cv2.resize(known, (cols // factor, rows // factor), interpolation=cv2.INTER_AREA)
+        small = small[:MAX_WINDOW, :MAX_WINDOW].astype(np.float64)
+        window = np.hanning(small.shape[0])[:, None] * np.hanning(small.shape[1])
+        found = np.abs(np.fft.fft2((small / small.mean() - 1.0) * window)) ** 2
+        found[0, 0] = 0.0
+        spectra.append(found / max(float(found.sum()), 1e-30))
+    shape = spectra[0].shape
+    rows, cols = (np.asarray(np.fft.fftfreq(size), dtype=np.float64) for size in shape)
+    return np.asarray(np.mean(spectra, axis=0), dtype=np.float64), (rows, cols)
+
+
+def _refined(power: FloatArray, at: tuple[int, int], axis: int, frequencies: FloatArray) -> float:
+    """Frequency of a peak along an axis: the top of a parabola through the logarithms of three neighbours."""
+    size = power.shape[axis]
+    line = power[:, at[1]] if axis == 0 else power[at[0]]
+    before, top, after = (np.log(line[(at[axis] + step) % size] + 1e-30) for step in (-1, 0, 1))
+    bend = before - 2.0 * top + after
+    shift = 0.5 * (before - after) / bend if bend < 0.0 else 0.0
+    return float(frequencies[at[axis]] + np.clip(shift, -0.5, 0.5) / size)
+
+
+def check_ridges(aligned: tuple[Image, ...], grid: Grid, recipe: Recipe) -> None:
+    """Are these the recipe's ridges, and do they run where it says? Where none stand out, nothing is said."""
+    pitch_um = recipe.surface.pitch_um
+    found = find_ridges(aligned, grid.pixel_mm * 1000.0, pitch_um)
+    if found is None or found.share < CLEAR_PEAK:
+        return
+    if not found.is_expected and found.expected_share > PEAK_KEPT:
+        return  # a harmonic, or a mark beside the ridges
+    if abs(found.direction_deg) > DIRECTION_DEG:
+        raise MeasurementError(
+            f"the ridges run {abs(found.direction_deg):.0f}° from where the recipe says: lay the part into the fixture "
+            "the right way round, or correct poses.facet_azimuth_deg in the recipe"
+        )
+    if abs(found.pitch_um / pitch_um - 1.0) > PITCH_SHARE:
+        raise MeasurementError(
+            f"the ridges are {found.pitch_um:.1f} µm apart, the recipe says {pitch_um:g} µm "
+            f"(limit ±{PITCH_SHARE:.0%}): is this part of another product, or the recipe the wrong one?"
+        )
+
+
+def check_dirt(views: list[View], measured: Measured, threshold: float) -> None:
+    """Does anything stay in its place in the picture while the part turns under it?
+
+    Cells are compared with their flank in every pose; on lens, sensor or white tile dirt makes the same cells of the
+    *picture* deviate in every pose, a mark on the part moves. How many would do so by chance follows from how many
+    deviate in each pose.
+    """
+    turned = [
+        i for i, v in enumerate(views) if i == 0 or abs(angle_between(views[0].stage_deg, v.stage_deg)) > 1.0
+    ]
+    if len(turned) < 2 or measured.cells.shape[1] * measured.cells.shape[2] < 64:
+        return
+    maps = [_off_flank(measured.cells[i]) for i in turned]
+    first, shape = maps[0], maps[0].shape
+    fixed, chance = np.abs(first) > threshold, float(np.mean(np.abs(first) > threshold))
+    known, moved = np.ones(shape, dtype=bool), np.zeros(shape, dtype=bool)
+    for i, other in zip(turned[1:], maps[1:], strict=True):
+        at = _same_pixels(views[0], views[i], measured.grid, shape)
+        seen = _looked_up(other, at)
+        moved |= np.hypot(*np.moveaxis(at - _cell_indices(shape)[..., :2], -1, 0)) > STILL_CELLS
+        known &= np.isfinite(seen)
+        fixed &= np.sign(first) * seen > threshold
+        chance *= 0.5 * float(np.mean(np.abs(other) > threshold))
+    fixed &= known & moved
+    expected = chance * float((known & moved).sum())
+    if fixed.sum() > expected + 6.0 * np.sqrt(expected) + 3.0:
+        column, row = _place_of(fixed, views[0], measured.grid)
+        raise CalibrationError(
+            f"something stays at column {column:.0f}, row {row:.0f} of the picture while the part turns "
+            f"({int(fixed.sum())} cells): clean lens and camera, then the white tile, and take a new flat with "
+            "`anisoscope calibrate flat`"
+        )
+
+
+def _looked_up(cells: FloatArray, at: Image) -> Image:
+    """The nearest cell of every place; NaN outside."""
+    return np.asarray(
+        cv2.remap(
+            cells.astype(np.float32),
+            at[..., 0],
+            at[..., 1],
+            cv2.INTER_NEAREST,
+            borderMode=cv2.BORDER_CONSTANT,
+            borderValue=(float("nan"),),
+        )
+    )
+
+
+def _off_flank(cells: FloatArray) -> FloatArray:
+    """Ln of every cell by the median along its flank."""
+    logs = np.log(np.maximum(cells, 1e-6))
+    return np.asarray(logs - np.median(logs, axis=0))
+
+
+def _cells_to_pixels(view: View, grid: Grid, cols: int) -> FloatArray:
+    """(3, 3) map from (column, row, 1) of cells, of which there are ``cols`` in a row, to those of the picture."""
+    side = grid.shape[1] / cols
+    centres = np.array([[side, 0.0, (side - 1.0) / 2.0], [0.0, side, (side - 1.0) / 2.0], [0.0, 0.0, 1.0]])
+    return np.asarray(view.placement.homography @ grid.to_mm() @ centres)
+
+
+def _same_pixels(first: View, other: View, grid: Grid, shape: tuple[int, ...]) -> Image:
+    """(rows, cols, 2) column and row of the other view's cell on the same pixels as each cell of the first."""
+    to_first, to_other = (_cells_to_pixels(view, grid, shape[1]) for view in (first, other))
+    at = _cell_indices(shape) @ (np.linalg.inv(to_other) @ to_first).T
+    return np.asarray(at[..., :2] / at[..., 2:], dtype=np.float32)
+
+
+def _cell_indices(shape: tuple[int, ...]) -> FloatArray:
+    """(rows, cols, 3) column, row, 1 of every cell."""
+    row, column = np.indices(shape).astype(np.float64)
+    return np.stack([column, row, np.ones(shape)], axis=-1)
+
+
+def _place_of(cells: npt.NDArray[np.bool_], view: View, grid: Grid) -> tuple[float, float]:
+    """Column and row in the picture of the cell in the middle of some."""
+    row, column = (float(np.median(index)) for index in np.nonzero(cells))
+    seen = _cells_to_pixels(view, grid, cells.shape[1]) @ [column, row, 1.0]
+    return float(seen[0] / seen[2]), float(seen[1] / seen[2])

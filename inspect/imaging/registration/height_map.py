@@ -1,0 +1,390 @@
+"""Where on the part the recipe's height map lies: it is rendered as each pose shows it, and matched to the picture.
+
+Across the ridges everything repeats after a pitch. The ridges' own pattern gives the phase, within half a pitch; which
+ridge it is, and where along the ridges, only marks and roughness can tell that the map and the picture share. So what
+is the same on every ridge is taken out before whole pitches are compared, and the best place counts only where it is
+clearly better than every other one. Else the place is unresolved, and only means are compared.
+
+Where the recipe's height map lies in the pictures, and what pictures and map show on the ground that they share.
+
+Pictures and map are reduced to some points a pitch and cut about their middles first, so that the cost is bounded. It
+informs: the verdict compares the means of region and map, which need no place.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import AnisoscopeError, RegistrationError
+from anisoscope.imaging.pose_radiance import Measured
+from anisoscope.imaging.registration.placement import Grid
+from anisoscope.prediction.expectation import Expectation
+from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.recipe.recipe import Recipe
+from anisoscope.record.schema import MapPlaceRecord
+from anisoscope.sim.light.geometry import Convention, Pose, directions
+from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.relief import Relief, radiance_maps
+
+Image = npt.NDArray[np.float32]
+Spectrum = npt.NDArray[np.complex128]
+
+MIN_RATIO = 1.5
+MIN_CORRELATION = 0.2
+MIN_OVERLAP = 0.3
+
+
+@dataclass(frozen=True)
+class MapPlace:
+    """Where the middle of the height map lies in the region.
+
+    Attributes:
+        x_um: across the ridges, from the middle of the region.
+        y_um: along them.
+        phase_um: x_um within ± half a pitch, of the ridges' own pattern; it has no uncertainty, and marks shift it.
+        correlation: of what the map and the pictures share beside the ridges.
+        ratio: correlation by that of the best place elsewhere.
+        resolved: whether the place is clear; else only means and the phase count.
+    """
+
+    x_um: float
+    y_um: float
+    phase_um: float
+    correlation: float
+    ratio: float
+    resolved: bool
+
+    @property
+    def words(self) -> str:
+        """The result in words."""
+        if self.resolved:
+            return (
+                f"the height map lies {self.x_um:+.1f} µm across and {self.y_um:+.1f} µm along the ridges from the "
+                f"middle of the region (correlation {self.correlation:.2f}, {self.ratio:.1f} times the next best place)"
+            )
+        return (
+            f"unresolved: only means are compared; the ridges' phase is about {self.phase_um:+.0f} µm, but which ridge "
+            f"is which cannot be told (correlation {self.correlation:.2f}, {self.ratio:.1f} times the next best place; "
+            f"at least {MIN_CORRELATION:g} and {MIN_RATIO:g} times needed)"
+        )
+
+
+def place_map(
+    aligned: Sequence[Image],
+    grid: Grid,
+    surface: HeightMap,
+    poses: Sequence[Pose],
+    material: Material,
+    convention: Convention,
+    pitch_um: float,
+) -> MapPlace:
+    """Match the height map to the aligned pictures, all poses together.
+
+    Args:
+        aligned: P pictures on the raster, the first row farthest along the ridges.
+        grid: their raster.
+        surface: the height map, levelled, its ridges along y.
+        poses: P poses.
+        material: the plastic.
+        convention: how the angles are counted.
+        pitch_um: pitch of the ridges.
+
+    Raises:
+        RegistrationError: the map holds no whole pitch, or nothing is seen of its ridges.
+    """
+    pixel_um = grid.pixel_mm * 1000.0
+    if min((n - 1) * size for n, size in zip(surface.shape, surface_pixels(surface), strict=True)) < pitch_um:
+        raise RegistrationError(
+            "the height map is smaller than one pitch: it cannot be matched to the pictures"
+        )
+    rendered = render(surface, poses, material, convention, pixel_um, pitch_um)
+    return place_rendered(aligned, rendered, pixel_um, pitch_um)
+
+
+def place_rendered(
+    aligned: Sequence[Image], rendered: Sequence[Image], pixel_um: float, pitch_um: float
+) -> MapPlace:
+    """Match what the poses show of the height map (`render`) to the aligned pictures, both of the same pixels.
+
+    Raises:
+        RegistrationError: nothing is seen of the map's ridges.
+    """
+    pitch = pitch_um / pixel_um
+    phase = _phase(aligned, rendered, pitch)
+    best, second, (across, along) = _features(aligned, rendered, phase, pitch)
+    ratio = best / max(second, 1e-6)
+    x_um, y_um = across * pixel_um, along * pixel_um
+    resolved = best >= MIN_CORRELATION and ratio >= MIN_RATIO
+    phase_um = (x_um + pitch_um / 2.0) % pitch_um - pitch_um / 2.0 if resolved else phase * pixel_um
+    return MapPlace(x_um, y_um, phase_um, best, ratio, resolved)
+
+
+def surface_pixels(surface: HeightMap) -> tuple[float, float]:
+    """Distances of the rows and of the columns of a map in µm."""
+    return surface.pixel_y_um, surface.pixel_x_um
+
+
+def render(
+    surface: HeightMap,
+    poses: Sequence[Pose],
+    material: Material,
+    convention: Convention,
+    pixel_um: float,
+    pitch_um: float | None = None,
+) -> list[Image]:
+    """What each pose shows of the height map, on square pixels, the first row farthest along the ridges.
+
+    Args:
+        surface: the height map.
+        poses: P poses.
+        material: the plastic.
+        convention: how the angles are counted.
+        pixel_um: size of the pixels.
+        pitch_um: after which the surface repeats.
+
+    Returns:
+        P pictures; the map's middle is theirs.
+    """
+    to_light, to_camera = directions(tuple(poses), convention)
+    rows, cols = (
+        max(1, int((size - 1) * pixel / pixel_um))
+        for size, pixel in zip(surface.shape, surface_pixels(surface), strict=True)
+    )
+    found = []
+    for shown in radiance_maps(Relief(surface, pitch_um), to_light, to_camera, material):
+        filled = np.nan_to_num(shown, nan=float(np.nanmean(shown)))
+        steps = (pixel_um / surface.pixel_x_um, pixel_um / surface.pixel_y_um)
+        calm = cv2.GaussianBlur(
+            filled, (0, 0), sigmaX=max(0.29 * steps[0], 1e-3), sigmaY=max(0.29 * steps[1], 1e-3)
+        )
+        column, row = np.meshgrid(np.arange(cols) - (cols - 1) / 2.0, np.arange(rows) - (rows - 1) / 2.0)
+        at_column = column * steps[0] + (filled.shape[1] - 1) / 2.0
+        at_row = (filled.shape[0] - 1) / 2.0 - row * steps[1]  # rows of a map rise with +y
+        seen = cv2.remap(calm, at_column.astype(np.float32), at_row.astype(np.float32), cv2.INTER_LINEAR)
+        found.append(np.asarray(seen, dtype=np.float32))
+    return found
+
+
+def _wave(picture: Image, pitch: float) -> complex:
+    """The ridges' pattern: amplitude and phase of the first harmonic across, counted from the picture's middle."""
+    cols = picture.shape[1]
+    across = np.arange(cols) - (cols - 1) / 2.0
+    whole = int(cols / pitch) * pitch
+    inside = np.abs(across) <= whole / 2.0
+    profile = np.nanmean(picture, axis=0)[inside]
+    profile = profile / profile.mean() - 1.0
+    return complex(np.mean(profile * np.exp(-2j * np.pi * across[inside] / pitch)))
+
+
+def _phase(aligned: Sequence[Image], rendered: Sequence[Image], pitch: float) -> float:
+    """Shift of the map's middle within ± half a pitch, in pixels; all poses weighed by how strong their ridges are."""
+    together = sum(
+        (
+            np.conj(_wave(seen, pitch)) * _wave(drawn, pitch)
+            for seen, drawn in zip(aligned, rendered, strict=True)
+        ),
+        0j,
+    )
+    if abs(together) < 1e-9:
+        raise RegistrationError(
+            "the pictures show nothing of the height map's ridges: the map cannot be matched"
+        )
+    return float(np.angle(together) * pitch / (2.0 * np.pi))
+
+
+def _without_ridges(picture: Image, pitch: float) -> Image:
+    """Ln of a picture without what is the same on every ridge and along it, and without slow changes."""
+    filled = np.nan_to_num(picture, nan=float(np.nanmean(picture)))
+    logs = np.log(np.maximum(filled, 1e-3 * float(filled.mean())))
+    logs -= np.median(logs, axis=0)
+    slow = cv2.GaussianBlur(logs, (0, 0), pitch, borderType=cv2.BORDER_REFLECT)
+    return np.asarray(logs - slow, dtype=np.float32)
+
+
+def _features(
+    aligned: Sequence[Image], rendered: Sequence[Image], phase: float, pitch: float
+) -> tuple[float, float, tuple[float, float]]:
+    """Best correlation of features, the best one elsewhere, and the place of the best (across, along) in pixels."""
+    surface, centre = _correlations(aligned, rendered, pitch)
+    rows, cols = np.indices(surface.shape)
+    across = cols - centre[1]
+    off = (across - phase + pitch / 2.0) % pitch - pitch / 2.0
+    allowed = np.where(np.abs(off) <= max(1.5, 0.1 * pitch), surface, -np.inf)
+    row, col = (int(i) for i in np.unravel_index(allowed.argmax(), surface.shape))
+    elsewhere = np.hypot(rows - row, cols - col) > max(3.0, 0.25 * pitch)
+    second = float(allowed[elsewhere].max(initial=0.0))
+    place = (_top(surface[row], col) - centre[1], centre[0] - _top(surface[:, col], row))
+    return float(surface[row, col]), second, place
+
+
+def _correlations(
+    aligned: Sequence[Image], rendered: Sequence[Image], pitch: float
+) -> tuple[FloatArray, tuple[float, float]]:
+    """Mean normalised correlation for every place of the map, and the (row, col) where both middles coincide.
+
+    Pictures are surrounded by nothing, so that a map may hang over; places with little overlap do not count.
+    """
+    shape, size = aligned[0].shape, rendered[0].shape
+    total, overlap = np.zeros([a + b - 1 for a, b in zip(shape, size, strict=True)]), _Overlap(shape, size)
+    for seen, drawn in zip(aligned, rendered, strict=True):
+        total += overlap.correlations(_without_ridges(seen, pitch), _without_ridges(drawn, pitch))
+    return total / len(aligned), ((shape[0] + size[0]) / 2.0 - 1.0, (shape[1] + size[1]) / 2.0 - 1.0)
+
+
+class _Overlap:
+    """Every place of pictures of one shape over pictures of another one."""
+
+    def __init__(self, seen: tuple[int, ...], drawn: tuple[int, ...]) -> None:
+        self._full = tuple(a + b - 1 for a, b in zip(seen, drawn, strict=True))
+        self._size = tuple(cv2.getOptimalDFTSize(n) for n in self._full)
+        self._ones = self._spectrum(np.ones(seen)), self._spectrum(np.ones(drawn))
+        self._count = np.maximum(np.rint(self._product(*self._ones)), 1.0)
+        self._enough = self._count >= MIN_OVERLAP * min(int(np.prod(seen)), int(np.prod(drawn)))
+
+    def _spectrum(self, picture: FloatArray) -> Spectrum:
+        return np.asarray(np.fft.rfft2(picture, self._size))
+
+    def _product(self, one: Spectrum, two: Spectrum) -> FloatArray:
+        found = np.fft.irfft2(one * two, self._size)
+        return np.asarray(found[: self._full[0], : self._full[1]])
+
+    def correlations(self, seen: Image, drawn: Image) -> FloatArray:
+        """Full normalised cross-correlation of two pictures; 0 where they overlap too little."""
+        a, b = seen.astype(np.float64), drawn[::-1, ::-1].astype(np.float64)
+        of_a, of_b = self._spectrum(a), self._spectrum(b)
+        sum_a, sum_b = self._product(of_a, self._ones[1]), self._product(self._ones[0], of_b)
+        product = self._product(of_a, of_b) - sum_a * sum_b / self._count
+        spread_a = self._product(self._spectrum(a * a), self._ones[1]) - sum_a**2 / self._count
+        spread_b = self._product(self._ones[0], self._spectrum(b * b)) - sum_b**2 / self._count
+        found = product / np.sqrt(np.maximum(spread_a * spread_b, 1e-12))
+        return np.where(self._enough, found, 0.0)
+
+
+def _top(line: FloatArray, at: int) -> float:
+    """Place of a peak between points: the top of a parabola through three of them."""
+    if not 0 < at < len(line) - 1:
+        return float(at)
+    before, top, after = line[at - 1 : at + 2]
+    bend = before - 2.0 * top + after
+    return float(at + (np.clip(0.5 * (before - after) / bend, -0.5, 0.5) if bend < 0.0 else 0.0))
+
+
+POINTS_A_PITCH = 12
+MAX_POINTS = 256
+MAP_POINTS_A_PITCH = 50
+MAX_PITCHES = 12
+
+
+def match_map(
+    recipe: Recipe, expected: Expectation, measured: Measured
+) -> tuple[MapPlaceRecord | None, str | None]:
+    """Where the height map lies, as the record tells it, and a note; None and None where the recipe has no map.
+
+    The tile of a wafer is at no one place: it repeats.
+    """
+    if expected.surface is None or recipe.is_wafer:
+        return None, None
+    try:
+        return _matched(recipe, expected, measured)
+    except AnisoscopeError as problem:
+        return None, f"where the height map lies is not known ({problem}): only means are compared"
+
+
+def _matched(recipe: Recipe, expected: Expectation, measured: Measured) -> tuple[MapPlaceRecord, str | None]:
+    assert expected.surface is not None
+    pitch_um = recipe.surface.pitch_um
+    chosen = [k for k, pose in enumerate(expected.poses) if pose.tilt_deg == expected.poses[0].tilt_deg]
+    pixel_um = measured.grid.pixel_mm * 1000.0
+    factor = max(1, int(pitch_um / pixel_um / POINTS_A_PITCH))
+    pictures = [_reduced(measured.aligned[k], factor) for k in chosen]
+    surface = _reduced_map(expected.surface, pitch_um)
+    sizes = [n * size for n, size in zip(surface.shape, surface_pixels(surface), strict=True)]
+    if min(sizes) < pitch_um + pixel_um * factor:
+        raise RegistrationError("it is smaller than one pitch")
+    rendered = render(
+        surface,
+        [expected.poses[k] for k in chosen],
+        recipe.material.material(),
+        expected.convention,
+        pixel_um * factor,
+        pitch_um,
+    )
+    place = place_rendered(pictures, rendered, pixel_um * factor, pitch_um)
+    record = MapPlaceRecord(
+        x_um=place.x_um if place.resolved else None,
+        y_um=place.y_um if place.resolved else None,
+        phase_um=place.phase_um,
+        correlation=place.correlation,
+        ratio=min(place.ratio, 1e6),
+        resolved=place.resolved,
+        says=place.words,
+    )
+    if not place.resolved:
+        return record, f"height map {place.words}"
+    shared = _shared(pictures, rendered, place, pixel_um * factor, pitch_um)
+    return record.model_copy(update=shared), None
+
+
+def _reduced(picture: Image, factor: int) -> Image:
+    """Means of squares, at most `MAX_POINTS` a side about the middle."""
+    rows, cols = (min(size // factor, MAX_POINTS) for size in picture.shape)
+    top, left = ((size - n * factor) / 2.0 for size, n in zip(picture.shape, (rows, cols), strict=True))
+    # an odd rest would move the middle by half a point
+    shift = np.array([[1.0, 0.0, left], [0.0, 1.0, top]])
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    filled = np.nan_to_num(picture, nan=float(np.nanmean(picture)))
+    cut = cv2.warpAffine(filled, shift, (cols * factor, rows * factor), flags=flags)
+    small = cv2.resize(cut, (cols, rows), interpolation=cv2.INTER_AREA)
+    return np.asarray(small, dtype=np.float32)
+
+
+def _reduced_map(surface: HeightMap, pitch_um: float) -> HeightMap:
+    """The middle of a map, some pitches wide, with some points a pitch."""
+    steps, cuts = [], []
+    for size, pixel in zip(surface.shape, surface_pixels(surface), strict=True):
+        step = max(1, int(pitch_um / MAP_POINTS_A_PITCH / pixel))
+        half = min(size - 1, int(MAX_PITCHES * pitch_um / pixel)) // 2 // step * step
+        middle = (size - 1) // 2
+        steps.append(step)
+        cuts.append(slice(max(middle - half, 0), middle + half + 1, step))
+    return replace(
+        surface,
+        height_um=surface.height_um[cuts[0], cuts[1]],
+        pixel_x_um=surface.pixel_x_um * steps[1],
+        pixel_y_um=surface.pixel_y_um * steps[0],
+    )
+
+
+def _shared(
+    pictures: list[Image], rendered: list[Image], place: MapPlace, pixel_um: float, pitch_um: float
+) -> dict[str, object]:
+    """Means of pictures and map over the ground that they share, whole pitches across."""
+    shape, size = pictures[0].shape, rendered[0].shape
+    offset = (-place.y_um / pixel_um, place.x_um / pixel_um)
+    ranges = []
+    for wide, small, off, whole in zip(shape, size, offset, (1.0, pitch_um / pixel_um), strict=True):
+        low = max(-(wide - 1) / 2.0, off - (small - 1) / 2.0)
+        high = min((wide - 1) / 2.0, off + (small - 1) / 2.0)
+        count = round(int((high - low + 1.0) / whole) * whole)
+        ranges.append((low, max(count, 1)))
+    (top, rows), (left, cols) = ranges
+    seen = [_window(one, top, left, (rows, cols)) for one in pictures]
+    drawn = [_window(one, top - offset[0], left - offset[1], (rows, cols)) for one in rendered]
+    return {
+        "shared_share": rows * cols / float(shape[0] * shape[1]),
+        "measured": tuple(float(one.mean()) for one in seen),
+        "predicted": tuple(float(one.mean()) for one in drawn),
+    }
+
+
+def _window(picture: Image, top: float, left: float, shape: tuple[int, int]) -> Image:
+    """A cut whose corner is given from the picture's middle."""
+    at = (left + (picture.shape[1] - 1) / 2.0, top + (picture.shape[0] - 1) / 2.0)
+    shift = np.array([[1.0, 0.0, at[0]], [0.0, 1.0, at[1]]])
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    cut = cv2.warpAffine(picture, shift, shape[::-1], flags=flags, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(cut, dtype=np.float32)

@@ -1,0 +1,226 @@
+"""From the frames of an inspection to views: one linear picture a pose, and where the part stands in it."""
+
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.base.errors import CalibrationError, MeasurementError, Saturated
+from anisoscope.imaging.exposure_fusion import Exposed, radiance_of
+from anisoscope.imaging.linearisation import Stack, stack
+from anisoscope.imaging.pose_radiance import View, check_light, check_view, for_each
+from anisoscope.imaging.registration.placing import Photograph, place
+from anisoscope.inspection.frames import Shot, Taken
+from anisoscope.inspection.job import Job
+from anisoscope.recipe.recipe import Recipe
+from anisoscope.rig.acquisition.plan import Pose
+from anisoscope.rig.frame import Frame, FrameKind
+from anisoscope.sim.light.geometry import Pose as LightPose
+
+Guide = Callable[[npt.NDArray[np.float32]], npt.NDArray[np.float32]]
+MAX_SATURATED_PICTURE = 0.02
+_EVEN = np.array([0.25, 0.5, 0.25], dtype=np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Views:
+    """The poses in the order of the recipe, and the first of them as seen again: at the end, and on resuming."""
+
+    poses: list[View]
+    at_end: list[View]
+    on_resuming: list[View]
+
+
+def luminance(picture: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    """(rows, cols) a mosaic with its colours evened out, to find markers in: (R + 2 G + B)/4 at every pixel.
+
+    The binomial 3 × 3 weighs all four filters of a mosaic with a quarter each and moves no edge.
+    """
+    return np.asarray(cv2.sepFilter2D(picture, -1, _EVEN, _EVEN, borderType=cv2.BORDER_REFLECT_101))
+
+
+def beside_a_mirror(picture: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    """(rows, cols) a picture in 1/sr where nothing is brighter than a white diffuser, to find printed markers in.
+
+    A mirror may be a thousand times as bright as what is printed beside it.
+    """
+    return np.minimum(picture, np.float32(1.0 / np.pi))
+
+
+def as_photographed(taken: Taken) -> tuple[tuple[str, npt.NDArray[np.float32]], ...]:
+    """The first frame of every pose, raw."""
+    first = {shot.pose: shot for shot in reversed(taken.shots) if shot.frame.kind == "sample"}
+    poses = sorted(first, key=lambda pose: (pose.tilt_deg, pose.stage_deg))
+    tilted = len({pose.tilt_deg for pose in poses}) > 1
+    return tuple(
+        (
+            f"{pose.stage_deg:g}°" + (f", tilt {pose.tilt_deg:g}°" if tilted else ""),
+            first[pose].frame.counts.astype(np.float32),
+        )
+        for pose in poses
+    )
+
+
+def views_of(job: Job, poses: Sequence[LightPose], taken: Taken) -> Views:
+    """All pictures that count, linear, and where the part stands in each.
+
+    Args:
+        job: recipe, rig, calibrations.
+        poses: those that were asked for.
+        taken: the frames.
+
+    Raises:
+        MeasurementError, CameraError: INVALID, with the reason.
+    """
+    groups: dict[tuple[Pose, bool, bool, int], list[Shot]] = defaultdict(list)
+    for shot in taken.shots:
+        if shot.frame.kind == "sample":
+            groups[shot.pose, shot.again, shot.check, shot.run if shot.check else 0].append(shot)
+    plain = {pose: shots for (pose, again, _, _), shots in groups.items() if not again}
+    wanted = [Pose(pose.stage_deg, pose.tilt_deg) for pose in poses]
+    for pose in wanted:
+        if pose not in plain:
+            raise MeasurementError(f"there is no picture at {pose.stage_deg:g}°, tilt {pose.tilt_deg:g}°")
+    first_again = [(check, s) for (pose, again, check, _), s in groups.items() if again and pose == wanted[0]]
+    at_end = [shots for check, shots in first_again if not check]
+    on_resuming = [shots for check, shots in first_again if check]
+    groups_of_shots = [*(plain[pose] for pose in wanted), *at_end, *on_resuming]
+
+    @cache
+    def like(kind: FrameKind, exposure_s: float, gain: float) -> Stack:
+        return _like(kind, exposure_s, gain, taken)
+
+    def photograph(shots: list[Shot]) -> Photograph:
+        return _photograph(job, shots, taken, like)
+
+    settings = {(shot.frame.exposure_s, shot.frame.gain) for shots in groups_of_shots for shot in shots}
+    _ready_before_threads(job, settings, like)
+    seen = place(
+        for_each(photograph, groups_of_shots), job.fixture, job.rig.camera.pixel_um, job.calibrations.axis_px
+    )
+    first_end, first_resumed = len(wanted), len(wanted) + len(at_end)
+    return Views(seen[:first_end], seen[first_end:first_resumed], seen[first_resumed:])
+
+
+def _ready_before_threads(
+    job: Job, settings: set[tuple[float, float]], like: Callable[[FrameKind, float, float], Stack]
+) -> None:
+    """What all poses share is made once, before they are worked on side by side."""
+    tasks: list[Callable[[], object]] = [lambda: job.white.radiance_per_signal]
+    tasks += [lambda one=setting: like("dark", *one).hot for setting in sorted(settings)]  # type: ignore[misc]
+    for_each(lambda task: task(), tasks)
+
+
+def _photograph(
+    job: Job, shots: list[Shot], taken: Taken, like: Callable[[FrameKind, float, float], Stack]
+) -> Photograph:
+    pose, settings = shots[0].pose, dict.fromkeys((s.frame.exposure_s, s.frame.gain) for s in shots)
+    exposed = [
+        _exposed(job, [s.frame for s in shots if (s.frame.exposure_s, s.frame.gain) == one], taken, like)
+        for one in settings
+    ]
+    black = shots[0].frame.black_level
+    image = job.calibrations.masked(radiance_of(exposed, job.white, taken.full_scale, black))
+    check_light(pose.stage_deg, image, job.recipe)
+    share = np.count_nonzero(image.saturated) / image.saturated.size
+    if share > MAX_SATURATED_PICTURE:
+        raise Saturated(
+            f"at {pose.stage_deg:g}° {share:.1%} of the picture are saturated (limit "
+            f"{MAX_SATURATED_PICTURE:.0%}): shorten acquisition.exposure_s in the recipe, or turn the lamp down"
+        )
+    arm_deg = float(np.mean([shot.frame.tilt_deg for shot in shots]))
+    guide = _guide(shots[0].frame, job)
+    return Photograph(pose.stage_deg, pose.tilt_deg, arm_deg, image, guide=guide)
+
+
+def _guide(frame: Frame, job: Job) -> Guide | None:
+    """What markers are searched in, if it is not the picture itself."""
+    steps: list[Guide] = [luminance] if frame.filters != "mono" else []
+    if isinstance(job.recipe, Recipe) and job.recipe.is_wafer:
+        steps.append(beside_a_mirror)
+    if not steps:
+        return None
+
+    def shown(picture: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        for step in steps:
+            picture = step(picture)
+        return picture
+
+    return shown
+
+
+def _exposed(
+    job: Job, frames: list[Frame], taken: Taken, like: Callable[[FrameKind, float, float], Stack]
+) -> Exposed:
+    """The frames of a pose at one exposure, with what is to be taken off them."""
+    raw = stack(frames)
+    dark = like("dark", raw.exposure_s, raw.gain)
+
+    def corrected(sample: Stack) -> Stack:
+        return job.calibrations.corrected(_without_stray(sample, dark, taken, like), dark)
+
+    return Exposed(raw, dark, corrected)
+
+
+def _like(kind: FrameKind, exposure_s: float, gain: float, taken: Taken) -> Stack:
+    """The frames of a kind that were exposed like some others.
+
+    Raises:
+        CalibrationError: there are none.
+    """
+    frames = [shot.frame for shot in taken.shots if shot.frame.kind == kind]
+    alike = [frame for frame in frames if (frame.exposure_s, frame.gain) == (exposure_s, gain)]
+    if not alike:
+        what = "none at all" if not frames else f"only such of {frames[0].exposure_s:g} s"
+        raise CalibrationError(
+            f"the pictures are exposed for {exposure_s:g} s at gain {gain:g}, but of {kind} frames "
+            f"there are {what}: take some exposed alike"
+        )
+    return stack(alike)
+
+
+def _without_stray(
+    sample: Stack, dark: Stack, taken: Taken, like: Callable[[FrameKind, float, float], Stack]
+) -> Stack:
+    """The sample without the light that reaches the camera by other ways, where a light trap shows how much."""
+    if not any(shot.frame.kind == "stray" for shot in taken.shots):
+        return sample
+    stray = like("stray", sample.exposure_s, sample.gain)
+    own = sample.noise**2 + sample.frames * (stray.noise**2 / stray.frames + dark.noise**2 / dark.frames)
+    return replace(sample, mean=sample.mean - (stray.mean - dark.mean), scatter=np.sqrt(own))
+
+
+def most_changed(views: Views, job: Job, mean: Callable[[View], float]) -> tuple[View | None, float]:
+    """The view of the first pose that differs most from the first one, and how much those on resuming differ.
+
+    Args:
+        views: all of them.
+        job: limits of the recipe.
+        mean: brightness of a view in the region.
+    """
+    if not views.on_resuming:
+        return next(iter(views.at_end), None), 0.0
+
+    def checked(view: View) -> float:
+        check_view(view, views.poses[0], job.recipe, job.rig.camera.pixel_um)
+        return mean(view)
+
+    first = checked(views.poses[0])
+    again = [(checked(view) / first - 1.0, view) for view in (*views.on_resuming, *views.at_end)]
+    resumed = max((change for change, _ in again[: len(views.on_resuming)]), key=abs)
+    return max(again, key=lambda found: abs(found[0]))[1], resumed
+
+
+def complaint_on_resuming(change: float, job: Job) -> str | None:
+    """Why the frames before and after an interruption do not belong together, if they do not."""
+    limit = job.recipe.limits.drift
+    if abs(change) <= limit:
+        return None
+    return (
+        f"when the inspection was resumed, the first pose had changed by {change:+.1%} (limit {limit:.1%}): lamp or "
+        "part are not as they were; inspect the part anew"
+    )

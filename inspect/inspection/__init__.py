@@ -1,0 +1,1 @@
+"""One inspection from recipe to record, and many in a row."""

@@ -1,0 +1,117 @@
+"""The part at the first pose of its recipe, where its code is read: photographed, or among frames that exist."""
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from anisoscope.inspection.batch.codes import Code, Kind, one_code, read_codes
+from anisoscope.inspection.batch.scan import Scan
+from anisoscope.inspection.frame_table import Replay
+from anisoscope.kinds.prints.recipe import AnyRecipe, read_any_recipe
+from anisoscope.rig.acquisition.opening import Rig, open_rig
+from anisoscope.rig.acquisition.plan import Plan, Pose
+from anisoscope.rig.acquisition.runner import check_plan
+from anisoscope.rig.frame import Frame
+from anisoscope.rig.framefolder import FrameEntry
+from anisoscope.rig.light import rest
+from anisoscope.rig.rigfile import read_rig
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """How the camera looks for codes: of which kind, and exposed for how long (None: as the recipe says)."""
+
+    kind: Kind = "any"
+    exposure_s: float | None = None
+
+
+def photograph_first_pose(recipe_path: Path, rig_path: Path, exposure_s: float | None = None) -> Frame:
+    """Take one lit picture at the first pose of a recipe; stage and light are safe afterwards.
+
+    Args:
+        recipe_path: recipe file.
+        rig_path: rig file.
+        exposure_s: exposure; None for that of the recipe.
+
+    Raises:
+        RecipeError, RigFileError: one of the files.
+        RigError: hardware.
+    """
+    recipe = read_any_recipe(recipe_path)
+    first = recipe.poses.poses()[0]
+    pose = Pose(first.stage_deg, first.tilt_deg)
+    acquisition = recipe.acquisition
+    plan = Plan((pose,), exposure_s or acquisition.exposure_s, gain=acquisition.gain)
+    with open_rig(read_rig(rig_path)) as rig:
+        check_plan(plan, rig)
+        settings = rig.camera.configure(plan.exposure_s, plan.gain)
+        reached_deg = _go(rig, pose)
+        rig.light.on()
+        counts = rig.camera.grab().copy()
+        rest(rig.light)
+        info = rig.camera.info
+        return Frame(
+            counts=counts,
+            kind="sample",
+            bit_depth=info.bit_depth,
+            black_level=info.black_level,
+            exposure_s=settings.exposure_s,
+            gain=settings.gain,
+            stage_deg=reached_deg,
+            commanded_deg=pose.stage_deg,
+            tilt_deg=pose.tilt_deg,
+            captured_at=datetime.now(UTC).isoformat(timespec="milliseconds"),
+            camera=f"{info.model} {info.serial}",
+            filters=info.filters,
+        )
+
+
+def _go(rig: Rig, pose: Pose) -> float:
+    """Home what was not, and turn to a pose; the inspection approaches it anew, as exactly as it needs."""
+    for axis in rig.axes:
+        if not axis.is_homed:
+            axis.home()
+    if rig.tilt is not None and rig.file.tilt is not None:
+        rig.tilt.move_to(rig.file.tilt.reading_deg(pose.tilt_deg))
+    stage = rig.file.stage
+    return stage.angle_deg(rig.stage.move_to(stage.reading_deg(pose.stage_deg)))
+
+
+def code_on_part(recipe_path: Path, rig_path: Path, look: Look) -> tuple[Code, Frame]:
+    """The only code in a picture at the first pose, and the picture.
+
+    Raises:
+        MeasurementError: there is none that can be read, or there are several.
+        RecipeError, RigFileError, RigError: as for `photograph_first_pose`.
+    """
+    frame = photograph_first_pose(recipe_path, rig_path, look.exposure_s)
+    return one_code(read_codes(frame.grey, look.kind), look.kind, "the picture at the first pose"), frame
+
+
+def scan_of(replay: Replay, recipe: AnyRecipe, kind: Kind) -> Scan:
+    """What the only code in the frames at the first pose says; of several exposures, in the first that shows one.
+
+    Args:
+        replay: frames with their poses.
+        recipe: the recipe, for its first pose.
+        kind: look for this kind only.
+
+    Raises:
+        MeasurementError: no frame shows a code that can be read, or one shows several.
+        RecordError: a frame is damaged.
+        UsageError: a code that calls itself GS1, and is not.
+    """
+    first = recipe.poses.poses()[0]
+    pose = Pose(first.stage_deg, first.tilt_deg)
+    frames = [
+        entry for entry, at in replay.entries if entry.kind == "sample" and at == pose and not entry.again
+    ]
+    exposures: dict[float, FrameEntry] = {}
+    for entry in frames:
+        exposures.setdefault(entry.exposure_s, entry)
+    found: tuple[Code, ...] = ()
+    for entry in exposures.values():
+        found = read_codes(entry.load().grey, kind)
+        if found:
+            break
+    return one_code(found, kind, str(frames[0].path)).scan

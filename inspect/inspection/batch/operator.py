@@ -1,0 +1,88 @@
+"""Who fills the tray: what a batch asks of a person, and what it does where nobody is there."""
+
+import contextlib
+from collections.abc import Iterator
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+from anisoscope.base.progress import Advance, silent
+from anisoscope.inspection.batch.journal import BatchFile, SlotResult
+from anisoscope.inspection.batch.scan import Scan
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What the operator said before a part: go on (with what was scanned, if anything was), skip it, or stop."""
+
+    what: Literal["go on", "skip", "stop"] = "go on"
+    scan: Scan | None = None
+
+
+class Operator(Protocol):
+    """Whom a batch asks."""
+
+    @property
+    def asks(self) -> bool:
+        """Whether anybody answers."""
+        ...
+
+    def place(self, slot: SlotResult, *, again: bool, needs_serial: bool) -> Answer:
+        """Have the part of a slot placed; ``again`` where its inspection was interrupted before."""
+        ...
+
+    def serial_of(self, slot: SlotResult, why: str) -> Scan | None:
+        """The serial number of a part whose code cannot be read, scanned or typed; None where nobody says it."""
+        ...
+
+    def trouble(self, slot: SlotResult, faults: int) -> Literal["again", "go on", "stop"]:
+        """What to do after so many faults in a row."""
+        ...
+
+    def progress(self, batch: BatchFile, number: int) -> AbstractContextManager[Advance]:
+        """Shows how far the part of a slot is."""
+        ...
+
+    def finished(self, batch: BatchFile, number: int) -> None:
+        """A part is done, or failed to be."""
+        ...
+
+
+class Nobody:
+    """For trays that fill themselves: parts are there, and two faults in a row end the batch."""
+
+    @property
+    def asks(self) -> bool:
+        """Nobody answers."""
+        return False
+
+    def place(self, slot: SlotResult, *, again: bool, needs_serial: bool) -> Answer:
+        """The part is there."""
+        del slot, again, needs_serial
+        return Answer()
+
+    def serial_of(self, slot: SlotResult, why: str) -> Scan | None:
+        """Nobody can say it."""
+        del slot, why
+        return None
+
+    def trouble(self, slot: SlotResult, faults: int) -> Literal["again", "go on", "stop"]:
+        """Stop: whatever is broken, nobody mends it."""
+        del slot, faults
+        return "stop"
+
+    @contextlib.contextmanager
+    def progress(self, batch: BatchFile, number: int) -> Iterator[Advance]:
+        """Silent."""
+        del batch, number
+        yield silent
+
+    def finished(self, batch: BatchFile, number: int) -> None:
+        """Silent."""
+
+
+def seconds_left(batch: BatchFile) -> float | None:
+    """How long the rest will take, by the mean of what is done; None before the first part."""
+    took = [one.seconds for one in batch.slots if one.seconds is not None]
+    rest = sum(one.state in {"waiting", "at work"} for one in batch.slots)
+    return sum(took) / len(took) * rest if took else None

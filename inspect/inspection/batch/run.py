@@ -1,0 +1,206 @@
+"""A tray from its first slot to its last: one part's trouble never stops the others, and nothing is done twice."""
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from anisoscope.base.errors import AnisoscopeError, MeasurementError, RecordError, UsageError
+from anisoscope.base.progress import Advance
+from anisoscope.inspection.batch.codes import one_code, read_codes
+from anisoscope.inspection.batch.first_pose import photograph_first_pose
+from anisoscope.inspection.batch.journal import (
+    BatchFile,
+    now,
+    write_batch,
+)
+from anisoscope.inspection.batch.operator import Operator
+from anisoscope.inspection.batch.refusal import refuse_part
+from anisoscope.inspection.batch.scan import Scan, mismatch
+from anisoscope.inspection.batch.slot_folder import unfinished_in
+from anisoscope.inspection.batch.start import (
+    Order,
+    Remember,
+    begin_batch,
+    check_order,
+    done_with,
+    make_folder,
+)
+from anisoscope.inspection.batch.tray import Slot
+from anisoscope.inspection.folder import working_in
+from anisoscope.inspection.run import Inspected, inspect_part, resume_part
+from anisoscope.record.schema import Particulars
+from anisoscope.report.peers import LotMates
+from anisoscope.rig.frame import Frame
+
+FAULTS_IN_A_ROW = 2
+
+
+def run_batch(order: Order, operator: Operator, remember: Remember, *, resume: bool = False) -> BatchFile:
+    """Inspect the parts of a tray, one after the other.
+
+    Args:
+        order: what is to be done.
+        operator: who places the parts.
+        remember: enters a finished inspection into the history; must not raise.
+        resume: go on with a batch that was interrupted: what is done stays, what was begun is finished.
+
+    Returns:
+        What has become of every slot, as ``batch.json`` says it.
+
+    Raises:
+        UsageError: a batch began there already, or another one; or a serial number is missing that nobody can say.
+        RecipeError, RigFileError, HeightMapError, CalibrationError: a file, before anything moves.
+        RecordError: the folder cannot be written, or another process works in it.
+    """
+    check_order(order, operator)
+    make_folder(order.out, resume=resume)
+    with working_in(order.out):
+        batch = begin_batch(order, remember, resume=resume)
+        run = _Run(order, operator, remember, batch)
+        try:
+            run.all_slots()
+        except KeyboardInterrupt as interruption:
+            interruption.add_note(f"the same command with --resume goes on with {order.out}")
+            raise
+        return run.batch
+
+
+@dataclass(frozen=True, eq=False)
+class _Identity:
+    """What is known of the part before it is inspected; ``wrong`` makes it INVALID."""
+
+    serial: str
+    lot: str | None
+    code: str | None = None
+    wrong: str | None = None
+    picture: Frame | None = None
+
+
+class _Run:
+    def __init__(self, order: Order, operator: Operator, remember: Remember, batch: BatchFile) -> None:
+        self.order, self.operator, self.remember, self.batch = order, operator, remember, batch
+        self.faults = 0
+
+    def all_slots(self) -> None:
+        number = 0
+        while number < len(self.batch.slots):
+            if self.batch.slots[number].state == "done":
+                number += 1
+                continue
+            went_on = self._one(number)
+            if went_on == "stop":
+                return
+            number += went_on == "go on"
+
+    def _note(self, number: int, **changes: object) -> None:
+        self.batch = self.batch.with_slot(number, **changes)
+        write_batch(self.batch, self.order.out)
+
+    def _one(self, number: int) -> str:
+        """Inspect the part of a slot; "again", "go on" or "stop" says what follows."""
+        slot, result = self.order.tray.slots[number], self.batch.slots[number]
+        unfinished = unfinished_in(self.order.out / slot.label)
+        needs_serial = slot.serial is None and self.order.look is None
+        answer = self.operator.place(result, again=unfinished is not None, needs_serial=needs_serial)
+        if answer.what != "go on":
+            if answer.what == "skip":
+                self._note(number, state="skipped", finished_at=now())
+                self.faults = 0
+                self.operator.finished(self.batch, number)
+            return "stop" if answer.what == "stop" else "go on"
+        self._note(number, state="at work", reason=None, exit_code=None)
+        begun = time.monotonic()
+        try:
+            with self.operator.progress(self.batch, number) as advance:
+                code = self._inspect(number, slot, answer.scan, unfinished, advance)
+        except AnisoscopeError as error:
+            return self._fault(number, error)
+        self.faults = 0
+        self._note(number, code=code, seconds=round(time.monotonic() - begun, 1))
+        self.operator.finished(self.batch, number)
+        return "go on"
+
+    def _fault(self, number: int, error: AnisoscopeError) -> str:
+        left = unfinished_in(self.order.out / self.batch.slots[number].slot)
+        self._note(
+            number,
+            state="fault",
+            reason=" ".join(str(error).split()),
+            exit_code=error.exit_code,
+            folder=None if left is None else left.relative_to(self.order.out.resolve()).as_posix(),
+            finished_at=now(),
+        )
+        self.faults += 1
+        self.operator.finished(self.batch, number)
+        if self.faults < FAULTS_IN_A_ROW:
+            return "go on"
+        return self.operator.trouble(self.batch.slots[number], self.faults)
+
+    def _inspect(
+        self, number: int, slot: Slot, scan: Scan | None, unfinished: Path | None, advance: Advance
+    ) -> str | None:
+        """Inspect, and note the verdict; returns what the code on the part says."""
+        order = self.order
+        home = order.out / slot.label
+        recipe, rig = order.files(slot)
+        part = self._identify(number, slot, scan, advance)
+        who = Particulars(operator=order.operator, station=order.station, lot=part.lot, cavity=slot.cavity)
+        if part.wrong is not None:
+            inspected = refuse_part(
+                recipe, rig, part.serial, home, part.wrong, advance, particulars=who, picture=part.picture
+            )
+        else:
+            inspected = _resumed(unfinished, order.lot_mates, advance) or inspect_part(
+                recipe,
+                rig,
+                part.serial,
+                home,
+                advance,
+                particulars=who,
+                lot_mates=order.lot_mates(part.lot),
+            )
+        self._note(number, **done_with(inspected, order.out))
+        self.remember(inspected)
+        return part.code
+
+    def _identify(self, number: int, slot: Slot, scan: Scan | None, advance: Advance) -> _Identity:
+        """Who the part is, by the list, by what was scanned, and by its code."""
+        picture, trouble = None, None
+        if scan is None and self.order.look is not None:
+            advance("reading its code", 0, 1)
+            recipe, rig = self.order.files(slot)
+            picture = photograph_first_pose(recipe, rig, self.order.look.exposure_s)
+            try:
+                kind = self.order.look.kind
+                scan = one_code(read_codes(picture.grey, kind), kind, "the picture at the first pose").scan
+            except (MeasurementError, UsageError) as error:
+                trouble = str(error)
+        if scan is None and (trouble is not None or slot.serial is None):
+            scan = self.operator.serial_of(self.batch.slots[number], trouble or "it has no serial number yet")
+        serial = slot.serial or (scan.serial if scan is not None else None) or f"unread-{slot.label}"
+        if scan is None:
+            wrong = (
+                None
+                if trouble is None and slot.serial
+                else f"slot {slot.label}: {trouble or 'no serial number'}"
+            )
+            return _Identity(serial, slot.lot, wrong=wrong, picture=picture)
+        wrong = mismatch(f"slot {slot.label}", slot.serial, slot.lot, scan) or self._twice(number, serial)
+        return _Identity(serial, slot.lot or scan.lot, scan.text, wrong, picture)
+
+    def _twice(self, number: int, serial: str) -> str | None:
+        """Two slots cannot hold the same part."""
+        others = [one for at, one in enumerate(self.batch.slots) if at != number and one.serial == serial]
+        if not others:
+            return None
+        return f"slot {self.batch.slots[number].slot}: its code reads {serial}, which slot {others[0].slot} holds"
+
+
+def _resumed(unfinished: Path | None, lot_mates: LotMates, advance: Advance) -> Inspected | None:
+    """Go on with an inspection; None where there is none, or its folder was damaged and the part is taken anew."""
+    if unfinished is None:
+        return None
+    try:
+        return resume_part(unfinished, advance, lot_mates=lot_mates)
+    except RecordError:
+        return None

@@ -1,0 +1,188 @@
+"""The tray list: which part lies in which slot, as a CSV file says it."""
+
+import csv
+import difflib
+import hashlib
+import io
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from anisoscope.base.csv_table import read_text
+from anisoscope.base.errors import UsageError
+from anisoscope.inspection.job import check_serial
+
+COLUMNS = ("slot", "serial", "lot", "cavity", "recipe", "rig")
+NEEDED = ("slot", "serial")
+SLOT = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,31}")
+MAX_TEXT = 64
+_SEPARATORS = ",;\t"
+
+
+@dataclass(frozen=True)
+class Slot:
+    """A line of the tray list.
+
+    Attributes:
+        label: name of the slot; no two are alike, whether in capitals or not.
+        serial: serial number of the part; None where its code will say it.
+        lot, cavity: as far as the list says them.
+        recipe, rig: files for this part only, or None.
+        line: number of the line in the file.
+    """
+
+    label: str
+    serial: str | None
+    lot: str | None = None
+    cavity: str | None = None
+    recipe: Path | None = None
+    rig: Path | None = None
+    line: int = 0
+
+
+@dataclass(frozen=True)
+class Tray:
+    """A tray list.
+
+    Attributes:
+        path: the file.
+        sha256: of the file.
+        slots: in the order of the file.
+        notes: what was passed over in reading, one line each.
+    """
+
+    path: Path
+    sha256: str
+    slots: tuple[Slot, ...]
+    notes: tuple[str, ...] = ()
+
+
+def read_tray(path: Path) -> Tray:
+    """Read a tray list.
+
+    Args:
+        path: CSV in UTF-8, with or without a byte order mark, separated by commas, semicolons or tabs; the header
+            names ``slot`` and ``serial`` and, if wanted, ``lot``, ``cavity``, ``recipe`` and ``rig``, in any order.
+
+    Raises:
+        UsageError: the file cannot be used; line and column are named.
+    """
+    text = read_text(path)
+    reader = csv.reader(
+        io.StringIO(text, newline=""), delimiter=_separator(text), strict=True, skipinitialspace=True
+    )
+    try:
+        read = [(reader.line_num, fields) for fields in reader]
+    except csv.Error as error:
+        raise UsageError(f"{path}, line {reader.line_num}: {error}") from error
+    lines = [
+        (number, fields)
+        for number, fields in read
+        if any(field.strip() for field in fields) and not _is_hint(fields, number)
+    ]
+    if not lines:
+        raise UsageError(f"{path}, line 1: the file is empty; its header must name {' and '.join(NEEDED)}")
+    columns = _columns(lines[0][1], f"{path}, line {lines[0][0]}")
+    slots = tuple(_slot(fields, columns, path, number) for number, fields in lines[1:])
+    if not slots:
+        raise UsageError(f"{path}, line {lines[0][0]}: no slots follow the header")
+    _refuse_doubles(slots, path)
+    extra = [name for name in columns if name not in COLUMNS]
+    notes = (f"{path}: columns passed over: {', '.join(extra)}",) if extra else ()
+    return Tray(path, hashlib.sha256(text.encode()).hexdigest(), slots, notes)
+
+
+def _separator(text: str) -> str:
+    """The one that the header uses most; spreadsheets may say it in a first line ``sep=;``."""
+    first = next((line for line in text.splitlines() if line.strip()), "")
+    return max(_SEPARATORS, key=first.count)
+
+
+def _is_hint(fields: list[str], number: int) -> bool:
+    return number == 1 and fields[0].strip().lower().startswith("sep=")
+
+
+def _columns(fields: list[str], place: str) -> tuple[str, ...]:
+    columns = tuple(field.strip().lower() for field in fields)
+    for name in NEEDED:
+        if name not in columns:
+            close = difflib.get_close_matches(name, [c for c in columns if c not in COLUMNS], n=1)
+            hint = f"is {close[0]!r} meant?" if close else f"it may have {', '.join(COLUMNS)}"
+            raise UsageError(f"{place}: the header has no column {name}; {hint}")
+    for name in columns:
+        if name and columns.count(name) > 1:
+            raise UsageError(f"{place}: the column {name} stands twice")
+    return columns
+
+
+def _slot(fields: list[str], columns: tuple[str, ...], path: Path, number: int) -> Slot:
+    place = f"{path}, line {number}"
+    if len(fields) != len(columns):
+        raise UsageError(f"{place}: {len(columns)} values expected, {len(fields)} found")
+    texts = {
+        name: _clean(text, f"{place}, column {name}")
+        for name, text in zip(columns, fields, strict=True)
+        if name in COLUMNS
+    }
+    label = texts["slot"]
+    if not SLOT.fullmatch(label):
+        raise UsageError(
+            f"{place}, column slot: {label!r} cannot name a slot: 1 to 32 letters, digits or . _ -, "
+            "beginning with a letter or a digit"
+        )
+    serial = texts["serial"] or None
+    if serial is not None:
+        try:
+            check_serial(serial)
+        except UsageError as error:
+            raise UsageError(f"{place}, column serial: {error}") from None
+    return Slot(
+        label=label,
+        serial=serial,
+        lot=texts.get("lot") or None,
+        cavity=texts.get("cavity") or None,
+        recipe=_file(texts, "recipe", path, place),
+        rig=_file(texts, "rig", path, place),
+        line=number,
+    )
+
+
+def _clean(text: str, place: str) -> str:
+    """Text without blanks around it, all of which can be printed.
+
+    Raises:
+        UsageError: it is too long, or holds what cannot be seen.
+    """
+    found = text.strip()
+    if not found.isprintable():
+        bad = next(sign for sign in found if not sign.isprintable())
+        raise UsageError(f"{place}: {found[:MAX_TEXT]!r} holds a sign that cannot be seen (U+{ord(bad):04X})")
+    if len(found) > MAX_TEXT and not place.endswith(("recipe", "rig")):
+        raise UsageError(f"{place}: longer than {MAX_TEXT} signs: {found[:24]!r}…")
+    return found
+
+
+def _file(texts: Mapping[str, str], column: str, path: Path, place: str) -> Path | None:
+    """A file named relative to the list."""
+    if not texts.get(column):
+        return None
+    found = path.parent / texts[column]
+    if not found.is_file():
+        raise UsageError(f"{place}, column {column}: there is no file {found}")
+    return found
+
+
+def _refuse_doubles(slots: tuple[Slot, ...], path: Path) -> None:
+    """Two folders may not share a name where the system does not tell capitals from small letters."""
+    seen: dict[tuple[str, str], Slot] = {}
+    for slot in slots:
+        names = {"slot": slot.label.casefold(), "serial": slot.serial}
+        for column, name in names.items():
+            first = slot if name is None else seen.setdefault((column, name), slot)
+            if first is not slot:
+                shown = slot.label if column == "slot" else slot.serial
+                raise UsageError(
+                    f"{path}, line {slot.line}, column {column}: {shown} stands already in line {first.line}; every "
+                    f"{column} stands once"
+                )

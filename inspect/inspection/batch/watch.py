@@ -1,0 +1,424 @@
+"""Watch a folder: inspect every folder of frames that arrives in it, once, whatever happens in between."""
+
+import contextlib
+import json
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal, Protocol
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from anisoscope.base.errors import AnisoscopeError, RecordError, UsageError
+from anisoscope.base.progress import Advance, silent
+from anisoscope.inspection.batch.arrivals import (
+    Arrival,
+    Mark,
+    Signature,
+    arrivals,
+    frames_key,
+    missing_file,
+    signature_of,
+    whole_key,
+    whose,
+)
+from anisoscope.inspection.batch.codes import Kind
+from anisoscope.inspection.batch.first_pose import scan_of
+from anisoscope.inspection.batch.slot_folder import clear_copies, inspected_in
+from anisoscope.inspection.folder import working_in
+from anisoscope.inspection.frame_table import arrange
+from anisoscope.inspection.replay import inspect_frames
+from anisoscope.inspection.run import Inspected
+from anisoscope.kinds.prints.recipe import AnyRecipe, read_any_recipe
+from anisoscope.record.schema import RECORD_NAME, Particulars
+from anisoscope.report.peers import LotMates, no_lot_mates
+from anisoscope.rig.acquisition.writer import FRAMES
+from anisoscope.rig.framefolder import read_frame_folder
+from anisoscope.rig.rigfile import read_replay_rig
+
+Remember = Callable[[Inspected], None]
+
+
+class Listener(Protocol):
+    """Who is told what happens."""
+
+    def inspected(self, name: str, inspected: Inspected) -> None:
+        """The frames of a folder were judged."""
+        ...
+
+    def same(self, name: str, other: str) -> None:
+        """A folder holds frames that were inspected already, in another one."""
+        ...
+
+    def bad(self, name: str, reason: str) -> None:
+        """A folder cannot be inspected as it is."""
+        ...
+
+    def progress(self, name: str) -> contextlib.AbstractContextManager[Advance]:
+        """Shows how far the inspection of a folder is."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Watched:
+    """What is watched, and how.
+
+    Attributes:
+        root: the folder in which folders of frames arrive.
+        out: where inspections and the journal go; every folder of frames gets a folder of its name there.
+        recipe: recipe file.
+        rig: rig file, or None for ``rig.toml`` in every folder.
+        reflectance: of the white tile in flat frames.
+        settle_s: how long a folder must have kept still.
+        poll_s: pause between looks.
+        code_kind: kind of code that every part bears, which says who it is; None where codes are not read.
+        lot_mates: who was inspected before of a lot, for the reports; must not raise.
+    """
+
+    root: Path
+    out: Path
+    recipe: Path
+    rig: Path | None = None
+    reflectance: float = 0.99
+    settle_s: float = 2.0
+    poll_s: float = 1.0
+    code_kind: Kind | None = None
+    lot_mates: LotMates = no_lot_mates
+
+
+@dataclass(frozen=True)
+class Bad:
+    """A folder that cannot be inspected as it is; ``retry_at`` where the reason may lie elsewhere."""
+
+    signature: Signature
+    reason: str
+    retry_at: float | None = None
+
+
+@contextlib.contextmanager
+def silence(name: str) -> Iterator[Advance]:
+    """Progress that nobody sees."""
+    del name
+    yield silent
+
+
+WATCH_NAME = "watch.jsonl"
+
+
+class Line(BaseModel):
+    """A line of the journal.
+
+    Attributes:
+        line: "begin" before an inspection; "done" after it; "same" for frames that were inspected already.
+        folder: the folder of frames, absolute.
+        key: its content; frames: that of its table and pictures alone.
+        mark: of its table when it was looked at; None where it changed meanwhile.
+        inspection: the inspection folder, relative to the journal.
+        verdict: of the inspection.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    line: Literal["begin", "done", "same"]
+    folder: str
+    key: str
+    frames: str | None = None
+    mark: Mark | None = None
+    inspection: str | None = None
+    verdict: str | None = None
+
+
+class WatchJournal:
+    """The journal, read once and then only added to; every line is on disk before anything else happens.
+
+    Raises:
+        RecordError: it cannot be read or written, or a line in the middle is damaged.
+    """
+
+    def __init__(self, out: Path) -> None:
+        self.path = out / WATCH_NAME
+        self.marks: dict[str, Mark | None] = {}
+        self.by_key: dict[str, Line] = {}
+        self.inspections: set[str] = set()
+        self.open: Line | None = None
+        for line in self._read():
+            self._take(line)
+
+    def _read(self) -> list[Line]:
+        try:
+            data = self.path.read_bytes() if self.path.exists() else b""
+        except OSError as error:
+            raise RecordError(f"cannot read {self.path}: {error.strerror}") from error
+        whole, _, torn = data.rpartition(b"\n")
+        if torn:  # the program died while it wrote this line, so that nothing had followed from it
+            self._cut(len(data) - len(torn))
+        lines = []
+        for number, text in enumerate(whole.splitlines(), start=1):
+            try:
+                lines.append(Line.model_validate_json(text))
+            except ValidationError as error:
+                raise RecordError(
+                    f"{self.path}, line {number} is damaged: {str(error).splitlines()[0]}"
+                ) from error
+        return lines
+
+    def _cut(self, size: int) -> None:
+        try:
+            with self.path.open("r+b") as stream:
+                stream.truncate(size)
+        except OSError as error:
+            raise RecordError(f"cannot write {self.path}: {error.strerror}") from error
+
+    def _take(self, line: Line) -> None:
+        if line.line == "begin":
+            self.open = line
+            return
+        self.open = None
+        self.marks[line.folder] = line.mark
+        self.by_key.setdefault(line.key, line)
+        if line.line == "done" and line.inspection is not None:
+            self.by_key[line.key] = line
+            self.inspections.add(line.inspection)
+
+    def add(self, line: Line) -> None:
+        """Add a line; it is safe on disk when this returns.
+
+        Raises:
+            RecordError: it cannot be written.
+        """
+        text = json.dumps(line.model_dump(mode="json", exclude_none=True)) + "\n"
+        try:
+            with self.path.open("ab") as stream:
+                stream.write(text.encode())
+                stream.flush()
+                os.fsync(stream.fileno())
+        except OSError as error:
+            raise RecordError(f"cannot write {self.path}: {error.strerror}") from error
+        self._take(line)
+
+    def knows(self, arrival: Arrival) -> bool:
+        """Whether a folder was inspected, and its table has not changed since."""
+        return self.marks.get(arrival.folder) == arrival.mark
+
+
+RETRY_S = 60.0
+LEISURE = 4.0
+"""A pause is at least so many times as long as the look before, however many old folders there are."""
+
+
+@dataclass(eq=False)
+class Watch:
+    """What was seen since the watch began.
+
+    Attributes:
+        verdicts: of the inspections, in their order.
+        bad: folders that cannot be inspected as they are, by name.
+        arriving: folders that were still changing when they were looked at last, by name.
+    """
+
+    watched: Watched
+    listener: Listener
+    remember: Remember
+    verdicts: list[str] = field(default_factory=list)
+    bad: dict[str, Bad] = field(default_factory=dict)
+    arriving: dict[str, tuple[Signature, float]] = field(default_factory=dict)
+    _told: dict[str, str] = field(default_factory=dict)
+    _recipe: AnyRecipe = field(init=False)
+    _journal: WatchJournal = field(init=False)
+
+    @contextlib.contextmanager
+    def open(self) -> Iterator[None]:
+        """Take the folder of the inspections, and finish what a killed program began.
+
+        Raises:
+            UsageError, RecipeError, RigFileError: something that concerns all folders.
+            RecordError: a folder cannot be used, or another process works there.
+        """
+        watched = self.watched
+        if not watched.root.is_dir():
+            raise UsageError(f"{watched.root}: there is no such folder to watch")
+        self._recipe = read_any_recipe(watched.recipe)
+        if watched.rig is not None:
+            read_replay_rig(watched.rig)
+        try:
+            watched.out.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise RecordError(f"cannot make the folder {watched.out}: {error.strerror}") from error
+        with working_in(watched.out):
+            self._journal = WatchJournal(watched.out)
+            self._recover()
+            yield
+
+    def run(self, stop: threading.Event) -> None:
+        """Look and inspect until somebody says stop; the inspection at work then is finished first.
+
+        Raises:
+            RecordError: the watched folder or the journal cannot be used any more.
+        """
+        while not stop.is_set():
+            begun = time.monotonic()
+            self.look(stop)
+            stop.wait(max(self.watched.poll_s, LEISURE * (time.monotonic() - begun)))
+
+    def run_once(self, stop: threading.Event) -> None:
+        """Inspect what is there and at rest, and nothing that arrives later.
+
+        Raises:
+            RecordError: the watched folder or the journal cannot be used.
+        """
+        self.look(stop)
+        if self.arriving and not stop.wait(self.watched.settle_s):
+            self.look(stop)
+
+    def look(self, stop: threading.Event) -> None:
+        """Look once: inspect what has come to rest, note what has not.
+
+        Raises:
+            RecordError: as for `run`.
+        """
+        seen = set()
+        for arrival in arrivals(self.watched.root, self.watched.out):
+            seen.add(arrival.name)
+            if stop.is_set():
+                return
+            if self._journal.knows(arrival):
+                self.arriving.pop(arrival.name, None)
+                self.bad.pop(arrival.name, None)
+                continue
+            signature = signature_of(arrival.path)
+            if not self._is_due(arrival.name, signature):
+                continue
+            if self._at_rest(arrival.name, signature):
+                self._take(arrival, signature)
+        for names in (self.arriving, self.bad):
+            for name in names.keys() - seen:
+                del names[name]
+
+    def _is_due(self, name: str, signature: Signature) -> bool:
+        bad = self.bad.get(name)
+        if bad is None or bad.signature != signature:
+            self.bad.pop(name, None)
+            return True
+        return bad.retry_at is not None and time.monotonic() >= bad.retry_at
+
+    def _at_rest(self, name: str, signature: Signature) -> bool:
+        before, since = self.arriving.get(name, (None, 0.0))
+        if before != signature:
+            since = time.monotonic()
+            self.arriving[name] = (signature, since)
+        return time.monotonic() - since >= self.watched.settle_s
+
+    def _take(self, arrival: Arrival, signature: Signature) -> None:
+        """Inspect a folder that is at rest, or say why it cannot be."""
+        del self.arriving[arrival.name]
+        name = missing_file(signature)
+        try:
+            if name is not None:
+                raise RecordError(f"the table names {name}, which is not there yet")
+            who = self._whose(arrival.path)
+            frames = frames_key(arrival.path)
+        except AnisoscopeError as error:
+            self._complain(arrival.name, signature, str(error), incomplete=name is not None)
+            return
+        key = whole_key(arrival.path, frames)
+        known = self._journal.by_key.get(key)
+        if known is not None:
+            self._journal.add(Line(line="same", folder=arrival.folder, key=key, mark=arrival.mark))
+            if known.folder != arrival.folder:
+                self.listener.same(arrival.name, Path(known.folder).name)
+            return
+        try:
+            self._inspect(arrival, who, key, frames)
+        except AnisoscopeError as error:
+            retry = time.monotonic() + RETRY_S if isinstance(error, RecordError) else None
+            self._complain(arrival.name, signature, str(error), retry_at=retry)
+
+    def _complain(
+        self,
+        name: str,
+        signature: Signature,
+        reason: str,
+        *,
+        incomplete: bool = False,
+        retry_at: float | None = None,
+    ) -> None:
+        """Note why a folder is bad, and say so once; which file is missing may change while it arrives."""
+        said = " ".join(reason.split())
+        self.bad[name] = Bad(signature, said, retry_at)
+        what = "incomplete" if incomplete else said
+        if self._told.get(name) != what:
+            self._told[name] = what
+            self.listener.bad(name, said)
+
+    def _whose(self, folder: Path) -> tuple[str, Particulars]:
+        """Whose frames these are, by files and, if wanted, by the code on the part; the frames are checked as well.
+
+        Raises:
+            ConfigError, UsageError, RecordError, MeasurementError: the folder cannot be inspected as it is.
+        """
+        kind = self.watched.code_kind
+        if kind is None:
+            whose(folder)  # quickly said, before pictures are read
+        replay = arrange(read_frame_folder(folder), self._recipe)
+        return whose(folder, None if kind is None else scan_of(replay, self._recipe, kind))
+
+    def _inspect(self, arrival: Arrival, part: tuple[str, Particulars], key: str, frames: str) -> None:
+        watched, (serial, who) = self.watched, part
+        home = watched.out / arrival.name
+        clear_copies(home)
+        self._journal.add(Line(line="begin", folder=arrival.folder, key=key, frames=frames))
+        with self.listener.progress(arrival.name) as advance:
+            inspected = inspect_frames(
+                arrival.path,
+                watched.recipe,
+                serial,
+                home,
+                advance,
+                rig_path=watched.rig,
+                reflectance=watched.reflectance,
+                particulars=who,
+                lot_mates=watched.lot_mates(who.lot),
+            )
+        copied = frames_key(inspected.folder / FRAMES)
+        if copied == frames:
+            self._done(arrival.path, key, inspected, arrival)
+        else:  # it changed before it was copied, and will be looked at again
+            self._done(arrival.path, whole_key(arrival.path, copied), inspected, None)
+        self._told.pop(arrival.name, None)
+        self.listener.inspected(arrival.name, inspected)
+
+    def _done(self, folder: Path, key: str, inspected: Inspected, arrival: Arrival | None) -> None:
+        """Into the history first: of what is only there, the journal learns by :meth:`_recover`."""
+        self.remember(inspected)
+        self._journal.add(
+            Line(
+                line="done",
+                folder=str(folder),
+                key=key,
+                mark=None if arrival is None else arrival.mark,
+                inspection=self._relative(inspected.folder),
+                verdict=inspected.record.verdict,
+            )
+        )
+        self.verdicts.append(inspected.record.verdict)
+
+    def _relative(self, folder: Path) -> str:
+        return folder.resolve().relative_to(self.watched.out.resolve()).as_posix()
+
+    def _recover(self) -> None:
+        """An inspection that had begun when the program died: finished ones count, others begin anew."""
+        begun = self._journal.open
+        if begun is None:
+            return
+        source = Path(begun.folder)
+        home = self.watched.out / source.name
+        for folder in sorted(home.iterdir()) if home.is_dir() else ():
+            finished = (folder / RECORD_NAME).exists() and self._relative(
+                folder
+            ) not in self._journal.inspections
+            if finished and frames_key(folder / FRAMES) == begun.frames:
+                self._done(source, begun.key, inspected_in(folder.resolve()), None)
+        clear_copies(home)

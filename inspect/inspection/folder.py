@@ -1,0 +1,139 @@
+"""The folder of an inspection: its name, who works in it, and what is left when nothing came of it."""
+
+import contextlib
+import os
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+
+from anisoscope.base.errors import RecordError
+from anisoscope.record.schema import RECORD_NAME
+from anisoscope.rig.acquisition.interruptions import undisturbed
+from anisoscope.rig.acquisition.journal import JOURNAL, read_journal
+from anisoscope.rig.acquisition.writer import FRAMES
+
+JOB = "job.json"
+INPUTS = "inputs"
+
+
+def make_folder(out: Path, serial: str) -> Path:
+    """A new folder ``<serial>-<UTC time>`` below ``out``.
+
+    Raises:
+        RecordError: it cannot be made.
+    """
+    stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
+    base = f"{serial.replace(' ', '_').replace('#', '')}-{stamp}"
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        for number in range(1000):
+            folder = out / (base if number == 0 else f"{base}-{number}")
+            try:
+                folder.mkdir()
+            except FileExistsError:
+                continue
+            return folder.resolve()
+    except OSError as error:
+        raise RecordError(f"cannot make an inspection folder in {out}: {error.strerror}") from error
+    raise RecordError(f"{out} already holds a thousand inspections named {base}")
+
+
+@contextlib.contextmanager
+def new_folder(out: Path, serial: str) -> Iterator[Path]:
+    """Work in a new folder; leaving by an error removes it if it holds no frame, else the error says how to go on.
+
+    Raises:
+        RecordError: it cannot be made.
+    """
+    with contextlib.ExitStack() as stack:
+        folder: Path | None = None
+        try:
+            with undisturbed():  # an interruption must find somebody who knows of the folder
+                folder = make_folder(out, serial)
+            stack.enter_context(working_in(folder))
+            yield folder
+        except BaseException as error:
+            if folder is not None and not _has_frames(folder):
+                _remove(folder)
+            elif folder is not None:
+                tell_to_resume(folder, error)
+            raise
+
+
+def tell_to_resume(folder: Path, error: BaseException) -> None:
+    """Note on an error how the inspection goes on, unless it is finished."""
+    if not (folder / RECORD_NAME).exists():
+        error.add_note(f"`anisoscope resume {folder}` goes on from here")
+
+
+@contextlib.contextmanager
+def working_in(folder: Path) -> Iterator[None]:
+    """Be the only one that works in an inspection folder.
+
+    The lock dies with its process; where the system has no such locks, there is none.
+
+    Raises:
+        RecordError: somebody else works in it, or there is no such folder.
+    """
+    try:
+        import fcntl  # noqa: PLC0415 - POSIX only
+    except ImportError:
+        yield
+        return
+    try:
+        descriptor = os.open(folder, os.O_RDONLY)
+    except OSError as error:
+        raise RecordError(f"{folder}: cannot be opened: {error.strerror}") from error
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise RecordError(f"{folder}: another process is at work on this inspection") from None
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def _has_frames(folder: Path) -> bool:
+    try:
+        return bool(read_journal(folder).frames)
+    except RecordError:
+        return True
+
+
+def _remove(folder: Path) -> None:
+    """Remove what an inspection without frames has made, and nothing else."""
+    ours = [folder / JOB, folder / JOURNAL, *(folder / INPUTS).glob("*"), *(folder / FRAMES).glob(".frame-*")]
+    for path in ours:
+        with contextlib.suppress(OSError):
+            path.unlink(missing_ok=True)
+    for path in (folder / INPUTS, folder / FRAMES, folder):
+        with contextlib.suppress(OSError):
+            path.rmdir()
+
+
+def sweep(folder: Path) -> None:
+    """Remove what a killed program left half done: pictures that are not in the journal, partial files."""
+    named = {line.name for line in read_journal(folder).frames}
+    left = [
+        path for path in (folder / FRAMES).glob("[0-9][0-9][0-9]*_*.tif") if _name(path, folder) not in named
+    ]
+    left += [*(folder / FRAMES).glob(".frame-*"), *folder.glob(".*.partial"), *folder.glob("*/.*.partial")]
+    for path in left:
+        with contextlib.suppress(OSError):
+            path.unlink()
+
+
+def files_in(folder: Path) -> set[str]:
+    """Names of all files in a folder and below, relative to it, with forward slashes.
+
+    Raises:
+        RecordError: there is no such folder.
+    """
+    if not folder.is_dir():
+        raise RecordError(f"{folder}: there is no such folder")
+    return {_name(path, folder) for path in folder.rglob("*") if not path.is_dir() or path.is_symlink()}
+
+
+def _name(path: Path, folder: Path) -> str:
+    return path.relative_to(folder).as_posix()

@@ -1,0 +1,104 @@
+"""Is a folder what it was? Hash everything again, and name what is not."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from anisoscope.base.errors import RecordError
+from anisoscope.inspection.folder import JOB, files_in
+from anisoscope.inspection.manifest import read_job_file
+from anisoscope.record.schema import RECORD_NAME, InputFile, read_record, sha256_of
+from anisoscope.report.inspection_page import REPORT_NAME
+from anisoscope.rig.acquisition.journal import JOURNAL, read_journal
+
+
+@dataclass(frozen=True)
+class Verified:
+    """What became of the files of an inspection folder; names relative to it.
+
+    Attributes:
+        finished: whether there is a record.
+        files: how many files were compared.
+        changed: those whose content is not what it was.
+        missing: those that are gone.
+        additional: those that the inspection did not make.
+    """
+
+    finished: bool
+    files: int
+    changed: tuple[str, ...]
+    missing: tuple[str, ...]
+    additional: tuple[str, ...]
+
+    @property
+    def intact(self) -> bool:
+        """Whether everything is as it was."""
+        return not (self.changed or self.missing or self.additional)
+
+
+def verify(folder: Path) -> Verified:
+    """Hash every file of an inspection folder again.
+
+    A finished inspection is compared with its record, which carries a seal over itself; an unfinished one with
+    ``job.json`` and the journal of its frames.
+
+    Raises:
+        RecordError: this is no inspection folder.
+    """
+    there = files_in(folder)
+    if not there & {RECORD_NAME, JOB}:
+        raise RecordError(f"{folder}: is no inspection folder: it holds neither {RECORD_NAME} nor {JOB}")
+    record, changed = None, []
+    if RECORD_NAME in there:
+        try:
+            record = read_record(folder)
+        except RecordError:
+            changed.append(RECORD_NAME)
+    if record is not None and not record.files:
+        raise RecordError(f"{folder}: its record is of an earlier version, which listed no files")
+    known, damaged = _begun(folder) if record is None else (list(record.files), [])
+    expected = {file.name: file.sha256 for file in known}
+    changed += damaged
+    changed += [name for name in expected.keys() & there if _hash(folder / name) != expected[name]]
+    own = {RECORD_NAME} if record is not None else {RECORD_NAME, JOB, JOURNAL, REPORT_NAME}
+    return Verified(
+        RECORD_NAME in there,
+        len(expected) + 1,
+        tuple(sorted(set(changed))),
+        tuple(sorted(expected.keys() - there)),
+        tuple(sorted(there - expected.keys() - own)),
+    )
+
+
+def _begun(folder: Path) -> tuple[list[InputFile], list[str]]:
+    """What an inspection without a record knows of its files, and which of its own files are damaged."""
+    found: list[InputFile] = []
+    changed = []
+    try:
+        found += [InputFile(name=copy.name, sha256=copy.sha256) for copy in read_job_file(folder).inputs]
+    except RecordError:
+        changed.append(JOB)
+    try:
+        found += [InputFile(name=line.name, sha256=line.sha256) for line in read_journal(folder).frames]
+    except RecordError:
+        changed.append(JOURNAL)
+    return found, changed
+
+
+def listed_files(folder: Path) -> tuple[InputFile, ...]:
+    """All files of a folder with their hashes, without its record.
+
+    Raises:
+        RecordError: a file cannot be read.
+    """
+    names = sorted(files_in(folder) - {RECORD_NAME})
+    try:
+        return tuple(InputFile(name=name, sha256=sha256_of(folder / name)) for name in names)
+    except OSError as error:
+        raise RecordError(f"{folder}: cannot be read: {error.strerror}") from error
+
+
+def _hash(path: Path) -> str:
+    try:
+        return sha256_of(path)
+    except OSError:
+        return ""

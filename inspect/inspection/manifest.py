@@ -1,0 +1,208 @@
+"""``job.json`` and ``inputs/``: what an inspection was started with, so that its folder explains itself."""
+
+import json
+import shutil
+from dataclasses import replace
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from anisoscope.base.atomic_write import write_text
+from anisoscope.base.errors import AnisoscopeError, RecordError, UsageError
+from anisoscope.calibration.corrections import calibrations_of
+from anisoscope.calibration.white_reference import read_reference
+from anisoscope.decision.reference_parts import read_golden
+from anisoscope.inspection.folder import INPUTS, JOB
+from anisoscope.inspection.job import Job, Role, Source, fixture_of
+from anisoscope.kinds.prints.lighting import from_copies
+from anisoscope.kinds.prints.recipe import PrintRecipe, read_any_recipe
+from anisoscope.kinds.prints.reference_prints import read_golden_prints
+from anisoscope.record.schema import InputFile, Particulars, sha256_of
+from anisoscope.rig.acquisition.plan import Plan
+from anisoscope.rig.acquisition.writer import FRAMES
+from anisoscope.rig.rigfile import CalibrationPart, read_replay_rig, read_rig
+
+
+class InputCopy(InputFile):
+    """A copy in the folder of a file that the inspection started from; ``original`` says where that was."""
+
+    role: Role
+    original: str
+
+
+class JobFile(BaseModel):
+    """``job.json``.
+
+    Attributes:
+        software: what wrote it.
+        created_at: UTC time.
+        serial: serial number of the part.
+        particulars: who inspects which lot where, as far as it was said.
+        origin: whether a rig takes the frames, or a folder of frames is replayed.
+        plan: what is photographed; None for a replay.
+        frames: number of frames of a whole inspection.
+        rig_folder: where the rig file lay, which its ``${here}`` stands for.
+        inputs: copies of the files.
+        refused: why the part is INVALID without being photographed, such as a code that is not its own.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
+    software: str
+    created_at: str
+    serial: str
+    particulars: Particulars = Particulars()
+    origin: Literal["rig", "frames"]
+    plan: Plan | None
+    frames: int
+    rig_folder: str
+    inputs: tuple[InputCopy, ...]
+    refused: str | None = None
+
+    def input(self, role: Role) -> InputCopy | None:
+        """The copy of the file of a role, if there is one."""
+        return next((copy for copy in self.inputs if copy.role == role), None)
+
+
+def begin(
+    folder: Path,
+    job: Job,
+    particulars: Particulars,
+    *,
+    plan: Plan | None,
+    frames: int,
+    rig_folder: Path,
+    refused: str | None = None,
+) -> JobFile:
+    """Copy the files of a job into ``inputs/`` and write ``job.json``, which makes the folder one to be resumed.
+
+    Raises:
+        RecordError: the folder cannot be written.
+        UsageError: a file was changed since it was read.
+    """
+    made = JobFile(
+        software=f"anisoscope {version('anisoscope')}",
+        created_at=datetime.now(UTC).isoformat(timespec="milliseconds"),
+        serial=job.serial,
+        particulars=particulars,
+        origin="frames" if plan is None else "rig",
+        plan=plan,
+        frames=frames,
+        rig_folder=str(rig_folder.resolve()),
+        inputs=tuple(_copy(source, folder) for source in job.sources),
+        refused=refused,
+    )
+    _write(made, folder)
+    return made
+
+
+def one_round_more(folder: Path, made: JobFile) -> JobFile:
+    """Write down that all poses are photographed once more, before they are, so that this can be resumed as well.
+
+    Raises:
+        RecordError: the folder cannot be written.
+    """
+    assert made.plan is not None
+    plan = replace(made.plan, rounds=made.plan.rounds + 1)
+    more = made.model_copy(update={"plan": plan, "frames": plan.frame_count})
+    _write(more, folder)
+    return more
+
+
+def _write(made: JobFile, folder: Path) -> None:
+    write_text(folder / JOB, json.dumps(made.model_dump(mode="json", by_alias=True), indent=2) + "\n")
+
+
+def _copy(source: Source, folder: Path) -> InputCopy:
+    # The table of a replay describes the frames beside it.
+    target = folder / (FRAMES if source.role == "frame table" else INPUTS) / source.path.name
+    made_here = source.path == target
+    if target.exists() and not made_here:
+        target = target.with_name(f"{source.role.replace(' ', '-')}-{source.path.name}")
+    try:
+        target.parent.mkdir(exist_ok=True)
+        if not made_here:
+            shutil.copyfile(source.path, target)
+    except OSError as error:
+        raise RecordError(f"cannot copy {source.path} to {target}: {error.strerror}") from error
+    if sha256_of(target) != source.sha256:
+        raise UsageError(f"{source.path} was changed while the inspection began: start it again")
+    return InputCopy(
+        role=source.role,
+        name=target.relative_to(folder).as_posix(),
+        sha256=source.sha256,
+        original=str(source.path.resolve()),
+    )
+
+
+def read_job_file(folder: Path) -> JobFile:
+    """Read ``job.json``.
+
+    Raises:
+        RecordError: there is none, or it is damaged.
+    """
+    path = folder / JOB
+    try:
+        return JobFile.model_validate_json(path.read_bytes())
+    except OSError as error:
+        what = "no inspection of this version began here" if folder.is_dir() else "there is no such folder"
+        raise RecordError(f"cannot read {path}: {error.strerror}: {what}") from error
+    except (ValidationError, AnisoscopeError) as error:
+        raise RecordError(f"{path} is damaged: {str(error).splitlines()[0]}") from error
+
+
+def reopen(folder: Path) -> tuple[JobFile, Job]:
+    """The job of an inspection folder, from its own copies alone.
+
+    Raises:
+        RecordError: ``job.json`` or a copy is missing, damaged or was changed.
+        RecipeError, RigFileError, CalibrationError: a copy that this version cannot use.
+    """
+    made = read_job_file(folder)
+    paths = {copy.role: checked(copy, folder) for copy in made.inputs}
+    missing = {"recipe", "rig", "white reference"} - paths.keys()
+    if missing:
+        raise RecordError(f"{folder / JOB} is damaged: it names no {min(missing)}")
+    recipe = read_any_recipe(paths["recipe"])
+    if "height map" in paths and not isinstance(recipe, PrintRecipe):
+        surface = recipe.surface.model_copy(update={"height_map": paths["height map"]})
+        recipe = recipe.model_copy(update={"surface": surface})
+    here = Path(made.rig_folder)
+    rig = read_rig(paths["rig"], here=here) if made.origin == "rig" else read_replay_rig(paths["rig"])
+    rig = rig.model_copy(update={"calibration": CalibrationPart(flat=paths["white reference"])})
+    if isinstance(recipe, PrintRecipe):
+        recipe, rig = from_copies(recipe, rig, {str(role): path for role, path in paths.items()})
+    white = read_reference(paths["white reference"])
+    sources = tuple(Source(copy.role, folder / copy.name, copy.sha256) for copy in made.inputs)
+    golden, prints, known = None, None, paths.get("golden parts")
+    if isinstance(recipe, PrintRecipe):
+        prints = None if known is None else read_golden_prints(known, recipe)
+    elif known is not None:
+        golden = read_golden(known, recipe)
+    calibrations = calibrations_of({str(role): path for role, path in paths.items()})
+    white, fixture = calibrations.white(white), fixture_of(rig, paths["rig"])
+    return made, Job(made.serial, recipe, rig, fixture, white, sources, golden, calibrations, prints)
+
+
+def checked(file: InputFile, folder: Path) -> Path:
+    """The path of a file of an inspection folder whose hash is what it was.
+
+    Raises:
+        RecordError: it is missing or was changed.
+    """
+    path = folder / file.name
+    try:
+        found = sha256_of(path)
+    except OSError as error:
+        raise RecordError(
+            f"{path}: cannot be read: {error.strerror}; it belongs to this inspection"
+        ) from error
+    if found != file.sha256:
+        raise RecordError(
+            f"{path}: was changed since the inspection (its SHA-256 differs): inspect the part anew"
+        )
+    return path

@@ -1,0 +1,251 @@
+"""What a recipe can tell before any part is there: contrasts with u, T/U, the budget, causes, and helping tilts."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from anisoscope.base.progress import Advance, silent
+from anisoscope.decision.decision import BudgetRow, contrast_gradient
+from anisoscope.diagnosis.discriminating_poses import remembered_options
+from anisoscope.diagnosis.evidence import background_of
+from anisoscope.diagnosis.separability import Separability, planned_covariance, planned_inputs, separability
+from anisoscope.diagnosis.signature_cache import remembered_signatures
+from anisoscope.prediction.expectation import Expectation, expectation
+from anisoscope.recipe.recipe import Recipe, source_name
+from anisoscope.sim.light.contrasts import contrasts
+
+WANTED_RATIO = 4.0
+
+
+@dataclass(frozen=True)
+class PlannedPair:
+    """A contrast as it will be judged.
+
+    Attributes:
+        from_deg: first stage angle.
+        to_deg: second stage angle.
+        tilt_deg: tilt.
+        predicted: the contrast.
+        u: standard uncertainty of measured − predicted, as far as the recipe says.
+        tolerance: or None.
+        ratio: T/U, U = 2u, or None.
+    """
+
+    from_deg: float
+    to_deg: float
+    tilt_deg: float
+    predicted: float
+    u: float
+    tolerance: float | None
+    ratio: float | None
+
+
+@dataclass(frozen=True)
+class TiltAdvice:
+    """What a further tilt would add: causes that it would show, and pairs of causes that it would tell apart."""
+
+    tilt_deg: float
+    shows: tuple[str, ...]
+    tells_apart: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True)
+class LampAdvice:
+    """What a second lamp would add to a wafer: pairs of causes that the recipe's poses under it would tell apart."""
+
+    says: str
+    tells_apart: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True)
+class RecipeCheck:
+    """What a recipe can tell.
+
+    Attributes:
+        pairs: the contrasts.
+        budget: sources of uncertainty of the contrasts, the largest first; the measurement's in one row.
+        causes: what the poses tell of every cause.
+        left_out: causes that this surface cannot have, with the reason.
+        advice: what further tilts would add, the best first; only those that add something.
+        complaints: one line each, what should be changed.
+        lamps: of a wafer, second lamps that would add something, the nearest wavelength first.
+        never: causes and others that neither these poses tell them from, nor any tilt or lamp that was tried.
+    """
+
+    pairs: tuple[PlannedPair, ...]
+    budget: tuple[BudgetRow, ...]
+    causes: tuple[Separability, ...]
+    left_out: tuple[tuple[str, str], ...]
+    advice: tuple[TiltAdvice, ...]
+    complaints: tuple[str, ...]
+    lamps: tuple[LampAdvice, ...] = ()
+    never: tuple[tuple[str, str], ...] = ()
+
+
+def check_recipe(
+    recipe: Recipe, light_angle_deg: float, tries: Sequence[float] = (), advance: Advance = silent
+) -> RecipeCheck:
+    """Look at a recipe; nothing moves.
+
+    Args:
+        recipe: the recipe.
+        light_angle_deg: of the rig.
+        tries: tilts that might be added, degrees.
+        advance: progress.
+
+    Raises:
+        HeightMapError, RecipeError: nothing can be predicted.
+    """
+    advance("prediction", 0, 1)
+    expected = expectation(recipe, light_angle_deg)
+    pairs, budget = _plan(recipe, expected)
+    known = remembered_signatures(recipe, light_angle_deg, advance)
+    with_map = recipe.area is not None
+    u_background = 0.0 if recipe.area is None else background_of(recipe.area.max_share)[1]
+    causes = separability(
+        known,
+        planned_covariance(recipe, expected),
+        with_map=with_map,
+        u_background=u_background,
+        inputs=planned_inputs(recipe, expected),
+    )
+    new = [tilt for tilt in tries if tilt not in recipe.poses.tilts_deg]
+    advice = _advice(recipe, light_angle_deg, new, advance) if new and _lacking(causes) else ()
+    untold = [(cause.cause, other) for cause in causes for other in cause.never_told_from]
+    lamps = (
+        second_lamps_for(recipe, light_angle_deg, untold, advance)
+        if new and recipe.is_wafer and untold
+        else ()
+    )
+    told = {pair for one in advice for pair in one.tells_apart}
+    told |= {pair for one in lamps for pair in one.tells_apart}
+    never = tuple(pair for pair in untold if pair not in told) if new else ()
+    return RecipeCheck(
+        pairs, budget, causes, known.left_out, advice, _complaints(recipe, pairs), lamps, never
+    )
+
+
+def second_lamps_for(
+    recipe: Recipe, light_angle_deg: float, untold: Sequence[tuple[str, str]], advance: Advance
+) -> tuple[LampAdvice, ...]:
+    """Second lamps for a wafer, the nearest first, each with the pairs that no nearer one tells apart.
+
+    Args:
+        recipe: the recipe.
+        light_angle_deg: of the rig.
+        untold: causes and others that the recipe's poses never tell them from.
+        advance: progress.
+    """
+    names = sorted({name for pair in untold for name in pair})
+    left, found = list(untold), []
+    for option in remembered_options(recipe, light_angle_deg, names, advance):
+        apart = tuple(pair for pair in left if option.told_from[pair[0]][pair[1]] is not None)
+        if option.kind == "lamp" and apart:
+            found.append(LampAdvice(option.says, apart))
+            left = [pair for pair in left if pair not in apart]
+    return tuple(found)
+
+
+def _plan(recipe: Recipe, expected: Expectation) -> tuple[tuple[PlannedPair, ...], tuple[BudgetRow, ...]]:
+    kind = recipe.decision.contrast
+    gradient = contrast_gradient(expected.poses, expected.radiance, kind)
+    measured = planned_covariance(recipe, expected)
+    if kind != "difference":
+        measured = measured - recipe.uncertainty.scale_share**2  # cancels in ratios
+    parts = [c.covariance() for c in expected.components]
+    rest = measured - np.sum(parts, axis=0)
+    u = np.sqrt(np.maximum(np.diag(gradient @ measured @ gradient.T), 0.0))
+    tolerances = recipe.tolerances() or (None,) * len(gradient)
+    pairs = tuple(
+        PlannedPair(
+            one.from_deg,
+            one.to_deg,
+            one.tilt_deg,
+            float(getattr(one, kind)),
+            float(spread),
+            limit,
+            None if limit is None or spread == 0.0 else float(limit / (2.0 * spread)),
+        )
+        for one, spread, limit in zip(
+            contrasts(expected.poses, expected.radiance), u, tolerances, strict=True
+        )
+    )
+    wafer = recipe.is_wafer
+    names = [(source_name(c.source, wafer=wafer), c.kind) for c in expected.components] + [
+        ("measurement, without noise", "measurement")
+    ]
+    rows = [
+        BudgetRow(
+            name, what, tuple(float(v) for v in np.sqrt(np.maximum(np.diag(gradient @ v @ gradient.T), 0.0)))
+        )
+        for (name, what), v in zip(names, [*parts, rest], strict=True)
+    ]
+    return pairs, tuple(sorted(rows, key=lambda row: -max(row.contributions)))
+
+
+def _complaints(recipe: Recipe, pairs: tuple[PlannedPair, ...]) -> tuple[str, ...]:
+    found = []
+    if recipe.decision.tolerance is None:
+        found.append("no tolerance: every significant deviation fails the part (set one, or `recipe teach`)")
+    weak = [pair for pair in pairs if pair.ratio is not None and pair.ratio < WANTED_RATIO]
+    if weak:
+        least = min(weak, key=lambda pair: pair.ratio or 0.0)
+        found.append(
+            f"T/U is {least.ratio:.1f} at {least.from_deg:g}°/{least.to_deg:g}°, tilt {least.tilt_deg:g}° "
+            f"({WANTED_RATIO:g} wanted): good parts may end undecided; "
+            f"{WANTED_RATIO * 2.0 * least.u:.2g} would be enough, or less uncertainty (see the budget)"
+        )
+    return tuple(found)
+
+
+def _lacking(causes: tuple[Separability, ...]) -> bool:
+    return any(cause.shows_from is None or cause.never_told_from for cause in causes)
+
+
+def _advice(
+    recipe: Recipe, light_angle_deg: float, tries: Sequence[float], advance: Advance
+) -> tuple[TiltAdvice, ...]:
+    """One set of signatures over all tilts, of which parts are looked at."""
+    tilts = (*recipe.poses.tilts_deg, *tries)
+    decision = recipe.decision.model_copy(update={"tolerance": None})
+    wide = recipe.model_copy(
+        update={"poses": recipe.poses.model_copy(update={"tilts_deg": tilts}), "decision": decision}
+    )
+    known, expected = (
+        remembered_signatures(wide, light_angle_deg, advance),
+        expectation(wide, light_angle_deg),
+    )
+    covariance, with_map = planned_covariance(wide, expected), recipe.area is not None
+    inputs = planned_inputs(wide, expected)
+    u_background = 0.0 if recipe.area is None else background_of(recipe.area.max_share)[1]
+
+    def told(chosen: Sequence[float]) -> tuple[Separability, ...]:
+        kept = [k for k, pose in enumerate(known.poses) if pose.tilt_deg in chosen]
+        return separability(
+            known.of(kept),
+            covariance[np.ix_(kept, kept)],
+            with_map=with_map,
+            u_background=u_background,
+            inputs=None if inputs is None else inputs.of(kept),
+        )
+
+    before = told(recipe.poses.tilts_deg)
+    found = [_added(tilt, before, told((*recipe.poses.tilts_deg, tilt))) for tilt in tries]
+    useful = [one for one in found if one.shows or one.tells_apart]
+    return tuple(sorted(useful, key=lambda one: -(len(one.shows) + len(one.tells_apart))))
+
+
+def _added(tilt_deg: float, before: tuple[Separability, ...], after: tuple[Separability, ...]) -> TiltAdvice:
+    shows = tuple(
+        new.cause
+        for old, new in zip(before, after, strict=True)
+        if old.shows_from is None and new.shows_from is not None
+    )
+    apart = tuple(
+        (old.cause, other)
+        for old, new in zip(before, after, strict=True)
+        for other in old.never_told_from
+        if other not in new.never_told_from
+    )
+    return TiltAdvice(tilt_deg, shows, apart)

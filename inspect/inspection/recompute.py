@@ -1,0 +1,123 @@
+"""The numbers of a record once more, from the raw frames and the copies of the inputs in its folder."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from anisoscope.base.errors import RecordError
+from anisoscope.base.progress import Advance, silent
+from anisoscope.inspection.folder import JOB
+from anisoscope.inspection.frames import read_taken
+from anisoscope.inspection.manifest import reopen
+from anisoscope.inspection.pipeline import judge
+from anisoscope.kinds.prints.expectation import PrintExpectation
+from anisoscope.kinds.prints.lighting import expectation_of_print
+from anisoscope.kinds.prints.recipe import PrintRecipe
+from anisoscope.prediction.expectation import Expectation, expectation
+from anisoscope.recipe.recipe import source_name
+from anisoscope.record.schema import Record, read_record
+
+TOLERANCE = 1e-9
+NOT_COMPARED = frozenset({"software", "created_at", "files", "recipe", "rig"})
+"""What tells when and by what a record was made, and where its files lay; their hashes are checked instead."""
+
+
+@dataclass(frozen=True)
+class Recomputed:
+    """A record made again.
+
+    Attributes:
+        folder: the inspection folder.
+        recorded: the record that lies there.
+        verdict: the verdict now.
+        differences: one line for every value that is not what it was.
+        notes: what explains differences.
+    """
+
+    folder: Path
+    recorded: Record
+    verdict: str
+    differences: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+
+
+def recompute(folder: Path, on_progress: Advance = silent) -> Recomputed:
+    """Judge the frames of a finished inspection again and compare; nothing is written.
+
+    Args:
+        folder: the inspection folder.
+        on_progress: called with what is being done, steps done and steps in all.
+
+    Raises:
+        RecordError: the inspection is not finished, a file is missing or was changed, or an early version kept no
+            copies of the inputs.
+    """
+    folder = folder.resolve()
+    recorded = read_record(folder)
+    if not (folder / JOB).exists() and JOB not in {file.name for file in recorded.files}:
+        raise RecordError(
+            f"{folder}: recorded by {recorded.software}, which kept no copies of recipe, rig file and white reference: "
+            "the record can be read, but not computed again"
+        )
+    made, job = reopen(folder)
+    on_progress("prediction", 0, 1)
+    expected: Expectation | PrintExpectation
+    if isinstance(job.recipe, PrintRecipe):
+        expected = expectation_of_print(job.recipe, job.rig)
+    else:
+        expected = expectation(job.recipe, job.rig.light.angle_deg)
+    on_progress("measurement", 0, 1)
+    record, _ = judge(made, job, expected, read_taken(folder, made), on_progress)
+    # what an earlier version did not tell is not there to be compared
+    old = recorded.model_dump(mode="json", exclude=set(NOT_COMPARED), exclude_unset=True)
+    _call_as_now(old, wafer=not isinstance(job.recipe, PrintRecipe) and job.recipe.is_wafer)
+    untold: set[str] = set()
+    new = _told(old, record.model_dump(mode="json", exclude=set(NOT_COMPARED)), untold)
+    notes: tuple[str, ...] = ()
+    if recorded.software != record.software:
+        notes = (f"recorded by {recorded.software}, recomputed by {record.software}",)
+    if untold:
+        notes += (
+            f"not compared, because the version that recorded did not tell it: {', '.join(sorted(untold))}",
+        )
+    return Recomputed(folder, recorded, record.verdict, tuple(differences(old, new)), notes)
+
+
+def _call_as_now(old: dict[str, Any], *, wafer: bool) -> None:
+    """Give the sources of an earlier version's budget the names that they bear now."""
+    for row in old["budget"]:
+        row["source"] = source_name(row["source"], wafer=wafer)
+
+
+def _told(old: Any, new: Any, untold: set[str], name: str = "") -> Any:  # noqa: ANN401
+    """The new document without keys that the old one does not have; their names are added to ``untold``."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        inner = f"{name}." if name else ""
+        untold |= {f"{inner}{key}" for key in new.keys() - old.keys()}
+        return {
+            key: _told(old[key], value, untold, f"{inner}{key}") for key, value in new.items() if key in old
+        }
+    if isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
+        return [_told(before, after, untold, f"{name}[]") for before, after in zip(old, new, strict=True)]
+    return new
+
+
+def differences(old: Any, new: Any, name: str = "") -> Iterator[str]:  # noqa: ANN401 - what JSON can hold
+    """One line for every value of two JSON documents that differs; numbers within 1e-9 are the same."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        for key in sorted(old.keys() | new.keys()):
+            yield from differences(old.get(key), new.get(key), f"{name}.{key}".removeprefix("."))
+    elif isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
+        for number, (before, after) in enumerate(zip(old, new, strict=True)):
+            yield from differences(before, after, f"{name}[{number}]")
+    elif not _same(old, new):
+        yield f"{name}: recorded {old!r}, recomputed {new!r}"
+
+
+def _same(old: object, new: object) -> bool:
+    numbers = isinstance(old, int | float) and isinstance(new, int | float)
+    if numbers and not (isinstance(old, bool) or isinstance(new, bool)):
+        return math.isclose(float(old), float(new), rel_tol=TOLERANCE, abs_tol=TOLERANCE)  # type: ignore[arg-type]
+    return old == new

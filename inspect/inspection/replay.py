@@ -1,0 +1,170 @@
+"""Inspect a folder of frames that exist already, without any device."""
+
+import contextlib
+import shutil
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+from anisoscope.base.errors import CalibrationError, RecordError, UsageError
+from anisoscope.base.progress import Advance, silent
+from anisoscope.calibration.white_reference import read_reference, write_reference
+from anisoscope.imaging.linearisation import WhiteReference, check_size
+from anisoscope.inspection.folder import INPUTS, new_folder
+from anisoscope.inspection.frame_table import Replay, arrange, camera_of, white_of
+from anisoscope.inspection.frames import REPLAYED
+from anisoscope.inspection.job import (
+    Job,
+    Source,
+    check_serial,
+    fixture_of,
+    flat_of,
+    good_prints,
+    known_good,
+    sources_of,
+)
+from anisoscope.inspection.manifest import begin
+from anisoscope.inspection.run import Inspected, conclude, expecting
+from anisoscope.kinds.prints.recipe import read_any_recipe
+from anisoscope.record.schema import Particulars, sha256_of
+from anisoscope.report.peers import LotMate
+from anisoscope.rig.acquisition.journal import FrameLine, JournalFile, RunLine
+from anisoscope.rig.acquisition.writer import FRAMES
+from anisoscope.rig.framefolder import TABLE, read_frame_folder
+from anisoscope.rig.rigfile import RigFile, read_replay_rig
+
+RIG_NAME = "rig.toml"
+WHITE_NAME = "white-reference.tif"
+
+
+def inspect_frames(
+    frames: Path,
+    recipe_path: Path,
+    serial: str,
+    out: Path,
+    on_progress: Advance = silent,
+    *,
+    rig_path: Path | None = None,
+    reflectance: float = 0.99,
+    particulars: Particulars | None = None,
+    lot_mates: Sequence[LotMate] = (),
+) -> Inspected:
+    """Judge a part by the frames of a folder; they are copied, so that the inspection folder explains itself.
+
+    Args:
+        frames: folder with ``frames.csv``.
+        recipe_path: recipe file.
+        serial: serial number of the part.
+        out: folder that receives the inspection folder.
+        on_progress: called with what is being done, steps done and steps in all.
+        rig_path: rig file, for its geometry; by default ``rig.toml`` beside the frames.
+        reflectance: reflectance of the tile in the flat frames, if there are any.
+        particulars: operator, lot, cavity, station.
+        lot_mates: inspections of the same lot, for the report.
+
+    Raises:
+        UsageError: no rig file, or a wrong reflectance.
+        RecipeError, RigFileError, HeightMapError: one of the files.
+        RecordError: the frames are incomplete or do not fit together, or the inspection folder cannot be written.
+        CalibrationError: there is no flat, or one of another camera.
+    """
+    check_serial(serial)
+    if not 0.0 < reflectance <= 1.0:
+        raise UsageError(f"the reflectance of the tile must lie between 0 and 1, not {reflectance}")
+    rig_path = rig_path or _rig_beside(frames)
+    recipe, rig = read_any_recipe(recipe_path), read_replay_rig(rig_path)
+    fixture = fixture_of(rig, rig_path)
+    golden, prints = known_good(recipe_path, recipe), good_prints(recipe_path, recipe, rig)
+    replay = arrange(read_frame_folder(frames), recipe)
+    made_white = white_of(replay, reflectance, rig.light.angle_deg)
+    white = None if made_white is not None else _white_of_rig(rig, rig_path, replay)
+    sources = (
+        *sources_of(recipe_path, rig_path, recipe, rig),
+        Source("frame table", frames / TABLE, sha256_of(frames / TABLE)),
+    )
+    with contextlib.ExitStack() as cleanup:
+        folder = cleanup.enter_context(new_folder(out, serial))
+        path = folder / INPUTS / WHITE_NAME
+        if made_white is not None:
+            write_reference(path, made_white)
+        elif rig.calibration is not None:
+            path = rig.calibration.flat
+        white = white or read_reference(path)
+        job = Job(
+            serial,
+            recipe,
+            rig,
+            fixture,
+            white,
+            (*sources, Source("white reference", path, white.sha256)),
+            golden,
+            golden_prints=prints,
+        )
+        ready = cleanup.enter_context(expecting(job, on_progress, lot_mates))
+        made = begin(
+            folder,
+            job,
+            particulars or Particulars(),
+            plan=None,
+            frames=len(replay.entries),
+            rig_folder=rig_path.resolve().parent,
+        )
+        _copy(replay, frames, folder, on_progress)
+        inspected = conclude(folder, made, job, ready, on_progress)
+    return Inspected(inspected.record, folder, inspected.report, (*replay.notes, *inspected.notes))
+
+
+def _rig_beside(frames: Path) -> Path:
+    path = frames / RIG_NAME
+    if not path.is_file():
+        raise UsageError(
+            f"{frames} holds no {RIG_NAME}: name a rig file with --rig; of it are needed the angle of the light "
+            "([light] angle_deg), the size of a pixel ([camera] pixel_um), the markers ([fixture]) and, unless "
+            "there are flat frames, the white reference ([calibration] flat)"
+        )
+    return path
+
+
+def _white_of_rig(rig: RigFile, rig_path: Path, replay: Replay) -> WhiteReference:
+    white = read_reference(flat_of(rig, rig_path))
+    camera = camera_of(replay)
+    if camera is not None and not camera.endswith(white.camera):
+        raise CalibrationError(
+            f"the flat was taken with camera {white.camera}, the frames with {camera}: name the flat of that camera "
+            f"in {rig_path}, or add flat frames to the folder"
+        )
+    check_size(white, (replay.rows, replay.cols))
+    return white
+
+
+def _copy(replay: Replay, frames: Path, folder: Path, advance: Advance) -> None:
+    """Copy the frames as they are, and enter each in the journal."""
+    now = datetime.now(UTC).isoformat(timespec="milliseconds")
+    run = RunLine(run=0, stage=REPLAYED, tilt=None, camera=camera_of(replay) or "unknown", started_at=now)
+    inside = frames.resolve()
+    with JournalFile(folder) as journal:
+        journal.append([run])
+        for step, (entry, pose) in enumerate(replay.entries):
+            advance("copying frames", step, len(replay.entries))
+            name = Path(FRAMES) / entry.path.relative_to(inside)
+            try:
+                (folder / name).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(entry.path, folder / name)
+                sha256 = sha256_of(folder / name)
+            except OSError as error:
+                raise RecordError(f"cannot copy {entry.path} to {folder / name}: {error.strerror}") from error
+            line = FrameLine(
+                run=0,
+                step=step,
+                name=name.as_posix(),
+                sha256=sha256,
+                kind=entry.kind,
+                again=entry.again,
+                pose_deg=(pose.stage_deg, pose.tilt_deg),
+                stage_deg=entry.stage_deg,
+                tilt_deg=entry.tilt_deg,
+                exposure_s=entry.exposure_s,
+                gain=entry.gain,
+                captured_at="",
+            )
+            journal.append([line])

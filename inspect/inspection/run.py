@@ -1,0 +1,292 @@
+"""One inspection from recipe to report: expect, photograph, judge, record; and going on after an interruption."""
+
+import contextlib
+import threading
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+from anisoscope.base.errors import CalibrationError, RecordError, RigError
+from anisoscope.base.progress import Advance, silent
+from anisoscope.imaging.linearisation import check_size
+from anisoscope.inspection.folder import new_folder, sweep, tell_to_resume, working_in
+from anisoscope.inspection.frames import check_frames, missing_frames, read_taken
+from anisoscope.inspection.integrity import listed_files
+from anisoscope.inspection.job import Job, prepare
+from anisoscope.inspection.manifest import JobFile, begin, one_round_more, reopen
+from anisoscope.inspection.pipeline import judge
+from anisoscope.kinds.prints.expectation import PrintExpectation
+from anisoscope.kinds.prints.lighting import check_filters, expectation_of_print
+from anisoscope.kinds.prints.recipe import PrintRecipe
+from anisoscope.prediction.cache import kept_expectation
+from anisoscope.prediction.expectation import Expectation
+from anisoscope.record.schema import RECORD_NAME, Particulars, Record, write_record
+from anisoscope.record.verdict import Verdict
+from anisoscope.report.inspection_page import Pictures, start_renderer, write_report
+from anisoscope.report.peers import LotMate, LotMates, lot_of, no_lot_mates
+from anisoscope.report.surface_view import SurfaceView
+from anisoscope.rig.acquisition.journal import read_journal
+from anisoscope.rig.acquisition.plan import Plan
+from anisoscope.rig.acquisition.runner import Progress, Rig, check_plan, open_rig, run_plan
+
+Judged = tuple[Record, Pictures]
+
+
+@dataclass(frozen=True, eq=False)
+class Inspected:
+    """A finished inspection: its record, where it lies, and what the user should know besides."""
+
+    record: Record
+    folder: Path
+    report: Path
+    notes: tuple[str, ...] = ()
+
+
+def inspect_part(
+    recipe_path: Path,
+    rig_path: Path,
+    serial: str,
+    out: Path,
+    on_progress: Advance = silent,
+    *,
+    particulars: Particulars | None = None,
+    lot_mates: Sequence[LotMate] = (),
+    cancel: threading.Event | None = None,
+) -> Inspected:
+    """Photograph a part on a rig and judge it.
+
+    Args:
+        recipe_path: recipe file.
+        rig_path: rig file.
+        serial: serial number of the part.
+        out: folder that receives the inspection folder.
+        on_progress: called with what is being done, steps done and steps in all.
+        particulars: operator, lot, cavity, station.
+        lot_mates: inspections of the same lot, for the report.
+        cancel: setting it stops the rig at once and ends the inspection with a `RigError`.
+
+    Returns:
+        The record, INVALID included.
+
+    Raises:
+        UsageError, RecipeError, RigFileError, HeightMapError, CalibrationError: before anything moves.
+        RigError: hardware; the frames taken so far stay in the folder, no record is written, and `resume_part`
+            goes on. Without any frame the folder goes too.
+        RecordError: the folder cannot be written.
+    """
+    job = prepare(recipe_path, rig_path, serial)
+    try:
+        job.calibrations.check_valid(datetime.now(UTC))
+    except CalibrationError:
+        return _refused(job, rig_path, out, particulars or Particulars(), on_progress)
+    plan = job.plan()
+    with contextlib.ExitStack() as cleanup:
+        # The devices first: the prediction takes long, a cable that is not plugged in shows at once.
+        with open_rig(job.rig) as rig:
+            _check_rig(rig, plan, job)
+            ready = cleanup.enter_context(expecting(job, on_progress, lot_mates))
+            folder = cleanup.enter_context(new_folder(out, serial))
+            here = rig_path.resolve().parent
+            made = begin(
+                folder,
+                job,
+                particulars or Particulars(),
+                plan=plan,
+                frames=plan.frame_count,
+                rig_folder=here,
+            )
+            _photograph(plan, rig, folder, on_progress, cancel)
+            made, judged = _decide(made, rig, folder, job, ready, on_progress, cancel)
+        return conclude(folder, made, job, ready, on_progress, judged)
+
+
+def _refused(job: Job, rig_path: Path, out: Path, particulars: Particulars, advance: Advance) -> Inspected:
+    """An INVALID inspection without photographs, because a calibration does not hold any more."""
+    with expecting(job, advance) as ready, new_folder(out, job.serial) as folder:
+        here = rig_path.resolve().parent
+        made = begin(folder, job, particulars, plan=None, frames=0, rig_folder=here)
+        return conclude(folder, made, job, ready, advance)
+
+
+def resume_part(
+    folder: Path,
+    on_progress: Advance = silent,
+    *,
+    lot_mates: LotMates = no_lot_mates,
+    cancel: threading.Event | None = None,
+) -> Inspected:
+    """Take up an inspection that was interrupted, and finish it.
+
+    Everything is read from the folder; only frames that are missing are taken. A pose that was not finished is
+    taken anew, dark frames are kept if the camera exposes as before, all axes are homed anew, and the first pose
+    is photographed once more: if it differs by more than the recipe's limit of drift, the inspection is INVALID.
+
+    Args:
+        folder: the inspection folder.
+        on_progress: called with what is being done, steps done and steps in all.
+        lot_mates: who was inspected before of the lot that the folder names, for the report; must not raise.
+        cancel: setting it stops the rig at once and ends the inspection with a `RigError`.
+
+    Raises:
+        RecordError: there is nothing to resume, or a file of the folder is missing, damaged or was changed.
+        CameraError: the camera exposes otherwise than before.
+        RigError, CalibrationError: as for `inspect_part`.
+    """
+    folder = folder.resolve()
+    if (folder / RECORD_NAME).exists():
+        raise RecordError(f"{folder}: this inspection is finished; there is nothing to resume")
+    with working_in(folder):
+        made, job = reopen(folder)
+        mates = lot_mates(made.particulars.lot)
+        check_frames(folder)
+        sweep(folder)
+        with contextlib.ExitStack() as cleanup:
+            cleanup.enter_context(_going_on(folder))
+            ready: Ready | None = None
+            if missing_frames(made, read_journal(folder)) == 0:
+                ready = cleanup.enter_context(expecting(job, on_progress, mates))
+                judged = _judge(made, folder, job, ready, on_progress)
+                if _settled(made, job, judged):
+                    return conclude(folder, made, job, ready, on_progress, judged)
+                made = one_round_more(folder, made)
+            if made.plan is None:
+                raise RecordError(f"{folder}: not all frames were copied: inspect the folder of frames again")
+            with open_rig(job.rig) as rig:
+                _check_rig(rig, made.plan, job)
+                ready = ready or cleanup.enter_context(expecting(job, on_progress, mates))
+                _photograph(made.plan, rig, folder, on_progress, cancel)
+                made, judged = _decide(made, rig, folder, job, ready, on_progress, cancel)
+            return conclude(folder, made, job, ready, on_progress, judged)
+
+
+@contextlib.contextmanager
+def _going_on(folder: Path) -> Iterator[None]:
+    try:
+        yield
+    except (RigError, KeyboardInterrupt) as error:
+        tell_to_resume(folder, error)
+        raise
+
+
+def _check_rig(rig: Rig, plan: Plan, job: Job) -> None:
+    """Does the rig fit plan and calibration? Nothing moves."""
+    check_plan(plan, rig)
+    info = rig.camera.info
+    if job.white.camera != info.serial:
+        raise CalibrationError(
+            f"the flat was taken with camera {job.white.camera}, this is {info.serial}: "
+            "take a new one with `anisoscope calibrate flat`"
+        )
+    if isinstance(job.recipe, PrintRecipe):
+        check_filters(info.filters, f"camera {info.serial}", job.white.filters)
+    check_size(job.white, (info.rows, info.cols))
+    job.calibrations.check_camera(info.serial, (info.rows, info.cols))
+
+
+def _photograph(plan: Plan, rig: Rig, folder: Path, advance: Advance, cancel: threading.Event | None) -> None:
+    def tell(now: Progress) -> None:
+        advance(now.text, now.done, now.total)
+
+    run_plan(plan, rig, folder, on_progress=tell, cancel=cancel)
+
+
+def _decide(
+    made: JobFile,
+    rig: Rig,
+    folder: Path,
+    job: Job,
+    ready: "Ready",
+    advance: Advance,
+    cancel: threading.Event | None,
+) -> tuple[JobFile, Judged]:
+    """Judge; what is undecided is photographed anew in the same seating, as often as the recipe says.
+
+    All frames of a pose are averaged, whichever round took them, so that noise and flicker shrink; what is
+    systematic stays.
+    """
+    while True:
+        judged = _judge(made, folder, job, ready, advance)
+        if _settled(made, job, judged):
+            return made, judged
+        made = one_round_more(folder, made)
+        assert made.plan is not None
+        _photograph(made.plan, rig, folder, advance, cancel)
+
+
+def _judge(made: JobFile, folder: Path, job: Job, ready: "Ready", advance: Advance) -> Judged:
+    advance("measurement", 0, 1)
+    taken, final = read_taken(folder, made), _is_last_round(made, job)
+    return judge(made, job, ready.expected, taken, advance, final=final, predict=kept_expectation)
+
+
+def _is_last_round(made: JobFile, job: Job) -> bool:
+    return made.plan is None or made.plan.rounds >= 1 + job.recipe.decision.remeasure
+
+
+def _settled(made: JobFile, job: Job, judged: Judged) -> bool:
+    """Is there nothing to be gained from photographing once more?"""
+    return _is_last_round(made, job) or judged[0].verdict != Verdict.INCONCLUSIVE.value
+
+
+@dataclass(frozen=True, eq=False)
+class Ready:
+    """What is there before the frames: the prediction, the drawings of the height map in work, and the lot."""
+
+    expected: Expectation | PrintExpectation
+    renderer: SurfaceView | None
+    lot_mates: Sequence[LotMate] = ()
+
+
+@contextlib.contextmanager
+def expecting(job: Job, advance: Advance, lot_mates: Sequence[LotMate] = ()) -> Iterator[Ready]:
+    """Predict the poses of a job, and let the height map be drawn meanwhile; leaving ends the drawing.
+
+    Raises:
+        HeightMapError, RecipeError, InkFileError: nothing can be predicted.
+    """
+    advance("prediction", 0, 1)
+    expected: Expectation | PrintExpectation
+    if isinstance(job.recipe, PrintRecipe):
+        expected = expectation_of_print(job.recipe, job.rig)
+    else:
+        expected = kept_expectation(job.recipe, job.rig.light.angle_deg)
+    renderer = start_renderer(expected.surface)
+    try:
+        yield Ready(expected, renderer, lot_mates)
+    finally:
+        if renderer is not None:
+            renderer.discard()
+
+
+def conclude(
+    folder: Path, made: JobFile, job: Job, ready: Ready, advance: Advance, judged: Judged | None = None
+) -> Inspected:
+    """Judge the frames of a folder, and write report and record; the record comes last and closes the folder.
+
+    Args:
+        folder: the inspection folder.
+        made: how the inspection began.
+        job: its recipe, rig and white reference.
+        ready: what was made before.
+        advance: progress.
+        judged: record and pictures, where the frames were judged already.
+
+    Raises:
+        RecordError: the folder cannot be read or written.
+    """
+    if judged is None:
+        advance("measurement", 0, 1)
+        taken = read_taken(folder, made)
+        judged = judge(made, job, ready.expected, taken, advance, predict=kept_expectation)
+    record, pictures = judged
+    advance("report", 0, 1)
+    view = ready.renderer.result() if ready.renderer is not None else None
+    lot = lot_of(record, ready.lot_mates)
+    pictures = replace(pictures, calibrations=job.calibrations.records, lot=lot)
+    report = write_report(record, pictures, folder, view)
+    record = record.model_copy(update={"files": listed_files(folder)})
+    write_record(record, folder)
+    advance(record.verdict, 1, 1)
+    lost = (f"no 3-D view in the report: {view.note}",) if view is not None and view.png is None else ()
+    return Inspected(record, folder, report, (*record.notes, *lost))

@@ -1,0 +1,360 @@
+"""Teach a recipe by a good part: exposure, region and tolerances as the pictures of the part suggest them."""
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.atomic_write import write_text
+from anisoscope.base.errors import MeasurementError, RecordError, RigFileError, Saturated
+from anisoscope.base.progress import Advance, silent
+from anisoscope.base.significance import said
+from anisoscope.decision.reference_parts import golden_path, read_golden
+from anisoscope.imaging.registration.placement import Grid, Placement, locate, resample
+from anisoscope.inspection.job import Job, check_serial, prepare
+from anisoscope.inspection.run import inspect_part
+from anisoscope.kinds.prints.lighting import check_filters, expectation_of_print
+from anisoscope.kinds.prints.recipe import AnyRecipe, PrintRecipe, read_any_recipe
+from anisoscope.kinds.prints.teach import golden_tolerances, taught_tolerances
+from anisoscope.recipe.recipe import Recipe
+from anisoscope.recipe.template import with_values
+from anisoscope.record.schema import Record
+from anisoscope.rig.acquisition.journal import read_journal
+from anisoscope.rig.acquisition.plan import Plan, Pose
+from anisoscope.rig.acquisition.runner import Rig, open_rig, run_plan
+from anisoscope.rig.bayer import grey_of
+from anisoscope.rig.fixture import Fixture
+from anisoscope.rig.frame import Frame, read_frame
+
+UNLIKE = 2.0  # factor in brightness from which on a stretch along the border is not the part
+POINTS_A_PITCH = 4
+CELL_MM = 0.1
+QUIET = 1.25  # markers need white around them
+
+
+def largest_region(
+    pictures: Sequence[FloatArray], places: Sequence[Placement], fixture: Fixture, recipe: AnyRecipe
+) -> float:
+    """Side of the largest square about the recipe's middle of the region, whole pitches or cells of the map, in mm.
+
+    Args:
+        pictures: one a pose, proportional to radiance.
+        places: where the part stands in them.
+        fixture: the markers.
+        recipe: pitch or cell, middle and direction of the region.
+
+    Raises:
+        MeasurementError: not even two pitches or cells fit.
+    """
+    pitch_mm = step_mm(recipe)
+    turn = recipe.poses.facet_azimuth_deg
+    best = 0
+    most = int(_reach(fixture, recipe) / pitch_mm)
+    reference = [_middle(picture, place, recipe) for picture, place in zip(pictures, places, strict=True)]
+    for count in range(2, most + 1):
+        grid = _grid(recipe, count, turn)
+        if not _clear_of_markers(fixture, recipe, count * pitch_mm):
+            best -= isinstance(
+                recipe, PrintRecipe
+            )  # its edge may lie here as well, and colours would show it
+            break
+        if not all(
+            _shows(picture, place, grid, middle)
+            for picture, place, middle in zip(pictures, places, reference, strict=True)
+        ):
+            best -= 1  # the part ends here: keep a pitch away from its edge
+            break
+        best = count
+    if best < 2:
+        raise MeasurementError(
+            f"around region.center_mm not even two {_steps(recipe)} of the part show in all poses: centre the part, or "
+            "correct region.center_mm in the recipe"
+        )
+    return round(best * pitch_mm, 6)
+
+
+def step_mm(recipe: AnyRecipe) -> float:
+    """By what a region grows: a pitch, or a cell of the map of a print."""
+    if isinstance(recipe, PrintRecipe):
+        return CELL_MM if recipe.area is None else recipe.area.cell_mm
+    return recipe.surface.pitch_um / 1000.0
+
+
+def _steps(recipe: AnyRecipe) -> str:
+    return "cells" if isinstance(recipe, PrintRecipe) else "pitches"
+
+
+def _reach(fixture: Fixture, recipe: AnyRecipe) -> float:
+    """Side beyond which no square can lie between the markers."""
+    x, y = recipe.region.center_mm
+    return 2.0 * max(float(np.hypot(one.x_mm - x, one.y_mm - y)) for one in fixture.markers)
+
+
+def _grid(recipe: AnyRecipe, count: int, turn_deg: float) -> Grid:
+    points = count * POINTS_A_PITCH
+    step = step_mm(recipe) / POINTS_A_PITCH
+    return Grid(recipe.region.center_mm, step, (points, points), turn_deg)
+
+
+def _clear_of_markers(fixture: Fixture, recipe: AnyRecipe, side_mm: float) -> bool:
+    """Does a square keep off all markers and their white rims?"""
+    turn = np.radians(recipe.poses.facet_azimuth_deg)
+    reach = 0.5 * side_mm + 0.5 * QUIET * fixture.marker_mm * (abs(np.cos(turn)) + abs(np.sin(turn)))
+    for marker in fixture.markers:
+        x, y = np.subtract((marker.x_mm, marker.y_mm), recipe.region.center_mm)
+        u, v = np.cos(turn) * x + np.sin(turn) * y, np.cos(turn) * y - np.sin(turn) * x
+        if max(abs(u), abs(v)) < reach:
+            return False
+    return True
+
+
+def _middle(picture: FloatArray, place: Placement, recipe: AnyRecipe) -> float:
+    middle = resample(picture.astype(np.float32), place, _grid(recipe, 2, recipe.poses.facet_azimuth_deg))
+    return float(np.nanmean(middle)) if np.isfinite(middle).any() else 0.0
+
+
+def _shows(picture: FloatArray, place: Placement, grid: Grid, middle: float) -> bool:
+    """Is all of the square in the picture, and are its border stretches about as bright as its middle?"""
+    seen = resample(picture.astype(np.float32), place, grid).astype(np.float64)
+    if middle <= 0.0 or not np.isfinite(seen).all():
+        return False
+    n = seen.shape[0] // POINTS_A_PITCH
+    blocks = seen.reshape(n, POINTS_A_PITCH, n, POINTS_A_PITCH).mean(axis=(1, 3))
+    border = np.concatenate([blocks[0], blocks[-1], blocks[1:-1, 0], blocks[1:-1, -1]])
+    return bool(np.all((border > middle / UNLIKE) & (border < middle * UNLIKE)))
+
+
+LEVEL = 0.7  # of full scale, of the brightest pose
+BRIGHT_PERCENTILE = 99.9
+WANTED_RATIO = 4.0  # T/U
+GOLDEN_SIGMAS = 3.0
+MAX_TRIES = 8
+
+
+@dataclass(frozen=True)
+class Change:
+    """A value of the recipe, as it was and is."""
+
+    key: str
+    old: Any
+    new: Any
+    why: str
+
+
+@dataclass(frozen=True)
+class Taught:
+    """A recipe that was taught.
+
+    Attributes:
+        version: the new one.
+        kept: where the old version lies.
+        folder: the inspection of the good part with the new exposure and region; None where none was inspected.
+        changes: what was changed.
+        notes: what the user should know besides.
+    """
+
+    version: int
+    kept: Path
+    folder: Path | None
+    changes: tuple[Change, ...]
+    notes: tuple[str, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """For `json.dump`."""
+        folder = None if self.folder is None else str(self.folder)
+        return asdict(self) | {"kept": str(self.kept), "folder": folder}
+
+
+@dataclass(frozen=True, eq=False)
+class _Probe:
+    """One picture a pose, exposed well: the exposure, pictures above black, and where the part stands in them."""
+
+    exposure_s: float
+    pictures: tuple[FloatArray, ...]
+    places: tuple[Placement, ...]
+
+
+def teach(recipe_path: Path, rig_path: Path, serial: str, out: Path, advance: Advance = silent) -> Taught:
+    """Photograph a good part and write a new version of a recipe; the old one is kept beside it.
+
+    The part is photographed once to find exposure and region, then inspected with them; tolerances follow from the
+    uncertainty of that inspection, and from the golden parts of the recipe where there are any. The tolerances of a
+    print follow from its golden prints, or where there are too few from the uncertainty and from what the print itself
+    deviates.
+
+    Args:
+        recipe_path: recipe file.
+        rig_path: rig file.
+        serial: of the good part.
+        out: folder that receives the inspection folder.
+        advance: progress.
+
+    Raises:
+        UsageError, RecipeError, RigFileError, HeightMapError, CalibrationError: before anything moves.
+        RigError: hardware.
+        MeasurementError: the part cannot be photographed well, or its inspection is INVALID; the recipe stays as it is.
+        RecordError: a file cannot be written.
+    """
+    check_serial(serial)
+    job = prepare(recipe_path, rig_path, serial)
+    fixture = job.fixture
+    if fixture is None:
+        raise RigFileError(f"{rig_path} describes no [fixture]: teaching finds the part between its markers")
+    recipe, text = job.recipe, recipe_path.read_text(encoding="utf-8")
+    kept = kept_path(recipe_path, recipe.version)
+    with open_rig(job.rig) as rig:
+        if isinstance(recipe, PrintRecipe):
+            info = rig.camera.info
+            check_filters(info.filters, f"camera {info.serial}", job.white.filters)
+        probe = _probe(rig, recipe, fixture, advance)
+    size = largest_region(probe.pictures, probe.places, fixture, recipe)
+    values: dict[tuple[str, ...], Any] = {
+        ("version",): recipe.version + 1,
+        ("acquisition", "exposure_s"): probe.exposure_s,
+        ("region", "size_mm"): [size, size],
+    }
+    candidate = recipe_path.with_name(f".{recipe_path.stem}-taught.toml")
+    try:
+        write_text(candidate, with_values(text, values))
+        inspected = inspect_part(candidate, rig_path, serial, out, advance)
+    finally:
+        candidate.unlink(missing_ok=True)
+    record = inspected.record
+    if record.verdict == "INVALID":
+        raise MeasurementError(
+            f"the part cannot teach the recipe, which stays as it is: {'; '.join(record.reasons)} ({inspected.folder})"
+        )
+    limits = _limits(record, recipe, recipe_path, job)
+    values |= {key: value for key, (value, _) in limits.items()}
+    write_text(kept, text)
+    write_text(recipe_path, with_values(text, values))
+    taught = read_any_recipe(recipe_path)
+    changes = (
+        Change(
+            "acquisition.exposure_s",
+            recipe.acquisition.exposure_s,
+            taught.acquisition.exposure_s,
+            f"the brightest pose reaches {LEVEL:.0%} of full scale",
+        ),
+        Change(
+            "region.size_mm",
+            recipe.region.size_mm,
+            taught.region.size_mm,
+            "the part shows in all poses and between the markers",
+        ),
+        *(
+            Change(".".join(key), _value(recipe, key), _value(taught, key), why)
+            for key, (_, why) in limits.items()
+        ),
+    )
+    return Taught(taught.version, kept, inspected.folder, changes, _notes(record, recipe_path, recipe))
+
+
+def _limits(
+    record: Record, recipe: AnyRecipe, recipe_path: Path, job: Job
+) -> dict[tuple[str, ...], tuple[Any, str]]:
+    """The tolerances by their places in the recipe, each with where it comes from."""
+    if isinstance(recipe, PrintRecipe):
+        if record.print is None or record.print.lobe is None:
+            raise MeasurementError("hardly anything is printed there: the recipe stays as it is")
+        golden = job.golden_prints
+        if golden is None or golden.lacking is not None:
+            found = taught_tolerances(record, recipe)
+        else:
+            found = golden_tolerances(golden, recipe, expectation_of_print(recipe, job.rig))
+        return {("tolerances", key): (one.value, one.why) for key, one in found.items()}
+    tolerances, why = _tolerances(record, recipe, recipe_path)
+    return {("decision", "tolerance"): (tolerances, why)}
+
+
+def _value(recipe: AnyRecipe, key: tuple[str, ...]) -> Any:  # noqa: ANN401 - of any type
+    return getattr(getattr(recipe, key[0]), key[1])
+
+
+def _probe(rig: Rig, recipe: AnyRecipe, fixture: Fixture, advance: Advance) -> _Probe:
+    """Photograph every pose once, exposed so that the brightest one reaches the wanted level.
+
+    Raises:
+        Saturated: no exposure was found.
+    """
+    exposure_s = recipe.acquisition.exposure_s
+    poses = tuple(Pose(pose.stage_deg, pose.tilt_deg) for pose in recipe.poses.poses())
+    for attempt in range(MAX_TRIES):
+        advance(f"exposure of {exposure_s:.3g} s", attempt, MAX_TRIES)
+        frames = _photograph(rig, Plan(poses, exposure_s, recipe.acquisition.gain, return_to_first=False))
+        pictures = tuple(np.asarray(f.counts, dtype=np.float64) - f.black_level for f in frames)
+        full = frames[0].full_scale - frames[0].black_level
+        level = max(float(np.percentile(picture, BRIGHT_PERCENTILE)) for picture in pictures) / full
+        if level < 0.99 and abs(level / LEVEL - 1.0) < 0.1:
+            grey = [
+                grey_of(p.astype(np.float32), frame.filters)
+                for p, frame in zip(pictures, frames, strict=True)
+            ]
+            places = tuple(
+                locate(picture, fixture, frame.tilt_deg) for picture, frame in zip(grey, frames, strict=True)
+            )
+            pictures = tuple(picture.astype(np.float64) for picture in grey)
+            return _Probe(float(f"{frames[0].exposure_s:.3g}"), pictures, places)
+        exposure_s = float(f"{exposure_s * (0.25 if level >= 0.99 else LEVEL / max(level, 0.01)):.3g}")
+    raise Saturated(
+        f"no exposure brings the brightest pose to {LEVEL:.0%} of full scale (last tried: {exposure_s:g} s): "
+        "is the light on, and is it steady?"
+    )
+
+
+def _photograph(rig: Rig, plan: Plan) -> list[Frame]:
+    """The lit frames of a plan, in its order."""
+    with tempfile.TemporaryDirectory(prefix="anisoscope-teach-") as name:
+        folder = Path(name)
+        run_plan(plan, rig, folder)
+        lines = sorted(read_journal(folder).by_step.items())
+        return [read_frame(folder / line.name) for _, line in lines if line.kind == "sample"]
+
+
+def _tolerances(record: Record, recipe: Recipe, recipe_path: Path) -> tuple[list[float], str]:
+    """One tolerance a pair: 4 U, or what the golden parts vary where that is more."""
+    by_u = np.array([WANTED_RATIO * 2.0 * contrast.u for contrast in record.contrasts])
+    golden = read_golden(golden_path(recipe_path), recipe)
+    why = f"{WANTED_RATIO:g} times the expanded uncertainty"
+    spread = np.zeros_like(by_u)
+    if golden is not None and len(golden.parts) >= 3 and recipe.decision.contrast == "log_ratio":
+        logs = np.array([part.log_radiance for part in golden.parts])
+        index = {(pose.stage_deg, pose.tilt_deg): k for k, pose in enumerate(record.poses)}
+        for k, pair in enumerate(record.contrasts):
+            a, b = index[pair.from_deg, pair.tilt_deg], index[pair.to_deg, pair.tilt_deg]
+            seen = logs[:, a] - logs[:, b]
+            off = abs(float(seen.mean()) - pair.predicted)
+            spread[k] = off + GOLDEN_SIGMAS * float(seen.std(ddof=1))
+        why += f", or what {len(golden.parts)} golden parts vary"
+    return [float(f"{value:.2g}") for value in np.maximum(by_u, spread)], why
+
+
+def kept_path(recipe_path: Path, version: int) -> Path:
+    """Where the old version goes.
+
+    Raises:
+        RecordError: something else lies there.
+    """
+    path = recipe_path.with_name(f"{recipe_path.stem}.v{version}{recipe_path.suffix}")
+    if path.exists():
+        raise RecordError(f"{path} exists already: move it away, or correct `version` in {recipe_path}")
+    return path
+
+
+def _notes(record: Record, recipe_path: Path, recipe: AnyRecipe) -> tuple[str, ...]:
+    notes = []
+    if record.p_value is not None and record.p_value < recipe.decision.alpha:
+        tables = "is [print]" if isinstance(recipe, PrintRecipe) else "are [material] and [surface]"
+        notes.append(
+            f"the part deviates significantly from the prediction (p {said(record.p_value)}): is it good, and "
+            f"{tables} right?"
+        )
+    if golden_path(recipe_path).exists():
+        notes.append(
+            f"the golden parts in {golden_path(recipe_path)} belong to the version before: inspect good parts anew"
+        )
+    return tuple(notes)

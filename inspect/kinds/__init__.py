@@ -1,0 +1,1 @@
+"""Kinds of parts that can be inspected."""

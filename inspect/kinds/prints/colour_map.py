@@ -1,0 +1,220 @@
+"""The map of a print: colour differences cell by cell, how the flakes lean from cell to cell, and spots.
+
+Each cell is compared with the whole region, so that what is alike everywhere does not show; the difference to the
+prediction is kept beside it. A linear fit over all poses tells how every cell leans, and a plane through that is the
+curl of the sheet.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import MeasurementError
+from anisoscope.imaging.registration.placement import Grid
+from anisoscope.kinds.prints.colour import Eye
+from anisoscope.kinds.prints.expectation import PrintExpectation
+from anisoscope.kinds.prints.lobe_fit import PrintFit
+from anisoscope.kinds.prints.measurement import MeasuredPrint
+from anisoscope.kinds.prints.recipe import PrintArea
+from anisoscope.kinds.prints.record import MOST_SPOTS
+from anisoscope.kinds.prints.reference_test import GoldenArea
+from anisoscope.kinds.prints.spot_area import spot_shares
+from anisoscope.record.verdict import Verdict
+
+MAX_NOISE_SHARE = 0.25
+"""Largest noise floor of the map, as a share of the limit of a cell."""
+FIELD_TILT_DEG = 0.03
+"""Standard uncertainty of a tilt across the region: the light's direction changes a little over the field."""
+_LOCAL = ("tilt_x_deg", "tilt_y_deg", "alpha", "red", "green", "blue")
+_FLOOR = 0.005
+U_EDGE_SHARE = 0.05
+"""Relative standard uncertainty of an area that pixels tell: lens and pixels blur its edge."""
+
+
+@dataclass(frozen=True)
+class Spot:
+    """Cells that deviate and touch each other: middle and extents in mm, and the largest CIEDE2000 among them.
+
+    ``area_share`` is the share of the area that the pixels off by more than the limit cover; without pictures, of the
+    cells.
+    """
+
+    x_mm: float
+    y_mm: float
+    width_mm: float
+    length_mm: float
+    area_share: float
+    cells: int
+    delta_e: float
+
+
+@dataclass(frozen=True, eq=False)
+class PrintMap:
+    """The cells of a print, (rows, cols), first row at the top.
+
+    Attributes:
+        local: CIEDE2000 of every cell against the region, the largest over the poses.
+        total: CIEDE2000 against the prediction, the largest over the poses.
+        lean_deg: (2, rows, cols) lean of the flakes toward +x and +y of the print, against the region's.
+        noise: CIEDE2000 that noise alone makes, rms, in the worst pose.
+        deviating: cells whose local difference exceeds the limit.
+        share: share of the area that deviates, the sum over all spots; its standard uncertainty ``u_share``.
+        curl_deg: (2, 2) change of the lean toward x and y (rows) across the region along its x and y (columns).
+        u_curl_deg: standard uncertainty of each.
+        max_share: limit of the share.
+        verdict: of the area alone.
+        learnt: the limit is that of golden prints, without a guard band, because their scatter holds the measurement's.
+        p_value: probability of as much for a print like the golden ones, adjusted over all tests; None without them.
+        spots: cells that deviate together, the largest first, `MOST_SPOTS` at most.
+    """
+
+    local: FloatArray
+    total: FloatArray
+    lean_deg: FloatArray
+    noise: float
+    deviating: npt.NDArray[np.bool_]
+    share: float
+    u_share: float
+    curl_deg: FloatArray
+    u_curl_deg: float
+    max_share: float
+    verdict: Verdict
+    spots: tuple[Spot, ...]
+    learnt: bool = False
+    p_value: float | None = None
+
+    def beside(self, golden: GoldenArea, alpha: float) -> "PrintMap":
+        """The same map judged by what golden prints have shown of the area."""
+        verdict = Verdict.FAIL if golden.p_value < alpha else Verdict.PASS
+        return replace(self, max_share=golden.limit, verdict=verdict, learnt=True, p_value=golden.p_value)
+
+
+def map_of(
+    measured: MeasuredPrint, expected: PrintExpectation, fit: PrintFit, rule: PrintArea, coverage: float
+) -> PrintMap:
+    """Judge the map of a print.
+
+    Args:
+        measured: cells and region.
+        expected: the prediction.
+        fit: the print as a whole.
+        rule: thresholds.
+        coverage: guard band by the standard uncertainty of the share.
+
+    Raises:
+        MeasurementError: the cells are too noisy to tell.
+    """
+    eye, usual = expected.eye, np.median(measured.cells, axis=(2, 3))
+    cells = np.maximum(np.moveaxis(measured.cells, 1, -1), 1e-7)
+    apart = eye.difference(cells, np.broadcast_to(usual[:, None, None], cells.shape))
+    local = apart.max(axis=0)
+    wanted = np.broadcast_to(expected.channels[:, None, None], cells.shape)
+    total = eye.difference(cells, wanted).max(axis=0)
+    noise = _noise_floor(eye, usual, measured.cell_noise)
+    limit = MAX_NOISE_SHARE * rule.cell_delta_e
+    if noise > limit:
+        raise MeasurementError(
+            f"noise alone makes ΔE {noise:.2f} in a cell, too much to tell one of {rule.cell_delta_e:g} (limit "
+            f"{limit:.2f}): take more frames_per_pose, a longer exposure (acquisition.brackets), or larger cells"
+        )
+    lean = _lean(measured, expected, fit, usual)
+    curl, u_curl = _curl(lean)
+    deviating = local > rule.cell_delta_e
+    labels = _labels(deviating)
+    spots = _spots(labels, local, measured.grid)
+    share, low, high = (float(np.mean(local > rule.cell_delta_e + off)) for off in (0.0, -noise, noise))
+    of_edges = 0.5 / local.size
+    if measured.pictures is not None:
+        areas = spot_shares(labels, apart, measured.pictures, measured.grid, eye, usual, rule.cell_delta_e)
+        spots = [replace(spot, area_share=float(area)) for spot, area in zip(spots, areas, strict=True)]
+        share = float(areas.sum())
+        of_edges = U_EDGE_SHARE * share
+    u = float(np.hypot(0.5 * (low - high), of_edges))
+    return PrintMap(
+        local,
+        total,
+        lean,
+        noise,
+        deviating,
+        share,
+        u,
+        curl,
+        u_curl,
+        rule.max_share,
+        _judged(share, u, rule.max_share, coverage),
+        tuple(sorted(spots, key=lambda spot: -spot.area_share)[:MOST_SPOTS]),
+    )
+
+
+def _judged(share: float, u: float, limit: float, coverage: float) -> Verdict:
+    if share <= limit - coverage * u:
+        return Verdict.PASS
+    return Verdict.FAIL if share >= limit + coverage * u else Verdict.INCONCLUSIVE
+
+
+def _noise_floor(eye: Eye, channels: FloatArray, noise: FloatArray) -> float:
+    """Root mean square of ΔE that noise makes in a cell, in the worst pose; (P, 3) channels and noise of their ln."""
+    metric = eye.metric(channels)
+    return float(np.sqrt(np.einsum("pii,pi->p", metric, noise**2).max()))
+
+
+def _lean(
+    measured: MeasuredPrint, expected: PrintExpectation, fit: PrintFit, usual: FloatArray
+) -> FloatArray:
+    """(2, rows, cols) lean of every cell, from ln of its channels over the region's in all poses."""
+    logs = np.log(np.maximum(measured.cells, 1e-7) / usual[:, :, None, None])
+    values = logs.reshape(usual.size, -1)
+    slopes = np.stack([expected.scene.slope(name, fit.state) for name in _LOCAL], axis=-1)
+    weight = 1.0 / np.hypot(measured.cell_noise.ravel(), _FLOOR)
+    found = np.linalg.lstsq(slopes * weight[:, None], values * weight[:, None], rcond=None)[0]
+    return np.asarray(found[:2].reshape(2, *measured.grid.shape))
+
+
+def _curl(lean: FloatArray) -> tuple[FloatArray, float]:
+    """(2, 2) change of the lean across the region, from a plane through all but the farthest cells; and its u."""
+    rows, cols = lean.shape[1:]
+    if min(rows, cols) < 2:
+        return np.zeros((2, 2)), np.inf
+    down, across = ((np.arange(count) + 0.5) / count - 0.5 for count in (rows, cols))
+    y, x = np.meshgrid(-down, across, indexing="ij")
+    base = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=-1)
+    found, kept = np.zeros((3, 2)), np.ones(x.size, dtype=bool)
+    values = lean.reshape(2, -1).T
+    for _ in range(5):
+        found = np.asarray(np.linalg.lstsq(base[kept], values[kept], rcond=None)[0], dtype=np.float64)
+        off = np.hypot(*(values - base @ found).T)
+        kept = off <= max(3.0 * float(np.median(off)), 1e-6)
+    scatter = float(np.sqrt(np.mean((values - base @ found)[kept] ** 2)))
+    u = float(np.hypot(scatter * np.sqrt(12.0 / kept.sum()), FIELD_TILT_DEG))
+    return np.asarray(found[:2].T), u
+
+
+def _labels(deviating: npt.NDArray[np.bool_]) -> npt.NDArray[np.int32]:
+    """Number of the spot of every cell, from 1 on; cells that touch each other are one, 0 does not deviate."""
+    import cv2  # noqa: PLC0415
+
+    return np.asarray(cv2.connectedComponents(deviating.astype(np.uint8), connectivity=8)[1], dtype=np.int32)
+
+
+def _spots(labels: npt.NDArray[np.int32], local: FloatArray, grid: Grid) -> list[Spot]:
+    """The spots in the order of their numbers, with the area of their cells."""
+    found = []
+    for label in range(1, int(labels.max()) + 1):
+        inside = labels == label
+        rows, cols = np.nonzero(inside)
+        middle = np.array([0.5 * (cols.min() + cols.max()), 0.5 * (rows.min() + rows.max()), 1.0])
+        x, y = (grid.to_mm() @ middle)[:2]
+        found.append(
+            Spot(
+                float(x),
+                float(y),
+                float(np.ptp(cols) + 1) * grid.pixel_mm,
+                float(np.ptp(rows) + 1) * grid.pixel_mm,
+                len(rows) / labels.size,
+                len(rows),
+                float(local[inside].max()),
+            )
+        )
+    return found

@@ -1,0 +1,190 @@
+"""What a print should show: the channels of every pose with everything that makes the prediction uncertain."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import RecipeError
+from anisoscope.kinds.prints.colour import Eye, eye_of
+from anisoscope.kinds.prints.lobe_fit import check_poses
+from anisoscope.kinds.prints.model import Scene, State, roughness_matrix, squared_slopes
+from anisoscope.kinds.prints.recipe import PrintRecipe
+from anisoscope.kinds.prints.sources import Source, of_channels, of_each, of_poses, shared
+from anisoscope.sim.light.colour.illuminant import Illuminant
+from anisoscope.sim.light.colour.observer import xyz_weights
+from anisoscope.sim.light.colour.vision import Sensitivities, Vision
+from anisoscope.sim.light.geometry import Convention, Pose, directions
+from anisoscope.sim.light.ink.angles import half_vector
+
+MODEL = "ink"
+_DARK = 1e-9
+MOST_SLOPES = 40.0
+"""tan²θh/α² beyond which GGX and Beckmann differ by a factor of 10¹⁴, so that nothing is predicted there."""
+
+
+@dataclass(frozen=True, eq=False)
+class PrintExpectation:
+    """Predicted channels of the recipe's poses.
+
+    Attributes:
+        scene: the good print before the rig.
+        eye: how colours are told.
+        poses: P poses.
+        channels: (P, 3) radiance in 1/sr that red, green and blue see.
+        xyz: (P, 3) XYZ from the spectra, Y = 1 for the perfect diffuser.
+        common: sources of uncertainty of the prediction that no fitted parameter is.
+        fitted: those that are: roughness, level, colour, lobe, seating; by what they make uncertain.
+        convention: how the angles are counted.
+    """
+
+    scene: Scene
+    eye: Eye
+    poses: tuple[Pose, ...]
+    channels: FloatArray
+    xyz: FloatArray
+    common: tuple[Source, ...]
+    fitted: tuple[Source, ...]
+    convention: Convention
+
+    @property
+    def model(self) -> str:
+        """Name of the model in the record."""
+        return MODEL
+
+    @property
+    def surface(self) -> None:
+        """A print has no height map."""
+        return
+
+    @property
+    def optics(self) -> None:
+        """Rays or waves: an ink is a measured reflectance, so the question does not arise."""
+        return
+
+    @property
+    def sources(self) -> tuple[Source, ...]:
+        """All sources of uncertainty of the prediction."""
+        return self.common + self.fitted
+
+
+def expect_print(
+    recipe: PrintRecipe, light_angle_deg: float, lamp: Illuminant, sensitivities: Sensitivities
+) -> PrintExpectation:
+    """Predict the poses of a recipe.
+
+    Args:
+        recipe: the recipe.
+        light_angle_deg: the rig's angle between light and camera.
+        lamp: spectrum of the rig's lamp.
+        sensitivities: of its camera's red, green and blue pixels.
+
+    Raises:
+        InkFileError: the ink cannot be read.
+        RecipeError: the print should be black in some pose and channel, a pose lies outside the lobe, or the poses do
+            not tell all that is judged.
+        ModelError: wavelengths that give no colour, or a pose below the horizon.
+    """
+    part, ink = recipe.print, recipe.print.read_ink()
+    poses = recipe.poses.poses()
+    weights = Vision(lamp, sensitivities).weights(ink.nm)
+    scene = Scene(ink, part.coverage, part.substrate, poses, light_angle_deg, weights, part.lobe)
+    _check_lobe(scene)
+    channels = scene.channels()
+    if channels.min() <= _DARK:
+        at, channel = np.unravel_index(int(channels.argmin()), channels.shape)
+        raise RecipeError(
+            f"print: at {poses[at].stage_deg:g}°, tilt {poses[at].tilt_deg:g}°, no light is predicted in the "
+            f"{('red', 'green', 'blue')[channel]} channel: correct the ink, or leave the pose out"
+        )
+    check_poses(scene)
+    eye = eye_of(scene, lamp)
+    return PrintExpectation(
+        scene,
+        eye,
+        poses,
+        channels,
+        np.asarray(np.pi * scene.spectra() @ xyz_weights(lamp, ink.nm)),
+        _common(recipe, scene),
+        _fitted(recipe, scene),
+        Convention(light_angle_deg),
+    )
+
+
+def _check_lobe(scene: Scene) -> None:
+    matrix = roughness_matrix(scene.ink, State())
+    slopes = squared_slopes(half_vector(*directions(scene.poses, Convention(scene.light_angle_deg))), matrix)
+    if slopes.max() > MOST_SLOPES:
+        pose, widest = scene.poses[int(slopes.argmax())], np.sqrt(MOST_SLOPES * np.linalg.eigvalsh(matrix)[0])
+        raise RecipeError(
+            f"poses: at {pose.stage_deg:g}°, tilt {pose.tilt_deg:g}°, the lobe of {scene.ink.name} has ended, and only "
+            f"the form of its tail would show: keep tilts within about {np.degrees(np.arctan(widest)):.0f}°"
+        )
+
+
+def sources_at(recipe: PrintRecipe, expected: PrintExpectation, state: State) -> tuple[Source, ...]:
+    """All sources of uncertainty, of prediction and rig, as they act on a print in some state."""
+    scene = expected.scene
+    of_prediction = (*_common(recipe, scene, state), *_fitted(recipe, scene, state))
+    return (*of_prediction, *rig_sources(recipe, expected, state))
+
+
+def _common(recipe: PrintRecipe, scene: Scene, state: State | None = None) -> tuple[Source, ...]:
+    part, rig, count = recipe.print, recipe.uncertainty, 3 * len(scene.poses)
+    return (
+        shared("c of the ink", "prediction", part.u_c * scene.slope("c", state)),
+        shared("substrate", "prediction", part.u_substrate * _of_substrate(scene, state or State())),
+        shared("light angle", "prediction", rig.light_angle_deg * scene.slope("light_angle_deg", state)),
+        of_each("ink model", "prediction", np.full(count, rig.model_share)),
+    )
+
+
+def _of_substrate(scene: Scene, state: State) -> FloatArray:
+    """Derivative of ln of the channels with respect to the substrate's reflectance, one-sided where it is black."""
+    step = 1e-4
+    more = scene.log_channels(replace(state, substrate=state.substrate + step))
+    return np.asarray((more - scene.log_channels(state)) / step)
+
+
+def _fitted(recipe: PrintRecipe, scene: Scene, state: State | None = None) -> tuple[Source, ...]:
+    part, rig, poses = recipe.print, recipe.uncertainty, len(scene.poses)
+    level = [scene.slope(name, state) for name in ("red", "green", "blue")]
+    each = np.stack(level).sum(axis=0).reshape(poses, 3)
+    return (
+        shared("roughness of the ink", "prediction", part.u_alpha_share * scene.slope("alpha", state)),
+        shared("level of the ink", "prediction", part.u_rho_share * np.sum(level, axis=0)),
+        of_channels("colour of the ink", "prediction", part.u_colour_share * each),
+        shared("form of the lobe", "prediction", part.u_lobe * scene.slope("lobe", state)),
+        shared("seating tilt about x", "prediction", rig.seating_tilt_deg * scene.slope("seat_x_deg", state)),
+        shared("seating tilt about y", "prediction", rig.seating_tilt_deg * scene.slope("seat_y_deg", state)),
+    )
+
+
+def rig_sources(
+    recipe: PrintRecipe, expected: PrintExpectation, state: State | None = None
+) -> tuple[Source, ...]:
+    """Sources of the measurement that the recipe states: what one inspection cannot see; of a print in some state."""
+    rig, scene, poses = recipe.uncertainty, expected.scene, len(expected.poses)
+    ones, channels = np.ones((poses, 3)), expected.channels if state is None else scene.channels(state)
+    arm = scene.slope("arm_deg", state).reshape(poses, 3)
+    return (
+        shared("white tile", "measurement", rig.scale_share * ones.ravel()),
+        of_channels("balance of the channels", "measurement", rig.channel_share * ones),
+        of_each("flat field", "measurement", rig.flat_share * ones.ravel()),
+        of_each("linearity of the camera", "measurement", rig.linearity_share * ones.ravel()),
+        shared("stray light", "measurement", rig.stray_radiance / channels.ravel()),
+        of_poses(
+            "stage angle", "measurement", rig.stage_deg * scene.slope("stage_deg", state).reshape(poses, 3)
+        ),
+        _of_tilts(rig.tilt_deg * arm, expected.poses),
+        shared("zero of the tilt", "measurement", rig.tilt_zero_deg * arm.ravel()),
+    )
+
+
+def _of_tilts(u: FloatArray, poses: tuple[Pose, ...]) -> Source:
+    """An error of every tilt, to which the arm is moved once for all its stage angles."""
+    tilts = sorted({pose.tilt_deg for pose in poses})
+    factor = np.zeros((*u.shape, len(tilts)))
+    for row, pose in enumerate(poses):
+        factor[row, :, tilts.index(pose.tilt_deg)] = u[row]
+    return Source("tilt of the arm", "measurement", factor.reshape(u.size, len(tilts)))

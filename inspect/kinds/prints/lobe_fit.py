@@ -1,0 +1,181 @@
+"""Fit of a print to the channels of all its poses: roughness in every direction, tilt of the flakes, level and colour.
+
+Generalised least squares on ln of the channels. The covariance holds the measurement, and of the prediction what no
+parameter is (c, substrate, light angle, ink model); roughness, level and lobe of the ink do not enter: they are
+compared with afterwards. c itself is not fitted, because this rig hardly sees it: between light and camera stand 10°.
+"""
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import MeasurementError, ModelError, RecipeError
+from anisoscope.kinds.prints.model import Scene, State
+from anisoscope.kinds.prints.sources import Source, total
+
+PARAMETERS = ("alpha", "ratio", "skew", "tilt_x_deg", "tilt_y_deg", "red", "green", "blue", "lobe")
+_ROUNDS = 60
+_SETTLED = 1e-9
+_WILDEST = {"alpha": 2.5, "tilt_x_deg": 60.0, "tilt_y_deg": 60.0, "lobe": 30.0}
+"""Beyond these no print is left: a lobe twelve times as wide as it should be is plain paper's."""
+_VAGUE = 0.5
+"""Standard uncertainty of ln α beyond which it is no lobe whose width is told."""
+_UNFIT = "the lobe of this print cannot be fitted: is this the recipe's ink, and does the print lie flat?"
+_STEP_LIMIT = {"alpha": 0.4, "ratio": 0.4, "skew": 0.4, "tilt_x_deg": 4.0, "tilt_y_deg": 4.0, "lobe": 0.5}
+_TITLES = {
+    "alpha": "roughness", "ratio": "ratio of roughness 0°/90°", "skew": "ratio of roughness 45°/135°",
+    "tilt_x_deg": "tilt toward +x", "tilt_y_deg": "tilt toward +y", "red": "level of red", "green": "level of green",
+    "blue": "level of blue", "lobe": "form of the lobe",
+}  # fmt: skip
+
+
+class NoLobe(MeasurementError):
+    """No lobe of any width, height or form makes what the pictures show."""
+
+
+@dataclass(frozen=True, eq=False)
+class PrintFit:
+    """The state of a print that explains its channels best.
+
+    Attributes:
+        state: the parameters of `PARAMETERS`; the others are zero.
+        covariance: (9, 9) of the parameters, from the measurement and what else is uncertain in the fit.
+        gain: (9, N) what the parameters do where ln of a channel changes.
+        chi2: what the fit leaves.
+        dof: channels of all poses less parameters.
+        slopes: (N, 9) derivative of ln of the channels at the fit.
+    """
+
+    state: State
+    covariance: FloatArray
+    gain: FloatArray
+    chi2: float
+    dof: int
+    slopes: FloatArray
+
+    def value(self, name: str) -> float:
+        """A parameter."""
+        return float(getattr(self.state, name))
+
+    def u(self, name: str) -> float:
+        """Its standard uncertainty."""
+        k = PARAMETERS.index(name)
+        return float(np.sqrt(self.covariance[k, k]))
+
+
+def fit_print(
+    scene: Scene, log_channels: FloatArray, sources: tuple[Source, ...], *, start: State | None = None
+) -> PrintFit:
+    """Fit a print.
+
+    Args:
+        scene: the good print before the rig.
+        log_channels: (N,) ln of the channels of all poses, channels fastest.
+        sources: of uncertainty of the N numbers.
+        start: where to begin; the good print if None.
+
+    Raises:
+        MeasurementError: the poses do not determine a parameter.
+        NoLobe: the fit does not settle, or settles where there is no lobe to tell the width of.
+    """
+    covariance = total(sources, len(log_channels))
+    try:
+        root = np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        raise MeasurementError(
+            "no source of uncertainty is left for some channel, so that nothing can be weighed: "
+            "state some under [uncertainty] in the recipe"
+        ) from None
+    state, before = start or State(), np.inf
+    for turn in range(_ROUNDS):
+        off, slopes = log_channels - scene.log_channels(state), _slopes(scene, state)
+        white, white_off = _whitened(root, slopes), _whitened(root, off)
+        chi2 = float(white_off @ white_off)
+        step, rank = _solved(white, white_off)
+        if rank < len(PARAMETERS):
+            raise NoLobe(_UNFIT) if turn else MeasurementError(_undetermined(white))
+        if abs(before - chi2) < _SETTLED * (1.0 + chi2):
+            found = _fitted(state, white, root, chi2, slopes)
+            if found.u("alpha") > _VAGUE:
+                break
+            return found
+        state, before = _moved(scene, state, step, log_channels, root, chi2), chi2
+        if any(abs(getattr(state, name)) > most for name, most in _WILDEST.items()):
+            break
+    raise NoLobe(_UNFIT)
+
+
+def _whitened(root: FloatArray, values: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.solve(root, values), dtype=np.float64)
+
+
+def _slopes(scene: Scene, state: State) -> FloatArray:
+    return np.stack([scene.slope(name, state) for name in PARAMETERS], axis=-1)
+
+
+def _solved(white: FloatArray, off: FloatArray) -> tuple[FloatArray, int]:
+    scale = np.linalg.norm(white, axis=0)
+    scale = np.where(scale > 0.0, scale, 1.0)
+    found, _, rank, _ = np.linalg.lstsq(white / scale, off, rcond=1e-7)
+    return np.asarray(found / scale), int(rank)
+
+
+def _moved(
+    scene: Scene, state: State, step: FloatArray, wanted: FloatArray, root: FloatArray, chi2: float
+) -> State:
+    """A step of Gauss and Newton, shortened until it helps."""
+    limits = np.array([_STEP_LIMIT.get(name, 1.0) for name in PARAMETERS])
+    step = step / max(1.0, float(np.max(np.abs(step) / limits)))
+    best = None
+    for _ in range(12):
+        trial = _at(state, step)
+        step = 0.5 * step
+        try:
+            off = _whitened(root, wanted - scene.log_channels(trial))
+        except ModelError:  # leans so far that no flake reflects into some pose
+            continue
+        best = trial
+        if float(off @ off) <= chi2:
+            break
+    if best is None:
+        raise NoLobe(_UNFIT)
+    return best
+
+
+def _at(state: State, step: FloatArray) -> State:
+    return replace(
+        state,
+        **{name: getattr(state, name) + float(value) for name, value in zip(PARAMETERS, step, strict=True)},
+    )
+
+
+def _fitted(state: State, white: FloatArray, root: FloatArray, chi2: float, slopes: FloatArray) -> PrintFit:
+    covariance = np.asarray(np.linalg.inv(white.T @ white), dtype=np.float64)
+    gain = covariance @ white.T @ np.linalg.inv(root)
+    return PrintFit(state, covariance, gain, chi2, len(root) - len(PARAMETERS), slopes)
+
+
+def check_poses(scene: Scene) -> None:
+    """Do the poses tell every parameter?
+
+    Raises:
+        RecipeError: they do not.
+    """
+    slopes = _slopes(scene, State())
+    if _solved(slopes, np.zeros(len(slopes)))[1] < len(PARAMETERS):
+        raise RecipeError(_undetermined(slopes))
+
+
+def _undetermined(white: FloatArray) -> str:
+    """Which parameter the poses do not tell."""
+    scale = np.linalg.norm(white, axis=0)
+    _, _, vectors = np.linalg.svd(white / np.where(scale > 0.0, scale, 1.0))
+    name = PARAMETERS[int(np.argmax(np.abs(vectors[-1])))]
+    return (
+        f"the poses of the recipe do not determine the {_TITLES[name]} of a print: add tilts of both signs and stage "
+        "angles 90° and 180° apart"
+    )
+
+
+assert set(PARAMETERS) <= {field.name for field in fields(State)}

@@ -1,0 +1,215 @@
+"""What a print shows in every pose: the ink model as a function of all that may differ from one print to the next.
+
+Pranovich 2024, Eq. 5, with a lobe of any orientation: the roughness is a symmetric 2 × 2 matrix A of slopes, and for
+the slopes s = (hx, hy)/hz of the half vector GGX is D = 1/(π √|A| hz⁴ (1 + sᵀA⁻¹s)²), and Beckmann's has exp(−sᵀA⁻¹s)
+in place of the last bracket (Heitz 2014, Eqs. 71 and 85).
+"""
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import ModelError
+from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_rotation
+from anisoscope.sim.light.ink.angles import half_vector, shift
+from anisoscope.sim.light.ink.ink import Ink
+
+_STEP = 1e-4
+_FAINTEST = 600.0
+"""Largest exponent of a lobe: where a wild state of a fit leads beyond it, its logarithm stays finite."""
+
+
+@dataclass(frozen=True)
+class State:
+    """How a print differs from its recipe, and the rig from its file; all zero: as they should be.
+
+    Attributes:
+        alpha: change of ln α, alike in all directions.
+        ratio: change of ln(αy/αx).
+        skew: change of ln(α at 135°/α at 45°).
+        tilt_x_deg, tilt_y_deg: by how much the flakes lean toward +x and +y.
+        red, green, blue: change of ln of the ink's level in each colour channel.
+        lobe: 0 the ink's distribution of normals, 1 the other one of GGX and Beckmann, between them the geometric mean.
+        c: added to c at all wavelengths.
+        shift_nm: by how much the ink's spectra lie at longer wavelengths.
+        missing: share of the ink that is missing; the substrate shows instead.
+        other: share of the ink that is another one (`Scene.other`).
+        substrate: added to the substrate's reflectance.
+        light_angle_deg: added to the angle between light and camera.
+        stage_deg, arm_deg: added to every stage angle and every tilt.
+        seat_x_deg, seat_y_deg: turn of the whole sheet about x and about y.
+    """
+
+    alpha: float = 0.0
+    ratio: float = 0.0
+    skew: float = 0.0
+    tilt_x_deg: float = 0.0
+    tilt_y_deg: float = 0.0
+    red: float = 0.0
+    green: float = 0.0
+    blue: float = 0.0
+    lobe: float = 0.0
+    c: float = 0.0
+    shift_nm: float = 0.0
+    missing: float = 0.0
+    other: float = 0.0
+    substrate: float = 0.0
+    light_angle_deg: float = 0.0
+    stage_deg: float = 0.0
+    arm_deg: float = 0.0
+    seat_x_deg: float = 0.0
+    seat_y_deg: float = 0.0
+
+
+NAMES = tuple(field.name for field in fields(State))
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """One print before one rig.
+
+    Attributes:
+        ink: its ink.
+        coverage: share of the area that carries ink.
+        substrate: diffuse reflectance below and between.
+        poses: P poses.
+        light_angle_deg: angle between light and camera.
+        weights: (W, 3) what the colour channels see of a spectrum at the ink's wavelengths; every column adds up to 1.
+        lobe: as in `State`, of the good print.
+        other: another ink, that may be mixed in.
+    """
+
+    ink: Ink
+    coverage: float
+    substrate: float
+    poses: tuple[Pose, ...]
+    light_angle_deg: float
+    weights: FloatArray
+    lobe: float = 0.0
+    other: Ink | None = None
+
+    def channels(self, state: State | None = None) -> FloatArray:
+        """(P, 3) radiance per unit of normal irradiance [1/sr] that the colour channels see.
+
+        Raises:
+            ModelError: light or camera stands below the horizon in some pose.
+        """
+        state = state or State()
+        ink, cos_i = self._parts(state)
+        balance = np.exp([state.red, state.green, state.blue])
+        coverage = self.coverage * (1.0 - state.missing)
+        paper = max(self.substrate + state.substrate, 0.0) / np.pi
+        mixed = coverage * (ink @ self.weights) * balance + (1.0 - coverage) * paper
+        return np.asarray(cos_i[:, None] * mixed)
+
+    def spectra(self, state: State | None = None) -> FloatArray:
+        """(P, W) radiance per unit of normal irradiance [1/sr] at the ink's wavelengths; colour channels unchanged."""
+        state = state or State()
+        ink, cos_i = self._parts(state)
+        coverage = self.coverage * (1.0 - state.missing)
+        paper = max(self.substrate + state.substrate, 0.0) / np.pi
+        return np.asarray(cos_i[:, None] * (coverage * ink + (1.0 - coverage) * paper))
+
+    def leaning(self, tilts_deg: FloatArray) -> FloatArray:
+        """(K, P, 3) `channels` of good prints whose flakes lean by (K, 2) tilts toward +x and +y.
+
+        Raises:
+            ModelError: as for `channels`.
+        """
+        to_light, to_camera = directions(self.poses, Convention(self.light_angle_deg))
+        half, good = half_vector(to_light, to_camera), State()
+        leans = np.stack([seating_rotation(-y, x) for x, y in np.asarray(tilts_deg)])
+        shares = _density(self.ink, half @ leans, good, self.lobe) / _density(self.ink, half, good, self.lobe)
+        paper = to_light[:, 2:] * (1.0 - self.coverage) * self.substrate / np.pi
+        return np.asarray(paper + shares[..., None] * (self.channels() - paper))
+
+    def log_channels(self, state: State | None = None) -> FloatArray:
+        """(3 P,) ln of `channels`, channels fastest."""
+        return np.asarray(np.log(self.channels(state)).ravel())
+
+    def slope(self, name: str, at: State | None = None) -> FloatArray:
+        """(3 P,) derivative of ln of the channels with respect to a field of `State`, by central differences."""
+        here = at or State()
+        value = getattr(here, name)
+        after, before = (replace(here, **{name: value + step}) for step in (_STEP, -_STEP))
+        return (self.log_channels(after) - self.log_channels(before)) / (2.0 * _STEP)
+
+    def _parts(self, state: State) -> tuple[FloatArray, FloatArray]:
+        """(P, W) BRDF of the ink in 1/sr, and (P,) cosines of the light's inclination."""
+        convention = Convention(self.light_angle_deg + state.light_angle_deg)
+        poses = tuple(
+            Pose(pose.stage_deg + state.stage_deg, pose.tilt_deg + state.arm_deg) for pose in self.poses
+        )
+        to_light, to_camera = directions(poses, convention)
+        if state.seat_x_deg or state.seat_y_deg:
+            seat = seating_rotation(state.seat_x_deg, state.seat_y_deg)
+            to_light, to_camera = to_light @ seat, to_camera @ seat
+        cos_i, cos_o = to_light[:, 2], to_camera[:, 2]
+        half = half_vector(to_light, to_camera)
+        argument = shift(cos_i, cos_o)
+        share = state.other
+        found = np.zeros((len(poses), len(self.ink.wavelengths_nm)))
+        inks = (
+            [(1.0 - share, self.ink)]
+            if self.other is None
+            else [(1.0 - share, self.ink), (share, self.other)]
+        )
+        for part, ink in inks:
+            if part != 0.0:
+                lobe = _lobe(ink, half, state, self.lobe + state.lobe)
+                found += part * lobe[:, None] * _colour(ink, argument, state, self.ink.nm)
+        return found, cos_i
+
+
+def _colour(ink: Ink, argument: FloatArray, state: State, nm: FloatArray) -> FloatArray:
+    """(P, W) ρ·exp(c·x) at wavelengths ``nm``, a quarter of D times this is the BRDF."""
+    at = nm - state.shift_nm
+    rho, c = (np.interp(at, ink.nm, values) for values in (ink.rho_brdf, ink.c_values))
+    return np.asarray(rho * np.exp((c + state.c) * argument[:, None]))
+
+
+def _lobe(ink: Ink, half: FloatArray, state: State, lobe: float) -> FloatArray:
+    """(P,) D/4 at half vectors, of the ink's lobe turned, widened and leaned."""
+    return _density(ink, half @ seating_rotation(-state.tilt_y_deg, state.tilt_x_deg), state, lobe)
+
+
+def _density(ink: Ink, half: FloatArray, state: State, lobe: float) -> FloatArray:
+    """(…) D/4 at (…, 3) half vectors as flakes that do not lean see them."""
+    z, matrix = half[..., 2], roughness_matrix(ink, state)
+    q = squared_slopes(half, matrix)
+    ggx, beckmann = -2.0 * np.log1p(q), -q
+    own, other = (ggx, beckmann) if ink.distribution == "ggx" else (beckmann, ggx)
+    shape = np.exp(np.clip((1.0 - lobe) * own + lobe * other, -_FAINTEST, _FAINTEST))
+    return np.asarray(shape / (4.0 * np.pi * np.sqrt(np.linalg.det(matrix)) * z**4))
+
+
+def squared_slopes(half: FloatArray, matrix: FloatArray) -> FloatArray:
+    """(…) sᵀA⁻¹s of the slopes of (…, 3) half vectors, tan²θh/α² of an isotropic ink.
+
+    Raises:
+        ModelError: a half vector lies below the print.
+    """
+    if np.any(half[..., 2] <= 0.0):
+        raise ModelError("a half vector lies below the print: no flake reflects there")
+    slopes = half[..., :2] / half[..., 2:]
+    return np.asarray(np.einsum("...i,ij,...j->...", slopes, np.linalg.inv(matrix), slopes))
+
+
+def roughness_matrix(ink: Ink, state: State) -> FloatArray:
+    """(2, 2) A: its quadratic form along a direction is α² there."""
+    turn = np.radians(ink.brush_deg)
+    axes = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    nominal = axes @ np.diag([ink.alpha**2, ink.across**2]) @ axes.T
+    half = 0.5 * state.ratio
+    stretch = np.array([[state.alpha - half, -0.5 * state.skew], [-0.5 * state.skew, state.alpha + half]])
+    values, vectors = np.linalg.eigh(stretch)
+    factor = vectors @ np.diag(np.exp(values)) @ vectors.T
+    return np.asarray(factor @ nominal @ factor)
+
+
+def roughness_along(ink: Ink, state: State, azimuth_deg: float) -> float:
+    """α along a direction of the print, counter-clockwise from +x."""
+    turn = np.radians(azimuth_deg)
+    along = np.array([np.cos(turn), np.sin(turn)])
+    return float(np.sqrt(along @ roughness_matrix(ink, state) @ along))

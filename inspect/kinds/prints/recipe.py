@@ -1,0 +1,246 @@
+"""The recipe of a print: its ink instead of a surface and a plastic; poses, exposure and region as of ridged parts."""
+
+from importlib.resources import as_file, files
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import AfterValidator, Field, model_validator
+
+from anisoscope.base.errors import ModelError, RecipeError
+from anisoscope.base.toml_file import NameOrFile, NotNegative, Part, Positive, Share, read_toml_model
+from anisoscope.recipe.recipe import (
+    AcquisitionPart,
+    LimitsPart,
+    PosesPart,
+    Recipe,
+    RegionPart,
+    is_print,
+    read_recipe,
+)
+from anisoscope.sim.light.colour.observer import shares_of_points
+from anisoscope.sim.light.ink.ink import Ink
+from anisoscope.sim.materials.inks import SYNTHETIC, InkFileError, read_ink
+
+TILTS_DEG = (0.0, 7.0, 14.0, 20.0, -20.0, -14.0, -7.0)
+ANGLES_DEG = (0.0, 90.0, 180.0)
+SIDES = 2
+"""Cells of the map along each side, at least."""
+
+
+def _known(text: str) -> str:
+    if text in SYNTHETIC or text.endswith(".toml"):
+        return text
+    raise ValueError(f"no ink is named {text!r}; known: {', '.join(SYNTHETIC)}, or a file *.toml")
+
+
+InkName = Annotated[NameOrFile, AfterValidator(_known)]
+
+
+def ink_file(name: str) -> Path:
+    """The file of an ink, also of one that comes with the package."""
+    if name not in SYNTHETIC:
+        return Path(name)
+    with as_file(files("anisoscope.sim.materials") / "data" / f"{name}.toml") as path:
+        return path
+
+
+class PrintPart(Part):
+    """What is printed.
+
+    ``ink`` is an ink file, or an ink that comes with the package; ``coverage`` the share of the area that carries it;
+    ``substrate`` the diffuse reflectance of what lies below and between. ``lobe`` says what the distribution of the
+    flakes' normals is: 0 that of the ink file, 1 the other one of GGX and Beckmann, between them a geometric mean;
+    an inspection of a good print finds it. ``wrong_inks`` are other inks of the house, which the diagnosis looks for.
+
+    The ``u_…`` are standard uncertainties: relative of roughness, of level (``u_rho_share``, all wavelengths alike) and
+    of colour (``u_colour_share``, between the colour channels); absolute of c, of the lobe and of the substrate.
+    """
+
+    ink: InkName
+    coverage: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
+    substrate: Share = 0.04
+    lobe: Annotated[float, Field(ge=-1.0, le=2.0)] = 0.0
+    wrong_inks: Annotated[tuple[InkName, ...], Field(max_length=4)] = ()
+    u_alpha_share: Share = 0.01
+    u_rho_share: Share = 0.01
+    u_colour_share: Share = 0.003
+    u_c: NotNegative = 0.1
+    u_lobe: NotNegative = 0.05
+    u_substrate: Share = 0.01
+
+    @model_validator(mode="after")
+    def _inks_differ(self) -> Self:
+        if len({self.ink, *self.wrong_inks}) <= len(self.wrong_inks):
+            raise ValueError("wrong_inks names an ink twice, or the print's own: leave it out")
+        return self
+
+    def read_ink(self) -> Ink:
+        """The ink.
+
+        Raises:
+            InkFileError: its file is missing or wrong.
+        """
+        return read_ink(ink_file(self.ink))
+
+    def read_wrong_inks(self) -> tuple[Ink, ...]:
+        """The inks that may have got into this one; errors as for `read_ink`."""
+        return tuple(read_ink(ink_file(name)) for name in self.wrong_inks)
+
+
+class PrintPoses(PosesPart):
+    """Stage angles and tilts; see `docs/prints.md` for what the usual ones tell apart."""
+
+    angles_deg: Annotated[tuple[float, ...], Field(min_length=2)] = ANGLES_DEG
+    tilts_deg: Annotated[tuple[float, ...], Field(min_length=1)] = TILTS_DEG
+
+    @model_validator(mode="after")
+    def _reaches_across_the_lobe(self) -> Self:
+        if self.facet_azimuth_deg != 0.0:
+            raise ValueError("facet_azimuth_deg belongs to ridges: leave it out for a print")
+        if len({abs(tilt) for tilt in self.tilts_deg}) < 3:
+            raise ValueError(
+                "tilts_deg needs three different tilts or more, such as [0.0, 10.0, 20.0], so that the width of the "
+                "lobe is told from its height and its form"
+            )
+        if not any(abs((b - a) % 180.0 - 90.0) <= 45.0 for a in self.angles_deg for b in self.angles_deg):
+            raise ValueError(
+                "angles_deg needs two angles 45 to 135 degrees apart, such as [0.0, 90.0, 180.0], so that both "
+                "roughnesses show"
+            )
+        return self
+
+
+class PrintTolerances(Part):
+    """The largest deviations of a good print.
+
+    ``delta_e``: CIEDE2000 of a pose. ``alpha_share``, ``gain_share``: relative, of the roughness along x and along y,
+    and of the level. ``ln_ratio``: of the roughness at 0°/90° and at 45°/135°. ``chromaticity``: shift of u'v'.
+    ``tilt_deg``: mean tilt of the flakes; ``curl_deg``: by how much it changes across the region. They are starting
+    values, to be set by parts.
+    """
+
+    delta_e: Positive = 2.0
+    alpha_share: Positive = 0.05
+    gain_share: Positive = 0.05
+    ln_ratio: Positive = 0.05
+    chromaticity: Positive = 5e-3
+    tilt_deg: Positive = 0.5
+    curl_deg: Positive = 0.5
+
+
+class PrintDecision(Part):
+    """How a print is judged; keys as of ridged parts."""
+
+    alpha: Annotated[float, Field(gt=0.0, lt=0.5)] = 0.01
+    deviation: Literal["warn", "fail"] = "warn"
+    coverage: Positive = 1.645
+    remeasure: Annotated[int, Field(ge=0, le=9)] = 1
+
+
+class PrintArea(Part):
+    """The map of local colour differences: square cells, each against the whole region.
+
+    A cell deviates where its CIEDE2000 exceeds ``cell_delta_e`` in some pose; the print fails where more than
+    ``max_share`` of the area does. Left out, golden prints teach it.
+    """
+
+    cell_mm: Positive = 0.1
+    cell_delta_e: Positive = 3.0
+    max_share: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.01
+
+
+class PrintUncertainty(Part):
+    """Standard uncertainties of the rig that one inspection cannot see.
+
+    ``scale_share``: of the white tile's reflectance. ``channel_share``: of a colour channel against the others, from
+    its sensitivity and the spectrum of the lamp. ``model_share``: of every channel of every pose, of ink model and
+    sums over wavelengths.
+    """
+
+    light_angle_deg: NotNegative = 0.1
+    stage_deg: NotNegative = 0.05
+    tilt_deg: NotNegative = 0.03
+    tilt_zero_deg: NotNegative = 0.05
+    seating_tilt_deg: NotNegative = 0.1
+    flat_share: NotNegative = 0.002
+    scale_share: NotNegative = 0.005
+    channel_share: NotNegative = 0.002
+    linearity_share: NotNegative = 0.001
+    stray_radiance: NotNegative = 0.0003
+    model_share: NotNegative = 0.003
+
+
+class PrintRecipe(Part):
+    """The recipe of a print, as read from its TOML file."""
+
+    schema_version: Annotated[Literal[1], Field(alias="schema")]
+    product: Annotated[str, Field(min_length=1, max_length=200)]
+    version: Annotated[int, Field(ge=1)] = 1
+    print: PrintPart
+    poses: PrintPoses = PrintPoses()
+    acquisition: AcquisitionPart
+    region: RegionPart
+    tolerances: PrintTolerances = PrintTolerances()
+    decision: PrintDecision = PrintDecision()
+    area: PrintArea | None = PrintArea()
+    limits: LimitsPart = LimitsPart()
+    uncertainty: PrintUncertainty = PrintUncertainty()
+
+    @model_validator(mode="after")
+    def _cells_fit(self) -> Self:
+        if self.area is not None and min(self.region.size_mm) < SIDES * self.area.cell_mm:
+            raise ValueError(
+                f"region.size_mm must span at least {SIDES} cells of area.cell_mm ({self.area.cell_mm:g} mm) each way"
+            )
+        return self
+
+
+AnyRecipe = Recipe | PrintRecipe
+
+
+def read_print_recipe(path: Path) -> PrintRecipe:
+    """Read the recipe of a print.
+
+    Raises:
+        RecipeError: the file is missing or wrong; the message names file, key and what is expected.
+        InkFileError: one of its inks cannot be read; the message names the key as well.
+    """
+    recipe = read_toml_model(
+        path, PrintRecipe, error=RecipeError, substitutions={"here": str(path.resolve().parent)}
+    )
+    inks = [("print.ink", recipe.print.ink)]
+    inks += [(f"print.wrong_inks[{k}]", name) for k, name in enumerate(recipe.print.wrong_inks)]
+    names = [_named(path, key, name) for key, name in inks]
+    for name in names:
+        if names.count(name) > 1:
+            raise RecipeError(
+                f"{path}: print: two of its inks are called {name!r}, which the diagnosis could not tell apart: name "
+                "each ink once, or give the ink files different names"
+            )
+    return recipe
+
+
+def _named(path: Path, key: str, ink: str) -> str:
+    """The name of one of a recipe's inks.
+
+    Raises:
+        InkFileError: it cannot be read, or has no colour; the message names the recipe and its key as well.
+    """
+    try:
+        found = read_ink(ink_file(ink))
+    except InkFileError as problem:
+        raise InkFileError(f"{path}: {key}: {problem}") from None
+    try:
+        shares_of_points(found.nm, found.nm)
+    except ModelError as problem:
+        raise InkFileError(f"{path}: {key}: {ink}: {problem}") from None
+    return found.name
+
+
+def read_any_recipe(path: Path) -> AnyRecipe:
+    """Read the recipe of a ridged part, or of a print, whichever it is.
+
+    Raises:
+        RecipeError, InkFileError: as for `read_recipe` and `read_print_recipe`.
+    """
+    return read_print_recipe(path) if is_print(path) else read_recipe(path)

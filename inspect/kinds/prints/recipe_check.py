@@ -1,0 +1,193 @@
+"""What the recipe of a print can tell before anything moves: uncertainties of what is judged, causes told apart."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from anisoscope.base.errors import MeasurementError, RecipeError
+from anisoscope.diagnosis.separability import Separability, separability
+from anisoscope.kinds.prints.causes import U_BACKGROUND, known_causes
+from anisoscope.kinds.prints.decision import PrintDecision, decide_print
+from anisoscope.kinds.prints.expectation import PrintExpectation, rig_sources
+from anisoscope.kinds.prints.measurement import MeasuredPrint, cell_grid
+from anisoscope.kinds.prints.pose_colours import without_lean
+from anisoscope.kinds.prints.quantities import Quantity
+from anisoscope.kinds.prints.recipe import PrintRecipe
+from anisoscope.kinds.prints.sources import Source, of_poses, total
+
+WANTED_SHARE = 0.9
+"""Good prints that should come out of a limit decided."""
+DIM = 0.1
+"""Brightness of a pose, by the brightest, below which a longer exposure is worth while."""
+_CURL_U_DEG = 0.05
+_LENGTHS = ("chromaticity", "tilt")
+_DRAWS, _SEED = 2000, 7
+
+
+@dataclass(frozen=True)
+class PlannedQuantity:
+    """What an inspection will know of a quantity: its standard uncertainty, and T/U of the limit.
+
+    ``passing`` is the share of good prints, as they vary by what the recipe says is uncertain, that will pass it.
+    """
+
+    name: str
+    title: str
+    unit: str
+    limit: float
+    u: float
+    passing: float
+
+    @property
+    def ratio(self) -> float | None:
+        """T/U."""
+        return None if self.u == 0.0 else self.limit / (2.0 * self.u)
+
+
+@dataclass(frozen=True)
+class PlannedPose:
+    """A pose as it is predicted: red, green and blue in 1/sr, and how bright by the brightest pose."""
+
+    stage_deg: float
+    tilt_deg: float
+    channels: tuple[float, float, float]
+    brightness: float
+
+
+@dataclass(frozen=True)
+class PrintRecipeCheck:
+    """What the recipe of a print can tell."""
+
+    poses: tuple[PlannedPose, ...]
+    quantities: tuple[PlannedQuantity, ...]
+    causes: tuple[Separability, ...]
+    matrix_residual: float
+    complaints: tuple[str, ...]
+
+
+def check_print_recipe(recipe: PrintRecipe, expected: PrintExpectation) -> PrintRecipeCheck:
+    """Look at the recipe of a print; nothing moves.
+
+    Args:
+        recipe: the recipe.
+        expected: what it predicts.
+
+    Raises:
+        RecipeError: the recipe leaves nothing uncertain, so that nothing can be weighed.
+    """
+    poses = len(expected.poses)
+    # the lamp drifts by a quarter of its limit; noise is small against the rest and left out
+    lamp = 0.25 * recipe.limits.drift / np.sqrt(3.0)
+    drift = of_poses("drift of the lamp", "measurement", np.full((poses, 3), lamp))
+    decision = as_predicted(recipe, expected, drift)
+    covariance = total((*expected.sources, *rig_sources(recipe, expected), drift), 3 * poses)
+    extra = 0 if recipe.area is None else 1
+    whole = np.zeros((3 * poses + extra, 3 * poses + extra))
+    whole[: 3 * poses, : 3 * poses] = covariance
+    if extra:
+        whole[-1, -1] = _CURL_U_DEG**2
+    causes = separability(
+        known_causes(recipe, expected, decision.fit, extra),
+        whole,
+        with_map=bool(extra),
+        u_background=U_BACKGROUND,
+    )
+    quantities = planned_quantities(recipe, expected, decision)
+    planned = _poses(expected)
+    return PrintRecipeCheck(
+        planned, quantities, causes, expected.eye.residual, _complaints(recipe, planned, quantities)
+    )
+
+
+def planned_quantities(
+    recipe: PrintRecipe, expected: PrintExpectation, decision: PrintDecision
+) -> tuple[PlannedQuantity, ...]:
+    """What an inspection will know, by the decision on a print that shows exactly what is predicted."""
+    return tuple(
+        PlannedQuantity(
+            one.name,
+            one.title if one.name != "delta_e" else "ΔE2000",
+            one.unit,
+            one.limit,
+            one.u,
+            _passing(one) if one.name != "delta_e" else _colours_passing(recipe, expected, decision),
+        )
+        for one in decision.quantities
+    )
+
+
+def as_predicted(recipe: PrintRecipe, expected: PrintExpectation, drift: Source) -> PrintDecision:
+    """The verdict on a print that shows exactly what is predicted.
+
+    Raises:
+        RecipeError: the recipe leaves nothing uncertain, so that nothing can be weighed.
+    """
+    alone = recipe.model_copy(update={"area": None})
+    channels = expected.channels
+    measured = MeasuredPrint(
+        channels,
+        channels[:, :, None, None],
+        np.zeros_like(channels),
+        (drift,),
+        cell_grid(alone),
+        None,
+    )
+    try:
+        return decide_print(expected, measured, alone)
+    except MeasurementError as problem:
+        raise RecipeError(str(problem)) from None
+
+
+def _passing(one: Quantity) -> float:
+    """Share of good prints that stay below a limit less its guard band; of lengths in the least favourable case."""
+    from scipy.stats import norm, rayleigh  # noqa: PLC0415 - 1 s
+
+    room = one.limit - one.guard
+    if one.u == 0.0 or room <= 0.0:
+        return float(room > 0.0)
+    if one.name in _LENGTHS:
+        return float(rayleigh.cdf(room / one.u))
+    return float(1.0 - 2.0 * norm.sf(room / one.u))
+
+
+def _colours_passing(recipe: PrintRecipe, expected: PrintExpectation, decision: PrintDecision) -> float:
+    """Share of good prints, drawn from all that is uncertain, with ΔE2000 below its limit in every pose."""
+    count, metric = 3 * len(expected.poses), expected.eye.metric(expected.channels)
+    assert decision.fit is not None  # what is predicted has a lobe
+    values, vectors = np.linalg.eigh(without_lean(decision.fit, total(decision.sources, count)))
+    normal = np.random.default_rng(_SEED).standard_normal((_DRAWS, count))
+    off = (normal * np.sqrt(np.maximum(values, 0.0)) @ vectors.T).reshape(_DRAWS, -1, 3)
+    delta_e = np.sqrt(np.einsum("npi,pij,npj->np", off, metric, off, optimize=True))
+    guard = recipe.decision.coverage * np.array([one.u_delta_e for one in decision.colours])
+    return float(np.mean(np.all(delta_e + guard <= recipe.tolerances.delta_e, axis=1)))
+
+
+def _poses(expected: PrintExpectation) -> tuple[PlannedPose, ...]:
+    bright = expected.channels.max(axis=1)
+    found = []
+    for pose, channels, level in zip(expected.poses, expected.channels, bright, strict=True):
+        red, green, blue = (float(value) for value in channels)
+        found.append(
+            PlannedPose(pose.stage_deg, pose.tilt_deg, (red, green, blue), float(level / bright.max()))
+        )
+    return tuple(found)
+
+
+def _complaints(
+    recipe: PrintRecipe, poses: tuple[PlannedPose, ...], quantities: tuple[PlannedQuantity, ...]
+) -> tuple[str, ...]:
+    found = []
+    darkest = min(poses, key=lambda one: one.brightness)
+    if darkest.brightness < DIM and not recipe.acquisition.brackets:
+        found.append(
+            f"at tilt {darkest.tilt_deg:g}° the print is {darkest.brightness:.1%} as bright as in its brightest pose: "
+            "set acquisition.brackets, such as [8.0]"
+        )
+    found += [
+        f"of prints as good as [print] and [uncertainty] say only {one.passing:.0%} will pass the limit of "
+        f"{one.title} ({WANTED_SHARE:.0%} wanted), and most others end undecided: widen the limit, or lessen the "
+        "uncertainties"
+        for one in quantities
+        if one.passing < WANTED_SHARE
+    ]
+    return tuple(found)

@@ -1,0 +1,248 @@
+"""Golden prints: what prints that are known to be good have shown, kept beside their recipe.
+
+The file (JSON, schema 1) holds one row a print: ln of red, green and blue in every pose. It belongs to the ink, the
+poses, the region and the exposure of one recipe, and to the lamp and the camera of one rig; other rows are refused.
+"""
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import CalibrationError
+from anisoscope.decision.reference_parts import counted, kept_set, limit_is_given, same_exposure
+from anisoscope.imaging.area_limit import MIN_PARTS, KnownShares
+from anisoscope.kinds.prints.lighting import lamp_and_sensitivities
+from anisoscope.kinds.prints.lobe_fit import PARAMETERS
+from anisoscope.kinds.prints.recipe import PrintArea, PrintRecipe
+from anisoscope.kinds.prints.record import PrintRecord, Triple
+from anisoscope.record.schema import Record
+from anisoscope.rig.rigfile import RigFile
+
+NEEDED = len(PARAMETERS) + 1
+"""Prints from which on the scatter of all that is fitted can be told (Hotelling's T²)."""
+SENSIBLE = 3 * len(PARAMETERS)
+TESTS = 3
+"""What shares one level where golden prints decide: lobe and level, colours of the poses, and the area."""
+
+
+class Seen(BaseModel):
+    """By whose light and eyes prints were seen: names of ink, lamp, sensitivities and colour filters."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    ink: str
+    lamp: str
+    sensitivities: str
+    filters: str
+
+
+class GoldenPrint(BaseModel):
+    """One good print: who it is, when it was inspected, and (P, 3) ln of its channels.
+
+    ``area_share`` is the share of the area that deviated by more than ``cell_delta_e`` in cells of ``cell_mm``, of
+    which there were ``cells``; ``curl_deg`` is the change of tilt across the region, and ``u_curl_deg`` its standard
+    uncertainty. Sets of earlier versions do not tell them.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    serial: str
+    inspected_at: str
+    log_channels: tuple[Triple, ...]
+    area_share: float | None
+    cell_delta_e: float | None = None
+    cell_mm: float | None = None
+    cells: int | None = None
+    curl_deg: float | None = None
+    u_curl_deg: float | None = None
+    verdict: str
+
+
+class GoldenPrints(BaseModel):
+    """The good prints of one recipe.
+
+    Attributes:
+        product: of the recipe.
+        recipe_key: hash of what the prints have in common in their recipes.
+        seen: by whose light and eyes.
+        poses: (stage angle, tilt) of every pose, degrees.
+        parts: the prints, in the order in which they were added.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
+    kind: Literal["print"] = "print"
+    product: str
+    recipe_key: str
+    seen: Seen
+    poses: tuple[tuple[float, float], ...]
+    parts: tuple[GoldenPrint, ...] = ()
+
+    def logs(self) -> FloatArray:
+        """(n, 3P) ln of the channels of every print, channels fastest."""
+        return np.array([part.log_channels for part in self.parts]).reshape(len(self.parts), -1)
+
+    def area_shares(self, rule: PrintArea) -> tuple[float, ...]:
+        """Shares of the area that deviated, of the prints that were judged with these cells and this threshold."""
+        return tuple(
+            part.area_share
+            for part in self.parts
+            if part.area_share is not None
+            and part.cell_delta_e == rule.cell_delta_e
+            and part.cell_mm == rule.cell_mm
+        )
+
+    def known_shares(self, recipe: PrintRecipe) -> KnownShares | None:
+        """What these prints teach of the area; None where the recipe gives its own limit or they are too few."""
+        rule = recipe.area
+        if rule is None or limit_is_given(rule):
+            return None
+        cells, shares = [part.cells for part in self.parts if part.cells], self.area_shares(rule)
+        return KnownShares(shares, cells[-1]) if cells and len(shares) >= MIN_PARTS else None
+
+    def area_limit(self, recipe: PrintRecipe) -> float | None:
+        """The limit of the area that these prints teach, for a print whose lobe and colours are as they should be."""
+        known = self.known_shares(recipe)
+        return None if known is None else known.limit(recipe.decision.alpha / TESTS)
+
+    @property
+    def lacking(self) -> str | None:
+        """Why the prints cannot tell yet what is a deviation, or None if they can."""
+        count = len(self.parts)
+        if count < NEEDED:
+            return (
+                f"{counted(count, 'golden print')}: from {NEEDED} on prints are compared with them, {SENSIBLE} are "
+                "sensible"
+            )
+        logs = self.logs()
+        if np.linalg.matrix_rank(logs - logs.mean(axis=0)) < len(PARAMETERS):
+            return (
+                f"{count} golden prints: they do not vary independently, so that they are not compared with"
+            )
+        return None
+
+
+def print_key(recipe: PrintRecipe) -> str:
+    """Hash of what must be the same in two recipes for their prints to be comparable."""
+    told = recipe.model_dump(mode="json")
+    content = {
+        "poses": told["poses"],
+        "region": told["region"],
+        "acquisition": same_exposure(recipe.acquisition),
+    }
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def read_golden_prints(path: Path, recipe: PrintRecipe, rig: RigFile | None = None) -> GoldenPrints | None:
+    """The good prints of a recipe, or None where none were ever added.
+
+    Args:
+        path: their file.
+        recipe: the recipe.
+        rig: if given, the rig that is to see the next print.
+
+    Raises:
+        CalibrationError: the file is damaged, or belongs to another recipe, or to another lamp or camera.
+    """
+    found = kept_set(path, GoldenPrints, "golden prints")
+    if found is None:
+        return None
+    anew = "inspect good prints anew, add them to an empty set, and delete the old file"
+    if found.recipe_key != print_key(recipe):
+        raise CalibrationError(
+            f"the golden prints in {path} were inspected with other poses, region or exposure than the recipe has "
+            f"now: {anew}"
+        )
+    names: dict[str, str] = {"ink": recipe.print.read_ink().name}
+    if rig is not None:
+        lamp, sensitivities = lamp_and_sensitivities(rig)
+        names |= {"lamp": lamp.name, "sensitivities": sensitivities.name}
+    for what, name in names.items():
+        then = getattr(found.seen, what)
+        if then != name:
+            raise CalibrationError(
+                f"the golden prints in {path} were seen with the {what} {then!r}, now it is {name!r}: {anew}"
+            )
+    return found
+
+
+def add_print(known: GoldenPrints | None, recipe: PrintRecipe, record: Record) -> GoldenPrints:
+    """A set with one print more.
+
+    Args:
+        known: the set so far, or None.
+        recipe: the recipe of the set.
+        record: of the inspection of a good print.
+
+    Raises:
+        CalibrationError: the inspection was INVALID, was made with another recipe or seen otherwise, or is in the set
+            already.
+    """
+    if record.verdict == "INVALID" or record.print is None:
+        what = "an INVALID inspection" if record.verdict == "INVALID" else "an inspection of something else"
+        raise CalibrationError(f"{record.serial}: {what} says nothing about a good print")
+    if record.print.lobe is None:
+        raise CalibrationError(
+            f"{record.serial}: hardly anything is printed there, which says nothing about a good print"
+        )
+    shown, key = record.print, print_key(recipe)
+    then = PrintRecipe.model_validate(record.recipe)
+    if print_key(then) != key:
+        raise CalibrationError(
+            f"{record.serial} was inspected with another recipe (poses, region or exposure differ): inspect it again"
+        )
+    seen = Seen(ink=shown.ink, lamp=shown.lamp, sensitivities=shown.sensitivities, filters=shown.filters)
+    poses = tuple((one.stage_deg, one.tilt_deg) for one in shown.colours)
+    base = known or GoldenPrints(product=recipe.product, recipe_key=key, seen=seen, poses=poses)
+    for what, wanted in base.seen:
+        if getattr(seen, what) != wanted:
+            raise CalibrationError(
+                f"{record.serial} was seen with the {what} {getattr(seen, what)!r}, the others with {wanted!r}"
+            )
+    if any((part.serial, part.inspected_at) == (record.serial, record.created_at) for part in base.parts):
+        raise CalibrationError(
+            f"this inspection of {record.serial} ({record.created_at}) is in the set already"
+        )
+    logs = np.log([one.measured for one in shown.colours]).tolist()
+    part = GoldenPrint(
+        serial=record.serial,
+        inspected_at=record.created_at,
+        log_channels=tuple((red, green, blue) for red, green, blue in logs),
+        verdict=record.verdict,
+        **_of_map(shown),
+    )
+    return base.model_copy(update={"parts": (*base.parts, part)})
+
+
+def _of_map(shown: PrintRecord) -> dict[str, Any]:
+    """What a golden print keeps of its map."""
+    seen = shown.map
+    if seen is None:
+        return {"area_share": None}
+    curl = next(one for one in shown.quantities if one.name == "curl")
+    return {
+        "area_share": seen.share,
+        "cell_delta_e": seen.cell_delta_e,
+        "cell_mm": seen.cell_mm,
+        "cells": seen.rows * seen.cols,
+        "curl_deg": curl.value,
+        "u_curl_deg": curl.u,
+    }
+
+
+def without_print(known: GoldenPrints, serial: str) -> GoldenPrints:
+    """The set without all rows of a serial number.
+
+    Raises:
+        CalibrationError: there is none.
+    """
+    kept = tuple(part for part in known.parts if part.serial != serial)
+    if len(kept) == len(known.parts):
+        raise CalibrationError(f"there is no golden print {serial}")
+    return known.model_copy(update={"parts": kept})

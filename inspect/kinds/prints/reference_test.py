@@ -1,0 +1,177 @@
+"""Is a print like the golden prints? Hotelling's T² of all that is fitted, and of the colour of every pose.
+
+The scatter of 25 prints cannot weigh the 63 channels of 21 poses. What is weighed are combinations of them: the nine
+parameters of the fit (roughness in every direction, lean, levels, form of the lobe), taken linearly about the print
+that the recipe predicts, so that they are normal if the channels are; and pose by pose the three channels, without what
+the lean makes, because the lean may be that of the seat and is one of the nine. The scatter of golden prints holds the
+uncertainty of the measurement already. Lobe, colours and, where its limit is learnt, the area share one level, and so
+do the poses' colours (Holm 1979).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.significance import holm, hotelling
+from anisoscope.imaging.area_limit import KnownShares
+from anisoscope.kinds.prints.expectation import PrintExpectation
+from anisoscope.kinds.prints.lobe_fit import PARAMETERS
+from anisoscope.kinds.prints.model import State
+from anisoscope.kinds.prints.reference_prints import GoldenPrints
+from anisoscope.kinds.prints.sources import Source, total
+
+LEAN = [PARAMETERS.index(name) for name in ("tilt_x_deg", "tilt_y_deg")]
+
+
+@dataclass(frozen=True)
+class GoldenColour:
+    """The colour of one pose beside the golden prints, all without what their lean makes.
+
+    Attributes:
+        delta_e: CIEDE2000 from their mean.
+        spread: root mean square CIEDE2000 of the golden prints from their mean.
+        t2: Hotelling's T² of the three channels.
+        p_value: probability of more for a print like the golden ones, Holm-adjusted over all tests.
+    """
+
+    delta_e: float
+    spread: float
+    t2: float
+    p_value: float
+
+
+@dataclass(frozen=True)
+class GoldenArea:
+    """The deviating area beside that of the golden prints.
+
+    Attributes:
+        limit: largest share of one more good print, but for its part of the level.
+        p_value: probability of as much for a print like the golden ones, Holm-adjusted over all tests.
+        prints: how many golden prints tell it.
+    """
+
+    limit: float
+    p_value: float
+    prints: int
+
+
+@dataclass(frozen=True, eq=False)
+class BesideGolden:
+    """A print beside the golden prints.
+
+    Attributes:
+        count: n, how many they are.
+        fitted: (n, 9) parameters of the golden prints from those of the predicted print, as of `fitting.PARAMETERS`.
+        measured: (9,) those of this print.
+        t2: Hotelling's T² of the nine.
+        p_fitted: probability of more for a print like the golden ones, Holm-adjusted.
+        colours: one a pose.
+        logs: (3P,) mean of the golden prints' ln of the channels.
+        covariance: (3P, 3P) by how much a good print's ln of the channels differs from it, as far as the nine tell.
+        area: the deviating area by that of the golden prints, or None where they do not tell.
+    """
+
+    count: int
+    fitted: FloatArray
+    measured: FloatArray
+    t2: float
+    p_fitted: float
+    colours: tuple[GoldenColour, ...]
+    logs: FloatArray
+    covariance: FloatArray
+    area: GoldenArea | None = None
+
+    @property
+    def p_value(self) -> float:
+        """Probability that a print like the golden ones deviates as much in any test but that of the area."""
+        return min(self.p_fitted, *(one.p_value for one in self.colours))
+
+
+@dataclass(frozen=True, eq=False)
+class LinearFit:
+    """The fit about the predicted print: (3P, 9) slopes, and (9, 3P) what ln of the channels makes of the nine."""
+
+    slopes: FloatArray
+    gain: FloatArray
+
+
+def linear_fit(expected: PrintExpectation, sources: tuple[Source, ...]) -> LinearFit:
+    """The linear fit of prints.
+
+    Args:
+        expected: the prediction, about which it is linear.
+        sources: uncertainty of what the fit does not vary; it weighs the channels.
+    """
+    slopes = np.stack([expected.scene.slope(name, State()) for name in PARAMETERS], axis=-1)
+    weighed = np.linalg.solve(total(sources, len(slopes)), slopes)
+    return LinearFit(slopes, np.linalg.solve(slopes.T @ weighed, weighed.T))
+
+
+def beside_golden(
+    golden: GoldenPrints,
+    expected: PrintExpectation,
+    logs: FloatArray,
+    fit: LinearFit,
+    area: tuple[KnownShares, float] | None = None,
+    alpha: float = 0.01,
+) -> BesideGolden:
+    """Weigh a print by the golden prints.
+
+    Args:
+        golden: the set, none of whose prints is lacking.
+        expected: the prediction.
+        logs: (3P,) ln of the print's channels.
+        fit: what is weighed, of all prints alike.
+        area: what golden prints have shown of the area, and the share that deviates here; None if they do not tell.
+        alpha: level of all tests together.
+
+    Raises:
+        MeasurementError: the golden prints are too few, or do not vary in every direction.
+    """
+    base = np.log(expected.channels).ravel()
+    slopes, gain = fit.slopes, fit.gain
+    known, mine = golden.logs() - base, logs - base
+    fitted, own = known @ gain.T, gain @ mine
+    t2, p_fitted = hotelling(own, fitted)
+    flat = np.eye(base.size) - slopes[:, LEAN] @ gain[LEAN]
+    others = (known @ flat.T).reshape(len(known), -1, 3)
+    here = (flat @ mine).reshape(-1, 3)
+    tests = [hotelling(here[k], others[:, k]) for k in range(len(here))]
+    of_poses = holm(np.array([p for _, p in tests]))
+    p_values = [p_fitted, float(of_poses.min())]
+    shares = None if area is None else _area(*area, p_values, alpha)
+    p_values += [] if area is None else [area[0].chance(area[1])]
+    p_fitted, p_colours = (float(p) for p in holm(np.array(p_values))[:2])
+    apart, spread = _differences(expected, here, others)
+    colours = tuple(
+        GoldenColour(float(apart[k]), float(spread[k]), tests[k][0], float(max(of_poses[k], p_colours)))
+        for k in range(len(here))
+    )
+    count = len(known)
+    scatter = slopes @ np.cov(fitted, rowvar=False) @ slopes.T * (1.0 + 1.0 / count)
+    mean = golden.logs().mean(axis=0)
+    return BesideGolden(count, fitted, own, t2, p_fitted, colours, mean, np.asarray(scatter), shares)
+
+
+def _area(known: KnownShares, share: float, others: list[float], alpha: float) -> GoldenArea:
+    """The test of the area beside the p values of the other tests; its limit is that of its step of Holm's."""
+    rejected = 0
+    for step, p_value in enumerate(sorted(others)):
+        if p_value * (len(others) + 1 - step) >= alpha:
+            break
+        rejected += 1
+    limit = known.limit(alpha / (len(others) + 1 - rejected))
+    adjusted = float(holm(np.array([*others, known.chance(share)]))[-1])
+    return GoldenArea(limit, adjusted, len(known.shares))
+
+
+def _differences(
+    expected: PrintExpectation, here: FloatArray, others: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """(P,) CIEDE2000 of a print from the golden prints' mean, and the rms of theirs; ln of channels over predicted."""
+    mean = others.mean(axis=0)
+    wanted = expected.channels * np.exp(mean)
+    apart = expected.eye.difference(expected.channels * np.exp(here), wanted)
+    each = expected.eye.difference(expected.channels * np.exp(others), np.broadcast_to(wanted, others.shape))
+    return apart, np.sqrt(np.mean(each**2, axis=0) * len(others) / (len(others) - 1.0))

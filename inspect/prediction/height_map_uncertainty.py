@@ -1,0 +1,180 @@
+"""What a height map adds to the uncertainty of its prediction: noise, pixels, and how few ridges it holds."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.progress import Advance, silent
+from anisoscope.prediction.sensitivity import DARK, Contribution, InputUncertainty, Model, Shape, Surface
+from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.optics import POINT_LIKE, Optics, through
+from anisoscope.sim.light.relief import Relief
+from anisoscope.sim.light.relief import radiance as relief_radiance
+
+SAMPLED_ROWS = 160
+REALISATIONS = 8
+MIN_RIDGES = 4
+
+
+def best_band(relief: Relief) -> Relief:
+    """As many rows as the sensitivities need, where the fewest heights are missing."""
+    height = relief.surface.height_um
+    count = min(height.shape[0], SAMPLED_ROWS)
+    known = np.concatenate([[0], np.cumsum(np.isfinite(height).sum(axis=1))])
+    start = int(np.argmax(known[count:] - known[:-count]))
+    band = relief.surface.with_height(height[start : start + count])
+    return replace(relief, surface=band, max_missing_share=1.0)
+
+
+def relief_model(relief: Relief, optics: Optics = POINT_LIKE, on_progress: Advance = silent) -> Model:
+    """The predictor of one relief, as lamp and lens see it."""
+
+    def predict(to_light: FloatArray, to_camera: FloatArray, material: Material) -> FloatArray:
+        return relief_radiance(relief, to_light, to_camera, material, on_progress)
+
+    return through(predict, optics)
+
+
+def relief_surface(relief: Relief, optics: Optics = POINT_LIKE) -> Surface:
+    """A relief whose heights may be wrong by a factor."""
+
+    def shaped(shape: Shape) -> Model:
+        if shape.height_factor == 1.0:
+            return relief_model(relief, optics)
+        scaled = relief.surface.with_height(relief.surface.height_um * shape.height_factor)
+        return relief_model(replace(relief, surface=scaled, max_missing_share=1.0), optics)
+
+    return shaped
+
+
+def map_contributions(
+    relief: Relief,
+    seen: tuple[FloatArray, FloatArray],
+    material: Material,
+    radiance: FloatArray,
+    inputs: InputUncertainty | None,
+    on_progress: Advance = silent,
+) -> tuple[Contribution, ...]:
+    """Contributions of the map itself, those of its scale apart; none without ``inputs``.
+
+    Args:
+        relief: the whole map, prepared.
+        seen: (P, 3) unit vectors to the light and to the camera.
+        material: the plastic.
+        radiance: (P,) nominal radiances of the whole map in 1/sr.
+        inputs: standard uncertainties.
+        on_progress: told of every step.
+    """
+    if inputs is None:
+        return ()
+    steps = REALISATIONS if inputs.height_noise_um > 0.0 else 0
+    found = [Contribution("height map, overall", inputs.height_map_share * radiance, "independent")]
+    if relief.pitch_um is not None:
+        found.append(pixel_bias(relief.surface.pixel_x_um, relief.pitch_um, radiance))
+    if steps:
+        rng = np.random.default_rng(0)  # the same map has the same uncertainty every time
+        found += height_noise(relief, seen, material, radiance, inputs.height_noise_um, rng, on_progress)
+    scatter = ridge_scatter(relief, seen, material, inputs.ridges_seen, on_progress)
+    return (*found, *(() if scatter is None else (scatter,)))
+
+
+def pixel_bias(pixel_um: float, pitch_um: float, radiance: FloatArray) -> Contribution:
+    """A wall narrower than a pixel costs up to one pixel of facet a pitch; evenly distributed, so divided by √3."""
+    share = pixel_um / pitch_um / np.sqrt(3.0)
+    return Contribution("pixel size against the walls", share * radiance, "independent", rectangular=True)
+
+
+def height_noise(
+    relief: Relief,
+    seen: tuple[FloatArray, FloatArray],
+    material: Material,
+    radiance: FloatArray,
+    noise_um: float,
+    rng: np.random.Generator,
+    on_progress: Advance = silent,
+    realisations: int = REALISATIONS,
+) -> list[Contribution]:
+    """Noise of the heights: the mean shift that it makes, and the scatter about it.
+
+    A derivative for each of a million points is out of reach, and useless besides: to first order the errors of
+    independent points average out, and what stays is of second order, because noise adds slopes and so widens
+    the lobe. So noise of the stated size is added once more to a band of the map, a few times:
+
+    - Their mean minus the band without it is the shift. A map that was measured with this noise already carries
+      it once. It is not corrected, and counts in full as a standard uncertainty shared by all poses; relative to
+      L it holds for the whole map.
+    - Their covariance over the poses, times facets of the band over facets of the map, is the scatter of the
+      mean over the whole map: facets far from each other are independent. Of N realisations it has rank N − 1 and
+      a relative error of 1/√(2(N − 1)) in u.
+
+    Args:
+        relief: the whole map.
+        seen: (P, 3) unit vectors to the light and to the camera.
+        material: the plastic.
+        radiance: (P,) nominal radiances of the whole map in 1/sr.
+        noise_um: standard deviation, in every point for itself, in µm.
+        rng: generator.
+        on_progress: told of every realisation.
+        realisations: how many, at least 2.
+    """
+    band = best_band(relief)
+    plain = relief_radiance(band, *seen, material)
+    drawn = []
+    for number in range(realisations):
+        on_progress("height noise", number, realisations)
+        height = band.surface.height_um
+        noisy = band.surface.with_height(height + noise_um * rng.standard_normal(height.shape))
+        drawn.append(relief_radiance(replace(band, surface=noisy), *seen, material))
+    found = np.array(drawn)
+    bright = (plain > DARK) & (radiance > DARK)
+    gain = np.where(bright, radiance / np.where(bright, plain, 1.0), 1.0)
+    area = band.surface.height_um.size / relief.surface.height_um.size
+    scatter = np.atleast_2d(np.cov(found.T)) * area * np.outer(gain, gain)
+    return [
+        Contribution("height noise, mean shift", gain * (found.mean(axis=0) - plain)),
+        _partial("height noise, scatter", scatter),
+    ]
+
+
+def ridge_scatter(
+    relief: Relief,
+    seen: tuple[FloatArray, FloatArray],
+    material: Material,
+    ridges_seen: int | None = None,
+    on_progress: Advance = silent,
+) -> Contribution | None:
+    """Uncertainty of a mean over so few ridges, from the scatter between the ridges of the map.
+
+    The map's ridges are a sample of those of the part. Resampling them with replacement gives a covariance of their
+    mean of S/n, where S is the covariance between the n ridges; that limit of many resamplings is taken directly,
+    with n − 1 for an unbiased S. Where the camera sees ``ridges_seen`` other ridges, S/ridges_seen adds to it.
+    Neighbouring ridges are taken as independent: a slow change over the map is told too small.
+
+    Returns:
+        The contribution, or None for maps with fewer than four whole ridges or without period.
+    """
+    if relief.pitch_um is None:
+        return None
+    surface = relief.surface
+    width = relief.pitch_um / surface.pixel_x_um
+    count = int((surface.shape[1] - 1) / width + 1e-6)
+    points = int(np.ceil(width - 1e-6)) + 1
+    drawn = []
+    for number in range(count):
+        start = min(round(number * width), surface.shape[1] - points)
+        height = surface.height_um[:, start : start + points]
+        if start < 0 or not np.isfinite(height[:-1] + height[1:])[:, :-1].any():
+            continue
+        on_progress("scatter between ridges", number, count)
+        ridge = replace(relief, surface=surface.with_height(height), max_missing_share=1.0)
+        drawn.append(relief_radiance(ridge, *seen, material))
+    found = np.array([row for row in drawn if np.isfinite(row).all()])
+    if len(found) < MIN_RIDGES:
+        return None
+    share = 1.0 / len(found) + (0.0 if ridges_seen is None else 1.0 / ridges_seen)
+    return _partial("scatter between ridges", np.atleast_2d(np.cov(found.T)) * share)
+
+
+def _partial(source: str, matrix: FloatArray) -> Contribution:
+    return Contribution(source, np.sqrt(np.diag(matrix)), "partial", matrix=matrix)

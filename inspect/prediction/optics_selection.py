@@ -1,0 +1,323 @@
+"""Predictions under the optics that a surface needs: rays, waves, whichever is right, or both."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import HeightMapError, ModelError
+from anisoscope.base.progress import Advance, silent
+from anisoscope.prediction.height_map_uncertainty import relief_model
+from anisoscope.prediction.monte_carlo import MonteCarlo
+from anisoscope.prediction.predict import Predicted, with_uncertainty
+from anisoscope.prediction.relief_preparation import Levelling, prepare_relief
+from anisoscope.prediction.sensitivity import (
+    Contribution,
+    InputUncertainty,
+    Model,
+    Shape,
+    State,
+    Surface,
+    fixed,
+)
+from anisoscope.prediction.wave import WavePredictor, design_surface, wave_surface, window_of
+from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.sim.light import corrected
+from anisoscope.sim.light.contrasts import contrasts
+from anisoscope.sim.light.geometry import Convention, Pose, directions
+from anisoscope.sim.light.material import Material, fresnel
+from anisoscope.sim.light.optics import POINT_LIKE, Optics, through
+from anisoscope.sim.light.wave.choice import (
+    NUMERICAL_ERROR,
+    SHARP_ERROR,
+    OpticsChoice,
+    choose_optics,
+    effective_coherence_um,
+)
+from anisoscope.sim.light.wave.halfvectors import HalfVector, half_vector
+from anisoscope.sim.light.wave.reflectance import LightSpectrum, radiance_scale
+from anisoscope.sim.light.wave.surface import WaveSurface, sampling_of
+from anisoscope.sim.light.wave.windows import Window
+
+MOST_TIMES = 24
+"""Points in the place of one that are put without being asked for."""
+
+OpticsModel = Literal["auto", "geometric", "wave", "both"]
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """Which optics are asked for.
+
+    Attributes:
+        model: "auto": what the surface needs; "geometric", "wave", or "both".
+        light: the wavelengths, for the choice and for waves.
+        interpolate: heights are interpolated this many times before they are taken for waves.
+    """
+
+    model: OpticsModel = "auto"
+    light: LightSpectrum = field(default_factory=LightSpectrum)
+    interpolate: int = 1
+
+
+@dataclass(frozen=True)
+class Rig:
+    """What a prediction is made for.
+
+    Attributes:
+        material: the plastic.
+        poses: P poses.
+        convention: how the angles are counted.
+        optics: lamp and lens.
+        inputs: uncertainties, or None.
+        monte_carlo: draws, or None.
+    """
+
+    material: Material
+    poses: tuple[Pose, ...]
+    convention: Convention
+    optics: Optics = POINT_LIKE
+    inputs: InputUncertainty | None = None
+    monte_carlo: MonteCarlo | None = None
+
+
+def optics_for(surface: HeightMap | RidgeDesign, rig: Rig, wanted: Wanted) -> OpticsChoice | None:
+    """Which optics a surface needs under a rig; None where a map has missing points: rays only.
+
+    Lamp, lens and the roughness of the plastic all shorten the coherence. This is what an inspection asks too: the
+    answer depends on nothing that is measured.
+    """
+    if isinstance(surface, RidgeDesign):
+        # walls send nothing that is seen, and as jumps they need no fine points
+        facets = replace(surface, pitch_um=surface.facet_width_um, wall="vertical")
+        pixel = min(0.125 * wanted.light.shortest_um, surface.pitch_um / 64.0)
+        count = max(256, int(4.0 * facets.pitch_um / pixel))
+        heights = WaveSurface.of(facets.profile(np.asarray((np.arange(count) + 0.5) * pixel)), pixel)
+    elif surface.missing_share > 0.0:
+        return None
+    else:
+        heights = wave_surface(surface).interpolated(wanted.interpolate)
+    return choose_optics(heights, _window(rig), wanted.light, max(half.z for half in _halves(rig)))
+
+
+def predict_with_optics(
+    surface: HeightMap | RidgeDesign,
+    geometric: Callable[[Advance], Predicted],
+    rig: Rig,
+    wanted: Wanted,
+    pitch_um: float | None = None,
+    levelling: Levelling = "auto",
+    on_progress: Advance = silent,
+) -> tuple[Predicted, ...]:
+    """One prediction, or geometric and wave ones where both are asked for; each carries the choice in its notes.
+
+    Args:
+        surface: the map as read, or ideal ridges.
+        geometric: makes the geometric prediction.
+        rig: everything else that predictions need.
+        wanted: which optics.
+        pitch_um: as in `preparing.prepare_relief`.
+        levelling: as in `preparing.prepare_relief`.
+        on_progress: told along the way.
+
+    Raises:
+        HeightMapError: waves are asked for by name, and the map has missing points or too coarse pixels.
+        ModelError: waves are asked for by name, with a lamp near the part.
+    """
+    choice = optics_for(surface, rig, wanted)
+    model = ("geometric" if choice is None else choice.model) if wanted.model == "auto" else wanted.model
+    found = []
+    if model in ("wave", "both"):
+        stepped = choice is not None and choice.stepped
+        try:
+            found.append(_by_waves(surface, rig, wanted, stepped, pitch_um, levelling, on_progress))
+        except (HeightMapError, ModelError) as problem:
+            if wanted.model != "auto" or choice is None:
+                raise
+            choice, model = by_rays_instead(choice, problem), "geometric"
+    if model in ("geometric", "both"):
+        found.insert(0, geometric(on_progress))
+    notes = optics_note(choice, wanted) | error_note(choice, rig, wanted)
+    return tuple(replace(one, notes={**one.notes, "optics": notes}) for one in found)
+
+
+def by_rays_instead(choice: OpticsChoice, problem: Exception | str) -> OpticsChoice:
+    """What is said where waves would be right and cannot be had: nobody asked for them by name."""
+    reason = f"{choice.reason}; but waves cannot be had ({problem}): geometric, with an error"
+    error = min(1.0, SHARP_ERROR * choice.coherence_um / choice.f_um)
+    return replace(choice, model="geometric", reason=reason, stated_error=error)
+
+
+def optics_note(choice: OpticsChoice | None, wanted: Wanted) -> dict[str, Any]:
+    """What is said of the choice, as plain data; lengths in µm, null for what has no end."""
+    said: dict[str, Any] = {"asked": wanted.model}
+    if choice is None:
+        return said | {
+            "model": "geometric",
+            "reason": "the map has missing points, and waves need all of them: geometric",
+            "stated_error": None,
+            "f_um": None,
+            "coherence_um": None,
+        }
+    return said | {
+        "model": choice.model,
+        "reason": choice.reason,
+        "stated_error": choice.stated_error,
+        "f_um": _finite(choice.f_um),
+        "coherence_um": _finite(choice.coherence_um),
+        "wavelengths_nm": [1e3 * wavelength for wavelength in wanted.light.wavelengths_um],
+    }
+
+
+def error_note(choice: OpticsChoice | None, rig: Rig, wanted: Wanted) -> dict[str, float | None]:
+    """The stated error in 1/sr: its share of the middle of the brightest lobe, which holds in every pose.
+
+    A pose that sees the foot of a lobe only may be off by more than the stated share of itself: what diffraction takes
+    out of a lobe falls off with the square of the angle, roughness much faster.
+    """
+    if choice is None:
+        return {"stated_error_per_sr": None}
+    longest, window = wanted.light.longest_um, _window(rig)
+    middles = []
+    for half in _halves(rig):
+        x, y = effective_coherence_um(window, longest, half.z)
+        mirrored = float(fresnel(np.sqrt(np.asarray(half.square)), rig.material.index))
+        middles.append(radiance_scale(half, longest) * x * y * mirrored)
+    return {"stated_error_per_sr": _finite(choice.stated_error * max(middles))}
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def _halves(rig: Rig) -> tuple[HalfVector, ...]:
+    pairs = zip(*directions(rig.poses, rig.convention), strict=True)
+    return tuple(half_vector(to_light, to_camera) for to_light, to_camera in pairs)
+
+
+def _window(rig: Rig) -> Window:
+    to_light, to_camera = directions(rig.poses, rig.convention)
+    rough = 0.5 * np.diag([rig.material.alpha_across**2, rig.material.alpha_along**2])
+    return window_of(to_light[0], to_camera[0], replace(rig.optics, light_distance_mm=None), rough)
+
+
+def _by_waves(
+    surface: HeightMap | RidgeDesign,
+    rig: Rig,
+    wanted: Wanted,
+    stepped: bool,
+    pitch_um: float | None,
+    levelling: Levelling,
+    on_progress: Advance,
+) -> Predicted:
+    if rig.optics.light_distance_mm is not None:
+        raise ModelError("waves need a lamp far away: leave --lamp-distance out, or take --model geometric")
+    on_progress("waves", 0, 1)
+    if isinstance(surface, RidgeDesign):
+        of, shape = _of_design(surface, rig, wanted), Shape(surface.ridge_angle_deg, surface.height_loss)
+    else:
+        of, shape = fixed(_of_map(surface, rig, wanted, stepped, pitch_um, levelling)), None
+    nominal = State(rig.material, rig.convention.light_angle_deg)
+    if shape is not None:
+        nominal = replace(nominal, shape=shape)
+    radiance = of(nominal.shape)(*directions(rig.poses, rig.convention), rig.material)
+    notes: dict[str, Any] = {"bounces": 1}
+    found = Predicted(
+        "wave", rig.convention, rig.poses, radiance, contrasts(rig.poses, radiance), notes=notes
+    )
+    on_progress("waves", 1, 1)
+    return with_uncertainty(
+        found, of, nominal, rig.inputs, rig.monte_carlo, _contributions(surface, rig, radiance), on_progress
+    )
+
+
+def wave_model(
+    surface: HeightMap | RidgeDesign, rig: Rig, wanted: Wanted, stepped: bool, pitch_um: float | None = None
+) -> Model:
+    """The wave predictor of a surface as it is, without uncertainty; arguments as for `predict_with_optics`.
+
+    Raises:
+        HeightMapError: the map has missing points or too coarse pixels.
+        ModelError: too many points would be needed.
+    """
+    if isinstance(surface, RidgeDesign):
+        return _of_design(surface, rig, wanted)(Shape(surface.ridge_angle_deg, surface.height_loss))
+    return _of_map(surface, rig, wanted, stepped, pitch_um, "auto")
+
+
+def _contributions(
+    surface: HeightMap | RidgeDesign, rig: Rig, radiance: FloatArray
+) -> tuple[Contribution, ...]:
+    if rig.inputs is None:
+        return ()
+    own = Contribution("numerical error of the wave model", NUMERICAL_ERROR * radiance, "independent")
+    if isinstance(surface, RidgeDesign):
+        return (own,)
+    share = rig.inputs.height_map_share * radiance
+    return own, Contribution("height map, overall", share, "independent")
+
+
+def _of_design(design: RidgeDesign, rig: Rig, wanted: Wanted) -> Surface:
+    def shaped(shape: Shape) -> Model:
+        ridges = replace(design, ridge_angle_deg=shape.ridge_angle_deg, height_loss=shape.height_loss)
+
+        def base(to_light: FloatArray, to_camera: FloatArray, material: Material) -> FloatArray:
+            return corrected.radiance(to_light, to_camera, ridges, material)
+
+        heights = design_surface(ridges, wanted.light)
+        return WavePredictor(heights, through(base, rig.optics), rig.optics, wanted.light)
+
+    nominal = Shape(design.ridge_angle_deg, design.height_loss)
+    kept = shaped(nominal)
+    return lambda shape: kept if shape == nominal else shaped(shape)
+
+
+def _of_map(
+    surface: HeightMap,
+    rig: Rig,
+    wanted: Wanted,
+    stepped: bool,
+    pitch_um: float | None,
+    levelling: Levelling,
+) -> Model:
+    wave_surface(surface)  # missing points are refused before anything is levelled
+    relief, _ = prepare_relief(surface, pitch_um, levelling)
+    level = relief.surface
+    if relief.pitch_um is not None:
+        width = int(level.shape[1] * level.pixel_x_um / relief.pitch_um) * relief.pitch_um
+        cols = max(2, round(width / level.pixel_x_um))
+        level = level.with_height(level.height_um[:, :cols])
+    heights = replace(wave_surface(level), cells=stepped).interpolated(wanted.interpolate)
+    halves = _halves(rig)
+    sampling_of(heights, wanted.light.shortest_um, max(half.z for half in halves)).check()
+    fine = fine_enough(heights, _window(rig), wanted.light, halves)
+    return WavePredictor(fine, relief_model(relief, rig.optics), rig.optics, wanted.light)
+
+
+def fine_enough(
+    surface: WaveSurface, window: Window, light: LightSpectrum, halves: tuple[HalfVector, ...]
+) -> WaveSurface:
+    """Heights interpolated as far as the blur asks for: what it lets through must not fold back at the pixels.
+
+    Steps are left as they are: their heights hold for whole pixels.
+
+    Raises:
+        HeightMapError: too coarse pixels, or too many points.
+    """
+    if surface.cells:
+        return surface
+    highest = max(half.z for half in halves)
+    wide = max(window.half_width(light.shortest_um, highest))
+    turned = max(abs(f) for half in halves for f in half.frequency(light.shortest_um))
+    pixel = surface.pixel_x_um if surface.is_profile else max(surface.pixel_x_um, surface.pixel_y_um)
+    times = max(1, int(np.ceil(2.0 * (wide + turned) * pixel)))
+    if times > MOST_TIMES:
+        raise HeightMapError(
+            f"pixels of {pixel:g} µm are too coarse for waves on this plastic: they need {times} points in place of "
+            f"one, at most {MOST_TIMES} are put by themselves: ask for more (--interpolate {times}), measure with "
+            "smaller pixels, or take the geometric model"
+        )
+    return surface.interpolated(times)

@@ -1,0 +1,283 @@
+"""Prediction of radiances and contrasts for an ideal design or a height map."""
+
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.progress import Advance, silent
+from anisoscope.prediction.contrast_uncertainty import contrast_covariance
+from anisoscope.prediction.height_map_uncertainty import (
+    best_band,
+    map_contributions,
+    relief_model,
+    relief_surface,
+)
+from anisoscope.prediction.monte_carlo import Drawn, MonteCarlo, draw
+from anisoscope.prediction.propagation import propagate
+from anisoscope.prediction.relief_preparation import Levelling, map_notes, prepare_relief
+from anisoscope.prediction.sensitivity import (
+    Budget,
+    Contribution,
+    InputUncertainty,
+    Model,
+    Shape,
+    State,
+    Surface,
+)
+from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.sim.light import corrected, printed
+from anisoscope.sim.light.census import Facets
+from anisoscope.sim.light.contrasts import Contrast, contrasts
+from anisoscope.sim.light.geometry import Convention, Pose, directions
+from anisoscope.sim.light.material import Material, lobe_albedo
+from anisoscope.sim.light.optics import POINT_LIKE, Optics, through
+from anisoscope.sim.light.relief import MAX_MISSING_SHARE
+from anisoscope.sim.light.relief_paths import interreflection
+from anisoscope.sim.light.unresolved import resolve
+
+WORTH_SAYING = 0.005
+COARSE_PATHS = 2048
+_PERFECT = 1e9  # an index that mirrors everything
+
+
+def lost_in_roughness(material: Material, steepest_deg: float) -> float:
+    """Largest share of the light of a lobe that single scattering leaves out, at facets lit up to ``steepest_deg``.
+
+    A microfacet lobe follows light to its first microfacet only; what meets a second one is lost to it. The loss is
+    what a perfect mirror of this roughness would lack (Heitz 2014, section 5.4: the white furnace).
+    """
+    steepest = np.cos(np.radians(min(steepest_deg, 89.0)))
+    roughness = max(material.alpha_along, material.alpha_across)
+    kept = lobe_albedo(np.array([1.0, steepest]), roughness, _PERFECT)
+    return float(np.max(1.0 - kept))
+
+
+def roughness_note(material: Material, steepest_deg: float) -> dict[str, Any]:
+    """The note on single scattering, where it is worth saying."""
+    lost = lost_in_roughness(material, steepest_deg)
+    return {"lost_in_roughness": lost} if lost > WORTH_SAYING else {}
+
+
+def reflections_note(direct: FloatArray, twice: FloatArray) -> dict[str, Any]:
+    """The note on reflections that are not followed: the largest share that a second one would add.
+
+    Args:
+        direct: (P,) direct light in 1/sr.
+        twice: (P,) light that reflects exactly twice.
+    """
+    lit = direct > 0.0
+    share = float(np.max(twice[lit] / direct[lit], initial=0.0))
+    return {"second_reflection_would_add": share} if share > WORTH_SAYING else {}
+
+
+def design_notes(
+    to_light: FloatArray,
+    to_camera: FloatArray,
+    design: RidgeDesign,
+    material: Material,
+    direct: FloatArray,
+    bounces: int | None,
+) -> dict[str, Any]:
+    """What direct light on ideal ridges leaves out; (P, 3) directions, (P,) radiances in 1/sr."""
+    steepest = float(np.degrees(np.arccos(np.min(to_light[:, 2])))) + design.ridge_angle_deg
+    notes = roughness_note(material, steepest)
+    if bounces == 1:
+        from anisoscope.sim.light.bounces import interreflection  # noqa: PLC0415 - numba when first needed
+
+        notes |= reflections_note(direct, interreflection(to_light, to_camera, design, material, 2))
+    return notes
+
+
+Roughness = Literal["lobe", "plastic"]
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """A prediction with everything needed to read it.
+
+    Attributes:
+        model: "printed", "corrected", "relief" or "wave".
+        convention: how the angles are counted.
+        poses: P poses.
+        radiance: (P,) radiances in 1/sr per unit irradiance perpendicular to the beam.
+        contrasts: contrasts of consecutive stage angles.
+        k: scale between prediction and measurement; 1 unless it was fitted.
+        notes: further findings, such as the pitch of a height map.
+        budget: sources of uncertainty, to first order; None where it was not asked for.
+        drawn: radiances of a Monte Carlo, or None.
+    """
+
+    model: str
+    convention: Convention
+    poses: tuple[Pose, ...]
+    radiance: FloatArray
+    contrasts: tuple[Contrast, ...]
+    k: float = 1.0
+    notes: dict[str, Any] = field(default_factory=dict)
+    budget: Budget | None = None
+    drawn: Drawn | None = None
+
+    @property
+    def covariance(self) -> FloatArray | None:
+        """(P, P) covariance of the radiances in 1/sr²: that of the Monte Carlo where there is one."""
+        if self.drawn is not None:
+            return self.drawn.covariance()
+        return None if self.budget is None else self.budget.covariance()
+
+    def contrast_covariance(self, kind: str) -> FloatArray | None:
+        """(C, C) covariance of "difference", "michelson" or "log_ratio"; infinite variance where undefined."""
+        if self.drawn is not None:
+            return self.drawn.contrast_covariance(kind)
+        if self.budget is None:
+            return None
+        return contrast_covariance(self.poses, self.radiance, self.budget.covariance(), kind)
+
+
+def predict_design(
+    design: RidgeDesign,
+    material: Material,
+    poses: tuple[Pose, ...],
+    convention: Convention,
+    model: Literal["printed", "corrected"] = "corrected",
+    bounces: int | None = 1,
+    inputs: InputUncertainty | None = None,
+    monte_carlo: MonteCarlo | None = None,
+    on_progress: Advance = silent,
+    optics: Optics = POINT_LIKE,
+) -> Predicted:
+    """Prediction for ideal ridges by the corrected model, or by the published one for fidelity.
+
+    ``bounces`` is for the corrected model: 1 is direct light, None follows all reflections. With ``inputs`` the
+    prediction carries its uncertainty, with ``monte_carlo`` that of draws besides; ``optics``: sizes of lamp and lens.
+    """
+
+    def shaped(shape: Shape) -> Model:
+        ridges = replace(design, ridge_angle_deg=shape.ridge_angle_deg, height_loss=shape.height_loss)
+
+        def predict(to_light: FloatArray, to_camera: FloatArray, plastic: Material) -> FloatArray:
+            if model == "printed":
+                return printed.radiance(to_light, to_camera, ridges, plastic)
+            return corrected.radiance(to_light, to_camera, ridges, plastic, bounces=bounces)
+
+        return through(predict, optics)
+
+    shape = Shape(design.ridge_angle_deg, design.height_loss)
+    nominal = State(material, convention.light_angle_deg, shape=shape)
+    radiance = shaped(shape)(*directions(poses, convention), material)
+    notes: dict[str, Any] = {} if model == "printed" else {"bounces": "all" if bounces is None else bounces}
+    if model == "corrected" and inputs is not None:
+        notes |= design_notes(*directions(poses, convention), design, material, radiance, bounces)
+    found = Predicted(model, convention, poses, radiance, contrasts(poses, radiance), notes=notes)
+    return with_uncertainty(found, shaped, nominal, inputs, monte_carlo, (), on_progress)
+
+
+def with_uncertainty(
+    found: Predicted,
+    surface: Surface,
+    nominal: State,
+    inputs: InputUncertainty | None,
+    monte_carlo: MonteCarlo | None,
+    additional: tuple[Contribution, ...],
+    on_progress: Advance,
+) -> Predicted:
+    """A prediction with its budget, and draws where they are asked for; unchanged without ``inputs``."""
+    if inputs is None:
+        return found
+    poses, convention = found.poses, found.convention
+    budget = propagate(
+        surface,
+        nominal,
+        poses,
+        convention,
+        inputs,
+        radiance=found.radiance,
+        additional=additional,
+        on_progress=on_progress,
+    )
+    if monte_carlo is None:
+        return replace(found, budget=budget)
+    drawn = draw(
+        surface,
+        nominal,
+        poses,
+        convention,
+        inputs,
+        monte_carlo.draws,
+        np.random.default_rng(monte_carlo.seed),
+        radiance=found.radiance,
+        additional=additional,
+        on_progress=on_progress,
+    )
+    return replace(found, budget=budget, drawn=drawn)
+
+
+def predict_height_map(
+    surface: HeightMap,
+    material: Material,
+    poses: tuple[Pose, ...],
+    convention: Convention,
+    pitch_um: float | None = None,
+    levelling: Levelling = "auto",
+    max_missing_share: float = MAX_MISSING_SHARE,
+    inputs: InputUncertainty | None = None,
+    monte_carlo: MonteCarlo | None = None,
+    on_progress: Advance = silent,
+    bounces: int | None = 1,
+    optics: Optics = POINT_LIKE,
+    facets: Facets = "symmetric",
+    roughness: Roughness = "lobe",
+) -> Predicted:
+    """Prediction for a measured height map, its x axis at the convention's facet azimuth.
+
+    Args:
+        surface: the map as read.
+        material: the plastic.
+        poses: P poses.
+        convention: how the angles are counted.
+        pitch_um: as in `prediction.preparing.prepare_relief`, as are the next two, and the errors.
+        levelling: how the map is levelled.
+        max_missing_share: share of missing facets above which the map is refused.
+        inputs: uncertainties of everything; with them the prediction carries its own. Sensitivities are those of direct
+            light on the best 160 rows of the map, relative to L.
+        monte_carlo: draws besides, on the same rows.
+        on_progress: told along the way.
+        bounces: largest number of reflections; None follows all. Reflections see point-like lamp and lens.
+        optics: sizes of lamp and lens.
+        facets: how four points become facets.
+        roughness: "lobe": the material's roughness is what the map does not resolve. "plastic": it is that at all
+            scales, and the lobe keeps what the map does not show (`sim.light.unresolved`).
+    """
+    relief, period = prepare_relief(surface, pitch_um, levelling, max_missing_share, facets)
+    on_progress("prediction", 0, 1)
+    notes = map_notes(relief, period)
+    resolved = resolve(relief, 0.0 if inputs is None else inputs.height_noise_um)
+    notes["resolved_alpha_along"], notes["resolved_alpha_across"] = resolved.along, resolved.across
+    lobe = material
+    if roughness == "plastic":
+        lobe = resolved.lobe(material)
+        notes["lobe_alpha_along"], notes["lobe_alpha_across"] = lobe.alpha_along, lobe.alpha_across
+        if resolved.exhausts(material):
+            notes["roughness_warning"] = (
+                "the map is rougher than the plastic is said to be: its noise, or alpha is too small"
+            )
+    to_light, to_camera = directions(poses, convention)
+    radiance = relief_model(relief, optics, on_progress)(to_light, to_camera, lobe)
+    additional = map_contributions(relief, (to_light, to_camera), lobe, radiance, inputs, on_progress)
+    notes["bounces"] = "all" if bounces is None else bounces
+    if inputs is not None:
+        notes |= roughness_note(lobe, float(np.degrees(np.arccos(np.min(to_light[:, 2])))))
+        if bounces == 1:
+            twice = interreflection(relief, to_light, to_camera, lobe, 2, COARSE_PATHS)
+            notes |= reflections_note(radiance, twice.radiance)
+    if bounces != 1:
+        indirect = interreflection(relief, to_light, to_camera, lobe, bounces, progress=on_progress)
+        radiance = radiance + indirect.radiance
+        paths = Contribution("paths of the reflections", indirect.standard_error, "independent")
+        additional = (*additional, paths)
+    found = Predicted("relief", convention, poses, radiance, contrasts(poses, radiance), notes=notes)
+    nominal = State(lobe, convention.light_angle_deg)
+    sampled = relief_surface(best_band(relief), optics)
+    return with_uncertainty(found, sampled, nominal, inputs, monte_carlo, additional, on_progress)

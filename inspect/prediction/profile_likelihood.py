@@ -1,0 +1,154 @@
+"""How far deviations lie from the nearest state of uncertain inputs, along the curves that these make of ln L.
+
+An input that is uncertain moves all poses together along a curve, and good parts lie around that curve. A part is as
+far off as the nearest state of the inputs leaves it: min over z of |z|² + (d − f(z))ᵀV⁻¹(d − f(z)), V being what every
+pose has for itself. Where f is straight this is the Mahalanobis distance of the whole covariance.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from anisoscope.base.arrays import FloatArray
+
+_STEPS, _HALVINGS, _SETTLED = 25, 6, 1e-9
+_NEAR_ENOUGH = 1e-4  # of a squared distance whose every step costs
+_ASIDE = 1.5  # u
+
+FARTHEST = 8.0
+"""Standard uncertainties to which states are looked at where a model does not know all; no good part is beyond."""
+
+
+class Curve(Protocol):
+    """Change of P values with K inputs, every input in units of its standard uncertainty."""
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """K names of the inputs."""
+        ...
+
+    def change(self, z: FloatArray) -> FloatArray:
+        """(…, P) change at inputs (…, K)."""
+        ...
+
+    def tangent(self, z: FloatArray) -> FloatArray:
+        """(…, P, K) derivative at inputs (…, K)."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Combined:
+    """Combinations (m, P) of the values of a curve."""
+
+    curve: Curve
+    basis: FloatArray
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """K names of the inputs."""
+        return self.curve.sources
+
+    def change(self, z: FloatArray) -> FloatArray:
+        """(…, m) change at inputs (…, K)."""
+        return np.asarray(self.curve.change(z) @ self.basis.T)
+
+    def tangent(self, z: FloatArray) -> FloatArray:
+        """(…, m, K) derivative at inputs (…, K)."""
+        return np.asarray(self.basis @ self.curve.tangent(z))
+
+
+def nearest(
+    curve: Curve,
+    deviation: FloatArray,
+    covariance: FloatArray,
+    *,
+    start: FloatArray | None = None,
+) -> FloatArray:
+    """How far deviations lie from what the inputs allow: the least |z|² + (d − f(z))ᵀV⁻¹(d − f(z)).
+
+    Args:
+        curve: of the m values, with K inputs.
+        deviation: (N, m) of N parts.
+        covariance: (N, m, m) of what every value has for itself, of full rank.
+        start: (N, K) states to start from; None: the nominal one.
+
+    Returns:
+        (N,) squared distances, χ² with m degrees of freedom for parts that are as predicted.
+    """
+    begin = np.zeros((len(deviation), len(curve.sources))) if start is None else start
+    return nearest_states(curve, deviation, covariance, begin)[0]
+
+
+def nearest_states(
+    curve: Curve,
+    deviation: FloatArray,
+    covariance: FloatArray,
+    start: FloatArray,
+    *,
+    settled: float = _SETTLED,
+    farthest: float | FloatArray = np.inf,
+) -> tuple[FloatArray, FloatArray]:
+    """The same within ``farthest`` of every input, and the (N, K) states themselves.
+
+    By Gauss-Newton steps that are halved until they lead down; the first is that of the tangent where it starts.
+    """
+    weight = np.linalg.inv(covariance)
+    z = start
+
+    def misfit(at: FloatArray) -> FloatArray:
+        rest = deviation - curve.change(at)
+        return np.asarray(np.sum(at**2, axis=1) + np.einsum("ni,nij,nj->n", rest, weight, rest))
+
+    left = misfit(z)
+    for _ in range(_STEPS):
+        tangent, rest = curve.tangent(z), deviation - curve.change(z)
+        pull = np.einsum("nia,nij->naj", tangent, weight)
+        curvature = np.eye(z.shape[1]) + pull @ tangent
+        down = np.linalg.solve(curvature, (np.einsum("naj,nj->na", pull, rest) - z)[..., None])[..., 0]
+        before, share = left, 1.0
+        for _ in range(_HALVINGS):
+            trial = np.clip(z + share * down, -farthest, farthest)
+            found = misfit(trial)
+            better = found < left
+            z, left = np.where(better[:, None], trial, z), np.where(better, found, left)
+            share *= 0.5
+            if better.all():
+                break
+        if np.all(before - left <= settled * (1.0 + before)):
+            break
+    return left, z
+
+
+def nearest_anywhere(
+    curve: Curve, deviation: FloatArray, covariance: FloatArray, farthest: float | FloatArray = FARTHEST
+) -> float:
+    """The same of one part, where an input may change the values by its square alone, and states cost.
+
+    Such an input has no tangent at its nominal value, and a step would never leave it: from where the steps end they
+    are taken again with one such input set to either side.
+
+    Args:
+        curve: of the m values, with K inputs.
+        deviation: (m,).
+        covariance: (m, m).
+        farthest: standard uncertainties to which the inputs, or (K,) each of them, are looked at.
+    """
+    count = len(curve.sources)
+    ends = curve.change(np.vstack([np.eye(count), -np.eye(count)]))
+    slope, bend = 0.5 * (ends[:count] - ends[count:]), 0.5 * (ends[:count] + ends[count:])
+    turning = np.flatnonzero(np.abs(bend).max(axis=1) > np.abs(slope).max(axis=1))
+
+    def search(start: FloatArray) -> tuple[FloatArray, FloatArray]:
+        one, metric = deviation[None], covariance[None]
+        return nearest_states(curve, one, metric, start, settled=_NEAR_ENOUGH, farthest=farthest)
+
+    left, z = search(np.zeros((1, count)))
+    if not turning.size:
+        return float(left[0])
+    aside = np.repeat(z, 2 * turning.size, axis=0)
+    aside[np.arange(len(aside)), np.repeat(turning, 2)] = np.tile([-_ASIDE, _ASIDE], turning.size)
+    rest = deviation - curve.change(aside)
+    misfit = np.sum(aside**2, axis=1) + np.einsum("ni,ij,nj->n", rest, np.linalg.inv(covariance), rest)
+    again, _ = search(aside[[int(np.argmin(misfit))]])
+    return float(min(left[0], again[0]))

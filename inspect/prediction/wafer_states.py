@@ -1,0 +1,167 @@
+"""How a wafer looks in every state of what is uncertain about it, its lamp and its seat: by the model itself.
+
+A seat that is two standard uncertainties off lets a bright order into the lens: no expansion to second order knows it.
+Directions cost little once the orders of the tile are known, so that the nearest state of the inputs is sought among
+the radiances themselves.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from anisoscope.base.arrays import FloatArray
+from anisoscope.prediction.etched import EtchedPredictor
+from anisoscope.prediction.profile_likelihood import FARTHEST
+from anisoscope.prediction.recipe_models import light_steps, recipe_wafer
+from anisoscope.prediction.sensitivity import State, evaluate, fixed
+from anisoscope.recipe.recipe import Recipe
+from anisoscope.sim.light.geometry import Convention
+
+DEPTH, WIDTH = "depth of the etch passes", "width of the etched features"
+BEYOND = ", beyond the slope"
+_STEP = 0.02  # u, of a derivative
+_WIDTHS = 2.0  # u, between the widths that are drawn
+_ETCHED = 40.0
+_LEAST = 0.5  # of its nominal value: no lamp or lens is less than that
+
+
+@dataclass(frozen=True)
+class _Inputs:
+    """What one state says, in the units of the recipe."""
+
+    state: State
+    wafer: EtchedPredictor
+
+
+_Mover = Callable[[_Inputs, float], _Inputs]
+
+
+@dataclass(frozen=True, eq=False)
+class WaferStates:
+    """Change of ln L of the poses with everything that is uncertain; a `neareststate.Curve`.
+
+    Attributes:
+        recipe: with the poses that decide.
+        light_angle_deg: of the rig.
+    """
+
+    recipe: Recipe
+    light_angle_deg: float
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """K names of the inputs, as the budget has them."""
+        return tuple(self._movers)
+
+    @property
+    def farthest(self) -> FloatArray:
+        """(K,) standard uncertainties to which the inputs are known: etching far beyond what turns or colours light."""
+        return np.array([_ETCHED if source in (DEPTH, WIDTH) else FARTHEST for source in self.sources])
+
+    def holds(self, source: str) -> bool:
+        """Is what the budget calls so part of these states?"""
+        return source.removesuffix(BEYOND) in self._movers
+
+    def change(self, z: FloatArray) -> FloatArray:
+        """(…, P) change at inputs (…, K), in units of their standard uncertainties.
+
+        Raises:
+            HeightMapError: the recipe's height map cannot be read, or is no surface of level steps.
+            ModelError: a state in which light or camera stand below the horizon.
+        """
+        flat = np.reshape(z, (-1, len(self._movers)))
+        ln = np.array([self._ln_radiance(one) for one in flat]) - self._nominal
+        return np.asarray(ln.reshape(*np.shape(z)[:-1], -1))
+
+    def tangent(self, z: FloatArray) -> FloatArray:
+        """(…, P, K) derivative at inputs (…, K), by differences; errors as of `change`."""
+        near = np.asarray(z)[..., None, :] + _STEP * np.eye(len(self._movers))
+        return np.swapaxes((self.change(near) - self.change(z)[..., None, :]) / _STEP, -1, -2)
+
+    @cached_property
+    def _wafer(self) -> EtchedPredictor:
+        return recipe_wafer(self.recipe, self.light_angle_deg)[0]
+
+    @cached_property
+    def _at_width(self) -> Callable[[float], EtchedPredictor]:
+        wide = self.recipe.uncertainty.etch_width_nm
+        return self._wafer.near_widths(_WIDTHS * wide)
+
+    @cached_property
+    def _nominal(self) -> FloatArray:
+        return self._ln_radiance(np.zeros(len(self._movers)))
+
+    def _ln_radiance(self, z: FloatArray) -> FloatArray:
+        recipe = self.recipe
+        at = _Inputs(State(recipe.material.material(), self.light_angle_deg), self._wafer)
+        for mover, share in zip(self._movers.values(), z, strict=True):
+            at = mover(at, float(share))
+        convention = Convention(self.light_angle_deg, facet_azimuth_deg=recipe.poses.facet_azimuth_deg)
+        return np.asarray(np.log(evaluate(fixed(at.wafer), [at.state], recipe.poses.poses(), convention)[0]))
+
+    @cached_property
+    def _movers(self) -> dict[str, _Mover]:
+        """By source, what a number of standard uncertainties makes of the inputs; those that are certain are left out.
+
+        The width comes first: it takes the wafer that was drawn at another width.
+        """
+        told, material = self.recipe.uncertainty, self.recipe.material
+        found: dict[str, _Mover] = {}
+        if told.etch_width_nm > 0.0:
+            found[WIDTH] = self._widened
+        if told.etch_depth_nm > 0.0:
+            found[DEPTH] = self._deepened
+        if material.u_albedo > 0.0:
+            found["albedo of the plastic"] = self._scattering
+        if told.light_angle_deg > 0.0:
+            found["light angle"] = self._lit
+        if told.seating_tilt_deg > 0.0:
+            found["seating tilt about x"] = self._seated_x
+            found["seating tilt about y"] = self._seated_y
+        if told.tilt_deg > 0.0:
+            found["zero of the tilt"] = self._tilted
+        assert self.recipe.light is not None
+        for name, field, u in light_steps(self.recipe.light):
+            found[name] = _lamp(field, u)
+        return found
+
+    def _widened(self, at: _Inputs, share: float) -> _Inputs:
+        return replace(at, wafer=self._at_width(share * self.recipe.uncertainty.etch_width_nm))
+
+    def _deepened(self, at: _Inputs, share: float) -> _Inputs:
+        return replace(at, wafer=at.wafer.with_depths(share * self.recipe.uncertainty.etch_depth_nm))
+
+    def _scattering(self, at: _Inputs, share: float) -> _Inputs:
+        part, material = self.recipe.material, at.state.material
+        albedo = min(max(part.albedo + share * part.u_albedo, 0.0), 1.0)
+        return replace(at, state=replace(at.state, material=replace(material, albedo=albedo)))
+
+    def _lit(self, at: _Inputs, share: float) -> _Inputs:
+        off = share * self.recipe.uncertainty.light_angle_deg
+        return replace(at, state=replace(at.state, light_angle_deg=self.light_angle_deg + off))
+
+    def _seated_x(self, at: _Inputs, share: float) -> _Inputs:
+        seat = share * self.recipe.uncertainty.seating_tilt_deg, at.state.seating_deg[1]
+        return replace(at, state=replace(at.state, seating_deg=seat))
+
+    def _seated_y(self, at: _Inputs, share: float) -> _Inputs:
+        seat = at.state.seating_deg[0], share * self.recipe.uncertainty.seating_tilt_deg
+        return replace(at, state=replace(at.state, seating_deg=seat))
+
+    def _tilted(self, at: _Inputs, share: float) -> _Inputs:
+        return replace(at, state=replace(at.state, tilt_deg=share * self.recipe.uncertainty.tilt_deg))
+
+
+def _lamp(field: str, u: float) -> _Mover:
+    """Moves lamp or lens."""
+
+    def moved(at: _Inputs, share: float) -> _Inputs:
+        value = getattr(at.wafer.light, field)
+        return replace(
+            at,
+            wafer=at.wafer.under(replace(at.wafer.light, **{field: max(value + share * u, _LEAST * value)})),
+        )
+
+    return moved

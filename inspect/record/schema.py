@@ -1,0 +1,373 @@
+"""The record of an inspection: what was measured, with what, how it was judged, and who can check it."""
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from anisoscope.base.atomic_write import write_text
+from anisoscope.base.errors import RecordError
+from anisoscope.kinds.prints.record import PrintRecord
+
+RECORD_NAME = "record.json"
+UNSEALED = "0" * 64
+SCHEMA = 1
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class InputFile(_Part):
+    """A file that the inspection used or made."""
+
+    name: str
+    sha256: str
+
+
+class Particulars(_Part):
+    """Who inspects which lot where, as far as it was said."""
+
+    operator: str | None = None
+    lot: str | None = None
+    cavity: str | None = None
+    station: str | None = None
+
+
+class FrameRecord(InputFile):
+    """One frame on disk that the verdict rests on; angles in degrees, exposure in seconds.
+
+    ``again`` marks those that only show drift: after the return to the first pose, or on resuming.
+    """
+
+    kind: str
+    again: bool = False
+    tilt_deg: float | None = None
+    stage_deg: float
+    commanded_deg: float
+    exposure_s: float
+    gain: float
+    captured_at: str
+
+
+class PoseRecord(_Part):
+    """One pose: radiances in 1/sr, where the markers stood, and the ids of those that did not fit the others."""
+
+    stage_deg: float
+    tilt_deg: float
+    measured: float
+    predicted: float
+    marker_angle_deg: float
+    pixel_um: float
+    residual_px: float
+    markers: int
+    dropped: tuple[int, ...] = ()
+
+
+class ContrastRecord(_Part):
+    """One contrast of a pair of stage angles."""
+
+    from_deg: float
+    to_deg: float
+    tilt_deg: float
+    kind: str
+    measured: float
+    predicted: float
+    u: float
+    tolerance: float | None
+    guard: float | None
+    conformance_probability: float | None
+    verdict: str
+    p_value: float | None = None
+    tolerance_ratio: float | None = None
+
+
+class TiltContrastRecord(_Part):
+    """One contrast of a stage angle between the first tilt and another one, for information.
+
+    ``u`` is of measured − predicted, the others are of each alone; ``p_value`` is Holm-adjusted over all of them.
+    """
+
+    stage_deg: float
+    from_tilt_deg: float
+    to_tilt_deg: float
+    kind: str
+    measured: float
+    predicted: float
+    u_measured: float
+    u_predicted: float
+    u: float
+    p_value: float
+
+
+class AreaRecord(_Part):
+    """The contrast map judged; ``learnt`` if the limit is that of golden parts, ``p_value`` by them."""
+
+    share: float
+    u: float
+    max_share: float
+    cells: int
+    verdict: str
+    learnt: bool = False
+    p_value: float | None = None
+
+
+class CalibrationUse(InputFile):
+    """A calibration that the inspection used; ``name`` is the copy of its record in the folder, times are UTC."""
+
+    kind: str
+    id: str
+    taken_at: str
+    valid_until: str
+
+
+class BudgetRecord(_Part):
+    """One source of uncertainty: its standard contribution to every contrast."""
+
+    source: str
+    kind: str
+    contributions: tuple[float, ...]
+
+
+class RegionRecord(_Part):
+    """A group of cells that deviate together: its middle and extents in mm, x across the ridges."""
+
+    x: float
+    y: float
+    width: float
+    length: float
+    area_share: float
+    cells: int
+    kind: str
+    deviation: float
+    p_value: float
+
+
+class CauseRecord(_Part):
+    """One cause and how well it explains the part.
+
+    ``u`` is None where the data do not determine the severity. ``interval`` holds it with 95 %; None for an end that
+    lies beyond what was looked at.
+    """
+
+    cause: str
+    title: str
+    unit: str
+    severity: float
+    u: float | None
+    interval: tuple[float | None, float | None] | None = None
+    weight: float
+    chi2: float
+    at_bound: bool
+    tie: bool
+
+
+class DiagnosisRecord(_Part):
+    """What is wrong: one line, and the causes, the best first; none where nothing was to be explained.
+
+    ``tells`` says what would tell the tied causes apart, where that was computed.
+    """
+
+    says: str
+    causes: tuple[CauseRecord, ...] = ()
+    unexplained_p: float | None = None
+    tells: str | None = None
+
+
+class ComparisonRecord(_Part):
+    """The measurement against one of the recipe's surfaces; predicted radiances in 1/sr."""
+
+    surface: str
+    decides: bool
+    model: str
+    predicted: tuple[float, ...]
+    d2: float
+    dof: int
+    p_value: float
+    agrees: bool
+
+
+class EstimateRecord(_Part):
+    """A fitted parameter; without a value the poses do not determine it."""
+
+    name: str
+    title: str
+    unit: str
+    value: float | None
+    u: float | None
+    at_bound: bool
+
+
+class OpticsRecord(_Part):
+    """By rays or by waves, and why.
+
+    ``stated_error`` is that of the model that was taken, as a share of the middle of the brightest lobe; ``asked`` is
+    what the recipe says. None stands for what has no end, or was not known: a map with missing points.
+    """
+
+    asked: str
+    model: str
+    reason: str
+    stated_error: float | None
+    stated_error_per_sr: float | None
+    f_um: float | None
+    coherence_um: float | None
+    wavelengths_nm: tuple[float, ...] = ()
+
+
+class ShapeRecord(_Part):
+    """Ideal ridges fitted to the contrasts over several tilts; ``held`` were not free."""
+
+    estimates: tuple[EstimateRecord, ...]
+    held: tuple[str, ...]
+    chi2: float
+    dof: int
+    p_value: float | None
+    advice: str | None
+
+
+class GoldenRecord(_Part):
+    """The golden parts that decided what deviates: ln ratios to the first pose, one row a part."""
+
+    parts: int
+    mean: tuple[float, ...]
+    contrasts: tuple[tuple[float, ...], ...]
+    measured: tuple[float, ...]
+
+
+class MapPlaceRecord(_Part):
+    """Where the middle of the height map lies, from the middle of the region: x across the ridges, y along them.
+
+    ``phase_um`` is x within ± half a pitch. Where the place is resolved, ``measured`` and ``predicted`` are mean
+    radiances in 1/sr of the poses of the first tilt over the share of the region that the map covers as well; they do
+    not enter the verdict.
+    """
+
+    x_um: float | None
+    y_um: float | None
+    phase_um: float
+    correlation: float
+    ratio: float
+    resolved: bool
+    says: str
+    shared_share: float | None = None
+    measured: tuple[float, ...] = ()
+    predicted: tuple[float, ...] = ()
+
+
+class Record(_Part):
+    """An inspection, complete; ``recipe`` and ``rig`` hold the files as they were.
+
+    Schema 1 only grows: fields that came later have defaults, which stand for "not told" (`recordschema`).
+
+    ``files`` lists everything else in the folder. ``record.json`` is written last, so that where it is, all of
+    them are.
+    """
+
+    schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
+    software: str
+    created_at: str
+    serial: str
+    particulars: Particulars = Particulars()
+    product: str
+    verdict: Literal["PASS", "FAIL", "INCONCLUSIVE", "INVALID"]
+    reasons: tuple[str, ...]
+    model: str
+    optics: OpticsRecord | None = None
+    convention: dict[str, Any]
+    poses: tuple[PoseRecord, ...]
+    contrasts: tuple[ContrastRecord, ...]
+    between_tilts: tuple[TiltContrastRecord, ...] = ()
+    d2: float | None
+    dof: int | None
+    p_value: float | None
+    area: AreaRecord | None
+    budget: tuple[BudgetRecord, ...]
+    drift: float | None
+    conformance_probability: float | None = None
+    regions: tuple[RegionRecord, ...] = ()
+    diagnosis: DiagnosisRecord | None = None
+    comparisons: tuple[ComparisonRecord, ...] = ()
+    reading: str | None = None
+    shape: ShapeRecord | None = None
+    golden: GoldenRecord | None = None
+    map_place: MapPlaceRecord | None = None
+    print: PrintRecord | None = None
+    rounds: int = 1
+    notes: tuple[str, ...] = ()
+    white_reference: dict[str, Any]
+    calibrations: tuple[CalibrationUse, ...] = ()
+    recipe: dict[str, Any]
+    rig: dict[str, Any]
+    camera: str
+    stage: str
+    inputs: tuple[InputFile, ...]
+    frames: tuple[FrameRecord, ...]
+    files: tuple[InputFile, ...] = ()
+
+
+def sha256_of(path: Path) -> str:
+    """SHA-256 of a file, hexadecimal."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def write_record(record: Record, folder: Path) -> Path:
+    """Write ``record.json``, all or nothing.
+
+    The file ends with its seal: the SHA-256 of its own bytes with zeros in place of the seal.
+    """
+    path = folder / RECORD_NAME
+    content = record.model_dump(mode="json", by_alias=True) | {"seal": UNSEALED}
+    text = json.dumps(content, indent=2, allow_nan=False)
+    write_text(path, _with_seal(text, hashlib.sha256(text.encode()).hexdigest()))
+    return path
+
+
+def read_record(folder: Path) -> Record:
+    """Read the record of an inspection folder.
+
+    Raises:
+        RecordError: there is none, it is damaged or was changed, or a later version wrote it.
+    """
+    path = folder / RECORD_NAME
+    try:
+        text = path.read_bytes().decode()
+        content = json.loads(text)
+        seal = content.pop("seal", None) if isinstance(content, dict) else None
+        if seal is not None and seal != _seal_of(text, str(seal)):
+            raise RecordError(f"{path} is damaged: it was changed after it had been written")
+        later = _later(content)
+        if later is not None:
+            raise RecordError(
+                f"{path} was written by a later version of anisoscope ({later}): update anisoscope"
+            )
+        return Record.model_validate_json(json.dumps(content))
+    except OSError as error:
+        raise RecordError(f"cannot read {path}: {error.strerror}: was this inspection finished?") from error
+    except ValueError as error:
+        raise RecordError(f"{path} is damaged: {str(error).splitlines()[0]}") from error
+
+
+def _later(content: object) -> str | None:
+    """What in a record this version cannot know."""
+    if not isinstance(content, dict):
+        return None
+    schema = content.get("schema", SCHEMA)
+    if isinstance(schema, int) and schema > SCHEMA:
+        return f"schema {schema}"
+    known = {field.alias or name for name, field in Record.model_fields.items()}
+    unknown = sorted(content.keys() - known)
+    return f"it holds {', '.join(unknown)}" if unknown and content.get("software") else None
+
+
+def _with_seal(text: str, seal: str) -> str:
+    before, _, after = text.rpartition(UNSEALED)
+    return before + seal + after
+
+
+def _seal_of(text: str, seal: str) -> str:
+    before, _, after = text.rpartition(seal)
+    return hashlib.sha256((before + UNSEALED + after).encode()).hexdigest()

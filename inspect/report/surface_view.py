@@ -1,0 +1,322 @@
+"""All drawings of a height map, begun while the part is still being photographed.
+
+A height map in 3-D, as a still picture and as a scene to turn, drawn in the background in a process of its own.
+
+What was drawn is kept in the cache folder, under a hash of the heights and of what draws them.
+
+The interactive 3-D view of a height map: one document that stands in a sandboxed frame and asks nobody for anything.
+
+The viewer is the offline page of trame-vtk. Its scripts, and the few lines here, are the only ones that the policy of
+the page names, by their hashes; the map itself is a block of text that is never run.
+"""
+
+import base64
+import contextlib
+import hashlib
+import importlib.util
+import io
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import numpy as np
+
+from anisoscope.base.arrays import FloatArray
+from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.report import figures
+
+TIMEOUT_S = 60.0
+MAX_POINTS = 256
+FIELD_UM = 600.0
+DRAWS = "anisoscope.report.relief_scene"
+NEEDS = "it needs EGL (Debian: apt-get install libegl1 libgl1-mesa-dri)"
+
+
+@dataclass(frozen=True)
+class Picture3D:
+    """A PNG, or None; a note on what it shows, or on why there is none; and the zipped scene to turn, if asked for."""
+
+    png: bytes | None
+    note: str
+    scene: bytes | None = None
+
+
+class Renderer:
+    """Draws one height map in the background; ask for the ``result`` when it is needed.
+
+    Args:
+        height_um: (rows, cols), row index rising with +y; NaN where not measured.
+        pixel_um: (y, x).
+        interactive: also make the scene to turn.
+    """
+
+    def __init__(
+        self, height_um: FloatArray, pixel_um: tuple[float, float], *, interactive: bool = False
+    ) -> None:
+        self._folder = tempfile.TemporaryDirectory(prefix="anisoscope-")
+        self._process: subprocess.Popen[bytes] | None = None
+        source, self._note = _reduced(height_um, pixel_um)
+        self._wanted = ("png", "zip") if interactive else ("png",)
+        self._kept = _kept_at(source)
+        if all(path.is_file() for path in self._kept_files().values()):
+            return
+        folder = Path(self._folder.name)
+        (folder / "map.npz").write_bytes(source)
+        environment = {
+            **os.environ,
+            "VTK_DEFAULT_OPENGL_WINDOW": "vtkEGLRenderWindow",
+            "PYVISTA_OFF_SCREEN": "true",
+        }
+        targets = [str(folder / f"map.{kind}") for kind in self._wanted]
+        try:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", DRAWS, str(folder / "map.npz"), *targets],
+                env=environment,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+            )
+        except BaseException:
+            self.discard()
+            raise
+
+    def _kept_files(self) -> dict[str, Path]:
+        return {kind: self._kept.with_suffix(f".{kind}") for kind in self._wanted}
+
+    def result(self) -> Picture3D:
+        """Wait for the picture, a minute at most."""
+        try:
+            if self._process is None:
+                found = {kind: _content(path) for kind, path in self._kept_files().items()}
+                return self._told(found, 0)
+            code = self._process.wait(TIMEOUT_S)
+            folder = Path(self._folder.name)
+            found = {kind: _content(folder / f"map.{kind}") for kind in self._wanted}
+            if code == 0:
+                self._keep(found)
+            return self._told(found, code)
+        except subprocess.TimeoutExpired:
+            return Picture3D(None, f"the renderer did not finish in {TIMEOUT_S:g} s")
+        finally:
+            self.discard()
+
+    def _told(self, found: dict[str, bytes | None], code: int) -> Picture3D:
+        if found["png"] is None:
+            return Picture3D(None, f"the renderer ended with code {code}; {NEEDS}")
+        scene = found.get("zip")
+        still = " (a still picture: trame-vtk did not pack it)" if "zip" in found and scene is None else ""
+        return Picture3D(found["png"], self._note + still, scene)
+
+    def _keep(self, found: dict[str, bytes | None]) -> None:
+        from anisoscope.base.atomic_write import write_bytes
+        from anisoscope.base.errors import RecordError
+
+        with contextlib.suppress(OSError, RecordError):  # no place to keep them: they are drawn again
+            self._kept.parent.mkdir(parents=True, exist_ok=True)
+            for kind, path in self._kept_files().items():
+                content = found[kind]
+                if content is not None:
+                    write_bytes(path, content)
+
+    def discard(self) -> None:
+        """End the process if it still runs and forget its files."""
+        if self._process is not None and self._process.poll() is None:
+            self._process.kill()
+            self._process.wait()
+        self._folder.cleanup()
+
+
+def _reduced(height_um: FloatArray, pixel_um: tuple[float, float]) -> tuple[bytes, str]:
+    """What is drawn of a map, packed, and what to say of it."""
+    rows, cols = (max(2, min(n, round(FIELD_UM / p))) for n, p in zip(height_um.shape, pixel_um, strict=True))
+    part = height_um[:rows, :cols]
+    step = [max(1, -(-n // MAX_POINTS)) for n in part.shape]
+    part = part[:: step[0], :: step[1]]
+    width = max((n - 1) * p for n, p in zip((rows, cols), pixel_um, strict=True))
+    rise = max(float(np.nanmax(part) - np.nanmin(part)), 1e-6)
+    exaggeration = float(np.clip(0.08 * width / rise, 1.0, 5.0))
+    note = (
+        f"{(cols - 1) * pixel_um[1]:.0f} × {(rows - 1) * pixel_um[0]:.0f} µm of the map in 3-D, "
+        f"heights drawn {exaggeration:.1f} times as large"
+    )
+    stream = io.BytesIO()
+    np.savez(stream, z=part, pixel=np.multiply(pixel_um, step), exaggeration=exaggeration)
+    return stream.getvalue(), note
+
+
+def _kept_at(source: bytes) -> Path:
+    """Where the pictures of a map are kept, without a suffix; what draws them belongs to the name."""
+    from anisoscope.base.cache import cache_folder
+
+    digest = hashlib.sha256(source + Path(__file__).with_name("reliefscene.py").read_bytes())
+    for name in ("vtk", "pyvista", "trame-vtk"):
+        with contextlib.suppress(PackageNotFoundError):
+            digest.update(version(name).encode())
+    return cache_folder() / "relief3d" / digest.hexdigest()[:32]
+
+
+def _content(path: Path) -> bytes | None:
+    try:
+        return path.read_bytes()
+    except OSError:
+        return None
+
+
+PROFILE_UM = 600.0
+
+
+@dataclass(frozen=True)
+class SurfacePictures(Picture3D):
+    """The 3-D picture, and as data URIs the map seen from above and a profile across the ridges."""
+
+    above: str = ""
+    profile: str = ""
+
+
+def flat_drawings(surface: HeightMap) -> tuple[str, str]:
+    """The map seen from above, and its middle row, as data URIs."""
+    line = surface.height_um[surface.shape[0] // 2]
+    shown = min(line.size, round(PROFILE_UM / surface.pixel_x_um))
+    return (
+        figures.height_picture(surface.height_um, (surface.pixel_y_um, surface.pixel_x_um)),
+        figures.profile_chart(np.arange(shown) * surface.pixel_x_um, line[:shown]),
+    )
+
+
+class SurfaceView:
+    """Draws a height map in the background: in 3-D in a process of its own, flat in a thread.
+
+    Args:
+        surface: the height map, levelled.
+        meanwhile: what else can be made ready before the verdict; runs in the thread.
+    """
+
+    def __init__(self, surface: HeightMap, meanwhile: Callable[[], object]) -> None:
+        self._surface = surface
+        self._flat: tuple[str, str] | None = None
+        self._meanwhile = meanwhile
+        self._relief = Renderer(surface.height_um, (surface.pixel_y_um, surface.pixel_x_um), interactive=True)
+        # no daemon: Python's end would cut it off within native code, and that aborts the program
+        self._thread = threading.Thread(target=self._draw, name="height map drawings")
+        self._thread.start()
+
+    def _draw(self) -> None:
+        self._flat = flat_drawings(self._surface)
+        self._meanwhile()
+
+    def result(self) -> Picture3D:
+        """Wait for all drawings."""
+        view = self._relief.result()
+        self._thread.join()
+        above, profile = self._flat or ("", "")
+        return SurfacePictures(view.png, view.note, view.scene, above, profile)
+
+    def discard(self) -> None:
+        """End the process if it still runs and forget its files; the thread ends by itself, before the program."""
+        self._relief.discard()
+
+
+LABEL = (
+    "Height map in three dimensions: drag or use the arrow keys to turn it, + and - to come closer or go back"
+)
+
+_STYLE = """<style>
+.content { position: absolute; inset: 0; overflow: hidden; cursor: grab; }
+.content:active { cursor: grabbing; }
+.content:focus-visible { outline: 3px solid #1f6fb2; outline-offset: -3px; z-index: 1; }
+</style>
+"""
+# The viewer's page would ask its makers for an icon, and tells the console what it reads: neither is let happen.
+# Without WebGL nothing is drawn, and the still picture under the frame shows through. The wheel scrolls the page until
+# somebody takes hold of the map.
+_LOADER = """
+"use strict";
+console.log = () => {};
+const append = document.head.appendChild.bind(document.head);
+document.head.appendChild = node => node.rel === "icon" ? node : append(node);
+const drawable = Boolean(document.createElement("canvas").getContext("webgl2"));
+if (!drawable) document.documentElement.style.display = "none";
+function loadDataSet() {
+  if (!drawable) return;
+  const base64Str = document.getElementById("state").textContent;
+  OfflineLocalView.load(document.querySelector(".content"), { base64Str });
+}
+let held = false;
+addEventListener("pointerdown", () => { held = true; }, true);
+document.documentElement.addEventListener("mouseleave", () => { held = false; });
+addEventListener("wheel", event => { if (!held) event.stopImmediatePropagation(); }, { capture: true, passive: true });
+const TURNS = { ArrowLeft: [8, 0, 1], ArrowRight: [-8, 0, 1], ArrowUp: [0, -4, 1], ArrowDown: [0, 4, 1],
+                "+": [0, 0, 1.15], "-": [0, 0, 1 / 1.15] };
+addEventListener("keydown", event => {
+  const turn = TURNS[event.key], renderer = window.renderWindow?.getRenderers()[0];
+  if (!turn || !renderer) return;
+  const camera = renderer.getActiveCamera();
+  camera.azimuth(turn[0]);
+  camera.elevation(turn[1]);
+  camera.orthogonalizeViewUp();
+  camera.dolly(turn[2]);
+  renderer.resetCameraClippingRange();
+  window.renderWindow.render();
+  event.preventDefault();
+});
+"""
+_SCRIPT = re.compile(r"<script([^>]*)>(.*?)</script>", re.DOTALL)
+
+
+@dataclass(frozen=True)
+class Viewer:
+    """A document for the ``srcdoc`` of a frame, and the scripts that it runs, as sources of a policy."""
+
+    document: str
+    script_sources: tuple[str, ...]
+
+    @property
+    def srcdoc(self) -> str:
+        """The document, escaped for an attribute in double quotes."""
+        return self.document.replace("&", "&amp;").replace('"', "&quot;")
+
+
+def viewer_of(state: bytes) -> Viewer | None:
+    """The 3-D view of a scene, or None where trame-vtk is not installed.
+
+    Args:
+        state: the zipped scene, as `anisoscope.report.surface_view` makes it.
+    """
+    page = _page()
+    if page is None:
+        return None
+    head, body = page
+    data = f'<script type="text/plain" id="state">{base64.b64encode(state).decode("ascii")}</script>\n'
+    return Viewer(head + data + body, _sources(head + body))
+
+
+@cache
+def _page() -> tuple[str, str] | None:
+    """The viewer before and after the place of the data, which stays the same from report to report."""
+    found = importlib.util.find_spec("trame_vtk")
+    if found is None or found.origin is None:
+        return None
+    path = Path(found.origin).parent / "tools" / "static_viewer.html"
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError:
+        return None
+    text = text.replace("</head>", _STYLE + "</head>", 1)
+    before, opened, after = text.partition("<body>")
+    place = f'\n<div class="content" tabindex="0" role="img" aria-label="{LABEL}"></div>\n'
+    return before + opened + place, f"<script>{_LOADER}</script>" + after
+
+
+@cache
+def _sources(page: str) -> tuple[str, ...]:
+    scripts = [content for _, content in _SCRIPT.findall(page)]
+    digests = [hashlib.sha256(content.encode()).digest() for content in scripts]
+    return tuple(f"'sha256-{base64.b64encode(digest).decode('ascii')}'" for digest in digests)

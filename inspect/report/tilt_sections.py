@@ -1,0 +1,89 @@
+"""The contrasts between tilts as pages and the command line show them: few enough to read, in the recipe's order."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from anisoscope.record.schema import Record, TiltContrastRecord
+from anisoscope.report import figures
+from anisoscope.report.rule import NAMES
+from anisoscope.report.wording import U_SAID, signed
+
+MOST = 12
+"""Rows that are shown; of more the least likely ones, and the rest is folded away."""
+COVERAGE = 2.0
+
+
+@dataclass(frozen=True)
+class TiltRow:
+    """One contrast between tilts, in words.
+
+    Attributes:
+        kind: of contrast, as the record has it.
+        label: its name, such as ``0°, tilt 0° / 3°``.
+        stage: stage angle in degrees.
+        tilts: both tilts in degrees.
+        numbers: measured, U, predicted, U, deviation, U.
+        chance: p of the deviation.
+    """
+
+    kind: str
+    label: str
+    stage: str
+    tilts: str
+    numbers: tuple[str, ...]
+    chance: str
+
+
+def tilt_row(one: TiltContrastRecord) -> TiltRow:
+    """A contrast between tilts in words."""
+    pairs = (
+        (one.measured, one.u_measured),
+        (one.predicted, one.u_predicted),
+        (one.measured - one.predicted, one.u),
+    )
+    numbers = tuple(text for value, u in pairs for text in (signed(value), f"{COVERAGE * u:.3f}"))
+    chance = f"{one.p_value:.2g}" if one.p_value >= 1e-4 else "< 0.0001"
+    stage, tilts = f"{one.stage_deg:g}", f"{one.from_tilt_deg:g} / {one.to_tilt_deg:g}"
+    return TiltRow(one.kind, _label(one), _minus(stage), _minus(tilts), numbers, chance)
+
+
+def shown_between_tilts(
+    record: Record,
+) -> tuple[tuple[TiltContrastRecord, ...], tuple[TiltContrastRecord, ...]]:
+    """The contrasts between tilts that are shown, and those that are folded away, both in the order of the record."""
+    found = record.between_tilts
+    likely = sorted(range(len(found)), key=lambda k: (found[k].p_value, k))
+    kept = set(likely[:MOST])
+    return (
+        tuple(one for k, one in enumerate(found) if k in kept),
+        tuple(one for k, one in enumerate(found) if k not in kept),
+    )
+
+
+def tilt_parts(record: Record) -> dict[str, Any]:
+    """What the page says of the contrasts between tilts."""
+    shown, folded = shown_between_tilts(record)
+    if not shown:
+        return {"tilt_rows": (), "tilt_folded": (), "tilt_chart": None, "u_said": U_SAID}
+    kind = shown[0].kind
+    chart = figures.contrast_chart(
+        [_label(one) for one in shown],
+        [one.measured - one.predicted for one in shown],
+        [one.u for one in shown],
+        [None] * len(shown),
+        NAMES[kind],
+    )
+    return {
+        "tilt_rows": tuple(map(tilt_row, shown)),
+        "tilt_folded": tuple(map(tilt_row, folded)),
+        "tilt_chart": chart,
+        "u_said": U_SAID,
+    }
+
+
+def _label(one: TiltContrastRecord) -> str:
+    return _minus(f"{one.stage_deg:g}°, tilt {one.from_tilt_deg:g}° / {one.to_tilt_deg:g}°")
+
+
+def _minus(text: str) -> str:
+    return text.replace("-", "−")

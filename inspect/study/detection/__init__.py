@@ -1,0 +1,1 @@
+"""The detection study: false alarms, power, and coverage of severities."""

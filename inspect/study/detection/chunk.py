@@ -1,0 +1,501 @@
+"""A chunk of the study: parts that share one camera, photographed, measured and judged as by ``inspect``.
+
+What can be told from radiances alone (significance, diagnosis) is told from what is kept, when the study is evaluated.
+A chunk depends on the seed, the world, the class and its number alone; it is kept in a file, so that a study that was
+cut off goes on where it stopped, and a larger one uses what a smaller one made.
+
+A part photographed: cut from its sheet, given its own shape, lobe, seating and lamp, through lens and sensor.
+
+Everything that is the same all along the ridges changes the radiance as on smooth ridges with the whole roughness in
+the lobe: one profile in this state over the nominal one, column by column, exact for every part. That this product is
+the radiance of the rough surface in that state is checked against the full route in the tests.
+"""
+
+import hashlib
+import io
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.atomic_write import write_bytes
+from anisoscope.base.errors import MeasurementError
+from anisoscope.calibration.white_reference import make_reference
+from anisoscope.decision.decision import Decision, decide
+from anisoscope.imaging.linearisation import RadianceImage, Stack, WhiteReference, linearise, stack
+from anisoscope.imaging.pose_radiance import View, drift_complaint, measure
+from anisoscope.imaging.registration.placement import Placement
+from anisoscope.profiles.defects_contact import edge_wear
+from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.ideal import RidgeDesign, ridges
+from anisoscope.rig.frame import Frame, FrameKind
+from anisoscope.sim.bench.lamp import Lamp
+from anisoscope.sim.bench.optics import image_of_surface, pixel_from_mm, vignette
+from anisoscope.sim.bench.sensor import Sensor
+from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_rotation
+from anisoscope.sim.light.ggx import lobe_maps
+from anisoscope.sim.light.relief import Relief
+from anisoscope.study.detection.lobes import POINTS_A_PITCH, lobes_of, quick_shine
+from anisoscope.study.detection.product import (
+    BY_NAME,
+    GOOD,
+    LED_DISTANCE_MM,
+    LIGHT_DEG,
+    MARKER_ERROR_PX,
+    NONLINEARITY,
+    PITCH_UM,
+    RECIPES,
+    RIDGE_ANGLE_DEG,
+    RecipeName,
+    Size,
+    Specimen,
+    World,
+    draw,
+    expected_of,
+    recipe_of,
+)
+from anisoscope.study.detection.sheets import (
+    FORMAT,
+    POINTS,
+    SheetTask,
+    cut,
+    make_sheet,
+    read_sheet,
+    sheets_of,
+)
+
+Image = npt.NDArray[np.float32]
+
+TILE = 0.99
+_FLAT_FRAMES = 16
+
+
+@lru_cache(maxsize=1)
+def views_of_series() -> tuple[Pose, ...]:
+    """The poses of the tilted recipe, and the first of them once more at the end; the standard ones come first."""
+    poses = expected_of("tilted", Size()).poses
+    return (*poses, poses[0])
+
+
+def _profile(specimen: Specimen) -> HeightMap:
+    design = RidgeDesign(PITCH_UM, specimen.ridge_angle_deg, height_loss=specimen.height_loss)
+    rows = 2 if specimen.wear_um == 0.0 else 5
+    step = PITCH_UM / POINTS_A_PITCH
+    surface = ridges(design, (rows, 3 * POINTS_A_PITCH + 1), (PITCH_UM / POINTS, step))
+    return edge_wear(surface, specimen.wear_um) if specimen.wear_um > 0.0 else surface
+
+
+def profile_radiance(specimen: Specimen, world: World, *, stage_errors: bool = True) -> FloatArray:
+    """(V, POINTS) radiance over one pitch of the smooth ridges of a part in every view, 1/sr."""
+    errors = specimen.stage_deg if stage_errors else np.zeros_like(specimen.stage_deg)
+    poses = tuple(
+        Pose(pose.stage_deg + float(error), pose.tilt_deg)
+        for pose, error in zip(views_of_series(), errors, strict=True)
+    )
+    seat = seating_rotation(*specimen.seating_deg)
+    seen = [side @ seat for side in directions(poses, Convention(specimen.light_deg))]
+    material = specimen.plastic(lobes_of(world).smooth)
+    material = replace(material, albedo=min(material.albedo, 0.99))
+    shines = [quick_shine(light, camera, material) for light, camera in zip(*seen, strict=True)]
+    shown = lobe_maps(Relief(_profile(specimen), PITCH_UM), shines, "beckmann" if world == "same" else "ggx")
+    middle = slice(POINTS_A_PITCH, 2 * POINTS_A_PITCH)  # the crests to both sides stand
+    row = len(shown[0]) // 2
+    return np.array([view[row, middle].reshape(POINTS, -1).mean(axis=1) for view in shown], dtype=np.float64)
+
+
+def nominal(views: int | None = None) -> Specimen:
+    """The part as designed on the rig as described."""
+    count = len(views_of_series()) if views is None else views
+    part = recipe_of("tilted", Size()).material
+    zero = np.zeros(count)
+    return Specimen(
+        RIDGE_ANGLE_DEG, 0.0, 0.0, 1.0, 1.0, part.albedo, part.index, np.zeros(2), LIGHT_DEG,
+        zero, zero + 1.0, 0.0, 0.0, np.zeros((count, 2)),
+    )  # fmt: skip
+
+
+@lru_cache(maxsize=2)
+def _nominal_profile(world: World) -> FloatArray:
+    return profile_radiance(nominal(), world)
+
+
+@lru_cache(maxsize=2)
+def _per_light_degree(world: World) -> FloatArray:
+    """(V, POINTS) change of ln L per degree of light angle."""
+    low, high = (
+        profile_radiance(replace(nominal(), light_deg=LIGHT_DEG + off), world) for off in (-0.5, 0.5)
+    )
+    return np.asarray(np.log(np.maximum(high, 1e-9) / np.maximum(low, 1e-9)))
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A camera that reads out a window of its sensor, with what was calibrated on it: dark frames, white reference."""
+
+    sensor: Sensor
+    shade: Image
+    dark: Stack
+    white: WhiteReference
+
+
+class Window(Sensor):
+    """The middle of a sensor: the same pixels, fewer of them.
+
+    Args:
+        whole: the sensor.
+        shape: (rows, cols) of the window.
+    """
+
+    def __init__(self, whole: Sensor, shape: tuple[int, int]) -> None:
+        rows, cols = _middle(shape, (whole.part.rows, whole.part.cols))
+        self.part = whole.part.model_copy(update={"rows": shape[0], "cols": shape[1]})
+        self._rng = whole._rng  # noqa: SLF001 - it is the same sensor
+        self._response = whole._response[rows, cols]  # noqa: SLF001
+        self._offset_e = whole._offset_e[rows, cols]  # noqa: SLF001
+        self._dark_e_s = whole._dark_e_s[rows, cols]  # noqa: SLF001
+
+
+def _middle(shape: tuple[int, int], whole: tuple[int, int]) -> tuple[slice, slice]:
+    rows, cols = (
+        slice((big - small) // 2, (big + small) // 2) for small, big in zip(shape, whole, strict=True)
+    )
+    return rows, cols
+
+
+def _whole(size: Size) -> tuple[int, int]:
+    return size.sensor.rows, size.sensor.cols
+
+
+def new_cameras(size: Size, world: World, rng: np.random.Generator) -> dict[tuple[int, int], Camera]:
+    """One camera, by the shape of the window that it reads out; in the other world it is not quite linear."""
+    part = size.sensor
+    if world == "other":
+        part = part.model_copy(update={"nonlinearity": NONLINEARITY})
+    whole = Sensor(part, rng)
+    shapes = {size.window(pose.stage_deg) for pose in views_of_series()}
+    return {shape: _calibrated(whole, shape, size) for shape in sorted(shapes)}
+
+
+def _calibrated(whole: Sensor, shape: tuple[int, int], size: Size) -> Camera:
+    sensor = Window(whole, shape)
+    shade = vignette(size.optics, whole.part)[_middle(shape, _whole(size))]
+    acquisition = recipe_of("tilted", size).acquisition
+    exposure = acquisition.exposure_s
+    cosine = float(np.cos(np.radians(LIGHT_DEG)))
+    nothing = np.zeros(shade.shape)
+    tile = TILE / np.pi * cosine * shade * size.optics.electrons * exposure
+
+    def frames(kind: FrameKind, signal: FloatArray, count: int) -> Stack:
+        return stack(_frame(sensor, signal, exposure, kind) for _ in range(count))
+
+    dark = frames("dark", nothing, acquisition.dark_frames)
+    made = make_reference(
+        frames("flat", np.asarray(tile, dtype=np.float64), _FLAT_FRAMES),
+        frames("dark", nothing, _FLAT_FRAMES),
+        reflectance=TILE,
+        light_cosine=cosine,
+        camera="virtual",
+        full_scale=sensor.full_scale,
+    )
+    white = WhiteReference(made["signal"], made["meta"]["radiance"], "virtual", "", TILE, "")
+    return Camera(sensor, shade, dark, white)
+
+
+def _frame(
+    sensor: Sensor, signal: FloatArray, exposure_s: float, kind: FrameKind, pose: Pose | None = None
+) -> Frame:
+    where = pose or Pose(0.0)
+    counts = sensor.expose(signal, exposure_s, 1.0)
+    return Frame(
+        counts, kind, sensor.part.bit_depth, sensor.part.black_level, exposure_s, 1.0,
+        where.stage_deg, where.stage_deg, where.tilt_deg, "", "virtual",
+    )  # fmt: skip
+
+
+def radiance_of_part(
+    cut_out: npt.NDArray[np.float16], specimen: Specimen, world: World, bounces: FloatArray
+) -> tuple[list[Image], FloatArray]:
+    """The part's radiance in every view, and (V,) its mean without errors of the stage: what should be measured.
+
+    Args:
+        cut_out: (P, rows, cols) piece of a sheet.
+        specimen: the part and the rig it lies on.
+        world: which world.
+        bounces: (P,) radiance of light that reflects more than once.
+    """
+    base = _nominal_profile(world)
+    ratio = profile_radiance(specimen, world) / base
+    ideal = profile_radiance(specimen, world, stage_errors=False) / base
+    views, truth = [], []
+    inner_rows, inner_cols = slice(POINTS // 2, -(POINTS // 2) or None), slice(POINTS // 2, None)
+    for view in range(len(base)):
+        pose = view if view < len(cut_out) else 0
+        shown = cut_out[pose].astype(np.float32)
+        repeats = shown.shape[1] // POINTS
+        columns = shown[inner_rows].mean(axis=0, dtype=np.float64).reshape(repeats, POINTS) * ideal[view]
+        whole = columns.ravel()[inner_cols][: (repeats - 1) * POINTS]
+        truth.append(float(whole.mean()) + bounces[pose])
+        shown *= np.tile(ratio[view].astype(np.float32), repeats)
+        shown += np.float32(bounces[pose])
+        if world == "other":
+            shown *= _near_led(view, shown.shape, world)
+        views.append(shown)
+    return views, np.array(truth)
+
+
+@lru_cache(maxsize=32)
+def _near_led(view: int, shape: tuple[int, int], world: World) -> Image:
+    """(rows, cols) factor of a lamp that stands so near that its angle varies over the part."""
+    pose = views_of_series()[view]
+    step = PITCH_UM / 1000.0 / POINTS
+    x = (np.arange(shape[1]) - (shape[1] - 1) / 2.0) * step
+    y = (np.arange(shape[0]) - (shape[0] - 1) / 2.0) * step
+    turn = np.radians(pose.stage_deg)
+    toward = np.cos(turn) * x[None, :] - np.sin(turn) * y[:, None]  # mm toward the lamp, in the picture
+    # a point nearer to the lamp sees it less aslant
+    off_deg = -np.degrees(toward / LED_DISTANCE_MM)
+    slope = np.tile(_per_light_degree(world)[view], shape[1] // POINTS)
+    return np.asarray(np.exp(slope[None, :] * off_deg), dtype=np.float32)
+
+
+def photograph(
+    shown: list[Image],
+    specimen: Specimen,
+    cameras: dict[tuple[int, int], Camera],
+    size: Size,
+    rng: np.random.Generator,
+) -> list[View]:
+    """All views of a part, linearised, with their placement: the true one, off by the error of the markers' fit.
+
+    Args:
+        shown: radiance of the part in every view.
+        specimen: the part and the rig it lies on.
+        cameras: the camera, by window.
+        size: of the study.
+        rng: scatter of the lamp.
+    """
+    acquisition = recipe_of("tilted", size).acquisition
+    optics = size.optics.model_copy(update={"lamp_drift_per_frame": specimen.drift})
+    lamp = Lamp(optics, rng)
+    lamp.level = 1.0
+    step_um = PITCH_UM / POINTS
+    found = []
+    for view, pose in enumerate(views_of_series()):
+        camera = cameras[size.window(pose.stage_deg)]
+        part = camera.sensor.part
+        angle = pose.stage_deg + float(specimen.stage_deg[view])
+        picture, _ = image_of_surface(shown[view], (step_um, step_um), optics, part, angle, pose.tilt_deg)
+        light = (picture.astype(np.float64) + specimen.stray) * camera.shade * specimen.gain[view]
+        light *= optics.electrons * acquisition.exposure_s
+        frames = stack(
+            _frame(
+                camera.sensor,
+                np.maximum(light * lamp.brightness(), 0.0),
+                acquisition.exposure_s,
+                "sample",
+                pose,
+            )
+            for _ in range(acquisition.frames_per_pose)
+        )
+        image: RadianceImage = linearise(frames, camera.dark, camera.white, camera.sensor.full_scale)
+        matrix = pixel_from_mm(optics, part, angle, pose.tilt_deg)
+        matrix[:, 2] += specimen.shift_px[view]
+        top, left = (middle.start for middle in _middle((part.rows, part.cols), _whole(size)))
+        axis = float(matrix[0, 2] + left), float(matrix[1, 2] + top)
+        place = Placement(matrix, angle % 360.0, size.pixel_um, axis, MARKER_ERROR_PX, 4)
+        found.append(View(pose.stage_deg, pose.tilt_deg, image, place))
+    return found
+
+
+Row = dict[str, Any]
+
+CAMERA = 2  # of chunks that are kept: another simulated camera makes other pictures
+MEASURED_SOURCES = (
+    "noise of camera and photons",
+    "flicker of the lamp",
+    "flat field",
+    "linearity of the camera",
+    "drift of the lamp",
+    "stray light",
+    "stage angle",
+    "registration",
+)
+
+
+@dataclass(frozen=True)
+class ChunkTask:
+    """Which chunk: of which world and class, the how-manieth, how large, seeded how, kept where."""
+
+    world: World
+    kind: str
+    number: int
+    size: Size
+    seed: int
+    folder: Path
+    bounces: tuple[float, ...]
+
+    @property
+    def path(self) -> Path:
+        """Its file."""
+        told = [
+            FORMAT,
+            CAMERA,
+            self.world,
+            self.kind,
+            self.number,
+            self.seed,
+            asdict(self.size),
+            self.bounces,
+        ]
+        key = hashlib.sha256(json.dumps(told).encode()).hexdigest()[:24]
+        return self.folder / f"chunk-{key}.npz"
+
+    @property
+    def sheet(self) -> SheetTask:
+        """The sheet that its parts are cut from."""
+        local = self.kind in BY_NAME and BY_NAME[self.kind].local
+        kind = self.kind if local else GOOD
+        return SheetTask(
+            self.world, kind, self.number % sheets_of(kind, self.size), self.size, self.seed, self.folder
+        )
+
+
+def inspect_chunk(task: ChunkTask) -> Path:
+    """Make a chunk unless it is there; returns its file."""
+    if not task.path.exists():
+        _one_thread()
+        columns = _columns([_flat(row) for row in _inspected(task)])
+        stream = io.BytesIO()
+        np.savez_compressed(stream, allow_pickle=False, **columns)
+        write_bytes(task.path, stream.getvalue())
+    return task.path
+
+
+def _one_thread() -> None:
+    """Chunks share the machine, not their kernels."""
+    import cv2  # noqa: PLC0415
+    import numba  # noqa: PLC0415
+
+    cv2.setNumThreads(1)
+    numba.set_num_threads(1)
+
+
+def read_chunk(path: Path) -> dict[str, npt.NDArray[Any]]:
+    """Columns of a chunk, each (parts, …)."""
+    with np.load(path, allow_pickle=False) as kept:
+        return {name: kept[name] for name in kept.files}
+
+
+def _columns(rows: list[dict[str, Any]]) -> dict[str, npt.NDArray[Any]]:
+    return {name: np.array([row[name] for row in rows]) for name in rows[0]}
+
+
+def _flat(row: Mapping[str, Any], before: str = "") -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, value in row.items():
+        if isinstance(value, dict):
+            found.update(_flat(value, f"{before}{name}/"))
+        else:
+            found[before + name] = value
+    return found
+
+
+def _inspected(task: ChunkTask) -> list[Row]:
+    make_sheet(task.sheet)
+    sheet = read_sheet(task.sheet.path)
+    worlds, kinds = ("same", "other"), (GOOD, *BY_NAME)
+    entropy = [task.seed, worlds.index(task.world), kinds.index(task.kind), task.number]
+    camera_rng, *parts = np.random.SeedSequence([7, *entropy]).spawn(1 + task.size.chunk)
+    cameras = new_cameras(task.size, task.world, np.random.default_rng(camera_rng))
+    kind = BY_NAME.get(task.kind)
+    rows = []
+    for child in parts:
+        rng = np.random.default_rng(child)
+        specimen, extent = draw(kind, len(views_of_series()), rng)
+        where = cut(sheet, task.kind, task.size, rng)
+        shown, truth = radiance_of_part(
+            sheet.shown[:, *where], specimen, task.world, np.array(task.bounces or np.zeros(len(sheet.shown)))
+        )
+        views = photograph(shown, specimen, cameras, task.size, rng)
+        row: Row = {
+            "extent": extent,
+            "ridge_angle_deg": specimen.ridge_angle_deg,
+            "along": np.log(specimen.along),
+            "across": np.log(specimen.across),
+            "albedo": specimen.albedo,
+            "spoiled": float(sheet.spoiled[where].mean()),
+        }
+        for name in RECIPES:
+            row[name] = judge(views, truth, name, task.size)
+        rows.append(row)
+    return rows
+
+
+def judge(views: list[View], truth: FloatArray, name: RecipeName, size: Size) -> Row:
+    """Everything that the study keeps of one part under one recipe.
+
+    Args:
+        views: of the whole series.
+        truth: (V,) radiances that an ideal measurement finds.
+        name: of the recipe.
+        size: of the study.
+    """
+    recipe, expected = recipe_of(name, size), expected_of(name, size)
+    poses = len(expected.poses)
+    try:
+        measured = measure(views[:poses], views[-1], recipe, expected, size.pixel_um)
+        unfit = drift_complaint(measured, recipe) is not None
+        decision = decide(expected, measured, recipe)
+    except MeasurementError as error:
+        return {**_nothing(poses), "reason": str(error)}
+    deviation = np.log(measured.radiance / expected.radiance)
+    own = np.array([c.relative for c in measured.components])
+    assert tuple(c.source for c in measured.components) == MEASURED_SOURCES
+    return {
+        "valid": not unfit,
+        "reason": "drift" if unfit else "",
+        "deviation": deviation,
+        "error": np.log(measured.radiance / truth[:poses]),
+        "own": own,
+        **_of_map(decision),
+        **_of_means(decision),
+    }
+
+
+def _of_means(decision: Decision) -> Row:
+    return {
+        "p_means": decision.p_value,
+        "pair_deviation": np.array([pair.deviation for pair in decision.pairs]),
+        "pair_u": np.array([pair.u for pair in decision.pairs]),
+    }
+
+
+def _of_map(decision: Decision) -> Row:
+    area, first = decision.area, next(iter(decision.regions), None)
+    assert area is not None
+    return {
+        "share": area.share,
+        "u_share": area.u,
+        "share_fails": area.verdict == "FAIL",
+        "p_marks": 1.0 if first is None else first.p_value,
+        "mark_cells": max((region.cells for region in decision.regions), default=0),
+        "mark_kind": "" if first is None else first.kind,
+    }
+
+
+def _nothing(poses: int) -> Row:
+    """The row of a part that could not be judged."""
+    nan = np.full(poses, np.nan)
+    pairs = np.full(poses - poses // 3, np.nan)
+    own = np.full((len(MEASURED_SOURCES), poses), np.nan)
+    return {
+        "valid": False, "reason": "", "deviation": nan, "error": nan, "own": own,
+        "share": np.nan, "u_share": np.nan, "share_fails": False, "p_marks": np.nan, "mark_cells": 0,
+        "mark_kind": "", "p_means": np.nan, "pair_deviation": pairs, "pair_u": pairs,
+    }  # fmt: skip

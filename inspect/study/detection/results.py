@@ -1,0 +1,309 @@
+"""What a detection study found, world by world and recipe by recipe, as plain numbers for JSON, page and console."""
+
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.base.arrays import FloatArray
+from anisoscope.diagnosis.separability import Separability
+from anisoscope.sim.light.contrasts import consecutive_pairs
+from anisoscope.study.detection.diagnosis import (
+    COVERAGE,
+    diagnosed,
+    fitted_shapes,
+    separability_of,
+    true_extents,
+)
+from anisoscope.study.detection.intervals import intervals_held
+from anisoscope.study.detection.product import (
+    BY_NAME,
+    CLASSES,
+    GOOD,
+    RecipeName,
+    Size,
+    World,
+)
+from anisoscope.study.detection.rules import (
+    GOLDEN_PARTS,
+    OF_GOLDEN,
+    RULES,
+    Bench,
+    Columns,
+    Rule,
+    bench_of,
+    covariance_of_measurement,
+    limits,
+    p_values,
+)
+from anisoscope.study.detection.statistics import (
+    Area,
+    Rate,
+    area_under_curve,
+    curve,
+    histogram,
+    rate,
+    threshold,
+    uniformity,
+)
+
+Told = dict[str, Any]
+
+LEVEL = 0.01
+GOLDEN_SETS = 40
+TAUGHT_DIAGNOSES = 60  # parts of a class that are diagnosed again against golden parts
+_SEED = 3
+DRAWN = ("shipped+area", "known+area", "golden+area")
+_TINY = 1e-300
+
+
+def results_of(world: World, seen: dict[str, Columns], name: RecipeName, size: Size) -> Told:
+    """Everything about one recipe in one world.
+
+    Args:
+        world: the world.
+        seen: columns of every class, good parts among them.
+        name: of the recipe.
+        size: of the study.
+    """
+    valid = {kind: _valid(columns, name) for kind, columns in seen.items()}
+    good = valid[GOOD]
+    pool = golden_pool(len(good["extent"]))
+    own = covariance_of_measurement(good[f"{name}/own"]).mean(axis=0)
+    first = bench_of(name, size, good[f"{name}/deviation"][pool[0]], own)
+    benches = [replace(first, golden=good[f"{name}/deviation"][part]) for part in pool]
+    met = {
+        kind: met_sets(len(columns["extent"]), pool, of_good=kind == GOOD) for kind, columns in valid.items()
+    }
+    scores = {kind: _scores(columns, kind, name, benches, met[kind]) for kind, columns in valid.items()}
+    with_area(scores)
+    told = scores[GOOD]
+    apart = separability_of(name, size)
+    return {
+        "good": {
+            "parts": len(good["extent"]),
+            "invalid": int(len(seen[GOOD]["extent"]) - len(good["extent"])),
+            "golden_sets": len(pool),
+            "false_alarms": _false_alarms(good, name, told),
+            "p_values": {rule: _of_p(told[rule]) for rule in RULES},
+            "coverage": _coverage_of_good(good, name, benches[0]),
+        },
+        "classes": [
+            {
+                **_class(kind.name, valid, scores, told, name, benches[0], apart.get(kind.cause)),
+                "intervals": _intervals(kind.name, valid, name, size) if world == "same" else None,
+            }
+            for kind in CLASSES
+        ],
+    }
+
+
+def _intervals(kind: str, seen: dict[str, Columns], name: RecipeName, size: Size) -> Told | None:
+    """Intervals of extents where everything that varies is stated: only the world of the predictor is known so well."""
+    held = intervals_held(kind, seen, name, size)
+    if held is None:
+        return None
+    return {
+        "spread_stated": _rate(held.stated),
+        "doubt_of_this_world": _rate(held.doubted),
+        "doubts": [asdict(doubt) for doubt in held.doubts],
+    }
+
+
+def golden_pool(parts: int) -> list[npt.NDArray[np.int_]]:
+    """Numbers of the good parts that serve as golden ones: sets of 25, at most half of all parts, drawn at random.
+
+    Many of them, because what one set gives differs widely from what another gives.
+    """
+    count = min(GOLDEN_PARTS, parts // 2)
+    rng = np.random.default_rng(_SEED)
+    return [rng.permutation(parts)[:count] for _ in range(GOLDEN_SETS)]
+
+
+def met_sets(parts: int, pool: list[npt.NDArray[np.int_]], *, of_good: bool) -> npt.NDArray[np.int_]:
+    """(parts,) number of the golden set that every part is compared with: in turn, never one that it belongs to."""
+    members = [set(part.tolist()) if of_good else set() for part in pool]
+    found = np.arange(parts) % len(pool)
+    for number in range(parts):
+        while number in members[found[number]]:
+            found[number] = (found[number] + 1) % len(pool)
+    return found
+
+
+def _valid(columns: Columns, name: RecipeName) -> Columns:
+    keep = columns[f"{name}/valid"].astype(bool)
+    return {key: values[keep] for key, values in columns.items()}
+
+
+def _scores(
+    seen: Columns, kind: str, name: RecipeName, benches: list[Bench], met: npt.NDArray[np.int_]
+) -> dict[str, FloatArray]:
+    """Scores (high is bad) of every part: −lg p of the means by every rule and of the marks, and the share."""
+    found: dict[str, FloatArray] = {}
+    for rule in RULES:
+        if rule in OF_GOLDEN:
+            p = np.full(len(seen["extent"]), np.nan)
+            for number, bench in enumerate(benches):
+                mine = met == number
+                if not mine.any():
+                    continue
+                p[mine] = p_values(rule, {key: values[mine] for key, values in seen.items()}, kind, bench)
+        else:
+            p = p_values(rule, seen, kind, benches[0])
+        found[rule] = -np.log10(np.maximum(p, _TINY))
+    # groups whose chance is nil in floating point are told apart by their size
+    found["marks"] = -np.log10(np.maximum(seen[f"{name}/p_marks"], _TINY)) + 1e-3 * seen[f"{name}/mark_cells"]
+    found["share"] = np.asarray(seen[f"{name}/share"], dtype=np.float64)
+    return found
+
+
+def with_area(scores: dict[str, dict[str, FloatArray]]) -> None:
+    """Add the scores of the area that deviates, and of means and area together, to those of every class.
+
+    The area counts as −lg of the normal tail beyond what half of the good parts show; of two criteria each has half
+    of the level.
+    """
+    from scipy.stats import norm  # noqa: PLC0415 - 1 s
+
+    shown = scores[GOOD]["share"][::2]
+    middle, spread = float(np.mean(shown)), max(float(np.std(shown, ddof=1)), 1e-6)
+    for found in scores.values():
+        found["area"] = np.asarray(-norm.logsf((found["share"] - middle) / spread) / np.log(10.0))
+        for rule in RULES:
+            found[f"{rule}+area"] = np.maximum(found[rule], found["area"]) - np.log10(2.0)
+
+
+def _false_alarms(good: Columns, name: RecipeName, scores: dict[str, FloatArray]) -> Told:
+    limit = -np.log10(LEVEL)
+    found: Told = {rule: _rate(rate(scores[rule] > limit)) for rule in RULES}
+    found["marks"] = _rate(rate(good[f"{name}/p_marks"] < LEVEL))
+    found["area share over its limit"] = _rate(rate(good[f"{name}/share_fails"].astype(bool)))
+    found["verdict FAIL"] = _rate(rate(_fails(good, name, scores)))
+    for rule in RULES:
+        found[f"{rule}+area"] = _rate(rate(scores[f"{rule}+area"] > limit))
+    return found
+
+
+def _fails(seen: Columns, name: RecipeName, scores: dict[str, FloatArray]) -> npt.NDArray[np.bool_]:
+    """Whether the verdict is FAIL as shipped: by the means or by the share of the area."""
+    return np.asarray((scores["shipped"] > -np.log10(LEVEL)) | seen[f"{name}/share_fails"].astype(bool))
+
+
+def _of_p(scores: FloatArray) -> Told:
+    p = 10.0**-scores
+    distance, chance = uniformity(p)
+    return {"histogram": histogram(p), "kolmogorov": distance, "chance": chance}
+
+
+def _rate(found: Rate) -> Told:
+    return {"rate": found.value, "count": found.count, "of": found.of, "interval": [found.low, found.high]}
+
+
+def _area(found: Area) -> Told:
+    return {"auc": found.value, "u": found.u, "interval": list(found.interval)}
+
+
+def _coverage_of_good(good: Columns, name: RecipeName, bench: Bench) -> Told:
+    """Shares of good parts whose 95 % intervals hold what they should."""
+    pairs = consecutive_pairs(bench.expected.poses)
+    first, second = np.array(pairs).T
+    error = good[f"{name}/error"][:, first] - good[f"{name}/error"][:, second]
+    own = covariance_of_measurement(good[f"{name}/own"])
+    u = np.sqrt(own[:, first, first] + own[:, second, second] - 2.0 * own[:, first, second])
+    found = {
+        "measured contrast holds the true one (measurement alone)": _rate(rate(np.abs(error) <= COVERAGE * u))
+    }
+    off, all_u = good[f"{name}/pair_deviation"], good[f"{name}/pair_u"]
+    found["predicted contrast (as shipped)"] = _rate(rate(np.abs(off) <= COVERAGE * all_u))
+    spread = bench.spread()
+    of_pairs = spread[first, first] + spread[second, second] - 2.0 * spread[first, second]
+    more = np.sqrt(all_u**2 + of_pairs)
+    found["predicted contrast (spread of the ridge angle stated)"] = _rate(
+        rate(np.abs(off) <= COVERAGE * more)
+    )
+    for number, (i, j) in enumerate(pairs):
+        poses = bench.expected.poses
+        title = (
+            f"{poses[i].stage_deg:g}°/{poses[j].stage_deg:g}° at tilt {poses[i].tilt_deg:g}° (spread stated)"
+        )
+        found[title] = _rate(rate(np.abs(off[:, number]) <= COVERAGE * more[:, number]))
+    for parameter, held in fitted_shapes(good, name, bench.size).items():
+        found[f"{parameter}, fitted over the tilts"] = _rate(rate(held))
+    return found
+
+
+def _class(
+    kind: str,
+    seen: dict[str, Columns],
+    scores: dict[str, dict[str, FloatArray]],
+    good: dict[str, FloatArray],
+    name: RecipeName,
+    bench: Bench,
+    apart: Separability | None,
+) -> Told:
+    columns, own = seen[kind], scores[kind]
+    way = np.where(columns["extent"] < 0.0, -1.0, 1.0)[:, None]  # what is off both ways must not cancel
+    shift = np.mean(
+        way * (columns[f"{name}/deviation"] - seen[GOOD][f"{name}/deviation"].mean(axis=0)), axis=0
+    )
+    sigmas, sources = limits(shift, columns, bench)
+    keys = ("area", "marks", *RULES, *(f"{rule}+area" for rule in RULES))
+    return {
+        "name": kind,
+        "title": BY_NAME[kind].title,
+        "parts": len(columns["extent"]),
+        "area_share": float(columns["spoiled"].mean()),
+        "verdict_fail": _rate(rate(_fails(columns, name, own))),
+        "scores": {key: _detection(own[key], good[key]) for key in keys},
+        "roc": {key: [list(map(float, axis)) for axis in curve(own[key], good[key])] for key in DRAWN},
+        "mean_shift_sigmas": sigmas,
+        "limited_by": [[source, share] for source, share in sources[:4]],
+        "diagnosis": _diagnosis(kind, columns, name, bench, apart),
+    }
+
+
+def _detection(bad: FloatArray, good: FloatArray) -> Told:
+    """Detection at the nominal threshold, and at that set on half of the good parts and tried on the others."""
+    set_on, tried_on = good[::2], good[1::2]
+    limit = threshold(set_on, LEVEL)
+    found: Told = {**_area(area_under_curve(bad, good)), "set": _rate(rate(bad > limit))}
+    found["false_alarms_set"] = _rate(rate(tried_on > limit))
+    found["nominal"] = _rate(rate(bad > -np.log10(LEVEL)))
+    return found
+
+
+def _diagnosis(kind: str, seen: Columns, name: RecipeName, bench: Bench, apart: Separability | None) -> Told:
+    cause, extent, size = BY_NAME[kind].cause, BY_NAME[kind].extent, bench.size
+    told = diagnosed(kind, seen, name, size, len(seen["extent"]))
+    taught = diagnosed(kind, seen, name, size, TAUGHT_DIAGNOSES, bench.golden)
+    named, counts = np.unique(told["first"], return_counts=True)
+    order = np.argsort(-counts)
+    needed = None if apart is None else apart.told_apart_from
+    right, u, low, high = (told[name] for name in ("extent", "u", "low", "high"))
+    inside = np.isfinite(right)
+    truth = true_extents(kind, seen, size)
+    # an open end holds everything beyond
+    held = ~(truth < low) & ~(truth > high)
+    closed = inside & np.isfinite(low) & np.isfinite(high)
+    return {
+        "right_first": _rate(rate(told["first"] == cause)),
+        "right_first_or_second": _rate(rate((told["first"] == cause) | (told["second"] == cause))),
+        "right_tied": _rate(rate(told["tied"])),
+        "confidently_wrong": _rate(rate(told["wrong"])),
+        "ties": float(told["ties"].mean()),
+        "right_first_against_golden": _rate(rate(taught["first"] == cause)),
+        "confidently_wrong_against_golden": _rate(rate(taught["wrong"])),
+        "first": [[str(named[k]) or "none", int(counts[k])] for k in order[:4]],
+        "shows_from": None if apart is None else apart.shows_from,
+        "told_apart_from": needed,
+        "separable": bool(needed is not None and extent >= abs(needed)),
+        "extent": extent,
+        "extent_interval_holds": _rate(rate(held[inside])),
+        "extent_interval_closed": _rate(rate(closed[inside])),
+        "extent_median": float(np.median(right[inside])) if inside.any() else None,
+        "extent_u_median": float(np.median(u[inside])) if inside.any() else None,
+    }
+
+
+__all__ = ["LEVEL", "RULES", "Rule", "golden_pool", "met_sets", "results_of", "with_area"]

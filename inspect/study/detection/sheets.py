@@ -1,0 +1,200 @@
+"""Sheets: large rough surfaces of every kind of local defect, rendered once a pose, from which parts are cut.
+
+A sheet holds the radiance of the nominal part in every view, its own roughness and local marks resolved; where it is
+cut, a part gets another piece of surface. What is the same all along a ridge (angle, worn or missing crests,
+roughness of the lobe, seating, lamp) is put in afterwards (`detection_pictures`).
+"""
+
+import hashlib
+import io
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.atomic_write import write_bytes
+from anisoscope.profiles.defects import burrs
+from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.profiles.spoiling import spoil
+from anisoscope.sim.light.geometry import Convention, directions
+from anisoscope.sim.light.ggx import lobe_maps
+from anisoscope.sim.light.relief import Relief
+from anisoscope.sim.light.relief_paths import interreflection
+from anisoscope.study.detection.lobes import lobes_of, quick_shine
+from anisoscope.study.detection.product import (
+    BURRS_ON_GOOD,
+    BY_NAME,
+    CLASSES,
+    GOOD,
+    LIGHT_DEG,
+    PITCH_UM,
+    RESOLVED_ALPHA,
+    RIDGE_ANGLE_DEG,
+    WHOLE,
+    Size,
+    World,
+    expected_of,
+)
+
+FORMAT = 1  # part of the keys of everything that is kept
+POINTS = 25  # a pitch, each way, of what is kept; facets are half as wide
+CORRELATION_UM = 8.0
+CHANGED_UM = 0.05
+PARTS_ACROSS, PARTS_ALONG = 2, 2
+_PATHS = 16384
+_SETTINGS = {
+    "ridge-angle": ("ridge-angle", "delta_deg"),
+    "height-loss": ("incomplete-filling", "loss"),
+    "wear": ("wear", "radius_um"),
+    "burrs": ("burrs", "coverage"),
+    "scratches": ("scratches", "density_per_mm2"),
+    "missing-ridges": ("missing-ridges", "share"),
+    "dust": ("dust", "density_per_mm2"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Sheet:
+    """One rendered surface.
+
+    Attributes:
+        shown: (P, rows, cols) radiance in 1/sr, single precision halved; row index rises with +y.
+        spoiled: (rows, cols) True where a local defect changed the height.
+    """
+
+    shown: npt.NDArray[np.float16]
+    spoiled: npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class SheetTask:
+    """Which sheet: of which world and class, the how-manieth, how large, seeded how, kept where."""
+
+    world: World
+    kind: str
+    number: int
+    size: Size
+    seed: int
+    folder: Path
+
+    @property
+    def path(self) -> Path:
+        """Its file."""
+        told: list[object] = [FORMAT, self.world, self.kind, self.number, self.seed]
+        told += [self.size.ridges, self.size.pitches, self.size.sheets]
+        key = hashlib.sha256(json.dumps(told).encode()).hexdigest()[:24]
+        return self.folder / f"sheet-{key}.npz"
+
+
+def sheets_of(kind: str, size: Size) -> int:
+    """How many sheets of a class there are: shape defects are put on those of good parts."""
+    return size.sheets if kind == GOOD else max(1, size.sheets // 4)
+
+
+def sheet_tasks(worlds: tuple[World, ...], size: Size, seed: int, folder: Path) -> list[SheetTask]:
+    """All sheets that a study needs."""
+    kinds = (GOOD, *(kind.name for kind in CLASSES if kind.local))
+    return [
+        SheetTask(world, kind, number, size, seed, folder)
+        for world in worlds
+        for kind in kinds
+        for number in range(sheets_of(kind, size))
+    ]
+
+
+def make_sheet(task: SheetTask) -> Path:
+    """Render a sheet unless it is there; returns its file."""
+    if not task.path.exists():
+        surface, spoiled = sheet_surface(task)
+        shown = np.stack([_reduced(view, 2) for view in _rendered(surface, task.world)])
+        stream = io.BytesIO()
+        np.savez(stream, shown=shown.astype(np.float16), spoiled=spoiled)
+        write_bytes(task.path, stream.getvalue())
+    return task.path
+
+
+def read_sheet(path: Path) -> Sheet:
+    """A sheet from its file."""
+    with np.load(path) as kept:
+        return Sheet(kept["shown"], kept["spoiled"])
+
+
+def sheet_surface(task: SheetTask) -> tuple[HeightMap, npt.NDArray[np.bool_]]:
+    """The surface, and where a local defect changed it (on the points that are kept)."""
+    entropy = [task.seed, ("sheet", GOOD, *BY_NAME).index(task.kind), task.number]
+    base, marks = (np.random.default_rng(child) for child in np.random.SeedSequence(entropy).spawn(2))
+    across, along = task.size.ridges + 1, task.size.pitches + 1
+    cols, rows = PARTS_ACROSS * across * 2 * POINTS + 1, PARTS_ALONG * along * POINTS + 1
+    pixels = PITCH_UM / POINTS, PITCH_UM / POINTS / 2
+    surface = ridges(RidgeDesign(PITCH_UM, RIDGE_ANGLE_DEG), (rows, cols), pixels)
+    surface = add_facet_roughness(surface, RESOLVED_ALPHA, RESOLVED_ALPHA, CORRELATION_UM, base)
+    number = sheets_of(GOOD, task.size)
+    coverage = BURRS_ON_GOOD * ((task.number + 0.5) / number if task.kind == GOOD else 0.5)
+    good = burrs(surface, coverage, pitch_um=PITCH_UM, rng=base).map
+    if task.kind == GOOD:
+        return good, np.zeros(((rows - 1), (cols - 1) // 2), dtype=np.bool_)
+    bad = _spoiled(good, task, marks)
+    changed = np.abs(bad.height_um - good.height_um) > CHANGED_UM
+    return bad, _reduced(changed[:-1, :-1].astype(np.float32), 2) >= 0.5
+
+
+def _spoiled(surface: HeightMap, task: SheetTask, rng: np.random.Generator) -> HeightMap:
+    kind = BY_NAME[task.kind]
+    values = {**kind.values, _SETTINGS[task.kind][1]: kind.extent}
+    if task.kind != "missing-ridges":
+        return spoil(surface, task.kind, rng, values=values)
+    # as many as stated in every part, none in the margins: parts of this class are cut at whole parts only
+    across = (task.size.ridges + 1) * 2 * POINTS
+    height = surface.height_um.copy()
+    half = POINTS  # the margin: half a pitch on either side
+    for part in range(PARTS_ACROSS):
+        inner = slice(part * across + half, (part + 1) * across - half + 1)
+        block = HeightMap(height[:, inner], surface.pixel_x_um, surface.pixel_y_um, {})
+        height[:, inner] = spoil(block, task.kind, rng, values=values).height_um
+    return surface.with_height(height)
+
+
+def _rendered(surface: HeightMap, world: World) -> list[npt.NDArray[np.float32]]:
+    expected = expected_of("tilted", Size())
+    seen = directions(expected.poses, Convention(LIGHT_DEG))
+    material = lobes_of(world).textured
+    shines = [quick_shine(light, camera, material) for light, camera in zip(*seen, strict=True)]
+    return lobe_maps(Relief(surface, PITCH_UM), shines, "beckmann" if world == "same" else "ggx")
+
+
+def _reduced(values: npt.NDArray[np.float32], by: int) -> npt.NDArray[np.float32]:
+    """(rows, cols/by) means along the rows."""
+    return np.asarray(values.reshape(values.shape[0], -1, by).mean(axis=2), dtype=np.float32)
+
+
+def cut(sheet: Sheet, kind: str, size: Size, rng: np.random.Generator) -> tuple[slice, slice]:
+    """Rows and columns of a part on its sheet: anywhere along the ridges, whole pitches across them."""
+    rows, cols = (size.pitches + 1) * POINTS, (size.ridges + 1) * POINTS
+    _, high, wide = sheet.shown.shape
+    row = int(rng.integers(high - rows + 1))
+    step = cols if kind == "missing-ridges" else POINTS
+    col = step * int(rng.integers((wide - cols) // step + 1))
+    return slice(row, row + rows), slice(col, col + cols)
+
+
+def bounces_of(kind: str) -> FloatArray:
+    """(P,) radiance of light that reflects more than once on a class, nominal material, 1/sr.
+
+    Smooth over the picture: traced on a few ridges of the class (Beckmann lobes, all reflections).
+    """
+    expected = expected_of("tilted", Size())
+    seen = directions(expected.poses, Convention(LIGHT_DEG))
+    # the same piece of surface and the same paths for all, so that classes differ by their defect alone
+    surface, _ = sheet_surface(SheetTask("other", GOOD, 0, Size(ridges=24, pitches=4, sheets=1), 1, Path()))
+    material = WHOLE
+    if kind == "roughness":
+        material = replace(WHOLE, alpha_across=WHOLE.alpha_across * (1.0 + BY_NAME[kind].extent))
+    elif kind != GOOD:
+        name, setting = _SETTINGS[kind]
+        values = {**BY_NAME[kind].values, setting: BY_NAME[kind].extent}
+        surface = spoil(surface, name, np.random.default_rng(0), values=values)
+    return interreflection(Relief(surface, PITCH_UM), *seen, material, paths=_PATHS).radiance

@@ -1,0 +1,101 @@
+"""The chance of a good part's distance: uniform for parts that are drawn as the budget says, golden or predicted."""
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from anisoscope.base.errors import MeasurementError
+from anisoscope.base.significance import hotelling, log_basis, mahalanobis
+from anisoscope.decision.consistency_test import calibrated, from_golden, from_prediction, golden_chances
+from anisoscope.imaging.pose_radiance import Measured
+from anisoscope.imaging.registration.placement import Grid
+from anisoscope.prediction.expectation import Component, Expectation
+from anisoscope.prediction.second_order import Response
+from anisoscope.sim.light.geometry import Convention, pose_grid
+
+POSES = pose_grid((0.0, 90.0, 180.0), (0.0, 10.0))
+RADIANCE = np.array([0.3, 0.05, 0.04, 0.2, 0.07, 0.1])
+SLOPE = 0.05 * np.random.default_rng(6).normal(size=(6, 2))
+BEND = np.zeros((6, 2, 2))
+BEND[:, 0, 0] = 0.03 * np.random.default_rng(7).normal(size=6)
+RESPONSE = Response(("a", "b"), SLOPE, BEND)
+OWN = Component("own", "measurement", np.full(6, 0.004), shared=False)
+NOISE = Component("z", "measurement", np.zeros(6), shared=True)
+
+
+@pytest.fixture
+def rng():
+    """Every test draws for itself."""
+    return np.random.default_rng(6)
+
+
+def expected(response=RESPONSE):
+    linear = tuple(Component(name, "prediction", SLOPE[:, k], shared=True) for k, name in enumerate("ab"))
+    return Expectation("corrected", POSES, RADIANCE, linear, np.zeros(6), None, Convention(), response)
+
+
+def measured(change, components=(OWN,)):
+    grid = Grid((0.0, 0.0), 0.025, (4, 4))
+    return Measured(RADIANCE * np.exp(change), components, (), np.ones((6, 1, 1)), np.zeros(6), grid, None)
+
+
+def good_parts(count, rng):
+    return RESPONSE.draw(OWN.covariance(), count, rng)
+
+
+def test_good_parts_are_flagged_as_often_as_the_level_says(rng):
+    p = np.array([from_prediction(expected(), measured(change))[2] for change in good_parts(120, rng)])
+    assert np.mean(p < 0.1) == pytest.approx(0.1, abs=0.08)
+    normal = [from_prediction(expected(None), measured(change))[2] for change in good_parts(120, rng)]
+    assert np.mean(np.array(normal) < 0.01) > 0.05  # the curve told is what makes the difference
+
+
+def test_without_a_response_the_distance_is_that_of_the_covariance(rng):
+    change = 0.02 * rng.normal(size=6)
+    basis = log_basis(6)
+    total = SLOPE @ SLOPE.T + OWN.covariance()
+    d2, dof, p = from_prediction(expected(None), measured(change))
+    assert (d2, dof) == (pytest.approx(mahalanobis(basis @ change, basis @ total @ basis.T)[0]), 5)
+    assert p == pytest.approx(chi2.sf(d2, 5))
+
+
+def test_poses_without_any_error_of_their_own_are_weighed_too():
+    d2, dof, _ = from_prediction(expected(), measured(SLOPE[:, 0], (NOISE,)))
+    assert dof == 2
+    assert d2 == pytest.approx(1.0, abs=0.05)
+    nothing = Expectation("corrected", POSES, RADIANCE, (), np.zeros(6), None, Convention())
+    with pytest.raises(MeasurementError, match="no source of uncertainty"):
+        from_prediction(nothing, measured(np.zeros(6), ()))
+
+
+def test_golden_parts_flag_as_many_as_the_level_says_where_the_normal_theory_does_not(rng):
+    parts, basis = good_parts(6000, rng), log_basis(6)
+    normal = []
+    for _ in range(40):
+        golden = parts[rng.permutation(6000)[:20]] @ basis.T
+        normal += [hotelling(basis @ change, golden)[1] for change in parts[rng.permutation(6000)[:30]]]
+    drawn = golden_chances(RESPONSE.within(basis), basis @ OWN.covariance() @ basis.T, 20)
+    found = calibrated(np.array(normal), drawn)
+    assert np.mean(np.array(normal) < 0.01) > 1.4 * np.mean(found < 0.01)
+    assert np.mean(found < 0.01) == pytest.approx(0.01, abs=0.009)
+    t2, dof, p = from_golden(expected(), measured(parts[0]), parts[1:21] @ basis.T)
+    again, plain = hotelling(basis @ np.log(measured(parts[0]).radiance), parts[1:21] @ basis.T)
+    assert (t2, dof) == (pytest.approx(again), 5)
+    assert p == pytest.approx(calibrated(np.array([plain]), drawn)[0])
+
+
+def test_a_straight_response_leaves_the_chance_of_golden_parts_alone():
+    basis = log_basis(6)
+    flat = Response(("a", "b"), SLOPE, np.zeros((6, 2, 2))).within(basis)
+    drawn = golden_chances(flat, basis @ OWN.covariance() @ basis.T, 15)
+    levels = np.array([0.5, 0.1, 0.01])
+    np.testing.assert_allclose(calibrated(levels, drawn), levels, rtol=0.25)
+
+
+def test_calibrated_chances_rise_and_have_no_floor(rng):
+    drawn = np.sort(rng.random(10000) ** 1.5)
+    p = np.array([1e-250, 1e-12, 1e-4, 0.01, 0.1, 0.9, 1.0])
+    found = calibrated(p, drawn)
+    assert (np.diff(found) > 0.0).all()
+    np.testing.assert_allclose(found[2:6], p[2:6] ** (1.0 / 1.5), rtol=0.15)
+    assert found[-1] == 1.0

@@ -1,0 +1,116 @@
+"""What a record tells of the causes where golden parts decide: parts of a world that the prediction does not know."""
+
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from anisoscope.decision.decision import decide
+from anisoscope.decision.reference_parts import GoldenPart, GoldenSet, recipe_key
+from anisoscope.diagnosis import part_diagnosis as explaining
+from anisoscope.diagnosis.part_diagnosis import evidence_of, explain
+from anisoscope.diagnosis.signatures import signatures
+from anisoscope.imaging.pose_radiance import Measured
+from anisoscope.imaging.registration.placement import Grid
+from anisoscope.prediction.expectation import Component
+from anisoscope.study.detection.chunk import profile_radiance
+from anisoscope.study.detection.product import BY_NAME, LIGHT_DEG, Size, draw, expected_of, recipe_of
+
+GOLDEN, PARTS = 25, 5
+CAUSES = ("incomplete-filling", "wear", "ridge-angle", "seating-y", "colour")
+CLASSES = ("height-loss", "wear")
+
+
+@pytest.fixture(scope="module")
+def recipe():
+    return recipe_of("tilted", Size()).model_copy(update={"area": None})
+
+
+@pytest.fixture(scope="module")
+def expected():
+    return expected_of("tilted", Size())
+
+
+@pytest.fixture
+def quick(recipe, monkeypatch, of_the_recipe):
+    monkeypatch.setattr(explaining, "remembered_signatures", lambda *_: of_the_recipe)
+
+
+@pytest.fixture(scope="module")
+def of_the_recipe(recipe):
+    return signatures(recipe, LIGHT_DEG, names=CAUSES)
+
+
+def shown(kind, count, seed, poses):
+    """(count, P) ln L of parts with GGX lobes, each on a rig of its own, as a camera without noise finds them."""
+    rng = np.random.default_rng(seed)
+    found = []
+    for _ in range(count):
+        specimen, _ = draw(None if kind is None else BY_NAME[kind], poses + 1, rng)
+        radiance = profile_radiance(specimen, "other")[:poses].mean(axis=1)
+        found.append(np.log((radiance + specimen.stray) * specimen.gain[:poses]))
+    return np.array(found)
+
+
+@pytest.fixture(scope="module")
+def golden(recipe, expected):
+    poses = tuple((pose.stage_deg, pose.tilt_deg) for pose in expected.poses)
+    parts = tuple(
+        GoldenPart(
+            serial=f"G{number}",
+            inspected_at="2026-01-01T00:00:00+00:00",
+            log_radiance=tuple(row),
+            area_share=None,
+            verdict="PASS",
+        )
+        for number, row in enumerate(shown(None, GOLDEN, 1, len(poses)))
+    )
+    return GoldenSet(product=recipe.product, recipe_key=recipe_key(recipe), poses=poses, parts=parts)
+
+
+def measured(log_radiance, recipe, expected):
+    """What the rig's own uncertainties say of such a part."""
+    rig = recipe.uncertainty
+    alone = np.full(len(log_radiance), np.hypot(rig.flat_share, rig.linearity_share))
+    components = (
+        Component("flat field", "measurement", alone, shared=False),
+        Component("stray light", "measurement", rig.stray_radiance / expected.radiance, shared=True),
+        Component("stage angle", "measurement", rig.stage_deg * expected.per_degree, shared=False),
+    )
+    radiance = np.exp(log_radiance)
+    cells = np.repeat(radiance[:, None, None], 16, axis=1)
+    grid = Grid((0.0, 0.0), 0.025, (4, 4))
+    return Measured(radiance, components, (), cells, np.full(len(radiance), 0.001), grid, 0.0)
+
+
+@pytest.mark.usefixtures("quick")
+@pytest.mark.parametrize("kind", CLASSES)
+def test_golden_parts_of_another_world_name_what_the_prediction_cannot(recipe, expected, golden, kind):
+    said = Counter()
+    for row in shown(kind, PARTS, 2, len(expected.poses)):
+        seen = measured(row, recipe, expected)
+        alone, note = explain(recipe, expected, seen, decide(expected, seen, recipe))
+        assert note is None
+        assert alone.says.startswith("none of the causes explains the part")
+        told, note = explain(recipe, expected, seen, decide(expected, seen, recipe, golden), golden=golden)
+        assert note is None
+        said["explained"] += told.unexplained_p > recipe.decision.alpha
+        ties = {cause.cause for cause in told.causes if cause.tie}
+        said["tied"] += BY_NAME[kind].cause in ties
+        said["first"] += told.causes[0].cause == BY_NAME[kind].cause
+    assert said["explained"] >= PARTS - 1
+    assert said["tied"] >= PARTS - 1
+    assert said["first"] > PARTS / 2
+
+
+def test_the_reference_is_the_mean_of_the_golden_parts(recipe, expected, golden):
+    row = shown("wear", 1, 3, len(expected.poses))[0]
+    seen = measured(row, recipe, expected)
+    decision = decide(expected, seen, recipe, golden)
+    shift = np.mean([part.log_radiance for part in golden.parts], axis=0)
+    found = evidence_of(recipe, expected, seen, decision, golden)
+    np.testing.assert_allclose(found.deviation, row - shift)
+    alone = evidence_of(recipe, expected, seen, decision)
+    np.testing.assert_allclose(alone.deviation, row - np.log(expected.radiance))
+    assert alone.learnt is None
+    assert found.learnt.misfit.min() > 0.1  # the model is far off good parts, and so are its changes

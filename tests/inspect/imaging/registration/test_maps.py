@@ -1,0 +1,107 @@
+"""A part measured by a profilometer on the virtual rig: the place of its map in the pictures comes back, or is open."""
+
+import cv2
+import numpy as np
+import pytest
+
+from anisoscope.base.errors import RegistrationError
+from anisoscope.imaging.registration.height_map import place_map, render
+from anisoscope.imaging.registration.placement import Grid, Placement, resample
+from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.sim.bench.benchfile import OpticsPart, SensorPart
+from anisoscope.sim.bench.optics import image_of_surface, pixel_from_mm
+from anisoscope.sim.light.geometry import Convention, Pose, directions
+from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.relief import Relief, radiance_maps
+
+PITCH_UM, PIXEL_UM = 100.0, 8.0
+MATERIAL = Material(0.06, 0.10, 0.2, 1.5)
+POSES = (Pose(0.0), Pose(90.0))
+OPTICS = OpticsPart(pixel_um=PIXEL_UM, blur_um=5.0)
+SENSOR = SensorPart(rows=256, cols=256)
+
+
+def surface(rough, seed=1):
+    """A part of 1.4 mm × 1.4 mm, 4 µm × 2 µm pixels."""
+    plain = ridges(RidgeDesign(PITCH_UM, 10.0), (351, 701), (4.0, 2.0))
+    if not rough:
+        return plain
+    return add_facet_roughness(plain, rough, rough, 12.0, np.random.default_rng(seed))
+
+
+def photographed(part, grid, noise=0.01):
+    """Aligned pictures of a part under the camera, as the virtual rig shows it."""
+    rng, pictures = np.random.default_rng(5), []
+    lights = directions(POSES, Convention(10.0))
+    shown = list(radiance_maps(Relief(part, PITCH_UM), *lights, MATERIAL))
+    for pose, radiance in zip(POSES, shown, strict=True):
+        image, _ = image_of_surface(
+            radiance, (part.pixel_y_um, part.pixel_x_um), OPTICS, SENSOR, pose.stage_deg
+        )
+        image = image * (1.0 + noise * rng.standard_normal(image.shape, dtype=np.float32))
+        place = Placement(pixel_from_mm(OPTICS, SENSOR, pose.stage_deg), 0.0, PIXEL_UM, (0.0, 0.0), 0.0, 4)
+        pictures.append(resample(image, place, grid))
+    return pictures
+
+
+def patch(part, rows, cols):
+    """A part of a map, and (x, y) in µm of its middle from the middle of the whole."""
+    cut = HeightMap(part.height_um[rows, cols], part.pixel_x_um, part.pixel_y_um)
+    starts = [
+        s.start + (s.stop - s.start - 1) / 2 - (n - 1) / 2
+        for s, n in zip((rows, cols), part.shape, strict=True)
+    ]
+    return cut, (starts[1] * part.pixel_x_um, starts[0] * part.pixel_y_um)
+
+
+PATCHES = {
+    "whole": (slice(0, 351), slice(0, 701)),
+    "corner": (slice(20, 170), slice(30, 300)),
+    "middle": (slice(100, 260), slice(210, 470)),
+}
+
+
+@pytest.mark.parametrize("where", PATCHES)
+@pytest.mark.parametrize("center", [(0.0, 0.0), (0.0613, -0.0424)])
+def test_the_place_of_the_map_comes_back(where, center):
+    part = surface(0.05)
+    grid = Grid(center, PITCH_UM / 12 / 1000, (96, 96))
+    cut, middle = patch(part, *PATCHES[where])
+    found = place_map(photographed(part, grid), grid, cut, POSES, MATERIAL, Convention(10.0), PITCH_UM)
+    assert found.resolved, found.words
+    wanted = np.array(middle) - 1000.0 * np.array(center)
+    np.testing.assert_allclose([found.x_um, found.y_um], wanted, atol=0.3 * PIXEL_UM)
+    off = (found.phase_um - wanted[0] + PITCH_UM / 2) % PITCH_UM - PITCH_UM / 2
+    assert abs(off) < 0.3 * PIXEL_UM
+
+
+@pytest.mark.parametrize("case", ["smooth part", "another part"])
+def test_what_looks_alike_everywhere_is_said_to_be_unresolved(case):
+    part = surface(0.0 if case == "smooth part" else 0.05)
+    grid = Grid((0.0313, 0.0), PITCH_UM / 12 / 1000, (96, 96))
+    cut, middle = patch(surface(0.05, seed=9), *PATCHES["middle"])
+    found = place_map(photographed(part, grid), grid, cut, POSES, MATERIAL, Convention(10.0), PITCH_UM)
+    assert not found.resolved
+    assert found.words.startswith("unresolved: only means are compared")
+    off = (found.phase_um - middle[0] + 31.3 + PITCH_UM / 2) % PITCH_UM - PITCH_UM / 2
+    assert abs(off) < 0.3 * PIXEL_UM  # the phase is known all the same
+
+
+def test_rendered_pictures_show_what_the_camera_sees():
+    part = surface(0.05)
+    grid = Grid((0.0, 0.0), PIXEL_UM / 1000, (120, 120))
+    seen = photographed(part, grid, noise=0.0)
+    for drawn, picture in zip(render(part, POSES, MATERIAL, Convention(10.0), PIXEL_UM), seen, strict=True):
+        rows, cols = ((a - 120) / 2 for a in drawn.shape)
+        shift = np.array([[1.0, 0.0, -cols], [0.0, 1.0, -rows]])
+        cut = cv2.GaussianBlur(cv2.warpAffine(drawn, shift, (120, 120)), (0, 0), 0.62)
+        assert np.corrcoef(cut.ravel(), picture.ravel())[0, 1] > 0.98
+
+
+def test_a_map_without_a_whole_ridge_is_refused():
+    cut, _ = patch(surface(0.05), slice(0, 200), slice(0, 40))
+    grid = Grid((0.0, 0.0), PITCH_UM / 12 / 1000, (96, 96))
+    picture = np.ones(grid.shape, np.float32)
+    with pytest.raises(RegistrationError, match="smaller than one pitch"):
+        place_map([picture], grid, cut, POSES[:1], MATERIAL, Convention(10.0), PITCH_UM)

@@ -1,0 +1,117 @@
+"""Marks painted into a map of cells: where they are, what they look like, and how often chance makes such."""
+
+import numpy as np
+import pytest
+
+from anisoscope.imaging.defect_regions import chance_of_a_cell, chance_of_a_group, find_regions, kind_of
+from anisoscope.imaging.deviation_map import cell_deviations
+from anisoscope.imaging.registration.placement import Grid
+from anisoscope.recipe.recipe import AreaPart
+
+RULE = AreaPart()
+ROWS, COLS = 80, 96
+GRID = Grid((0.5, -0.2), 0.005, (ROWS * 5, COLS * 5))
+
+
+def pattern(noise=0.03, seed=0):
+    """ln ratios of a good part: four flanks a pitch, fading across the field."""
+    rng = np.random.default_rng(seed)
+    flanks = np.array([1.8, 1.6, -0.4, 0.7])[np.arange(COLS) % 4]
+    return flanks + np.linspace(0, 0.4, COLS) + noise * rng.standard_normal((ROWS, COLS))
+
+
+def deviation(ratios):
+    return cell_deviations(ratios[None], RULE.cell_deviation)[0]
+
+
+def test_a_good_part_has_no_regions():
+    assert find_regions(deviation(pattern()), RULE, GRID) == ()
+
+
+def test_a_missing_ridge_is_one_region_over_the_whole_length():
+    ratios = pattern()
+    ratios[:, 40:44] = 0.1
+    regions = find_regions(deviation(ratios), RULE, GRID)
+    assert [region.kind for region in regions] == ["missing ridge"]
+    region = regions[0]
+    assert region.area_share == pytest.approx(4 / COLS, rel=0.3)
+    assert region.p_value < 1e-9
+    assert region.length_mm == pytest.approx(ROWS * 0.025)
+    assert region.x_mm == pytest.approx(0.5 + (41.5 - (COLS - 1) / 2) * 0.025, abs=0.03)
+
+
+def test_marks_are_found_where_they_are():
+    ratios = pattern()
+    ratios[10:12, 20:22] -= 1.0
+    regions = find_regions(deviation(ratios), RULE, GRID)
+    assert [region.kind for region in regions] == ["spot"]
+    assert regions[0].cells == 4
+    assert regions[0].x_mm == pytest.approx(0.5 + (20.5 - (COLS - 1) / 2) * 0.025)
+    assert regions[0].y_mm == pytest.approx(-0.2 + ((ROWS - 1) / 2 - 10.5) * 0.025)
+    assert regions[0].deviation == pytest.approx(-1.0, abs=0.1)
+
+
+def test_places_turn_with_the_raster():
+    ratios = pattern()
+    ratios[10:12, 20:22] -= 1.0
+    plain, turned = (
+        find_regions(deviation(ratios), RULE, Grid((0.0, 0.0), 0.005, GRID.shape, turn))[0]
+        for turn in (0.0, 90.0)
+    )
+    assert (turned.x_mm, turned.y_mm) == pytest.approx((-plain.y_mm, plain.x_mm))
+
+
+def test_a_scratch_is_long_and_crosses_ridges():
+    inside = np.zeros((ROWS, COLS), bool)
+    for k in range(30):
+        inside[20 + k // 2, 20 + k] = inside[21 + k // 2, 20 + k] = True
+    assert kind_of(inside) == "scratch"
+
+
+@pytest.mark.parametrize(("height", "width", "kind"), [(1, 1, "spot"), (2, 3, "spot"), (12, 14, "patch")])
+def test_compact_marks(height, width, kind):
+    inside = np.zeros((ROWS, COLS), bool)
+    inside[30 : 30 + height, 30 : 30 + width] = True
+    assert kind_of(inside) == kind
+
+
+def test_one_flank_along_the_whole_length_is_no_missing_ridge():
+    ratios = pattern()
+    ratios[:, 41] += 0.8
+    assert [region.kind for region in find_regions(deviation(ratios), RULE, GRID)] == ["flank"]
+
+
+def test_small_differences_between_lines_do_not_count():
+    ratios = pattern(noise=0.0)
+    ratios[:, 41] += 0.9 * RULE.cell_deviation
+    assert not deviation(ratios).any()
+
+
+@pytest.mark.parametrize("chance", [0.01, 0.03])
+@pytest.mark.parametrize("cells", [1, 2, 3])
+def test_the_chance_of_a_group_is_a_bound(chance, cells):
+    """Maps of independent cells show groups of a size at most as often as said, and not much more seldom."""
+    import cv2
+
+    rng = np.random.default_rng(1)
+    seen = 0
+    for _ in range(400):
+        over = (rng.random((20, 20)) < chance).astype(np.uint8)
+        _, _, stats, _ = cv2.connectedComponentsWithStats(over, connectivity=8)
+        seen += bool((stats[1:, cv2.CC_STAT_AREA] >= cells).any())
+    said = chance_of_a_group(cells, 400, chance)
+    share = seen / 400
+    assert share <= said + 3.0 * np.sqrt(said * (1.0 - said) / 400) + 0.02
+    assert said < 3.0 * share + 0.1
+
+
+def test_the_chance_of_a_cell_is_the_tail_of_the_scatter():
+    rng = np.random.default_rng(2)
+    noise = rng.laplace(scale=0.05, size=(200, 200))
+    assert chance_of_a_cell(noise, 0.1) == pytest.approx(np.exp(-2.0), rel=0.05)
+    assert chance_of_a_cell(noise, 0.5) == pytest.approx(np.exp(-10.0), rel=0.5)
+    normal = 0.1 * rng.standard_normal((200, 200))
+    assert chance_of_a_cell(normal, 0.5) > 1e-6  # 6e-7 for a normal tail: the bound is on the safe side
+    assert chance_of_a_cell(np.zeros((5, 5)), 0.2) == 0.0
+    assert chance_of_a_group(3, 400, 0.0) == 0.0
+    assert chance_of_a_group(40, 400, 0.9) == 1.0

@@ -1,0 +1,206 @@
+"""Every gate on small scenes: what is unfit is INVALID, and the words say what to do."""
+
+import re
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from anisoscope.base.errors import CalibrationError, MeasurementError, RegistrationError
+from anisoscope.imaging.linearisation import RadianceImage
+from anisoscope.imaging.pose_radiance import View
+from anisoscope.imaging.quality_gates import (
+    check_dirt,
+    check_ridges,
+    check_sharpness,
+    check_stray,
+    check_tilt,
+    check_views,
+    find_ridges,
+)
+from anisoscope.imaging.registration.placement import Grid, Placement
+
+SIZE, PIXEL_UM, PITCH_UM = 240, 8.0, 100.0
+GRID = Grid((0.0, 0.0), PITCH_UM / 12 / 1000, (120, 120))
+ANGLES = (0.0, 90.0, 180.0)
+
+
+def placed(angle, **changes):
+    factor = np.exp(1j * np.radians(angle)) * 1000.0 / PIXEL_UM
+    axis = ((SIZE - 1) / 2, (SIZE - 1) / 2)
+    matrix = np.array([[factor.real, -factor.imag, axis[0]], [-factor.imag, -factor.real, axis[1]]])
+    return Placement(
+        matrix, angle, PIXEL_UM, axis, 0.05, 4, **{"blur_px": 0.8, "black_share": 0.05} | changes
+    )
+
+
+def view(angle, tilt=0.0, **changes):
+    value = np.full((SIZE, SIZE), 0.1, np.float32)
+    image = RadianceImage(value, 0.001 * value, np.zeros(value.shape, bool), 0.5)
+    return View(angle, tilt, image, placed(angle, **changes))
+
+
+@pytest.mark.parametrize(("arm", "markers"), [(0.0, 6.0), (10.0, 13.2), (20.0, 17.0), (-15.0, 0.0)])
+def test_the_arm_stands_elsewhere_than_it_says(arm, markers):
+    squeeze = np.cos(np.radians(markers)) / np.cos(np.radians(arm))
+    one = view(90.0, arm, squeeze=squeeze, u_squeeze=1e-4)
+    words = rf"at 90° the arm stands at {arm:.1f}° tilt, (the markers say {markers:.1f}°|.*columns)"
+    with pytest.raises(RegistrationError, match=words):
+        check_tilt(one)
+
+
+@pytest.mark.parametrize("arm", [0.0, 10.0, -20.0])
+def test_a_little_tilt_beside_is_no_matter(arm):
+    squeeze = np.cos(np.radians(abs(arm) + 0.5)) / np.cos(np.radians(arm))
+    check_tilt(view(0.0, arm, squeeze=squeeze, u_squeeze=1e-4))
+
+
+def test_defocus_in_one_pose_is_named_whichever_it_is(make_recipe):
+    sharp, dull = view(0.0), view(90.0, blur_px=1.6)
+    for first, other in ((sharp, dull), (replace(dull, stage_deg=90.0), sharp)):
+        with pytest.raises(
+            MeasurementError, match=r"at 90° the picture is less sharp than at 0° .*focus again"
+        ):
+            check_sharpness(other, first, make_recipe())
+    check_sharpness(view(90.0, blur_px=1.0), sharp, make_recipe())
+
+
+def test_a_blur_of_a_quarter_pitch_hides_the_cells(make_recipe):
+    dull = [view(angle, blur_px=3.5) for angle in ANGLES]
+    with pytest.raises(
+        MeasurementError, match=r"at 0° the picture is out of focus: .* 28.0 µm \(limit 25 µm"
+    ):
+        check_views(dull, make_recipe())
+    check_views(dull, make_recipe().model_copy(update={"area": None}))
+
+
+def test_stray_light_fills_the_black_of_the_markers():
+    with pytest.raises(
+        MeasurementError, match=r"at 0° the black of the markers is 40% .*keep other light off"
+    ):
+        check_stray(view(0.0, black_share=0.4))
+    check_stray(view(0.0, black_share=0.1))
+
+
+def wave(pitch_um, turn_deg=0.0, shape=(0.7, 0.2, 0.1), noise=0.1):
+    """A picture of ridges with harmonics, turned."""
+    rng = np.random.default_rng(1)
+    y, x = np.indices(GRID.shape) * GRID.pixel_mm * 1000.0
+    along = x * np.cos(np.radians(turn_deg)) + y * np.sin(np.radians(turn_deg))
+    ridges = sum(a * np.cos(2 * np.pi * (k + 1) * along / pitch_um) for k, a in enumerate(shape))
+    return (0.1 * (1.0 + 0.5 * ridges + noise * rng.standard_normal(x.shape))).astype(np.float32)
+
+
+@pytest.mark.parametrize("pitch_um", [80.0, 93.0, 100.0, 107.0, 125.0])
+@pytest.mark.parametrize("turn", [0.0, 2.0, -40.0, 90.0])
+def test_pitch_and_direction_are_read_from_the_picture(pitch_um, turn):
+    found = find_ridges((wave(pitch_um, turn),), GRID.pixel_mm * 1000.0, PITCH_UM)
+    assert found.pitch_um == pytest.approx(pitch_um, rel=0.015)
+    assert (found.direction_deg - turn + 90) % 180 - 90 == pytest.approx(0.0, abs=1.0)
+
+
+RIDGES = {
+    "turned part": (wave(100.0, 90.0), r"the ridges run 90° from where the recipe says: lay the part"),
+    "askew": (wave(100.0, 8.0), r"the ridges run \d+° from"),
+    "other pitch": (wave(90.0), r"ridges are (89|90)\.\d µm apart, the recipe says 100 µm .*another product"),
+    "half the pitch": (wave(50.0), r"ridges are (49|50)\.\d µm apart"),
+}
+
+
+@pytest.mark.parametrize("case", RIDGES)
+def test_another_part_or_one_laid_the_wrong_way_is_named(case, make_recipe):
+    picture, words = RIDGES[case]
+    with pytest.raises(MeasurementError, match=words):
+        check_ridges((picture,), GRID, make_recipe())
+
+
+@pytest.mark.parametrize(
+    "picture",
+    [
+        wave(100.0),
+        wave(102.0),
+        wave(100.0, 2.0),
+        wave(100.0, 0, (0.1, 0.7, 0.1)),
+        wave(100.0, 0, (0.0,), 0.3),
+    ],
+    ids=["right", "a little wide", "a little askew", "strong harmonic", "no ridges seen"],
+)
+def test_the_right_part_passes(picture, make_recipe):
+    check_ridges((picture,), GRID, make_recipe())
+
+
+def cells_with(rng, on_sensor=(), on_part=(), angles=ANGLES):
+    """Views and cell maps; marks are disks (x, y, r in mm) that stay with the sensor, or turn with the part."""
+    rows, cols = np.indices((40, 40)) - 19.5
+    x, y = cols * 0.025, -rows * 0.025
+    maps = []
+    for angle in angles:
+        cos, sin = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+        seen_x, seen_y = cos * x - sin * y, sin * x + cos * y
+        level = 0.1 * np.exp(0.03 * rng.standard_normal(x.shape))
+        for a, b, r in on_sensor:
+            level[np.hypot(seen_x - a, seen_y - b) < r] *= 0.7
+        for a, b, r in on_part:
+            level[np.hypot(x - a, y - b) < r] *= 0.7
+        maps.append(level)
+    return [view(angle) for angle in angles], SimpleNamespace(cells=np.array(maps), grid=GRID)
+
+
+@pytest.mark.parametrize("angles", [ANGLES, (0.0, 45.0, 90.0), (0.0, 90.0)])
+def test_dirt_on_lens_or_white_tile_stays_while_the_part_turns(angles):
+    views, measured = cells_with(np.random.default_rng(2), on_sensor=[(0.25, 0.15, 0.09)], angles=angles)
+    with pytest.raises(
+        CalibrationError, match=r"stays at column (\d+), row (\d+) .*clean lens .* take a new flat"
+    ) as caught:
+        check_dirt(views, measured, 0.15)
+    column, row = (int(n) for n in re.findall(r"column (\d+), row (\d+)", str(caught.value))[0])
+    assert column == pytest.approx((SIZE - 1) / 2 + 0.25 * 125, abs=4)
+    assert row == pytest.approx((SIZE - 1) / 2 - 0.15 * 125, abs=4)
+
+
+@pytest.mark.parametrize("marks", [(), [(0.2, 0.2, 0.1), (-0.3, 0.1, 0.08)], [(0.0, 0.0, 0.1)], "many"])
+def test_marks_on_the_part_turn_with_it(marks):
+    rng = np.random.default_rng(3)
+    if marks == "many":
+        marks = [(*rng.uniform(-0.45, 0.45, 2), 0.03) for _ in range(60)]
+    views, measured = cells_with(rng, on_part=marks)
+    check_dirt(views, measured, 0.15)
+
+
+BENCHES = {
+    "lens cap": ({"bench": {"optics": {"lens_cap": True}}}, "is the lens cap on"),
+    "lamp too bright": ({"bench": {"optics": {"electrons": 4e8}}}, "saturated.*turn the lamp down"),
+    "lamp drifts": ({"bench": {"optics": {"lamp_drift_per_frame": 0.01}}}, "let the lamp warm up"),
+    "defocus": ({"bench": {"optics": {"blur_um": 40.0}}}, "focus"),
+    "other pitch": (
+        {"bench": {"sample": {"pitch_um": 80.0}}},
+        r"ridges are \d+\.\d µm apart, the recipe says 100 µm",
+    ),
+    "stray light": ({"bench": {"optics": {"stray_radiance": 0.1}}}, "keep other light off"),
+    "tilted arm": (
+        {"bench": {"geometry": {"tilt_deg": 12.0}}},
+        "the arm stands at 0.0° tilt, the markers say 12",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BENCHES)
+def test_an_unfit_rig_is_invalid_and_says_what_to_do(case, virtual_rig, plain_report):
+    changes, words = BENCHES[case]
+    record = virtual_rig(**changes).inspect().record
+    assert record.verdict == "INVALID"
+    assert re.search(words, record.reasons[0]), record.reasons
+
+
+def test_without_a_fixture_the_edges_of_the_part_align_the_pictures(virtual_rig, plain_report):
+    with_markers = virtual_rig("markers").inspect().record
+    record = virtual_rig("edges", rig={"fixture": None}).inspect().record
+    assert record.verdict in {"PASS", "INVALID"}
+    if record.verdict == "PASS":
+        assert [pose.markers for pose in record.poses] == [0, 0, 0]
+        assert [p.measured for p in record.poses] == pytest.approx(
+            [p.measured for p in with_markers.poses], rel=0.02
+        )
+    else:
+        assert "describe a [fixture]" in record.reasons[0]

@@ -1,0 +1,399 @@
+"""Folders of frames that arrive: whole, in pieces, broken, twice; and a program that dies in between."""
+
+import contextlib
+import os
+import shutil
+import threading
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import tomli_w
+import zxingcpp
+
+from anisoscope.base.errors import ConfigError, RecordError, UsageError
+from anisoscope.cli.demo.folder import FIXTURE
+from anisoscope.cli.inspect.history_entry import remember
+from anisoscope.cli.inspect.lot_mates import lot_mates
+from anisoscope.inspection import run as inspection
+from anisoscope.inspection.batch import watch as watching
+from anisoscope.inspection.batch.arrivals import arrivals, whose
+from anisoscope.inspection.batch.watch import WATCH_NAME, Watch, Watched, WatchJournal, silence
+from anisoscope.record.schema import read_record
+from anisoscope.rig.frame import Frame
+from anisoscope.rig.framefolder import write_frame_folder
+
+pytestmark = pytest.mark.usefixtures("plain_report")
+
+RIG = {
+    "schema": 1,
+    "name": "elsewhere",
+    "camera": {"driver": "folder", "pixel_um": 8.0},
+    "light": {"driver": "none", "angle_deg": 10.0},
+    "stage": {"driver": "manual"},
+    "fixture": FIXTURE,
+}
+
+
+def frame(kind, stage_deg, level, rng):
+    return Frame(
+        counts=np.asarray(level + rng.integers(0, 4, (64, 64)), np.uint16),
+        kind=kind,
+        bit_depth=12,
+        black_level=64.0,
+        exposure_s=0.001,
+        gain=1.0,
+        stage_deg=stage_deg,
+        commanded_deg=stage_deg,
+        tilt_deg=0.0,
+        captured_at="2026-01-01T00:00:00+00:00",
+        camera="other 1",
+    )
+
+
+def write_part(folder, seed, rig=True, first=1000):
+    """Frames without markers: INVALID, and quickly so; ``first`` is the level, or the picture, at the first pose."""
+    rng = np.random.default_rng(seed)
+    levels = [("dark", 0.0, 64), ("flat", 0.0, 2000), ("sample", 0.0, first), ("sample", 90.0, 800)]
+    write_frame_folder(folder, [frame(*one, rng) for one in levels for _ in range(2)])
+    if rig:
+        (folder / "rig.toml").write_text(tomli_w.dumps(RIG))
+    return folder
+
+
+def coded(text, options=""):
+    """(64, 64) counts of a part with a QR code."""
+    code = zxingcpp.create_barcode(text, zxingcpp.BarcodeFormat.QRCode, options=options)
+    share = np.kron(np.array(code.to_image(scale=1)) / 255.0, np.ones((2, 2)))
+    picture = np.ones((64, 64))
+    picture[: share.shape[0], : share.shape[1]] = share
+    return 400.0 + 600.0 * picture
+
+
+class Heard:
+    """What was told."""
+
+    def __init__(self):
+        self.events = []
+
+    def inspected(self, name, inspected):
+        self.events.append((name, inspected.record.verdict))
+
+    def same(self, name, other):
+        self.events.append((name, f"same as {other}"))
+
+    def bad(self, name, reason):
+        self.events.append((name, reason))
+
+    progress = staticmethod(silence)
+
+
+@pytest.fixture
+def place(tmp_path, virtual_rig):
+    rig = virtual_rig(recipe={"poses": {"angles_deg": [0.0, 90.0]}})
+    (tmp_path / "in").mkdir()
+    return Watched(tmp_path / "in", tmp_path / "out", rig.recipe, settle_s=0.0, poll_s=0.02)
+
+
+def look(place, remembered=None):
+    """One look of a program that has just been started; returns what was told, and the watch."""
+    heard, stop = Heard(), threading.Event()
+    watch = Watch(
+        place, heard, lambda found: None if remembered is None else remembered.append(found.record.serial)
+    )
+    with watch.open():
+        watch.run_once(stop)
+    return heard.events, watch
+
+
+def inspections(place):
+    return sorted(path.parent for path in place.out.glob("*/*/record.json"))
+
+
+def test_every_folder_is_inspected_once_and_remembered(place):
+    for number in range(3):
+        write_part(place.root / f"P{number}", number)
+    remembered = []
+    assert look(place, remembered)[0] == [(f"P{number}", "INVALID") for number in range(3)]
+    assert remembered == ["P0", "P1", "P2"]
+    assert look(place, remembered)[0] == []
+    assert len(inspections(place)) == len(remembered) == 3
+    (place.root / "P1" / "frames.csv").touch()  # looked at again, but nothing is new
+    write_part(place.root / "P3", 3)
+    assert look(place, remembered)[0] == [("P3", "INVALID")]
+    shutil.copytree(place.root / "P0", place.root / "Q0")
+    assert look(place, remembered)[0] == [("Q0", "same as P0")]
+    assert look(place, remembered)[0] == []
+
+
+def test_serial_number_and_lot_have_three_sources(place):
+    folder = write_part(place.root / "P 1", 1)
+    assert whose(folder) == ("P 1", whose(folder)[1])
+    table = folder / "frames.csv"
+    lines = table.read_text().splitlines()
+    table.write_text("\n".join([lines[0] + ",serial,lot", *(line + ",A17,L7" for line in lines[1:])]))
+    assert (whose(folder)[0], whose(folder)[1].lot) == ("A17", "L7")
+    (folder / "part.toml").write_text('serial = "A18"\ncavity = "2"\noperator = "[bold]M. M."\n')
+    serial, who = whose(folder)
+    assert (serial, who.lot, who.cavity, who.operator) == ("A18", "L7", "2", "[bold]M. M.")
+    look(place)
+    (found,) = inspections(place)
+    record = read_record(found)
+    assert (record.serial, record.particulars) == ("A18", who)
+    (folder / "part.toml").write_text("serail = 1\n")
+    with pytest.raises(ConfigError, match="serail"):
+        whose(folder)
+    table.write_text("\n".join([lines[0] + ",serial", lines[1] + ",A17", lines[2] + ",A18"]))
+    (folder / "part.toml").unlink()
+    with pytest.raises(UsageError, match="line 3, column serial: 'A18', but 'A17' before"):
+        whose(folder)
+    with pytest.raises(UsageError, match="its name stands in for one; write it into"):
+        whose(write_part(place.root / "#1", 1))
+
+
+def test_bad_folders_are_told_once_and_inspected_when_they_are_mended(place):
+    missing, torn, plain = (
+        write_part(place.root / name, seed) for seed, name in enumerate(("A", "B", "C"), 1)
+    )
+    (kept := missing / "frame.away").write_bytes(b"")
+    first = next(missing.glob("*.tif"))
+    first.rename(kept)
+    half = next(torn.glob("*.tif"))
+    whole = half.read_bytes()
+    half.write_bytes(whole[: len(whole) // 2])
+    (place.root / "empty").mkdir()
+    (place.root / ".hidden").mkdir()
+    shutil.copytree(plain, place.root / "D.partial")
+    heard, stop = Heard(), threading.Event()
+    watch = Watch(place, heard, lambda _: None)
+    with watch.open():
+        for _ in range(3):
+            watch.look(stop)
+        assert [name for name, _ in heard.events] == ["A", "B", "C"]
+        assert "the table names" in heard.events[0][1]
+        assert half.name in heard.events[1][1]
+        assert sorted(watch.bad) == ["A", "B"]
+        kept.rename(first)
+        half.write_bytes(whole)
+        (place.root / "D.partial").rename(place.root / "D")
+        watch.look(stop)
+        assert heard.events[3:] == [("A", "INVALID"), ("B", "INVALID"), ("D", "same as C")]
+        assert watch.bad == {}
+
+
+def test_a_slowly_written_folder_is_taken_when_it_is_whole(place):
+    source = write_part(place.root.parent / "source", 5)
+    slow = place.root / "slow"
+
+    def write():
+        slow.mkdir()
+        names = [TABLE, *sorted(path.name for path in source.iterdir() if path.name != TABLE)]
+        for name in names:  # the table first: the worst order
+            data = (source / name).read_bytes()
+            with (slow / name).open("wb", buffering=0) as stream:
+                for start in range(0, len(data), len(data) // 2 + 1):
+                    stream.write(data[start : start + len(data) // 2 + 1])
+                    time.sleep(0.02)
+
+    place = Watched(place.root, place.out, place.recipe, settle_s=0.6, poll_s=0.02)
+    heard, stop = Heard(), threading.Event()
+    watch = Watch(place, heard, lambda _: stop.set())
+    writer, timer = threading.Thread(target=write), threading.Timer(60.0, stop.set)
+    with watch.open():
+        writer.start()
+        timer.start()
+        watch.run(stop)
+    writer.join()
+    timer.cancel()
+    assert heard.events[-1] == ("slow", "INVALID")
+    (found,) = inspections(place)
+    assert len(read_record(found).frames) == 8
+    for path in (found / "frames").iterdir():
+        assert path.read_bytes() == (source / path.name).read_bytes()
+
+
+TABLE = "frames.csv"
+
+
+class Killed(BaseException):
+    """As kill -9: nothing runs afterwards."""
+
+
+@pytest.mark.parametrize("moment", ["before", "while", "after", "noted"])
+def test_whenever_it_dies_nothing_is_lost_and_nothing_doubled(place, monkeypatch, moment):
+    write_part(place.root / "A", 1)
+    write_part(place.root / "B", 2)
+    remembered = []
+    with monkeypatch.context() as patch:
+        inspect, add = watching.inspect_frames, WatchJournal.add
+
+        def die(*arguments, **options):
+            if moment == "after":
+                inspect(*arguments, **options)
+            if moment == "while":
+                options = {**options}
+                arguments = list(arguments)
+                arguments[4] = lambda doing, done, total: (
+                    (_ for _ in ()).throw(Killed) if doing == "measurement" else None
+                )
+                inspect(*arguments, **options)
+            raise Killed
+
+        def die_later(journal, line):
+            if line.line == "done":
+                raise Killed
+            add(journal, line)
+
+        if moment == "noted":  # in the history, but not in the journal
+            patch.setattr(WatchJournal, "add", die_later)
+        else:
+            patch.setattr(watching, "inspect_frames", die)
+        with pytest.raises(Killed):
+            look(place, remembered)
+    if moment == "while":
+        (left,) = (place.out / "A").iterdir()
+        assert (left / "job.json").exists()
+        assert not (left / "record.json").exists()
+    look(place, remembered)
+    assert sorted(set(remembered)) == ["A", "B"]
+    assert [read_record(path).serial for path in inspections(place)] == ["A", "B"]
+    assert look(place)[0] == []
+    assert len(list((place.out / "A").iterdir())) == 1
+
+
+def test_a_torn_line_of_the_journal_is_dropped_and_a_damaged_one_named(place):
+    write_part(place.root / "A", 1)
+    look(place)
+    path = place.out / WATCH_NAME
+    whole = path.read_bytes()
+    path.write_bytes(whole + b'{"line": "begin", "fol')
+    assert look(place)[0] == []
+    assert path.read_bytes() == whole
+    path.write_bytes(b"{}\n" + whole)
+    with pytest.raises(RecordError, match="line 1 is damaged"):
+        look(place)
+
+
+def test_frames_that_change_while_they_are_copied_are_looked_at_again(place, monkeypatch):
+    folder = write_part(place.root / "A", 1)
+    inspect = watching.inspect_frames
+
+    def change_first(*arguments, **options):
+        monkeypatch.setattr(watching, "inspect_frames", inspect)
+        shutil.rmtree(folder)
+        write_part(folder, 2)
+        return inspect(*arguments, **options)
+
+    monkeypatch.setattr(watching, "inspect_frames", change_first)
+    look(place)
+    assert len(inspections(place)) == 1  # of what was copied, and the folder holds just that
+    assert look(place)[0] == []
+
+
+def test_a_full_disk_is_tried_again_later(place, monkeypatch):
+    write_part(place.root / "A", 1)
+
+    def fail(*_, **__):
+        raise RecordError("cannot write: No space left on device")
+
+    heard, stop = Heard(), threading.Event()
+    watch = Watch(place, heard, lambda _: None)
+    with watch.open():
+        with monkeypatch.context() as patch:
+            patch.setattr(watching, "inspect_frames", fail)
+            watch.look(stop)
+            watch.look(stop)
+        assert heard.events == [("A", "cannot write: No space left on device")]
+        monkeypatch.setattr(watching.time, "monotonic", lambda now=time.monotonic: now() + 61.0)
+        watch.look(stop)
+    assert heard.events[1:] == [("A", "INVALID")]
+
+
+def test_only_one_watch_works_in_a_folder_and_only_what_can_be_watched_is(place):
+    watch = Watch(place, Heard(), lambda _: None)
+    with watch.open(), pytest.raises(RecordError, match="another process is at work"):
+        look(place)
+    with pytest.raises(UsageError, match="there is no such folder to watch"):
+        look(Watched(place.root / "none", place.out, place.recipe))
+
+
+def test_old_folders_cost_one_look_at_their_table_each(place, monkeypatch):
+    for number in range(300):
+        (folder := place.root / f"old{number:03d}").mkdir()
+        (folder / "frames.csv").write_text("x")
+    watch = Watch(place, Heard(), lambda _: None)
+    with watch.open(), contextlib.ExitStack() as stack:
+        watch._journal.marks = {one.folder: one.mark for one in arrivals(place.root, place.out)}
+        count, stat = [], os.stat
+        patch = stack.enter_context(monkeypatch.context())
+        patch.setattr(os, "stat", lambda *a, **k: (count.append(a), stat(*a, **k))[1])
+        patch.setattr(watching, "signature_of", lambda _: 1 / 0)
+        watch.look(threading.Event())
+    assert len(count) <= 301
+
+
+def test_the_code_on_a_part_says_who_it_is(place):
+    place = replace(place, code_kind="any")
+    root = place.root
+    write_part(root / "by-code", 1, first=coded("A17"))
+    write_part(root / "by-gs1", 2, first=coded("(10)L7(21)A18", "gs1"))
+    write_part(root / "agreed", 3, first=coded("A19"))
+    (root / "agreed" / "part.toml").write_text('serial = "A19"\nlot = "L8"\n')
+    write_part(root / "wrong", 4, first=coded("A71"))
+    (root / "wrong" / "part.toml").write_text('serial = "A17"\n')
+    write_part(root / "wrong-lot", 5, first=coded("(10)L7(21)A20", "gs1"))
+    (root / "wrong-lot" / "part.toml").write_text('lot = "L8"\n')
+    write_part(root / "none", 6)
+    events, watch = look(place)
+    found = [read_record(path) for path in inspections(place)]
+    assert [(one.serial, one.particulars.lot) for one in found] == [
+        ("A19", "L8"),
+        ("A17", None),
+        ("A18", "L7"),
+    ]
+    told = dict(events)
+    assert told["wrong"].endswith("wrong should hold A17, its code reads A71")
+    assert told["wrong-lot"].endswith("wrong-lot should hold lot L8, its code reads lot L7")
+    assert "no code can be read in" in told["none"]
+    assert sorted(watch.bad) == ["none", "wrong", "wrong-lot"]
+    (root / "wrong" / "part.toml").write_text('serial = "A71"\n')
+    assert ("wrong", "INVALID") in look(place)[0]
+
+
+def test_of_several_exposures_the_one_that_shows_the_code_is_read(place):
+    rng = np.random.default_rng(1)
+    pictures = [(0.001, 70), (0.004, coded("A17"))]
+    frames = [replace(frame("dark", 0.0, 64, rng), exposure_s=at) for at, _ in pictures for _ in range(2)]
+    frames += [replace(frame("flat", 0.0, 2000, rng), exposure_s=0.001) for _ in range(2)]
+    for stage_deg in (0.0, 90.0):
+        frames += [
+            replace(frame("sample", stage_deg, one, rng), exposure_s=at)
+            for at, one in pictures
+            for _ in range(2)
+        ]
+    write_frame_folder(place.root / "B", frames)
+    (place.root / "B" / "rig.toml").write_text(tomli_w.dumps(RIG))
+    look(replace(place, code_kind="qr"))
+    assert [read_record(path).serial for path in inspections(place)] == ["A17"]
+
+
+def test_every_part_is_shown_beside_those_of_its_lot(place, monkeypatch, tmp_path):
+    lots, write = [], inspection.write_report
+
+    def note(record, pictures, *others):
+        lots.append((record.serial, pictures.lot and [part.serial for part in pictures.lot.parts]))
+        return write(record, pictures, *others)
+
+    monkeypatch.setattr(inspection, "write_report", note)
+    history = tmp_path / "history.sqlite"
+    for number in range(3):
+        (write_part(place.root / f"P{number}", number) / "part.toml").write_text(f'lot = "L{number % 2}"\n')
+    watch = Watch(
+        replace(place, lot_mates=lambda lot: lot_mates(history, lot)),
+        Heard(),
+        lambda found: remember(found, history),
+    )
+    with watch.open():
+        watch.run_once(threading.Event())
+    assert lots == [("P0", None), ("P1", None), ("P2", ["P0"])]

@@ -1,0 +1,76 @@
+"""What a recipe is said to tell."""
+
+import pytest
+
+from anisoscope.base.progress import silent
+from anisoscope.diagnosis.discriminating_poses import Option
+from anisoscope.diagnosis.signatures import signatures
+from anisoscope.inspection import recipe_check as recipecheck
+from anisoscope.inspection.recipe_check import check_recipe
+
+CAUSES = ("roughness-along", "light-angle")
+
+
+@pytest.fixture(autouse=True)
+def few_causes(monkeypatch):
+    monkeypatch.setattr(
+        recipecheck,
+        "remembered_signatures",
+        lambda recipe, angle, advance: signatures(recipe, angle, advance, CAUSES),
+    )
+
+
+def test_planned_contrasts_budget_and_causes(make_recipe):
+    found = check_recipe(make_recipe(), 10.0)
+    assert [(p.from_deg, p.to_deg) for p in found.pairs] == [(0.0, 90.0), (90.0, 180.0)]
+    for pair, k in zip(found.pairs, range(2), strict=True):
+        assert pair.ratio == pytest.approx(0.25 / (2 * pair.u))
+        total = sum(row.contributions[k] ** 2 for row in found.budget) ** 0.5
+        assert total == pytest.approx(pair.u, rel=1e-6)
+    assert {cause.cause for cause in found.causes} == set(CAUSES)
+    assert (found.advice, found.never) == ((), ())  # nothing was tried
+
+
+def test_a_narrow_tolerance_and_none_are_said(make_recipe):
+    (line,) = check_recipe(make_recipe(decision={"tolerance": 0.01}), 10.0).complaints
+    assert line.startswith("T/U is ")
+    (line,) = check_recipe(make_recipe(decision={"tolerance": None}), 10.0).complaints
+    assert line.startswith("no tolerance")
+
+
+def test_tilts_that_help_are_named(make_recipe):
+    poses = {"angles_deg": [0.0, 180.0]}
+    found = check_recipe(make_recipe(poses=poses, area=None), 10.0, tries=(0.0, 20.0))
+    by_name = {cause.cause: cause for cause in found.causes}
+    assert by_name["light-angle"].never_told_from == ("roughness-along",)
+    assert [one.tilt_deg for one in found.advice] == [20.0]
+    assert ("light-angle", "roughness-along") in found.advice[0].tells_apart
+    assert ("light-angle", "roughness-along") not in found.never
+    assert found.lamps == ()  # of plastic no other wavelength is tried
+
+
+def test_what_nothing_tells_is_said(make_recipe):
+    poses = {"angles_deg": [0.0, 180.0]}
+    found = check_recipe(make_recipe(poses=poses, area=None), 10.0, tries=(0.5,))
+    assert found.advice == ()
+    assert ("light-angle", "roughness-along") in found.never
+
+
+def test_a_second_lamp_is_named_by_what_no_nearer_one_tells(make_recipe, monkeypatch):
+    pair, back, third = ("a", "b"), ("b", "a"), ("a", "c")
+    known = (
+        Option("tilt", "a tilt", {"a": {"b": 1.0, "c": None}, "b": {"a": 1.0}}),
+        Option("lamp", "no help", {"a": {"b": None, "c": None}, "b": {"a": None}}),
+        Option("lamp", "near", {"a": {"b": 2.0, "c": None}, "b": {"a": None}}),
+        Option("lamp", "far", {"a": {"b": 1.0, "c": None}, "b": {"a": 1.0}}),
+    )
+    asked = []
+
+    def options(_recipe, _angle, names, _advance):
+        asked.append(names)
+        return known
+
+    monkeypatch.setattr(recipecheck, "remembered_options", options)
+    found = recipecheck.second_lamps_for(make_recipe(), 0.0, [pair, back, third], silent)
+    assert [(one.says, one.tells_apart) for one in found] == [("near", (pair,)), ("far", (back,))]
+    assert asked == [["a", "b", "c"]]

@@ -1,0 +1,249 @@
+"""Inspections of frames that exist already."""
+
+import csv
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+
+from anisoscope.base.errors import CalibrationError, RecordError, UsageError
+from anisoscope.inspection.integrity import verify
+from anisoscope.inspection.recompute import recompute
+from anisoscope.inspection.replay import inspect_frames
+from anisoscope.inspection.run import resume_part
+from anisoscope.rig.frame import read_frame
+from anisoscope.rig.framefolder import TABLE, write_frame_folder
+from anisoscope.sim.bench.bench import Bench
+from anisoscope.sim.bench.benchfile import read_bench
+
+pytestmark = pytest.mark.usefixtures("plain_report")
+COLUMNS = ["file", "kind", "stage_deg", "tilt_deg", "exposure_s", "gain", "bit_depth", "black_level"]
+
+
+@pytest.fixture
+def taken(virtual_rig):
+    """A finished inspection, and its frames as a folder of frames."""
+    rig = virtual_rig()
+    inspected = rig.inspect()
+    frames = [read_frame(inspected.folder / entry.name) for entry in inspected.record.frames]
+    folder = rig.out.parent / "frames"
+    write_frame_folder(folder, frames, [entry.again for entry in inspected.record.frames])
+    return rig, inspected, folder
+
+
+def replay(rig, folder, **options):
+    return inspect_frames(folder, rig.recipe, "R-1", rig.out, **({"rig_path": rig.rig} | options))
+
+
+def test_the_same_frames_give_the_same_numbers_without_any_device(taken):
+    rig, live, folder = taken
+    rig.rig.with_name("bench.toml").unlink()
+    found = replay(rig, folder)
+    assert (found.record.verdict, found.notes) == ("PASS", ())
+    numbers = {"poses", "contrasts", "d2", "p_value", "area", "budget", "drift", "reasons"}
+    assert found.record.model_dump(include=numbers) == live.record.model_dump(include=numbers)
+    shutil.rmtree(folder)  # what was inspected was copied
+    shutil.rmtree(rig.rig.parent / "inspections" / live.folder.name)
+    assert verify(found.folder).intact
+    assert recompute(found.folder).differences == ()
+
+
+def rewrite(folder, change):
+    """Change the lines of a table of frames; returns them."""
+    with (folder / TABLE).open(encoding="utf-8") as stream:
+        lines = list(csv.DictReader(stream))
+    lines = change(lines)
+    with (folder / TABLE).open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.DictWriter(stream, lines[0])
+        writer.writeheader()
+        writer.writerows(lines)
+    return lines
+
+
+def test_pictures_of_another_program_by_its_own_angles(taken):
+    rig, live, folder = taken
+    for path in folder.glob("*.tif"):
+        counts = tifffile.imread(path)
+        tifffile.imwrite(path, counts)  # no metadata of ours
+    rewrite(
+        folder,
+        lambda lines: [line | {"stage_deg": float(line["stage_deg"]) - 360.0 + 0.05} for line in lines],
+    )
+    found = replay(rig, folder)
+    assert found.record.verdict == live.record.verdict
+    assert [pose.stage_deg for pose in found.record.poses] == [0.0, 90.0, 180.0]
+    assert found.record.camera == "unknown"
+
+
+FAULTS = {
+    "a pose": (
+        lambda lines: [line for line in lines if not line["stage_deg"].startswith(("90", "89.9"))],
+        r"asks for a picture at 90°, tilt 0°; sample frames there are at: 0° \(tilt 0°\), 180° \(tilt 0°\)",
+    ),
+    "dark frames": (
+        lambda lines: [line for line in lines if line["kind"] != "dark"],
+        r"no dark frame of 0\.0015 s at gain 1, as the sample frame",
+    ),
+    "dark of another exposure": (
+        lambda lines: [line | {"exposure_s": "0.1"} if line["kind"] == "dark" else line for line in lines],
+        r"no dark frame of 0\.0015 s",
+    ),
+    "exposures": (
+        lambda lines: (
+            [line | {"exposure_s": "0.1"} if n == 0 else line for n, line in enumerate(lines)]
+            + [{**lines[0], "file": "more.tif"}]
+        ),
+        "no file more.tif",
+    ),
+    "bits": (
+        lambda lines: [line | {"bit_depth": "14"} if n == 3 else line for n, line in enumerate(lines)],
+        "frames of 12 and 14 bits",
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_incomplete_folders_are_refused_before_anything_is_written(taken, fault):
+    rig, _, folder = taken
+    change, message = FAULTS[fault]
+    rewrite(folder, change)
+    before = rig.folders
+    with pytest.raises(RecordError, match=message) as caught:
+        replay(rig, folder)
+    assert "\n" not in str(caught.value)
+    assert rig.folders == before
+
+
+def test_one_gain_a_pose(taken):
+    rig, _, folder = taken
+    lines = rewrite(folder, list)
+    dark = {**lines[0], "gain": "2", "file": "dark.tif"}
+    tifffile.imwrite(folder / dark["file"], tifffile.imread(folder / lines[0]["file"]))
+    first = next(n for n, line in enumerate(lines) if line["kind"] == "sample")
+    lines[first]["gain"] = "2"
+    rewrite(folder, lambda _: [*lines, dark])
+    with pytest.raises(RecordError, match="at 0°, tilt 0° differ in gain"):
+        replay(rig, folder)
+
+
+def test_the_rig_file_may_lie_beside_the_frames(taken):
+    rig, _, folder = taken
+    with pytest.raises(UsageError, match=r"holds no rig\.toml: name a rig file with --rig; of it are needed"):
+        replay(rig, folder, rig_path=None)
+    shutil.copy(rig.rig, folder / "rig.toml")
+    assert replay(rig, folder, rig_path=None).record.verdict == "PASS"
+
+
+def test_a_flat_of_another_camera(taken):
+    rig, _, folder = taken
+    for path in folder.glob("*.tif"):
+        data = path.read_bytes()
+        path.write_bytes(data.replace(b"SIM-8UM", b"SIM-9UM"))
+    with pytest.raises(
+        CalibrationError, match=r"flat was taken with camera SIM-8UM, the frames with .*SIM-9UM"
+    ):
+        replay(rig, folder)
+
+
+def bare(rig):
+    """A rig file with geometry alone, beside the usual one."""
+    lines = rig.rig.read_text()
+    keep = lines[lines.index("[fixture]") :] if "[fixture]" in lines else lines
+    path = rig.rig.with_name("geometry.toml")
+    fixture = keep.split("[calibration]")[0]
+    path.write_text(f"schema = 1\n[camera]\npixel_um = 8.0\n[light]\nangle_deg = 10.0\n{fixture}")
+    return path
+
+
+def photographs(rig, kind, sample, count, exposure_s=0.0015):
+    """Counts of the rig with something else on its stage."""
+    text = rig.rig.with_name("bench.toml").read_text()
+    path = rig.rig.with_name(f"{kind}.toml")
+    path.write_text(text.replace('kind = "ridges"', sample))
+    bench = Bench(read_bench(path))
+    bench.light_on = True
+    return [bench.photograph(exposure_s, 1.0) for _ in range(count)]
+
+
+def add(folder, kind, pictures):
+    def change(lines):
+        for number, counts in enumerate(pictures):
+            name = f"{kind}{number}.tif"
+            tifffile.imwrite(folder / name, counts)
+            lines.append({**lines[0], "file": name, "kind": kind, "again": "0"})
+        return lines
+
+    rewrite(folder, change)
+
+
+def test_flats_in_the_folder_fix_the_scale(taken):
+    rig, live, folder = taken
+    geometry = bare(rig)
+    with pytest.raises(CalibrationError, match="names no flat"):
+        replay(rig, folder, rig_path=geometry)
+    add(folder, "flat", photographs(rig, "flat", 'kind = "white-tile"', 4))
+    found = replay(rig, folder, rig_path=geometry)
+    assert found.record.verdict == "PASS"
+    assert found.record.white_reference["reflectance"] == 0.99
+    for new, old in zip(found.record.poses, live.record.poses, strict=True):
+        assert new.measured == pytest.approx(old.measured, rel=2e-3)
+    assert recompute(found.folder).differences == ()
+    half = replay(rig, folder, rig_path=geometry, reflectance=0.495)
+    assert half.record.poses[0].measured == pytest.approx(0.5 * found.record.poses[0].measured, rel=1e-6)
+    with pytest.raises(UsageError, match="reflectance of the tile"):
+        replay(rig, folder, rig_path=geometry, reflectance=99.0)
+
+
+def test_stray_light_is_taken_away_where_a_light_trap_shows_it(taken):
+    rig, live, folder = taken
+    lines = rewrite(folder, list)
+    glare = 200
+    for line in lines:
+        if line["kind"] == "sample":
+            path = folder / line["file"]
+            tifffile.imwrite(path, np.minimum(tifffile.imread(path) + glare, 4095).astype(np.uint16))
+    spoiled = replay(rig, folder).record
+    dark = [tifffile.imread(folder / line["file"]) + glare for line in lines if line["kind"] == "dark"]
+    add(folder, "stray", [counts.astype(np.uint16) for counts in dark])
+    clean = replay(rig, folder).record
+    for old, with_glare, without in zip(live.record.poses, spoiled.poses, clean.poses, strict=True):
+        assert with_glare.measured > 1.02 * old.measured
+        assert without.measured == pytest.approx(old.measured, rel=1e-3)
+
+
+def test_what_is_not_known_is_said(taken):
+    rig, _, folder = taken
+    lines = rewrite(folder, lambda lines: [{k: v for k, v in line.items() if k != "again"} for line in lines])
+    dark = [line for line in lines if line["kind"] == "dark"]
+    samples = {}
+    for line in lines:
+        if line["kind"] == "sample":
+            samples.setdefault(round(float(line["stage_deg"])), line)
+    extra = {**lines[-1], "stage_deg": "45"}
+    rewrite(folder, lambda _: [*dark, *samples.values(), extra])
+    notes = replay(rig, folder).notes
+    assert any("1 sample frames at poses that the recipe does not ask for" in note for note in notes)
+    assert any("drift of the lamp is not known" in note for note in notes)
+    assert any("one frame only" in note for note in notes)
+
+
+def test_a_replay_that_was_interrupted(taken, monkeypatch):
+    rig, _, folder = taken
+    before = set(rig.folders)
+    copy, count = shutil.copyfile, []
+
+    def fail(source, target):
+        if Path(source).suffix == ".tif" and "frames" in str(source):
+            count.append(1)
+            if len(count) > 3:
+                raise KeyboardInterrupt
+        return copy(source, target)
+
+    monkeypatch.setattr(shutil, "copyfile", fail)
+    with pytest.raises(KeyboardInterrupt):
+        replay(rig, folder)
+    (left,) = set(rig.folders) - before
+    with pytest.raises(RecordError, match="not all frames were copied: inspect the folder of frames again"):
+        resume_part(left)

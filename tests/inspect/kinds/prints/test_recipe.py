@@ -1,0 +1,206 @@
+"""Recipes of prints: what they hold, what is refused, and how they are begun and checked."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from anisoscope.base.errors import RecipeError
+from anisoscope.cli.demo.prints import rig_of
+from anisoscope.kinds.prints.lighting import expectation_of_print
+from anisoscope.kinds.prints.recipe import (
+    PrintTolerances,
+    PrintUncertainty,
+    read_any_recipe,
+    read_print_recipe,
+)
+from anisoscope.kinds.prints.recipe_check import as_predicted, check_print_recipe, planned_quantities
+from anisoscope.kinds.prints.sources import of_poses
+from anisoscope.kinds.prints.template import new_print_recipe
+from anisoscope.recipe.recipe import Recipe, is_print, read_recipe
+from anisoscope.recipe.template import new_recipe
+from anisoscope.rig.rigfile import RigFile
+from anisoscope.sim.materials.inks import InkFileError, synthetic_ink, write_ink
+
+
+@pytest.fixture
+def written(tmp_path):
+    """Writes a recipe of a print with one line replaced."""
+
+    def write(old="", new=""):
+        text = new_print_recipe('print "7"', "synthetic-green", ("synthetic-red",))
+        assert old in text
+        path = tmp_path / "recipe.toml"
+        path.write_text(text.replace(old, new), encoding="utf-8")
+        return path
+
+    return write
+
+
+def test_a_new_recipe_is_valid_and_holds_the_starting_limits(written):
+    recipe = read_any_recipe(written())
+    assert is_print(written())
+    assert recipe.product == 'print "7"'
+    assert recipe.tolerances == type(recipe.tolerances)()
+    assert recipe.uncertainty == type(recipe.uncertainty)()
+    assert recipe.print.wrong_inks == ("synthetic-red",)
+    assert recipe.print.read_ink().name == "synthetic green"
+
+
+def test_the_other_kind_is_read_as_what_it_is(tmp_path):
+    path = tmp_path / "ridges.toml"
+    path.write_text(new_recipe("plate", 100.0, ridge_angle_deg=10.0, height_map=None))
+    assert isinstance(read_any_recipe(path), Recipe)
+
+
+def test_commands_for_surfaces_refuse_it(written):
+    with pytest.raises(RecipeError, match="the recipe of a print; this works with recipes of surfaces"):
+        read_recipe(written())
+
+
+def test_an_ink_file_counts_from_the_recipe(written, tmp_path):
+    write_ink(synthetic_ink("synthetic-blue"), tmp_path / "mine.toml")
+    recipe = read_print_recipe(written('ink = "synthetic-green"', 'ink = "mine.toml"'))
+    assert Path(recipe.print.ink) == tmp_path / "mine.toml"
+    assert recipe.print.read_ink().name == "synthetic blue"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key"),
+    [
+        ('ink = "synthetic-green"', 'ink = "{ink}"', r"print\.ink"),
+        (
+            'wrong_inks = ["synthetic-red"]',
+            'wrong_inks = ["synthetic-red", "{ink}"]',
+            r"print\.wrong_inks\[1\]",
+        ),
+    ],
+)
+def test_a_broken_ink_is_named_with_the_recipe_and_its_key(written, tmp_path, old, new, key):
+    (tmp_path / "broken.toml").write_text('schema = 1\nname = "x"\n')
+    infrared = replace(synthetic_ink("synthetic-green"), wavelengths_nm=tuple(range(980, 1381, 10)))
+    write_ink(infrared, tmp_path / "infrared.toml")
+    for ink, says in (
+        ("none.toml", "there is no such file"),
+        ("broken.toml", "missing; expected"),
+        ("infrared.toml", "at least 400 to 700 nm are needed"),
+    ):
+        with pytest.raises(InkFileError, match=rf"recipe\.toml: {key}: .*{ink}: .*{says}"):
+            read_print_recipe(written(old, new.replace("{ink}", ink)))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ('ink = "synthetic-green"', 'ink = "green"', r"print\.ink: no ink is named 'green'"),
+        (
+            "tilts_deg = [0.0, 7.0, 14.0, 20.0, -20.0, -14.0, -7.0]",
+            "tilts_deg = [0.0, 7.0]",
+            "three different",
+        ),
+        ("angles_deg = [0.0, 90.0, 180.0]", "angles_deg = [0.0, 180.0]", "45 to 135 degrees apart"),
+        ("angles_deg = [0.0, 90.0, 180.0]", "angles_deg = [0.0, 44.0]", "45 to 135 degrees apart"),
+        ("cell_mm = 0.1", "cell_mm = 1.5", "at least 2 cells"),
+        ('wrong_inks = ["synthetic-red"]', 'wrong_inks = ["synthetic-green"]', "the print's own"),
+        ('wrong_inks = ["synthetic-red"]', 'wrong_inks = ["synthetic-red", "synthetic-red"]', "an ink twice"),
+        ("alpha_share = 0.05", "alpha_shares = 0.05", "unknown key; did you mean 'alpha_share'"),
+    ],
+)
+def test_mistakes_are_named(written, old, new, says):
+    with pytest.raises(RecipeError, match=says):
+        read_print_recipe(written(old, new))
+
+
+def test_two_inks_of_one_name_cannot_be_told_apart(written, tmp_path):
+    write_ink(synthetic_ink("synthetic-red"), tmp_path / "mine.toml")
+    with pytest.raises(RecipeError, match="two of its inks are called 'synthetic red'"):
+        read_print_recipe(
+            written('wrong_inks = ["synthetic-red"]', 'wrong_inks = ["synthetic-red", "mine.toml"]')
+        )
+
+
+@pytest.mark.parametrize(
+    ("poses", "says"),
+    [
+        ({"tilts_deg": [0.0, 10.0, 20.0, 80.0]}, r"tilt 80°.*keep tilts within about 50°"),
+        ({"tilts_deg": [0.0, 10.0, 20.0], "angles_deg": [0.0, 90.0]}, "do not determine the ratio"),
+    ],
+)
+def test_poses_that_tell_nothing_are_refused_before_anything_moves(make_recipe, predict, poses, says):
+    with pytest.raises(RecipeError, match=says):
+        predict(make_recipe(poses=poses))
+
+
+def test_angles_45_degrees_apart_tell_both_roughnesses(make_recipe, predict):
+    angles = {"angles_deg": [0.0, 45.0], "tilts_deg": [0.0, 10.0, 20.0, -10.0, -20.0]}
+    assert len(predict(make_recipe(poses=angles)).poses) == 10
+
+
+def test_cells_smaller_than_a_few_pixels_are_refused_before_anything_moves(make_recipe):
+    rig = RigFile.model_validate(rig_of(None))
+    assert rig.camera.pixel_um == 6.3
+    with pytest.raises(RecipeError, match=r"area\.cell_mm: a cell of 0\.025 mm.*0\.025 mm or larger"):
+        expectation_of_print(make_recipe(area={"cell_mm": 0.025}), rig)
+    assert len(expectation_of_print(make_recipe(area={"cell_mm": 0.026}), rig).poses) == 21
+
+
+def test_a_check_says_what_the_recipe_tells(make_recipe, predict):
+    recipe = make_recipe(poses={"tilts_deg": [0.0, 10.0, 20.0]}, area={"cell_mm": 0.5})
+    found = check_print_recipe(recipe, predict(recipe))
+    names = {one.name: one for one in found.quantities}
+    assert names["alpha x"].u < names["alpha x"].limit / 3.0
+    assert names["ratio"].u < 0.005
+    causes = {one.cause: one for one in found.causes}
+    # the sizes that are to be found
+    assert abs(causes["roughness"].shows_from) < 0.10
+    assert abs(causes["brushing"].shows_from) < 0.15
+    assert causes["missing-ink"].shows_from < 0.10
+    assert causes["lean"].shows_from < 1.0
+    assert abs(causes["film-thickness"].told_apart_from) < 10.0
+    assert causes["wrong-ink-synthetic red"].told_apart_from < 0.05
+    assert any("brackets" in line for line in found.complaints)
+
+
+def test_how_many_good_prints_pass_is_that_of_a_normal_error(make_recipe, predict):
+    """With nothing uncertain but the white tile, ΔE of a pose is |z| u, and passes where |z| u + 1.645 u is below."""
+    nothing = dict.fromkeys(PrintUncertainty.model_fields, 0.0)
+    none_of_ink = dict.fromkeys(
+        ("u_alpha_share", "u_rho_share", "u_colour_share", "u_c", "u_lobe", "u_substrate"), 0.0
+    )
+    recipe = make_recipe(
+        print=none_of_ink,
+        uncertainty=nothing | {"scale_share": 0.03, "model_share": 1e-6},
+        area=None,
+    )
+    expected = predict(recipe)
+    ones, metric = np.ones(3), expected.eye.metric(expected.channels)
+    u = 0.03 * float(np.sqrt(np.einsum("i,pij,j->p", ones, metric, ones).max()))
+    nothing_drifts = of_poses("drift of the lamp", "measurement", np.zeros((21, 3)))
+    for limit in (1.7 * u, 2.2 * u, 3.0 * u):
+        tried = recipe.model_copy(
+            update={"tolerances": PrintTolerances(delta_e=limit, gain_share=1.9 * 0.03)}
+        )
+        decision = as_predicted(tried, expected, nothing_drifts)
+        found = {one.name: one for one in planned_quantities(tried, expected, decision)}
+        assert found["delta_e"].u == pytest.approx(u, rel=1e-3)
+        assert found["delta_e"].passing == pytest.approx(1.0 - 2.0 * norm.sf(limit / u - 1.645), abs=0.03)
+        assert found["gain"].passing == pytest.approx(1.0 - 2.0 * norm.sf(1.9 - 1.645), abs=1e-3)
+    assert found["tilt"].passing == 1.0
+
+
+def test_with_the_starting_limits_a_quarter_of_good_prints_stays_undecided(make_recipe, predict):
+    """The share that the page of prints states, and that the check complains of."""
+    recipe = make_recipe(area=None)
+    found = check_print_recipe(recipe, predict(recipe))
+    passing = {one.name: one.passing for one in found.quantities}
+    assert passing.pop("delta_e") == pytest.approx(0.73, abs=0.02)
+    assert min(passing.values()) > 0.95
+    assert any("only 73% will pass the limit of ΔE2000 (90% wanted)" in line for line in found.complaints)
+
+
+def test_a_check_without_any_uncertainty_is_no_check(make_recipe, predict):
+    recipe = make_recipe(uncertainty=dict.fromkeys(PrintUncertainty.model_fields, 0.0))
+    with pytest.raises(RecipeError, match="no source of uncertainty is left"):
+        check_print_recipe(recipe, predict(recipe))

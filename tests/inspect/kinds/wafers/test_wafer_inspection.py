@@ -1,0 +1,189 @@
+"""Wafers inspected end to end: verdicts, what is wrong, optics in the record, the report, and computing it again."""
+
+import hashlib
+import json
+import shutil
+
+import numpy as np
+import pytest
+import tomli_w
+
+from anisoscope.calibration.pictures import take_flat
+from anisoscope.cli.demo import wafers as demo_wafer
+from anisoscope.diagnosis import part_diagnosis as explaining
+from anisoscope.diagnosis.signature_cache import remembered_signatures
+from anisoscope.inspection import run as inspection
+from anisoscope.inspection.integrity import verify
+from anisoscope.inspection.recompute import recompute
+from anisoscope.inspection.run import inspect_part
+from anisoscope.prediction.cache import kept_expectation
+from anisoscope.recipe.recipe import read_recipe
+from anisoscope.record.schema import RECORD_NAME, UNSEALED
+from anisoscope.report.inspection_page import REPORT_NAME
+
+TILE_UM = 128.0
+WRONG = {"good": {}, "deep": {"over_etch_nm": 20.0}, "wide": {"width_bias_nm": 320.0}}
+
+
+def _plain(record, _pictures, folder, _view=None):
+    """A report of one line: drawing takes longer than all the rest."""
+    (folder / REPORT_NAME).write_text(record.verdict)
+    return folder / REPORT_NAME
+
+
+@pytest.fixture(scope="module")
+def wafers(tmp_path_factory, small_wafer_rig):
+    """Recipe, flat, and a rig for every wafer: the demo's, with a tile of 128 µm and two stage angles."""
+    folder = tmp_path_factory.mktemp("wafers")
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in (("DOT_UM", 64.0), ("DOTS", 2), ("TILE_UM", TILE_UM)):
+            patch.setattr(demo_wafer, name, value)
+        demo_wafer.write_tile(folder, np.random.default_rng(5))
+        recipe = demo_wafer.recipe()
+    recipe["poses"]["angles_deg"] = [0.0, 90.0]
+    recipe["acquisition"] |= {"frames_per_pose": 2, "dark_frames": 2}
+    (folder / "recipe.toml").write_text(tomli_w.dumps(recipe))
+    for name in (*WRONG, "white-tile"):
+        place = folder / "bench" / name
+        place.mkdir(parents=True)
+        sample = {"kind": "white-tile"}
+        if name in WRONG:
+            light = demo_wafer.LIGHT
+            wafer = {"file": "../../wafer.npz", "reflectance": 0.9, "scatter": 0.001, **light, **WRONG[name]}
+            sample = {"kind": "wafer", "size_mm": 0.6, "wafer": wafer}
+        (place / "bench.toml").write_text(tomli_w.dumps(small_wafer_rig(demo_wafer.bench(sample, 7))))
+        (place / "rig.toml").write_text(tomli_w.dumps(small_wafer_rig(demo_wafer.rig(name))))
+    rig = folder / "bench" / "white-tile" / "rig.toml"
+    take_flat(rig, folder / "flat.tif", exposure_s=0.03, frames=4, reflectance=0.99)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def inspected(wafers):
+    """``inspected(name)``: each wafer is inspected once, with all causes of wafers."""
+    kept = {}
+
+    def inspect(name):
+        if name not in kept:
+            rig = wafers / "bench" / name / "rig.toml"
+            with pytest.MonkeyPatch.context() as patch:
+                patch.setattr(explaining, "remembered_signatures", remembered_signatures)
+                patch.setattr(inspection, "start_renderer", lambda _: None)
+                if name != "good":  # one report is looked at
+                    patch.setattr(inspection, "write_report", _plain)
+                kept[name] = inspect_part(wafers / "recipe.toml", rig, f"W-{name}", wafers / "inspections")
+        return kept[name]
+
+    return inspect
+
+
+def test_a_good_wafer_passes_and_its_pictures_are_as_predicted(inspected):
+    record = inspected("good").record
+    assert record.verdict == "PASS", record.reasons
+    assert record.p_value > 0.01
+    for pose in record.poses:
+        assert pose.measured == pytest.approx(pose.predicted, rel=0.02)
+    assert inspected("good").notes == ()
+    # the wide axis is bright at 90°: the same wafer, turned by 90°, the other way round
+    dark, bright = (pose.predicted for pose in record.poses if pose.tilt_deg == demo_wafer.TILT_DEG)
+    assert np.log(bright / dark) > 1.5
+
+
+def test_the_record_and_the_report_say_which_optics_and_why(inspected):
+    record, report = inspected("good").record, inspected("good").report.read_text()
+    assert (record.model, record.optics.asked, record.optics.model) == ("wave", "auto", "wave")
+    assert "the surface is stepped" in record.optics.reason
+    assert 'id="optics"' in report
+    assert record.optics.reason in report
+    sources = {row.source for row in record.budget}
+    assert {"depth of the etch passes", "width of the etched features", "wavelength of the lamp"} <= sources
+    assert {"aperture of the lens", "size of the lamp", "seating tilt about x", "zero of the tilt"} <= sources
+    assert not any("roughness" in source for source in sources)
+    assert record.area is None
+    assert record.shape is None
+    assert record.map_place is None
+
+
+@pytest.mark.parametrize(
+    ("name", "cause", "true", "rel", "tied"),
+    [("deep", "over-etch", 20.0, 0.05, "under-etch"), ("wide", "width-bias", 320.0, 0.15, "width-loss")],
+)
+def test_wrong_etching_fails_and_is_named_with_its_size(inspected, name, cause, true, rel, tied):
+    record = inspected(name).record
+    assert record.verdict == "FAIL", record.reasons
+    causes = {one.cause: one for one in record.diagnosis.causes}
+    found = causes[cause]
+    assert found.tie
+    assert found.severity == pytest.approx(true, rel=rel)
+    assert found.interval[0] < true < found.interval[1]
+    assert found.u < 0.15 * true
+    best = record.diagnosis.causes[0].cause
+    assert best in (cause, tied)
+    assert record.diagnosis.unexplained_p > 0.001
+    assert not {"burrs", "wear", "ridge-angle", "roughness-across", "colour"} & set(causes)
+    other = {"over-etch", "under-etch", "width-bias", "width-loss"} - {cause, tied}
+    assert not any(causes[one].tie for one in other)
+
+
+def test_the_spike_shows_in_the_contrasts_between_tilts_of_record_and_report(inspected):
+    good, deep = inspected("good"), inspected("deep").record
+    for record in (good.record, deep):
+        radiance = {(pose.stage_deg, pose.tilt_deg): pose for pose in record.poses}
+        assert len(record.between_tilts) == 2
+        for one in record.between_tilts:
+            first, other = (radiance[one.stage_deg, tilt] for tilt in (one.from_tilt_deg, one.to_tilt_deg))
+            assert one.measured == pytest.approx(np.log(first.measured / other.measured))
+            assert one.predicted == pytest.approx(np.log(first.predicted / other.predicted))
+            assert one.u == pytest.approx(np.hypot(one.u_measured, one.u_predicted))
+            assert one.u_measured < 0.01 < one.u_predicted  # the seat decides where the mirror direction is
+    assert min(one.p_value for one in good.record.between_tilts) > 0.01
+    assert max(one.p_value for one in deep.between_tilts) < 1e-6
+    assert all(one.p_value > 0.001 for one in deep.contrasts)  # at one tilt nothing is seen of it
+    report = good.report.read_text()
+    assert 'id="between-tilts"' in report
+    assert "0°, tilt 0° / 3°" in report
+
+
+def test_what_would_tell_too_deep_from_too_shallow_is_computed(inspected):
+    tells = inspected("deep").record.diagnosis.tells
+    assert "a second lamp of 470 nm with the same poses" in tells
+    assert "stage angles" not in tells
+    assert inspected("good").record.diagnosis.tells is None
+
+
+def test_scattered_light_is_called_so_and_records_of_before_compute_again(inspected, tmp_path):
+    folder = tmp_path / "old"
+    shutil.copytree(inspected("good").folder, folder)
+    path = folder / RECORD_NAME
+    content = json.loads(path.read_text(encoding="utf-8"))
+    (row,) = (row for row in content["budget"] if row["source"] == "share of scattered light")
+    assert not any("plastic" in other["source"] for other in content["budget"])
+    row["source"] = "albedo of the plastic"
+    del content["between_tilts"], content["diagnosis"]["tells"]
+    text = json.dumps(content | {"seal": UNSEALED}, indent=2)
+    path.write_text(text.replace(UNSEALED, hashlib.sha256(text.encode()).hexdigest()), encoding="utf-8")
+    again = recompute(folder)
+    assert (again.differences, again.verdict) == ((), "PASS")
+    assert "did not tell it: between_tilts, diagnosis.tells" in again.notes[-1]
+    assert verify(folder).intact
+
+
+def test_a_wafer_computes_again_to_the_same_numbers_and_every_change_shows(inspected, tmp_path):
+    folder = tmp_path / "copy"
+    shutil.copytree(inspected("good").folder, folder)
+    again = recompute(folder)
+    assert (again.differences, again.verdict) == ((), "PASS")
+    kept = verify(folder)
+    assert (kept.finished, kept.changed, kept.missing) == (True, (), ())
+    copies = [one.name for one in again.recorded.inputs]
+    assert any(name.endswith("tile.npz") for name in copies)
+    (tile,) = (folder / name for name in copies if name.endswith("tile.npz"))
+    tile.write_bytes(tile.read_bytes() + b" ")
+    assert verify(folder).changed == (str(tile.relative_to(folder)),)
+
+
+def test_the_prediction_of_a_wafer_is_kept(wafers, monkeypatch):
+    recipe = read_recipe(wafers / "recipe.toml")
+    first = kept_expectation(recipe, 0.0)
+    monkeypatch.setattr("anisoscope.prediction.cache.expectation", lambda *_: pytest.fail("predicted again"))
+    assert kept_expectation(recipe, 0.0) is first

@@ -1,0 +1,158 @@
+"""The stated uncertainty of a prediction against what the prediction really does."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import norm, qmc
+
+from anisoscope.base.errors import RecipeError
+from anisoscope.prediction.expectation import expectation
+from anisoscope.profiles.files.load import write_height_map
+from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.sim.light import corrected
+from anisoscope.sim.light.geometry import Convention, directions, seating_rotation
+
+DESIGN = RidgeDesign(100.0, 10.0)
+SPREAD = {"design": {"u_ridge_angle_deg": 0.2}}
+ZS = 0.1 * norm.ppf((np.arange(12) + 0.5) / 12)  # small, so that the first order is all there is
+PAIRS = np.array([[1, -1, 0], [0, 1, -1]])
+
+
+def log_ratios(recipe, light_deg=10.0, seating=(0.0, 0.0), design=DESIGN, **material):
+    to_light, to_camera = directions(recipe.poses.poses(), Convention(light_deg))
+    seat = seating_rotation(*seating)
+    plastic = replace(recipe.material.material(), **material)
+    return PAIRS @ np.log(corrected.radiance(to_light @ seat, to_camera @ seat, design, plastic))
+
+
+CHANGES = {
+    "roughness along the ridges": lambda recipe, z: log_ratios(recipe, alpha_along=0.06 * (1 + 0.03 * z)),
+    "roughness across the ridges": lambda recipe, z: log_ratios(recipe, alpha_across=0.10 * (1 + 0.03 * z)),
+    "albedo of the plastic": lambda recipe, z: log_ratios(recipe, albedo=0.2 + 0.006 * z),
+    "refractive index": lambda recipe, z: log_ratios(recipe, index=1.5 + 0.005 * z),
+    "light angle": lambda recipe, z: log_ratios(recipe, light_deg=10.0 + 0.1 * z),
+    "seating tilt about x": lambda recipe, z: log_ratios(recipe, seating=(0.05 * z, 0.0)),
+    "seating tilt about y": lambda recipe, z: log_ratios(recipe, seating=(0.0, 0.05 * z)),
+    "ridge angle of the design": lambda recipe, z: log_ratios(
+        recipe, design=RidgeDesign(100.0, 10.0 + 0.2 * z)
+    ),
+}
+
+
+@pytest.mark.parametrize("source", CHANGES)
+def test_every_component_is_the_spread_that_its_cause_makes(make_recipe, source):
+    recipe = make_recipe(surface=SPREAD)
+    (part,) = (c for c in expectation(recipe, 10.0).components if c.source == source)
+    stated = np.sqrt(np.diag(PAIRS @ part.covariance() @ PAIRS.T))
+    spread = np.std([CHANGES[source](recipe, z) for z in ZS], axis=0) / np.std(ZS)
+    np.testing.assert_allclose(stated, spread, rtol=0.03, atol=3e-4)
+
+
+def test_a_spread_that_is_not_stated_is_in_nothing(make_recipe):
+    plain, stated = (expectation(make_recipe(**change), 10.0) for change in ({}, {"surface": SPREAD}))
+    name = "ridge angle of the design"
+    assert not any(name in c.source for c in plain.components)
+    assert name not in plain.response.sources
+    assert stated.response.sources == (*plain.response.sources, name)
+    np.testing.assert_array_equal(stated.radiance, plain.radiance)
+    np.testing.assert_array_equal(stated.response.slope[:, :-1], plain.response.slope)
+    np.testing.assert_array_equal(stated.response.bend[:, :-1, :-1], plain.response.bend)
+    kept = [c for c in stated.components if name not in c.source]
+    assert [c.source for c in kept] == [c.source for c in plain.components]
+
+
+def test_the_whole_covariance_is_that_of_material_drawn_from_its_uncertainty(make_recipe):
+    recipe = make_recipe()
+    part = recipe.material
+    draws = []
+    for along, across, albedo, index in norm.ppf(qmc.Sobol(4, rng=3).random(64)):
+        draws.append(
+            log_ratios(
+                recipe,
+                alpha_along=part.alpha_along * (1 + part.u_alpha_share * along),
+                alpha_across=part.alpha_across * (1 + part.u_alpha_share * across),
+                albedo=part.albedo + part.u_albedo * albedo,
+                index=part.index + part.u_index * index,
+            )
+        )
+    of_material = ("roughness", "albedo", "refractive")
+    stated = sum(
+        c.covariance() for c in expectation(recipe, 10.0).components if c.source.startswith(of_material)
+    )
+    np.testing.assert_allclose(np.sqrt(np.diag(PAIRS @ stated @ PAIRS.T)), np.std(draws, axis=0), rtol=0.1)
+
+
+def test_the_change_per_degree_is_that_of_a_turned_stage(make_recipe):
+    found = expectation(make_recipe(), 10.0)
+    turned = expectation(make_recipe(poses={"angles_deg": [0.5, 90.5, 180.5]}), 10.0)
+    back = expectation(make_recipe(poses={"angles_deg": [-0.5, 89.5, 179.5]}), 10.0)
+    slope = np.log(turned.radiance / back.radiance)
+    np.testing.assert_allclose(found.per_degree, slope, rtol=0.02, atol=1e-4)
+
+
+@pytest.fixture(scope="module")
+def measured_map(tmp_path_factory):
+    path = tmp_path_factory.mktemp("map") / "map.x3p"
+    surface = ridges(DESIGN, (401, 501), (1.0, 1.0))
+    surface = add_facet_roughness(surface, 0.03, 0.03, 8.0, np.random.default_rng(1))
+    write_height_map(surface, path)
+    return path, surface
+
+
+def test_a_height_map_is_one_more_source_of_uncertainty(make_recipe, measured_map):
+    path, _ = measured_map
+    surface = {"pitch_um": 100.0, "height_map": str(path), "design": None}
+    recipe = make_recipe(surface=surface, uncertainty={"height_map_share": 0.02})
+    found, ideal = expectation(recipe, 10.0), expectation(make_recipe(), 10.0)
+    assert (found.model, ideal.model) == ("relief", "corrected")
+    (part,) = (c for c in found.components if c.source.startswith("height map"))
+    pixel_share = found.surface.pixel_x_um / 100.0 / np.sqrt(3.0)  # a pixel of facet lost a pitch
+    np.testing.assert_allclose(part.covariance(), (0.02**2 + pixel_share**2) * np.eye(3))
+    sources = [{c.source for c in one.components if "second order" not in c.source} for one in (found, ideal)]
+    assert sources[0] - sources[1] == {part.source}
+    names = {"roughness across the ridges", "seating tilt about y"}
+    stated = [{c.source: c.relative for c in e.components if c.source in names} for e in (found, ideal)]
+    for name in names:  # roughness that the map resolves softens the lobe a little
+        np.testing.assert_allclose(stated[0][name], stated[1][name], rtol=0.35, atol=2e-3)
+
+
+def test_missing_rows_at_the_edge_of_a_map_leave_the_uncertainty_known(make_recipe, measured_map, tmp_path):
+    _, surface = measured_map
+    height = surface.height_um.copy()
+    height[:90] = np.nan
+    write_height_map(surface.with_height(height), tmp_path / "holes.x3p")
+    table = {"pitch_um": 100.0, "height_map": str(tmp_path / "holes.x3p"), "design": None}
+    found = expectation(make_recipe(surface=table), 10.0)
+    assert all(np.isfinite(c.relative).all() for c in found.components)
+
+
+@pytest.mark.parametrize(
+    "material",
+    [
+        {"alpha_along": 0.001},
+        {"alpha_across": 1.0},
+        {"albedo": 0.0},
+        {"albedo": 1.0},
+        {"index": 1.001},
+        {"index": 4.0},
+    ],
+)
+def test_materials_at_the_edge_of_what_is_possible_have_an_uncertainty(make_recipe, material):
+    found = expectation(make_recipe(material=material, poses={"angles_deg": [0.0, 20.0]}), 10.0)
+    assert all(np.isfinite(c.relative).all() for c in found.components)
+
+
+def test_a_part_that_should_be_black_is_refused(make_recipe):
+    recipe = make_recipe(  # diffraction would leave a little light
+        material={"albedo": 0.0, "alpha_along": 0.01, "alpha_across": 0.01}, surface={"optics": "geometric"}
+    )
+    with pytest.raises(RecipeError, match=r"at 0°.*no light of this part") as caught:
+        expectation(recipe, 10.0)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_facet_azimuth_is_a_turn_of_the_part(make_recipe):
+    lying = expectation(make_recipe(poses={"facet_azimuth_deg": 90.0}), 10.0)
+    turned = expectation(make_recipe(poses={"angles_deg": [90.0, 180.0, 270.0]}), 10.0)
+    np.testing.assert_allclose(lying.radiance, turned.radiance, rtol=1e-9)

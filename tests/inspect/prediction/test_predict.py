@@ -1,0 +1,104 @@
+import numpy as np
+import pytest
+
+from anisoscope.base.errors import HeightMapError
+from anisoscope.prediction.predict import predict_design, predict_height_map
+from anisoscope.prediction.sensitivity import InputUncertainty
+from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.ideal import RidgeDesign, ridges
+from anisoscope.sim.light.geometry import Convention, pose_grid
+from anisoscope.sim.light.material import Material
+
+POSES = pose_grid((0.0, 90.0, 180.0, 270.0), (0.0, 10.0))
+MATERIAL = Material(0.08, 0.12)
+
+
+@pytest.mark.parametrize("angle", [6.0, 10.0, 16.0])
+def test_design_and_height_map_agree_on_ideal_ridges(angle):
+    design = RidgeDesign(100.0, angle)
+    ideal = predict_design(design, MATERIAL, POSES, Convention())
+    relief = predict_height_map(ridges(design, (6, 1601), (1.0, 0.25)), MATERIAL, POSES, Convention())
+    np.testing.assert_allclose(relief.radiance, ideal.radiance, rtol=0.02)
+    assert relief.notes["pitch_um"] == pytest.approx(100.0, rel=1e-3)
+    assert "warning" not in relief.notes
+
+
+def test_a_mirrored_map_is_a_design_turned_by_half():
+    design = RidgeDesign(100.0, 10.0)
+    surface = ridges(design, (6, 1601), (1.0, 0.25))
+    mirrored = surface.with_height(surface.height_um[:, ::-1])
+    relief = predict_height_map(mirrored, MATERIAL, POSES, Convention())
+    ideal = predict_design(design, MATERIAL, POSES, Convention(facet_azimuth_deg=180.0))
+    np.testing.assert_allclose(relief.radiance, ideal.radiance, rtol=0.02)
+
+
+def test_a_seated_askew_map_is_levelled():
+    design = RidgeDesign(100.0, 10.0)
+    surface = ridges(design, (40, 801), (1.0, 0.5))
+    rows, cols = np.indices(surface.shape)
+    askew = surface.with_height(surface.height_um + 0.02 * cols - 0.01 * rows + 7.0)
+    there, here = (predict_height_map(s, MATERIAL, POSES, Convention()).radiance for s in (askew, surface))
+    np.testing.assert_allclose(there, here, rtol=0.01)
+
+
+def test_a_map_without_ridges_says_that_it_has_none():
+    rng = np.random.default_rng(4)
+    found = predict_height_map(
+        HeightMap(0.05 * rng.normal(size=(80, 90)), 1.0, 1.0), MATERIAL, POSES, Convention()
+    )
+    assert "no ridges" in found.notes["warning"]
+    assert "pitch_um" not in found.notes
+    assert np.all(found.radiance > 0)
+
+
+def test_missing_points_are_told_and_too_many_are_refused():
+    surface = ridges(RidgeDesign(100.0, 10.0), (20, 801), (1.0, 0.5))
+    height = surface.height_um.copy()
+    height[5, 100:140] = np.nan
+    found = predict_height_map(surface.with_height(height), MATERIAL, POSES, Convention())
+    assert 0 < found.notes["missing_share"] < 0.02
+    height[:10] = np.nan
+    with pytest.raises(HeightMapError, match="missing"):
+        predict_height_map(surface.with_height(height), MATERIAL, POSES, Convention())
+
+
+def test_the_printed_model_is_not_the_corrected_one():
+    design = RidgeDesign(100.0, 15.0)
+    printed, corrected = (
+        predict_design(design, MATERIAL, POSES, Convention(), model) for model in ("printed", "corrected")
+    )
+    assert (printed.model, corrected.model) == ("printed", "corrected")
+    assert not np.allclose(printed.radiance, corrected.radiance, rtol=0.05)
+    assert len(printed.contrasts) == 6
+
+
+def test_uncertainty_is_there_when_asked_for_and_leaves_the_prediction_alone():
+    design = RidgeDesign(100.0, 10.0)
+    surface = ridges(design, (20, 601), (1.0, 1.0))
+    inputs = InputUncertainty(alpha_share=0.0, index=0.0)
+    for predict, what in ((predict_design, design), (predict_height_map, surface)):
+        bare = predict(what, MATERIAL, POSES, Convention())
+        found = predict(what, MATERIAL, POSES, Convention(), inputs=inputs)
+        assert bare.budget is bare.drawn is bare.covariance is bare.contrast_covariance("michelson") is None
+        np.testing.assert_array_equal(found.radiance, bare.radiance)
+        np.testing.assert_array_equal(found.budget.radiance, bare.radiance)
+        assert np.linalg.eigvalsh(found.covariance).min() > -1e-15
+        assert found.contrast_covariance("log_ratio").shape == (6, 6)
+
+
+def test_a_map_narrower_than_its_pitch_is_refused():
+    surface = ridges(RidgeDesign(100.0, 10.0), (20, 81), (1.0, 1.0))
+    with pytest.raises(HeightMapError, match="80 µm wide, less than one pitch of 100 µm"):
+        predict_height_map(surface, MATERIAL, POSES, Convention(), pitch_um=100.0)
+
+
+def test_the_limit_of_missing_points_can_be_moved():
+    surface = ridges(RidgeDesign(100.0, 10.0), (20, 801), (1.0, 0.5))
+    height = surface.height_um.copy()
+    height[:10] = np.nan
+    holed = surface.with_height(height)
+    found = predict_height_map(holed, MATERIAL, POSES, Convention(), max_missing_share=0.6)
+    whole = predict_height_map(surface, MATERIAL, POSES, Convention())
+    np.testing.assert_allclose(found.radiance, whole.radiance, rtol=1e-3)
+    with pytest.raises(HeightMapError, match="limit 5%"):
+        predict_height_map(holed, MATERIAL, POSES, Convention(), max_missing_share=0.05)
