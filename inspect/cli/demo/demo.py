@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 
 Kind = Literal["ridges", "print", "wafer"]
+SCENES: dict[Kind, str] = {"ridges": "ridges", "print": "prints", "wafer": "wafers"}
 
 
 class _Scene(Protocol):
@@ -51,7 +52,7 @@ def demo(
     """
     from anisoscope.history.address import HISTORY_NAME
 
-    scene = cast("_Scene", import_module(f"anisoscope.cli.demo_{kind}"))
+    scene = cast("_Scene", import_module(f"anisoscope.cli.demo.{SCENES[kind]}"))
     with progress("demo", quiet=json_) as advance:
         folder = scene.lay_out(out, seed, advance)
         found = [(name, expected, _inspect(folder, name, advance)) for name, expected in scene.PARTS.items()]
