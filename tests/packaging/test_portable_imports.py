@@ -53,7 +53,7 @@ GUARDED = {
     ("sim/bench/serve.py", "pty"): "imported when a pseudo terminal is asked for; its absence is a RigError",
     ("sim/bench/serve.py", "tty"): "likewise",
     ("sim/bench/serve.py", "os.ttyname"): "likewise",
-    ("inspect/folder.py", "fcntl"): "where it is missing, the folder is not locked",
+    ("inspect/inspection/folder.py", "fcntl"): "where it is missing, the folder is not locked",
     ("rig/portholder.py", "os.getuid"): "behind hasattr(os, 'getuid')",
     ("profiles/files/guarded.py", "resource"): "on Linux only; elsewhere the parent limits time",
     ("profiles/files/guarded.py", "signal.setitimer"): "likewise",

@@ -1,0 +1,80 @@
+"""Figures of the import graph that must not get worse; tools/house.py counts them."""
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def script(name):
+    """A script of tools/ as a module."""
+    spec = importlib.util.spec_from_file_location(name, ROOT / "tools" / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+house = script("house")
+
+
+@pytest.fixture(scope="module")
+def found():
+    return house.numbers(ROOT)
+
+
+def test_every_package_of_the_first_level_has_its_floor(found):
+    named, _, there = found["layers_cover"].partition(" of ")
+    assert named == there
+
+
+def test_an_array_type_is_declared_once(found):
+    assert found["float_array_declarations"] == 1
+
+
+def test_no_contract_ignores_an_import(found):
+    assert found["ignored_imports"] == 0
+
+
+def test_circles_are_found_and_floors_counted():
+    graph = {"a": {"b"}, "b": {"c", "d"}, "c": {"b"}, "d": set(), "e": {"a", "d"}}
+    assert house.circles(graph) == [["b", "c"]]
+    assert house.floors(graph) == {"d": 1, "b": 2, "c": 2, "a": 3, "e": 4}
+
+
+def test_an_import_that_goes_up_or_across_is_found():
+    graph = {"anisoscope.low": {"anisoscope.high.one"}, "anisoscope.high.one": {"anisoscope.beside.two"}}
+    layers = [["high", "beside"], ["low"]]
+    assert house.upward_imports(graph, layers) == [
+        ("anisoscope.low", "anisoscope.high.one"),
+        ("anisoscope.high.one", "anisoscope.beside.two"),
+    ]
+
+
+def test_packages_import_each_other_through_their_modules():
+    graph = {
+        "anisoscope.a.x": {"anisoscope.a.y", "anisoscope.b"},
+        "anisoscope.a.y": set(),
+        "anisoscope.b": set(),
+    }
+    assert house.packages_of(graph) == {"a": {"b"}, "b": set()}
+
+
+def test_code_is_neither_blank_nor_comment_nor_docstring():
+    text = '"""What it is."""\n\n# why\nx = """a\nb"""\n\n\ndef f():\n    """Does."""\n    return x  # here\n'
+    assert house.code_lines(text) == 4
+
+
+def test_identifiers_that_name_a_kind():
+    text = (
+        "print(record.print)\n"
+        "console.print('PrintRecipe')  # a wafer\n"
+        "is_wafer = golden_prints\n"
+        "print_table(fingerprint, footprints, blueprint)\n"
+        "x = PrintRecipe\n"
+    )
+    assert house.kind_lines(text, verbs=True) == [1, 3, 5]
+    assert house.kind_lines(text) == [1, 3, 4, 5]

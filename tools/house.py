@@ -1,0 +1,315 @@
+"""Numbers of the house: size, floors of the import graph, circles, and what the plan forbids.
+
+    python tools/house.py [CHECKOUT] [--json]
+
+Every figure is counted from the sources of the checkout, so that the state before a change and the state after it can
+be put next to each other. Needs grimp, which import-linter brings.
+"""
+
+import argparse
+import ast
+import io
+import json
+import re
+import shutil
+import sys
+import tempfile
+import tokenize
+import tomllib
+from collections.abc import Hashable, Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+# Identifiers that name a kind of part other than ridges. `print(...)` is none of them, the field `record.print` is;
+# under inspect/cli a name that begins with print_ is a verb (print_table), elsewhere the kind (print_causes).
+KIND_NAME = re.compile(
+    r"wafer|Wafer|WAFER|Prints?(?=[A-Z]|$)|PRINTS?(?=_|$)|(?:^|_)prints?_|_prints?$|^prints$"
+)
+VERB_NAME = re.compile(r"^_?print(_(?!causes|recipe|expectation|record|model|prints|kind)|$)")
+_LAYOUT = {
+    tokenize.COMMENT,
+    tokenize.NL,
+    tokenize.NEWLINE,
+    tokenize.INDENT,
+    tokenize.DEDENT,
+    tokenize.ENDMARKER,
+}
+
+
+def package_folders(checkout: Path) -> dict[str, Path]:
+    """The folder of every package that pyproject lays somewhere of its own."""
+    setuptools = _pyproject(checkout)["tool"]["setuptools"]
+    return {package: checkout / folder for package, folder in setuptools["package-dir"].items()}
+
+
+def source_files(checkout: Path) -> list[Path]:
+    """All modules of the distribution."""
+    return sorted(path for folder in package_folders(checkout).values() for path in folder.rglob("*.py"))
+
+
+def import_graph(checkout: Path) -> dict[str, set[str]]:
+    """Module -> modules that it imports, of the distribution alone."""
+    import grimp  # noqa: PLC0415 - a heavy library, and only this function needs it
+
+    folders = package_folders(checkout)
+    with tempfile.TemporaryDirectory() as lain:
+        for package, folder in folders.items():
+            for path in folder.rglob("*.py"):
+                target = Path(lain, *package.split("."), path.relative_to(folder))
+                target.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(path, target)
+        # grimp takes the first root it finds: with this file the copy is a package before any installed one.
+        Path(lain, "anisoscope", "__init__.py").touch()
+        sys.path.insert(0, lain)
+        try:
+            graph = grimp.build_graph("anisoscope", cache_dir=None)
+        finally:
+            sys.path.remove(lain)
+    return {
+        module: {other for other in graph.find_modules_directly_imported_by(module) if other != "anisoscope"}
+        for module in sorted(graph.modules)
+        if module != "anisoscope"
+    }
+
+
+def packages_of(graph: Mapping[str, Iterable[str]], under: str = "anisoscope") -> dict[str, set[str]]:
+    """The graph between the children of a package: child -> children that it imports."""
+    found: dict[str, set[str]] = {}
+    for module, imported in graph.items():
+        child = _child(module, under)
+        if child is None:
+            continue
+        others = {other for name in imported if (other := _child(name, under)) is not None}
+        found.setdefault(child, set()).update(others - {child})
+    return found
+
+
+def _child(module: str, under: str) -> str | None:
+    inside = module.removeprefix(f"{under}.")
+    return inside.split(".")[0] if inside != module else None
+
+
+def circles(graph: Mapping[str, set[str]]) -> list[list[str]]:
+    """Sets of nodes that reach each other (strongly connected components of more than one node), largest first."""
+    return sorted(
+        (sorted(group) for group in _components(graph) if len(group) > 1), key=lambda group: -len(group)
+    )
+
+
+def floors(graph: Mapping[str, set[str]]) -> dict[str, int]:
+    """Floor of every node, counted from the ground (1): one above the highest floor it imports.
+
+    The nodes of a circle share one floor. The highest floor is the length of the longest chain of imports.
+    """
+    found: dict[str, int] = {}
+    for group in _components(graph):  # what is imported comes before what imports it
+        below = {other for node in group for other in graph[node]} - set(group)
+        found.update(dict.fromkeys(group, 1 + max((found[other] for other in below), default=0)))
+    return found
+
+
+def _components(graph: Mapping[str, set[str]]) -> Iterator[list[str]]:
+    """Tarjan's strongly connected components, in the order ground first (1972), without recursion."""
+    index: dict[str, int] = {}
+    low: dict[str, int] = {}
+    stack: list[str] = []
+    for root in graph:
+        if root in index:
+            continue
+        index[root] = low[root] = len(index)
+        stack.append(root)
+        walk = [(root, iter(sorted(graph[root])))]
+        while walk:
+            node, rest = walk[-1]
+            following = next(rest, None)
+            if following is None:
+                walk.pop()
+                if walk:
+                    low[walk[-1][0]] = min(low[walk[-1][0]], low[node])
+                if low[node] == index[node]:
+                    group = stack[stack.index(node) :]
+                    del stack[-len(group) :]
+                    low.update(
+                        dict.fromkeys(group, sys.maxsize)
+                    )  # done: no later node may count them as open
+                    yield group
+            elif following not in index:
+                index[following] = low[following] = len(index)
+                stack.append(following)
+                walk.append((following, iter(sorted(graph[following]))))
+            elif low[following] != sys.maxsize:
+                low[node] = min(low[node], index[following])
+
+
+def contract_layers(checkout: Path, container: str = "anisoscope") -> list[list[str]]:
+    """Rows of the layers contract of a container, top first; each row names the packages on one floor."""
+    for contract in _pyproject(checkout)["tool"]["importlinter"]["contracts"]:
+        if contract["type"] == "layers" and contract.get("containers", ["anisoscope"]) == [container]:
+            rows = [re.split(r"\s*[|:]\s*", row) for row in contract["layers"]]
+            return [[name.strip("() ").removeprefix("anisoscope.") for name in row] for row in rows]
+    return []
+
+
+def upward_imports(graph: Mapping[str, Iterable[str]], layers: list[list[str]]) -> list[tuple[str, str]]:
+    """Imports from a lower row of the layers to a higher one, or between two packages of one row."""
+    height = {name: (-row, name) for row, names in enumerate(layers) for name in names}
+
+    def place(module: str) -> tuple[int, str] | None:
+        inside = module.removeprefix("anisoscope.")
+        while inside and inside not in height:
+            inside = inside.rpartition(".")[0]
+        return height.get(inside)
+
+    found = []
+    for module, imported in graph.items():
+        for other in sorted(imported):
+            here, there = place(module), place(other)
+            if here and there and (here[0] < there[0] or (here[0] == there[0] and here != there)):
+                found.append((module, other))
+    return found
+
+
+def code_lines(text: str) -> int:
+    """Lines with code: neither blank nor only a comment nor part of a docstring."""
+    lines: set[int] = set()
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if token.type not in _LAYOUT:
+            lines.update(range(token.start[0], token.end[0] + 1))
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            first = node.body[0] if node.body else None
+            is_text = isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant)
+            if is_text and isinstance(first.value.value, str):
+                lines.difference_update(range(first.lineno, (first.end_lineno or first.lineno) + 1))
+    return len(lines)
+
+
+def kind_lines(text: str, *, verbs: bool = False) -> list[int]:
+    """Lines with an identifier that names a kind (`KIND_NAME`); comments and strings do not count.
+
+    Args:
+        text: source of a module.
+        verbs: whether `print_table` and the like print a table, as in the command line.
+    """
+    lines = set()
+    tokens = list(tokenize.generate_tokens(io.StringIO(text).readline))
+    for before, token, after in zip(tokens, tokens[1:], tokens[2:], strict=False):
+        if token.type != tokenize.NAME:
+            continue
+        name = token.string
+        if name == "print":  # a field; `print(...)` and `console.print(...)` write
+            found = before.string == "." and after.string != "("
+        else:
+            found = bool(KIND_NAME.search(name)) and not (verbs and VERB_NAME.match(name))
+        if found:
+            lines.add(token.start[0])
+    return sorted(lines)
+
+
+def float_arrays(text: str) -> int:
+    """Declarations of a type named FloatArray."""
+    count = 0
+    for node in ast.parse(text).body:
+        targets: list[ast.expr] = []
+        if isinstance(node, ast.Assign):
+            targets = node.targets
+        elif isinstance(node, ast.AnnAssign):
+            targets = [node.target]
+        elif "TypeAlias" in type(node).__name__:
+            targets = [node.name]  # type: ignore[attr-defined]  # Python 3.12
+        count += sum(isinstance(target, ast.Name) and target.id == "FloatArray" for target in targets)
+    return count
+
+
+def numbers(checkout: Path) -> dict[str, Any]:
+    """All figures of a checkout."""
+    texts = {path: path.read_text(encoding="utf-8") for path in source_files(checkout)}
+    inspect = package_folders(checkout)["anisoscope"]
+    graph = import_graph(checkout)
+    first = packages_of(graph)
+    layers = contract_layers(checkout)
+    contracts = _pyproject(checkout)["tool"]["importlinter"]["contracts"]
+    lines = {
+        path: kind_lines(text, verbs=inspect / "cli" in path.parents)
+        for path, text in texts.items()
+        if _shared(path.relative_to(checkout))
+    }
+    importers: dict[Hashable, int] = dict.fromkeys(graph, 0)
+    for imported in graph.values():
+        for other in imported:
+            importers[other] += 1
+    initial = {".".join(name.split(".")[:-1]) for name in graph}  # packages: found by their __init__
+    first_circles, module_circles = circles(first), circles(graph)
+    return {
+        "files": len(texts),
+        "lines": sum(text.count("\n") for text in texts.values()),
+        "code_lines": sum(code_lines(text) for text in texts.values()),
+        "first_level_packages": len(first),
+        "first_level_floors": max(floors(first).values()),
+        "first_level_arrows": sum(map(len, first.values())),
+        "first_level_cycles": len(first_circles),
+        "first_level_modules_in_cycles": sum(map(len, first_circles)),
+        "module_floors": max(floors(graph).values()),
+        "module_cycles": len(module_circles),
+        "modules_in_cycles": sum(map(len, module_circles)),
+        "layers_cover": f"{sum(name in first for row in layers for name in row)} of {len(first)}",
+        "upward_imports": len(upward_imports(graph, layers)),
+        "ignored_imports": sum(len(contract.get("ignore_imports", [])) for contract in contracts),
+        "kind_lines": sum(map(len, lines.values())),
+        "kind_files": sum(map(bool, lines.values())),
+        "modules_with_one_importer": sum(
+            count == 1 for module, count in importers.items() if module not in initial
+        ),
+        "float_array_declarations": sum(float_arrays(text) for text in texts.values()),
+        "root_modules": len(list(inspect.glob("*.py"))),
+    }
+
+
+MEANING = {
+    "files": "modules",
+    "lines": "lines",
+    "code_lines": "lines of code (not blank, comment or docstring)",
+    "first_level_packages": "packages and modules of the first level",
+    "first_level_floors": "floors of the first level (longest chain of imports; a cycle counts as one)",
+    "first_level_arrows": "pairs of the first level of which one imports the other",
+    "first_level_cycles": "cycles of the first level",
+    "first_level_modules_in_cycles": "of the first level, in a cycle",
+    "module_floors": "floors of all modules",
+    "module_cycles": "cycles of modules",
+    "modules_in_cycles": "modules in a cycle",
+    "layers_cover": "of the first level, named by the layers contract",
+    "upward_imports": "imports that go up or across in the layers contract",
+    "ignored_imports": "imports that a contract ignores",
+    "kind_lines": "lines of inspect/ outside its kinds with an identifier that names a kind (print, wafer)",
+    "kind_files": "files with such a line",
+    "modules_with_one_importer": "modules with exactly one importer",
+    "float_array_declarations": "declarations of FloatArray",
+    "root_modules": "modules in the root of inspect/",
+}
+
+
+def _shared(path: Path) -> bool:
+    """Whether a file of inspect/ should know no kind; before there were kinds, prints had a folder of their own."""
+    return path.parts[0] == "inspect" and path.parts[1] not in {"kinds", "prints"}
+
+
+def _pyproject(checkout: Path) -> dict[str, Any]:
+    return tomllib.loads((checkout / "pyproject.toml").read_text(encoding="utf-8"))
+
+
+def main() -> None:
+    """Print the figures of a checkout, by default this one."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("checkout", nargs="?", type=Path, default=ROOT)
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    found = numbers(options.checkout.resolve())
+    if options.json:
+        sys.stdout.write(json.dumps(found, indent=2) + "\n")
+        return
+    sys.stdout.writelines(f"{value!s:>10}  {MEANING[name]}\n" for name, value in found.items())
+
+
+if __name__ == "__main__":
+    main()
