@@ -13,8 +13,8 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import ModelError
 from anisoscope.profiles.ideal import RidgeDesign
-from anisoscope.sim.light.corrected import ridge_polyline, visible_shares
 from anisoscope.sim.light.material import Material, facet_brdf
+from anisoscope.sim.light.ridge_profile import ridge_polyline, visible_shares
 
 ARC_SEGMENTS = 24
 TABLES_PER_E_FOLD = 8  # interface tables; between two of them the radiance is interpolated

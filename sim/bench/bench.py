@@ -20,7 +20,6 @@ from anisoscope.sim.bench.optics import PLATE, image_of_fixture, image_of_surfac
 from anisoscope.sim.bench.partcode import image_of_code
 from anisoscope.sim.bench.samples import Sample, build_sample
 from anisoscope.sim.bench.sensor import Sensor
-from anisoscope.sim.bench.spectra import vision_of
 from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_rotation
 
 Image = npt.NDArray[np.float32]
@@ -55,7 +54,7 @@ class Bench:
         self.light_firmware = LightFirmware(self.lamp)
         self._sample_rng = sample_rng
         self._sample: Sample | None = None
-        self._mosaic = Mosaic(file.sensor, vision_of(file).strengths())
+        self._mosaic = Mosaic(file.sensor, file.vision().strengths())
         self._scene: tuple[tuple[float, float], FloatArray] | None = None
         self._lock = threading.Lock()
 

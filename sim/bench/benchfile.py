@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from anisoscope.base.errors import RigFileError, UsageError
+from anisoscope.base.errors import ModelError, RigFileError, UsageError
 from anisoscope.base.toml_file import (
     LocalPath,
     NameOrFile,
@@ -20,7 +20,10 @@ from anisoscope.rig.fixture import Fixture
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
 from anisoscope.sim.bench.firmware.catalogue import Mount, build
 from anisoscope.sim.bench.printpart import PrintPart
+from anisoscope.sim.bench.prints import check_print
 from anisoscope.sim.bench.waferpart import WaferPart
+from anisoscope.sim.light.colour.vision import Vision
+from anisoscope.sim.materials.spectra import find_illuminant, find_sensitivities
 
 
 class MaterialPart(Part):
@@ -204,6 +207,25 @@ class BenchFile(Part):
     geometry: GeometryPart = GeometryPart()
     fixture: Fixture | None = None
 
+    def vision(self) -> Vision:
+        """The sensor's channels under the bench's lamp.
+
+        Raises:
+            RigFileError: a spectrum that the bench file names cannot be used.
+        """
+        try:
+            illuminant = find_illuminant(self.optics.spectrum)
+        except UsageError as problem:
+            raise RigFileError(f"optics.spectrum: {problem}") from None
+        try:
+            sensitivities = find_sensitivities(self.sensor.sensitivities, self.sensor.filters)
+        except UsageError as problem:
+            raise RigFileError(f"sensor.sensitivities: {problem}") from None
+        try:
+            return Vision(illuminant, sensitivities)
+        except ModelError as problem:
+            raise RigFileError(f"sensor.sensitivities, optics.spectrum: {problem}") from None
+
 
 def read_bench(path: Path) -> BenchFile:
     """Read a bench file; ``${here}`` in it stands for its own folder.
@@ -216,10 +238,8 @@ def read_bench(path: Path) -> BenchFile:
         path, BenchFile, error=RigFileError, substitutions={"here": str(path.resolve().parent)}
     )
     if found.sample.kind == "print":
-        from anisoscope.sim.bench.prints import check_print  # noqa: PLC0415 - of one kind of sample only
-
         try:
-            check_print(found)
+            check_print(found.sample.print or PrintPart(), found.vision())
         except RigFileError as problem:
             raise RigFileError(f"{path}: {problem}") from None
     return found

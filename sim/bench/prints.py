@@ -13,10 +13,8 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import AnisoscopeError, RigFileError
-from anisoscope.sim.bench.benchfile import BenchFile
 from anisoscope.sim.bench.printpart import PrintPart
 from anisoscope.sim.bench.sheet import grain, grid_of, inked, normals, towards
-from anisoscope.sim.bench.spectra import vision_of
 from anisoscope.sim.light import threads
 from anisoscope.sim.light.colour.vision import Vision
 from anisoscope.sim.light.ink.angles import half_vector
@@ -104,13 +102,12 @@ def _tables(inks: tuple[Ink, ...], vision: Vision) -> Image:
         raise RigFileError(f"sample.print: {problem}") from None
 
 
-def check_print(file: BenchFile) -> None:
+def check_print(part: PrintPart, vision: Vision) -> None:
     """Look up all that the table of a print names, so that a wrong name shows before the first picture.
 
     Raises:
         RigFileError: an ink or a spectrum that cannot be used; the message names the key.
     """
-    part, vision = file.sample.print or PrintPart(), vision_of(file)
     _tables(_printed_inks(part), vision)
     _reflectance(part.substrate, vision)
 
@@ -220,13 +217,3 @@ def _reflectance(substrate: float | str, vision: Vision) -> FloatArray:
     else:
         nm, share = np.array([380.0, 780.0]), np.full(2, substrate)
     return np.asarray(share @ vision.weights(nm))
-
-
-def build_print(file: BenchFile, rng: np.random.Generator) -> PrintSample:
-    """The print of a bench file.
-
-    Raises:
-        RigFileError: an ink or a spectrum that cannot be used.
-    """
-    part = file.sample.print or PrintPart()
-    return PrintSample(part, file.sample.size_mm, file.optics.pixel_um, vision_of(file), rng)

@@ -16,6 +16,8 @@ from anisoscope.profiles.files.load import read_height_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
 from anisoscope.sim.bench.benchfile import BenchFile, MaterialPart, SamplePart
+from anisoscope.sim.bench.printpart import PrintPart
+from anisoscope.sim.bench.prints import PrintSample
 from anisoscope.sim.light.material import Material
 from anisoscope.sim.light.relief import Relief, radiance_maps
 
@@ -78,9 +80,7 @@ def build_sample(file: BenchFile, rng: np.random.Generator) -> Sample:
     """
     part = file.sample
     if part.kind == "print":
-        from anisoscope.sim.bench.prints import build_print  # noqa: PLC0415 - of one kind of sample only
-
-        return build_print(file, rng)
+        return PrintSample(part.print or PrintPart(), part.size_mm, file.optics.pixel_um, file.vision(), rng)
     if part.kind == "wafer":
         from anisoscope.sim.bench.wafer import build_wafer  # noqa: PLC0415 - of one kind of sample only
 

@@ -15,9 +15,8 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import ModelError
 from anisoscope.profiles.ideal import RidgeDesign
-from anisoscope.sim.light.corrected import radiance as direct_radiance
-from anisoscope.sim.light.corrected import ridge_polyline, visible_shares
 from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.ridge_profile import ridge_polyline, visible_shares
 
 NODES = 6  # of the Gauss-Legendre rule in each panel
 BATCH = 64  # poses followed together, for the sake of memory
@@ -135,29 +134,3 @@ def interreflection(
     if bounces is None or bounces > 2:
         total += _more_often(light, camera, lengths, opening, material, bounces)
     return np.asarray(total / (design.pitch_um * to_camera[:, 2]))
-
-
-def radiance(
-    to_light: FloatArray,
-    to_camera: FloatArray,
-    design: RidgeDesign,
-    material: Material,
-    bounces: int | None = None,
-) -> FloatArray:
-    """Radiance [1/sr] of the ridged surface per unit irradiance perpendicular to the beam, with interreflection.
-
-    Args:
-        to_light: (P, 3) unit vectors in the sample frame, above the horizon.
-        to_camera: (P, 3) unit vectors in the sample frame, above the horizon.
-        design: the ridges.
-        material: the plastic.
-        bounces: largest number of reflections that is counted: 1 is direct light; None counts all.
-
-    Returns:
-        (P,) radiances.
-
-    Raises:
-        ModelError: fewer than one reflection.
-    """
-    indirect = interreflection(to_light, to_camera, design, material, bounces)
-    return direct_radiance(to_light, to_camera, design, material) + indirect

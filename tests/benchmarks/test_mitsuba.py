@@ -16,11 +16,11 @@ import pytest
 from anisoscope.profiles.defects import burrs
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
 from anisoscope.sim.light import corrected
-from anisoscope.sim.light.corrected import ridge_polyline
 from anisoscope.sim.light.geometry import Convention, directions, pose_grid
 from anisoscope.sim.light.material import Material, facet_brdf
 from anisoscope.sim.light.relief import Relief, radiance
 from anisoscope.sim.light.relief_paths import interreflection
+from anisoscope.sim.light.ridge_profile import ridge_polyline
 
 try:
     import mitsuba

@@ -8,7 +8,6 @@ from anisoscope.rig.bayer import FILTERS, channel_of_pixels
 from anisoscope.sim.bench.benchfile import SensorPart
 from anisoscope.sim.bench.camera import SimulatedCamera
 from anisoscope.sim.bench.mosaic import Mosaic
-from anisoscope.sim.bench.spectra import vision_of
 
 SHAPE = (128, 160)
 
@@ -45,7 +44,7 @@ def test_photon_transfer_holds_behind_every_filter(tile):
     bench = tile({"gain_e_per_dn": 4.0, "bit_depth": 16, "dark_current_e_s": 0.0})
     exposures_s = np.linspace(0.0005, 0.012, 10)
     means, variances = transfer(bench, exposures_s)
-    strengths = vision_of(bench.file).strengths()
+    strengths = bench.file.vision().strengths()
     for channel in range(3):
         slope, _ = np.polyfit(means[:, channel], variances[:, channel], 1)
         assert 1.0 / slope == pytest.approx(4.0, rel=0.04)
@@ -81,14 +80,14 @@ def test_the_lamp_says_which_filter_passes_most(tile, tmp_path, spectrum, strong
     bench = tile(optics={"spectrum": spectrum})
     means, _ = transfer(bench, [0.004])
     assert int(np.argmax(means[0])) == strongest
-    np.testing.assert_allclose(means[0] / means[0].max(), vision_of(bench.file).strengths(), rtol=0.02)
+    np.testing.assert_allclose(means[0] / means[0].max(), bench.file.vision().strengths(), rtol=0.02)
 
 
 def test_sensitivities_of_a_file_are_those_of_the_sensor(tile, tmp_path):
     """Twice as sensitive in green: half of the light in the others."""
     (tmp_path / "mine.csv").write_text("wavelength_nm,red,green,blue\n400,0.3,0.6,0.3\n700,0.3,0.6,0.3\n")
     bench = tile({"sensitivities": "mine.csv"})
-    np.testing.assert_allclose(vision_of(bench.file).strengths(), [0.5, 1.0, 0.5])
+    np.testing.assert_allclose(bench.file.vision().strengths(), [0.5, 1.0, 0.5])
     means, _ = transfer(bench, [0.004])
     np.testing.assert_allclose(means[0] / means[0, 1], [0.5, 1.0, 0.5], rtol=0.01)
 

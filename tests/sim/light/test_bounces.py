@@ -4,7 +4,8 @@ import pytest
 from anisoscope.base.errors import ModelError
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light import corrected
-from anisoscope.sim.light.bounces import interreflection, radiance
+from anisoscope.sim.light.bounces import interreflection
+from anisoscope.sim.light.corrected import radiance
 from anisoscope.sim.light.geometry import Convention, directions, pose_grid
 from anisoscope.sim.light.material import Material, facet_brdf
 
@@ -288,7 +289,7 @@ def test_flat_surfaces_exchange_no_light(wall):
         interreflection(TABLE[0][:0], TABLE[1][:0], RidgeDesign(100.0, 15.0, wall=wall), Material()).size == 0
     )
     nearly = interreflection(*TABLE, RidgeDesign(100.0, 0.01, wall=wall), Material())
-    assert np.all(nearly < 1e-4 * radiance(*TABLE, RidgeDesign(100.0, 0.0), Material()))
+    assert np.all(nearly < 1e-4 * radiance(*TABLE, RidgeDesign(100.0, 0.0), Material(), None))
 
 
 def test_pitch_does_not_matter():
@@ -317,11 +318,11 @@ def test_size_of_the_effect(angle, material, mean, largest):
 def test_corrected_model_passes_the_reflections_on():
     design, material = RidgeDesign(100.0, 15.0), Material()
     direct = corrected.radiance(*TABLE, design, material)
-    np.testing.assert_array_equal(direct, radiance(*TABLE, design, material, 1))
+    np.testing.assert_array_equal(interreflection(*TABLE, design, material, 1), 0.0)
     for bounces in (2, None):
         np.testing.assert_array_equal(
             corrected.radiance(*TABLE, design, material, bounces=bounces),
-            radiance(*TABLE, design, material, bounces),
+            direct + interreflection(*TABLE, design, material, bounces),
         )
     with pytest.raises(ModelError, match="at least once"):
         corrected.radiance(*TABLE, design, material, bounces=0)

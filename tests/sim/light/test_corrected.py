@@ -2,9 +2,10 @@ import numpy as np
 import pytest
 
 from anisoscope.profiles.ideal import RidgeDesign
-from anisoscope.sim.light.corrected import radiance, ridge_polyline, visible_shares
+from anisoscope.sim.light.corrected import radiance
 from anisoscope.sim.light.geometry import Convention, Pose, directions, pose_grid
 from anisoscope.sim.light.material import Material, facet_brdf
+from anisoscope.sim.light.ridge_profile import ridge_polyline, visible_shares
 
 X, Y, Z = np.eye(3)
 TANGENTS = np.concatenate([-np.geomspace(8, 0.01, 25), np.geomspace(0.01, 8, 25)])

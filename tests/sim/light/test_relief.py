@@ -5,11 +5,11 @@ from anisoscope.base.errors import HeightMapError, ModelError
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light import corrected
-from anisoscope.sim.light.corrected import ridge_polyline
 from anisoscope.sim.light.geometry import Convention, directions, pose_grid
 from anisoscope.sim.light.horizon import Horizon
 from anisoscope.sim.light.material import Material
 from anisoscope.sim.light.relief import Relief, radiance, radiance_maps
+from anisoscope.sim.light.ridge_profile import ridge_polyline
 
 RIDGE_ANGLES = (5.0, 10.0, 15.0, 20.0)
 TABLE = pose_grid((0, 90, 180), (-20, -10, 0, 10, 20))
