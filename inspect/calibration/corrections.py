@@ -25,11 +25,10 @@ from anisoscope.calibration.record import (
 )
 from anisoscope.imaging.linearisation import Image, Mask, RadianceImage, Stack, WhiteReference
 from anisoscope.imaging.registration.placement import Placement, angle_between
-from anisoscope.kinds.prints.recipe import PrintRecipe
-from anisoscope.recipe.recipe import Recipe
+from anisoscope.recipe.recipe import RecipeBase
 from anisoscope.rig.rigfile import CalibrationPart
 
-RecipeT = TypeVar("RecipeT", Recipe, PrintRecipe)
+RecipeT = TypeVar("RecipeT", bound=RecipeBase)
 CENTRE_PX = 5.0
 TURN_DEG = 0.2
 DARK_LEVEL_SHARE = 0.005

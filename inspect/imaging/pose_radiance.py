@@ -1,10 +1,7 @@
 """From aligned pictures to pose radiances, their uncertainty (V_meas), and the map of contrasts."""
 
-from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from os import cpu_count
-from typing import Protocol, TypeVar
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -12,8 +9,9 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import MeasurementError, RegistrationError, Saturated
+from anisoscope.base.parallel import for_each
 from anisoscope.imaging.linearisation import RadianceImage
-from anisoscope.imaging.registration.placement import Grid, Placement, angle_between, resample
+from anisoscope.imaging.registration.placement import Grid, View, angle_between, resample
 from anisoscope.prediction.expectation import Component, Expectation
 from anisoscope.recipe.recipe import LimitsPart, Recipe
 
@@ -21,8 +19,6 @@ Image = npt.NDArray[np.float32]
 
 CELLS_PER_PITCH = 4
 _NOISE_SAMPLE = 1 << 17  # pixels that tell the noise to a fifth of a percent
-Item = TypeVar("Item")
-Result = TypeVar("Result")
 
 
 class Limited(Protocol):
@@ -32,26 +28,6 @@ class Limited(Protocol):
     def limits(self) -> LimitsPart:
         """What makes a measurement INVALID."""
         ...
-
-
-def for_each(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
-    """``function`` of every item, in order, in threads: numpy and OpenCV let go of the interpreter while they work.
-
-    The first error of them is raised, whichever thread fails first.
-    """
-    todo = list(items)
-    with ThreadPoolExecutor(max(1, min(cpu_count() or 1, len(todo)))) as pool:
-        return list(pool.map(function, todo))
-
-
-@dataclass(frozen=True, eq=False)
-class View:
-    """One pose as photographed: picture, place of the fixture, commanded angle."""
-
-    stage_deg: float
-    tilt_deg: float
-    image: RadianceImage
-    placement: Placement
 
 
 @dataclass(frozen=True, eq=False)

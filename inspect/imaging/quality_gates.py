@@ -13,8 +13,8 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import CalibrationError, MeasurementError, RegistrationError
-from anisoscope.imaging.pose_radiance import Measured, View
-from anisoscope.imaging.registration.placement import Grid, angle_between
+from anisoscope.imaging.pose_radiance import Measured
+from anisoscope.imaging.registration.placement import Grid, View, angle_between
 from anisoscope.recipe.recipe import Recipe
 
 Image = npt.NDArray[np.float32]

@@ -4,26 +4,66 @@ from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import Protocol
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.errors import CalibrationError, MeasurementError, Saturated
+from anisoscope.base.parallel import for_each
 from anisoscope.imaging.exposure_fusion import Exposed, radiance_of
-from anisoscope.imaging.linearisation import Stack, stack
-from anisoscope.imaging.pose_radiance import View, check_light, check_view, for_each
+from anisoscope.imaging.frames import AcquiredFrames, Shot
+from anisoscope.imaging.linearisation import RadianceImage, Stack, WhiteReference, stack
+from anisoscope.imaging.pose_radiance import Limited, check_light, check_view
+from anisoscope.imaging.registration.placement import View
 from anisoscope.imaging.registration.placing import Photograph, place
-from anisoscope.inspection.frames import Shot, Taken
-from anisoscope.inspection.job import Job
-from anisoscope.recipe.recipe import Recipe
 from anisoscope.rig.acquisition.plan import Pose
+from anisoscope.rig.fixture import Fixture
 from anisoscope.rig.frame import Frame, FrameKind
 from anisoscope.sim.light.geometry import Pose as LightPose
 
 Guide = Callable[[npt.NDArray[np.float32]], npt.NDArray[np.float32]]
 MAX_SATURATED_PICTURE = 0.02
 _EVEN = np.array([0.25, 0.5, 0.25], dtype=np.float32)
+
+
+class Corrections(Protocol):
+    """What the calibrations of a rig change in a picture; `anisoscope.calibration.corrections` has them."""
+
+    @property
+    def axis_px(self) -> tuple[float, float] | None:
+        """(column, row) of the rotation axis in the picture, where it is known."""
+        ...
+
+    def corrected(self, sample: Stack, dark: Stack) -> Stack:
+        """A sample as a linear camera would have counted it, without stray light."""
+        ...
+
+    def masked(self, image: RadianceImage) -> RadianceImage:
+        """A picture without the pixels that are known to be hot."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Viewing:
+    """By what frames become views.
+
+    Attributes:
+        white: the white reference.
+        corrections: the calibrations.
+        fixture: the markers; None where pictures are aligned by their edges.
+        pixel_um: size of a camera pixel on the sample according to the rig file.
+        recipe: what makes a measurement unfit.
+        guides: what is done to a picture before markers and edges are searched in it, one after the other.
+    """
+
+    white: WhiteReference
+    corrections: Corrections
+    fixture: Fixture | None
+    pixel_um: float
+    recipe: Limited
+    guides: tuple[Guide, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +91,7 @@ def beside_a_mirror(picture: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]
     return np.minimum(picture, np.float32(1.0 / np.pi))
 
 
-def as_photographed(taken: Taken) -> tuple[tuple[str, npt.NDArray[np.float32]], ...]:
+def as_photographed(taken: AcquiredFrames) -> tuple[tuple[str, npt.NDArray[np.float32]], ...]:
     """The first frame of every pose, raw."""
     first = {shot.pose: shot for shot in reversed(taken.shots) if shot.frame.kind == "sample"}
     poses = sorted(first, key=lambda pose: (pose.tilt_deg, pose.stage_deg))
@@ -65,11 +105,11 @@ def as_photographed(taken: Taken) -> tuple[tuple[str, npt.NDArray[np.float32]], 
     )
 
 
-def views_of(job: Job, poses: Sequence[LightPose], taken: Taken) -> Views:
+def views_of(viewing: Viewing, poses: Sequence[LightPose], taken: AcquiredFrames) -> Views:
     """All pictures that count, linear, and where the part stands in each.
 
     Args:
-        job: recipe, rig, calibrations.
+        viewing: white reference, calibrations, fixture and limits.
         poses: those that were asked for.
         taken: the frames.
 
@@ -95,37 +135,40 @@ def views_of(job: Job, poses: Sequence[LightPose], taken: Taken) -> Views:
         return _like(kind, exposure_s, gain, taken)
 
     def photograph(shots: list[Shot]) -> Photograph:
-        return _photograph(job, shots, taken, like)
+        return _photograph(viewing, shots, taken, like)
 
     settings = {(shot.frame.exposure_s, shot.frame.gain) for shots in groups_of_shots for shot in shots}
-    _ready_before_threads(job, settings, like)
+    _ready_before_threads(viewing, settings, like)
     seen = place(
-        for_each(photograph, groups_of_shots), job.fixture, job.rig.camera.pixel_um, job.calibrations.axis_px
+        for_each(photograph, groups_of_shots), viewing.fixture, viewing.pixel_um, viewing.corrections.axis_px
     )
     first_end, first_resumed = len(wanted), len(wanted) + len(at_end)
     return Views(seen[:first_end], seen[first_end:first_resumed], seen[first_resumed:])
 
 
 def _ready_before_threads(
-    job: Job, settings: set[tuple[float, float]], like: Callable[[FrameKind, float, float], Stack]
+    viewing: Viewing, settings: set[tuple[float, float]], like: Callable[[FrameKind, float, float], Stack]
 ) -> None:
     """What all poses share is made once, before they are worked on side by side."""
-    tasks: list[Callable[[], object]] = [lambda: job.white.radiance_per_signal]
+    tasks: list[Callable[[], object]] = [lambda: viewing.white.radiance_per_signal]
     tasks += [lambda one=setting: like("dark", *one).hot for setting in sorted(settings)]  # type: ignore[misc]
     for_each(lambda task: task(), tasks)
 
 
 def _photograph(
-    job: Job, shots: list[Shot], taken: Taken, like: Callable[[FrameKind, float, float], Stack]
+    viewing: Viewing,
+    shots: list[Shot],
+    taken: AcquiredFrames,
+    like: Callable[[FrameKind, float, float], Stack],
 ) -> Photograph:
     pose, settings = shots[0].pose, dict.fromkeys((s.frame.exposure_s, s.frame.gain) for s in shots)
     exposed = [
-        _exposed(job, [s.frame for s in shots if (s.frame.exposure_s, s.frame.gain) == one], taken, like)
+        _exposed(viewing, [s.frame for s in shots if (s.frame.exposure_s, s.frame.gain) == one], taken, like)
         for one in settings
     ]
     black = shots[0].frame.black_level
-    image = job.calibrations.masked(radiance_of(exposed, job.white, taken.full_scale, black))
-    check_light(pose.stage_deg, image, job.recipe)
+    image = viewing.corrections.masked(radiance_of(exposed, viewing.white, taken.full_scale, black))
+    check_light(pose.stage_deg, image, viewing.recipe)
     share = np.count_nonzero(image.saturated) / image.saturated.size
     if share > MAX_SATURATED_PICTURE:
         raise Saturated(
@@ -133,15 +176,13 @@ def _photograph(
             f"{MAX_SATURATED_PICTURE:.0%}): shorten acquisition.exposure_s in the recipe, or turn the lamp down"
         )
     arm_deg = float(np.mean([shot.frame.tilt_deg for shot in shots]))
-    guide = _guide(shots[0].frame, job)
+    guide = _guide(shots[0].frame, viewing.guides)
     return Photograph(pose.stage_deg, pose.tilt_deg, arm_deg, image, guide=guide)
 
 
-def _guide(frame: Frame, job: Job) -> Guide | None:
+def _guide(frame: Frame, guides: tuple[Guide, ...]) -> Guide | None:
     """What markers are searched in, if it is not the picture itself."""
-    steps: list[Guide] = [luminance] if frame.filters != "mono" else []
-    if isinstance(job.recipe, Recipe) and job.recipe.is_wafer:
-        steps.append(beside_a_mirror)
+    steps = ((luminance,) if frame.filters != "mono" else ()) + guides
     if not steps:
         return None
 
@@ -154,19 +195,22 @@ def _guide(frame: Frame, job: Job) -> Guide | None:
 
 
 def _exposed(
-    job: Job, frames: list[Frame], taken: Taken, like: Callable[[FrameKind, float, float], Stack]
+    viewing: Viewing,
+    frames: list[Frame],
+    taken: AcquiredFrames,
+    like: Callable[[FrameKind, float, float], Stack],
 ) -> Exposed:
     """The frames of a pose at one exposure, with what is to be taken off them."""
     raw = stack(frames)
     dark = like("dark", raw.exposure_s, raw.gain)
 
     def corrected(sample: Stack) -> Stack:
-        return job.calibrations.corrected(_without_stray(sample, dark, taken, like), dark)
+        return viewing.corrections.corrected(_without_stray(sample, dark, taken, like), dark)
 
     return Exposed(raw, dark, corrected)
 
 
-def _like(kind: FrameKind, exposure_s: float, gain: float, taken: Taken) -> Stack:
+def _like(kind: FrameKind, exposure_s: float, gain: float, taken: AcquiredFrames) -> Stack:
     """The frames of a kind that were exposed like some others.
 
     Raises:
@@ -184,7 +228,7 @@ def _like(kind: FrameKind, exposure_s: float, gain: float, taken: Taken) -> Stac
 
 
 def _without_stray(
-    sample: Stack, dark: Stack, taken: Taken, like: Callable[[FrameKind, float, float], Stack]
+    sample: Stack, dark: Stack, taken: AcquiredFrames, like: Callable[[FrameKind, float, float], Stack]
 ) -> Stack:
     """The sample without the light that reaches the camera by other ways, where a light trap shows how much."""
     if not any(shot.frame.kind == "stray" for shot in taken.shots):
@@ -194,19 +238,22 @@ def _without_stray(
     return replace(sample, mean=sample.mean - (stray.mean - dark.mean), scatter=np.sqrt(own))
 
 
-def most_changed(views: Views, job: Job, mean: Callable[[View], float]) -> tuple[View | None, float]:
+def most_changed(
+    views: Views, recipe: Limited, pixel_um: float, mean: Callable[[View], float]
+) -> tuple[View | None, float]:
     """The view of the first pose that differs most from the first one, and how much those on resuming differ.
 
     Args:
         views: all of them.
-        job: limits of the recipe.
+        recipe: its limits.
+        pixel_um: size of a camera pixel on the sample according to the rig file.
         mean: brightness of a view in the region.
     """
     if not views.on_resuming:
         return next(iter(views.at_end), None), 0.0
 
     def checked(view: View) -> float:
-        check_view(view, views.poses[0], job.recipe, job.rig.camera.pixel_um)
+        check_view(view, views.poses[0], recipe, pixel_um)
         return mean(view)
 
     first = checked(views.poses[0])
@@ -215,9 +262,8 @@ def most_changed(views: Views, job: Job, mean: Callable[[View], float]) -> tuple
     return max(again, key=lambda found: abs(found[0]))[1], resumed
 
 
-def complaint_on_resuming(change: float, job: Job) -> str | None:
+def resuming_error(change: float, limit: float) -> str | None:
     """Why the frames before and after an interruption do not belong together, if they do not."""
-    limit = job.recipe.limits.drift
     if abs(change) <= limit:
         return None
     return (

@@ -11,8 +11,8 @@ from anisoscope.decision.design_vs_map import Predict, compare
 from anisoscope.decision.reference_parts import GoldenSet
 from anisoscope.diagnosis.part_diagnosis import explain
 from anisoscope.diagnosis.shape_fit import fit_shape
+from anisoscope.imaging.height_map_place import match_map
 from anisoscope.imaging.pose_radiance import Measured
-from anisoscope.imaging.registration.height_map import match_map
 from anisoscope.inspection.job import Job
 from anisoscope.prediction.expectation import Expectation, expectation
 from anisoscope.record.schema import GoldenRecord

@@ -23,7 +23,7 @@ from anisoscope.calibration.record import (
 )
 from anisoscope.imaging.linearisation import check_size
 from anisoscope.imaging.pose_radiance import Measured
-from anisoscope.inspection.frames import read_taken
+from anisoscope.inspection.frames import read_frames
 from anisoscope.inspection.job import Job, prepare
 from anisoscope.inspection.manifest import begin
 from anisoscope.inspection.pipeline import measure_frames
@@ -211,7 +211,7 @@ def _measure(
             made = begin(folder, job, Particulars(), plan=plan, frames=plan.frame_count, rig_folder=here)
             run_plan(plan, rig, folder, on_progress=tell)
         advance("measurement", 0, 1)
-        _, measured, _ = measure_frames(made, job, expected, read_taken(folder, made))
+        _, measured, _ = measure_frames(made, job, expected, read_frames(folder, made))
     content = {
         "rig": job.rig.name,
         "camera": CameraRecord(

@@ -1,63 +1,19 @@
 """The frames of an inspection, read back from its folder: those that count, each with its hash checked."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 from anisoscope.base.errors import RecordError
+from anisoscope.imaging.frames import AcquiredFrames, Shot
 from anisoscope.inspection.manifest import JobFile, checked
 from anisoscope.record.schema import InputFile
 from anisoscope.rig.acquisition.journal import FrameLine, Journal, read_journal
-from anisoscope.rig.acquisition.plan import Pose
 from anisoscope.rig.acquisition.writer import FRAMES
 from anisoscope.rig.frame import Frame, read_frame
 from anisoscope.rig.framefolder import read_frame_folder
 
 NOT_USED = "not used"
 REPLAYED = "as the table of the frames says"
-
-
-@dataclass(frozen=True, eq=False)
-class Shot:
-    """A frame of an inspection.
-
-    Attributes:
-        name: its file, relative to the folder.
-        sha256: of the file.
-        frame: what is in it.
-        pose: the pose that was asked for.
-        again: whether it only shows drift.
-        run: number of the run that took it.
-        check: whether it was taken on resuming.
-    """
-
-    name: str
-    sha256: str
-    frame: Frame
-    pose: Pose
-    again: bool
-    run: int
-    check: bool
-
-
-@dataclass(frozen=True, eq=False)
-class Taken:
-    """The frames that count, and the devices that took them; `linear` if all cameras count in proportion to light."""
-
-    shots: tuple[Shot, ...]
-    camera: str
-    stage: str
-    linear: bool = True
-
-    @property
-    def filters(self) -> str:
-        """The colour filters on the camera's pixels; see `anisoscope.rig.bayer`."""
-        return self.shots[0].frame.filters
-
-    @property
-    def full_scale(self) -> int:
-        """Largest count that the camera can give."""
-        return self.shots[0].frame.full_scale
 
 
 def missing_frames(made: JobFile, journal: Journal) -> int:
@@ -77,14 +33,14 @@ def check_frames(folder: Path) -> None:
         checked(InputFile(name=line.name, sha256=line.sha256), folder)
 
 
-def read_taken(folder: Path, made: JobFile) -> Taken:
+def read_frames(folder: Path, made: JobFile) -> AcquiredFrames:
     """Read the frames of a folder that has all of them.
 
     Raises:
         RecordError: a frame is missing, was changed or is damaged.
     """
     if made.frames == 0:
-        return Taken((), NOT_USED, NOT_USED)
+        return AcquiredFrames((), NOT_USED, NOT_USED)
     journal = read_journal(folder)
     if missing_frames(made, journal) > 0:
         raise RecordError(f"{folder}: {missing_frames(made, journal)} frames are still to be taken")
@@ -97,7 +53,7 @@ def read_taken(folder: Path, made: JobFile) -> Taken:
             raise RecordError(f"{folder / shot.name}: other size or bit depth than {shots[0].name}")
     run = journal.runs[-1]
     stage = run.stage if run.tilt is None else f"{run.stage}, {run.tilt}"
-    return Taken(shots, run.camera, stage, all(one.linear for one in journal.runs))
+    return AcquiredFrames(shots, run.camera, stage, all(one.linear for one in journal.runs))
 
 
 def _shot(line: FrameLine, folder: Path, load: Callable[[str], Frame]) -> Shot:

@@ -12,6 +12,7 @@ from anisoscope.calibration.white_reference import read_reference
 from anisoscope.decision.reference_parts import GoldenSet, golden_path, read_golden
 from anisoscope.imaging.linearisation import WhiteReference
 from anisoscope.imaging.registration.placement import check_fixture
+from anisoscope.imaging.views import Guide, Viewing
 from anisoscope.kinds.prints.lighting import check_filters, check_print_rig, print_files
 from anisoscope.kinds.prints.recipe import AnyRecipe, PrintRecipe, read_any_recipe
 from anisoscope.kinds.prints.reference_prints import GoldenPrints, read_golden_prints
@@ -94,6 +95,11 @@ class Job:
                 f"{self.recipe.product}: this works with recipes of surfaces, not with those of prints"
             )
         return self.recipe
+
+    def viewing(self, guides: tuple[Guide, ...] = ()) -> Viewing:
+        """By what its frames become views; ``guides`` as of `anisoscope.imaging.views.Viewing`."""
+        pixel_um = self.rig.camera.pixel_um
+        return Viewing(self.white, self.calibrations, self.fixture, pixel_um, self.recipe, guides)
 
     def plan(self) -> Plan:
         """What is to be photographed."""

@@ -8,12 +8,12 @@ from anisoscope.decision.decision import decide
 from anisoscope.decision.design_vs_map import Predict
 from anisoscope.imaging.defect_regions import deviation_map
 from anisoscope.imaging.deviation_map import cell_log_ratios
-from anisoscope.imaging.pose_radiance import Measured, View, drift_complaint, mean_of, measure, region_grid
+from anisoscope.imaging.frames import AcquiredFrames
+from anisoscope.imaging.pose_radiance import Measured, drift_complaint, mean_of, measure, region_grid
 from anisoscope.imaging.quality_gates import check_part, check_views
-from anisoscope.imaging.registration.placement import resample
-from anisoscope.imaging.views import as_photographed, complaint_on_resuming, most_changed, views_of
+from anisoscope.imaging.registration.placement import View, resample
+from anisoscope.imaging.views import as_photographed, beside_a_mirror, most_changed, resuming_error, views_of
 from anisoscope.inspection.analysis import insight, known_good
-from anisoscope.inspection.frames import Taken
 from anisoscope.inspection.job import Job
 from anisoscope.inspection.manifest import JobFile
 from anisoscope.inspection.record_builder import make_record, results
@@ -29,7 +29,7 @@ def judge(
     made: JobFile,
     job: Job,
     expected: Expectation | PrintExpectation,
-    taken: Taken,
+    taken: AcquiredFrames,
     advance: Advance = silent,
     *,
     final: bool = True,
@@ -60,7 +60,7 @@ def judge(
     except (MeasurementError, CameraError) as error:
         record = make_record(made, job, expected, taken, verdict="INVALID", reasons=(str(error),))
         return record, Pictures(raw=as_photographed(taken), surface=expected.surface)
-    unfit = complaint_on_resuming(change, job) or drift_complaint(measured, job.ridged)
+    unfit = resuming_error(change, job.recipe.limits.drift) or drift_complaint(measured, job.ridged)
     cells, undecided = decision.cells, decision.verdict is Verdict.INCONCLUSIVE
     pictures = Pictures(
         aligned=measured.aligned,
@@ -88,7 +88,7 @@ def judge(
 
 
 def measure_frames(
-    made: JobFile, job: Job, expected: Expectation, taken: Taken
+    made: JobFile, job: Job, expected: Expectation, taken: AcquiredFrames
 ) -> tuple[list[View], Measured, float]:
     """The pose radiances of an inspection's frames, through all gates.
 
@@ -100,10 +100,11 @@ def measure_frames(
     """
     job.calibrations.check_valid(datetime.fromisoformat(made.created_at))
     recipe, pixel_um = job.ridged, job.rig.camera.pixel_um
-    views = views_of(job, expected.poses, taken)
+    guides = (beside_a_mirror,) if recipe.is_wafer else ()
+    views = views_of(job.viewing(guides), expected.poses, taken)
     grid, _ = region_grid(recipe, pixel_um)
     closing, change = most_changed(
-        views, job, lambda view: mean_of(resample(view.image.value, view.placement, grid))
+        views, recipe, pixel_um, lambda view: mean_of(resample(view.image.value, view.placement, grid))
     )
     for view in views.poses:
         job.calibrations.check_place(view.stage_deg, view.placement)

@@ -9,7 +9,7 @@ from typing import Any
 from anisoscope.base.errors import RecordError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.inspection.folder import JOB
-from anisoscope.inspection.frames import read_taken
+from anisoscope.inspection.frames import read_frames
 from anisoscope.inspection.manifest import reopen
 from anisoscope.inspection.pipeline import judge
 from anisoscope.kinds.prints.expectation import PrintExpectation
@@ -69,7 +69,7 @@ def recompute(folder: Path, on_progress: Advance = silent) -> Recomputed:
     else:
         expected = expectation(job.recipe, job.rig.light.angle_deg)
     on_progress("measurement", 0, 1)
-    record, _ = judge(made, job, expected, read_taken(folder, made), on_progress)
+    record, _ = judge(made, job, expected, read_frames(folder, made), on_progress)
     # what an earlier version did not tell is not there to be compared
     old = recorded.model_dump(mode="json", exclude=set(NOT_COMPARED), exclude_unset=True)
     _call_as_now(old, wafer=not isinstance(job.recipe, PrintRecipe) and job.recipe.is_wafer)

@@ -6,8 +6,9 @@ from typing import Any, cast
 
 from anisoscope.decision.decision import Decision
 from anisoscope.imaging.defect_regions import Region
-from anisoscope.imaging.pose_radiance import Measured, View
-from anisoscope.inspection.frames import Shot, Taken
+from anisoscope.imaging.frames import AcquiredFrames, Shot
+from anisoscope.imaging.pose_radiance import Measured
+from anisoscope.imaging.registration.placement import View
 from anisoscope.inspection.job import Job, Role
 from anisoscope.inspection.manifest import JobFile
 from anisoscope.kinds.prints.expectation import PrintExpectation
@@ -122,7 +123,7 @@ def make_record(
     made: JobFile,
     job: Job,
     expected: Expectation | PrintExpectation,
-    taken: Taken,
+    taken: AcquiredFrames,
     *,
     verdict: str,
     reasons: tuple[str, ...],

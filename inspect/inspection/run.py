@@ -11,7 +11,7 @@ from anisoscope.base.errors import CalibrationError, RecordError, RigError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.imaging.linearisation import check_size
 from anisoscope.inspection.folder import new_folder, sweep, tell_to_resume, working_in
-from anisoscope.inspection.frames import check_frames, missing_frames, read_taken
+from anisoscope.inspection.frames import check_frames, missing_frames, read_frames
 from anisoscope.inspection.integrity import listed_files
 from anisoscope.inspection.job import Job, prepare
 from anisoscope.inspection.manifest import JobFile, begin, one_round_more, reopen
@@ -216,7 +216,7 @@ def _decide(
 
 def _judge(made: JobFile, folder: Path, job: Job, ready: "Ready", advance: Advance) -> Judged:
     advance("measurement", 0, 1)
-    taken, final = read_taken(folder, made), _is_last_round(made, job)
+    taken, final = read_frames(folder, made), _is_last_round(made, job)
     return judge(made, job, ready.expected, taken, advance, final=final, predict=kept_expectation)
 
 
@@ -277,7 +277,7 @@ def conclude(
     """
     if judged is None:
         advance("measurement", 0, 1)
-        taken = read_taken(folder, made)
+        taken = read_frames(folder, made)
         judged = judge(made, job, ready.expected, taken, advance, predict=kept_expectation)
     record, pictures = judged
     advance("report", 0, 1)

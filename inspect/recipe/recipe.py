@@ -214,7 +214,21 @@ class RegionPart(Part):
     size_mm: tuple[Positive, Positive]
 
 
-class DecisionPart(Part):
+class DecisionBase(Part):
+    """How a part of any kind is judged.
+
+    ``alpha`` is the level of significance; ``deviation`` says what a significant deviation within the tolerance does;
+    the guard band is ``coverage`` standard uncertainties wide. What is INCONCLUSIVE is photographed up to ``remeasure``
+    times more.
+    """
+
+    alpha: Annotated[float, Field(gt=0.0, lt=0.5)] = 0.01
+    deviation: Literal["warn", "fail"] = "warn"
+    coverage: Positive = 1.645
+    remeasure: Annotated[int, Field(ge=0, le=9)] = 1
+
+
+class DecisionPart(DecisionBase):
     """How contrasts are judged.
 
     ``tolerance`` is the largest deviation |measured − predicted| of a good part, one number for all pairs or
@@ -225,10 +239,6 @@ class DecisionPart(Part):
 
     contrast: ContrastKind = "log_ratio"
     tolerance: Positive | tuple[Positive, ...] | None = None
-    alpha: Annotated[float, Field(gt=0.0, lt=0.5)] = 0.01
-    deviation: Literal["warn", "fail"] = "warn"
-    coverage: Positive = 1.645
-    remeasure: Annotated[int, Field(ge=0, le=9)] = 1
 
 
 class AreaPart(Part):
@@ -253,11 +263,8 @@ class LimitsPart(Part):
     min_signal_share: Share = 0.01
 
 
-class RigUncertainty(Part):
-    """Standard uncertainties of the rig that one inspection cannot see.
-
-    ``tilt_deg`` is of the zero of the tilt; ``etch_…`` are of good wafers: depth of the passes, width of features.
-    """
+class CommonUncertainty(Part):
+    """Standard uncertainties of the rig that one inspection of any kind of part cannot see."""
 
     light_angle_deg: NotNegative = 0.1
     stage_deg: NotNegative = 0.05
@@ -266,26 +273,42 @@ class RigUncertainty(Part):
     scale_share: NotNegative = 0.02
     linearity_share: NotNegative = 0.001
     stray_radiance: NotNegative = 0.0003
+
+
+class RigUncertainty(CommonUncertainty):
+    """Standard uncertainties of the rig that one inspection cannot see.
+
+    ``tilt_deg`` is of the zero of the tilt; ``etch_…`` are of good wafers: depth of the passes, width of features.
+    """
+
     height_map_share: NotNegative = 0.01
     tilt_deg: NotNegative = 0.0
     etch_depth_nm: NotNegative = 1.0
     etch_width_nm: NotNegative = 20.0
 
 
-class Recipe(Part):
-    """A recipe, as read from its TOML file."""
+class RecipeBase(Part):
+    """What the recipes of all kinds of parts have in common; a kind adds its own tables, and may narrow these."""
 
     schema_version: Annotated[Literal[1], Field(alias="schema")]
+    kind: str | None = None
     product: Annotated[str, Field(min_length=1, max_length=200)]
     version: Annotated[int, Field(ge=1)] = 1
-    surface: SurfacePart
-    material: MaterialPart
     poses: PosesPart = PosesPart()
     acquisition: AcquisitionPart
     region: RegionPart
+    decision: DecisionBase = DecisionBase()
+    limits: LimitsPart = LimitsPart()
+    uncertainty: CommonUncertainty = CommonUncertainty()
+
+
+class Recipe(RecipeBase):
+    """A recipe, as read from its TOML file."""
+
+    surface: SurfacePart
+    material: MaterialPart
     decision: DecisionPart = DecisionPart()
     area: AreaPart | None = AreaPart()
-    limits: LimitsPart = LimitsPart()
     uncertainty: RigUncertainty = RigUncertainty()
     light: LightPart | None = None
 

@@ -10,12 +10,12 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.calibration.record import CalibrationRecord, Kind
+from anisoscope.kinds.prints.report_sections import PrintPictures, print_parts, print_rule
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.record.schema import BudgetRecord, CauseRecord, Record
 from anisoscope.report import figures
 from anisoscope.report.page import ready_template, write_page
 from anisoscope.report.peers import Lot, Peers, among
-from anisoscope.report.print_sections import PrintPictures, print_parts, print_rule
 from anisoscope.report.provenance import calibrations_of, files_of, groups_of
 from anisoscope.report.rule import NAMES, PRECEDENCE, UNITS, deviation_decides, level_of, rule_of
 from anisoscope.report.surface_view import Picture3D, SurfacePictures, SurfaceView, flat_drawings, viewer_of

@@ -19,10 +19,10 @@ import pytest
 
 from anisoscope.cli.demo.folder import FIXTURE
 from anisoscope.decision.decision import decide
+from anisoscope.imaging.frames import AcquiredFrames, Shot
 from anisoscope.imaging.linearisation import HOT_PIXEL_SIGMA, SATURATION_SHARE, WhiteReference
 from anisoscope.imaging.pose_radiance import region_grid
 from anisoscope.imaging.registration.placement import locate, resample
-from anisoscope.inspection.frames import Shot, Taken
 from anisoscope.inspection.job import Job
 from anisoscope.inspection.manifest import JobFile
 from anisoscope.inspection.pipeline import measure_frames
@@ -80,7 +80,7 @@ def frames(expected, rng):
         shots += [shot(scene, rng, "sample", angle, again) for _ in range(2)]
     shots += [shot(np.zeros_like(shade), rng, "dark", 0.0, False) for _ in range(2)]
     flat = WhiteReference((white * per_radiance / EXPOSURE_S).astype(np.float32), white, "X", "", 0.99, "0")
-    return Taken(tuple(shots), "X", "benchmark"), flat
+    return AcquiredFrames(tuple(shots), "X", "benchmark"), flat
 
 
 def shot(scene, rng, kind, angle, again):
@@ -262,7 +262,10 @@ def alone(folder):
         )
         shots.append(Shot(str(number), "0" * 64, frame, Pose(angle, 0.0), again, 1, check=False))
     flat = WhiteReference(np.load(folder / "flat.npy"), radiance, "X", "", 0.99, "0")
-    taken, expected = Taken(tuple(shots), "X", "benchmark"), expectation(Recipe.model_validate(RECIPE), 10.0)
+    taken, expected = (
+        AcquiredFrames(tuple(shots), "X", "benchmark"),
+        expectation(Recipe.model_validate(RECIPE), 10.0),
+    )
     before_mb = memory_mb("VmRSS")
     _, decision = judged(taken, flat, expected)
     peak_mb = memory_mb("VmHWM")

@@ -156,7 +156,7 @@ def _cause_line(cause: "CauseRecord") -> str:
 
 def _print_quantities(record: "Record") -> None:
     """What was judged of a print."""
-    from anisoscope.report.print_sections import quantity_row
+    from anisoscope.kinds.prints.report_sections import quantity_row
 
     assert record.print is not None
     rows = [quantity_row(one) for one in record.print.quantities]

@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import RegistrationError, RigFileError
+from anisoscope.imaging.linearisation import RadianceImage
 from anisoscope.imaging.registration.markers import (
     Agreed,
     agree,
@@ -61,6 +62,16 @@ class Placement:
     def homography(self) -> FloatArray:
         """(3, 3) map from sample millimetres to (column, row, 1), up to a factor."""
         return np.vstack([self.matrix, [*self.perspective, 1.0]])
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One pose as photographed: picture, place of the fixture, commanded angle."""
+
+    stage_deg: float
+    tilt_deg: float
+    image: RadianceImage
+    placement: Placement
 
 
 def check_fixture(fixture: Fixture) -> None:

@@ -7,10 +7,10 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.errors import RegistrationError
+from anisoscope.base.parallel import for_each
 from anisoscope.imaging.linearisation import RadianceImage
-from anisoscope.imaging.pose_radiance import View, for_each
 from anisoscope.imaging.registration.edges import Seen, place_by_edges
-from anisoscope.imaging.registration.placement import Placement, locate
+from anisoscope.imaging.registration.placement import Placement, View, locate
 from anisoscope.rig.fixture import Fixture
 
 

@@ -12,8 +12,7 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import MeasurementError, RegistrationError, Saturated
-from anisoscope.imaging.pose_radiance import View
-from anisoscope.imaging.registration.placement import Grid
+from anisoscope.imaging.registration.placement import Grid, View
 from anisoscope.kinds.prints.recipe import PrintRecipe
 from anisoscope.kinds.prints.sources import Source, of_each, of_poses
 from anisoscope.rig.bayer import CHANNELS, channel_of_pixels

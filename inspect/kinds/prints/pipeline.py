@@ -8,10 +8,11 @@ import numpy as np
 from anisoscope.base.errors import AnisoscopeError, CameraError, MeasurementError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.diagnosis.part_diagnosis import diagnosis_record
-from anisoscope.imaging.pose_radiance import View, check_light, check_view
+from anisoscope.imaging.frames import AcquiredFrames
+from anisoscope.imaging.pose_radiance import check_light, check_view
 from anisoscope.imaging.quality_gates import check_views
-from anisoscope.imaging.views import as_photographed, complaint_on_resuming, most_changed, views_of
-from anisoscope.inspection.frames import Taken
+from anisoscope.imaging.registration.placement import View
+from anisoscope.imaging.views import as_photographed, most_changed, resuming_error, views_of
 from anisoscope.inspection.job import Job
 from anisoscope.inspection.manifest import JobFile
 from anisoscope.inspection.record_builder import make_record
@@ -23,18 +24,18 @@ from anisoscope.kinds.prints.measurement import MeasuredPrint, measure_print, re
 from anisoscope.kinds.prints.recipe import PrintRecipe
 from anisoscope.kinds.prints.record_builder import nothing_wrong, print_results
 from anisoscope.kinds.prints.reference_prints import GoldenPrints
+from anisoscope.kinds.prints.report_sections import PrintPictures
 from anisoscope.kinds.prints.stationary_artifacts import check_print_dirt
 from anisoscope.record.schema import DiagnosisRecord, Record
 from anisoscope.record.verdict import Verdict
 from anisoscope.report.inspection_page import Pictures
-from anisoscope.report.print_sections import PrintPictures
 
 
 def judge_print(
     made: JobFile,
     job: Job,
     expected: PrintExpectation,
-    taken: Taken,
+    taken: AcquiredFrames,
     advance: Advance = silent,
     *,
     final: bool = True,
@@ -48,7 +49,7 @@ def judge_print(
     except (MeasurementError, CameraError) as error:
         record = make_record(made, job, expected, taken, verdict="INVALID", reasons=(str(error),))
         return record, Pictures(raw=as_photographed(taken))
-    unfit = complaint_on_resuming(change, job) or _drift_complaint(measured, recipe)
+    unfit = resuming_error(change, recipe.limits.drift) or _drift_complaint(measured, recipe)
     undecided = decision.verdict is Verdict.INCONCLUSIVE
     lacking = job.golden_prints and job.golden_prints.lacking
     names = (lamp_and_sensitivities(job.rig)[1].name, taken.filters)
@@ -77,7 +78,7 @@ def _known_good(job: Job) -> GoldenPrints | None:
 
 
 def _measured(
-    made: JobFile, job: Job, recipe: PrintRecipe, expected: PrintExpectation, taken: Taken
+    made: JobFile, job: Job, recipe: PrintRecipe, expected: PrintExpectation, taken: AcquiredFrames
 ) -> tuple[list[View], MeasuredPrint, float]:
     """Channels of the poses through all gates; views, measurement, and the change on resuming.
 
@@ -86,8 +87,10 @@ def _measured(
     """
     job.calibrations.check_valid(datetime.fromisoformat(made.created_at))
     check_filters(taken.filters, taken.camera, job.white.filters)
-    views = views_of(job, expected.poses, taken)
-    closing, change = most_changed(views, job, lambda view: region_mean(view, recipe, taken.filters))
+    views = views_of(job.viewing(), expected.poses, taken)
+    closing, change = most_changed(
+        views, recipe, job.rig.camera.pixel_um, lambda view: region_mean(view, recipe, taken.filters)
+    )
     for view in [*views.poses, *([closing] if closing else [])]:
         check_light(view.stage_deg, view.image, recipe)
         # a tilted arm looks from elsewhere: within a tilt only must the centre stay where it is

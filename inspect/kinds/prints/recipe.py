@@ -2,18 +2,17 @@
 
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
 from anisoscope.base.errors import ModelError, RecipeError
 from anisoscope.base.toml_file import NameOrFile, NotNegative, Part, Positive, Share, read_toml_model
 from anisoscope.recipe.recipe import (
-    AcquisitionPart,
-    LimitsPart,
+    CommonUncertainty,
     PosesPart,
     Recipe,
-    RegionPart,
+    RecipeBase,
     is_print,
     read_recipe,
 )
@@ -128,15 +127,6 @@ class PrintTolerances(Part):
     curl_deg: Positive = 0.5
 
 
-class PrintDecision(Part):
-    """How a print is judged; keys as of ridged parts."""
-
-    alpha: Annotated[float, Field(gt=0.0, lt=0.5)] = 0.01
-    deviation: Literal["warn", "fail"] = "warn"
-    coverage: Positive = 1.645
-    remeasure: Annotated[int, Field(ge=0, le=9)] = 1
-
-
 class PrintArea(Part):
     """The map of local colour differences: square cells, each against the whole region.
 
@@ -149,7 +139,7 @@ class PrintArea(Part):
     max_share: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.01
 
 
-class PrintUncertainty(Part):
+class PrintUncertainty(CommonUncertainty):
     """Standard uncertainties of the rig that one inspection cannot see.
 
     ``scale_share``: of the white tile's reflectance. ``channel_share``: of a colour channel against the others, from
@@ -157,33 +147,20 @@ class PrintUncertainty(Part):
     sums over wavelengths.
     """
 
-    light_angle_deg: NotNegative = 0.1
-    stage_deg: NotNegative = 0.05
     tilt_deg: NotNegative = 0.03
     tilt_zero_deg: NotNegative = 0.05
-    seating_tilt_deg: NotNegative = 0.1
-    flat_share: NotNegative = 0.002
     scale_share: NotNegative = 0.005
     channel_share: NotNegative = 0.002
-    linearity_share: NotNegative = 0.001
-    stray_radiance: NotNegative = 0.0003
     model_share: NotNegative = 0.003
 
 
-class PrintRecipe(Part):
+class PrintRecipe(RecipeBase):
     """The recipe of a print, as read from its TOML file."""
 
-    schema_version: Annotated[Literal[1], Field(alias="schema")]
-    product: Annotated[str, Field(min_length=1, max_length=200)]
-    version: Annotated[int, Field(ge=1)] = 1
     print: PrintPart
     poses: PrintPoses = PrintPoses()
-    acquisition: AcquisitionPart
-    region: RegionPart
     tolerances: PrintTolerances = PrintTolerances()
-    decision: PrintDecision = PrintDecision()
     area: PrintArea | None = PrintArea()
-    limits: LimitsPart = LimitsPart()
     uncertainty: PrintUncertainty = PrintUncertainty()
 
     @model_validator(mode="after")

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.imaging.pose_radiance import View
+from anisoscope.imaging.registration.placement import View
 from anisoscope.kinds.prints.colour_map import PrintMap, Spot
 from anisoscope.kinds.prints.decision import NOT_JUDGED, PrintDecision
 from anisoscope.kinds.prints.expectation import PrintExpectation

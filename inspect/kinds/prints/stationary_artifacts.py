@@ -11,8 +11,7 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import CalibrationError
-from anisoscope.imaging.pose_radiance import View
-from anisoscope.imaging.registration.placement import angle_between
+from anisoscope.imaging.registration.placement import View, angle_between
 from anisoscope.kinds.prints.colour import Eye
 from anisoscope.kinds.prints.recipe import PrintRecipe
 from anisoscope.kinds.prints.spot_area import fours_of

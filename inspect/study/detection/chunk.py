@@ -29,8 +29,8 @@ from anisoscope.base.errors import MeasurementError
 from anisoscope.calibration.white_reference import make_reference
 from anisoscope.decision.decision import Decision, decide
 from anisoscope.imaging.linearisation import RadianceImage, Stack, WhiteReference, linearise, stack
-from anisoscope.imaging.pose_radiance import View, drift_complaint, measure
-from anisoscope.imaging.registration.placement import Placement
+from anisoscope.imaging.pose_radiance import drift_complaint, measure
+from anisoscope.imaging.registration.placement import Placement, View
 from anisoscope.profiles.defects_contact import edge_wear
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign, ridges

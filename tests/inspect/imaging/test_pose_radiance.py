@@ -8,8 +8,8 @@ import pytest
 
 from anisoscope.base.errors import MeasurementError, RegistrationError, Saturated
 from anisoscope.imaging.linearisation import RadianceImage
-from anisoscope.imaging.pose_radiance import View, drift_complaint, measure, region_grid
-from anisoscope.imaging.registration.placement import Placement
+from anisoscope.imaging.pose_radiance import drift_complaint, measure, region_grid
+from anisoscope.imaging.registration.placement import Placement, View
 from anisoscope.prediction.expectation import expectation
 
 SIZE = 200

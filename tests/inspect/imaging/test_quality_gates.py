@@ -9,7 +9,6 @@ import pytest
 
 from anisoscope.base.errors import CalibrationError, MeasurementError, RegistrationError
 from anisoscope.imaging.linearisation import RadianceImage
-from anisoscope.imaging.pose_radiance import View
 from anisoscope.imaging.quality_gates import (
     check_dirt,
     check_ridges,
@@ -19,7 +18,7 @@ from anisoscope.imaging.quality_gates import (
     check_views,
     find_ridges,
 )
-from anisoscope.imaging.registration.placement import Grid, Placement
+from anisoscope.imaging.registration.placement import Grid, Placement, View
 
 SIZE, PIXEL_UM, PITCH_UM = 240, 8.0, 100.0
 GRID = Grid((0.0, 0.0), PITCH_UM / 12 / 1000, (120, 120))

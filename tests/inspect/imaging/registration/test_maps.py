@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import RegistrationError
-from anisoscope.imaging.registration.height_map import place_map, render
+from anisoscope.imaging.height_map_place import place_map, render
 from anisoscope.imaging.registration.placement import Grid, Placement, resample
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges

@@ -5,8 +5,7 @@ import pytest
 
 from anisoscope.base.errors import MeasurementError, RegistrationError, Saturated
 from anisoscope.imaging.linearisation import RadianceImage
-from anisoscope.imaging.pose_radiance import View
-from anisoscope.imaging.registration.placement import Placement
+from anisoscope.imaging.registration.placement import Placement, View
 from anisoscope.kinds.prints.measurement import cell_grid, measure_print, region_mean
 from anisoscope.rig.bayer import channel_of_pixels
 

@@ -7,15 +7,14 @@ import pytest
 
 from anisoscope.diagnosis.part_diagnosis import diagnosis_record
 from anisoscope.imaging.linearisation import RadianceImage
-from anisoscope.imaging.pose_radiance import View
-from anisoscope.imaging.registration.placement import Placement
+from anisoscope.imaging.registration.placement import Placement, View
 from anisoscope.kinds.prints.causes import explain_print
 from anisoscope.kinds.prints.model import State
 from anisoscope.kinds.prints.pipeline import _pictures
 from anisoscope.kinds.prints.record_builder import print_results
+from anisoscope.kinds.prints.report_sections import print_rule, quantity_row
 from anisoscope.record.schema import Record
 from anisoscope.report.inspection_page import Pictures, write_report
-from anisoscope.report.print_sections import print_rule, quantity_row
 
 RIG = {
     "name": "rig <b>",

@@ -8,8 +8,7 @@ import pytest
 
 from anisoscope.base.errors import CalibrationError
 from anisoscope.imaging.linearisation import RadianceImage
-from anisoscope.imaging.pose_radiance import View
-from anisoscope.imaging.registration.placement import Placement
+from anisoscope.imaging.registration.placement import Placement, View
 from anisoscope.kinds.prints.stationary_artifacts import check_print_dirt
 from anisoscope.rig.bayer import channel_of_pixels
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from anisoscope.imaging.height_map_place import match_map, render
 from anisoscope.imaging.pose_radiance import Measured
-from anisoscope.imaging.registration.height_map import match_map, render
 from anisoscope.imaging.registration.placement import Grid
 from anisoscope.prediction.expectation import Expectation
 from anisoscope.profiles.files.load import write_height_map

@@ -114,8 +114,8 @@ def difference_map(
         center_mm: (x, y) of its middle.
         spots: places that deviate, to be numbered from 1.
     """
-    from matplotlib.patheffects import withStroke
-    from matplotlib.transforms import Affine2D
+    from matplotlib.patheffects import withStroke  # noqa: PLC0415 - heavy
+    from matplotlib.transforms import Affine2D  # noqa: PLC0415 - heavy
 
     with new_map_figure(size_mm) as (figure, axes, bar):
         extent = _extent(size_mm, center_mm)

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.kinds.prints import report_figures
 from anisoscope.kinds.prints.record import (
     MOST_SPOTS,
     RELATIVE,
@@ -17,7 +18,6 @@ from anisoscope.kinds.prints.record import (
     SpotRecord,
 )
 from anisoscope.record.schema import Record
-from anisoscope.report import print_figures
 from anisoscope.report.peers import among
 from anisoscope.sim.light.colour.spaces import hexadecimal
 
@@ -96,8 +96,8 @@ def print_parts(record: Record, pictures: PrintPictures | None) -> Mapping[str, 
         "quantity_rows": tuple(map(quantity_row, found.quantities)),
         "sources": _sources(record, told),
         "print_labels": [one.title for one in told],
-        "lobe_chart": print_figures.lobe_chart(found.colours),
-        "quantity_chart": print_figures.quantity_chart(found.quantities),
+        "lobe_chart": report_figures.lobe_chart(found.colours),
+        "quantity_chart": report_figures.quantity_chart(found.quantities),
         "print_maps": ()
         if pictures is None
         else _maps(pictures, () if found.map is None else found.map.spots),
@@ -118,7 +118,7 @@ def _golden_strip(golden: GoldenPrintsRecord) -> str:
 def _patches(colours: tuple[ColourRecord, ...], pictures: PrintPictures) -> tuple[Patch, ...]:
     rows = zip(colours, pictures.seen, pictures.measured, pictures.predicted, strict=True)
     return tuple(
-        Patch(one, print_figures.cells_picture(cells), hexadecimal(seen), hexadecimal(wanted))
+        Patch(one, report_figures.cells_picture(cells), hexadecimal(seen), hexadecimal(wanted))
         for one, cells, seen, wanted in rows
     )
 
@@ -130,17 +130,17 @@ def _maps(pictures: PrintPictures, spots: tuple[SpotRecord, ...]) -> tuple[tuple
     size, center = pictures.size_mm, pictures.center_mm
     return (
         (
-            print_figures.difference_map(pictures.local, pictures.deviating, size, center, spots),
+            report_figures.difference_map(pictures.local, pictures.deviating, size, center, spots),
             "Against the rest of the region: ΔE2000 of the worst pose; outlined what deviates, numbers as in the table",
             "Map of colour differences of cells against the whole region",
         ),
         (
-            print_figures.difference_map(pictures.total, None, size, center),
+            report_figures.difference_map(pictures.total, None, size, center),
             "Against the prediction: ΔE2000 of the worst pose",
             "Map of colour differences of cells against the prediction",
         ),
         (
-            print_figures.lean_map(pictures.lean_deg, size, center),
+            report_figures.lean_map(pictures.lean_deg, size, center),
             "How the flakes lean, against the whole region; an arrow that reaches the next one: the end of the scale",
             "Map of the tilt of the flakes",
         ),
