@@ -57,6 +57,7 @@ app.command("anisoscope.cli.recipe.golden:app", name="golden", group=_parts)
 app.command("anisoscope.cli.profile.profile:app", name="profile", group=_parts)
 app.command("anisoscope.cli.rig.calibrate:app", name="calibrate", group=_parts)
 app.command("anisoscope.cli.rig.rig:app", name="rig", group=_parts)
+app.command("anisoscope.cli.cache.cache:app", name="cache", group=_parts)
 
 
 def _version() -> str:

@@ -1,6 +1,6 @@
 """In words, what would tell causes apart that look alike; of wafers, as it is computed (`telling`) and kept.
 
-What is computed belongs to the recipe and the rig's light angle, not to a part: it lies in the folder of `remembering`.
+What is computed belongs to the recipe and the rig's light angle, not to a part: it is cached.
 
 What would tell causes of a wafer apart that look alike in a recipe's poses: computed by its model, not guessed.
 
@@ -12,19 +12,16 @@ uncertain, to second order of every input by itself; the scale of a second lamp 
 known there.
 """
 
-import contextlib
 import hashlib
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from importlib.metadata import version
+from typing import Any
 
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.base.atomic_write import write_text
-from anisoscope.base.cache import cache_folder, sources_digest
-from anisoscope.base.errors import RecordError
+from anisoscope.base.cache import Cache
 from anisoscope.base.progress import Advance, silent
 from anisoscope.diagnosis.causes import Cause
 from anisoscope.diagnosis.ranking import NOTHING, Diagnosis
@@ -243,15 +240,6 @@ def listed(values: Sequence[float], unit: str = "") -> str:
     return told[0] if len(told) == 1 else f"{', '.join(told[:-1])} and {told[-1]}"
 
 
-_FORMAT = 1
-_SOURCES = (
-    "anisoscope.diagnosis",
-    "anisoscope.prediction.expectation",
-    "anisoscope.prediction.recipe_models",
-    "anisoscope.prediction",
-    "anisoscope.profiles",
-    "anisoscope.sim.light",
-)
 KINDS = ("angles", "tilt", "lamp")
 
 
@@ -259,27 +247,27 @@ def remembered_options(
     recipe: Recipe, light_angle_deg: float, names: Sequence[str], advance: Advance = silent
 ) -> tuple[Option, ...]:
     """What would tell causes of a wafer apart, computed once; arguments and errors as for `telling.wafer_options`."""
-    path = cache_folder() / "options" / f"{_key(recipe, light_angle_deg, names)}.json"
-    with contextlib.suppress(OSError, KeyError, ValueError, TypeError):  # missing or damaged: computed again
-        return tuple(Option(**one) for one in json.loads(path.read_text(encoding="utf-8")))
-    found = wafer_options(recipe, light_angle_deg, names, advance)
-    with contextlib.suppress(OSError, RecordError):  # no place to keep them: the next one computes them again
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_text(path, json.dumps([vars(one) for one in found]))
-    return found
+    given = _given(recipe, light_angle_deg, names)
+    return (
+        Cache()
+        .entry("advice", given, __name__)
+        .result(
+            lambda: wafer_options(recipe, light_angle_deg, names, advance),
+            lambda found: json.dumps([vars(one) for one in found]).encode(),
+            lambda content: tuple(Option(**one) for one in json.loads(content)),
+        )
+    )
 
 
-def _key(recipe: Recipe, light_angle_deg: float, names: Sequence[str]) -> str:
+def _given(recipe: Recipe, light_angle_deg: float, names: Sequence[str]) -> dict[str, Any]:
+    """All that options are computed from."""
     surface = recipe.surface.height_map
-    told = {
-        "format": _FORMAT,
-        "software": [version("anisoscope"), sources_digest(*_SOURCES)],
+    return {
         "recipe": recipe.model_dump(mode="json", exclude={"surface": {"height_map"}}),
         "map": "" if surface is None else hashlib.sha256(surface.read_bytes()).hexdigest(),
         "light_angle_deg": light_angle_deg,
         "names": sorted(names),
     }
-    return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:32]
 
 
 def advice_for(

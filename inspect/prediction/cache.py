@@ -1,44 +1,28 @@
-"""Predictions kept: every part of one recipe on one rig is expected to show the same.
+"""Cache of predictions, keyed by recipe, rig geometry and code version.
 
-The last few are kept in memory, which is what a batch needs. Those from a height map take longer than an inspection
-and are kept on disk as well, in the folder of `diagnosis.remembering`; whatever is in it may be deleted at any time.
-What counts is content: of the recipe, of the height map's file, and of the code that predicts, so that no prediction
-outlives what it was made by. Recomputing an inspection never asks here.
+Every part of one recipe on one rig is predicted alike. The last few predictions stay in memory, which is what a batch
+needs. Those from a height map take longer than an inspection and are cached on disk as well. Recomputing an inspection
+never uses this cache.
 """
 
-import contextlib
 import hashlib
 import io
 import json
 import threading
 from collections import OrderedDict
 from functools import partial
-from importlib.metadata import version
-from zipfile import BadZipFile
+from typing import Any
 
 import numpy as np
 
-from anisoscope.base.atomic_write import write_bytes
-from anisoscope.base.cache import cache_folder, sources_digest
-from anisoscope.base.errors import AnisoscopeError, RecordError
+from anisoscope.base.cache import Cache
 from anisoscope.prediction.expectation import Component, Expectation, expectation, states_of
 from anisoscope.prediction.second_order import Response
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.recipe.recipe import Recipe
 from anisoscope.sim.light.geometry import Convention
 
-FORMAT = 2
 KEPT = 4
-_SOURCES = (
-    "anisoscope.prediction.expectation",
-    "anisoscope.prediction.recipe_models",
-    "anisoscope.prediction.second_order",
-    "anisoscope.prediction",
-    "anisoscope.profiles",
-    "anisoscope.sim.light",
-)
-DAMAGED = (OSError, KeyError, ValueError, TypeError, EOFError, BadZipFile, AnisoscopeError)
-"""What reading a file that is missing or was cut off ends with."""
 _memory: OrderedDict[str, Expectation] = OrderedDict()
 _lock = threading.Lock()
 
@@ -47,14 +31,15 @@ def kept_expectation(recipe: Recipe, light_angle_deg: float) -> Expectation:
     """What the part should show, predicted once; arguments and errors as for `expectation.expectation`."""
     recipe = recipe.deciding()
     try:
-        key = _key(recipe, light_angle_deg)
+        given = _given(recipe, light_angle_deg)
     except OSError:  # the height map cannot be read: whoever predicts says so
         return expectation(recipe, light_angle_deg)
+    key = json.dumps(given, sort_keys=True)
     with _lock:
         if key in _memory:
             _memory.move_to_end(key)
             return _memory[key]
-    predict = expectation if recipe.surface.height_map is None else partial(_by_disk, key)
+    predict = expectation if recipe.surface.height_map is None else partial(_by_disk, given)
     found = predict(recipe, light_angle_deg)
     with _lock:
         _memory[key] = found
@@ -69,23 +54,23 @@ def forget() -> None:
         _memory.clear()
 
 
-def _by_disk(key: str, recipe: Recipe, light_angle_deg: float) -> Expectation:
+def _by_disk(given: dict[str, Any], recipe: Recipe, light_angle_deg: float) -> Expectation:
     """Read a prediction, or make it and write it."""
-    path = cache_folder() / "predictions" / f"{key}.npz"
-    with contextlib.suppress(*DAMAGED):
-        return _unpacked(path.read_bytes(), recipe, light_angle_deg)
-    found = expectation(recipe, light_angle_deg)
-    with contextlib.suppress(OSError, RecordError):  # no place to keep it: the next one predicts again
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_bytes(path, packed(found))
-    return found
+    return (
+        Cache()
+        .entry("predictions", given, __name__)
+        .result(
+            lambda: expectation(recipe, light_angle_deg),
+            packed,
+            lambda content: _unpacked(content, recipe, light_angle_deg),
+        )
+    )
 
 
-def _key(recipe: Recipe, light_angle_deg: float) -> str:
+def _given(recipe: Recipe, light_angle_deg: float) -> dict[str, Any]:
+    """All that a prediction is computed from."""
     surface = recipe.surface.height_map
-    told = {
-        "format": FORMAT,
-        "software": [version("anisoscope"), np.__version__, _code()],
+    return {
         "surface": recipe.surface.model_dump(mode="json", exclude={"height_map"}),
         "map": surface and [surface.name, hashlib.sha256(surface.read_bytes()).hexdigest()],
         "material": recipe.material.model_dump(mode="json"),
@@ -94,12 +79,6 @@ def _key(recipe: Recipe, light_angle_deg: float) -> str:
         "light": recipe.light and recipe.light.model_dump(mode="json"),
         "light_angle_deg": light_angle_deg,
     }
-    return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:32]
-
-
-def _code() -> str:
-    """Hash of the sources that a prediction comes from."""
-    return sources_digest(*_SOURCES)
 
 
 def packed(found: Expectation) -> bytes:

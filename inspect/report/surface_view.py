@@ -2,7 +2,7 @@
 
 A height map in 3-D, as a still picture and as a scene to turn, drawn in the background in a process of its own.
 
-What was drawn is kept in the cache folder, under a hash of the heights and of what draws them.
+What was drawn is cached by the heights and by what draws them.
 
 The interactive 3-D view of a height map: one document that stands in a sandboxed frame and asks nobody for anything.
 
@@ -11,7 +11,6 @@ the page names, by their hashes; the map itself is a block of text that is never
 """
 
 import base64
-import contextlib
 import hashlib
 import importlib.util
 import io
@@ -24,19 +23,20 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.cache import Cache, Entry
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.report import figures
 
 TIMEOUT_S = 60.0
 MAX_POINTS = 256
 FIELD_UM = 600.0
-DRAWS = "anisoscope.report.relief_scene"
+DRAWS = DRAWN_BY = "anisoscope.report.relief_scene"
+DRAWN_WITH = ("anisoscope", "vtk", "pyvista", "trame-vtk")
 NEEDS = "it needs EGL (Debian: apt-get install libegl1 libgl1-mesa-dri)"
 
 
@@ -65,8 +65,9 @@ class Renderer:
         self._process: subprocess.Popen[bytes] | None = None
         source, self._note = _reduced(height_um, pixel_um)
         self._wanted = ("png", "zip") if interactive else ("png",)
-        self._kept = _kept_at(source)
-        if all(path.is_file() for path in self._kept_files().values()):
+        self._entries = _entries(source, self._wanted)
+        self._cached = {kind: entry.read() for kind, entry in self._entries.items()}
+        if None not in self._cached.values():
             return
         folder = Path(self._folder.name)
         (folder / "map.npz").write_bytes(source)
@@ -88,20 +89,17 @@ class Renderer:
             self.discard()
             raise
 
-    def _kept_files(self) -> dict[str, Path]:
-        return {kind: self._kept.with_suffix(f".{kind}") for kind in self._wanted}
-
     def result(self) -> Picture3D:
         """Wait for the picture, a minute at most."""
         try:
             if self._process is None:
-                found = {kind: _content(path) for kind, path in self._kept_files().items()}
-                return self._told(found, 0)
+                return self._told(self._cached, 0)
             code = self._process.wait(TIMEOUT_S)
             folder = Path(self._folder.name)
             found = {kind: _content(folder / f"map.{kind}") for kind in self._wanted}
-            if code == 0:
-                self._keep(found)
+            for kind, content in found.items():
+                if code == 0 and content is not None:
+                    self._entries[kind].write(content)
             return self._told(found, code)
         except subprocess.TimeoutExpired:
             return Picture3D(None, f"the renderer did not finish in {TIMEOUT_S:g} s")
@@ -114,17 +112,6 @@ class Renderer:
         scene = found.get("zip")
         still = " (a still picture: trame-vtk did not pack it)" if "zip" in found and scene is None else ""
         return Picture3D(found["png"], self._note + still, scene)
-
-    def _keep(self, found: dict[str, bytes | None]) -> None:
-        from anisoscope.base.atomic_write import write_bytes
-        from anisoscope.base.errors import RecordError
-
-        with contextlib.suppress(OSError, RecordError):  # no place to keep them: they are drawn again
-            self._kept.parent.mkdir(parents=True, exist_ok=True)
-            for kind, path in self._kept_files().items():
-                content = found[kind]
-                if content is not None:
-                    write_bytes(path, content)
 
     def discard(self) -> None:
         """End the process if it still runs and forget its files."""
@@ -152,15 +139,13 @@ def _reduced(height_um: FloatArray, pixel_um: tuple[float, float]) -> tuple[byte
     return stream.getvalue(), note
 
 
-def _kept_at(source: bytes) -> Path:
-    """Where the pictures of a map are kept, without a suffix; what draws them belongs to the name."""
-    from anisoscope.base.cache import cache_folder
-
-    digest = hashlib.sha256(source + Path(__file__).with_name("reliefscene.py").read_bytes())
-    for name in ("vtk", "pyvista", "trame-vtk"):
-        with contextlib.suppress(PackageNotFoundError):
-            digest.update(version(name).encode())
-    return cache_folder() / "relief3d" / digest.hexdigest()[:32]
+def _entries(source: bytes, kinds: tuple[str, ...]) -> dict[str, Entry]:
+    """Where the pictures of a map are cached, by kind of file."""
+    drawn = hashlib.sha256(source).hexdigest()
+    return {
+        kind: Cache().entry("height-map-pictures", [drawn, kind], DRAWN_BY, libraries=DRAWN_WITH)
+        for kind in kinds
+    }
 
 
 def _content(path: Path) -> bytes | None:

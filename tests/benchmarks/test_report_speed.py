@@ -96,7 +96,7 @@ def test_the_report_is_there_soon_after_the_verdict(rig, tmp_path):
         times = []
         for number in range(REPEATS):
             if how != "kept":
-                shutil.rmtree(cache / "relief3d", ignore_errors=True)
+                shutil.rmtree(cache / "height-map-pictures", ignore_errors=True)
             seconds, size = one(rig, tmp_path / f"{how} {number}", how, cache)
             times.append(seconds)
         took[how] = min(times)

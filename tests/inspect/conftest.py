@@ -218,7 +218,7 @@ def quick_causes(request, monkeypatch) -> None:
         return
 
     def quick(recipe, light_angle_deg, advance=silent):
-        key = remembering._key(recipe.deciding(), light_angle_deg)
+        key = json.dumps(remembering.signature_key(recipe.deciding(), light_angle_deg), sort_keys=True)
         if key not in QUICK:  # the product keeps them in a file
             names = ("roughness-along", "roughness-across", "colour")
             QUICK[key] = signatures(recipe, light_angle_deg, advance, names)

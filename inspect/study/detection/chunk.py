@@ -1,7 +1,7 @@
 """A chunk of the study: parts that share one camera, photographed, measured and judged as by ``inspect``.
 
 What can be told from radiances alone (significance, diagnosis) is told from what is kept, when the study is evaluated.
-A chunk depends on the seed, the world, the class and its number alone; it is kept in a file, so that a study that was
+A chunk depends on the seed, the world, the class and its number alone; it is cached, so that a study that was
 cut off goes on where it stopped, and a larger one uses what a smaller one made.
 
 A part photographed: cut from its sheet, given its own shape, lobe, seating and lamp, through lens and sensor.
@@ -11,9 +11,7 @@ the lobe: one profile in this state over the nominal one, column by column, exac
 the radiance of the rough surface in that state is checked against the full route in the tests.
 """
 
-import hashlib
 import io
-import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
@@ -24,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.base.atomic_write import write_bytes
+from anisoscope.base.cache import Cache, Entry
 from anisoscope.base.errors import MeasurementError
 from anisoscope.calibration.white_reference import make_reference
 from anisoscope.decision.decision import Decision, decide
@@ -61,12 +59,10 @@ from anisoscope.study.detection.product import (
     recipe_of,
 )
 from anisoscope.study.detection.sheets import (
-    FORMAT,
     POINTS,
     SheetTask,
     cut,
-    make_sheet,
-    read_sheet,
+    sheet_of,
     sheets_of,
 )
 
@@ -314,8 +310,8 @@ def photograph(
 
 
 Row = dict[str, Any]
+Columns = dict[str, npt.NDArray[Any]]
 
-CAMERA = 2  # of chunks that are kept: another simulated camera makes other pictures
 MEASURED_SOURCES = (
     "noise of camera and photons",
     "flicker of the lamp",
@@ -330,31 +326,21 @@ MEASURED_SOURCES = (
 
 @dataclass(frozen=True)
 class ChunkTask:
-    """Which chunk: of which world and class, the how-manieth, how large, seeded how, kept where."""
+    """Which chunk: world, class, number, size, seed, and the folder of its cache."""
 
     world: World
     kind: str
     number: int
     size: Size
     seed: int
-    folder: Path
+    folder: Path | None
     bounces: tuple[float, ...]
 
     @property
-    def path(self) -> Path:
-        """Its file."""
-        told = [
-            FORMAT,
-            CAMERA,
-            self.world,
-            self.kind,
-            self.number,
-            self.seed,
-            asdict(self.size),
-            self.bounces,
-        ]
-        key = hashlib.sha256(json.dumps(told).encode()).hexdigest()[:24]
-        return self.folder / f"chunk-{key}.npz"
+    def entry(self) -> Entry:
+        """Its place in the cache."""
+        given = [self.world, self.kind, self.number, self.seed, asdict(self.size), self.bounces]
+        return Cache(self.folder).entry("detection-chunks", given, __name__)
 
     @property
     def sheet(self) -> SheetTask:
@@ -366,15 +352,25 @@ class ChunkTask:
         )
 
 
-def inspect_chunk(task: ChunkTask) -> Path:
-    """Make a chunk unless it is there; returns its file."""
-    if not task.path.exists():
-        _one_thread()
-        columns = _columns([_flat(row) for row in _inspected(task)])
-        stream = io.BytesIO()
-        np.savez_compressed(stream, allow_pickle=False, **columns)
-        write_bytes(task.path, stream.getvalue())
-    return task.path
+def inspect_chunk(task: ChunkTask) -> Columns:
+    """Columns of a chunk, each (parts, …), made unless they are cached."""
+    return task.entry.result(lambda: _made(task), _packed, _unpacked)
+
+
+def _made(task: ChunkTask) -> Columns:
+    _one_thread()
+    return _columns([_flat(row) for row in _inspected(task)])
+
+
+def _packed(columns: Columns) -> bytes:
+    stream = io.BytesIO()
+    np.savez_compressed(stream, allow_pickle=False, **columns)
+    return stream.getvalue()
+
+
+def _unpacked(content: bytes) -> Columns:
+    with np.load(io.BytesIO(content), allow_pickle=False) as stored:
+        return {name: stored[name] for name in stored.files}
 
 
 def _one_thread() -> None:
@@ -386,13 +382,7 @@ def _one_thread() -> None:
     numba.set_num_threads(1)
 
 
-def read_chunk(path: Path) -> dict[str, npt.NDArray[Any]]:
-    """Columns of a chunk, each (parts, …)."""
-    with np.load(path, allow_pickle=False) as kept:
-        return {name: kept[name] for name in kept.files}
-
-
-def _columns(rows: list[dict[str, Any]]) -> dict[str, npt.NDArray[Any]]:
+def _columns(rows: list[Row]) -> Columns:
     return {name: np.array([row[name] for row in rows]) for name in rows[0]}
 
 
@@ -407,8 +397,7 @@ def _flat(row: Mapping[str, Any], before: str = "") -> dict[str, Any]:
 
 
 def _inspected(task: ChunkTask) -> list[Row]:
-    make_sheet(task.sheet)
-    sheet = read_sheet(task.sheet.path)
+    sheet = sheet_of(task.sheet)
     worlds, kinds = ("same", "other"), (GOOD, *BY_NAME)
     entropy = [task.seed, worlds.index(task.world), kinds.index(task.kind), task.number]
     camera_rng, *parts = np.random.SeedSequence([7, *entropy]).spawn(1 + task.size.chunk)

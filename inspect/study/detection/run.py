@@ -17,11 +17,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.base.atomic_write import write_text
-from anisoscope.base.cache import cache_folder
+from anisoscope.base.cache import Cache
 from anisoscope.base.errors import UsageError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.base.significance import log_basis
@@ -33,7 +31,7 @@ from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.recipe.recipe import Recipe
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import directions
-from anisoscope.study.detection.chunk import ChunkTask, inspect_chunk, read_chunk
+from anisoscope.study.detection.chunk import ChunkTask, Columns, inspect_chunk
 from anisoscope.study.detection.diagnosis import signatures_of
 from anisoscope.study.detection.lobes import lobes_of
 from anisoscope.study.detection.product import (
@@ -55,7 +53,7 @@ from anisoscope.study.detection.product import (
     recipe_of,
 )
 from anisoscope.study.detection.results import results_of
-from anisoscope.study.detection.sheets import FORMAT, bounces_of, make_sheet, sheet_tasks
+from anisoscope.study.detection.sheets import bounces_of, prepare_sheet, sheet_tasks
 from anisoscope.study.sweep import Workers, sweep
 
 SHAPES = ("ridge-angle", "roughness")
@@ -154,8 +152,6 @@ def area_of(sigmas: float, contrasts: int) -> float:
     return float(np.mean(ncx2.sf(chi2.ppf(levels, contrasts), contrasts, max(sigmas, 1e-6) ** 2)))
 
 
-Columns = dict[str, npt.NDArray[Any]]
-
 LEAST_PARTS = 20
 
 
@@ -170,7 +166,7 @@ class Plan:
         defective: parts of every class of defects.
         seed: of everything random.
         size: of parts and frames.
-        folder: where sheets and chunks are kept.
+        folder: where sheets and chunks are cached without a limit; None is the user's cache.
     """
 
     worlds: tuple[World, ...]
@@ -179,7 +175,7 @@ class Plan:
     defective: int
     seed: int = 1
     size: Size = field(default_factory=Size)
-    folder: Path = field(default_factory=lambda: cache_folder() / "detection")
+    folder: Path | None = None
 
     def __post_init__(self) -> None:
         if self.parts < 2 * LEAST_PARTS or self.defective < 1:
@@ -195,28 +191,30 @@ class Plan:
 
 
 def collect(plan: Plan, workers: Workers, advance: Advance = silent) -> dict[World, dict[str, Columns]]:
-    """Make all parts that are not kept yet, and return what was seen of them, by world and class.
+    """Make all parts that are not cached yet, and return what was seen of them, by world and class.
 
     Raises:
-        RecordError: the folder cannot be written.
+        RecordError: the plan's folder cannot be written.
         SweepError: a process failed.
     """
-    plan.folder.mkdir(parents=True, exist_ok=True)
     for name in RECIPES:
         advance(f"signatures of the {name} recipe", 0, 1)
         signatures_of(name, plan.size)
         if "same" in plan.worlds:
             signatures_of(name, plan.size, stated=True)
     sheets = sheet_tasks(plan.worlds, plan.size, plan.seed, plan.folder)
-    sweep(make_sheet, sheets, workers, advance=advance, doing="surfaces")
+    sweep(prepare_sheet, sheets, workers, advance=advance, doing="surfaces")
     bounces = {world: _bounces(plan, world, workers, advance) for world in plan.worlds}
     tasks = chunk_tasks(plan, bounces)
-    sweep(inspect_chunk, tasks, workers, advance=advance, doing="parts")
+    chunks = dict(
+        zip(tasks, sweep(inspect_chunk, tasks, workers, advance=advance, doing="parts"), strict=True)
+    )
     found: dict[World, dict[str, Columns]] = {world: {} for world in plan.worlds}
     for world in plan.worlds:
         for kind, count in plan.counts.items():
-            chunks = [task for task in tasks if (task.world, task.kind) == (world, kind)]
-            found[world][kind] = _joined(sorted(chunks, key=lambda task: task.number), count)
+            own = [task for task in tasks if (task.world, task.kind) == (world, kind)]
+            own.sort(key=lambda task: task.number)
+            found[world][kind] = _joined([chunks[task] for task in own], count)
     return found
 
 
@@ -224,16 +222,20 @@ def _bounces(plan: Plan, world: World, workers: Workers, advance: Advance) -> di
     kinds = [GOOD, *(kind.name for kind in CLASSES)]
     if world == "same":
         return dict.fromkeys(kinds, ())
-    path = _reflections(plan)
-    if not path.exists():
+
+    def traced() -> dict[str, tuple[float, ...]]:
         values = sweep(bounces_of, kinds, workers, advance=advance, doing="reflections")
-        told = {kind: [float(v) for v in value] for kind, value in zip(kinds, values, strict=True)}
-        write_text(path, json.dumps(told))
-    return {kind: tuple(values) for kind, values in json.loads(path.read_text(encoding="utf-8")).items()}
+        return {kind: tuple(float(one) for one in value) for kind, value in zip(kinds, values, strict=True)}
 
-
-def _reflections(plan: Plan) -> Path:
-    return plan.folder / f"reflections-{FORMAT}.json"
+    return (
+        Cache(plan.folder)
+        .entry("detection-reflections", kinds, bounces_of.__module__)
+        .result(
+            traced,
+            lambda found: json.dumps(found).encode(),
+            lambda content: {kind: tuple(values) for kind, values in json.loads(content).items()},
+        )
+    )
 
 
 def chunk_tasks(plan: Plan, bounces: dict[World, dict[str, tuple[float, ...]]]) -> list[ChunkTask]:
@@ -252,8 +254,7 @@ def chunk_tasks(plan: Plan, bounces: dict[World, dict[str, tuple[float, ...]]]) 
     return [task for _, task in sorted(tasks, key=lambda pair: pair[0])]
 
 
-def _joined(tasks: Sequence[ChunkTask], count: int) -> Columns:
-    chunks = [read_chunk(task.path) for task in tasks]
+def _joined(chunks: Sequence[Columns], count: int) -> Columns:
     names = [name for name in chunks[0] if all(name in chunk for chunk in chunks)]
     return {name: np.concatenate([chunk[name] for chunk in chunks])[:count] for name in names}
 
@@ -280,7 +281,7 @@ def told_study(plan: Plan, workers: Workers, advance: Advance = silent) -> dict[
     told = sweep(_evaluated, tasks, workers, advance=advance, doing="evaluation")
     for (world, name), results in zip(steps, told, strict=True):
         found["worlds"].setdefault(world, {})[name] = results
-    found["other_world"] = _of_other_world(plan)
+    found["other_world"] = _of_other_world(plan, workers, advance)
     found["outlook"] = outlook()
     found["notes"] = notes_of(plan)
     clean: dict[str, Any] = without_nan(found)
@@ -291,11 +292,11 @@ def _evaluated(task: tuple[World, dict[str, Columns], RecipeName, Size]) -> dict
     return results_of(*task)
 
 
-def _of_other_world(plan: Plan) -> dict[str, Any] | None:
+def _of_other_world(plan: Plan, workers: Workers, advance: Advance) -> dict[str, Any] | None:
     if "other" not in plan.worlds:
         return None
     lobes = lobes_of("other")
-    reflected = json.loads(_reflections(plan).read_text(encoding="utf-8"))
+    reflected = _bounces(plan, "other", workers, advance)
     share = np.array(reflected[GOOD]) / expected_of("tilted", plan.size).radiance
     return {
         "ggx": asdict(lobes.smooth),

@@ -5,9 +5,7 @@ cut, a part gets another piece of surface. What is the same all along a ridge (a
 roughness of the lobe, seating, lamp) is put in afterwards (`detection_pictures`).
 """
 
-import hashlib
 import io
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.base.atomic_write import write_bytes
+from anisoscope.base.cache import Cache, Entry
 from anisoscope.profiles.defects import burrs
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
@@ -40,7 +38,6 @@ from anisoscope.study.detection.product import (
     expected_of,
 )
 
-FORMAT = 1  # part of the keys of everything that is kept
 POINTS = 25  # a pitch, each way, of what is kept; facets are half as wide
 CORRELATION_UM = 8.0
 CHANGED_UM = 0.05
@@ -72,22 +69,21 @@ class Sheet:
 
 @dataclass(frozen=True)
 class SheetTask:
-    """Which sheet: of which world and class, the how-manieth, how large, seeded how, kept where."""
+    """Which sheet: world, class, number, size, seed, and the folder of its cache."""
 
     world: World
     kind: str
     number: int
     size: Size
     seed: int
-    folder: Path
+    folder: Path | None = None
 
     @property
-    def path(self) -> Path:
-        """Its file."""
-        told: list[object] = [FORMAT, self.world, self.kind, self.number, self.seed]
-        told += [self.size.ridges, self.size.pitches, self.size.sheets]
-        key = hashlib.sha256(json.dumps(told).encode()).hexdigest()[:24]
-        return self.folder / f"sheet-{key}.npz"
+    def entry(self) -> Entry:
+        """Its place in the cache."""
+        given: list[object] = [self.world, self.kind, self.number, self.seed]
+        given += [self.size.ridges, self.size.pitches, self.size.sheets]
+        return Cache(self.folder).entry("detection-sheets", given, __name__)
 
 
 def sheets_of(kind: str, size: Size) -> int:
@@ -95,7 +91,7 @@ def sheets_of(kind: str, size: Size) -> int:
     return size.sheets if kind == GOOD else max(1, size.sheets // 4)
 
 
-def sheet_tasks(worlds: tuple[World, ...], size: Size, seed: int, folder: Path) -> list[SheetTask]:
+def sheet_tasks(worlds: tuple[World, ...], size: Size, seed: int, folder: Path | None) -> list[SheetTask]:
     """All sheets that a study needs."""
     kinds = (GOOD, *(kind.name for kind in CLASSES if kind.local))
     return [
@@ -106,21 +102,31 @@ def sheet_tasks(worlds: tuple[World, ...], size: Size, seed: int, folder: Path) 
     ]
 
 
-def make_sheet(task: SheetTask) -> Path:
-    """Render a sheet unless it is there; returns its file."""
-    if not task.path.exists():
-        surface, spoiled = sheet_surface(task)
-        shown = np.stack([_reduced(view, 2) for view in _rendered(surface, task.world)])
-        stream = io.BytesIO()
-        np.savez(stream, shown=shown.astype(np.float16), spoiled=spoiled)
-        write_bytes(task.path, stream.getvalue())
-    return task.path
+def sheet_of(task: SheetTask) -> Sheet:
+    """A sheet, rendered unless it is cached."""
+    return task.entry.result(lambda: _made(task), _packed, _unpacked)
 
 
-def read_sheet(path: Path) -> Sheet:
-    """A sheet from its file."""
-    with np.load(path) as kept:
-        return Sheet(kept["shown"], kept["spoiled"])
+def prepare_sheet(task: SheetTask) -> None:
+    """Render a sheet unless it is cached."""
+    sheet_of(task)
+
+
+def _made(task: SheetTask) -> Sheet:
+    surface, spoiled = sheet_surface(task)
+    shown = np.stack([_reduced(view, 2) for view in _rendered(surface, task.world)])
+    return Sheet(shown.astype(np.float16), spoiled)
+
+
+def _packed(sheet: Sheet) -> bytes:
+    stream = io.BytesIO()
+    np.savez(stream, shown=sheet.shown, spoiled=sheet.spoiled)
+    return stream.getvalue()
+
+
+def _unpacked(content: bytes) -> Sheet:
+    with np.load(io.BytesIO(content), allow_pickle=False) as stored:
+        return Sheet(stored["shown"], stored["spoiled"])
 
 
 def sheet_surface(task: SheetTask) -> tuple[HeightMap, npt.NDArray[np.bool_]]:
@@ -189,7 +195,7 @@ def bounces_of(kind: str) -> FloatArray:
     expected = expected_of("tilted", Size())
     seen = directions(expected.poses, Convention(LIGHT_DEG))
     # the same piece of surface and the same paths for all, so that classes differ by their defect alone
-    surface, _ = sheet_surface(SheetTask("other", GOOD, 0, Size(ridges=24, pitches=4, sheets=1), 1, Path()))
+    surface, _ = sheet_surface(SheetTask("other", GOOD, 0, Size(ridges=24, pitches=4, sheets=1), 1))
     material = WHOLE
     if kind == "roughness":
         material = replace(WHOLE, alpha_across=WHOLE.alpha_across * (1.0 + BY_NAME[kind].extent))

@@ -346,7 +346,7 @@ def test_signatures_are_computed_once(recipe, of_the_recipe, monkeypatch, tmp_pa
         file.write_bytes(b"damaged")
     remembered_signatures(recipe, 10.0)
     assert len(calls) == 3
-    monkeypatch.setattr("anisoscope.diagnosis.signature_cache.sources_digest", lambda *_: "other code")
+    monkeypatch.setattr("anisoscope.base.cache.source_digest", lambda *_: "other code")
     remembered_signatures(recipe, 10.0)
     assert len(calls) == 4
 

@@ -45,7 +45,7 @@ def of_a_map(make_recipe, tmp_path):
 
 
 def files(tmp_path):
-    return list((tmp_path / "cache").rglob("*.npz"))
+    return list((tmp_path / "cache").rglob("*.entry"))
 
 
 def test_a_design_is_predicted_once_and_leaves_nothing_on_disk(made, make_recipe, tmp_path):
@@ -91,7 +91,7 @@ def test_damaged_files_other_code_and_missing_folders_cost_a_prediction_only(
     first = packed(kept_expectation(recipe, 10.0))
     for spoil in (
         lambda: files(tmp_path)[0].write_bytes(files(tmp_path)[0].read_bytes()[:1000]),
-        lambda: monkeypatch.setattr(keptprediction, "_code", lambda: "another"),
+        lambda: monkeypatch.setattr("anisoscope.base.cache.source_digest", lambda *_: "another"),
         lambda: monkeypatch.setenv("ANISOSCOPE_CACHE", "/dev/null"),
     ):
         spoil()
@@ -117,5 +117,7 @@ def test_only_some_predictions_stay_in_memory(made, make_recipe):
 
 
 def test_signatures_know_a_copy_of_a_map_as_well(of_a_map):
-    keys = [remembering._key(of_a_map(*given), 10.0) for given in (("one",), ("other",), ("third", 9.0))]
+    keys = [
+        remembering.signature_key(of_a_map(*given), 10.0) for given in (("one",), ("other",), ("third", 9.0))
+    ]
     assert keys[0] == keys[1] != keys[2]

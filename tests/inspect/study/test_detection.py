@@ -37,7 +37,6 @@ from anisoscope.study.detection.chunk import (
     photograph,
     profile_radiance,
     radiance_of_part,
-    read_chunk,
     views_of_series,
 )
 from anisoscope.study.detection.diagnosis import true_extents
@@ -58,7 +57,7 @@ from anisoscope.study.detection.product import (
 from anisoscope.study.detection.results import RULES, golden_pool, met_sets, with_area
 from anisoscope.study.detection.rules import bench_of, covariance_of_measurement, distances, limits, p_values
 from anisoscope.study.detection.run import Plan, area_of, collect, told_study
-from anisoscope.study.detection.sheets import POINTS, SheetTask, cut, make_sheet, read_sheet, sheet_surface
+from anisoscope.study.detection.sheets import POINTS, SheetTask, cut, sheet_of, sheet_surface
 from anisoscope.study.detection.statistics import (
     area_under_curve,
     curve,
@@ -251,7 +250,7 @@ def test_the_short_route_measures_what_the_bench_and_inspect_measure(
     assert inspected.record.verdict != "INVALID", inspected.record.reasons
     full = np.log([pose.measured for pose in inspected.record.poses])
     task = SheetTask("same", GOOD, 0, size, 5, tmp_path)
-    sheet = read_sheet(make_sheet(task))
+    sheet = sheet_of(task)
     rows, cols = cut(sheet, GOOD, size, rng)
     shown, _ = radiance_of_part(sheet.shown[:, rows, cols], state, "same", NO_BOUNCES)
     views = photograph(shown, state, new_cameras(size, "same", rng), size, rng)
@@ -498,21 +497,21 @@ def test_the_page_of_the_documents_shows_the_numbers_beside_it():
 def test_a_study_goes_on_where_it_stopped_and_a_larger_one_uses_it(studied):
     plan, _ = studied
     before = collect(plan, Workers(1))
-    chunk = min(plan.folder.glob("chunk-*"))
+    chunk = min(plan.folder.glob("detection-chunks/*"))
     chunk.unlink()
-    untouched = {path: path.stat().st_mtime_ns for path in plan.folder.iterdir()}
+    untouched = {path: path.stat().st_ino for path in plan.folder.glob("*/*")}
     again = collect(plan, Workers(1))
     assert chunk.exists()
-    assert all(path.stat().st_mtime_ns == time for path, time in untouched.items())
+    assert all(path.stat().st_ino == number for path, number in untouched.items())
     for world in plan.worlds:
         for kind in plan.counts:
             for name, values in before[world][kind].items():
                 assert np.array_equal(values, again[world][kind][name], equal_nan=values.dtype.kind == "f"), (
                     name
                 )
-    kept = set(plan.folder.iterdir())
+    kept = set(plan.folder.glob("*/*"))
     more = collect(replace(plan, parts=44), Workers(1))
-    assert len(set(plan.folder.iterdir()) - kept) == 2  # one chunk more in either world
+    assert len(set(plan.folder.glob("*/*")) - kept) == 2  # one chunk more in either world
     same, grown = (found["same"][GOOD]["tilted/deviation"] for found in (before, more))
     assert np.array_equal(same, grown[:40])
 
@@ -520,8 +519,9 @@ def test_a_study_goes_on_where_it_stopped_and_a_larger_one_uses_it(studied):
 def test_processes_make_the_same_parts(studied, tmp_path):
     plan, _ = studied
     task = ChunkTask("same", "burrs", 0, SMALL, plan.seed, plan.folder, ())
-    alone = read_chunk(inspect_chunk(replace(task, folder=tmp_path)))
-    for name, values in read_chunk(task.path).items():
+    alone = inspect_chunk(replace(task, folder=tmp_path))
+    assert task.entry.path.exists()
+    for name, values in inspect_chunk(task).items():
         assert np.array_equal(values, alone[name], equal_nan=values.dtype.kind == "f"), name
 
 

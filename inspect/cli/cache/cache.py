@@ -1,0 +1,105 @@
+"""``anisoscope cache``: results on disk that can be computed again."""
+
+import json
+import sys
+import time
+from collections.abc import Sequence
+from itertools import groupby
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import App, Parameter
+
+from anisoscope.cli.console import console, print_table
+
+if TYPE_CHECKING:
+    from anisoscope.base.cache import Stored
+
+app = App(name="cache", help="Results on disk that can be computed again.")
+
+Json = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")]
+
+
+@app.command
+def info(*, json_: Json = False) -> int:
+    """Show where the cache lies, how large it is and may be, and what it holds."""
+    from anisoscope.base.cache import LIMIT_VARIABLE, VARIABLE, Cache, cache_folder, limit_bytes
+
+    limit, entries, folder = limit_bytes(), Cache().stored(), cache_folder()
+    size = sum(one.size for one in entries)
+    if json_:
+        kinds = [{"kind": kind, **_numbers(rows)} for kind, rows in _by_kind(entries)]
+        _print_json({"folder": str(folder), "limit_bytes": limit, **_numbers(entries), "kinds": kinds})
+        return 0
+    _say(f"{folder}: {len(entries)} entries, {_megabytes(size)} of {_megabytes(limit)}")
+    if entries:
+        rows = [[kind, *_cells(rows)] for kind, rows in _by_kind(entries)]
+        print_table("cached results", ["kind", "entries", "size", "last used", "longest unused"], rows)
+    _say(f"another folder: {VARIABLE}; another limit: {LIMIT_VARIABLE}")
+    return 0
+
+
+@app.command
+def clear(*, json_: Json = False) -> int:
+    """Remove all results of the cache; whatever needs them computes them again."""
+    from anisoscope.base.cache import Cache, cache_folder
+
+    folder, gone = cache_folder(), Cache().clear()
+    left = len(Cache().stored())
+    if json_:
+        kinds = [{"kind": kind, **_numbers(rows)} for kind, rows in _by_kind(gone)]
+        _print_json({"folder": str(folder), "removed": _numbers(gone), "kinds": kinds, "left": left})
+        return 0
+    for kind, rows in _by_kind(gone):
+        _say(f"removed {len(rows)} {kind}, {_megabytes(sum(one.size for one in rows))}")
+    size = _megabytes(sum(one.size for one in gone))
+    _say(
+        f"{folder}: {len(gone)} entries removed, {size}" + (f"; {left} could not be removed" if left else "")
+    )
+    return 0
+
+
+def _by_kind(entries: "Sequence[Stored]") -> "list[tuple[str, list[Stored]]]":
+    ordered = sorted(entries, key=lambda one: one.kind)
+    return [(kind, list(rows)) for kind, rows in groupby(ordered, key=lambda one: one.kind)]
+
+
+def _numbers(entries: "Sequence[Stored]") -> dict[str, Any]:
+    """Count, size, and seconds since the entry used last and the one unused for longest were used."""
+    ages = _ages(entries)
+    return {
+        "entries": len(entries),
+        "bytes": sum(one.size for one in entries),
+        "last_used_s": min(ages, default=None),
+        "longest_unused_s": max(ages, default=None),
+    }
+
+
+def _cells(entries: "Sequence[Stored]") -> list[str]:
+    ages = _ages(entries)
+    size = _megabytes(sum(one.size for one in entries))
+    return [str(len(entries)), size, _age(min(ages)), _age(max(ages))]
+
+
+def _ages(entries: "Sequence[Stored]") -> list[float]:
+    now = time.time()
+    return [round(max(0.0, now - one.used_at), 1) for one in entries]
+
+
+def _megabytes(size: int) -> str:
+    return f"{size / 1e6:.1f} MB"
+
+
+def _age(seconds: float) -> str:
+    for unit, length in (("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2.0 * length:
+            return f"{seconds / length:.0f} {unit}"
+    return f"{seconds:.0f} s"
+
+
+def _print_json(content: object) -> None:
+    json.dump(content, sys.stdout, indent=2, allow_nan=False)
+    sys.stdout.write("\n")
+
+
+def _say(text: str) -> None:
+    console().print(text, markup=False, highlight=False, soft_wrap=True)
