@@ -10,8 +10,8 @@ from sqlalchemy import ColumnElement, Connection, func, select
 from anisoscope.history.chain import unpack_rows
 from anisoscope.history.columns import parsed_labels
 from anisoscope.history.filters import Filters
-from anisoscope.history.query import chosen
 from anisoscope.history.schema import inspections, layouts
+from anisoscope.history.statements import chosen
 
 TEXTS = ("serial", "verdict", "product", "recipe", "lot", "cavity", "station", "operator")
 

@@ -1,7 +1,10 @@
-"""Which inspections of a history are meant."""
+"""Selection of inspections in a history, and the moments that bound it as people write them."""
 
+import re
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, date, datetime, time, timedelta
+
+from anisoscope.base.errors import UsageError
 
 
 @dataclass(frozen=True)
@@ -27,3 +30,48 @@ class Filters:
     serial: str | None = None
     verdict: str | None = None
     limit: int | None = None
+
+
+_AGO = re.compile(r"(\d{1,6})\s*([mhdw])")
+_UNITS = {"m": "minutes", "h": "hours", "d": "days", "w": "weeks"}
+_FORMS = "2026-11-01, 2026-11-01T14:30, today, yesterday, or how long ago: 90m, 12h, 7d, 2w"
+
+
+def parse_moment(text: str, option: str, *, now: datetime, at_end: bool = False) -> datetime:
+    """A moment, in UTC.
+
+    Args:
+        text: a date, a date with a time of day, ``today``, ``yesterday``, or how long ago. Where no zone is said, it is
+            that of this computer.
+        option: for the message.
+        now: the present, with a time zone.
+        at_end: a whole day means its end, not its beginning.
+
+    Raises:
+        UsageError: it is none of these.
+    """
+    words = text.strip()
+    try:
+        ago = _AGO.fullmatch(words)
+        if ago is not None:
+            return (now - timedelta(**{_UNITS[ago[2]]: int(ago[1])})).astimezone(UTC)
+        day = _day(words, now)
+        if day is not None:
+            return _local(datetime.combine(day + timedelta(days=1 if at_end else 0), time()))
+        return _local(datetime.fromisoformat(words))
+    except (ValueError, OverflowError, OSError):
+        raise UsageError(f"{option} takes {_FORMS}, not {text[:40]!r}") from None
+
+
+def _day(words: str, now: datetime) -> date | None:
+    if words in {"today", "yesterday"}:
+        return now.astimezone().date() - timedelta(days=1 if words == "yesterday" else 0)
+    try:
+        return date.fromisoformat(words)
+    except ValueError:
+        return None
+
+
+def _local(moment: datetime) -> datetime:
+    # a moment without a zone is taken for local time
+    return moment.astimezone(UTC)

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.errors import UsageError
-from anisoscope.history import audit, query, schema, writing
+from anisoscope.history import audit, schema, statements
 from anisoscope.history.address import Address, parse_address
 from anisoscope.history.column_wise import Columns, read_columns
 from anisoscope.history.columns import disposition_from, row_from
@@ -18,7 +18,8 @@ from anisoscope.history.database import Database
 from anisoscope.history.dispositions import Disposition, checked_disposition
 from anisoscope.history.filters import Filters
 from anisoscope.history.problems import Damage, HistoryError
-from anisoscope.history.rows import NewRow, Row
+from anisoscope.history.rows import NewRow, Row, seal_of
+from anisoscope.record.schema import RECORD_NAME
 
 EVERYTHING = Filters()
 
@@ -81,7 +82,7 @@ class History:
             HistoryError: as for `append`.
         """
         with self._database.writing() as connection:
-            return writing.append_rows(connection, news, self.address.path)
+            return statements.append_rows(connection, news, self.address.path)
 
     def _row(self, values: Any) -> Row:  # noqa: ANN401 - a row of any query
         return row_from(values, self.address.path)
@@ -94,7 +95,7 @@ class History:
             HistoryError: the database cannot be read.
         """
         with self._database.reading() as connection:
-            return [self._row(found) for found in query.rows(connection, filters)]
+            return [self._row(found) for found in statements.rows(connection, filters)]
 
     def count(self, filters: Filters = EVERYTHING) -> int:
         """How many inspections there are; its limit aside.
@@ -103,7 +104,7 @@ class History:
             UsageError, HistoryError: as for `rows`.
         """
         with self._database.reading() as connection:
-            return query.count(connection, filters)
+            return statements.count(connection, filters)
 
     def row(self, row_id: int) -> Row | None:
         """The inspection with an id, or None."""
@@ -115,7 +116,7 @@ class History:
 
     def _one(self, condition: Any) -> Row | None:  # noqa: ANN401 - SQLAlchemy's conditions have no common type
         with self._database.reading() as connection:
-            found = query.one(connection, condition)
+            found = statements.one(connection, condition)
             return None if found is None else self._row(found)
 
     def series(self, filters: Filters, number: str) -> Series:
@@ -129,7 +130,7 @@ class History:
             UsageError, HistoryError: as for `rows`.
         """
         with self._database.reading() as connection:
-            ids, times, values = query.series(connection, filters, number)
+            ids, times, values = statements.series(connection, filters, number)
         return Series(
             np.array(ids, dtype=np.int64),
             np.array(times, dtype="datetime64[us]"),
@@ -152,7 +153,7 @@ class History:
             UsageError, HistoryError: as for `rows`.
         """
         with self._database.reading() as connection:
-            return query.labels(connection, filters)
+            return statements.labels(connection, filters)
 
     def dispose(self, row_id: int, *, reviewer: str, decision: str, comment: str = "") -> Disposition:
         """Add what a reviewer decided about an inspection; earlier decisions stay.
@@ -163,9 +164,9 @@ class History:
         """
         who, what, why = checked_disposition(reviewer, decision, comment)
         with self._database.writing() as connection:
-            if query.one(connection, schema.inspections.c.id == row_id) is None:
+            if statements.one(connection, schema.inspections.c.id == row_id) is None:
                 raise UsageError(f"the history {self.address} has no inspection {row_id}")
-            return writing.append_disposition(connection, row_id, who, what, why)
+            return statements.append_disposition(connection, row_id, who, what, why)
 
     def dispositions(self, row_id: int) -> list[Disposition]:
         """What reviewers decided about an inspection, the oldest first.
@@ -183,7 +184,7 @@ class History:
         """
         with self._database.reading() as connection:
             found: dict[int, list[Disposition]] = {}
-            for values in query.dispositions(connection, row_ids):
+            for values in statements.dispositions(connection, row_ids):
                 found.setdefault(values["inspection"], []).append(disposition_from(values))
             return found
 
@@ -198,7 +199,7 @@ class History:
     def head(self) -> str:
         """Hash of the last inspection, hexadecimal: whoever keeps it elsewhere notices a history that was cut."""
         with self._database.reading() as connection:
-            return writing.head(connection, schema.inspections)[1].hex()
+            return statements.head(connection, schema.inspections)[1].hex()
 
     def holds(self, head: str) -> bool:
         """Whether some inspection has this hash, as the head of a history that was only added to does for ever."""
@@ -240,3 +241,57 @@ def _bring_up_to_date(database: Database, address: Address) -> None:
     if found < schema.VERSION:
         with database.writing() as connection:
             schema.migrate(connection)
+
+
+_BY_ID, _BY_SERIAL = "id:", "serial:"
+_MAX_DIGITS = 18
+
+
+def find(history: History, name: str) -> Row:
+    """The inspection that is meant; of a part that was inspected several times, the latest one.
+
+    Args:
+        history: where to look.
+        name: serial number, id, or folder of a finished inspection. ``id:7`` and ``serial:7`` tell apart what else
+            could be both.
+
+    Raises:
+        UsageError: there is none, or it is not clear which.
+        RecordError: the record of the folder cannot be read.
+        HistoryError: the history cannot be read.
+    """
+    if name.startswith(_BY_ID):
+        return _there(_by_id(history, name.removeprefix(_BY_ID)), history, name)
+    if name.startswith(_BY_SERIAL):
+        return _there(_by_serial(history, name.removeprefix(_BY_SERIAL)), history, name)
+    if "\0" not in name and (Path(name) / RECORD_NAME).is_file():
+        row = history.row_by_seal(seal_of(Path(name)))
+        if row is None:
+            raise UsageError(
+                f"{name} is not in the history {history.address}: `anisoscope history add {name}` adds it"
+            )
+        return row
+    found = [row for row in (_by_id(history, name), _by_serial(history, name)) if row is not None]
+    if len(found) == 2 and found[0] != found[1]:
+        raise UsageError(
+            f"{name} is both an id and a serial number: say {_BY_ID}{name} or {_BY_SERIAL}{name}"
+        )
+    return _there(found[0] if found else None, history, name)
+
+
+def _by_id(history: History, text: str) -> Row | None:
+    plain = text.isascii() and text.isdigit() and len(text) <= _MAX_DIGITS
+    return history.row(int(text)) if plain else None
+
+
+def _by_serial(history: History, serial: str) -> Row | None:
+    rows = history.rows(Filters(serial=serial, limit=1))
+    return rows[0] if rows else None
+
+
+def _there(row: Row | None, history: History, name: str) -> Row:
+    if row is None:
+        raise UsageError(
+            f"the history {history.address} has no inspection {name[:80]!r}: name a serial number, an id or a folder"
+        )
+    return row

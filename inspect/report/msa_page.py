@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.quality.gauge_study import GaugeStudy
+from anisoscope.quality.gauge import GaugeStudy
 from anisoscope.quality.linearity import GaugeLinearity
 from anisoscope.report.figures import BLUE, GREEN, INK, MUTED, ORANGE, PAPER, RED, new_figure, svg_uri
 

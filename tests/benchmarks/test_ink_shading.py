@@ -5,9 +5,8 @@ import time
 import numpy as np
 import pytest
 
-from anisoscope.ink.fitting import fit, solve_jointly
+from anisoscope.ink.fitting import fit, grid_of, solve_jointly
 from anisoscope.ink.goniometer import Readings
-from anisoscope.ink.grid import grid_of
 from anisoscope.sim.light.ink import shading
 from anisoscope.sim.light.ink.model import brdf_at_angles
 from anisoscope.sim.light.ink.shading import Light, picture, spectral_picture

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from anisoscope.cli import app
-from anisoscope.inspection.batch.arrivals import PartFile
 from anisoscope.inspection.batch.tray import read_tray
+from anisoscope.inspection.batch.watch import PartFile
 from anisoscope.sim.bench.benchfile import SamplePart
 from anisoscope.sim.bench.partcode import printed
 

@@ -41,7 +41,7 @@ HEAVY = (
     "anisoscope.diagnosis.part_diagnosis",
     "anisoscope.inspection.recompute",
     "anisoscope.fit.fitting",
-    "anisoscope.fit.experiment",
+    "anisoscope.fit.table",
     "anisoscope.sim.bench.camera",
     "anisoscope.sim.bench.serialports.protocol_sim",
 )

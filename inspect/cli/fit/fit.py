@@ -292,8 +292,8 @@ def experiment(
         table: CSV: ridge_angle_deg,tilt_deg,from_deg,to_deg,contrast, as experiment ridges --measured reads it.
     """
     from anisoscope.experiment.measured_table import read_measured
-    from anisoscope.fit.experiment import experiment_problem
     from anisoscope.fit.parameters import parse_free
+    from anisoscope.fit.table import experiment_problem
     from anisoscope.sim.light.geometry import Convention
 
     options, angles = options or ModelOptions(), angles or PoseOptions()

@@ -70,7 +70,7 @@ def dispose(
 ) -> int:
     """Write down what a reviewer decides about an inspection. Its verdict, and earlier decisions, stay as they are."""
     from anisoscope.cli.history.output import print_disposed
-    from anisoscope.history.finding import find
+    from anisoscope.history.store import find
 
     with opened(place) as found:
         row = find(found, inspection)
@@ -117,7 +117,7 @@ def show(inspection: One, /, *, place: Place = None, json_: Json = False) -> int
     Of a part that was inspected several times, the latest. `id:7` and `serial:7` tell ids and serial numbers apart.
     """
     from anisoscope.cli.history.output import print_shown
-    from anisoscope.history.finding import find
+    from anisoscope.history.store import find
 
     with opened(place) as found:
         row = find(found, inspection)
@@ -129,7 +129,7 @@ def compare(first: One, second: One, /, *, place: Place = None, json_: Json = Fa
     """Compare two inspections: contrasts side by side, and what changed in recipe, rig, calibrations and software."""
     from anisoscope.cli.history.output import print_comparison
     from anisoscope.history.comparing import compare as compared
-    from anisoscope.history.finding import find
+    from anisoscope.history.store import find
 
     with opened(place) as found:
         comparison = compared(find(found, first), find(found, second))

@@ -63,8 +63,7 @@ class Which:
         """
         from datetime import UTC, datetime
 
-        from anisoscope.history.filters import Filters
-        from anisoscope.history.times import parse_moment
+        from anisoscope.history.filters import Filters, parse_moment
 
         now = datetime.now(UTC)
         verdict = None if self.verdict is None else self.verdict.upper()

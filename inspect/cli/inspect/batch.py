@@ -66,9 +66,8 @@ def batch(
     from anisoscope.inspection.batch.first_pose import Look
     from anisoscope.inspection.batch.journal import BATCH_NAME, read_batch
     from anisoscope.inspection.batch.operator import Nobody
-    from anisoscope.inspection.batch.run import run_batch
+    from anisoscope.inspection.batch.run import run_batch, write_summary
     from anisoscope.inspection.batch.start import Order
-    from anisoscope.inspection.batch.summary import write_summary
     from anisoscope.inspection.batch.tray import read_tray
 
     listed = read_tray(tray)

@@ -169,7 +169,7 @@ def response(
     file in the rig file under [camera.options] response, then take a new flat: both make the camera a linear one.
     """
     from anisoscope.calibration.frames import Taking
-    from anisoscope.calibration.response import calibrate_response
+    from anisoscope.calibration.linearity import calibrate_response
 
     with progress("response", quiet=json_) as advance:
         curve = calibrate_response(

@@ -55,8 +55,7 @@ def gauge(
 
     Exit codes: 0 the gauge is good or usable, 1 it is not good enough, 64 and above nothing could be analysed.
     """
-    from anisoscope.quality.gauge import gauge_data, gauge_study
-    from anisoscope.quality.gauge_study import POOR_SHARE
+    from anisoscope.quality.gauge import POOR_SHARE, gauge_data, gauge_study
     from anisoscope.report.msa_page import anova, components, write_gauge_page
 
     readings, name, _ = _number(csv, place, which, limit, number)

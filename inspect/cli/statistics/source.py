@@ -45,7 +45,7 @@ def readings_from(csv: Path | None, place: str | None, which: Which, limit: int 
     """
     if csv is None:
         from anisoscope.history.address import chosen
-        from anisoscope.quality.history_readings import history_readings
+        from anisoscope.quality.readings import history_readings
 
         found = chosen(place, DEFAULT_OUT)
         if found is None:

@@ -1,5 +1,6 @@
 """A tray from its first slot to its last: one part's trouble never stops the others, and nothing is done twice."""
 
+import contextlib
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,11 +11,12 @@ from anisoscope.inspection.batch.codes import one_code, read_codes
 from anisoscope.inspection.batch.first_pose import photograph_first_pose
 from anisoscope.inspection.batch.journal import (
     BatchFile,
+    SlotResult,
     now,
     write_batch,
 )
 from anisoscope.inspection.batch.operator import Operator
-from anisoscope.inspection.batch.refusal import refuse_part
+from anisoscope.inspection.batch.refusal import CODE_PICTURE, refuse_part
 from anisoscope.inspection.batch.scan import Scan, mismatch
 from anisoscope.inspection.batch.slot_folder import unfinished_in
 from anisoscope.inspection.batch.start import (
@@ -29,8 +31,11 @@ from anisoscope.inspection.batch.tray import Slot
 from anisoscope.inspection.folder import working_in
 from anisoscope.inspection.run import Inspected, inspect_part, resume_part
 from anisoscope.record.schema import Particulars
+from anisoscope.report.batch_page import PAGE_NAME, SlotView, thumbnail, write_batch_page
+from anisoscope.report.inspection_page import REPORT_NAME
 from anisoscope.report.peers import LotMates
-from anisoscope.rig.frame import Frame
+from anisoscope.rig.acquisition.writer import FRAMES
+from anisoscope.rig.frame import Frame, read_frame
 
 FAULTS_IN_A_ROW = 2
 
@@ -204,3 +209,52 @@ def _resumed(unfinished: Path | None, lot_mates: LotMates, advance: Advance) -> 
         return resume_part(unfinished, advance, lot_mates=lot_mates)
     except RecordError:
         return None
+
+
+def write_summary(batch: BatchFile, folder: Path) -> Path:
+    """Write ``batch.html`` into the folder of a batch.
+
+    Raises:
+        RecordError: it cannot be written.
+    """
+    path = folder / PAGE_NAME
+    facts = [
+        ("tray list", batch.tray),
+        ("recipe", batch.recipe),
+        ("rig", batch.rig),
+        ("operator", batch.operator or "not said"),
+        ("station", batch.station or "not said"),
+        ("begun", batch.created_at.replace("T", " ").replace("+00:00", " UTC")),
+        ("software", batch.software),
+        ("SHA-256 of the recipe", batch.recipe_sha256),
+    ]
+    counts = [(word, number) for word, number in batch.counts.items() if number]
+    title = f"Batch {Path(batch.tray).stem}"
+    write_batch_page(path, title, facts, counts, [_view(slot, folder) for slot in batch.slots])
+    return path
+
+
+def _view(slot: SlotResult, folder: Path) -> SlotView:
+    inside = None if slot.folder is None else folder / slot.folder
+    report = inside is not None and (inside / REPORT_NAME).exists()
+    return SlotView(
+        slot=slot.slot,
+        word=slot.word,
+        serial=slot.serial,
+        lot=slot.lot,
+        cavity=slot.cavity,
+        code=slot.code,
+        reason=slot.reason,
+        seconds=slot.seconds,
+        report=f"{slot.folder}/{REPORT_NAME}" if report else None,
+        thumbnail=None if inside is None else _picture(inside),
+    )
+
+
+def _picture(inside: Path) -> str | None:
+    """The first frame that shows the part, or its code."""
+    shown = [*sorted((inside / FRAMES).glob("*_sample_*.tif"))[:1], inside / CODE_PICTURE]
+    for path in shown:
+        with contextlib.suppress(RecordError):
+            return thumbnail(read_frame(path).grey)
+    return None

@@ -16,7 +16,6 @@ from anisoscope.study.detection.diagnosis import (
     separability_of,
     true_extents,
 )
-from anisoscope.study.detection.intervals import intervals_held
 from anisoscope.study.detection.product import (
     BY_NAME,
     CLASSES,
@@ -43,6 +42,7 @@ from anisoscope.study.detection.statistics import (
     area_under_curve,
     curve,
     histogram,
+    intervals_held,
     rate,
     threshold,
     uniformity,

@@ -5,8 +5,8 @@ import pytest
 
 from anisoscope.base.errors import CalibrationError, RigFileError
 from anisoscope.calibration.frames import Taking
+from anisoscope.calibration.linearity import calibrate_response
 from anisoscope.calibration.pictures import take_flat
-from anisoscope.calibration.response import calibrate_response
 from anisoscope.cli import run
 from anisoscope.inspection.recompute import recompute
 from anisoscope.rig.cameras.response import ResponseCurve, read_response, write_response

@@ -5,11 +5,11 @@ import pytest
 
 from anisoscope.base.errors import UsageError
 from anisoscope.experiment.experiment import Setup, absolute_contrasts
-from anisoscope.fit.experiment import experiment_problem
 from anisoscope.fit.fitting import fit
 from anisoscope.fit.identifiability import information, whitening
 from anisoscope.fit.parameters import GEOMETRY, PARAMETERS, USUAL, checked_values, parse_free
 from anisoscope.fit.problem import Problem, Readings, Scene, interface_alpha
+from anisoscope.fit.table import experiment_problem
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.contrasts import consecutive_pairs

@@ -9,8 +9,8 @@ from sqlalchemy import make_url, text
 
 from anisoscope.base.errors import UsageError
 from anisoscope.history.address import VARIABLE, chosen, parse_address
+from anisoscope.history.filters import parse_moment
 from anisoscope.history.store import open_history
-from anisoscope.history.times import parse_moment
 
 NOW = datetime(2026, 11, 22, 0, 30, tzinfo=UTC)
 

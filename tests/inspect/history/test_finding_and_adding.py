@@ -7,7 +7,7 @@ import pytest
 from anisoscope.base.errors import RecordError, UsageError
 from anisoscope.history.adding import add_folders, finished_folders
 from anisoscope.history.comparing import record_of
-from anisoscope.history.finding import find
+from anisoscope.history.store import find
 from anisoscope.record.schema import RECORD_NAME
 
 

@@ -7,11 +7,15 @@ import pytest
 from scipy.special import fdtri
 
 from anisoscope.base.errors import UsageError
-from anisoscope.quality import gauge_share as gaugeshare
-from anisoscope.quality.gauge import gauge_study
-from anisoscope.quality.gauge_share import categories_of, share_interval
-from anisoscope.quality.gauge_study import GaugeData
-from anisoscope.quality.mean_squares import MeanSquare, component
+from anisoscope.quality import gauge as gauge_module
+from anisoscope.quality.gauge import (
+    GaugeData,
+    MeanSquare,
+    categories_of,
+    component,
+    gauge_study,
+    share_interval,
+)
 
 
 def data_of(values):
@@ -29,7 +33,7 @@ def random_data(rng, shape=(10, 3, 3), part=1.0, appraiser=0.3, interaction=0.2,
 @pytest.fixture
 def few_draws(monkeypatch):
     """For tests of hundreds of studies."""
-    monkeypatch.setattr(gaugeshare, "DRAWS", 2000)
+    monkeypatch.setattr(gauge_module, "DRAWS", 2000)
 
 
 def test_aiag_example(published):

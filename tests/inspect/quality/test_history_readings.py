@@ -12,7 +12,7 @@ from anisoscope.history.problems import HistoryError
 from anisoscope.history.rows import NewRow
 from anisoscope.history.store import open_history
 from anisoscope.quality.capability import Specification
-from anisoscope.quality.history_readings import history_readings
+from anisoscope.quality.readings import history_readings
 from anisoscope.quality.tolerances import charted, specification
 
 

@@ -12,8 +12,7 @@ from anisoscope.quality.bias import bias_study
 from anisoscope.quality.camera import read_camera
 from anisoscope.quality.capability import Specification
 from anisoscope.quality.control import Settings, control_study
-from anisoscope.quality.gauge import gauge_study
-from anisoscope.quality.gauge_study import GaugeData
+from anisoscope.quality.gauge import GaugeData, gauge_study
 from anisoscope.quality.linearity import gauge_linearity
 from anisoscope.quality.stability import stability_study
 from anisoscope.report.camera_page import write_camera_page

@@ -18,8 +18,15 @@ from anisoscope.cli.inspect.history_entry import remember
 from anisoscope.cli.inspect.lot_mates import lot_mates
 from anisoscope.inspection import run as inspection
 from anisoscope.inspection.batch import watch as watching
-from anisoscope.inspection.batch.arrivals import arrivals, whose
-from anisoscope.inspection.batch.watch import WATCH_NAME, Watch, Watched, WatchJournal, silence
+from anisoscope.inspection.batch.watch import (
+    WATCH_NAME,
+    Watch,
+    Watched,
+    WatchJournal,
+    arrivals,
+    silence,
+    whose,
+)
 from anisoscope.record.schema import read_record
 from anisoscope.rig.frame import Frame
 from anisoscope.rig.framefolder import write_frame_folder
