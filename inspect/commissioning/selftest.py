@@ -4,169 +4,42 @@ Every check says what it found, the limit, and what to do. A rig that fails one 
 so that the exit code is that of INVALID, and not that of a part that fails.
 """
 
-import hashlib
-import json
+import time
 import uuid
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.base.atomic_write import write_text
-from anisoscope.base.errors import AnisoscopeError, CalibrationError, RecordError, RigError, UsageError
+from anisoscope.base.errors import (
+    AnisoscopeError,
+    CalibrationError,
+    CameraError,
+    MeasurementError,
+    RigError,
+)
 from anisoscope.base.progress import Advance, silent
-from anisoscope.calibration.warm_up import MIN_FRAMES
-from anisoscope.commissioning.markers import Fix
+from anisoscope.calibration.warm_up import fit_warmup
+from anisoscope.calibration.white_reference import read_reference
+from anisoscope.commissioning.exposure import proof_on, sentence
+from anisoscope.commissioning.markers import Fix, edge_blur_px, find_fixture, modules_of
 from anisoscope.commissioning.record import Commissioning, default_record_path, read_commissioning
+from anisoscope.commissioning.selftest_record import Check, SelfTest, Settings, judged, skipped
+from anisoscope.commissioning.turning import fit_centre, wrapped
+from anisoscope.imaging.linearisation import SATURATION_SHARE
+from anisoscope.imaging.registration.placement import check_fixture
 from anisoscope.record.schema import sha256_of
-from anisoscope.record.verdict import Verdict
 from anisoscope.rig.acquisition.runner import Rig, open_rig
-from anisoscope.rig.rigfile import RigFile, read_rig
+from anisoscope.rig.camera import UNCALIBRATED
+from anisoscope.rig.rigfile import AxisPart, RigFile, read_rig
+from anisoscope.rig.stage import RotationStage
 
 Image = npt.NDArray[np.float32]
-Outcome = Literal["PASS", "FAIL", "WARN", "SKIPPED"]
-
-
-@dataclass(frozen=True)
-class Settings:
-    """How the test is done, and its limits.
-
-    Attributes:
-        exposure_s, gain: how the camera exposes.
-        frames: lit frames over which the lamp is watched.
-        dark_frames: frames with the light off.
-        tile: whether the white tile lies on the stage; then no markers are looked for.
-        readback_deg: largest distance of a reading from what was commanded; twice the stage's resolution if larger.
-        repeat_deg: largest difference of pictures taken at the same angle.
-        angle_deg: largest distance of the markers' angle from the stage's.
-        centre_px: largest distance of the rotation centre from the commissioned one.
-        residual_px: largest misfit of the markers.
-        scale_share: largest relative distance of the pixel size from the rig file's.
-        blur_ratio: largest blur of marker edges, over the commissioned one.
-        black_share: largest distance of the dark level from the camera's black level, of full scale.
-        noise_share: largest noise of a dark frame, of full scale.
-        noise_ratio: the same over the commissioned one.
-        signal_share: signal that the light has to make at least, of full scale.
-        saturated_share: largest share of saturated pixels.
-        drift_share: largest change of the light over the frames.
-        flicker_share: largest scatter of the light from frame to frame.
-        white_days: age of the white reference.
-        shading_share: largest change of the shading since the white reference.
-        level_share: largest change of the light since the white reference.
-    """
-
-    exposure_s: float
-    gain: float = 1.0
-    frames: int = 20
-    dark_frames: int = 4
-    tile: bool = False
-    readback_deg: float = 0.05
-    repeat_deg: float = 0.05
-    angle_deg: float = 0.2
-    centre_px: float = 5.0
-    residual_px: float = 0.5
-    scale_share: float = 0.02
-    blur_ratio: float = 1.3
-    black_share: float = 0.002
-    noise_share: float = 0.005
-    noise_ratio: float = 1.5
-    signal_share: float = 0.02
-    saturated_share: float = 0.001
-    drift_share: float = 0.005
-    flicker_share: float = 0.01
-    white_days: float = 30.0
-    shading_share: float = 0.02
-    level_share: float = 0.1
-
-    def __post_init__(self) -> None:
-        if not (0.0 < self.exposure_s < float("inf") and 0.0 < self.gain < float("inf")):
-            raise UsageError(
-                f"exposure and gain must be more than 0, not {self.exposure_s:g} s and {self.gain:g}"
-            )
-        if self.frames < MIN_FRAMES or self.dark_frames < 2:
-            raise UsageError(f"the self test takes at least {MIN_FRAMES} lit and 2 dark frames")
-
-
-class _Part(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Check(_Part):
-    """One check: outcome, value and limit in `unit`, and what to know or to do; WARN leaves the rig fit."""
-
-    key: str
-    words: str
-    outcome: Outcome
-    value: float | None = None
-    limit: float | None = None
-    unit: str = ""
-    remark: str = ""
-
-
-def judged(
-    key: str,
-    words: str,
-    value: float,
-    limit: float,
-    unit: str,
-    advice: str,
-    *,
-    at_least: bool = False,
-    remark: str = "",
-) -> Check:
-    """A check of a number against a limit; `advice` is said where it fails, `remark` always."""
-    good = bool(np.isfinite(value)) and (value >= limit if at_least else value <= limit)
-    said = "; ".join(text for text in (remark, "" if good else advice) if text)
-    shown = float(value) if np.isfinite(value) else None
-    return Check(
-        key=key,
-        words=words,
-        outcome="PASS" if good else "FAIL",
-        value=shown,
-        limit=limit,
-        unit=unit,
-        remark=said,
-    )
-
-
-def skipped(key: str, words: str, why: str) -> Check:
-    """A check that was not done, and why."""
-    return Check(key=key, words=words, outcome="SKIPPED", remark=why)
-
-
-class SelfTest(_Part):
-    """A self test, complete; `fit` where no check failed."""
-
-    kind: Literal["anisoscope self test"] = "anisoscope self test"
-    schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
-    id: str
-    created_at: str
-    software: str
-    rig: str
-    rig_file_sha256: str
-    commissioning: str | None
-    devices: dict[str, str]
-    settings: dict[str, Any]
-    checks: tuple[Check, ...]
-    fit: bool
-
-    @property
-    def exit_code(self) -> int:
-        """0 where the rig is fit, else that of INVALID."""
-        return (Verdict.PASS if self.fit else Verdict.INVALID).exit_code
-
-    def __getitem__(self, key: str) -> Check:
-        for check in self.checks:
-            if check.key == key:
-                return check
-        raise KeyError(key)
 
 
 @dataclass
@@ -196,6 +69,373 @@ class Bed:
 Step = tuple[tuple[tuple[str, str], ...], Callable[[Bed], list[Check]]]
 
 
+_BLOCKS = 8
+
+MARKERS = (
+    ("markers.residual", "misfit of the markers"),
+    ("markers.angle", "fixture's angle off the stage's"),
+    ("markers.centre", "rotation centre off the commissioned one"),
+    ("markers.pixel", "pixel size off the rig file's"),
+    ("markers.focus", "blur of marker edges over the commissioned"),
+)
+
+
+def check_markers(bed: Bed) -> list[Check]:
+    """Markers: misfit, angle, rotation centre, pixel size, focus."""
+    fixture, settings = bed.file.fixture, bed.settings
+    why = "the white tile lies on the stage" if settings.tile else "the rig file describes no fixture"
+    if settings.tile or fixture is None:
+        return [skipped(*name, why) for name in MARKERS]
+    check_fixture(fixture)
+    seen = [(angle, fix, picture) for angle, fix, picture in bed.views if fix is not None]
+    if len(seen) < len(bed.views):
+        raise MeasurementError(
+            f"the markers are seen in {len(seen)} of {len(bed.views)} pictures: check that the light is on, the lens "
+            "clear and in focus, and the fixture that of the rig file"
+        )
+    fixes = [fix for _, fix, _ in seen]
+    pixel = float(np.mean([fix.pixel_um for fix in fixes]))
+    blur = float(
+        np.median([edge_blur_px(image, fix, modules_of(fixture.dictionary)) for _, fix, image in seen])
+    )
+    return [
+        judged(
+            *MARKERS[0], max(fix.residual_px for fix in fixes), settings.residual_px, "px",
+            "check focus, and that the markers stand where the rig file says",
+        ),
+        _angle(seen, bed),
+        _centre(fixes, bed),
+        judged(
+            *MARKERS[3], abs(pixel / bed.file.camera.pixel_um - 1.0), settings.scale_share, "relative",
+            "the magnification changed: check lens and working distance, or commission the rig",
+            remark=f"{pixel:.4g} µm",
+        ),
+        _focus(blur, bed),
+    ]  # fmt: skip
+
+
+def _angle(seen: list[tuple[float, Fix, npt.NDArray[np.float32]]], bed: Bed) -> Check:
+    off = wrapped(np.array([fix.angle_deg - angle for angle, fix, _ in seen]))
+    other = wrapped(np.array([fix.angle_deg + angle for angle, fix, _ in seen]))
+    advice = "seat the fixture again, or correct stage.zero_deg: `anisoscope rig commission`"
+    if np.max(np.abs(other - other[0])) < 1.0 < np.max(np.abs(off - off[0])):
+        advice = "the stage turns the other way than stage.turns says: `anisoscope rig commission`"
+    return judged(*MARKERS[1], float(np.max(np.abs(off))), bed.settings.angle_deg, "°", advice)
+
+
+def _centre(fixes: list[Fix], bed: Bed) -> Check:
+    if bed.commissioned is None:
+        return skipped(*MARKERS[2], "the rig was not commissioned")
+    column, row = (bed.commissioned.number(f"camera.axis_{name}_px") for name in ("column", "row"))
+    if column is None or row is None:
+        return skipped(*MARKERS[2], "the commissioning did not find it")
+    centre = fit_centre(fixes)
+    off = float(np.hypot(centre.column_px - column, centre.row_px - row))
+    advice = "camera or stage was moved: put it back, or commission the rig again"
+    return judged(*MARKERS[2], off, bed.settings.centre_px, "px", advice)
+
+
+def _focus(blur_px: float, bed: Bed) -> Check:
+    before = None if bed.commissioned is None else bed.commissioned.blur_px
+    if before is None:
+        return skipped(*MARKERS[4], f"the rig was not commissioned; {blur_px:.2f} px rms")
+    advice = "focus the lens, or clean it"
+    return judged(
+        *MARKERS[4], blur_px / before, bed.settings.blur_ratio, "1", advice, remark=f"{blur_px:.2f} px rms"
+    )
+
+
+WHITE = (
+    ("white.age", "age of the white reference"),
+    ("white.shading", "shading off the white reference's"),
+    ("white.level", "light off the white reference's"),
+)
+
+
+def check_white(bed: Bed) -> list[Check]:
+    """The white reference: of this camera, not too old, and with the tile on the stage still true."""
+    calibration, settings = bed.file.calibration, bed.settings
+    if calibration is None:
+        return [skipped(*name, "the rig file names no white reference") for name in WHITE]
+    white, serial = read_reference(calibration.flat), bed.rig.camera.info.serial
+    advice = "take a new one with `anisoscope calibrate flat`"
+    if white.camera != serial:
+        raise MeasurementError(
+            f"the white reference was taken with camera {white.camera}, this is {serial}: {advice}"
+        )
+    age = (datetime.now(UTC) - datetime.fromisoformat(white.taken_at)).total_seconds() / 86400.0
+    found = [judged(*WHITE[0], age, settings.white_days, "days", advice)]
+    if not settings.tile or bed.lit is None:
+        return found + [
+            skipped(*name, "the white tile does not lie on the stage (--tile)") for name in WHITE[1:]
+        ]
+    if white.signal.shape != bed.lit.shape:
+        raise MeasurementError(f"the white reference and the camera differ in size: {advice}")
+    ratio = bed.lit / (white.signal.astype(np.float64) * settings.exposure_s * settings.gain)
+    level = float(np.median(ratio))
+    blocks = [np.array_split(row, _BLOCKS, axis=1) for row in np.array_split(ratio, _BLOCKS)]
+    shading = np.array([[float(np.median(block)) for block in row] for row in blocks]) / level
+    return [
+        *found,
+        judged(*WHITE[1], float(np.max(np.abs(shading - 1.0))), settings.shading_share, "relative", advice),
+        judged(
+            *WHITE[2], abs(level - 1.0), settings.level_share, "relative", f"clean lens and tile; {advice}"
+        ),
+    ]
+
+
+CAMERA = (
+    ("camera.exposure", "brightness follows the exposure (power)"),
+    ("camera.linear", "counts in proportion to light"),
+)
+ANGLES = (0.0, 90.0, 180.0, 270.0)
+TILTS = (-10.0, 0.0, 10.0)
+
+
+def _readback_limit(settings: Settings, axis: RotationStage) -> float:
+    return max(settings.readback_deg, 2.0 * axis.resolution_deg)
+
+
+def _go(part: AxisPart, axis: RotationStage, angle_deg: float) -> float:
+    """Move from below, as an inspection does; return how far the reading is off."""
+    target = part.reading_deg(angle_deg)
+    if axis.position_deg() > target - part.approach_deg:
+        axis.move_to(target - part.approach_deg)
+    axis.move_to(target)
+    return axis.position_deg() - target
+
+
+def _reachable(part: AxisPart, axis: RotationStage, angles_deg: tuple[float, ...]) -> list[float]:
+    low, high = axis.limits_deg
+    return [a for a in angles_deg if low + part.approach_deg <= part.reading_deg(a) <= high]
+
+
+def check_home(bed: Bed) -> list[Check]:
+    """Every axis finds its reference, and stands where it says."""
+    worst, limit = 0.0, 0.0
+    for axis in bed.rig.axes:
+        reached = axis.home()
+        if not axis.is_homed:
+            raise RigError(
+                f"{axis.name} does not say that it is homed: home it again, look at its reference switch"
+            )
+        worst = max(worst, abs(axis.position_deg() - reached))
+        limit = max(limit, _readback_limit(bed.settings, axis))
+    advice = "the axis does not stand still after homing: check its load and its controller"
+    return [judged("axes.home", "axes home", worst, limit, "°", advice)]
+
+
+def _grab(bed: Bed, count: int) -> list[npt.NDArray[np.uint16]]:
+    return [bed.rig.camera.grab().copy() for _ in range(count)]
+
+
+def check_dark(bed: Bed) -> list[Check]:
+    """Dark level against the black level that the camera states, and noise of dark frames."""
+    bed.rig.camera.configure(bed.settings.exposure_s, bed.settings.gain)
+    bed.rig.light.off()
+    info, settings = bed.rig.camera.info, bed.settings
+    frames = np.stack(_grab(bed, settings.dark_frames)).astype(np.float64)
+    full = 2.0**info.bit_depth - 1.0
+    bed.dark = frames.mean(axis=0)
+    spread = frames.std(axis=0, ddof=1)
+    noise = float(np.sqrt(np.mean(spread**2)))
+    off = abs(float(np.median(bed.dark)) - info.black_level)
+    limit = settings.noise_share * full
+    if bed.commissioned is not None:
+        limit = min(limit, max(settings.noise_ratio * bed.commissioned.dark_noise, 1.0))
+    return [
+        judged(
+            "camera.dark_level", "dark level off the camera's black level", off,
+            max(settings.black_share * full, 2.0), "counts",
+            "keep room light out, set the camera's black level back, let the camera warm up",
+        ),
+        judged(
+            "camera.dark_noise", "noise of a dark frame", noise, limit, "counts",
+            "the camera is noisier than it was: check gain, temperature, cable and supply",
+        ),
+    ]  # fmt: skip
+
+
+def check_light(bed: Bed) -> list[Check]:
+    """The light changes the picture, both ways; nothing is saturated; the lamp is steady."""
+    settings, info = bed.settings, bed.rig.camera.info
+    assert bed.dark is not None
+    full = 2.0**info.bit_depth - 1.0
+    bed.rig.light.on()
+    frames, times_s = [], []
+    for _ in range(settings.frames):
+        frames += _grab(bed, 1)
+        times_s.append(time.monotonic())
+    means = np.array([float(frame.mean()) for frame in frames]) - bed.dark.mean()
+    bed.lit = np.mean(np.stack(frames[-4:]).astype(np.float64), axis=0) - bed.dark
+    saturated = float(np.mean(np.max(np.stack(frames[-4:]), axis=0) >= SATURATION_SHARE * full))
+    bed.rig.light.off()
+    after = _grab(bed, 1)[0].astype(np.float64).mean() - bed.dark.mean()
+    bed.rig.light.on()
+    signal = float(np.percentile(bed.lit, 99)) / full
+    left = abs(after) / max(float(means.mean()), 1e-9)
+    return [
+        judged(
+            "light.on", "signal that the light makes", signal, settings.signal_share, "full scale",
+            "switch the light on, take the lens cap off, or lengthen --exposure", at_least=True,
+        ),
+        judged(
+            "light.off", "light that is left when it is off", left if signal >= settings.signal_share else np.inf, 0.01,
+            "of the light", "the light does not go off: check its driver and its cable",
+        ),
+        judged(
+            "camera.saturated", "saturated pixels", saturated, settings.saturated_share, "share", "shorten --exposure"
+        ),
+        *_lamp(times_s, means, settings),
+    ]  # fmt: skip
+
+
+def _lamp(times_s: list[float], means: FloatArray, settings: Settings) -> list[Check]:
+    names = ("lamp.drift", "drift of the light over the frames"), ("lamp.flicker", "flicker of the light")
+    if means.mean() <= 0.0:
+        return [skipped(*name, "there is no light") for name in names]
+    found = fit_warmup(times_s, means)
+    change = f"{found.change_share:+.3%} ± {found.change_uncertainty:.3%} over {found.frames} frames"
+    return [
+        judged(
+            *names[0], abs(found.change_share), settings.drift_share, "relative",
+            "let the lamp warm up, and test again", remark=f"{change}; {found.sentence()}",
+        ),
+        judged(
+            *names[1], found.noise_share, settings.flicker_share, "relative",
+            "check the lamp's supply, keep room light out, or make the exposure a multiple of the mains period",
+        ),
+    ]  # fmt: skip
+
+
+def check_camera(bed: Bed) -> list[Check]:
+    """Does the camera count light as it says? Automatic exposure is off; counts are proportional, or it is said."""
+    (exposure, linear), info = CAMERA, bed.rig.camera.info
+    settings = bed.settings
+    assert bed.dark is not None
+    try:
+        proof = proof_on(bed.rig, settings.exposure_s, settings.gain, float(bed.dark.mean()))
+    except CameraError as error:  # the camera works, and does something else than it was told
+        first = Check(key=exposure[0], words=exposure[1], outcome="FAIL", remark=str(error))
+    else:
+        if proof is None:
+            first = skipped(*exposure, "the camera has no automatic exposure")
+        else:
+            first = Check(
+                key=exposure[0],
+                words=exposure[1],
+                outcome="PASS",
+                value=proof.exponents[0],
+                remark=sentence(proof),
+            )
+    bed.rig.camera.configure(settings.exposure_s, settings.gain)
+    second = Check(key=linear[0], words=linear[1], outcome="PASS")
+    if bed.file.uncalibrated(info):
+        second = Check(key=linear[0], words=linear[1], outcome="WARN", remark=UNCALIBRATED)
+    elif not info.linear:
+        second = Check(key=linear[0], words=linear[1], outcome="PASS", remark="by the linearity calibration")
+    return [first, second]
+
+
+def check_moves(bed: Bed) -> list[Check]:
+    """The stage goes where it is told; with pictures on the way, and back at the first angle twice."""
+    part, stage = bed.file.stage, bed.rig.stage
+    names = ("stage.moves", "reading off the command"), ("stage.repeat", "same angle, approached again")
+    angles = _reachable(part, stage, ANGLES)
+    if len(angles) < 2:
+        raise MeasurementError(
+            f"of {', '.join(f'{a:g}°' for a in ANGLES)} the stage reaches fewer than two: choose stage.zero_deg in the "
+            "rig file so that it does"
+        )
+    bed.rig.light.on()
+    off: list[float] = []
+    fixes: list[tuple[float, Fix | None]] = []
+    for angle in [*angles, angles[0], angles[0]]:
+        if fixes and angle == angles[0]:
+            stage.move_to(max(part.reading_deg(angle) - part.approach_deg - 5.0, stage.limits_deg[0]))
+        off.append(_go(part, stage, angle))
+        picture = _picture(bed)
+        fix = (
+            None if bed.settings.tile or bed.file.fixture is None else find_fixture(picture, bed.file.fixture)
+        )
+        fixes.append((angle, fix))
+        bed.views.append((angle, fix, picture))
+    limit = _readback_limit(bed.settings, stage)
+    moved = judged(
+        *names[0],
+        float(np.max(np.abs(off))),
+        limit,
+        "°",
+        "the stage does not arrive: check its load, home it again",
+    )
+    same = [fix.angle_deg for angle, fix in fixes if angle == angles[0] and fix is not None]
+    if len(same) == 3:
+        spread = float(np.max(np.abs(wrapped(np.array(same) - same[0]))))
+        remark = "by the markers"
+    else:
+        spread = float(
+            np.ptp([value for (angle, _), value in zip(fixes, off, strict=True) if angle == angles[0]])
+        )
+        remark = "by the readings: no markers are seen"
+    advice = "something slips or has play: check that fixture and stage sit tight, and stage.approach_deg"
+    again = judged(
+        *names[1], spread, max(bed.settings.repeat_deg, stage.resolution_deg), "°", advice, remark=remark
+    )
+    return [moved, again]
+
+
+def _picture(bed: Bed) -> npt.NDArray[np.float32]:
+    dark = bed.dark
+    counts = bed.rig.camera.grab().astype(np.float64)
+    return np.asarray(counts - (0.0 if dark is None else dark), dtype=np.float32)
+
+
+def check_tilt(bed: Bed) -> list[Check]:
+    """The tilt axis goes where it is told, and back to 0°."""
+    name = ("tilt.moves", "tilt axis: reading off the command")
+    part, axis = bed.file.tilt, bed.rig.tilt
+    if part is None or axis is None:
+        return [skipped(*name, "no axis tilts the arm")]
+    angles = _reachable(part, axis, TILTS)
+    off = [_go(part, axis, angle) for angle in [*angles, *([0.0] if 0.0 in angles else [])]]
+    if not off:
+        raise MeasurementError(
+            "the tilt axis reaches none of ±10° and 0°: correct tilt.zero_deg in the rig file"
+        )
+    advice = "the tilt axis does not arrive: check its load, home it again"
+    return [judged(*name, float(np.max(np.abs(off))), _readback_limit(bed.settings, axis), "°", advice)]
+
+
+STEPS: tuple[Step, ...] = (
+    ((("axes.home", "axes home"),), check_home),
+    (
+        (
+            ("camera.dark_level", "dark level off the camera's black level"),
+            ("camera.dark_noise", "noise of a dark frame"),
+        ),
+        check_dark,
+    ),
+    (
+        (
+            ("light.on", "signal that the light makes"),
+            ("light.off", "light that is left when it is off"),
+            ("camera.saturated", "saturated pixels"),
+            ("lamp.drift", "drift of the light over the frames"),
+            ("lamp.flicker", "flicker of the light"),
+        ),
+        check_light,
+    ),
+    (CAMERA, check_camera),
+    ((("tilt.moves", "tilt axis: reading off the command"),), check_tilt),
+    (
+        (("stage.moves", "reading off the command"), ("stage.repeat", "same angle, approached again")),
+        check_moves,
+    ),
+    (MARKERS, check_markers),
+    (WHITE, check_white),
+)
+
+
 def self_test(
     rig_path: Path,
     settings: Settings,
@@ -217,8 +457,6 @@ def self_test(
         RigFileError, UsageError: the rig file, an exposure that makes no sense.
         CalibrationError: the record was named and cannot be read.
     """
-    from anisoscope.commissioning.selftest_checks import STEPS  # noqa: PLC0415 - it builds on this module
-
     file = read_rig(rig_path)
     known, problem = _commissioned(rig_path, commissioned)
     checks: list[Check] = []
@@ -302,21 +540,3 @@ def _carry_out(steps: tuple[Step, ...], bed: Bed, checks: list[Check]) -> None:
             checks += [skipped(*one, f"'{words}' failed") for one in others]
             if isinstance(error, RigError):
                 broken = f"'{words}' failed: a device is in trouble"
-
-
-def write_self_test(result: SelfTest, folder: Path) -> Path:
-    """Put the result into a folder as a file of its own, with the hash of its content; return its path.
-
-    Raises:
-        RecordError: the folder cannot be made or written.
-    """
-    content = result.model_dump(mode="json", by_alias=True)
-    seal = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
-    stamp = datetime.fromisoformat(result.created_at).strftime("%Y%m%dT%H%M%SZ")
-    path = folder / f"selftest-{stamp}-{result.id[:8]}.json"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RecordError(f"cannot make the folder {folder}: {error.strerror}") from error
-    write_text(path, json.dumps(content | {"sha256": seal}, indent=2, ensure_ascii=False, allow_nan=False))
-    return path

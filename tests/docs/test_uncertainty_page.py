@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from anisoscope.cli.predict.options import DEFAULTS, UncertaintyOptions, input_uncertainty
 from anisoscope.cli.predict.output import contrast_u, radiance_u
+from anisoscope.cli.predict.predict import DEFAULTS, UncertaintyOptions, input_uncertainty
 from anisoscope.prediction.monte_carlo import MonteCarlo
 from anisoscope.prediction.pixel_bias import find_pixel_bias
 from anisoscope.prediction.predict import predict_design

@@ -1,5 +1,7 @@
 """``anisoscope design``: surfaces of steps that reflect light as wanted."""
 
+import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -7,12 +9,13 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import App, Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.console import parse_numbers
-from anisoscope.cli.design.output import check_seed, deliver_design, print_depths, print_json
+from anisoscope.cli.console import parse_numbers, print_table
+from anisoscope.cli.design.output import check_seed, design_json, figure_rows, print_json, width_rows
 
 if TYPE_CHECKING:
     from anisoscope.sim.design.depths import Depths
     from anisoscope.sim.design.designfile import DesignFile
+    from anisoscope.sim.design.lobe import AxisLobe
     from anisoscope.sim.design.models import AnyModel
 
 JsonOption = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")]
@@ -142,7 +145,7 @@ def lobe(
         warnings.append(
             f"the levels have a mean phase of {tau:.2f} at {making.wavelength:g} nm: a spike stands in the lobe"
         )
-    return deliver_design(design, out, html, as_json=json_, axes=(found.x, found.y), warnings=warnings)
+    return _deliver(design, out, html, as_json=json_, axes=(found.x, found.y), warnings=warnings)
 
 
 @app.command
@@ -199,7 +202,7 @@ def antimirror(
         f"the levels have a mean phase of {tau:.2f} at {making.wavelength:g} nm: the hole is filled by a spike"
     ]  # fmt: skip
     design = _made(title, model, etched, making, figures)
-    return deliver_design(design, out, html, as_json=json_, warnings=warnings)
+    return _deliver(design, out, html, as_json=json_, warnings=warnings)
 
 
 @app.command
@@ -217,7 +220,7 @@ def mixture(
     from anisoscope.sim.design.designfile import mixed, read_design
 
     design = mixed([read_design(part) for part in parts], parse_numbers(shares, "--shares"), name)
-    return deliver_design(design, out, html, as_json=json_)
+    return _deliver(design, out, html, as_json=json_)
 
 
 @app.command
@@ -246,7 +249,7 @@ def depths(
         "band_nm": list(found.band_nm), "epsilon": found.epsilon, "worst_nm": found.worst_nm,
         "spike_over_lobe": spike,
     }  # fmt: skip
-    return print_json(result) if json_ else print_depths(found, spike, coherence, width)
+    return print_json(result) if json_ else _print_depths(found, spike, coherence, width)
 
 
 def _made(
@@ -265,3 +268,56 @@ def _made(
         grid_um=making.grid,
         figures=figures,
     )
+
+
+def _deliver(
+    design: "DesignFile",
+    out: Path | None,
+    html: Path | None,
+    *,
+    as_json: bool,
+    axes: "Sequence[AxisLobe]" = (),
+    warnings: Sequence[str] = (),
+) -> int:
+    """Write and print a design."""
+    if out is not None:
+        from anisoscope.sim.design.designfile import write_design
+
+        write_design(design, out)
+    if html is not None:
+        from anisoscope.cli.design.report import write_design_report
+
+        write_design_report(design, html, axes, warnings)
+    if as_json:
+        return print_json(design_json(design) | {"warnings": list(warnings)})
+    print_table(design.name, ["quantity", "value", "unit"], [list(row) for row in figure_rows(design)])
+    rows = width_rows(design)
+    if rows:
+        print_table("steps", ["axis", "width [µm]", "p_a"], rows)
+    sys.stdout.write("".join(f"{line}\n" for line in warnings))
+    for path in (out, html):
+        if path is not None:
+            sys.stdout.write(f"written: {path}\n")
+    return 0
+
+
+def _print_depths(found: "Depths", spike: float, coherence_um: float, width_um: float) -> int:
+    """Print etch passes and their levels."""
+    low, high = found.band_nm
+    at = f"at {low:g} nm" if low == high else f"from {low:g} to {high:g} nm"
+    print_table(
+        f"{len(found.levels_nm)} levels {at}",
+        ["quantity", "value", "unit"],
+        [
+            ["etch passes", ", ".join(f"{depth:.1f}" for depth in found.passes_nm), "nm"],
+            ["levels", ", ".join(f"{level:.1f}" for level in sorted(found.levels_nm, reverse=True)), "nm"],
+            ["largest |τ|, ε", f"{found.epsilon:.5f}", "1"],
+            ["at", f"{found.worst_nm:.0f}", "nm"],
+            [
+                f"spike over lobe there (Δc {coherence_um:g} µm, steps {width_um:g} µm)",
+                f"{100.0 * spike:.3g}",
+                "%",
+            ],
+        ],
+    )
+    return 0

@@ -2,17 +2,12 @@
 
 import json
 import sys
-from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.console import print_table
 
 if TYPE_CHECKING:
-    from anisoscope.sim.design.depths import Depths
     from anisoscope.sim.design.designfile import DesignFile
-    from anisoscope.sim.design.lobe import AxisLobe
 
 UNITS = {
     "sigma_x": ("σ_h along x", "1"),
@@ -105,56 +100,3 @@ def width_rows(design: "DesignFile") -> list[list[str]]:
     model = design.model
     rows = [["x", f"{a:g}", f"{p:.4f}"] for a, p in zip(model.widths_x_um, model.p_a_x, strict=True)]
     return rows + [["y", f"{a:g}", f"{p:.4f}"] for a, p in zip(model.widths_y_um, model.p_a_y, strict=True)]
-
-
-def deliver_design(
-    design: "DesignFile",
-    out: Path | None,
-    html: Path | None,
-    *,
-    as_json: bool,
-    axes: "Sequence[AxisLobe]" = (),
-    warnings: Sequence[str] = (),
-) -> int:
-    """Write and print a design."""
-    if out is not None:
-        from anisoscope.sim.design.designfile import write_design
-
-        write_design(design, out)
-    if html is not None:
-        from anisoscope.cli.design.report import write_design_report
-
-        write_design_report(design, html, axes, warnings)
-    if as_json:
-        return print_json(design_json(design) | {"warnings": list(warnings)})
-    print_table(design.name, ["quantity", "value", "unit"], [list(row) for row in figure_rows(design)])
-    rows = width_rows(design)
-    if rows:
-        print_table("steps", ["axis", "width [µm]", "p_a"], rows)
-    sys.stdout.write("".join(f"{line}\n" for line in warnings))
-    for path in (out, html):
-        if path is not None:
-            sys.stdout.write(f"written: {path}\n")
-    return 0
-
-
-def print_depths(found: "Depths", spike: float, coherence_um: float, width_um: float) -> int:
-    """Print etch passes and their levels."""
-    low, high = found.band_nm
-    at = f"at {low:g} nm" if low == high else f"from {low:g} to {high:g} nm"
-    print_table(
-        f"{len(found.levels_nm)} levels {at}",
-        ["quantity", "value", "unit"],
-        [
-            ["etch passes", ", ".join(f"{depth:.1f}" for depth in found.passes_nm), "nm"],
-            ["levels", ", ".join(f"{level:.1f}" for level in sorted(found.levels_nm, reverse=True)), "nm"],
-            ["largest |τ|, ε", f"{found.epsilon:.5f}", "1"],
-            ["at", f"{found.worst_nm:.0f}", "nm"],
-            [
-                f"spike over lobe there (Δc {coherence_um:g} µm, steps {width_um:g} µm)",
-                f"{100.0 * spike:.3g}",
-                "%",
-            ],
-        ],
-    )
-    return 0

@@ -1,5 +1,21 @@
 """``anisoscope history``, ``show``, ``compare``, ``export``: what has been inspected, and what became of it."""
 
+import json
+import sys
+import unicodedata
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from anisoscope.cli.console import console, print_table
+
+if TYPE_CHECKING:
+    from datetime import datetime
+
+    from anisoscope.history.adding import Added
+    from anisoscope.history.comparing import Compared, Comparison
+    from anisoscope.history.dispositions import Disposition
+    from anisoscope.history.rows import Row
 from pathlib import Path
 from typing import Annotated
 
@@ -8,6 +24,229 @@ from cyclopts import App, Parameter
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.console import progress
 from anisoscope.cli.history.options import ALL, Json, Place, Which, opened
+
+COLORS = {"PASS": "green", "FAIL": "red", "INCONCLUSIVE": "yellow", "INVALID": "magenta"}
+_MAX_CELL = 24
+_SIDES = ("u ", "deviation ", "tolerance ")
+
+
+def plain(text: str | None) -> str:
+    """Text that cannot steer a terminal: control and formatting characters become visible."""
+    if text is None:
+        return ""
+    return "".join(_visible(one) if unicodedata.category(one) in {"Cc", "Cf", "Cs"} else one for one in text)
+
+
+def _visible(character: str) -> str:
+    return character.encode("unicode_escape").decode()
+
+
+def say(text: str) -> None:
+    """Print a line of text that is nothing else."""
+    console().print(plain(text), markup=False, highlight=False, soft_wrap=True)
+
+
+def _print_json(content: object) -> None:
+    json.dump(content, sys.stdout, indent=2, allow_nan=False)
+    sys.stdout.write("\n")
+
+
+def _local(moment: "datetime") -> str:
+    return moment.astimezone().strftime("%Y-%m-%d %H:%M:%S")
+
+
+def print_history(
+    rows: "Sequence[Row]", decided: "Mapping[int, Sequence[Disposition]]", total: int, *, json_: bool
+) -> None:
+    """A table of inspections, or JSON with ``total``: how many the filters let through."""
+    from anisoscope.history.export import as_json
+
+    if json_:
+        listed = [as_json(row, decided.get(row.id, ())) for row in rows]
+        _print_json({"total": total, "inspections": listed})
+        return
+    if not rows:
+        say("no inspections")
+        return
+    from rich.cells import cell_len
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(title="Inspections", title_justify="left", caption_justify="left")
+    optional = [
+        name for name in ("lot", "cavity", "station", "operator") if any(getattr(r, name) for r in rows)
+    ]
+    if decided:
+        optional.append("disposition")
+    lines = [_cells(row, optional, decided.get(row.id, ())) for row in rows]
+    for number, column in enumerate(("id", "time", "serial", "verdict", *optional, "product", "why")):
+        longest = max(len(column), *(cell_len(line[number]) for line in lines))
+        wordy = column in {"product", "why"}
+        table.add_column(
+            column, no_wrap=not wordy, overflow="fold", min_width=16 if wordy else min(longest, _MAX_CELL)
+        )
+    for line in lines:
+        table.add_row(*(Text(cell, style=COLORS.get(cell, "")) for cell in line))
+    console().print(table)
+    say(
+        f"{total} inspections"
+        if total == len(rows)
+        else f"the last {len(rows)} of {total}; --limit 0 for all"
+    )
+
+
+def _cells(row: "Row", optional: Sequence[str], decided: "Sequence[Disposition]") -> list[str]:
+    said = {name: getattr(row, name, None) for name in optional}
+    if "disposition" in said and decided:
+        said["disposition"] = decided[-1].decision
+    head = [str(row.id), _local(row.created_at), row.serial, row.verdict]
+    return [plain(cell) for cell in (*head, *said.values(), row.product, *(row.reasons[:1] or ("",)))]
+
+
+def print_added(added: "Added", where: str, *, json_: bool) -> None:
+    """What became of folders that were added."""
+    if json_:
+        _print_json({**asdict(added), "history": where})
+        return
+    for line in added.refused:
+        say(f"not added: {line}")
+    say(f"{added.added} added, {added.known} there already: {where}")
+
+
+def print_disposed(row: "Row", made: "Disposition", *, json_: bool) -> None:
+    """A decision that was written down."""
+    if json_:
+        _print_json({**asdict(made), "created_at": made.created_at.isoformat()})
+    else:
+        say(f"inspection {row.id} of {row.serial}, {row.verdict}: {made.decision} by {made.reviewer}")
+
+
+def print_verified(damage: Sequence[str], count: int, head: str, *, json_: bool) -> None:
+    """What is wrong with a history, or that nothing is, and its head."""
+    if json_:
+        _print_json({"intact": not damage, "inspections": count, "damage": list(damage), "head": head})
+        return
+    for line in damage:
+        say(line)
+    if not damage:
+        say(f"{count} inspections are as they were written")
+    say(f"head: {head}")
+
+
+def print_shown(row: "Row", decided: "Sequence[Disposition]", *, json_: bool) -> None:
+    """One inspection with everything that the history knows of it."""
+    from anisoscope.history.export import as_json
+
+    folder = _folder_state(row)
+    if json_:
+        _print_json({**as_json(row, decided), "folder_state": folder})
+        return
+    console().print(f"[bold {COLORS.get(row.verdict, '')}]{plain(row.verdict)}[/]")
+    for reason in row.reasons:
+        say(f"  {reason}")
+    said = {
+        name: getattr(row, name) for name in ("lot", "cavity", "station", "operator") if getattr(row, name)
+    }
+    facts = {
+        "inspection": str(row.id),
+        "serial": row.serial,
+        "time": _local(row.created_at),
+        "recipe": row.recipe,
+    }
+    facts |= {**said, "software": row.software, "folder": f"{row.folder} ({folder})"}
+    for name, value in facts.items():
+        say(f"{name}: {value}")
+    if row.numbers:
+        print_table("Numbers", ["", "value", "u", "deviation", "tolerance"], _number_rows(row.numbers))
+    for one in decided:
+        comment = f": {one.comment}" if one.comment else ""
+        say(f"{_local(one.created_at)} {one.decision} by {one.reviewer}{comment}")
+
+
+def _folder_state(row: "Row") -> str:
+    from pathlib import Path
+
+    from anisoscope.base.errors import RecordError
+    from anisoscope.history.comparing import record_of
+
+    if not Path(row.folder).is_dir():
+        return "gone"
+    try:
+        record_of(row)
+    except RecordError as error:
+        return str(error)
+    return "its record is the one in the history"
+
+
+def _number_rows(numbers: Mapping[str, float]) -> list[list[str]]:
+    def cell(label: str, form: str) -> str:
+        return form.format(numbers[label]) if label in numbers else ""
+
+    return [
+        [
+            plain(label),
+            f"{value:.4g}",
+            cell(f"u {label}", "{:.2g}"),
+            cell(f"deviation {label}", "{:+.4g}"),
+            cell(f"tolerance {label}", "±{:g}"),
+        ]
+        for label, value in numbers.items()
+        if not label.startswith(_SIDES)
+    ]
+
+
+def print_comparison(found: "Comparison", *, json_: bool) -> None:
+    """Two inspections side by side."""
+    if json_:
+        _print_json(_comparison_json(found))
+        return
+    names = [f"{row.serial} ({row.id})" for row in (found.first, found.second)]
+    table = [["verdict", found.first.verdict, found.second.verdict, "", "", ""]]
+    table += [_compared_row(one) for one in (*found.contrasts, *found.numbers)]
+    columns = ["", *map(plain, names), "difference", "u", "difference/u"]
+    print_table("Compared", columns, [[plain(cell) for cell in row] for row in table])
+    for change in found.changes:
+        say(f"{change.what}: {_or_nothing(change.first)} -> {_or_nothing(change.second)}")
+    if not found.changes:
+        say(
+            "recipe, rig, calibrations and software are the same"
+            if not found.notes
+            else "nothing else differs"
+        )
+    for note in found.notes:
+        say(f"note: {note}")
+
+
+def _comparison_json(found: "Comparison") -> dict[str, Any]:
+    from anisoscope.history.export import as_json
+
+    def numbers(some: "Sequence[Compared]") -> list[dict[str, Any]]:
+        return [{**asdict(one), "ratio": one.ratio} for one in some]
+
+    return {
+        "first": as_json(found.first),
+        "second": as_json(found.second),
+        "contrasts": numbers(found.contrasts),
+        "numbers": numbers(found.numbers),
+        "changes": [asdict(change) for change in found.changes],
+        "notes": list(found.notes),
+    }
+
+
+def _compared_row(one: "Compared") -> list[str]:
+    forms = [
+        (one.first, ".4g"),
+        (one.second, ".4g"),
+        (one.difference, "+.4g"),
+        (one.u, ".2g"),
+        (one.ratio, "+.1f"),
+    ]
+    return [one.label, *("" if value is None else format(value, form) for value, form in forms)]
+
+
+def _or_nothing(text: str | None) -> str:
+    return "nothing" if text is None else text
+
 
 app = App(name="history", help="List past inspections; add, check and decide about them.")
 Selection = Annotated[Which, Parameter(name="*")]
@@ -24,8 +263,6 @@ def history(
     json_: Json = False,
 ) -> int:
     """List past inspections, the oldest first. All filters that are given must hold."""
-    from anisoscope.cli.history.output import print_history
-
     filters = which.filters(limit)
     with opened(place) as found:
         rows = found.rows(filters)
@@ -45,7 +282,6 @@ def add(
 
     Exit codes: 0 all of them are in the history now, 1 a record is damaged, 64 and above nothing could be added.
     """
-    from anisoscope.cli.history.output import print_added
     from anisoscope.history.adding import add_folders
 
     if not folders:
@@ -69,7 +305,6 @@ def dispose(
     json_: Json = False,
 ) -> int:
     """Write down what a reviewer decides about an inspection. Its verdict, and earlier decisions, stay as they are."""
-    from anisoscope.cli.history.output import print_disposed
     from anisoscope.history.store import find
 
     with opened(place) as found:
@@ -93,8 +328,6 @@ def verify(
 
     Exit codes: 0 everything is as it was written, 1 not, 64 and above there is no history to be read.
     """
-    from anisoscope.cli.history.output import print_verified
-
     if head is not None and not _is_hash(head):
         raise UsageError(
             f"--head takes the 64 hexadecimal digits that this command prints, not {head[:80]!r}"
@@ -116,7 +349,6 @@ def show(inspection: One, /, *, place: Place = None, json_: Json = False) -> int
 
     Of a part that was inspected several times, the latest. `id:7` and `serial:7` tell ids and serial numbers apart.
     """
-    from anisoscope.cli.history.output import print_shown
     from anisoscope.history.store import find
 
     with opened(place) as found:
@@ -127,7 +359,6 @@ def show(inspection: One, /, *, place: Place = None, json_: Json = False) -> int
 
 def compare(first: One, second: One, /, *, place: Place = None, json_: Json = False) -> int:
     """Compare two inspections: contrasts side by side, and what changed in recipe, rig, calibrations and software."""
-    from anisoscope.cli.history.output import print_comparison
     from anisoscope.history.comparing import compare as compared
     from anisoscope.history.store import find
 
@@ -150,7 +381,6 @@ def export(
 ) -> int:
     """Write past inspections for other programs, into one or several files. Filters are those of `history`."""
     from anisoscope.base.atomic_write import write_text
-    from anisoscope.cli.history.output import say
     from anisoscope.history.export import to_csv, to_json, to_junit
 
     wanted = [(csv, to_csv), (json, to_json), (junit, to_junit)]

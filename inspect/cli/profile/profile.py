@@ -13,13 +13,13 @@ from anisoscope.cli.console import parse_numbers, print_table
 
 if TYPE_CHECKING:
     from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.cli.console import progress
 
 app = App(name="profile", help="Read, measure, convert, make and spoil height maps.")
 app.command("anisoscope.cli.profile.ridges:ridges")
 app.command("anisoscope.cli.profile.texture:texture")
 app.command("anisoscope.cli.profile.surfaces:make")
 app.command("anisoscope.cli.profile.surfaces:spoil")
-app.command("anisoscope.cli.profile.report:report")
 
 Unit = Literal["um", "nm", "mm", "m"]
 Layout = Literal["auto", "matrix", "xyz"]
@@ -168,4 +168,34 @@ def convert(
     if target.exists() and not overwrite:
         raise UsageError(f"{target} exists; give another name, or --overwrite")
     write_height_map(scales.read(source), target)
+    return 0
+
+
+@app.command
+def report(
+    file: Path,
+    /,
+    *,
+    out: Path,
+    force: Annotated[bool, Parameter(negative="")] = False,
+    scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
+) -> int:
+    """Write one HTML page about a height map: pictures, ridges, roughness, burrs, height parameters, origin.
+
+    Args:
+        file: Height map; one without ridges gets a page without them.
+        out: HTML file to write.
+        force: Overwrite a file that exists.
+    """
+    from anisoscope.report.profile_page import write_profile_page
+
+    if out.suffix.lower() not in (".html", ".htm"):
+        raise UsageError(f"--out {out}: a page is named *.html")
+    if out.exists() and not force:
+        raise UsageError(f"--out {out} exists already; choose another name, or say --force")
+    with progress(file.name) as advance:
+        advance("reading", 0, 3)
+        surface = scales.read(file)
+        write_profile_page(surface, file.name, out, advance)
+    sys.stdout.write(f"{out}\n")
     return 0

@@ -12,7 +12,7 @@ from anisoscope.cli.console import console, parse_numbers, print_table, progress
 if TYPE_CHECKING:
     from anisoscope.commissioning.part import RidgedPart
     from anisoscope.commissioning.record import Commissioning
-    from anisoscope.commissioning.selftest import SelfTest
+    from anisoscope.commissioning.selftest_record import SelfTest
 
 _RigOption = Annotated[Path, Parameter(name=["--rig", "-g"], help="Rig file (TOML).")]
 _Json = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")]
@@ -176,7 +176,8 @@ def check(
 
     The stage homes and turns: nothing may stand in its way.
     """  # fmt: skip
-    from anisoscope.commissioning.selftest import Settings, self_test, write_self_test
+    from anisoscope.commissioning.selftest import self_test
+    from anisoscope.commissioning.selftest_record import Settings, write_self_test
 
     settings = Settings(exposure_s=exposure, gain=gain, frames=frames, tile=tile)
     with progress("self test", quiet=json_) as advance:

@@ -1,17 +1,14 @@
 """``anisoscope rig``: look after the rig: its ports, its motion, its picture; and simulated devices."""
 
+import ast
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Annotated
+from importlib.machinery import SourceFileLoader
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Annotated, cast
 
 from cyclopts import App, Group, Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.rig.commission import check, commission
-from anisoscope.cli.rig.live import live
-from anisoscope.cli.rig.motion import home, jog, move, stop
-from anisoscope.cli.rig.sim import app as sim
-from anisoscope.cli.rig.snap import snap
-from anisoscope.cli.rig.status import status
 
 if TYPE_CHECKING:
     from anisoscope.rig.discovery import Answer, FoundPort
@@ -23,15 +20,35 @@ _set_up = Group.create_ordered("Set up and check")
 _simulate = Group.create_ordered("Simulate")
 
 
-app.command(status, group=_look)
-app.command(snap, group=_look)
-app.command(live, group=_look)
-for _motion in (home, move, jog, stop):
-    app.command(_motion, group=_move)
-for _check in (commission, check):
-    app.command(_check, group=_set_up)
-sim.group = _simulate
-app.command(sim)
+def _register(path: str, group: Group) -> None:
+    """Register a command by its import path; its summary is read from the source, so that help imports none of them."""
+    module, _, name = path.partition(":")
+    spec = find_spec(module)
+    source = (
+        None
+        if spec is None or spec.loader is None
+        else cast("SourceFileLoader", spec.loader).get_source(module)
+    )
+    assert source is not None
+    function = next(
+        node for node in ast.parse(source).body if isinstance(node, ast.FunctionDef) and node.name == name
+    )
+    app.command(path, group=group, help=(ast.get_docstring(function) or "").partition("\n\nArgs:")[0])
+
+
+_register("anisoscope.cli.rig.status:status", _look)
+_register("anisoscope.cli.rig.snap:snap", _look)
+_register("anisoscope.cli.rig.live:live", _look)
+for _motion in ("home", "move", "jog", "stop"):
+    _register(f"anisoscope.cli.rig.motion:{_motion}", _move)
+for _check in ("commission", "check"):
+    _register(f"anisoscope.cli.rig.commission:{_check}", _set_up)
+app.command(
+    "anisoscope.cli.rig.sim:app",
+    name="sim",
+    group=_simulate,
+    help="Serve a simulated device, byte by byte, to any program.",
+)
 
 
 @app.command(group=_look)

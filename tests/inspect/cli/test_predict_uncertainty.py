@@ -5,7 +5,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from anisoscope.cli.predict.options import DEFAULTS, input_uncertainty
+from anisoscope.cli.predict.predict import DEFAULTS, input_uncertainty
 from anisoscope.prediction.sensitivity import InputUncertainty
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.ideal import RidgeDesign, ridges

@@ -6,8 +6,8 @@ import pytest
 
 from anisoscope.base.errors import CalibrationError, UsageError
 from anisoscope.commissioning.record import Commissioning, Finding, default_record_path, write_commissioning
-from anisoscope.commissioning.selftest import Settings, self_test, write_self_test
-from anisoscope.commissioning.selftest_checks import STEPS
+from anisoscope.commissioning.selftest import STEPS, self_test
+from anisoscope.commissioning.selftest_record import Settings, write_self_test
 from anisoscope.record.schema import sha256_of
 from anisoscope.rig.rigfile import read_rig
 
