@@ -1,0 +1,68 @@
+"""The pages that show how the code is laid out say what the contract and the imports say."""
+
+import importlib.util
+import json
+import re
+import sys
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = ROOT / "docs" / "layout.md"
+PAGES = (PAGE, ROOT / "CONTRIBUTING.md")
+DESCRIPTION = "{http://purl.org/dc/elements/1.1/}description"
+
+
+@pytest.fixture(scope="module")
+def tools():
+    """The scripts of tools/, which import each other by name."""
+    sys.path.insert(0, str(ROOT / "tools"))
+    try:
+        yield {name: importlib.import_module(name) for name in ("house", "draw_layout")}
+    finally:
+        sys.path.remove(str(ROOT / "tools"))
+
+
+def floors_of(page):
+    table = page.read_text(encoding="utf-8").split("<!-- floors: the layers of pyproject.toml -->")[1]
+    lines = table.split("<!-- end of floors -->")[0].strip().splitlines()
+    return [re.findall(r"`([^`]+)`", line.split("|")[1]) for line in lines[2:]]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_the_table_of_floors_is_the_import_contract(page, tools):
+    assert floors_of(page) == tools["house"].contract_layers(ROOT)
+
+
+def test_modules_that_a_frame_passes_exist():
+    text = PAGE.read_text(encoding="utf-8").split("## The way of a frame")[1].split("## Floors")[0]
+    named = re.findall(r"`(anisoscope\.[a-z_.]+)`", text)
+    assert len(named) > 10
+    for name in named:
+        assert importlib.util.find_spec(name) is not None, name
+
+
+def test_arrows_that_a_longer_way_says_are_left_out(tools):
+    graph = {"top": {"middle", "ground"}, "middle": {"ground"}, "ground": set()}
+    assert tools["draw_layout"].thinned(graph) == {"top": {"middle"}, "middle": {"ground"}, "ground": set()}
+
+
+def test_neighbours_in_the_picture_do_not_overlap(tools):
+    arrows = {"a": {"c", "d"}, "b": {"c", "d"}, "c": {"e"}, "d": {"e"}, "e": set()}
+    place, chains = tools["draw_layout"].places(arrows, tools["house"].floors(arrows))
+    assert len(chains) == 6
+    for row in ("ab", "cd"):
+        first, second = (x for (name, _, _), x in place.items() if name in row)
+        assert abs(first - second) >= tools["draw_layout"].BOX[0]
+
+
+def test_a_picture_says_which_arrows_it_shows(tools, tmp_path):
+    """Drawn twice it is the same file."""
+    arrows = {"cli": {"base"}, "rig": {"base"}, "base": set()}
+    for name in ("one.svg", "two.svg"):
+        tools["draw_layout"].draw(arrows, tools["house"].floors(arrows), tmp_path / name)
+    assert (tmp_path / "one.svg").read_bytes() == (tmp_path / "two.svg").read_bytes()
+    shown = json.loads(next(ET.parse(tmp_path / "one.svg").iter(DESCRIPTION)).text)
+    assert shown == {"base": [], "cli": ["base"], "rig": ["base"]}
