@@ -18,14 +18,23 @@ if SIDE_BY_SIDE:
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
         os.environ.setdefault(name, "1")
 
-SPEC = importlib.util.spec_from_file_location("sidebyside", Path(__file__).with_name("sidebyside.py"))
+
+def beside(name):
+    """A module in this folder, which is no package."""
+    spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
 
 # What takes a minute to make and serves many tests. Each begins the share of another worker, with the tests that need
 # it behind it, so that none waits for it while another one makes it.
 LONG = ("studied", "demo")
 
 CACHE = "ANISOSCOPE_CACHE"
+RUN = "ANISOSCOPE_TEST_RUN"
 OWN_CACHE = pytest.StashKey[str]()
+OWN_RUN = pytest.StashKey[Path]()
 
 
 def pytest_configure(config):
@@ -33,11 +42,19 @@ def pytest_configure(config):
     # a shell ignores Ctrl-C for what runs in the background, and all that the tests start and interrupt would, too
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
-    if not hasattr(config, "workerinput") and CACHE not in os.environ:
+    if hasattr(config, "workerinput"):
+        return
+    config.stash[OWN_RUN] = Path(tempfile.mkdtemp(prefix="anisoscope-run-"))
+    os.environ[RUN] = str(config.stash[OWN_RUN])
+    if CACHE not in os.environ:
         config.stash[OWN_CACHE] = os.environ[CACHE] = tempfile.mkdtemp(prefix="anisoscope-cache-")
 
 
 def pytest_unconfigure(config):
+    if OWN_RUN in config.stash:
+        beside("postgresql").stop_server_of(config.stash[OWN_RUN])
+        os.environ.pop(RUN, None)
+        shutil.rmtree(config.stash[OWN_RUN], ignore_errors=True)
     if OWN_CACHE in config.stash:
         os.environ.pop(CACHE, None)
         shutil.rmtree(config.stash[OWN_CACHE], ignore_errors=True)
@@ -71,9 +88,20 @@ def pytest_collection_finish(session):
         import numba
 
         numba.set_num_threads(1)  # tests of threads take more
-        sidebyside = importlib.util.module_from_spec(SPEC)
-        SPEC.loader.exec_module(sidebyside)
-        sidebyside.share()
+        beside("sidebyside").share()
+
+
+@pytest.fixture(scope="session")
+def postgresql_server():
+    """Address of a PostgreSQL server: ANISOSCOPE_TEST_POSTGRESQL, or else one that this run starts for itself."""
+    named = os.environ.get("ANISOSCOPE_TEST_POSTGRESQL")
+    return named or beside("postgresql").address(Path(os.environ[RUN]))
+
+
+@pytest.fixture(scope="session")
+def postgresql_programs():
+    """What starts and stops a PostgreSQL server with settings of a test's own."""
+    return beside("postgresql")
 
 
 @pytest.hookimpl(wrapper=True)

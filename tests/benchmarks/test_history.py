@@ -3,7 +3,6 @@
 The alternative of a series is to read whole rows.
 """
 
-import os
 import time
 import uuid
 from datetime import UTC, datetime, timedelta
@@ -136,16 +135,13 @@ def test_verifying(history):
 
 
 @pytest.fixture
-def server():
-    """The URL of a database of our own on the server that ANISOSCOPE_TEST_POSTGRESQL names."""
-    url = os.environ.get("ANISOSCOPE_TEST_POSTGRESQL")
-    if not url:
-        pytest.skip("ANISOSCOPE_TEST_POSTGRESQL names no server of PostgreSQL")
+def server(postgresql_server):
+    """The URL of a database of our own on a server of PostgreSQL."""
     name = f"anisoscope_{uuid.uuid4().hex}"
-    engine = create_engine(parse_address(url).url, isolation_level="AUTOCOMMIT")
+    engine = create_engine(parse_address(postgresql_server).url, isolation_level="AUTOCOMMIT")
     with engine.connect() as connection:
         connection.execute(text(f"CREATE DATABASE {name}"))
-    yield make_url(url).set(database=name).render_as_string(hide_password=False)
+    yield make_url(postgresql_server).set(database=name).render_as_string(hide_password=False)
     with engine.connect() as connection:
         connection.execute(text(f"DROP DATABASE {name} WITH (FORCE)"))
     engine.dispose()

@@ -1,6 +1,5 @@
 """Histories in SQLite and in PostgreSQL, made-up rows, and folders with real records."""
 
-import os
 import uuid
 from datetime import UTC, datetime, timedelta
 from hashlib import sha256
@@ -58,16 +57,13 @@ def sqlite_place(tmp_path):
 
 
 @pytest.fixture(scope="session")
-def postgresql_database():
-    """The URL of a database of ours on the server that ANISOSCOPE_TEST_POSTGRESQL names."""
-    server = os.environ.get("ANISOSCOPE_TEST_POSTGRESQL")
-    if not server:
-        pytest.skip("ANISOSCOPE_TEST_POSTGRESQL names no server of PostgreSQL")
+def postgresql_database(postgresql_server):
+    """The URL of a database of ours on a server of PostgreSQL."""
     name = f"anisoscope_{uuid.uuid4().hex}"
-    engine = create_engine(parse_address(server).url, isolation_level="AUTOCOMMIT")
+    engine = create_engine(parse_address(postgresql_server).url, isolation_level="AUTOCOMMIT")
     with engine.connect() as connection:
         connection.execute(text(f"CREATE DATABASE {name}"))
-    yield make_url(server).set(database=name).render_as_string(hide_password=False)
+    yield make_url(postgresql_server).set(database=name).render_as_string(hide_password=False)
     with engine.connect() as connection:
         connection.execute(text(f"DROP DATABASE {name} WITH (FORCE)"))
     engine.dispose()

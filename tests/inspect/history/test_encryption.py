@@ -1,12 +1,6 @@
 """PostgreSQL that is reached encrypted only: a server of our own with a certificate that nobody else trusts."""
 
-import os
 import shutil
-import socket
-import subprocess
-import tempfile
-from contextlib import contextmanager
-from pathlib import Path
 
 import pytest
 from sqlalchemy import text
@@ -21,84 +15,39 @@ PASSWORD = "gr8-secret"
 ENTRANCES = "local all all trust\nhostssl all all 127.0.0.1/32 scram-sha-256\n"
 
 
-def programs():
-    """The folder of the newest PostgreSQL's programs."""
-    found = sorted(Path("/usr/lib/postgresql").glob("*/bin/initdb"), key=lambda path: int(path.parts[-3]))
-    if not found or shutil.which("openssl") is None:
-        pytest.skip("PostgreSQL and openssl are not installed here (apt-get install postgresql openssl)")
-    return found[-1].parent
-
-
-def run(folder, *command):
-    """The server refuses to run as root."""
-    as_server = ["runuser", "-u", "postgres", "--"] if os.geteuid() == 0 else []
-    done = subprocess.run(
-        [*as_server, *map(str, command)], cwd=folder, capture_output=True, text=True, check=False, timeout=300
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-
-
-def lay_out(folder, where):
-    """A cluster with a certificate for ``localhost``, which it signed itself."""
-    data, secret = folder / "data", folder / "password"
-    secret.write_text(PASSWORD)
-    secret.chmod(0o644)
-    run(folder, where / "initdb", "-D", data, "-U", "anisoscope", "--pwfile", secret, "--no-sync")
+def encrypting(server, folder):
+    """A running server with a certificate for ``localhost``, which it signed itself; its port."""
+    data = server.initialise(folder, PASSWORD)
     key, certificate = data / "server.key", data / "server.crt"
     made = ("-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-days", "2")
     name = ("-subj", "/CN=localhost", "-addext", "subjectAltName=DNS:localhost")
-    run(folder, "openssl", "req", *made, *name, "-keyout", key, "-out", certificate)
+    server.run(folder, "openssl", "req", *made, *name, "-keyout", key, "-out", certificate)
     shutil.copyfile(certificate, folder / "root.crt")
     (data / "pg_hba.conf").write_text(ENTRANCES)
-    return data
-
-
-def start(folder, *control):
-    """Start the server on a free port: the server cannot choose one, and somebody else may take it first."""
-    while True:
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            port = free.getsockname()[1]
-        options = f"-p {port} -k {folder} -c listen_addresses=127.0.0.1 -c fsync=off -c ssl=on"
-        log = folder / f"log-{port}"
-        try:
-            run(folder, *control, "-w", "-t", "120", "-l", log, "-o", options, "start")
-        except AssertionError:
-            if "Address already in use" not in log.read_text():
-                raise
-        else:
-            return port
-
-
-@contextmanager
-def server_in(folder):
-    where = programs()
-    if os.geteuid() == 0:
-        shutil.chown(folder, "postgres")
-    data = lay_out(folder, where)
-    control = (where / "pg_ctl", "-D", data, "-s")
-    port = start(folder, *control)
-    try:
-        yield port
-    finally:
-        run(folder, *control, "-m", "immediate", "stop")
+    return server.start(folder, data, "ssl=on")
 
 
 @pytest.fixture(scope="module")
-def encrypted():
+def encrypted(postgresql_programs):
     """``encrypted("sslmode=require", host="127.0.0.1")`` is the address of the history."""
-    folder = Path(tempfile.mkdtemp(prefix="anisoscope-encrypted-"))  # short: a socket lies there
+    server = postgresql_programs
+    server.programs()
+    if shutil.which("openssl") is None:
+        pytest.skip("openssl is not installed here (apt-get install openssl)")
+    folder = server.new_folder("anisoscope-encrypted-")
     try:
-        with server_in(folder) as port:
-            yield (
-                lambda query, host="127.0.0.1": (
-                    f"postgresql://anisoscope:{PASSWORD}@{host}:{port}/postgres?{query}".replace(
-                        "ROOT", str(folder / "root.crt")
-                    )
-                )
-            )
-    finally:
+        port = encrypting(server, folder)
+    except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
+        raise
+    root = str(folder / "root.crt")
+
+    def address(query, host="127.0.0.1"):
+        query = query.replace("ROOT", root)
+        return f"postgresql://anisoscope:{PASSWORD}@{host}:{port}/postgres?{query}"
+
+    yield address
+    server.stop(folder, folder / "data")
 
 
 @pytest.mark.parametrize(
