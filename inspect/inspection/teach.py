@@ -19,7 +19,7 @@ from anisoscope.inspection.job import Job, check_serial, prepare
 from anisoscope.inspection.run import inspect_part
 from anisoscope.kinds.prints.lighting import check_filters, expectation_of_print
 from anisoscope.kinds.prints.recipe import AnyRecipe, PrintRecipe, read_any_recipe
-from anisoscope.kinds.prints.teach import golden_tolerances, taught_tolerances
+from anisoscope.kinds.prints.tolerances import golden_tolerances, taught_tolerances
 from anisoscope.recipe.recipe import Recipe
 from anisoscope.recipe.template import with_values
 from anisoscope.record.schema import Record

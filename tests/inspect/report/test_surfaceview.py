@@ -10,7 +10,7 @@ def test_a_program_that_ends_while_drawings_are_made_ends_with_its_own_code():
     script = textwrap.dedent("""
         import os, sys, time
         from matplotlib import font_manager, ft2font
-        from anisoscope.report import surfaceview
+        from anisoscope.report import surface_view as surfaceview
         from anisoscope.profiles.ideal import RidgeDesign, ridges
 
         class NoProcess:

@@ -19,7 +19,7 @@ from anisoscope.inspection.run import inspect_part
 from anisoscope.kinds.prints.lighting import expectation_of_print
 from anisoscope.kinds.prints.recipe import read_print_recipe
 from anisoscope.kinds.prints.reference_prints import SENSIBLE, add_print
-from anisoscope.kinds.prints.teach import golden_tolerances
+from anisoscope.kinds.prints.tolerances import golden_tolerances
 from anisoscope.rig.rigfile import read_rig
 
 PAGE = Path(__file__).parents[4] / "docs" / "prints.md"

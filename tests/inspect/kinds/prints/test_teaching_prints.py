@@ -12,7 +12,7 @@ from anisoscope.kinds.prints.expectation import rig_sources
 from anisoscope.kinds.prints.model import State
 from anisoscope.kinds.prints.recipe import read_print_recipe
 from anisoscope.kinds.prints.sources import total
-from anisoscope.kinds.prints.teach import (
+from anisoscope.kinds.prints.tolerances import (
     KEYS,
     _measured,
     _reached,
