@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from anisoscope.profiles import patterns, staircases
+from anisoscope.profiles import patterns
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
 from anisoscope.profiles.spoiling import DEFECTS, spoil
@@ -23,8 +23,8 @@ def ideal() -> dict[str, HeightMap]:
     """The ideal surfaces of the first picture."""
     design, shape = RidgeDesign(60.0, 15.0), (300, 300)
     rough = add_facet_roughness(ridges(design, shape, 1.0), 0.1, 0.15, 6.0, np.random.default_rng(0))
-    levels = staircases.etched_levels([0.1073, 0.1575])
-    steps = staircases.random_steps(levels, shape, 0.1, (2.0, 2.0), np.random.default_rng(0), spread=1.0)
+    levels = patterns.etched_levels([0.1073, 0.1575])
+    steps = patterns.random_steps(levels, shape, 0.1, (2.0, 2.0), np.random.default_rng(0), spread=1.0)
     return {
         "ridges": ridges(design, shape, 1.0),
         "ridges, direction 30°, vertical wall": patterns.turned_ridges(

@@ -6,10 +6,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from anisoscope.base.errors import HeightMapError
-from anisoscope.profiles.defects import burrs, ridge_angle_error
+from anisoscope.profiles.defects import (
+    burrs,
+    chatter,
+    incomplete_filling,
+    missing_ridges,
+    pitch_error,
+    ridge_angle_error,
+)
 from anisoscope.profiles.defects_contact import dust, edge_wear, scratches
 from anisoscope.profiles.defects_layout import ridge_layout
-from anisoscope.profiles.defects_ridges import chatter, incomplete_filling, missing_ridges, pitch_error
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import add_facet_roughness
 

@@ -19,9 +19,8 @@ from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.sim.light.material import Material
 from anisoscope.sim.light.optics import Optics
 from anisoscope.sim.light.wave.halfvectors import half_vector
-from anisoscope.sim.light.wave.orders import REACH, Bands, Orders
+from anisoscope.sim.light.wave.orders import REACH, Bands, Orders, WidthOrders
 from anisoscope.sim.light.wave.reflectance import LightSpectrum, radiance_scale
-from anisoscope.sim.light.wave.widthorders import WidthOrders
 
 WHOLE = 1e-3
 """How far the side of a tile may be off the pitch of the recipe, relative."""

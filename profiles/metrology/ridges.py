@@ -1,10 +1,10 @@
 """Measure the ridges of a height map: pitch, angles, heights, roughness, burrs, each with its uncertainty.
 
 The chain: period and direction from the spectrum (:mod:`.period`), tilt from points whole pitches apart
-(:mod:`.level`), the median ridge (:mod:`.ridgefold`), positions tile by tile (:mod:`.ridgephase`), planes of the facets
-(:mod:`.ridgefit`), what stands out (:mod:`.burrlist`), the same once more without it, then slopes
-(:mod:`.ridgeslopes`) and crest (:mod:`.ridgecrest`). A ridge is the unit that is repeated: uncertainties come from
-how the ridges of the map differ.
+(:mod:`.level`), the median ridge and the positions tile by tile (:mod:`.ridgefold`), planes of the facets
+(:mod:`.ridgefit`), what stands out (:mod:`.burrlist`), the same once more without it, then slopes (:mod:`.ridgefit`)
+and crest (:mod:`.ridgecrest`). A ridge is the unit that is repeated: uncertainties come from how the ridges of the
+map differ.
 """
 
 from dataclasses import dataclass
@@ -25,13 +25,21 @@ from anisoscope.profiles.metrology.ridgefit import (
     Single,
     facet_line,
     fit_planes,
+    measure_slopes,
     ridge_angle,
     single_ridges,
 )
-from anisoscope.profiles.metrology.ridgefold import Course, Facet, Folded, Grid, fold_median, orient
+from anisoscope.profiles.metrology.ridgefold import (
+    Course,
+    Facet,
+    Folded,
+    Grid,
+    Positions,
+    fold_median,
+    orient,
+    refine,
+)
 from anisoscope.profiles.metrology.ridgemeasurement import MeanRidge, Ridge, RidgeMeasurement
-from anisoscope.profiles.metrology.ridgephase import Positions, refine
-from anisoscope.profiles.metrology.ridgeslopes import measure_slopes
 from anisoscope.profiles.metrology.ridgesums import profile_sums, wall_sums
 from anisoscope.profiles.period import MIN_SCORE, Period, find_period
 

@@ -6,10 +6,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from types import TracebackType
+from typing import Self
 
 import numpy as np
 
-from anisoscope.base.errors import CameraError, RecordError, RigError
+from anisoscope.base.errors import CameraError, RecordError, RigError, RigFileError
+from anisoscope.rig.acquisition.interruptions import undisturbed
 from anisoscope.rig.acquisition.journal import Journal, JournalFile, RunLine, read_journal
 from anisoscope.rig.acquisition.opening import Rig, open_rig
 from anisoscope.rig.acquisition.plan import (
@@ -22,14 +25,101 @@ from anisoscope.rig.acquisition.plan import (
     Pose,
     SampleEvent,
 )
-from anisoscope.rig.acquisition.reach import check_plan
-from anisoscope.rig.acquisition.watch import Watch
 from anisoscope.rig.acquisition.writer import FRAMES, FrameRecord, FrameWriter, Shot
 from anisoscope.rig.camera import CameraSettings
 from anisoscope.rig.frame import Frame, FrameKind
 from anisoscope.rig.light import rest
 from anisoscope.rig.rigfile import AxisPart
 from anisoscope.rig.stage import RotationStage
+
+TILT_TOLERANCE_DEG = 0.01
+
+
+def check_plan(plan: Plan, rig: Rig) -> None:
+    """Can the rig do what the plan asks for? Nothing moves.
+
+    Raises:
+        RigError: a tilt that the arm does not have.
+        RigFileError: an angle that cannot be reached from below within the limits of its axis.
+    """
+    for pose in plan.poses:
+        _check_reach(rig.file.stage, rig.stage, pose.stage_deg, "stage")
+        if rig.tilt is not None and rig.file.tilt is not None:
+            _check_reach(rig.file.tilt, rig.tilt, pose.tilt_deg, "tilt")
+            continue
+        arm_deg = rig.file.geometry.tilt_deg
+        if abs(pose.tilt_deg - arm_deg) > TILT_TOLERANCE_DEG:
+            raise RigError(
+                f"a tilt of {pose.tilt_deg:g}° was asked for, but the camera arm of '{rig.file.name}' "
+                f"is fixed at {arm_deg:g}°; ask for that, correct geometry.tilt_deg in the rig file, or "
+                "describe the axis that tilts it under [tilt]"
+            )
+
+
+def _check_reach(part: AxisPart, axis: RotationStage, angle_deg: float, table: str) -> None:
+    low, high = axis.limits_deg
+    target = part.reading_deg(angle_deg)
+    if target - part.approach_deg < low or target > high:
+        what = "sample angle" if table == "stage" else "tilt"
+        hint = ' (with turns = "ccw": at least stage.approach_deg)' if table == "stage" else ""
+        raise RigFileError(
+            f"a {what} of {angle_deg:g}° needs the {table} at {target:g}° and before at "
+            f"{target - part.approach_deg:g}°, but it reaches {low:g}°…{high:g}°; choose {table}.zero_deg "
+            f"in the rig file so that both fit{hint}"
+        )
+
+
+POLL_S = 0.02
+REPEAT_S = 0.1
+
+
+class Watch:
+    """While its context lasts, stops the rig as soon as a cancel or trouble is seen.
+
+    The stop is repeated until the acquisition has ended, because a move may be starting in this moment.
+
+    Args:
+        stop: stops all axes; called in the thread of the watch.
+        cancel: set by whoever wants the acquisition to end.
+
+    Attributes:
+        halted: set once the rig was told to stop; long waits of the acquisition wait for it.
+    """
+
+    def __init__(self, stop: Callable[[], object], cancel: threading.Event) -> None:
+        self.halted = threading.Event()
+        self._stop, self._cancel = stop, cancel
+        self._trouble = threading.Event()
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._work, name="rig watch", daemon=True)
+
+    def trouble(self) -> None:
+        """Stop the rig because something failed; may be called from any thread."""
+        self._trouble.set()
+
+    @property
+    def wanted(self) -> bool:
+        """Whether the acquisition is to end, even if the rig was not told yet."""
+        return self._cancel.is_set() or self._trouble.is_set()
+
+    def _work(self) -> None:
+        while not self._over.is_set():
+            if self._cancel.wait(POLL_S) or self.wanted:
+                self.halted.set()
+                self._stop()
+                self._over.wait(REPEAT_S)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with undisturbed():
+            self._over.set()
+            self._thread.join()
+
 
 __all__ = ["FrameRecord", "Progress", "ProgressSink", "Rig", "check_plan", "open_rig", "run_plan"]
 

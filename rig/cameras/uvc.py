@@ -3,25 +3,337 @@
 Such a camera adjusts itself wherever it can. Here everything automatic is switched off, every property is read
 back, frames that waited in the driver's queue are thrown away, and `UvcCamera.prove_exposure` measures whether
 brightness obeys the exposure.
+
+From what a UVC camera delivers to grey counts of 8 bits.
+
+The Y plane is taken as it is where the camera gives it (YUYV, UYVY, GREY). From colour pictures it is computed:
+0.299 R + 0.587 G + 0.114 B (ITU-R BT.601, OpenCV's weights), of values that are not linear.
+
+What OpenCV's camera backends call things: the same property has other units and other values in each.
+
+V4L2 counts exposure in steps of 100 µs (the control of the UVC driver); DirectShow and Media Foundation count
+in powers of two of a second. Auto exposure is off at 1 in V4L2 (manual mode) and at 0 in the others.
+AVFoundation sets no exposure at all.
 """
 
 import contextlib
 import logging
+import math
+import sys
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Literal, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.errors import CameraError, RigFileError
 from anisoscope.rig.camera import CameraInfo, CameraSettings
-from anisoscope.rig.cameras import uvcsetup
 from anisoscope.rig.cameras.capturethread import Capture, CaptureThread
-from anisoscope.rig.cameras.grey import TOP, to_grey
 from anisoscope.rig.cameras.linearised import curve_of
 from anisoscope.rig.cameras.proof import ExposureProof, prove_exposure
 from anisoscope.rig.cameras.response import LINEAR_BITS, LINEAR_BLACK, ResponseCurve
-from anisoscope.rig.cameras.uvcbackends import Backend, choose_backend
+
+Grey = npt.NDArray[np.uint8]
+_Y_PLACE = {"YUYV": 0, "YUY2": 0, "UYVY": 1}
+TOP = 255
+
+
+def to_grey(picture: npt.NDArray[Any], fourcc: str, size: tuple[int, int], white_level: int = TOP) -> Grey:
+    """Grey counts of a picture.
+
+    Args:
+        picture: as OpenCV gave it.
+        fourcc: format that the camera states.
+        size: expected (rows, cols).
+        white_level: counts at which the camera clips; pixels there, in any colour, are set to 255.
+
+    Returns:
+        (rows, cols) counts.
+
+    Raises:
+        CameraError: a picture of another size, or of a format that is not known.
+    """
+    if picture.dtype != np.uint8:
+        raise CameraError(f"the camera delivers {picture.dtype}, not the 8-bit counts of a UVC camera")
+    rows, cols = size
+    if picture.size == 2 * rows * cols and fourcc in _Y_PLACE:
+        grey = picture.reshape(rows, cols, 2)[..., _Y_PLACE[fourcc]]
+        clipped = grey >= white_level
+    elif picture.shape == (rows, cols, 3):
+        grey, clipped = _luma(picture), np.any(picture >= white_level, axis=2)
+    elif picture.size == rows * cols and (picture.ndim == 2 or picture.shape[-1] == 1):
+        grey = picture.reshape(rows, cols)
+        clipped = grey >= white_level
+    else:
+        raise CameraError(
+            f"the camera delivers pictures of shape {picture.shape} in format {fourcc or 'unknown'}, which are "
+            f"no {rows} x {cols} pixels (rows x cols); set camera.options.width, height or fourcc"
+        )
+    return np.where(clipped, np.uint8(TOP), grey)
+
+
+def _luma(picture: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    import cv2  # noqa: PLC0415 - cameras without colour do without it
+
+    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY))
+
+
+STEP_S = 1e-4
+EXPOSURE_TOLERANCE = 0.05
+
+
+@dataclass(frozen=True)
+class Backend:
+    """A backend of ``cv2.VideoCapture``.
+
+    Attributes:
+        name: name in the rig file.
+        api: name of OpenCV's constant.
+        unit: unit of the exposure; none if the backend does not set it.
+        manual_exposure: value of ``CAP_PROP_AUTO_EXPOSURE`` that means off.
+    """
+
+    name: str
+    api: str
+    unit: Literal["100 us", "log2 s"] | None
+    manual_exposure: float
+
+    def raw_exposure(self, exposure_s: float) -> float:
+        """Value of the property that comes nearest to an exposure in seconds.
+
+        Raises:
+            CameraError: the backend has no such exposure, or does not set any.
+        """
+        if self.unit is None:
+            raise CameraError(
+                f"the backend {self.name} cannot set the exposure; use the camera under Linux (v4l2) or "
+                "Windows (dshow), or one with a driver of its own"
+            )
+        if not exposure_s > 0.0 or not math.isfinite(exposure_s):
+            raise CameraError(f"the exposure must be above 0 s, not {exposure_s:g} s")
+        if self.unit == "log2 s":
+            return float(round(math.log2(exposure_s)))
+        steps = max(1, round(exposure_s / STEP_S))
+        if abs(steps * STEP_S - exposure_s) > max(0.5 * STEP_S, EXPOSURE_TOLERANCE * exposure_s) * 1.001:
+            raise CameraError(
+                f"an exposure of {exposure_s:g} s was asked for; the backend {self.name} has steps of {STEP_S:g} s"
+            )
+        return float(steps)
+
+    def exposure_s(self, raw: float) -> float:
+        """Exposure in seconds of a value of the property."""
+        return 2.0**raw if self.unit == "log2 s" else raw * STEP_S
+
+    def check(self, asked: float, came: float) -> None:
+        """See that the camera took what was asked; both are values of the property.
+
+        Raises:
+            CameraError: it took something else, or cannot be read back.
+        """
+        if self.unit == "log2 s":
+            fits = came == asked
+        else:
+            fits = came > 0.0 and abs(came - asked) <= max(1.0, EXPOSURE_TOLERANCE * asked)
+        if not fits:
+            real = f" ({self.exposure_s(came):g} s)" if self.unit == "log2 s" or came > 0.0 else ""
+            raise CameraError(
+                f"exposure: {asked:g} ({self.exposure_s(asked):g} s) was asked for, {came:g}{real} came; "
+                "the camera has no such exposure, or does not let it be set"
+            )
+
+
+BACKENDS = {
+    backend.name: backend
+    for backend in (
+        Backend("v4l2", "CAP_V4L2", "100 us", 1.0),
+        Backend("dshow", "CAP_DSHOW", "log2 s", 0.0),
+        Backend("msmf", "CAP_MSMF", "log2 s", 0.0),
+        Backend("avfoundation", "CAP_AVFOUNDATION", None, 0.0),
+    )
+}
+
+
+def choose_backend(name: str, platform: str = sys.platform) -> Backend:
+    """A backend by name; ``"default"`` is that of the operating system.
+
+    Raises:
+        RigFileError: there is none of that name.
+    """
+    if name == "default":
+        name = {"win32": "dshow", "darwin": "avfoundation"}.get(platform, "v4l2")
+    if name not in BACKENDS:
+        raise RigFileError(f"camera.options.backend: expected default, {', '.join(BACKENDS)}, not '{name}'")
+    return BACKENDS[name]
+
+
+NOT_OFFERED = -1.0
+"""What OpenCV reads back where a camera has no such property."""
+RAW_FORMATS = ("GREY", "YUYV", "YUY2", "UYVY")
+_USUAL_QUEUE = 4
+_SYSFS = Path("/sys/class/video4linux")
+
+
+@dataclass(frozen=True)
+class PictureSetup:
+    """What the camera delivers: its format, (rows, cols), and how many frames may wait in the driver."""
+
+    fourcc: str
+    size: tuple[int, int]
+    queue: int
+
+
+def cv2_capture(backend: Backend) -> Callable[[int | str, int], Capture]:
+    """``cv2.VideoCapture``.
+
+    Raises:
+        RigFileError: this computer's OpenCV lacks the backend.
+    """
+    import cv2  # noqa: PLC0415 - slow to import
+
+    there = set(cv2.videoio_registry.getCameraBackends())
+    if api(backend) not in there:
+        names = ", ".join(name for name, other in BACKENDS.items() if api(other) in there) or "none"
+        raise RigFileError(
+            f"camera.options.backend: {backend.name} is not on this computer; there is: {names}"
+        )
+    return cast("Callable[[int | str, int], Capture]", cv2.VideoCapture)
+
+
+def api(backend: Backend) -> int:
+    """OpenCV's number of a backend."""
+    import cv2  # noqa: PLC0415 - slow to import
+
+    return int(getattr(cv2, backend.api))
+
+
+def switch_off_automatics(capture: CaptureThread, backend: Backend, gain_raw: float | None) -> list[str]:
+    """Switch off all that a camera adjusts by itself; returns notes on what it does not offer.
+
+    Auto gain has no switch of its own in UVC: it belongs to auto exposure.
+
+    Raises:
+        CameraError: the camera says that something is on nevertheless.
+    """
+    import cv2  # noqa: PLC0415 - slow to import
+
+    notes = []
+    if backend.api == "CAP_V4L2" and capture.get(cv2.CAP_PROP_MODE) > 0.0:
+        capture.set(cv2.CAP_PROP_MODE, 0.0)  # or values would be shares of their range
+    for what, prop, off in (
+        ("auto exposure", cv2.CAP_PROP_AUTO_EXPOSURE, backend.manual_exposure),
+        ("auto white balance", cv2.CAP_PROP_AUTO_WB, 0.0),
+        ("autofocus", cv2.CAP_PROP_AUTOFOCUS, 0.0),
+    ):
+        if capture.get(prop) == NOT_OFFERED:
+            notes.append(f"{what} has no switch")
+        else:
+            _set(capture, what, prop, off)
+    if gain_raw is not None:
+        _set(capture, "gain", cv2.CAP_PROP_GAIN, gain_raw)
+    return notes
+
+
+def set_picture(capture: CaptureThread, size: tuple[int, int], fourcc: str) -> PictureSetup:
+    """Choose format and (rows, cols); 0 leaves the size as it is.
+
+    Raises:
+        CameraError: the camera does not take the size, or the format that is asked for.
+    """
+    import cv2  # noqa: PLC0415 - slow to import
+
+    used = _set_format(capture, fourcc)
+    rows, cols = size
+    if rows and cols:
+        capture.set(cv2.CAP_PROP_FRAME_WIDTH, cols)
+        capture.set(cv2.CAP_PROP_FRAME_HEIGHT, rows)
+    came = round(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)), round(capture.get(cv2.CAP_PROP_FRAME_WIDTH))
+    if rows and cols and came != size:
+        raise CameraError(
+            f"{capture.name}: {cols} x {rows} pixels were asked for, {came[1]} x {came[0]} came; choose a size "
+            "that the camera has, or another fourcc"
+        )
+    capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
+    queue = round(capture.get(cv2.CAP_PROP_BUFFERSIZE))
+    return PictureSetup(used, came, queue if queue >= 1 else _USUAL_QUEUE)
+
+
+def set_exposure(capture: CaptureThread, backend: Backend, exposure_s: float) -> float:
+    """Set the exposure; returns what the camera took, in seconds.
+
+    Raises:
+        CameraError: it took something else, or switched auto exposure on again.
+    """
+    import cv2  # noqa: PLC0415 - slow to import
+
+    asked = backend.raw_exposure(exposure_s)
+    taken = capture.set(cv2.CAP_PROP_EXPOSURE, asked)
+    came = capture.get(cv2.CAP_PROP_EXPOSURE)
+    if not taken and came != asked:
+        raise CameraError(
+            f"{capture.name}: exposure: {asked:g} ({exposure_s:g} s) was asked for and refused; it stays at {came:g}"
+        )
+    backend.check(asked, came)
+    automatic = capture.get(cv2.CAP_PROP_AUTO_EXPOSURE)
+    if automatic not in {NOT_OFFERED, backend.manual_exposure}:
+        raise CameraError(
+            f"{capture.name}: auto exposure was switched off and is on again (at {automatic:g})"
+        )
+    return backend.exposure_s(came)
+
+
+def name_of(device: int | str, sysfs: Path = _SYSFS) -> tuple[str, str]:
+    """Model and serial number, as Linux tells them; elsewhere the number of the camera stands for both."""
+    node = f"video{device}" if isinstance(device, int) else Path(device).resolve().name
+    place = sysfs / node
+    model = _line(place / "name") or f"UVC camera {device}"
+    # the link leads to the USB interface, whose parent is the device
+    serial = _line((place / "device").resolve().parent / "serial") or node
+    return model, serial
+
+
+def _line(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8", errors="replace").strip()
+    except OSError:
+        return ""
+
+
+def _set_format(capture: CaptureThread, fourcc: str) -> str:
+    import cv2  # noqa: PLC0415 - slow to import
+
+    for wanted in (fourcc,) if fourcc else RAW_FORMATS:
+        if len(wanted) != 4:
+            raise RigFileError(f"camera.options.fourcc: expected four letters, not '{wanted}'")
+        capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*wanted))
+        if _fourcc(capture) == wanted:
+            break
+    came = _fourcc(capture)
+    if fourcc and came != fourcc:
+        raise CameraError(f"{capture.name}: format {fourcc} was asked for, {came or 'none'} came")
+    raw = came in RAW_FORMATS
+    capture.set(cv2.CAP_PROP_CONVERT_RGB, 0.0 if raw else 1.0)
+    if raw and capture.get(cv2.CAP_PROP_CONVERT_RGB) != 0.0:
+        raw = False
+    return came if raw else "BGR"
+
+
+def _fourcc(capture: CaptureThread) -> str:
+    import cv2  # noqa: PLC0415 - slow to import
+
+    number = int(capture.get(cv2.CAP_PROP_FOURCC))
+    if number <= 0:
+        return ""
+    return number.to_bytes(8, "little")[:4].decode("ascii", errors="replace")
+
+
+def _set(capture: CaptureThread, what: str, prop: int, value: float) -> None:
+    capture.set(prop, value)
+    came = capture.get(prop)
+    if came != value:
+        raise CameraError(f"{capture.name}: {what}: {value:g} was asked for, {came:g} came")
+
 
 OpenCapture = Callable[[int | str, int], Capture]
 _LOG = logging.getLogger(__name__)
@@ -40,7 +352,7 @@ class UvcCamera:
         capture: CaptureThread,
         backend: Backend,
         info: CameraInfo,
-        picture: uvcsetup.PictureSetup,
+        picture: PictureSetup,
         *,
         settle_frames: int,
         white_level: int,
@@ -104,15 +416,15 @@ class UvcCamera:
         _check(width, height, settle_frames, warmup_frames, timeout_s, black_level, white_level)
         chosen = choose_backend(backend)
         number = int(device) if isinstance(device, str) and device.isdecimal() else device
-        opener = capture or uvcsetup.cv2_capture(chosen)
+        opener = capture or cv2_capture(chosen)
         name = f"camera {number} ({chosen.name})"
-        thread = CaptureThread(lambda: opener(number, uvcsetup.api(chosen)), name, timeout_s)
+        thread = CaptureThread(lambda: opener(number, api(chosen)), name, timeout_s)
         try:
-            notes = uvcsetup.switch_off_automatics(thread, chosen, gain_raw)
-            picture = uvcsetup.set_picture(thread, (height, width), fourcc)
+            notes = switch_off_automatics(thread, chosen, gain_raw)
+            picture = set_picture(thread, (height, width), fourcc)
             thread.discard(warmup_frames + 1)
             rows, cols = to_grey(thread.read(), picture.fourcc, picture.size).shape
-            model, found_serial = uvcsetup.name_of(number)
+            model, found_serial = name_of(number)
             curve = curve_of(response, serial or found_serial, _BITS, white_level) if response else None
         except BaseException:
             thread.close()
@@ -153,7 +465,7 @@ class UvcCamera:
                 "camera.options.gain_raw"
             )
         self._settings = None
-        real_s = uvcsetup.set_exposure(self._capture, self._backend, exposure_s)
+        real_s = set_exposure(self._capture, self._backend, exposure_s)
         self._settings = CameraSettings(real_s, 1.0)
         self._fresh = True
         return self._settings

@@ -3,50 +3,284 @@
 The controller tells its model, and the model the scale; it answers questions while it moves, says when a motion has
 ended, and knows whether it was homed since power-up, so that a new connection may find the stage homed. One
 controller is one port. Source: Thorlabs APT communications protocol.
+
+How Thorlabs APT controllers count: steps and speeds, by model and actuator.
+
+A stepper counts microsteps; a servo counts what the encoder of its actuator counts. Velocities come in counts per
+period of the controller's clock, times 65536. Source: Thorlabs APT communications protocol, conversion tables.
 """
 
 import logging
 import time
+from dataclasses import dataclass
 from typing import ClassVar
 
-from anisoscope.base.errors import NotHomed, RigError
+from anisoscope.base.errors import LimitExceeded, NotConnected, NotHomed, ProtocolError, RigError, Stalled
 from anisoscope.rig.stage import MotionRules
-from anisoscope.rig.stages.apt_line import AptLine
-from anisoscope.rig.stages.apt_scales import scale_of
-from anisoscope.rig.stages.apt_troubles import TROUBLES, trouble_of
 from anisoscope.rig.stages.apt_wire import (
+    ACK_DC_STATUS,
     CHANNEL,
     DISABLE,
     ENABLE,
+    GET_DC_STATUS,
     GET_HOMING,
+    GET_STATUS,
     GET_VELOCITY,
     HOME,
     HOMED,
     HW_DISCONNECT,
     HW_GET_INFO,
     HW_REQ_INFO,
+    HW_RESPONSE,
+    HW_RICH_RESPONSE,
     HW_STOP_UPDATES,
     IDENTIFY,
     MOVE_ABSOLUTE,
+    MOVE_COMPLETED,
+    REQ_DC_STATUS,
     REQ_HOMING,
+    REQ_STATUS,
     REQ_VELOCITY,
     SET_ENABLED,
     STOP,
     STOP_IMMEDIATE,
     STOP_PROFILED,
+    STOPPED,
     DeviceInfo,
     Message,
     Status,
     address_of,
+    error_text,
     homing_velocity_counts,
     position_data,
+    take_message,
     velocity_counts,
 )
 from anisoscope.rig.stages.motion import POLL_S
 from anisoscope.rig.stages.portstage import PortStage
 from anisoscope.rig.transport import Transport
 
+# One count per second in the units of velocity parameters.
+STEPPER_VELOCITY = 53.68
+SERVO_VELOCITY = 2048.0 / 6e6 * 65536.0
+SERVOS = frozenset({"KDC101", "TDC001", "KBD101", "TBD001"})
+# Rotation stages that are one with their controller.
+MODELS = {"K10CR1": 409600.0 / 3.0}
+ACTUATORS = {
+    **dict.fromkeys(("PRM1-Z8", "PRM1/MZ8", "PRMTZ8", "PRMTZ8/M"), 1919.6418578623391),
+}
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Counts per degree, velocity units per degree per second, and whether the controller drives a servo."""
+
+    counts_per_deg: float
+    velocity_per_deg_s: float
+    servo: bool
+
+
+def scale_of(model: str, actuator: str | None, counts_per_deg: float | None) -> Scale:
+    """The scale of a controller.
+
+    Args:
+        model: what the controller calls itself.
+        actuator: name of the motor that it drives, where it may drive several.
+        counts_per_deg: scale from the rig file; it goes before everything else.
+
+    Raises:
+        RigError: neither model nor options tell the scale.
+    """
+    servo = model in SERVOS
+    if counts_per_deg is None:
+        counts_per_deg = MODELS.get(model) if actuator is None else _of_actuator(actuator)
+    if counts_per_deg is None:
+        known = " or ".join(f"actuator = '{name}'" for name in list(ACTUATORS)[:1])
+        hint = f"{known}, or " if servo else ""
+        raise RigError(
+            f"a {model} does not tell how many counts make a degree; set the option {hint}counts_per_deg"
+        )
+    if counts_per_deg <= 0.0:
+        raise RigError(f"counts_per_deg must be above 0, not {counts_per_deg:g}")
+    per_count = SERVO_VELOCITY if servo else STEPPER_VELOCITY
+    return Scale(counts_per_deg, per_count * counts_per_deg, servo)
+
+
+def _of_actuator(actuator: str) -> float:
+    if actuator not in ACTUATORS:
+        raise RigError(
+            f"actuator '{actuator}' is not known; known: {', '.join(ACTUATORS)}; or set the option counts_per_deg"
+        )
+    return ACTUATORS[actuator]
+
+
+# By bit; the controller keeps them until its channel is switched off and on.
+TROUBLES: dict[int, tuple[type[RigError], str]] = {
+    14: (Stalled, "a motion error: the motor did not follow"),
+    15: (RigError, "an instrument error"),
+    16: (RigError, "an open interlock"),
+    17: (Stalled, "that it is too hot"),
+    18: (RigError, "a fault of the supply voltage"),
+    24: (Stalled, "that the motor has reached its current limit"),
+    25: (Stalled, "a fault of the encoder"),
+    26: (Stalled, "over-current"),
+}
+
+
+def trouble_of(name: str, status: Status, at_deg: float, *, moved: bool) -> RigError | None:
+    """The error that explains it, or None.
+
+    Args:
+        name: how messages call the stage.
+        status: its status, standing still short of its target.
+        at_deg: where it stands, in degrees.
+        moved: whether it has moved at all; a limit switch stops only a stage that did.
+    """
+    for bit, (kind, text) in TROUBLES.items():
+        if status.has(bit):
+            return kind(f"{name} reports {text} (status {status.bits:08X})")
+    if not status.enabled:
+        return RigError(f"{name} does not switch its motor on (status {status.bits:08X})")
+    if status.at_limit_switch and moved:
+        return LimitExceeded(f"{name} ended at its limit switch, at {at_deg:.4g}°")
+    return None
+
+
 _log = logging.getLogger(__name__)
+
+TRIES = 3
+# A servo controller that sends updates falls silent unless it hears once a second that the host lives.
+ACKNOWLEDGE_S = 0.5
+ENDS = frozenset({HOMED, MOVE_COMPLETED, STOPPED})
+
+
+class AptLine:
+    """One controller at a port.
+
+    Args:
+        transport: the open port.
+        address: destination of the messages.
+        timeout_s: time in seconds for the answer to a question.
+
+    Attributes:
+        name: how error messages call the device.
+        servo: whether the controller speaks of its status in the messages of servos, not of steppers.
+        ended: id of the last message that said that a motion ended, since `forget` was called.
+    """
+
+    def __init__(self, transport: Transport, address: int, timeout_s: float) -> None:
+        self.transport = transport
+        self.address = address
+        self.name = f"the controller at {transport.port}"
+        self.servo = False
+        self.ended: int | None = None
+        self._timeout_s = timeout_s
+        self._received = bytearray()
+        self._heard = False
+        self._stranger: int | None = None
+        self._acknowledged = -1e9
+
+    def send(self, *messages: Message) -> None:
+        """Send messages in one go, and wait for nothing."""
+        self.transport.write(b"".join(message.to_bytes(self.address) for message in messages))
+
+    def forget(self) -> None:
+        """Drop everything that has arrived so far."""
+        self.transport.discard()
+        self._received.clear()
+        self.ended = None
+
+    def ask(self, question: Message, expected: int, *, fresh: bool = True) -> Message:
+        """Ask a question that may be repeated without harm, and return the newest answer.
+
+        Args:
+            question: the question.
+            expected: id of its answer.
+            fresh: forget first what has arrived.
+
+        Raises:
+            NotConnected: silence, or another address answers.
+            ProtocolError: only bytes that are no APT message.
+            RigError: the controller complains.
+        """
+        if fresh:
+            self.forget()
+        for _ in range(TRIES):
+            self.send(question)
+            self._heard, self._stranger = False, None
+            deadline = time.monotonic() + self._timeout_s
+            while (message := self._next(deadline)) is not None:
+                if message.id == expected:
+                    return self._newest(message)
+            if not self._heard:
+                break
+        raise self._silence()
+
+    def status(self, *, fresh: bool = True) -> Status:
+        """Ask where the motor stands and what it does."""
+        question, answer = (REQ_DC_STATUS, GET_DC_STATUS) if self.servo else (REQ_STATUS, GET_STATUS)
+        return Status.parse(self.ask(Message(question, (1, 0)), answer, fresh=fresh).data)
+
+    def wait_for_end(self, wait_s: float) -> None:
+        """Wait up to `wait_s` seconds for the news that a motion ended."""
+        deadline = time.monotonic() + wait_s
+        while (message := self._next(deadline)) is not None:
+            if message.id in ENDS:
+                return
+
+    def _newest(self, answer: Message) -> Message:
+        """The last of the answers that came already: unasked-for ones must not make us lag behind."""
+        self._received += self.transport.discard()
+        while (message := self._take()) is not None:
+            if message.id == answer.id:
+                answer = message
+        return answer
+
+    def _next(self, deadline: float) -> Message | None:
+        while (message := self._take()) is None:
+            left_s = deadline - time.monotonic()
+            first = self.transport.read_exactly(1, left_s) if left_s > 0.0 else None
+            if first is None:
+                return None
+            self._heard = True
+            self._received += first + self.transport.discard()
+        return message
+
+    def _take(self) -> Message | None:
+        """The next message of this controller that has arrived."""
+        while True:
+            message, dropped = take_message(self._received)
+            if dropped:
+                _log.debug("%s: %d bytes are no message", self.name, dropped)
+            if message is None:
+                return None
+            if message.source == self.address:
+                break
+            self._stranger = message.source
+        if message.id in {HW_RESPONSE, HW_RICH_RESPONSE}:
+            raise RigError(f"{self.name} reports {error_text(message)}")
+        if message.id in ENDS:
+            self.ended = message.id
+        if message.id == GET_DC_STATUS:
+            self._acknowledge()
+        return message
+
+    def _acknowledge(self) -> None:
+        now = time.monotonic()
+        if now - self._acknowledged > ACKNOWLEDGE_S:
+            self._acknowledged = now
+            self.send(Message(ACK_DC_STATUS))
+
+    def _silence(self) -> RigError:
+        if self._stranger is not None:
+            return NotConnected(
+                f"{self.name} is silent at address {self.address:02X}, but {self._stranger:02X} answers; "
+                "correct the address"
+            )
+        if self._heard:
+            return ProtocolError(f"{self.name} sends bytes that are no APT message; check port and baud rate")
+        return NotConnected(f"{self.name} is silent; check the power, the cable and the port")
+
 
 STOPS = {"profiled": STOP_PROFILED, "immediate": STOP_IMMEDIATE}
 FIRST_PAUSE_S = 0.002

@@ -3,30 +3,248 @@
 The controller works in degrees, and tells limits, speed and resolution. Commands are not answered: the driver asks
 for the error after each. A new home search needs a restart of the controller, because a referenced one refuses
 it. The reference survives a new connection. Source: Newport SMC100CC/PP user's manual.
+
+The lines of Newport SMC100 and CONEX controllers: answers, states, and the errors that their codes stand for.
+
+A command is ``<address><two letters><value>`` and CR LF; the answer to a question repeats address and letters.
+Source: Newport SMC100CC/PP user's manual.
 """
 
 import contextlib
+import logging
+import re
 import time
-from typing import ClassVar
+from dataclasses import dataclass
+from typing import ClassVar, Self
 
-from anisoscope.base.errors import NotConnected, NotHomed, ProtocolError, RigError, Stalled
+from anisoscope.base.errors import (
+    LimitExceeded,
+    MotionTimeout,
+    NotConnected,
+    NotHomed,
+    ProtocolError,
+    RigError,
+    Stalled,
+)
 from anisoscope.rig.stage import MotionRules
 from anisoscope.rig.stages.portstage import PortStage
-from anisoscope.rig.stages.smc100_line import Smc100Line
-from anisoscope.rig.stages.smc100_wire import (
-    ADDRESSES,
-    BUSY_ERRORS,
-    CONFIGURATION,
-    DISABLED,
-    HOMING,
-    IN_MOTION,
-    NO_ERROR,
-    NOT_REFERENCED,
-    READY,
-    State,
-    error_of_letter,
-)
 from anisoscope.rig.transport import Transport
+
+TERMINATOR = b"\r\n"
+ADDRESSES = range(1, 32)
+NO_ERROR = "@"
+NOT_REFERENCED = frozenset(range(0x0A, 0x12))
+CONFIGURATION = 0x14
+HOMING = frozenset({0x1E, 0x1F})
+MOVING = 0x28
+READY = frozenset(range(0x32, 0x37))
+DISABLED = frozenset(range(0x3C, 0x40))
+JOGGING = frozenset({0x46, 0x47})
+IN_MOTION = HOMING | JOGGING | {MOVING}
+# A command that meets a moving stage is not carried out, and may be repeated.
+BUSY_ERRORS = frozenset("LM")
+_ERROR_TEXTS = {
+    "A": "a command it does not know",
+    "B": "a wrong address",
+    "C": "a parameter that is missing or out of range",
+    "D": "a command that is not allowed",
+    "E": "a home search that goes on already",
+    "F": "an unknown stage name",
+    "G": "a target out of its limits",
+    "H": "that it is not referenced",
+    "I": "that it is being configured",
+    "J": "that its motor is disabled",
+    "K": "a command that is not allowed while it is ready",
+    "L": "that it is searching its home",
+    "M": "that it is moving",
+    "N": "a position out of its limits",
+    "S": "a communication time-out",
+    "U": "a fault of its memory",
+    "V": "a failure while it carried out the command",
+    "W": "a command that steppers (PP) do not have",
+    "X": "a command that servo motors (CC) do not have",
+}
+_ERROR_KINDS: dict[str, type[RigError]] = {
+    "B": NotConnected,
+    "G": LimitExceeded,
+    "H": NotHomed,
+    "I": RigError,
+    "J": Stalled,
+    "L": MotionTimeout,
+    "M": MotionTimeout,
+    "N": LimitExceeded,
+    "U": RigError,
+    "V": RigError,
+}
+_FAULTS = (
+    "the negative end of run",
+    "the positive end of run",
+    "too high a peak current",
+    "too high a mean current",
+    "a short circuit",
+    "a following error: something blocks it, or the load is too high",
+    "that the home search took too long",
+    "a stage that is not the one it was configured for",
+    "too low a supply voltage",
+    "too high an output power",
+)
+_ANSWER = re.compile(rb"(?<![0-9A-Za-z])(\d{1,2})([A-Z]{2})([ -~]*)$")
+
+
+@dataclass(frozen=True)
+class Answer:
+    """One answer: who speaks, about what (two letters), and the value as text."""
+
+    address: int
+    code: str
+    value: str
+
+    @classmethod
+    def parse(cls, line: bytes) -> Self | None:
+        """Read an answer from the end of a line; None if the line is damaged. Noise before it is ignored."""
+        match = _ANSWER.search(line.replace(b"\0", b"").strip())
+        if match is None:
+            return None
+        address, code, value = (group.decode("ascii") for group in match.groups())
+        return cls(int(address), code, value.strip())
+
+
+@dataclass(frozen=True)
+class State:
+    """What TS tells: the faults of the positioner, one bit each, and the state of the controller."""
+
+    faults: int
+    code: int
+
+    @classmethod
+    def parse(cls, value: str) -> Self | None:
+        """Read four hex digits of faults and two of state; None if they are damaged."""
+        return cls(int(value[:4], 16), int(value[4:], 16)) if re.fullmatch("[0-9A-Fa-f]{6}", value) else None
+
+    @property
+    def faults_text(self) -> str:
+        """The faults in words."""
+        found = [text for bit, text in enumerate(_FAULTS) if self.faults & 1 << bit]
+        return " and ".join(found) or "no reason"
+
+
+def error_of_letter(name: str, letter: str, doing: str) -> RigError:
+    """Return the error that a letter of TE stands for."""
+    text = _ERROR_TEXTS.get(letter, "an error this driver does not know")
+    return _ERROR_KINDS.get(letter, ProtocolError)(
+        f"{name}: {doing}: the controller reports {text} (TE {letter})"
+    )
+
+
+_log = logging.getLogger(__name__)
+
+TRIES = 3
+MAX_DAMAGED_LINES = 16
+
+
+class Smc100Line:
+    """One address of a port. Whoever talks holds the lock of the transport, because several may share it.
+
+    Args:
+        transport: the open port.
+        address: 1 … 31.
+        timeout_s: time in seconds for the answer to a question.
+
+    Attributes:
+        name: how error messages call the device.
+    """
+
+    def __init__(self, transport: Transport, address: int, timeout_s: float) -> None:
+        self.name = f"the stage at {transport.port}, address {address},"
+        self._transport = transport
+        self._address = address
+        self._timeout_s = timeout_s
+        self._stranger: int | None = None
+        self._heard = False
+
+    def send(self, command: str) -> None:
+        """Send a command, and wait for nothing."""
+        self._transport.write(f"{self._address}{command}".encode("ascii") + TERMINATOR)
+
+    def ask(self, question: str) -> str:
+        """Ask a question, and return the value; a damaged answer is asked for again."""
+        for _ in range(TRIES):
+            self._transport.discard()
+            self._stranger, self._heard = None, False
+            self.send(question)
+            if (value := self._answer_to(question[:2])) is not None:
+                return value
+            if not (self._heard or self._transport.pending):
+                break
+        raise self._silence()
+
+    def ask_number(self, question: str) -> float:
+        """Ask for a number.
+
+        Raises:
+            ProtocolError: the answer is none.
+        """
+        value = self.ask(question)
+        try:
+            return float(value)
+        except ValueError:
+            raise ProtocolError(
+                f"{self.name} answers '{value[:40]}' to {question}: that is no number"
+            ) from None
+
+    def state(self) -> State:
+        """Ask for faults and state.
+
+        Raises:
+            ProtocolError: the answer is none.
+        """
+        value = ""
+        for _ in range(TRIES):
+            value = self.ask("TS")
+            if (state := State.parse(value)) is not None:
+                return state
+        raise ProtocolError(f"{self.name} answers '{value[:40]}' to TS: that is no state")
+
+    def error(self) -> str:
+        """Ask for the letter of the last error, which forgets it; ``@`` is none."""
+        return self.ask("TE")[:1] or NO_ERROR
+
+    def command(self, command: str, doing: str) -> None:
+        """Send a command and ask whether it was taken; `doing` says it in error messages."""
+        self.send(command)
+        if (letter := self.error()) != NO_ERROR:
+            raise error_of_letter(self.name, letter, doing)
+
+    def _answer_to(self, code: str) -> str | None:
+        deadline = time.monotonic() + self._timeout_s
+        damaged = 0
+        while (line := self._transport.read_until(TERMINATOR, deadline - time.monotonic())) is not None:
+            answer = Answer.parse(line)
+            if answer is None:
+                damaged += bool(line.strip(b"\r\n\0 "))
+                self._heard = True
+                _log.info("%s: damaged answer %r", self.name, line[:80])
+                if damaged >= MAX_DAMAGED_LINES:
+                    raise ProtocolError(f"{self.name} sends only garbage; check port and baud rate")
+            elif answer.address != self._address:
+                self._stranger = answer.address
+            elif answer.code == code:
+                return answer.value
+            else:
+                self._heard = True
+        return None
+
+    def _silence(self) -> RigError:
+        if self._stranger is not None:
+            return NotConnected(
+                f"{self.name} is silent, but address {self._stranger} answers; correct the address"
+            )
+        if self._heard or self._transport.pending:
+            return ProtocolError(
+                f"{self.name} sends bytes that are no SMC100 answer; check port and baud rate"
+            )
+        return NotConnected(f"{self.name} is silent; check the power, the cable and the address")
+
 
 FIRST_POLL_S, BUSY_POLL_S = 0.002, 0.02
 

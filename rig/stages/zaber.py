@@ -3,33 +3,390 @@
 Scale, speed, acceleration and limits are read from the device, and so is whether it has its reference position: a
 stage that was homed since it was switched on need not be homed again. Every command bears a number and a checksum,
 and an answer counts only if both are right. Source: Zaber ASCII protocol manual.
+
+The bytes of the Zaber ASCII protocol: commands, replies, checksums, units, warning flags, reasons of rejection.
+
+A command is ``/<device> <axis> <id> <words>:<LRC>`` and a line feed, a reply ``@<device> <axis> <id> OK|RJ IDLE|BUSY
+<flag> <data>:<LRC>`` and CR LF; lines that begin with ``#`` (information) or ``!`` (alert) come besides. Sources:
+Zaber ASCII protocol manual; names and meanings of flags and reasons also as the maker's client `zaber-motion` has
+them.
+
+What a Zaber stage says about itself: who it is, its scale, limits and speed, and its warning flags.
+
+Whoever asks holds the lock of the transport.
 """
 
 import contextlib
-from typing import ClassVar
+import itertools
+import logging
+import math
+import re
+import time
+from dataclasses import dataclass
+from typing import ClassVar, Self
 
-from anisoscope.base.errors import MotionTimeout, ProtocolError, RigError
+from anisoscope.base.errors import (
+    LimitExceeded,
+    MotionTimeout,
+    NotConnected,
+    NotHomed,
+    ProtocolError,
+    RigError,
+    Stalled,
+)
 from anisoscope.rig.stage import MotionRules
 from anisoscope.rig.stages.portstage import PortStage
-from anisoscope.rig.stages.zaber_line import ZaberLine
-from anisoscope.rig.stages.zaber_settings import (
-    FULL_TURN_DEG,
-    acknowledge_flags,
-    identify,
-    read_counts_per_deg,
-    read_flags,
-    read_limits_deg,
-    read_pace,
-)
-from anisoscope.rig.stages.zaber_wire import (
-    INTERRUPTED,
-    NO_REFERENCE,
-    TRY_AGAIN,
-    Reply,
-    error_of_flag,
-    error_of_rejection,
-)
 from anisoscope.rig.transport import Transport
+
+TERMINATOR = b"\n"
+NO_FLAG = "--"
+INTERRUPTED = "NI"
+NO_REFERENCE = frozenset({"WR", "WH"})
+TRY_AGAIN = frozenset({"STATUSBUSY", "AGAIN"})
+# Speed in microsteps/s is data / 1.6384, acceleration in microsteps/s² is data · 10⁴ / 1.6384.
+SPEED_FACTOR = 1.6384
+ACCELERATION_FACTOR = SPEED_FACTOR / 1e4
+
+_FAULTS: dict[str, tuple[type[RigError], str]] = {
+    "FF": (RigError, "a critical system error; switch it off and on, and ask the maker if it comes back"),
+    "FN": (RigError, "that it does not support the stage that is plugged in"),
+    "FZ": (RigError, "that the stage is not activated"),
+    "FH": (RigError, "that the emergency stop cut the motor off; release it and enable the driver"),
+    "FV": (RigError, "a supply voltage too high or too low, and cut the motor off; check the power supply"),
+    "FO": (RigError, "that its driver is disabled; find out why, then send 'driver enable'"),
+    "FC": (RigError, "too high an inrush current, and cut the motor off"),
+    "FM": (RigError, "that the motor is too hot; let it cool"),
+    "FD": (RigError, "that its driver is disabled (too hot, or a wrong voltage or current); let it cool"),
+    "FQ": (Stalled, "an encoder error; the position is not to be trusted"),
+    "FI": (Stalled, "an index error of its encoder; the position is not to be trusted"),
+    "FA": (Stalled, "that its analog encoder is out of step; the position is not to be trusted"),
+    "FR": (RigError, "that the limit of overdrive was exceeded, and cut the motor off; lower load or speed"),
+    "FS": (Stalled, "that it stalled and stopped; look for an obstacle"),
+    "FB": (LimitExceeded, "that a stream left its bounds"),
+    "FP": (Stalled, "that the axis left its path"),
+    "FE": (LimitExceeded, "a limit error: it met a limit sensor where none should be"),
+    "FT": (LimitExceeded, "that its cable is twisted too far"),
+}
+_REJECTIONS: dict[str, tuple[type[RigError], str]] = {
+    "AGAIN": (MotionTimeout, "it cannot take the command right now"),
+    "STATUSBUSY": (MotionTimeout, "it is busy with something else"),
+    "BADAXIS": (ProtocolError, "it has no axis of this number; correct the option 'axis'"),
+    "BADCOMMAND": (
+        ProtocolError,
+        "it does not know the command; is its firmware too old, or it no motion stage?",
+    ),
+    "BADDATA": (LimitExceeded, "the value is out of range"),
+    "BADMESSAGEID": (ProtocolError, "it does not take the number of the message"),
+    "DEVICEONLY": (ProtocolError, "the command is for the device, not for an axis"),
+    "DRIVERDISABLED": (RigError, "its driver is disabled; find out why, then send 'driver enable'"),
+    "FULL": (RigError, "its memory is full"),
+    "INACTIVE": (RigError, "the axis is not activated"),
+    "LOCKSTEP": (RigError, "it is part of a lockstep group; disable the group"),
+    "NOACCESS": (RigError, "its access level forbids it"),
+    "PARKED": (RigError, "it is parked; unpark it ('tools parking unpark')"),
+    "REMOTE": (RigError, "it is under remote control over another bus"),
+}
+_REPLY = re.compile(
+    rb"@(?P<device>\d\d) (?P<axis>\d) (?P<number>\d\d) (?P<verdict>OK|RJ) (?P<state>IDLE|BUSY) "
+    rb"(?P<flag>--|[A-Z][A-Z0-9]) (?P<data>[^:]*):(?P<lrc>[0-9A-F]{2})"
+)
+_OTHER = re.compile(rb"(?P<kind>[#!])(?P<device>\d\d) (?P<axis>\d)(?: .*)?")
+
+
+def checksum(body: bytes) -> int:
+    """Longitudinal redundancy check: what makes the sum of all bytes between the first and ``:`` zero, modulo 256."""
+    return -sum(body) % 256
+
+
+def command(device: int, axis: int, number: int, words: str) -> bytes:
+    """A whole command with its number and checksum; without words it asks for nothing but the state."""
+    body = f"{device} {axis} {number:02d}{' ' if words else ''}{words}".encode("ascii")
+    return b"/%s:%02X\n" % (body, checksum(body))
+
+
+@dataclass(frozen=True)
+class Reply:
+    """One reply: who speaks to which message, whether it was obeyed, what the axis does, and the data."""
+
+    device: int
+    axis: int
+    number: int
+    accepted: bool
+    busy: bool
+    flag: str
+    data: str
+
+    @classmethod
+    def parse(cls, line: bytes) -> Self | None:
+        """Read a reply from the end of a line; None if it is damaged, or bears no number and checksum.
+
+        NUL bytes and whatever stands before the reply (line noise at power-up) are ignored.
+        """
+        line = line.replace(b"\0", b"").strip()
+        match = _REPLY.fullmatch(line[line.rfind(b"@") :]) if b"@" in line else None
+        if match is None or checksum(match[0][1:-3]) != int(match["lrc"], 16):
+            return None
+        return cls(
+            device=int(match["device"]),
+            axis=int(match["axis"]),
+            number=int(match["number"]),
+            accepted=match["verdict"] == b"OK",
+            busy=match["state"] == b"BUSY",
+            flag=match["flag"].decode("ascii"),
+            data=match["data"].decode("ascii", errors="replace"),
+        )
+
+    @property
+    def faulty(self) -> bool:
+        """Whether the flag stands for a fault that ends a motion."""
+        return self.flag.startswith("F")
+
+
+def is_aside(line: bytes) -> bool:
+    """Whether a line is information or an alert, which nobody has to wait for."""
+    return _OTHER.search(line) is not None
+
+
+def is_alert_of(line: bytes, device: int) -> bool:
+    """Whether a line is an alert of this device: a motion may have ended."""
+    match = _OTHER.search(line)
+    return match is not None and match["kind"] == b"!" and int(match["device"]) == device
+
+
+def deg_s_of_speed(data: float, counts_per_deg: float) -> float:
+    """Speed in degrees per second that a setting such as ``maxspeed`` stands for."""
+    return data / SPEED_FACTOR / counts_per_deg
+
+
+def deg_s2_of_acceleration(data: float, counts_per_deg: float) -> float:
+    """Acceleration in degrees per second squared that a setting such as ``accel`` stands for."""
+    return data / ACCELERATION_FACTOR / counts_per_deg
+
+
+def error_of_flag(name: str, flag: str) -> RigError:
+    """Return the error that a warning flag stands for."""
+    if flag in NO_REFERENCE:
+        return NotHomed(
+            f"{name} has no reference position ({flag}): it was switched off, or lost it; home it again"
+        )
+    kind, text = _FAULTS.get(flag, (RigError, "a fault that this driver does not know"))
+    return kind(f"{name} reports {text} ({flag})")
+
+
+def error_of_rejection(name: str, words: str, reply: Reply) -> RigError:
+    """Return the error that a rejected command stands for."""
+    if reply.data == "BADDATA" and reply.flag in NO_REFERENCE and words.startswith("move"):
+        return error_of_flag(name, reply.flag)
+    kind, text = _REJECTIONS.get(reply.data, (ProtocolError, "for a reason that this driver does not know"))
+    return kind(f"{name} rejects '{words}': {text} ({reply.data})")
+
+
+_log = logging.getLogger(__name__)
+
+TRIES = 3
+MAX_DAMAGED_LINES = 16
+NUMBERS = 100
+
+
+class ZaberLine:
+    """One device of a port.
+
+    Whoever asks holds the lock of the transport, because several devices may share it.
+
+    Args:
+        transport: the open port.
+        device: address of the device, 1…99.
+        axis: number of the axis on the device.
+        timeout_s: time in seconds for the answer to a question.
+
+    Attributes:
+        name: how error messages call the device.
+        flag: the warning flag of the last answer.
+    """
+
+    def __init__(self, transport: Transport, device: int, axis: int, timeout_s: float) -> None:
+        self.transport = transport
+        self.device = device
+        self.axis = axis
+        self.name = f"the stage at {transport.port}, address {device},"
+        self.flag = NO_FLAG
+        self._timeout_s = timeout_s
+        self._numbers = itertools.count()
+        self._stranger: int | None = None
+        self._heard = False
+
+    def send(self, words: str, axis: int | None = None) -> int:
+        """Send a command, wait for nothing, and return its number; may be called from any thread."""
+        number = next(self._numbers) % NUMBERS
+        self.transport.write(command(self.device, self.axis if axis is None else axis, number, words))
+        return number
+
+    def ask(self, words: str, axis: int | None = None) -> Reply:
+        """Send a command that may be repeated without harm, and return its answer, be it a rejection.
+
+        A device ignores a command that arrived damaged, so silence and damaged answers are reason to ask again.
+
+        Raises:
+            NotConnected: silence.
+            ProtocolError: bytes that are no answer.
+        """
+        self._stranger, self._heard = None, False
+        for _ in range(TRIES):
+            reply = self._await_reply(self.send(words, axis), self.axis if axis is None else axis)
+            if reply is not None:
+                self.flag = reply.flag
+                return reply
+        raise self._silence()
+
+    def command(self, words: str, axis: int | None = None) -> Reply:
+        """As `ask`; a rejection is raised as the error that it stands for."""
+        reply = self.ask(words, axis)
+        if not reply.accepted:
+            raise error_of_rejection(self.name, words, reply)
+        return reply
+
+    def number(self, setting: str, axis: int | None = None) -> float | None:
+        """Read a setting that is a number; None if the device has no such setting.
+
+        Raises:
+            ProtocolError: it is none.
+        """
+        reply = self.ask(f"get {setting}", axis)
+        if not reply.accepted:
+            return None
+        try:
+            return float(reply.data)
+        except ValueError:
+            raise ProtocolError(f"{self.name} says '{reply.data}' for {setting}; that is no number") from None
+
+    def rest(self, wait_s: float) -> None:
+        """Wait, but no longer than until the device alerts us."""
+        deadline = time.monotonic() + wait_s
+        while (left_s := deadline - time.monotonic()) > 0.0:
+            line = self.transport.read_until(TERMINATOR, left_s)
+            if line is not None and is_alert_of(line, self.device):
+                return
+
+    def _await_reply(self, number: int, axis: int) -> Reply | None:
+        deadline = time.monotonic() + self._timeout_s
+        damaged = 0
+        while (line := self.transport.read_until(TERMINATOR, deadline - time.monotonic())) is not None:
+            reply = Reply.parse(line)
+            if reply is None:
+                if is_aside(line):
+                    continue
+                damaged += 1
+                self._heard = True
+                _log.warning("%s: damaged answer %r", self.name, line[:80])
+                if damaged >= MAX_DAMAGED_LINES:
+                    raise ProtocolError(f"{self.name} sends only garbage; check port and baud rate")
+            elif reply.device != self.device:
+                self._stranger = reply.device
+            elif (reply.number, reply.axis) == (number, axis):  # others answer what nobody waits for
+                return reply
+        return None
+
+    def _silence(self) -> RigError:
+        if self._stranger is not None:
+            return NotConnected(
+                f"{self.name} is silent, but address {self._stranger} answers; correct the address"
+            )
+        if self._heard or self.transport.pending:
+            return ProtocolError(
+                f"{self.name} sends bytes that are no Zaber ASCII answer; check port and baud rate"
+            )
+        return NotConnected(
+            f"{self.name} is silent; check the power, the cable, the address and the baud rate"
+        )
+
+
+FULL_TURN_DEG = 360.0
+RAMP_WITHOUT_LIMIT_S = 0.01
+
+
+def identify(line: ZaberLine) -> str:
+    """Maker, device id and serial number, for records."""
+    device = line.ask("get deviceid", axis=0)
+    if not device.accepted:  # the newer name
+        device = line.command("get device.id", axis=0)
+    serial = line.ask("get system.serial", axis=0)
+    return f"Zaber {device.data} {serial.data}" if serial.accepted else f"Zaber {device.data}"
+
+
+def read_counts_per_deg(line: ZaberLine, counts_per_turn: float | None) -> float:
+    """Microsteps for one degree; `counts_per_turn`, if given, goes before what the device says.
+
+    Raises:
+        ProtocolError: neither is known.
+    """
+    counts = counts_per_turn or line.number("limit.cycle.dist") or 0.0
+    if counts <= 0.0:
+        raise ProtocolError(
+            f"{line.name} does not say how many microsteps a turn has (limit.cycle.dist); "
+            "if it is a rotary stage, set the option counts_per_turn"
+        )
+    return counts / FULL_TURN_DEG
+
+
+def read_limits_deg(
+    line: ZaberLine, counts_per_deg: float, min_deg: float | None, max_deg: float | None
+) -> tuple[float, float]:
+    """Lowest and highest angle in degrees: as asked for, else one turn within the limits of the device.
+
+    Raises:
+        LimitExceeded: what is asked for is beyond the limits of the device.
+    """
+    lowest, highest = line.number("limit.min"), line.number("limit.max")
+    low = -math.inf if lowest is None else lowest / counts_per_deg
+    high = math.inf if highest is None else highest / counts_per_deg
+    asked_low = max(0.0, low) if min_deg is None else min_deg
+    asked_high = min(FULL_TURN_DEG, high) if max_deg is None else max_deg
+    slack = 1.0 / counts_per_deg
+    if asked_low < low - slack or asked_high > high + slack or asked_low > asked_high:
+        raise LimitExceeded(
+            f"{line.name}: the limits {asked_low:.6g}°…{asked_high:.6g}° are not within those of the device, "
+            f"{low:.6g}°…{high:.6g}°; change min_deg and max_deg, or the device's limit.min and limit.max"
+        )
+    return asked_low, asked_high
+
+
+def read_pace(line: ZaberLine, counts_per_deg: float) -> tuple[float, float]:
+    """Speed in degrees per second and acceleration in degrees per second squared, as the device is set.
+
+    Raises:
+        ProtocolError: it has no speed.
+    """
+    speed = line.number("maxspeed") or 0.0
+    if speed <= 0.0:
+        raise ProtocolError(f"{line.name} claims a maxspeed of {speed:g}; is it a motion stage?")
+    velocity = deg_s_of_speed(speed, counts_per_deg)
+    # An acceleration of 0 means: as fast as it can.
+    data = line.number("accel") or 0.0
+    return velocity, deg_s2_of_acceleration(
+        data, counts_per_deg
+    ) if data > 0.0 else velocity / RAMP_WITHOUT_LIMIT_S
+
+
+def read_flags(line: ZaberLine) -> tuple[str, ...]:
+    """The warning flags that stand, the gravest first."""
+    return tuple(line.command("warnings").data.split()[1:])  # before them: how many
+
+
+def acknowledge_flags(line: ZaberLine) -> tuple[str, ...]:
+    """Clear a fault of the past, which is latched until then, and return the flags that stand.
+
+    Raises:
+        RigError: a fault stays; it is of now.
+    """
+    flags = read_flags(line)
+    if any(flag.startswith("F") for flag in flags):
+        line.command("warnings clear")
+        flags = read_flags(line)
+    faults = [flag for flag in flags if flag.startswith("F")]
+    if faults:
+        raise error_of_flag(line.name, faults[0])
+    return flags
+
 
 MAX_ADDRESS = 99
 MAX_AXIS = 9

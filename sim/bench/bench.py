@@ -15,11 +15,10 @@ from anisoscope.sim.bench.firmware.catalogue import LIGHT, Mount, build
 from anisoscope.sim.bench.firmware.device import Firmware
 from anisoscope.sim.bench.firmware.light import LightFirmware
 from anisoscope.sim.bench.lamp import Lamp
-from anisoscope.sim.bench.mosaic import Mosaic
 from anisoscope.sim.bench.optics import PLATE, image_of_fixture, image_of_surface, vignette
 from anisoscope.sim.bench.partcode import image_of_code
 from anisoscope.sim.bench.samples import Sample, build_sample
-from anisoscope.sim.bench.sensor import Sensor
+from anisoscope.sim.bench.sensor import Mosaic, Sensor
 from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_rotation
 
 Image = npt.NDArray[np.float32]

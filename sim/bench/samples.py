@@ -32,7 +32,7 @@ class Sample(Protocol):
 
     A perfect white diffuser that faces the lamp has the radiance 1/π, in every channel alike. So a grey sample is
     equally bright in all channels; how much less light one colour filter passes than another is not the sample's
-    affair (`anisoscope.sim.bench.mosaic`).
+    affair (`anisoscope.sim.bench.sensor`).
     """
 
     @property

@@ -6,17 +6,220 @@ ridges are long. So two reflections are a double integral over the direction bet
 from which a ray leaves a lit point and meets a seen point in closed form, for the full rough-plastic BRDF at
 both reflections (glossy and diffuse in all four combinations). It is evaluated by Gauss-Legendre panels laid
 around the lobes. From three reflections on, the field within the groove is followed on a grid.
+
+Three and more reflections within a groove: a Neumann series on a grid of places and directions.
+
+The field that arrives at a side is binned by distance from the foot (cells), by the angle χ in the xz plane and
+by the elevation φ. Travel from side to side maps cells onto cells exactly (overlap of intervals, so light is
+conserved); reflection is one matrix product over all directions, the same at every place.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
+import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import ModelError
 from anisoscope.profiles.ideal import RidgeDesign
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.material import Material, diffuse_scale, transmittance_table
 from anisoscope.sim.light.ridge_profile import ridge_polyline, visible_shares
+
+FieldArray = npt.NDArray[np.float32]
+
+ANGLES = 24
+ELEVATIONS = 64
+CELLS = 12
+DIRECTIONS = ANGLES * ELEVATIONS
+NARROWEST = 0.05  # roughness below which the grid would miss a lobe; such lobes are widened to this
+DEEPEST = 30  # reflections followed at most; the rest is closed as a geometric series
+NEGLIGIBLE = 1e-3  # share of the series at which the rest may be closed
+
+
+def plastic_numbers(material: Material) -> tuple[FloatArray, FloatArray]:
+    """(4,) alpha along, alpha across, index and scale of the base; and the transmittance table."""
+    numbers = [material.alpha_along, material.alpha_across, material.index, diffuse_scale(material)]
+    return np.array(numbers), transmittance_table(material)
+
+
+@dataclass(frozen=True, eq=False)
+class DirectionGrid:
+    """Directions between the sides of a groove, D = DIRECTIONS, the elevation running fastest.
+
+    Attributes:
+        sides: for each side (D, 3) unit vectors from it toward the other side, in its own frame.
+        weight: (D,) solid angles in sr.
+        ratio: (ANGLES,) distance from the foot on the second side over that on the first.
+        scatter: for each side (D, D): field that arrives → field that leaves, [in, out].
+    """
+
+    sides: tuple[FloatArray, FloatArray]
+    weight: FloatArray
+    ratio: FloatArray
+    scatter: tuple[FieldArray, FieldArray]
+
+
+def widened(material: Material) -> Material:
+    """The material whose lobes the grid resolves: each roughness at least NARROWEST."""
+    along, across = max(material.alpha_along, NARROWEST), max(material.alpha_across, NARROWEST)
+    return replace(material, alpha_along=along, alpha_across=across)
+
+
+@lru_cache(maxsize=3)  # about 20 MB each
+def direction_grid(opening: float, material: Material) -> DirectionGrid:
+    """The grid for a groove of an opening angle [rad]; both sides are of the same material."""
+    node, node_weight = np.polynomial.legendre.leggauss(ANGLES)
+    chi = 0.5 * (np.pi - opening) * (1.0 + node)
+    chi_weight = 0.5 * (np.pi - opening) * node_weight
+    x, x_weight = np.polynomial.legendre.leggauss(ELEVATIONS)
+    phi = 0.5 * np.pi * (0.5 * x + 0.5 * x**3)  # denser where lobes stand
+    phi_weight = 0.5 * np.pi * (0.5 + 1.5 * x**2) * x_weight * np.cos(phi)
+    sides = tuple(_fan(angle, phi, sign) for angle, sign in ((chi, 1.0), (np.pi - opening - chi, -1.0)))
+    weight = np.outer(chi_weight, phi_weight).ravel()
+    from anisoscope.sim.light.bounces_kernels import brdf_square  # noqa: PLC0415 - numba when first needed
+
+    plastic, table = plastic_numbers(material)
+    first = brdf_square(sides[0], plastic, table)
+    # the second side's fan is the first one's, mirrored and with its angles in reverse
+    second = first.reshape(ANGLES, ELEVATIONS, ANGLES, ELEVATIONS)[::-1, :, ::-1].reshape(first.shape)
+    scatter = tuple(
+        (brdf * (side[:, 2] * weight)[:, None]).astype(np.float32)
+        for brdf, side in zip((first, second), sides, strict=True)
+    )
+    ratio = np.sin(chi) / np.sin(np.pi - opening - chi)
+    return DirectionGrid((sides[0], sides[1]), weight, ratio, (scatter[0], scatter[1]))
+
+
+def _fan(angle: FloatArray, phi: FloatArray, sign: float) -> FloatArray:
+    along = np.broadcast_to(sign * np.sin(phi), (angle.size, phi.size))
+    up, normal = -np.outer(np.cos(angle), np.cos(phi)), np.outer(np.sin(angle), np.cos(phi))
+    return np.ascontiguousarray(np.stack([along, up, normal], axis=-1).reshape(-1, 3))
+
+
+def overlap(low: FloatArray, high: FloatArray, other_low: FloatArray, other_high: FloatArray) -> FloatArray:
+    """Length common to intervals; the arguments broadcast."""
+    return np.asarray(np.maximum(0.0, np.minimum(high, other_high) - np.maximum(low, other_low)))
+
+
+class Groove:
+    """Transport between the two straight sides of a groove.
+
+    Args:
+        lengths: of the first and the second side, any unit.
+        opening: angle between them, radians.
+        material: of both sides.
+    """
+
+    def __init__(self, lengths: tuple[float, float], opening: float, material: Material) -> None:
+        self.material = widened(material)
+        self.grid = direction_grid(opening, self.material)
+        share = (np.arange(CELLS + 1) / CELLS) ** 1.5  # finer at the foot, where light is caught
+        self.edges = lengths[0] * share, lengths[1] * share
+        self.growth = self.grid.ratio, 1.0 / self.grid.ratio
+        self.travel = self._travel(0), self._travel(1)
+
+    def _travel(self, start: int) -> FieldArray:
+        """(ANGLES, cells there, cells here): field that leaves side ``start`` → field that arrives opposite."""
+        here, there = self.edges[start], self.edges[1 - start]
+        shot = self.growth[start][:, None, None] * here
+        common = overlap(there[:-1, None], there[1:, None], shot[..., :-1], shot[..., 1:])
+        return np.asarray(common / np.diff(there)[:, None], dtype=np.float32)
+
+    def arriving(self, side: int, light: FloatArray, lit: FloatArray) -> FieldArray:
+        """(P, CELLS, D) radiance that arrives at ``side`` after one reflection on the other side.
+
+        Args:
+            side: 0 or 1.
+            light: (P, 3) directions to the light in the frame of the *other* side.
+            lit: (P, 2) lit intervals of the other side.
+        """
+        from anisoscope.sim.light.bounces_kernels import brdf_table  # noqa: PLC0415 - numba when first needed
+
+        plastic, table = plastic_numbers(self.material)
+        sent = brdf_table(light, self.grid.sides[1 - side], plastic, table) * light[:, 2:]
+        edges, growth = self.edges[side], self.growth[1 - side]
+        shot = growth[:, None, None, None] * lit  # (angles, 1, P, 2)
+        common = overlap(edges[:-1, None], edges[1:, None], shot[..., 0], shot[..., 1])
+        cover = common / np.diff(edges)[:, None]  # (angles, cells, P)
+        field = sent.reshape(len(light), 1, ANGLES, ELEVATIONS) * cover.transpose(2, 1, 0)[..., None]
+        return np.asarray(field.reshape(len(light), CELLS, -1), dtype=np.float32)
+
+    def reflected(self, side: int, field: FieldArray) -> FieldArray:
+        """(P, CELLS, D) field that arrives at ``side`` → field that leaves it."""
+        return np.asarray((field.reshape(-1, DIRECTIONS) @ self.grid.scatter[side]).reshape(field.shape))
+
+    def carried(self, side: int, field: FieldArray) -> FieldArray:
+        """(P, CELLS, D) field that leaves ``side`` → field that arrives at the other side."""
+        poses = len(field)
+        columns = field.reshape(poses, CELLS, ANGLES, ELEVATIONS).transpose(2, 1, 0, 3)
+        there = self.travel[side] @ columns.reshape(ANGLES, CELLS, poses * ELEVATIONS)
+        back = there.reshape(ANGLES, CELLS, poses, ELEVATIONS).transpose(2, 1, 0, 3)
+        return np.asarray(back.reshape(field.shape))
+
+    def shown(self, side: int, field: FieldArray, camera: FloatArray, seen: FloatArray) -> FloatArray:
+        """What the camera sees on ``side`` of light that leaves the other side, in length/sr.
+
+        Args:
+            side: 0 or 1.
+            field: (P, CELLS, D) field that leaves the *other* side.
+            camera: (P, 3) directions to the camera in the frame of ``side``.
+            seen: (P, 2) seen intervals of ``side``.
+
+        Returns:
+            (P,) values.
+        """
+        from anisoscope.sim.light.bounces_kernels import brdf_table  # noqa: PLC0415 - numba when first needed
+
+        plastic, table = plastic_numbers(self.material)
+        directions = self.grid.sides[side]
+        weight = brdf_table(camera, directions, plastic, table) * (directions[:, 2] * self.grid.weight)
+        shot = self.growth[1 - side][:, None, None] * self.edges[1 - side]  # (angles, 1, edges)
+        length = overlap(shot[..., :-1], shot[..., 1:], seen[:, :1], seen[:, 1:])  # (angles, P, cells)
+        shape = (len(field), CELLS, ANGLES, ELEVATIONS)
+        together = np.einsum("pcay,apc->pay", field.reshape(shape), length)
+        return np.asarray(camera[:, 2] * np.sum(together.reshape(len(field), -1) * weight, axis=1))
+
+
+def higher_reflections(
+    groove: Groove,
+    light: tuple[FloatArray, FloatArray],
+    camera: tuple[FloatArray, FloatArray],
+    lit: tuple[FloatArray, FloatArray],
+    seen: tuple[FloatArray, FloatArray],
+    bounces: int | None,
+) -> FloatArray:
+    """Light after three to ``bounces`` reflections, or all with None, in length/sr.
+
+    Args:
+        groove: the two sides.
+        light: for each side (P, 3) directions to the light in its frame; normal component ≥ 0.
+        camera: for each side (P, 3) directions to the camera.
+        lit: for each side (P, 2) lit intervals, distances from the foot.
+        seen: for each side (P, 2) seen intervals.
+        bounces: largest number of reflections.
+
+    Returns:
+        (P,) values.
+    """
+    fields = [groove.arriving(side, light[1 - side], lit[1 - side]) for side in (0, 1)]
+    total = np.zeros(len(light[0]))
+    latest, previous = total, total
+    for count in range(3, (DEEPEST if bounces is None else bounces) + 1):
+        leaving = [groove.reflected(side, fields[side]) for side in (0, 1)]
+        previous = latest
+        latest = sum(
+            (groove.shown(s, leaving[1 - s], camera[s], seen[s]) for s in (0, 1)), np.zeros_like(total)
+        )
+        total = total + latest
+        if count > 3 and np.all(latest <= NEGLIGIBLE * total):
+            break
+        fields = [groove.carried(1 - side, leaving[1 - side]) for side in (0, 1)]
+    if bounces is None:
+        decay = np.clip(latest / np.where(previous > 0, previous, 1.0), 0.0, 0.95)
+        total = total + latest * decay / (1.0 - decay)
+    return total
+
 
 NODES = 6  # of the Gauss-Legendre rule in each panel
 BATCH = 64  # poses followed together, for the sake of memory
@@ -65,7 +268,6 @@ def _sides(directions: FloatArray, design: RidgeDesign) -> _Sides:
 def _twice(light: _Sides, camera: _Sides, opening: float, material: Material, nodes: int) -> FloatArray:
     """(P,) light after exactly two reflections, in µm/sr; ``opening`` between the sides in radians."""
     from anisoscope.sim.light.bounces_kernels import two_reflections  # noqa: PLC0415 - numba when first needed
-    from anisoscope.sim.light.bounces_series import plastic_numbers  # noqa: PLC0415
 
     numbers = plastic_numbers(material)
     rule = np.stack(np.polynomial.legendre.leggauss(nodes))
@@ -87,8 +289,6 @@ def _more_often(
     bounces: int | None,
 ) -> FloatArray:
     """(P,) light after three to ``bounces`` reflections, in µm/sr; lengths of the sides in µm."""
-    from anisoscope.sim.light.bounces_series import Groove, higher_reflections  # noqa: PLC0415
-
     groove = Groove(lengths, opening, material)
     total = np.zeros(len(light.local[0]))
     views = [light.local, camera.local, light.visible, camera.visible]

@@ -41,7 +41,7 @@ def void_and_cluster(size: int, rng: np.random.Generator, sigma_px: float = SIGM
     Raises:
         ModelError: a size below 8, or a width that is not between 0.5 and size/8.
     """
-    from anisoscope.sim.proof.mask_kernels import rank  # noqa: PLC0415 - loads the compiler
+    from anisoscope.sim.proof.halftone_kernels import rank  # noqa: PLC0415 - loads the compiler
 
     if size < 8 or not 0.5 <= sigma_px <= size / 8:
         raise ModelError(

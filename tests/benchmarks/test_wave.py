@@ -8,7 +8,7 @@ from scipy import fft
 
 from anisoscope.sim.light import threads
 from anisoscope.sim.light.wave import fused
-from anisoscope.sim.light.wave.angular import wave
+from anisoscope.sim.light.wave.correlation import wave
 from anisoscope.sim.light.wave.halfvectors import half_vector
 from anisoscope.sim.light.wave.surface import WaveSurface
 from anisoscope.sim.light.wave.windows import Extent, Window

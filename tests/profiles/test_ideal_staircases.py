@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import HeightMapError
-from anisoscope.profiles.staircases import etched_levels, even_levels, random_steps, staircase
+from anisoscope.profiles.patterns import etched_levels, even_levels, random_steps, staircase
 
 WAVELENGTHS_UM = np.linspace(0.4, 0.7, 601)
 

@@ -153,18 +153,16 @@ def _staircase(
     direction: float,
     rng: Any,  # noqa: ANN401 - numpy is imported where it is needed
 ) -> "HeightMap":
-    from anisoscope.profiles import staircases
+    from anisoscope.profiles import patterns
 
     if stairs.passes is None:
-        levels = staircases.even_levels(stairs.levels, 1e-3 * stairs.step)
+        levels = patterns.even_levels(stairs.levels, 1e-3 * stairs.step)
     else:
-        levels = staircases.etched_levels(
-            [1e-3 * depth for depth in parse_numbers(stairs.passes, "--passes")]
-        )
+        levels = patterns.etched_levels([1e-3 * depth for depth in parse_numbers(stairs.passes, "--passes")])
     if stairs.random:
         both = (stairs.width, stairs.width)
-        return staircases.random_steps(levels, shape, pixel_um, both, rng, spread=stairs.spread)
-    return staircases.staircase(levels, shape, pixel_um, stairs.width, direction_deg=direction)
+        return patterns.random_steps(levels, shape, pixel_um, both, rng, spread=stairs.spread)
+    return patterns.staircase(levels, shape, pixel_um, stairs.width, direction_deg=direction)
 
 
 def spoil(

@@ -4,26 +4,291 @@ Questions are answered with address, letters and value; commands are not answere
 until TE or TB asks for it. A home search is only taken while nothing is referenced: for a second one the
 controller has to be restarted, and answers nothing meanwhile. A stage with an encoder notices an obstacle: the
 motor is disabled with a following error. Source: Newport SMC100CC/PP user's manual.
+
+What a simulated SMC100 controller knows by heart: its models, its error texts, and what is allowed in which state.
+
+Source: Newport SMC100CC/PP user's manual.
 """
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
 
 from anisoscope.base.errors import UsageError
+from anisoscope.sim.bench.firmware.axis import RotaryAxis
 from anisoscope.sim.bench.firmware.catalogue import Mount, Simulated
-from anisoscope.sim.bench.firmware.device import Bus, Firmware
-from anisoscope.sim.bench.firmware.faults import FaultKind
-from anisoscope.sim.bench.firmware.smc100_states import Smc100States
-from anisoscope.sim.bench.firmware.smc100_tables import (
-    ALLOWED,
-    ANSWERED,
-    BAD_ADDRESS,
-    BAD_PARAMETER,
-    ERROR_TEXTS,
-    MODELS,
-    UNKNOWN,
-    Mode,
+from anisoscope.sim.bench.firmware.device import Bus, Firmware, SimulatedDevice
+from anisoscope.sim.bench.firmware.faults import Fault, FaultKind
+from anisoscope.sim.bench.firmware.motor import Motion, Motor
+
+
+class Mode(StrEnum):
+    """The states in groups; the value is the letter of the error with which a command is refused in it."""
+
+    NOT_REFERENCED = "H"
+    CONFIGURATION = "I"
+    DISABLED = "J"
+    READY = "K"
+    HOMING = "L"
+    MOVING = "M"
+
+
+CODES: Mapping[Mode, tuple[int, ...]] = {
+    Mode.NOT_REFERENCED: tuple(range(0x0A, 0x12)),
+    Mode.CONFIGURATION: (0x14,),
+    Mode.HOMING: (0x1E, 0x1F),
+    Mode.MOVING: (0x28,),
+    Mode.READY: (0x32, 0x33, 0x34, 0x35),
+    Mode.DISABLED: (0x3C, 0x3D, 0x3E),
+}
+MODE_OF_CODE = {code: mode for mode, codes in CODES.items() for code in codes}
+FROM_RESET, FROM_HOMING, FROM_CONFIGURATION = 0x0A, 0x0B, 0x0C
+CONFIGURATION, HOMING, MOVING = 0x14, 0x1E, 0x28
+READY_FROM_HOMING, READY_FROM_MOVING, READY_FROM_DISABLE = 0x32, 0x33, 0x34
+DISABLE_FROM_READY, DISABLE_FROM_MOVING = 0x3C, 0x3D
+FOLLOWING_ERROR, HOMING_TIME_OUT = 1 << 5, 1 << 6
+UNKNOWN, BAD_ADDRESS, BAD_PARAMETER, NOT_ALLOWED, OUT_OF_LIMITS = "A", "B", "C", "D", "G"
+ERROR_TEXTS = {
+    "@": "No error",
+    "A": "Unknown message code or floating point controller address",
+    "B": "Controller address not correct",
+    "C": "Parameter missing or out of range",
+    "D": "Command not allowed",
+    "E": "Home sequence already started",
+    "F": "ESP stage name unknown",
+    "G": "Displacement out of limits",
+    "H": "Command not allowed in NOT REFERENCED state",
+    "I": "Command not allowed in CONFIGURATION state",
+    "J": "Command not allowed in DISABLE state",
+    "K": "Command not allowed in READY state",
+    "L": "Command not allowed in HOMING state",
+    "M": "Command not allowed in MOVING state",
+    "N": "Current position out of software limit",
+    "S": "Communication time out",
+    "U": "Error during EEPROM access",
+    "V": "Error during command execution",
+    "W": "Command not allowed for PP version",
+    "X": "Command not allowed for CC version",
+}
+# In which states a command is carried out; a parameter with a question mark may be asked for in every state.
+ALLOWED: Mapping[str, frozenset[Mode]] = {
+    "MM": frozenset({Mode.READY, Mode.DISABLED}),
+    "OR": frozenset({Mode.NOT_REFERENCED}),
+    "PA": frozenset({Mode.READY}),
+    "PR": frozenset({Mode.READY}),
+    "PW": frozenset({Mode.NOT_REFERENCED, Mode.CONFIGURATION}),
+    "RS": frozenset({Mode.NOT_REFERENCED, Mode.CONFIGURATION, Mode.READY, Mode.DISABLED}),
+    "ST": frozenset(Mode) - {Mode.CONFIGURATION, Mode.DISABLED},
+    "ZX": frozenset({Mode.CONFIGURATION}),
+}
+ANSWERED = frozenset({"ID", "MM", "PA", "PR", "PT", "PW", "TB", "TE", "TH", "TP", "TS", "VE", "ZT", "ZX"})
+# Parameters that may be changed while the stage is in use as well, though only until the next restart.
+LIVE = frozenset({"AC", "JR", "SL", "SR", "VA"})
+
+
+@dataclass(frozen=True)
+class SmcModel:
+    """A controller with its stage.
+
+    Attributes:
+        stage: name of the stage, as ID tells it.
+        version: as VE tells it.
+        parameters: configuration, by letters; SU is the encoder increment in degrees.
+    """
+
+    stage: str
+    version: str
+    parameters: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def step_deg(self) -> float:
+        """Encoder increment."""
+        return self.parameters["SU"]
+
+
+_COMMON = {
+    "BA": 0.0,
+    "BH": 0.0,
+    "FE": 1.0,
+    "HT": 2.0,
+    "JR": 0.04,
+    "OT": 30.0,
+    "SA": 1.0,
+    "SL": 0.0,
+    "SR": 360.0,
+}
+URS100CC = SmcModel(
+    "URS100CC", "SMC_CC_1.0.0", {**_COMMON, "AC": 160.0, "OH": 20.0, "SU": 0.0005, "VA": 40.0}
 )
+PR50CC = SmcModel("PR50CC", "SMC_CC_1.0.0", {**_COMMON, "AC": 80.0, "OH": 10.0, "SU": 0.001, "VA": 20.0})
+AG_PR100P = SmcModel(
+    "AG-PR100P", "Conex-AGP 1.0.0", {**_COMMON, "AC": 8.0, "OH": 1.0, "SU": 0.0005, "SR": 340.0, "VA": 2.0}
+)
+MODELS = {"urs100cc": URS100CC, "pr50cc": PR50CC, "conex-agp": AG_PR100P}
+
+
+RESTART_S = 3.0
+
+
+class Smc100States(SimulatedDevice):
+    """A controller, as far as it moves.
+
+    Args:
+        axis: the axis it turns; by default one that stands at 0° and moves in real time.
+        address: 1 … 31.
+        model: stage and configuration.
+        faults: what is wrong with it; as text, ``name`` or ``name:number``.
+
+    Raises:
+        UsageError: there is no fault of this name.
+    """
+
+    def __init__(
+        self,
+        axis: RotaryAxis | None = None,
+        *,
+        address: int = 1,
+        model: SmcModel = URS100CC,
+        faults: Iterable[Fault | str] = (),
+    ) -> None:
+        self.axis = axis or RotaryAxis()
+        super().__init__(faults, self.axis.clock)
+        self.model = model
+        self.address = address
+        self.stage = model.stage
+        self.stored = {**model.parameters, "SA": float(address)}
+        self.motor = Motor(self.axis, 1.0 / model.step_deg, self.faults)
+        self._faults_seen = 0
+        self._busy_answers = int(self.faults.get(FaultKind.BUSY, 0))
+        self._power_up()
+        code = int(self.faults.get(FaultKind.LATCHED_ERROR, 0))
+        self._error = chr(ord("@") + code)
+
+    @property
+    def counts(self) -> int:
+        """Position in encoder increments, as the controller believes it to be."""
+        return self.motor.counts
+
+    @property
+    def mode(self) -> Mode:
+        """State, without where it came from."""
+        return MODE_OF_CODE[self._code]
+
+    def _fail(self, letter: str) -> None:
+        """Keep an error until somebody asks for it."""
+        self._error = letter
+
+    def _power_up(self) -> None:
+        self.motor.power_up()
+        self.parameters = dict(self.stored)
+        self._code = FROM_RESET
+        self._faults_seen = 0
+        self._target = 0
+        self._error = "@"
+        self._restarted_at = self._clock()
+
+    def _repair(self) -> None:
+        self.motor.repair()
+        self._busy_answers = 0
+        if self.motor.motion is None and self.mode in {Mode.MOVING, Mode.HOMING}:
+            self._code = READY_FROM_MOVING
+
+    def _restart(self) -> None:
+        self.axis.stop()
+        self._power_up()
+        self._restarted_at = self._clock() + RESTART_S * self.axis.time_scale
+
+    def _enable(self, value: str) -> None:
+        if value not in {"0", "1"}:
+            self._fail(BAD_PARAMETER)
+        elif value == "0":
+            self._code = DISABLE_FROM_READY
+        elif self.mode is Mode.DISABLED:
+            self._code = READY_FROM_DISABLE
+
+    def _enter_configuration(self, value: str) -> None:
+        if value not in {"0", "1"}:
+            self._fail(BAD_PARAMETER)
+        elif value == "1":
+            self._code = CONFIGURATION
+        elif self.mode is Mode.CONFIGURATION:
+            self.stored = dict(self.parameters)
+            self.address = int(self.parameters["SA"])
+            self._code = FROM_CONFIGURATION
+
+    def _configure(self, letters: str, value: str) -> None:
+        usable = {Mode.READY, Mode.DISABLED} if letters in LIVE else set()
+        if self.mode not in usable | {Mode.CONFIGURATION}:
+            self._fail(self.mode.value)
+        elif letters == "ID":
+            self.stage = value or self.stage
+        elif not re.fullmatch(r"[-+]?(\d+\.?\d*|\.\d+)(E[-+]?\d+)?", value) or not self._plausible(
+            letters, float(value)
+        ):
+            self._fail(BAD_PARAMETER)
+        else:
+            self.parameters[letters] = float(value)
+
+    def _plausible(self, letters: str, value: float) -> bool:
+        ranges = {"SL": (-1e12, 0.0), "SR": (0.0, 1e12), "HT": (0.0, 4.0), "SA": (2.0, 31.0)}
+        low, high = ranges.get(letters, (0.0 if letters in {"BA", "BH"} else 1e-9, 1e12))
+        return low <= value <= high
+
+    # Motion.
+
+    def _move(self, value: str, start_counts: int) -> None:
+        try:
+            away = round(float(value) / self.model.step_deg)
+        except ValueError:
+            self._fail(BAD_PARAMETER)
+            return
+        target = start_counts + away
+        low, high = (self.parameters[name] / self.model.step_deg for name in ("SL", "SR"))
+        if not low - 0.5 <= target <= high + 0.5:
+            self._fail(OUT_OF_LIMITS)
+        else:
+            self._start(target)
+
+    def _start(self, target_counts: int | None) -> None:
+        """Start a move to a position in counts, or (None) the reference search."""
+        if self.motor.count_motion():
+            self._dead = True
+        elif self._busy_answers > 0:
+            self._busy_answers -= 1
+            self._fail(Mode.MOVING.value)
+        elif FaultKind.MOTION_ERROR in self.faults:
+            self._fail(chr(ord("@") + int(self.faults[FaultKind.MOTION_ERROR])))
+        else:
+            self._target = target_counts or 0
+            self._faults_seen = 0
+            speed = self.parameters["OH" if target_counts is None else "VA"]
+            self.axis.velocity_deg_s, self.axis.acceleration_deg_s2 = speed, self.parameters["AC"]
+            self._code = HOMING if target_counts is None else MOVING
+            if target_counts is None:
+                self.motor.home()
+            else:
+                self.motor.move(target_counts)
+
+    def _attend(self) -> None:
+        ended = self.motor.ended()
+        if ended is None or self.mode not in {Mode.HOMING, Mode.MOVING}:
+            return
+        homing = self.mode is Mode.HOMING
+        if ended is Motion.STALL:
+            self._faults_seen |= HOMING_TIME_OUT if homing else FOLLOWING_ERROR
+            self._code = FROM_HOMING if homing else DISABLE_FROM_MOVING
+        elif FaultKind.LOST_REPLY not in self.faults:
+            self._code = READY_FROM_HOMING if homing else READY_FROM_MOVING
+
+    def _stop(self) -> None:
+        self.stops += 1
+        self.motor.stop()
+        if self.mode is Mode.HOMING:
+            self._code = FROM_HOMING
+        elif self.mode is Mode.MOVING:
+            self._code = READY_FROM_MOVING
+
 
 LINE_LENGTH = 80
 _COMMAND = re.compile(r"(\d*)([A-Z]{2})(.*)$")

@@ -9,16 +9,18 @@ settings that need a restart, streams, triggers, lockstep, parking, ``tools``, `
 ``move rel`` and ``move vel`` work without a reference, and every fault and NI stand until ``warnings clear``.
 """
 
+import re
+from abc import abstractmethod
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Self
 
 from anisoscope.base.errors import UsageError
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
 from anisoscope.sim.bench.firmware.catalogue import Mount, Simulated
-from anisoscope.sim.bench.firmware.device import Bus, Firmware
+from anisoscope.sim.bench.firmware.device import Bus, Firmware, SimulatedDevice
 from anisoscope.sim.bench.firmware.faults import Fault, FaultKind
 from anisoscope.sim.bench.firmware.motor import Motion, Motor
-from anisoscope.sim.bench.firmware.zaber_controller import OK, UNKNOWN, Answer, Handler, ZaberController
 from anisoscope.sim.bench.firmware.zaber_settings import (
     ACCELERATION_FACTOR,
     HIGHEST_SPEED,
@@ -26,16 +28,257 @@ from anisoscope.sim.bench.firmware.zaber_settings import (
     MODELS,
     SPEED_FACTOR,
     X_RSW60A,
+    Settings,
     ZaberModel,
 )
-from anisoscope.sim.bench.firmware.zaber_wire import (
-    CUTTING,
-    FLAGS,
-    MILD_FLAGS,
-    Command,
-    error_of_number,
-    flag_of_number,
+
+NO_REPLY = "--"
+# What a warning flag can be, the gravest first; a fault with a number as its parameter counts in this list from 1.
+FLAGS = ("FF", "FS", "FE", "FQ", "FI", "FA", "FT", "FP", "FO", "FD", "FM", "FV", "FR", "FH", "FC")
+MILD_FLAGS = ("WL", "WV", "WT", "WS", "WM", "WR", "NC", "NI")
+# These cut the motor off until the driver is enabled again.
+CUTTING = frozenset({"FF", "FO", "FD", "FM", "FV", "FR", "FH", "FC"})
+# Reasons of rejection; a fault with a number from 101 counts in this list from 101.
+REASONS = (
+    "BADDATA",
+    "BADCOMMAND",
+    "PARKED",
+    "NOACCESS",
+    "REMOTE",
+    "LOCKSTEP",
+    "INACTIVE",
+    "FULL",
+    "DRIVERDISABLED",
 )
+FIRST_REASON = 101
+_LINE = re.compile(rb"/(?P<body>[^:]*)(?::(?P<lrc>[0-9A-Fa-f]{2}))?")
+
+
+def lrc(body: bytes) -> int:
+    """The checksum of a message: what makes the sum of its bytes zero, modulo 256."""
+    return (0x100 - sum(body) % 0x100) % 0x100
+
+
+@dataclass(frozen=True)
+class Command:
+    """One command; device 0 is everybody, axis 0 the device as a whole, and number "" is none."""
+
+    device: int
+    axis: int
+    number: str
+    words: tuple[str, ...]
+    checked: bool
+
+    @classmethod
+    def parse(cls, line: bytes) -> Self | None:
+        """Read a line without its end; None if it is no command, or its checksum is wrong."""
+        start = line.rfind(b"/")
+        match = _LINE.fullmatch(line[start:]) if start >= 0 else None
+        if match is None:
+            return None
+        body = match["body"]
+        if match["lrc"] is not None and int(match["lrc"], 16) != lrc(body):
+            return None
+        words = body.decode("ascii", errors="replace").split()
+        device, axis = (int(words.pop(0)) if words and words[0].isdecimal() else 0 for _ in range(2))
+        number = words.pop(0) if words and (words[0].isdecimal() or words[0] == NO_REPLY) else ""
+        return cls(device, axis, number, tuple(words), match["lrc"] is not None)
+
+
+def frame(kind: str, body: str, *, checked: bool) -> bytes:
+    """A whole message to the host: ``@`` reply, ``#`` information, ``!`` alert."""
+    data = body.encode("ascii", errors="replace")
+    return kind.encode("ascii") + data + (b":%02X" % lrc(data) if checked else b"") + b"\r\n"
+
+
+def flag_of_number(number: float) -> str:
+    """The flag that a number as the parameter of a fault stands for.
+
+    Raises:
+        UsageError: there is none.
+    """
+    if not 1 <= number <= len(FLAGS):
+        raise UsageError(f"a Zaber stage has no fault {number:g}; choose 1…{len(FLAGS)}: {', '.join(FLAGS)}")
+    return FLAGS[int(number) - 1]
+
+
+def error_of_number(number: float) -> tuple[str, str]:
+    """The flag that a motion ends with, and the reason why it is rejected; both empty for 0.
+
+    Raises:
+        UsageError: a number that stands for neither.
+    """
+    place = int(number) - FIRST_REASON
+    if place >= len(REASONS):
+        raise UsageError(
+            f"a Zaber stage has no reason {number:g} to reject a motion; choose {FIRST_REASON}…"
+            f"{FIRST_REASON + len(REASONS) - 1}: {', '.join(REASONS)}"
+        )
+    if place >= 0:
+        return "", REASONS[place]
+    return (flag_of_number(number), "") if number else ("", "")
+
+
+STAGGER_S = 0.005
+NUMBERS = 100
+Answer = tuple[bool, str]
+OK: Answer = (True, "0")
+UNKNOWN: Answer = (False, "BADCOMMAND")
+Handler = Callable[[Command], Answer]
+
+
+class ZaberController(SimulatedDevice):
+    """A device on the line, without its motor.
+
+    Args:
+        axis: the axis that it turns.
+        address: address of the device, 1…99.
+        model: id, serial number, scale and speed.
+        faults: what is wrong with it.
+        place: how many devices stand before it on the line.
+
+    Attributes:
+        settings: what ``get`` reads and ``set`` writes.
+    """
+
+    def __init__(
+        self, axis: RotaryAxis, address: int, model: ZaberModel, faults: Iterable[Fault | str], place: int
+    ) -> None:
+        super().__init__(faults, axis.clock)
+        self.axis = axis
+        self.model = model
+        self.settings = Settings(model, address, self._measured())
+        self._place = place
+        self._waiting: list[tuple[float, bytes]] = []
+
+    @property
+    @abstractmethod
+    def flags(self) -> tuple[str, ...]:
+        """The warning flags that stand, the gravest first."""
+
+    @property
+    @abstractmethod
+    def busy(self) -> bool:
+        """Whether it says that it moves."""
+
+    @abstractmethod
+    def _measured(self) -> dict[str, Callable[[], int]]:
+        """Settings of the axis that are measured when asked for."""
+
+    @abstractmethod
+    def _motion_handlers(self) -> dict[str, Handler]:
+        """Commands that this half does not know, by their first word."""
+
+    @abstractmethod
+    def _after(self, command: Command) -> None:
+        """Something to do once a command has been answered."""
+
+    @property
+    def address(self) -> int:
+        """Address of the device."""
+        return self.settings["comm.address"]
+
+    def connect(self) -> None:
+        """A host opened the line: what was under way on it is forgotten."""
+        with self._lock:
+            super().connect()
+            self._waiting.clear()
+
+    # Packets.
+
+    def _take_packet(self) -> bool:
+        ends = [end for end in (self._inbox.find(b"\n"), self._inbox.find(b"\r")) if end >= 0]
+        if not ends:
+            return False
+        line = bytes(self._inbox[: min(ends)])
+        del self._inbox[: min(ends) + 1]
+        command = Command.parse(line)
+        if command is not None and command.device in {0, self.address}:
+            self.commands.append(line)
+            self._obey(command)
+        return True
+
+    def _obey(self, command: Command) -> None:
+        self._attend()
+        speaker = self.address  # a command that changes the address is still answered from the old one
+        accepted, data = self._answer_to(command)
+        if command.number == NO_REPLY or self._dead:
+            return
+        verdict = f"{'OK' if accepted else 'RJ'} {self._state()} {data}"
+        self._reply("@", command, speaker, verdict)
+        if command.words[:1] == ("help",):
+            for word in sorted(self._handlers()):
+                self._reply("#", command, speaker, word)
+        self._after(command)
+
+    def _answer_to(self, command: Command) -> Answer:
+        if command.number.isdecimal() and int(command.number) >= NUMBERS:
+            return False, "BADMESSAGEID"
+        if command.axis > 1:
+            return False, "BADAXIS"
+        if not command.words:
+            return OK
+        handler = self._handlers().get(command.words[0])
+        return handler(command) if handler else UNKNOWN
+
+    def _handlers(self) -> dict[str, Handler]:
+        return {
+            "get": self._get,
+            "set": self._set,
+            "renumber": self._renumber,
+            "help": lambda _: OK,
+            **self._motion_handlers(),
+        }
+
+    # Messages.
+
+    def _state(self) -> str:
+        return f"{'BUSY' if self.busy else 'IDLE'} {next(iter(self.flags), '--')}"
+
+    def _reply(self, kind: str, command: Command, speaker: int, text: str) -> None:
+        number = f"{int(command.number):02d} " if command.number else ""
+        shown = speaker % MAX_ADDRESS + 1 if FaultKind.WRONG_ADDRESS in self.faults else speaker
+        checked = command.checked or self.settings["comm.checksum"] == 1
+        message = frame(kind, f"{shown:02d} {command.axis} {number}{text}", checked=checked)
+        if command.device == 0 and self._place:  # to everybody is answered in the order of the line
+            self._waiting.append((self._clock() + self._place * STAGGER_S, message))
+        else:
+            self._say(message)
+
+    def _say_what_waited(self) -> None:
+        while self._waiting and self._waiting[0][0] <= self._clock():
+            self._say(self._waiting.pop(0)[1])
+
+    def _alert(self) -> None:
+        if self.settings["comm.alert"] == 1:
+            text = f"{self.address:02d} 1 {self._state()}"
+            self._say(frame("!", text, checked=self.settings["comm.checksum"] == 1))
+
+    def _unasked(self) -> bytes:
+        return f"!{self.address:02d} 1 IDLE --\r\n#{self.address:02d} 0 nobody asked\r\n".encode("ascii")
+
+    # Settings.
+
+    def _get(self, command: Command) -> Answer:
+        names: Sequence[str] = command.words[1:]
+        return self.settings.get(names[0], command.axis) if len(names) == 1 else UNKNOWN
+
+    def _set(self, command: Command) -> Answer:
+        match command.words[1:]:
+            case (name, value):
+                return self.settings.set(name, value, command.axis)
+            case _:
+                return UNKNOWN
+
+    def _renumber(self, command: Command) -> Answer:
+        first = command.words[1] if command.words[1:] else "1"
+        if command.axis:
+            return False, "DEVICEONLY"
+        if not first.isdecimal():
+            return False, "BADDATA"
+        later = self._place if command.device == 0 else 0
+        return self.settings.set("comm.address", str(int(first) + later), 0)
+
 
 STALL_S = 0.2
 NO_RAMP_DEG_S2 = 1e6

@@ -12,7 +12,7 @@ import tifffile
 from anisoscope.base.errors import CameraError, NotConnected, RigFileError
 from anisoscope.rig.bayer import channel_of_pixels
 from anisoscope.rig.camera import Camera
-from anisoscope.rig.cameras import baslersdk
+from anisoscope.rig.cameras import basler
 from anisoscope.rig.cameras.basler import BaslerCamera
 from anisoscope.rig.drivers import open_camera
 
@@ -143,8 +143,8 @@ def test_settings_out_of_range(camera, exposure_s, gain, expected):
 
 
 def test_what_changes_pictures_by_itself_is_switched_off(shown):
-    pylon = baslersdk.load_pylon()
-    device = pylon.InstantCamera(baslersdk.find_device(pylon, SECOND, ""))
+    pylon = basler.load_pylon()
+    device = pylon.InstantCamera(basler.find_device(pylon, SECOND, ""))
     device.Open()
     device.ExposureAuto.Value, device.GainAuto.Value = device.ExposureAuto.Symbolics[-1], "Continuous"
     device.Gamma.Value, device.DigitalShift.Value = 0.5, 2
@@ -172,16 +172,16 @@ def test_the_whole_sensor_without_a_size():
 
 
 def test_the_black_level_is_read_from_the_camera(shown):
-    pylon = baslersdk.load_pylon()
-    device = pylon.InstantCamera(baslersdk.find_device(pylon, FIRST, ""))
+    pylon = basler.load_pylon()
+    device = pylon.InstantCamera(basler.find_device(pylon, FIRST, ""))
     device.Open()
     device.BlackLevel.Value = 64.0
     real = BaslerCamera.open(serial=SECOND, image_file=shown, width=COLS, height=ROWS)
     try:
-        from anisoscope.rig.cameras.baslernodes import black_level
+        from anisoscope.rig.cameras.basler import read_black_level
 
-        assert black_level(device, "Mono12") == 64.0
-        assert black_level(device, "Mono8") == 4.0
+        assert read_black_level(device, "Mono12") == 64.0
+        assert read_black_level(device, "Mono8") == 4.0
     finally:
         real.close()
         device.Close()

@@ -9,8 +9,7 @@ import pytest
 
 from anisoscope.base.errors import CameraError, NotConnected, RigFileError
 from anisoscope.rig.camera import Camera
-from anisoscope.rig.cameras import uvcsetup
-from anisoscope.rig.cameras.uvc import UvcCamera
+from anisoscope.rig.cameras.uvc import UvcCamera, name_of
 from anisoscope.rig.drivers import open_camera
 
 ROWS, COLS = 48, 64
@@ -367,9 +366,9 @@ def test_the_name_is_that_of_the_operating_system(tmp_path):
     (node / "name").write_text("HD Microscope: UVC\n")
     (node / "device").symlink_to(device)
     (device.parent / "serial").write_text("A1B2\n")
-    assert uvcsetup.name_of(2, tmp_path / "class") == ("HD Microscope: UVC", "A1B2")
-    assert uvcsetup.name_of("/dev/video2", tmp_path / "class") == ("HD Microscope: UVC", "A1B2")
-    assert uvcsetup.name_of(5, tmp_path / "class") == ("UVC camera 5", "video5")
+    assert name_of(2, tmp_path / "class") == ("HD Microscope: UVC", "A1B2")
+    assert name_of("/dev/video2", tmp_path / "class") == ("HD Microscope: UVC", "A1B2")
+    assert name_of(5, tmp_path / "class") == ("UVC camera 5", "video5")
 
 
 # -- OpenCV itself ---------------------------------------------------------------------------------------------

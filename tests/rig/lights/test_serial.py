@@ -9,8 +9,7 @@ import pytest
 from anisoscope.base.errors import NotConnected, ProtocolError, RigError
 from anisoscope.rig.drivers import open_light
 from anisoscope.rig.light import Light
-from anisoscope.rig.lights.light_line import LightStatus
-from anisoscope.rig.lights.serial import SerialLight
+from anisoscope.rig.lights.serial import LightStatus, SerialLight
 from anisoscope.sim.bench.firmware.faults import FaultKind
 from anisoscope.sim.bench.firmware.light import LightFirmware
 from anisoscope.sim.bench.serialports import protocol_sim

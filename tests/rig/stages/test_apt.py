@@ -6,8 +6,7 @@ import time
 import pytest
 
 from anisoscope.base.errors import LimitExceeded, MotionTimeout, NotHomed, ProtocolError, RigError, Stalled
-from anisoscope.rig.stages.apt import Apt
-from anisoscope.rig.stages.apt_scales import scale_of
+from anisoscope.rig.stages.apt import Apt, scale_of
 from anisoscope.rig.stages.apt_wire import (
     MOVE_ABSOLUTE,
     DeviceInfo,
@@ -16,8 +15,7 @@ from anisoscope.rig.stages.apt_wire import (
     position_data,
     take_message,
 )
-from anisoscope.sim.bench.firmware.apt import AptFirmware
-from anisoscope.sim.bench.firmware.apt_models import MODELS, AptModel
+from anisoscope.sim.bench.firmware.apt import MODELS, AptFirmware, AptModel
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
 
 HURRY = {"timeout_s": 0.3, "margin_s": 0.15, "velocity_deg_s": 2000.0}

@@ -9,10 +9,10 @@ from anisoscope.base.errors import (
     ProtocolError,
     RigError,
 )
-from anisoscope.rig.stages.elliptec import Elliptec
-from anisoscope.rig.stages.elliptec_wire import (
+from anisoscope.rig.stages.elliptec import (
     Answer,
     DeviceInfo,
+    Elliptec,
     counts_from_hex,
     counts_to_hex,
     error_of_status,

@@ -3,13 +3,11 @@
 import pytest
 
 from anisoscope.base.errors import LimitExceeded, NotConnected, NotHomed, ProtocolError, RigError, Stalled
-from anisoscope.rig.stages.smc100 import Smc100
-from anisoscope.rig.stages.smc100_wire import Answer, State, error_of_letter
+from anisoscope.rig.stages.smc100 import Answer, Smc100, State, error_of_letter
 from anisoscope.rig.transport import Transport, shared_ports
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
 from anisoscope.sim.bench.firmware.device import Bus
-from anisoscope.sim.bench.firmware.smc100 import Smc100Firmware
-from anisoscope.sim.bench.firmware.smc100_tables import AG_PR100P
+from anisoscope.sim.bench.firmware.smc100 import AG_PR100P, Smc100Firmware
 
 HURRY = {"timeout_s": 0.15, "margin_s": 0.15, "velocity_deg_s": 4000.0}
 

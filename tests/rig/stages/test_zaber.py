@@ -13,10 +13,10 @@ from anisoscope.base.errors import (
     RigError,
     Stalled,
 )
-from anisoscope.rig.stages.zaber import Zaber
-from anisoscope.rig.stages.zaber_line import ZaberLine
-from anisoscope.rig.stages.zaber_wire import (
+from anisoscope.rig.stages.zaber import (
     Reply,
+    Zaber,
+    ZaberLine,
     checksum,
     command,
     deg_s2_of_acceleration,
@@ -29,9 +29,8 @@ from anisoscope.rig.stages.zaber_wire import (
 from anisoscope.rig.transport import Transport
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
 from anisoscope.sim.bench.firmware.device import Bus
-from anisoscope.sim.bench.firmware.zaber import ZaberFirmware
+from anisoscope.sim.bench.firmware.zaber import FLAGS, MILD_FLAGS, REASONS, ZaberFirmware
 from anisoscope.sim.bench.firmware.zaber_settings import X_RSB060AD, X_RST120AK, X_RSW60A
-from anisoscope.sim.bench.firmware.zaber_wire import FLAGS, MILD_FLAGS, REASONS
 
 HURRY = {"timeout_s": 0.15, "margin_s": 0.15, "velocity_deg_s": 4000.0, "acceleration_deg_s2": 40000.0}
 COUNT_DEG = 360 / X_RSW60A.counts_per_turn

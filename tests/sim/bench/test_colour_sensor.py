@@ -7,7 +7,7 @@ from anisoscope.base.errors import RigFileError
 from anisoscope.rig.bayer import FILTERS, channel_of_pixels
 from anisoscope.sim.bench.benchfile import SensorPart
 from anisoscope.sim.bench.camera import SimulatedCamera
-from anisoscope.sim.bench.mosaic import Mosaic
+from anisoscope.sim.bench.sensor import Mosaic
 
 SHAPE = (128, 160)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from anisoscope.sim.bench.printpart import DentPart, PrintPart, SpotPart
-from anisoscope.sim.bench.sheet import grain, grid_of, inked, normals, pinholes
+from anisoscope.sim.bench.prints import grain, grid_of, inked, normals, pinholes
 
 SIZE_MM = 2.0
 

@@ -5,8 +5,7 @@ import pytest
 
 from anisoscope.base.errors import ModelError
 from anisoscope.sim.design.dot import Dot, DotState, DotTask
-from anisoscope.sim.design.polish import Bench, Polish
-from anisoscope.sim.design.refine import Limits, mutated, refine
+from anisoscope.sim.design.refine import Bench, Limits, Polish, mutated, refine
 from anisoscope.sim.light.wave.sampling import Widths
 
 STEPS = Widths((2.0, 2.75, 3.5), (0.75, 0.2, 0.05))

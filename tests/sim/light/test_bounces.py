@@ -219,8 +219,8 @@ def random_directions(seed):
 
 
 def test_the_compiled_brdf_is_the_material():
+    from anisoscope.sim.light.bounces import plastic_numbers
     from anisoscope.sim.light.bounces_kernels import brdf_table
-    from anisoscope.sim.light.bounces_series import plastic_numbers
 
     first, second = random_directions(3)
     material = Material(0.2, 0.35, 0.4)

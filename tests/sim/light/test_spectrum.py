@@ -2,7 +2,7 @@ import pytest
 
 from anisoscope.base.errors import ModelError
 from anisoscope.sim.light.material import Material
-from anisoscope.sim.light.spectrum import Spectrum
+from anisoscope.sim.materials.lamp_spectrum import Spectrum
 
 
 def test_every_wavelength_has_its_material():

@@ -5,8 +5,7 @@ import struct
 import pytest
 
 from anisoscope.base.errors import UsageError
-from anisoscope.sim.bench.firmware.apt import AptFirmware
-from anisoscope.sim.bench.firmware.apt_models import MODELS
+from anisoscope.sim.bench.firmware.apt import MODELS, AptFirmware
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
 from anisoscope.sim.bench.firmware.catalogue import Mount, build
 

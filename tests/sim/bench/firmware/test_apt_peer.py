@@ -5,8 +5,7 @@ import time
 import pytest
 import serial
 
-from anisoscope.sim.bench.firmware.apt import AptFirmware
-from anisoscope.sim.bench.firmware.apt_models import MODELS
+from anisoscope.sim.bench.firmware.apt import MODELS, AptFirmware
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
 from anisoscope.sim.bench.serve import PtyServer
 

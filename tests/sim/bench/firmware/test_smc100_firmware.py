@@ -5,8 +5,7 @@ import pytest
 from anisoscope.base.errors import UsageError
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
 from anisoscope.sim.bench.firmware.catalogue import Mount, build
-from anisoscope.sim.bench.firmware.smc100 import Smc100Firmware
-from anisoscope.sim.bench.firmware.smc100_tables import AG_PR100P, ERROR_TEXTS
+from anisoscope.sim.bench.firmware.smc100 import AG_PR100P, ERROR_TEXTS, Smc100Firmware
 
 
 class Clock:

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from anisoscope.profiles.ideal import RidgeDesign
-from anisoscope.sim.light.wave.angular import angular_map
-from anisoscope.sim.light.wave.choice import choose_optics, effective_coherence_um
+from anisoscope.sim.light.wave.choice import choose_optics, effective_coherence_um, structure_of
+from anisoscope.sim.light.wave.correlation import angular_map
 from anisoscope.sim.light.wave.geometric import slope_density
-from anisoscope.sim.light.wave.structure import structure_of
 from anisoscope.sim.light.wave.surface import WaveSurface
 from anisoscope.sim.light.wave.windows import Extent, Window
 

@@ -5,7 +5,7 @@ import pytest
 
 from anisoscope.base.errors import ModelError
 from anisoscope.sim.light.wave import claims, sampling
-from anisoscope.sim.light.wave.angular import angular_map
+from anisoscope.sim.light.wave.correlation import angular_map
 from anisoscope.sim.light.wave.surface import WaveSurface
 from anisoscope.sim.light.wave.windows import Extent, Window
 

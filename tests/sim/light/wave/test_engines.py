@@ -5,8 +5,7 @@ import pytest
 
 from anisoscope.base.errors import ModelError
 from anisoscope.sim.light.wave import fused, quadratic
-from anisoscope.sim.light.wave.angular import angular_map
-from anisoscope.sim.light.wave.correlation import correlation_of, reach_um
+from anisoscope.sim.light.wave.correlation import angular_map, correlation_of, reach_um
 from anisoscope.sim.light.wave.halfvectors import half_vector
 from anisoscope.sim.light.wave.surface import WaveSurface
 from anisoscope.sim.light.wave.windows import POINT, Extent, Window

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from anisoscope.sim.light.wave import claims, quadratic
-from anisoscope.sim.light.wave.angular import angular_map
+from anisoscope.sim.light.wave.correlation import angular_map
 from anisoscope.sim.light.wave.halfvectors import half_vector
 from anisoscope.sim.light.wave.reflectance import LightSpectrum, brdf, radiance, radiance_scale
 from anisoscope.sim.light.wave.surface import WaveSurface

@@ -6,7 +6,7 @@ from scipy.ndimage import uniform_filter1d
 
 from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.sim.light.wave.angular import angular_map
+from anisoscope.sim.light.wave.correlation import angular_map
 from anisoscope.sim.light.wave.surface import WaveSurface, sampling_of, slope_limit_deg
 from anisoscope.sim.light.wave.windows import Extent, Window
 

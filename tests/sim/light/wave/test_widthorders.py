@@ -5,8 +5,7 @@ import pytest
 
 from anisoscope.profiles.etching import Etched
 from anisoscope.sim.light.wave.halfvectors import half_vector
-from anisoscope.sim.light.wave.orders import Orders
-from anisoscope.sim.light.wave.widthorders import WidthOrders
+from anisoscope.sim.light.wave.orders import Orders, WidthOrders
 from anisoscope.sim.light.wave.windows import Extent, Window
 
 WAVELENGTH_UM, STEP_UM = 0.5, 0.04
