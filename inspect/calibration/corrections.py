@@ -25,7 +25,7 @@ from anisoscope.calibration.record import (
 )
 from anisoscope.imaging.linearisation import Image, Mask, RadianceImage, Stack, WhiteReference
 from anisoscope.imaging.registration.placement import Placement, angle_between
-from anisoscope.recipe.recipe import RecipeBase
+from anisoscope.recipe.base import RecipeBase
 from anisoscope.rig.rigfile import CalibrationPart
 
 RecipeT = TypeVar("RecipeT", bound=RecipeBase)

@@ -32,7 +32,7 @@ from anisoscope.imaging.linearisation import WhiteReference
 from anisoscope.imaging.registration.placement import check_fixture
 from anisoscope.profiles.files.load import read_height_map
 from anisoscope.profiles.metrology.ridges import measure_ridges
-from anisoscope.recipe.recipe import Recipe
+from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.schema import sha256_of
 from anisoscope.rig.rigfile import RigFile, read_rig
 
@@ -147,7 +147,9 @@ class Commissioned:
     part: RidgedPart
 
 
-def part_of_recipe(recipe: Recipe, ridge_angle_deg: float | None, u_ridge_angle_deg: float) -> RidgedPart:
+def part_of_recipe(
+    recipe: SurfaceRecipe, ridge_angle_deg: float | None, u_ridge_angle_deg: float
+) -> RidgedPart:
     """The ridged part that a recipe describes; the spot is the largest circle in its region.
 
     A recipe's roughness is what its height map does not resolve. Where it has a map, ridge angle and resolved

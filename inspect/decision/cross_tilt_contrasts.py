@@ -9,7 +9,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.significance import holm, two_sided
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.prediction.expectation import Component, Expectation
-from anisoscope.recipe.recipe import ContrastKind
+from anisoscope.recipe.surface import ContrastKind
 from anisoscope.sim.light.geometry import Pose
 
 Pairs = Sequence[tuple[int, int]]

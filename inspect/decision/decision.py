@@ -20,7 +20,7 @@ from anisoscope.imaging.defect_regions import Region, deviation_map, find_region
 from anisoscope.imaging.deviation_map import AreaResult, CellMap, cell_map, judge_area
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.prediction.expectation import Component, Expectation
-from anisoscope.recipe.recipe import ContrastKind, DecisionPart, Recipe, source_name
+from anisoscope.recipe.surface import ContrastKind, DecisionPart, SurfaceRecipe, source_name
 from anisoscope.record.verdict import Verdict
 from anisoscope.sim.light.contrasts import Contrast, consecutive_pairs, contrasts
 from anisoscope.sim.light.geometry import Pose
@@ -125,7 +125,7 @@ def _values(found: tuple[Contrast, ...], kind: ContrastKind) -> FloatArray:
 
 
 def decide(
-    expected: Expectation, measured: Measured, recipe: Recipe, golden: GoldenSet | None = None
+    expected: Expectation, measured: Measured, recipe: SurfaceRecipe, golden: GoldenSet | None = None
 ) -> Decision:
     """Judge a part.
 
@@ -195,14 +195,14 @@ def decide(
     )
 
 
-def _regions(cells: CellMap | None, measured: Measured, recipe: Recipe) -> tuple[Region, ...]:
+def _regions(cells: CellMap | None, measured: Measured, recipe: SurfaceRecipe) -> tuple[Region, ...]:
     if cells is None or recipe.area is None:
         return ()
     return find_regions(deviation_map(cells), recipe.area, measured.grid)
 
 
 def _budget(
-    components: tuple[Component, ...], variances: list[FloatArray], recipe: Recipe
+    components: tuple[Component, ...], variances: list[FloatArray], recipe: SurfaceRecipe
 ) -> tuple[BudgetRow, ...]:
     rows = [
         BudgetRow(
@@ -236,7 +236,11 @@ def guarded(deviation: float, u: float, tolerance: float, coverage: float) -> tu
 
 
 def _judge_pairs(
-    found: tuple[Contrast, ...], predicted: FloatArray, deviation: FloatArray, u: FloatArray, recipe: Recipe
+    found: tuple[Contrast, ...],
+    predicted: FloatArray,
+    deviation: FloatArray,
+    u: FloatArray,
+    recipe: SurfaceRecipe,
 ) -> tuple[PairResult, ...]:
     results = []
     tolerances = recipe.tolerances()

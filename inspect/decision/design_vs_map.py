@@ -10,10 +10,10 @@ from anisoscope.base.errors import AnisoscopeError
 from anisoscope.decision.consistency_test import from_prediction
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.prediction.expectation import Expectation, expectation
-from anisoscope.recipe.recipe import Recipe, Surface
+from anisoscope.recipe.surface import Surface, SurfaceRecipe
 from anisoscope.record.schema import ComparisonRecord
 
-Predict = Callable[[Recipe, float], Expectation]
+Predict = Callable[[SurfaceRecipe, float], Expectation]
 """Predicts a recipe by the rig's light angle: anew, or by what is kept."""
 
 READINGS = {
@@ -31,7 +31,7 @@ READINGS = {
 
 
 def compare(
-    recipe: Recipe, expected: Expectation, measured: Measured, predict: Predict = expectation
+    recipe: SurfaceRecipe, expected: Expectation, measured: Measured, predict: Predict = expectation
 ) -> tuple[tuple[ComparisonRecord, ...], str | None, str | None]:
     """Compare with both surfaces of a recipe.
 
@@ -60,7 +60,7 @@ def compare(
 
 
 def _one(
-    surface: Surface, expected: Expectation, measured: Measured, recipe: Recipe, *, decides: bool
+    surface: Surface, expected: Expectation, measured: Measured, recipe: SurfaceRecipe, *, decides: bool
 ) -> ComparisonRecord:
     d2, dof, p_value = from_prediction(expected, measured)
     return ComparisonRecord(

@@ -17,7 +17,8 @@ from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import CalibrationError
 from anisoscope.base.significance import log_basis
 from anisoscope.imaging.area_limit import MIN_PARTS, KnownShares
-from anisoscope.recipe.recipe import AcquisitionPart, AreaPart, Recipe
+from anisoscope.recipe.base import AcquisitionPart
+from anisoscope.recipe.surface import AreaPart, SurfaceRecipe
 from anisoscope.record.schema import Record
 
 Kept = TypeVar("Kept", bound=BaseModel)
@@ -76,7 +77,7 @@ class GoldenSet(BaseModel):
             if part.area_share is not None and part.cell_deviation == rule.cell_deviation
         )
 
-    def known_shares(self, recipe: Recipe) -> KnownShares | None:
+    def known_shares(self, recipe: SurfaceRecipe) -> KnownShares | None:
         """What these parts teach of the area; None where the recipe gives its own limit or they are too few."""
         rule = recipe.area
         if rule is None or limit_is_given(rule):
@@ -84,7 +85,7 @@ class GoldenSet(BaseModel):
         cells, shares = [part.cells for part in self.parts if part.cells], self.area_shares(rule)
         return KnownShares(tuple(shares), cells[-1]) if cells and len(shares) >= MIN_PARTS else None
 
-    def area_limit(self, recipe: Recipe) -> float | None:
+    def area_limit(self, recipe: SurfaceRecipe) -> float | None:
         """The limit of the area that these parts teach, for a part whose contrasts are as they should be."""
         known = self.known_shares(recipe)
         return None if known is None else known.limit(0.5 * recipe.decision.alpha)
@@ -125,7 +126,7 @@ def limit_is_given(rule: BaseModel) -> bool:
     return "max_share" in rule.model_fields_set
 
 
-def recipe_key(recipe: Recipe) -> str:
+def recipe_key(recipe: SurfaceRecipe) -> str:
     """Hash of what must be the same for contrasts to be comparable.
 
     Of the acquisition only what changes a measurement; what has its default counts as not there, so that a key outlives
@@ -141,7 +142,7 @@ def same_exposure(acquisition: AcquisitionPart) -> dict[str, Any]:
     return {name: value for name, value in exposed.items() if value != _plain(usual[name])}
 
 
-def _earlier_key(recipe: Recipe) -> str:
+def _earlier_key(recipe: SurfaceRecipe) -> str:
     """The key as it was made before: of the whole acquisition, as far as there was one."""
     exposed = recipe.acquisition.model_dump(mode="json")
     return _hashed(recipe, {k: v for k, v in exposed.items() if k in _EARLIER or (k == "brackets" and v)})
@@ -151,7 +152,7 @@ def _plain(value: object) -> object:
     return list(value) if isinstance(value, tuple) else value
 
 
-def _hashed(recipe: Recipe, acquisition: dict[str, Any]) -> str:
+def _hashed(recipe: SurfaceRecipe, acquisition: dict[str, Any]) -> str:
     told = recipe.model_dump(mode="json")
     told["surface"] = {"pitch_um": told["surface"]["pitch_um"]}
     content = {name: told[name] for name in _MEASURED} | {"acquisition": acquisition}
@@ -173,7 +174,7 @@ def kept_set(path: Path, model: type[Kept], what: str) -> Kept | None:
         raise CalibrationError(f"the {what} in {path} cannot be read: {reason}") from problem
 
 
-def read_golden(path: Path, recipe: Recipe) -> GoldenSet | None:
+def read_golden(path: Path, recipe: SurfaceRecipe) -> GoldenSet | None:
     """The good parts of a recipe, or None where none were ever added.
 
     Raises:
@@ -192,7 +193,7 @@ def read_golden(path: Path, recipe: Recipe) -> GoldenSet | None:
     return found
 
 
-def add_part(known: GoldenSet | None, recipe: Recipe, record: Record) -> GoldenSet:
+def add_part(known: GoldenSet | None, recipe: SurfaceRecipe, record: Record) -> GoldenSet:
     """A set with one part more.
 
     Args:
@@ -207,7 +208,7 @@ def add_part(known: GoldenSet | None, recipe: Recipe, record: Record) -> GoldenS
     if record.verdict == "INVALID" or not record.poses:
         raise CalibrationError(f"{record.serial}: an INVALID inspection says nothing about a good part")
     seen = tuple((pose.stage_deg, pose.tilt_deg) for pose in record.poses)
-    key, recipe_then = recipe_key(recipe), Recipe.model_validate(record.recipe)
+    key, recipe_then = recipe_key(recipe), type(recipe).model_validate(record.recipe, extra="ignore")
     if seen != poses or recipe_key(recipe_then) != key:
         raise CalibrationError(
             f"{record.serial} was inspected with another recipe (poses, region or exposure differ): inspect it again"

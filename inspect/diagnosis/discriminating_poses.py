@@ -33,7 +33,7 @@ from anisoscope.prediction.expectation import NEGLIGIBLE, Component, Expectation
 from anisoscope.prediction.recipe_models import needed_reach, recipe_wafer
 from anisoscope.prediction.sensitivity import State, evaluate, fixed
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.recipe.recipe import Recipe
+from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.sim.light.geometry import Convention, Pose, pose_grid
 from anisoscope.sim.light.wave.choice import NUMERICAL_ERROR
 
@@ -88,7 +88,7 @@ class _Views:
 
 
 def wafer_options(
-    recipe: Recipe, light_angle_deg: float, names: Sequence[str], advance: Advance = silent
+    recipe: SurfaceRecipe, light_angle_deg: float, names: Sequence[str], advance: Advance = silent
 ) -> tuple[Option, ...]:
     """What would tell causes of a wafer apart, whatever their extents.
 
@@ -131,7 +131,7 @@ def wafer_options(
     return tuple(options)
 
 
-def _views(recipe: Recipe) -> _Views:
+def _views(recipe: SurfaceRecipe) -> _Views:
     """The recipe's poses, those besides under its own lamp, and its poses under every second lamp."""
     assert recipe.light is not None
     angles, tilts = recipe.poses.angles_deg, recipe.poses.tilts_deg
@@ -167,7 +167,7 @@ def second_lamps(wavelength_nm: float) -> tuple[float, ...]:
     return tuple(sorted((*below, *above), key=lambda lamp: abs(lamp - wavelength_nm)))
 
 
-def _wafer(recipe: Recipe, light_angle_deg: float, views: _Views) -> tuple[EtchedPredictor, HeightMap]:
+def _wafer(recipe: SurfaceRecipe, light_angle_deg: float, views: _Views) -> tuple[EtchedPredictor, HeightMap]:
     """The predictor, sampled for every direction and wavelength that is looked at."""
     assert recipe.light is not None
     tilts = tuple(sorted({pose.tilt_deg for pose in views.lamps[0][1]}))
@@ -201,7 +201,7 @@ def _signature(
 
 
 def _expected(
-    recipe: Recipe,
+    recipe: SurfaceRecipe,
     views: _Views,
     wafer: EtchedPredictor,
     state: State,
@@ -244,7 +244,7 @@ KINDS = ("angles", "tilt", "lamp")
 
 
 def remembered_options(
-    recipe: Recipe, light_angle_deg: float, names: Sequence[str], advance: Advance = silent
+    recipe: SurfaceRecipe, light_angle_deg: float, names: Sequence[str], advance: Advance = silent
 ) -> tuple[Option, ...]:
     """What would tell causes of a wafer apart, computed once; arguments and errors as for `telling.wafer_options`."""
     given = _given(recipe, light_angle_deg, names)
@@ -259,7 +259,7 @@ def remembered_options(
     )
 
 
-def _given(recipe: Recipe, light_angle_deg: float, names: Sequence[str]) -> dict[str, Any]:
+def _given(recipe: SurfaceRecipe, light_angle_deg: float, names: Sequence[str]) -> dict[str, Any]:
     """All that options are computed from."""
     surface = recipe.surface.height_map
     return {
@@ -271,7 +271,7 @@ def _given(recipe: Recipe, light_angle_deg: float, names: Sequence[str]) -> dict
 
 
 def advice_for(
-    recipe: Recipe, light_angle_deg: float, found: Diagnosis, advance: Advance = silent
+    recipe: SurfaceRecipe, light_angle_deg: float, found: Diagnosis, advance: Advance = silent
 ) -> str | None:
     """What would tell the tied causes of a wafer from the best one; None where that is no question, or of plastic.
 

@@ -10,7 +10,7 @@ from anisoscope.diagnosis.tangents import Tangents
 from anisoscope.prediction.expectation import Component, Expectation, recipe_uncertainty
 from anisoscope.prediction.propagation import RIDGE_ANGLE
 from anisoscope.prediction.second_order import Response
-from anisoscope.recipe.recipe import Recipe
+from anisoscope.recipe.surface import SurfaceRecipe
 
 FARTHEST = 6.0  # u from the nominal state to which the second order is trusted
 SHARE_FLOOR = 0.003  # cells that deviate on one good part and not on another
@@ -174,7 +174,7 @@ class Inputs:
         return replace(self, response=response, rest=self.rest[np.ix_(kept, kept)])
 
 
-def inputs_of(recipe: Recipe, expected: Expectation, measured: tuple[Component, ...]) -> Inputs | None:
+def inputs_of(recipe: SurfaceRecipe, expected: Expectation, measured: tuple[Component, ...]) -> Inputs | None:
     """The uncertain inputs of a recipe's prediction, those that may be causes in the units of their extents."""
     if expected.response is None:
         return None

@@ -18,7 +18,7 @@ from anisoscope.diagnosis.ranking import NOTHING, Diagnosis, diagnose
 from anisoscope.diagnosis.signature_cache import remembered_signatures
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.prediction.expectation import Expectation
-from anisoscope.recipe.recipe import Recipe
+from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.schema import CauseRecord, DiagnosisRecord
 from anisoscope.record.verdict import Verdict
 
@@ -26,7 +26,7 @@ TIES_SAID = 3  # in one line; the table of causes has all
 
 
 def explain(
-    recipe: Recipe,
+    recipe: SurfaceRecipe,
     expected: Expectation,
     measured: Measured,
     decision: Decision,
@@ -63,7 +63,7 @@ def explain(
 
 
 def evidence_of(
-    recipe: Recipe,
+    recipe: SurfaceRecipe,
     expected: Expectation,
     measured: Measured,
     decision: Decision,

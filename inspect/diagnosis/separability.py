@@ -13,7 +13,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.diagnosis.evidence import Inputs, covariance_of, inputs_of, share_variance, whitening
 from anisoscope.diagnosis.signatures import Signature, Signatures
 from anisoscope.prediction.expectation import Component, Expectation
-from anisoscope.recipe.recipe import Recipe
+from anisoscope.recipe.surface import SurfaceRecipe
 
 SIGMAS = 3.0
 GRID = 121
@@ -55,7 +55,7 @@ class Separability:
         return max([abs(self.shows_from), *extents])
 
 
-def planned_components(recipe: Recipe, expected: Expectation) -> tuple[Component, ...]:
+def planned_components(recipe: SurfaceRecipe, expected: Expectation) -> tuple[Component, ...]:
     """What an inspection by this recipe will add to the prediction's uncertainty, as far as the recipe says.
 
     Noise of the pictures is small against the rest and left out; the lamp drifts by a quarter of its limit.
@@ -69,13 +69,13 @@ def planned_components(recipe: Recipe, expected: Expectation) -> tuple[Component
     )
 
 
-def planned_covariance(recipe: Recipe, expected: Expectation) -> FloatArray:
+def planned_covariance(recipe: SurfaceRecipe, expected: Expectation) -> FloatArray:
     """(P, P) covariance of ln L that an inspection of a good part by this recipe will have."""
     planned = expected.components + planned_components(recipe, expected)
     return covariance_of(planned, recipe.uncertainty.scale_share, len(expected.poses))
 
 
-def planned_inputs(recipe: Recipe, expected: Expectation) -> Inputs | None:
+def planned_inputs(recipe: SurfaceRecipe, expected: Expectation) -> Inputs | None:
     """The uncertain inputs with what such an inspection will add, or None where it is not known how ln L bends."""
     return inputs_of(recipe, expected, planned_components(recipe, expected))
 

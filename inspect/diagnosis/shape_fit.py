@@ -14,7 +14,7 @@ from anisoscope.fit.parameters import PARAMETERS, checked_values
 from anisoscope.fit.problem import Problem, Readings, Scene
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.prediction.expectation import Expectation
-from anisoscope.recipe.recipe import Recipe
+from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.schema import EstimateRecord, ShapeRecord
 from anisoscope.sim.light.geometry import directions
 
@@ -27,7 +27,7 @@ HELD = ("albedo of the plastic", "refractive index", "light angle")
 
 
 def fit_shape(
-    recipe: Recipe, expected: Expectation, measured: Measured
+    recipe: SurfaceRecipe, expected: Expectation, measured: Measured
 ) -> tuple[ShapeRecord | None, str | None]:
     """Fit ideal ridges to the contrasts, where the part was seen at several tilts.
 
@@ -48,7 +48,9 @@ def fit_shape(
         return None, f"no fit over the tilts: {failure}"
 
 
-def _problem(recipe: Recipe, expected: Expectation, measured: Measured, wanted: tuple[str, ...]) -> Problem:
+def _problem(
+    recipe: SurfaceRecipe, expected: Expectation, measured: Measured, wanted: tuple[str, ...]
+) -> Problem:
     poses = len(expected.poses)
     basis = log_basis(poses)
     held = HELD if SEATING[0] in wanted else (*HELD, "seating tilt about x", "seating tilt about y")

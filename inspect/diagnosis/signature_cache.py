@@ -14,10 +14,12 @@ from anisoscope.diagnosis.causes import all_causes
 from anisoscope.diagnosis.signatures import Signature, Signatures, signatures
 from anisoscope.diagnosis.tangents import Tangents
 from anisoscope.diagnosis.wafers import wafer_causes
-from anisoscope.recipe.recipe import Recipe
+from anisoscope.recipe.surface import SurfaceRecipe
 
 
-def remembered_signatures(recipe: Recipe, light_angle_deg: float, advance: Advance = silent) -> Signatures:
+def remembered_signatures(
+    recipe: SurfaceRecipe, light_angle_deg: float, advance: Advance = silent
+) -> Signatures:
     """The signatures of a recipe, computed once; arguments and errors as for `signatures`."""
     recipe = recipe.deciding()
     return (
@@ -31,7 +33,7 @@ def remembered_signatures(recipe: Recipe, light_angle_deg: float, advance: Advan
     )
 
 
-def signature_key(recipe: Recipe, light_angle_deg: float) -> dict[str, Any]:
+def signature_key(recipe: SurfaceRecipe, light_angle_deg: float) -> dict[str, Any]:
     """All that signatures are computed from."""
     surface = recipe.surface.height_map
     return {
@@ -70,7 +72,7 @@ def _packed(found: Signatures) -> bytes:
     return buffer.getvalue()
 
 
-def _unpacked(content: bytes, recipe: Recipe) -> Signatures:
+def _unpacked(content: bytes, recipe: SurfaceRecipe) -> Signatures:
     design = recipe.surface.design
     known = (
         wafer_causes() if recipe.is_wafer else all_causes(None if design is None else design.ridge_angle_deg)

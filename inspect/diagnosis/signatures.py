@@ -28,7 +28,7 @@ from anisoscope.prediction.sensitivity import Model, Shape, State, Surface, eval
 from anisoscope.profiles.files.load import read_height_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign, ridges
-from anisoscope.recipe.recipe import Recipe
+from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.sim.light.contrasts import consecutive_pairs
 from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_rotation
 from anisoscope.sim.light.material import Material
@@ -129,7 +129,7 @@ class Signatures:
 
 
 def signatures(
-    recipe: Recipe,
+    recipe: SurfaceRecipe,
     light_angle_deg: float,
     advance: Advance = silent,
     names: Sequence[str] | None = None,
@@ -201,7 +201,7 @@ def _signature(scene: "_Scene", cause: Cause, good: FloatArray, good_share: floa
 class _Scene:
     """The recipe's surface, cut to a size that is quick to predict, and what the rig makes of it."""
 
-    def __init__(self, recipe: Recipe, light_angle_deg: float) -> None:
+    def __init__(self, recipe: SurfaceRecipe, light_angle_deg: float) -> None:
         self.poses = recipe.poses.poses()
         self.pitch_um = recipe.surface.pitch_um
         self.state = State(recipe.material.material(), light_angle_deg, shape=nominal_shape(recipe))
@@ -318,7 +318,7 @@ def _ideal(design: RidgeDesign) -> HeightMap:
     return ridges(design, shape, (pitch / POINTS_ALONG, pitch / POINTS_ACROSS))
 
 
-def _measured(recipe: Recipe) -> HeightMap:
+def _measured(recipe: SurfaceRecipe) -> HeightMap:
     assert recipe.surface.height_map is not None
     measured = read_height_map(
         recipe.surface.height_map, pixel_um=recipe.surface.pixel_um, role=recipe.surface.role

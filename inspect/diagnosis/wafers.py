@@ -18,7 +18,7 @@ from anisoscope.prediction.etched import EtchedPredictor
 from anisoscope.prediction.recipe_models import moved_light, recipe_wafer
 from anisoscope.prediction.sensitivity import State, evaluate, fixed
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.recipe.recipe import Recipe
+from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.sim.light.geometry import Convention
 
 Changed = Callable[[EtchedPredictor, State, float], tuple[EtchedPredictor, State]]
@@ -108,7 +108,10 @@ _CHANGES: dict[str, Changed] = {
 
 
 def wafer_signatures(
-    recipe: Recipe, light_angle_deg: float, advance: Advance = silent, names: Sequence[str] | None = None
+    recipe: SurfaceRecipe,
+    light_angle_deg: float,
+    advance: Advance = silent,
+    names: Sequence[str] | None = None,
 ) -> Signatures:
     """Compute what every cause would change; arguments as for `signatures.signatures`.
 
@@ -165,7 +168,7 @@ class Moved:
     of_lamp: bool = False
 
 
-def moved_inputs(recipe: Recipe, wafer: EtchedPredictor, state: State) -> tuple[Moved, ...]:
+def moved_inputs(recipe: SurfaceRecipe, wafer: EtchedPredictor, state: State) -> tuple[Moved, ...]:
     """All inputs that the recipe states as uncertain.
 
     Args:

@@ -16,7 +16,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.imaging.deviation_map import CellMap
 from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH
 from anisoscope.imaging.registration.placement import Grid
-from anisoscope.recipe.recipe import AreaPart
+from anisoscope.recipe.surface import AreaPart
 
 Cells = npt.NDArray[np.bool_]
 Kind = Literal["missing ridge", "flank", "scratch", "spot", "patch"]

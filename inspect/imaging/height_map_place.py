@@ -24,7 +24,7 @@ from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.registration.placement import Grid
 from anisoscope.prediction.expectation import Expectation
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.recipe.recipe import Recipe
+from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.schema import MapPlaceRecord
 from anisoscope.sim.light.geometry import Convention, Pose, directions
 from anisoscope.sim.light.material import Material
@@ -280,7 +280,7 @@ MAX_PITCHES = 12
 
 
 def match_map(
-    recipe: Recipe, expected: Expectation, measured: Measured
+    recipe: SurfaceRecipe, expected: Expectation, measured: Measured
 ) -> tuple[MapPlaceRecord | None, str | None]:
     """Where the height map lies, as the record tells it, and a note; None and None where the recipe has no map.
 
@@ -294,7 +294,9 @@ def match_map(
         return None, f"where the height map lies is not known ({problem}): only means are compared"
 
 
-def _matched(recipe: Recipe, expected: Expectation, measured: Measured) -> tuple[MapPlaceRecord, str | None]:
+def _matched(
+    recipe: SurfaceRecipe, expected: Expectation, measured: Measured
+) -> tuple[MapPlaceRecord, str | None]:
     assert expected.surface is not None
     pitch_um = recipe.surface.pitch_um
     chosen = [k for k, pose in enumerate(expected.poses) if pose.tilt_deg == expected.poses[0].tilt_deg]

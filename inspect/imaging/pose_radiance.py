@@ -13,7 +13,8 @@ from anisoscope.base.parallel import for_each
 from anisoscope.imaging.linearisation import RadianceImage
 from anisoscope.imaging.registration.placement import Grid, View, angle_between, resample
 from anisoscope.prediction.expectation import Component, Expectation
-from anisoscope.recipe.recipe import LimitsPart, Recipe
+from anisoscope.recipe.base import LimitsPart
+from anisoscope.recipe.surface import SurfaceRecipe
 
 Image = npt.NDArray[np.float32]
 
@@ -53,7 +54,7 @@ class Measured:
     drift: float | None
 
 
-def region_grid(recipe: Recipe, pixel_um: float) -> tuple[Grid, int]:
+def region_grid(recipe: SurfaceRecipe, pixel_um: float) -> tuple[Grid, int]:
     """Raster of the region: whole pitches across and along, a whole number of points a cell.
 
     Returns:
@@ -107,7 +108,7 @@ def check_view(view: View, first: View, recipe: Limited, pixel_um: float) -> Non
 
 
 def measure(
-    views: list[View], closing: View | None, recipe: Recipe, expected: Expectation, pixel_um: float
+    views: list[View], closing: View | None, recipe: SurfaceRecipe, expected: Expectation, pixel_um: float
 ) -> Measured:
     """Pose radiances over the recipe's region.
 
@@ -152,7 +153,7 @@ def measure(
     )
 
 
-def drift_complaint(measured: Measured, recipe: Recipe) -> str | None:
+def drift_complaint(measured: Measured, recipe: SurfaceRecipe) -> str | None:
     """Why the measurement is unfit, if the first pose, photographed again at the end, differs too much."""
     drift, limit = measured.drift, recipe.limits.drift
     if drift is None or abs(drift) <= limit:
@@ -196,7 +197,7 @@ def _lies_inside(view: View, grid: Grid) -> bool:
     return bool(np.all((at >= 0.0) & (at <= np.array(view.image.value.shape[::-1]) - 1.0)))
 
 
-def _check_region(view: View, picture: Image, grid: Grid, recipe: Recipe) -> None:
+def _check_region(view: View, picture: Image, grid: Grid, recipe: SurfaceRecipe) -> None:
     share = 0.0
     if not _lies_inside(view, grid) or view.image.saturated.any():
         saturated = resample(view.image.saturated.astype(np.float32), view.placement, grid)
@@ -249,7 +250,7 @@ def _mean_noise(view: View, grid: Grid) -> float:
 
 
 def _components(
-    recipe: Recipe,
+    recipe: SurfaceRecipe,
     expected: Expectation,
     radiance: FloatArray,
     noise: FloatArray,

@@ -15,7 +15,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import CalibrationError, MeasurementError, RegistrationError
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.registration.placement import Grid, View, angle_between
-from anisoscope.recipe.recipe import Recipe
+from anisoscope.recipe.surface import SurfaceRecipe
 
 Image = npt.NDArray[np.float32]
 
@@ -34,7 +34,7 @@ STILL_CELLS = 8.0
 DEFAULT_CELL_DEVIATION = 0.3
 
 
-def check_views(views: list[View], recipe: Recipe | None = None) -> None:
+def check_views(views: list[View], recipe: SurfaceRecipe | None = None) -> None:
     """Gates of the pictures, as far as markers show it; without a recipe they need not resolve a pitch.
 
     Raises:
@@ -65,7 +65,7 @@ def check_tilt(view: View) -> None:
     )
 
 
-def check_sharpness(view: View, first: View, recipe: Recipe | None = None) -> None:
+def check_sharpness(view: View, first: View, recipe: SurfaceRecipe | None = None) -> None:
     """Are the markers' edges as sharp as in the first pose, and sharp enough for the cells of the contrast map?"""
     blur, usual = view.placement.blur_px, first.placement.blur_px
     if blur is None or usual is None:
@@ -97,7 +97,7 @@ def check_stray(view: View) -> None:
         )
 
 
-def check_part(views: list[View], measured: Measured, recipe: Recipe) -> None:
+def check_part(views: list[View], measured: Measured, recipe: SurfaceRecipe) -> None:
     """Gates of the aligned pictures.
 
     Raises:
@@ -199,7 +199,7 @@ def _refined(power: FloatArray, at: tuple[int, int], axis: int, frequencies: Flo
     return float(frequencies[at[axis]] + np.clip(shift, -0.5, 0.5) / size)
 
 
-def check_ridges(aligned: tuple[Image, ...], grid: Grid, recipe: Recipe) -> None:
+def check_ridges(aligned: tuple[Image, ...], grid: Grid, recipe: SurfaceRecipe) -> None:
     """Are these the recipe's ridges, and do they run where it says? Where none stand out, nothing is said."""
     pitch_um = recipe.surface.pitch_um
     found = find_ridges(aligned, grid.pixel_mm * 1000.0, pitch_um)

@@ -13,10 +13,12 @@ from anisoscope.decision.reference_parts import GoldenSet, golden_path, read_gol
 from anisoscope.imaging.linearisation import WhiteReference
 from anisoscope.imaging.registration.placement import check_fixture
 from anisoscope.imaging.views import Guide, Viewing
+from anisoscope.inspection.recipe_file import read_any_recipe
 from anisoscope.kinds.prints.lighting import check_filters, check_print_rig, print_files
-from anisoscope.kinds.prints.recipe import AnyRecipe, PrintRecipe, read_any_recipe
+from anisoscope.kinds.prints.recipe import AnyRecipe, PrintRecipe
 from anisoscope.kinds.prints.reference_prints import GoldenPrints, read_golden_prints
-from anisoscope.recipe.recipe import Recipe, check_lamp, check_poses
+from anisoscope.recipe.poses import check_poses
+from anisoscope.recipe.surface import SurfaceRecipe, check_lamp
 from anisoscope.record.schema import sha256_of
 from anisoscope.rig.acquisition.plan import Plan, Pose
 from anisoscope.rig.fixture import Fixture
@@ -84,7 +86,7 @@ class Job:
     golden_prints: GoldenPrints | None = None
 
     @property
-    def ridged(self) -> Recipe:
+    def ridged(self) -> SurfaceRecipe:
         """The recipe of a part with a surface.
 
         Raises:
@@ -182,7 +184,7 @@ def sources_of(recipe_path: Path, rig_path: Path, recipe: AnyRecipe, rig: RigFil
         files += _golden_file(recipe_path)
         return tuple(Source(role, path, sha256_of(path)) for role, path in files)
     check_lamp(recipe, rig, rig_path)
-    check_poses(recipe, rig.light.angle_deg, recipe_path)
+    check_poses(recipe.poses, rig.light.angle_deg, recipe_path)
     if recipe.surface.height_map is not None:
         files.append(("height map", check_map(recipe.surface.height_map)))
     files += _golden_file(recipe_path)

@@ -17,8 +17,9 @@ from anisoscope.calibration.white_reference import read_reference
 from anisoscope.decision.reference_parts import read_golden
 from anisoscope.inspection.folder import INPUTS, JOB
 from anisoscope.inspection.job import Job, Role, Source, fixture_of
+from anisoscope.inspection.recipe_file import read_any_recipe
 from anisoscope.kinds.prints.lighting import from_copies
-from anisoscope.kinds.prints.recipe import PrintRecipe, read_any_recipe
+from anisoscope.kinds.prints.recipe import PrintRecipe
 from anisoscope.kinds.prints.reference_prints import read_golden_prints
 from anisoscope.record.schema import InputFile, Particulars, sha256_of
 from anisoscope.rig.acquisition.plan import Plan

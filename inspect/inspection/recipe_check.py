@@ -12,7 +12,7 @@ from anisoscope.diagnosis.evidence import background_of
 from anisoscope.diagnosis.separability import Separability, planned_covariance, planned_inputs, separability
 from anisoscope.diagnosis.signature_cache import remembered_signatures
 from anisoscope.prediction.expectation import Expectation, expectation
-from anisoscope.recipe.recipe import Recipe, source_name
+from anisoscope.recipe.surface import SurfaceRecipe, source_name
 from anisoscope.sim.light.contrasts import contrasts
 
 WANTED_RATIO = 4.0
@@ -84,7 +84,7 @@ class RecipeCheck:
 
 
 def check_recipe(
-    recipe: Recipe, light_angle_deg: float, tries: Sequence[float] = (), advance: Advance = silent
+    recipe: SurfaceRecipe, light_angle_deg: float, tries: Sequence[float] = (), advance: Advance = silent
 ) -> RecipeCheck:
     """Look at a recipe; nothing moves.
 
@@ -127,7 +127,7 @@ def check_recipe(
 
 
 def second_lamps_for(
-    recipe: Recipe, light_angle_deg: float, untold: Sequence[tuple[str, str]], advance: Advance
+    recipe: SurfaceRecipe, light_angle_deg: float, untold: Sequence[tuple[str, str]], advance: Advance
 ) -> tuple[LampAdvice, ...]:
     """Second lamps for a wafer, the nearest first, each with the pairs that no nearer one tells apart.
 
@@ -147,7 +147,9 @@ def second_lamps_for(
     return tuple(found)
 
 
-def _plan(recipe: Recipe, expected: Expectation) -> tuple[tuple[PlannedPair, ...], tuple[BudgetRow, ...]]:
+def _plan(
+    recipe: SurfaceRecipe, expected: Expectation
+) -> tuple[tuple[PlannedPair, ...], tuple[BudgetRow, ...]]:
     kind = recipe.decision.contrast
     gradient = contrast_gradient(expected.poses, expected.radiance, kind)
     measured = planned_covariance(recipe, expected)
@@ -184,7 +186,7 @@ def _plan(recipe: Recipe, expected: Expectation) -> tuple[tuple[PlannedPair, ...
     return pairs, tuple(sorted(rows, key=lambda row: -max(row.contributions)))
 
 
-def _complaints(recipe: Recipe, pairs: tuple[PlannedPair, ...]) -> tuple[str, ...]:
+def _complaints(recipe: SurfaceRecipe, pairs: tuple[PlannedPair, ...]) -> tuple[str, ...]:
     found = []
     if recipe.decision.tolerance is None:
         found.append("no tolerance: every significant deviation fails the part (set one, or `recipe teach`)")
@@ -204,7 +206,7 @@ def _lacking(causes: tuple[Separability, ...]) -> bool:
 
 
 def _advice(
-    recipe: Recipe, light_angle_deg: float, tries: Sequence[float], advance: Advance
+    recipe: SurfaceRecipe, light_angle_deg: float, tries: Sequence[float], advance: Advance
 ) -> tuple[TiltAdvice, ...]:
     """One set of signatures over all tilts, of which parts are looked at."""
     tilts = (*recipe.poses.tilts_deg, *tries)

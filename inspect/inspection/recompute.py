@@ -16,7 +16,7 @@ from anisoscope.kinds.prints.expectation import PrintExpectation
 from anisoscope.kinds.prints.lighting import expectation_of_print
 from anisoscope.kinds.prints.recipe import PrintRecipe
 from anisoscope.prediction.expectation import Expectation, expectation
-from anisoscope.recipe.recipe import source_name
+from anisoscope.recipe.surface import source_name
 from anisoscope.record.schema import Record, read_record
 
 TOLERANCE = 1e-9

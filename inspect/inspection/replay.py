@@ -24,8 +24,8 @@ from anisoscope.inspection.job import (
     sources_of,
 )
 from anisoscope.inspection.manifest import begin
+from anisoscope.inspection.recipe_file import read_any_recipe
 from anisoscope.inspection.run import Inspected, conclude, expecting
-from anisoscope.kinds.prints.recipe import read_any_recipe
 from anisoscope.record.schema import Particulars, sha256_of
 from anisoscope.report.peers import LotMate
 from anisoscope.rig.acquisition.journal import FrameLine, JournalFile, RunLine

@@ -16,11 +16,12 @@ from anisoscope.base.significance import said
 from anisoscope.decision.reference_parts import golden_path, read_golden
 from anisoscope.imaging.registration.placement import Grid, Placement, locate, resample
 from anisoscope.inspection.job import Job, check_serial, prepare
+from anisoscope.inspection.recipe_file import read_any_recipe
 from anisoscope.inspection.run import inspect_part
 from anisoscope.kinds.prints.lighting import check_filters, expectation_of_print
-from anisoscope.kinds.prints.recipe import AnyRecipe, PrintRecipe, read_any_recipe
+from anisoscope.kinds.prints.recipe import AnyRecipe, PrintRecipe
 from anisoscope.kinds.prints.tolerances import golden_tolerances, taught_tolerances
-from anisoscope.recipe.recipe import Recipe
+from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.recipe.template import with_values
 from anisoscope.record.schema import Record
 from anisoscope.rig.acquisition.journal import read_journal
@@ -315,7 +316,7 @@ def _photograph(rig: Rig, plan: Plan) -> list[Frame]:
         return [read_frame(folder / line.name) for _, line in lines if line.kind == "sample"]
 
 
-def _tolerances(record: Record, recipe: Recipe, recipe_path: Path) -> tuple[list[float], str]:
+def _tolerances(record: Record, recipe: SurfaceRecipe, recipe_path: Path) -> tuple[list[float], str]:
     """One tolerance a pair: 4 U, or what the golden parts vary where that is more."""
     by_u = np.array([WANTED_RATIO * 2.0 * contrast.u for contrast in record.contrasts])
     golden = read_golden(golden_path(recipe_path), recipe)

@@ -19,7 +19,7 @@ from anisoscope.base.cache import Cache
 from anisoscope.prediction.expectation import Component, Expectation, expectation, states_of
 from anisoscope.prediction.second_order import Response
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.recipe.recipe import Recipe
+from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.sim.light.geometry import Convention
 
 KEPT = 4
@@ -27,7 +27,7 @@ _memory: OrderedDict[str, Expectation] = OrderedDict()
 _lock = threading.Lock()
 
 
-def kept_expectation(recipe: Recipe, light_angle_deg: float) -> Expectation:
+def kept_expectation(recipe: SurfaceRecipe, light_angle_deg: float) -> Expectation:
     """What the part should show, predicted once; arguments and errors as for `expectation.expectation`."""
     recipe = recipe.deciding()
     try:
@@ -54,7 +54,7 @@ def forget() -> None:
         _memory.clear()
 
 
-def _by_disk(given: dict[str, Any], recipe: Recipe, light_angle_deg: float) -> Expectation:
+def _by_disk(given: dict[str, Any], recipe: SurfaceRecipe, light_angle_deg: float) -> Expectation:
     """Read a prediction, or make it and write it."""
     return (
         Cache()
@@ -67,7 +67,7 @@ def _by_disk(given: dict[str, Any], recipe: Recipe, light_angle_deg: float) -> E
     )
 
 
-def _given(recipe: Recipe, light_angle_deg: float) -> dict[str, Any]:
+def _given(recipe: SurfaceRecipe, light_angle_deg: float) -> dict[str, Any]:
     """All that a prediction is computed from."""
     surface = recipe.surface.height_map
     return {
@@ -106,7 +106,7 @@ def packed(found: Expectation) -> bytes:
     return buffer.getvalue()
 
 
-def _unpacked(data: bytes, recipe: Recipe, light_angle_deg: float) -> Expectation:
+def _unpacked(data: bytes, recipe: SurfaceRecipe, light_angle_deg: float) -> Expectation:
     with np.load(io.BytesIO(data), allow_pickle=False) as kept:
         told = json.loads(bytes(kept["told"]))
         surface, response = None, None

@@ -14,7 +14,8 @@ from anisoscope.prediction.second_order import Response, known_inputs, response_
 from anisoscope.prediction.sensitivity import DARK, InputUncertainty, Shape, State, evaluate, fixed
 from anisoscope.prediction.wafer_states import BEYOND, DEPTH, WIDTH, WaferStates
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.recipe.recipe import Recipe, check_poses
+from anisoscope.recipe.poses import check_poses
+from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.sim.light.geometry import Convention, Pose
 
 _OF_THE_RECIPE = (*PLASTIC_AND_SEAT, "zero of the tilt", RIDGE_ANGLE)
@@ -92,7 +93,7 @@ class Expectation:
         )
 
 
-def expectation(recipe: Recipe, light_angle_deg: float) -> Expectation:
+def expectation(recipe: SurfaceRecipe, light_angle_deg: float) -> Expectation:
     """Predict the poses of a recipe.
 
     Args:
@@ -105,7 +106,7 @@ def expectation(recipe: Recipe, light_angle_deg: float) -> Expectation:
             below its horizon.
     """
     recipe, poses = recipe.deciding(), recipe.poses.poses()
-    check_poses(recipe, light_angle_deg)
+    check_poses(recipe.poses, light_angle_deg)
     convention = Convention(light_angle_deg, facet_azimuth_deg=recipe.poses.facet_azimuth_deg)
     made = models_of(recipe, poses, convention)
     nominal = State(recipe.material.material(), light_angle_deg, shape=nominal_shape(recipe))
@@ -143,24 +144,24 @@ def expectation(recipe: Recipe, light_angle_deg: float) -> Expectation:
     )
 
 
-def nominal_shape(recipe: Recipe) -> Shape:
+def nominal_shape(recipe: SurfaceRecipe) -> Shape:
     """The shape that is as designed; a height map is what it is."""
     design = recipe.surface.design
     return Shape() if design is None else Shape(ridge_angle_deg=design.ridge_angle_deg)
 
 
-def states_of(recipe: Recipe, light_angle_deg: float) -> WaferStates | None:
+def states_of(recipe: SurfaceRecipe, light_angle_deg: float) -> WaferStates | None:
     """The states of a wafer's recipe; they cost nothing before they are asked for."""
     return WaferStates(recipe.deciding(), light_angle_deg) if recipe.is_wafer else None
 
 
-def _may_be_left_out(source: str, recipe: Recipe) -> bool:
+def _may_be_left_out(source: str, recipe: SurfaceRecipe) -> bool:
     """Does a source that adds nothing not belong to this recipe at all?"""
     return recipe.is_wafer or source == "zero of the tilt"
 
 
 def _of_the_model(
-    recipe: Recipe, made: Models, radiance: FloatArray, nominal: State, convention: Convention
+    recipe: SurfaceRecipe, made: Models, radiance: FloatArray, nominal: State, convention: Convention
 ) -> list[Component]:
     """What the surface and its optics add: a height map, an etched tile with its light, neglected or computed waves."""
     found = []
@@ -182,7 +183,11 @@ def _of_the_model(
 
 
 def _of_the_wafer(
-    recipe: Recipe, wafer: EtchedPredictor, radiance: FloatArray, nominal: State, convention: Convention
+    recipe: SurfaceRecipe,
+    wafer: EtchedPredictor,
+    radiance: FloatArray,
+    nominal: State,
+    convention: Convention,
 ) -> list[Component]:
     """What good etching and the stated lamp and lens leave open; every source shared by all poses."""
     assert recipe.light is not None
@@ -223,7 +228,7 @@ def _second_order(response: Response | None) -> list[Component]:
     ]
 
 
-def recipe_uncertainty(recipe: Recipe) -> InputUncertainty:
+def recipe_uncertainty(recipe: SurfaceRecipe) -> InputUncertainty:
     """The inputs' uncertainties that the recipe states; those of the stage belong to the measurement."""
     part, rig, design = recipe.material, recipe.uncertainty, recipe.surface.design
     none = InputUncertainty(stage_deg=0.0, stage_zero_deg=0.0, tilt_deg=0.0, tilt_zero_deg=0.0)

@@ -28,7 +28,7 @@ from anisoscope.prediction.sensitivity import Model, Shape, Surface, fixed
 from anisoscope.profiles.files.load import read_height_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign
-from anisoscope.recipe.recipe import LightPart, Recipe
+from anisoscope.recipe.surface import LightPart, SurfaceRecipe
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import Convention, Pose, directions
 from anisoscope.sim.light.material import Material
@@ -73,7 +73,7 @@ def wafer_light(part: LightPart) -> WaferLight:
 
 
 def recipe_wafer(
-    recipe: Recipe, light_angle_deg: float, reach: float = 0.0
+    recipe: SurfaceRecipe, light_angle_deg: float, reach: float = 0.0
 ) -> tuple[EtchedPredictor, HeightMap]:
     """The predictor of a recipe's wafer, and its height map.
 
@@ -95,7 +95,7 @@ def recipe_wafer(
     return EtchedPredictor.of(tile, light, reflectance, reach), surface
 
 
-def needed_reach(recipe: Recipe, light_angle_deg: float) -> float:
+def needed_reach(recipe: SurfaceRecipe, light_angle_deg: float) -> float:
     """Largest frequency in cycles per µm that directions near the recipe's poses need, in any state of the inputs."""
     assert recipe.light is not None
     told, lamp, light = recipe.uncertainty, recipe.light, wafer_light(recipe.light)
@@ -109,7 +109,7 @@ def needed_reach(recipe: Recipe, light_angle_deg: float) -> float:
     return float(2.0 * np.sin(np.radians(min(steepest, 90.0))) / (0.98 * min(lines.wavelengths_um)))
 
 
-def models_of(recipe: Recipe, poses: tuple[Pose, ...], convention: Convention) -> Models:
+def models_of(recipe: SurfaceRecipe, poses: tuple[Pose, ...], convention: Convention) -> Models:
     """Choose the optics of a recipe with one surface, and make its predictors.
 
     Raises:
@@ -148,13 +148,13 @@ def models_of(recipe: Recipe, poses: tuple[Pose, ...], convention: Convention) -
     return _chosen(recipe, surface, rig, by_rays)
 
 
-def _read(recipe: Recipe) -> HeightMap:
+def _read(recipe: SurfaceRecipe) -> HeightMap:
     table = recipe.surface
     assert table.height_map is not None
     return read_height_map(table.height_map, pixel_um=table.pixel_um, role=table.role)
 
 
-def _rig(recipe: Recipe, poses: tuple[Pose, ...], convention: Convention) -> Rig:
+def _rig(recipe: SurfaceRecipe, poses: tuple[Pose, ...], convention: Convention) -> Rig:
     part = recipe.light
     optics = POINT_LIKE
     if part is not None:
@@ -162,7 +162,7 @@ def _rig(recipe: Recipe, poses: tuple[Pose, ...], convention: Convention) -> Rig
     return Rig(recipe.material.material(), poses, convention, optics)
 
 
-def _wanted(recipe: Recipe) -> Wanted:
+def _wanted(recipe: SurfaceRecipe) -> Wanted:
     part = recipe.light
     if part is None:
         return Wanted(recipe.surface.optics)
@@ -170,7 +170,7 @@ def _wanted(recipe: Recipe) -> Wanted:
 
 
 def _chosen(
-    recipe: Recipe,
+    recipe: SurfaceRecipe,
     surface: HeightMap | RidgeDesign,
     rig: Rig,
     by_rays: Callable[[], tuple[Model, Surface, HeightMap | None, str]],
@@ -214,7 +214,7 @@ def _turned(surface: HeightMap | RidgeDesign, found: Model, rig: Rig, wanted: Wa
     return shaped
 
 
-def _of_wafer(recipe: Recipe, rig: Rig) -> Models:
+def _of_wafer(recipe: SurfaceRecipe, rig: Rig) -> Models:
     found, surface = recipe_wafer(recipe, rig.convention.light_angle_deg)
     wanted = _wanted(recipe)
     notes = _notes(optics_for(surface, rig, wanted), rig, wanted)

@@ -16,7 +16,7 @@ from anisoscope.prediction.etched import EtchedPredictor
 from anisoscope.prediction.profile_likelihood import FARTHEST
 from anisoscope.prediction.recipe_models import light_steps, recipe_wafer
 from anisoscope.prediction.sensitivity import State, evaluate, fixed
-from anisoscope.recipe.recipe import Recipe
+from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.sim.light.geometry import Convention
 
 DEPTH, WIDTH = "depth of the etch passes", "width of the etched features"
@@ -47,7 +47,7 @@ class WaferStates:
         light_angle_deg: of the rig.
     """
 
-    recipe: Recipe
+    recipe: SurfaceRecipe
     light_angle_deg: float
 
     @property

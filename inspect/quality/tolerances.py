@@ -7,14 +7,14 @@ from anisoscope.history.chain import KEPT
 from anisoscope.history.rows import contrast_label
 from anisoscope.quality.capability import Specification
 from anisoscope.quality.readings import Readings
-from anisoscope.recipe.recipe import Recipe
+from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.sim.light.contrasts import consecutive_pairs
 
 DEVIATION, TOLERANCE, DOUBT = "deviation ", "tolerance ", "u "
 SAME = 4.0 * KEPT  # two predictions of one recipe differ by rounding only
 
 
-def recipe_tolerances(recipe: Recipe) -> dict[str, float]:
+def recipe_tolerances(recipe: SurfaceRecipe) -> dict[str, float]:
     """The tolerance of every contrast of a recipe, by its label.
 
     Raises:

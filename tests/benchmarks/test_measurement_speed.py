@@ -26,8 +26,8 @@ from anisoscope.imaging.registration.placement import locate, resample
 from anisoscope.inspection.job import Job
 from anisoscope.inspection.manifest import JobFile
 from anisoscope.inspection.pipeline import measure_frames
+from anisoscope.kinds.ridges.recipe import RidgeRecipe
 from anisoscope.prediction.expectation import expectation
-from anisoscope.recipe.recipe import Recipe
 from anisoscope.rig.acquisition.plan import Pose
 from anisoscope.rig.fixture import Fixture
 from anisoscope.rig.frame import Frame
@@ -170,7 +170,7 @@ MADE = JobFile(
 
 def judged(taken, flat, expected):
     """What is measured and decided, as for the first part after the program was started."""
-    recipe = Recipe.model_validate(RECIPE)
+    recipe = RidgeRecipe.model_validate(RECIPE)
     for name in ("unlit", "radiance_per_signal"):
         flat.__dict__.pop(name, None)  # every inspection starts with a flat just read
     job = Job("B", recipe, RigFile.model_validate(RIG), MARKERS, flat, ())
@@ -191,7 +191,7 @@ def timed(taken, flat, expected, rounds=5):
 @pytest.fixture(scope="module")
 def scene():
     """Expectation, frames, and flat."""
-    expected = expectation(Recipe.model_validate(RECIPE), 10.0)
+    expected = expectation(RidgeRecipe.model_validate(RECIPE), 10.0)
     return expected, *frames(expected, np.random.default_rng(1))
 
 
@@ -203,7 +203,7 @@ def test_from_frames_to_a_verdict(scene):
     places = {angle: locate((counts - 64.0).astype(np.float32), MARKERS) for angle, counts in first.items()}
     with Peak() as theirs:
         start, worked = time.perf_counter(), time.process_time()
-        radiance, _ = plain(taken, flat, Recipe.model_validate(RECIPE), places)
+        radiance, _ = plain(taken, flat, RidgeRecipe.model_validate(RECIPE), places)
         plainly, plainly_busy = time.perf_counter() - start, time.process_time() - worked
     print(
         f"\n10 frames of {COLS} × {ROWS}: {times.min():.2f} s at best, {np.median(times):.2f} s usually, "
@@ -264,7 +264,7 @@ def alone(folder):
     flat = WhiteReference(np.load(folder / "flat.npy"), radiance, "X", "", 0.99, "0")
     taken, expected = (
         AcquiredFrames(tuple(shots), "X", "benchmark"),
-        expectation(Recipe.model_validate(RECIPE), 10.0),
+        expectation(RidgeRecipe.model_validate(RECIPE), 10.0),
     )
     before_mb = memory_mb("VmRSS")
     _, decision = judged(taken, flat, expected)

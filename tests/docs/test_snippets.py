@@ -10,10 +10,10 @@ import pytest
 from anisoscope.calibration.pictures import take_flat
 from anisoscope.diagnosis import part_diagnosis as explaining
 from anisoscope.diagnosis.signatures import signatures
+from anisoscope.inspection.recipe_file import read_recipe
 from anisoscope.inspection.run import inspect_part
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
-from anisoscope.recipe.recipe import read_recipe
 from anisoscope.rig.acquisition.opening import open_rig
 from anisoscope.rig.bayer import channel_of_pixels
 from anisoscope.rig.rigfile import read_rig

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from anisoscope.cli import app
-from anisoscope.recipe.recipe import LightPart, Recipe, RigUncertainty
+from anisoscope.kinds.wafers.recipe import WaferRecipe
+from anisoscope.recipe.surface import LightPart, RigUncertainty
 from anisoscope.sim.bench.benchfile import SamplePart
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "wafers.md").read_text(encoding="utf-8")
@@ -19,7 +20,7 @@ def blocks(language):
 
 def test_the_recipe_is_one_of_a_wafer_and_shows_the_defaults():
     table = tomllib.loads(blocks("toml")[0])
-    recipe = Recipe.model_validate(table)
+    recipe = WaferRecipe.model_validate(table)
     assert recipe.is_wafer
     light = LightPart()
     for key in ("u_wavelength_nm", "u_bandwidth_share", "u_lamp_share", "u_aperture_share"):

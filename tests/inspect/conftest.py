@@ -24,7 +24,7 @@ from anisoscope.diagnosis import part_diagnosis as explaining
 from anisoscope.diagnosis import signature_cache as remembering
 from anisoscope.diagnosis.signatures import signatures
 from anisoscope.inspection import run as inspection
-from anisoscope.recipe.recipe import Recipe
+from anisoscope.kinds.ridges.recipe import RidgeRecipe
 from anisoscope.report.inspection_page import REPORT_NAME
 from anisoscope.rig.frame import Frame
 from anisoscope.sim.bench.bench import Bench, shared_bench
@@ -239,9 +239,9 @@ def plain_report(monkeypatch) -> None:
 
 
 @pytest.fixture
-def make_recipe() -> Callable[..., Recipe]:
+def make_recipe() -> Callable[..., RidgeRecipe]:
     """``make_recipe(decision={...})`` gives the recipe of the small rig with changes."""
-    return lambda **changes: Recipe.model_validate(merged(RECIPE, changes))
+    return lambda **changes: RidgeRecipe.model_validate(merged(RECIPE, changes))
 
 
 @pytest.fixture

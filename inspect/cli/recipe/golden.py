@@ -16,7 +16,7 @@ from anisoscope.cli.recipe.golden_limit import limit_says
 if TYPE_CHECKING:
     from anisoscope.cli.recipe.golden_prints import AnySet
     from anisoscope.decision.reference_parts import GoldenSet
-    from anisoscope.recipe.recipe import Recipe
+    from anisoscope.recipe.surface import SurfaceRecipe
 
 app = App(name="golden", help="Parts or prints that are known to be good, kept beside their recipe.")
 
@@ -42,7 +42,7 @@ def add(
     """Add inspected parts that are known to be good; all of them or none."""
     from anisoscope.cli.recipe.golden_prints import read_set, with_one_more
     from anisoscope.decision.reference_parts import golden_path, write_golden
-    from anisoscope.kinds.prints.recipe import read_any_recipe
+    from anisoscope.inspection.recipe_file import read_any_recipe
     from anisoscope.record.schema import read_record
 
     if not folders:
@@ -62,7 +62,7 @@ def remove(*serials: str, recipe: RecipeFile, json_: Json = False) -> int:
     """Take parts out of the set, by serial number; an empty set is deleted."""
     from anisoscope.cli.recipe.golden_prints import read_set, without_one
     from anisoscope.decision.reference_parts import golden_path, write_golden
-    from anisoscope.kinds.prints.recipe import read_any_recipe
+    from anisoscope.inspection.recipe_file import read_any_recipe
 
     if not serials:
         raise UsageError("name the serial numbers of one or more golden parts")
@@ -88,7 +88,8 @@ def show(*, recipe: RecipeFile, json_: Json = False) -> int:
 
     from anisoscope.cli.recipe.golden_prints import read_set, show_prints
     from anisoscope.decision.reference_parts import GoldenSet, golden_path
-    from anisoscope.kinds.prints.recipe import PrintRecipe, read_any_recipe
+    from anisoscope.inspection.recipe_file import read_any_recipe
+    from anisoscope.kinds.prints.recipe import PrintRecipe
 
     path, rules = golden_path(recipe), read_any_recipe(recipe)
     with _as_usage():
@@ -145,7 +146,7 @@ def _share(share: float | None) -> str:
     return "–" if share is None else f"{share:.2%}"
 
 
-def _limit_says(known: "GoldenSet", recipe: "Recipe") -> str:
+def _limit_says(known: "GoldenSet", recipe: "SurfaceRecipe") -> str:
     from anisoscope.decision.reference_parts import limit_is_given
 
     rule, alpha = recipe.area, recipe.decision.alpha

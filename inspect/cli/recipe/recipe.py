@@ -53,7 +53,7 @@ def new(
     import os
 
     from anisoscope.base.atomic_write import write_text
-    from anisoscope.recipe.recipe import read_recipe
+    from anisoscope.inspection.recipe_file import read_recipe
     from anisoscope.recipe.template import new_recipe
 
     if out.exists():
@@ -138,7 +138,9 @@ def check(
     """Predict what a recipe's poses show, and say what it can and cannot tell apart; nothing moves."""
     from anisoscope.cli.recipe.prints import check_print
     from anisoscope.inspection.recipe_check import check_recipe
-    from anisoscope.recipe.recipe import check_poses, is_print, read_recipe
+    from anisoscope.inspection.recipe_file import read_recipe
+    from anisoscope.recipe.base import is_print
+    from anisoscope.recipe.poses import check_poses
     from anisoscope.rig.rigfile import read_rig
 
     if is_print(file):
@@ -146,7 +148,7 @@ def check(
     tries = parse_numbers(try_tilts, "--try-tilts") if try_tilts.strip() else ()
     recipe = read_recipe(file)
     angle = read_rig(rig).light.angle_deg if rig is not None else light_angle
-    check_poses(recipe, angle, file)
+    check_poses(recipe.poses, angle, file)
     with progress(file.name, quiet=json_) as advance:
         found = check_recipe(recipe, angle, tries, advance)
     if json_:

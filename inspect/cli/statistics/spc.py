@@ -145,8 +145,8 @@ def _tolerances(recipe: str | None) -> dict[str, float] | None:
         if recipe is not None and recipe.endswith(".toml"):
             raise UsageError(f"--recipe: there is no file {recipe}")
         return None
+    from anisoscope.inspection.recipe_file import read_recipe
     from anisoscope.quality.tolerances import recipe_tolerances
-    from anisoscope.recipe.recipe import read_recipe
 
     return recipe_tolerances(read_recipe(Path(recipe)))
 

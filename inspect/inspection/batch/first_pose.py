@@ -7,7 +7,8 @@ from pathlib import Path
 from anisoscope.inspection.batch.codes import Code, Kind, one_code, read_codes
 from anisoscope.inspection.batch.scan import Scan
 from anisoscope.inspection.frame_table import Replay
-from anisoscope.kinds.prints.recipe import AnyRecipe, read_any_recipe
+from anisoscope.inspection.recipe_file import read_any_recipe
+from anisoscope.kinds.prints.recipe import AnyRecipe
 from anisoscope.rig.acquisition.opening import Rig, open_rig
 from anisoscope.rig.acquisition.plan import Plan, Pose
 from anisoscope.rig.acquisition.runner import check_plan

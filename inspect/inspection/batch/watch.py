@@ -30,9 +30,10 @@ from anisoscope.inspection.batch.slot_folder import clear_copies, inspected_in
 from anisoscope.inspection.folder import working_in
 from anisoscope.inspection.frame_table import arrange
 from anisoscope.inspection.job import check_serial
+from anisoscope.inspection.recipe_file import read_any_recipe
 from anisoscope.inspection.replay import inspect_frames
 from anisoscope.inspection.run import Inspected
-from anisoscope.kinds.prints.recipe import AnyRecipe, read_any_recipe
+from anisoscope.kinds.prints.recipe import AnyRecipe
 from anisoscope.record.schema import RECORD_NAME, Particulars, sha256_of
 from anisoscope.report.peers import LotMates, no_lot_mates
 from anisoscope.rig.acquisition.writer import FRAMES

@@ -8,14 +8,9 @@ from pydantic import AfterValidator, Field, model_validator
 
 from anisoscope.base.errors import ModelError, RecipeError
 from anisoscope.base.toml_file import NameOrFile, NotNegative, Part, Positive, Share, read_toml_model
-from anisoscope.recipe.recipe import (
-    CommonUncertainty,
-    PosesPart,
-    Recipe,
-    RecipeBase,
-    is_print,
-    read_recipe,
-)
+from anisoscope.recipe.base import CommonUncertainty, RecipeBase
+from anisoscope.recipe.poses import PosesPart
+from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.sim.light.colour.observer import shares_of_points
 from anisoscope.sim.light.ink.ink import Ink
 from anisoscope.sim.materials.inks import SYNTHETIC, InkFileError, read_ink
@@ -172,7 +167,7 @@ class PrintRecipe(RecipeBase):
         return self
 
 
-AnyRecipe = Recipe | PrintRecipe
+AnyRecipe = SurfaceRecipe | PrintRecipe
 
 
 def read_print_recipe(path: Path) -> PrintRecipe:
@@ -212,12 +207,3 @@ def _named(path: Path, key: str, ink: str) -> str:
     except ModelError as problem:
         raise InkFileError(f"{path}: {key}: {ink}: {problem}") from None
     return found.name
-
-
-def read_any_recipe(path: Path) -> AnyRecipe:
-    """Read the recipe of a ridged part, or of a print, whichever it is.
-
-    Raises:
-        RecipeError, InkFileError: as for `read_recipe` and `read_print_recipe`.
-    """
-    return read_print_recipe(path) if is_print(path) else read_recipe(path)

@@ -9,9 +9,10 @@ from typing import Any
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import UsageError
 from anisoscope.decision.reference_parts import golden_path, limit_is_given
+from anisoscope.inspection.recipe_file import read_any_recipe
 from anisoscope.inspection.teach import Change, Taught, kept_path
 from anisoscope.kinds.prints.lighting import check_print_rig, expectation_of_print
-from anisoscope.kinds.prints.recipe import PrintRecipe, read_any_recipe, read_print_recipe
+from anisoscope.kinds.prints.recipe import PrintRecipe, read_print_recipe
 from anisoscope.kinds.prints.reference_prints import GoldenPrints, read_golden_prints
 from anisoscope.kinds.prints.tolerances import PASSING, golden_tolerances
 from anisoscope.recipe.template import with_values

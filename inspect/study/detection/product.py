@@ -11,8 +11,8 @@ from typing import Any, Literal
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.kinds.ridges.recipe import RidgeRecipe
 from anisoscope.prediction.expectation import Expectation, expectation
-from anisoscope.recipe.recipe import Recipe
 from anisoscope.sim.bench.benchfile import OpticsPart, SensorPart
 from anisoscope.sim.light.material import Material
 
@@ -121,7 +121,7 @@ CLASSES = (
 BY_NAME = {kind.name: kind for kind in CLASSES}
 
 
-def recipe_of(name: RecipeName, size: Size, *, stated: bool = False) -> Recipe:
+def recipe_of(name: RecipeName, size: Size, *, stated: bool = False) -> RidgeRecipe:
     """The recipe: an ideal design, its material and the rig with the uncertainties that the parts are drawn from.
 
     Args:
@@ -151,7 +151,7 @@ def recipe_of(name: RecipeName, size: Size, *, stated: bool = False) -> Recipe:
         "region": {"size_mm": [size.ridges * PITCH_UM / 1000.0, size.pitches * PITCH_UM / 1000.0]},
         "uncertainty": {"seating_tilt_deg": 0.1},
     }
-    return Recipe.model_validate(told)
+    return RidgeRecipe.model_validate(told)
 
 
 @lru_cache(maxsize=8)

@@ -24,11 +24,11 @@ from anisoscope.base.errors import UsageError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.base.significance import log_basis
 from anisoscope.diagnosis.separability import planned_covariance
+from anisoscope.kinds.ridges.recipe import RidgeRecipe
 from anisoscope.prediction.expectation import Expectation, expectation
 from anisoscope.prediction.profile_likelihood import nearest
 from anisoscope.prediction.second_order import Response
 from anisoscope.profiles.ideal import RidgeDesign
-from anisoscope.recipe.recipe import Recipe
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import directions
 from anisoscope.study.detection.chunk import ChunkTask, Columns, inspect_chunk
@@ -96,12 +96,12 @@ def outlook() -> dict[str, list[dict[str, Any]]]:
     return found
 
 
-def _recipe(angles: tuple[float, ...], tilts: tuple[float, ...]) -> Recipe:
+def _recipe(angles: tuple[float, ...], tilts: tuple[float, ...]) -> RidgeRecipe:
     told = recipe_of("standard", Size(), stated=True).model_dump()
     told["schema"] = 1
     told.pop("schema_version", None)
     told["poses"] |= {"angles_deg": angles, "tilts_deg": tilts}
-    return Recipe.model_validate(told)
+    return RidgeRecipe.model_validate(told)
 
 
 def _shifts(name: str, expected: Expectation) -> list[FloatArray]:
@@ -120,7 +120,7 @@ def _shifts(name: str, expected: Expectation) -> list[FloatArray]:
     return found
 
 
-def _good(recipe: Recipe, expected: Expectation, better: tuple[str, ...]) -> tuple[Response, FloatArray]:
+def _good(recipe: RidgeRecipe, expected: Expectation, better: tuple[str, ...]) -> tuple[Response, FloatArray]:
     """How good parts scatter with some sources `BETTER` times smaller, in the basis of ln ratios.
 
     Returns:

@@ -9,7 +9,7 @@ from anisoscope.cli.predict.predict import DEFAULTS, input_uncertainty
 from anisoscope.prediction.sensitivity import InputUncertainty
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.ideal import RidgeDesign, ridges
-from anisoscope.recipe.recipe import MaterialPart, RigUncertainty
+from anisoscope.recipe.surface import MaterialPart, RigUncertainty
 
 FAST = ("--u-alpha", 0, "--u-index", 0)
 

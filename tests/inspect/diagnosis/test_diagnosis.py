@@ -12,12 +12,12 @@ from anisoscope.diagnosis.ranking import NOTHING, diagnose
 from anisoscope.diagnosis.separability import planned_covariance, separability
 from anisoscope.diagnosis.signature_cache import remembered_signatures
 from anisoscope.diagnosis.signatures import Signature, Signatures, signatures
+from anisoscope.kinds.ridges.recipe import RidgeRecipe
 from anisoscope.prediction.expectation import Component, expectation
 from anisoscope.prediction.propagation import PLASTIC_AND_SEAT
 from anisoscope.profiles.defects_contact import edge_wear
 from anisoscope.profiles.ideal import RidgeDesign, ridges
 from anisoscope.profiles.spoiling import DEFECTS
-from anisoscope.recipe.recipe import Recipe
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import Convention, Pose, directions
 from anisoscope.sim.light.relief import Relief, radiance_maps
@@ -58,7 +58,7 @@ def covariance(rng):
 
 @pytest.fixture(scope="module")
 def recipe():
-    return Recipe.model_validate(
+    return RidgeRecipe.model_validate(
         {
             "schema": 1,
             "product": "plate",

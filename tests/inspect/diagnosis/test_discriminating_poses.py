@@ -18,8 +18,8 @@ from anisoscope.diagnosis.discriminating_poses import (
 from anisoscope.diagnosis.ranking import Diagnosis, Finding
 from anisoscope.diagnosis.separability import planned_covariance, separability
 from anisoscope.diagnosis.signatures import signatures
+from anisoscope.inspection.recipe_file import read_recipe
 from anisoscope.prediction.expectation import expectation
-from anisoscope.recipe.recipe import read_recipe
 
 DEPTHS = ("over-etch", "under-etch")
 

@@ -9,11 +9,11 @@ from anisoscope.diagnosis.evidence import Evidence, covariance_of, inputs_of
 from anisoscope.diagnosis.likelihood import fit_extent, interval
 from anisoscope.diagnosis.signatures import DOUBTFUL, signatures
 from anisoscope.diagnosis.tangents import A_SIDE, Tangents, looked_at, slopes_of
+from anisoscope.kinds.ridges.recipe import RidgeRecipe
 from anisoscope.prediction.expectation import Component, expectation
 from anisoscope.prediction.propagation import PLASTIC_AND_SEAT, RIDGE_ANGLE
 from anisoscope.prediction.sensitivity import State, evaluate, fixed
 from anisoscope.profiles.ideal import RidgeDesign
-from anisoscope.recipe.recipe import Recipe
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import Convention
 
@@ -26,7 +26,7 @@ UNITS = {"alpha_along": 0.06, "alpha_across": 0.10, "albedo": 1.0, "index": 1.0}
 @pytest.fixture(scope="module")
 def recipe():
     """Roughness and index are known, so that a part is computed in a millisecond."""
-    return Recipe.model_validate(
+    return RidgeRecipe.model_validate(
         {
             "schema": 1,
             "product": "plate",
@@ -54,7 +54,7 @@ def spread(recipe):
     told = recipe.model_dump() | {"schema": 1}
     del told["schema_version"]
     told["surface"]["design"]["u_ridge_angle_deg"] = SPREAD
-    return Recipe.model_validate(told)
+    return RidgeRecipe.model_validate(told)
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import pytest
 from anisoscope.imaging.defect_regions import chance_of_a_cell, chance_of_a_group, find_regions, kind_of
 from anisoscope.imaging.deviation_map import cell_deviations
 from anisoscope.imaging.registration.placement import Grid
-from anisoscope.recipe.recipe import AreaPart
+from anisoscope.recipe.surface import AreaPart
 
 RULE = AreaPart()
 ROWS, COLS = 80, 96

@@ -12,12 +12,13 @@ from anisoscope.diagnosis import part_diagnosis as explaining
 from anisoscope.diagnosis.shape_fit import fit_shape
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.registration.placement import Grid
+from anisoscope.inspection.recipe_file import read_recipe
 from anisoscope.inspection.recompute import recompute
+from anisoscope.kinds.ridges.recipe import RidgeRecipe
 from anisoscope.prediction.cache import forget
 from anisoscope.prediction.expectation import Component, expectation
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.ideal import RidgeDesign, ridges
-from anisoscope.recipe.recipe import Recipe, read_recipe
 from anisoscope.record.schema import Record, read_record
 
 WRONG = {"sample": {"material": {"alpha_along": 0.09}}}
@@ -198,7 +199,7 @@ def test_a_surface_that_cannot_be_read_is_a_note(make_recipe, tmp_path):
 def test_the_fit_over_tilts_finds_the_ridge_angle_and_refuses_what_it_cannot(make_recipe):
     poses = {"angles_deg": [0.0, 90.0, 180.0, 270.0], "tilts_deg": [0.0, 10.0, 20.0]}
     recipe = make_recipe(poses=poses)
-    true = Recipe.model_validate(
+    true = RidgeRecipe.model_validate(
         recipe.model_dump(by_alias=True)
         | {"surface": {"pitch_um": 100.0, "design": {"ridge_angle_deg": 9.0}}}
     )

@@ -23,10 +23,10 @@ from anisoscope.imaging.pose_radiance import region_grid
 from anisoscope.imaging.registration.placement import locate, resample
 from anisoscope.inspection import run as inspection
 from anisoscope.inspection.job import check_serial
+from anisoscope.inspection.recipe_file import read_recipe
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
-from anisoscope.recipe.recipe import read_recipe
 from anisoscope.record.schema import read_record, sha256_of
 from anisoscope.rig.acquisition.journal import read_journal
 from anisoscope.rig.frame import read_frame

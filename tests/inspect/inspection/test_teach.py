@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import MeasurementError, RecordError
+from anisoscope.inspection.recipe_file import read_recipe
 from anisoscope.inspection.teach import teach
-from anisoscope.recipe.recipe import read_recipe
 from anisoscope.record.schema import read_record
 
 UNTAUGHT = {

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from anisoscope.base.errors import RigFileError
-from anisoscope.recipe.recipe import check_lamp
+from anisoscope.recipe.surface import check_lamp
 from anisoscope.rig.rigfile import RigFile
 
 LIGHT = {

@@ -2,8 +2,9 @@ import pytest
 import tomli_w
 
 from anisoscope.base.errors import RecipeError
+from anisoscope.inspection.recipe_file import read_recipe
 from anisoscope.prediction.expectation import expectation, recipe_uncertainty
-from anisoscope.recipe.recipe import check_poses, read_recipe
+from anisoscope.recipe.poses import check_poses
 
 GOOD = {
     "schema": 1,
@@ -120,11 +121,11 @@ def test_a_pose_below_the_horizon_names_file_key_and_pose(read, tmp_path, tilt, 
     recipe = read(poses={"tilts_deg": [0.0, tilt]})
     path = tmp_path / "recipe.toml"
     with pytest.raises(RecipeError, match=f"at tilt {tilt:g}° the {name} stands at or below") as caught:
-        check_poses(recipe, light, path)
+        check_poses(recipe.poses, light, path)
     text = str(caught.value)
     assert text.startswith(f"{path}: poses.tilts_deg: ")
     assert text.endswith(f"with the light {light:g}° from the camera: tilt less")
-    check_poses(read(poses={"tilts_deg": [0.0, 80.0]}), light, path)
+    check_poses(read(poses={"tilts_deg": [0.0, 80.0]}).poses, light, path)
     with pytest.raises(RecipeError, match=r"^poses\.tilts_deg: at tilt"):
         expectation(recipe, light)
 

@@ -5,7 +5,8 @@ import tomllib
 import pytest
 
 from anisoscope.base.errors import RecipeError
-from anisoscope.recipe.recipe import Recipe, read_recipe
+from anisoscope.inspection.recipe_file import read_recipe
+from anisoscope.kinds.ridges.recipe import RidgeRecipe
 from anisoscope.recipe.template import new_recipe, with_values
 
 
@@ -24,7 +25,7 @@ def test_a_new_recipe_is_valid(tmp_path, angle, height_map, decides):
     assert ("u_ridge_angle_deg = 0.0" in text) == (
         height_map is None
     )  # a map that decides has no such spread
-    known = set(Recipe.model_validate(tomllib.loads(text)).model_dump(by_alias=True))
+    known = set(RidgeRecipe.model_validate(tomllib.loads(text)).model_dump(by_alias=True))
     assert set(tomllib.loads(text)) <= known
 
 

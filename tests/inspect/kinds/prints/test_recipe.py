@@ -9,17 +9,14 @@ from scipy.stats import norm
 
 from anisoscope.base.errors import RecipeError
 from anisoscope.cli.demo.prints import rig_of
+from anisoscope.inspection.recipe_file import read_any_recipe, read_recipe
 from anisoscope.kinds.prints.lighting import expectation_of_print
-from anisoscope.kinds.prints.recipe import (
-    PrintTolerances,
-    PrintUncertainty,
-    read_any_recipe,
-    read_print_recipe,
-)
+from anisoscope.kinds.prints.recipe import PrintTolerances, PrintUncertainty, read_print_recipe
 from anisoscope.kinds.prints.recipe_check import as_predicted, check_print_recipe, planned_quantities
 from anisoscope.kinds.prints.sources import of_poses
 from anisoscope.kinds.prints.template import new_print_recipe
-from anisoscope.recipe.recipe import Recipe, is_print, read_recipe
+from anisoscope.kinds.ridges.recipe import RidgeRecipe
+from anisoscope.recipe.base import is_print
 from anisoscope.recipe.template import new_recipe
 from anisoscope.rig.rigfile import RigFile
 from anisoscope.sim.materials.inks import InkFileError, synthetic_ink, write_ink
@@ -52,7 +49,7 @@ def test_a_new_recipe_is_valid_and_holds_the_starting_limits(written):
 def test_the_other_kind_is_read_as_what_it_is(tmp_path):
     path = tmp_path / "ridges.toml"
     path.write_text(new_recipe("plate", 100.0, ridge_angle_deg=10.0, height_map=None))
-    assert isinstance(read_any_recipe(path), Recipe)
+    assert isinstance(read_any_recipe(path), RidgeRecipe)
 
 
 def test_commands_for_surfaces_refuse_it(written):

@@ -10,8 +10,8 @@ from anisoscope.diagnosis.separability import planned_covariance, separability
 from anisoscope.diagnosis.signature_cache import remembered_signatures
 from anisoscope.diagnosis.signatures import signatures
 from anisoscope.diagnosis.wafers import wafer_causes
+from anisoscope.inspection.recipe_file import read_recipe
 from anisoscope.prediction.expectation import expectation
-from anisoscope.recipe.recipe import read_recipe
 
 TILE_UM = 256.0
 

@@ -16,8 +16,8 @@ import tomli_w
 
 from anisoscope.cli.demo import wafers as demo_wafer
 from anisoscope.decision.consistency_test import from_prediction
+from anisoscope.inspection.recipe_file import read_recipe
 from anisoscope.prediction.expectation import Component, expectation
-from anisoscope.recipe.recipe import read_recipe
 from anisoscope.sim.bench.wafer import build_wafer
 from anisoscope.sim.bench.waferpart import WaferPart
 from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_rotation

@@ -14,10 +14,10 @@ from anisoscope.diagnosis import part_diagnosis as explaining
 from anisoscope.diagnosis.signature_cache import remembered_signatures
 from anisoscope.inspection import run as inspection
 from anisoscope.inspection.integrity import verify
+from anisoscope.inspection.recipe_file import read_recipe
 from anisoscope.inspection.recompute import recompute
 from anisoscope.inspection.run import inspect_part
 from anisoscope.prediction.cache import kept_expectation
-from anisoscope.recipe.recipe import read_recipe
 from anisoscope.record.schema import RECORD_NAME, UNSEALED
 from anisoscope.report.inspection_page import REPORT_NAME
 

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from anisoscope.kinds.wafers.recipe import WaferRecipe
 from anisoscope.prediction.etched import WaferLight
 from anisoscope.prediction.expectation import SECOND_ORDER, expectation
 from anisoscope.prediction.profile_likelihood import FARTHEST, nearest_anywhere
 from anisoscope.prediction.recipe_models import recipe_wafer, wafer_light
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.recipe.recipe import Recipe
 from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_rotation
 
 SIDE_UM = 64.0
@@ -21,7 +21,7 @@ def recipe(tmp_path_factory):
     cells = np.random.default_rng(2).integers(0, 2, (32, 32))
     height = np.kron(cells, np.ones((8, 8))) * -0.13
     write_height_map(HeightMap(height, SIDE_UM / 256, SIDE_UM / 256), folder / "tile.npz")
-    return Recipe.model_validate(
+    return WaferRecipe.model_validate(
         {
             "schema": 1,
             "product": "wafer",

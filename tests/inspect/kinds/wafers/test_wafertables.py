@@ -3,7 +3,7 @@
 import pytest
 from pydantic import ValidationError
 
-from anisoscope.recipe.recipe import WIDEST, LightPart
+from anisoscope.recipe.surface import WIDEST, LightPart
 from anisoscope.sim.bench.wafer import LINES
 from anisoscope.sim.bench.waferpart import WaferPart
 from anisoscope.sim.light.wave.reflectance import LightSpectrum

@@ -1,26 +1,16 @@
-"""The recipe: what a part should look like, how it is photographed, and how it is judged."""
+"""The recipe of a part with a surface: what it is compared with, its material, its light, and how it is judged."""
 
-import tomllib
-from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self, TypeVar
 
 from pydantic import Field, model_validator
 
 from anisoscope.base.errors import ModelError, RecipeError, RigFileError
 from anisoscope.base.toml_file import LocalPath, NotNegative, Part, Positive, Share, read_toml_model
 from anisoscope.profiles.ideal import RidgeDesign
-from anisoscope.rig.acquisition.plan import LEAST_STEP
+from anisoscope.recipe.base import CommonUncertainty, DecisionBase, RecipeBase
 from anisoscope.rig.rigfile import RigFile
-from anisoscope.sim.light.geometry import Convention, Pose, directions, pose_grid
 from anisoscope.sim.light.material import Material
-
-MIRROR: dict[str, float] = {"alpha_along": 0.001, "alpha_across": 0.001, "albedo": 0.0}
-"""Of a material that is given as a mirror, where nothing else is said: polished, and it scatters nothing."""
-
-CERTAIN: dict[str, float] = {"u_alpha_share": 0.0, "u_albedo": 0.0, "u_index": 0.0}
-"""Likewise: what is uncertain of a plastic, and is of no account on a mirror."""
-
 
 WIDEST = 0.4
 """Largest full width of a lamp's spectrum, by its wavelength: the bench's lamps are no wider."""
@@ -80,10 +70,9 @@ class DesignPart(Part):
 class SurfacePart(Part):
     """What the part is compared with: a measured height map, an ideal design, or both.
 
-    ``pitch_um`` is needed in all cases: means and the contrast map are taken over whole pitches. Of a wafer it is the
-    side of the tile that repeats, and ``height_map`` is that tile. Of both surfaces, ``compare`` says which one
-    decides; the other is compared with as well. ``optics`` says how light is predicted: "auto" takes rays or waves,
-    whichever is right, "geometric" and "wave" insist.
+    ``pitch_um`` is needed in all cases: means and the contrast map are taken over whole pitches. Of both surfaces,
+    ``compare`` says which one decides; the other is compared with as well. ``optics`` says how light is predicted:
+    "auto" takes rays or waves, whichever is right, "geometric" and "wave" insist.
     """
 
     pitch_um: Positive
@@ -130,11 +119,7 @@ class SurfacePart(Part):
 
 
 class MaterialPart(Part):
-    """The plastic, with standard uncertainties: relative for the roughness, absolute for the rest.
-
-    With ``reflectance`` it is a mirror instead, such as a coated wafer: of the light that falls on it this share is
-    reflected, whatever the angle, and the share ``albedo`` of that is scattered everywhere.
-    """
+    """The plastic, with standard uncertainties: relative for the roughness, absolute for the rest."""
 
     alpha_along: Positive
     alpha_across: Positive
@@ -146,86 +131,11 @@ class MaterialPart(Part):
     u_index: NotNegative = 0.01
     reflectance: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
 
-    @model_validator(mode="before")
-    @classmethod
-    def _of_a_mirror(cls, table: Any) -> Any:  # noqa: ANN401
-        if isinstance(table, dict) and table.get("reflectance") is not None:
-            return {**MIRROR, **CERTAIN, **table}
-        return table
-
     def material(self) -> Material:
         """The material of the reflectance model."""
         return Material(
             self.alpha_along, self.alpha_across, self.albedo, self.index, self.internal_reflection
         )
-
-
-class PosesPart(Part):
-    """Stage angles in the order in which they are photographed, and tilts, in degrees."""
-
-    angles_deg: Annotated[tuple[float, ...], Field(min_length=2)] = (0.0, 90.0, 180.0)
-    tilts_deg: Annotated[tuple[float, ...], Field(min_length=1)] = (0.0,)
-    facet_azimuth_deg: float = 0.0
-
-    @model_validator(mode="after")
-    def _distinct(self) -> Self:
-        for name, values in (("angles_deg", self.angles_deg), ("tilts_deg", self.tilts_deg)):
-            if len(set(values)) != len(values):
-                raise ValueError(f"{name} names an angle twice")
-        return self
-
-    def poses(self) -> tuple[Pose, ...]:
-        """All poses, stage angles fastest."""
-        return pose_grid(self.angles_deg, self.tilts_deg)
-
-
-class AcquisitionPart(Part):
-    """Exposure and repetition.
-
-    ``brackets`` are further exposures of every pose, as multiples of ``exposure_s``, for parts whose dark poses are
-    lost in noise at the exposure that the bright ones bear. Frames are counted for every exposure.
-    """
-
-    exposure_s: Positive
-    brackets: Annotated[tuple[float, ...], Field(max_length=4)] = ()
-    gain: Positive = 1.0
-    frames_per_pose: Annotated[int, Field(ge=2, le=256)] = 4
-    dark_frames: Annotated[int, Field(ge=2, le=256)] = 4
-    settle_s: NotNegative = 0.1
-
-    @model_validator(mode="after")
-    def _brackets_rise(self) -> Self:
-        for before, after in pairwise((1.0, *self.brackets)):
-            if not after >= LEAST_STEP * before:
-                raise ValueError(
-                    f"brackets are multiples of exposure_s that rise by {LEAST_STEP:g} or more, such as [4.0, 16.0]: "
-                    f"{after:g} follows {before:g}"
-                )
-        return self
-
-
-class RegionPart(Part):
-    """The rectangle of the part that is judged, in mm.
-
-    ``center_mm`` is (x, y) from the rotation axis at stage angle 0, ``size_mm`` (across the ridges, along them).
-    """
-
-    center_mm: tuple[float, float] = (0.0, 0.0)
-    size_mm: tuple[Positive, Positive]
-
-
-class DecisionBase(Part):
-    """How a part of any kind is judged.
-
-    ``alpha`` is the level of significance; ``deviation`` says what a significant deviation within the tolerance does;
-    the guard band is ``coverage`` standard uncertainties wide. What is INCONCLUSIVE is photographed up to ``remeasure``
-    times more.
-    """
-
-    alpha: Annotated[float, Field(gt=0.0, lt=0.5)] = 0.01
-    deviation: Literal["warn", "fail"] = "warn"
-    coverage: Positive = 1.645
-    remeasure: Annotated[int, Field(ge=0, le=9)] = 1
 
 
 class DecisionPart(DecisionBase):
@@ -252,33 +162,10 @@ class AreaPart(Part):
     max_share: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.03
 
 
-class LimitsPart(Part):
-    """What makes a measurement INVALID."""
-
-    saturated_share: Share = 0.001
-    registration_px: Positive = 0.5
-    angle_deg: Positive = 0.5
-    scale_share: Share = 0.02
-    drift: Positive = 0.02
-    min_signal_share: Share = 0.01
-
-
-class CommonUncertainty(Part):
-    """Standard uncertainties of the rig that one inspection of any kind of part cannot see."""
-
-    light_angle_deg: NotNegative = 0.1
-    stage_deg: NotNegative = 0.05
-    seating_tilt_deg: NotNegative = 0.1
-    flat_share: NotNegative = 0.002
-    scale_share: NotNegative = 0.02
-    linearity_share: NotNegative = 0.001
-    stray_radiance: NotNegative = 0.0003
-
-
 class RigUncertainty(CommonUncertainty):
     """Standard uncertainties of the rig that one inspection cannot see.
 
-    ``tilt_deg`` is of the zero of the tilt; ``etch_…`` are of good wafers: depth of the passes, width of features.
+    ``tilt_deg`` is of the zero of the tilt.
     """
 
     height_map_share: NotNegative = 0.01
@@ -287,28 +174,14 @@ class RigUncertainty(CommonUncertainty):
     etch_width_nm: NotNegative = 20.0
 
 
-class RecipeBase(Part):
-    """What the recipes of all kinds of parts have in common; a kind adds its own tables, and may narrow these."""
+class SurfaceRecipe(RecipeBase):
+    """The recipe of a part with a surface whose contrasts are predicted; each kind of surface adds what it needs."""
 
-    schema_version: Annotated[Literal[1], Field(alias="schema")]
-    kind: str | None = None
-    product: Annotated[str, Field(min_length=1, max_length=200)]
-    version: Annotated[int, Field(ge=1)] = 1
-    poses: PosesPart = PosesPart()
-    acquisition: AcquisitionPart
-    region: RegionPart
-    decision: DecisionBase = DecisionBase()
-    limits: LimitsPart = LimitsPart()
-    uncertainty: CommonUncertainty = CommonUncertainty()
-
-
-class Recipe(RecipeBase):
-    """A recipe, as read from its TOML file."""
-
+    is_wafer: ClassVar[bool] = False
     surface: SurfacePart
     material: MaterialPart
     decision: DecisionPart = DecisionPart()
-    area: AreaPart | None = AreaPart()
+    area: AreaPart | None = None
     uncertainty: RigUncertainty = RigUncertainty()
     light: LightPart | None = None
 
@@ -318,42 +191,13 @@ class Recipe(RecipeBase):
         tolerance = self.decision.tolerance
         if isinstance(tolerance, tuple) and len(tolerance) != pairs:
             raise ValueError(f"decision.tolerance lists {len(tolerance)} values for {pairs} pairs of angles")
-        pitches, words = (1.0, "at least one tile") if self.is_wafer else (2.0, "at least two pitches")
+        return self
+
+    def _check_span(self, pitches: float, words: str) -> None:
+        """Is the region as wide as so many pitches, both ways?"""
         smallest_mm = pitches * self.surface.pitch_um / 1000.0
         if min(self.region.size_mm) < smallest_mm * (1.0 - 1e-9):
             raise ValueError(f"region.size_mm must span {words} ({smallest_mm:g} mm)")
-        if self.is_wafer:
-            self._check_wafer()
-        return self
-
-    def _check_wafer(self) -> None:
-        if self.area is not None and "area" in self.model_fields_set:
-            raise ValueError(
-                "area compares cells along the flanks of ridges: leave [area] out for a wafer (material.reflectance)"
-            )
-        object.__setattr__(self, "area", None)  # the default is one for ridges
-        if self.surface.height_map is None or self.surface.design is not None:
-            raise ValueError(
-                "surface: a wafer (material.reflectance) is compared with a height_map of the tile that repeats on it; "
-                "`anisoscope design height` makes one of a design, a layout or a mask"
-            )
-        if self.surface.optics == "geometric":
-            raise ValueError(
-                'surface.optics: rays know nothing of level steps; take "auto" or "wave" for a wafer'
-            )
-        if (
-            self.light is None
-            or not max(self.light.lamp_half_angle_deg, self.light.aperture_half_angle_deg) > 0.0
-        ):
-            raise ValueError(
-                "light: what a wafer shows depends on lamp and lens: give lamp_half_angle_deg and "
-                "aperture_half_angle_deg, and wavelength_nm"
-            )
-
-    @property
-    def is_wafer(self) -> bool:
-        """The part is a mirror with steps, which waves only can predict."""
-        return self.material.reflectance is not None
 
     def tolerances(self) -> tuple[float, ...] | None:
         """One tolerance a pair, or None."""
@@ -362,56 +206,28 @@ class Recipe(RecipeBase):
             return tolerance
         return (tolerance,) * (len(self.poses.tilts_deg) * (len(self.poses.angles_deg) - 1))
 
-    def against(self, surface: Surface) -> "Recipe":
+    def against(self, surface: Surface) -> Self:
         """The recipe with one of its surfaces alone."""
         other = "design" if surface == "height_map" else "height_map"
         alone = self.surface.model_copy(update={other: None, "compare": None})
         return self.model_copy(update={"surface": alone})
 
-    def deciding(self) -> "Recipe":
+    def deciding(self) -> Self:
         """The recipe with the surface alone that decides."""
         return self.against(self.surface.decides) if self.surface.both else self
 
 
-def is_print(path: Path) -> bool:
-    """Is this the recipe of a print, with a [print] table? What is wrong with a file shows when it is read."""
-    try:
-        return "print" in tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except (OSError, ValueError):
-        return False
+RecipeT = TypeVar("RecipeT", bound=SurfaceRecipe)
 
 
-def check_poses(recipe: Recipe, light_angle_deg: float, path: Path | None = None) -> None:
-    """Do light and camera stand above the part in every pose?
-
-    Args:
-        recipe: the recipe.
-        light_angle_deg: of the rig, between light and camera.
-        path: of the recipe's file, for the message.
+def read_surface_recipe(path: Path, model: type[RecipeT]) -> RecipeT:
+    """Read a recipe of one kind of surface; ``${here}`` in it stands for its own folder.
 
     Raises:
-        RecipeError: in some pose one of them does not.
+        RecipeError: the file is missing or wrong; the message names file, key and what is expected.
     """
-    try:
-        directions(recipe.poses.poses(), Convention(light_angle_deg))
-    except ModelError as problem:
-        file = "" if path is None else f"{path}: "
-        raise RecipeError(
-            f"{file}poses.tilts_deg: {problem}, with the light {light_angle_deg:g}° from the camera: tilt less"
-        ) from None
-
-
-def read_recipe(path: Path) -> Recipe:
-    """Read a recipe; ``${here}`` in it stands for its own folder.
-
-    Raises:
-        RecipeError: the file is missing or wrong, or the recipe of a print; the message names file, key and what is
-            expected.
-    """
-    if is_print(path):
-        raise RecipeError(f"{path}: the recipe of a print; this works with recipes of surfaces only")
     recipe = read_toml_model(
-        path, Recipe, error=RecipeError, substitutions={"here": str(path.resolve().parent)}
+        path, model, error=RecipeError, substitutions={"here": str(path.resolve().parent)}
     )
     try:
         recipe.material.material()
@@ -424,7 +240,7 @@ APART = 3.0
 """Standard uncertainties of the recipe by which the two may differ."""
 
 
-def check_lamp(recipe: Recipe, rig: RigFile, path: Path) -> None:
+def check_lamp(recipe: SurfaceRecipe, rig: RigFile, path: Path) -> None:
     """Compare the recipe's lamp and lens with those of the rig file; what either leaves out is not compared.
 
     Args:

@@ -1,0 +1,1 @@
+"""Inspection of plastic parts with ridges: contrasts of the poses, measured against those predicted."""

@@ -1,0 +1,82 @@
+"""The recipe of an etched wafer: a mirror with steps, and the lamp and lens that decide what it shows."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Self
+
+from pydantic import Field, model_validator
+
+from anisoscope.base.toml_file import NotNegative, Positive, Share
+from anisoscope.recipe.surface import MaterialPart, RigUncertainty, SurfaceRecipe, read_surface_recipe
+
+
+class WaferMaterial(MaterialPart):
+    """A mirror, such as a coated wafer, with the standard uncertainty of the light that it scatters.
+
+    Of the light that falls on it the share ``reflectance`` is reflected, whatever the angle, and the share ``albedo``
+    of that is scattered everywhere. Where nothing else is said it is polished, and scatters nothing; what is uncertain
+    of a plastic is of no account.
+    """
+
+    alpha_along: Positive = 0.001
+    alpha_across: Positive = 0.001
+    albedo: Share = 0.0
+    u_alpha_share: Share = 0.0
+    u_albedo: NotNegative = 0.0
+    u_index: NotNegative = 0.0
+    reflectance: Annotated[float, Field(gt=0.0, le=1.0)]
+
+
+class WaferUncertainty(RigUncertainty):
+    """Standard uncertainties of the rig, and of good wafers: ``etch_…``, depth of the passes and width of features."""
+
+    etch_depth_nm: NotNegative = 1.0
+    etch_width_nm: NotNegative = 20.0
+
+
+class WaferRecipe(SurfaceRecipe):
+    """The recipe of a wafer, as read from its TOML file.
+
+    ``surface.pitch_um`` is the side of the tile that repeats, and ``surface.height_map`` is that tile.
+    """
+
+    is_wafer: ClassVar[bool] = True
+    material: WaferMaterial
+    uncertainty: WaferUncertainty = WaferUncertainty()
+
+    @model_validator(mode="after")
+    def _can_be_predicted(self) -> Self:
+        self._check_span(1.0, "at least one tile")
+        if self.area is not None:
+            raise ValueError(
+                "area compares cells along the flanks of ridges: leave [area] out for a wafer (material.reflectance)"
+            )
+        if self.surface.height_map is None or self.surface.design is not None:
+            raise ValueError(
+                "surface: a wafer (material.reflectance) is compared with a height_map of the tile that repeats on it; "
+                "`anisoscope design height` makes one of a design, a layout or a mask"
+            )
+        if self.surface.optics == "geometric":
+            raise ValueError(
+                'surface.optics: rays know nothing of level steps; take "auto" or "wave" for a wafer'
+            )
+        if (
+            self.light is None
+            or not max(self.light.lamp_half_angle_deg, self.light.aperture_half_angle_deg) > 0.0
+        ):
+            raise ValueError(
+                "light: what a wafer shows depends on lamp and lens: give lamp_half_angle_deg and "
+                "aperture_half_angle_deg, and wavelength_nm"
+            )
+        return self
+
+
+def recognises(table: Mapping[str, Any]) -> bool:
+    """Is this the table of a wafer's recipe? What is reflected, whatever the angle, only a mirror states."""
+    material = table.get("material")
+    return isinstance(material, Mapping) and material.get("reflectance") is not None
+
+
+def read_wafer_recipe(path: Path) -> WaferRecipe:
+    """Read the recipe of a wafer; errors as for `read_surface_recipe`."""
+    return read_surface_recipe(path, WaferRecipe)

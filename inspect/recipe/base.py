@@ -1,0 +1,107 @@
+"""What recipes of all kinds of parts have in common: name, poses, exposure, region, and limits of a measurement."""
+
+import tomllib
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from anisoscope.base.toml_file import NotNegative, Part, Positive, Share
+from anisoscope.recipe.poses import PosesPart
+from anisoscope.rig.acquisition.plan import LEAST_STEP
+
+
+class AcquisitionPart(Part):
+    """Exposure and repetition.
+
+    ``brackets`` are further exposures of every pose, as multiples of ``exposure_s``, for parts whose dark poses are
+    lost in noise at the exposure that the bright ones bear. Frames are counted for every exposure.
+    """
+
+    exposure_s: Positive
+    brackets: Annotated[tuple[float, ...], Field(max_length=4)] = ()
+    gain: Positive = 1.0
+    frames_per_pose: Annotated[int, Field(ge=2, le=256)] = 4
+    dark_frames: Annotated[int, Field(ge=2, le=256)] = 4
+    settle_s: NotNegative = 0.1
+
+    @model_validator(mode="after")
+    def _brackets_rise(self) -> Self:
+        for before, after in pairwise((1.0, *self.brackets)):
+            if not after >= LEAST_STEP * before:
+                raise ValueError(
+                    f"brackets are multiples of exposure_s that rise by {LEAST_STEP:g} or more, such as [4.0, 16.0]: "
+                    f"{after:g} follows {before:g}"
+                )
+        return self
+
+
+class RegionPart(Part):
+    """The rectangle of the part that is judged, in mm.
+
+    ``center_mm`` is (x, y) from the rotation axis at stage angle 0, ``size_mm`` (across the ridges, along them).
+    """
+
+    center_mm: tuple[float, float] = (0.0, 0.0)
+    size_mm: tuple[Positive, Positive]
+
+
+class DecisionBase(Part):
+    """How a part of any kind is judged.
+
+    ``alpha`` is the level of significance; ``deviation`` says what a significant deviation within the tolerance does;
+    the guard band is ``coverage`` standard uncertainties wide. What is INCONCLUSIVE is photographed up to ``remeasure``
+    times more.
+    """
+
+    alpha: Annotated[float, Field(gt=0.0, lt=0.5)] = 0.01
+    deviation: Literal["warn", "fail"] = "warn"
+    coverage: Positive = 1.645
+    remeasure: Annotated[int, Field(ge=0, le=9)] = 1
+
+
+class LimitsPart(Part):
+    """What makes a measurement INVALID."""
+
+    saturated_share: Share = 0.001
+    registration_px: Positive = 0.5
+    angle_deg: Positive = 0.5
+    scale_share: Share = 0.02
+    drift: Positive = 0.02
+    min_signal_share: Share = 0.01
+
+
+class CommonUncertainty(Part):
+    """Standard uncertainties of the rig that one inspection of any kind of part cannot see."""
+
+    light_angle_deg: NotNegative = 0.1
+    stage_deg: NotNegative = 0.05
+    seating_tilt_deg: NotNegative = 0.1
+    flat_share: NotNegative = 0.002
+    scale_share: NotNegative = 0.02
+    linearity_share: NotNegative = 0.001
+    stray_radiance: NotNegative = 0.0003
+
+
+class RecipeBase(Part):
+    """What the recipes of all kinds of parts have in common; a kind adds its own tables, and may narrow these."""
+
+    schema_version: Annotated[Literal[1], Field(alias="schema")]
+    kind: str | None = None
+    product: Annotated[str, Field(min_length=1, max_length=200)]
+    version: Annotated[int, Field(ge=1)] = 1
+    poses: PosesPart = PosesPart()
+    acquisition: AcquisitionPart
+    region: RegionPart
+    decision: DecisionBase = DecisionBase()
+    limits: LimitsPart = LimitsPart()
+    uncertainty: CommonUncertainty = CommonUncertainty()
+
+
+def is_print(path: Path) -> bool:
+    """Is this the recipe of a print, with a [print] table? What is wrong with a file shows when it is read."""
+    try:
+        return "print" in tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except (OSError, ValueError):
+        return False

@@ -1,0 +1,49 @@
+"""The poses of a recipe: stage angles and tilts, and whether light and camera stand above the part in all of them."""
+
+from pathlib import Path
+from typing import Annotated, Self
+
+from pydantic import Field, model_validator
+
+from anisoscope.base.errors import ModelError, RecipeError
+from anisoscope.base.toml_file import Part
+from anisoscope.sim.light.geometry import Convention, Pose, directions, pose_grid
+
+
+class PosesPart(Part):
+    """Stage angles in the order in which they are photographed, and tilts, in degrees."""
+
+    angles_deg: Annotated[tuple[float, ...], Field(min_length=2)] = (0.0, 90.0, 180.0)
+    tilts_deg: Annotated[tuple[float, ...], Field(min_length=1)] = (0.0,)
+    facet_azimuth_deg: float = 0.0
+
+    @model_validator(mode="after")
+    def _distinct(self) -> Self:
+        for name, values in (("angles_deg", self.angles_deg), ("tilts_deg", self.tilts_deg)):
+            if len(set(values)) != len(values):
+                raise ValueError(f"{name} names an angle twice")
+        return self
+
+    def poses(self) -> tuple[Pose, ...]:
+        """All poses, stage angles fastest."""
+        return pose_grid(self.angles_deg, self.tilts_deg)
+
+
+def check_poses(poses: PosesPart, light_angle_deg: float, path: Path | None = None) -> None:
+    """Do light and camera stand above the part in every pose?
+
+    Args:
+        poses: of the recipe.
+        light_angle_deg: of the rig, between light and camera.
+        path: of the recipe's file, for the message.
+
+    Raises:
+        RecipeError: in some pose one of them does not.
+    """
+    try:
+        directions(poses.poses(), Convention(light_angle_deg))
+    except ModelError as problem:
+        file = "" if path is None else f"{path}: "
+        raise RecipeError(
+            f"{file}poses.tilts_deg: {problem}, with the light {light_angle_deg:g}° from the camera: tilt less"
+        ) from None
