@@ -137,8 +137,8 @@ class Calibrations:
             return
         eccentricity = np.array([record.number("eccentricity_x"), record.number("eccentricity_y")])
         axis = place.homography @ np.append(-eccentricity, 1.0)
-        wanted = record.number("centre_column"), record.number("centre_row")
-        off = float(np.hypot(*(axis[:2] / axis[2] - wanted)))
+        centre = record.number("centre_column"), record.number("centre_row")
+        off = float(np.hypot(*(axis[:2] / axis[2] - centre)))
         if off > CENTRE_PX:
             raise RegistrationError(
                 f"at {stage_deg:g}° the fixture turns about a point {off:.1f} px from the calibrated rotation centre "

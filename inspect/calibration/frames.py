@@ -80,11 +80,11 @@ class Bed:
         """Frames with the light on, or off for dark ones."""
         settings = self.rig.camera.configure(exposure_s, gain)
         (self.rig.light.off if kind == "dark" else self.rig.light.on)()
-        taken = []
+        frames = []
         for number in range(count):
             self.advance(f"{kind} frames", number, count)
-            taken.append(self._frame(kind, settings.exposure_s, settings.gain))
-        return taken
+            frames.append(self._frame(kind, settings.exposure_s, settings.gain))
+        return frames
 
     def stack(self, kind: FrameKind, taking: Taking) -> Stack:
         """Mean and noise of such frames."""

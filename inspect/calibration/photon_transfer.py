@@ -338,11 +338,11 @@ def _fixed_pattern(
 def _spatial_variance(stack: Counts, highpass_px: int) -> Estimate:
     mean = stack.mean(axis=0, dtype=np.float64)
     temporal = float(stack.var(axis=0, ddof=1, dtype=np.float64).mean())
-    kept = 1.0
+    window_gain = 1.0
     if highpass_px > 1:
         from scipy.ndimage import uniform_filter  # noqa: PLC0415 - heavy
 
         mean = mean - uniform_filter(mean, highpass_px, mode="mirror")
-        kept = 1.0 - 1.0 / highpass_px**2  # the share of white variance that the window leaves
-    measured = float(mean.var()) / kept
+        window_gain = 1.0 - 1.0 / highpass_px**2  # the share of white variance that the window leaves
+    measured = float(mean.var()) / window_gain
     return Estimate(measured - temporal / len(stack), measured * math.sqrt(2.0 / mean.size))

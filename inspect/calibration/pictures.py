@@ -136,7 +136,7 @@ def calibrate_dark(
         dark = bed.stack("dark", taking)
         content = bed.content(taking, taking.frames, dark)
         full_scale = bed.full_scale
-    _write_beside(out, np.stack([dark.mean, dark.hot.astype(np.float32)]))
+    _write_alongside(out, np.stack([dark.mean, dark.hot.astype(np.float32)]))
     level, hot = float(np.median(dark.mean)), float(dark.hot.mean())
     noise = float(np.sqrt(np.mean(np.square(dark.noise[~dark.hot], dtype=np.float64))))
     pattern = float(np.std(dark.mean[~dark.hot], dtype=np.float64))
@@ -215,7 +215,7 @@ def calibrate_stray(
             "lay black glass or a light trap on the stage, and keep other light off the rig"
         )
     signal = (lit.mean - dark.mean) / np.float32(lit.exposure_s * lit.gain)
-    _write_beside(out, np.where(dark.hot | lit.saturated, np.float32(np.median(signal)), signal))
+    _write_alongside(out, np.where(dark.hot | lit.saturated, np.float32(np.median(signal)), signal))
     own = target_reflectance * light_cosine / np.pi / np.sqrt(3.0)
     content |= {
         "values": {
@@ -251,7 +251,7 @@ def _light_cosine(bed: Bed) -> float:
     return float(to_light[0, 2])
 
 
-def _write_beside(out: Path, picture: np.ndarray[Any, np.dtype[np.float32]]) -> None:
+def _write_alongside(out: Path, picture: np.ndarray[Any, np.dtype[np.float32]]) -> None:
     write_picture(picture_path(out), picture)
 
 

@@ -162,9 +162,9 @@ def dated(kind: Kind, content: dict[str, Any], *, valid_days: float | None) -> C
     now, days = datetime.now(UTC), days_of(kind, valid_days)
     found = content | {"kind": kind, "taken_at": now, "valid_for_days": days}
     found |= {"valid_until": now + timedelta(days=days), "software": f"anisoscope {version('anisoscope')}"}
-    made = CalibrationRecord.model_validate(found | {"id": ""})
-    short = hashlib.sha256(made.model_dump_json(by_alias=True).encode()).hexdigest()[:8]
-    return made.model_copy(update={"id": f"{kind}-{now:%Y%m%d}-{short}"})
+    validated = CalibrationRecord.model_validate(found | {"id": ""})
+    short = hashlib.sha256(validated.model_dump_json(by_alias=True).encode()).hexdigest()[:8]
+    return validated.model_copy(update={"id": f"{kind}-{now:%Y%m%d}-{short}"})
 
 
 def record_path(path: Path) -> Path:

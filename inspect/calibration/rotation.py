@@ -67,13 +67,13 @@ def calibrate_rotation(
         raise RigFileError(f"{rig_path} describes no [fixture]: the rotation is found by its markers")
     check_fixture(file.fixture)
 
-    def tell(now: Progress) -> None:
+    def report(now: Progress) -> None:
         on_progress(now.text, now.done, now.total)
 
     with tempfile.TemporaryDirectory() as folder, open_rig(file) as rig:
         tilt_deg = 0.0 if rig.tilt is not None else file.geometry.tilt_deg
         plan = _plan(file, rig.stage.limits_deg, taking, angles, tilt_deg)
-        records = run_plan(plan, rig, Path(folder), on_progress=tell)
+        records = run_plan(plan, rig, Path(folder), on_progress=report)
         bed, name = Bed(rig, tilt_deg, on_progress), rig.stage.name
         content = bed.content(taking, len(records)) | {"stage": name}
     on_progress("markers", 0, 1)
@@ -88,7 +88,7 @@ def _plan(
 ) -> Plan:
     """Poses all round that can be approached from below."""
     low, high = limits_deg
-    wanted = [360.0 * number / angles for number in range(angles)]
+    targets_deg = [360.0 * number / angles for number in range(angles)]
     whole_turns = (-360.0, 0.0)
 
     def reachable(angle_deg: float) -> float | None:
@@ -98,7 +98,7 @@ def _plan(
                 return angle_deg + turn
         return None
 
-    found = sorted(angle for angle in map(reachable, wanted) if angle is not None)
+    found = sorted(angle for angle in map(reachable, targets_deg) if angle is not None)
     if len(found) < MIN_ANGLES:
         raise RigFileError(
             f"stage: of {angles} angles all round it reaches {len(found)} (at least {MIN_ANGLES} are needed): "

@@ -101,7 +101,7 @@ def fit_warmup(
     if y.mean() <= 0.0:
         raise CalibrationError("the lamp is dark; switch it on and uncover the lens before watching it")
     fit = _best_fit(t, y)
-    return _judged(fit, t, allowed_per_minute)
+    return _assessed(fit, t, allowed_per_minute)
 
 
 @dataclass(frozen=True)
@@ -193,7 +193,7 @@ def _change_uncertainty(fit: _Fit, t: FloatArray) -> float:
     return _uncertainty(fit, t, [0.0, end, fade - 1.0, fit.amplitude * end / fit.tau_s**2 * fade])
 
 
-def _judged(fit: _Fit, t: FloatArray, allowed: float) -> WarmUp:
+def _assessed(fit: _Fit, t: FloatArray, allowed: float) -> WarmUp:
     end = float(t[-1])
     last = float(_design(t[-1:], fit.tau_s)[0] @ _parameters(fit))
     per_minute = 60.0 / last

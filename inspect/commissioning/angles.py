@@ -189,8 +189,8 @@ def _turning_of_ridges(poses: list[Seen], markers: Turning | None) -> Turning | 
     if markers is not None and first.sense != markers.sense:
         return None
     off = np.abs(first.residuals_deg)
-    kept = off <= max(4.0 * float(np.median(off)), 0.05)
-    return fit_turning(reading[kept], angle[kept], 180.0, floor_deg=0.02)
+    inliers = off <= max(4.0 * float(np.median(off)), 0.05)
+    return fit_turning(reading[inliers], angle[inliers], 180.0, floor_deg=0.02)
 
 
 def _foreshortening(poses: list[Seen]) -> Foreshortening | None:

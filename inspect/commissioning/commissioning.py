@@ -27,7 +27,7 @@ from anisoscope.commissioning.light import LightFit
 from anisoscope.commissioning.observation import Observed, Picture, observe
 from anisoscope.commissioning.part import RidgedPart
 from anisoscope.commissioning.record import Commissioning, Finding, FitRecord, ParameterRecord, PoseRecord
-from anisoscope.commissioning.series import Series, Taken, take
+from anisoscope.commissioning.series import PictureSet, Series, take
 from anisoscope.imaging.linearisation import WhiteReference
 from anisoscope.imaging.registration.placement import check_fixture
 from anisoscope.profiles.files.load import read_height_map
@@ -48,7 +48,7 @@ class Written:
     """What became of the rig file: the backup of the old one, and whether its comments were kept."""
 
     backup: Path
-    comments_kept: bool
+    comments_preserved: bool
 
 
 def update_rig_file(path: Path, changes: Changes) -> Written:
@@ -65,18 +65,18 @@ def update_rig_file(path: Path, changes: Changes) -> Written:
     read_rig(path)
     before = path.read_bytes()
     text = before.decode("utf-8-sig")
-    wanted = _changed(tomllib.loads(text), changes)
+    target_table = _changed(tomllib.loads(text), changes)
     edited = _edited(text, changes)
-    kept = edited is not None and tomllib.loads(edited) == wanted
+    preserved = edited is not None and tomllib.loads(edited) == target_table
     backup = path.with_name(f"{path.name}.{datetime.now(UTC):%Y%m%dT%H%M%S%f}.bak")
     write_bytes(backup, before)
-    write_text(path, edited if edited is not None and kept else _dumped(wanted))
+    write_text(path, edited if edited is not None and preserved else _dumped(target_table))
     try:
         read_rig(path)
     except RigFileError:
         write_bytes(path, before)
         raise
-    return Written(backup, kept)
+    return Written(backup, preserved)
 
 
 def _dumped(tables: dict[str, Any]) -> str:
@@ -163,8 +163,8 @@ def part_of_recipe(
     Raises:
         HeightMapError: the recipe's height map cannot be read, or has no ridges.
     """
-    made, design = recipe.material, recipe.surface.design
-    along, across, u_share = made.alpha_along, made.alpha_across, made.u_alpha_share
+    material, design = recipe.material, recipe.surface.design
+    along, across, u_share = material.alpha_along, material.alpha_across, material.u_alpha_share
     angle = ridge_angle_deg if ridge_angle_deg is not None or design is None else design.ridge_angle_deg
     if recipe.surface.height_map is not None and design is None:
         found = measure_ridges(
@@ -185,12 +185,12 @@ def part_of_recipe(
         ridge_angle_deg=angle,
         alpha_along=along,
         alpha_across=across,
-        albedo=made.albedo,
-        index=made.index,
+        albedo=material.albedo,
+        index=material.index,
         u_ridge_angle_deg=max(u_ridge_angle_deg, 1e-3),
         u_alpha_share=max(u_share, 1e-4),
-        u_albedo=max(made.u_albedo, 1e-5),
-        u_index=max(made.u_index, 1e-5),
+        u_albedo=max(material.u_albedo, 1e-5),
+        u_index=max(material.u_index, 1e-5),
         u_seating_deg=max(recipe.uncertainty.seating_tilt_deg, 1e-3),
         wall="perpendicular" if design is None else design.wall,
         facet_azimuth_deg=recipe.poses.facet_azimuth_deg,
@@ -243,11 +243,11 @@ def commission(
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise RecordError(f"cannot make the folder {folder}: {error.strerror}") from error
-        taken = take(file, series, folder, white, on_progress, cancel)
-        observed = observe(taken, file, part, on_progress)
+        picture_set = take(file, series, folder, white, on_progress, cancel)
+        observed = observe(picture_set, file, part, on_progress)
     on_progress("fit", 0, 1)
-    angles = evaluate(observed, file, part, assumed, taken.absolute)
-    record = _record(rig_path, file, part, series, assumed, taken, observed, angles)
+    angles = evaluate(observed, file, part, assumed, picture_set.absolute)
+    record = _record(rig_path, file, part, series, assumed, picture_set, observed, angles)
     on_progress("done", 1, 1)
     return Commissioned(record, observed.pictures, angles, part)
 
@@ -294,7 +294,7 @@ def _record(
     part: RidgedPart,
     series: Series,
     assumed: Assumed,
-    taken: Taken,
+    picture_set: PictureSet,
     observed: Observed,
     angles: Angles,
 ) -> Commissioning:
@@ -305,18 +305,18 @@ def _record(
         rig=file.name,
         rig_file=rig_path.name,
         rig_file_sha256=sha256_of(rig_path),
-        devices=taken.devices,
+        devices=picture_set.devices,
         part=_plain(asdict(part)),
-        series=_plain(asdict(series) | asdict(assumed) | {"white_reference": taken.absolute}),
-        findings=findings_of(angles, file, taken, part.facet_azimuth_deg),
+        series=_plain(asdict(series) | asdict(assumed) | {"white_reference": picture_set.absolute}),
+        findings=findings_of(angles, file, picture_set, part.facet_azimuth_deg),
         poses=_poses(observed, angles),
         fit=_fit(angles.light),
         drift=angles.drift,
-        dark_level=taken.dark_level,
-        dark_noise=taken.dark_noise,
+        dark_level=picture_set.dark_level,
+        dark_noise=picture_set.dark_noise,
         blur_px=observed.blur_px,
-        notes=_notes(file, taken, angles),
-        frames_sha256=taken.sha256,
+        notes=_notes(file, picture_set, angles),
+        frames_sha256=picture_set.sha256,
     )
 
 
@@ -373,15 +373,15 @@ def _fit(light: LightFit) -> FitRecord:
     )
 
 
-def _notes(file: RigFile, taken: Taken, angles: Angles) -> tuple[str, ...]:
-    found = [] if taken.exposure is None else [taken.exposure]
+def _notes(file: RigFile, picture_set: PictureSet, angles: Angles) -> tuple[str, ...]:
+    found = [] if picture_set.exposure is None else [picture_set.exposure]
     if file.fixture is None:
         found.append("the rig file describes no fixture: centre and pixel size were not measured")
     elif angles.markers is None:
         found.append("fewer than 5 pictures show the markers: sense and zero come from the ridges alone")
     if angles.ridges is None:
         found.append("the camera does not resolve the ridges: their direction comes from brightness alone")
-    if not taken.absolute:
+    if not picture_set.absolute:
         found.append(
             "no white reference: the scale of the radiances is free, and shading stays in the pictures"
         )

@@ -5,7 +5,7 @@ import numpy as np
 from anisoscope.commissioning.angles import Angles
 from anisoscope.commissioning.light import SURE
 from anisoscope.commissioning.record import Finding, missing, status_of
-from anisoscope.commissioning.series import Taken
+from anisoscope.commissioning.series import PictureSet
 from anisoscope.commissioning.turning import Turning, wrapped
 from anisoscope.rig.rigfile import AxisPart, RigFile
 
@@ -118,23 +118,25 @@ USUAL_ANGLES = (0.0, 90.0, 180.0, 270.0)
 MAX_SEAT_DEG = 0.5  # what an inspection bears between fixture and stage
 
 
-def findings_of(angles: Angles, file: RigFile, taken: Taken, facet_azimuth_deg: float) -> tuple[Finding, ...]:
+def findings_of(
+    angles: Angles, file: RigFile, picture_set: PictureSet, facet_azimuth_deg: float
+) -> tuple[Finding, ...]:
     """Everything that was looked for, in the order of the page.
 
     Args:
         angles: the fits.
         file: the rig file as it stands.
-        taken: the pictures, for limits of the stage and size of the picture.
+        picture_set: the pictures, for limits of the stage and size of the picture.
         facet_azimuth_deg: azimuth in the fixture toward which the facets are said to lean.
     """
     return (
         _sense(angles, file),
-        _zero(angles, file, taken, facet_azimuth_deg),
+        _zero(angles, file, picture_set, facet_azimuth_deg),
         _fixture_zero(angles, file),
         _lean_zero(angles),
         _seat(angles, facet_azimuth_deg),
         _steps(angles),
-        *_centre(angles, taken),
+        *_centre(angles, picture_set),
         _pixel(angles, file),
         *tilt_findings(angles, file),
         light_finding(angles, file),
@@ -154,7 +156,7 @@ def _sense(angles: Angles, file: RigFile) -> Finding:
     )
 
 
-def _zero(angles: Angles, file: RigFile, taken: Taken, facet_azimuth_deg: float) -> Finding:
+def _zero(angles: Angles, file: RigFile, picture_set: PictureSet, facet_azimuth_deg: float) -> Finding:
     """Where the fixture stands at 0°, or without one the part: what `stage.zero_deg` means to an inspection."""
     known, remark = True, "where the fixture stands at 0°"
     if angles.markers is not None:
@@ -164,8 +166,10 @@ def _zero(angles: Angles, file: RigFile, taken: Taken, facet_azimuth_deg: float)
         known, remark = angles.side_known, "where the part stands at 0°: no markers are seen"
         if not known:
             remark += f"; brightness does not tell it from {zero + 180.0:.2f}°"
-    zero = _reachable_zero(zero, angles.sense, file.stage, taken.limits_deg)
-    beyond = [a for a in USUAL_ANGLES if not _reached(zero + angles.sense * a, file.stage, taken.limits_deg)]
+    zero = _reachable_zero(zero, angles.sense, file.stage, picture_set.limits_deg)
+    beyond = [
+        a for a in USUAL_ANGLES if not _reached(zero + angles.sense * a, file.stage, picture_set.limits_deg)
+    ]
     if beyond:
         listed = ", ".join(f"{a:g}°" for a in beyond)
         remark += f"; the stage does not reach {listed} of the sample: turn the fixture on it"
@@ -275,7 +279,7 @@ def _steps(angles: Angles) -> Finding:
     )
 
 
-def _centre(angles: Angles, taken: Taken) -> tuple[Finding, ...]:
+def _centre(angles: Angles, picture_set: PictureSet) -> tuple[Finding, ...]:
     named = (
         ("camera.axis_column_px", "rotation centre: column", "px"),
         ("camera.axis_row_px", "rotation centre: row", "px"),
@@ -284,7 +288,7 @@ def _centre(angles: Angles, taken: Taken) -> tuple[Finding, ...]:
     centre = angles.centre
     if centre is None:
         return tuple(missing(*one, "no markers are seen") for one in named)
-    rows, cols = taken.shape
+    rows, cols = picture_set.shape
     off = np.hypot(centre.column_px - (cols - 1) / 2, centre.row_px - (rows - 1) / 2)
     eccentric = 1000.0 * float(np.hypot(*centre.eccentricity_mm))
     values = (

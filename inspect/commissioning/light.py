@@ -109,19 +109,19 @@ def solve(
     low, high = (np.array([known[n].bounds[side] for n in free]) for side in (0, 1))
     scale = np.array([known[n].scale for n in free])
 
-    kept: dict[str, FloatArray] = {}
+    cached: dict[str, FloatArray] = {}
 
     def slopes(some: FloatArray) -> FloatArray:
         base, columns = rest(some), []
         for n, step in enumerate(1e-3 * scale):
-            if names[free[n]] in kept:
-                columns.append(kept[names[free[n]]])
+            if names[free[n]] in cached:
+                columns.append(cached[names[free[n]]])
                 continue
             moved = some.copy()
             moved[n] += step if some[n] + step < high[n] else -step
             columns.append((rest(moved) - base) / (moved[n] - some[n]))
             if names[free[n]] in _SLOW:
-                kept[names[free[n]]] = columns[-1]
+                cached[names[free[n]]] = columns[-1]
         return np.stack(columns, axis=1)
 
     found = least_squares(

@@ -61,10 +61,10 @@ def find_fixture(image: Image, fixture: Fixture) -> Fix | None:
     design = np.column_stack([points, np.ones(len(points))])
     solution = np.linalg.lstsq(design, pixels, rcond=None)[0]
     residual = float(np.sqrt(np.mean(np.sum((design @ solution - pixels) ** 2, axis=1))))
-    return _taken_apart(solution[:2].T, solution[2], residual, len(found), pixels)
+    return _fix_from(solution[:2].T, solution[2], residual, len(found), pixels)
 
 
-def _taken_apart(
+def _fix_from(
     matrix: FloatArray, origin: FloatArray, residual: float, markers: int, corners: FloatArray
 ) -> Fix:
     sizes, axes = np.linalg.eigh(matrix @ matrix.T)  # ascending: the squeezed direction first

@@ -17,7 +17,7 @@ from anisoscope.base.errors import MeasurementError
 from anisoscope.base.progress import Advance
 from anisoscope.commissioning.markers import FLIP, Fix, edge_blur_px, find_fixture, modules_of
 from anisoscope.commissioning.part import RidgedPart
-from anisoscope.commissioning.series import Look, Taken
+from anisoscope.commissioning.series import Look, PictureSet
 from anisoscope.rig.rigfile import RigFile
 
 MIN_PERIODS = 4.0
@@ -263,11 +263,11 @@ class Observed:
     pictures: tuple[Picture, ...]
 
 
-def observe(taken: Taken, file: RigFile, part: RidgedPart, advance: Advance) -> Observed:
+def observe(picture_set: PictureSet, file: RigFile, part: RidgedPart, advance: Advance) -> Observed:
     """Look at every picture.
 
     Args:
-        taken: the pictures.
+        picture_set: the pictures.
         file: the rig file, for fixture and pixel size.
         part: where its ridges are, and their pitch.
         advance: progress.
@@ -277,11 +277,13 @@ def observe(taken: Taken, file: RigFile, part: RidgedPart, advance: Advance) -> 
     """
     seen, pictures, blurs = [], [], []
     turn = [
-        shots.pose.stage_deg for shots in taken.shots if shots.pose.tilt_deg == taken.shots[0].pose.tilt_deg
+        shots.pose.stage_deg
+        for shots in picture_set.shots
+        if shots.pose.tilt_deg == picture_set.shots[0].pose.tilt_deg
     ]
     chosen = {round(n * len(turn) / SHOWN) for n in range(SHOWN)}
-    for number, look in enumerate(taken.looks()):
-        advance("markers and ridges", number, len(taken.shots))
+    for number, look in enumerate(picture_set.looks()):
+        advance("markers and ridges", number, len(picture_set.shots))
         fix = find_fixture(look.image, file.fixture) if file.fixture is not None else None
         found, spot = _see(look, fix, file, part)
         seen.append(found)

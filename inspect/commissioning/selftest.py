@@ -29,7 +29,7 @@ from anisoscope.calibration.white_reference import read_reference
 from anisoscope.commissioning.exposure import proof_on, sentence
 from anisoscope.commissioning.markers import Fix, edge_blur_px, find_fixture, modules_of
 from anisoscope.commissioning.record import Commissioning, default_record_path, read_commissioning
-from anisoscope.commissioning.selftest_record import Check, SelfTest, Settings, judged, skipped
+from anisoscope.commissioning.selftest_record import Check, SelfTest, Settings, limit_check, skipped_check
 from anisoscope.commissioning.turning import fit_centre, wrapped
 from anisoscope.imaging.linearisation import SATURATION_SHARE
 from anisoscope.imaging.registration.placement import check_fixture
@@ -85,7 +85,7 @@ def check_markers(bed: Bed) -> list[Check]:
     fixture, settings = bed.file.fixture, bed.settings
     why = "the white tile lies on the stage" if settings.tile else "the rig file describes no fixture"
     if settings.tile or fixture is None:
-        return [skipped(*name, why) for name in MARKERS]
+        return [skipped_check(*name, why) for name in MARKERS]
     check_fixture(fixture)
     seen = [(angle, fix, picture) for angle, fix, picture in bed.views if fix is not None]
     if len(seen) < len(bed.views):
@@ -99,13 +99,13 @@ def check_markers(bed: Bed) -> list[Check]:
         np.median([edge_blur_px(image, fix, modules_of(fixture.dictionary)) for _, fix, image in seen])
     )
     return [
-        judged(
+        limit_check(
             *MARKERS[0], max(fix.residual_px for fix in fixes), settings.residual_px, "px",
             "check focus, and that the markers stand where the rig file says",
         ),
         _angle(seen, bed),
         _centre(fixes, bed),
-        judged(
+        limit_check(
             *MARKERS[3], abs(pixel / bed.file.camera.pixel_um - 1.0), settings.scale_share, "relative",
             "the magnification changed: check lens and working distance, or commission the rig",
             remark=f"{pixel:.4g} µm",
@@ -120,27 +120,27 @@ def _angle(seen: list[tuple[float, Fix, npt.NDArray[np.float32]]], bed: Bed) -> 
     advice = "seat the fixture again, or correct stage.zero_deg: `anisoscope rig commission`"
     if np.max(np.abs(other - other[0])) < 1.0 < np.max(np.abs(off - off[0])):
         advice = "the stage turns the other way than stage.turns says: `anisoscope rig commission`"
-    return judged(*MARKERS[1], float(np.max(np.abs(off))), bed.settings.angle_deg, "°", advice)
+    return limit_check(*MARKERS[1], float(np.max(np.abs(off))), bed.settings.angle_deg, "°", advice)
 
 
 def _centre(fixes: list[Fix], bed: Bed) -> Check:
     if bed.commissioned is None:
-        return skipped(*MARKERS[2], "the rig was not commissioned")
+        return skipped_check(*MARKERS[2], "the rig was not commissioned")
     column, row = (bed.commissioned.number(f"camera.axis_{name}_px") for name in ("column", "row"))
     if column is None or row is None:
-        return skipped(*MARKERS[2], "the commissioning did not find it")
+        return skipped_check(*MARKERS[2], "the commissioning did not find it")
     centre = fit_centre(fixes)
     off = float(np.hypot(centre.column_px - column, centre.row_px - row))
     advice = "camera or stage was moved: put it back, or commission the rig again"
-    return judged(*MARKERS[2], off, bed.settings.centre_px, "px", advice)
+    return limit_check(*MARKERS[2], off, bed.settings.centre_px, "px", advice)
 
 
 def _focus(blur_px: float, bed: Bed) -> Check:
     before = None if bed.commissioned is None else bed.commissioned.blur_px
     if before is None:
-        return skipped(*MARKERS[4], f"the rig was not commissioned; {blur_px:.2f} px rms")
+        return skipped_check(*MARKERS[4], f"the rig was not commissioned; {blur_px:.2f} px rms")
     advice = "focus the lens, or clean it"
-    return judged(
+    return limit_check(
         *MARKERS[4], blur_px / before, bed.settings.blur_ratio, "1", advice, remark=f"{blur_px:.2f} px rms"
     )
 
@@ -156,7 +156,7 @@ def check_white(bed: Bed) -> list[Check]:
     """The white reference: of this camera, not too old, and with the tile on the stage still true."""
     calibration, settings = bed.file.calibration, bed.settings
     if calibration is None:
-        return [skipped(*name, "the rig file names no white reference") for name in WHITE]
+        return [skipped_check(*name, "the rig file names no white reference") for name in WHITE]
     white, serial = read_reference(calibration.flat), bed.rig.camera.info.serial
     advice = "take a new one with `anisoscope calibrate flat`"
     if white.camera != serial:
@@ -164,10 +164,10 @@ def check_white(bed: Bed) -> list[Check]:
             f"the white reference was taken with camera {white.camera}, this is {serial}: {advice}"
         )
     age = (datetime.now(UTC) - datetime.fromisoformat(white.taken_at)).total_seconds() / 86400.0
-    found = [judged(*WHITE[0], age, settings.white_days, "days", advice)]
+    found = [limit_check(*WHITE[0], age, settings.white_days, "days", advice)]
     if not settings.tile or bed.lit is None:
         return found + [
-            skipped(*name, "the white tile does not lie on the stage (--tile)") for name in WHITE[1:]
+            skipped_check(*name, "the white tile does not lie on the stage (--tile)") for name in WHITE[1:]
         ]
     if white.signal.shape != bed.lit.shape:
         raise MeasurementError(f"the white reference and the camera differ in size: {advice}")
@@ -177,8 +177,10 @@ def check_white(bed: Bed) -> list[Check]:
     shading = np.array([[float(np.median(block)) for block in row] for row in blocks]) / level
     return [
         *found,
-        judged(*WHITE[1], float(np.max(np.abs(shading - 1.0))), settings.shading_share, "relative", advice),
-        judged(
+        limit_check(
+            *WHITE[1], float(np.max(np.abs(shading - 1.0))), settings.shading_share, "relative", advice
+        ),
+        limit_check(
             *WHITE[2], abs(level - 1.0), settings.level_share, "relative", f"clean lens and tile; {advice}"
         ),
     ]
@@ -222,7 +224,7 @@ def check_home(bed: Bed) -> list[Check]:
         worst = max(worst, abs(axis.position_deg() - reached))
         limit = max(limit, _readback_limit(bed.settings, axis))
     advice = "the axis does not stand still after homing: check its load and its controller"
-    return [judged("axes.home", "axes home", worst, limit, "°", advice)]
+    return [limit_check("axes.home", "axes home", worst, limit, "°", advice)]
 
 
 def _grab(bed: Bed, count: int) -> list[npt.NDArray[np.uint16]]:
@@ -244,12 +246,12 @@ def check_dark(bed: Bed) -> list[Check]:
     if bed.commissioned is not None:
         limit = min(limit, max(settings.noise_ratio * bed.commissioned.dark_noise, 1.0))
     return [
-        judged(
+        limit_check(
             "camera.dark_level", "dark level off the camera's black level", off,
             max(settings.black_share * full, 2.0), "counts",
             "keep room light out, set the camera's black level back, let the camera warm up",
         ),
-        judged(
+        limit_check(
             "camera.dark_noise", "noise of a dark frame", noise, limit, "counts",
             "the camera is noisier than it was: check gain, temperature, cable and supply",
         ),
@@ -275,15 +277,15 @@ def check_light(bed: Bed) -> list[Check]:
     signal = float(np.percentile(bed.lit, 99)) / full
     left = abs(after) / max(float(means.mean()), 1e-9)
     return [
-        judged(
+        limit_check(
             "light.on", "signal that the light makes", signal, settings.signal_share, "full scale",
             "switch the light on, take the lens cap off, or lengthen --exposure", at_least=True,
         ),
-        judged(
+        limit_check(
             "light.off", "light that is left when it is off", left if signal >= settings.signal_share else np.inf, 0.01,
             "of the light", "the light does not go off: check its driver and its cable",
         ),
-        judged(
+        limit_check(
             "camera.saturated", "saturated pixels", saturated, settings.saturated_share, "share", "shorten --exposure"
         ),
         *_lamp(times_s, means, settings),
@@ -293,15 +295,15 @@ def check_light(bed: Bed) -> list[Check]:
 def _lamp(times_s: list[float], means: FloatArray, settings: Settings) -> list[Check]:
     names = ("lamp.drift", "drift of the light over the frames"), ("lamp.flicker", "flicker of the light")
     if means.mean() <= 0.0:
-        return [skipped(*name, "there is no light") for name in names]
+        return [skipped_check(*name, "there is no light") for name in names]
     found = fit_warmup(times_s, means)
     change = f"{found.change_share:+.3%} ± {found.change_uncertainty:.3%} over {found.frames} frames"
     return [
-        judged(
+        limit_check(
             *names[0], abs(found.change_share), settings.drift_share, "relative",
             "let the lamp warm up, and test again", remark=f"{change}; {found.sentence()}",
         ),
-        judged(
+        limit_check(
             *names[1], found.noise_share, settings.flicker_share, "relative",
             "check the lamp's supply, keep room light out, or make the exposure a multiple of the mains period",
         ),
@@ -319,7 +321,7 @@ def check_camera(bed: Bed) -> list[Check]:
         first = Check(key=exposure[0], words=exposure[1], outcome="FAIL", remark=str(error))
     else:
         if proof is None:
-            first = skipped(*exposure, "the camera has no automatic exposure")
+            first = skipped_check(*exposure, "the camera has no automatic exposure")
         else:
             first = Check(
                 key=exposure[0],
@@ -361,7 +363,7 @@ def check_moves(bed: Bed) -> list[Check]:
         fixes.append((angle, fix))
         bed.views.append((angle, fix, picture))
     limit = _readback_limit(bed.settings, stage)
-    moved = judged(
+    moved = limit_check(
         *names[0],
         float(np.max(np.abs(off))),
         limit,
@@ -378,7 +380,7 @@ def check_moves(bed: Bed) -> list[Check]:
         )
         remark = "by the readings: no markers are seen"
     advice = "something slips or has play: check that fixture and stage sit tight, and stage.approach_deg"
-    again = judged(
+    again = limit_check(
         *names[1], spread, max(bed.settings.repeat_deg, stage.resolution_deg), "°", advice, remark=remark
     )
     return [moved, again]
@@ -395,7 +397,7 @@ def check_tilt(bed: Bed) -> list[Check]:
     name = ("tilt.moves", "tilt axis: reading off the command")
     part, axis = bed.file.tilt, bed.rig.tilt
     if part is None or axis is None:
-        return [skipped(*name, "no axis tilts the arm")]
+        return [skipped_check(*name, "no axis tilts the arm")]
     angles = _reachable(part, axis, TILTS)
     off = [_go(part, axis, angle) for angle in [*angles, *([0.0] if 0.0 in angles else [])]]
     if not off:
@@ -403,7 +405,7 @@ def check_tilt(bed: Bed) -> list[Check]:
             "the tilt axis reaches none of ±10° and 0°: correct tilt.zero_deg in the rig file"
         )
     advice = "the tilt axis does not arrive: check its load, home it again"
-    return [judged(*name, float(np.max(np.abs(off))), _readback_limit(bed.settings, axis), "°", advice)]
+    return [limit_check(*name, float(np.max(np.abs(off))), _readback_limit(bed.settings, axis), "°", advice)]
 
 
 STEPS: tuple[Step, ...] = (
@@ -476,7 +478,9 @@ def self_test(
         if not devices:
             remark = f"{error}; check cables, power and ports of the rig file"
             checks.append(Check(key="devices", words="devices answer", outcome="FAIL", remark=remark))
-            checks += [skipped(*one, "the rig could not be opened") for names, _ in STEPS for one in names]
+            checks += [
+                skipped_check(*one, "the rig could not be opened") for names, _ in STEPS for one in names
+            ]
         else:
             checks.append(
                 Check(key="light.last", words="light goes off at the end", outcome="FAIL", remark=str(error))
@@ -499,11 +503,11 @@ def _commissioned(rig_path: Path, named: Path | None) -> tuple[Commissioning | N
     """The record, and what is wrong with the one beside the rig file; one that was named has to be right."""
     if named is not None:
         return read_commissioning(named), ""
-    beside = default_record_path(rig_path)
-    if not beside.exists():
+    default = default_record_path(rig_path)
+    if not default.exists():
         return None, ""
     try:
-        return read_commissioning(beside), ""
+        return read_commissioning(default), ""
     except CalibrationError as error:
         return None, str(error)
 
@@ -530,13 +534,13 @@ def _carry_out(steps: tuple[Step, ...], bed: Bed, checks: list[Check]) -> None:
     for number, (names, step) in enumerate(steps):
         bed.advance(names[0][1], number, len(steps))
         if broken:
-            checks += [skipped(*one, broken) for one in names]
+            checks += [skipped_check(*one, broken) for one in names]
             continue
         try:
             checks += step(bed)
         except AnisoscopeError as error:
             (key, words), *others = names
             checks.append(Check(key=key, words=words, outcome="FAIL", remark=str(error)))
-            checks += [skipped(*one, f"'{words}' failed") for one in others]
+            checks += [skipped_check(*one, f"'{words}' failed") for one in others]
             if isinstance(error, RigError):
                 broken = f"'{words}' failed: a device is in trouble"

@@ -94,7 +94,7 @@ class Check(_Part):
     remark: str = ""
 
 
-def judged(
+def limit_check(
     key: str,
     words: str,
     value: float,
@@ -107,7 +107,7 @@ def judged(
 ) -> Check:
     """A check of a number against a limit; `advice` is said where it fails, `remark` always."""
     good = bool(np.isfinite(value)) and (value >= limit if at_least else value <= limit)
-    said = "; ".join(text for text in (remark, "" if good else advice) if text)
+    text = "; ".join(text for text in (remark, "" if good else advice) if text)
     shown = float(value) if np.isfinite(value) else None
     return Check(
         key=key,
@@ -116,11 +116,11 @@ def judged(
         value=shown,
         limit=limit,
         unit=unit,
-        remark=said,
+        remark=text,
     )
 
 
-def skipped(key: str, words: str, why: str) -> Check:
+def skipped_check(key: str, words: str, why: str) -> Check:
     """A check that was not done, and why."""
     return Check(key=key, words=words, outcome="SKIPPED", remark=why)
 

@@ -95,7 +95,7 @@ class Shots:
 
 
 @dataclass(frozen=True, eq=False)
-class Taken:
+class PictureSet:
     """The pictures, on disk, and the devices that took them; `white` is None where there is no white reference.
 
     `exposure` says that automatic exposure was proved off; None where the camera has none.
@@ -199,8 +199,8 @@ def plan_of(file: RigFile, stage: RotationStage, tilt: RotationStage | None, ser
 
 def _reachable(part: AxisPart, axis: RotationStage, tilts_deg: tuple[float, ...]) -> list[float]:
     low, high = axis.limits_deg
-    wanted = sorted({part.zero_deg + tilt for tilt in tilts_deg if tilt != 0.0})
-    return [reading for reading in wanted if low + part.approach_deg <= reading <= high]
+    tilt_readings = sorted({part.zero_deg + tilt for tilt in tilts_deg if tilt != 0.0})
+    return [reading for reading in tilt_readings if low + part.approach_deg <= reading <= high]
 
 
 def take(
@@ -210,7 +210,7 @@ def take(
     white: WhiteReference | None,
     advance: Advance,
     cancel: threading.Event | None = None,
-) -> Taken:
+) -> PictureSet:
     """Photograph the series; the frames are written below ``folder``.
 
     Args:
@@ -227,7 +227,7 @@ def take(
         RecordError: the frames cannot be written.
     """
 
-    def tell(now: Progress) -> None:
+    def report(now: Progress) -> None:
         advance(now.text, now.done, now.total)
 
     with open_rig(raw_file(file)) as rig:
@@ -249,13 +249,13 @@ def take(
         devices |= {"tilt": rig.tilt.name} if rig.tilt is not None else {}
         devices["light"] = file.light.driver
         proof = proof_on(rig, series.exposure_s, series.gain)
-        records = run_plan(plan, rig, folder, on_progress=tell, cancel=cancel)
+        records = run_plan(plan, rig, folder, on_progress=report, cancel=cancel)
         limits = rig.stage.limits_deg
     groups: dict[tuple[Pose, bool], list[Path]] = {}
     for record in records:
         if record.frame.kind != "dark":
             groups.setdefault((record.pose, record.again), []).append(record.path)
-    return Taken(
+    return PictureSet(
         tuple(Shots(pose, tuple(paths), again) for (pose, again), paths in groups.items()),
         stack(record.frame for record in records if record.frame.kind == "dark"),
         white,
@@ -267,10 +267,10 @@ def take(
     )
 
 
-def _look(frames: list[Frame], taken: Taken, *, again: bool) -> Look:
-    lit, dark = stack(frames), taken.dark
-    if taken.white is not None:
-        found = linearise(lit, dark, taken.white, 2**taken.info.bit_depth - 1)
+def _look(frames: list[Frame], picture_set: PictureSet, *, again: bool) -> Look:
+    lit, dark = stack(frames), picture_set.dark
+    if picture_set.white is not None:
+        found = linearise(lit, dark, picture_set.white, 2**picture_set.info.bit_depth - 1)
         value, noise, flicker = found.value, found.noise, found.flicker
     else:
         signal = lit.mean - dark.mean

@@ -96,19 +96,19 @@ def read_brdf(path: Path, wavelength_nm: float | None = None) -> BrdfTable:
     return BrdfTable(angles, light, camera, readings, table.lines, wavelength)
 
 
-def _one_wavelength(table: Table, wanted: float | None) -> tuple[Table, float | None]:
+def _one_wavelength(table: Table, wavelength_nm: float | None) -> tuple[Table, float | None]:
     if "wavelength_nm" not in table.columns:
-        if wanted is not None:
+        if wavelength_nm is not None:
             raise UsageError(f"{table.path} has no column wavelength_nm: leave --wavelength out")
         return table, None
     column = table.column("wavelength_nm")
     known = np.unique(column)
-    if wanted is None and known.size > 1:
+    if wavelength_nm is None and known.size > 1:
         some = ", ".join(f"{value:g}" for value in known[:8]) + (" …" if known.size > 8 else "")
         raise UsageError(
             f"{table.path} holds {known.size} wavelengths ({some} nm): choose one with --wavelength"
         )
-    chosen = float(known[0]) if wanted is None else wanted
+    chosen = float(known[0]) if wavelength_nm is None else wavelength_nm
     rows = np.flatnonzero(np.isclose(column, chosen))
     if rows.size == 0:
         some = ", ".join(f"{value:g}" for value in known[:8])

@@ -150,11 +150,11 @@ def _hop(problem: Problem, weight: FloatArray, found: list[Minimum]) -> list[Min
 
 def distinct(problem: Problem, found: list[Minimum]) -> list[Minimum]:
     """The minima by rising cost, without repetitions."""
-    kept: list[Minimum] = []
+    distinct_minima: list[Minimum] = []
     for values, cost in sorted(found, key=itemgetter(1)):
-        if all(_apart(problem.free, values, other) for other, _ in kept):
-            kept.append((values, cost))
-    return kept
+        if all(_apart(problem.free, values, other) for other, _ in distinct_minima):
+            distinct_minima.append((values, cost))
+    return distinct_minima
 
 
 def minimise(problem: Problem, start: Values, weight: FloatArray, *, fine: bool = True) -> Minimum:
@@ -334,9 +334,9 @@ def _with_optics(
 
 def _doubt(problem: Problem, values: Mapping[str, float]) -> tuple[str, float] | None:
     """Why index or albedo cannot be identified there even without noise, and their uncertainty in limits."""
-    asked = [name for name in OPTICS if name in problem.free]
+    optics = [name for name in OPTICS if name in problem.free]
     found = information(problem, values, np.zeros_like(problem.readings.covariance))
-    for name in asked:
+    for name in optics:
         row = found.names.index(name)
         if found.uncertainty[row] <= 1.0:
             continue

@@ -71,8 +71,8 @@ class Information:
 def whitening(covariance: FloatArray) -> FloatArray:
     """(R, N) matrix W with W·V·Wᵀ = 1 over the R directions in which V is not zero."""
     values, vectors = np.linalg.eigh(covariance)
-    kept = values > _RANK * max(float(values[-1]), 0.0)
-    return np.asarray((vectors[:, kept] / np.sqrt(values[kept])).T)
+    significant = values > _RANK * max(float(values[-1]), 0.0)
+    return np.asarray((vectors[:, significant] / np.sqrt(values[significant])).T)
 
 
 def derivatives(problem: Problem, values: Mapping[str, float], interface: float | None = None) -> FloatArray:
@@ -173,8 +173,8 @@ def helping_measurement(problem: Problem, values: Mapping[str, float], noise: Fl
         trial = replace(problem, scene=extra, readings=readings)
         light = extra.radiance(values, interface_alpha(values))
         own = readings.by_log_radiance(light, values["k"])
-        there = _sensitivity(trial, values, float(relative) * own @ own.T)
-        if not _judge(problem.free, np.vstack([here, there])).undetermined:
+        enlarged = _sensitivity(trial, values, float(relative) * own @ own.T)
+        if not _judge(problem.free, np.vstack([here, enlarged])).undetermined:
             return words
     quiet = information(problem, values, QUIETER**2 * noise)
     return None if quiet.undetermined else "the same poses with a tenth of the noise"

@@ -78,12 +78,12 @@ def parse_free(text: str) -> tuple[str, ...]:
     if text.strip() in ("all", "none"):
         return GEOMETRY if text.strip() == "all" else ()
     known = {name.removesuffix("_deg"): name for name in PARAMETERS} | {name: name for name in PARAMETERS}
-    asked = [part.strip().replace("-", "_") for part in text.split(",")]
-    for name in asked:
+    names = [part.strip().replace("-", "_") for part in text.split(",")]
+    for name in names:
         if name not in known:
             short = ", ".join(name.removesuffix("_deg") for name in PARAMETERS)
             raise UsageError(f"--free knows {short}, all and none, not {name!r}")
-    chosen = {known[name] for name in asked}
+    chosen = {known[name] for name in names}
     return tuple(name for name in PARAMETERS if name in chosen)
 
 

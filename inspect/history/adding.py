@@ -62,12 +62,12 @@ def add_folders(history: History, places: Sequence[Path], advance: Advance = sil
     before = history.count()
     rows = _rows(folders, refused, advance)
     ids: set[int] = set()
-    taken = 0
+    read = 0
     while some := list(islice(rows, _AT_ONCE)):
-        taken += len(some)
+        read += len(some)
         ids |= {row.id for row in history.append_all(some)}
     added = sum(row_id > before for row_id in ids)
-    return Added(added, taken - added, tuple(refused))
+    return Added(added, read - added, tuple(refused))
 
 
 def _rows(folders: Sequence[Path], refused: list[str], advance: Advance) -> Iterator[NewRow]:

@@ -77,10 +77,10 @@ def chosen(option: str | None, out: Path) -> str | Path | None:
     Returns:
         What `parse_address` takes, or None where no history is wanted.
     """
-    said = option if option is not None else os.environ.get(VARIABLE, "").strip() or None
-    if said is None:
+    name = option if option is not None else os.environ.get(VARIABLE, "").strip() or None
+    if name is None:
         return out / HISTORY_NAME
-    return None if said == NONE else said
+    return None if name == NONE else name
 
 
 def _file(path: Path) -> Address:

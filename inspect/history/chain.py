@@ -62,8 +62,8 @@ def pack(values: Sequence[float]) -> bytes:
     except OverflowError:
         single = b""
     if single and all(
-        one == kept or abs(one - kept) <= KEPT * abs(one)
-        for one, kept in zip(values, unpack(single, len(values)), strict=True)
+        one == stored or abs(one - stored) <= KEPT * abs(one)
+        for one, stored in zip(values, unpack(single, len(values)), strict=True)
     ):
         return single
     return struct.pack(f"<{len(values)}d", *values)

@@ -39,9 +39,9 @@ def read_columns(connection: Connection, filters: Filters) -> Columns:
     """
     table = inspections.c
     words = (func.coalesce(table[name], "") if name != "recipe" else _recipe() for name in TEXTS)
-    wanted = (table.created_us, *words, table.layout, table.numbers)
-    found = connection.execute(chosen(select(*wanted), filters)).all()[::-1]
-    moments, *texts, kinds, data = zip(*found, strict=True) if found else ((),) * len(wanted)
+    selection = (table.created_us, *words, table.layout, table.numbers)
+    found = connection.execute(chosen(select(*selection), filters)).all()[::-1]
+    moments, *texts, kinds, data = zip(*found, strict=True) if found else ((),) * len(selection)
     return Columns(
         np.array(moments, dtype=np.int64).astype("datetime64[us]"),
         dict(zip(TEXTS, texts, strict=True)),

@@ -76,14 +76,14 @@ class Database:
 def _reason(error: BaseException) -> str:
     """What the database says, in one line and without the statement."""
     origin = error.orig if isinstance(error, DBAPIError) and error.orig is not None else error
-    said = origin.args[0] if origin.args else str(origin)
-    if isinstance(said, dict):  # PostgreSQL's message with its parts
-        said = said.get("M", said)
+    detail = origin.args[0] if origin.args else str(origin)
+    if isinstance(detail, dict):  # PostgreSQL's message with its parts
+        detail = detail.get("M", detail)
     if isinstance(origin, ssl.SSLCertVerificationError):
-        said = f"its certificate is not trusted: {origin.verify_message}"
+        detail = f"its certificate is not trusted: {origin.verify_message}"
     elif isinstance(origin, OSError):
-        said = origin.strerror or str(origin)
-    lines = str(said).splitlines()
+        detail = origin.strerror or str(origin)
+    lines = str(detail).splitlines()
     return lines[0] if lines else type(origin).__name__
 
 

@@ -117,14 +117,14 @@ def _case(suite: ET.Element, row: Row, dispositions: Sequence[Disposition]) -> N
         if row.verdict != "INCONCLUSIVE":
             outcome.set("type", row.verdict)
             outcome.text = "\n".join(f"{label} = {value:g}" for label, value in row.numbers.items())
-    said = [f"folder: {row.folder}", f"created at: {_iso(row.created_at)}"]
-    said += [
+    lines = [f"folder: {row.folder}", f"created at: {_iso(row.created_at)}"]
+    lines += [
         f"{name}: {getattr(row, name)}"
         for name in ("lot", "cavity", "station", "operator")
         if getattr(row, name)
     ]
-    said += [f"disposition: {one.decision} by {one.reviewer}: {one.comment}" for one in dispositions]
-    ET.SubElement(case, "system-out").text = _xml("\n".join(said))
+    lines += [f"disposition: {one.decision} by {one.reviewer}: {one.comment}" for one in dispositions]
+    ET.SubElement(case, "system-out").text = _xml("\n".join(lines))
 
 
 def _xml(text: str) -> str:

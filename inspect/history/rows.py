@@ -76,10 +76,10 @@ def row_of(record: Record, folder: Path) -> NewRow:
         serial=storable(record.serial),
         product=product,
         recipe=f"{product} {_recipe_digits(record)}",
-        lot=_said(who.lot),
-        cavity=_said(who.cavity),
-        station=_said(who.station),
-        operator=_said(who.operator),
+        lot=_text_or_none(who.lot),
+        cavity=_text_or_none(who.cavity),
+        station=_text_or_none(who.station),
+        operator=_text_or_none(who.operator),
         verdict=record.verdict,
         reasons=_shortened(record.reasons),
         folder=str(folder.resolve()),
@@ -173,7 +173,7 @@ def _utc(text: str) -> datetime:
     return found.replace(tzinfo=UTC) if found.tzinfo is None else found.astimezone(UTC)
 
 
-def _said(text: str | None) -> str | None:
+def _text_or_none(text: str | None) -> str | None:
     return None if text is None else storable(text)
 
 
@@ -184,12 +184,12 @@ def storable(text: str, most: int = MAX_TEXT) -> str:
 
 
 def _shortened(reasons: tuple[str, ...]) -> tuple[str, ...]:
-    kept: list[str] = []
+    shortened: list[str] = []
     room = MAX_REASONS
     for reason in map(storable, reasons):
         if len(reason) > room:
-            kept.append(f"… {len(reasons) - len(kept)} more in the record")
+            shortened.append(f"… {len(reasons) - len(shortened)} more in the record")
             break
-        kept.append(reason)
+        shortened.append(reason)
         room -= len(reason)
-    return tuple(kept)
+    return tuple(shortened)

@@ -143,8 +143,8 @@ def missing_guards(connection: Connection) -> list[str]:
             "SELECT t.tgname FROM pg_trigger t JOIN pg_class c ON c.oid = t.tgrelid "
             "WHERE t.tgenabled IN ('O', 'A') AND c.relnamespace = current_schema()::regnamespace"
         )
-    there = set(connection.scalars(text(statement)))
-    return [table.name for table in GUARDED if not set(_names(connection, table.name)) <= there]
+    present = set(connection.scalars(text(statement)))
+    return [table.name for table in GUARDED if not set(_names(connection, table.name)) <= present]
 
 
 def _names(connection: Connection, table: str) -> list[str]:

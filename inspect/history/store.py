@@ -261,9 +261,9 @@ def find(history: History, name: str) -> Row:
         HistoryError: the history cannot be read.
     """
     if name.startswith(_BY_ID):
-        return _there(_by_id(history, name.removeprefix(_BY_ID)), history, name)
+        return _found_row(_by_id(history, name.removeprefix(_BY_ID)), history, name)
     if name.startswith(_BY_SERIAL):
-        return _there(_by_serial(history, name.removeprefix(_BY_SERIAL)), history, name)
+        return _found_row(_by_serial(history, name.removeprefix(_BY_SERIAL)), history, name)
     if "\0" not in name and (Path(name) / RECORD_NAME).is_file():
         row = history.row_by_seal(seal_of(Path(name)))
         if row is None:
@@ -276,7 +276,7 @@ def find(history: History, name: str) -> Row:
         raise UsageError(
             f"{name} is both an id and a serial number: say {_BY_ID}{name} or {_BY_SERIAL}{name}"
         )
-    return _there(found[0] if found else None, history, name)
+    return _found_row(found[0] if found else None, history, name)
 
 
 def _by_id(history: History, text: str) -> Row | None:
@@ -289,7 +289,7 @@ def _by_serial(history: History, serial: str) -> Row | None:
     return rows[0] if rows else None
 
 
-def _there(row: Row | None, history: History, name: str) -> Row:
+def _found_row(row: Row | None, history: History, name: str) -> Row:
     if row is None:
         raise UsageError(
             f"the history {history.address} has no inspection {name[:80]!r}: name a serial number, an id or a folder"

@@ -137,9 +137,11 @@ def grid_of(readings: Readings, floor: float | None = None, below_deg: float | N
         raise UsageError(
             f"no wavelength has {LEAST} readings clear of the noise floor of {lowest:g}/sr: there is nothing to fit"
         )
-    kept = np.isfinite(value[:, ~few]).any(axis=1)
+    usable = np.isfinite(value[:, ~few]).any(axis=1)
     light, detector = angle_i[at // len(angle_o)], angle_o[at % len(angle_o)]
-    return Grid(light[kept], detector[kept], nm[~few], value[kept][:, ~few], lowest, _dropped(readings, why))
+    return Grid(
+        light[usable], detector[usable], nm[~few], value[usable][:, ~few], lowest, _dropped(readings, why)
+    )
 
 
 def _times(key: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:

@@ -196,9 +196,9 @@ class _Handler(BaseHTTPRequestHandler):
         }:
             self._answer(HTTPStatus.MISDIRECTED_REQUEST)
         else:
-            self._serve(self._asked_for())
+            self._serve(self._requested_path())
 
-    def _asked_for(self) -> str | None:
+    def _requested_path(self) -> str | None:
         """The path below the token; None if the token is wrong."""
         _, _, rest = self.path.partition("/")
         token, slash, name = rest.partition("/")

@@ -65,10 +65,10 @@ def ewma(values: FloatArray, limits: Limits, weight: float = WEIGHT, width: floa
         raise UsageError(f"the weight of an EWMA (lambda) lies above 0 and at most at 1, not at {weight:g}")
     if not 0.0 < width < 100.0:
         raise UsageError(f"the width of the limits of an EWMA (L) lies above 0, not at {width:g}")
-    there = ~np.isnan(values)
+    valid = ~np.isnan(values)
     average = np.full(len(values), np.nan)
-    average[there] = _averaged(values[there], limits.center, weight)
-    seen = np.maximum(np.cumsum(there), 1)
+    average[valid] = _averaged(values[valid], limits.center, weight)
+    seen = np.maximum(np.cumsum(valid), 1)
     spread = weight / (2.0 - weight) * -np.expm1(2.0 * seen * np.log1p(-weight)) if weight < 1.0 else 1.0
     reach = width * limits.sigma * np.sqrt(np.broadcast_to(spread, average.shape))
     return Ewma(average, limits.center - reach, limits.center + reach, weight, width)

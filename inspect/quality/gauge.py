@@ -424,7 +424,7 @@ def _two_way(data: GaugeData, tolerance: float | None, confidence: float) -> Gau
     parts = of("part", *among)
     total = of("total", (between, part), (by_whom, appraiser), (by_pair - between, interaction), (share, noise)) \
         if not pooled else of("total", (between, part), (by_whom, appraiser), (share - between, noise))  # fmt: skip
-    found = _kept([own, who, *([pair] if pair else [])], parts, (gauge, both, total))
+    found = _components([own, who, *([pair] if pair else [])], parts, (gauge, both, total))
     table = (part, appraiser, interaction, repeat, *((error,) if pooled else ()))
     reach = share_interval(measuring, among, confidence)
     notes = (*_notes(data, (own, who, pair, parts), pooled=pooled), *_undecided(reach, confidence))
@@ -455,7 +455,7 @@ def _one_way(data: GaugeData, tolerance: float | None, confidence: float) -> Gau
     parts = component("part", among, confidence)
     gauge = component("gauge R&R", [(1.0, repeat)], confidence)
     total = component("total", [(1.0 / r, part), (1.0 - 1.0 / r, repeat)], confidence)
-    (gauge, _, total) = _kept([own], parts, (gauge, gauge, total))
+    (gauge, _, total) = _components([own], parts, (gauge, gauge, total))
     reach = share_interval([(1.0, repeat)], among, confidence)
     notes = (*_notes(data, (own, None, None, parts), pooled=False), *_undecided(reach, confidence))
     return GaugeStudy(
@@ -476,7 +476,7 @@ def _one_way(data: GaugeData, tolerance: float | None, confidence: float) -> Gau
     )
 
 
-def _kept(
+def _components(
     measuring: list[Component], part: Component, sums: tuple[Component, Component, Component]
 ) -> tuple[Component, Component, Component]:
     """Gauge, reproducibility and total as sums of what is counted: what came out negative is counted as 0."""
@@ -515,11 +515,11 @@ def _undecided(reach: tuple[float, float], confidence: float) -> tuple[str, ...]
     low, high = reach
     if not low <= POOR_SHARE < high:
         return ()
-    said = (
+    message = (
         f"the share of the study variation lies between {low:.1%} and {high:.1%} ({confidence:.0%} interval), on both "
         f"sides of {POOR_SHARE:.0%}: more appraisers or parts would tell"
     )
-    return (said,)
+    return (message,)
 
 
 ALONE = "(one)"

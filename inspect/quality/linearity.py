@@ -108,8 +108,8 @@ def gauge_linearity(references: FloatArray, values: FloatArray, alpha: float = A
     """
     from scipy.special import stdtr, stdtrit  # noqa: PLC0415 - heavy
 
-    there = ~(np.isnan(values) | np.isnan(references))
-    x, y = references[there], values[there] - references[there]
+    valid = ~(np.isnan(values) | np.isnan(references))
+    x, y = references[valid], values[valid] - references[valid]
     known = np.unique(x)
     if len(known) < MIN_LEVELS:
         raise UsageError(
@@ -120,7 +120,7 @@ def gauge_linearity(references: FloatArray, values: FloatArray, alpha: float = A
         raise UsageError(
             f"a linearity study needs {MIN_COUNT} or more measurements at every reference; at {few[0]:g} are fewer"
         )
-    levels = tuple(bias_study(values[there][x == level], float(level), alpha) for level in known)
+    levels = tuple(bias_study(values[valid][x == level], float(level), alpha) for level in known)
     freedom, center = len(x) - 2, float(x.mean())
     spread = float(np.sum((x - center) ** 2))
     slope = float(np.sum((x - center) * y)) / spread

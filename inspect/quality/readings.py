@@ -68,11 +68,11 @@ class Readings:
             UsageError: there is no such column, or nothing is left.
         """
         mask = np.ones(len(self), dtype=np.bool_)
-        asked = {column: word for column, word in keep.items() if word is not None}
-        for column, word in asked.items():
+        selection = {column: word for column, word in keep.items() if word is not None}
+        for column, word in selection.items():
             mask &= np.array([text == word for text in self.column(column)], dtype=np.bool_)
         if not mask.any():
-            wish = ", ".join(f"{column} {word}" for column, word in asked.items())
+            wish = ", ".join(f"{column} {word}" for column, word in selection.items())
             raise UsageError(f"{self.source}: no reading has {wish}")
         return self if mask.all() else self._where(mask.nonzero()[0].tolist())
 

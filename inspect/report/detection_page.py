@@ -13,7 +13,7 @@ from anisoscope.report.study_page import Chart, Curve, Table, chart_figure, char
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Told = dict[str, Any]
+Results = dict[str, Any]
 
 RULE_TITLES = {
     "shipped": "prediction, as shipped",
@@ -25,7 +25,7 @@ RULE_TITLES = {
 }
 
 
-def write_detection_page(path: Path, found: Told) -> None:
+def write_detection_page(path: Path, found: Results) -> None:
     """Write the page, all or nothing.
 
     Args:
@@ -41,7 +41,7 @@ def write_detection_page(path: Path, found: Told) -> None:
         f"seed {plan['seed']}"
     )
     groups = [
-        *((f"ROC, {_where(world, recipe)}", _roc(told)) for world, recipe, told in _cases(found)),
+        *((f"ROC, {_where(world, recipe)}", _roc(results)) for world, recipe, results in _cases(found)),
         ("P values of good parts", [_p_values(found, world, recipe) for world, recipe, _ in _cases(found)]),
     ]
     content = {
@@ -54,15 +54,17 @@ def write_detection_page(path: Path, found: Told) -> None:
     write_page(path, "detection.html", content)
 
 
-def _cases(found: Told) -> list[tuple[str, str, Told]]:
-    return [(world, recipe, told) for world, by in found["worlds"].items() for recipe, told in by.items()]
+def _cases(found: Results) -> list[tuple[str, str, Results]]:
+    return [
+        (world, recipe, results) for world, by in found["worlds"].items() for recipe, results in by.items()
+    ]
 
 
 def _where(world: str, recipe: str) -> str:
     return f"{world} world, {recipe} recipe"
 
 
-def tables_of(found: Told) -> list[Table]:
+def tables_of(found: Results) -> list[Table]:
     """The tables of a study, worlds and recipes side by side."""
     return [
         _false_alarms(found),
@@ -75,7 +77,7 @@ def tables_of(found: Told) -> list[Table]:
     ]
 
 
-def percent(rate: Told) -> str:
+def percent(rate: Results) -> str:
     """A rate with its interval."""
     if not rate["of"]:
         return "–"
@@ -83,21 +85,21 @@ def percent(rate: Told) -> str:
     return f"{rate['rate']:.1%} ({low:.1%}–{high:.1%})"
 
 
-def _short(rate: Told) -> str:
+def _short(rate: Results) -> str:
     return f"{rate['rate']:.0%}" if rate["of"] else "–"
 
 
-def _columns(found: Told) -> tuple[str, ...]:
+def _columns(found: Results) -> tuple[str, ...]:
     return tuple(f"{world}, {recipe}" for world, recipe, _ in _cases(found))
 
 
-def _false_alarms(found: Told) -> Table:
+def _false_alarms(found: Results) -> Table:
     cases = _cases(found)
     names = list(cases[0][2]["good"]["false_alarms"])
     rows = [
         (
             RULE_TITLES.get(name, name),
-            *(percent(told["good"]["false_alarms"][name]) for _, _, told in cases),
+            *(percent(results["good"]["false_alarms"][name]) for _, _, results in cases),
         )
         for name in names
         if not name.endswith("+area")
@@ -106,14 +108,14 @@ def _false_alarms(found: Told) -> Table:
     return Table("False alarms", ("good parts that are flagged", *_columns(found)), tuple(rows), note)
 
 
-def _detection(found: Told) -> Table:
+def _detection(found: Results) -> Table:
     cases = _cases(found)
     rows = []
     for number, one in enumerate(cases[0][2]["classes"]):
         cells = []
-        for _, _, told in cases:
-            scores = told["classes"][number]["scores"]
-            both, verdict = scores["shipped+area"], told["classes"][number]["verdict_fail"]
+        for _, _, results in cases:
+            scores = results["classes"][number]["scores"]
+            both, verdict = scores["shipped+area"], results["classes"][number]["verdict_fail"]
             cells.append(f"{_short(verdict)} / {_short(both['set'])} / {both['auc']:.3f}")
         rows.append((one["title"], *cells))
     note = (
@@ -123,10 +125,10 @@ def _detection(found: Told) -> Table:
     return Table("Detection", ("class", *_columns(found)), tuple(rows), note)
 
 
-def _means(found: Told) -> Table:
+def _means(found: Results) -> Table:
     rows = []
-    for world, recipe, told in _cases(found):
-        for one in told["classes"]:
+    for world, recipe, results in _cases(found):
+        for one in results["classes"]:
             aucs = [
                 _auc(one["scores"][key])
                 for key in (*RULE_TITLES, "marks", "area", "golden+area", "known+area")
@@ -149,14 +151,14 @@ def _means(found: Told) -> Table:
     )
 
 
-def _auc(told: Told) -> str:
-    return f"{told['auc']:.3f} ± {told['u']:.3f}"
+def _auc(results: Results) -> str:
+    return f"{results['auc']:.3f} ± {results['u']:.3f}"
 
 
-def _diagnosis(found: Told) -> Table:
+def _diagnosis(found: Results) -> Table:
     rows = []
-    for world, recipe, told in _cases(found):
-        for one in told["classes"]:
+    for world, recipe, results in _cases(found):
+        for one in results["classes"]:
             about = one["diagnosis"]
             needed = about["told_apart_from"]
             rows.append(
@@ -180,12 +182,12 @@ def _diagnosis(found: Told) -> Table:
     return Table("Diagnosis", columns, tuple(rows))
 
 
-def _coverage(found: Told) -> Table:
+def _coverage(found: Results) -> Table:
     rows = []
-    for world, recipe, told in _cases(found):
+    for world, recipe, results in _cases(found):
         where = f"{world}, {recipe}"
-        rows += [(title, where, percent(rate)) for title, rate in told["good"]["coverage"].items()]
-        for one in told["classes"]:
+        rows += [(title, where, percent(rate)) for title, rate in results["good"]["coverage"].items()]
+        for one in results["classes"]:
             extent = f"extent of {one['title']}"
             rows.append((extent, where, percent(one["diagnosis"]["extent_interval_holds"])))
             if one["intervals"] is not None:
@@ -202,12 +204,12 @@ def _coverage(found: Told) -> Table:
     return Table("Coverage of 95 % intervals", ("quantity", "where", "covered"), tuple(rows), note)
 
 
-def _doubts(halves: list[Told]) -> str:
+def _doubts(halves: list[Results]) -> str:
     change, share = (" and ".join(f"{half[key]:.1%}" for half in halves) for key in ("change", "share"))
     return f"change {change}, share {share}"
 
 
-def _limits(found: Told) -> Table:
+def _limits(found: Results) -> Table:
     rows = [
         (
             one["title"],
@@ -215,8 +217,8 @@ def _limits(found: Told) -> Table:
             f"{one['mean_shift_sigmas']:.2f}",
             ", ".join(f"{source} {share:.0%}" for source, share in one["limited_by"]),
         )
-        for world, recipe, told in _cases(found)
-        for one in told["classes"]
+        for world, recipe, results in _cases(found)
+        for one in results["classes"]
     ]
     note = "Shift of the class from the good parts, in σ of the combination that tells most, and what makes up σ²."
     return Table(
@@ -227,7 +229,7 @@ def _limits(found: Told) -> Table:
     )
 
 
-def _outlook(found: Told) -> Table:
+def _outlook(found: Results) -> Table:
     rows = [
         (name, row["poses"], row["calibration"], f"{row['sigmas']:.2f}", f"{row['auc']:.3f}")
         for name, tried in found["outlook"].items()
@@ -241,9 +243,9 @@ def _outlook(found: Told) -> Table:
     )
 
 
-def _roc(told: Told) -> list[tuple[str, str]]:
+def _roc(results: Results) -> list[tuple[str, str]]:
     charts = []
-    for one in told["classes"]:
+    for one in results["classes"]:
         lines = [
             Curve(_name(key), np.array(false), np.array(found)) for key, (false, found) in one["roc"].items()
         ]
@@ -262,7 +264,7 @@ def _name(key: str) -> str:
     }[key]
 
 
-def _p_values(found: Told, world: str, recipe: str) -> tuple[str, str]:
+def _p_values(found: Results, world: str, recipe: str) -> tuple[str, str]:
     import matplotlib as mpl
 
     about = found["worlds"][world][recipe]["good"]["p_values"]

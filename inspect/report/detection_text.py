@@ -7,7 +7,7 @@ from typing import Any
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import UsageError
 
-Told = dict[str, Any]
+Results = dict[str, Any]
 
 BEGIN, END = "<!-- results: begin -->", "<!-- results: end -->"
 WANTED = 0.99
@@ -33,39 +33,42 @@ INTERVALS = {
 }
 
 
-def numbers_of(found: Told) -> Told:
+def numbers_of(found: Results) -> Results:
     """The numbers of a study that its page shows, few enough to be kept beside it."""
-    kept: Told = {"plan": {key: found["plan"][key] for key in ("parts", "defective", "seed")}, "cases": []}
+    numbers: Results = {
+        "plan": {key: found["plan"][key] for key in ("parts", "defective", "seed")},
+        "cases": [],
+    }
     for world, by in found["worlds"].items():
-        for recipe, told in by.items():
-            good = told["good"]
-            kept["cases"].append(
+        for recipe, results in by.items():
+            good = results["good"]
+            numbers["cases"].append(
                 {
                     "where": f"{world}, {recipe}",
                     "alarms": {key: _rate(good["false_alarms"][key]) for key in ALARMS},
                     "coverage": {
                         key: _rate(good["coverage"][key]) for key in COVERED if key in good["coverage"]
                     },
-                    "classes": [_class(one) for one in told["classes"]],
+                    "classes": [_class(one) for one in results["classes"]],
                 }
             )
     best = {name: _reaching(rows) for name, rows in found["outlook"].items()}
-    return {**kept, "outlook": best}
+    return {**numbers, "outlook": best}
 
 
-def _rate(told: Told) -> list[float]:
+def _rate(results: Results) -> list[float]:
     """Rate and its interval, in per cent."""
-    low, high = told["interval"]
-    return [round(100.0 * value, 1) for value in (told["rate"] or 0.0, low, high)]
+    low, high = results["interval"]
+    return [round(100.0 * value, 1) for value in (results["rate"] or 0.0, low, high)]
 
 
-def _class(one: Told) -> Told:
+def _class(one: Results) -> Results:
     about, scores = one["diagnosis"], one["scores"]
     best = max(("shipped+area", "golden+area"), key=lambda key: scores[key]["auc"])
-    kept: Told = {}
+    numbers: Results = {}
     if one["intervals"] is not None:
-        kept = {key: _rate(one["intervals"][key]) for key in INTERVALS}
-        kept["doubts"] = [
+        numbers = {key: _rate(one["intervals"][key]) for key in INTERVALS}
+        numbers["doubts"] = [
             [round(doubt[key], 3) for key in ("change", "share")] for doubt in one["intervals"]["doubts"]
         ]
     return {
@@ -83,23 +86,23 @@ def _class(one: Told) -> Told:
         "wrong": _rate(about["confidently_wrong"])[0],
         "golden_first": _rate(about["right_first_against_golden"])[0],
         "extent": _rate(about["extent_interval_holds"])[0],
-        **kept,
+        **numbers,
     }
 
 
-def _reaching(rows: list[Told]) -> Told:
+def _reaching(rows: list[Results]) -> Results:
     """The least that reaches the wanted area, in the order in which it was tried, and the best of all."""
     short = [{**row, "sigmas": round(row["sigmas"], 1), "auc": round(row["auc"], 3)} for row in rows]
     enough = [row for row in short if row["auc"] >= WANTED]
     return {"enough": enough[:3], "best": max(short, key=lambda row: row["auc"])}
 
 
-def block_of(kept: Told) -> str:
+def block_of(numbers: Results) -> str:
     """Markdown of the results, from the numbers that are kept."""
-    plan, cases = kept["plan"], kept["cases"]
+    plan, cases = numbers["plan"], numbers["cases"]
     where = [case["where"] for case in cases]
     parts = [
-        *kept.get("notes", []),
+        *numbers.get("notes", []),
         (
             f"{plan['parts']} good parts and {plan['defective']} of every class in each world, seed {plan['seed']}. "
             "Per cent, with 95 % intervals; in bold what is separable by 3 σ."
@@ -118,7 +121,7 @@ def block_of(kept: Told) -> str:
             _diagnosed(cases),
         ),
         _table("95 % intervals that hold the truth", where, _covered(cases)),
-        _limits(cases, kept["outlook"]),
+        _limits(cases, numbers["outlook"]),
     ]
     return "\n\n".join(parts)
 
@@ -132,7 +135,7 @@ def _table(first: str, columns: list[str], rows: list[list[str]]) -> str:
     return "\n".join([*head, *(f"| {' | '.join(row)} |" for row in rows)])
 
 
-def _detected(cases: list[Told]) -> list[list[str]]:
+def _detected(cases: list[Results]) -> list[list[str]]:
     rows = []
     for number, one in enumerate(cases[0]["classes"]):
         cells = [case["classes"][number] for case in cases]
@@ -142,7 +145,7 @@ def _detected(cases: list[Told]) -> list[list[str]]:
     return rows
 
 
-def _diagnosed(cases: list[Told]) -> list[list[str]]:
+def _diagnosed(cases: list[Results]) -> list[list[str]]:
     rows = []
     for number, one in enumerate(cases[0]["classes"]):
         cells = []
@@ -154,7 +157,7 @@ def _diagnosed(cases: list[Told]) -> list[list[str]]:
     return rows
 
 
-def _covered(cases: list[Told]) -> list[list[str]]:
+def _covered(cases: list[Results]) -> list[list[str]]:
     rows = [
         [title, *(_interval(case["coverage"][key]) if key in case["coverage"] else "–" for case in cases)]
         for key, title in COVERED.items()
@@ -164,12 +167,12 @@ def _covered(cases: list[Told]) -> list[list[str]]:
         rows.append([f"extent of {one['title']}", *(f"{cell['extent']:g}" for cell in cells)])
         for key, words in INTERVALS.items():
             if any(key in cell for cell in cells):
-                told = (_interval(cell[key]) if key in cell else "–" for cell in cells)
-                rows.append([f"… {words}", *told])
+                results = (_interval(cell[key]) if key in cell else "–" for cell in cells)
+                rows.append([f"… {words}", *results])
     return rows
 
 
-def _limits(cases: list[Told], outlook: Told) -> str:
+def _limits(cases: list[Results], outlook: Results) -> str:
     lines = [
         "What keeps an area under the curve below .99 (better of the two rules; shares of σ² of the means):",
         "",
@@ -182,21 +185,21 @@ def _limits(cases: list[Told], outlook: Told) -> str:
                     f"- {one['title']} ({case['where']}): {one['best']:.3f} at {one['sigmas']:g} σ; {why}"
                 )
     lines += ["", "What would reach .99 by the means alone, computed for D² against the prediction:", ""]
-    for name, told in outlook.items():
+    for name, results in outlook.items():
         title = next(one["title"] for one in cases[0]["classes"] if one["name"] == name)
         found = (
-            "; ".join(_option(row) for row in told["enough"])
-            or f"nothing tried; best: {_option(told['best'])}"
+            "; ".join(_option(row) for row in results["enough"])
+            or f"nothing tried; best: {_option(results['best'])}"
         )
         lines.append(f"- {title}: {found}")
     return "\n".join(lines)
 
 
-def _option(row: Told) -> str:
+def _option(row: Results) -> str:
     return f"{row['poses']}, {row['calibration']} ({row['sigmas']:g} σ, AUC {row['auc']:.3f})"
 
 
-def with_results(page: str, kept: Told) -> str:
+def with_results(page: str, numbers: Results) -> str:
     """A Markdown page with the results between its marks.
 
     Raises:
@@ -205,10 +208,10 @@ def with_results(page: str, kept: Told) -> str:
     if page.count(BEGIN) != 1 or page.count(END) != 1:
         raise UsageError(f"the page must have one line {BEGIN} and one {END}: the results come between them")
     before, _, rest = page.partition(BEGIN)
-    return f"{before}{BEGIN}\n\n{block_of(kept)}\n\n{END}{rest.partition(END)[2]}"
+    return f"{before}{BEGIN}\n\n{block_of(numbers)}\n\n{END}{rest.partition(END)[2]}"
 
 
-def write_results(path: Path, found: Told) -> None:
+def write_results(path: Path, found: Results) -> None:
     """Put the results of a study into a Markdown page, and its numbers beside it (``.json``).
 
     Raises:
@@ -219,6 +222,6 @@ def write_results(path: Path, found: Told) -> None:
         page = path.read_text(encoding="utf-8")
     except OSError as problem:
         raise UsageError(f"{path} cannot be read: {problem.strerror}") from problem
-    kept = numbers_of(found)
-    write_text(path, with_results(page, kept))
-    write_text(path.with_suffix(".json"), json.dumps(kept, indent=1, ensure_ascii=False) + "\n")
+    numbers = numbers_of(found)
+    write_text(path, with_results(page, numbers))
+    write_text(path.with_suffix(".json"), json.dumps(numbers, indent=1, ensure_ascii=False) + "\n")

@@ -211,11 +211,11 @@ def _reach(study: GaugeStudy) -> str:
 
     low, high = ("none" if end is None else str(end) for end in study.categories_interval)
     ndc = "–" if study.categories is None else str(study.categories)
-    said = [f"{study.confidence:.0%} intervals of the gauge: {between(study.share)} of the study variation"]
-    said += (
+    notes = [f"{study.confidence:.0%} intervals of the gauge: {between(study.share)} of the study variation"]
+    notes += (
         [] if study.tolerance_interval is None else [f"{between(study.tolerance_interval)} of the tolerance"]
     )
-    return ", ".join(said) + f". Distinct categories (ndc): {ndc}, interval {low} to {high}."
+    return ", ".join(notes) + f". Distinct categories (ndc): {ndc}, interval {low} to {high}."
 
 
 def anova(study: GaugeStudy) -> Grid:

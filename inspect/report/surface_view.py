@@ -64,8 +64,8 @@ class Renderer:
         self._folder = tempfile.TemporaryDirectory(prefix="anisoscope-")
         self._process: subprocess.Popen[bytes] | None = None
         source, self._note = _reduced(height_um, pixel_um)
-        self._wanted = ("png", "zip") if interactive else ("png",)
-        self._entries = _entries(source, self._wanted)
+        self._formats = ("png", "zip") if interactive else ("png",)
+        self._entries = _entries(source, self._formats)
         self._cached = {kind: entry.read() for kind, entry in self._entries.items()}
         if None not in self._cached.values():
             return
@@ -76,7 +76,7 @@ class Renderer:
             "VTK_DEFAULT_OPENGL_WINDOW": "vtkEGLRenderWindow",
             "PYVISTA_OFF_SCREEN": "true",
         }
-        targets = [str(folder / f"map.{kind}") for kind in self._wanted]
+        targets = [str(folder / f"map.{kind}") for kind in self._formats]
         try:
             self._process = subprocess.Popen(
                 [sys.executable, "-m", DRAWS, str(folder / "map.npz"), *targets],
@@ -93,20 +93,20 @@ class Renderer:
         """Wait for the picture, a minute at most."""
         try:
             if self._process is None:
-                return self._told(self._cached, 0)
+                return self._result(self._cached, 0)
             code = self._process.wait(TIMEOUT_S)
             folder = Path(self._folder.name)
-            found = {kind: _content(folder / f"map.{kind}") for kind in self._wanted}
+            found = {kind: _content(folder / f"map.{kind}") for kind in self._formats}
             for kind, content in found.items():
                 if code == 0 and content is not None:
                     self._entries[kind].write(content)
-            return self._told(found, code)
+            return self._result(found, code)
         except subprocess.TimeoutExpired:
             return Picture3D(None, f"the renderer did not finish in {TIMEOUT_S:g} s")
         finally:
             self.discard()
 
-    def _told(self, found: dict[str, bytes | None], code: int) -> Picture3D:
+    def _result(self, found: dict[str, bytes | None], code: int) -> Picture3D:
         if found["png"] is None:
             return Picture3D(None, f"the renderer ended with code {code}; {NEEDS}")
         scene = found.get("zip")

@@ -101,7 +101,7 @@ class Noise:
             raise UsageError(f"noise must be 0 or more, not floor={self.floor:g}, share={self.share:g}")
 
     @property
-    def is_there(self) -> bool:
+    def present(self) -> bool:
         """Something is uncertain."""
         return self.floor > 0.0 or self.share > 0.0
 
@@ -145,7 +145,7 @@ class Scoring:
             raise UsageError(f"the quantile must lie above 0 and up to 0.5, not {self.quantile:g}")
         if not 0.0 <= self.z < float("inf"):
             raise UsageError(f"z must be 0 or more, not {self.z:g}")
-        if self.score == "snr" and self.tolerances is None and not self.noise.is_there:
+        if self.score == "snr" and self.tolerances is None and not self.noise.present:
             raise UsageError("a signal-to-noise ratio needs noise (--noise) or tolerances (--robust)")
         if self.score == "snr" and self.quantile is not None:
             raise UsageError("a signal-to-noise ratio has no quantile: leave one of the two out")
@@ -170,7 +170,7 @@ class Scoring:
     def nominal(self) -> "Scoring":
         """The same without tolerances; a signal-to-noise ratio without noise becomes the contrast."""
         return replace(
-            self, tolerances=None, quantile=None, score=self.score if self.noise.is_there else "contrast"
+            self, tolerances=None, quantile=None, score=self.score if self.noise.present else "contrast"
         )
 
 

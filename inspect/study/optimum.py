@@ -80,12 +80,12 @@ def slices_at(
     rows = np.reshape(sweep(score_of_task, moved, workers, advance=advance, doing=doing), (len(unit), -1))
     sides = [(k, side) for k in range(len(unit)) for side in (-1, 1)]
     brackets = [_bracket(fine, rows[k], unit[k], side, limit) for k, side in sides]
-    asked = [
+    crossing_tasks = [
         (box, scoring, unit, k, bracket, limit)
         for (k, _), bracket in zip(sides, brackets, strict=True)
         if bracket is not None
     ]
-    crossed = iter(sweep(_crossing, asked, workers, advance=advance, doing=doing))
+    crossed = iter(sweep(_crossing, crossing_tasks, workers, advance=advance, doing=doing))
     ends = [
         (0.0 if side < 0 else 1.0) if bracket is None else next(crossed)
         for (_, side), bracket in zip(sides, brackets, strict=True)

@@ -120,9 +120,9 @@ class _Lighting:
 
 def _lighting(to_light: FloatArray, to_camera: FloatArray, x: FloatArray, z: FloatArray) -> _Lighting:
     size = np.hypot(np.diff(x), np.diff(z))
-    kept = size > 0.0
-    size = size[kept, None]
-    flat, up = np.diff(x)[kept, None] / size, np.diff(z)[kept, None] / size
+    nonzero = size > 0.0
+    size = size[nonzero, None]
+    flat, up = np.diff(x)[nonzero, None] / size, np.diff(z)[nonzero, None] / size
 
     def local(directions: FloatArray) -> FloatArray:
         ux, uy, uz = directions.T
@@ -131,8 +131,8 @@ def _lighting(to_light: FloatArray, to_camera: FloatArray, x: FloatArray, z: Flo
 
     light, camera = local(to_light), local(to_camera)
     light_tangent, camera_tangent = to_light[:, 0] / to_light[:, 2], to_camera[:, 0] / to_camera[:, 2]
-    lit = np.stack([visible_shares(x, z, t)[kept] for t in light_tangent], axis=-1)
-    seen = np.stack([visible_shares(x, z, t)[kept] for t in camera_tangent], axis=-1)
+    lit = np.stack([visible_shares(x, z, t)[nonzero] for t in light_tangent], axis=-1)
+    seen = np.stack([visible_shares(x, z, t)[nonzero] for t in camera_tangent], axis=-1)
     same = (light_tangent >= 0) == (camera_tangent >= 0)
     share = np.where(same, np.minimum(lit, seen), np.maximum(0.0, lit + seen - 1.0))
     cosines = np.maximum(light[..., 2], 0.0) * np.maximum(camera[..., 2], 0.0)

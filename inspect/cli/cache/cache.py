@@ -30,11 +30,11 @@ def info(*, json_: Json = False) -> int:
         kinds = [{"kind": kind, **_numbers(rows)} for kind, rows in _by_kind(entries)]
         _print_json({"folder": str(folder), "limit_bytes": limit, **_numbers(entries), "kinds": kinds})
         return 0
-    _say(f"{folder}: {len(entries)} entries, {_megabytes(size)} of {_megabytes(limit)}")
+    _write_line(f"{folder}: {len(entries)} entries, {_megabytes(size)} of {_megabytes(limit)}")
     if entries:
         rows = [[kind, *_cells(rows)] for kind, rows in _by_kind(entries)]
         print_table("cached results", ["kind", "entries", "size", "last used", "longest unused"], rows)
-    _say(f"another folder: {VARIABLE}; another limit: {LIMIT_VARIABLE}")
+    _write_line(f"another folder: {VARIABLE}; another limit: {LIMIT_VARIABLE}")
     return 0
 
 
@@ -50,9 +50,9 @@ def clear(*, json_: Json = False) -> int:
         _print_json({"folder": str(folder), "removed": _numbers(gone), "kinds": kinds, "left": left})
         return 0
     for kind, rows in _by_kind(gone):
-        _say(f"removed {len(rows)} {kind}, {_megabytes(sum(one.size for one in rows))}")
+        _write_line(f"removed {len(rows)} {kind}, {_megabytes(sum(one.size for one in rows))}")
     size = _megabytes(sum(one.size for one in gone))
-    _say(
+    _write_line(
         f"{folder}: {len(gone)} entries removed, {size}" + (f"; {left} could not be removed" if left else "")
     )
     return 0
@@ -101,5 +101,5 @@ def _print_json(content: object) -> None:
     sys.stdout.write("\n")
 
 
-def _say(text: str) -> None:
+def _write_line(text: str) -> None:
     console().print(text, markup=False, highlight=False, soft_wrap=True)

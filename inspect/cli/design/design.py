@@ -32,7 +32,7 @@ app.command("anisoscope.cli.design.masks:height")
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class Making:
+class Fabrication:
     """Light and fabrication."""
 
     wavelength: Annotated[float, Parameter(help="Of the light that the design is made for, nm.")] = 500.0
@@ -77,7 +77,7 @@ class Making:
         return Depths(passes, parse_band(self.band) if self.band else (self.wavelength, self.wavelength))
 
 
-MAKING = Making()
+FABRICATION = Fabrication()
 
 FAINT_TAU = 0.05
 """Mean phase of the levels from which on a warning is due."""
@@ -104,7 +104,7 @@ def lobe(
     nearest: Annotated[
         bool, Parameter(negative="", help="Take the nearest lobe where the wanted one is out of reach.")
     ] = False,
-    making: Annotated[Making, Parameter(group="Light and fabrication")] = MAKING,
+    fabrication: Annotated[Fabrication, Parameter(group="Light and fabrication")] = FABRICATION,
     name: NameOption = None,
     out: OutOption = None,
     html: HtmlOption = None,
@@ -118,9 +118,16 @@ def lobe(
     from anisoscope.sim.design.lobe import LobeTask, design_lobe
     from anisoscope.sim.design.models import LobeModel
 
-    etched = making.etched()
+    etched = fabrication.etched()
     tasks = [
-        LobeTask(one, making.min_width, max_width, making.grid, 1e-3 * making.wavelength, making.coherence)
+        LobeTask(
+            one,
+            fabrication.min_width,
+            max_width,
+            fabrication.grid,
+            1e-3 * fabrication.wavelength,
+            fabrication.coherence,
+        )
         for one in (sigma, sigma if sigma_y is None else sigma_y)
     ]
     found = design_lobe(*tasks)
@@ -136,14 +143,14 @@ def lobe(
         "unreachable_x": found.x.unreachable_share, "unreachable_y": found.y.unreachable_share,
     }  # fmt: skip
     title = name or (f"lobe {sigma:g}" if sigma_y in (None, sigma) else f"lobe {sigma:g} × {sigma_y:g}")
-    design = _made(title, model, etched, making, figures)
+    design = _design_file(title, model, etched, fabrication, figures)
     warnings = [] if found.x.feasible and found.y.feasible else [
         f"out of reach: {100.0 * found.rel_l2:.1f} % (L2) of the wanted lobe is missed; this is the nearest"
     ]  # fmt: skip
-    tau = etched.tau_at(making.wavelength)
+    tau = etched.tau_at(fabrication.wavelength)
     if tau >= FAINT_TAU:
         warnings.append(
-            f"the levels have a mean phase of {tau:.2f} at {making.wavelength:g} nm: a spike stands in the lobe"
+            f"the levels have a mean phase of {tau:.2f} at {fabrication.wavelength:g} nm: a spike stands in the lobe"
         )
     return _deliver(design, out, html, as_json=json_, axes=(found.x, found.y), warnings=warnings)
 
@@ -157,7 +164,7 @@ def antimirror(
         bool,
         Parameter(negative="", help="A sequence along each axis instead of blocks: the hole is a cross."),
     ] = False,
-    making: Annotated[Making, Parameter(group="Light and fabrication")] = MAKING,
+    fabrication: Annotated[Fabrication, Parameter(group="Light and fabrication")] = FABRICATION,
     name: NameOption = None,
     out: OutOption = None,
     html: HtmlOption = None,
@@ -168,17 +175,17 @@ def antimirror(
     from anisoscope.sim.design.depths import Depths
     from anisoscope.sim.design.models import AntiMirrorModel
 
-    etched = making.etched()
+    etched = fabrication.etched()
     many, widths = parse_numbers(arrangement, "--arrangement"), parse_numbers(width, "--width")
     if not {len(many), len(widths)} <= {1, 2} or any(m != int(m) for m in many):
         raise UsageError("--arrangement takes one or two whole numbers, --width one or two numbers of µm")
-    tau = etched.tau_at(making.wavelength)
+    tau = etched.tau_at(fabrication.wavelength)
     found = AntiMirror(
         (int(many[0]), int(many[-1])),
         (widths[0], widths[-1]),
         len(etched.levels_nm),
         crossed,
-        making.min_width,
+        fabrication.min_width,
     )
     folded = found.folds(tau)
     model = AntiMirrorModel(
@@ -190,18 +197,18 @@ def antimirror(
     )
     if crossed and not folded:
         etched = Depths(etched.passes_nm * 2, etched.band_nm)
-    um = 1e-3 * making.wavelength
+    um = 1e-3 * fabrication.wavelength
     holes = zip(("hole_x", "hole_y"), found.hole(um), strict=True)
     figures = {
         **{key: value for key, value in holes if value < float("inf")},
-        "ring_x": found.ring(um)[0], "ring_y": found.ring(um)[1], "hole_floor": found.floor(um, making.coherence),
+        "ring_x": found.ring(um)[0], "ring_y": found.ring(um)[1], "hole_floor": found.floor(um, fabrication.coherence),
     }  # fmt: skip
     shape = "crossed " if crossed else ""
     title = name or f"{shape}anti-mirror {found.arrangement[0]}×{found.arrangement[1]}"
     warnings = [] if tau < FAINT_TAU else [
-        f"the levels have a mean phase of {tau:.2f} at {making.wavelength:g} nm: the hole is filled by a spike"
+        f"the levels have a mean phase of {tau:.2f} at {fabrication.wavelength:g} nm: the hole is filled by a spike"
     ]  # fmt: skip
-    design = _made(title, model, etched, making, figures)
+    design = _design_file(title, model, etched, fabrication, figures)
     return _deliver(design, out, html, as_json=json_, warnings=warnings)
 
 
@@ -252,8 +259,8 @@ def depths(
     return print_json(result) if json_ else _print_depths(found, spike, coherence, width)
 
 
-def _made(
-    title: str, model: "AnyModel", etched: "Depths", making: Making, figures: dict[str, float]
+def _design_file(
+    title: str, model: "AnyModel", etched: "Depths", fabrication: Fabrication, figures: dict[str, float]
 ) -> "DesignFile":
     from anisoscope.sim.design.designfile import DesignFile
 
@@ -262,10 +269,10 @@ def _made(
         model=model,
         passes_nm=etched.passes_nm,
         band_nm=etched.band_nm,
-        wavelength_nm=making.wavelength,
-        coherence_um=making.coherence,
-        min_width_um=making.min_width,
-        grid_um=making.grid,
+        wavelength_nm=fabrication.wavelength,
+        coherence_um=fabrication.coherence,
+        min_width_um=fabrication.min_width,
+        grid_um=fabrication.grid,
         figures=figures,
     )
 

@@ -106,7 +106,7 @@ def refine(
             ["ended by", found.stopped, ""],
         ],
     )
-    return _said(out, png, html)
+    return _print_written(out, png, html)
 
 
 def _one_dot(design: "DesignFile", found: "Refined") -> "Layout":
@@ -189,7 +189,7 @@ def pattern(
             for name, count in zip(layout.names, counts, strict=True)
         ],
     )
-    return _said(out, png, html)
+    return _print_written(out, png, html)
 
 
 def _check_written(out: Path | None, *others: Path | None) -> None:
@@ -249,6 +249,6 @@ def _write(layout: "Layout", designs: "tuple[DesignFile, ...]", out: Path | None
         write_preview(layout, png)
 
 
-def _said(*paths: Path | None) -> int:
+def _print_written(*paths: Path | None) -> int:
     sys.stdout.write("".join(f"written: {path}\n" for path in paths if path is not None))
     return 0

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from anisoscope.experiment.findings_map import FindingsMap
 
 
-def say(text: str) -> None:
+def write_line(text: str) -> None:
     """Print a line as it is."""
     console().print(text, markup=False, highlight=False, soft_wrap=True)
 
@@ -150,10 +150,10 @@ def print_experiment(result: "Experiment") -> None:
     print_table("Mean contrasts", ["mean over all others", *head], rows)
     setup = result.setup
     frame = f", shadow frame {setup.shadow_frame}" if setup.model == "printed" else ""
-    say(f"model {setup.model}{frame}; {convention_text(setup.convention)}; {_scale_text(result)}")
-    say(f"predicted: {_findings_text(result.findings)}")
+    write_line(f"model {setup.model}{frame}; {convention_text(setup.convention)}; {_scale_text(result)}")
+    write_line(f"predicted: {_findings_text(result.findings)}")
     if result.measured_findings is not None:
-        say(f"measured: {_findings_text(result.measured_findings)}")
+        write_line(f"measured: {_findings_text(result.measured_findings)}")
 
 
 def maps_as_json(maps: "list[FindingsMap]") -> dict[str, Any]:
@@ -202,12 +202,12 @@ def print_maps(maps: "list[FindingsMap]") -> None:
     )
     side, setup = maps[0].alpha_along, maps[0].setup
     frame = f", shadow frame {setup.shadow_frame}" if setup.model == "printed" else ""
-    say(
+    write_line(
         f"model {setup.model}{frame}; {side.size} × {side.size} roughnesses from {side[0]:g} to {side[-1]:g}, "
         "even in the logarithm"
     )
     for m in maps:
-        say(f"tilt {m.setup.convention.tilt_plane}: {convention_text(m.setup.convention)}")
+        write_line(f"tilt {m.setup.convention.tilt_plane}: {convention_text(m.setup.convention)}")
 
 
 def _range(ends: tuple[float, float] | None) -> str:
@@ -277,7 +277,7 @@ def ridges(
         from anisoscope.report.experiment_page import write_experiment_page
 
         write_experiment_page(result, _unit(result), html)
-        say(f"{html}: {_findings_text(result.findings)}; {_scale_text(result)}")
+        write_line(f"{html}: {_findings_text(result.findings)}; {_scale_text(result)}")
     else:
         print_experiment(result)
     return 0
@@ -366,4 +366,4 @@ def _write_maps(maps: "list[FindingsMap]", html: Path | None, svg: Path | None) 
         write_findings_page(maps, html)
     if svg is not None:
         write_text(svg, findings_svg(maps))
-    say(f"{html or svg}: all three findings hold on: {shares} of the grid")
+    write_line(f"{html or svg}: all three findings hold on: {shares} of the grid")

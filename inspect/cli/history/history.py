@@ -41,7 +41,7 @@ def _visible(character: str) -> str:
     return character.encode("unicode_escape").decode()
 
 
-def say(text: str) -> None:
+def write_line(text: str) -> None:
     """Print a line of text that is nothing else."""
     console().print(plain(text), markup=False, highlight=False, soft_wrap=True)
 
@@ -66,7 +66,7 @@ def print_history(
         _print_json({"total": total, "inspections": listed})
         return
     if not rows:
-        say("no inspections")
+        write_line("no inspections")
         return
     from rich.cells import cell_len
     from rich.table import Table
@@ -88,7 +88,7 @@ def print_history(
     for line in lines:
         table.add_row(*(Text(cell, style=COLORS.get(cell, "")) for cell in line))
     console().print(table)
-    say(
+    write_line(
         f"{total} inspections"
         if total == len(rows)
         else f"the last {len(rows)} of {total}; --limit 0 for all"
@@ -96,11 +96,11 @@ def print_history(
 
 
 def _cells(row: "Row", optional: Sequence[str], decided: "Sequence[Disposition]") -> list[str]:
-    said = {name: getattr(row, name, None) for name in optional}
-    if "disposition" in said and decided:
-        said["disposition"] = decided[-1].decision
+    details = {name: getattr(row, name, None) for name in optional}
+    if "disposition" in details and decided:
+        details["disposition"] = decided[-1].decision
     head = [str(row.id), _local(row.created_at), row.serial, row.verdict]
-    return [plain(cell) for cell in (*head, *said.values(), row.product, *(row.reasons[:1] or ("",)))]
+    return [plain(cell) for cell in (*head, *details.values(), row.product, *(row.reasons[:1] or ("",)))]
 
 
 def print_added(added: "Added", where: str, *, json_: bool) -> None:
@@ -109,16 +109,18 @@ def print_added(added: "Added", where: str, *, json_: bool) -> None:
         _print_json({**asdict(added), "history": where})
         return
     for line in added.refused:
-        say(f"not added: {line}")
-    say(f"{added.added} added, {added.known} there already: {where}")
+        write_line(f"not added: {line}")
+    write_line(f"{added.added} added, {added.known} there already: {where}")
 
 
-def print_disposed(row: "Row", made: "Disposition", *, json_: bool) -> None:
+def print_disposed(row: "Row", disposition: "Disposition", *, json_: bool) -> None:
     """A decision that was written down."""
     if json_:
-        _print_json({**asdict(made), "created_at": made.created_at.isoformat()})
+        _print_json({**asdict(disposition), "created_at": disposition.created_at.isoformat()})
     else:
-        say(f"inspection {row.id} of {row.serial}, {row.verdict}: {made.decision} by {made.reviewer}")
+        write_line(
+            f"inspection {row.id} of {row.serial}, {row.verdict}: {disposition.decision} by {disposition.reviewer}"
+        )
 
 
 def print_verified(damage: Sequence[str], count: int, head: str, *, json_: bool) -> None:
@@ -127,10 +129,10 @@ def print_verified(damage: Sequence[str], count: int, head: str, *, json_: bool)
         _print_json({"intact": not damage, "inspections": count, "damage": list(damage), "head": head})
         return
     for line in damage:
-        say(line)
+        write_line(line)
     if not damage:
-        say(f"{count} inspections are as they were written")
-    say(f"head: {head}")
+        write_line(f"{count} inspections are as they were written")
+    write_line(f"head: {head}")
 
 
 def print_shown(row: "Row", decided: "Sequence[Disposition]", *, json_: bool) -> None:
@@ -143,8 +145,8 @@ def print_shown(row: "Row", decided: "Sequence[Disposition]", *, json_: bool) ->
         return
     console().print(f"[bold {COLORS.get(row.verdict, '')}]{plain(row.verdict)}[/]")
     for reason in row.reasons:
-        say(f"  {reason}")
-    said = {
+        write_line(f"  {reason}")
+    details = {
         name: getattr(row, name) for name in ("lot", "cavity", "station", "operator") if getattr(row, name)
     }
     facts = {
@@ -153,14 +155,14 @@ def print_shown(row: "Row", decided: "Sequence[Disposition]", *, json_: bool) ->
         "time": _local(row.created_at),
         "recipe": row.recipe,
     }
-    facts |= {**said, "software": row.software, "folder": f"{row.folder} ({folder})"}
+    facts |= {**details, "software": row.software, "folder": f"{row.folder} ({folder})"}
     for name, value in facts.items():
-        say(f"{name}: {value}")
+        write_line(f"{name}: {value}")
     if row.numbers:
         print_table("Numbers", ["", "value", "u", "deviation", "tolerance"], _number_rows(row.numbers))
     for one in decided:
         comment = f": {one.comment}" if one.comment else ""
-        say(f"{_local(one.created_at)} {one.decision} by {one.reviewer}{comment}")
+        write_line(f"{_local(one.created_at)} {one.decision} by {one.reviewer}{comment}")
 
 
 def _folder_state(row: "Row") -> str:
@@ -206,15 +208,15 @@ def print_comparison(found: "Comparison", *, json_: bool) -> None:
     columns = ["", *map(plain, names), "difference", "u", "difference/u"]
     print_table("Compared", columns, [[plain(cell) for cell in row] for row in table])
     for change in found.changes:
-        say(f"{change.what}: {_or_nothing(change.first)} -> {_or_nothing(change.second)}")
+        write_line(f"{change.what}: {_text_of(change.first)} -> {_text_of(change.second)}")
     if not found.changes:
-        say(
+        write_line(
             "recipe, rig, calibrations and software are the same"
             if not found.notes
             else "nothing else differs"
         )
     for note in found.notes:
-        say(f"note: {note}")
+        write_line(f"note: {note}")
 
 
 def _comparison_json(found: "Comparison") -> dict[str, Any]:
@@ -244,7 +246,7 @@ def _compared_row(one: "Compared") -> list[str]:
     return [one.label, *("" if value is None else format(value, form) for value, form in forms)]
 
 
-def _or_nothing(text: str | None) -> str:
+def _text_of(text: str | None) -> str:
     return "nothing" if text is None else text
 
 
@@ -309,8 +311,8 @@ def dispose(
 
     with opened(place) as found:
         row = find(found, inspection)
-        made = found.dispose(row.id, reviewer=reviewer, decision=decision, comment=comment)
-    print_disposed(row, made, json_=json_)
+        disposition = found.dispose(row.id, reviewer=reviewer, decision=decision, comment=comment)
+    print_disposed(row, disposition, json_=json_)
     return 0
 
 
@@ -383,8 +385,8 @@ def export(
     from anisoscope.base.atomic_write import write_text
     from anisoscope.history.export import to_csv, to_json, to_junit
 
-    wanted = [(csv, to_csv), (json, to_json), (junit, to_junit)]
-    files = [(path, make) for path, make in wanted if path is not None]
+    targets = [(csv, to_csv), (json, to_json), (junit, to_junit)]
+    files = [(path, make) for path, make in targets if path is not None]
     if not files:
         raise UsageError("name a file: --csv FILE, --json FILE or --junit FILE")
     with opened(place) as found:
@@ -392,5 +394,5 @@ def export(
         decided = found.dispositions_of([row.id for row in rows])
     for path, make in files:
         write_text(path, make(rows, decided))
-        say(f"{len(rows)} inspections: {path}")
+        write_line(f"{len(rows)} inspections: {path}")
     return 0

@@ -62,7 +62,9 @@ def compare(
         raise UsageError("--white needs --values factor: a BRDF has no white reference")
     lamp = find_illuminant(illuminant)
     found, warnings = [], []
-    sets = _made_up(seed) if synthetic else [(path.stem, _read(path, values, white)) for path in readings]
+    sets = (
+        _synthetic_sets(seed) if synthetic else [(path.stem, _read(path, values, white)) for path in readings]
+    )
     with progress("compare", quiet=json_) as advance:
         for done, (name, (read, measured)) in enumerate(sets):
             advance(name, done, len(sets))
@@ -125,7 +127,7 @@ def _by_place(read: "Readings", path: Path) -> "Measured":
     return Measured(angles[:, 0], angles[:, 1], nm, total / count)
 
 
-def _made_up(seed: int) -> list[tuple[str, Set]]:
+def _synthetic_sets(seed: int) -> list[tuple[str, Set]]:
     import numpy as np
 
     from anisoscope.ink.goniometer import Readings

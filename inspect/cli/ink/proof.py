@@ -149,11 +149,11 @@ def proof(
         notes = tuple(f"Image: {note}." for note in picture.notes)
         page = _page(work, f"Soft proof of {image.name}", exposure, notes, None if photo is None else photo)
         write_proof_page(page, out)
-    _tell(found, exposure, [path for path in (png, out) if path is not None], json_)
+    _print_summary(found, exposure, [path for path in (png, out) if path is not None], json_)
     return 0
 
 
-def _tell(found: "Halftone", exposure: float, written: list[Path], json_: bool) -> None:
+def _print_summary(found: "Halftone", exposure: float, written: list[Path], json_: bool) -> None:
     if json_:
         content: dict[str, Any] = {
             "dots": list(found.dots.shape),

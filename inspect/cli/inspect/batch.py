@@ -65,7 +65,7 @@ def batch(
     """
     from anisoscope.inspection.batch.first_pose import Look
     from anisoscope.inspection.batch.journal import BATCH_NAME, read_batch
-    from anisoscope.inspection.batch.operator import Nobody
+    from anisoscope.inspection.batch.operator import Unattended
     from anisoscope.inspection.batch.run import run_batch, write_summary
     from anisoscope.inspection.batch.start import Order
     from anisoscope.inspection.batch.tray import read_tray
@@ -82,7 +82,7 @@ def batch(
     try:
         found = run_batch(
             order,
-            Nobody() if yes and json_ else who,
+            Unattended() if yes and json_ else who,
             lambda inspected: remember(inspected, place),
             resume=resume,
         )

@@ -29,7 +29,7 @@ class Terminal:
     """Asks on standard error, reads standard input; with ``answers`` False nobody is asked, only told."""
 
     def __init__(self, *, quiet: bool, answers: bool) -> None:
-        self.quiet, self.asks = quiet, answers
+        self.quiet, self.interactive = quiet, answers
 
     def say(self, text: str) -> None:
         """Tell something in a line, unless only JSON is wanted."""
@@ -41,7 +41,7 @@ class Terminal:
         from anisoscope.inspection.batch.operator import Answer
         from anisoscope.inspection.batch.scan import read_scan
 
-        if not self.asks:
+        if not self.interactive:
             return Answer()
         back = "put back" if again else "place"
         keys = (
@@ -64,7 +64,7 @@ class Terminal:
         """Ask for the serial number of a part whose code cannot be read; Enter gives up."""
         from anisoscope.inspection.batch.scan import read_scan
 
-        if not self.asks:
+        if not self.interactive:
             return None
         _tell(f"slot {slot.slot}: {why}")
         while True:
@@ -78,7 +78,7 @@ class Terminal:
 
     def trouble(self, slot: "SlotResult", faults: int) -> Literal["again", "go on", "stop"]:
         """Ask what to do after faults in a row."""
-        if not self.asks:
+        if not self.interactive:
             self.say(f"{faults} faults in a row: stopped; --resume goes on")
             return "stop"
         text = _line(f"{faults} faults in a row: r tries slot {slot.slot} again, Enter goes on, q stops: ")

@@ -223,7 +223,7 @@ class WaveOptions:
 WAVE_DEFAULTS = WaveOptions()
 
 
-def wanted_optics(
+def optics_request(
     options: WaveOptions, model: Model | None, bounces: int | Literal["all"], roughness: str
 ) -> "Wanted | None":
     """What is asked for; None where --model names one of the geometric models.
@@ -459,7 +459,7 @@ def predict(
     convention = Convention(light_angle, tilt_plane, facet_azimuth)
     material = Material(alpha_along, alpha_across, albedo, index, internal_reflection)
     optics, count = optics_of(sizes), None if bounces == "all" else bounces
-    wanted = wanted_optics(waves, model, bounces, roughness)
+    request = optics_request(waves, model, bounces, roughness)
     inputs, draws = input_uncertainty(uncertainties), monte_carlo(uncertainties)
     subject: HeightMap | RidgeDesign
     if height_map is not None:
@@ -496,13 +496,15 @@ def predict(
             )
 
     def under(plastic: Material, advance: "Advance", wavelength_nm: float | None) -> "tuple[Predicted, ...]":
-        if wanted is None:
+        if request is None:
             return (of(plastic, advance),)
-        asked = (
-            wanted if wavelength_nm is None else replace(wanted, light=LightSpectrum((1e-3 * wavelength_nm,)))
+        requested = (
+            request
+            if wavelength_nm is None
+            else replace(request, light=LightSpectrum((1e-3 * wavelength_nm,)))
         )
         rig = Rig(plastic, poses, convention, optics, inputs, draws)
-        return predict_with_optics(subject, partial(of, plastic), rig, asked, pitch, level, advance)
+        return predict_with_optics(subject, partial(of, plastic), rig, requested, pitch, level, advance)
 
     _predict_and_print(under, material, spectrum, as_json=json_, covariance=uncertainties.covariance)
     return 0

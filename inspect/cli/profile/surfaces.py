@@ -104,8 +104,8 @@ def make(
     rng = np.random.default_rng(seed)
     surface = _pattern(pattern, *_grid(size, pixel), lines, stairs, rng)
     surface = add_facet_roughness(surface, rough.alpha_along, rough.alpha_across, rough.correlation, rng)
-    made = {**surface.origin, "seed": seed}
-    return deliver(surface.with_height(surface.height_um, made=made), out, as_json=json_)
+    origin = {**surface.origin, "seed": seed}
+    return deliver(surface.with_height(surface.height_um, made=origin), out, as_json=json_)
 
 
 def _grid(size: str, pixel: str) -> tuple[tuple[int, int], tuple[float, float]]:

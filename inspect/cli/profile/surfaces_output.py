@@ -56,7 +56,7 @@ def deliver(
     from anisoscope.profiles.provenance import write_made
     from anisoscope.profiles.textures.amplitude import amplitude
 
-    kept = write_made(check_map(surface, out.name), out)
+    written = write_made(check_map(surface, out.name), out)
     found = amplitude(surface)
     rows, cols = surface.shape
     result = {
@@ -68,7 +68,7 @@ def deliver(
         "sz_um": found.sz_um,
         "made": surface.origin.get("made"),
         "defects": surface.origin.get("defects", []),
-        "origin_kept_in_file": kept,
+        "origin_kept_in_file": written,
     } | ({"deviation": deviation} if deviation else {})
     if as_json:
         sys.stdout.write(json.dumps(result, indent=2, ensure_ascii=False) + "\n")
@@ -88,7 +88,7 @@ def deliver(
         ]
     lines = [f"made: {_words(surface.origin['made'])}"] if "made" in surface.origin else []
     lines += [f"defect: {_words(entry)}" for entry in surface.origin.get("defects", [])]
-    lines += [] if kept else [f"{out.suffix} has no place for this history; x3p and npz keep it"]
+    lines += [] if written else [f"{out.suffix} has no place for this history; x3p and npz keep it"]
     print_table(out.name, ["quantity", "value", "unit"], table)
     sys.stdout.write("".join(f"{line}\n" for line in lines))
     return 0

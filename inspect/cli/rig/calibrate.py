@@ -55,11 +55,11 @@ def flat(
         json.dump({"file": str(out), **meta, "record": _as_json(record)}, sys.stdout, indent=2)
         sys.stdout.write("\n")
         return 0
-    said = (
+    text = (
         f"{out}: {meta['frames']} frames, median {meta['level']:.0%} of full scale, "
         f"radiance of the tile {meta['radiance']:.4f} 1/sr"
     )
-    console().print(said, markup=False, highlight=False)
+    console().print(text, markup=False, highlight=False)
     return _show(record, out, json_=False)
 
 
@@ -179,11 +179,11 @@ def response(
         json.dump({"file": str(out), **curve.model_dump(by_alias=True)}, sys.stdout, indent=1)
         sys.stdout.write("\n")
         return 0
-    said = (
+    text = (
         f"{out}: fitted from {len(curve.exposures_s)} exposures, which agree within {curve.residual:.2%}; name it in "
         "the rig file under [camera.options] response, then take a new flat"
     )
-    console().print(said, markup=False, highlight=False, soft_wrap=True)
+    console().print(text, markup=False, highlight=False, soft_wrap=True)
     return 0
 
 

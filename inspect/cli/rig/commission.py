@@ -89,15 +89,15 @@ def commission(
         from anisoscope.report.commission_page import write_commission_page
 
         write_commission_page(done, html)
-    said = [f"record: {target}"]
+    lines = [f"record: {target}"]
     if write:
         written = write_to_rig_file(rig, done.record)
-        said.append(
+        lines.append(
             "the rig file says all this already" if written is None else _written(rig, written.backup)
         )
-        if written is not None and not written.comments_kept:
-            said.append("the comments of the rig file could not be kept; they stand in the old file")
-    _show(done.record, said, json_)
+        if written is not None and not written.comments_preserved:
+            lines.append("the comments of the rig file could not be kept; they stand in the old file")
+    _show(done.record, lines, json_)
     return 0
 
 
@@ -141,7 +141,7 @@ def _part(
     return replace(known, **changes)  # type: ignore[arg-type]  # every field named above is a float
 
 
-def _show(record: "Commissioning", said: list[str], as_json: bool) -> None:
+def _show(record: "Commissioning", lines: list[str], as_json: bool) -> None:
     from anisoscope.report.commission_page import finding_row
 
     if as_json:
@@ -151,7 +151,7 @@ def _show(record: "Commissioning", said: list[str], as_json: bool) -> None:
     shown = [[words, unit, old, value, u] for words, _, unit, old, value, u, _ in rows]
     print_table(f"Commissioning of {record.rig}", ["what", "unit", "rig file", "found", "u"], shown)
     remarks = [f"{row[1]}: {row[6]}" for row in rows if row[6]]
-    for line in (*remarks, *record.notes, *said):
+    for line in (*remarks, *record.notes, *lines):
         console().print(line, markup=False, highlight=False)
 
 
@@ -182,15 +182,15 @@ def check(
     settings = Settings(exposure_s=exposure, gain=gain, frames=frames, tile=tile)
     with progress("self test", quiet=json_) as advance:
         result = self_test(rig, settings, commissioned, on_progress=advance)
-    kept = None if out is None else write_self_test(result, out)
+    written_to = None if out is None else write_self_test(result, out)
     if json_:
         sys.stdout.write(result.model_dump_json(by_alias=True, indent=2) + "\n")
     else:
-        _show_checks(result, kept)
+        _show_checks(result, written_to)
     return result.exit_code
 
 
-def _show_checks(result: "SelfTest", kept: Path | None) -> None:
+def _show_checks(result: "SelfTest", written_to: Path | None) -> None:
 
     rows = [
         [one.words, _short(one.value), _short(one.limit), one.unit or "1", one.outcome]
@@ -201,7 +201,9 @@ def _show_checks(result: "SelfTest", kept: Path | None) -> None:
         if one.remark:
             console().print(f"{one.words}: {one.remark}", markup=False, highlight=False)
     words = "the rig is fit" if result.fit else "the rig is NOT fit: what it measures is INVALID"
-    console().print(words if kept is None else f"{words}; record: {kept}", markup=False, highlight=False)
+    console().print(
+        words if written_to is None else f"{words}; record: {written_to}", markup=False, highlight=False
+    )
 
 
 def _short(value: float | str | None) -> str:

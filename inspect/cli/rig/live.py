@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.rig.options import Json, RigPath, say
+from anisoscope.cli.rig.options import Json, RigPath, write_line
 from anisoscope.cli.rig.snap import Exposure, Gain, LightState
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def live(
         by_hand = file.light.driver == "manual"  # which asks in the same terminal
         try:
             with _sinks(web, port, file.name, json_=json_) as sinks:
-                _watch(camera, sinks, focus, frames, 1.0 / fps, asked_to_end(listen=not by_hand))
+                _watch(camera, sinks, focus, frames, 1.0 / fps, end_request(listen=not by_hand))
         except KeyboardInterrupt:
             return 0
     return 0
@@ -89,7 +89,7 @@ def _watch(
         ended.wait(max(0.0, pause_s - (time.monotonic() - started)))
 
 
-def asked_to_end(*, listen: bool) -> threading.Event:
+def end_request(*, listen: bool) -> threading.Event:
     """Set once somebody typed q and Enter in the terminal; never, where there is none or `listen` is False."""
     ended = threading.Event()
     if not listen or sys.stdin is None or not sys.stdin.isatty():
@@ -115,7 +115,7 @@ def _sinks(web: bool, port: int, title: str, *, json_: bool) -> "Iterator[list[S
 
             page = stack.enter_context(LivePage(port, f"{title} – live"))
             print(f"live picture at {page.address}", flush=True)  # noqa: T201
-            say("Ctrl-C ends it")
+            write_line("Ctrl-C ends it")
             yield [_to_page(page)]
         elif json_:
             yield [_json_line]

@@ -14,7 +14,7 @@ from anisoscope.cli.rig.options import (
     Yes,
     confirm,
     print_json,
-    say,
+    write_line,
 )
 
 if TYPE_CHECKING:
@@ -124,7 +124,7 @@ def stop(*, which: Devices = NOTHING_NAMED, json_: Json = False) -> int:
     from anisoscope.rig.acquisition.opening import open_devices
 
     _, axes = which.read()
-    told = [_interrupt(holder) for holder in _holders(axes)]
+    interruptions = [_interrupt(holder) for holder in _holders(axes)]
     with open_devices(axes) as devices:
         problems = devices.make_safe()
         found = {table: (axis.name, _position(axis)) for table, axis in devices.axes.items()}
@@ -132,7 +132,7 @@ def stop(*, which: Devices = NOTHING_NAMED, json_: Json = False) -> int:
         raise RigError("; ".join(problems))
     if json_:
         rows = {table: {"device": name, "at_deg": at} for table, (name, at) in found.items()}
-        print_json({"interrupted": told, "axes": rows})
+        print_json({"interrupted": interruptions, "axes": rows})
         return 0
     for table, (name, at) in found.items():
         print(f"{table} {name}: stopped, is at {_degrees(at)}")  # noqa: T201
@@ -187,7 +187,7 @@ def _interrupt(holder: "Holder") -> int:
     from anisoscope.rig.portholder import wait_until_released
 
     holder.interrupt()
-    say(f"interrupted process {holder.pid} ({holder.program}), which has {holder.port} open")
+    write_line(f"interrupted process {holder.pid} ({holder.program}), which has {holder.port} open")
     if not wait_until_released(holder.port, RELEASE_S):
         raise RigError(
             f"process {holder.pid} ({holder.program}) was interrupted, but still has {holder.port} open after "

@@ -107,7 +107,7 @@ def _finite(value: Any) -> Any:  # noqa: ANN401
     return value
 
 
-def say(text: str) -> None:
+def write_line(text: str) -> None:
     """Tell people what happens, on standard error."""
     print(text, file=sys.stderr, flush=True)  # noqa: T201
 
@@ -119,7 +119,7 @@ def confirm(what: str, *, yes: bool) -> None:
         UsageError: nobody said yes, or there is no terminal to ask in.
     """
     if yes:
-        say(what)
+        write_line(what)
         return
     if sys.stdin is None or not sys.stdin.isatty():
         raise UsageError(f"{what}; there is no terminal to ask in whether it may: say so with --yes")

@@ -94,12 +94,12 @@ def bench(
     base = tcp_base or 0
     if not 0 <= base < 65536 - OTHERS:
         raise UsageError(f"--tcp-base must lie between 0 and {65535 - OTHERS}, not {base}")
-    made = Bench(read_bench(file))
+    virtual_rig = Bench(read_bench(file))
     with ExitStack() as stack:
         try:
-            places, urls = _serve_bench(made, base, stack, pty=pty)
+            places, urls = _serve_bench(virtual_rig, base, stack, pty=pty)
             if write_rig is not None:
-                _write_rig(made, urls, write_rig)
+                _write_rig(virtual_rig, urls, write_rig)
             shown = ", ".join(f"{name} {place}" for name, place in places.items())
             print(f"serving bench on {shown}", flush=True)  # noqa: T201
             threading.Event().wait()
@@ -109,7 +109,7 @@ def bench(
 
 
 def _serve_bench(
-    made: "Bench", base: int, stack: ExitStack, *, pty: bool
+    virtual_rig: "Bench", base: int, stack: ExitStack, *, pty: bool
 ) -> tuple[dict[str, str], dict[str, str]]:
     """Serve all devices; where each is found, and what a rig file calls that."""
     from anisoscope.sim.bench.camera import SimulatedCamera
@@ -119,21 +119,24 @@ def _serve_bench(
     def line(firmware: "Firmware", number: int) -> "PtyServer | TcpServer":
         return PtyServer(firmware) if pty else TcpServer(firmware, base and base + number)
 
-    stage, light = line(made.device(made.file.stage.protocol), 0), line(made.device("light"), 1)
-    camera = CameraServer(lambda: SimulatedCamera(made), base and base + 2)
+    stage, light = (
+        line(virtual_rig.device(virtual_rig.file.stage.protocol), 0),
+        line(virtual_rig.device("light"), 1),
+    )
+    camera = CameraServer(lambda: SimulatedCamera(virtual_rig), base and base + 2)
     for server in (stage, light, camera):
         stack.enter_context(server)
     places = {"stage": stage.port, "light": light.port, "camera": camera.port}
     return places, {"stage": stage.url, "light": light.url, "camera": camera.port}
 
 
-def _write_rig(made: "Bench", urls: dict[str, str], path: Path) -> None:
+def _write_rig(virtual_rig: "Bench", urls: dict[str, str], path: Path) -> None:
     """A rig file that knows the truth about the bench: zeros, senses, pixel size, fixture."""
     import tomli_w
 
     from anisoscope.base.atomic_write import write_text
 
-    file = made.file
+    file = virtual_rig.file
     stage: dict[str, Any] = {
         "driver": file.stage.protocol,
         "port": urls["stage"],

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.rig.options import Json, RigPath, print_json, say
+from anisoscope.cli.rig.options import Json, RigPath, print_json, write_line
 
 if TYPE_CHECKING:
     from anisoscope.rig.acquisition.opening import Devices
@@ -61,7 +61,9 @@ def snap(
     write_frame(frame, out)
     found = _judge(frame, info, saturated, picture)
     if unsure:
-        say(f"{' and '.join(unsure)}: not homed since connected; the angle in the file is what was read")
+        write_line(
+            f"{' and '.join(unsure)}: not homed since connected; the angle in the file is what was read"
+        )
     if json_:
         print_json({"file": str(out), "preview": None if picture is None else str(picture), **found})
     else:
@@ -94,8 +96,8 @@ def _take(
     settings = camera.configure(exposure, gain)
     (lamp.on if light == "on" else lamp.off)()
     info = camera.info
-    taken = [camera.grab().copy() for _ in range(frames)]
-    mean = np.rint(np.mean(taken, axis=0)).astype(np.uint16) if frames > 1 else taken[0]
+    captured = [camera.grab().copy() for _ in range(frames)]
+    mean = np.rint(np.mean(captured, axis=0)).astype(np.uint16) if frames > 1 else captured[0]
     stage_deg, tilt_deg = _angles(devices, file)
     frame = Frame(
         counts=mean,
@@ -111,7 +113,7 @@ def _take(
         camera=f"{info.model} {info.serial}",
         filters=info.filters,
     )
-    return frame, max(saturated_share(counts, info.bit_depth) for counts in taken)
+    return frame, max(saturated_share(counts, info.bit_depth) for counts in captured)
 
 
 def _angles(devices: "Devices", file: "RigFile") -> tuple[float, float]:
@@ -160,4 +162,4 @@ def _print(out: Path, picture: Path | None, found: dict[str, Any]) -> None:
     if picture is not None:
         print(f"{picture}: preview")  # noqa: T201
     if found["saturated_share"] > SATURATED_SHARE:
-        say("too many saturated pixels to measure anything: expose shorter")
+        write_line("too many saturated pixels to measure anything: expose shorter")

@@ -8,7 +8,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from anisoscope.cli.history.options import Json
-from anisoscope.cli.statistics.source import Html, print_grid, say
+from anisoscope.cli.statistics.source import Html, print_grid, write_lines
 
 
 def camera(
@@ -38,9 +38,9 @@ def camera(
     else:
         record = sheet.record
         until = f"valid until {record.valid_until:%Y-%m-%d}"
-        say(f"camera {record.camera.model} at gain {record.gain:g}: {record.id}, {until}")
+        write_lines(f"camera {record.camera.model} at gain {record.gain:g}: {record.id}, {until}")
         print_grid(values_table(sheet))
-        say(*sheet.notes, sheet.verdict)
+        write_lines(*sheet.notes, sheet.verdict)
         if html is not None:
-            say(f"{html}: the page")
+            write_lines(f"{html}: the page")
     return 0 if sheet.record.in_limits else 3

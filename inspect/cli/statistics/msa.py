@@ -19,7 +19,7 @@ from anisoscope.cli.statistics.source import (
     Selection,
     print_grid,
     readings_from,
-    say,
+    write_lines,
 )
 
 if TYPE_CHECKING:
@@ -201,6 +201,6 @@ def _show(
         return
     for grid in grids:
         print_grid(grid)
-    say(*notes, str(content["verdict"]))
+    write_lines(*notes, str(content["verdict"]))
     if html is not None:
-        say(f"{html}: the page")
+        write_lines(f"{html}: the page")

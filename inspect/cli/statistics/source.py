@@ -72,7 +72,7 @@ def print_grid(grid: "Grid") -> None:
     print_table(grid.title, list(grid.columns), [list(row) for row in grid.rows], grid.note or None)
 
 
-def say(*lines: str) -> None:
+def write_lines(*lines: str) -> None:
     """Print sentences as they are."""
     for line in lines:
         console().print(line, markup=False, highlight=False, soft_wrap=True)

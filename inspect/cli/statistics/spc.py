@@ -21,7 +21,7 @@ from anisoscope.cli.statistics.source import (
     Selection,
     print_grid,
     readings_from,
-    say,
+    write_lines,
 )
 
 if TYPE_CHECKING:
@@ -136,7 +136,7 @@ def _deliver(
         return
     _show(readings, found, skipped, alone=len(found) == 1 and not skipped)
     if html is not None:
-        say(f"{html}: charts of {first[0].name}")
+        write_lines(f"{html}: charts of {first[0].name}")
 
 
 def _tolerances(recipe: str | None) -> dict[str, float] | None:
@@ -173,8 +173,8 @@ def _all(
             values = part.numbers[name]
             try:
                 limits = _specification(part, name, charting, tolerances)
-                made = control_study(_title(name, group), values, part.labels, settings, limits)
-                found.append((name, group, made))
+                chart = control_study(_title(name, group), values, part.labels, settings, limits)
+                found.append((name, group, chart))
             except UsageError as error:
                 if len(names) * len(groups) == 1:
                     raise
@@ -206,15 +206,15 @@ def _source(readings: "Readings") -> str:
 def _show(readings: "Readings", studies: "list[ControlStudy]", skipped: list[str], *, alone: bool) -> None:
     from anisoscope.report.spc_page import overview, tables
 
-    say(_source(readings))
+    write_lines(_source(readings))
     if not alone:
         print_grid(overview(studies))
     else:
         for grid in tables(studies[0], SHOWN):
             print_grid(grid)
         if studies[0].normality is not None:
-            say(f"Anderson-Darling: p {studies[0].normality.p:.3g}, {studies[0].normality.hint}")
-        say(*studies[0].notes)
-    say(*(f"left out: {line}" for line in skipped))
+            write_lines(f"Anderson-Darling: p {studies[0].normality.p:.3g}, {studies[0].normality.hint}")
+        write_lines(*studies[0].notes)
+    write_lines(*(f"left out: {line}" for line in skipped))
     for study in studies if len(studies) <= SHOWN else studies[:1]:
-        say(f"{study.name}: {study.verdict}")
+        write_lines(f"{study.name}: {study.verdict}")

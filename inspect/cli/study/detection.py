@@ -47,16 +47,16 @@ def detection_command(
     """
     from anisoscope.report.detection_page import tables_of, write_detection_page
     from anisoscope.report.detection_text import write_results
-    from anisoscope.study.detection.run import Plan, told_study
+    from anisoscope.study.detection.run import Plan, study_results
     from anisoscope.study.sweep import Workers
 
     worlds: tuple[World, ...] = ("same", "other") if world == "both" else (world,)
     recipes: tuple[RecipeName, ...] = ("standard", "tilted") if recipe == "both" else (recipe,)
     count = defective if defective is not None else min(300, max(1, 3 * parts // 20))
-    kept: dict[str, Any] = {} if folder is None else {"folder": folder.resolve()}
-    plan = Plan(worlds, recipes, parts, count, seed, **kept)
+    folder_option: dict[str, Any] = {} if folder is None else {"folder": folder.resolve()}
+    plan = Plan(worlds, recipes, parts, count, seed, **folder_option)
     with progress("detection", quiet=json_) as advance:
-        found = told_study(plan, Workers(jobs, scheduler), advance)
+        found = study_results(plan, Workers(jobs, scheduler), advance)
     if html is not None:
         write_detection_page(html, found)
     if markdown is not None:

@@ -57,12 +57,12 @@ def read_codes(picture: Counts, kind: Kind = "any") -> tuple[Code, ...]:
         UsageError: a code that calls itself GS1, and is not.
     """
     library: Any = importlib.import_module("zxingcpp")  # compiled, without types
-    wanted = [key for key in _FORMATS if kind in {"any", key}]
+    selected = [key for key in _FORMATS if kind in {"any", key}]
     found: dict[tuple[str, str], Code] = {}
     for rendering in _renderings(picture):
         if found and rendering.slow:  # for pictures in which nothing was found
             break
-        kinds = [key for key in wanted if key == "code128" or not rendering.bars_only]
+        kinds = [key for key in selected if key == "code128" or not rendering.bars_only]
         formats = [getattr(library.BarcodeFormat, _FORMATS[key]) for key in kinds]
         for one in library.read_barcodes(rendering.image, formats=formats) if formats else ():
             code = _code(one, rendering, library)

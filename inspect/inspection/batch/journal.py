@@ -90,8 +90,8 @@ class BatchFile(_Part):
         hardware = next((code for code in faults if code >= HARDWARE), None)
         if hardware is not None:
             return hardware
-        said = {one.verdict for one in self.slots} | ({"INVALID"} if faults else set())
-        worst = next((word for word in VERDICTS if word in said), "PASS")
+        verdicts = {one.verdict for one in self.slots} | ({"INVALID"} if faults else set())
+        worst = next((word for word in VERDICTS if word in verdicts), "PASS")
         all_done = all(one.state == "done" for one in self.slots)
         return Verdict(worst).exit_code or (0 if all_done else NOT_ALL)
 

@@ -23,7 +23,7 @@ class Operator(Protocol):
     """Whom a batch asks."""
 
     @property
-    def asks(self) -> bool:
+    def interactive(self) -> bool:
         """Whether anybody answers."""
         ...
 
@@ -48,11 +48,11 @@ class Operator(Protocol):
         ...
 
 
-class Nobody:
+class Unattended:
     """For trays that fill themselves: parts are there, and two faults in a row end the batch."""
 
     @property
-    def asks(self) -> bool:
+    def interactive(self) -> bool:
         """Nobody answers."""
         return False
 

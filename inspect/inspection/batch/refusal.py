@@ -43,7 +43,7 @@ def refuse_part(
     job = prepare(recipe_path, rig_path, serial)
     with expecting(job, on_progress) as ready, new_folder(out, serial) as folder:
         here = rig_path.resolve().parent
-        made = begin(
+        started = begin(
             folder,
             job,
             particulars or Particulars(),
@@ -54,4 +54,4 @@ def refuse_part(
         )
         if picture is not None:
             write_frame(picture, folder / CODE_PICTURE)
-        return conclude(folder, made, job, ready, on_progress)
+        return conclude(folder, started, job, ready, on_progress)

@@ -62,7 +62,7 @@ def check_order(order: Order, operator: Operator) -> None:
         RecipeError, RigFileError, HeightMapError, CalibrationError: a file.
     """
     for slot in order.tray.slots:
-        if slot.serial is None and order.look is None and not operator.asks:
+        if slot.serial is None and order.look is None and not operator.interactive:
             raise UsageError(
                 f"{order.tray.path}, line {slot.line}, column serial: slot {slot.label} has none; read it from the "
                 "part with --read-code, or let somebody scan it (without --yes)"

@@ -71,9 +71,9 @@ def whose(folder: Path, scan: Scan | None = None) -> tuple[str, Particulars]:
         UsageError: lines of the table disagree, or files and code, or there is no usable serial number.
     """
     path = folder / PART_NAME
-    said = read_toml_model(path, PartFile, error=ConfigError) if path.exists() else PartFile()
+    part_file = read_toml_model(path, PartFile, error=ConfigError) if path.exists() else PartFile()
     known = _of_table(folder / TABLE) | {
-        name: text for name in COLUMNS if (text := getattr(said, name)) is not None
+        name: text for name in COLUMNS if (text := getattr(part_file, name)) is not None
     }
     serial = known.pop("serial", None)
     if scan is not None:
@@ -382,7 +382,7 @@ class Watch:
     verdicts: list[str] = field(default_factory=list)
     bad: dict[str, Bad] = field(default_factory=dict)
     arriving: dict[str, tuple[Signature, float]] = field(default_factory=dict)
-    _told: dict[str, str] = field(default_factory=dict)
+    _reported: dict[str, str] = field(default_factory=dict)
     _recipe: AnyRecipe = field(init=False)
     _journal: WatchJournal = field(init=False)
 
@@ -503,12 +503,12 @@ class Watch:
         retry_at: float | None = None,
     ) -> None:
         """Note why a folder is bad, and say so once; which file is missing may change while it arrives."""
-        said = " ".join(reason.split())
-        self.bad[name] = Bad(signature, said, retry_at)
-        what = "incomplete" if incomplete else said
-        if self._told.get(name) != what:
-            self._told[name] = what
-            self.listener.bad(name, said)
+        text = " ".join(reason.split())
+        self.bad[name] = Bad(signature, text, retry_at)
+        what = "incomplete" if incomplete else text
+        if self._reported.get(name) != what:
+            self._reported[name] = what
+            self.listener.bad(name, text)
 
     def _whose(self, folder: Path) -> tuple[str, Particulars]:
         """Whose frames these are, by files and, if wanted, by the code on the part; the frames are checked as well.
@@ -544,7 +544,7 @@ class Watch:
             self._done(arrival.path, key, inspected, arrival)
         else:  # it changed before it was copied, and will be looked at again
             self._done(arrival.path, whole_key(arrival.path, copied), inspected, None)
-        self._told.pop(arrival.name, None)
+        self._reported.pop(arrival.name, None)
         self.listener.inspected(arrival.name, inspected)
 
     def _done(self, folder: Path, key: str, inspected: Inspected, arrival: Arrival | None) -> None:

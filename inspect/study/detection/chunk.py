@@ -184,22 +184,22 @@ def _calibrated(whole: Sensor, shape: tuple[int, int], size: Size) -> Camera:
     acquisition = recipe_of("tilted", size).acquisition
     exposure = acquisition.exposure_s
     cosine = float(np.cos(np.radians(LIGHT_DEG)))
-    nothing = np.zeros(shade.shape)
+    dark_scene = np.zeros(shade.shape)
     tile = TILE / np.pi * cosine * shade * size.optics.electrons * exposure
 
     def frames(kind: FrameKind, signal: FloatArray, count: int) -> Stack:
         return stack(_frame(sensor, signal, exposure, kind) for _ in range(count))
 
-    dark = frames("dark", nothing, acquisition.dark_frames)
-    made = make_reference(
+    dark = frames("dark", dark_scene, acquisition.dark_frames)
+    reference = make_reference(
         frames("flat", np.asarray(tile, dtype=np.float64), _FLAT_FRAMES),
-        frames("dark", nothing, _FLAT_FRAMES),
+        frames("dark", dark_scene, _FLAT_FRAMES),
         reflectance=TILE,
         light_cosine=cosine,
         camera="virtual",
         full_scale=sensor.full_scale,
     )
-    white = WhiteReference(made["signal"], made["meta"]["radiance"], "virtual", "", TILE, "")
+    white = WhiteReference(reference["signal"], reference["meta"]["radiance"], "virtual", "", TILE, "")
     return Camera(sensor, shade, dark, white)
 
 
@@ -354,10 +354,10 @@ class ChunkTask:
 
 def inspect_chunk(task: ChunkTask) -> Columns:
     """Columns of a chunk, each (parts, …), made unless they are cached."""
-    return task.entry.result(lambda: _made(task), _packed, _unpacked)
+    return task.entry.result(lambda: _simulated_chunk(task), _packed, _unpacked)
 
 
-def _made(task: ChunkTask) -> Columns:
+def _simulated_chunk(task: ChunkTask) -> Columns:
     _one_thread()
     return _columns([_flat(row) for row in _inspected(task)])
 
@@ -442,7 +442,7 @@ def judge(views: list[View], truth: FloatArray, name: RecipeName, size: Size) ->
         unfit = drift_complaint(measured, recipe) is not None
         decision = decide(expected, measured, recipe)
     except MeasurementError as error:
-        return {**_nothing(poses), "reason": str(error)}
+        return {**_invalid_row(poses), "reason": str(error)}
     deviation = np.log(measured.radiance / expected.radiance)
     own = np.array([c.relative for c in measured.components])
     assert tuple(c.source for c in measured.components) == MEASURED_SOURCES
@@ -478,7 +478,7 @@ def _of_map(decision: Decision) -> Row:
     }
 
 
-def _nothing(poses: int) -> Row:
+def _invalid_row(poses: int) -> Row:
     """The row of a part that could not be judged."""
     nan = np.full(poses, np.nan)
     pairs = np.full(poses - poses // 3, np.nan)

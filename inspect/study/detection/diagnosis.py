@@ -112,13 +112,13 @@ def diagnosed(
     alpha = recipe_of(name, size).decision.alpha
     rows = []
     for number in range(min(count, len(seen["extent"]))):
-        told = diagnose(known, evidence(seen, name, size, number, golden))
-        ties = {finding.cause for finding in told.ties}
-        first = told.findings[0].cause
-        right = next((finding for finding in told.findings if finding.cause == cause), None)
-        wrong = not ties & {cause, NOTHING} and told.unexplained_p >= alpha
+        diagnosis = diagnose(known, evidence(seen, name, size, number, golden))
+        ties = {finding.cause for finding in diagnosis.ties}
+        first = diagnosis.findings[0].cause
+        right = next((finding for finding in diagnosis.findings if finding.cause == cause), None)
+        wrong = not ties & {cause, NOTHING} and diagnosis.unexplained_p >= alpha
         fit = (np.nan,) * 4 if right is None else (right.extent, right.u, _end(right.low), _end(right.high))
-        rows.append((first, told.findings[1].cause, cause in ties, wrong, len(ties), *fit))
+        rows.append((first, diagnosis.findings[1].cause, cause in ties, wrong, len(ties), *fit))
     names = ("first", "second", "tied", "wrong", "ties", "extent", "u", "low", "high")
     return {title: np.array(values) for title, values in zip(names, zip(*rows, strict=True), strict=True)}
 

@@ -88,7 +88,7 @@ def _matched() -> Lobes:
     poses = expected_of("tilted", Size()).poses
     seen = directions(poses, Convention(LIGHT_DEG))
     design = RidgeDesign(PITCH_UM, RIDGE_ANGLE_DEG)
-    wanted = np.log(corrected.radiance(*seen, design, WHOLE))
+    target = np.log(corrected.radiance(*seen, design, WHOLE))
     surface = ridges(design, (2, 3 * POINTS_A_PITCH + 1), (PITCH_UM, PITCH_UM / POINTS_A_PITCH))
     relief = Relief(surface, PITCH_UM)
 
@@ -101,7 +101,7 @@ def _matched() -> Lobes:
     def off(change: FloatArray) -> FloatArray:
         shines = [quick_shine(light, camera, material(change)) for light, camera in zip(*seen, strict=True)]
         found = [float(shown.mean(dtype=np.float64)) for shown in lobe_maps(relief, shines, "ggx")]
-        return np.asarray(np.log(found) - wanted)
+        return np.asarray(np.log(found) - target)
 
     fit = least_squares(off, np.array([-0.2, -0.2, -0.1]), bounds=(-1.0, 1.0), diff_step=[1e-3])
     a, b, c = (float(factor) for factor in np.exp(fit.x))

@@ -133,7 +133,7 @@ def recipe_of(name: RecipeName, size: Size, *, stated: bool = False) -> RidgeRec
         "ridge_angle_deg": RIDGE_ANGLE_DEG,
         "u_ridge_angle_deg": RIDGE_ANGLE_SPREAD_DEG if stated else 0.0,
     }
-    told: dict[str, Any] = {
+    table: dict[str, Any] = {
         "schema": 1,
         "product": "ridged plate of the detection study",
         "surface": {"pitch_um": PITCH_UM, "design": design},
@@ -151,7 +151,7 @@ def recipe_of(name: RecipeName, size: Size, *, stated: bool = False) -> RidgeRec
         "region": {"size_mm": [size.ridges * PITCH_UM / 1000.0, size.pitches * PITCH_UM / 1000.0]},
         "uncertainty": {"seating_tilt_deg": 0.1},
     }
-    return RidgeRecipe.model_validate(told)
+    return RidgeRecipe.model_validate(table)
 
 
 @lru_cache(maxsize=8)

@@ -48,7 +48,7 @@ from anisoscope.study.detection.statistics import (
     uniformity,
 )
 
-Told = dict[str, Any]
+Results = dict[str, Any]
 
 LEVEL = 0.01
 GOLDEN_SETS = 40
@@ -58,7 +58,7 @@ DRAWN = ("shipped+area", "known+area", "golden+area")
 _TINY = 1e-300
 
 
-def results_of(world: World, seen: dict[str, Columns], name: RecipeName, size: Size) -> Told:
+def results_of(world: World, seen: dict[str, Columns], name: RecipeName, size: Size) -> Results:
     """Everything about one recipe in one world.
 
     Args:
@@ -78,20 +78,20 @@ def results_of(world: World, seen: dict[str, Columns], name: RecipeName, size: S
     }
     scores = {kind: _scores(columns, kind, name, benches, met[kind]) for kind, columns in valid.items()}
     with_area(scores)
-    told = scores[GOOD]
+    good_scores = scores[GOOD]
     apart = separability_of(name, size)
     return {
         "good": {
             "parts": len(good["extent"]),
             "invalid": int(len(seen[GOOD]["extent"]) - len(good["extent"])),
             "golden_sets": len(pool),
-            "false_alarms": _false_alarms(good, name, told),
-            "p_values": {rule: _of_p(told[rule]) for rule in RULES},
+            "false_alarms": _false_alarms(good, name, good_scores),
+            "p_values": {rule: _of_p(good_scores[rule]) for rule in RULES},
             "coverage": _coverage_of_good(good, name, benches[0]),
         },
         "classes": [
             {
-                **_class(kind.name, valid, scores, told, name, benches[0], apart.get(kind.cause)),
+                **_class(kind.name, valid, scores, good_scores, name, benches[0], apart.get(kind.cause)),
                 "intervals": _intervals(kind.name, valid, name, size) if world == "same" else None,
             }
             for kind in CLASSES
@@ -99,7 +99,7 @@ def results_of(world: World, seen: dict[str, Columns], name: RecipeName, size: S
     }
 
 
-def _intervals(kind: str, seen: dict[str, Columns], name: RecipeName, size: Size) -> Told | None:
+def _intervals(kind: str, seen: dict[str, Columns], name: RecipeName, size: Size) -> Results | None:
     """Intervals of extents where everything that varies is stated: only the world of the predictor is known so well."""
     held = intervals_held(kind, seen, name, size)
     if held is None:
@@ -174,9 +174,9 @@ def with_area(scores: dict[str, dict[str, FloatArray]]) -> None:
             found[f"{rule}+area"] = np.maximum(found[rule], found["area"]) - np.log10(2.0)
 
 
-def _false_alarms(good: Columns, name: RecipeName, scores: dict[str, FloatArray]) -> Told:
+def _false_alarms(good: Columns, name: RecipeName, scores: dict[str, FloatArray]) -> Results:
     limit = -np.log10(LEVEL)
-    found: Told = {rule: _rate(rate(scores[rule] > limit)) for rule in RULES}
+    found: Results = {rule: _rate(rate(scores[rule] > limit)) for rule in RULES}
     found["marks"] = _rate(rate(good[f"{name}/p_marks"] < LEVEL))
     found["area share over its limit"] = _rate(rate(good[f"{name}/share_fails"].astype(bool)))
     found["verdict FAIL"] = _rate(rate(_fails(good, name, scores)))
@@ -190,21 +190,21 @@ def _fails(seen: Columns, name: RecipeName, scores: dict[str, FloatArray]) -> np
     return np.asarray((scores["shipped"] > -np.log10(LEVEL)) | seen[f"{name}/share_fails"].astype(bool))
 
 
-def _of_p(scores: FloatArray) -> Told:
+def _of_p(scores: FloatArray) -> Results:
     p = 10.0**-scores
     distance, chance = uniformity(p)
     return {"histogram": histogram(p), "kolmogorov": distance, "chance": chance}
 
 
-def _rate(found: Rate) -> Told:
+def _rate(found: Rate) -> Results:
     return {"rate": found.value, "count": found.count, "of": found.of, "interval": [found.low, found.high]}
 
 
-def _area(found: Area) -> Told:
+def _area(found: Area) -> Results:
     return {"auc": found.value, "u": found.u, "interval": list(found.interval)}
 
 
-def _coverage_of_good(good: Columns, name: RecipeName, bench: Bench) -> Told:
+def _coverage_of_good(good: Columns, name: RecipeName, bench: Bench) -> Results:
     """Shares of good parts whose 95 % intervals hold what they should."""
     pairs = consecutive_pairs(bench.expected.poses)
     first, second = np.array(pairs).T
@@ -241,7 +241,7 @@ def _class(
     name: RecipeName,
     bench: Bench,
     apart: Separability | None,
-) -> Told:
+) -> Results:
     columns, own = seen[kind], scores[kind]
     way = np.where(columns["extent"] < 0.0, -1.0, 1.0)[:, None]  # what is off both ways must not cancel
     shift = np.mean(
@@ -263,35 +263,37 @@ def _class(
     }
 
 
-def _detection(bad: FloatArray, good: FloatArray) -> Told:
+def _detection(bad: FloatArray, good: FloatArray) -> Results:
     """Detection at the nominal threshold, and at that set on half of the good parts and tried on the others."""
     set_on, tried_on = good[::2], good[1::2]
     limit = threshold(set_on, LEVEL)
-    found: Told = {**_area(area_under_curve(bad, good)), "set": _rate(rate(bad > limit))}
+    found: Results = {**_area(area_under_curve(bad, good)), "set": _rate(rate(bad > limit))}
     found["false_alarms_set"] = _rate(rate(tried_on > limit))
     found["nominal"] = _rate(rate(bad > -np.log10(LEVEL)))
     return found
 
 
-def _diagnosis(kind: str, seen: Columns, name: RecipeName, bench: Bench, apart: Separability | None) -> Told:
+def _diagnosis(
+    kind: str, seen: Columns, name: RecipeName, bench: Bench, apart: Separability | None
+) -> Results:
     cause, extent, size = BY_NAME[kind].cause, BY_NAME[kind].extent, bench.size
-    told = diagnosed(kind, seen, name, size, len(seen["extent"]))
+    diagnoses = diagnosed(kind, seen, name, size, len(seen["extent"]))
     taught = diagnosed(kind, seen, name, size, TAUGHT_DIAGNOSES, bench.golden)
-    named, counts = np.unique(told["first"], return_counts=True)
+    named, counts = np.unique(diagnoses["first"], return_counts=True)
     order = np.argsort(-counts)
     needed = None if apart is None else apart.told_apart_from
-    right, u, low, high = (told[name] for name in ("extent", "u", "low", "high"))
+    right, u, low, high = (diagnoses[name] for name in ("extent", "u", "low", "high"))
     inside = np.isfinite(right)
     truth = true_extents(kind, seen, size)
     # an open end holds everything beyond
     held = ~(truth < low) & ~(truth > high)
     closed = inside & np.isfinite(low) & np.isfinite(high)
     return {
-        "right_first": _rate(rate(told["first"] == cause)),
-        "right_first_or_second": _rate(rate((told["first"] == cause) | (told["second"] == cause))),
-        "right_tied": _rate(rate(told["tied"])),
-        "confidently_wrong": _rate(rate(told["wrong"])),
-        "ties": float(told["ties"].mean()),
+        "right_first": _rate(rate(diagnoses["first"] == cause)),
+        "right_first_or_second": _rate(rate((diagnoses["first"] == cause) | (diagnoses["second"] == cause))),
+        "right_tied": _rate(rate(diagnoses["tied"])),
+        "confidently_wrong": _rate(rate(diagnoses["wrong"])),
+        "ties": float(diagnoses["ties"].mean()),
         "right_first_against_golden": _rate(rate(taught["first"] == cause)),
         "confidently_wrong_against_golden": _rate(rate(taught["wrong"])),
         "first": [[str(named[k]) or "none", int(counts[k])] for k in order[:4]],

@@ -61,17 +61,17 @@ class Bench:
 
     def response(self, *, spread: bool, better: float) -> Response:
         """That of the prediction, with the ridge angle of good parts, or with the material known better."""
-        told = (self.stated if spread else self.expected).response
-        assert told is not None
+        response = (self.stated if spread else self.expected).response
+        assert response is not None
         known = (ALONG, ACROSS, ALBEDO)
-        scale = np.array([1.0 / better if source in known else 1.0 for source in told.sources])
-        return Response(told.sources, told.slope * scale, told.bend * np.outer(scale, scale))
+        scale = np.array([1.0 / better if source in known else 1.0 for source in response.sources])
+        return Response(response.sources, response.slope * scale, response.bend * np.outer(scale, scale))
 
     def spread(self) -> FloatArray:
         """(P, P) covariance of ln L that the spread of the ridge angle adds."""
         with_it, without = (
-            np.sum([component.covariance() for component in told.components], axis=0)
-            for told in (self.stated, self.expected)
+            np.sum([component.covariance() for component in expectation.components], axis=0)
+            for expectation in (self.stated, self.expected)
         )
         return np.asarray(with_it - without)
 

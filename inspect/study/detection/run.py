@@ -97,11 +97,11 @@ def outlook() -> dict[str, list[dict[str, Any]]]:
 
 
 def _recipe(angles: tuple[float, ...], tilts: tuple[float, ...]) -> RidgeRecipe:
-    told = recipe_of("standard", Size(), stated=True).model_dump()
-    told["schema"] = 1
-    told.pop("schema_version", None)
-    told["poses"] |= {"angles_deg": angles, "tilts_deg": tilts}
-    return RidgeRecipe.model_validate(told)
+    table = recipe_of("standard", Size(), stated=True).model_dump()
+    table["schema"] = 1
+    table.pop("schema_version", None)
+    table["poses"] |= {"angles_deg": angles, "tilts_deg": tilts}
+    return RidgeRecipe.model_validate(table)
 
 
 def _shifts(name: str, expected: Expectation) -> list[FloatArray]:
@@ -126,11 +126,11 @@ def _good(recipe: RidgeRecipe, expected: Expectation, better: tuple[str, ...]) -
     Returns:
         Response to the inputs, the ridge angle of good parts among them, and (P − 1, P − 1) covariance of the rest.
     """
-    told = expected.response
-    assert told is not None
+    inputs = expected.response
+    assert inputs is not None
     basis = log_basis(len(expected.poses))
-    scale = np.array([1.0 / BETTER if better and name.startswith(better) else 1.0 for name in told.sources])
-    response = Response(told.sources, told.slope * scale, told.bend * np.outer(scale, scale))
+    scale = np.array([1.0 / BETTER if better and name.startswith(better) else 1.0 for name in inputs.sources])
+    response = Response(inputs.sources, inputs.slope * scale, inputs.bend * np.outer(scale, scale))
     predicted = np.sum([c.covariance() for c in expected.components], axis=0)
     alone = planned_covariance(recipe, expected) - predicted
     alone = basis @ alone @ basis.T * (BETTER**-2.0 if RIG in better else 1.0)
@@ -259,7 +259,7 @@ def _joined(chunks: Sequence[Columns], count: int) -> Columns:
     return {name: np.concatenate([chunk[name] for chunk in chunks])[:count] for name in names}
 
 
-def told_plan(plan: Plan) -> dict[str, Any]:
+def plan_table(plan: Plan) -> dict[str, Any]:
     """The plan as JSON."""
     found = asdict(plan)
     del found["folder"]
@@ -267,7 +267,7 @@ def told_plan(plan: Plan) -> dict[str, Any]:
     return {**found, "frame": [sensor.rows, sensor.cols]}
 
 
-def told_study(plan: Plan, workers: Workers, advance: Advance = silent) -> dict[str, Any]:
+def study_results(plan: Plan, workers: Workers, advance: Advance = silent) -> dict[str, Any]:
     """Make the study and tell everything that it found, as plain numbers.
 
     Raises:
@@ -275,11 +275,11 @@ def told_study(plan: Plan, workers: Workers, advance: Advance = silent) -> dict[
         SweepError: a process failed.
     """
     seen = collect(plan, workers, advance)
-    found: dict[str, Any] = {"plan": told_plan(plan), "worlds": {}}
+    found: dict[str, Any] = {"plan": plan_table(plan), "worlds": {}}
     steps = [(world, name) for world in plan.worlds for name in plan.recipes]
     tasks = [(world, seen[world], name, plan.size) for world, name in steps]
-    told = sweep(_evaluated, tasks, workers, advance=advance, doing="evaluation")
-    for (world, name), results in zip(steps, told, strict=True):
+    evaluated = sweep(_evaluated, tasks, workers, advance=advance, doing="evaluation")
+    for (world, name), results in zip(steps, evaluated, strict=True):
         found["worlds"].setdefault(world, {})[name] = results
     found["other_world"] = _of_other_world(plan, workers, advance)
     found["outlook"] = outlook()

@@ -104,7 +104,7 @@ def sheet_tasks(worlds: tuple[World, ...], size: Size, seed: int, folder: Path |
 
 def sheet_of(task: SheetTask) -> Sheet:
     """A sheet, rendered unless it is cached."""
-    return task.entry.result(lambda: _made(task), _packed, _unpacked)
+    return task.entry.result(lambda: _rendered_sheet(task), _packed, _unpacked)
 
 
 def prepare_sheet(task: SheetTask) -> None:
@@ -112,7 +112,7 @@ def prepare_sheet(task: SheetTask) -> None:
     sheet_of(task)
 
 
-def _made(task: SheetTask) -> Sheet:
+def _rendered_sheet(task: SheetTask) -> Sheet:
     surface, spoiled = sheet_surface(task)
     shown = np.stack([_reduced(view, 2) for view in _rendered(surface, task.world)])
     return Sheet(shown.astype(np.float16), spoiled)

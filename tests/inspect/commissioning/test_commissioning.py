@@ -390,7 +390,7 @@ def test_a_rig_file_keeps_its_comments(tmp_path):
         path, {("stage", "zero_deg"): 12.25, ("stage", "turns"): "cw", ("light", "angle_deg"): 9.5}
     )
     text = path.read_text(encoding="utf-8")
-    assert written.comments_kept
+    assert written.comments_preserved
     assert written.backup.read_bytes() == before
     assert "zero_deg = 12.25  # by eye" in text
     assert text.startswith("# our rig")
@@ -406,7 +406,7 @@ def test_a_rig_file_written_otherwise_is_written_anew(tmp_path):
         encoding="utf-8",
     )  # fmt: skip
     written = update_rig_file(path, {("stage", "turns"): "cw"})
-    assert not written.comments_kept
+    assert not written.comments_preserved
     assert read_rig(path).stage.turns == "cw"
     assert "# inline" in written.backup.read_text(encoding="utf-8")
     before = path.read_bytes()

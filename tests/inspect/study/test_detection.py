@@ -56,7 +56,7 @@ from anisoscope.study.detection.product import (
 )
 from anisoscope.study.detection.results import RULES, golden_pool, met_sets, with_area
 from anisoscope.study.detection.rules import bench_of, covariance_of_measurement, distances, limits, p_values
-from anisoscope.study.detection.run import Plan, area_of, collect, told_study
+from anisoscope.study.detection.run import Plan, area_of, collect, study_results
 from anisoscope.study.detection.sheets import POINTS, SheetTask, cut, sheet_of, sheet_surface
 from anisoscope.study.detection.statistics import (
     area_under_curve,
@@ -404,7 +404,7 @@ def studied():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(detection_sheets, "_PATHS", 256)
         patch.setattr(detection_diagnosis, "FITTED", 3)  # a second each
-        told = told_study(plan, Workers(1))
+        told = study_results(plan, Workers(1))
     (shared / "told.json").write_text(json.dumps(told), encoding="utf-8")
     (shared / "made").touch()
     return plan, told
@@ -541,7 +541,7 @@ def test_the_series_of_views_begins_with_the_standard_recipe_and_closes_with_its
 def test_false_alarms_of_the_same_world_keep_their_level(tmp_path: Path):
     """Five hundred good parts of the real size: the level holds where the recipe states all that varies."""
     plan = Plan(("same",), ("standard", "tilted"), 500, 25, 2, Size(causes=("roughness-across",)), tmp_path)
-    told = told_study(plan, Workers(2))
+    told = study_results(plan, Workers(2))
     for recipe in plan.recipes:
         alarms = told["worlds"]["same"][recipe]["good"]["false_alarms"]
         for rule in ("spread", "golden"):

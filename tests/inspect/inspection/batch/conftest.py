@@ -3,7 +3,7 @@
 import pytest
 
 from anisoscope.inspection import pipeline as judging
-from anisoscope.inspection.batch.operator import Answer, Nobody
+from anisoscope.inspection.batch.operator import Answer, Unattended
 from anisoscope.inspection.batch.run import run_batch
 from anisoscope.inspection.batch.start import Order
 from anisoscope.inspection.batch.tray import read_tray
@@ -12,7 +12,7 @@ TILE = {"sample": {"kind": "white-tile"}}
 TWO_POSES = {"poses": {"angles_deg": [0.0, 90.0]}}
 
 
-class Scripted(Nobody):
+class Scripted(Unattended):
     """An operator whose answers are known beforehand, and who notes what was asked."""
 
     def __init__(self, answers=(), serials=(), troubles=(), asks=True):
@@ -83,7 +83,7 @@ def run(remembered):
 
     def start(order, operator=None, **options):
         return run_batch(
-            order, operator or Nobody(), lambda found: remembered.append(found.record.serial), **options
+            order, operator or Unattended(), lambda found: remembered.append(found.record.serial), **options
         )
 
     return start

@@ -11,7 +11,7 @@ from anisoscope.cli.inspect.lot_mates import lot_mates
 from anisoscope.inspection import run as inspection
 from anisoscope.inspection.batch.first_pose import Look
 from anisoscope.inspection.batch.journal import read_batch
-from anisoscope.inspection.batch.operator import Answer, Nobody, seconds_left
+from anisoscope.inspection.batch.operator import Answer, Unattended, seconds_left
 from anisoscope.inspection.batch.run import run_batch
 from anisoscope.inspection.batch.scan import read_scan
 from anisoscope.inspection.integrity import verify
@@ -225,7 +225,7 @@ def test_every_part_is_shown_beside_those_of_its_lot(tray_of, monkeypatch, tmp_p
     place = tmp_path / "history.sqlite"
     order = tray_of("slot,serial,lot\n1,A17,L7\n2,A18,L8\n3,A19,L7\n")
     order = replace(order, lot_mates=lambda lot: lot_mates(place, lot))
-    run_batch(order, Nobody(), lambda inspected: remember(inspected, place))
+    run_batch(order, Unattended(), lambda inspected: remember(inspected, place))
     assert lots == [("A17", None), ("A18", None), ("A19", ["A17"])]
 
 
@@ -243,5 +243,5 @@ def test_a_part_that_is_taken_up_is_shown_beside_its_lot_as_well(tray_of, failin
         tray_of("slot,serial,lot\n1,A17,L7\n2,A18,L7\n"), lot_mates=lambda lot: lot_mates(place, lot)
     )
     for resume in (False, True):
-        run_batch(order, Nobody(), lambda inspected: remember(inspected, place), resume=resume)
+        run_batch(order, Unattended(), lambda inspected: remember(inspected, place), resume=resume)
     assert lots == [("A17", None), ("A18", ["A17"])]
