@@ -1,7 +1,6 @@
 """Contrasts of one stage angle between two tilts: a spike, or a lobe that is too wide, changes those and no others."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,6 +9,7 @@ from anisoscope.base.significance import holm, two_sided
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.prediction.expectation import Component, Expectation
 from anisoscope.recipe.surface import ContrastKind
+from anisoscope.record.schema import TiltContrastRecord
 from anisoscope.sim.light.geometry import Pose
 
 Pairs = Sequence[tuple[int, int]]
@@ -44,37 +44,9 @@ def pair_gradient(pairs: Pairs, radiance: FloatArray, kind: ContrastKind) -> Flo
     return gradient
 
 
-@dataclass(frozen=True)
-class TiltResult:
-    """One contrast between the first tilt and another one, measured beside predicted.
-
-    Attributes:
-        stage_deg: stage angle of both poses.
-        from_tilt_deg: the first tilt.
-        to_tilt_deg: the other tilt.
-        measured: the measured contrast.
-        predicted: the predicted contrast.
-        u_measured: standard uncertainty of the measured one.
-        u_predicted: standard uncertainty of the predicted one.
-        p_value: of their difference, Holm-adjusted over all contrasts between tilts.
-    """
-
-    stage_deg: float
-    from_tilt_deg: float
-    to_tilt_deg: float
-    measured: float
-    predicted: float
-    u_measured: float
-    u_predicted: float
-    p_value: float
-
-    @property
-    def u(self) -> float:
-        """Standard uncertainty of measured − predicted."""
-        return float(np.hypot(self.u_measured, self.u_predicted))
-
-
-def between_tilts(expected: Expectation, measured: Measured, kind: ContrastKind) -> tuple[TiltResult, ...]:
+def between_tilts(
+    expected: Expectation, measured: Measured, kind: ContrastKind
+) -> tuple[TiltContrastRecord, ...]:
     """The contrasts of every stage angle between the first tilt and each other one, in the order of the poses.
 
     Args:
@@ -89,14 +61,21 @@ def between_tilts(expected: Expectation, measured: Measured, kind: ContrastKind)
     components = expected.components + measured.components
     u_seen = _spread(pairs, measured.radiance, kind, [c for c in components if c.kind == "measurement"])
     u_meant = _spread(pairs, expected.radiance, kind, [c for c in components if c.kind != "measurement"])
-    adjusted = holm(two_sided(_by_u(seen - meant, np.hypot(u_seen, u_meant))))
+    u = np.hypot(u_seen, u_meant)
+    adjusted = holm(two_sided(_by_u(seen - meant, u)))
     poses = expected.poses
     return tuple(
-        TiltResult(
-            poses[i].stage_deg,
-            poses[i].tilt_deg,
-            poses[j].tilt_deg,
-            *(float(column[k]) for column in (seen, meant, u_seen, u_meant, adjusted)),
+        TiltContrastRecord(
+            stage_deg=poses[i].stage_deg,
+            from_tilt_deg=poses[i].tilt_deg,
+            to_tilt_deg=poses[j].tilt_deg,
+            kind=kind,
+            measured=seen[k],
+            predicted=meant[k],
+            u_measured=u_seen[k],
+            u_predicted=u_meant[k],
+            u=u[k],
+            p_value=adjusted[k],
         )
         for k, (i, j) in enumerate(pairs)
     )

@@ -13,67 +13,24 @@ import numpy.typing as npt
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.significance import holm, joint_conformance, said, two_sided
 from anisoscope.decision.consistency_test import from_golden, from_prediction
-from anisoscope.decision.cross_tilt_contrasts import TiltResult, between_tilts, pair_gradient
+from anisoscope.decision.cross_tilt_contrasts import between_tilts, pair_gradient
 from anisoscope.decision.cross_tilt_contrasts import deviating as deviating_between_tilts
 from anisoscope.decision.reference_parts import GoldenSet
-from anisoscope.imaging.defect_regions import Region, deviation_map, find_regions
-from anisoscope.imaging.deviation_map import AreaResult, CellMap, cell_map, judge_area
+from anisoscope.imaging.defect_regions import deviation_map, find_regions
+from anisoscope.imaging.deviation_map import CellMap, cell_map, judge_area
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.prediction.expectation import Component, Expectation
 from anisoscope.recipe.surface import ContrastKind, DecisionPart, SurfaceRecipe, source_name
+from anisoscope.record.schema import (
+    AreaRecord,
+    BudgetRecord,
+    ContrastRecord,
+    RegionRecord,
+    TiltContrastRecord,
+)
 from anisoscope.record.verdict import Verdict
 from anisoscope.sim.light.contrasts import Contrast, consecutive_pairs, contrasts
 from anisoscope.sim.light.geometry import Pose
-
-
-@dataclass(frozen=True)
-class PairResult:
-    """One contrast, measured beside predicted.
-
-    Attributes:
-        from_deg: first stage angle.
-        to_deg: second stage angle.
-        tilt_deg: tilt of camera and light.
-        measured: the measured contrast.
-        predicted: the predicted contrast.
-        u: standard uncertainty of their difference.
-        tolerance: largest allowed deviation, or None.
-        guard: guard band, or None.
-        conformance: probability that the deviation truly lies within the tolerance, or None.
-        verdict: of this pair alone; without a tolerance PASS.
-        p_value: of this deviation, Holm-adjusted over all pairs.
-    """
-
-    from_deg: float
-    to_deg: float
-    tilt_deg: float
-    measured: float
-    predicted: float
-    u: float
-    tolerance: float | None
-    guard: float | None
-    conformance: float | None
-    verdict: Verdict
-    p_value: float
-
-    @property
-    def tolerance_ratio(self) -> float | None:
-        """T/U of tolerance and expanded uncertainty (k = 2); below 4 good parts often end undecided."""
-        return None if self.tolerance is None or self.u == 0.0 else self.tolerance / (2.0 * self.u)
-
-    @property
-    def deviation(self) -> float:
-        """Measured − predicted."""
-        return self.measured - self.predicted
-
-
-@dataclass(frozen=True)
-class BudgetRow:
-    """One source of uncertainty, as its contribution to every contrast."""
-
-    source: str
-    kind: str
-    contributions: tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -83,14 +40,14 @@ class Decision:
     Attributes:
         verdict: of the part.
         reasons: one line each, most important first.
-        pairs: the contrasts.
+        contrasts: the contrasts of consecutive stage angles.
         d2: squared Mahalanobis distance of all deviations from the prediction; with golden parts Hotelling's T² from
             their mean.
         dof: number of independent contrasts.
         p_value: probability of a larger distance for a part as predicted (or as the golden parts); where the area is
             judged by golden parts too, both share one level (Holm 1979).
         golden: number of golden parts compared with, 0 for none.
-        conformance: probability that all deviations truly lie within their tolerances, or None.
+        conformance_probability: that all deviations truly lie within their tolerances, or None.
         area: the contrast map judged, or None.
         regions: groups of deviating cells, the least probable first.
         budget: sources of uncertainty, largest first.
@@ -101,18 +58,18 @@ class Decision:
 
     verdict: Verdict
     reasons: tuple[str, ...]
-    pairs: tuple[PairResult, ...]
+    contrasts: tuple[ContrastRecord, ...]
     d2: float
     dof: int
     p_value: float
     golden: int
-    conformance: float | None
-    area: AreaResult | None
-    regions: tuple[Region, ...]
-    budget: tuple[BudgetRow, ...]
+    conformance_probability: float | None
+    area: AreaRecord | None
+    regions: tuple[RegionRecord, ...]
+    budget: tuple[BudgetRecord, ...]
     cells: CellMap | None
     deviating: npt.NDArray[np.bool_] | None
-    between_tilts: tuple[TiltResult, ...]
+    between_tilts: tuple[TiltContrastRecord, ...]
 
 
 def contrast_gradient(poses: tuple[Pose, ...], radiance: FloatArray, kind: ContrastKind) -> FloatArray:
@@ -195,7 +152,7 @@ def decide(
     )
 
 
-def _regions(cells: CellMap | None, measured: Measured, recipe: SurfaceRecipe) -> tuple[Region, ...]:
+def _regions(cells: CellMap | None, measured: Measured, recipe: SurfaceRecipe) -> tuple[RegionRecord, ...]:
     if cells is None or recipe.area is None:
         return ()
     return find_regions(deviation_map(cells), recipe.area, measured.grid)
@@ -203,12 +160,12 @@ def _regions(cells: CellMap | None, measured: Measured, recipe: SurfaceRecipe) -
 
 def _budget(
     components: tuple[Component, ...], variances: list[FloatArray], recipe: SurfaceRecipe
-) -> tuple[BudgetRow, ...]:
+) -> tuple[BudgetRecord, ...]:
     rows = [
-        BudgetRow(
-            source_name(c.source, wafer=recipe.is_wafer),
-            c.kind,
-            tuple(float(v) for v in np.sqrt(np.maximum(np.diag(variance), 0.0))),
+        BudgetRecord(
+            source=source_name(c.source, wafer=recipe.is_wafer),
+            kind=c.kind,
+            contributions=tuple(np.sqrt(np.maximum(np.diag(variance), 0.0))),
         )
         for c, variance in zip(components, variances, strict=True)
     ]
@@ -241,7 +198,7 @@ def _judge_pairs(
     deviation: FloatArray,
     u: FloatArray,
     recipe: SurfaceRecipe,
-) -> tuple[PairResult, ...]:
+) -> tuple[ContrastRecord, ...]:
     results = []
     tolerances = recipe.tolerances()
     z = np.divide(deviation, u, out=np.where(deviation == 0.0, 0.0, np.inf), where=u > 0.0)
@@ -254,27 +211,29 @@ def _judge_pairs(
                 float(deviation[k]), float(u[k]), tolerance, recipe.decision.coverage
             )
         results.append(
-            PairResult(
-                contrast.from_deg,
-                contrast.to_deg,
-                contrast.tilt_deg,
-                float(predicted[k] + deviation[k]),
-                float(predicted[k]),
-                float(u[k]),
-                tolerance,
-                guard,
-                conformance,
-                verdict,
-                float(adjusted[k]),
+            ContrastRecord(
+                from_deg=contrast.from_deg,
+                to_deg=contrast.to_deg,
+                tilt_deg=contrast.tilt_deg,
+                kind=recipe.decision.contrast,
+                measured=predicted[k] + deviation[k],
+                predicted=predicted[k],
+                u=u[k],
+                tolerance=tolerance,
+                guard=guard,
+                conformance_probability=conformance,
+                verdict=verdict,
+                p_value=adjusted[k],
+                tolerance_ratio=None if tolerance is None or u[k] == 0.0 else tolerance / (2.0 * u[k]),
             )
         )
     return tuple(results)
 
 
 def _combine(
-    pairs: tuple[PairResult, ...],
+    pairs: tuple[ContrastRecord, ...],
     p_value: float,
-    area: AreaResult | None,
+    area: AreaRecord | None,
     rule: DecisionPart,
     golden: int,
     where: tuple[str, ...],
@@ -306,20 +265,24 @@ def _combine(
     return verdict, (("warning: significant deviation within the tolerance",) if warn else ()) + decisive
 
 
-def _share(area: AreaResult, share: float) -> str:
+def _share(area: AreaRecord, share: float) -> str:
     return f"{share:.2%}" if area.learnt else f"{share:.1%}"
 
 
-def _limit_of(area: AreaResult) -> str:
+def _limit_of(area: AreaRecord) -> str:
     return _share(area, area.max_share) + (", learnt from golden parts" if area.learnt else "")
 
 
-def _of_tolerance(pair: PairResult, rule: DecisionPart) -> str:
+def _of_tolerance(pair: ContrastRecord, rule: DecisionPart) -> str:
     name = {"log_ratio": "ln ratio", "michelson": "Michelson contrast", "difference": "difference"}
     where = f"{name[rule.contrast]} {pair.from_deg:g}°/{pair.to_deg:g}° at tilt {pair.tilt_deg:g}°"
     return f"{where} deviates by {pair.deviation:+.3f} (tolerance ±{pair.tolerance:g}, guard band {pair.guard:.3f})"
 
 
-def _where(pairs: tuple[PairResult, ...], alpha: float) -> tuple[str, ...]:
+def _where(pairs: tuple[ContrastRecord, ...], alpha: float) -> tuple[str, ...]:
     """The pairs that deviate by themselves, at one level for all (Holm)."""
-    return tuple(f"{p.from_deg:g}°/{p.to_deg:g}° at tilt {p.tilt_deg:g}°" for p in pairs if p.p_value < alpha)
+    return tuple(
+        f"{p.from_deg:g}°/{p.to_deg:g}° at tilt {p.tilt_deg:g}°"
+        for p in pairs
+        if p.p_value is not None and p.p_value < alpha
+    )

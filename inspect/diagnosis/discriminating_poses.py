@@ -293,7 +293,7 @@ def advice_for(
     nothing = f"nothing that was tried ({tried}): at this size optics cannot"
     by_words: dict[str, list[str]] = {}
     for one in others:
-        pair = (best.cause, best.extent), (one.cause, one.extent)
+        pair = (best.cause, best.severity), (one.cause, one.severity)
         words = telling(tuple(option for option in options if option.tells(*pair)))
         by_words.setdefault(words or nothing, []).append(bare_title(one.title))
     if len(by_words) == 1:

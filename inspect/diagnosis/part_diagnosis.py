@@ -19,7 +19,7 @@ from anisoscope.diagnosis.signature_cache import remembered_signatures
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.prediction.expectation import Expectation
 from anisoscope.recipe.surface import SurfaceRecipe
-from anisoscope.record.schema import CauseRecord, DiagnosisRecord
+from anisoscope.record.schema import DiagnosisRecord
 from anisoscope.record.verdict import Verdict
 
 TIES_SAID = 3  # in one line; the table of causes has all
@@ -91,26 +91,13 @@ def diagnosis_record(found: Diagnosis, alpha: float, of: str = "part") -> Diagno
         alpha: level of significance: below it none of them explains what was inspected.
         of: what was inspected, in words.
     """
-    causes = tuple(
-        CauseRecord(
-            cause=one.cause,
-            title=one.title,
-            unit=one.unit,
-            severity=one.extent,
-            u=one.u if np.isfinite(one.u) else None,
-            interval=(one.low, one.high),
-            weight=one.weight,
-            chi2=one.chi2,
-            at_bound=one.at_bound,
-            tie=one.tie,
-        )
-        for one in found.findings
+    return DiagnosisRecord(
+        says=_says(found, alpha, of), causes=found.causes, unexplained_p=found.unexplained_p
     )
-    return DiagnosisRecord(says=_says(found, alpha, of), causes=causes, unexplained_p=found.unexplained_p)
 
 
 def _says(found: Diagnosis, alpha: float, of: str) -> str:
-    best = found.findings[0]
+    best = found.causes[0]
     if found.unexplained_p < alpha:
         return f"none of the causes explains the {of} (p {said(found.unexplained_p)} for the best of them)"
     if best.cause == NOTHING:

@@ -16,6 +16,7 @@ import numpy as np
 from anisoscope.diagnosis.evidence import Evidence
 from anisoscope.diagnosis.likelihood import Fitted, fit_extent, interval, nothing
 from anisoscope.diagnosis.signatures import Signature, Signatures
+from anisoscope.record.schema import CauseRecord
 
 NOTHING = "nothing"
 TIE = 9.0  # 3σ in χ² for one parameter
@@ -23,52 +24,21 @@ _SAME = 1e-9
 
 
 @dataclass(frozen=True)
-class Finding:
-    """How well one cause explains a part.
-
-    Attributes:
-        cause: its name; "nothing" is the part as predicted.
-        title: what it is, for people.
-        unit: of the extent.
-        extent: fitted extent; 0 for nothing.
-        u: its standard uncertainty from the curvature; infinite where the data do not determine it.
-        low: lower end of the 95 % interval; None where it reaches past what was looked at.
-        high: upper end.
-        at_bound: the fit ended at the end of what was looked at.
-        chi2: what remains unexplained.
-        weight: share of the belief, exp(−BIC/2) over all causes.
-        tie: no data tell it from the best cause.
-    """
-
-    cause: str
-    title: str
-    unit: str
-    extent: float
-    u: float
-    low: float | None
-    high: float | None
-    at_bound: bool
-    chi2: float
-    weight: float
-    tie: bool
-
-
-@dataclass(frozen=True)
 class Diagnosis:
     """All causes, the best first.
 
     Attributes:
-        findings: ranked causes, "nothing" among them.
+        causes: ranked causes, "nothing" among them.
         unexplained_p: probability of the χ² that the best leaves; small: none of the causes explains the part.
     """
 
-    findings: tuple[Finding, ...]
+    causes: tuple[CauseRecord, ...]
     unexplained_p: float
 
     @property
-    def ties(self) -> tuple[Finding, ...]:
+    def ties(self) -> tuple[CauseRecord, ...]:
         """The best cause and those that cannot be told from it."""
-        return tuple(finding for finding in self.findings if finding.tie)
+        return tuple(cause for cause in self.causes if cause.tie)
 
 
 def diagnose(known: Signatures, evidence: Evidence) -> Diagnosis:
@@ -89,9 +59,9 @@ def diagnose(known: Signatures, evidence: Evidence) -> Diagnosis:
     weight /= weight.sum()
     order = np.argsort(bic, kind="stable")
     best, good = rows[order[0]], rows[0][1]
-    findings = tuple(_finding(rows[k], float(weight[k]), best[1], good, evidence) for k in order)
+    causes = tuple(_cause(rows[k], weight[k], best[1], good, evidence) for k in order)
     dof = max(data - (best[0] is not None), 1)
-    return Diagnosis(findings, _chance(best[1].chi2, dof, evidence))
+    return Diagnosis(causes, _chance(best[1].chi2, dof, evidence))
 
 
 def _chance(left: float, dof: int, evidence: Evidence) -> float:
@@ -104,19 +74,37 @@ def _chance(left: float, dof: int, evidence: Evidence) -> float:
     return float(f.sf(left * (free - dof + 1.0) / (free * dof), dof, free - dof + 1.0))
 
 
-def _finding(
+def _cause(
     row: tuple[Signature | None, Fitted], weight: float, best: Fitted, good: Fitted, evidence: Evidence
-) -> Finding:
+) -> CauseRecord:
     signature, fit = row
     # what fits no better than nothing at all is no cause, however little the best one explains
     explains = signature is None or good.cost - fit.cost > _SAME
     tie = fit is best or (fit.cost - best.cost < TIE and explains)
     if signature is None:
-        return Finding(NOTHING, "as predicted", "", 0.0, 0.0, 0.0, 0.0, False, fit.chi2, weight, tie)
-    at_bound = fit.extent in signature.bounds and fit.extent != 0.0
-    cause, (low, high) = signature.cause, interval(signature, evidence, fit)
-    return Finding(
-        cause.name, cause.title, cause.unit, fit.extent, fit.u, low, high, at_bound, fit.chi2, weight, tie
+        return CauseRecord(
+            cause=NOTHING,
+            title="as predicted",
+            unit="",
+            severity=0.0,
+            u=0.0,
+            interval=(0.0, 0.0),
+            weight=weight,
+            chi2=fit.chi2,
+            at_bound=False,
+            tie=tie,
+        )
+    return CauseRecord(
+        cause=signature.cause.name,
+        title=signature.cause.title,
+        unit=signature.cause.unit,
+        severity=fit.extent,
+        u=fit.u if np.isfinite(fit.u) else None,
+        interval=interval(signature, evidence, fit),
+        weight=weight,
+        chi2=fit.chi2,
+        at_bound=fit.extent in signature.bounds and fit.extent != 0.0,
+        tie=tie,
     )
 
 

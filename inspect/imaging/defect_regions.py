@@ -5,7 +5,6 @@ than N·A(n)·qⁿ groups of n touching cells are expected among N cells, A(n) b
 have (fixed polyplets; OEIS A006770). q is the tail of the map's own scatter, or what good parts have shown.
 """
 
-from dataclasses import dataclass
 from typing import Literal
 
 import cv2
@@ -17,6 +16,7 @@ from anisoscope.imaging.deviation_map import CellMap
 from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH
 from anisoscope.imaging.registration.placement import Grid
 from anisoscope.recipe.surface import AreaPart
+from anisoscope.record.schema import RegionRecord
 
 Cells = npt.NDArray[np.bool_]
 Kind = Literal["missing ridge", "flank", "scratch", "spot", "patch"]
@@ -26,33 +26,6 @@ GROWTH = 6.5  # A(n + 1)/A(n) beyond the table
 WHOLE_LINE = 0.7  # share of the region's length from which on a mark runs along the whole ridge
 ELONGATED = 3.0
 SPOT_CELLS = 6
-
-
-@dataclass(frozen=True)
-class Region:
-    """A group of cells that deviate together.
-
-    Attributes:
-        x_mm: across the ridges, from the rotation axis, of its middle; sample frame at stage angle 0.
-        y_mm: along the ridges.
-        width_mm: extent across the ridges.
-        length_mm: extent along them.
-        area_share: share of the judged area.
-        cells: how many cells.
-        kind: what it looks like.
-        deviation: ln ratio by which its cells are off on average, of the pair where it shows most.
-        p_value: probability that a good part shows a group of this size anywhere.
-    """
-
-    x_mm: float
-    y_mm: float
-    width_mm: float
-    length_mm: float
-    area_share: float
-    cells: int
-    kind: Kind
-    deviation: float
-    p_value: float
 
 
 def deviation_map(cells: CellMap) -> FloatArray:
@@ -92,7 +65,7 @@ def chance_of_a_group(cells: int, among: int, chance: float) -> float:
 
 def find_regions(
     deviation: FloatArray, rule: AreaPart, grid: Grid, chance: float | None = None
-) -> tuple[Region, ...]:
+) -> tuple[RegionRecord, ...]:
     """Groups of deviating cells, the least probable (then the largest) first.
 
     Args:
@@ -110,22 +83,22 @@ def find_regions(
     return tuple(sorted(regions, key=lambda region: (region.p_value, -region.cells)))
 
 
-def _region(inside: Cells, deviation: FloatArray, grid: Grid, chance: float) -> Region:
+def _region(inside: Cells, deviation: FloatArray, grid: Grid, chance: float) -> RegionRecord:
     rows, cols = np.nonzero(inside)
     along, across = grid.size_mm
     step_y, step_x = along / inside.shape[0], across / inside.shape[1]
     turn = np.radians(grid.turn_deg)
     u = (cols.mean() - 0.5 * (inside.shape[1] - 1)) * step_x
     v = (0.5 * (inside.shape[0] - 1) - rows.mean()) * step_y
-    return Region(
-        x_mm=float(grid.center_mm[0] + np.cos(turn) * u - np.sin(turn) * v),
-        y_mm=float(grid.center_mm[1] + np.sin(turn) * u + np.cos(turn) * v),
-        width_mm=float((np.ptp(cols) + 1) * step_x),
-        length_mm=float((np.ptp(rows) + 1) * step_y),
-        area_share=float(inside.mean()),
+    return RegionRecord(
+        x=grid.center_mm[0] + np.cos(turn) * u - np.sin(turn) * v,
+        y=grid.center_mm[1] + np.sin(turn) * u + np.cos(turn) * v,
+        width=(np.ptp(cols) + 1) * step_x,
+        length=(np.ptp(rows) + 1) * step_y,
+        area_share=inside.mean(),
         cells=len(rows),
         kind=kind_of(inside),
-        deviation=float(deviation[inside].mean()),
+        deviation=deviation[inside].mean(),
         p_value=chance_of_a_group(len(rows), inside.size, chance),
     )
 

@@ -11,34 +11,12 @@ from anisoscope.base.significance import holm
 from anisoscope.imaging.area_limit import KnownShares
 from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH, Measured
 from anisoscope.recipe.surface import AreaPart
+from anisoscope.record.schema import AreaRecord
 from anisoscope.record.verdict import Verdict
 from anisoscope.sim.light.contrasts import consecutive_pairs
 from anisoscope.sim.light.geometry import Pose
 
 MAX_CELL_NOISE = 0.25
-
-
-@dataclass(frozen=True)
-class AreaResult:
-    """The contrast map judged: share of deviating cells.
-
-    Attributes:
-        share: share of the cells that deviate.
-        u: its standard uncertainty.
-        max_share: limit.
-        cells: how many cells there are.
-        verdict: of the area alone.
-        learnt: the limit is that of golden parts.
-        p_value: chance that a good part like the golden ones shows as much, or None without them.
-    """
-
-    share: float
-    u: float
-    max_share: float
-    cells: int
-    verdict: Verdict
-    learnt: bool = False
-    p_value: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +99,7 @@ def judge_area(
     alpha: float = 0.01,
     p_means: float = 1.0,
     cells: CellMap | None = None,
-) -> tuple[AreaResult | None, npt.NDArray[np.bool_] | None]:
+) -> tuple[AreaRecord | None, npt.NDArray[np.bool_] | None]:
     """Judge the contrast map of a part.
 
     Args:
@@ -166,12 +144,16 @@ def judge_area(
         verdict = Verdict.PASS
     elif share >= limit + guard:
         verdict = Verdict.FAIL
-    return AreaResult(share, u, limit, off.size, verdict), off > rule.cell_deviation
+    return AreaRecord(
+        share=share, u=u, max_share=limit, cells=off.size, verdict=verdict
+    ), off > rule.cell_deviation
 
 
-def _beside_golden(share: float, u: float, known: KnownShares, alpha: float, p_means: float) -> AreaResult:
+def _beside_golden(share: float, u: float, known: KnownShares, alpha: float, p_means: float) -> AreaRecord:
     chance = known.chance(share)
     fails = holm(np.array([p_means, chance]))[1] < alpha
     limit = known.limit(alpha if p_means < 0.5 * alpha else 0.5 * alpha)
     verdict = Verdict.FAIL if fails else Verdict.PASS
-    return AreaResult(share, u, limit, known.cells, verdict, learnt=True, p_value=chance)
+    return AreaRecord(
+        share=share, u=u, max_share=limit, cells=known.cells, verdict=verdict, learnt=True, p_value=chance
+    )

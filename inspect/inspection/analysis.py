@@ -1,7 +1,5 @@
 """What a record tells beside the verdict: causes, both comparisons, the fit over tilts, golden parts, and notes."""
 
-from typing import Any
-
 import numpy as np
 
 from anisoscope.base.progress import Advance
@@ -15,7 +13,7 @@ from anisoscope.imaging.height_map_place import match_map
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.inspection.job import Job
 from anisoscope.prediction.expectation import Expectation, expectation
-from anisoscope.record.schema import GoldenRecord
+from anisoscope.record.schema import GoldenRecord, Results
 
 
 def insight(
@@ -25,7 +23,7 @@ def insight(
     decision: Decision,
     advance: Advance,
     predict: Predict = expectation,
-) -> dict[str, Any]:
+) -> Results:
     """Fields of the record that explain a verdict and never change it.
 
     Args:
@@ -65,7 +63,7 @@ def _golden(golden: GoldenSet | None, measured: Measured) -> GoldenRecord | None
     mine = log_basis(len(measured.radiance)) @ np.log(measured.radiance)
     return GoldenRecord(
         parts=len(golden.parts),
-        mean=tuple(float(value) for value in contrasts.mean(axis=0)),
-        contrasts=tuple(tuple(float(value) for value in row) for row in contrasts),
-        measured=tuple(float(value) for value in mine),
+        mean=tuple(contrasts.mean(axis=0)),
+        contrasts=tuple(tuple(row) for row in contrasts),
+        measured=tuple(mine),
     )

@@ -50,7 +50,7 @@ def judge(
         The record, without the list of the folder's files, and the pictures of the report.
     """
     if made.refused is not None:
-        record = make_record(made, job, expected, taken, verdict="INVALID", reasons=(made.refused,))
+        record = make_record(made, job, expected, taken, verdict=Verdict.INVALID, reasons=(made.refused,))
         return record, Pictures(surface=expected.surface)
     if isinstance(expected, PrintExpectation):
         return judge_print(made, job, expected, taken, advance, final=final)
@@ -58,10 +58,11 @@ def judge(
         views, measured, change = measure_frames(made, job, expected, taken)
         decision = decide(expected, measured, job.ridged, known_good(job))
     except (MeasurementError, CameraError) as error:
-        record = make_record(made, job, expected, taken, verdict="INVALID", reasons=(str(error),))
+        record = make_record(made, job, expected, taken, verdict=Verdict.INVALID, reasons=(str(error),))
         return record, Pictures(raw=as_photographed(taken), surface=expected.surface)
     unfit = resuming_error(change, job.recipe.limits.drift) or drift_complaint(measured, job.ridged)
-    cells, undecided = decision.cells, decision.verdict is Verdict.INCONCLUSIVE
+    explained = not unfit and (final or decision.verdict is not Verdict.INCONCLUSIVE)
+    cells = decision.cells
     pictures = Pictures(
         aligned=measured.aligned,
         size_mm=measured.grid.size_mm,
@@ -70,19 +71,17 @@ def judge(
         deviation=None if cells is None else deviation_map(cells),
         surface=expected.surface,
     )
+    found = results(expected, views, measured, decision)
+    if explained:
+        found |= insight(job, expected, measured, decision, advance, predict)
     record = make_record(
         made,
         job,
         expected,
         taken,
-        verdict="INVALID" if unfit else decision.verdict.value,
+        verdict=Verdict.INVALID if unfit else decision.verdict,
         reasons=(unfit,) if unfit else decision.reasons,
-        **results(job, expected, views, measured, decision),
-        **(
-            {}
-            if unfit or (undecided and not final)
-            else insight(job, expected, measured, decision, advance, predict)
-        ),
+        **found,
     )
     return record, pictures
 

@@ -6,13 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from anisoscope.base.progress import Advance, silent
-from anisoscope.decision.decision import BudgetRow, contrast_gradient
+from anisoscope.decision.decision import contrast_gradient
 from anisoscope.diagnosis.discriminating_poses import remembered_options
 from anisoscope.diagnosis.evidence import background_of
 from anisoscope.diagnosis.separability import Separability, planned_covariance, planned_inputs, separability
 from anisoscope.diagnosis.signature_cache import remembered_signatures
 from anisoscope.prediction.expectation import Expectation, expectation
 from anisoscope.recipe.surface import SurfaceRecipe, source_name
+from anisoscope.record.schema import BudgetRecord
 from anisoscope.sim.light.contrasts import contrasts
 
 WANTED_RATIO = 4.0
@@ -74,7 +75,7 @@ class RecipeCheck:
     """
 
     pairs: tuple[PlannedPair, ...]
-    budget: tuple[BudgetRow, ...]
+    budget: tuple[BudgetRecord, ...]
     causes: tuple[Separability, ...]
     left_out: tuple[tuple[str, str], ...]
     advice: tuple[TiltAdvice, ...]
@@ -149,7 +150,7 @@ def second_lamps_for(
 
 def _plan(
     recipe: SurfaceRecipe, expected: Expectation
-) -> tuple[tuple[PlannedPair, ...], tuple[BudgetRow, ...]]:
+) -> tuple[tuple[PlannedPair, ...], tuple[BudgetRecord, ...]]:
     kind = recipe.decision.contrast
     gradient = contrast_gradient(expected.poses, expected.radiance, kind)
     measured = planned_covariance(recipe, expected)
@@ -178,8 +179,10 @@ def _plan(
         ("measurement, without noise", "measurement")
     ]
     rows = [
-        BudgetRow(
-            name, what, tuple(float(v) for v in np.sqrt(np.maximum(np.diag(gradient @ v @ gradient.T), 0.0)))
+        BudgetRecord(
+            source=name,
+            kind=what,
+            contributions=tuple(np.sqrt(np.maximum(np.diag(gradient @ v @ gradient.T), 0.0))),
         )
         for (name, what), v in zip(names, [*parts, rest], strict=True)
     ]

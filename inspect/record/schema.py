@@ -3,13 +3,14 @@
 import hashlib
 import json
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypedDict
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import RecordError
 from anisoscope.kinds.prints.record import PrintRecord
+from anisoscope.record.verdict import Verdict
 
 RECORD_NAME = "record.json"
 UNSEALED = "0" * 64
@@ -67,7 +68,13 @@ class PoseRecord(_Part):
 
 
 class ContrastRecord(_Part):
-    """One contrast of a pair of stage angles."""
+    """One contrast of a pair of stage angles.
+
+    ``u`` is the standard uncertainty of measured − predicted. ``tolerance``, ``guard`` band and
+    ``conformance_probability`` are null without a tolerance, and ``verdict``, of this contrast alone, is PASS then.
+    ``p_value`` is Holm-adjusted over all contrasts. ``tolerance_ratio`` is T/U of tolerance and expanded uncertainty
+    (k = 2); below 4 good parts often end undecided.
+    """
 
     from_deg: float
     to_deg: float
@@ -79,9 +86,14 @@ class ContrastRecord(_Part):
     tolerance: float | None
     guard: float | None
     conformance_probability: float | None
-    verdict: str
+    verdict: Verdict
     p_value: float | None = None
     tolerance_ratio: float | None = None
+
+    @property
+    def deviation(self) -> float:
+        """Measured − predicted."""
+        return self.measured - self.predicted
 
 
 class TiltContrastRecord(_Part):
@@ -103,13 +115,16 @@ class TiltContrastRecord(_Part):
 
 
 class AreaRecord(_Part):
-    """The contrast map judged; ``learnt`` if the limit is that of golden parts, ``p_value`` by them."""
+    """The contrast map judged: share of its cells that deviate, and the standard uncertainty of that share.
+
+    ``learnt`` if the limit is that of golden parts, ``p_value`` the chance that a part like them shows as much.
+    """
 
     share: float
     u: float
     max_share: float
     cells: int
-    verdict: str
+    verdict: Verdict
     learnt: bool = False
     p_value: float | None = None
 
@@ -132,7 +147,13 @@ class BudgetRecord(_Part):
 
 
 class RegionRecord(_Part):
-    """A group of cells that deviate together: its middle and extents in mm, x across the ridges."""
+    """A group of cells that deviate together, in the sample frame at stage angle 0.
+
+    Middle, from the rotation axis, and extents in mm: x and width across the ridges, y and length along them.
+    ``area_share`` is its share of the judged area, ``kind`` what it looks like, ``deviation`` the ln ratio by which its
+    cells are off on average, of the pair where it shows most, and ``p_value`` the probability that a good part shows a
+    group of this size anywhere.
+    """
 
     x: float
     y: float
@@ -146,10 +167,12 @@ class RegionRecord(_Part):
 
 
 class CauseRecord(_Part):
-    """One cause and how well it explains the part.
+    """One cause and how well it explains the part; "nothing" is the part as predicted.
 
-    ``u`` is None where the data do not determine the severity. ``interval`` holds it with 95 %; None for an end that
-    lies beyond what was looked at.
+    ``u`` is the standard uncertainty of the severity, null where the data do not determine it. ``interval`` holds the
+    severity with 95 %; null for an end that lies beyond what was looked at. ``weight`` is the share of the belief,
+    exp(−BIC/2) over all causes, ``chi2`` what remains unexplained; ``at_bound`` if the fit ended at the end of what was
+    looked at, ``tie`` if no data tell the cause from the best one.
     """
 
     cause: str
@@ -306,6 +329,30 @@ class Record(_Part):
     inputs: tuple[InputFile, ...]
     frames: tuple[FrameRecord, ...]
     files: tuple[InputFile, ...] = ()
+
+
+class Results(TypedDict, total=False):
+    """What a record holds beside its inputs: the models that measurement, decision and diagnosis made."""
+
+    poses: tuple[PoseRecord, ...]
+    contrasts: tuple[ContrastRecord, ...]
+    between_tilts: tuple[TiltContrastRecord, ...]
+    d2: float | None
+    dof: int | None
+    p_value: float | None
+    area: AreaRecord | None
+    budget: tuple[BudgetRecord, ...]
+    drift: float | None
+    conformance_probability: float | None
+    regions: tuple[RegionRecord, ...]
+    diagnosis: DiagnosisRecord
+    comparisons: tuple[ComparisonRecord, ...]
+    reading: str | None
+    shape: ShapeRecord | None
+    golden: GoldenRecord | None
+    map_place: MapPlaceRecord | None
+    print: PrintRecord
+    notes: tuple[str, ...]
 
 
 def sha256_of(path: Path) -> str:

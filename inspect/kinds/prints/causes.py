@@ -215,8 +215,8 @@ def _deviation(
 def _alone(found: Diagnosis, known: Signatures, evidence: Evidence, sources: tuple[Source, ...]) -> Diagnosis:
     """The severities of the causes that count, each without the uncertainty of the input that it is itself."""
     by_name = {signature.cause.name: signature for signature in known.found}
-    findings = []
-    for one in found.findings:
+    causes = []
+    for one in found.causes:
         own = [source for source in sources if source.name in _OWN.get(one.cause, ())]
         if own and (one.tie or one.weight > _COUNTS):
             signature, rest = by_name[one.cause], evidence.covariance.copy()
@@ -224,10 +224,14 @@ def _alone(found: Diagnosis, known: Signatures, evidence: Evidence, sources: tup
             rest[:count, :count] -= total(own, count)
             without = replace(evidence, covariance=rest)
             fit = fit_extent(signature, without)
-            low, high = interval(signature, without, fit)
-            one = replace(one, extent=fit.extent, u=fit.u, low=low, high=high)  # noqa: PLW2901
-        findings.append(one)
-    return replace(found, findings=tuple(findings))
+            found_alone = {
+                "severity": fit.extent,
+                "u": fit.u if np.isfinite(fit.u) else None,
+                "interval": interval(signature, without, fit),
+            }
+            one = one.model_copy(update=found_alone)  # noqa: PLW2901
+        causes.append(one)
+    return replace(found, causes=tuple(causes))
 
 
 _COUNTS = 0.01

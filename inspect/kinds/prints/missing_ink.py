@@ -12,13 +12,14 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.decision.decision import guarded
-from anisoscope.diagnosis.ranking import Diagnosis, Finding
+from anisoscope.diagnosis.ranking import Diagnosis
 from anisoscope.kinds.prints.expectation import PrintExpectation, sources_at
 from anisoscope.kinds.prints.measurement import MeasuredPrint
 from anisoscope.kinds.prints.model import State
 from anisoscope.kinds.prints.quantities import Quantity
 from anisoscope.kinds.prints.recipe import PrintRecipe
 from anisoscope.kinds.prints.sources import of_channels, of_each, of_poses, total
+from anisoscope.record.schema import CauseRecord
 from anisoscope.record.verdict import Verdict
 from anisoscope.sim.light.geometry import Convention, directions
 
@@ -73,17 +74,16 @@ class Bare:
 
     def diagnosis(self) -> Diagnosis:
         """The cause, which is the only one that was looked at."""
-        found = Finding(
-            MISSING_INK,
-            MISSING_TITLE,
-            "",
-            self.missing,
-            self.u,
-            self.low,
-            self.high,
-            self.missing == 1.0,
-            self.chi2,
-            1.0,
+        found = CauseRecord(
+            cause=MISSING_INK,
+            title=MISSING_TITLE,
+            unit="",
+            severity=self.missing,
+            u=self.u,
+            interval=(self.low, self.high),
+            weight=1.0,
+            chi2=self.chi2,
+            at_bound=self.missing == 1.0,
             tie=True,
         )
         return Diagnosis((found,), self.p_value)

@@ -1,7 +1,6 @@
 """From the frames of a print to its record: linearise, register, measure by colour, fit, decide, explain."""
 
 from datetime import datetime
-from typing import Any
 
 import numpy as np
 
@@ -26,7 +25,7 @@ from anisoscope.kinds.prints.record_builder import nothing_wrong, print_results
 from anisoscope.kinds.prints.reference_prints import GoldenPrints
 from anisoscope.kinds.prints.report_sections import PrintPictures
 from anisoscope.kinds.prints.stationary_artifacts import check_print_dirt
-from anisoscope.record.schema import DiagnosisRecord, Record
+from anisoscope.record.schema import DiagnosisRecord, Record, Results
 from anisoscope.record.verdict import Verdict
 from anisoscope.report.inspection_page import Pictures
 
@@ -47,13 +46,13 @@ def judge_print(
         views, measured, change = _measured(made, job, recipe, expected, taken)
         decision = decide_print(expected, measured, recipe, _known_good(job))
     except (MeasurementError, CameraError) as error:
-        record = make_record(made, job, expected, taken, verdict="INVALID", reasons=(str(error),))
+        record = make_record(made, job, expected, taken, verdict=Verdict.INVALID, reasons=(str(error),))
         return record, Pictures(raw=as_photographed(taken))
     unfit = resuming_error(change, recipe.limits.drift) or _drift_complaint(measured, recipe)
     undecided = decision.verdict is Verdict.INCONCLUSIVE
     lacking = job.golden_prints and job.golden_prints.lacking
     names = (lamp_and_sensitivities(job.rig)[1].name, taken.filters)
-    explained: dict[str, Any] = {"notes": (lacking,) if lacking else ()}
+    explained: Results = {"notes": (lacking,) if lacking else ()}
     if not unfit and (final or not undecided):
         advance("causes", 0, 1)
         told = _explained(recipe, expected, measured, decision)
@@ -63,10 +62,9 @@ def judge_print(
         job,
         expected,
         taken,
-        verdict="INVALID" if unfit else decision.verdict.value,
+        verdict=Verdict.INVALID if unfit else decision.verdict,
         reasons=(unfit,) if unfit else decision.reasons,
-        **print_results(recipe, expected, views, measured, decision, names),
-        **explained,
+        **print_results(recipe, expected, views, measured, decision, names) | explained,
     )
     return record, Pictures(print=_pictures(expected, measured, decision))
 
@@ -115,7 +113,7 @@ def _drift_complaint(measured: MeasuredPrint, recipe: PrintRecipe) -> str | None
 
 def _explained(
     recipe: PrintRecipe, expected: PrintExpectation, measured: MeasuredPrint, decision: PrintDecision
-) -> dict[str, Any]:
+) -> Results:
     """The causes, or a note where they cannot be told; they never change the verdict."""
     alpha = recipe.decision.alpha
     if nothing_wrong(decision, alpha):

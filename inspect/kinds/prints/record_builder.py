@@ -1,11 +1,10 @@
 """From the verdict on a print to the part of its record that it rests on."""
 
-from typing import Any
-
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.imaging.registration.placement import View
+from anisoscope.imaging.views import pose_records
 from anisoscope.kinds.prints.colour_map import PrintMap, Spot
 from anisoscope.kinds.prints.decision import NOT_JUDGED, PrintDecision
 from anisoscope.kinds.prints.expectation import PrintExpectation
@@ -26,7 +25,7 @@ from anisoscope.kinds.prints.record import (
     Triple,
 )
 from anisoscope.kinds.prints.reference_test import BesideGolden
-from anisoscope.record.schema import BudgetRecord, PoseRecord
+from anisoscope.record.schema import BudgetRecord, Results
 from anisoscope.record.verdict import Verdict
 from anisoscope.sim.light.ink.ink import Ink
 
@@ -57,7 +56,7 @@ def print_results(
     measured: MeasuredPrint,
     decision: PrintDecision,
     names: tuple[str, str],
-) -> dict[str, Any]:
+) -> Results:
     """The fields of a record that a verdict on a print rests on.
 
     Args:
@@ -68,8 +67,12 @@ def print_results(
         decision: the verdict.
         names: of the sensitivities, and of the camera's filters.
     """
+    luminance, wanted = (
+        np.array([getattr(one, name)[1] for one in decision.colours]) / np.pi
+        for name in ("xyz", "xyz_predicted")
+    )
     return {
-        "poses": _poses(views, decision),
+        "poses": pose_records(views, luminance, wanted),
         "contrasts": (),
         "d2": decision.d2,
         "dof": decision.dof,
@@ -79,23 +82,6 @@ def print_results(
         "drift": measured.drift,
         "print": _print(recipe, expected, decision, names),
     }
-
-
-def _poses(views: list[View], decision: PrintDecision) -> tuple[PoseRecord, ...]:
-    return tuple(
-        PoseRecord(
-            stage_deg=view.stage_deg,
-            tilt_deg=view.tilt_deg,
-            measured=float(colour.xyz[1] / np.pi),
-            predicted=float(colour.xyz_predicted[1] / np.pi),
-            marker_angle_deg=view.placement.angle_deg,
-            pixel_um=view.placement.pixel_um,
-            residual_px=view.placement.residual_px,
-            markers=view.placement.markers,
-            dropped=view.placement.dropped,
-        )
-        for view, colour in zip(views, decision.colours, strict=True)
-    )
 
 
 def _budget(quantities: tuple[Quantity, ...]) -> tuple[BudgetRecord, ...]:

@@ -460,8 +460,8 @@ def judge(views: list[View], truth: FloatArray, name: RecipeName, size: Size) ->
 def _of_means(decision: Decision) -> Row:
     return {
         "p_means": decision.p_value,
-        "pair_deviation": np.array([pair.deviation for pair in decision.pairs]),
-        "pair_u": np.array([pair.u for pair in decision.pairs]),
+        "pair_deviation": np.array([pair.deviation for pair in decision.contrasts]),
+        "pair_u": np.array([pair.u for pair in decision.contrasts]),
     }
 
 

@@ -19,6 +19,7 @@ from anisoscope.diagnosis.signatures import Signatures, signatures
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.registration.placement import Grid
 from anisoscope.prediction.expectation import Component
+from anisoscope.record.schema import CauseRecord
 from anisoscope.study.detection.chunk import MEASURED_SOURCES
 from anisoscope.study.detection.product import (
     BY_NAME,
@@ -113,19 +114,21 @@ def diagnosed(
     rows = []
     for number in range(min(count, len(seen["extent"]))):
         diagnosis = diagnose(known, evidence(seen, name, size, number, golden))
-        ties = {finding.cause for finding in diagnosis.ties}
-        first = diagnosis.findings[0].cause
-        right = next((finding for finding in diagnosis.findings if finding.cause == cause), None)
+        ties = {one.cause for one in diagnosis.ties}
+        first = diagnosis.causes[0].cause
+        right = next((one for one in diagnosis.causes if one.cause == cause), None)
         wrong = not ties & {cause, NOTHING} and diagnosis.unexplained_p >= alpha
-        fit = (np.nan,) * 4 if right is None else (right.extent, right.u, _end(right.low), _end(right.high))
-        rows.append((first, diagnosis.findings[1].cause, cause in ties, wrong, len(ties), *fit))
+        rows.append((first, diagnosis.causes[1].cause, cause in ties, wrong, len(ties), *_fit_of(right)))
     names = ("first", "second", "tied", "wrong", "ties", "extent", "u", "low", "high")
     return {title: np.array(values) for title, values in zip(names, zip(*rows, strict=True), strict=True)}
 
 
-def _end(end: float | None) -> float:
-    """An end of an interval; NaN where it is open."""
-    return np.nan if end is None else end
+def _fit_of(found: CauseRecord | None) -> tuple[float, float, float, float]:
+    """Severity, u (infinite where undetermined) and 95 % interval (NaN where open); NaN without the cause."""
+    if found is None:
+        return np.nan, np.nan, np.nan, np.nan
+    low, high = (np.nan if end is None else end for end in found.interval or (None, None))
+    return found.severity, np.inf if found.u is None else found.u, low, high
 
 
 def true_extents(kind: str, seen: Columns, size: Size) -> FloatArray:

@@ -119,7 +119,7 @@ def test_uncertainties_of_contrasts_are_those_of_the_radiances(make_recipe):
     )
     gradient = np.array([[1, -1, 0], [0, 1, -1]])
     covariance = gradient @ sum(c.covariance() for c in COMPONENTS) @ gradient.T
-    np.testing.assert_allclose([pair.u for pair in found.pairs], np.sqrt(np.diag(covariance)))
+    np.testing.assert_allclose([pair.u for pair in found.contrasts], np.sqrt(np.diag(covariance)))
     squares = np.sum([np.square(row.contributions) for row in found.budget], axis=0)
     np.testing.assert_allclose(squares, np.diag(covariance))
     largest = [max(row.contributions) for row in found.budget]
@@ -133,7 +133,7 @@ def test_an_error_that_all_poses_share_alike_does_not_touch_ratios(make_recipe):
         decide(expected(), measured(TABLE * 1.01, parts), make_recipe(area=None))
         for parts in ((common, own), (own,))
     )
-    assert [p.u for p in with_it.pairs] == pytest.approx([p.u for p in without.pairs])
+    assert [p.u for p in with_it.contrasts] == pytest.approx([p.u for p in without.contrasts])
     assert with_it.d2 == pytest.approx(0.0, abs=1e-12)
 
 
@@ -146,7 +146,7 @@ def test_pairs_are_counted_over_all_tilts(make_recipe):
         expected(radiance, tilts=(0.0, 10.0)), measured(radiance, [component(np.full(6, 0.01))]), recipe
     )
     assert found.dof == 5
-    assert [(p.from_deg, p.tilt_deg, p.tolerance) for p in found.pairs] == [
+    assert [(p.from_deg, p.tilt_deg, p.tolerance) for p in found.contrasts] == [
         (0.0, 0.0, 0.1),
         (90.0, 0.0, 0.2),
         (0.0, 10.0, 0.3),

@@ -143,9 +143,9 @@ def test_the_cause_that_was_there_comes_first_and_a_scale_is_no_cause(rng):
     slopes = rng.normal(size=(3, len(POSES)))
     found = known(*(line(name, slope) for name, slope in zip("abc", slopes, strict=True)))
     d = 0.5 * slopes[1] + 0.1  # a tenth brighter in all poses: the lamp, not the part
-    first = diagnose(found, Evidence(d, V)).findings[0]
+    first = diagnose(found, Evidence(d, V)).causes[0]
     assert first.cause == "b"
-    assert abs(first.extent - 0.5) < 3.0 * first.u
+    assert abs(first.severity - 0.5) < 3.0 * first.u
     assert first.weight > 0.99
 
 
@@ -153,9 +153,9 @@ def test_a_part_as_predicted_has_nothing(rng):
     V = covariance(rng)
     found = known(line("a", rng.normal(size=len(POSES))))
     result = diagnose(found, Evidence(np.zeros(len(POSES)), V))
-    assert result.findings[0].cause == NOTHING
-    assert result.ties == (result.findings[0],)
-    assert sum(finding.weight for finding in result.findings) == pytest.approx(1.0)
+    assert result.causes[0].cause == NOTHING
+    assert result.ties == (result.causes[0],)
+    assert sum(finding.weight for finding in result.causes) == pytest.approx(1.0)
 
 
 def test_twins_are_said_to_be_a_tie_and_never_told_apart(rng):
@@ -182,8 +182,8 @@ def test_marks_in_the_map_tell_twins_apart(rng):
     V, slope = covariance(rng), rng.normal(size=len(POSES))
     found = known(line("smooth", slope), line("spots", slope, share=0.2))
     d = 0.5 * slope
-    assert diagnose(found, Evidence(d, V, 0.1, 0.005)).findings[0].cause == "spots"
-    assert diagnose(found, Evidence(d, V, 0.0, 0.005)).findings[0].cause == "smooth"
+    assert diagnose(found, Evidence(d, V, 0.1, 0.005)).causes[0].cause == "spots"
+    assert diagnose(found, Evidence(d, V, 0.0, 0.005)).causes[0].cause == "smooth"
 
 
 def test_a_doubted_signature_is_believed_as_far_as_it_is_known():
@@ -194,7 +194,7 @@ def test_a_doubted_signature_is_believed_as_far_as_it_is_known():
     assert diagnose(known(certain), Evidence(0.5 * real, V)).unexplained_p < 1e-6
     result = diagnose(known(doubted), Evidence(0.5 * real, V))
     assert result.unexplained_p > 0.05
-    assert abs(result.findings[0].extent - 0.5) < 2.0 * result.findings[0].u
+    assert abs(result.causes[0].severity - 0.5) < 2.0 * result.causes[0].u
 
 
 def test_extents_are_not_drawn_to_either_side_by_the_doubt():
@@ -215,7 +215,7 @@ def test_what_good_parts_show_in_the_map_is_no_mark(rng):
     found = known(line("shape", slope), line("marks", slope, share=0.4))
     told = Evidence(0.3 * slope, V, 0.01, 0.001, *background_of(0.03))
     assert {one.cause for one in diagnose(found, told).ties} >= {"shape"}
-    assert diagnose(found, told).findings[0].cause == "shape"
+    assert diagnose(found, told).causes[0].cause == "shape"
     mean, u = background_of(0.03)
     shares = 0.03 * (
         1.0 - np.sqrt(1.0 - (np.arange(1000) + 0.5) / 1000)
@@ -312,8 +312,8 @@ def test_the_recipe_says_beforehand_what_it_can_tell(recipe, of_the_recipe):
     signature = next(one for one in of_the_recipe.found if one.cause.name == "ridge-angle")
     change, share = signature.at(1.5)
     result = diagnose(of_the_recipe, Evidence(change, V, float(share), 0.003))
-    assert result.findings[0].cause in {"ridge-angle", "seating-y"}
-    assert result.findings[0].extent == pytest.approx(1.5, abs=0.1)
+    assert result.causes[0].cause in {"ridge-angle", "seating-y"}
+    assert result.causes[0].severity == pytest.approx(1.5, abs=0.1)
 
 
 def test_signatures_are_computed_once(recipe, of_the_recipe, monkeypatch, tmp_path):

@@ -15,11 +15,12 @@ from anisoscope.diagnosis.discriminating_poses import (
     second_lamps,
     wafer_options,
 )
-from anisoscope.diagnosis.ranking import Diagnosis, Finding
+from anisoscope.diagnosis.ranking import Diagnosis
 from anisoscope.diagnosis.separability import planned_covariance, separability
 from anisoscope.diagnosis.signatures import signatures
 from anisoscope.inspection.recipe_file import read_recipe
 from anisoscope.prediction.expectation import expectation
+from anisoscope.record.schema import CauseRecord
 
 DEPTHS = ("over-etch", "under-etch")
 
@@ -77,10 +78,20 @@ def test_lamps_that_are_tried_stand_on_both_sides_and_are_no_neighbours():
 
 
 def tie(*causes, unexplained_p=0.5):
-    """A diagnosis of tied causes, (name, extent) each, of which the first is the best."""
+    """A diagnosis of tied causes, (name, severity) each, of which the first is the best."""
     found = tuple(
-        Finding(name, f"{name}, by", "nm", extent, 0.1, None, None, False, 1.0, 0.5, True)
-        for name, extent in causes
+        CauseRecord(
+            cause=name,
+            title=f"{name}, by",
+            unit="nm",
+            severity=severity,
+            u=0.1,
+            weight=0.5,
+            chi2=1.0,
+            at_bound=False,
+            tie=True,
+        )
+        for name, severity in causes
     )
     return Diagnosis(found, unexplained_p)
 

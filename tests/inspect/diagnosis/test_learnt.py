@@ -76,11 +76,11 @@ def test_an_error_of_the_model_is_no_cause_against_golden_parts():
     real = Evidence(model_error + 0.6 * slope, stated)
     assert diagnose(known(line(slope)), real).unexplained_p < 1e-6
     told = diagnose(known(line(slope)), against(real, golden, SCALE))
-    assert told.findings[0].cause == "a"
+    assert told.causes[0].cause == "a"
     assert told.unexplained_p > 0.05
-    assert abs(told.findings[0].extent - 0.6) < 3.0 * told.findings[0].u
+    assert abs(told.causes[0].severity - 0.6) < 3.0 * told.causes[0].u
     fine = diagnose(known(line(slope)), against(Evidence(golden.mean(axis=0), stated), golden, SCALE))
-    assert fine.findings[0].cause == NOTHING
+    assert fine.causes[0].cause == NOTHING
 
 
 def test_changes_are_believed_as_far_as_the_model_fits_good_parts():

@@ -36,8 +36,8 @@ def test_a_missing_ridge_is_one_region_over_the_whole_length():
     region = regions[0]
     assert region.area_share == pytest.approx(4 / COLS, rel=0.3)
     assert region.p_value < 1e-9
-    assert region.length_mm == pytest.approx(ROWS * 0.025)
-    assert region.x_mm == pytest.approx(0.5 + (41.5 - (COLS - 1) / 2) * 0.025, abs=0.03)
+    assert region.length == pytest.approx(ROWS * 0.025)
+    assert region.x == pytest.approx(0.5 + (41.5 - (COLS - 1) / 2) * 0.025, abs=0.03)
 
 
 def test_marks_are_found_where_they_are():
@@ -46,8 +46,8 @@ def test_marks_are_found_where_they_are():
     regions = find_regions(deviation(ratios), RULE, GRID)
     assert [region.kind for region in regions] == ["spot"]
     assert regions[0].cells == 4
-    assert regions[0].x_mm == pytest.approx(0.5 + (20.5 - (COLS - 1) / 2) * 0.025)
-    assert regions[0].y_mm == pytest.approx(-0.2 + ((ROWS - 1) / 2 - 10.5) * 0.025)
+    assert regions[0].x == pytest.approx(0.5 + (20.5 - (COLS - 1) / 2) * 0.025)
+    assert regions[0].y == pytest.approx(-0.2 + ((ROWS - 1) / 2 - 10.5) * 0.025)
     assert regions[0].deviation == pytest.approx(-1.0, abs=0.1)
 
 
@@ -58,7 +58,7 @@ def test_places_turn_with_the_raster():
         find_regions(deviation(ratios), RULE, Grid((0.0, 0.0), 0.005, GRID.shape, turn))[0]
         for turn in (0.0, 90.0)
     )
-    assert (turned.x_mm, turned.y_mm) == pytest.approx((-plain.y_mm, plain.x_mm))
+    assert (turned.x, turned.y) == pytest.approx((-plain.y, plain.x))
 
 
 def test_a_scratch_is_long_and_crosses_ridges():

@@ -41,10 +41,11 @@ def by_name(decision):
 def test_a_defect_of_the_listed_size_fails_and_is_named(sheet, state, cause, severity):
     measured, decision = sheet.all(state).decided(synthetic_ink("synthetic-red"))
     assert decision.verdict is Verdict.FAIL, decision.reasons
-    best, *others = explained(sheet, measured, decision).findings
+    best, *others = explained(sheet, measured, decision).causes
     assert best.cause == cause
-    assert best.extent == pytest.approx(severity, rel=0.05)
-    assert best.low <= severity <= (best.high or 1.0) or best.extent == pytest.approx(severity, rel=0.02)
+    assert best.severity == pytest.approx(severity, rel=0.05)
+    low, high = best.interval
+    assert low <= severity <= (high or 1.0) or best.severity == pytest.approx(severity, rel=0.02)
     assert not any(one.tie for one in others)
 
 
@@ -59,10 +60,10 @@ def test_a_halftone_with_too_much_ink_on_white_is_told_from_brighter_ink(make_re
         printed = type(sheet)(recipe, predict(recipe), np.random.default_rng(5)).all(State(missing=-0.25))
         measured, decision = printed.decided()
         assert by_name(decision)["gain"].deviation > 0.1
-        found = explained(printed, measured, decision).findings
+        found = explained(printed, measured, decision).causes
         assert {one.cause for one in found if one.tie} == tied
         gain = next(one for one in found if one.cause == "dot-gain")
-        assert gain.extent == pytest.approx(0.25, abs=0.03)
+        assert gain.severity == pytest.approx(0.25, abs=0.03)
 
 
 def test_a_curled_sheet_fails_and_is_named(sheet):
@@ -71,8 +72,8 @@ def test_a_curled_sheet_fails_and_is_named(sheet):
     assert by_name(decision)["curl"].verdict is Verdict.FAIL
     assert by_name(decision)["curl"].value == pytest.approx(1.67, abs=0.05)
     assert by_name(decision)["tilt"].verdict is Verdict.PASS
-    best = explained(sheet, measured, decision).findings[0]
-    assert (best.cause, best.extent) == ("curl", pytest.approx(1.67, abs=0.15))
+    best = explained(sheet, measured, decision).causes[0]
+    assert (best.cause, best.severity) == ("curl", pytest.approx(1.67, abs=0.15))
 
 
 def test_a_sheet_curled_along_a_diagonal_is_named_with_its_size(sheet):
@@ -84,16 +85,16 @@ def test_a_sheet_curled_along_a_diagonal_is_named_with_its_size(sheet):
         sheet.states[place] = State(tilt_x_deg=float(tilt_x), tilt_y_deg=float(tilt_y))
     measured, decision = sheet.decided()
     assert by_name(decision)["curl"].value == pytest.approx(3.0, abs=0.05)
-    best = explained(sheet, measured, decision).findings[0]
-    assert (best.cause, best.extent) == ("curl", pytest.approx(3.0, abs=0.1))
-    assert best.low <= 3.0 <= best.high
+    best = explained(sheet, measured, decision).causes[0]
+    assert (best.cause, best.severity) == ("curl", pytest.approx(3.0, abs=0.1))
+    assert best.interval[0] <= 3.0 <= best.interval[1]
 
 
 def test_a_sheet_that_stands_on_edge_leans(sheet):
     measured, decision = sheet.all(State(tilt_x_deg=-5.4, tilt_y_deg=7.2)).decided()
     assert by_name(decision)["tilt"].value == pytest.approx(9.0, abs=0.01)
-    best = explained(sheet, measured, decision).findings[0]
-    assert (best.cause, best.extent) == ("lean", pytest.approx(9.0, rel=0.01))
+    best = explained(sheet, measured, decision).causes[0]
+    assert (best.cause, best.severity) == ("lean", pytest.approx(9.0, rel=0.01))
 
 
 def test_a_spot_fails_and_is_found(sheet):
@@ -103,7 +104,7 @@ def test_a_spot_fails_and_is_found(sheet):
     (spot,) = decision.map.spots
     assert (spot.x_mm, spot.y_mm) == (pytest.approx(0.2), pytest.approx(0.55))
     assert (spot.width_mm, spot.length_mm) == (pytest.approx(0.4), pytest.approx(0.3))
-    assert explained(sheet, measured, decision).findings[0].cause == "spots"
+    assert explained(sheet, measured, decision).causes[0].cause == "spots"
 
 
 def test_c_is_hardly_seen_and_not_judged(sheet):

@@ -110,7 +110,7 @@ def test_what_differs_from_the_golden_prints_is_found_and_named(decided, house, 
     line = next(line for line in decision.reasons if line.startswith("all channels together"))
     assert "for a print like the 40 golden prints" in line
     assert words in line
-    best = [one for one in explain_print(recipe, expected, measured, decision).findings if one.tie]
+    best = [one for one in explain_print(recipe, expected, measured, decision).causes if one.tie]
     assert cause in {one.cause for one in best}
     assert len(best) <= 2
 

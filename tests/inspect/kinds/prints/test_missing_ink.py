@@ -54,8 +54,8 @@ def test_a_sheet_without_ink_fails_and_says_so(few, seen, missing):
     (gain,) = decision.quantities
     assert (gain.name, gain.verdict) == ("gain", Verdict.FAIL)
     assert gain.deviation == pytest.approx(-missing, abs=0.002)
-    (cause,) = explain_print(recipe, expected, measured, decision).findings
-    assert (cause.cause, cause.extent) == ("missing-ink", decision.bare.missing)
+    (cause,) = explain_print(recipe, expected, measured, decision).causes
+    assert (cause.cause, cause.severity) == ("missing-ink", decision.bare.missing)
 
 
 def test_the_substrate_may_be_off_by_what_the_recipe_says_of_it(few, seen):
