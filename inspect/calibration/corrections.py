@@ -1,4 +1,4 @@
-"""What an inspection takes from the rig's calibrations: corrections, uncertainties, and whether they still hold.
+"""Corrections and uncertainties of an inspection from the rig's calibrations, and their validity.
 
 A file that is missing, damaged or of another camera is an error before anything moves (exit code 3). A calibration that
 has expired, or was out of its limits, makes an INVALID record that says so.
@@ -62,7 +62,7 @@ class Calibrations:
                 raise CalibrationError(complaint)
 
     def check_camera(self, serial: str, shape: tuple[int, int]) -> None:
-        """Were all calibrations taken with this camera?
+        """Check that all calibrations belong to this camera.
 
         Raises:
             CalibrationError: one was not.
@@ -111,7 +111,7 @@ class Calibrations:
         return replace(sample, mean=dark.mean + signal)
 
     def white(self, white: WhiteReference) -> WhiteReference:
-        """The white reference as a linear camera would have taken it; needs the record of the flat."""
+        """White reference in linear counts; needs the record of the flat."""
         flat = self.records.get("flat")
         if flat is None or self._response(flat.gain) == 0.0:
             return white

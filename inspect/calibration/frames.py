@@ -1,4 +1,4 @@
-"""Photographs for calibrations: frames of one kind, and what every record says about camera and settings."""
+"""Frames for calibrations, and the entries on camera and settings common to their records."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -23,7 +23,7 @@ MIN_FRAMES, MAX_FRAMES = 2, 1024
 
 @dataclass(frozen=True)
 class Taking:
-    """How a calibration is photographed, and what its record says besides.
+    """Exposure of a calibration, and remarks for its record.
 
     Attributes:
         exposure_s: exposure in seconds.
@@ -52,7 +52,7 @@ class Taking:
 
 @dataclass(frozen=True, eq=False)
 class Bed:
-    """An opened rig on which a calibration is taken; the tilt is that of the arm, as read back."""
+    """Opened rig for a calibration; the tilt is that of the arm, as read back."""
 
     rig: Rig
     tilt_deg: float
@@ -150,7 +150,7 @@ def _upright(rig: Rig, advance: Advance) -> float:
 
 
 def write_picture(path: Path, picture: Image) -> None:
-    """Write a picture of 32-bit numbers as TIFF, all or nothing.
+    """Write a picture of 32-bit numbers as TIFF, atomically.
 
     Raises:
         RecordError: it cannot be written.

@@ -165,7 +165,7 @@ def root_uncertainty(root_dn: float, variance_uncertainty: float, gain: Estimate
 
 
 def saturation_of(curve: TransferCurve, top: int, gain: Estimate) -> Estimate:
-    """The maximum of the variance lies somewhere between the neighbours of the largest one."""
+    """Saturation signal: the maximum of the variance is between the neighbours of the largest sample."""
     signal = float(curve.signal[top])
     gap = float(curve.signal[top + 1] - curve.signal[max(top - 1, 0)]) / 2.0
     doubt = math.hypot(gap / math.sqrt(3.0), signal * gain.uncertainty / gain.value)
@@ -173,7 +173,7 @@ def saturation_of(curve: TransferCurve, top: int, gain: Estimate) -> Estimate:
 
 
 def clipping_of(curve: TransferCurve, top: int, gain: Estimate) -> Estimate | None:
-    """Mean signal of the steps that are clipped as a whole; None if there is none."""
+    """Mean signal of the fully clipped steps; None without any."""
     shot = curve.light_variance - curve.dark_variance
     clipped = np.flatnonzero(shot < CLIPPED_VARIANCE * shot[top])
     clipped = clipped[clipped > top]

@@ -1,4 +1,4 @@
-"""The record of a calibration: JSON beside its picture, sealed, with values, uncertainties and how long it holds.
+"""Record of a calibration: JSON next to its picture, sealed, with values, uncertainties and validity.
 
 A calibration is one or two files of one name: ``stray.json`` with what was found, and ``stray.tif`` where there is a
 picture. The record holds the hash of the picture and ends with a seal, the hash of itself.
@@ -152,7 +152,7 @@ def days_of(kind: Kind, days: float | None) -> float:
 
 
 def dated(kind: Kind, content: dict[str, Any], *, valid_days: float | None) -> CalibrationRecord:
-    """A record taken now, with its id and validity.
+    """Record dated now, with its id and validity.
 
     Args:
         kind: kind of calibration.
@@ -178,7 +178,7 @@ def picture_path(path: Path) -> Path:
 
 
 def write_calibration(record: CalibrationRecord, path: Path) -> Path:
-    """Write a record beside its picture, all or nothing; returns its path.
+    """Write a record next to its picture, atomically; returns its path.
 
     Raises:
         RecordError: it cannot be written.

@@ -28,7 +28,7 @@ TIME_CONSTANTS = 40
 
 @dataclass(frozen=True)
 class WarmUp:
-    """What a series of frames says about the lamp; shares are of its brightness at the end.
+    """Drift and noise of the lamp from a series of frames; shares are of its brightness at the end.
 
     Attributes:
         frames: number of frames.

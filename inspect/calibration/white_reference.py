@@ -91,7 +91,7 @@ def usual_of_filters(
 
 
 def write_reference(path: Path, reference: dict[str, Any]) -> None:
-    """Write a white reference as a 32-bit TIFF with its metadata, all or nothing.
+    """Write a white reference as a 32-bit TIFF with its metadata, atomically.
 
     Raises:
         RecordError: the folder cannot be made or written.
@@ -143,7 +143,7 @@ def read_reference(path: Path) -> WhiteReference:
 
 @dataclass(frozen=True)
 class Tile:
-    """What a flat says about the tile itself.
+    """Properties of the tile itself, measured with the flat.
 
     Attributes:
         gradient: brightness at the edges of the picture along its steepest direction, bright by dark side, minus 1;

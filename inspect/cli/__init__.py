@@ -88,7 +88,7 @@ def _notes(error: BaseException | None) -> list[str]:
 
 
 def _listen(debug: bool) -> None:
-    """What is compiled is told on standard error; with --debug everything that the package logs."""
+    """Log kernel compilation to stderr; with --debug everything that the package logs."""
     everything, compiled = logging.getLogger("anisoscope"), logging.getLogger("anisoscope.compiled")
     for log in (everything, compiled):
         log.handlers.clear()

@@ -29,7 +29,7 @@ def parse_numbers(text: str, option: str, example: str = "0,90,180") -> tuple[fl
 
 
 def console(*, stderr: bool = False) -> "Console":
-    """A console that wraps at the width of the terminal, and at 120 columns where there is none."""
+    """Console that wraps at the width of the terminal, or at 120 columns without one."""
     from rich.console import Console
 
     found = Console(stderr=stderr)

@@ -1,4 +1,4 @@
-"""What all poses say together: the stage's sense and zero, centre, tilt, and the fit of the light."""
+"""Joint fit of all poses: sense and zero of the stage, rotation centre, tilt, and the radiance model."""
 
 from dataclasses import dataclass
 
@@ -28,7 +28,7 @@ U_UNSEEN_TILT_DEG = 1.0
 
 @dataclass(frozen=True)
 class Assumed:
-    """What is assumed of rig and model: relative standard uncertainties.
+    """Assumptions about rig and model: relative standard uncertainties.
 
     Attributes:
         model_share: of the model, different from pose to pose.
@@ -45,7 +45,7 @@ class Assumed:
 
 @dataclass(frozen=True, eq=False)
 class Angles:
-    """Everything that was fitted; None where the pictures do not say it.
+    """Fitted quantities; None where the pictures do not determine them.
 
     Attributes:
         markers: turning of the fixture.
@@ -175,7 +175,7 @@ def _turning_of_markers(poses: list[Seen]) -> Turning | None:
 
 
 def _turning_of_ridges(poses: list[Seen], markers: Turning | None) -> Turning | None:
-    """Of the direction across the ridges; pictures in which it is far off are left out, dim ridges are drowned."""
+    """Rotation of the direction across the ridges, without outliers: dim ridges drown in noise."""
     seen = [(pose.reading_deg, pose.ridge_deg) for pose in poses if pose.ridge_deg is not None]
     if len(seen) < MIN_PICTURES:
         return None
@@ -201,7 +201,7 @@ def _foreshortening(poses: list[Seen]) -> Foreshortening | None:
 
 
 def _without_drift(seen: tuple[Seen, ...], model_share: float) -> tuple[FloatArray, FloatArray, float]:
-    """Radiances of all poses but the closing one, u of each, and the drift; it is taken as even in time."""
+    """Radiances of all poses but the closing one, u of each, and the drift, assumed linear in time."""
     poses = [one for one in seen if not one.again]
     closing = [one for one in seen if one.again]
     radiance = np.array([one.radiance for one in poses])

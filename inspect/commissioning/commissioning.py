@@ -1,4 +1,4 @@
-"""Commissioning of a rig: find its rotation sense, zero, centre, tilt and light angle, and keep them."""
+"""Commissioning of a rig: determine rotation sense, zero, centre, tilt and light angle, and write them to its file."""
 
 import copy
 import json
@@ -45,14 +45,14 @@ _ANY_HEADER = re.compile(r"^\s*\[")
 
 @dataclass(frozen=True)
 class Written:
-    """What became of the rig file: the backup of the old one, and whether its comments were kept."""
+    """Outcome of writing the rig file: backup of the old one, and whether its comments were preserved."""
 
     backup: Path
     comments_preserved: bool
 
 
 def update_rig_file(path: Path, changes: Changes) -> Written:
-    """Change values of a rig file, all or nothing; the old file stays beside it with its date in the name.
+    """Change values of a rig file atomically; the old file is saved under a name with its date.
 
     Args:
         path: the rig file.
@@ -93,7 +93,7 @@ def _changed(tables: dict[str, Any], changes: Changes) -> dict[str, Any]:
 
 
 def _edited(text: str, changes: Changes) -> str | None:
-    """The text with changed values; None where it is written in a way that this does not understand."""
+    """Text with the values changed in place; None if its layout is not understood."""
     lines = text.splitlines(keepends=True)
     for (table, key), value in changes.items():
         block = _block(lines, table)
@@ -139,7 +139,7 @@ MAX_DRIFT = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Commissioned:
-    """A commissioning: its record, and what only the page shows."""
+    """Result of a commissioning: its record, and the data that only the page shows."""
 
     record: Commissioning
     pictures: tuple[Picture, ...]
@@ -209,7 +209,7 @@ def commission(
     on_progress: Advance = silent,
     cancel: threading.Event | None = None,
 ) -> Commissioned:
-    """Photograph a ridged part all round, and under tilts, and find out how the rig stands.
+    """Photograph a ridged part over a full turn and under tilts, and determine the geometry of the rig.
 
     Of the rig file only devices, fixture, pixel size and the zero of the tilt are used, the last as a first guess; no
     file is changed.
@@ -257,7 +257,7 @@ def _white(file: RigFile) -> WhiteReference | None:
 
 
 def changes_of(record: Commissioning) -> dict[tuple[str, str], str | int | float]:
-    """What ``--write`` puts into the rig file, rounded to a tenth of the uncertainty: what was found, and differs."""
+    """Changes for ``--write``: findings that differ, rounded to a tenth of their uncertainty."""
     found = {}
     for finding in record.findings:
         if not finding.goes_to_rig_file or finding.status != "found" or finding.value is None:
@@ -276,7 +276,7 @@ def _decimals(finding: Finding) -> int:
 
 
 def write_to_rig_file(rig_path: Path, record: Commissioning) -> Written | None:
-    """Put what was found into the rig file; None if nothing differs.
+    """Write the findings to the rig file; None if nothing differs.
 
     Raises:
         UsageError: the rig file was changed since the pictures were taken.
@@ -321,7 +321,7 @@ def _record(
 
 
 def _plain(table: dict[str, Any]) -> dict[str, Any]:
-    """A table as it comes back from JSON: lists, no tuples."""
+    """Table as it reads back from JSON: lists, no tuples."""
     found: dict[str, Any] = json.loads(json.dumps(table))
     return found
 

@@ -1,4 +1,4 @@
-"""Is automatic exposure off? Asked of cameras that have it, with whatever lies on the stage."""
+"""Check that automatic exposure is off, for cameras that have it, with any part on the stage."""
 
 from anisoscope.rig.acquisition.opening import Rig
 from anisoscope.rig.cameras.proof import ExposureProof, prove_exposure
@@ -9,7 +9,7 @@ HALF = 0.5
 def proof_on(
     rig: Rig, exposure_s: float, gain: float, dark_counts: float | None = None
 ) -> ExposureProof | None:
-    """Prove it with an exposure and half of it, the light on; None for a camera that has nothing automatic.
+    """Compare an exposure with half of it, the light on; None for a camera without automatic exposure.
 
     Args:
         rig: an opened rig whose stage stands still; the light is left on.
@@ -27,7 +27,7 @@ def proof_on(
 
 
 def sentence(proof: ExposureProof) -> str:
-    """What was measured, in words."""
+    """The measured exponents in words."""
     return (
         f"automatic exposure is off: from {proof.exposures_s[1]:g} s to {proof.exposures_s[0]:g} s brightness grew as "
         f"the exposure to the power {proof.exponents[0]:.3f} (1 for a linear camera), and came back"

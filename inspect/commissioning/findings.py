@@ -1,4 +1,4 @@
-"""What commissioning reports: every value with its uncertainty, what cannot be told, and why."""
+"""Findings of a commissioning: every value with its uncertainty, or the reason why it is undetermined."""
 
 import numpy as np
 
@@ -60,7 +60,7 @@ def tilt_findings(angles: Angles, file: RigFile) -> tuple[Finding, ...]:
 
 
 def light_finding(angles: Angles, file: RigFile) -> Finding:
-    """The light angle, and what it rests on."""
+    """Light angle, and the data that determine it."""
     found = angles.light["light_deg"]
     good = found.u <= MAX_U_LIGHT_DEG
     if found.u_alone <= MAX_U_LIGHT_DEG:
@@ -92,7 +92,7 @@ def light_finding(angles: Angles, file: RigFile) -> Finding:
 
 
 def azimuth_finding(angles: Angles) -> Finding:
-    """How far the light stands beside the plane of the model."""
+    """Azimuth of the light out of the plane of the model."""
     found = angles.light["azimuth_deg"]
     zero = angles.light["tilt_zero_deg"]
     remark = (
@@ -121,7 +121,7 @@ MAX_SEAT_DEG = 0.5  # what an inspection bears between fixture and stage
 def findings_of(
     angles: Angles, file: RigFile, picture_set: PictureSet, facet_azimuth_deg: float
 ) -> tuple[Finding, ...]:
-    """Everything that was looked for, in the order of the page.
+    """All findings in the order of the page.
 
     Args:
         angles: the fits.
@@ -157,7 +157,7 @@ def _sense(angles: Angles, file: RigFile) -> Finding:
 
 
 def _zero(angles: Angles, file: RigFile, picture_set: PictureSet, facet_azimuth_deg: float) -> Finding:
-    """Where the fixture stands at 0°, or without one the part: what `stage.zero_deg` means to an inspection."""
+    """Zero of the fixture, or without one of the part: the meaning of `stage.zero_deg` in an inspection."""
     known, remark = True, "where the fixture stands at 0°"
     if angles.markers is not None:
         zero, u = angles.markers.zero_deg, angles.markers.u_zero_deg
@@ -187,7 +187,7 @@ def _zero(angles: Angles, file: RigFile, picture_set: PictureSet, facet_azimuth_
 
 
 def _reached(reading_deg: float, part: AxisPart, limits_deg: tuple[float, float]) -> bool:
-    """Can a reading be approached from below?"""
+    """Whether a reading can be approached from below."""
     return limits_deg[0] + part.approach_deg <= reading_deg <= limits_deg[1]
 
 

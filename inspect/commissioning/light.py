@@ -1,4 +1,4 @@
-"""The radiances of a known ridged part over many poses say where the light stands, which way facets and tilt lean.
+"""Fit of the light's position and of the lean of facets and tilt to the radiances of a known ridged part.
 
 The corrected ridge model is fitted to ln L. In the small-angle picture of the lobe the half vector has in the frame
 of the ridges the slopes (a cos φ − τ sin φ, −a sin φ − τ cos φ), a half the light angle, τ the tilt, and the lobe is
@@ -27,7 +27,7 @@ _SLOW = ("log_mean", "index")  # every new value makes a table of the interface:
 
 @dataclass(frozen=True)
 class Known:
-    """A parameter before the fit: value, standard uncertainty (None where nothing is known), step, and bounds."""
+    """Prior of a parameter: value, standard uncertainty (None for no prior), step, and bounds."""
 
     name: str
     words: str
@@ -39,7 +39,7 @@ class Known:
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """The minimum: parameters, χ² over data and what was known, residuals over u, and slopes of the data over u."""
+    """Minimum: parameters, χ² over data and priors, residuals over u, and slopes of the data over u."""
 
     x: FloatArray
     chi2: float
@@ -78,7 +78,7 @@ def solve(
     quick: bool,
     start: FloatArray | None = None,
 ) -> Solved:
-    """Least squares over data and what is known; quick leaves roughness tables alone, which take long to make."""
+    """Least squares over data and priors; quick keeps roughness tables fixed, which are slow to compute."""
     from scipy.optimize import least_squares  # noqa: PLC0415 - takes long to import
 
     held = _HELD if quick else frozenset()
@@ -145,7 +145,7 @@ _Branch = tuple[bool, int]
 
 @dataclass(frozen=True, eq=False)
 class Radiances:
-    """What was measured over N poses.
+    """Measured radiances of N poses.
 
     Attributes:
         lean_deg: azimuth in the untilted picture across the ridges, counter-clockwise; the facets lean there or to

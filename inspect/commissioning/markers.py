@@ -1,4 +1,4 @@
-"""What the markers of one picture say: turn of the fixture, size of a pixel, foreshortening, and focus.
+"""Pose from the markers of one picture: rotation of the fixture, pixel size, foreshortening, and focus.
 
 The markers of a picture fix an affine map from sample millimetres (x right, y up) to pixels. It is taken apart into
 A = scale · S · F · R(ψ): R the turn of the fixture, F the mirror that makes rows run down, and S the squeeze by
@@ -20,7 +20,7 @@ FLIP = np.diag([1.0, -1.0])
 
 @dataclass(frozen=True, eq=False)
 class Fix:
-    """Where the fixture stands in one picture.
+    """Pose of the fixture in one picture.
 
     Attributes:
         matrix: (2, 2) from sample mm to pixels (column, row), without the shift.
@@ -92,7 +92,7 @@ def modules_of(dictionary: str) -> int:
 
 
 def edge_blur_px(image: Image, fix: Fix, modules: int) -> float:
-    """How blurred the sides of the markers are: rms width of their brightness step, in pixels.
+    """Blur of the marker edges: rms width of their brightness step, in pixels.
 
     Args:
         image: (rows, cols) linear picture.

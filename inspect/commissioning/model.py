@@ -1,4 +1,4 @@
-"""The radiance of a ridged part on a rig as a function of everything that commissioning does not know yet."""
+"""Radiance of a ridged part on a rig as a function of the parameters that commissioning determines."""
 
 import numpy as np
 

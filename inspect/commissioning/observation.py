@@ -1,4 +1,4 @@
-"""From commissioning pictures to numbers: markers, ridges and radiance of every pose, and a few pictures to show.
+"""Evaluation of commissioning pictures: markers, ridges and radiance of every pose, and pictures for the page.
 
 The ridged part in a picture: its mean radiance over a spot that turns with it, and the direction of its ridges.
 
@@ -28,7 +28,7 @@ _AROUND = 0.3  # share by which the wave number may differ from 1/pitch
 
 @dataclass(frozen=True, eq=False)
 class Spot:
-    """A round spot of the sample in a picture, weighted down to nothing at its edge.
+    """Round spot of the sample in a picture, with weights that fall to 0 at its edge.
 
     Attributes:
         rows, cols: the rectangle of pixels that holds it.
@@ -45,7 +45,7 @@ class Spot:
 
 
 def frame_of(pixel_um: float, tilt_deg: float, shape: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
-    """What stands for the markers' map where there are none: an unturned fixture in the middle of the picture.
+    """Map in place of the markers' one on a rig without markers: an unturned fixture at the picture's centre.
 
     Returns:
         (2, 2) map from mm to pixels, (2,) origin.
@@ -121,7 +121,7 @@ def mean_radiance(look: Look, spot: Spot) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Wave:
-    """The ridges as a wave in a picture.
+    """Ridges as a plane wave in a picture.
 
     Attributes:
         wave_per_px: (column, row) wave vector, periods per pixel.
@@ -133,7 +133,7 @@ class Wave:
 
 
 def ridge_wave(look: Look, spot: Spot, matrix: FloatArray, pitch_mm: float) -> Wave | None:
-    """The wave that the ridges make in the picture, or None where the camera does not resolve them.
+    """Plane wave of the ridges in the picture, or None where the camera does not resolve them.
 
     Args:
         look: the picture.
@@ -196,7 +196,7 @@ def lean_line_deg(wave: Wave, squeeze: FloatArray) -> float:
 
 
 def squeeze_of(fix: Fix) -> FloatArray:
-    """(2, 2) squeeze of pixels that the markers show: identity under an upright camera."""
+    """(2, 2) foreshortening of pixels from the markers: identity under an upright camera."""
     along = np.radians(fix.squeeze_deg)
     direction = np.array([np.cos(along), -np.sin(along)])
     return np.asarray(np.eye(2) - (1.0 - fix.squeeze) * np.outer(direction, direction), dtype=np.float64)
@@ -210,7 +210,7 @@ SHOWN_PX = 480
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What one picture says.
+    """Quantities measured in one picture.
 
     Attributes:
         reading_deg, tilt_reading_deg: readings of stage and tilt.
@@ -233,7 +233,7 @@ class Seen:
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A picture for the page, made smaller by `scale`.
+    """Picture for the page, reduced by `scale`.
 
     Attributes:
         image: (rows, cols).
@@ -264,7 +264,7 @@ class Observed:
 
 
 def observe(picture_set: PictureSet, file: RigFile, part: RidgedPart, advance: Advance) -> Observed:
-    """Look at every picture.
+    """Evaluate every picture.
 
     Args:
         picture_set: the pictures.

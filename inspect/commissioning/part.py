@@ -1,4 +1,4 @@
-"""The part that a rig is commissioned with, and how well it is known."""
+"""Reference part of a commissioning, and how well it is known."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,7 @@ from anisoscope.profiles.ideal import Wall
 
 @dataclass(frozen=True)
 class RidgedPart:
-    """The part that is commissioned with, and what is known of it: values and standard uncertainties.
+    """Reference part: values and standard uncertainties.
 
     Attributes:
         pitch_um: pitch of the ridges.

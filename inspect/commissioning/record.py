@@ -1,4 +1,4 @@
-"""The record of a commissioning: what was found, how well, and from what; sealed like the record of an inspection."""
+"""Record of a commissioning: findings, uncertainties and data, sealed like the record of an inspection."""
 
 import hashlib
 import json
@@ -22,7 +22,7 @@ class _Part(BaseModel):
 
 
 class Finding(_Part):
-    """One thing that commissioning looks for.
+    """One quantity that commissioning determines.
 
     Attributes:
         key: key of the rig file, or a name of our own where it has none.
@@ -48,17 +48,17 @@ class Finding(_Part):
 
 
 def missing(key: str, words: str, unit: str, why: str) -> Finding:
-    """A finding that was not measured, and why."""
+    """Finding that was not measured, with the reason."""
     return Finding(key=key, words=words, unit=unit, status="not measured", remark=why)
 
 
 def status_of(found: bool) -> Status:
-    """Whether something that was looked at could be told."""
+    """Status of a finding: determined or not."""
     return "found" if found else "not identifiable"
 
 
 class PoseRecord(_Part):
-    """One picture: readings in degrees, what was seen in it, and what the fit says."""
+    """One picture: readings in degrees, measured quantities, and fitted values."""
 
     reading_deg: float
     tilt_reading_deg: float
@@ -73,7 +73,7 @@ class PoseRecord(_Part):
 
 
 class ParameterRecord(_Part):
-    """A parameter of the radiance fit: before, after, and from the pictures alone (None: not determined by them)."""
+    """Parameter of the radiance fit: before, after, and from the pictures alone (None: not determined by them)."""
 
     name: str
     words: str
@@ -97,7 +97,7 @@ class FitRecord(_Part):
 
 
 class Commissioning(_Part):
-    """A commissioning, complete.
+    """Complete record of a commissioning.
 
     ``dark_level`` and ``dark_noise`` are counts, ``blur_px`` the rms width of marker edges, ``drift`` the relative
     change of the first pose from start to end.
@@ -131,7 +131,7 @@ class Commissioning(_Part):
         raise KeyError(key)
 
     def number(self, key: str) -> float | None:
-        """The value of a finding, None where it was not found."""
+        """Value of a finding, None where it was not determined."""
         for finding in self.findings:
             if finding.key == key and finding.status == "found" and isinstance(finding.value, int | float):
                 return float(finding.value)
@@ -139,12 +139,12 @@ class Commissioning(_Part):
 
 
 def default_record_path(rig_path: Path) -> Path:
-    """Where the record of a rig's commissioning lies unless told otherwise: beside the rig file."""
+    """Default path of a rig's commissioning record: next to the rig file."""
     return rig_path.with_suffix(".commissioning.json")
 
 
 def write_commissioning(record: Commissioning, path: Path) -> None:
-    """Write a record, all or nothing; it ends with its seal, the SHA-256 of itself with zeros for the seal.
+    """Write a record atomically; it ends with its seal, the SHA-256 of itself with zeros for the seal.
 
     Raises:
         RecordError: the file cannot be written.

@@ -1,4 +1,4 @@
-"""Start-of-shift self test: is the rig fit to measure today?
+"""Start-of-shift self test of a rig.
 
 Every check says what it found, the limit, and what to do. A rig that fails one is unfit: what it measures is INVALID,
 so that the exit code is that of INVALID, and not that of a part that fails.
@@ -44,7 +44,7 @@ Image = npt.NDArray[np.float32]
 
 @dataclass
 class Bed:
-    """What the checks share, and what earlier ones leave to later ones.
+    """State shared by the checks: later ones use the results of earlier ones.
 
     Attributes:
         rig, file: the opened rig and its file.
@@ -153,7 +153,7 @@ WHITE = (
 
 
 def check_white(bed: Bed) -> list[Check]:
-    """The white reference: of this camera, not too old, and with the tile on the stage still true."""
+    """Check the white reference: same camera, not too old, and with the tile on the stage still valid."""
     calibration, settings = bed.file.calibration, bed.settings
     if calibration is None:
         return [skipped_check(*name, "the rig file names no white reference") for name in WHITE]
@@ -199,7 +199,7 @@ def _readback_limit(settings: Settings, axis: RotationStage) -> float:
 
 
 def _go(part: AxisPart, axis: RotationStage, angle_deg: float) -> float:
-    """Move from below, as an inspection does; return how far the reading is off."""
+    """Move from below, as an inspection does; return the error of the reading."""
     target = part.reading_deg(angle_deg)
     if axis.position_deg() > target - part.approach_deg:
         axis.move_to(target - part.approach_deg)
@@ -213,7 +213,7 @@ def _reachable(part: AxisPart, axis: RotationStage, angles_deg: tuple[float, ...
 
 
 def check_home(bed: Bed) -> list[Check]:
-    """Every axis finds its reference, and stands where it says."""
+    """Check that every axis finds its reference and reads back its position."""
     worst, limit = 0.0, 0.0
     for axis in bed.rig.axes:
         reached = axis.home()
@@ -259,7 +259,7 @@ def check_dark(bed: Bed) -> list[Check]:
 
 
 def check_light(bed: Bed) -> list[Check]:
-    """The light changes the picture, both ways; nothing is saturated; the lamp is steady."""
+    """Check that the light switches on and off, nothing is saturated, and the lamp is stable."""
     settings, info = bed.settings, bed.rig.camera.info
     assert bed.dark is not None
     full = 2.0**info.bit_depth - 1.0
@@ -311,7 +311,7 @@ def _lamp(times_s: list[float], means: FloatArray, settings: Settings) -> list[C
 
 
 def check_camera(bed: Bed) -> list[Check]:
-    """Does the camera count light as it says? Automatic exposure is off; counts are proportional, or it is said."""
+    """Check that automatic exposure is off, and whether the counts are linear or calibrated."""
     (exposure, linear), info = CAMERA, bed.rig.camera.info
     settings = bed.settings
     assert bed.dark is not None
@@ -340,7 +340,7 @@ def check_camera(bed: Bed) -> list[Check]:
 
 
 def check_moves(bed: Bed) -> list[Check]:
-    """The stage goes where it is told; with pictures on the way, and back at the first angle twice."""
+    """Check that the stage reaches its targets, with pictures on the way and two returns to the first angle."""
     part, stage = bed.file.stage, bed.rig.stage
     names = ("stage.moves", "reading off the command"), ("stage.repeat", "same angle, approached again")
     angles = _reachable(part, stage, ANGLES)
@@ -393,7 +393,7 @@ def _picture(bed: Bed) -> npt.NDArray[np.float32]:
 
 
 def check_tilt(bed: Bed) -> list[Check]:
-    """The tilt axis goes where it is told, and back to 0°."""
+    """Check that the tilt axis reaches its targets and returns to 0°."""
     name = ("tilt.moves", "tilt axis: reading off the command")
     part, axis = bed.file.tilt, bed.rig.tilt
     if part is None or axis is None:
@@ -500,7 +500,7 @@ def self_test(
 
 
 def _commissioned(rig_path: Path, named: Path | None) -> tuple[Commissioning | None, str]:
-    """The record, and what is wrong with the one beside the rig file; one that was named has to be right."""
+    """Commissioning record and its problem, if any; a record that was named must be valid."""
     if named is not None:
         return read_commissioning(named), ""
     default = default_record_path(rig_path)
@@ -529,7 +529,7 @@ def _opened(devices: dict[str, str]) -> Check:
 
 
 def _carry_out(steps: tuple[Step, ...], bed: Bed, checks: list[Check]) -> None:
-    """One step after the other; what a device in trouble cannot do fails its first check and skips the rest of it."""
+    """Run the steps in order; a device in trouble fails the first check of its step and skips the rest."""
     broken = ""
     for number, (names, step) in enumerate(steps):
         bed.advance(names[0][1], number, len(steps))

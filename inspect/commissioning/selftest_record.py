@@ -20,7 +20,7 @@ Outcome = Literal["PASS", "FAIL", "WARN", "SKIPPED"]
 
 @dataclass(frozen=True)
 class Settings:
-    """How the test is done, and its limits.
+    """Settings of the self test, and its limits.
 
     Attributes:
         exposure_s, gain: how the camera exposes.
@@ -83,7 +83,7 @@ class _Part(BaseModel):
 
 
 class Check(_Part):
-    """One check: outcome, value and limit in `unit`, and what to know or to do; WARN leaves the rig fit."""
+    """One check: outcome, value and limit in `unit`, and advice; WARN leaves the rig fit."""
 
     key: str
     words: str
@@ -105,7 +105,7 @@ def limit_check(
     at_least: bool = False,
     remark: str = "",
 ) -> Check:
-    """A check of a number against a limit; `advice` is said where it fails, `remark` always."""
+    """Check of a number against a limit; `advice` is added on failure, `remark` always."""
     good = bool(np.isfinite(value)) and (value >= limit if at_least else value <= limit)
     text = "; ".join(text for text in (remark, "" if good else advice) if text)
     shown = float(value) if np.isfinite(value) else None
@@ -121,12 +121,12 @@ def limit_check(
 
 
 def skipped_check(key: str, words: str, why: str) -> Check:
-    """A check that was not done, and why."""
+    """Check that was not done, with the reason."""
     return Check(key=key, words=words, outcome="SKIPPED", remark=why)
 
 
 class SelfTest(_Part):
-    """A self test, complete; `fit` where no check failed."""
+    """Complete self test; `fit` where no check failed."""
 
     kind: Literal["anisoscope self test"] = "anisoscope self test"
     schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
@@ -154,7 +154,7 @@ class SelfTest(_Part):
 
 
 def write_self_test(result: SelfTest, folder: Path) -> Path:
-    """Put the result into a folder as a file of its own, with the hash of its content; return its path.
+    """Write the result to a file of its own in a folder, with the hash of its content; return its path.
 
     Raises:
         RecordError: the folder cannot be made or written.

@@ -1,4 +1,4 @@
-"""Commissioning pictures: a turn of the stage in raw readings, and the same part under tilts, as linear pictures.
+"""Commissioning series: a full turn of the stage in raw readings, and tilted views, as linear pictures.
 
 Nothing here trusts the rig file's sense and zero: poses are readings of the axes. The frames go to disk with the
 runner of every acquisition, so that they stay as evidence.
@@ -32,7 +32,7 @@ TOO_MANY_SATURATED = 0.01
 
 @dataclass(frozen=True)
 class Series:
-    """What is photographed.
+    """Poses and exposure of a series.
 
     Attributes:
         exposure_s: exposure of all frames, seconds.
@@ -96,7 +96,7 @@ class Shots:
 
 @dataclass(frozen=True, eq=False)
 class PictureSet:
-    """The pictures, on disk, and the devices that took them; `white` is None where there is no white reference.
+    """Pictures on disk, and the devices they come from; `white` is None without a white reference.
 
     `exposure` says that automatic exposure was proved off; None where the camera has none.
     """

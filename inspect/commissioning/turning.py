@@ -1,4 +1,4 @@
-"""From angles seen at many readings: sense and zero of the stage, rotation centre, zero of the tilt axis."""
+"""Sense and zero of the stage, rotation centre and zero of the tilt axis from angles measured at many readings."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ from anisoscope.commissioning.markers import Fix
 
 @dataclass(frozen=True)
 class Turning:
-    """How the sample turns with the reading: ψ = sense·(reading − zero), ψ counter-clockwise as the camera sees it.
+    """Rotation of the sample with the reading: ψ = sense·(reading − zero), ψ counter-clockwise as the camera sees it.
 
     Attributes:
         sense: 1 where a growing reading turns the sample counter-clockwise, −1 clockwise.
@@ -156,7 +156,7 @@ class Foreshortening:
 
 
 def fit_foreshortening(reading_deg: FloatArray, fixes: list[Fix]) -> Foreshortening:
-    """Zero of the tilt axis; the readings must lie on both sides of it.
+    """Zero of the tilt axis; the readings must span it on both sides.
 
     Args:
         reading_deg: (N,) readings of the tilt axis.

@@ -59,7 +59,7 @@ class Setup:
 
 @dataclass(frozen=True)
 class Findings:
-    """What the paper found, asked of a table of contrasts.
+    """The paper's findings for a table of contrasts.
 
     Attributes:
         max_at_zero_tilt: the mean contrast at zero tilt is larger than at every other tilt.
@@ -127,12 +127,12 @@ class Experiment:
 
     @property
     def findings(self) -> Findings:
-        """What the predicted contrasts say."""
+        """Findings in the predicted contrasts."""
         return findings(self.predicted)
 
     @property
     def measured_findings(self) -> Findings | None:
-        """What the measured contrasts say; None unless all rows were measured."""
+        """Findings in the measured contrasts; None unless all rows were measured."""
         return findings(self.measured) if self.measured is not None and self.complete else None
 
     @property
@@ -218,7 +218,7 @@ def run_experiment(setup: Setup, measured: FloatArray | None = None) -> Experime
 
 
 def findings(table: FloatArray) -> Findings:
-    """The paper's findings, asked of a table of contrasts; levels that tie count as not larger."""
+    """Findings of the paper in a table of contrasts; levels that tie count as not larger."""
     angle, tilt, pair = (table.mean(axis=others) for others in ((1, 2), (0, 2), (0, 1)))
     zero, best = TILTS_DEG.index(0.0), int(np.argmax(angle))
     left, right = tilt[: zero + 1], tilt[zero:][::-1]

@@ -1,1 +1,1 @@
-"""Fits: what measured brightness says of ridges and plastic, and what it cannot say."""
+"""Fits of ridges and plastic to measured brightness, with identifiability."""

@@ -1,4 +1,4 @@
-"""A measured BRDF table beside the models: reading it, its residuals, and whether it is reciprocal.
+"""Measured BRDF table: reading, residuals against the models, and reciprocity.
 
 Angles are those of the sample frame: θ from +z, φ from +x counter-clockwise; ridges run along +y and the facets lean
 toward +x. The models give radiance per unit irradiance perpendicular to the beam; the BRDF is that over cos θi.

@@ -135,7 +135,7 @@ def search(problem: Problem, weight: FloatArray, starts: int, advance: Advance) 
 
 
 def _hop(problem: Problem, weight: FloatArray, found: list[Minimum]) -> list[Minimum]:
-    """The minima and those reached from ridge angles beside that of the best one."""
+    """Minima, including those reached from ridge angles next to that of the best one."""
     one = PARAMETERS["ridge_angle_deg"]
     for _ in range(2):
         best = found[0]
@@ -318,7 +318,7 @@ def fit(problem: Problem, advance: Advance = silent, starts: int = STARTS) -> Fi
 def _with_optics(
     problem: Problem, found: list[Minimum], weight: FloatArray, advance: Advance
 ) -> list[Minimum]:
-    """The minima with index and albedo free as well, unless they cannot be identified there."""
+    """Minima with index and albedo free as well, unless these are not identifiable there."""
     doubt = _doubt(problem, found[0][0])
     if doubt is not None and doubt[1] > HOPELESS:
         raise UsageError(doubt[0])
@@ -333,7 +333,7 @@ def _with_optics(
 
 
 def _doubt(problem: Problem, values: Mapping[str, float]) -> tuple[str, float] | None:
-    """Why index or albedo cannot be identified there even without noise, and their uncertainty in limits."""
+    """Reason why index or albedo is not identifiable even without noise, with their uncertainties."""
     optics = [name for name in OPTICS if name in problem.free]
     found = information(problem, values, np.zeros_like(problem.readings.covariance))
     for name in optics:

@@ -1,4 +1,4 @@
-"""Which parameters the data determine, asked of the Fisher information before anything is reported.
+"""Identifiability of the parameters from the Fisher information, checked before anything is reported.
 
 The information counts the noise of the data and, for every pose, an error of the model itself (`MODEL_SHARE`): a
 parameter that shows only in differences smaller than what the model is wrong by is not determined, however
@@ -142,7 +142,7 @@ def _judge(names: tuple[str, ...], sensitivity: FloatArray) -> Information:
 
 
 def information(problem: Problem, values: Mapping[str, float], noise: FloatArray) -> Information:
-    """What the readings say about the free parameters near these values.
+    """Information of the readings on the free parameters near these values.
 
     Args:
         problem: what is fitted.

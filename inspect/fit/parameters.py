@@ -1,4 +1,4 @@
-"""The parameters that a fit can leave free: their bounds, and from which uncertainty on they say nothing."""
+"""Parameters of a fit: their bounds, and the uncertainty from which on they count as undetermined."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What a fit compares: a scene that the models can predict, and what was read of it."""
+"""Fit problem: a scene that the models predict, and the readings of it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

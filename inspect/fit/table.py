@@ -35,7 +35,7 @@ def uncorrelated(table: Table) -> tuple[FloatArray, bool]:
 def read_readings(
     path: Path, kind: Kind | None, errors: Errors = "shared", covariance: Path | None = None
 ) -> tuple[tuple[Pose, ...], Readings]:
-    """Poses and readings of a table of exposures or of contrasts, told apart by its header.
+    """Poses and readings of a table of exposures or of contrasts, identified by its header.
 
     Args:
         path: ``stage_deg,tilt_deg,value[,u]`` or ``from_deg,to_deg,tilt_deg,value[,u]``.

@@ -1,4 +1,4 @@
-"""What the console and the page say about a fit."""
+"""Texts of a fit, common to console and page."""
 
 from dataclasses import asdict
 from typing import Any
@@ -55,7 +55,7 @@ def quality(fit: Fit) -> str:
 
 
 def notes(fit: Fit) -> list[str]:
-    """What must be known to read the numbers, one sentence each."""
+    """Notes needed to read the numbers, one sentence each."""
     found = [f"Noise: {fit.problem.readings.assumption}."]
     if fit.p_value is not None and fit.p_value < SUSPICIOUS:
         found.append(

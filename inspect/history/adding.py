@@ -30,7 +30,7 @@ class Added:
 
 
 def finished_folders(places: Sequence[Path]) -> list[Path]:
-    """All folders with a record, among those given and anywhere below them, the earliest made first.
+    """All folders with a record, among those given and anywhere below them, oldest first.
 
     Raises:
         UsageError: one of the places is no folder.

@@ -39,7 +39,7 @@ class Address:
 
 
 def parse_address(text: str | Path) -> Address:
-    """Understand where a history is; nothing is opened.
+    """Parse the place of a history; nothing is opened.
 
     Args:
         text: a file, a folder of inspections, ``sqlite:///FILE`` or ``postgresql://USER:PASSWORD@HOST/DATABASE``.

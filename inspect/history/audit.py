@@ -1,4 +1,4 @@
-"""Is a history what was written? Every hash is computed again."""
+"""Audit of a history: every hash is recomputed."""
 
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
@@ -16,7 +16,7 @@ Values = Mapping[str, Any]
 
 
 def verify_chain(database: Database) -> list[Damage]:
-    """What is wrong with a history; empty when nothing is.
+    """Damage of a history; empty for an intact one.
 
     A changed row is named by itself: rows are linked by the hashes that are stored, and each is computed from its row.
 
@@ -83,7 +83,7 @@ def _gap(kind: str, first: int, last: int) -> Damage:
 
 
 def _rows(database: Database, table: Table) -> Iterator[tuple[int, Values | None]]:
-    """All rows by id, or None for one that cannot be read; a part at a time, so that writers are not kept waiting."""
+    """All rows by id, None for an unreadable one; read in portions, so that writers do not wait."""
     with database.reading() as connection:
         last = int(connection.scalar(select(func.coalesce(func.max(table.c.id), 0))) or 0)
     for start in range(0, last, _AT_ONCE):

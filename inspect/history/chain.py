@@ -1,4 +1,4 @@
-"""How rows hang together: each one's hash covers all its content and the hash of the row before it."""
+"""Hash chain of the rows: each hash covers all content of its row and the hash of the row before it."""
 
 import hashlib
 import json
@@ -53,7 +53,7 @@ def _plain(value: object) -> object:
 
 
 def pack(values: Sequence[float]) -> bytes:
-    """Numbers, little-endian: single precision where that keeps all of them to `KEPT`, else double.
+    """Numbers, little-endian: single precision where that is exact to `KEPT`, else double.
 
     An uncertainty is known to two digits; seven are kept of every number. The record in the folder holds all.
     """

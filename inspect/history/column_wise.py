@@ -1,4 +1,4 @@
-"""Many inspections column by column, as statistics want them: no row is built of what is only counted."""
+"""Column-wise reading of many inspections for statistics, without building rows."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -50,7 +50,7 @@ def read_columns(connection: Connection, filters: Filters) -> Columns:
 
 
 def _recipe() -> ColumnElement[str]:
-    """Product and digits, put together where the rows lie: that costs no loop here."""
+    """Product and digits, joined by the database, which costs no loop here."""
     table = inspections.c
     return table.product + " " + table.recipe
 

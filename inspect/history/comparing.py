@@ -1,4 +1,4 @@
-"""Two inspections side by side: by how much their contrasts differ, and what else is not the same."""
+"""Comparison of two inspections: differences of their contrasts, and of recipe, rig and software."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -41,7 +41,7 @@ class Compared:
 
 @dataclass(frozen=True)
 class Change:
-    """Something that is not the same: its name, and what each inspection has (None: it has nothing)."""
+    """Difference between two inspections: its name, and the value in each (None: absent)."""
 
     what: str
     first: str | None
@@ -50,7 +50,7 @@ class Change:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two inspections compared; ``notes`` say which record could not be read, and what is therefore not compared."""
+    """Two inspections compared; ``notes`` name unreadable records, and what is therefore not compared."""
 
     first: Row
     second: Row
@@ -61,7 +61,7 @@ class Comparison:
 
 
 def compare(first: Row, second: Row) -> Comparison:
-    """Compare two inspections: by the history, and where their folders are still there also by their records."""
+    """Compare two inspections: by the history, and where their folders still exist also by their records."""
     compared = [_compared(label, first, second) for label in _labels(first, second)]
     contrasts = tuple(one for one in compared if one.u is not None or _has_u(one.label, first, second))
     changes = list(_row_changes(first, second))

@@ -48,7 +48,7 @@ class Database:
 
     @contextmanager
     def writing(self) -> Iterator[Connection]:
-        """A transaction in which nobody else writes; it is safe on disk once this is left.
+        """Exclusive write transaction; it is safe on disk once this is left.
 
         Raises:
             HistoryError: the database cannot be reached or written.
@@ -74,7 +74,7 @@ class Database:
 
 
 def _reason(error: BaseException) -> str:
-    """What the database says, in one line and without the statement."""
+    """Message of the database, in one line and without the statement."""
     origin = error.orig if isinstance(error, DBAPIError) and error.orig is not None else error
     detail = origin.args[0] if origin.args else str(origin)
     if isinstance(detail, dict):  # PostgreSQL's message with its parts

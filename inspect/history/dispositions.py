@@ -1,4 +1,4 @@
-"""What a reviewer decides about an inspection: rows of their own, so that the verdict stays what it was."""
+"""Dispositions: decisions of a reviewer about an inspection, as rows of their own; the verdict is unchanged."""
 
 from dataclasses import dataclass
 from datetime import datetime

@@ -1,4 +1,4 @@
-"""What can be wrong with a history."""
+"""Errors and damage of a history."""
 
 from dataclasses import dataclass
 

@@ -108,7 +108,7 @@ VERSION = len(MIGRATIONS)
 
 
 def version_of(connection: Connection) -> int:
-    """Version of the tables in a database; 0 where there are none."""
+    """Version of the tables in a database; 0 without tables."""
     if not inspect(connection).has_table(versions.name):
         return 0
     return int(connection.scalar(select(func.coalesce(func.max(versions.c.version), 0))) or 0)
@@ -136,7 +136,7 @@ def migrate(connection: Connection, to: int = VERSION) -> None:
 
 
 def missing_guards(connection: Connection) -> list[str]:
-    """Tables whose refusal of changes was taken away."""
+    """Tables whose triggers against changes are missing."""
     statement = "SELECT name FROM sqlite_master WHERE type = 'trigger'"
     if connection.dialect.name == "postgresql":
         statement = (
@@ -176,7 +176,7 @@ def _guard(connection: Connection, table: Table) -> None:
 
 
 def _clash(table: Table) -> str:
-    """A row is there already that would have to go: it has the same key, or the same of what must be unique."""
+    """Condition: another row already has the same key, or the same unique value."""
     names = [column.name for column in table.columns if column.primary_key or column.unique]
     return " OR ".join(f"{name} = NEW.{name}" for name in names)
 

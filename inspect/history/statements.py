@@ -62,7 +62,7 @@ def conditions(filters: Filters) -> list[ColumnElement[bool]]:
 
 
 def chosen(statement: Select[Any], filters: Filters) -> Select[Any]:
-    """The latest ones first, as many as wanted."""
+    """Selection in descending order of time, limited in number."""
     order = (inspections.c.created_us.desc(), inspections.c.id.desc())
     statement = statement.where(*conditions(filters)).order_by(*order)
     return statement if filters.limit is None else statement.limit(filters.limit)
@@ -93,7 +93,7 @@ def _values(row: Mapping[Any, Any]) -> Values:
 
 
 def count(connection: Connection, filters: Filters) -> int:
-    """How many inspections there are; the limit aside."""
+    """Number of inspections; the limit is ignored."""
     statement = select(func.count()).select_from(inspections).where(*conditions(filters))
     return int(connection.scalar(statement) or 0)
 
@@ -147,7 +147,7 @@ def head(connection: Connection, table: Table) -> tuple[int, bytes]:
 
 
 def append_rows(connection: Connection, news: Sequence[NewRow], history: Path | None) -> list[Row]:
-    """Add inspections; those whose seal is there already are passed over.
+    """Append inspections; those whose seal is present already are skipped.
 
     Args:
         connection: in a transaction that writes.
@@ -180,7 +180,7 @@ def append_rows(connection: Connection, news: Sequence[NewRow], history: Path | 
 
 
 def _layout(connection: Connection, labels: str) -> int:
-    """The number under which a list of labels is kept; it is kept from now on if it was not."""
+    """Number of a list of labels; a new list is stored."""
     digest = digest_of(labels)
     table = schema.layouts
     found = connection.scalar(select(table.c.id).where(table.c.digest == digest))

@@ -44,7 +44,7 @@ class Series:
 
 @dataclass(eq=False)
 class History:
-    """A history that is open; made by `open_history`, closed by leaving it."""
+    """Open history; made by `open_history`, closed on leaving the context."""
 
     address: Address
     _database: Database = field(init=False)
@@ -76,7 +76,7 @@ class History:
         return self.append_all([new])[0]
 
     def append_all(self, news: Sequence[NewRow]) -> list[Row]:
-        """Add many inspections in one transaction: all of them are there afterwards, or none.
+        """Add many inspections in one transaction: all of them, or none.
 
         Raises:
             HistoryError: as for `append`.
@@ -98,7 +98,7 @@ class History:
             return [self._row(found) for found in statements.rows(connection, filters)]
 
     def count(self, filters: Filters = EVERYTHING) -> int:
-        """How many inspections there are; its limit aside.
+        """Number of inspections; the filter's limit is ignored.
 
         Raises:
             UsageError, HistoryError: as for `rows`.
@@ -248,7 +248,7 @@ _MAX_DIGITS = 18
 
 
 def find(history: History, name: str) -> Row:
-    """The inspection that is meant; of a part that was inspected several times, the latest one.
+    """Inspection by serial number, id or folder; of a part that was inspected several times, the latest one.
 
     Args:
         history: where to look.

@@ -212,7 +212,7 @@ def _sum(one: FloatArray, other: FloatArray) -> FloatArray:
 
 
 class _Projection:
-    """Weighted least squares in (1, x) of every wavelength: (G, W) weights, 0 where there is no reading."""
+    """Weighted least squares in (1, x) of every wavelength: (G, W) weights, 0 without a reading."""
 
     def __init__(self, x: FloatArray, weight: FloatArray) -> None:
         self.weight = weight

@@ -12,7 +12,7 @@ METHODS = {"joint": "joint fit of all readings", "paper": "two steps, as publish
 
 
 def fit_as_json(found: InkFit) -> dict[str, Any]:
-    """A fit as plain data; None stands for an uncertainty that cannot be told."""
+    """Fit as plain data; None for an undetermined uncertainty."""
     return {
         "method": found.method,
         "convention": "brdf",
@@ -96,7 +96,7 @@ def show_rows(shown: Show, number: int) -> list[list[str]]:
 
 
 def show_notes(shown: Show) -> list[str]:
-    """How the colours were made."""
+    """Notes on how the colours are computed."""
     where = "in the mirror direction"
     if shown.inks[0].off_mirror_deg:
         where = f"{shown.inks[0].off_mirror_deg:+g}° beside the mirror direction".replace("-", "−")

@@ -1,1 +1,1 @@
-"""What the camera sees now: numbers (``view``), a drawn picture (``picture``), a page that shows it (``page``)."""
+"""Live picture of the camera: numbers (``view``), a drawn picture (``picture``), a page that shows it (``page``)."""

@@ -64,7 +64,7 @@ class LivePage:
 
     @property
     def policy(self) -> str:
-        """What a browser may load on the page: nothing from elsewhere."""
+        """Content security policy of the page: same origin only."""
         inline = f"'nonce-{self._nonce}'"
         return (
             f"default-src 'none'; img-src 'self' data:; connect-src 'self'; style-src {inline}; "
@@ -72,7 +72,7 @@ class LivePage:
         )
 
     def publish(self, jpeg: bytes, numbers: Mapping[str, Number]) -> None:
-        """Show a picture and the numbers that belong to it; returns at once. NaN is shown as nothing."""
+        """Publish a picture and its numbers; returns at once. NaN is shown as an empty value."""
         self.feed.put(jpeg, json.dumps({name: _plain(value) for name, value in numbers.items()}).encode())
 
     def close(self) -> None:
@@ -107,7 +107,7 @@ def _render(title: str, nonce: str) -> bytes:
 
 
 class _Feed:
-    """The newest picture and its numbers; whoever waits is woken for the next."""
+    """Newest picture and its numbers; waiting threads are notified of the next."""
 
     def __init__(self) -> None:
         self._condition = threading.Condition()
@@ -128,7 +128,7 @@ class _Feed:
             self._condition.notify_all()
 
     def newer_than(self, count: int) -> tuple[int, bytes] | None:
-        """The number and bytes of the newest picture, once there is one after `count`; None at the end."""
+        """Number and bytes of the newest picture, once it is newer than `count`; None at the end."""
         with self._condition:
             while not self._ended and self._count <= count:
                 self._condition.wait(WAIT_S)
@@ -147,7 +147,7 @@ class _Server(socketserver.ThreadingTCPServer):
         super().__init__((HOST, port), _Handler)
 
     def admit(self, connection: socket.socket) -> bool:
-        """Remember a connection, to end it with the page; False if there are too many, or the page ends."""
+        """Register a connection, so that it ends with the page; False if there are too many, or the page ends."""
         with self._lock:
             self._open.add(connection)
             if self._ending:
@@ -159,7 +159,7 @@ class _Server(socketserver.ThreadingTCPServer):
             self._open.discard(connection)
 
     def hang_up(self) -> None:
-        """End every connection, also those that are blocked by somebody who does not read."""
+        """End every connection, also one blocked by a viewer that does not read."""
         with self._lock:
             self._ending = True
             for connection in self._open:
@@ -167,7 +167,7 @@ class _Server(socketserver.ThreadingTCPServer):
                     connection.shutdown(socket.SHUT_RDWR)
 
     def handle_error(self, request: Any, client_address: Any) -> None:  # noqa: ANN401 - as the base class has it
-        """Viewers come and go; that is nobody's concern."""
+        """Ignore errors of a connection: viewers come and go."""
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -199,7 +199,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._serve(self._requested_path())
 
     def _requested_path(self) -> str | None:
-        """The path below the token; None if the token is wrong."""
+        """Path below the token; None if the token is wrong."""
         _, _, rest = self.path.partition("/")
         token, slash, name = rest.partition("/")
         known = secrets.compare_digest(token.encode("utf-8", "replace"), self._page.token.encode())
@@ -246,4 +246,4 @@ class _Handler(BaseHTTPRequestHandler):
             self.wfile.write(head.encode() + jpeg + f"\r\n--{BOUNDARY}\r\n".encode())
 
     def log_message(self, format: str, *arguments: object) -> None:  # noqa: A002 - as the base class has it
-        """Nothing is logged: the path holds the token."""
+        """Log nothing: the path contains the token."""

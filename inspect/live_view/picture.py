@@ -1,4 +1,4 @@
-"""The live picture as people see it: 8 bits, with ridge direction, focus and saturation drawn in; and as a JPEG."""
+"""Live picture for display: 8 bits, with ridge direction, focus and saturation drawn in; and as a JPEG."""
 
 import math
 
@@ -58,14 +58,14 @@ def words(view: View, relative_focus: float) -> list[str]:
 
 
 def to_show(counts: Counts, info: CameraInfo) -> Picture:
-    """A frame for the eye: (rows, cols), or (rows, cols, 3) blue, green, red of a colour camera, white not balanced."""
+    """Frame for display: (rows, cols), or (rows, cols, 3) blue, green, red of a colour camera, white not balanced."""
     if info.filters == "mono":
         return eight_bits(counts, info)
     return np.ascontiguousarray(eight_bits(demosaicked(counts, info.filters)[:, :, ::-1], info))
 
 
 def eight_bits(counts: Counts, info: CameraInfo) -> Picture:
-    """Black level to full scale as 0 to 255, in the shape of the counts; brightened for the eye (square root)."""
+    """Black level to full scale as 0 to 255, in the shape of the counts; brightened for display (square root)."""
     return np.asarray(np.sqrt(np.clip(signal_of(counts, info), 0.0, 1.0)) * 255.0 + 0.5, dtype=np.uint8)
 
 

@@ -1,4 +1,4 @@
-"""What a live picture is judged by while a rig is set up: focus, saturation, histogram, direction of the ridges.
+"""Numbers of a live picture for adjusting a rig: focus, saturation, histogram, direction of the ridges.
 
 Pure functions of a frame's counts, (rows, cols). What cannot be told from a frame is NaN or None, never a guess.
 """
@@ -34,7 +34,7 @@ FRAMES_FOR_SPEED = 20
 
 @dataclass(frozen=True)
 class View:
-    """What one frame shows.
+    """Numbers of one frame.
 
     Attributes:
         mean: mean count above black, as a share of full scale above black.
@@ -64,7 +64,7 @@ class Reading:
 
 
 class Meter:
-    """Keeps the best focus seen, and how fast frames come."""
+    """Running maximum of the focus, and the frame rate."""
 
     def __init__(self) -> None:
         self._best = 0.0
@@ -83,7 +83,7 @@ class Meter:
 
 
 def look_at(counts: Counts, info: CameraInfo, *, focus: FocusMeasure = "tenengrad", bins: int = 32) -> View:
-    """Judge a frame of a camera; of a colour camera, focus and ridges without the pattern of its mosaic.
+    """Evaluate a frame of a camera; of a colour camera, focus and ridges without the pattern of its mosaic.
 
     Args:
         counts: (rows, cols) raw counts.
@@ -116,7 +116,7 @@ def saturated_share(counts: Counts, bit_depth: int) -> float:
 
 
 def focus_of(signal: Plane, measure: FocusMeasure = "tenengrad") -> float:
-    """How sharp a picture is; larger is sharper, and exposure does not matter.
+    """Sharpness of a picture; larger is sharper, independent of exposure.
 
     Tenengrad: mean squared Sobel gradient. Laplacian: variance of the Laplacian. Both of the picture with its noise
     smoothed a little, and over its squared mean. Comparable between pictures of the same object only.
@@ -210,7 +210,7 @@ def wrapped_deg(angle_deg: float) -> float:
 
 
 def histogram_of(signal: Plane, bins: int) -> tuple[float, ...]:
-    """Share of pixels in equal bins from black to full scale; what lies below or above counts in the outer bins."""
+    """Share of pixels in equal bins from black to full scale; the outer bins include what is beyond."""
     numbers = np.clip((signal * bins).astype(np.int32), 0, bins - 1)
     found = np.bincount(numbers.ravel(), minlength=bins) / signal.size
     return tuple(float(share) for share in found)

@@ -1,4 +1,4 @@
-"""Bias: how far the mean of repeated measurements lies from a known value (AIAG MSA, 4th edition, III-B)."""
+"""Bias: deviation of the mean of repeated measurements from a reference value (AIAG MSA, 4th edition, III-B)."""
 
 import math
 from dataclasses import dataclass
@@ -45,7 +45,7 @@ class Bias:
 
     @property
     def significant(self) -> bool:
-        """0 lies outside the interval."""
+        """Whether 0 is outside the interval."""
         return not self.low <= 0.0 <= self.high
 
     @property

@@ -67,7 +67,7 @@ class CameraSheet:
 
     @property
     def rows(self) -> tuple[tuple[str, Value], ...]:
-        """What was found, in the order of the standard, with decibels and stops beside the ratios."""
+        """Results in the order of the standard, ratios also in decibels and stops."""
         values = self.record.values
         return tuple((NAMES[name], values[name]) for name in NAMES if name in values)
 

@@ -19,7 +19,7 @@ GOOD, POOR = 1.33, 1.0
 
 @dataclass(frozen=True)
 class Specification:
-    """Limits of good parts; None where there is none on that side.
+    """Specification limits; None for a one-sided specification.
 
     Raises:
         UsageError: none at all, or the lower not below the upper.

@@ -192,7 +192,7 @@ class Settings:
 
 @dataclass(frozen=True, eq=False)
 class ControlStudy:
-    """All that is said of one series.
+    """Control chart of one series: limits, rule violations, normality and capability.
 
     Attributes:
         name: of the number, and of the group it belongs to.
@@ -304,7 +304,7 @@ def _capability_json(found: Capability) -> dict[str, Any]:
 
 
 def capable_words(found: Capability, stable: bool) -> str:
-    """What the capability says, with its doubt."""
+    """Capability in words, with its uncertainty."""
     index = found.ppk
     if index.low >= GOOD:
         word = "capable"

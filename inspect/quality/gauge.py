@@ -93,7 +93,7 @@ def joined(one: MeanSquare, other: MeanSquare) -> MeanSquare:
 
 @dataclass(frozen=True)
 class Component:
-    """A variance made of mean squares.
+    """Variance component as a combination of mean squares.
 
     Attributes:
         name: what varies.
@@ -171,7 +171,7 @@ def _crossed(plus: Sized, minus: Sized, tail: float) -> tuple[float, float]:
 
 @lru_cache
 def _chi_square_factors(freedom: int, tail: float) -> tuple[float, float]:
-    """How far a variance may lie below and above a mean square, as shares of it (G and H)."""
+    """Distances of the interval of a variance from its mean square, as shares of it (G and H)."""
     from scipy.special import chdtri  # noqa: PLC0415 - heavy
 
     return 1.0 - freedom / float(chdtri(freedom, tail)), freedom / float(chdtri(freedom, 1.0 - tail)) - 1.0
@@ -302,7 +302,7 @@ class GaugeStudy:
 
     @property
     def categories_interval(self) -> tuple[int | None, int | None]:
-        """The interval of ndc; None at an end where there may be no noise."""
+        """Interval of ndc; None at an end where the noise may be zero."""
         low, high = self.share
         return categories_of(high), categories_of(low)
 
@@ -511,7 +511,7 @@ def _notes(data: GaugeData, found: tuple[Component | None, ...], *, pooled: bool
 
 
 def _undecided(reach: tuple[float, float], confidence: float) -> tuple[str, ...]:
-    """A study that is too small to tell a good gauge from a poor one says so."""
+    """Note on a study too small to separate a good gauge from a poor one."""
     low, high = reach
     if not low <= POOR_SHARE < high:
         return ()

@@ -66,7 +66,7 @@ class GaugeLinearity:
 
     @property
     def fit(self) -> bool:
-        """Zero bias lies within the band over the whole range."""
+        """Whether zero bias is within the band over the whole range."""
         _, low, high = self.band(np.linspace(self.references.min(), self.references.max(), 201))
         return bool(np.all((low <= 0.0) & (high >= 0.0)))
 

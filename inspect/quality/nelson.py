@@ -97,7 +97,7 @@ def _run(key: IntArray) -> IntArray:
 
 
 def _most_of(z: FloatArray, far: float, least: int, span: int) -> BoolArray:
-    """At least some of a span of values lie beyond on one side, the last one among them.
+    """Rule of k out of n points beyond a distance on one side, the last one among them.
 
     A span that reaches back over a missing value is cut short there.
     """
@@ -129,7 +129,7 @@ def flags(values: FloatArray, center: float, sigma: float) -> tuple[Flag, ...]:
 
 
 def _of_rule(rule: int, seen: IntArray, side: IntArray, missing: BoolArray) -> list[Flag]:
-    """Join what overlaps and, where the side matters, lies on the same side."""
+    """Merge overlapping runs of a rule and, where the side matters, of the same side."""
     if len(seen) == 0:
         return []
     gaps = np.concatenate([[-1], np.flatnonzero(missing)])

@@ -62,7 +62,7 @@ class Readings:
         return name, self.numbers[name]
 
     def only(self, keep: Mapping[str, str | None]) -> "Readings":
-        """Readings whose words are as asked; None asks for nothing.
+        """Readings whose texts match; None matches all.
 
         Raises:
             UsageError: there is no such column, or nothing is left.
@@ -143,7 +143,7 @@ def read_readings(path: Path) -> Readings:
 def without_invalid(
     texts: Mapping[str, tuple[str, ...]], numbers: Mapping[str, FloatArray]
 ) -> dict[str, FloatArray]:
-    """Numbers of INVALID inspections say nothing about the part: they become missing."""
+    """Readings with the numbers of INVALID inspections removed: they do not describe the part."""
     if "verdict" not in texts:
         return dict(numbers)
     invalid = np.array([verdict == INVALID for verdict in texts["verdict"]], dtype=np.bool_)

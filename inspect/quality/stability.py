@@ -1,4 +1,4 @@
-"""Stability: a check standard measured again and again over time, on a control chart, beside its known value."""
+"""Stability: a check standard measured repeatedly over time, on a control chart, with its bias."""
 
 from dataclasses import dataclass
 from typing import Any

@@ -1,4 +1,4 @@
-"""Where the limits of good parts come from: given, from a recipe, or from what the history remembers."""
+"""Specification limits: given, from a recipe, or from the history."""
 
 import numpy as np
 
@@ -36,17 +36,17 @@ def recipe_tolerances(recipe: SurfaceRecipe) -> dict[str, float]:
 def specification(
     readings: Readings, number: str, tolerances: dict[str, float] | None = None
 ) -> Specification | None:
-    """Limits of a number, as far as a recipe or the readings themselves tell them.
+    """Specification limits of a number from a recipe or from the readings' own tolerances.
 
     A deviation lies within ± its tolerance, a contrast within its prediction ± its tolerance.
 
     Args:
-        readings: the number and, where they come from a history, ``deviation …`` and ``tolerance …`` beside it.
+        readings: the number and, where they come from a history, their ``deviation …`` and ``tolerance …``.
         number: which number.
         tolerances: of a recipe, by contrast; None for those of the history.
 
     Returns:
-        None where nothing tells them.
+        None where neither states them.
 
     Raises:
         UsageError: the parts were predicted or tolerated differently, so that no one pair of limits holds.

@@ -50,7 +50,7 @@ class SlotView:
 
     @property
     def sign(self) -> str:
-        """A sign beside the colour, for those who do not see it."""
+        """Symbol in addition to the colour, for colour-blind readers."""
         return _SIGNS.get(self.word, "·")
 
     @property
@@ -66,7 +66,7 @@ def write_batch_page(
     counts: Sequence[tuple[str, int]],
     slots: Sequence[SlotView],
 ) -> None:
-    """Write the page of a batch, all or nothing.
+    """Write the page of a batch, atomically.
 
     Args:
         path: file to write; links count from its folder.
@@ -93,7 +93,7 @@ def write_batch_page(
 
 
 def tray_places(labels: Sequence[str]) -> tuple[int, list[tuple[int, int]]]:
-    """Where slots lie on the tray: A1…H12 as their names say, all others in the order of the list, nearly square.
+    """Positions of slots on the tray: A1…H12 by name, all others in list order on a nearly square grid.
 
     Returns:
         The number of columns, and row and column of every slot, from 1.

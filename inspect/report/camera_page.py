@@ -18,7 +18,7 @@ RATIOS = {NAMES[name] for name in ("snr_max", "dynamic_range")}
 
 
 def write_camera_page(path: Path, sheet: CameraSheet) -> None:
-    """Write the page, all or nothing.
+    """Write the page, atomically.
 
     Raises:
         RecordError: the file cannot be written.

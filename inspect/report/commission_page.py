@@ -141,7 +141,7 @@ def residual_chart(done: Commissioned) -> str:
 
 
 def write_commission_page(done: Commissioned, path: Path) -> None:
-    """Write the page of a commissioning, all or nothing.
+    """Write the page of a commissioning, atomically.
 
     Raises:
         RecordError: the file cannot be written.

@@ -95,7 +95,7 @@ TOLERANCE_COLUMNS = (
 
 
 def write_design_page(shown: DesignPage, path: Path) -> None:
-    """Write the page, all or nothing.
+    """Write the page, atomically.
 
     Raises:
         RecordError: the file cannot be written.

@@ -26,7 +26,7 @@ RULE_TITLES = {
 
 
 def write_detection_page(path: Path, found: Results) -> None:
-    """Write the page, all or nothing.
+    """Write the page, atomically.
 
     Args:
         path: file to write.

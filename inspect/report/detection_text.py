@@ -34,7 +34,7 @@ INTERVALS = {
 
 
 def numbers_of(found: Results) -> Results:
-    """The numbers of a study that its page shows, few enough to be kept beside it."""
+    """Numbers of a study that its page shows, in a small table stored next to it."""
     numbers: Results = {
         "plan": {key: found["plan"][key] for key in ("parts", "defective", "seed")},
         "cases": [],
@@ -91,14 +91,14 @@ def _class(one: Results) -> Results:
 
 
 def _reaching(rows: list[Results]) -> Results:
-    """The least that reaches the wanted area, in the order in which it was tried, and the best of all."""
+    """Plans that reach the target area, the first three in the order of trial, and the best of all."""
     short = [{**row, "sigmas": round(row["sigmas"], 1), "auc": round(row["auc"], 3)} for row in rows]
     enough = [row for row in short if row["auc"] >= WANTED]
     return {"enough": enough[:3], "best": max(short, key=lambda row: row["auc"])}
 
 
 def block_of(numbers: Results) -> str:
-    """Markdown of the results, from the numbers that are kept."""
+    """Markdown of the results, from the stored numbers."""
     plan, cases = numbers["plan"], numbers["cases"]
     where = [case["where"] for case in cases]
     parts = [
@@ -212,7 +212,7 @@ def with_results(page: str, numbers: Results) -> str:
 
 
 def write_results(path: Path, found: Results) -> None:
-    """Put the results of a study into a Markdown page, and its numbers beside it (``.json``).
+    """Write the results of a study into a Markdown page, and its numbers next to it (``.json``).
 
     Raises:
         UsageError: the page is missing or has no marks.

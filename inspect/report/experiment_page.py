@@ -1,4 +1,4 @@
-"""Pages of the published experiment: its charts beside the measured ones, and the map of its findings."""
+"""Pages of the published experiment: predicted and measured charts, and the map of its findings."""
 
 import base64
 from collections.abc import Sequence
@@ -161,7 +161,7 @@ def findings_svg(maps: Sequence[FindingsMap]) -> str:
 
 
 def write_experiment_page(result: Experiment, unit: str, path: Path) -> None:
-    """Write the page of one experiment, all or nothing.
+    """Write the page of one experiment, atomically.
 
     Args:
         result: the experiment.
@@ -189,7 +189,7 @@ def write_experiment_page(result: Experiment, unit: str, path: Path) -> None:
 
 
 def write_findings_page(maps: Sequence[FindingsMap], path: Path) -> None:
-    """Write the page of the map of findings, all or nothing.
+    """Write the page of the map of findings, atomically.
 
     Raises:
         RecordError: the file cannot be written.

@@ -1,4 +1,4 @@
-"""Pictures of a report, each as a data URI: nothing outside the page is needed to show them."""
+"""Figures of a report, each as a data URI, so that the page is self-contained."""
 
 import base64
 import io
@@ -134,7 +134,7 @@ def photograph(radiance: Image, white: float) -> str:
 
 @dataclass(frozen=True)
 class MapFrame:
-    """Where a map lies: its middle from the rotation axis, in mm along its own axes, and what these are called."""
+    """Frame of a map: its centre from the rotation axis, in mm along its own axes, and the names of these."""
 
     middle_mm: tuple[float, float] = (0.0, 0.0)
     across: str = "x"

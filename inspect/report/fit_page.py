@@ -71,7 +71,7 @@ def _name_rows(axes: "Axes", labels: tuple[str, ...]) -> None:
 
 
 def write_fit_page(fit: Fit, title: str, path: Path, extra_notes: tuple[str, ...] = ()) -> None:
-    """Write the page of a fit or of a comparison, all or nothing.
+    """Write the page of a fit or of a comparison, atomically.
 
     Args:
         fit: the fit; without free parameters the page is a comparison.

@@ -25,7 +25,7 @@ LEAST_APART = 60.0
 
 
 def write_ink_fit_page(found: InkFit, ink: Ink, title: str, path: Path) -> None:
-    """Write the page of a fit, all or nothing.
+    """Write the page of a fit, atomically.
 
     Raises:
         RecordError: the file cannot be written.
@@ -161,7 +161,7 @@ def _label(axes: "Axes", x: str, y: str) -> None:
 
 
 def write_ink_show_page(shown: Show, title: str, path: Path) -> None:
-    """Write the page of colours against angle, all or nothing.
+    """Write the page of colours against angle, atomically.
 
     Raises:
         RecordError: the file cannot be written.
@@ -189,7 +189,7 @@ def write_ink_show_page(shown: Show, title: str, path: Path) -> None:
 
 
 def write_ink_picture(shown: Show, path: Path) -> None:
-    """Write spectra and colours as one PNG or SVG picture, all or nothing.
+    """Write spectra and colours as one PNG or SVG picture, atomically.
 
     Raises:
         UsageError: a name that ends in neither.

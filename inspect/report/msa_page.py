@@ -154,7 +154,7 @@ def linearity_picture(study: GaugeLinearity) -> str:
 
 
 def write_gauge_page(path: Path, title: str, source: str, study: GaugeStudy) -> None:
-    """Write the page of a gauge R&R study, all or nothing.
+    """Write the page of a gauge R&R study, atomically.
 
     Raises:
         RecordError: the file cannot be written.
@@ -238,7 +238,7 @@ def anova(study: GaugeStudy) -> Grid:
 
 
 def write_bias_page(path: Path, title: str, source: str, study: Bias, values: FloatArray) -> None:
-    """Write the page of a bias study, all or nothing.
+    """Write the page of a bias study, atomically.
 
     Raises:
         RecordError: the file cannot be written.
@@ -272,7 +272,7 @@ def biases(found: Sequence[Bias]) -> Grid:
 
 
 def write_linearity_page(path: Path, title: str, source: str, study: GaugeLinearity) -> None:
-    """Write the page of a linearity study, all or nothing.
+    """Write the page of a linearity study, atomically.
 
     Raises:
         RecordError: the file cannot be written.
@@ -301,7 +301,7 @@ def line_table(study: GaugeLinearity) -> Grid:
 
 
 def write_stability_page(path: Path, title: str, source: str, study: Stability) -> None:
-    """Write the page of a stability study, all or nothing.
+    """Write the page of a stability study, atomically.
 
     Raises:
         RecordError: the file cannot be written.

@@ -14,7 +14,7 @@ Filters = Mapping[str, Callable[..., str]]
 
 
 def write_page(path: Path, template: str, content: Mapping[str, Any], filters: Filters | None = None) -> None:
-    """Write a self-contained page, all or nothing.
+    """Write a self-contained page, atomically.
 
     Args:
         path: file to write.

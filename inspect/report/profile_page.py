@@ -212,7 +212,7 @@ def _ridge_part(found: RidgeMeasurement) -> dict[str, Any]:
 
 
 def write_profile_page(surface: HeightMap, name: str, path: Path, on_progress: Advance = silent) -> None:
-    """Write the page of a height map, all or nothing.
+    """Write the page of a height map, atomically.
 
     Args:
         surface: the map as read.

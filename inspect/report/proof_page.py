@@ -1,4 +1,4 @@
-"""The page of a soft proof: one file with a WebGL 2 view that asks for nothing from outside."""
+"""Page of a soft proof: one self-contained file with a WebGL 2 view."""
 
 import base64
 import hashlib
@@ -105,7 +105,7 @@ class Proof:
 
 
 def write_proof_page(proof: Proof, path: Path) -> None:
-    """Write the page, all or nothing.
+    """Write the page, atomically.
 
     Raises:
         UsageError: not three inks, or one whose distribution of normals the page does not know.

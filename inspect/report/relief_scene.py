@@ -86,7 +86,7 @@ def _mesh(z: FloatArray, pixel_um: tuple[float, float], exaggeration: float) -> 
 
 
 def _draw_bar(plotter: Any) -> None:  # noqa: ANN401 - wrapped methods of pyvista have no usable types
-    """The colour bar of the still picture; the scene is drawn without, since it stands beside a map with one."""
+    """Colour bar of the still picture; the interactive scene has none, since the map next to it has one."""
     plotter.add_scalar_bar(
         "height [µm]",
         color="black",

@@ -127,7 +127,7 @@ def _levels(axes: "Axes", center: float, lower: float | None, upper: float) -> N
 
 
 def _name_rules(axes: "Axes", study: ControlStudy) -> None:
-    """The number of each rule beside the value at which it was seen, unless there are too many to read."""
+    """Number of each violated rule at its value, unless there are too many to read."""
     if len(study.flags) > NAMED:
         return
     rules: dict[int, list[str]] = {}
@@ -149,7 +149,7 @@ def _name_rules(axes: "Axes", study: ControlStudy) -> None:
 
 
 def spread_picture(study: ControlStudy) -> str:
-    """How the values are spread, beside a normal distribution and the limits of good parts, as a data URI."""
+    """Histogram of the values with a normal distribution and the specification limits, as a data URI."""
     measured = study.values[~np.isnan(study.values)]
     mean, sigma = float(measured.mean()), float(measured.std(ddof=1))
     with new_figure(9.4, 3.0) as (figure, axes):
@@ -188,7 +188,7 @@ def write_spc_page(
     detailed: Sequence[ControlStudy],
     notes: Sequence[str] = (),
 ) -> None:
-    """Write the page, all or nothing.
+    """Write the page, atomically.
 
     Args:
         path: file to write.

@@ -1,4 +1,4 @@
-"""What the pages of statistics are made of: pictures with their texts, and tables."""
+"""Sections common to the pages of statistics: pictures with captions, and tables."""
 
 import math
 from dataclasses import dataclass

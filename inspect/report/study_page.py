@@ -177,7 +177,7 @@ def write_study_page(
     tables: Sequence[Table],
     notes: Sequence[str],
 ) -> None:
-    """Write the page of one study, all or nothing.
+    """Write the page of one study, atomically.
 
     Raises:
         RecordError: the file cannot be written.
@@ -208,7 +208,7 @@ def chart_figure(rows: int, columns: int) -> "Figure":
 
 
 def check_picture(path: Path | None) -> None:
-    """Refuse a file name that says no kind of picture, before anything is computed.
+    """Refuse a file name without a known picture format, before anything is computed.
 
     Raises:
         UsageError: another suffix than those of ``SUFFIXES``.
@@ -218,7 +218,7 @@ def check_picture(path: Path | None) -> None:
 
 
 def write_picture(path: Path, charts: Sequence[Chart | Map], columns: int = 3) -> None:
-    """Write all charts as one PNG or SVG picture, all or nothing.
+    """Write all charts as one PNG or SVG picture, atomically.
 
     Raises:
         RecordError: the file cannot be written.

@@ -42,7 +42,7 @@ NEEDS = "it needs EGL (Debian: apt-get install libegl1 libgl1-mesa-dri)"
 
 @dataclass(frozen=True)
 class Picture3D:
-    """A PNG, or None; a note on what it shows, or on why there is none; and the zipped scene to turn, if asked for."""
+    """A PNG, or None; a note on its content or on its absence; and, on request, the zipped interactive scene."""
 
     png: bytes | None
     note: str
@@ -122,7 +122,7 @@ class Renderer:
 
 
 def _reduced(height_um: FloatArray, pixel_um: tuple[float, float]) -> tuple[bytes, str]:
-    """What is drawn of a map, packed, and what to say of it."""
+    """Reduced map as packed bytes, and the note on the reduction."""
     rows, cols = (max(2, min(n, round(FIELD_UM / p))) for n, p in zip(height_um.shape, pixel_um, strict=True))
     part = height_um[:rows, :cols]
     step = [max(1, -(-n // MAX_POINTS)) for n in part.shape]

@@ -1,4 +1,4 @@
-"""What is varied and within which bounds: a box, and the way between its unit coordinates and parts."""
+"""Search box of an optimisation: varied parameters and bounds, and the map from unit coordinates to parts."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -43,7 +43,7 @@ class Box:
 
 
 def check_bounds(bounds: Bounds, part: Part, scoring: Scoring) -> None:
-    """Refuse bounds that mean nothing.
+    """Refuse bounds outside the domain of the parameters.
 
     Raises:
         UsageError: unknown parameters, empty or absurd ranges, or a pitch without anything of absolute size.
@@ -69,7 +69,7 @@ def check_bounds(bounds: Bounds, part: Part, scoring: Scoring) -> None:
 
 
 def value_of(part: Part, scoring: Scoring) -> float:
-    """The score, or −inf for a part that cannot be made."""
+    """Score, or −inf for a part that cannot be manufactured."""
     try:
         return score(part, scoring).score
     except (ModelError, HeightMapError):

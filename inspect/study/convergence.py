@@ -136,7 +136,7 @@ def ideal_map(design: RidgeDesign, sampling: Sampling) -> HeightMap:
 
 
 def sampling_for(defect: Defect | None, sampling: Sampling) -> Sampling:
-    """Defects that are the same along the ridges need fine profiles but few rows: a plateau shrinks to nothing."""
+    """Sampling for a defect: one that is uniform along the ridges needs fine profiles but few rows."""
     if defect is None or defect in RANDOM:
         return sampling
     return Sampling(2, FINE_PIXEL_UM, FINE_PIXEL_UM, 1)

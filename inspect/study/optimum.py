@@ -122,7 +122,7 @@ def _slice(
 def _bracket(
     fine: FloatArray, row: FloatArray, centre: float, side: int, limit: float
 ) -> tuple[float, float] | None:
-    """Neighbouring unit values beside the centre between which the score falls below a limit, or None."""
+    """Neighbouring unit values around the centre between which the score falls below a limit, or None."""
     beyond = (fine - centre) * side > 0
     past, scores = fine[beyond][::side], row[beyond][::side]
     below = np.flatnonzero(~(scores >= limit))
@@ -258,7 +258,7 @@ def optimum(
 
 
 def _explain(box: Box, scoring: Scoring) -> None:
-    """Say why no part can be made: raise what the middle of the box raises."""
+    """Raise the error of the middle of the box, where no part can be manufactured."""
     try:
         score(box.at([0.5] * len(box.names)), scoring)
     except AnisoscopeError as error:

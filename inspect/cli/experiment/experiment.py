@@ -1,4 +1,4 @@
-"""``anisoscope experiment``: the published experiment, predicted, and beside it what was measured."""
+"""``anisoscope experiment``: the published experiment as predicted, with the measured contrasts."""
 
 import csv
 import math

@@ -42,7 +42,7 @@ def _visible(character: str) -> str:
 
 
 def write_line(text: str) -> None:
-    """Print a line of text that is nothing else."""
+    """Print a line as plain text: markup and control characters have no effect."""
     console().print(plain(text), markup=False, highlight=False, soft_wrap=True)
 
 
@@ -124,7 +124,7 @@ def print_disposed(row: "Row", disposition: "Disposition", *, json_: bool) -> No
 
 
 def print_verified(damage: Sequence[str], count: int, head: str, *, json_: bool) -> None:
-    """What is wrong with a history, or that nothing is, and its head."""
+    """Print the damage found in a history, and its head."""
     if json_:
         _print_json({"intact": not damage, "inspections": count, "damage": list(damage), "head": head})
         return

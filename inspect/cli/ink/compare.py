@@ -1,4 +1,4 @@
-"""``anisoscope ink compare``: models of an ink against pictures made from readings."""
+"""``anisoscope ink compare``: models of an ink against pictures rendered from readings."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -90,7 +90,7 @@ def halftone(
 
 
 def _films(out: Path, inks: "tuple[Ink, ...]") -> list[Path]:
-    """Where the film of every ink goes: beside the picture of all dots, named after the ink."""
+    """Path of each ink's film: next to the picture of all dots, named after the ink."""
     names = [out]
     for number, ink in enumerate(inks, start=1):
         slug = re.sub(r"[^a-z0-9]+", "-", ink.name.lower()).strip("-") or f"ink-{number}"

@@ -72,7 +72,7 @@ def check_target(path: Path | None, option: str, inputs: Iterable[Path | None], 
 
 
 def check_new(paths: Iterable[Path | None], *, overwrite: bool) -> None:
-    """Refuse to replace files before the work begins, unless that is wanted.
+    """Refuse existing output files before the work begins, unless overwriting is allowed.
 
     Raises:
         UsageError: one of them exists.

@@ -39,7 +39,7 @@ def contrast_names(result: "Predicted") -> list[str]:
 
 
 def radiance_u(result: "Predicted") -> list[float] | None:
-    """Standard uncertainty of every pose radiance in 1/sr, or None where it was not asked for."""
+    """Standard uncertainty of every pose radiance in 1/sr, or None without uncertainties."""
     if result.budget is None:
         return None
     u: list[float] = (result.budget if result.drawn is None else result.drawn).u().tolist()

@@ -226,7 +226,7 @@ WAVE_DEFAULTS = WaveOptions()
 def optics_request(
     options: WaveOptions, model: Model | None, bounces: int | Literal["all"], roughness: str
 ) -> "Wanted | None":
-    """What is asked for; None where --model names one of the geometric models.
+    """Requested wave optics; None where --model names one of the geometric models.
 
     Raises:
         UsageError: wavelengths that are none, or options that waves do not know.

@@ -43,7 +43,7 @@ def parse_pixel(text: str | None) -> tuple[float, float] | None:
 
 @dataclass(frozen=True)
 class Scales:
-    """What a file does not say about itself."""
+    """Scales and role of a height map whose file does not state them."""
 
     pixel: Annotated[str | None, Parameter(help="Pixel size in µm of a file without one: SIZE or Y,X.")] = (
         None

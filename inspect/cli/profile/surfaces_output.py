@@ -51,7 +51,7 @@ def _option(name: str) -> str:
 def deliver(
     surface: "HeightMap", out: Path, *, as_json: bool, deviation: dict[str, float] | None = None
 ) -> int:
-    """Write the map, and say what it is."""
+    """Write the map and print its size and origin."""
     from anisoscope.profiles.files.checks import check_map
     from anisoscope.profiles.provenance import write_made
     from anisoscope.profiles.textures.amplitude import amplitude

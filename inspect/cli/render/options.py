@@ -110,7 +110,7 @@ class PictureOptions:
                 _check_target(path, source)
 
     def brightest(self, pictures: Sequence[FloatArray], percentile: float) -> float:
-        """The radiance shown as white: as asked for, or a percentile over all the pictures."""
+        """Radiance shown as white: the given one, or a percentile over all pictures."""
         if self.white is not None:
             return self.white
         values = np.concatenate([picture[np.isfinite(picture)] for picture in pictures])
@@ -131,7 +131,7 @@ class PictureOptions:
         return {"white": white, "transfer": self.transfer, "share_above_white": _share_above(pictures, white)}
 
     def write(self, png: bytes, pictures: Sequence[FloatArray]) -> None:
-        """Write the picture and, if asked for, the radiances (panels, rows, cols).
+        """Write the picture and, on request, the radiances (panels, rows, cols).
 
         Raises:
             RecordError: a file cannot be written.

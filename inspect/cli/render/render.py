@@ -121,7 +121,7 @@ def take_frames(
 
 
 class Shot:
-    """Microscope pictures and everything that is said about them."""
+    """Microscope pictures with their caption, scale and printed results."""
 
     def __init__(
         self,
@@ -234,7 +234,7 @@ def height_pixels(heights: FloatArray, low: float, high: float, found: "Microgra
 def cut_line(
     cut: float | None, view: "View", heights: FloatArray, found: "Micrograph", ends: tuple[float, float]
 ) -> "Heights":
-    """Colour scale of the heights and, if asked for, the profile along a line.
+    """Colour scale of the heights and, on request, the profile along a line.
 
     Raises:
         UsageError: a line outside the picture.

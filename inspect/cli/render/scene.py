@@ -141,7 +141,7 @@ class Scene:
 
 
 def _cut(surface: "HeightMap", region: str | None) -> "tuple[HeightMap, str]":
-    """The part that is shown, and what to say of it: the region asked for, or the middle of a large map."""
+    """Rendered region and its description: the given region, or the middle of a large map."""
     rows, cols = surface.shape
     full = f"{(cols - 1) * surface.pixel_x_um:g} × {(rows - 1) * surface.pixel_y_um:g} µm"
     if region is None:

@@ -1,4 +1,4 @@
-"""``anisoscope rig commission`` and ``anisoscope rig check``: is the rig what its file says, and is it fit today?"""
+"""``anisoscope rig commission`` and ``anisoscope rig check``: commissioning of a rig, and its daily self test."""
 
 import sys
 from pathlib import Path

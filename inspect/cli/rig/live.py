@@ -90,7 +90,7 @@ def _watch(
 
 
 def end_request(*, listen: bool) -> threading.Event:
-    """Set once somebody typed q and Enter in the terminal; never, where there is none or `listen` is False."""
+    """Event set when q and Enter are typed in the terminal; never set without one, or if `listen` is False."""
     ended = threading.Event()
     if not listen or sys.stdin is None or not sys.stdin.isatty():
         return ended

@@ -33,7 +33,7 @@ RELEASE_S = 15.0
 
 @dataclass(frozen=True)
 class _Moved:
-    """A motion that ended; `before_deg` is None where nobody knew."""
+    """Completed motion; `before_deg` is None where the position before was unknown."""
 
     axis: str
     device: str

@@ -108,7 +108,7 @@ def _finite(value: Any) -> Any:  # noqa: ANN401
 
 
 def write_line(text: str) -> None:
-    """Tell people what happens, on standard error."""
+    """Write a line for the operator to stderr."""
     print(text, file=sys.stderr, flush=True)  # noqa: T201
 
 

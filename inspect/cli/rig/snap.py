@@ -117,7 +117,7 @@ def _take(
 
 
 def _angles(devices: "Devices", file: "RigFile") -> tuple[float, float]:
-    """Angles of sample and arm in degrees; NaN where no axis was asked."""
+    """Angles of sample and arm in degrees; NaN for an axis that was not read."""
     stage, tilt = devices.axes.get("stage"), devices.axes.get("tilt")
     stage_deg = math.nan if stage is None else file.stage.angle_deg(stage.position_deg())
     if file.tilt is None:

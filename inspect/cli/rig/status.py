@@ -1,4 +1,4 @@
-"""``anisoscope rig status``: what stands on the rig and answers; nothing moves, nothing is switched."""
+"""``anisoscope rig status``: devices of the rig and their state; nothing moves, nothing is switched."""
 
 import contextlib
 from typing import TYPE_CHECKING, Annotated, Any

@@ -176,7 +176,7 @@ def _number(
 
 
 def _reference(readings: "Readings", given: float | None) -> float | None:
-    """The known value: as given, or the one that a column says throughout."""
+    """Reference value: the given one, or the constant of a column."""
     if given is not None or REFERENCE not in readings.numbers:
         return given
     known = set(readings.numbers[REFERENCE].tolist())

@@ -34,7 +34,7 @@ SHOWN = 20  # patterns in the terminal
 
 @dataclass(frozen=True)
 class Charting:
-    """How a series is charted and judged."""
+    """Chart type and rules for a series."""
 
     by: Annotated[
         str | None,
@@ -159,7 +159,7 @@ def _all(
     tolerances: dict[str, float] | None,
     advance: Advance,
 ) -> "list[tuple[str, str, ControlStudy | str]]":
-    """A study of every number in every group, or why there is none."""
+    """Control study of every number in every group, or the reason for its absence."""
     from anisoscope.quality.control import control_study
     from anisoscope.quality.readings import GROUPS
 

@@ -20,7 +20,7 @@ from anisoscope.rig.rigfile import read_rig
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """How the camera looks for codes: of which kind, and exposed for how long (None: as the recipe says)."""
+    """How the camera reads codes: kind, and exposure (None: that of the recipe)."""
 
     kind: Kind = "any"
     exposure_s: float | None = None
@@ -90,7 +90,7 @@ def code_on_part(recipe_path: Path, rig_path: Path, look: Look) -> tuple[Code, F
 
 
 def scan_of(replay: Replay, recipe: AnyRecipe, kind: Kind) -> Scan:
-    """What the only code in the frames at the first pose says; of several exposures, in the first that shows one.
+    """Text of the only code in the frames at the first pose; of several exposures, the first that shows one.
 
     Args:
         replay: frames with their poses.

@@ -55,7 +55,7 @@ class SlotResult(_Part):
 
     @property
     def word(self) -> str:
-        """What is to be said of it in a word: the verdict, or the state."""
+        """State in one word: the verdict, or the state."""
         return self.verdict if self.state == "done" and self.verdict else self.state
 
 
@@ -76,7 +76,7 @@ class BatchFile(_Part):
 
     @property
     def counts(self) -> dict[str, int]:
-        """How many parts of every verdict, the worst first; then what else there is: skipped, fault, waiting."""
+        """Number of parts by verdict, worst first; then by state: skipped, fault, waiting."""
         found = {word: sum(one.verdict == word for one in self.slots) for word in VERDICTS}
         for state in ("skipped", "fault", "at work", "waiting"):
             if number := sum(one.state == state for one in self.slots):
@@ -102,7 +102,7 @@ class BatchFile(_Part):
 
 
 def new_batch(tray: Tray, recipe: Path, rig: Path, operator: str | None, station: str | None) -> BatchFile:
-    """A batch of which nothing is done."""
+    """Batch before its first part."""
     return BatchFile(
         software=f"anisoscope {version('anisoscope')}",
         created_at=now(),
@@ -127,7 +127,7 @@ def now() -> str:
 
 
 def write_batch(batch: BatchFile, folder: Path) -> None:
-    """Write ``batch.json``, all or nothing.
+    """Write ``batch.json``, atomically.
 
     Raises:
         RecordError: the folder cannot be written.

@@ -1,4 +1,4 @@
-"""Who fills the tray: what a batch asks of a person, and what it does where nobody is there."""
+"""Operator of a batch: questions to a person, and the behaviour of a tray without one."""
 
 import contextlib
 from collections.abc import Iterator
@@ -13,14 +13,14 @@ from anisoscope.inspection.batch.scan import Scan
 
 @dataclass(frozen=True)
 class Answer:
-    """What the operator said before a part: go on (with what was scanned, if anything was), skip it, or stop."""
+    """Answer of the operator before a part: go on (with the scanned text, if any), skip it, or stop."""
 
     what: Literal["go on", "skip", "stop"] = "go on"
     scan: Scan | None = None
 
 
 class Operator(Protocol):
-    """Whom a batch asks."""
+    """Protocol of an operator."""
 
     @property
     def interactive(self) -> bool:
@@ -32,7 +32,7 @@ class Operator(Protocol):
         ...
 
     def serial_of(self, slot: SlotResult, why: str) -> Scan | None:
-        """The serial number of a part whose code cannot be read, scanned or typed; None where nobody says it."""
+        """Serial number of a part whose code cannot be read, scanned or typed; None without an answer."""
         ...
 
     def trouble(self, slot: SlotResult, faults: int) -> Literal["again", "go on", "stop"]:
@@ -49,25 +49,25 @@ class Operator(Protocol):
 
 
 class Unattended:
-    """For trays that fill themselves: parts are there, and two faults in a row end the batch."""
+    """Operator of trays that load themselves: parts are present, and two faults in a row end the batch."""
 
     @property
     def interactive(self) -> bool:
-        """Nobody answers."""
+        """No person answers."""
         return False
 
     def place(self, slot: SlotResult, *, again: bool, needs_serial: bool) -> Answer:
-        """The part is there."""
+        """Go on: the part is on the stage."""
         del slot, again, needs_serial
         return Answer()
 
     def serial_of(self, slot: SlotResult, why: str) -> Scan | None:
-        """Nobody can say it."""
+        """None: the serial number is unknown."""
         del slot, why
         return None
 
     def trouble(self, slot: SlotResult, faults: int) -> Literal["again", "go on", "stop"]:
-        """Stop: whatever is broken, nobody mends it."""
+        """Stop: repairs need a person."""
         del slot, faults
         return "stop"
 

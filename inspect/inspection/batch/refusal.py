@@ -1,4 +1,4 @@
-"""Parts that are INVALID before they are photographed, because what lies in the slot is not what should."""
+"""Parts that are INVALID before they are photographed, because the part in the slot is a wrong one."""
 
 from pathlib import Path
 
@@ -24,7 +24,7 @@ def refuse_part(
     particulars: Particulars | None = None,
     picture: Frame | None = None,
 ) -> Inspected:
-    """An inspection that is INVALID for a reason; nothing moves.
+    """Record an inspection as INVALID for a reason; nothing moves.
 
     Args:
         recipe_path: recipe file.

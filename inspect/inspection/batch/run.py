@@ -1,4 +1,4 @@
-"""A tray from its first slot to its last: one part's trouble never stops the others, and nothing is done twice."""
+"""Run of a tray from first to last slot: a faulty part does not stop the others, and no part is inspected twice."""
 
 import contextlib
 import time
@@ -102,7 +102,7 @@ class _Run:
         write_batch(self.batch, self.order.out)
 
     def _one(self, number: int) -> str:
-        """Inspect the part of a slot; "again", "go on" or "stop" says what follows."""
+        """Inspect the part of a slot; the result is "again", "go on" or "stop"."""
         slot, result = self.order.tray.slots[number], self.batch.slots[number]
         unfinished = unfinished_in(self.order.out / slot.label)
         needs_serial = slot.serial is None and self.order.look is None
@@ -144,7 +144,7 @@ class _Run:
     def _inspect(
         self, number: int, slot: Slot, scan: Scan | None, unfinished: Path | None, advance: Advance
     ) -> str | None:
-        """Inspect, and note the verdict; returns what the code on the part says."""
+        """Inspect, and enter the verdict; returns the text of the code on the part."""
         order = self.order
         home = order.out / slot.label
         recipe, rig = order.files(slot)
@@ -202,7 +202,7 @@ class _Run:
 
 
 def _resumed(unfinished: Path | None, lot_mates: LotMates, advance: Advance) -> Inspected | None:
-    """Go on with an inspection; None where there is none, or its folder was damaged and the part is taken anew."""
+    """Resume an inspection; None without one, or if its folder is damaged and the part is inspected again."""
     if unfinished is None:
         return None
     try:

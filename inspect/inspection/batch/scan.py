@@ -36,7 +36,7 @@ _WHOLE_LENGTH = {
 
 @dataclass(frozen=True)
 class Scan:
-    """What a code says.
+    """Parsed content of a code.
 
     Attributes:
         text: for people: without control characters; of GS1 with the identifiers in brackets.

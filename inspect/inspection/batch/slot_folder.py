@@ -1,4 +1,4 @@
-"""The folders of one part below its own: which inspection is finished, which one can go on, which came to nothing."""
+"""Folders of one part: its finished inspection, the one to resume, and those without a result."""
 
 import contextlib
 import shutil
@@ -53,7 +53,7 @@ def _latest(paths: list[Path]) -> Path | None:
 
 
 def clear_copies(home: Path) -> None:
-    """Remove what an inspection left that was not finished; its frames lie where they came from."""
+    """Remove the remains of an unfinished inspection; the original frames are elsewhere."""
     for folder in home.iterdir() if home.is_dir() else ():
         if not (folder / RECORD_NAME).exists() and _is_a_copy(folder):
             with contextlib.suppress(RecordError), working_in(folder):
@@ -61,7 +61,7 @@ def clear_copies(home: Path) -> None:
 
 
 def _is_a_copy(folder: Path) -> bool:
-    """Whether an unfinished inspection holds nothing but copies of frames that lie elsewhere."""
+    """Whether an unfinished inspection holds only copies of frames."""
     if not (folder / JOB).exists():
         return False
     try:

@@ -55,7 +55,7 @@ class Order:
 
 
 def check_order(order: Order, operator: Operator) -> None:
-    """Can the batch be done? Nothing moves and nothing is written.
+    """Check that the batch can be done. Nothing moves and nothing is written.
 
     Raises:
         UsageError: a serial number is missing that nobody can say.
@@ -128,7 +128,7 @@ def _adopted(batch: BatchFile, out: Path, remember: Remember) -> BatchFile:
 
 
 def done_with(inspected: Inspected, out: Path) -> dict[str, object]:
-    """What the journal says of a slot whose part is inspected."""
+    """Journal entry of a slot whose part is inspected."""
     record = inspected.record
     return {
         "state": "done",

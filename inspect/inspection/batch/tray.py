@@ -1,4 +1,4 @@
-"""The tray list: which part lies in which slot, as a CSV file says it."""
+"""Tray list: the part in each slot, from a CSV file."""
 
 import csv
 import difflib
@@ -94,7 +94,7 @@ def read_tray(path: Path) -> Tray:
 
 
 def _separator(text: str) -> str:
-    """The one that the header uses most; spreadsheets may say it in a first line ``sep=;``."""
+    """Most frequent separator of the header; spreadsheets may state it in a first line ``sep=;``."""
     first = next((line for line in text.splitlines() if line.strip()), "")
     return max(_SEPARATORS, key=first.count)
 
@@ -174,7 +174,7 @@ def _file(texts: Mapping[str, str], column: str, path: Path, place: str) -> Path
 
 
 def _refuse_doubles(slots: tuple[Slot, ...], path: Path) -> None:
-    """Two folders may not share a name where the system does not tell capitals from small letters."""
+    """Refuse names that differ only in case: they share a folder on some systems."""
     seen: dict[tuple[str, str], Slot] = {}
     for slot in slots:
         names = {"slot": slot.label.casefold(), "serial": slot.serial}

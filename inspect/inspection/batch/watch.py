@@ -158,13 +158,13 @@ def signature_of(folder: Path) -> Signature:
 
 
 def missing_file(signature: Signature) -> str | None:
-    """The first file that the table names and that is not there."""
+    """First file in the table that does not exist."""
     optional = {PART_NAME, RIG_NAME}
     return next((name for name, mark in signature if mark is None and name not in optional), None)
 
 
 def frames_key(folder: Path) -> str:
-    """SHA-256 over the table and the pictures that it names: the same frames have the same one, wherever they lie.
+    """SHA-256 over the table and its pictures: identical frames have the same key in any folder.
 
     Raises:
         RecordError: one of them cannot be read.
@@ -180,7 +180,7 @@ def frames_key(folder: Path) -> str:
 
 
 def whole_key(folder: Path, frames: str) -> str:
-    """The key of the frames, and of what is said beside them of part and rig."""
+    """Key of the frames and of the particulars of part and rig that accompany them."""
     digest = hashlib.sha256(frames.encode())
     for name in (PART_NAME, RIG_NAME):
         with contextlib.suppress(OSError):
@@ -200,10 +200,10 @@ Remember = Callable[[Inspected], None]
 
 
 class Listener(Protocol):
-    """Who is told what happens."""
+    """Receiver of the events of a watched folder."""
 
     def inspected(self, name: str, inspected: Inspected) -> None:
-        """The frames of a folder were judged."""
+        """The frames of a folder were inspected."""
         ...
 
     def same(self, name: str, other: str) -> None:
@@ -248,7 +248,7 @@ class Watched:
 
 @dataclass(frozen=True)
 class Bad:
-    """A folder that cannot be inspected as it is; ``retry_at`` where the reason may lie elsewhere."""
+    """Folder that cannot be inspected as it is; ``retry_at`` where the reason may be elsewhere."""
 
     signature: Signature
     reason: str
@@ -257,7 +257,7 @@ class Bad:
 
 @contextlib.contextmanager
 def silence(name: str) -> Iterator[Advance]:
-    """Progress that nobody sees."""
+    """Progress without display."""
     del name
     yield silent
 
@@ -410,7 +410,7 @@ class Watch:
             yield
 
     def run(self, stop: threading.Event) -> None:
-        """Look and inspect until somebody says stop; the inspection at work then is finished first.
+        """Watch and inspect until stopped; a running inspection is finished first.
 
         Raises:
             RecordError: the watched folder or the journal cannot be used any more.
@@ -421,7 +421,7 @@ class Watch:
             stop.wait(max(self.watched.poll_s, LEISURE * (time.monotonic() - begun)))
 
     def run_once(self, stop: threading.Event) -> None:
-        """Inspect what is there and at rest, and nothing that arrives later.
+        """Inspect all settled folders, and none that arrives later.
 
         Raises:
             RecordError: the watched folder or the journal cannot be used.
@@ -469,7 +469,7 @@ class Watch:
         return time.monotonic() - since >= self.watched.settle_s
 
     def _take(self, arrival: Arrival, signature: Signature) -> None:
-        """Inspect a folder that is at rest, or say why it cannot be."""
+        """Inspect a settled folder, or note why it cannot be inspected."""
         del self.arriving[arrival.name]
         name = missing_file(signature)
         try:
@@ -502,7 +502,7 @@ class Watch:
         incomplete: bool = False,
         retry_at: float | None = None,
     ) -> None:
-        """Note why a folder is bad, and say so once; which file is missing may change while it arrives."""
+        """Note and report once why a folder is bad; the missing file may change while it arrives."""
         text = " ".join(reason.split())
         self.bad[name] = Bad(signature, text, retry_at)
         what = "incomplete" if incomplete else text
@@ -511,7 +511,7 @@ class Watch:
             self.listener.bad(name, text)
 
     def _whose(self, folder: Path) -> tuple[str, Particulars]:
-        """Whose frames these are, by files and, if wanted, by the code on the part; the frames are checked as well.
+        """Particulars of the frames, by files and, if configured, by the code on the part; frames are checked as well.
 
         Raises:
             ConfigError, UsageError, RecordError, MeasurementError: the folder cannot be inspected as it is.
@@ -548,7 +548,7 @@ class Watch:
         self.listener.inspected(arrival.name, inspected)
 
     def _done(self, folder: Path, key: str, inspected: Inspected, arrival: Arrival | None) -> None:
-        """Into the history first: of what is only there, the journal learns by :meth:`_recover`."""
+        """Enter into the history first: a crash in between is repaired by :meth:`_recover`."""
         self.remember(inspected)
         self._journal.add(
             Line(

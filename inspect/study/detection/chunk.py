@@ -1,4 +1,4 @@
-"""A chunk of the study: parts that share one camera, photographed, measured and judged as by ``inspect``.
+"""Chunk of the study: parts that share one camera, photographed, measured and decided as by ``inspect``.
 
 What can be told from radiances alone (significance, diagnosis) is told from what is kept, when the study is evaluated.
 A chunk depends on the seed, the world, the class and its number alone; it is cached, so that a study that was
@@ -479,7 +479,7 @@ def _of_map(decision: Decision) -> Row:
 
 
 def _invalid_row(poses: int) -> Row:
-    """The row of a part that could not be judged."""
+    """Row of a part with an INVALID measurement."""
     nan = np.full(poses, np.nan)
     pairs = np.full(poses - poses // 3, np.nan)
     own = np.full((len(MEASURED_SOURCES), poses), np.nan)

@@ -1,4 +1,4 @@
-"""What ``inspect`` tells of the parts of a study beside the verdict: causes with their extents, and fitted shapes.
+"""Diagnosis of the parts of a study: causes with their extents, and fitted shapes.
 
 Both need the radiances alone that a chunk keeps, so that they are computed when a study is evaluated.
 """
@@ -50,7 +50,7 @@ def signatures_of(name: RecipeName, size: Size, *, stated: bool = False) -> Sign
 
 
 def separability_of(name: RecipeName, size: Size) -> dict[str, Separability]:
-    """What a recipe can tell, by cause."""
+    """Separability of the causes under a recipe."""
     recipe = recipe_of(name, size)
     assert recipe.area is not None
     u_background = background_of(recipe.area.max_share)[1]

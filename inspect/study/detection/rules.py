@@ -1,4 +1,4 @@
-"""Ways to weigh the means of the poses of many parts: as shipped, with more told, and against golden parts.
+"""Decision rules for the pose means of many parts: as shipped, with more information, and against golden parts.
 
 `shipped` is what ``inspect`` decides. The others answer what a better recipe or calibration would give, from the same
 measured radiances: `spread` is that of a recipe that states the spread of the ridge angle of good parts; `known` knows
@@ -84,7 +84,7 @@ def bench_of(name: RecipeName, size: Size, golden: FloatArray, own: FloatArray) 
 
 
 def p_values(rule: Rule, seen: Columns, kind: str, bench: Bench) -> FloatArray:
-    """P value of the means of every part under a rule; 0 for a part that could not be judged never occurs: NaN.
+    """P value of the means of every part under a rule; NaN for an INVALID part.
 
     Args:
         rule: the rule.

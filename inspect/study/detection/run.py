@@ -268,7 +268,7 @@ def plan_table(plan: Plan) -> dict[str, Any]:
 
 
 def study_results(plan: Plan, workers: Workers, advance: Advance = silent) -> dict[str, Any]:
-    """Make the study and tell everything that it found, as plain numbers.
+    """Run the study and return all results as plain numbers.
 
     Raises:
         RecordError: the folder cannot be written.
@@ -308,7 +308,7 @@ def _of_other_world(plan: Plan, workers: Workers, advance: Advance) -> dict[str,
 
 
 def notes_of(plan: Plan) -> list[str]:
-    """How the parts were made."""
+    """Notes on how the parts are simulated."""
     size, sensor = plan.size, plan.size.sensor
     return [
         (

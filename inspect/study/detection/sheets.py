@@ -87,7 +87,7 @@ class SheetTask:
 
 
 def sheets_of(kind: str, size: Size) -> int:
-    """How many sheets of a class there are: shape defects are put on those of good parts."""
+    """Number of sheets of a class; shape defects are applied to the sheets of good parts."""
     return size.sheets if kind == GOOD else max(1, size.sheets // 4)
 
 
@@ -130,7 +130,7 @@ def _unpacked(content: bytes) -> Sheet:
 
 
 def sheet_surface(task: SheetTask) -> tuple[HeightMap, npt.NDArray[np.bool_]]:
-    """The surface, and where a local defect changed it (on the points that are kept)."""
+    """Surface, and the mask of a local defect on the stored points."""
     entropy = [task.seed, ("sheet", GOOD, *BY_NAME).index(task.kind), task.number]
     base, marks = (np.random.default_rng(child) for child in np.random.SeedSequence(entropy).spawn(2))
     across, along = task.size.ridges + 1, task.size.pitches + 1

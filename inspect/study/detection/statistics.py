@@ -40,7 +40,7 @@ class Rate:
 
     @property
     def value(self) -> float:
-        """Count by number; NaN of nothing."""
+        """Count over number; NaN for an empty sample."""
         return self.count / self.of if self.of else float("nan")
 
 
@@ -126,7 +126,7 @@ def uniformity(p_values: FloatArray) -> tuple[float, float]:
 
 
 def histogram(p_values: FloatArray, bins: int = 20) -> list[int]:
-    """How many p values lie in each of equal bins from 0 to 1."""
+    """Counts of p values in equal bins from 0 to 1."""
     return [int(count) for count in np.histogram(p_values, bins=bins, range=(0.0, 1.0))[0]]
 
 
