@@ -9,12 +9,13 @@ SEED   ?= 1
 # one more than there are cores: many tests wait for simulated devices
 WORKERS ?= $(shell expr $$(getconf _NPROCESSORS_ONLN) + 1)
 
-.PHONY: demo test soak types lint contracts benchmark lock clean help
+.PHONY: demo test soak statistics types lint contracts benchmark lock clean help
 
 help:
 	@echo "make demo       inspect three parts on the virtual rig; reports in demo-output/"
 	@echo "make test       formatting, lint, types, import contracts, tests"
 	@echo "make soak       the long test campaigns"
+	@echo "make statistics rates over many draws: coverage, false alarms, power of the studies"
 	@echo "make benchmark  speed against named alternatives"
 	@echo "make clean      remove what make made"
 
@@ -27,6 +28,10 @@ test: lint contracts types
 # The long campaigns: hundreds of seeds, thousands of damaged files.
 soak: $(VENV)/.dev
 	$(BIN)/python -Im pytest -n $(WORKERS) --dist worksteal -m soak
+
+# Rates over many draws or parts; each has a test of a few fixed draws in make test.
+statistics: $(VENV)/.dev
+	$(BIN)/python -Im pytest -n $(WORKERS) --dist worksteal -m statistics
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff format --check .

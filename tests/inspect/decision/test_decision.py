@@ -97,14 +97,15 @@ COMPONENTS = (
 )
 
 
+@pytest.mark.parametrize("parts", [100, pytest.param(1000, marks=pytest.mark.statistics)])
 @pytest.mark.parametrize("kind", KINDS)
-def test_false_alarms_are_as_many_as_stated(make_recipe, rng, kind):
+def test_false_alarms_are_as_many_as_stated(make_recipe, rng, kind, parts):
     """Deviations drawn from the stated covariance: p values are uniform."""
     recipe = make_recipe(decision={"contrast": kind, "tolerance": None, "alpha": 0.05}, area=None)
     covariance = 0.04 * sum(c.covariance() for c in COMPONENTS)
     scaled = [replace(c, relative=0.2 * c.relative) for c in COMPONENTS]
     prediction = expected(components=scaled[1:])
-    draws = rng.multivariate_normal(np.zeros(3), covariance, size=1000)
+    draws = rng.multivariate_normal(np.zeros(3), covariance, size=parts)
     found = [decide(prediction, measured(TABLE * np.exp(d), scaled[:1]), recipe) for d in draws]
     p = np.array([f.p_value for f in found])
     for level in (0.01, 0.05, 0.2, 0.5):

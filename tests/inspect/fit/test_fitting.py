@@ -86,9 +86,8 @@ def test_the_model_that_is_fitted_is_the_corrected_one():
     np.testing.assert_allclose(place.radiance(values, interface_alpha(values)), exact, rtol=5e-5)
 
 
-@pytest.mark.parametrize("kind", [pytest.param("exposure", marks=pytest.mark.soak), "log_ratio"])
-def test_bias_and_coverage(kind):
-    """Over 60 noisy tables: no bias, 2 u covers about 95 %, chi-square about 1 a degree of freedom."""
+def fitted_tables(kind, tables):
+    """Fits of tables with noise of their own."""
     rng = np.random.default_rng(11)
     free = USUAL if kind == "exposure" else ("alpha_along", "alpha_across")
     near = {
@@ -96,10 +95,25 @@ def test_bias_and_coverage(kind):
         for n, v in {"ridge_angle_deg": 8.5, "alpha_along": 0.055, "alpha_across": 0.11}.items()
         if n in free
     }
-    trials = [
+    return [
         fit(made(TILTED, TRUTH, free, kind=kind, noise=0.02, rng=rng, start=near), starts=0)
-        for _ in range(60)
+        for _ in range(tables)
     ]
+
+
+def test_a_few_noisy_tables_are_fitted_within_their_uncertainties():
+    trials = fitted_tables("log_ratio", 8)
+    pulls = np.array([[(e.value - TRUTH[e.name]) / e.u for e in trial.estimates] for trial in trials])
+    assert np.all(np.abs(pulls.mean(axis=0)) < 1.2)  # 3.4 standard errors of a mean of 8
+    assert np.abs(pulls).max() < 4.0
+    assert np.mean([trial.chi2 / trial.dof for trial in trials]) == pytest.approx(1.0, abs=0.6)
+
+
+@pytest.mark.statistics
+@pytest.mark.parametrize("kind", ["exposure", "log_ratio"])
+def test_bias_and_coverage(kind):
+    """Over 60 noisy tables: no bias, 2 u covers about 95 %, chi-square about 1 a degree of freedom."""
+    trials = fitted_tables(kind, 60)
     pulls = np.array([[(e.value - TRUTH[e.name]) / e.u for e in trial.estimates] for trial in trials])
     assert np.all(np.abs(pulls.mean(axis=0)) < 0.4)  # 3 standard errors of a mean of 60
     assert np.all((pulls.std(axis=0) > 0.75) & (pulls.std(axis=0) < 1.25))

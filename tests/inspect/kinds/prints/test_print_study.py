@@ -107,7 +107,7 @@ def row(case, world, records):
     return "| " + " | ".join(cells) + " |", all(right) and all(told)
 
 
-@pytest.mark.soak
+@pytest.mark.statistics
 @pytest.mark.usefixtures("plain_report")
 @pytest.mark.parametrize("world", ["same", "other"])
 def test_all_defects_are_found(print_rig, world):

@@ -62,7 +62,7 @@ def inspected(rig, name, defects, rng, *, recipe, golden=None):
     return record, read_print_recipe(recipe_path), read_rig(rig_path)
 
 
-@pytest.mark.soak
+@pytest.mark.statistics
 @pytest.mark.usefixtures("plain_report")
 def test_limits_that_golden_prints_teach(print_rig):
     rng, golden, before = np.random.default_rng(31), None, []

@@ -104,7 +104,7 @@ def rates(seed):
         return {case: np.array([world.p_value(**case.wrong) for _ in range(case.count)]) for case in asked}
 
 
-@pytest.mark.soak
+@pytest.mark.statistics
 @pytest.mark.parametrize("seed", SEEDS)
 def test_good_wafers_pass_and_wrong_ones_are_found(seed):
     """Of 60 good ones at most 2 fail at 0.01 and 1 at 0.001, and 8 at 0.05: more in 0.3 to 2 % of such runs each."""
