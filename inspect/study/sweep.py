@@ -2,14 +2,19 @@
 
 Results come back in the order of the tasks and depend on nothing but the tasks and the seed: every task owns a
 child of one seed sequence, whoever computes it. A cluster worker that is lost costs time only: its tasks go to
-another one.
+another one. Processes of this machine are those of loky (docs/decisions/0013): they stay for the next sweep, end with
+one that is broken off, leave Ctrl-C to this process, and end with it.
 """
 
 import asyncio
 import os
+import signal
+import threading
 import time
-from collections.abc import Callable, Generator, Iterable, Sequence
-from contextlib import closing
+import warnings
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, ClassVar, TypeVar
@@ -18,7 +23,7 @@ import numpy as np
 
 from anisoscope.base.errors import AnisoscopeError, UsageError
 from anisoscope.base.progress import Advance, silent
-from anisoscope.study.processes import BrokenProcessPool, lent
+from anisoscope.rig.acquisition.interruptions import undisturbed
 
 Result = TypeVar("Result")
 
@@ -27,6 +32,7 @@ NO_WORKERS_TIMEOUT_S = 20.0
 _PARTS = 64  # steps of the progress bar, about
 _SHOWN = 120  # characters of a failed task
 _RECOMPUTED_S = 0.05  # between looks at results that went with their worker
+_PARENT_S = 0.5  # between looks at whether the parent is still there
 
 
 class SweepError(AnisoscopeError):
@@ -76,6 +82,7 @@ class _Part:
 
 
 _Client = Any  # Dask has no types
+_Pool = Any  # neither has loky
 _Finished = Generator[tuple[_Part, list[Any]], None, None]
 
 
@@ -172,13 +179,79 @@ def _locally(parts: list[_Part], jobs: int | None) -> _Finished:
         for part in parts:
             yield part, _compute(part)
         return
+    count = min(jobs or os.cpu_count() or 1, len(parts))
+    done = 0
+    while done < len(parts):
+        idle = _idle.pop((os.getpid(), count), None)
+        try:
+            with closing(_in_processes(parts[done:], count, idle)) as computed:
+                for values in computed:
+                    yield parts[done], values
+                    done += 1
+        except BrokenProcessPool as error:
+            if idle is None:
+                raise SweepError(
+                    "a process of this sweep was killed, as happens when memory runs out: try fewer --jobs"
+                ) from error
+            # an idle process may have been killed since the last sweep: once more, with new ones
+
+
+_idle: dict[tuple[int, int], _Pool] = {}  # by the process that has started them, and their count
+
+
+def _in_processes(parts: list[_Part], count: int, idle: _Pool | None) -> Generator[list[Any], None, None]:
+    """Results of parts, in their order; whatever breaks this off kills all processes."""
+    pool = idle
     try:
-        with lent(min(jobs or os.cpu_count() or 1, len(parts))) as processes:
-            yield from zip(parts, processes.map(_compute, parts), strict=True)
-    except BrokenProcessPool as error:
-        raise SweepError(
-            "a process of this sweep was killed, as happens when memory runs out: try fewer --jobs"
-        ) from error
+        with undisturbed(), _sigint_blocked():  # an interruption waits until all processes are known
+            if pool is None:
+                pool = _new_pool(count)
+            futures = [pool.submit(_compute, part) for part in parts]
+        for future in futures:
+            yield future.result()
+    except BaseException:  # Ctrl-C too
+        if pool is not None:
+            with undisturbed():
+                pool.shutdown(wait=True, kill_workers=True)
+        raise
+    _idle[os.getpid(), count] = pool
+
+
+def _new_pool(count: int) -> _Pool:
+    from loky import ProcessPoolExecutor  # noqa: PLC0415 - start-up time
+
+    # processes whose memory has grown are replaced, which concerns nobody
+    warnings.filterwarnings("ignore", "A worker was restarted while some jobs", UserWarning)
+    return ProcessPoolExecutor(count, initializer=_begin, initargs=(os.getpid(),))
+
+
+@contextmanager
+def _sigint_blocked() -> Iterator[None]:
+    """Processes started inside inherit the mask: Ctrl-C is answered by this process alone."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows: processes ignore Ctrl-C once they have begun
+        yield
+        return
+    for tracker in ("multiprocessing.resource_tracker", "loky.backend.resource_tracker"):
+        import_module(
+            tracker
+        ).ensure_running()  # it comes with the first process, and would take the mask off
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+
+
+def _begin(parent: int) -> None:
+    """In a new process: leave Ctrl-C to the parent, and end with it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+
+
+def _end_with(parent: int) -> None:
+    while os.getppid() == parent:
+        time.sleep(_PARENT_S)
+    os._exit(1)
 
 
 def _on_cluster(parts: list[_Part], address: str) -> _Finished:

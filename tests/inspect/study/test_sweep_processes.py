@@ -7,12 +7,15 @@ import sys
 import textwrap
 import threading
 import time
-from multiprocessing.context import SpawnProcess
 from pathlib import Path
 
 import pytest
+from loky.backend.process import LokyProcess
 
-from anisoscope.study.processes import BrokenProcessPool, lent
+from anisoscope.study import sweep as sweep_module
+from anisoscope.study.sweep import SweepError, Workers, sweep
+
+TWO = Workers(2)
 
 
 def own_pid():
@@ -43,8 +46,7 @@ def test_results_come_in_the_order_of_their_tasks():
         time.sleep(0.02 * (5 - task % 5))
         return task
 
-    with lent(2) as processes:
-        assert list(processes.map(late, range(20))) == list(range(20))
+    assert sweep(late, range(20), TWO) == list(range(20))
 
 
 def test_what_no_module_holds_travels_both_ways():
@@ -52,38 +54,58 @@ def test_what_no_module_holds_travels_both_ways():
         def __init__(self, value):
             self.value = value
 
-    with lent(2) as processes:
-        assert [found.value for found in processes.map(Found, range(4))] == [0, 1, 2, 3]
+    assert [found.value for found in sweep(Found, range(4), TWO)] == [0, 1, 2, 3]
 
 
 def test_idle_processes_serve_the_next_sweep():
-    with lent(2) as processes:
-        first = set(processes.map(own_pid(), range(8)))
-    with lent(2) as processes:
-        again = set(processes.map(own_pid(), range(8)))
+    first = set(sweep(own_pid(), range(8), TWO))
+    again = set(sweep(own_pid(), range(8), TWO))
     assert first & again
     assert len(first | again) <= 2
 
 
-def test_processes_killed_while_idle_are_replaced():
-    with lent(2) as processes:
-        before = set(processes.map(own_pid(), range(8)))
-    for pid in before:
-        os.kill(pid, signal.SIGKILL)
-    assert all(gone(pid) for pid in before)
-    with lent(2) as processes:
-        after = set(processes.map(own_pid(), range(8)))
-    assert not before & after
+@pytest.mark.parametrize("noticed", [True, False])
+def test_processes_killed_while_idle_are_replaced(noticed):
+    """Also when the next sweep hands them work before anything has seen that they are gone."""
+    for _ in range(3):
+        before = set(sweep(own_pid(), range(8), TWO))
+        for pid in before:
+            os.kill(pid, signal.SIGKILL)
+        if noticed:
+            assert all(gone(pid) for pid in before)
+        after = set(sweep(own_pid(), range(8), TWO))
+        assert not before & after
 
 
 def test_a_killed_process_breaks_the_sweep_only():
     def dies(task):
         os.kill(os.getpid(), signal.SIGKILL)
 
-    with pytest.raises(BrokenProcessPool), lent(2) as processes:
-        list(processes.map(dies, range(4)))
-    with lent(2) as processes:
-        assert len(list(processes.map(own_pid(), range(4)))) == 4
+    for _ in range(2):  # with idle processes, and with new ones
+        assert len(sweep(own_pid(), range(4), TWO)) == 4
+        with pytest.raises(SweepError, match="a process of this sweep was killed"):
+            sweep(dies, range(4), TWO)
+        with pytest.raises(SweepError, match="a process of this sweep was killed"):
+            sweep(dies, range(4), TWO)
+
+
+def test_a_process_killed_at_work_ends_the_sweep_at_once(tmp_path):
+    def begins(task):
+        (tmp_path / str(os.getpid())).touch()
+        time.sleep(600)
+
+    def kill():
+        while len(list(tmp_path.iterdir())) < 2:
+            time.sleep(0.02)
+        os.kill(int(next(tmp_path.iterdir()).name), signal.SIGKILL)
+
+    sweep_module._idle.clear()
+    later = threading.Thread(target=kill)
+    later.start()
+    with pytest.raises(SweepError, match="a process of this sweep was killed"):
+        sweep(begins, range(4), TWO)
+    later.join()
+    assert all(gone(int(file.name)) for file in tmp_path.iterdir())
 
 
 def test_an_exception_kills_whatever_still_computes(tmp_path):
@@ -92,11 +114,14 @@ def test_an_exception_kills_whatever_still_computes(tmp_path):
         if task > 0:
             time.sleep(600)
 
-    with pytest.raises(ValueError, match="enough"), lent(2) as processes:
-        next(processes.map(begins, range(4)))
-        while len(list(tmp_path.iterdir())) < 2:
+    def enough(doing, done, total):
+        while done and len(list(tmp_path.iterdir())) < 2:
             time.sleep(0.02)
-        raise ValueError("enough")
+        if done:
+            raise ValueError("enough")
+
+    with pytest.raises(ValueError, match="enough"):
+        sweep(begins, range(4), TWO, advance=enough)
     assert all(gone(int(file.name)) for file in tmp_path.iterdir())
 
 
@@ -107,10 +132,12 @@ def test_sweeps_broken_off_again_and_again_leave_no_thread_and_no_process(tmp_pa
             raise ValueError("so it is")
         return task
 
+    with pytest.raises(SweepError):
+        sweep(first_fails, range(40), TWO)  # idle processes of another test go with it
     threads = set(threading.enumerate())
     for _ in range(3):
-        with pytest.raises(ValueError, match="so it is"), lent(2) as processes:
-            list(processes.map(first_fails, range(40)))
+        with pytest.raises(SweepError, match="so it is"):
+            sweep(first_fails, range(40), TWO)
     assert set(threading.enumerate()) <= threads
     assert all(gone(int(file.name)) for file in tmp_path.iterdir())
 
@@ -130,8 +157,8 @@ def test_a_sweep_that_waits_for_large_tasks_can_be_broken_off(tmp_path, mebibyte
 
     later = threading.Thread(target=interrupt)
     later.start()
-    with pytest.raises(KeyboardInterrupt), lent(2) as processes:
-        list(processes.map(begins, [bytes(mebibytes * 2**20)] * 12))
+    with pytest.raises(KeyboardInterrupt):
+        sweep(begins, [bytes(mebibytes * 2**20)] * 12, TWO)
     later.join()
     assert all(gone(int(file.name)) for file in tmp_path.iterdir())
 
@@ -139,7 +166,7 @@ def test_a_sweep_that_waits_for_large_tasks_can_be_broken_off(tmp_path, mebibyte
 @pytest.mark.parametrize("moment", ["before", "after"])
 def test_an_interruption_while_a_process_starts_leaves_none(monkeypatch, moment):
     """Another thread's stack takes the signal; the main thread answers it wherever it is."""
-    start, started, other = SpawnProcess.start, [], threading.Event()
+    start, started, other = LokyProcess.start, [], threading.Event()
 
     def interrupted(process):
         if moment == "before":
@@ -149,64 +176,65 @@ def test_an_interruption_while_a_process_starts_leaves_none(monkeypatch, moment)
         if moment == "after":
             os.kill(os.getpid(), signal.SIGINT)
 
-    monkeypatch.setattr(SpawnProcess, "start", interrupted)
+    monkeypatch.setattr(LokyProcess, "start", interrupted)
     takes_signals = threading.Thread(target=other.wait)
     takes_signals.start()
     try:
-        with pytest.raises(KeyboardInterrupt), lent(3) as processes:
-            list(processes.map(own_pid(), range(6)))
+        with pytest.raises(KeyboardInterrupt):
+            sweep(own_pid(), range(6), Workers(3))
     finally:
         other.set()
         takes_signals.join()
-    assert len(started) == 1
-    assert gone(started[0])
+    assert len(started) == 3
+    assert all(gone(pid) for pid in started)
 
 
 def test_ctrl_c_means_nothing_to_a_process_that_has_just_begun(tmp_path):
     """The terminal sends it to all processes alike, also to those that are still importing."""
-    program = tmp_path / "program.py"
-    program.write_text(
+    (tmp_path / "sitecustomize.py").write_text(
         textwrap.dedent(f"""
         import os
         import signal
+        import sys
         from pathlib import Path
-        from anisoscope.study.processes import lent
 
-        if __name__ != "__main__":
+        if "loky.backend.popen_loky_posix" in sys.orig_argv:
             os.kill(os.getpid(), signal.SIGINT)
             Path({str(tmp_path)!r}, f"begun-{{os.getpid()}}").touch()
+        """)
+    )
+    program = tmp_path / "program.py"
+    program.write_text(
+        textwrap.dedent("""
+        from anisoscope.study.sweep import Workers, sweep
 
         def double(task):
             return 2 * task
 
-        if __name__ == "__main__":
-            with lent(2) as processes:
-                print(list(processes.map(double, range(4))))
+        print(sweep(double, range(4), Workers(2)))
         """)
     )
     command = [sys.executable, program]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    environment = os.environ | {"PYTHONPATH": str(tmp_path)}
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120, env=environment)
     assert (done.returncode, done.stdout, done.stderr) == (0, "[0, 2, 4, 6]\n", "")
     assert len(list(tmp_path.glob("begun-*"))) == 2
 
 
-def test_a_map_that_is_left_half_way_gives_its_processes_to_nobody(tmp_path):
+def test_a_sweep_that_is_left_half_way_gives_its_processes_to_nobody(tmp_path):
     def begins(task):
         (tmp_path / str(os.getpid())).touch()
         time.sleep(600 * (task > 0))
         return task
 
-    with lent(2) as processes:
-        assert next(processes.map(begins, range(4))) == 0
+    left = sweep_module._run(sweep_module._parts(begins, range(4), None), TWO)
+    assert next(left)[1] == [0]
+    left.close()
     assert all(gone(int(file.name)) for file in tmp_path.iterdir())
-    with lent(2) as processes:
-        assert list(processes.map(str, range(4))) == list("0123")
+    assert sweep(str, range(4), TWO) == list("0123")
 
 
-def test_an_exception_says_where_it_was_raised_and_one_that_cannot_travel_is_told_in_words():
-    def falls_over(task):
-        raise LookupError("nothing here")
-
+def test_an_exception_that_cannot_travel_is_told_in_words():
     class Bound(Exception):
         def __reduce__(self):
             raise TypeError("stays where it is")
@@ -214,19 +242,16 @@ def test_an_exception_says_where_it_was_raised_and_one_that_cannot_travel_is_tol
     def stays(task):
         raise Bound("here")
 
-    with pytest.raises(LookupError, match="nothing here") as caught, lent(2) as processes:
-        list(processes.map(falls_over, range(4)))
-    assert "falls_over" in caught.value.__notes__[0]
-    with pytest.raises(RuntimeError, match=r"^Bound: here$"), lent(2) as processes:
-        list(processes.map(stays, range(4)))
+    with pytest.raises(SweepError, match=r"^task 1 of 4 failed: Bound: here \(task: 0\)$"):
+        sweep(stays, range(4), TWO)
 
 
 def test_results_that_cannot_travel_are_told():
     def opens(task):
         return threading.Lock()
 
-    with pytest.raises(TypeError, match="pickle"), lent(2) as processes:
-        list(processes.map(opens, range(2)))
+    with pytest.raises(Exception, match="pickle"):
+        sweep(opens, range(2), TWO)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="there is no SIGKILL")
@@ -237,15 +262,13 @@ def test_processes_end_with_their_parent(tmp_path):
         import os
         import time
         from pathlib import Path
-        from anisoscope.study.processes import lent
+        from anisoscope.study.sweep import Workers, sweep
 
         def stays(task):
             Path({str(tmp_path)!r}, f"begun-{{os.getpid()}}").touch()
             time.sleep(600)
 
-        if __name__ == "__main__":
-            with lent(2) as processes:
-                list(processes.map(stays, range(4)))
+        sweep(stays, range(4), Workers(2))
         """)
     )
     with subprocess.Popen([sys.executable, program]) as running:
