@@ -11,9 +11,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from anisoscope.profiles import patterns
+from anisoscope.profiles.defect_injection import DEFECTS, inject_defect
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
-from anisoscope.profiles.spoiling import DEFECTS, spoil
 
 SEVERITY = 0.5
 TO_LIGHT = np.array([0.55, 0.35, 0.76])  # x, y, z; the facets lean toward +x
@@ -43,7 +43,7 @@ def spoiled() -> dict[str, HeightMap]:
     part = add_facet_roughness(smooth, 0.02, 0.03, 6.0, np.random.default_rng(0))
     found = {"good part": part}
     for name in DEFECTS:
-        found[name] = spoil(part, name, np.random.default_rng(1), severity=SEVERITY)
+        found[name] = inject_defect(part, name, np.random.default_rng(1), severity=SEVERITY)
     return found
 
 

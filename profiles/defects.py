@@ -296,12 +296,12 @@ def pitch_error(surface: HeightMap, error_percent: float) -> HeightMap:
     factor = 1.0 + 0.01 * error_percent
     across, _ = positions(surface, layout.period.direction_deg)
     now, mean = layout.folded, float(np.mean(layout.folded.height_um))
-    wanted = factor * (now.at(np.mod(across / (factor * layout.period.pitch_um), 1.0)) - mean)
-    return surface.with_height(surface.height_um + wanted - (now.at(now.phase) - mean))
+    target = factor * (now.at(np.mod(across / (factor * layout.period.pitch_um), 1.0)) - mean)
+    return surface.with_height(surface.height_um + target - (now.at(now.phase) - mean))
 
 
 def missing_ridges(surface: HeightMap, share: float, *, rng: np.random.Generator) -> HeightMap:
-    """Ridges that are not there: their place lies at the level of the foot.
+    """Missing ridges: the surface stays at the level of the foot.
 
     In moulding: grooves of the tool clogged with residue or plastic; in tooling: passes skipped, a broken cutter. The
     median ridge is taken off from foot to foot; roughness stays.

@@ -1,4 +1,4 @@
-"""Surfaces that etching left in level steps: which passes made them, and what they are like when etching went wrong.
+"""Etched surfaces of level steps: their passes, and errors of depth, width and overlay.
 
 n etch passes, each masked or not, leave up to 2ⁿ levels. Two errors are common: all passes a little too deep, and
 etched features a little too wide, because the etch works sideways too (Levin et al. 2013, section 5).
@@ -117,7 +117,7 @@ class Etched:
                 yield Piece(_labels(strips), (high, wide), (at_y, at_x), f"{whole} {grows} {dy} {dx}")
 
     def shares(self) -> dict[int, Shares]:
-        """(rows, cols) the share of every pixel that lies on a level, by the number of the level."""
+        """(rows, cols) share of every pixel covered by a level, by the number of the level."""
         found: dict[int, Shares] = {}
         for piece in self.pieces():
             for number in np.unique(piece.labels).tolist():
@@ -174,13 +174,15 @@ def _grown(mask: Booleans, pixels: int) -> Booleans:
     """A mask that goes on with itself, grown by whole pixels to all sides, or shrunk."""
     for _ in range(abs(pixels)):
         for axis in (0, 1):
-            beside = np.roll(mask, 1, axis), np.roll(mask, -1, axis)
-            mask = mask | beside[0] | beside[1] if pixels > 0 else mask & beside[0] & beside[1]
+            neighbours = np.roll(mask, 1, axis), np.roll(mask, -1, axis)
+            mask = (
+                mask | neighbours[0] | neighbours[1] if pixels > 0 else mask & neighbours[0] & neighbours[1]
+            )
     return mask
 
 
 def _strip(mask: Booleans, dy: int, dx: int, *, grows: bool) -> Booleans:
-    """Whether the strip (or corner) of a pixel beside its neighbour is etched when edges move."""
+    """Whether the strip (or corner) of a pixel next to its neighbour is etched when edges move."""
     join = np.logical_or if grows else np.logical_and
     found = mask
     if dy:

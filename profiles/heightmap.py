@@ -10,7 +10,7 @@ from anisoscope.base.errors import HeightMapError
 
 
 def _owned(height_um: FloatArray) -> FloatArray:
-    """A copy that nobody else can write to; a read-only array is taken as it is."""
+    """A private read-only copy; a read-only array is used unchanged."""
     given = np.asarray(height_um)
     if given.dtype == np.float64 and given.flags.c_contiguous and not given.flags.writeable:
         return given

@@ -70,11 +70,6 @@ class RidgeDesign:
         """Height from foot to crest, or to the plateau where height is lost."""
         return (1.0 - self.height_loss) * self.full_height_um
 
-    @property
-    def plateau_width_um(self) -> float:
-        """Width along x of the plateau that the height loss leaves at the crest."""
-        return self.height_loss * self.pitch_um
-
     def profile(self, x_um: FloatArray) -> FloatArray:
         """Height in µm above the foot at positions x in µm; an uncut crest stands at x = 0."""
         position = np.mod(x_um, self.pitch_um)

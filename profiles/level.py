@@ -20,7 +20,7 @@ MAX_SAMPLES = 400_000
 
 @dataclass(frozen=True)
 class Levelled:
-    """A levelled map and what was taken off.
+    """A levelled map and the form removed from it.
 
     Attributes:
         map: the map without tilt, mean height 0.

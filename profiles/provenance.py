@@ -1,6 +1,6 @@
-"""How a made surface came about, kept in the file that holds it.
+"""Provenance of synthetic surfaces, stored in the file of the height map.
 
-The origin of a made map (design, defects, seeds) is written as one line of JSON: into the comment of an x3p
+The origin of a synthetic map (design, defects, seeds) is written as one line of JSON: into the comment of an x3p
 file, or into the archive comment of an npz file. Other formats have no place for it.
 """
 
@@ -15,18 +15,18 @@ from anisoscope.profiles.heightmap import HeightMap
 MARK = "anisoscope made "
 SUFFIXES = (".x3p", ".npz")
 MAX_COMMENT_BYTES = 60_000
-KEPT = ("made", "defects")
+ENTRIES = ("made", "defects")
 
 
-def write_made(surface: HeightMap, path: Path | str) -> bool:
+def write_with_provenance(surface: HeightMap, path: Path | str) -> bool:
     """Write a map with ``made`` and ``defects`` of its origin; False if the format has no place for them.
 
     Raises:
         HeightMapError: unknown extension, the file cannot be written, or the origin is too long.
     """
     path = Path(path)
-    kept = {key: surface.origin[key] for key in KEPT if key in surface.origin}
-    text = MARK + json.dumps(kept, allow_nan=False)
+    entries = {key: surface.origin[key] for key in ENTRIES if key in surface.origin}
+    text = MARK + json.dumps(entries, allow_nan=False)
     suffix = path.suffix.lower()
     if suffix in SUFFIXES and len(text.encode()) > MAX_COMMENT_BYTES:
         raise HeightMapError(f"{path.name}: the list of defects is too long to be kept; add fewer to one map")
@@ -37,8 +37,8 @@ def write_made(surface: HeightMap, path: Path | str) -> bool:
     return suffix in SUFFIXES
 
 
-def with_made(surface: HeightMap, path: Path | str) -> HeightMap:
-    """A map just read from a file, with ``made`` and ``defects`` in its origin as far as the file holds them."""
+def with_provenance(surface: HeightMap, path: Path | str) -> HeightMap:
+    """Add ``made`` and ``defects`` from a file to the origin of the map just read from it."""
     path = Path(path)
     text = str(surface.origin.get("comment", ""))
     if zipfile.is_zipfile(path) and not text.startswith(MARK):
@@ -47,9 +47,9 @@ def with_made(surface: HeightMap, path: Path | str) -> HeightMap:
     if not text.startswith(MARK):
         return surface
     try:
-        kept: object = json.loads(text[len(MARK) :])
+        entries: object = json.loads(text[len(MARK) :])
     except ValueError:
         return surface
-    if not isinstance(kept, dict) or not isinstance(kept.get("defects", []), list):
+    if not isinstance(entries, dict) or not isinstance(entries.get("defects", []), list):
         return surface
-    return surface.with_height(surface.height_um, **{key: kept[key] for key in KEPT if key in kept})
+    return surface.with_height(surface.height_um, **{key: entries[key] for key in ENTRIES if key in entries})

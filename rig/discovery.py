@@ -1,4 +1,4 @@
-"""Which devices may hang on a serial port, told from its USB ids; and which do, by asking.
+"""Discovery of devices on serial ports: candidates by USB ids, and identification by query.
 
 Listing opens nothing and writes nothing. Probing opens the port that it is given and asks as the drivers do.
 
@@ -107,7 +107,7 @@ def candidates(vendor: int | None, product: int | None, words: str = "") -> tupl
 
 
 def probe(port: str, may_be: tuple[str, ...] = ()) -> Answer:
-    """Open a port and ask who is there, as each driver does when it connects; nothing moves.
+    """Identify the device on a port with each driver in turn; nothing moves.
 
     Opening resets some boards (an Arduino loses its position). Devices at another bus address than their
     driver's first are not found.
@@ -117,15 +117,15 @@ def probe(port: str, may_be: tuple[str, ...] = ()) -> Answer:
         may_be: drivers to try, in this order; empty tries every stage.
     """
     stages = [name for name in installed(STAGES) if name != BY_HAND]
-    asked = [name for name in may_be if name in stages or name in installed(LIGHTS)] or stages
+    drivers = [name for name in may_be if name in stages or name in installed(LIGHTS)] or stages
     try:
         Transport(port).close()
     except NotConnected as error:
         return Answer(problem=str(error))
-    problem = f"nobody answered as {', '.join(asked)} does"
-    for name in asked:
+    problem = f"nobody answered as {', '.join(drivers)} does"
+    for name in drivers:
         try:
-            return Answer(name, _ask(name, port, is_stage=name in stages))
+            return Answer(name, _identify(name, port, is_stage=name in stages))
         except (NotConnected, RigFileError):  # silent; or a driver that needs more than a port
             continue
         except AnisoscopeError as error:
@@ -133,7 +133,7 @@ def probe(port: str, may_be: tuple[str, ...] = ()) -> Answer:
     return Answer(problem=problem)
 
 
-def _ask(name: str, port: str, *, is_stage: bool) -> str:
+def _identify(name: str, port: str, *, is_stage: bool) -> str:
     if is_stage:
         stage = open_stage(name, port=port)
         try:

@@ -1,4 +1,4 @@
-"""A frame: linear raw counts with all that is known about how they were taken; and its file.
+"""A frame: linear raw counts with their acquisition metadata, and its file.
 
 The file is a 16-bit TIFF, with the metadata as JSON in its ImageDescription.
 """
@@ -153,7 +153,7 @@ def read_frame(path: Path) -> Frame:
     return Frame(counts=counts, **{name: getattr(header, name) for name in _NAMES})
 
 
-def filters_said(path: Path) -> str | None:
+def filters_in_header(path: Path) -> str | None:
     """The colour filters that a frame of ours names in its metadata; None where it is no frame of ours."""
     try:
         with quiet_tifffile(), tifffile.TiffFile(path) as tiff:

@@ -32,7 +32,7 @@ import tifffile
 
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import RecordError, UsageError
-from anisoscope.rig.frame import Frame, FrameKind, filters_said, quiet_tifffile, read_frame, write_frame
+from anisoscope.rig.frame import Frame, FrameKind, filters_in_header, quiet_tifffile, read_frame, write_frame
 from anisoscope.rig.framefolderline import COLUMNS, OPTIONAL, Line, find_inside, read_lines
 
 Counts = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
@@ -192,7 +192,7 @@ class FrameEntry:
     filters: str = "mono"
 
     def load(self) -> Frame:
-        """The frame. What the table says holds; time and camera come from the picture if we wrote it.
+        """The frame, with the settings of the table; time and camera from the picture if it is one of ours.
 
         Raises:
             RecordError: the picture is missing, is damaged, is no grey picture, or its counts do not fit.
@@ -272,7 +272,7 @@ def read_frame_folder(folder: Path) -> FrameFolder:
 def write_frame_folder(
     folder: Path, frames: Sequence[Frame], again: Sequence[bool] | None = None
 ) -> FrameFolder:
-    """Write frames and their table into a folder, which is made if missing.
+    """Write frames and their table into a folder, created if missing.
 
     The table is written last: a folder without one is incomplete.
 
@@ -357,7 +357,7 @@ def _entry(line: Line, folder: Path, table: Path) -> FrameEntry:
         raise RecordError(
             f"{place}: unknown kind {line.kind!r}; it is one of {', '.join(get_args(FrameKind))}"
         )
-    filters = line.filters or filters_said(path) or "mono"
+    filters = line.filters or filters_in_header(path) or "mono"
     return FrameEntry(
         path, kind, **{name: getattr(line, name) for name in (*COLUMNS[2:], "again")}, filters=filters
     )

@@ -21,7 +21,7 @@ class Light(Protocol):
 
 
 def rest(light: Light) -> None:
-    """Switch a light off that can be, without asking anybody: nobody waits for Enter where a rig is made safe.
+    """Switch off a switchable light without an operator prompt, to make a rig safe.
 
     A light that a person must switch or cover says so by a true attribute ``asks``.
 

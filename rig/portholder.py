@@ -52,7 +52,7 @@ class Holder:
         return _started(self.pid) == self.started
 
     def interrupt(self) -> None:
-        """Ask it to end in good order, as Ctrl-C in its terminal does.
+        """Request an orderly end, as Ctrl-C in its terminal does.
 
         Raises:
             RigError: this system or that process knows no such thing; the message says what to do instead.
@@ -128,7 +128,7 @@ def _note_of(port: str) -> Path:
 
 
 def _folder() -> Path:
-    """A folder that only this user can write to; made if missing.
+    """A folder that only this user can write to, created if missing.
 
     Raises:
         OSError: it cannot be made, or it belongs to somebody else.

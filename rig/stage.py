@@ -18,7 +18,7 @@ class RotationStage(Protocol):
 
     @property
     def limits_deg(self) -> tuple[float, float]:
-        """Lowest and highest angle that may be asked for."""
+        """Lowest and highest permitted angle."""
         ...
 
     @property
@@ -57,7 +57,7 @@ class RotationStage(Protocol):
 
 
 def check_limits(stage: RotationStage, angle_deg: float) -> None:
-    """Refuse an angle in degrees that lies outside the limits of a stage, before anything moves.
+    """Reject an angle in degrees outside the limits of a stage, before any motion.
 
     Raises:
         LimitExceeded: it does.

@@ -35,7 +35,7 @@ PORT_ERRORS = (serial.SerialException, OSError, TypeError, ValueError)
 
 
 def register_handlers() -> None:
-    """Tell pyserial, once, which packages hold the handlers of further URL schemes."""
+    """Register the packages with handlers of further URL schemes at pyserial, once."""
     packages: list[str] = serial.protocol_handler_packages
     for package in _handler_packages(tuple(sys.path)):
         if package not in packages:
@@ -129,10 +129,10 @@ def connect(port: str, settings: dict[str, Any]) -> Connection:
             )
         return found.take()
     register_handlers()
-    made = Connection(port, settings)
+    connection = Connection(port, settings)
     if known is not None:
-        known[port] = made
-    return made.take()
+        known[port] = connection
+    return connection.take()
 
 
 def _why_not_open(port: str, problem: BaseException) -> str:
@@ -223,7 +223,7 @@ class Transport:
 
     @property
     def pending(self) -> bytes:
-        """Bytes that arrived and were not taken yet."""
+        """Bytes received and not read yet."""
         return bytes(self._buffer)
 
     def write(self, data: bytes) -> None:
@@ -277,7 +277,7 @@ class Transport:
         return self._take(len(self._buffer))
 
     def close(self) -> None:
-        """Let go of the port, and close it if nobody else shares it; closing twice is fine."""
+        """Release the port, and close it unless another device shares it; closing twice is fine."""
         if not self._closed:
             self._closed = True
             self._connection.let_go()
@@ -291,9 +291,9 @@ class Transport:
         self.close()
 
     def _take(self, count: int) -> bytes:
-        taken = bytes(self._buffer[:count])
+        data = bytes(self._buffer[:count])
         del self._buffer[:count]
-        return taken
+        return data
 
     def _fill(self, deadline: float, *, only_waiting: bool = False) -> bool:
         """Move what has arrived into the buffer; False once the deadline has passed without a byte."""

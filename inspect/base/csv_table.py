@@ -1,4 +1,4 @@
-"""Tables of numbers in CSV files: every mistake is told with its file and line."""
+"""Tables of numbers in CSV files; every error names file and line."""
 
 import csv
 from dataclasses import dataclass

@@ -51,7 +51,7 @@ class HeightMapError(AnisoscopeError):
 
 
 class ModelError(AnisoscopeError):
-    """A reflectance model was asked for something outside its validity."""
+    """A reflectance model is used outside its range of validity."""
 
     exit_code = 64
 
@@ -77,7 +77,7 @@ class RecordError(AnisoscopeError):
 
 
 class RigError(AnisoscopeError):
-    """Hardware that is missing, wrong, or does not do what it was told."""
+    """Hardware is missing, wrong, or does not carry out a command."""
 
     exit_code = 69
 
@@ -87,7 +87,7 @@ class NotConnected(RigError):
 
 
 class ProtocolError(RigError):
-    """The device answers, but not what its protocol says."""
+    """The device answers outside its protocol."""
 
 
 class MotionTimeout(RigError):
@@ -103,7 +103,7 @@ class LimitExceeded(RigError):
 
 
 class NotHomed(RigError):
-    """An absolute move was asked for before the reference search."""
+    """An absolute move before the reference search."""
 
 
 class CameraError(RigError):

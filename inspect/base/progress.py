@@ -1,4 +1,4 @@
-"""How a long job says how far it is."""
+"""Progress callbacks of long jobs."""
 
 from typing import Protocol
 
@@ -7,9 +7,9 @@ class Advance(Protocol):
     """Called along the way of a long job."""
 
     def __call__(self, doing: str, done: int, total: int) -> None:
-        """Say what is done now, and how many of how many steps are behind."""
+        """Report the present activity and the number of completed steps out of the total."""
 
 
 def silent(doing: str, done: int, total: int) -> None:
-    """An `Advance` that says nothing."""
+    """An `Advance` without output."""
     del doing, done, total

@@ -26,13 +26,15 @@ def mahalanobis(deviation: FloatArray, covariance: FloatArray) -> tuple[float, i
         MeasurementError: V is zero: nothing would be uncertain.
     """
     values, vectors = np.linalg.eigh(covariance)
-    kept = values > max(values[-1], 0.0) * values.size * np.finfo(np.float64).eps
-    if not kept.any():
+    significant = values > max(values[-1], 0.0) * values.size * np.finfo(np.float64).eps
+    if not significant.any():
         raise MeasurementError(
             "no source of uncertainty is left, so that no deviation can be weighed: "
             "state some under [uncertainty] in the recipe"
         )
-    return float(np.sum((deviation @ vectors[:, kept]) ** 2 / values[kept])), int(kept.sum())
+    return float(np.sum((deviation @ vectors[:, significant]) ** 2 / values[significant])), int(
+        significant.sum()
+    )
 
 
 def hotelling(value: FloatArray, sample: FloatArray) -> tuple[float, float]:
@@ -67,7 +69,7 @@ def hotelling(value: FloatArray, sample: FloatArray) -> tuple[float, float]:
 
 
 def holm(p_values: FloatArray) -> FloatArray:
-    """P values made comparable with one level for all of them (Holm 1979): (m,) in the order given."""
+    """P values adjusted for multiple testing (Holm 1979): (m,) in the order given."""
     order = np.argsort(p_values, kind="stable")
     stepped = np.asarray(p_values)[order] * np.arange(len(p_values), 0, -1)
     adjusted = np.empty(len(p_values))
@@ -101,6 +103,6 @@ def joint_conformance(deviation: FloatArray, covariance: FloatArray, tolerances:
     return float(np.clip(found, 0.0, 1.0))
 
 
-def said(p_value: float) -> str:
+def p_value_text(p_value: float) -> str:
     """A probability after the word p, such as ``= 0.012``; one too small for a double is no certainty: ``< 1e-300``."""
     return f"= {p_value:.2g}" if p_value >= 1e-300 else "< 1e-300"

@@ -32,21 +32,21 @@ _TYPE_WORDS: dict[object, str] = {
 }
 
 
-def _beside(value: Path, info: ValidationInfo) -> Path:
+def _relative_to_folder(value: Path, info: ValidationInfo) -> Path:
     folder = (info.context or {}).get("folder")
     return value if folder is None else Path(folder) / value
 
 
-def _file_beside(value: str, info: ValidationInfo) -> str:
-    return str(_beside(Path(value), info)) if Path(value).suffix.lower() in _FILES else value
+def _file_relative_to_folder(value: str, info: ValidationInfo) -> str:
+    return str(_relative_to_folder(Path(value), info)) if Path(value).suffix.lower() in _FILES else value
 
 
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
-LocalPath = Annotated[Path, AfterValidator(_beside)]
+LocalPath = Annotated[Path, AfterValidator(_relative_to_folder)]
 """A path; a relative one counts from the folder of the file in which it stands."""
-NameOrFile = Annotated[str, Field(min_length=1), AfterValidator(_file_beside)]
+NameOrFile = Annotated[str, Field(min_length=1), AfterValidator(_file_relative_to_folder)]
 """A name of something that comes with the package, or a path, which ends in .csv or .toml and counts as `LocalPath`."""
 
 
@@ -63,7 +63,7 @@ def read_toml_model(
     error: type[ConfigError] = RigFileError,
     substitutions: Mapping[str, str] | None = None,
 ) -> ModelT:
-    """Read a file into a pydantic model, strictly: a text is not taken for a number.
+    """Read a file into a pydantic model, strictly: texts are not converted to numbers.
 
     Args:
         path: the file, UTF-8.

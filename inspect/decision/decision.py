@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.base.significance import holm, joint_conformance, said, two_sided
+from anisoscope.base.significance import holm, joint_conformance, p_value_text, two_sided
 from anisoscope.decision.consistency_test import from_golden, from_prediction
 from anisoscope.decision.cross_tilt_contrasts import between_tilts, pair_gradient
 from anisoscope.decision.cross_tilt_contrasts import deviating as deviating_between_tilts
@@ -253,7 +253,9 @@ def _combine(
     fails = significant and (pairs[0].tolerance is None or rule.deviation == "fail")
     alike = f"like the {golden} golden parts" if golden else "as predicted"
     shared = ", shared with the area" if len(tests) > 1 else ""
-    line = f"all contrasts together: p {said(p_value)} for a part {alike} (level {rule.alpha:g}{shared})"
+    line = (
+        f"all contrasts together: p {p_value_text(p_value)} for a part {alike} (level {rule.alpha:g}{shared})"
+    )
     if significant:
         line += f", a significant deviation of {', '.join(where) or 'several together, of none by itself'}"
     findings.append((Verdict.FAIL if fails else Verdict.PASS, line))

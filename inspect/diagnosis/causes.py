@@ -8,8 +8,8 @@ import numpy as np
 
 from anisoscope.prediction.propagation import RIDGE_ANGLE
 from anisoscope.prediction.sensitivity import State
+from anisoscope.profiles.defect_injection import DEFECTS, inject_defect
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.spoiling import DEFECTS, spoil
 
 Group = Literal["shape", "area", "finish", "rig"]
 Change = Callable[[HeightMap, State, float], tuple[HeightMap, State]]
@@ -116,7 +116,7 @@ def _spoiled(name: str) -> Change:
         if extent == 0.0:
             return surface, state
         values = {DEFECTS[name].extent.name: extent}
-        return spoil(surface, name, np.random.default_rng(_SEED), values=values), state
+        return inject_defect(surface, name, np.random.default_rng(_SEED), values=values), state
 
     return change
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from anisoscope.base.errors import AnisoscopeError
 from anisoscope.base.progress import Advance, silent
-from anisoscope.base.significance import said
+from anisoscope.base.significance import p_value_text
 from anisoscope.decision.decision import Decision
 from anisoscope.decision.reference_parts import GoldenSet
 from anisoscope.diagnosis.discriminating_poses import advice_for, bare_title
@@ -99,7 +99,7 @@ def diagnosis_record(found: Diagnosis, alpha: float, of: str = "part") -> Diagno
 def _says(found: Diagnosis, alpha: float, of: str) -> str:
     best = found.causes[0]
     if found.unexplained_p < alpha:
-        return f"none of the causes explains the {of} (p {said(found.unexplained_p)} for the best of them)"
+        return f"none of the causes explains the {of} (p {p_value_text(found.unexplained_p)} for the best of them)"
     if best.cause == NOTHING:
         return f"nothing explains the {of} better than chance"
     ties = [bare_title(one.title) for one in found.ties if one is not best]

@@ -12,7 +12,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import MeasurementError, RecordError, RigFileError, Saturated
 from anisoscope.base.progress import Advance, silent
-from anisoscope.base.significance import said
+from anisoscope.base.significance import p_value_text
 from anisoscope.decision.reference_parts import golden_path, read_golden
 from anisoscope.imaging.registration.placement import Grid, Placement, locate, resample
 from anisoscope.inspection.job import Job, check_serial, prepare
@@ -351,7 +351,7 @@ def _notes(record: Record, recipe_path: Path, recipe: AnyRecipe) -> tuple[str, .
     if record.p_value is not None and record.p_value < recipe.decision.alpha:
         tables = "is [print]" if isinstance(recipe, PrintRecipe) else "are [material] and [surface]"
         notes.append(
-            f"the part deviates significantly from the prediction (p {said(record.p_value)}): is it good, and "
+            f"the part deviates significantly from the prediction (p {p_value_text(record.p_value)}): is it good, and "
             f"{tables} right?"
         )
     if golden_path(recipe_path).exists():

@@ -1,6 +1,6 @@
 """Numbers, contrasts and causes as the report of an inspection words them."""
 
-from anisoscope.base.significance import said
+from anisoscope.base.significance import p_value_text
 from anisoscope.record.schema import CauseRecord, Record
 from anisoscope.report.page import Filters
 from anisoscope.report.provenance import when
@@ -15,7 +15,7 @@ def filters() -> Filters:
         "signed": signed,
         "number": lambda value, digits=3: f"{value:.{digits}g}".replace("-", "−"),
         "chance": lambda value: f"{value:.2g}" if value >= 1e-4 else "< 0.0001",
-        "p_said": said,
+        "p_said": p_value_text,
         "when": when,
     }
 

@@ -1,4 +1,4 @@
-"""The formats that can be read, and how a file is told to be one of them."""
+"""Readable file formats, and the recognition of a file's format."""
 
 import zipfile
 from collections.abc import Callable
@@ -58,15 +58,15 @@ class Format:
         suffixes: its extensions.
         read: its reader.
         signatures: (position, bytes) by which a file is known, one of them.
-        asks: what the user may say about it: "scales" (pixel and units of x, y, z), "counts" (pixel and height
-            of a count), or "" where the file states its own units.
+        units_from_user: what the user may state: "scales" (pixel and units of x, y, z), "counts" (pixel and height of a
+            count), or "" where the file states its own units.
     """
 
     name: str
     suffixes: tuple[str, ...]
     read: Callable[[Path, Given], HeightMap]
     signatures: tuple[tuple[int, bytes], ...] = ()
-    asks: str = ""
+    units_from_user: str = ""
 
     def begins(self, head: bytes) -> bool:
         """Whether the first bytes of a file are those of this format."""
@@ -116,7 +116,7 @@ def _by_suffix(suffix: str) -> Format | None:
 
 
 def _unknown(path: Path, given: Given) -> HeightMap:
-    """Read a file whose extension says nothing, where the library knows its first bytes."""
+    """Read a file of unknown extension if the library recognises its first bytes."""
     try:
         return read_library(path, given)
     except HeightMapError as error:
@@ -145,7 +145,7 @@ def find_format(path: Path, head: bytes) -> Format:
         return promised
     if is_zip and promised.read in (_x3p, _array):
         return _in_zip(path) or promised
-    if found is not None and found.read is _array and promised.asks == "scales":
+    if found is not None and found.read is _array and promised.units_from_user == "scales":
         return found
     if found is None and not promised.signatures and promised.suffixes[0] not in ZIPPED:
         return promised

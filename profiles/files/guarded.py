@@ -23,7 +23,7 @@ class Unsuitable(Exception):
 
 
 def _prepare(kind: str) -> str:
-    """Import the decoder of a kind, and say which it is."""
+    """Import the decoder of a kind and return its name."""
     if kind == "library":
         import SurfaceTopography  # type: ignore[import-untyped]  # noqa: PLC0415
         import SurfaceTopography.IO  # type: ignore[import-untyped]  # noqa: PLC0415
@@ -52,7 +52,7 @@ def _open_library(path: str, format_: str | None) -> Any:  # noqa: ANN401 - the 
     raise Unsuitable("not recognised by its first bytes")
 
 
-def _said(info: dict[str, Any]) -> dict[str, Any]:
+def _metadata(info: dict[str, Any]) -> dict[str, Any]:
     """Instrument and date as far as the file gives them, as plain texts."""
     given = info.get("instrument")
     names = {"vendor": "manufacturer", "name": "model", "serial": "serial", "software": "version"}
@@ -61,10 +61,10 @@ def _said(info: dict[str, Any]) -> dict[str, Any]:
         for key, value in (given if isinstance(given, dict) else {}).items()
         if key in names and value
     }
-    said: dict[str, Any] = {"instrument": instrument} if instrument else {}
+    metadata: dict[str, Any] = {"instrument": instrument} if instrument else {}
     if (when := info.get("acquisition_time")) is not None:
-        said["date"] = when.isoformat() if hasattr(when, "isoformat") else str(when)[:40]
-    return said
+        metadata["date"] = when.isoformat() if hasattr(when, "isoformat") else str(when)[:40]
+    return metadata
 
 
 def _library(request: dict[str, Any]) -> tuple[dict[str, Any], np.ndarray[Any, Any]]:
@@ -89,7 +89,7 @@ def _library(request: dict[str, Any]) -> tuple[dict[str, Any], np.ndarray[Any, A
             "pixel": stated,
             "channel": str(channel.name),
             "other_channels": [str(other.name) for other in reader.channels if other.name != channel.name],
-            **_said(dict(surface.info)),
+            **_metadata(dict(surface.info)),
         }
     return answer, heights.T
 
@@ -139,10 +139,10 @@ def _limit(request: dict[str, Any]) -> None:
     import signal  # noqa: PLC0415
 
     pages = int(Path("/proc/self/statm").read_text().split()[0])
-    wanted = pages * resource.getpagesize() + int(request["memory_bytes"])
+    limit = pages * resource.getpagesize() + int(request["memory_bytes"])
     hard = resource.getrlimit(resource.RLIMIT_AS)[1]
     resource.setrlimit(
-        resource.RLIMIT_AS, (wanted if hard == resource.RLIM_INFINITY else min(wanted, hard), hard)
+        resource.RLIMIT_AS, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard)
     )
     signal.setitimer(signal.ITIMER_PROF, float(request["seconds"]))
 

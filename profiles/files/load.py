@@ -52,11 +52,11 @@ def _fingerprint(path: Path) -> tuple[str, bytes]:
 
 def _check_given(name: str, found: Format, given: Given) -> None:
     """Refuse units for a format that states its own, and image options for others."""
-    if not found.asks and (given.z_unit or given.xy_unit):
+    if not found.units_from_user and (given.z_unit or given.xy_unit):
         refuse(
             name, "units", f"a file of format {found.name} states its own", "leave --z-unit and --xy-unit out"
         )
-    if found.asks != "counts" and given.height_per_count is not None:
+    if found.units_from_user != "counts" and given.height_per_count is not None:
         refuse(name, "height per count", "is for pictures", f"leave it out for {found.name}")
 
 
@@ -117,7 +117,7 @@ def read_height_map(
 
 
 def _oriented(surface: HeightMap, role: str, rows: Rows) -> HeightMap:
-    """The map with y rising, and of the part; ``corrected`` says what was turned."""
+    """The map of the part with y rising; ``corrected`` names what was flipped."""
     origin = dict(surface.origin)
     top_first = origin.pop("first_row", None) == "top"
     done = list(origin.pop("corrected", []))

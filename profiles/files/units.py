@@ -19,7 +19,7 @@ Layout = Literal["auto", "matrix", "xyz"]
 
 @dataclass(frozen=True)
 class Given:
-    """What the user says about a file that does not say it itself.
+    """Units and scales stated by the user where the file has none.
 
     Attributes:
         pixel_um: (y, x) pixel size in µm.

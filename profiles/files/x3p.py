@@ -40,7 +40,7 @@ from anisoscope.profiles.files.x3p_write import ULPS, add_ulps, listed_digest, w
 from anisoscope.profiles.heightmap import HeightMap
 
 DATA_TYPES = {"I": "<i2", "L": "<i4", "F": "<f4", "D": "<f8"}
-SAY_NOTHING = {"", "n/a", "na", "none", "unknown", "not available", "nan"}
+EMPTY_TEXTS = {"", "n/a", "na", "none", "unknown", "not available", "nan"}
 MAX_DEPTH = 32
 MAX_FIELDS = 10_000
 
@@ -81,11 +81,11 @@ class Header:
     datums: list[str]
 
     def metadata(self) -> dict[str, Any]:
-        """Instrument, date and the like, as far as the file says anything about them."""
+        """Instrument, date and other metadata as far as the file has them."""
         instrument = {
             key.lower(): text
             for key in ("Manufacturer", "Model", "Serial", "Version")
-            if (text := self.fields.get(f"Record2/Instrument/{key}", "")).lower() not in SAY_NOTHING
+            if (text := self.fields.get(f"Record2/Instrument/{key}", "")).lower() not in EMPTY_TEXTS
         }
         found: dict[str, Any] = {"instrument": instrument} if instrument else {}
         for key, path in (
@@ -95,7 +95,7 @@ class Header:
             ("probing", "ProbingSystem/Type"),
         ):
             text = self.fields.get(f"Record2/{path}", "")
-            if text.lower() not in SAY_NOTHING:
+            if text.lower() not in EMPTY_TEXTS:
                 found[key] = text
         return found
 
@@ -187,7 +187,7 @@ def _axis(name: str, fields: Mapping[str, str], key: str) -> Axis:
 
 def _size(name: str, fields: Mapping[str, str], key: str) -> int:
     text = fields.get(f"Record3/MatrixDimension/{key}", "")
-    if key == "SizeZ" and text.lower() in SAY_NOTHING:
+    if key == "SizeZ" and text.lower() in EMPTY_TEXTS:
         return 1
     if not (text.isascii() and text.isdigit() and len(text) <= 18):
         refuse(
@@ -338,7 +338,7 @@ def _is_md5(text: str) -> bool:
 
 
 def _check_document(container: Container, document: bytes, header: Header) -> str:
-    """Compare ``main.xml`` with its checksum file, and say how that went."""
+    """Compare ``main.xml`` with its checksum file and return the result."""
     info = container.find(header.fields.get("Record4/ChecksumFile", "") or "md5checksum.hex")
     if info is None:
         return "no checksum file"
@@ -444,7 +444,7 @@ def _pixel_um(name: str, header: Header, raw: dict[str, FloatArray]) -> tuple[fl
 
 
 def _ulps(container: Container, count: int) -> bytes:
-    """What our writer notes beside the metres, or nothing."""
+    """Corrections in units in the last place that our writer adds to the heights in metres, or nothing."""
     info = container.find(ULPS)
     return b"" if info is None or info.file_size != count + 16 else container.read(info, count + 16)
 

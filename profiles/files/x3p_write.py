@@ -41,9 +41,9 @@ def _known(metres: FloatArray) -> FloatArray:
 
 
 def ulps_entry(height_um: FloatArray, metres: FloatArray, digest: bytes) -> dict[str, bytes]:
-    """What :func:`add_ulps` needs: checksum of the data, and for each height int8 units in the last place."""
-    read_back, wanted = _known(metres) * 1e6, _known(height_um)
-    ulps = wanted.view(np.int64) - read_back.view(np.int64)
+    """Archive entry for :func:`add_ulps`: checksum of the data, and for each height int8 units in the last place."""
+    read_back, target = _known(metres) * 1e6, _known(height_um)
+    ulps = target.view(np.int64) - read_back.view(np.int64)
     ulps[np.abs(ulps) > 127] = 0
     return {ULPS: digest + ulps.astype(np.int8).tobytes()} if ulps.any() else {}
 

@@ -10,7 +10,7 @@ from anisoscope.base.arrays import FloatArray
 
 @dataclass(frozen=True)
 class Quantity:
-    """A number with its standard uncertainty, or a bound where the map does not tell more.
+    """A number with its standard uncertainty, or a bound where the map does not resolve it.
 
     Attributes:
         value: the number; None where only a bound is known, or nothing.
@@ -43,7 +43,7 @@ def as_text(quantity: Quantity) -> tuple[str, str]:
 
 
 def few(degrees_of_freedom: float) -> float:
-    """Factor by which few replicates widen a standard uncertainty: √(ν/(ν − 2)), ν taken as 3 or more.
+    """Factor by which few replicates widen a standard uncertainty: √(ν/(ν − 2)), with ν at least 3.
 
     It is the standard deviation of Student's distribution. Source: JCGM 101:2008, 6.4.9.4.
     """

@@ -110,11 +110,11 @@ def fold_median(grid: Grid, course: Course) -> Folded:
     cumulated = np.cumsum(counts[filled], axis=1)
 
     def quantile(share: float) -> FloatArray:
-        wanted = share * total[filled]
-        at = np.argmax(cumulated >= wanted[:, None], axis=1)
+        rank = share * total[filled]
+        at = np.argmax(cumulated >= rank[:, None], axis=1)
         here = counts[filled, at]
         before = cumulated[np.arange(filled.size), at] - here
-        found: FloatArray = low + step * (at + (wanted - before) / here)
+        found: FloatArray = low + step * (at + (rank - before) / here)
         return found
 
     shift = float(np.mean(places[filled] / total[filled] * bins - filled))

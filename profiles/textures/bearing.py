@@ -108,7 +108,7 @@ def bearing(surface: HeightMap) -> Bearing:
 
 
 def core(curve: Bearing) -> Core:
-    """Sk, Spk, Svk and the ratios between which the core lies.
+    """Sk, Spk, Svk and the ratios that bound the core.
 
     The core line is the least-squares line through the 40 % of the curve with the least slope; peaks and dales
     beyond it become triangles of equal area. Source: ISO 13565-2, 4.

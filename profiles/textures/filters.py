@@ -34,7 +34,7 @@ POWERS = {
 
 @dataclass(frozen=True)
 class ScaleLimited:
-    """A scale-limited surface (ISO 25178-2, 3.1) and how it was made.
+    """A scale-limited surface (ISO 25178-2, 3.1) and its filter settings.
 
     Attributes:
         map: heights about their mean, in µm.

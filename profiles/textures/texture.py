@@ -51,7 +51,7 @@ class Hybrid:
 
 @dataclass(frozen=True)
 class Texture:
-    """Parameters of a map, and the surface on which they were taken.
+    """Texture parameters of a map, and the surface they refer to.
 
     Attributes:
         surface: the scale-limited surface.

@@ -43,7 +43,7 @@ class RunLine(_Line):
 
 
 class FrameLine(_Line):
-    """A frame on disk: its file, and how it was taken.
+    """A frame on disk: its file and its acquisition settings.
 
     ``pose_deg`` is (stage, tilt) as asked for, ``stage_deg`` and ``tilt_deg`` as read back. ``step`` is the number
     of the frame in the plan; None for one that checks the first pose on resuming.
@@ -65,7 +65,7 @@ class FrameLine(_Line):
 
     @property
     def pose(self) -> Pose:
-        """The pose that was asked for."""
+        """The requested pose."""
         return Pose(*self.pose_deg)
 
 
@@ -83,7 +83,7 @@ class Journal:
 
     @property
     def by_step(self) -> dict[int, FrameLine]:
-        """The frame of every step of the plan that was taken; the last one, if it was taken twice."""
+        """The latest frame of every acquired step of the plan."""
         return {line.step: line for line in self.frames if line.step is not None}
 
     def checks(self, frames_per_pose: int) -> tuple[FrameLine, ...]:
@@ -96,7 +96,7 @@ class Journal:
 
 
 def read_journal(folder: Path) -> Journal:
-    """Read the journal of a folder; without one, nothing was taken yet. A torn last line does not count.
+    """Read the journal of a folder; empty if there is none. A torn last line is ignored.
 
     Raises:
         RecordError: it cannot be read, or a line is damaged.

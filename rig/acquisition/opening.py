@@ -50,11 +50,13 @@ class Devices:
 
     @property
     def safe(self) -> str:
-        """What is true after `make_safe` had no trouble; empty where there is nothing to make safe."""
+        """State of the rig after a successful `make_safe`; empty where there is nothing to make safe."""
         names = " and ".join(self.axes)
-        said = [f"{names} are stopped" if len(self.axes) > 1 else f"the {names} is stopped"] if names else []
+        states = (
+            [f"{names} are stopped" if len(self.axes) > 1 else f"the {names} is stopped"] if names else []
+        )
         lamp = self.light is not None and not getattr(self.light, "asks", False)
-        return " and ".join(said + (["the light is off"] if lamp else []))
+        return " and ".join(states + (["the light is off"] if lamp else []))
 
     def make_safe(self) -> tuple[str, ...]:
         """Stop all axes and switch the light off; return what failed.
@@ -165,7 +167,7 @@ def _closing(device: _Closable) -> Callable[..., None]:
 
 
 def open_axis(part: AxisPart, table: str) -> RotationStage:
-    """Open an axis as its table of the rig file says; errors as for `open_devices`."""
+    """Open an axis from its table in the rig file; errors as for `open_devices`."""
     options: dict[str, object] = dict(part.options)
     if part.driver == BY_HAND:
         options.setdefault("label", table)

@@ -22,7 +22,7 @@ class Pose:
 
 @dataclass(frozen=True)
 class LightEvent:
-    """Switch the light; `needed` is False at the end, where only good manners ask for darkness."""
+    """Switch the light; `needed` is False at the end, where it may stay on."""
 
     on: bool
     needed: bool = True
@@ -70,7 +70,7 @@ Event = LightEvent | ExposeEvent | DarkEvent | MoveEvent | SampleEvent
 
 @dataclass(frozen=True)
 class _Stop:
-    """The frames that are taken in one go: dark ones, or those of a pose; `each` of them at every exposure."""
+    """A group of consecutive frames: dark frames or those of a pose; `each` of them at every exposure."""
 
     steps: range
     each: int
@@ -150,7 +150,7 @@ class Plan:
         return self.frames_per_pose * len(self.exposures_s)
 
     def exposure_of(self, step: int) -> float:
-        """Exposure in seconds that the plan wants for a step."""
+        """Planned exposure of a step in seconds."""
         stop = next(stop for stop in self._stops() if step in stop.steps)
         return self.exposures_s[(step - stop.steps.start) // stop.each]
 
@@ -204,13 +204,13 @@ class Plan:
                 yield SampleEvent(stop.pose, None if check else step, again=check or stop.again)
 
     def _stops(self) -> list[_Stop]:
-        wanted: list[tuple[Pose | None, bool]] = [(pose, False) for pose in self.poses]
+        visits: list[tuple[Pose | None, bool]] = [(pose, False) for pose in self.poses]
         if self.return_to_first:
-            wanted.append((self.poses[0], True))
+            visits.append((self.poses[0], True))
         exposures = 1 + len(self.brackets)
         step = self.dark_frames * exposures
         stops = [_Stop(range(step), self.dark_frames, None)] if self.dark_frames else []
-        for pose, again in wanted * self.rounds:
+        for pose, again in visits * self.rounds:
             stops.append(
                 _Stop(range(step, step + self.frames_per_pose * exposures), self.frames_per_pose, pose, again)
             )

@@ -36,7 +36,7 @@ TILT_TOLERANCE_DEG = 0.01
 
 
 def check_plan(plan: Plan, rig: Rig) -> None:
-    """Can the rig do what the plan asks for? Nothing moves.
+    """Check that the rig can carry out the plan, without motion.
 
     Raises:
         RigError: a tilt that the arm does not have.
@@ -98,13 +98,13 @@ class Watch:
         self._trouble.set()
 
     @property
-    def wanted(self) -> bool:
-        """Whether the acquisition is to end, even if the rig was not told yet."""
+    def stop_requested(self) -> bool:
+        """Whether the acquisition shall stop, even if the rig is not stopped yet."""
         return self._cancel.is_set() or self._trouble.is_set()
 
     def _work(self) -> None:
         while not self._over.is_set():
-            if self._cancel.wait(POLL_S) or self.wanted:
+            if self._cancel.wait(POLL_S) or self.stop_requested:
                 self.halted.set()
                 self._stop()
                 self._over.wait(REPEAT_S)
@@ -126,7 +126,7 @@ __all__ = ["FrameRecord", "Progress", "ProgressSink", "Rig", "check_plan", "open
 
 @dataclass(frozen=True)
 class Progress:
-    """How far an acquisition is: frames taken, frames in all, and what happens now."""
+    """Progress of an acquisition: acquired frames, total, present activity."""
 
     done: int
     total: int
@@ -201,12 +201,12 @@ def _safe_afterwards(rig: Rig) -> Iterator[None]:
 
 class _Run:
     def __init__(
-        self, plan: Plan, rig: Rig, journal: Journal, writer: FrameWriter, watch: Watch, tell: ProgressSink
+        self, plan: Plan, rig: Rig, journal: Journal, writer: FrameWriter, watch: Watch, report: ProgressSink
     ) -> None:
-        self.plan, self.rig, self.writer, self.watch, self.tell = plan, rig, writer, watch, tell
+        self.plan, self.rig, self.writer, self.watch, self.report = plan, rig, writer, watch, report
         self.number = len(journal.runs)
         self.before = journal.by_step
-        self.taken = 0
+        self.acquired = 0
         self.known: dict[float, CameraSettings] = {}
         self.pose = Pose(0.0, rig.file.geometry.tilt_deg)
         self.at = self.pose
@@ -225,10 +225,10 @@ class _Run:
 
     def execute(self) -> None:
         self._expose_for(self.plan.exposure_s)
-        kept = self._kept()
-        self.total = self.plan.frame_count - len(kept)
+        reusable = self._reusable_steps()
+        self.total = self.plan.frame_count - len(reusable)
         self._home()
-        for event in self.plan.remaining(kept):
+        for event in self.plan.remaining(reusable):
             self._check_halt()
             self._do(event)
         self._check_halt()
@@ -244,12 +244,12 @@ class _Run:
                 )
         self.known[exposure_s] = self.settings
 
-    def _kept(self) -> set[int]:
-        """Steps of earlier runs that need not be taken again."""
-        kept = self.plan.complete(self.before)
-        for exposure_s in self.plan.exposures_s[1:] if kept else ():  # what the camera makes of them now
+    def _reusable_steps(self) -> set[int]:
+        """Steps of earlier runs whose frames can be used."""
+        reusable = self.plan.complete(self.before)
+        for exposure_s in self.plan.exposures_s[1:] if reusable else ():  # what the camera makes of them now
             self._expose_for(exposure_s)
-        differing = [step for step in kept if not self._exposed_as_now(step)]
+        differing = [step for step in reusable if not self._exposed_as_now(step)]
         lit = [step for step in differing if self.before[step].kind != "dark"]
         if lit:
             now, old = self.known[self.plan.exposure_of(lit[0])], self.before[lit[0]]
@@ -257,7 +257,7 @@ class _Run:
                 f"the camera now exposes for {now.exposure_s:g} s at gain {now.gain:g}, but for "
                 f"{old.exposure_s:g} s at gain {old.gain:g} in the frames taken so far: inspect the part anew"
             )
-        return kept - set(differing)
+        return reusable - set(differing)
 
     def _exposed_as_now(self, step: int) -> bool:
         line, now = self.before[step], self.known[self.plan.exposure_of(step)]
@@ -265,16 +265,16 @@ class _Run:
 
     def _check_halt(self) -> None:
         self.writer.check()
-        if self.watch.wanted:
+        if self.watch.stop_requested:
             raise RigError("the acquisition was told to stop")
 
-    def _say(self, text: str) -> None:
-        self.tell(Progress(self.taken, max(self.total, self.taken), text))
+    def _report(self, text: str) -> None:
+        self.report(Progress(self.acquired, max(self.total, self.acquired), text))
 
     def _home(self) -> None:
         for axis in self.rig.axes:
             if self.number > 0 or not axis.is_homed:
-                self._say(f"homing {axis.name}")
+                self._report(f"homing {axis.name}")
                 axis.home()
             self._check_halt()
         self._read_back()
@@ -309,9 +309,9 @@ class _Run:
         file = self.rig.file
         stage_deg, tilt_deg = pose.stage_deg, self.at.tilt_deg
         if self.rig.tilt is not None and file.tilt is not None and pose.tilt_deg != self.pose.tilt_deg:
-            self._say(f"tilting to {pose.tilt_deg:g}°")
+            self._report(f"tilting to {pose.tilt_deg:g}°")
             tilt_deg = file.tilt.angle_deg(self._approach(file.tilt, self.rig.tilt, pose.tilt_deg))
-        self._say(f"turning to {pose.stage_deg:g}°")
+        self._report(f"turning to {pose.stage_deg:g}°")
         stage_deg = file.stage.angle_deg(self._approach(file.stage, self.rig.stage, pose.stage_deg))
         self.at, self.pose = Pose(stage_deg, tilt_deg), pose
 
@@ -326,9 +326,9 @@ class _Run:
 
     def _take(self, kind: FrameKind, step: int | None, *, again: bool = False) -> None:
         frame = self._expose(kind)
-        self.taken += 1
+        self.acquired += 1
         self.writer.put(Shot(frame, self.pose, step, again))
-        self._say(f"{kind} frame at {frame.stage_deg:.3f}°")
+        self._report(f"{kind} frame at {frame.stage_deg:.3f}°")
 
     def _expose(self, kind: FrameKind) -> Frame:
         info = self.rig.camera.info

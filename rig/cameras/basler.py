@@ -65,7 +65,7 @@ def find_device(pylon: Any, serial: str, name: str) -> Any:
 
 
 def one_line(text: str) -> str:
-    """What the SDK says, without the place in its sources."""
+    """Error text of the SDK without its source location."""
     return " ".join(text.split(" : ", maxsplit=1)[0].split()).rstrip(". ")
 
 
@@ -76,15 +76,17 @@ def _create(factory: Any, serial: str, name: str) -> Any:
         for device in devices
         if serial in {"", device.GetSerialNumber()} and name in {"", device.GetUserDefinedName()}
     ]
-    asked = " and ".join(
+    requested = " and ".join(
         f"{what} '{value}'" for what, value in (("serial number", serial), ("name", name)) if value
     )
     there = ", ".join(_called(device) for device in devices) or "none"
     if not fitting:
-        raise NotConnected(f"there is no Basler camera{f' with {asked}' if asked else ''}; found: {there}")
+        raise NotConnected(
+            f"there is no Basler camera{f' with {requested}' if requested else ''}; found: {there}"
+        )
     if len(fitting) > 1:
         raise NotConnected(
-            f"there are {len(fitting)} Basler cameras{f' with {asked}' if asked else ''}; name one by "
+            f"there are {len(fitting)} Basler cameras{f' with {requested}' if requested else ''}; name one by "
             f"camera.options.serial: {there}"
         )
     if not factory.IsDeviceAccessible(fitting[0]):
@@ -180,14 +182,14 @@ def set_gain(device: Any, gain: float) -> float:
     if node is None:
         raise CameraError("the camera has no node for its gain in dB")
     low, high = _factor(node.Min), _factor(node.Max)
-    asked_db = 20.0 * math.log10(gain) if gain > 0.0 else -math.inf
+    requested_db = 20.0 * math.log10(gain) if gain > 0.0 else -math.inf
     slack_db = 1e-6
-    if not node.Min - slack_db <= asked_db <= node.Max + slack_db:
+    if not node.Min - slack_db <= requested_db <= node.Max + slack_db:
         raise CameraError(f"the gain must lie between {low:.4g} and {high:.4g}, not {gain:g}")
-    node.Value = min(max(asked_db, node.Min), node.Max)
+    node.Value = min(max(requested_db, node.Min), node.Max)
     real_db = float(node.Value)
-    if abs(real_db - asked_db) > GAIN_TOLERANCE_DB:
-        raise CameraError(f"a gain of {asked_db:.2f} dB was asked for, the camera took {real_db:.2f} dB")
+    if abs(real_db - requested_db) > GAIN_TOLERANCE_DB:
+        raise CameraError(f"a gain of {requested_db:.2f} dB was asked for, the camera took {real_db:.2f} dB")
     return _factor(real_db)
 
 
@@ -254,15 +256,15 @@ def _set(device: Any, name: str, value: str | float | bool, *, needed: bool = Fa
 
 def _set_pixel_format(device: Any, pixel_format: str) -> str:
     offered = device.PixelFormat.Symbolics
-    wanted: list[str] = [pixel_format] + (["Mono8"] if FILTERS[pixel_format] == "mono" else [])
-    for candidate in wanted:
+    target: list[str] = [pixel_format] + (["Mono8"] if FILTERS[pixel_format] == "mono" else [])
+    for candidate in target:
         if candidate in offered:
             if candidate != pixel_format:
                 _LOG.warning("the camera has no %s: %s is used", pixel_format, candidate)
             _set(device, "PixelFormat", candidate, needed=True)
             return candidate
     raise CameraError(
-        f"the camera has no {' nor '.join(dict.fromkeys(wanted))}, only {', '.join(offered)}; choose one of "
+        f"the camera has no {' nor '.join(dict.fromkeys(target))}, only {', '.join(offered)}; choose one of "
         f"{', '.join(BITS)}"
     )
 
@@ -281,18 +283,18 @@ def _set_even_white(device: Any) -> None:
 
 def _set_size(device: Any, size: tuple[int, int], *, even: bool) -> None:
     """Set the size; `even` keeps the offset even, so that the mosaic begins with the same filter."""
-    for name, offset, asked in (("Height", "OffsetY", size[0]), ("Width", "OffsetX", size[1])):
+    for name, offset, requested in (("Height", "OffsetY", size[0]), ("Width", "OffsetX", size[1])):
         _set(device, offset, 0)
         node = getattr(device, name)
-        wanted = asked or node.Max
-        if not node.Min <= wanted <= node.Max or (wanted - node.Min) % node.Inc:
+        target = requested or node.Max
+        if not node.Min <= target <= node.Max or (target - node.Min) % node.Inc:
             raise RigFileError(
                 f"camera.options.{name.lower()}: must lie between {node.Min} and {node.Max} in steps of "
-                f"{node.Inc}, not {wanted}"
+                f"{node.Inc}, not {target}"
             )
-        _set(device, name, wanted, needed=True)
+        _set(device, name, target, needed=True)
         shift = _node(device, offset)
-        if asked and shift is not None:
+        if requested and shift is not None:
             middle, step = shift.Max // 2, math.lcm(shift.Inc, 2 if even else 1)
             _set(device, offset, middle - middle % step)
 
@@ -357,7 +359,7 @@ class BaslerCamera:
         pylon = load_pylon()
         device = pylon.InstantCamera(find_device(pylon, serial, name))
         try:
-            with _told(device, "the camera"):
+            with _sdk_errors(device, "the camera"):
                 device.Open()
                 if image_file:
                     show_image_file(device, Path(image_file))
@@ -386,7 +388,7 @@ class BaslerCamera:
             NotConnected: the camera has gone.
         """
         self._settings = None
-        with _told(self._device, self._name):
+        with _sdk_errors(self._device, self._name):
             self._settings = CameraSettings(
                 set_exposure(self._device, exposure_s), set_gain(self._device, gain)
             )
@@ -402,7 +404,7 @@ class BaslerCamera:
         if self._settings is None:
             raise CameraError("the camera was asked for a frame before exposure and gain were set")
         reason = ""
-        with _told(self._device, self._name):
+        with _sdk_errors(self._device, self._name):
             for attempt in range(1, self._retries + 2):
                 counts, reason = self._attempt(self._settings.exposure_s)
                 if counts is not None:
@@ -464,7 +466,7 @@ class BaslerCamera:
 
 
 @contextlib.contextmanager
-def _told(device: Any, name: str) -> Iterator[None]:
+def _sdk_errors(device: Any, name: str) -> Iterator[None]:
     """Turn the SDK's exceptions, which go over several lines, into ours."""
     genicam = load_genicam()
     try:

@@ -59,7 +59,7 @@ class CaptureThread:
             raise
 
     def set(self, prop: int, value: float) -> bool:
-        """Set a property; whether the backend says that it did."""
+        """Set a property; returns whether the backend confirms it."""
         return self._call(lambda: bool(self._used().set(prop, value)), 0.0, "take a setting")
 
     def get(self, prop: int) -> float:
@@ -110,7 +110,7 @@ class CaptureThread:
         return self._capture
 
     def _until(self, job: Callable[[], tuple[bool, Any]], exposure_s: float) -> Any:  # noqa: ANN401 - a picture
-        """A frame; one that came damaged is asked for once more."""
+        """A frame, with one retry if it is damaged."""
         for _ in range(_TRIES):
             good, picture = self._call(job, exposure_s, "deliver a frame")
             if good and picture is not None:

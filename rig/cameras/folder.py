@@ -1,4 +1,4 @@
-"""A camera that replays a folder of frames: old data are inspected again as if they were taken now.
+"""A camera that replays a folder of frames, to inspect recorded data again.
 
 Frames come strictly in the order of ``frames.csv``. A camera does not know whether the light is on, so the plan
 that asks has to be the one with which the frames were taken: dark frames first, then the poses in order. What
@@ -54,15 +54,15 @@ class FolderCamera:
         Raises:
             RigFileError: the folder or a picture in it cannot be used, or a kind is unknown.
         """
-        wanted = {kind.strip() for kind in kinds.split(",") if kind.strip()}
-        if unknown := wanted - set(get_args(FrameKind)):
+        selected = {kind.strip() for kind in kinds.split(",") if kind.strip()}
+        if unknown := selected - set(get_args(FrameKind)):
             known = ", ".join(get_args(FrameKind))
             raise RigFileError(f"camera.options.kinds: unknown: {', '.join(sorted(unknown))}; known: {known}")
         try:
             read = read_frame_folder(Path(folder))
         except RecordError as problem:
             raise RigFileError(f"camera.options.folder: {problem}") from problem
-        entries = tuple(entry for entry in read.entries if not wanted or entry.kind in wanted)
+        entries = tuple(entry for entry in read.entries if not selected or entry.kind in selected)
         if not entries:
             raise RigFileError(f"camera.options.kinds: {folder} holds no frames of kind {kinds}")
         sensors = {(entry.bit_depth, entry.black_level) for entry in entries}
@@ -90,7 +90,7 @@ class FolderCamera:
         return len(self._entries) - self._next
 
     def configure(self, exposure_s: float, gain: float) -> CameraSettings:
-        """Settings of the next frame, which have to be those that are asked for.
+        """Settings of the next frame, which must equal the requested ones.
 
         Raises:
             CameraError: they are others, or there is no next frame.
@@ -138,5 +138,5 @@ class FolderCamera:
         return self._entries[self._next]
 
 
-def _same(asked: float, recorded: float) -> bool:
-    return math.isclose(asked, recorded, rel_tol=SAME_SETTING)
+def _same(requested: float, recorded: float) -> bool:
+    return math.isclose(requested, recorded, rel_tol=SAME_SETTING)

@@ -96,9 +96,9 @@ def _measure(
 ) -> tuple[float, float, float]:
     settings = camera.configure(exposure_s, gain)
     full_scale = (1 << camera.info.bit_depth) - 1
-    taken = [camera.grab() for _ in range(max(frames, 2))]
-    clipped = max(float(np.mean(counts >= SATURATION * full_scale)) for counts in taken)
-    means = [float(counts.mean()) - dark for counts in taken]
+    pictures = [camera.grab() for _ in range(max(frames, 2))]
+    clipped = max(float(np.mean(counts >= SATURATION * full_scale)) for counts in pictures)
+    means = [float(counts.mean()) - dark for counts in pictures]
     if clipped > _MOST_CLIPPED:
         raise CameraError(
             f"{100 * clipped:.0f} % of the pixels are clipped at {settings.exposure_s:g} s: too bright for a "

@@ -126,20 +126,20 @@ class Backend:
         """Exposure in seconds of a value of the property."""
         return 2.0**raw if self.unit == "log2 s" else raw * STEP_S
 
-    def check(self, asked: float, came: float) -> None:
-        """See that the camera took what was asked; both are values of the property.
+    def check(self, requested: float, came: float) -> None:
+        """Compare the requested with the actual value of the property.
 
         Raises:
             CameraError: it took something else, or cannot be read back.
         """
         if self.unit == "log2 s":
-            fits = came == asked
+            fits = came == requested
         else:
-            fits = came > 0.0 and abs(came - asked) <= max(1.0, EXPOSURE_TOLERANCE * asked)
+            fits = came > 0.0 and abs(came - requested) <= max(1.0, EXPOSURE_TOLERANCE * requested)
         if not fits:
             real = f" ({self.exposure_s(came):g} s)" if self.unit == "log2 s" or came > 0.0 else ""
             raise CameraError(
-                f"exposure: {asked:g} ({self.exposure_s(asked):g} s) was asked for, {came:g}{real} came; "
+                f"exposure: {requested:g} ({self.exposure_s(requested):g} s) was asked for, {came:g}{real} came; "
                 "the camera has no such exposure, or does not let it be set"
             )
 
@@ -267,14 +267,15 @@ def set_exposure(capture: CaptureThread, backend: Backend, exposure_s: float) ->
     """
     import cv2  # noqa: PLC0415 - slow to import
 
-    asked = backend.raw_exposure(exposure_s)
-    taken = capture.set(cv2.CAP_PROP_EXPOSURE, asked)
+    requested = backend.raw_exposure(exposure_s)
+    accepted = capture.set(cv2.CAP_PROP_EXPOSURE, requested)
     came = capture.get(cv2.CAP_PROP_EXPOSURE)
-    if not taken and came != asked:
+    if not accepted and came != requested:
         raise CameraError(
-            f"{capture.name}: exposure: {asked:g} ({exposure_s:g} s) was asked for and refused; it stays at {came:g}"
+            f"{capture.name}: exposure: {requested:g} ({exposure_s:g} s) was asked for and refused; "
+            f"it stays at {came:g}"
         )
-    backend.check(asked, came)
+    backend.check(requested, came)
     automatic = capture.get(cv2.CAP_PROP_AUTO_EXPOSURE)
     if automatic not in {NOT_OFFERED, backend.manual_exposure}:
         raise CameraError(
@@ -284,7 +285,7 @@ def set_exposure(capture: CaptureThread, backend: Backend, exposure_s: float) ->
 
 
 def name_of(device: int | str, sysfs: Path = _SYSFS) -> tuple[str, str]:
-    """Model and serial number, as Linux tells them; elsewhere the number of the camera stands for both."""
+    """Model and serial number from Linux; elsewhere the number of the camera stands for both."""
     node = f"video{device}" if isinstance(device, int) else Path(device).resolve().name
     place = sysfs / node
     model = _line(place / "name") or f"UVC camera {device}"
@@ -303,11 +304,11 @@ def _line(path: Path) -> str:
 def _set_format(capture: CaptureThread, fourcc: str) -> str:
     import cv2  # noqa: PLC0415 - slow to import
 
-    for wanted in (fourcc,) if fourcc else RAW_FORMATS:
-        if len(wanted) != 4:
-            raise RigFileError(f"camera.options.fourcc: expected four letters, not '{wanted}'")
-        capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*wanted))
-        if _fourcc(capture) == wanted:
+    for code in (fourcc,) if fourcc else RAW_FORMATS:
+        if len(code) != 4:
+            raise RigFileError(f"camera.options.fourcc: expected four letters, not '{code}'")
+        capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*code))
+        if _fourcc(capture) == code:
             break
     came = _fourcc(capture)
     if fourcc and came != fourcc:

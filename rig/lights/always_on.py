@@ -1,30 +1,30 @@
-"""A light that always burns: nobody can switch it, so darkness is a cover before the lens."""
+"""A light that cannot be switched: dark frames need a lens cover."""
 
 import sys
 from collections.abc import Callable
 
 from anisoscope.base.errors import RigError
-from anisoscope.rig.stages.manual import ask_in_terminal
+from anisoscope.rig.stages.manual import prompt_in_terminal
 
 
 class AlwaysOn:
-    """A light without a switch; darkness is asked for as a cover before the lens.
+    """A light without a switch; the operator covers the lens for dark frames.
 
     Dark frames that see the light would be subtracted from the picture as if they were the sensor's own signal:
     `off` returns in the dark, or raises.
 
     Args:
-        ask: shows a request to the operator and returns when it was met; by default in the terminal.
+        prompt: shows a request to the operator and returns when it was met; by default in the terminal.
     """
 
     asks = True
 
-    def __init__(self, ask: Callable[[str], None] | None = None) -> None:
-        self._ask = ask
+    def __init__(self, prompt: Callable[[str], None] | None = None) -> None:
+        self._prompt = prompt
         self._covered = False
 
     def on(self) -> None:
-        """Ask for the cover to be taken away, if it is there.
+        """Prompt to remove the cover if it is on.
 
         Raises:
             RigError: nobody is there to do it.
@@ -34,7 +34,7 @@ class AlwaysOn:
             self._covered = False
 
     def off(self) -> None:
-        """Ask for the lens to be covered, unless it is.
+        """Prompt to cover the lens unless it is covered.
 
         Raises:
             RigError: nobody is there to do it, so that it does not get dark.
@@ -48,12 +48,12 @@ class AlwaysOn:
         self._covered = False
 
     def _request(self, request: str) -> None:
-        if self._ask is not None:
-            self._ask(request)
+        if self._prompt is not None:
+            self._prompt(request)
             return
         if sys.stdin is None or not sys.stdin.isatty():
             raise RigError(
                 "the light of this rig (driver 'none') cannot be switched off, and there is no terminal to ask for a "
                 "lens cap in: run this in a terminal, take no dark frames, or use a light that can be switched"
             )
-        ask_in_terminal(request)
+        prompt_in_terminal(request)

@@ -27,7 +27,7 @@ _STATUS = re.compile(r"STATUS (ON|OFF) (\d{1,3}) (-|\d{1,3}) (\d{1,3})")
 
 @dataclass(frozen=True)
 class LightStatus:
-    """What the controller says of itself.
+    """Status reported by the controller.
 
     Attributes:
         on: whether it is switched on.
@@ -65,8 +65,8 @@ class LightLine:
         self.name = f"the light at {transport.port}"
         self._timeout_s = timeout_s
 
-    def ask(self, command: str, expected: str) -> str:
-        """Send a command and return its answer, which begins with `expected`; damaged answers are asked for again.
+    def query(self, command: str, expected: str) -> str:
+        """Send a command and return its answer, which begins with `expected`; damaged answers are queried again.
 
         Raises:
             NotConnected: silence, or a lost connection.
@@ -87,15 +87,15 @@ class LightLine:
         )
 
     def status(self) -> LightStatus:
-        """Ask for the state."""
-        return LightStatus.parse(self.ask("STATUS?", "STATUS"))
+        """Query the state."""
+        return LightStatus.parse(self.query("STATUS?", "STATUS"))
 
     def identify(self, boot_s: float) -> str:
-        """Ask who is there, for as long as a board may take to start after the port was opened."""
+        """Identify the controller, for as long as a board may take to start after the port was opened."""
         deadline = time.monotonic() + boot_s
         while True:
             try:
-                return self.ask("ID?", "ID")
+                return self.query("ID?", "ID")
             except NotConnected:
                 if not self.transport.is_open or time.monotonic() >= deadline:
                     raise
@@ -166,14 +166,14 @@ class SerialLight:
         try:
             self._line = LightLine(self._transport, timeout_s)
             self.name = self._line.name = f"light {self._line.identify(boot_s).removeprefix('ID ')}"
-            self._line.ask("OFF", "OK OFF")
-            self._line.ask(f"WATCHDOG {self._watchdog_s}", "OK WATCHDOG")
+            self._line.query("OFF", "OK OFF")
+            self._line.query(f"WATCHDOG {self._watchdog_s}", "OK WATCHDOG")
         except BaseException:
             self._transport.close()
             raise
 
     def status(self) -> LightStatus:
-        """Ask the controller for its state."""
+        """Query the state of the controller."""
         return self._line.status()
 
     def on(self) -> None:
@@ -184,7 +184,7 @@ class SerialLight:
             RigError: the controller refuses, the lamp stays dark or at a wrong level.
         """
         self._went_out = ""
-        self._line.ask(f"LEVEL {self._level}", "OK LEVEL")
+        self._line.query(f"LEVEL {self._level}", "OK LEVEL")
         self._switch("ON", on=True)
         self._start_talking()
 
@@ -210,7 +210,7 @@ class SerialLight:
         self._transport.close()
 
     def _switch(self, command: str, *, on: bool) -> None:
-        self._line.ask(command, f"OK {command}")
+        self._line.query(command, f"OK {command}")
         deadline = time.monotonic() + self._settle_s
         while True:
             status = self._line.status()
@@ -224,12 +224,12 @@ class SerialLight:
     def _what_is_wrong(self, status: LightStatus, on: bool) -> str:
         if status.on != on:
             return f"says that it is {'on' if status.on else 'off'}; check its power supply"
-        wanted = self._level if on else 0
-        if on and status.level_percent != wanted:
-            return f"its level is {status.level_percent} % instead of {wanted} %"
+        target = self._level if on else 0
+        if on and status.level_percent != target:
+            return f"its level is {status.level_percent} % instead of {target} %"
         sensed = status.sensed_percent
-        if sensed is not None and abs(sensed - wanted) > self._tolerance:
-            return f"{sensed} % are measured at the lamp instead of {wanted} %; check lamp and cable"
+        if sensed is not None and abs(sensed - target) > self._tolerance:
+            return f"{sensed} % are measured at the lamp instead of {target} %; check lamp and cable"
         return ""
 
     # The controller hears from us while the light is on.

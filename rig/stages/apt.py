@@ -190,8 +190,8 @@ class AptLine:
         self._received.clear()
         self.ended = None
 
-    def ask(self, question: Message, expected: int, *, fresh: bool = True) -> Message:
-        """Ask a question that may be repeated without harm, and return the newest answer.
+    def query(self, question: Message, expected: int, *, fresh: bool = True) -> Message:
+        """Send a repeatable query and return the newest answer.
 
         Args:
             question: the question.
@@ -217,9 +217,9 @@ class AptLine:
         raise self._silence()
 
     def status(self, *, fresh: bool = True) -> Status:
-        """Ask where the motor stands and what it does."""
+        """Query position and status of the motor."""
         question, answer = (REQ_DC_STATUS, GET_DC_STATUS) if self.servo else (REQ_STATUS, GET_STATUS)
-        return Status.parse(self.ask(Message(question, (1, 0)), answer, fresh=fresh).data)
+        return Status.parse(self.query(Message(question, (1, 0)), answer, fresh=fresh).data)
 
     def wait_for_end(self, wait_s: float) -> None:
         """Wait up to `wait_s` seconds for the news that a motion ended."""
@@ -368,13 +368,13 @@ class Apt(PortStage):
     def _identify(self) -> DeviceInfo:
         # Updates of somebody who used the controller before would only be in the way.
         self._line.send(Message(HW_STOP_UPDATES))
-        return DeviceInfo.parse(self._line.ask(Message(HW_REQ_INFO), HW_GET_INFO).data)
+        return DeviceInfo.parse(self._line.query(Message(HW_REQ_INFO), HW_GET_INFO).data)
 
     def _velocities_deg_s(self) -> tuple[float, float]:
         """Top velocities of moves and of the reference search."""
         channel = (CHANNEL, 0)
-        moves, _ = velocity_counts(self._line.ask(Message(REQ_VELOCITY, channel), GET_VELOCITY).data)
-        homing = homing_velocity_counts(self._line.ask(Message(REQ_HOMING, channel), GET_HOMING).data)
+        moves, _ = velocity_counts(self._line.query(Message(REQ_VELOCITY, channel), GET_VELOCITY).data)
+        homing = homing_velocity_counts(self._line.query(Message(REQ_HOMING, channel), GET_HOMING).data)
         return moves / self.scale.velocity_per_deg_s, homing / self.scale.velocity_per_deg_s
 
     def _slowest_deg_s(self) -> float:
@@ -431,7 +431,7 @@ class Apt(PortStage):
         return True
 
     def _is_over(self, status: Status) -> bool:
-        """Whether a motor that stands has done what it was told, or cannot."""
+        """Whether a motor at rest has completed its motion, or cannot."""
         if self._target_counts is None:
             if self._line.ended == HOMED or (status.homed and self._has_homed()):
                 return True
@@ -468,5 +468,5 @@ class Apt(PortStage):
         while self._line.status().moving and time.monotonic() < deadline:
             self._line.wait_for_end(POLL_S)
 
-    def _say_goodbye(self) -> None:
+    def _end_session(self) -> None:
         self._line.send(Message(HW_DISCONNECT))

@@ -105,7 +105,7 @@ def take_message(received: bytearray) -> tuple[Message | None, int]:
 
 @dataclass(frozen=True)
 class DeviceInfo:
-    """What a controller says about itself: model name, serial number, firmware release."""
+    """Identification of a controller: model name, serial number, firmware release."""
 
     model: str
     serial: str
@@ -191,7 +191,7 @@ def homing_velocity_counts(data: bytes) -> int:
 
 
 def error_text(message: Message) -> str:
-    """What a controller complains about in a response that nobody asked for."""
+    """Text of an unsolicited error response."""
     if message.id == HW_RESPONSE:
         return "an error without further information"
     about, code, notes = struct.unpack("<HH64s", message.data)

@@ -100,7 +100,7 @@ class Answer:
 
 @dataclass(frozen=True)
 class DeviceInfo:
-    """What a device says about itself.
+    """Identification of a device.
 
     Attributes:
         model: type number; 14 is an ELL14.
@@ -228,8 +228,8 @@ class ElliptecLine:
                 return answer
         return None
 
-    def ask(self, command: str, expected: str) -> Answer:
-        """Ask a question that may be repeated without harm, and return the answer.
+    def query(self, command: str, expected: str) -> Answer:
+        """Send a repeatable query and return the answer.
 
         A damaged answer is asked for again; a busy device is asked for up to `busy_limit_s`.
         """
@@ -276,7 +276,7 @@ class ElliptecLine:
         return NotConnected(f"{self.name} is silent; check the power, the cable and the address")
 
     def set(self, command: str, doing: str) -> None:
-        """Send a command that the device acknowledges with its status; `doing` says it in error messages."""
+        """Send a command that the device acknowledges with its status; `doing` names it in error messages."""
         with self.transport.lock:
             self.transport.discard()
             self.send(command)
@@ -357,12 +357,12 @@ class Elliptec(PortStage):
     def status(self) -> int:
         """Read and thereby clear the status code; 0 is ok, 9 is busy."""
         with self._bus:
-            return int(self._line.ask("gs", "GS").data, 16)
+            return int(self._line.query("gs", "GS").data, 16)
 
     def velocity_percent(self) -> int:
         """Read the velocity setting in percent of full speed."""
         with self._bus:
-            return int(self._line.ask("gv", "GV").data, 16)
+            return int(self._line.query("gv", "GV").data, 16)
 
     def set_velocity_percent(self, percent: int) -> None:
         """Set the velocity in percent of full speed; the device keeps it until it is switched off.
@@ -377,7 +377,7 @@ class Elliptec(PortStage):
     def home_offset_deg(self) -> float:
         """Read the angle in degrees between the reference mark and zero."""
         with self._bus:
-            return self._line.ask("go", "HO").counts / self.info.counts_per_deg
+            return self._line.query("go", "HO").counts / self.info.counts_per_deg
 
     def set_home_offset(self, offset_deg: float) -> None:
         """Set the angle in degrees between the reference mark and zero; takes effect when homed next."""
@@ -387,7 +387,7 @@ class Elliptec(PortStage):
         self._homed = False
 
     def _identify(self) -> DeviceInfo:
-        info = DeviceInfo.parse(self._line.ask("in", "IN").data)
+        info = DeviceInfo.parse(self._line.query("in", "IN").data)
         # A fault of the past is latched until it is read; one that comes back is of now.
         if self.status() not in {OK, BUSY} and (status := self.status()) not in {OK, BUSY}:
             raise error_of_status(self.name, status, "connecting")
@@ -396,7 +396,7 @@ class Elliptec(PortStage):
     # The motion.
 
     def _read_deg(self) -> float:
-        return self._line.ask("gp", "PO").counts / self.info.counts_per_deg
+        return self._line.query("gp", "PO").counts / self.info.counts_per_deg
 
     def _begin_home(self) -> None:
         self._target_counts = 0
@@ -438,7 +438,7 @@ class Elliptec(PortStage):
             return True
         self._last_motion_end = time.monotonic()
         self._polling = True  # from here on the device has to be asked
-        if self._refused and not self._stopping.is_set() and not self._near(self._line.ask("gp", "PO")):
+        if self._refused and not self._stopping.is_set() and not self._near(self._line.query("gp", "PO")):
             self._begin(self._command)
             return True
         return False

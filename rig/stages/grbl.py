@@ -30,10 +30,10 @@ from anisoscope.rig.stages.grbl_wire import (
     STATUS,
     STEPS,
     TRAVEL,
+    Feedback,
     Ok,
     Refused,
     Status,
-    Told,
     error_of_alarm,
     error_of_refusal,
 )
@@ -111,7 +111,7 @@ class GrblAxis(PortStage):
         if not self._transport.is_open:
             raise NotConnected(f"{self.name}: the port is closed; connect again")
         try:
-            return self._board.ask_status()
+            return self._board.query_status()
         except NotConnected:
             self._raise_alarm()
             raise
@@ -178,7 +178,7 @@ class GrblAxis(PortStage):
         return self._board.answer is None and not near
 
     def _refused_as_busy(self, doing: str) -> bool:
-        """Whether the board was busy and was told once more; any other refusal is an error."""
+        """Whether the board was busy and the command was repeated; any other refusal is an error."""
         self._raise_alarm()
         refusal = self._board.answer
         if not isinstance(refusal, Refused):
@@ -198,13 +198,13 @@ class GrblAxis(PortStage):
         if self._searching or self._board.critical:
             self._searching = False
             self._board.reset(self.rules.margin_s)
-        while time.monotonic() < deadline and self._board.ask_status().state in MOVING:
+        while time.monotonic() < deadline and self._board.query_status().state in MOVING:
             time.sleep(BUSY_POLL_S)
         self._board.alarm = None
 
 
 SWITCH, HERE = "switch", "here"
-ASK_AGAIN_S = 1.0
+QUERY_INTERVAL_S = 1.0
 
 
 class Grbl(GrblAxis):
@@ -253,8 +253,8 @@ class Grbl(GrblAxis):
         if STEPS + AXES.index(axis) not in board.settings:
             raise RigError(f"{board.name} has no axis {axis}")
         self._home_here = home == HERE
-        self._asked_order = False
-        self._asked_at = 0.0
+        self._queried_order = False
+        self._queried_at = 0.0
         self._seen_homings = board.homings
         low, high = _travel_deg(board, AXES.index(axis), from_switch=not self._home_here)
         limits = (low if min_deg is None else min_deg, high if max_deg is None else max_deg)
@@ -307,8 +307,8 @@ class Grbl(GrblAxis):
         if self._board.critical or self._status().state not in {"Idle", "Alarm", *MOVING}:
             self._board.reset()
         self._board.alarm = None
-        self._asked_order = False
-        self._asked_at = time.monotonic()
+        self._queried_order = False
+        self._queried_at = time.monotonic()
         self._begin(f"$H{self.axis}" if "H" in self._board.options else "$H")
 
     def _search_goes_on(self, wait_s: float) -> bool:
@@ -317,20 +317,20 @@ class Grbl(GrblAxis):
         if self._refused_as_busy("searching the reference"):
             return True
         # Lines are carried out in order: whatever is answered to a later one, the search is over.
-        if isinstance(self._board.answer, Ok) or (isinstance(message, Told) and message.name == "GC"):
+        if isinstance(self._board.answer, Ok) or (isinstance(message, Feedback) and message.name == "GC"):
             self._take_zero()
             return False
-        if isinstance(message, Status) and message.state == "Idle" and not self._asked_order:
-            self._asked_order = True
+        if isinstance(message, Status) and message.state == "Idle" and not self._queried_order:
+            self._queried_order = True
             self._board.send("$G")
         elif message is None or isinstance(message, Status):
-            self._ask_now_and_then()
+            self._query_periodically()
         return True
 
-    def _ask_now_and_then(self) -> None:
+    def _query_periodically(self) -> None:
         now = time.monotonic()
-        if now - self._asked_at >= ASK_AGAIN_S or self._polls <= 1:
-            self._asked_at = now
+        if now - self._queried_at >= QUERY_INTERVAL_S or self._polls <= 1:
+            self._queried_at = now
             self._board.send_now(STATUS)
 
     def _take_zero(self) -> None:

@@ -21,12 +21,12 @@ from anisoscope.rig.stages.grbl_wire import (
     TRAVEL,
     Alarm,
     Banner,
+    Feedback,
     Message,
     Ok,
     Refused,
     Setting,
     Status,
-    Told,
     error_of_refusal,
     parse,
 )
@@ -39,7 +39,7 @@ MAX_DAMAGED_LINES = 16
 
 
 class GrblTalk:
-    """A conversation. Whoever talks holds the lock of the transport.
+    """The line protocol of one board; callers hold the lock of the transport.
 
     Args:
         transport: the open port.
@@ -125,7 +125,7 @@ class GrblTalk:
             self._offset = message.offset or self._offset
             if message.state in {"Alarm", "Sleep"}:
                 self.zeros.clear()
-        elif isinstance(message, Told):
+        elif isinstance(message, Feedback):
             _log.info("%s: [%s:%s]", self.name, message.name, message.text)
 
     def request(self, line: str, take: Callable[[Message], object]) -> None:
@@ -192,8 +192,8 @@ class GrblBoard(GrblTalk):
         self.homings = 0
         self._connect(reset_s)
 
-    def ask_status(self, wait_s: float | None = None) -> Status:
-        """Ask for a status report, and return it with the machine position filled in.
+    def query_status(self, wait_s: float | None = None) -> Status:
+        """Query a status report and fill in the machine position.
 
         Raises:
             NotConnected: no report within `wait_s` seconds, by default the time for an answer.
@@ -266,9 +266,9 @@ class GrblBoard(GrblTalk):
             raise ProtocolError(f"{self.name} reports in inches; set $13=0")
 
     def _take_build(self, message: Message) -> None:
-        if isinstance(message, Told) and message.name == "VER":
+        if isinstance(message, Feedback) and message.name == "VER":
             self.note = message.text.partition(":")[2].strip()
-        elif isinstance(message, Told) and message.name == "OPT":
+        elif isinstance(message, Feedback) and message.name == "OPT":
             self.options = message.text.partition(",")[0]
 
     def _take_setting(self, message: Message) -> None:

@@ -1,4 +1,4 @@
-"""The lines of a Grbl 1.1 board: what it says, and the errors that its numbers stand for.
+"""Messages of a Grbl 1.1 board, and the errors of its numeric codes.
 
 Source: interface description of Grbl 1.1 (messages, status reports, error and alarm codes).
 """
@@ -79,7 +79,7 @@ _BRACKETS = re.compile(rb"\[([A-Z][A-Za-z0-9]*):(.*)\]$")
 
 @dataclass(frozen=True)
 class Ok:
-    """A line was taken."""
+    """Acknowledgement of a line."""
 
 
 @dataclass(frozen=True)
@@ -112,8 +112,8 @@ class Setting:
 
 
 @dataclass(frozen=True)
-class Told:
-    """A line in square brackets: a name, and what it says."""
+class Feedback:
+    """A feedback message in square brackets: name and text."""
 
     name: str
     text: str
@@ -145,12 +145,12 @@ class Status:
     @classmethod
     def parse(cls, state: str, substate: str, fields: str) -> Self | None:
         """Read the fields between the bars; None if a number is damaged."""
-        told = dict(field.split(":", 1) for field in fields.split("|") if field)
+        values = dict(field.split(":", 1) for field in fields.split("|") if field)
         try:
             numbers = {
-                name: tuple(float(part) for part in told[name].split(","))
+                name: tuple(float(part) for part in values[name].split(","))
                 for name in ("MPos", "WPos", "WCO", "Bf", "FS", "F")
-                if name in told
+                if name in values
             }
         except ValueError:
             return None
@@ -163,11 +163,11 @@ class Status:
             numbers.get("WCO", ()),
             numbers.get("Bf", ()),
             rates[0],
-            told.get("Pn", ""),
+            values.get("Pn", ""),
         )
 
 
-Message = Ok | Refused | Alarm | Banner | Setting | Told | Status
+Message = Ok | Refused | Alarm | Banner | Setting | Feedback | Status
 
 
 def parse(line: bytes) -> Message | None:
@@ -180,7 +180,7 @@ def parse(line: bytes) -> Message | None:
     if match := _BANNER.search(line):
         return Banner(match[1].decode("ascii"))
     if match := _BRACKETS.search(line):
-        return Told(match[1].decode("ascii"), match[2].decode("latin-1"))
+        return Feedback(match[1].decode("ascii"), match[2].decode("latin-1"))
     match = _SETTING.search(line)
     return Setting(int(match[1]), float(match[2])) if match else None
 

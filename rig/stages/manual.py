@@ -1,4 +1,4 @@
-"""An axis that the operator sets by hand: asks, waits for the Enter key, and trusts the answer."""
+"""An axis set by hand: prompts the operator and waits for the Enter key."""
 
 import math
 import sys
@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 from anisoscope.base.errors import LimitExceeded, NotConnected, RigError
 
-Ask = Callable[[str], None]
+Prompt = Callable[[str], None]
 
 
-def ask_in_terminal(request: str) -> None:
+def prompt_in_terminal(request: str) -> None:
     """Show a request on stderr and wait for the Enter key.
 
     Raises:
@@ -30,14 +30,14 @@ def _need_a_terminal(label: str) -> None:
 
 
 class ManualStage:
-    """An axis without a motor; its angle is what the operator was last asked for.
+    """An axis without a motor; its angle is the last one requested from the operator.
 
     Args:
         port: not used; an axis by hand has none.
         label: what is set, as the operator is asked for it.
         min_deg, max_deg: limits in degrees.
         resolution_deg: how finely its scale can be set.
-        ask: shows a request to the operator and returns when it was met; by default in the terminal.
+        prompt: shows a request to the operator and returns when it was met; by default in the terminal.
 
     Raises:
         NotConnected: there is no terminal to ask in.
@@ -51,17 +51,17 @@ class ManualStage:
         min_deg: float = -360.0,
         max_deg: float = 360.0,
         resolution_deg: float = 0.1,
-        ask: Ask | None = None,
+        prompt: Prompt | None = None,
     ) -> None:
         del port
-        if ask is None:
+        if prompt is None:
             _need_a_terminal(label)
         self.name = f"{label} set by hand"
         self.limits_deg = (float(min_deg), float(max_deg))
         self.resolution_deg = float(resolution_deg)
         self.is_homed = False
         self._label = label
-        self._ask = ask or ask_in_terminal
+        self._prompt = prompt or prompt_in_terminal
         self._at_deg: float | None = None
 
     def position_deg(self) -> float:
@@ -75,12 +75,12 @@ class ManualStage:
         return self._at_deg
 
     def home(self) -> float:
-        """Ask for zero, or for the limit nearest to it; return it, in degrees."""
+        """Prompt for zero, or for the limit nearest to it; returns it in degrees."""
         low, high = self.limits_deg
         return self._set(min(max(0.0, low), high))
 
     def move_to(self, angle_deg: float) -> float:
-        """Ask for an angle in degrees, unless it is set already; return it.
+        """Prompt for an angle in degrees unless it is set already; returns it.
 
         Raises:
             LimitExceeded: outside of the limits.
@@ -92,7 +92,7 @@ class ManualStage:
         return self._set(float(angle_deg))
 
     def move_by(self, delta_deg: float) -> float:
-        """Ask for a turn by an angle in degrees; return the new angle. Errors as for `move_to`."""
+        """Prompt for a turn by an angle in degrees; returns the new angle. Errors as for `move_to`."""
         return self.move_to(self.position_deg() + delta_deg)
 
     def stop(self) -> None:
@@ -105,6 +105,6 @@ class ManualStage:
     def _set(self, angle_deg: float) -> float:
         if self._at_deg != angle_deg:
             self._at_deg = None
-            self._ask(f"set the {self._label} to {angle_deg:g}°")
+            self._prompt(f"set the {self._label} to {angle_deg:g}°")
             self._at_deg, self.is_homed = angle_deg, True
         return angle_deg

@@ -23,7 +23,7 @@ LOST_REFERENCE_TOLERANCES = 10.0
 
 
 class StageBase(ABC):
-    """The motion rules; a driver adds how to ask, to start, to stop.
+    """Motion rules common to all stages; a driver adds query, start and stop.
 
     Errors of every motion: `NotConnected`, `ProtocolError`, `Stalled` from the driver; `MotionTimeout`,
     `LimitExceeded`, `NotHomed` from here; plain `RigError` for a move that was stopped by another thread.
@@ -49,7 +49,7 @@ class StageBase(ABC):
 
     @abstractmethod
     def _read_deg(self) -> float:
-        """Ask for the angle in degrees."""
+        """Query the angle in degrees."""
 
     @abstractmethod
     def _begin_home(self) -> None:
@@ -64,7 +64,7 @@ class StageBase(ABC):
         """Wait up to `wait_s` seconds for the end of the motion; return whether it still goes on."""
 
     def _is_surely_busy(self) -> bool:
-        """Ask once more, at the end of a move's time, whether the stage still moves."""
+        """Query at the end of a move's time whether the stage still moves."""
         return self._is_busy(0.0)
 
     @abstractmethod
@@ -84,7 +84,7 @@ class StageBase(ABC):
 
     @property
     def limits_deg(self) -> tuple[float, float]:
-        """Lowest and highest angle in degrees that may be asked for."""
+        """Lowest and highest permitted angle in degrees."""
         return self._limits_deg
 
     @property
@@ -232,7 +232,7 @@ class StageBase(ABC):
                 raise MotionTimeout(f"{self.name}: the {what} did not end within {timeout_s:.1f} s")
 
     def _wait_until_still(self) -> None:
-        """After a stop command: take what the device still has to say, until it stands."""
+        """After a stop command: read pending messages until the device is at rest."""
         deadline = time.monotonic() + self.rules.margin_s
         while self._is_busy(min(POLL_S, self.rules.margin_s)):
             if time.monotonic() >= deadline:

@@ -48,12 +48,12 @@ class PortStage(StageBase):
         stage._owns_transport = True  # noqa: SLF001 - of our own class
         return stage
 
-    def _say_goodbye(self) -> None:
-        """Tell the device that the connection ends."""
+    def _end_session(self) -> None:
+        """Notify the device of the end of the connection."""
 
     def _disconnect(self) -> None:
         if self._owns_transport:
             with contextlib.suppress(RigError):
-                self._say_goodbye()
+                self._end_session()
             with contextlib.suppress(RigError):
                 self._transport.close()

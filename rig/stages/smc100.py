@@ -111,7 +111,7 @@ class Answer:
 
 @dataclass(frozen=True)
 class State:
-    """What TS tells: the faults of the positioner, one bit each, and the state of the controller."""
+    """Answer to TS: faults of the positioner, one bit each, and the state of the controller."""
 
     faults: int
     code: int
@@ -143,7 +143,7 @@ MAX_DAMAGED_LINES = 16
 
 
 class Smc100Line:
-    """One address of a port. Whoever talks holds the lock of the transport, because several may share it.
+    """One address of a port; callers hold the lock of the transport, which several devices may share.
 
     Args:
         transport: the open port.
@@ -166,8 +166,8 @@ class Smc100Line:
         """Send a command, and wait for nothing."""
         self._transport.write(f"{self._address}{command}".encode("ascii") + TERMINATOR)
 
-    def ask(self, question: str) -> str:
-        """Ask a question, and return the value; a damaged answer is asked for again."""
+    def query(self, question: str) -> str:
+        """Query a value; a damaged answer is queried again."""
         for _ in range(TRIES):
             self._transport.discard()
             self._stranger, self._heard = None, False
@@ -178,13 +178,13 @@ class Smc100Line:
                 break
         raise self._silence()
 
-    def ask_number(self, question: str) -> float:
-        """Ask for a number.
+    def query_number(self, question: str) -> float:
+        """Query a number.
 
         Raises:
             ProtocolError: the answer is none.
         """
-        value = self.ask(question)
+        value = self.query(question)
         try:
             return float(value)
         except ValueError:
@@ -193,24 +193,24 @@ class Smc100Line:
             ) from None
 
     def state(self) -> State:
-        """Ask for faults and state.
+        """Query faults and state.
 
         Raises:
             ProtocolError: the answer is none.
         """
         value = ""
         for _ in range(TRIES):
-            value = self.ask("TS")
+            value = self.query("TS")
             if (state := State.parse(value)) is not None:
                 return state
         raise ProtocolError(f"{self.name} answers '{value[:40]}' to TS: that is no state")
 
     def error(self) -> str:
-        """Ask for the letter of the last error, which forgets it; ``@`` is none."""
-        return self.ask("TE")[:1] or NO_ERROR
+        """Query and clear the letter of the last error; ``@`` is none."""
+        return self.query("TE")[:1] or NO_ERROR
 
     def command(self, command: str, doing: str) -> None:
-        """Send a command and ask whether it was taken; `doing` says it in error messages."""
+        """Send a command and query its acceptance; `doing` names it in error messages."""
         self.send(command)
         if (letter := self.error()) != NO_ERROR:
             raise error_of_letter(self.name, letter, doing)
@@ -298,9 +298,9 @@ class Smc100(PortStage):
         with transport.lock:
             state = line.state()
             line.error()  # one of the past is kept until it is asked for
-            name = line.ask("ID?") or "SMC100"
-            limits = line.ask_number("SL?"), line.ask_number("SR?")
-            velocity, acceleration = line.ask_number("VA?"), line.ask_number("AC?")
+            name = line.query("ID?") or "SMC100"
+            limits = line.query_number("SL?"), line.query_number("SR?")
+            velocity, acceleration = line.query_number("VA?"), line.query_number("AC?")
             resolution = resolution_deg or self._encoder_step_deg()
         if velocity_deg_s is not None:
             velocity, acceleration = velocity_deg_s, velocity_deg_s / 0.1
@@ -315,7 +315,7 @@ class Smc100(PortStage):
 
     def _encoder_step_deg(self) -> float:
         try:
-            return self._line.ask_number("SU?")
+            return self._line.query_number("SU?")
         except NotConnected:
             raise ProtocolError(
                 f"{self._line.name} does not tell its resolution (SU); set resolution_deg in the rig file"
@@ -336,7 +336,7 @@ class Smc100(PortStage):
     def _read_deg(self) -> float:
         if self._homed and self._state().code in NOT_REFERENCED:
             raise self._lost()
-        return self._line.ask_number("TP")
+        return self._line.query_number("TP")
 
     def _lost(self) -> NotHomed:
         self._homed = False

@@ -99,7 +99,7 @@ def checksum(body: bytes) -> int:
 
 
 def command(device: int, axis: int, number: int, words: str) -> bytes:
-    """A whole command with its number and checksum; without words it asks for nothing but the state."""
+    """A complete command with its number and checksum; without words it queries the state only."""
     body = f"{device} {axis} {number:02d}{' ' if words else ''}{words}".encode("ascii")
     return b"/%s:%02X\n" % (body, checksum(body))
 
@@ -143,7 +143,7 @@ class Reply:
 
 
 def is_aside(line: bytes) -> bool:
-    """Whether a line is information or an alert, which nobody has to wait for."""
+    """Whether a line is information or an alert, which answers no command."""
     return _OTHER.search(line) is not None
 
 
@@ -221,7 +221,7 @@ class ZaberLine:
         self.transport.write(command(self.device, self.axis if axis is None else axis, number, words))
         return number
 
-    def ask(self, words: str, axis: int | None = None) -> Reply:
+    def query(self, words: str, axis: int | None = None) -> Reply:
         """Send a command that may be repeated without harm, and return its answer, be it a rejection.
 
         A device ignores a command that arrived damaged, so silence and damaged answers are reason to ask again.
@@ -239,8 +239,8 @@ class ZaberLine:
         raise self._silence()
 
     def command(self, words: str, axis: int | None = None) -> Reply:
-        """As `ask`; a rejection is raised as the error that it stands for."""
-        reply = self.ask(words, axis)
+        """As `query`; a rejection raises its error."""
+        reply = self.query(words, axis)
         if not reply.accepted:
             raise error_of_rejection(self.name, words, reply)
         return reply
@@ -251,7 +251,7 @@ class ZaberLine:
         Raises:
             ProtocolError: it is none.
         """
-        reply = self.ask(f"get {setting}", axis)
+        reply = self.query(f"get {setting}", axis)
         if not reply.accepted:
             return None
         try:
@@ -306,15 +306,15 @@ RAMP_WITHOUT_LIMIT_S = 0.01
 
 def identify(line: ZaberLine) -> str:
     """Maker, device id and serial number, for records."""
-    device = line.ask("get deviceid", axis=0)
+    device = line.query("get deviceid", axis=0)
     if not device.accepted:  # the newer name
         device = line.command("get device.id", axis=0)
-    serial = line.ask("get system.serial", axis=0)
+    serial = line.query("get system.serial", axis=0)
     return f"Zaber {device.data} {serial.data}" if serial.accepted else f"Zaber {device.data}"
 
 
 def read_counts_per_deg(line: ZaberLine, counts_per_turn: float | None) -> float:
-    """Microsteps for one degree; `counts_per_turn`, if given, goes before what the device says.
+    """Microsteps for one degree; `counts_per_turn` overrides the setting of the device.
 
     Raises:
         ProtocolError: neither is known.
@@ -331,7 +331,7 @@ def read_counts_per_deg(line: ZaberLine, counts_per_turn: float | None) -> float
 def read_limits_deg(
     line: ZaberLine, counts_per_deg: float, min_deg: float | None, max_deg: float | None
 ) -> tuple[float, float]:
-    """Lowest and highest angle in degrees: as asked for, else one turn within the limits of the device.
+    """Lowest and highest angle in degrees: as configured, else one turn within the limits of the device.
 
     Raises:
         LimitExceeded: what is asked for is beyond the limits of the device.
@@ -339,15 +339,15 @@ def read_limits_deg(
     lowest, highest = line.number("limit.min"), line.number("limit.max")
     low = -math.inf if lowest is None else lowest / counts_per_deg
     high = math.inf if highest is None else highest / counts_per_deg
-    asked_low = max(0.0, low) if min_deg is None else min_deg
-    asked_high = min(FULL_TURN_DEG, high) if max_deg is None else max_deg
+    requested_low = max(0.0, low) if min_deg is None else min_deg
+    requested_high = min(FULL_TURN_DEG, high) if max_deg is None else max_deg
     slack = 1.0 / counts_per_deg
-    if asked_low < low - slack or asked_high > high + slack or asked_low > asked_high:
+    if requested_low < low - slack or requested_high > high + slack or requested_low > requested_high:
         raise LimitExceeded(
-            f"{line.name}: the limits {asked_low:.6g}°…{asked_high:.6g}° are not within those of the device, "
+            f"{line.name}: the limits {requested_low:.6g}°…{requested_high:.6g}° are not within those of the device, "
             f"{low:.6g}°…{high:.6g}°; change min_deg and max_deg, or the device's limit.min and limit.max"
         )
-    return asked_low, asked_high
+    return requested_low, requested_high
 
 
 def read_pace(line: ZaberLine, counts_per_deg: float) -> tuple[float, float]:
@@ -474,7 +474,7 @@ class Zaber(PortStage):
             ) from None
 
     def _check_reference(self, now_deg: float) -> None:
-        """The device itself says whether it has its reference; a turn of its knob is counted."""
+        """Read the reference state from the device; turns of its knob are counted."""
         del now_deg
         if not self._homed:
             raise error_of_flag(self.name, "WR")
@@ -493,7 +493,7 @@ class Zaber(PortStage):
         self._start()
 
     def _start(self) -> None:
-        reply = self._line.ask(self._command)
+        reply = self._line.query(self._command)
         self._refused = reply.data in TRY_AGAIN and not reply.accepted
         if not reply.accepted and not self._refused:
             raise error_of_rejection(self.name, self._command, reply)
@@ -505,7 +505,7 @@ class Zaber(PortStage):
         if self._refused and not self._stopping.is_set():
             self._start()
             return True
-        reply = self._line.ask("")
+        reply = self._line.query("")
         if not self._stopping.is_set():
             self._check_state(reply)
         return reply.busy

@@ -1,4 +1,4 @@
-"""The bench file: what stands on the virtual rig, and how imperfect the rig is."""
+"""The bench file: sample and imperfections of the virtual rig."""
 
 from pathlib import Path
 from typing import Annotated, Literal, Self
@@ -36,7 +36,7 @@ class MaterialPart(Part):
 
 
 class CodePart(Part):
-    """A code on a label beside the sample: its text, its middle and width in mm, and the reflectances of its print.
+    """A code on a label next to the sample: text, centre and width in mm, and reflectances of its print.
 
     ``gs1`` writes an element string such as ``(10)LOT7(21)A17``. The label counts as part of the fixture's plate.
     """
@@ -53,7 +53,7 @@ class CodePart(Part):
 
 
 class SamplePart(Part):
-    """The sample: made ridges, a height map from a file, a print, a wafer, or a white tile.
+    """The sample: synthetic ridges, a height map from a file, a print, a wafer, or a white tile.
 
     ``ridges`` are made from the fields below; ``height-map`` reads ``file`` and repeats it over the sample; ``print``
     is a sheet as the table ``print`` describes it, ``wafer`` an etched pattern as the table ``wafer`` does.

@@ -61,7 +61,7 @@ class RemoteCamera:
             CameraError: outside the range of the camera.
             NotConnected: the server has gone.
         """
-        answer, _ = self._ask({"do": "configure", "exposure_s": exposure_s, "gain": gain})
+        answer, _ = self._request({"do": "configure", "exposure_s": exposure_s, "gain": gain})
         try:
             settings = CameraSettings(float(answer["exposure_s"]), float(answer["gain"]))
         except (KeyError, TypeError, ValueError):
@@ -71,7 +71,7 @@ class RemoteCamera:
 
     def grab(self) -> npt.NDArray[np.uint16]:
         """One frame, (rows, cols) counts. Errors as for `configure`."""
-        answer, data = self._ask({"do": "grab"})
+        answer, data = self._request({"do": "grab"})
         shape = (self.info.rows, self.info.cols)
         if (answer.get("rows"), answer.get("cols")) != shape or len(data) != 2 * shape[0] * shape[1]:
             raise self._strange()
@@ -86,7 +86,7 @@ class RemoteCamera:
             self._socket = None
 
     def _read_info(self) -> CameraInfo:
-        answer, _ = self._ask({"do": "info"})
+        answer, _ = self._request({"do": "info"})
         if answer.pop("protocol", None) != PROTOCOL:
             raise self._strange()
         try:
@@ -98,7 +98,7 @@ class RemoteCamera:
         self.close()
         return ProtocolError(f"{self._port} answers, but not as a simulated camera does; correct the port")
 
-    def _ask(self, request: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
+    def _request(self, request: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
         with self._lock:
             if self._socket is None:
                 raise NotConnected(f"the camera on {self._port} is not connected; open it again")

@@ -114,8 +114,8 @@ class _Handler(socketserver.StreamRequestHandler):
 
 def _answer(camera: Camera, line: bytes) -> bytes:
     try:
-        wanted = json.loads(line)
-        head, data = _do(camera, wanted)
+        request = json.loads(line)
+        head, data = _do(camera, request)
     except AnisoscopeError as problem:
         head, data = {"error": " ".join(str(problem).split())}, b""
     except (ValueError, KeyError, TypeError):
@@ -123,12 +123,12 @@ def _answer(camera: Camera, line: bytes) -> bytes:
     return json.dumps(head).encode() + b"\n" + data
 
 
-def _do(camera: Camera, wanted: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
-    match wanted["do"]:
+def _do(camera: Camera, request: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
+    match request["do"]:
         case "info":
             return {"protocol": PROTOCOL, **asdict(camera.info)}, b""
         case "configure":
-            settings = camera.configure(float(wanted["exposure_s"]), float(wanted["gain"]))
+            settings = camera.configure(float(request["exposure_s"]), float(request["gain"]))
             return asdict(settings), b""
         case "grab":
             counts = camera.grab()

@@ -1,4 +1,4 @@
-"""A code printed on the plate beside the sample, as the markers are."""
+"""A code printed on the plate next to the sample, like the markers."""
 
 import importlib
 from typing import Any
@@ -59,8 +59,8 @@ def printed(code: CodePart) -> Image:
     library: Any = importlib.import_module("zxingcpp")  # compiled, without types
     kind = getattr(library.BarcodeFormat, _FORMATS[code.kind])
     try:
-        made = library.create_barcode(code.text, kind, options="gs1" if code.gs1 else "")
-        black = np.asarray(made.to_image(scale=1)) < 128
+        barcode = library.create_barcode(code.text, kind, options="gs1" if code.gs1 else "")
+        black = np.asarray(barcode.to_image(scale=1)) < 128
     except (ValueError, RuntimeError) as problem:
         raise RigFileError(
             f"sample.code: {code.text!r} cannot be written as {code.kind}: {problem}"

@@ -85,18 +85,18 @@ def inked(part: PrintPart, grid: Grid, rng: np.random.Generator) -> FloatArray:
 
 
 def pinholes(part: PrintPart, grid: Grid, rng: np.random.Generator) -> FloatArray:
-    """(rows, cols) share of every pixel that lies in a pinhole; holes fall anywhere and may overlap."""
+    """(rows, cols) share of every pixel covered by pinholes, which are placed at random and may overlap."""
     rows, cols = grid.shape
     each = np.pi / 4.0 * (part.pinhole_um / grid.raster_um) ** 2  # pixels
     # what holes at random places leave free is exp(-number · area) (Boolean model)
-    wanted = -np.log1p(-part.pinhole_share) * rows * cols / each
+    expected_count = -np.log1p(-part.pinhole_share) * rows * cols / each
     if part.pinhole_um <= grid.raster_um:
-        hits = rng.poisson(wanted / (rows * cols), grid.shape)
+        hits = rng.poisson(expected_count / (rows * cols), grid.shape)
         return np.asarray(1.0 - (1.0 - each) ** hits)
     # those whose middle lies just outside reach in as well
     radius = 0.5 * part.pinhole_um / grid.raster_um
     margin = int(radius + 1.0)
-    count = rng.poisson(wanted * (1 + 2 * margin / rows) * (1 + 2 * margin / cols))
+    count = rng.poisson(expected_count * (1 + 2 * margin / rows) * (1 + 2 * margin / cols))
     found = np.zeros((rows + 4 * margin + 1, cols + 4 * margin + 1))
     reach = np.arange(-margin, margin + 1)
     for y, x in rng.random((count, 2)) * (rows + 2 * margin, cols + 2 * margin) + margin:
@@ -121,7 +121,7 @@ def grain(part: PrintPart, grid: Grid, rng: np.random.Generator) -> FloatArray:
 
 
 def _edge(inside_mm: FloatArray, grid: Grid) -> FloatArray:
-    """Share of a pixel on the inner side of an edge that lies so far away (positive inside)."""
+    """Share of a pixel on the inner side of an edge at a signed distance (positive inside)."""
     return np.asarray(np.clip(inside_mm * 1000.0 / grid.raster_um + 0.5, 0.0, 1.0))
 
 

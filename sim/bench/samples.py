@@ -1,4 +1,4 @@
-"""Whole virtual samples: what lies on the stage, as the bench photographs it.
+"""Virtual samples on the stage, as the bench photographs them.
 
 A new kind of sample is a class with the two members of `Sample` in a module of its own, a table of its own in the bench
 file (`SamplePart`), a word for it in ``SamplePart.kind``, and a line in `build_sample`. It need not know of poses,
@@ -28,7 +28,7 @@ PIXEL_Y_UM = 2.0
 
 
 class Sample(Protocol):
-    """What lies on the stage, centred on its axis.
+    """A sample on the stage, centred on its axis.
 
     A perfect white diffuser that faces the lamp has the radiance 1/π, in every channel alike. So a grey sample is
     equally bright in all channels; how much less light one colour filter passes than another is not the sample's

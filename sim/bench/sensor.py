@@ -67,12 +67,12 @@ class Sensor:
 
     def automatic_exposure_s(self, signal_e: FloatArray) -> float:
         """Exposure at which the middle tone is 40 % of full scale, for (rows, cols) photo-electrons in one second."""
-        wanted_e = (
+        target_e = (
             AUTOMATIC_LEVEL**self.part.gamma
             * (self.full_scale - self.part.black_level)
             * self.part.gain_e_per_dn
         )
-        return float(np.clip(wanted_e / max(float(signal_e.mean()), 1e-9), 1e-5, 1.0))
+        return float(np.clip(target_e / max(float(signal_e.mean()), 1e-9), 1e-5, 1.0))
 
     def _bent(self, signal: FloatArray) -> FloatArray:
         """Counts above black after the camera's gamma curve; noise below black stays as it is."""

@@ -18,7 +18,7 @@ CHUNK = 4096
 
 
 class Server(ABC):
-    """Serves one device until it is told to stop; a context manager serves in a thread meanwhile.
+    """Server of one device; as a context manager it runs in a thread.
 
     Attributes:
         port: what a client opens: a device path, or ``host:port``.

@@ -1,4 +1,4 @@
-"""The table of a bench file that describes an etched wafer, how wrong its etching is, and in which light it lies."""
+"""Table of a bench file for an etched wafer: etching errors and illumination."""
 
 from typing import Annotated, Self
 

@@ -1,1 +1,1 @@
-"""The inverse problem: stepped surfaces that reflect light as wanted (Levin et al. 2013, sections 3 and 4)."""
+"""Inverse design of stepped surfaces with a given reflectance (Levin et al. 2013, sections 3 and 4)."""

@@ -40,7 +40,7 @@ class Depths:
 
     @property
     def levels_nm(self) -> tuple[float, ...]:
-        """2ⁿ heights in nm, 0 and below; bit i of a level's number says whether pass i etches it."""
+        """2ⁿ heights in nm, 0 and below; bit i of a level's number is set if pass i etches it."""
         return level_heights(self.passes_nm)
 
     @property

@@ -47,7 +47,7 @@ class DesignFile(Part):
     figures: dict[str, float] = Field(default_factory=dict)
 
     @model_validator(mode="after")
-    def _can_be_made(self) -> "DesignFile":
+    def _is_feasible(self) -> "DesignFile":
         if not self.passes_nm and self.model.kind != "mirror":
             raise ValueError("steps without levels: give the depth of one etch pass at least in passes_nm")
         if self.model.finest_um < self.min_width_um - 1e-9:
@@ -82,7 +82,7 @@ def write_design(design: DesignFile, path: Path) -> None:
 
 
 class LayoutHeader(Part):
-    """What stands beside the arrays of a layout file."""
+    """Metadata of a layout file."""
 
     format: Literal["anisoscope layout"] = "anisoscope layout"
     schema_version: Literal[1] = 1

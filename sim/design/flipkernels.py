@@ -52,10 +52,10 @@ def windows_along_x(
 
 @borrowing(fastmath=True, nogil=True)
 def squared_error(
-    along_x: Floats, wanted: Floats, wide: int, scale: float, column: Floats, rest: Floats
+    along_x: Floats, target: Floats, wide: int, scale: float, column: Floats, rest: Floats
 ) -> float:
     """Sum of squares of scale·(windows along y too) − wanted; ``rest`` (windows, windows) receives the differences."""
-    many = wanted.shape[0]
+    many = target.shape[0]
     column[:] = np.float32(0.0)
     for b in range(wide):
         for x in range(many):
@@ -64,7 +64,7 @@ def squared_error(
     for y in range(many):
         part = np.float32(0.0)
         for x in range(many):
-            off = np.float32(scale) * column[x] - wanted[y, x]
+            off = np.float32(scale) * column[x] - target[y, x]
             rest[y, x] = off
             part += off * off
         total += part
@@ -93,7 +93,7 @@ def try_changes(
     cells: npt.NDArray[np.int64], to: npt.NDArray[np.int64], levels: npt.NDArray[np.int64],
     phase_real: Floats, phase_imag: Floats, real: Floats, imag: Floats,
     factors_y: tuple[Floats, Floats], factors_x: tuple[Floats, Floats], sizes: tuple[int, int, int],
-    scale: float, wanted: Floats, best: float,
+    scale: float, target: Floats, best: float,
     along_x: Floats, power: Floats, column: Floats, rest: Floats,
 ) -> float:  # fmt: skip
     """Give cells other levels one after the other, keeping each change that lowers the error; returns the error.
@@ -110,7 +110,7 @@ def try_changes(
         y = (factors_y[0][k], factors_y[1][k])
         x = (factors_x[0][j], factors_x[1][j])
         windows_along_x(real, imag, change, y, x, sizes, along_x, power)
-        found = squared_error(along_x, wanted, sizes[1], scale, column, rest)
+        found = squared_error(along_x, target, sizes[1], scale, column, rest)
         if found < best:
             best = found
             levels[k, j] = new

@@ -1,4 +1,4 @@
-"""A surface of many dots, described by a library of tiles and a map of which tile lies where; never as a whole."""
+"""A surface of many dots, stored as a library of tiles and a map of tile numbers, never as a whole."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -131,10 +131,10 @@ class Layout:
             tile = index[np.ix_(part // n, at_x // n)]
             heights[first : first + n] = table[self.tiles[tile, (part % n)[:, None], (at_x % n)[None, :]]]
         heights.flags.writeable = False
-        made = {
+        origin = {
             "ideal": "design",
             "dots": ", ".join(self.names),
             "passes_nm": list(self.passes_nm),
             "corner_um": [y * self.grid_um, x * self.grid_um],
         }
-        return HeightMap(heights, self.grid_um, self.grid_um, {"made": made})
+        return HeightMap(heights, self.grid_um, self.grid_um, {"made": origin})

@@ -1,4 +1,4 @@
-"""A glossy lobe of wanted width: the mixture of step widths whose average reflectance comes closest.
+"""Design of a glossy lobe of given width as a mixture of step widths.
 
 Least squares over the corrected closed form of sampling process 1, blurred by the source. Densities are per area, so
 that what is solved for are shares of the area; how often a width is drawn follows from them.
@@ -30,7 +30,7 @@ SLACK = 1.25
 
 @dataclass(frozen=True)
 class LobeTask:
-    """What is wanted along one axis, and what can be made.
+    """Target lobe along one axis, and manufacturing limits.
 
     Attributes:
         sigma: σ_h of the Gaussian, in units of h.
@@ -114,7 +114,7 @@ class AxisLobe:
 
     @property
     def unreachable_share(self) -> float:
-        """Share of the wanted light that is missing where it is wanted."""
+        """Share of the target light that is missing."""
         return float(np.maximum(self.unreachable, 0.0).sum() / self.target.sum())
 
     @property
@@ -264,7 +264,7 @@ def widest_sigma(task: LobeTask) -> float:
 
 
 def needed_width_um(task: LobeTask) -> float:
-    """Smallest feature in µm that the wanted σ_h needs."""
+    """Smallest feature in µm needed for the target σ_h."""
     single = SINGLE * task.wavelength_um / task.sigma
     return _bisected(lambda share: _reached(task, share * single), 0.5, 1.5) * single
 

@@ -37,11 +37,11 @@ def write_gds(layout: Layout, path: Path) -> dict[str, int]:
 
     library = gdstk.Library("ANISOSCOPE", unit=1e-6, precision=1e-9)
     top = library.new_cell(TOP)
-    said = {
+    header = {
         "anisoscope_masks": SCHEMA_VERSION, "passes_nm": [round(d, 4) for d in layout.passes_nm],
         "grid_um": layout.grid_um, "size_um": list(layout.size_um),
     }  # fmt: skip
-    top.add(gdstk.Label(json.dumps(said), (0.0, 0.0), layer=TEXT_LAYER))
+    top.add(gdstk.Label(json.dumps(header), (0.0, 0.0), layer=TEXT_LAYER))
     cells: dict[int, gdstk.Cell] = {}
     polygons = 0
     for number in np.unique(layout.index).tolist():  # a cell that lies nowhere would be a second top cell
@@ -71,10 +71,10 @@ def write_gds(layout: Layout, path: Path) -> dict[str, int]:
 
 
 def _cell_name(name: str) -> str:
-    kept = "".join(
+    allowed = "".join(
         letter if letter.isascii() and (letter.isalnum() or letter in "_$?") else "_" for letter in name
     )
-    return kept[:24].upper() or "DOT"
+    return allowed[:24].upper() or "DOT"
 
 
 def _runs(line: npt.NDArray[np.integer]) -> Iterator[tuple[int, int, int]]:

@@ -26,7 +26,7 @@ def read_gds(
     grid_um: float | None = None,
     passes_nm: tuple[float, ...] | None = None,
 ) -> HeightMap:
-    """The heights of a window of a GDSII file; every layer from 1 on is an etch pass, whoever drew it.
+    """The heights of a window of a GDSII file; every layer from 1 on is an etch pass.
 
     A grid point is etched where its middle is inside a polygon.
 
@@ -41,9 +41,9 @@ def read_gds(
         ConfigError: no GDSII, no polygons, or depths or a grid that nobody says.
         HeightMapError: a window outside the drawing, or too large.
     """
-    top, said = _opened(path)
-    depths = passes_nm or tuple(said.get("passes_nm", ()))
-    grid = grid_um or said.get("grid_um")
+    top, header = _opened(path)
+    depths = passes_nm or tuple(header.get("passes_nm", ()))
+    grid = grid_um or header.get("grid_um")
     if not depths or grid is None:
         raise ConfigError(
             f"{path}: the file does not say depths and grid: give --depths in nm and --grid in µm"
@@ -52,14 +52,14 @@ def read_gds(
         raise ConfigError(
             f"{path}: masks take 1 to {2 * MOST_PASSES} passes of positive depth in nm, not {list(depths)}"
         )
-    parts = said.get("grid_um", grid) / grid
+    parts = header.get("grid_um", grid) / grid
     if parts < 1.0 - 1e-9 or abs(parts - round(parts)) > 1e-6 * parts:
         raise ConfigError(
-            f"{path}: undersampled: its edges lie on a grid of {said['grid_um']:g} µm, {grid:g} µm would move them: "
-            f"take --grid {said['grid_um']:g} or a whole part of it"
+            f"{path}: undersampled: its edges lie on a grid of {header['grid_um']:g} µm, {grid:g} µm would move them: "
+            f"take --grid {header['grid_um']:g} or a whole part of it"
         )
-    if "size_um" in said:
-        (x0, y0), (high, wide) = (0.0, 0.0), said["size_um"]
+    if "size_um" in header:
+        (x0, y0), (high, wide) = (0.0, 0.0), header["size_um"]
     else:
         box = top.bounding_box()
         if box is None:
@@ -79,8 +79,8 @@ def read_gds(
         )
     labels = _drawn(top, (x0 + x, y0 + y), (rows, cols), grid, len(depths), path)
     heights = np.asarray(level_heights(tuple(1e-3 * depth for depth in depths)))[labels]
-    made = {"ideal": "masks", "masks": path.name, "passes_nm": list(depths), "corner_um": [y, x]}
-    return HeightMap(heights, grid, grid, {"made": made})
+    origin = {"ideal": "masks", "masks": path.name, "passes_nm": list(depths), "corner_um": [y, x]}
+    return HeightMap(heights, grid, grid, {"made": origin})
 
 
 def _opened(path: Path) -> "tuple[gdstk.Cell, dict[str, Any]]":
@@ -101,24 +101,24 @@ def _opened(path: Path) -> "tuple[gdstk.Cell, dict[str, Any]]":
         raise ConfigError(f"{path}: one top cell is needed, found: {names}; keep one")
     for label in tops[0].labels:
         if label.layer == TEXT_LAYER and label.text.startswith('{"anisoscope_masks"'):
-            said = _said(label.text, path)
-            if said["anisoscope_masks"] != SCHEMA_VERSION:
+            header = _header(label.text, path)
+            if header["anisoscope_masks"] != SCHEMA_VERSION:
                 raise ConfigError(
-                    f"{path}: masks of schema {said['anisoscope_masks']}; known is {SCHEMA_VERSION}"
+                    f"{path}: masks of schema {header['anisoscope_masks']}; known is {SCHEMA_VERSION}"
                 )
-            return tops[0], said
+            return tops[0], header
     return tops[0], {}
 
 
-def _said(text: str, path: Path) -> dict[str, Any]:
-    """What a text of ours says; of another schema the number of the schema only."""
+def _header(text: str, path: Path) -> dict[str, Any]:
+    """Header of a mask file of ours; of another schema its number only."""
     try:
-        said: dict[str, Any] = json.loads(text)
-        if said["anisoscope_masks"] != SCHEMA_VERSION:
-            return said
-        numbers = [*said["passes_nm"], said["grid_um"], *said["size_um"]]
-        if len(said["size_um"]) == 2 and all(0.0 < float(one) < np.inf for one in numbers):
-            return said
+        header: dict[str, Any] = json.loads(text)
+        if header["anisoscope_masks"] != SCHEMA_VERSION:
+            return header
+        numbers = [*header["passes_nm"], header["grid_um"], *header["size_um"]]
+        if len(header["size_um"]) == 2 and all(0.0 < float(one) < np.inf for one in numbers):
+            return header
     except (ValueError, KeyError, TypeError):
         pass
     raise ConfigError(

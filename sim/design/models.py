@@ -1,4 +1,4 @@
-"""What a dot can be made of, as files describe it: a glossy lobe, an anti-mirror, a mirror, or a mixture.
+"""Reflectance models of a dot in design files: glossy lobe, anti-mirror, mirror, or a mixture.
 
 Every model gives the density that it reflects on average, and random dots.
 """

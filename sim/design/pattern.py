@@ -33,7 +33,7 @@ MOST_POINTS = 2**29
 
 @dataclass(frozen=True)
 class PatternOptions:
-    """How a layout is made.
+    """Options of a layout.
 
     Attributes:
         dot_um: Δd; taken to whole grid steps.
@@ -91,10 +91,10 @@ def diffused(level: FloatArray) -> Classes:
         here, ahead = ahead, [0.0] * (cols + 2)
         line, step = level[row].tolist(), 1 if row % 2 == 0 else -1
         for col in range(cols)[::step]:
-            wanted = line[col] + here[col + 1]
-            taken = min(max(round(wanted), 0), top)
-            found[row, col] = taken
-            off = wanted - taken
+            target = line[col] + here[col + 1]
+            rounded = min(max(round(target), 0), top)
+            found[row, col] = rounded
+            off = target - rounded
             here[col + 1 + step] += off * 7.0 / 16.0
             ahead[col + 1 - step] += off * 3.0 / 16.0
             ahead[col + 1] += off * 5.0 / 16.0
@@ -214,7 +214,7 @@ def _tile_count(design: DesignFile, count: int) -> int:
 
 
 def _models(design: DesignFile, count: int) -> list[LobeModel | AntiMirrorModel | MirrorModel]:
-    """What every tile of a design is made of: of a mixture each model as often as its share says, at least once."""
+    """Model of every tile of a design; in a mixture each model in proportion to its share, at least once."""
     if not isinstance(design.model, MixtureModel):
         return [design.model] * _tile_count(design, count)
     shares, total = np.asarray(design.model.shares), _tile_count(design, count)
@@ -231,7 +231,7 @@ def make_tile(
     rng: np.random.Generator,
     refine_s: float = 0.0,
 ) -> npt.NDArray[np.uint16]:
-    """(points, points) levels of one tile, refined where that is asked for and the model is a lobe.
+    """(points, points) levels of one tile, refined on request if the model is a lobe.
 
     Raises:
         ModelError: features below the smallest, or not on the grid.

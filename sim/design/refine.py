@@ -31,18 +31,18 @@ BATCH = 48
 
 @dataclass(eq=False)
 class Bench:
-    """The wanted reflectance of a task and the work space to compare dots with it; one for every thread.
+    """Target reflectance of a task and the work space to compare dots with it; one per thread.
 
     Attributes:
         task: the task.
-        wanted: (windows, windows) expected density in µm².
+        target: (windows, windows) expected density in µm².
         scale: what turns sums over a window into a density.
         norm: Σ wanted².
         sizes: (fine, wide, first bin that is computed).
     """
 
     task: DotTask
-    wanted: Floats = field(init=False)
+    target: Floats = field(init=False)
     scale: float = field(init=False)
     norm: float = field(init=False)
     sizes: tuple[int, int, int] = field(init=False)
@@ -54,7 +54,7 @@ class Bench:
     def __post_init__(self) -> None:
         task = self.task
         expected = task.expected()
-        self.wanted = np.ascontiguousarray(expected, dtype=np.float32)
+        self.target = np.ascontiguousarray(expected, dtype=np.float32)
         self.norm = float(np.sum(expected**2))
         self.scale = 1.0 / (task.dot_um * WIDE * task.fine) ** 2
         many = task.windows.size
@@ -76,7 +76,7 @@ class Bench:
 
         y, x = ((f[0][0], f[1][0]) for f in (state.factors_y, state.factors_x))
         windows_along_x(*state.spectrum, (0.0, 0.0), y, x, self.sizes, self._along_x, self._power)
-        return float(squared_error(self._along_x, self.wanted, WIDE, self.scale, self._column, self.rest))
+        return float(squared_error(self._along_x, self.target, WIDE, self.scale, self._column, self.rest))
 
     def attempt(self, state: DotState, cells: Integers, to: Integers, best: float) -> float:
         """Try changes one after the other, keep those that help; returns the squared error."""
@@ -86,7 +86,7 @@ class Bench:
         return float(
             try_changes(
                 cells, to, state.levels, phases.real.astype(np.float32), phases.imag.astype(np.float32),
-                *state.spectrum, state.factors_y, state.factors_x, self.sizes, self.scale, self.wanted, best,
+                *state.spectrum, state.factors_y, state.factors_x, self.sizes, self.scale, self.target, best,
                 self._along_x, self._power, self._column, self.rest,
             )
         )  # fmt: skip
@@ -124,7 +124,7 @@ def _spread(rest: Floats, axis: int) -> Floats:
 
 
 class Polish:
-    """A greedy search that can be taken step by step.
+    """A greedy search, step by step.
 
     Attributes:
         state: the dot.
@@ -305,17 +305,17 @@ def _first(search: _Search, rng: np.random.Generator, population: int) -> list[t
 
 def _genetic(search: _Search, rng: np.random.Generator, population: int) -> str:
     """Appendix B: every dot gets a child by resampling; the best m of 2m stay."""
-    kept = _first(search, rng, population)
+    survivors = _first(search, rng, population)
     while (why := search.over()) is None:
         children = []
-        for _, parent in kept:
+        for _, parent in survivors:
             state = DotState(search.bench.task, mutated(search.bench.task, parent, MUTATED, rng))
             squared = search.bench.measure(state)
             search.seen(state, squared)
             children.append((squared, state.frozen()))
             if search.over() == "time":
                 break
-        kept = sorted(kept + children, key=lambda one: one[0])[:population]
+        survivors = sorted(survivors + children, key=lambda one: one[0])[:population]
         search.generation += 1
     return why
 
@@ -334,12 +334,12 @@ def _polish(search: _Search, rng: np.random.Generator, population: int) -> str:
 def _both(search: _Search, rng: np.random.Generator, population: int) -> str:
     """Genetic search among polished dots; a child of the best so far first, of the others in turn."""
     first = _first(search, rng, population)
-    kept: list[tuple[float, Dot]] = [_polished(search, first[0][1])]
+    survivors: list[tuple[float, Dot]] = [_polished(search, first[0][1])]
     while (why := search.over()) is None:
         number = search.generation % 4
-        parent = kept[0 if number else int(rng.integers(len(kept)))]
+        parent = survivors[0 if number else int(rng.integers(len(survivors)))]
         child = mutated(search.bench.task, parent[1], KICKED, rng)
-        kept = sorted([*kept, _polished(search, child)], key=lambda one: one[0])[:population]
+        survivors = sorted([*survivors, _polished(search, child)], key=lambda one: one[0])[:population]
         search.generation += 1
     return why
 

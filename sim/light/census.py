@@ -1,4 +1,4 @@
-"""How often a height map has which slope: what many poses share (see `census_kernels`)."""
+"""Histogram of the slopes of a height map, shared by many poses (see `census_kernels`)."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -27,8 +27,8 @@ COARSEST = 0.05  # distance of nodes, so that the few normals near the horizon, 
 def node_spacing(material: Material) -> tuple[float, float]:
     """Distances of the nodes along u and v: an eighth of the roughness; in steps of √2, so that close values share."""
     alphas = material.alpha_across, material.alpha_along
-    wanted = [min(alpha / NODES_PER_ALPHA, COARSEST) for alpha in alphas]
-    steps = [2.0 ** (np.floor(2.0 * np.log2(distance)) / 2.0) for distance in wanted]
+    distances = [min(alpha / NODES_PER_ALPHA, COARSEST) for alpha in alphas]
+    steps = [2.0 ** (np.floor(2.0 * np.log2(distance)) / 2.0) for distance in distances]
     return float(steps[0]), float(steps[1])
 
 

@@ -1,7 +1,7 @@
-"""Says when kernels are compiled: once on a machine, then they are read from disk.
+"""Log kernel compilation to stderr, and remove stale compiled kernels.
 
-A compiled kernel is kept beside its source and forgotten when that one file changes. But kernels take in those of
-other files, so that a kept one can be older than what it is made of: such ones are forgotten here.
+Kernels are compiled once per machine. Numba caches them next to their source file and compiles them again when that
+file changes. Kernels also inline those of other files, so that a cached one can be stale: such ones are removed here.
 """
 
 import logging
@@ -37,16 +37,16 @@ class _Announcer(event.Listener):
 
     def __init__(self) -> None:
         self.listening = False
-        self.said = False
+        self.announced = False
 
     def on_start(self, event: Any) -> None:  # noqa: ANN401 - numba has no types
         dispatcher = event.data["dispatcher"]
-        if not self.said and dispatcher.py_func.__module__.startswith("anisoscope."):
-            self.said = True
+        if not self.announced and dispatcher.py_func.__module__.startswith("anisoscope."):
+            self.announced = True
             _log.warning("compiling kernels for this machine: once, up to a minute; they are kept on disk")
 
     def on_end(self, event: Any) -> None:  # noqa: ANN401 - numba has no types
-        """Nothing to say."""
+        """No action."""
 
 
 _announcer = _Announcer()

@@ -1,4 +1,4 @@
-"""Which part of every facet of a height map is reached from a direction."""
+"""Visible share of every facet of a height map from a direction."""
 
 from collections import OrderedDict
 from typing import Protocol
@@ -13,7 +13,7 @@ Floats = npt.NDArray[np.float32]
 
 LOWEST = 1e-3  # cosine from the normal at which a direction counts as grazing
 MILD = 0.999  # rise along a ray below which, in single precision too, nothing hides anything
-KEPT = 10  # directions whose shares are kept
+CACHED_DIRECTIONS = 10  # directions whose shares are kept
 
 
 class Ground(Protocol):
@@ -50,8 +50,8 @@ class Ground(Protocol):
 class Horizon:
     """Visible shares of all facets from many directions.
 
-    The latest ``KEPT`` directions are kept, and older arrays are filled anew, because fresh memory costs more than
-    the march itself.
+    The shares of the latest ``CACHED_DIRECTIONS`` directions are cached; arrays of older ones are filled anew, because
+    fresh memory costs more than the march itself.
 
     Args:
         ground: the surface.
@@ -59,8 +59,8 @@ class Horizon:
 
     def __init__(self, ground: Ground) -> None:
         self.ground = ground
-        self._kept: OrderedDict[bytes, Floats] = OrderedDict()
-        self._lying: Floats | None = None
+        self._cache: OrderedDict[bytes, Floats] = OrderedDict()
+        self._transposed: Floats | None = None
         self._all: Floats | None = None
 
     def whole(self, direction: FloatArray) -> bool:
@@ -78,7 +78,7 @@ class Horizon:
         return ground.missing_share == 0.0 and float(rises.max(axis=1).sum()) < MILD
 
     def shares(self, direction: FloatArray) -> Floats:
-        """(rows − 1, cols − 1) shares from a (3,) unit vector; filled anew when ``KEPT`` others were asked for.
+        """(rows − 1, cols − 1) shares from a (3,) unit vector; cached for ``CACHED_DIRECTIONS`` directions.
 
         Exact on slices along a map axis; on other azimuths slices pass between the points and are interpolated.
 
@@ -91,14 +91,14 @@ class Horizon:
                 self._all = np.ones((rows - 1, cols - 1), dtype=np.float32)
             return self._all
         key = np.round(direction[:2] / direction[2], 12).tobytes()
-        if key not in self._kept:
-            self._kept[key] = self._march(direction, self._room())
-        self._kept.move_to_end(key)
-        return self._kept[key]
+        if key not in self._cache:
+            self._cache[key] = self._march(direction, self._room())
+        self._cache.move_to_end(key)
+        return self._cache[key]
 
     def _room(self) -> Floats:
-        if len(self._kept) >= KEPT:
-            return self._kept.popitem(last=False)[1]
+        if len(self._cache) >= CACHED_DIRECTIONS:
+            return self._cache.popitem(last=False)[1]
         rows, cols = self.ground.rows_first.shape
         return np.empty((rows - 1, cols - 1), dtype=np.float32)
 
@@ -125,7 +125,7 @@ class Horizon:
         return shares
 
     def _scratch(self) -> Floats:
-        if self._lying is None:
+        if self._transposed is None:
             rows, cols = self.ground.rows_first.shape
-            self._lying = np.empty((cols - 1, rows - 1), dtype=np.float32)
-        return self._lying
+            self._transposed = np.empty((cols - 1, rows - 1), dtype=np.float32)
+        return self._transposed

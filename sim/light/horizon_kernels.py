@@ -40,7 +40,7 @@ def _fold(index: int, count: int, period: int) -> int:
 
 @njit(cache=True, error_model="numpy")
 def _between(first: Floats, second: Floats, part: np.float32, height: Floats) -> None:
-    """Heights between two neighbours; beside a gap, the neighbour that is known."""
+    """Heights interpolated between two neighbours; next to a gap, the neighbour that is known."""
     for k in range(height.size):
         z = first[k] + part * (second[k] - first[k])
         known = first[k] if first[k] == first[k] else second[k]

@@ -63,7 +63,9 @@ def _squares(d: Vector, gx: float, gy: float, steep: float, square: float) -> tu
 
 @borrowing(inline="always")
 def shine_of(gx: float, gy: float, shine: Shine) -> float:
-    """f·cos_i·cos_o per macroscopic area of a facet with slopes (gx, gy), all of it lit and seen.
+    """f·cosθ_i·cosθ_o per macroscopic area of a fully visible facet with slopes (gx, gy).
+
+    f = F·D/(4·cosθ_i·cosθ_o·(1 + Λ_i + Λ_o)) + Lambertian base, with Beckmann's D and Smith's Λ.
 
     Components of directions are taken in multiples of the lengths of normal (−gx, −gy, 1) and tangent (0, 1, gy),
     which spares roots and divisions.

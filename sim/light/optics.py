@@ -111,7 +111,7 @@ def bundle(to_light: FloatArray, to_camera: FloatArray, optics: Optics) -> Bundl
 
 
 def through(model: Model, optics: Optics) -> Model:
-    """A predictor as lens and lamp of finite size see it; its errors are those of :func:`bundle` besides its own.
+    """A predictor averaged over lens and lamp of finite size; errors of :func:`bundle` and its own.
 
     Args:
         model: takes (N, 3) directions to light and camera and a material, gives (N,) radiances.

@@ -18,7 +18,7 @@ ShadowFrame = Literal["pitch-normal", "half-vector"]
 
 
 def _g1(direction: FloatArray, axis: FloatArray, ridge_angle_rad: float) -> FloatArray:
-    """Eq. 2 and 10; ``axis`` is the pitch normal (Appendix A) or, as Eq. 6 literally says, the half vector."""
+    """Eq. 2 and 10; ``axis`` is the pitch normal (Appendix A) or, literally by Eq. 6, the half vector."""
     projected = direction * np.array([1.0, 0.0, 1.0])
     length = np.linalg.norm(projected, axis=-1)
     dot = np.sum(projected * axis, axis=-1)

@@ -127,14 +127,14 @@ class Relief:
     def census(self, material: Material) -> Census:
         """The facets counted by slope, on a grid fine enough for the roughness of a material."""
         spacing = node_spacing(material)
-        kept = self.__dict__.get("_census")
-        if kept is None or kept[0] != spacing:
-            kept = (
+        cached = self.__dict__.get("_census")
+        if cached is None or cached[0] != spacing:
+            cached = (
                 spacing,
                 take_census(self.surface, self.facets, self.column_weights(), spacing, self.steepest),
             )
-            self.__dict__["_census"] = kept
-        return kept[1]
+            self.__dict__["_census"] = cached
+        return cached[1]
 
     def column_weights(self) -> FloatArray:
         """(cols − 1,) weights of the facet columns in a mean: whole pitches, the last column in part."""

@@ -100,7 +100,7 @@ def _open(terrain: Terrain, place: Vector, cell: tuple[int, int], way: Vector) -
 
 @borrowing(inline="always")
 def _within(terrain: Terrain, place: Vector, beyond_x: float, beyond_y: float) -> bool:
-    """Whether a place lies where the mean runs, or at most so many columns and rows beyond."""
+    """Whether a place is within the averaged area, or at most so many columns and rows beyond."""
     x, rows = place[0], terrain.z.shape[0] - 1
     if terrain.period > 0:
         x -= math.floor(x / terrain.period) * terrain.period

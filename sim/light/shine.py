@@ -1,4 +1,4 @@
-"""What facets of one material shine in one pose, as compiled kernels take it."""
+"""Parameters of facet reflectance for one material and pose, as compiled kernels take them."""
 
 from typing import NamedTuple
 

@@ -47,7 +47,7 @@ def runs(length: int, most: int) -> Sequence[tuple[int, int]]:
 
 
 class _Work(Generic[Item, Result]):
-    """Items that are handed out in order to all threads that ask."""
+    """Work items, distributed in order to threads."""
 
     def __init__(self, function: Callable[[Item], Result], todo: list[Item]) -> None:
         self._function, self._todo = function, todo
@@ -73,7 +73,7 @@ class _Work(Generic[Item, Result]):
 
 
 class _Helpers:
-    """Threads that are kept, as many as were ever asked for."""
+    """Pool of reusable threads, as many as ever requested."""
 
     def __init__(self) -> None:
         self.forget()
@@ -82,13 +82,13 @@ class _Helpers:
         """Have no threads: a forked process has none of its parent's."""
         self._lock, self._count, self._pool = Lock(), 0, ThreadPoolExecutor(1, "anisoscope")
 
-    def start(self, function: Callable[[], None], wanted: int) -> "list[Future[None]]":
+    def start(self, function: Callable[[], None], threads: int) -> "list[Future[None]]":
         """Let so many threads begin a function."""
         with self._lock:
-            if wanted > self._count:
+            if threads > self._count:
                 self._pool.shutdown(wait=False)
-                self._count, self._pool = wanted, ThreadPoolExecutor(wanted, "anisoscope")
-            return [self._pool.submit(function) for _ in range(wanted)]
+                self._count, self._pool = threads, ThreadPoolExecutor(threads, "anisoscope")
+            return [self._pool.submit(function) for _ in range(threads)]
 
 
 _helpers = _Helpers()

@@ -68,7 +68,7 @@ def resolve(relief: Relief, height_noise_um: float = 0.0) -> Resolved:
 
 
 def _main_mode(slopes: FloatArray) -> npt.NDArray[np.bool_]:
-    """Facets whose slope lies around the most frequent one."""
+    """Facets with slopes around the most frequent one."""
     known = slopes[np.isfinite(slopes)]
     centre = float(np.median(known))
     spread = 1.4826 * float(np.median(np.abs(known - centre)))

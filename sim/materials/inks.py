@@ -147,7 +147,7 @@ def write_ink(ink: Ink, path: Path, comment: Sequence[str] = ()) -> None:
 
 @cache
 def synthetic_ink(name: str) -> Ink:
-    """One of the made-up inks that come with the package.
+    """One of the synthetic inks of the package.
 
     Raises:
         UsageError: no such ink.

@@ -44,7 +44,7 @@ def read_spectrum(path: Path) -> Illuminant:
 
 
 def find_illuminant(text: str) -> Illuminant:
-    """A CIE illuminant by name, ``led-white`` (made up), or the spectrum in a file ``*.csv``.
+    """A CIE illuminant by name, ``led-white`` (synthetic), or the spectrum in a file ``*.csv``.
 
     Raises:
         UsageError: neither.
@@ -75,7 +75,7 @@ def read_sensitivities(path: Path) -> Sensitivities:
 
 
 def find_sensitivities(text: str, filters: str) -> Sensitivities:
-    """Sensitivities of a camera: those in a file ``*.csv``, or made-up ones, named ``synthetic``.
+    """Sensitivities of a camera: from a file ``*.csv``, or ``synthetic``.
 
     Args:
         text: the file, or ``synthetic``.
@@ -90,9 +90,9 @@ def find_sensitivities(text: str, filters: str) -> Sensitivities:
         raise UsageError(f"no sensitivities are named {text!r}; known: {SYNTHETIC}, or a file *.csv")
     path = Path(text)
     found = read_sensitivities(path)
-    wanted = 1 if filters == "mono" else 3
-    if len(found.curves) != wanted:
-        columns = MONO_COLUMNS if wanted == 1 else FILTER_COLUMNS
+    expected = 1 if filters == "mono" else 3
+    if len(found.curves) != expected:
+        columns = MONO_COLUMNS if expected == 1 else FILTER_COLUMNS
         raise UsageError(f"{path}: a camera with filters {filters!r} needs the columns {','.join(columns)}")
     return found
 

@@ -1,4 +1,4 @@
-"""Models against pictures made from readings, as in Table 1 of Pranovich 2024.
+"""Comparison of models with pictures from readings, as in Table 1 of Pranovich 2024.
 
 A sphere under two lights is shown by each model and from the readings. Colour space: sRGB, encoded and clipped, all
 pictures with one exposure, at which 99.5 % of the sphere made from readings stay below full scale. Mask: the pixels of
@@ -119,7 +119,7 @@ def compare(
     rows = []
     for model in models:
         shown = encode(exposure * picture(where, [ink], lights, model=model).astype(np.float64)).srgb
-        taken = [
+        timings = [
             _timed(lambda model=model: picture(where, [ink], lights, model=model)) for _ in range(repeats)
         ]
         rows.append(
@@ -127,7 +127,7 @@ def compare(
                 model,
                 rmse(shown, reference, mask),
                 ssim(shown, reference, mask),
-                min(taken, default=np.nan),
+                min(timings, default=np.nan),
                 shown,
             )
         )
@@ -170,7 +170,7 @@ def synthetic_readings(
     angle_error_deg: float = 0.3,
     retro: float = 0.002,
 ) -> Measured:
-    """Made-up readings of an ink at the paper's angles: the goniochromatic model, perturbed, with noise.
+    """Synthetic readings of an ink at the paper's angles: the goniochromatic model, perturbed, with noise.
 
     The perturbation is what no model here knows: a grey lobe back toward the light, errors of the goniometer's angles,
     and multiplicative noise.

@@ -178,7 +178,7 @@ def picture_png(srgb: Bytes8) -> bytes:
 
 
 def photo_uri(image: Image, longest: int = 1600) -> str:
-    """A picture as a data URI (JPEG), made smaller where a side is longer than ``longest`` pixels."""
+    """A picture as a data URI (JPEG), reduced where a side exceeds ``longest`` pixels."""
     import base64  # noqa: PLC0415
 
     import PIL.Image  # noqa: PLC0415

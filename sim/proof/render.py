@@ -1,4 +1,4 @@
-"""The soft proof of a print: its inks, and what a photograph shows besides them.
+"""The soft proof of a print: its inks and photographic effects.
 
 Three extras bring a picture nearer to a photograph (Pranovich 2024, Figs. 8 and 9). They are off unless asked for; the
 paper does not print their sizes, so that the ones here are ours. All have the colour of the light and know nothing of
@@ -38,7 +38,7 @@ ROUGHNESS = {"brushed": 0.19, "binder-mixed": 0.30}
 
 @dataclass(frozen=True)
 class Extras:
-    """What a photograph shows besides the inks; 0 switches each off.
+    """Photographic effects besides the inks; 0 switches each off.
 
     Attributes:
         phong: share of the light that a broad highlight of the paper sends back.

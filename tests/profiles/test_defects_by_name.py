@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import HeightMapError
+from anisoscope.profiles.defect_injection import DEFECTS, inject_defect, values_of
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
-from anisoscope.profiles.spoiling import DEFECTS, spoil, values_of
 
 ADDING = {"burrs", "dust"}
 REMOVING = {"wear", "incomplete-filling", "scratches", "missing-ridges"}
@@ -27,7 +27,7 @@ def part():
 
 
 def spoiled(part, name, severity, seed=3):
-    return spoil(part, name, np.random.default_rng(seed), severity=severity)
+    return inject_defect(part, name, np.random.default_rng(seed), severity=severity)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -72,7 +72,7 @@ def test_a_seed_makes_it_again_and_another_another(part, name):
 @pytest.mark.parametrize("name", NAMES)
 def test_severity_is_a_value_of_its_extent(part, name):
     extent = DEFECTS[name].extent
-    by_value = spoil(part, name, np.random.default_rng(3), values={extent.name: 0.5 * extent.default})
+    by_value = inject_defect(part, name, np.random.default_rng(3), values={extent.name: 0.5 * extent.default})
     assert np.array_equal(by_value.height_um, spoiled(part, name, 0.5).height_um, equal_nan=True)
 
 
@@ -87,8 +87,8 @@ def test_every_defect_says_what_it_is(name):
 
 
 def test_the_origin_lists_what_was_done(part):
-    first = spoil(part, "wear", np.random.default_rng(0), severity=0.5, seed=0)
-    both = spoil(first, "dust", np.random.default_rng(1), values={"density_per_mm2": 50.0}, seed=1)
+    first = inject_defect(part, "wear", np.random.default_rng(0), severity=0.5, seed=0)
+    both = inject_defect(first, "dust", np.random.default_rng(1), values={"density_per_mm2": 50.0}, seed=1)
     wear, dust = json.loads(json.dumps(both.origin["defects"]))
     assert wear == {"defect": "wear", "severity": 0.5, "parameters": {"radius_um": 10.0}, "seed": 0}
     assert dust["parameters"] == {"diameter_um": 10.0, "density_per_mm2": 50.0}
@@ -123,7 +123,7 @@ def test_the_origin_lists_what_was_done(part):
 )
 def test_defects_that_cannot_be(part, name, severity, values, message):
     with pytest.raises(HeightMapError, match=message):
-        spoil(part, name, np.random.default_rng(0), severity=severity, values=values)
+        inject_defect(part, name, np.random.default_rng(0), severity=severity, values=values)
 
 
 @pytest.mark.parametrize("name", ["burrs", "incomplete-filling", "missing-ridges", "pitch", "ridge-angle"])

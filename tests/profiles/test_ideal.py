@@ -43,7 +43,7 @@ def test_height_foot_and_plateau(wall, loss):
     assert profile.max() == pytest.approx((1 - loss) * design.full_height_um)
     assert profile.min() == pytest.approx(0.0, abs=0.02)
     plateau = np.mean(profile >= profile.max() - 1e-9) * 100.0
-    assert plateau == pytest.approx(design.plateau_width_um, abs=0.01)
+    assert plateau == pytest.approx(design.height_loss * design.pitch_um, abs=0.01)
 
 
 def test_map_is_constant_along_y_and_repeats_along_x():

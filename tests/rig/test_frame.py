@@ -9,7 +9,7 @@ import tifffile
 
 from anisoscope.base.errors import RecordError
 from anisoscope.rig import frame as module
-from anisoscope.rig.frame import Frame, filters_said, read_frame, write_frame
+from anisoscope.rig.frame import Frame, filters_in_header, read_frame, write_frame
 
 
 @pytest.fixture
@@ -33,10 +33,10 @@ def test_round_trip(frame, tmp_path):
 
 def test_the_mosaic_of_a_colour_camera_keeps_its_name(frame, tmp_path):
     write_frame(replace(frame, filters="gbrg"), tmp_path / "colour.tif")
-    assert read_frame(tmp_path / "colour.tif").filters == filters_said(tmp_path / "colour.tif") == "gbrg"
+    assert read_frame(tmp_path / "colour.tif").filters == filters_in_header(tmp_path / "colour.tif") == "gbrg"
     no_tiff(tmp_path / "other.tif")
     foreign(tmp_path / "foreign.tif")
-    assert filters_said(tmp_path / "other.tif") is filters_said(tmp_path / "foreign.tif") is None
+    assert filters_in_header(tmp_path / "other.tif") is filters_in_header(tmp_path / "foreign.tif") is None
 
 
 def test_a_frame_of_before_there_were_colours_is_grey(frame, tmp_path):

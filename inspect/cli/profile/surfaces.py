@@ -190,8 +190,8 @@ def spoil(
     """
     import numpy as np
 
-    from anisoscope.profiles import spoiling
-    from anisoscope.profiles.provenance import with_made
+    from anisoscope.profiles import defect_injection
+    from anisoscope.profiles.provenance import with_provenance
 
     if list_:
         return list_defects(as_json=json_)
@@ -199,9 +199,9 @@ def spoil(
         raise UsageError("spoil needs a height map, a defect and --out FILE; --list shows the defects")
     _check_target(out, overwrite)
     _check_seed(seed)
-    surface = with_made(scales.read(file), file)
+    surface = with_provenance(scales.read(file), file)
     given = {name.replace("-", "_"): value for name, value in parameters.items()}
-    spoiled = spoiling.spoil(
+    spoiled = defect_injection.inject_defect(
         surface, defect, np.random.default_rng(seed), severity=severity, values=given, seed=seed
     )
     changed = spoiled.height_um - surface.height_um

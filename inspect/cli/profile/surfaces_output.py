@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 def list_defects(*, as_json: bool) -> int:
     """Print all defects with their dimensions and causes."""
-    from anisoscope.profiles.spoiling import DEFECTS
+    from anisoscope.profiles.defect_injection import DEFECTS
 
     if as_json:
         found = {
@@ -53,10 +53,10 @@ def deliver(
 ) -> int:
     """Write the map and print its size and origin."""
     from anisoscope.profiles.files.checks import check_map
-    from anisoscope.profiles.provenance import write_made
+    from anisoscope.profiles.provenance import write_with_provenance
     from anisoscope.profiles.textures.amplitude import amplitude
 
-    written = write_made(check_map(surface, out.name), out)
+    written = write_with_provenance(check_map(surface, out.name), out)
     found = amplitude(surface)
     rows, cols = surface.shape
     result = {

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from anisoscope.base.errors import MeasurementError, RecordError
 from anisoscope.inspection.batch.scan import Scan, read_scan
 from anisoscope.rig.bayer import grey_of
-from anisoscope.rig.frame import filters_said
+from anisoscope.rig.frame import filters_in_header
 
 Kind = Literal["any", "datamatrix", "code128", "qr"]
 Grey = npt.NDArray[np.uint8]
@@ -105,7 +105,7 @@ def read_picture(path: Path) -> Counts:
         image = None
     if image is None or image.dtype not in {np.dtype(np.uint8), np.dtype(np.uint16)}:
         raise RecordError(f"{path}: is no picture of 8 or 16 bits (PNG, TIFF, JPEG, BMP)")
-    if image.dtype == np.uint16 and (filters := filters_said(path)) is not None:
+    if image.dtype == np.uint16 and (filters := filters_in_header(path)) is not None:
         return grey_of(cast("npt.NDArray[np.uint16]", image), filters)
     return cast("Counts", image)
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import MeasurementError
-from anisoscope.base.significance import mahalanobis, said
+from anisoscope.base.significance import mahalanobis, p_value_text
 from anisoscope.kinds.prints.colour_map import PrintMap, map_of
 from anisoscope.kinds.prints.expectation import PrintExpectation, rig_sources
 from anisoscope.kinds.prints.lobe_fit import NoLobe, PrintFit, fit_print
@@ -166,7 +166,7 @@ def _together(
     significant = p_value < alpha
     alike = "as predicted" if beside is None else f"like the {beside.count} golden prints"
     shared = "" if beside is None or beside.area is None else ", shared with the area"
-    line = f"all channels together: p {said(p_value)} for a print {alike} (level {alpha:g}{shared})"
+    line = f"all channels together: p {p_value_text(p_value)} for a print {alike} (level {alpha:g}{shared})"
     if not significant:
         return False, line
     where = ""

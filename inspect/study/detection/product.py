@@ -95,7 +95,7 @@ class DefectClass:
         extent: its extent as the diagnosis counts it; the sign is drawn where `signed`.
         signed: half of the parts have it the other way.
         local: seen in the map; else the whole surface is alike.
-        values: settings of `profiles.spoiling` beside the extent, for local ones.
+        values: settings of `profiles.defect_injection` beside the extent, for local ones.
     """
 
     name: str

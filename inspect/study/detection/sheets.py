@@ -14,10 +14,10 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.cache import Cache, Entry
+from anisoscope.profiles.defect_injection import inject_defect
 from anisoscope.profiles.defects import burrs
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
-from anisoscope.profiles.spoiling import spoil
 from anisoscope.sim.light.geometry import Convention, directions
 from anisoscope.sim.light.ggx import lobe_maps
 from anisoscope.sim.light.relief import Relief
@@ -152,7 +152,7 @@ def _spoiled(surface: HeightMap, task: SheetTask, rng: np.random.Generator) -> H
     kind = BY_NAME[task.kind]
     values = {**kind.values, _SETTINGS[task.kind][1]: kind.extent}
     if task.kind != "missing-ridges":
-        return spoil(surface, task.kind, rng, values=values)
+        return inject_defect(surface, task.kind, rng, values=values)
     # as many as stated in every part, none in the margins: parts of this class are cut at whole parts only
     across = (task.size.ridges + 1) * 2 * POINTS
     height = surface.height_um.copy()
@@ -160,7 +160,7 @@ def _spoiled(surface: HeightMap, task: SheetTask, rng: np.random.Generator) -> H
     for part in range(PARTS_ACROSS):
         inner = slice(part * across + half, (part + 1) * across - half + 1)
         block = HeightMap(height[:, inner], surface.pixel_x_um, surface.pixel_y_um, {})
-        height[:, inner] = spoil(block, task.kind, rng, values=values).height_um
+        height[:, inner] = inject_defect(block, task.kind, rng, values=values).height_um
     return surface.with_height(height)
 
 
@@ -202,5 +202,5 @@ def bounces_of(kind: str) -> FloatArray:
     elif kind != GOOD:
         name, setting = _SETTINGS[kind]
         values = {**BY_NAME[kind].values, setting: BY_NAME[kind].extent}
-        surface = spoil(surface, name, np.random.default_rng(0), values=values)
+        surface = inject_defect(surface, name, np.random.default_rng(0), values=values)
     return interreflection(Relief(surface, PITCH_UM), *seen, material, paths=_PATHS).radiance

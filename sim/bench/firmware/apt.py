@@ -100,7 +100,7 @@ class AptModel:
     servo: bool
 
     def settings(self) -> dict[int, bytes]:
-        """Parameters at power-up, by the id that sets them; they are asked for by the next."""
+        """Parameters at power-up, by the id that sets them; the next id queries them."""
         velocity = round(self.velocity_deg_s * self.velocity_unit)
         acceleration = round(self.acceleration_deg_s2 * self.acceleration_unit)
         step = round(5.0 * self.counts_per_deg)
@@ -191,7 +191,7 @@ class AptFirmware(SimulatedDevice):
     # Packets.
 
     def connect(self) -> None:
-        """A host opened the line; nobody has asked for updates on it yet."""
+        """A host opened the line; updates are off until requested."""
         with self._lock:
             super().connect()
             self._updates = False
@@ -223,7 +223,7 @@ class AptFirmware(SimulatedDevice):
             0x0011: lambda _: self._set_updates(True),
             0x0012: lambda _: self._set_updates(False),
             0x0210: self._set_enabled,
-            0x0211: lambda _: self._say(short(0x0212, CHANNEL, 1 if self._enabled else 2, self._speaker)),
+            0x0211: lambda _: self._send(short(0x0212, CHANNEL, 1 if self._enabled else 2, self._speaker)),
             0x0223: lambda _: self._identify(),
             0x040A: lambda _: self._answer(0x040B, count(self.counts if self.model.servo else 0)),
             0x0411: lambda _: self._answer(0x0412, count(self.counts)),
@@ -232,8 +232,8 @@ class AptFirmware(SimulatedDevice):
             0x0448: lambda packet: self._start(self.counts + self._number(packet, 0x0445)),
             0x0453: lambda packet: self._start(self._number(packet, 0x0450)),
             0x0465: lambda _: self._stop(),
-            0x0480: lambda _: self._tell_status(0x0481, servo=False),
-            0x0490: lambda _: self._tell_status(0x0491, servo=True),
+            0x0480: lambda _: self._report_status(0x0481, servo=False),
+            0x0490: lambda _: self._report_status(0x0491, servo=True),
             0x0492: lambda _: self._acknowledged(),
         }
 
@@ -247,11 +247,11 @@ class AptFirmware(SimulatedDevice):
         return STRANGE_BAY if FaultKind.WRONG_ADDRESS in self.faults else self.address
 
     def _answer(self, number: int, data: bytes) -> None:
-        self._say(long(number, data, self._speaker))
+        self._send(long(number, data, self._speaker))
 
-    def _say(self, frame: bytes) -> None:
+    def _send(self, frame: bytes) -> None:
         if self._unacknowledged <= UPDATES_WITHOUT_HOST:
-            super()._say(frame)
+            super()._send(frame)
 
     @staticmethod
     def _count_data(counts: int) -> bytes:
@@ -271,18 +271,18 @@ class AptFirmware(SimulatedDevice):
             return struct.pack("<HihHI", CHANNEL, self.counts, velocity, 0, self._status_bits())
         return struct.pack("<HiiI", CHANNEL, self.counts, 0, self._status_bits())
 
-    def _tell_status(self, number: int, *, servo: bool) -> None:
+    def _report_status(self, number: int, *, servo: bool) -> None:
         if servo != self.model.servo:
             return
         self._answer(number, self._status(servo=servo))
         if self.motor.loses_power():
             self._power_up()
 
-    def _tell_end(self, number: int) -> None:
+    def _report_end(self, number: int) -> None:
         self._answer(number, self._status(servo=self.model.servo))
 
-    def _unasked(self) -> bytes:
-        """A status update, and a message about the bay of a hub, which no driver here asks for."""
+    def _unsolicited(self) -> bytes:
+        """An unsolicited status update, and a message about the bay of a hub."""
         update = long(
             0x0491 if self.model.servo else 0x0481, self._status(servo=self.model.servo), self._speaker
         )
@@ -301,7 +301,7 @@ class AptFirmware(SimulatedDevice):
         if self._updates and self._clock() >= self._next_update:
             self._next_update = self._clock() + UPDATE_S
             self._unacknowledged += self.model.servo
-            self._tell_status(0x0491 if self.model.servo else 0x0481, servo=self.model.servo)
+            self._report_status(0x0491 if self.model.servo else 0x0481, servo=self.model.servo)
 
     # Motion.
 
@@ -329,7 +329,7 @@ class AptFirmware(SimulatedDevice):
             self._errors |= 1 << code
         elif code in LIMIT_BITS:
             self._errors |= 1 << code
-            self._tell_end(0x0464)
+            self._report_end(0x0464)
         else:
             self._answer(0x0081, rich_response(0x0453, code, "simulated failure"))
 
@@ -363,9 +363,9 @@ class AptFirmware(SimulatedDevice):
         if FaultKind.LOST_REPLY in self.faults:
             return
         if doing is Motion.HOME:
-            self._say(short(0x0444, CHANNEL, 0, self._speaker))
+            self._send(short(0x0444, CHANNEL, 0, self._speaker))
         else:
-            self._tell_end(0x0464)
+            self._report_end(0x0464)
 
     def _end_at_obstacle(self) -> None:
         if self.model.servo:
@@ -383,7 +383,7 @@ class AptFirmware(SimulatedDevice):
     def _stop(self) -> None:
         self.stops += 1
         self._halt()
-        self._tell_end(0x0466)
+        self._report_end(0x0466)
 
 
 def build(mounts: Sequence[Mount], model: str, faults: Sequence[str]) -> Firmware:

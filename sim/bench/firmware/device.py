@@ -1,4 +1,4 @@
-"""What every simulated device shares: a line with its faults, and a memory of what the host said."""
+"""Base of all simulated devices: a line with faults, and a log of the host's commands."""
 
 import threading
 from abc import ABC, abstractmethod
@@ -29,7 +29,7 @@ class Firmware(Protocol):
 class SimulatedDevice(ABC):
     """A device behind a line: `write` takes what the host sends, `read` gives what is ready to be sent back.
 
-    Thread-safe. A protocol adds `_take_packet`, `_attend` and `_unasked`, and sends with `_say`.
+    Thread-safe. A protocol adds `_take_packet`, `_attend` and `_unsolicited`, and sends with `_send`.
 
     Args:
         faults: what is wrong with the device; as text, ``name`` or ``name:number``.
@@ -70,14 +70,14 @@ class SimulatedDevice(ABC):
 
     @abstractmethod
     def _attend(self) -> None:
-        """See what has happened since (a motion that ended), and say it if the protocol does."""
+        """Process events since the last call (such as the end of a motion), and report them if the protocol does."""
 
     @abstractmethod
-    def _unasked(self) -> bytes:
-        """A whole message that the protocol knows and nobody asked for; empty if it knows none."""
+    def _unsolicited(self) -> bytes:
+        """An unsolicited message of the protocol; empty if it has none."""
 
     def _repair(self) -> None:  # noqa: B027 - most devices have nothing more to repair
-        """Undo what a fault did besides standing in `faults`."""
+        """Undo the side effects of a fault."""
 
     # The line.
 
@@ -128,7 +128,7 @@ class SimulatedDevice(ABC):
         if self._dead:
             raise ConnectionError("the simulated line is dead")
 
-    def _say(self, frame: bytes) -> None:
+    def _send(self, frame: bytes) -> None:
         """Queue a whole message for the host, through whatever is wrong with the line."""
         faults = self.faults
         if FaultKind.SILENT in faults and len(self.commands) > faults[FaultKind.SILENT]:
@@ -137,12 +137,12 @@ class SimulatedDevice(ABC):
             self._outbox += self.BABBLE
             return
         if FaultKind.UNSOLICITED in faults:
-            self._outbox += self._unasked()
+            self._outbox += self._unsolicited()
         if FaultKind.GARBAGE in faults:
             self._outbox += self.NOISE
         self._outbox += frame
         if FaultKind.JOINED in faults:
-            self._outbox += self._unasked()
+            self._outbox += self._unsolicited()
 
 
 class Bus:

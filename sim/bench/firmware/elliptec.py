@@ -32,7 +32,7 @@ OK, MECHANICAL_TIMEOUT, COMMAND_ERROR, OUT_OF_RANGE, BUSY = 0, 2, 3, 4, 9
 
 @dataclass(frozen=True)
 class ElliptecModel:
-    """What the device says about itself in answer to ``in``; travel in degrees, pulses over the travel."""
+    """Identification in answer to ``in``; travel in degrees, pulses over the travel."""
 
     number: int = 14
     serial: str = "11400517"
@@ -124,7 +124,7 @@ class ElliptecFirmware(SimulatedDevice):
         if letters == b"st":
             self._stop()
         elif self.motor.motion is not None:
-            self._say_status(BUSY)
+            self._send_status(BUSY)
         elif letters not in ARGUMENT_LENGTHS or not all(digit in ADDRESSES for digit in arguments):
             self._fail(COMMAND_ERROR)
         else:
@@ -136,8 +136,8 @@ class ElliptecFirmware(SimulatedDevice):
         ok = self._accept
         return {
             b"in": lambda _: self._answer(b"IN", self._information()),
-            b"gs": lambda _: self._tell_status(),
-            b"gp": lambda _: self._tell_position(),
+            b"gs": lambda _: self._report_status(),
+            b"gp": lambda _: self._report_position(),
             b"ho": lambda _: self._start(None),
             b"ma": self._start,
             b"mr": lambda delta: self._start(self.counts + delta),
@@ -169,47 +169,47 @@ class ElliptecFirmware(SimulatedDevice):
         speaker = self.address
         if FaultKind.WRONG_ADDRESS in self.faults:
             speaker = b"%X" % ((int(self.address, 16) + 1) % 16)
-        self._say(speaker + letters + data + b"\r\n")
+        self._send(speaker + letters + data + b"\r\n")
 
-    def _unasked(self) -> bytes:
+    def _unsolicited(self) -> bytes:
         return self.address + b"BS00\r\n" + self.address + b"BO00000400\r\n"
 
-    def _say_position(self) -> None:
+    def _send_position(self) -> None:
         self._answer(b"PO", _hex32(self.counts))
 
-    def _tell_position(self) -> None:
-        self._say_position()
+    def _report_position(self) -> None:
+        self._send_position()
         if self.motor.loses_power():
             self._power_up()
 
-    def _say_status(self, status: int) -> None:
+    def _send_status(self, status: int) -> None:
         self._answer(b"GS", b"%02X" % status)
 
     def _fail(self, status: int) -> None:
         self._status = status
-        self._say_status(status)
+        self._send_status(status)
 
-    def _tell_status(self) -> None:
+    def _report_status(self) -> None:
         if self._busy_answers > 0 and self.motor.motions > 0:
             self._busy_answers -= 1
-            self._say_status(BUSY)
+            self._send_status(BUSY)
             return
-        self._say_status(self._status)
+        self._send_status(self._status)
         self._status = OK
 
     def _accept(self, _: int) -> None:
-        self._say_status(OK)
+        self._send_status(OK)
 
     def _set(self, name: str, value: int, valid: bool) -> None:
         if valid:
             setattr(self, name, value)
-            self._say_status(OK)
+            self._send_status(OK)
         else:
             self._fail(OUT_OF_RANGE)
 
     def _change_address(self, address: int) -> None:
         self.address = b"%X" % address
-        self._say_status(OK)
+        self._send_status(OK)
 
     # Motion.
 
@@ -228,7 +228,7 @@ class ElliptecFirmware(SimulatedDevice):
             self._dead = True
         elif self._busy_answers > 0:
             self._busy_answers -= 1
-            self._say_status(BUSY)
+            self._send_status(BUSY)
         elif FaultKind.MOTION_ERROR in self.faults:
             self._fail(int(self.faults[FaultKind.MOTION_ERROR]))
         elif target_counts is not None and not -1 <= target_counts <= self.model.pulses + 1:
@@ -238,7 +238,7 @@ class ElliptecFirmware(SimulatedDevice):
 
     def _go(self, target_counts: int | None) -> None:
         if FaultKind.UNSOLICITED in self.faults:
-            self._say_position()
+            self._send_position()
         speed = self._velocity / 100.0
         if target_counts is None:
             self.motor.home(self._home_offset, speed)
@@ -250,14 +250,14 @@ class ElliptecFirmware(SimulatedDevice):
         if ended is Motion.STALL:
             self._fail(MECHANICAL_TIMEOUT)
         elif ended is not None and FaultKind.LOST_REPLY not in self.faults:
-            self._say_position()
+            self._send_position()
 
     def _stop(self) -> None:
         self.stops += 1
         if self.motor.stop() is None:
-            self._say_status(OK)
+            self._send_status(OK)
         else:
-            self._say_position()
+            self._send_position()
 
 
 def _hex32(counts: int) -> bytes:
@@ -272,10 +272,12 @@ def build(mounts: Sequence[Mount], model: str, faults: Sequence[str]) -> Firmwar
         if len(address) != 1 or address.encode() not in ADDRESSES:
             raise UsageError(f"'{address}' is not an Elliptec address; use one of 0…9, A…F")
         wrong = faults if number == 0 else ()
-        made = MODELS[model]
-        serial = f"{int(made.serial) + number:0{len(made.serial)}d}"
+        description = MODELS[model]
+        serial = f"{int(description.serial) + number:0{len(description.serial)}d}"
         stages.append(
-            ElliptecFirmware(mount.axis, address=address, model=replace(made, serial=serial), faults=wrong)
+            ElliptecFirmware(
+                mount.axis, address=address, model=replace(description, serial=serial), faults=wrong
+            )
         )
     return stages[0] if len(stages) == 1 else Bus(*stages)
 

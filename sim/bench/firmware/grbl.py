@@ -46,7 +46,7 @@ class GrblCommands(GrblBoard):
 
     @abstractmethod
     def _jog(self, line: str) -> int:
-        """Move as a whole ``$J=`` line says."""
+        """Execute a complete ``$J=`` line."""
 
     def _obey(self, line: str) -> None:
         motions = self._motions
@@ -101,7 +101,7 @@ class GrblCommands(GrblBoard):
 
     def _list(self, lines: Sequence[str]) -> int:
         for line in lines:
-            self._tell(line)
+            self._send_line(line)
         return 0
 
     def _list_at_rest(self, lines: Sequence[str]) -> int:
@@ -120,7 +120,7 @@ class GrblCommands(GrblBoard):
         if self._state == "Alarm":
             self.faults.pop(FaultKind.LATCHED_ERROR, None)
             self._state = "Idle"
-            self._tell("[MSG:Caution: Unlocked]")
+            self._send_line("[MSG:Caution: Unlocked]")
         return 0
 
     def _restore(self, what: str) -> int:
@@ -165,7 +165,7 @@ class GrblFirmware(GrblCommands):
     """A whole board; arguments and errors are those of `GrblBoard`."""
 
     def _refusal(self) -> int:
-        """Count a motion that is asked for; the error with which it is refused, if it is."""
+        """Count a requested motion; returns the error of its refusal, if any."""
         self._motions += 1
         if FaultKind.HANGUP in self.faults and self._motions > self.faults[FaultKind.HANGUP]:
             self._dead = True
@@ -201,7 +201,7 @@ class GrblFirmware(GrblCommands):
             if self.memory.whole(HOMING_DIRECTION) & 1 << axis:
                 angle = settings[PULL_OFF] - settings[TRAVEL + axis]
             self._planner.steppers[axis].count_from(round(angle * settings[STEPS + axis]))
-        if self._asked:
+        if self._status_requested:
             self._report()
         self._homing = []
         self._state = "Idle"
@@ -267,7 +267,7 @@ class GrblFirmware(GrblCommands):
         elif flow in {"M2", "M30"}:
             modes = self._modes
             self._modes = Modes(feed=modes.feed, speed=modes.speed, tool=modes.tool, shift=modes.shift)
-            self._tell("[MSG:Pgm End]")
+            self._send_line("[MSG:Pgm End]")
         self._answer(0)
 
 

@@ -73,13 +73,13 @@ class GrblLine(SimulatedDevice):
                 self._obey(line)
 
     def _answer(self, error: int) -> None:
-        """Say how a line ended: 0 is ok."""
-        self._say(b"error:%d\r\n" % error if error else b"ok\r\n")
+        """Report the result of a line: 0 is ok."""
+        self._send(b"error:%d\r\n" % error if error else b"ok\r\n")
 
 
 def clean(line: str) -> str:
     """Drop blanks, control characters, slashes and comments, as Grbl does; letters become capitals."""
-    kept = []
+    characters = []
     in_brackets = False
     for character in line:
         if in_brackets or character == "(":
@@ -87,8 +87,8 @@ def clean(line: str) -> str:
         elif character == ";":
             break
         elif character > " " and character != "/":
-            kept.append(character.upper())
-    return "".join(kept)
+            characters.append(character.upper())
+    return "".join(characters)
 
 
 HARD_LIMIT, SOFT_LIMIT, RESET_IN_MOTION, RESET_IN_HOMING, NO_SWITCH = 1, 2, 3, 6, 9
@@ -168,7 +168,7 @@ class GrblBoard(GrblLine):
 
     @abstractmethod
     def _end_pause(self) -> None:
-        """What the line that made all others wait asked for is done."""
+        """End the pause requested by a line."""
 
     # Starting and ending.
 
@@ -187,21 +187,21 @@ class GrblBoard(GrblLine):
         self._rx = bytearray()
         self._modes = Modes()
         self._planned = self._planner.position
-        self._critical = self._asked = False
+        self._critical = self._status_requested = False
         self._homing: list[int] = []
         self._quiet_until: float | None = None
         self._flow = ""
         self._restarting = False
         self._reporter.offset_in, self._reporter.overrides_in = 0, 1
-        self._say(self._reporter.banner())
+        self._send(self._reporter.banner())
         if self._state in {"Alarm", "Sleep"}:
             self._state = "Alarm"
-            self._tell(UNLOCK_HINT)
+            self._send_line(UNLOCK_HINT)
             return
         self._state = "Idle"
         for line in filter(None, self.memory.startup):
             error = self._gcode(line)
-            self._tell(f">{line}:{f'error:{error}' if error else 'ok'}")
+            self._send_line(f">{line}:{f'error:{error}' if error else 'ok'}")
 
     def _reset(self) -> None:
         self.stops += 1
@@ -216,10 +216,10 @@ class GrblBoard(GrblLine):
         self._planner.cancel()
         self._state = "Alarm"
         self._homing = []
-        self._tell(f"ALARM:{code}")
+        self._send_line(f"ALARM:{code}")
         if code in CRITICAL:
             self._critical = True
-            self._tell("[MSG:Reset to continue]")
+            self._send_line("[MSG:Reset to continue]")
 
     def _repair(self) -> None:
         self.axis.stall_at_deg = None
@@ -254,11 +254,11 @@ class GrblBoard(GrblLine):
     def _waiting(self) -> bool:
         return self._waits_for_end or self._planner.free <= 0
 
-    def _unasked(self) -> bytes:
+    def _unsolicited(self) -> bytes:
         return b"[MSG:Pgm End]\r\n\r\n"
 
-    def _tell(self, text: str) -> None:
-        self._say(text.encode("ascii") + b"\r\n")
+    def _send_line(self, text: str) -> None:
+        self._send(text.encode("ascii") + b"\r\n")
 
     # Real-time bytes.
 
@@ -268,7 +268,7 @@ class GrblBoard(GrblLine):
         elif self._critical:
             return
         elif byte == STATUS:
-            self._asked = True
+            self._status_requested = True
             if not self._homing:
                 self._report()
         elif byte == CYCLE_START:
@@ -290,10 +290,10 @@ class GrblBoard(GrblLine):
         if byte == DOOR and self._state in {"Idle", "Hold:0"}:
             self._planner.hold()
             self._state = "Door:0"
-            self._tell("[MSG:Check Door]")
+            self._send_line("[MSG:Check Door]")
 
     def _report(self) -> None:
-        self._asked = False
-        self._tell(self._reporter.status(self._state, self._modes, self.rx_free))
+        self._status_requested = False
+        self._send_line(self._reporter.status(self._state, self._modes, self.rx_free))
         if self._doomed:
             self._power_up()

@@ -48,7 +48,7 @@ class Modes:
     shift: Place = (0.0, 0.0, 0.0)
 
     def text(self) -> str:
-        """As ``$G`` tells it."""
+        """Text of the ``$G`` report."""
         modal = (self.motion, self.system, self.plane, self.units, self.distance, self.feed_mode)
         return f"[GC:{' '.join((*modal, self.spindle, self.coolant))} T{self.tool} F{self.feed:.0f} S{self.speed:.0f}]"
 
@@ -112,17 +112,17 @@ def work_offset(modes: Modes, memory: Memory) -> Place:
 
 
 def _with_modal(modes: Modes, words: Words) -> Modes:
-    said = words.commands
+    commands = words.commands
     return replace(
         modes,
-        motion=said.get("motion", modes.motion),
-        system=said.get("system", modes.system),
-        plane=said.get("plane", modes.plane),
-        units=said.get("units", modes.units),
-        distance=said.get("distance", modes.distance),
-        feed_mode=said.get("feed_mode", modes.feed_mode),
-        spindle=said.get("spindle", modes.spindle),
-        coolant=said.get("coolant", modes.coolant),
+        motion=commands.get("motion", modes.motion),
+        system=commands.get("system", modes.system),
+        plane=commands.get("plane", modes.plane),
+        units=commands.get("units", modes.units),
+        distance=commands.get("distance", modes.distance),
+        feed_mode=commands.get("feed_mode", modes.feed_mode),
+        spindle=commands.get("spindle", modes.spindle),
+        coolant=commands.get("coolant", modes.coolant),
     )
 
 

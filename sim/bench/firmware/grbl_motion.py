@@ -144,7 +144,7 @@ class Planner:
         return ended
 
     def hold(self) -> None:
-        """Stop, and remember where it wanted to go."""
+        """Stop, and keep the target for resumption."""
         self._held = True
         self._stop_motors()
 

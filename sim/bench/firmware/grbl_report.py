@@ -1,4 +1,4 @@
-"""What a simulated Grbl board says about itself: status reports, parser state, origins, build."""
+"""Reports of a simulated Grbl board: status, parser state, origins, build."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -67,7 +67,7 @@ class Reporter:
         return [f"[VER:{model.version}.{model.build}:{self.memory.note}]", f"[OPT:{model.options},15,128]"]
 
     def banner(self) -> bytes:
-        """What it says when it starts."""
+        """Start-up message."""
         return f"\r\nGrbl {self.model.version} ['$' for help]\r\n".encode("ascii")
 
     def _now_and_then(self, pace: str, offset: Sequence[float]) -> list[str]:

@@ -97,7 +97,7 @@ class Memory:
         return int(self.settings[number])
 
     def store(self, number: int, value: float) -> int:
-        """Change a setting; return the error code, 0 if it was taken."""
+        """Change a setting; returns the error code, 0 if accepted."""
         if number not in self.settings:
             return INVALID_STATEMENT
         if value < 0.0:

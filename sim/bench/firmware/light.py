@@ -29,7 +29,7 @@ class Dimmable(Protocol):
 
 
 class _Led:
-    """An LED that nobody looks at."""
+    """An LED without a lamp model."""
 
     def __init__(self) -> None:
         self.level = 0.0
@@ -86,21 +86,21 @@ class LightFirmware(SimulatedDevice):
             super().connect()
             self._power_up()
             self.lamp.level = 0.0
-            self._say(b"! READY\r\n")
+            self._send(b"! READY\r\n")
 
     def attend(self) -> None:
         """Switch off if the host has been silent for too long."""
         with self._lock:
             if self._on and self._clock() - self._heard > self._watchdog_s:
                 self._switch(False)
-                self._say(b"! WATCHDOG\r\n")
+                self._send(b"! WATCHDOG\r\n")
 
     # What the protocol adds.
 
     def _attend(self) -> None:
         self.attend()
 
-    def _unasked(self) -> bytes:
+    def _unsolicited(self) -> bytes:
         return b"! READY\r\n"
 
     def _take_packet(self) -> bool:
@@ -174,7 +174,7 @@ class LightFirmware(SimulatedDevice):
         self._answer(f"ERR {code} {COMPLAINTS.get(code, 'simulated failure')}")
 
     def _answer(self, text: str) -> None:
-        self._say(f"{text}\r\n".encode("ascii"))
+        self._send(f"{text}\r\n".encode("ascii"))
 
 
 def build(mounts: Sequence[Mount], model: str, faults: Sequence[str]) -> Firmware:

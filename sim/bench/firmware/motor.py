@@ -54,7 +54,7 @@ class Motor:
 
     @property
     def motions(self) -> int:
-        """Number of motions that were asked for since it was made."""
+        """Number of motions requested so far."""
         return self._motions
 
     def power_up(self) -> None:
@@ -67,7 +67,7 @@ class Motor:
         self._doomed = False
 
     def count_motion(self) -> bool:
-        """Count a motion that was asked for; True if the line dies at it."""
+        """Count a requested motion; True if the line dies at it."""
         self._motions += 1
         return FaultKind.HANGUP in self._faults and self._motions > self._faults[FaultKind.HANGUP]
 
@@ -91,7 +91,7 @@ class Motor:
         return was
 
     def ended(self) -> Motion | None:
-        """Tell once what has ended since the last call: a home, a move, or a stall at an obstacle."""
+        """Motion that ended since the last call, reported once: a home, a move, or a stall at an obstacle."""
         if self.motion is None or self.axis.busy():
             return None
         if self.axis.stalled():
@@ -104,7 +104,7 @@ class Motor:
         return ended
 
     def loses_power(self) -> bool:
-        """Tell once whether the device is switched off and on now (after a move, with the fault for it)."""
+        """Whether the device is power-cycled now (after a move, with the fault for it), reported once."""
         doomed, self._doomed = self._doomed, False
         return doomed
 

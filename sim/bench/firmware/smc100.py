@@ -176,7 +176,7 @@ class Smc100States(SimulatedDevice):
         return MODE_OF_CODE[self._code]
 
     def _fail(self, letter: str) -> None:
-        """Keep an error until somebody asks for it."""
+        """Store an error until it is queried."""
         self._error = letter
 
     def _power_up(self) -> None:
@@ -335,23 +335,23 @@ class Smc100Firmware(Smc100States):
             self._handlers()[letters](value)
 
     def _answers(self) -> dict[str, Callable[[str], None]]:
-        say = self._answer
+        answer = self._answer
         enabled = int(self.mode in {Mode.READY, Mode.MOVING})
         return {
-            "ID": lambda _: say("ID", self.stage),
-            "MM": lambda _: say("MM", str(enabled)),
-            "PA": lambda _: say("PA", self._degrees(self._target)),
-            "PR": lambda _: say("PR", self._degrees(self._target)),
-            "PT": lambda _: say("PT", f"{0.0:.3f}"),
-            "PW": lambda _: say("PW", str(int(self.mode is Mode.CONFIGURATION))),
-            "TB": self._tell_text,
-            "TE": lambda _: self._tell_error(),
-            "TH": lambda _: say("TH", self._degrees(self.motor.counts)),
-            "TP": lambda _: self._tell_position(),
-            "TS": lambda _: self._tell_state(),
-            "VE": lambda _: say("VE", self.model.version),
-            "ZT": lambda _: self._tell_all(),
-            "ZX": lambda _: say("ZX", "3"),
+            "ID": lambda _: answer("ID", self.stage),
+            "MM": lambda _: answer("MM", str(enabled)),
+            "PA": lambda _: answer("PA", self._degrees(self._target)),
+            "PR": lambda _: answer("PR", self._degrees(self._target)),
+            "PT": lambda _: answer("PT", f"{0.0:.3f}"),
+            "PW": lambda _: answer("PW", str(int(self.mode is Mode.CONFIGURATION))),
+            "TB": self._report_text,
+            "TE": lambda _: self._report_error(),
+            "TH": lambda _: answer("TH", self._degrees(self.motor.counts)),
+            "TP": lambda _: self._report_position(),
+            "TS": lambda _: self._report_state(),
+            "VE": lambda _: answer("VE", self.model.version),
+            "ZT": lambda _: self._report_all(),
+            "ZX": lambda _: answer("ZX", "3"),
         }
 
     def _handlers(self) -> dict[str, Callable[[str], None]]:
@@ -370,9 +370,9 @@ class Smc100Firmware(Smc100States):
 
     def _answer(self, letters: str, value: str) -> None:
         speaker = self.address % 31 + 1 if FaultKind.WRONG_ADDRESS in self.faults else self.address
-        self._say(f"{speaker}{letters}{value}\r\n".encode("ascii"))
+        self._send(f"{speaker}{letters}{value}\r\n".encode("ascii"))
 
-    def _unasked(self) -> bytes:
+    def _unsolicited(self) -> bytes:
         # What another controller on the line answered to another host's question.
         return f"{(self.address + 11) % 31 + 1}TP12.34500\r\n".encode("ascii")
 
@@ -382,27 +382,27 @@ class Smc100Firmware(Smc100States):
     def _degrees(self, counts: int) -> str:
         return f"{counts * self.model.step_deg:.5f}"
 
-    def _tell_error(self) -> None:
+    def _report_error(self) -> None:
         self._answer("TE", self._error)
         self._error = "@"
 
-    def _tell_text(self, letter: str) -> None:
-        asked = letter or self._error
+    def _report_text(self, letter: str) -> None:
+        code = letter or self._error
         if not letter:
             self._error = "@"
-        self._answer("TB", f"{asked} {ERROR_TEXTS.get(asked, 'Unknown')}")
+        self._answer("TB", f"{code} {ERROR_TEXTS.get(code, 'Unknown')}")
 
-    def _tell_position(self) -> None:
+    def _report_position(self) -> None:
         self._answer("TP", self._degrees(self.motor.counts))
         if self.motor.loses_power():
             self._power_up()
 
-    def _tell_state(self) -> None:
+    def _report_state(self) -> None:
         self._answer("TS", f"{self._faults_seen:04X}{self._code:02X}")
         if self.mode in {Mode.READY, Mode.DISABLED}:
             self._faults_seen = 0
 
-    def _tell_all(self) -> None:
+    def _report_all(self) -> None:
         for letters, value in sorted(self.parameters.items()):
             self._answer(letters, self._number(value))
         self._answer("PW", "0")

@@ -159,11 +159,11 @@ class ZaberController(SimulatedDevice):
     @property
     @abstractmethod
     def busy(self) -> bool:
-        """Whether it says that it moves."""
+        """Whether it reports motion."""
 
     @abstractmethod
     def _measured(self) -> dict[str, Callable[[], int]]:
-        """Settings of the axis that are measured when asked for."""
+        """Settings of the axis that are measured when queried."""
 
     @abstractmethod
     def _motion_handlers(self) -> dict[str, Handler]:
@@ -243,18 +243,18 @@ class ZaberController(SimulatedDevice):
         if command.device == 0 and self._place:  # to everybody is answered in the order of the line
             self._waiting.append((self._clock() + self._place * STAGGER_S, message))
         else:
-            self._say(message)
+            self._send(message)
 
-    def _say_what_waited(self) -> None:
+    def _send_queued(self) -> None:
         while self._waiting and self._waiting[0][0] <= self._clock():
-            self._say(self._waiting.pop(0)[1])
+            self._send(self._waiting.pop(0)[1])
 
     def _alert(self) -> None:
         if self.settings["comm.alert"] == 1:
             text = f"{self.address:02d} 1 {self._state()}"
-            self._say(frame("!", text, checked=self.settings["comm.checksum"] == 1))
+            self._send(frame("!", text, checked=self.settings["comm.checksum"] == 1))
 
-    def _unasked(self) -> bytes:
+    def _unsolicited(self) -> bytes:
         return f"!{self.address:02d} 1 IDLE --\r\n#{self.address:02d} 0 nobody asked\r\n".encode("ascii")
 
     # Settings.
@@ -324,7 +324,7 @@ class ZaberFirmware(ZaberController):
 
     @property
     def busy(self) -> bool:
-        """Whether it says that it moves."""
+        """Whether it reports motion."""
         return self.motor.motion is not None or self._never_idle
 
     def _measured(self) -> dict[str, Callable[[], int]]:
@@ -390,7 +390,7 @@ class ZaberFirmware(ZaberController):
     # Motion.
 
     def _move(self, command: Command) -> Answer:
-        """``min``, ``max``, or ``abs``, ``rel``, ``vel`` with a number; then, if wanted, speed and acceleration."""
+        """``min``, ``max``, or ``abs``, ``rel``, ``vel`` with a number; then optionally speed and acceleration."""
         kind, texts = (command.words[1], command.words[2:]) if command.words[1:] else ("", ())
         named = kind in {"min", "max"}
         if not (named or (kind in {"abs", "rel", "vel"} and texts)):
@@ -458,7 +458,7 @@ class ZaberFirmware(ZaberController):
         self.axis.acceleration_deg_s2 = accel / ACCELERATION_FACTOR / per_deg if accel else NO_RAMP_DEG_S2
 
     def _attend(self) -> None:
-        self._say_what_waited()
+        self._send_queued()
         ended = self.motor.ended()
         if ended is None:
             return
@@ -486,8 +486,10 @@ def build(mounts: Sequence[Mount], model: str, faults: Sequence[str]) -> Firmwar
         if not address.isdecimal() or not 1 <= int(address) <= MAX_ADDRESS:
             raise UsageError(f"'{address}' is not a Zaber address; use one of 1…{MAX_ADDRESS}")
         wrong = faults if place == 0 else ()
-        made = replace(MODELS[model], serial=MODELS[model].serial + place)
-        stages.append(ZaberFirmware(mount.axis, address=int(address), model=made, faults=wrong, place=place))
+        description = replace(MODELS[model], serial=MODELS[model].serial + place)
+        stages.append(
+            ZaberFirmware(mount.axis, address=int(address), model=description, faults=wrong, place=place)
+        )
     return stages[0] if len(stages) == 1 else Bus(*stages)
 
 

@@ -64,7 +64,7 @@ class Setting:
 
     @property
     def text(self) -> str:
-        """The value as the device tells it."""
+        """The value in the format of the device."""
         return str(self.value() if callable(self.value) else self.value)
 
     def takes(self, number: int) -> bool:

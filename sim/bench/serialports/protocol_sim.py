@@ -73,9 +73,9 @@ class Serial(SerialBase):
         while len(self._inbox) < size and not timeout.expired():
             time.sleep(POLL_S)
             self._receive()
-        taken = bytes(self._inbox[:size])
+        data = bytes(self._inbox[:size])
         del self._inbox[:size]
-        return taken
+        return data
 
     def write(self, b: "ReadableBuffer", /) -> int:
         """Send bytes to the device."""

@@ -1,4 +1,4 @@
-"""A made-up white LED, for virtual rigs and examples; spectra of real lamps are measured."""
+"""A synthetic white LED for virtual rigs and examples; spectra of real lamps are measured."""
 
 from functools import cache
 

@@ -108,7 +108,7 @@ class Vision:
         return fine, np.asarray(photons[:, None] * np.stack(curves, axis=-1))
 
 
-def _made_up(*, filters: bool) -> Sensitivities:
+def _synthetic(*, filters: bool) -> Sensitivities:
     nm = np.arange(VISIBLE_NM[0], VISIBLE_NM[1] + STEP_NM, STEP_NM)
     silicon = skewed(nm, 550.0, 110.0, 150.0)
     window = 1.0 / (1.0 + np.exp((404.0 - nm) / 5.0)) / (1.0 + np.exp((nm - 672.0) / 9.0))
@@ -127,15 +127,15 @@ def _made_up(*, filters: bool) -> Sensitivities:
 
 @cache
 def synthetic_bayer() -> Sensitivities:
-    """Red, green and blue of a made-up colour sensor: dyes of smooth shape on silicon, behind an infrared cut.
+    """Red, green and blue of a synthetic colour sensor: dyes of smooth shape on silicon, behind an infrared cut.
 
     Neighbouring channels overlap by about a fifth and every dye leaks 3 to 5 % elsewhere, as data sheets of colour
     sensors show it; no sensor's own curves.
     """
-    return _made_up(filters=True)
+    return _synthetic(filters=True)
 
 
 @cache
 def synthetic_silicon() -> Sensitivities:
-    """The one channel of a made-up sensor without filters, behind the same infrared cut."""
-    return _made_up(filters=False)
+    """The channel of a synthetic monochrome sensor behind the same infrared cut."""
+    return _synthetic(filters=False)

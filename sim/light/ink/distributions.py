@@ -52,7 +52,7 @@ def masking(
 def normals_by_share(
     share: FloatArray, azimuth: FloatArray, alpha_x: float, alpha_y: float, kind: Distribution
 ) -> FloatArray:
-    """(…, 3) normals below whose inclination lies a share of ∫ D cosθ dω; ``azimuth`` in radians turns them.
+    """(…, 3) normals at quantiles of ∫ D cosθ dω over the inclination; ``azimuth`` in radians.
 
     Equal steps in share and azimuth carry equal weight, also where the lobe is anisotropic.
     """

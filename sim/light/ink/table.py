@@ -48,7 +48,7 @@ class InkTable:
 
     @cached_property
     def series(self) -> npt.NDArray[np.float32] | None:
-        """(3, TERMS) polynomials of 2·argument − 1 that say the same without look-up, lowest power first.
+        """(3, TERMS) polynomials of 2·argument − 1 equivalent to the table, lowest power first.
 
         None where no polynomial follows the entries; c of ±3 still has one. Fitted to all entries, each as close as it
         is bright.

@@ -1,4 +1,4 @@
-"""Which optics a surface needs: rays, or waves.
+"""Choice between geometric and wave optics for a surface.
 
 The measure is f/Δc: the width of the mirrors (flat facets, or the pitch of what is curved) over the length on which
 light is coherent. All that spreads directions shortens that length: the source, the camera's aperture, and roughness
@@ -36,7 +36,7 @@ STEP_SHARE = 0.9
 
 @dataclass(frozen=True)
 class Axis:
-    """What a surface is made of along one axis.
+    """Structure of a surface along one axis.
 
     Attributes:
         width_um: smallest width of flat facets, or the pitch where it is curved; infinite where it does not change.
@@ -49,7 +49,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class Structure:
-    """What a surface is made of.
+    """Structure of a surface.
 
     Attributes:
         along_x: along x.
@@ -127,8 +127,8 @@ def facets_of(
     points = np.stack([np.arange(line.size, dtype=np.float32) * 1e-3, line * flatten], axis=-1).astype(
         np.float32
     )
-    kept = approxPolyDP(points[:, None], tolerance_um * flatten, closed=False)[:, 0, 0]
-    where = np.unique(np.rint(kept / 1e-3).astype(int))
+    corners = approxPolyDP(points[:, None], tolerance_um * flatten, closed=False)[:, 0, 0]
+    where = np.unique(np.rint(corners / 1e-3).astype(int))
     width, rise = np.diff(where) * pixel_um, np.diff(line[where].astype(np.float64))
     slope = rise / width
     wall = np.abs(slope) > EDGE_SLOPE
@@ -199,11 +199,6 @@ class OpticsChoice:
     coherence_um: float
     stepped: bool
     sampling: Sampling
-
-    @property
-    def is_sampled(self) -> bool:
-        """The wave model can be had from this map without interpolation."""
-        return self.sampling.share <= MAX_SHARE
 
 
 def effective_coherence_um(window: Window, wavelength_um: float, h_z: float = 1.0) -> tuple[float, float]:

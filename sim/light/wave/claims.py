@@ -173,13 +173,3 @@ def mixture(shares: Sequence[float], densities: Sequence[FloatArray]) -> FloatAr
     if len(shares) != len(densities) or min(shares) < 0.0 or abs(sum(shares) - 1.0) > 1e-9:
         raise ModelError("every model needs a share of the area, 0 or more, 1 all together")
     return np.asarray(sum(share * density for share, density in zip(shares, densities, strict=True)))
-
-
-def coherent_areas(dot_um: float, coherence_um: float) -> float:
-    """How many independent windows a dot averages, n = (Δd/Δc)² (Levin et al. 2013, section 3.1)."""
-    return (dot_um / coherence_um) ** 2
-
-
-def expected_error(windows: float, one_window: float) -> float:
-    """Rms deviation from the closed form of a sample of n independent windows, from that of one: falls with √n."""
-    return one_window / float(np.sqrt(windows))

@@ -264,12 +264,12 @@ def _tile(
         slice(max(0, start), min(count, start + taper.size))
         for start, taper, count in zip(place, tapers, surface.shape, strict=True)
     ]
-    kept = [
+    clipped = [
         taper[part.start - start : part.stop - start].astype(np.float32)
         for start, taper, part in zip(place, tapers, cut, strict=True)
     ]
     part = WaveSurface(surface.height_um[cut[0], cut[1]], surface.pixel_x_um, surface.pixel_y_um)
-    field = wave(part, cycles) * kept[0][:, None] * kept[1]
+    field = wave(part, cycles) * clipped[0][:, None] * clipped[1]
     lengths = tuple(fft.next_fast_len(n + r) for n, r in zip(field.shape, reach, strict=True))
     spectrum = fft.fft2(field, s=lengths)
     found = fft.ifft2(spectrum.real**2 + spectrum.imag**2)

@@ -53,16 +53,16 @@ def lobe_of(
     half: HalfVector, to_light: FloatArray, to_camera: FloatArray, slopes: FloatArray, material: Material
 ) -> Lobe:
     """The lobe about the facets (F, 2) that shine most into a direction."""
-    wanted = np.array(half.slopes)
-    apart = (wanted - slopes) / (material.alpha_across, material.alpha_along)
-    spread = np.sum((apart / (1.0 + slopes @ wanted)[:, None]) ** 2, axis=1)
+    target = np.array(half.slopes)
+    apart = (target - slopes) / (material.alpha_across, material.alpha_along)
+    spread = np.sum((apart / (1.0 + slopes @ target)[:, None]) ** 2, axis=1)
     weight = np.exp(-np.minimum(spread - spread.min(), _FAINT))
     facet = weight @ slopes / weight.sum()
     long = np.sqrt(1.0 + facet @ facet)
     normal = np.array([-facet[0], -facet[1], 1.0]) / long
     along = np.array([0.0, 1.0, facet[1]]) / np.sqrt(1.0 + facet[1] ** 2)
     across = np.cross(along, normal)
-    reach = (1.0 + facet @ wanted) / long
+    reach = (1.0 + facet @ target) / long
     to_facet = (
         np.stack([across[:2], along[:2]]) / reach
     )  # slopes of the surface to those in the frame of the facet

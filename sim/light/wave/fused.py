@@ -140,16 +140,16 @@ def reduce(surface: WaveSurface, half: HalfVector, wavelength_um: float, window:
 
     def run(columns: tuple[int, int]) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
         found = np.zeros((2, along_y.outputs, along_x.outputs), dtype=np.float32)
-        kept = np.empty((2, along_y.outputs, STRIP), dtype=np.float32)
+        decimated = np.empty((2, along_y.outputs, STRIP), dtype=np.float32)
         work = np.empty((8, STRIP), dtype=np.float32)
         for first in range(*columns, STRIP):
             last = min(first + STRIP, columns[1])
-            kept[:] = 0.0
+            decimated[:] = 0.0
             strip(
                 surface.height_um, first, last, cycles, carrier_x, carrier_y, taps_y, along_y.step,
-                kept[0], kept[1], work,
+                decimated[0], decimated[1], work,
             )  # fmt: skip
-            gather(kept[0], kept[1], first, last, along_x.taps, along_x.step, found[0], found[1])
+            gather(decimated[0], decimated[1], first, last, along_x.taps, along_x.step, found[0], found[1])
         return found[0], found[1]
 
     parts = threads.each(run, threads.runs(cols, min(threads.count(), max(1, cols // STRIP))))

@@ -60,14 +60,14 @@ def strip(
     rows, width, half = height_um.shape[0], last - first, (taps_y.size - 6) // 2
     lead = half // step_y
     # Loops run over rows of their own: over two indices the compiler would guard every number against wrapping around.
-    beside = carrier_x[first:last]
+    carrier = carrier_x[first:last]
     for top in range(0, rows, 4):
         for line in range(4):
             row = min(top + line, rows - 1)
             turn, height = carrier_y[row], height_um[row, first:last]
             cosine, sine = work[line], work[line + 4]
             for c in range(width):
-                t = height[c] * scale + (beside[c] + turn)
+                t = height[c] * scale + (carrier[c] + turn)
                 t -= np.floor(t + _HALF)
                 u = t * t
                 cosine[c] = c0 + u * (c1 + u * (c2 + u * (c3 + u * (c4 + u * c5))))

@@ -63,6 +63,8 @@ def half_vector(to_light: FloatArray, to_camera: FloatArray) -> HalfVector:
 
 def across_beam(direction: FloatArray) -> FloatArray:
     """(2, 2): x and y components (columns) of two unit vectors (rows) across a (3,) unit vector and each other."""
-    lying = float(np.hypot(direction[0], direction[1]))
-    azimuth = np.array([direction[0], direction[1]]) / lying if lying > 1e-12 else np.array([1.0, 0.0])
+    horizontal = float(np.hypot(direction[0], direction[1]))
+    azimuth = (
+        np.array([direction[0], direction[1]]) / horizontal if horizontal > 1e-12 else np.array([1.0, 0.0])
+    )
     return np.array([azimuth * direction[2], [-azimuth[1], azimuth[0]]])

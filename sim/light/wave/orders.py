@@ -54,13 +54,13 @@ class Orders:
     frequency_y: FloatArray
 
     @classmethod
-    def of(cls, tile: Etched, reach: float = REACH, kept: dict[str, Bands] | None = None) -> "Orders":
+    def of(cls, tile: Etched, reach: float = REACH, band_cache: dict[str, Bands] | None = None) -> "Orders":
         """From an etched tile, its moved edges drawn exactly.
 
         Args:
             tile: the tile.
             reach: largest frequency that is kept, in cycles per µm.
-            kept: spectra of pieces of this tile with this reach; those that are taken are added, so that other widths
+            band_cache: spectra of pieces of this tile with this reach; new ones are added, so that other widths
                 of it cost little.
         """
         rows, cols = tile.labels.shape
@@ -68,7 +68,7 @@ class Orders:
         half = [min(int(reach * n * pixel), (n - 1) // 2) for n in (rows, cols)]
         fy, fx = (np.arange(-m, m + 1) / (n * pixel) for m, n in zip(half, (rows, cols), strict=True))
         found = np.zeros((levels, fy.size, fx.size), dtype=np.complex64)
-        store = {} if kept is None else kept
+        store = {} if band_cache is None else band_cache
         for piece in tile.pieces():
             if piece.key not in store:
                 store[piece.key] = _bands(piece.labels, levels, half)
@@ -187,7 +187,7 @@ def window_density(window: Window, x: FloatArray, y: FloatArray, wavelength_um: 
 
 
 def _lens(apart: FloatArray, radius: float) -> FloatArray:
-    """Share of a circle that lies within the unit circle, their middles apart."""
+    """Share of a circle inside the unit circle, at a distance of their centres."""
     d = np.clip(apart, 1e-12, None)
     inside = np.where(d <= 1.0 - radius, 1.0, 0.0)
     cut = (d > 1.0 - radius) & (d < 1.0 + radius)

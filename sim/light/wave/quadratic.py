@@ -10,7 +10,7 @@ from anisoscope.sim.light.wave.windows import Window
 
 
 def modulation(surface: WaveSurface, half: HalfVector, wavelength_um: float) -> npt.NDArray[np.complex128]:
-    """(rows, cols) wave exp(−ik·2h_z·z) turned so that the wanted direction stands at frequency 0."""
+    """(rows, cols) wave exp(−ik·2h_z·z), shifted so that the direction is at frequency 0."""
     fx, fy = half.frequency(wavelength_um)
     rows, cols = surface.shape
     x = np.arange(cols) * surface.pixel_x_um

@@ -187,7 +187,7 @@ def _doubtful(block: Heights, axis: int, limit: float) -> Heights:
     lone = np.zeros_like(smooth)
     if len(smooth) > 2:
         lone[1:-1] = smooth[:-2] & smooth[2:]
-    kept = np.where(np.moveaxis(lone, 0, axis), 0.0, change)
+    filtered = np.where(np.moveaxis(lone, 0, axis), 0.0, change)
     pad = [(0, 0), (0, 0)]
     pad[axis] = (0, 1)
-    return np.pad(kept, pad).astype(np.float32)
+    return np.pad(filtered, pad).astype(np.float32)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from anisoscope.profiles.defect_injection import DEFECTS
 from anisoscope.profiles.files.load import read_height_map
-from anisoscope.profiles.provenance import with_made
-from anisoscope.profiles.spoiling import DEFECTS
+from anisoscope.profiles.provenance import with_provenance
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +39,7 @@ def test_patterns_come_back_with_their_origin(anisoscope, tmp_path, pattern, opt
     )
     assert done.code == 0, done.err
     assert "made:" in done.out
-    surface = with_made(read_height_map(out), out)
+    surface = with_provenance(read_height_map(out), out)
     assert surface.shape == (150, 400)
     assert (surface.pixel_y_um, surface.pixel_x_um) == (1.0, 0.5)
     assert surface.origin["made"]["seed"] == (2 if "--seed" in options else 0)
@@ -60,7 +60,7 @@ def test_a_chain_of_defects_travels_with_the_file(anisoscope, part, tmp_path):
     assert done.json["made"]["pitch_um"] == 60.0
     assert done.json["deviation"]["lowest_um"] == 0.0
     assert done.json["deviation"]["highest_um"] > 1.0
-    kept = with_made(read_height_map(dusty), dusty).origin
+    kept = with_provenance(read_height_map(dusty), dusty).origin
     assert kept["defects"] == done.json["defects"]
     again = anisoscope(
         *(

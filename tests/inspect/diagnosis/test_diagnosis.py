@@ -15,9 +15,9 @@ from anisoscope.diagnosis.signatures import Signature, Signatures, signatures
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
 from anisoscope.prediction.expectation import Component, expectation
 from anisoscope.prediction.propagation import PLASTIC_AND_SEAT
+from anisoscope.profiles.defect_injection import DEFECTS
 from anisoscope.profiles.defects_contact import edge_wear
 from anisoscope.profiles.ideal import RidgeDesign, ridges
-from anisoscope.profiles.spoiling import DEFECTS
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import Convention, Pose, directions
 from anisoscope.sim.light.relief import Relief, radiance_maps

@@ -433,7 +433,7 @@ def test_a_tilt_set_by_hand(virtual_rig, plain_report, monkeypatch):
         bench.file = bench.file.model_copy(update={"geometry": geometry})
 
     monkeypatch.setattr(manual, "_need_a_terminal", lambda _: None)
-    monkeypatch.setattr(manual, "ask_in_terminal", ask)
+    monkeypatch.setattr(manual, "prompt_in_terminal", ask)
     record = rig.inspect().record
     assert record.verdict == "PASS", record.reasons
     assert asked == [f"set the tilt to {tilt}°" for tilt in (0, 10, 0)]

@@ -149,12 +149,12 @@ def test_a_board_that_takes_time_to_start_is_waited_for(in_process):
     class Booting(LightFirmware):
         asleep = 2
 
-        def _say(self, frame):
+        def _send(self, frame):
             if b"ID" in frame and self.asleep:
                 self.asleep -= 1
                 return
             if b"READY" not in frame:
-                super()._say(frame)
+                super()._send(frame)
 
     light = SerialLight(in_process(Booting()), timeout_s=0.1, boot_s=5.0)
     light.on()

@@ -9,11 +9,11 @@ from anisoscope.rig.stages.grbl import Grbl
 from anisoscope.rig.stages.grbl_wire import (
     Alarm,
     Banner,
+    Feedback,
     Ok,
     Refused,
     Setting,
     Status,
-    Told,
     error_of_alarm,
     error_of_refusal,
     parse,
@@ -242,8 +242,8 @@ def test_options_that_mean_nothing(in_process):
         (b"GrblHAL 1.1f ['$' or '$HELP' for help]\r\n", Banner("1.1f")),
         (b"$100=88.889\r\n", Setting(100, 88.889)),
         (b"$100=88.889 (x, step/mm)\r\n", Setting(100, 88.889)),
-        (b"[VER:1.1h.20190830:rig 7]\r\n", Told("VER", "1.1h.20190830:rig 7")),
-        (b"[MSG:'$H'|'$X' to unlock]\r\n", Told("MSG", "'$H'|'$X' to unlock")),
+        (b"[VER:1.1h.20190830:rig 7]\r\n", Feedback("VER", "1.1h.20190830:rig 7")),
+        (b"[MSG:'$H'|'$X' to unlock]\r\n", Feedback("MSG", "'$H'|'$X' to unlock")),
         (
             b"<Hold:1|WPos:1.000,-2.500|Bf:15,128|FS:500,8000|WCO:0.000,1.551|Pn:XYZ|Ov:100,100,100|A:SFM>\r\n",
             Status("Hold", 1, (), (1.0, -2.5), (0.0, 1.551), (15.0, 128.0), 500.0, "XYZ"),

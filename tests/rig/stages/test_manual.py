@@ -9,7 +9,7 @@ import pytest
 from anisoscope.base.errors import LimitExceeded, NotConnected, RigError
 from anisoscope.rig.drivers import open_stage
 from anisoscope.rig.stage import RotationStage
-from anisoscope.rig.stages.manual import ManualStage, ask_in_terminal
+from anisoscope.rig.stages.manual import ManualStage, prompt_in_terminal
 
 
 @pytest.fixture
@@ -19,7 +19,7 @@ def asked():
 
 @pytest.fixture
 def stage(asked):
-    return ManualStage(label="tilt", min_deg=-60, max_deg=60, ask=asked.append)
+    return ManualStage(label="tilt", min_deg=-60, max_deg=60, prompt=asked.append)
 
 
 def test_it_is_a_stage_that_asks_only_when_needed(stage, asked):
@@ -48,7 +48,7 @@ def test_nothing_is_guessed(stage, asked):
     def refuse(_request):
         raise RigError("no")
 
-    stage._ask = refuse
+    stage._prompt = refuse
     with pytest.raises(RigError):
         stage.move_to(20.0)
     with pytest.raises(RigError, match="nobody has set"):  # neither 0° nor 20° is known to be true
@@ -56,15 +56,15 @@ def test_nothing_is_guessed(stage, asked):
 
 
 def test_zero_may_be_out_of_reach(asked):
-    assert ManualStage(min_deg=5.0, max_deg=50.0, ask=asked.append).home() == 5.0
+    assert ManualStage(min_deg=5.0, max_deg=50.0, prompt=asked.append).home() == 5.0
 
 
 def test_the_question_in_the_terminal(monkeypatch, capsys):
     monkeypatch.setattr(sys, "stdin", io.StringIO("\n"))
-    ask_in_terminal("set the tilt to 10°")
+    prompt_in_terminal("set the tilt to 10°")
     assert capsys.readouterr().err == "set the tilt to 10° and press Enter: "
     with pytest.raises(RigError, match="nobody answered the request 'set the tilt to 10°'"):
-        ask_in_terminal("set the tilt to 10°")
+        prompt_in_terminal("set the tilt to 10°")
 
 
 def test_without_a_terminal_it_does_not_open():

@@ -49,13 +49,13 @@ class Forgetful(ZaberFirmware):
     lost: frozenset[int] = frozenset()
     damaged: frozenset[int] = frozenset()
 
-    def _say(self, frame):
+    def _send(self, frame):
         self.spoilt += 1
         if self.spoilt in self.damaged:  # one bit of the last character of the data
             end = frame.index(b":")
             frame = frame[: end - 1] + bytes([frame[end - 1] ^ 1]) + frame[end:]
         if self.spoilt not in self.lost:
-            super()._say(frame)
+            super()._send(frame)
 
 
 @pytest.mark.parametrize("model", [X_RSW60A, X_RST120AK, X_RSB060AD])

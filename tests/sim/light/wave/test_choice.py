@@ -7,7 +7,7 @@ from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light.wave.choice import choose_optics, effective_coherence_um, structure_of
 from anisoscope.sim.light.wave.correlation import angular_map
 from anisoscope.sim.light.wave.geometric import slope_density
-from anisoscope.sim.light.wave.surface import WaveSurface
+from anisoscope.sim.light.wave.surface import MAX_SHARE, WaveSurface
 from anisoscope.sim.light.wave.windows import Extent, Window
 
 COUNT, PIXEL, WAVELENGTH = 16384, 0.125, 0.55
@@ -152,7 +152,7 @@ def test_a_map_too_coarse_for_waves_says_so_and_stays_geometric():
     coarse = WaveSurface.of(ridges(20.0, 12.0)[::8], 8 * PIXEL)
     choice = choose_optics(coarse, SHARP)
     assert choice.model == "geometric"
-    assert not choice.is_sampled
+    assert choice.sampling.share > MAX_SHARE
     assert "too coarse for waves" in choice.reason
     assert choice.stated_error == pytest.approx(1.4 * choice.coherence_um / choice.f_um, rel=1e-6)
 

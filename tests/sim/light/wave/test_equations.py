@@ -155,8 +155,6 @@ def test_first_zero_of_the_lobe_and_sizes_of_coherence(direction):
     assert coherence_length_um(0.5, np.radians(0.4)) == pytest.approx(71.6, abs=0.05)
     assert coherence_length_um(0.5, np.radians(1.8)) == pytest.approx(15.9, abs=0.05)
     assert pytest.approx(115.5, abs=0.05) == 25400.0 / 220.0
-    assert claims.coherent_areas(160.0, 16.0) == pytest.approx(100.0)
-    assert claims.coherent_areas(160.0, 80.0) == pytest.approx(4.0)
 
 
 def test_a_spectrum_is_the_weighted_mean_of_its_lines(rough_steps, direction):

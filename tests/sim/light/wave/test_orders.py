@@ -74,11 +74,11 @@ def test_a_bias_far_below_the_grid_is_one_on_a_grid_that_draws_it(wider_um, angl
 
 
 def test_pieces_that_were_kept_give_the_same_orders():
-    made, kept = tile(seed=6), {}
-    Orders.of(made.widened(0.02), kept=kept)
-    count = len(kept)
-    again = Orders.of(made.widened(0.09), kept=kept)
-    assert len(kept) == count == 9
+    made, band_cache = tile(seed=6), {}
+    Orders.of(made.widened(0.02), band_cache=band_cache)
+    count = len(band_cache)
+    again = Orders.of(made.widened(0.09), band_cache=band_cache)
+    assert len(band_cache) == count == 9
     assert np.array_equal(again.spectra, Orders.of(made.widened(0.09)).spectra)
 
 

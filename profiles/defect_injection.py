@@ -1,4 +1,4 @@
-"""All defects by name, each with its dimensions, a severity from 0 (none) to 1 (gross), and what causes it."""
+"""Injection of defects into height maps, by name, with dimensions, severity from 0 (none) to 1 (gross) and cause."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ ALONG_Y_DEG = 1.0
 
 @dataclass(frozen=True)
 class Setting:
-    """One dimension of a defect: its name with the unit, what it means, and its value unless told otherwise."""
+    """One dimension of a defect: its name with the unit, its meaning, and its default."""
 
     name: str
     unit: str
@@ -215,7 +215,7 @@ def values_of(defect: Defect, severity: float | None, given: Values) -> dict[str
     return {**values, **given}
 
 
-def spoil(
+def inject_defect(
     surface: HeightMap,
     name: str,
     rng: np.random.Generator,
@@ -245,6 +245,6 @@ def spoil(
     if defect is None:
         raise HeightMapError(f"unknown defect {name!r}; there are {', '.join(DEFECTS)}")
     found = values_of(defect, severity, values or {})
-    spoiled = surface if found[defect.extent.name] == 0.0 else defect.apply(surface, found, rng)
+    result = surface if found[defect.extent.name] == 0.0 else defect.apply(surface, found, rng)
     entry = {"defect": name, "severity": severity, "parameters": found, **note}
-    return surface.with_height(spoiled.height_um, defects=[*surface.origin.get("defects", []), entry])
+    return surface.with_height(result.height_um, defects=[*surface.origin.get("defects", []), entry])
