@@ -235,11 +235,6 @@ class PhotoTransfer:
     snr_max: float
     dynamic_range: float
 
-    @property
-    def electrons_per_count(self) -> float:
-        """1/K."""
-        return 1.0 / self.gain_dn_per_e.value
-
     def to_json(self) -> dict[str, Any]:
         """All of it, for a JSON file; what was not found is None."""
         return asdict(self)

@@ -9,7 +9,6 @@ import pytest
 from anisoscope.cli.predict.output import contrast_u, radiance_u
 from anisoscope.cli.predict.predict import DEFAULTS, UncertaintyOptions, input_uncertainty
 from anisoscope.prediction.monte_carlo import MonteCarlo
-from anisoscope.prediction.pixel_bias import find_pixel_bias
 from anisoscope.prediction.predict import predict_design
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light.geometry import Convention, pose_grid
@@ -88,11 +87,13 @@ def test_the_broken_case_is_what_the_command_prints():
     )
 
 
-def test_coarse_pixels_are_what_the_figure_shows():
+def test_coarse_pixels_are_what_the_figure_shows(pixel_bias_script):
     poses = pose_grid((0.0, 90.0, 180.0), (-10.0, 0.0, 10.0))
 
     def bias(pitch, angle, *pixels):
-        return find_pixel_bias(RidgeDesign(pitch, angle), np.array(pixels), Material(), poses, Convention())
+        return pixel_bias_script.find_pixel_bias(
+            RidgeDesign(pitch, angle), np.array(pixels), Material(), poses, Convention()
+        )
 
     shown = bias(100.0, 5.0, *np.geomspace(0.1, 5.0, 18)[-4:])
     assert_quoted("stays below u (# u at worst)", (shown.rms / shown.u).max())

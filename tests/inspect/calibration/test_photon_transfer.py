@@ -55,7 +55,7 @@ def analysed(count=40, shade=1.0, highpass_px=0, exposures=EXPOSURES, **fields):
 )
 def test_what_was_set_comes_back_within_two_percent(set_to):
     found = analysed(dark_current_e_s=400.0, **set_to)
-    assert found.electrons_per_count == pytest.approx(set_to["gain_e_per_dn"], rel=0.02)
+    assert 1.0 / found.gain_dn_per_e.value == pytest.approx(set_to["gain_e_per_dn"], rel=0.02)
     assert found.read_noise_e.value == pytest.approx(set_to["read_noise_e"], rel=0.02)
     assert found.dark_current_e_s.value == pytest.approx(400.0, rel=0.02)
     assert found.dsnu_e.value == pytest.approx(set_to["dsnu_e"], rel=0.02)
@@ -141,7 +141,7 @@ def test_one_exposure_and_several_lamps_know_no_dark_current():
     stack, dark = (frames(device, 8, 0.4, lit=lit) for lit in (True, False))
     found = photo_transfer(steps, stack, dark)
     assert found.dark_current_e_s is None
-    assert found.electrons_per_count == pytest.approx(2.5, rel=0.05)
+    assert 1.0 / found.gain_dn_per_e.value == pytest.approx(2.5, rel=0.05)
     assert found.to_json()["dark_current_e_s"] is None
 
 

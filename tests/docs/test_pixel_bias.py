@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from anisoscope.prediction.pixel_bias import find_pixel_bias
 from anisoscope.prediction.predict import predict_height_map
 from anisoscope.prediction.relief_preparation import MIN_PIXELS_A_PITCH
 from anisoscope.profiles.ideal import RidgeDesign, ridges
@@ -13,9 +12,14 @@ from anisoscope.sim.light.material import Material
 POSES = pose_grid((0.0, 90.0, 180.0), (-10.0, 0.0, 10.0))
 
 
+@pytest.fixture(scope="module")
+def find_pixel_bias(pixel_bias_script):
+    return pixel_bias_script.find_pixel_bias
+
+
 @pytest.mark.parametrize("pitch_um", [50.0, 100.0])
 @pytest.mark.parametrize("angle_deg", [5.0, 10.0, 20.0])
-def test_the_uncertainty_covers_the_bias(pitch_um, angle_deg):
+def test_the_uncertainty_covers_the_bias(find_pixel_bias, pitch_um, angle_deg):
     pixels = np.array([0.3, 1.0, 2.0, 3.0, 4.0])
     found = find_pixel_bias(RidgeDesign(pitch_um, angle_deg), pixels, Material(), POSES, Convention())
     assert pixels.max() <= pitch_um / MIN_PIXELS_A_PITCH
@@ -27,7 +31,7 @@ def test_the_uncertainty_covers_the_bias(pitch_um, angle_deg):
     assert np.all(found.rms[walls > 3.0] < 0.3 * found.u[walls > 3.0])  # resolved walls need none of it
 
 
-def test_below_twelve_pixels_a_pitch_it_does_not_and_the_prediction_says_so():
+def test_below_twelve_pixels_a_pitch_it_does_not_and_the_prediction_says_so(find_pixel_bias):
     design = RidgeDesign(50.0, 10.0)
     found = find_pixel_bias(design, np.array([5.0]), Material(), POSES, Convention(), places=41)
     assert found.rms[0] > 1.3 * found.u[0]
@@ -37,13 +41,13 @@ def test_below_twelve_pixels_a_pitch_it_does_not_and_the_prediction_says_so():
         assert ("pixel_warning" in notes) == warned
 
 
-def test_the_bias_of_one_map_has_one_sign_in_all_poses():
+def test_the_bias_of_one_map_has_one_sign_in_all_poses(find_pixel_bias):
     level = pose_grid((0.0, 90.0, 180.0))
     found = find_pixel_bias(RidgeDesign(50.0, 10.0), np.array([1.0]), Material(), level, Convention())
     assert np.corrcoef(found.bias[0].T).min() > 0.9
 
 
-def test_at_one_micrometre_the_uncertainty_is_no_waste_for_narrow_walls():
+def test_at_one_micrometre_the_uncertainty_is_no_waste_for_narrow_walls(find_pixel_bias):
     found = find_pixel_bias(RidgeDesign(50.0, 5.0), np.array([1.0]), Material(), POSES, Convention())
     assert 0.5 * found.u[0] < found.rms[0] < found.u[0]
     np.testing.assert_allclose(found.u, 1.0 / 50.0 / np.sqrt(3.0))
