@@ -1,7 +1,7 @@
 """Is a part as predicted, or as the golden parts are? Squared distance, degrees of freedom and p value.
 
-Both take into account that ln L bends with the inputs that all poses share (`response`; of a wafer, as the model itself
-says, `waferstates`): the distance from the prediction is that from the nearest state of the inputs, and what T² of
+Both take into account that ln L bends with the inputs that all poses share (`response`; or as the model itself
+says, `states`): the distance from the prediction is that from the nearest state of the inputs, and what T² of
 good parts exceeds how often is found by drawing golden sets and parts from the stated uncertainties instead of from a
 normal distribution.
 """

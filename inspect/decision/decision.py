@@ -20,7 +20,7 @@ from anisoscope.imaging.defect_regions import deviation_map, find_regions
 from anisoscope.imaging.deviation_map import CellMap, cell_map, judge_area
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.prediction.expectation import Component, Expectation
-from anisoscope.recipe.surface import ContrastKind, DecisionPart, SurfaceRecipe, source_name
+from anisoscope.recipe.surface import ContrastKind, DecisionPart, SurfaceRecipe
 from anisoscope.record.schema import (
     AreaRecord,
     BudgetRecord,
@@ -145,7 +145,7 @@ def decide(
         conformance,
         area,
         regions,
-        _budget(components, variances, recipe),
+        _budget(components, variances),
         cells,
         deviating,
         between_tilts(expected, measured, rule.contrast),
@@ -158,12 +158,10 @@ def _regions(cells: CellMap | None, measured: Measured, recipe: SurfaceRecipe) -
     return find_regions(deviation_map(cells), recipe.area, measured.grid)
 
 
-def _budget(
-    components: tuple[Component, ...], variances: list[FloatArray], recipe: SurfaceRecipe
-) -> tuple[BudgetRecord, ...]:
+def _budget(components: tuple[Component, ...], variances: list[FloatArray]) -> tuple[BudgetRecord, ...]:
     rows = [
         BudgetRecord(
-            source=source_name(c.source, wafer=recipe.is_wafer),
+            source=c.source,
             kind=c.kind,
             contributions=tuple(np.sqrt(np.maximum(np.diag(variance), 0.0))),
         )

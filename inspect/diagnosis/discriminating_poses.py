@@ -1,258 +1,46 @@
-"""In words, what would tell causes apart that look alike; of wafers, as it is computed (`telling`) and kept.
+"""What would tell causes apart that look alike, in words; computed by the model of the kind of part, and cached.
 
-What is computed belongs to the recipe and the rig's light angle, not to a part: it is cached.
-
-What would tell causes of a wafer apart that look alike in a recipe's poses: computed by its model, not guessed.
-
-Further stage angles, further tilts, and the same poses under a second lamp are tried one by one. Too deep and too
-shallow etching of a design without a spike change everything by their square at the design's wavelength; where the
-half vector stands askew, or the wavelength is another one, the mean phase of the levels does not vanish, and they do
-not. Whatever is tried is weighed like `separability` weighs the recipe's own poses, with all that the recipe states as
-uncertain, to second order of every input by itself; the scale of a second lamp is free, because no reflectance is
-known there.
+It belongs to the recipe and the rig's light angle, not to a part.
 """
 
 import hashlib
 import json
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-
-from anisoscope.base.arrays import FloatArray
 from anisoscope.base.cache import Cache
 from anisoscope.base.progress import Advance, silent
-from anisoscope.diagnosis.causes import Cause
+from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, CauseModel, Option
 from anisoscope.diagnosis.ranking import NOTHING, Diagnosis
-from anisoscope.diagnosis.separability import planned_covariance, separability
-from anisoscope.diagnosis.signatures import Signature, Signatures
-from anisoscope.diagnosis.wafers import moved_inputs, spoiled, wafer_causes
-from anisoscope.prediction.etched import EtchedPredictor
-from anisoscope.prediction.expectation import NEGLIGIBLE, Component, Expectation
-from anisoscope.prediction.recipe_models import needed_reach, recipe_wafer
-from anisoscope.prediction.sensitivity import State, evaluate, fixed
-from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.recipe.surface import SurfaceRecipe
-from anisoscope.sim.light.geometry import Convention, Pose, pose_grid
-from anisoscope.sim.light.wave.choice import NUMERICAL_ERROR
-
-Seen = Callable[[EtchedPredictor, State], FloatArray]
-
-ANGLES_DEG = (45.0, 135.0, 270.0)
-TILTS_DEG = (10.0, 20.0)
-LAMPS_NM = (450.0, 470.0, 505.0, 530.0, 590.0, 625.0, 660.0)
-"""Middle wavelengths of LEDs that are sold for such lamps."""
-_APART = 0.05  # of the wavelength: a lamp that is nearer is no other one
-_EACH_WAY = 2  # lamps on either side
-_EVERY = 3  # of a cause's extents: a threshold need not be known better
-FREE = 1.0
-"""Standard uncertainty of ln of a scale that nothing tells."""
-
-
-@dataclass(frozen=True)
-class Option:
-    """Something that could be looked at besides.
-
-    Attributes:
-        kind: "angles", "tilt" or "lamp".
-        says: what it is, in words.
-        told_from: by cause and other cause, the least extent at which it tells the one from all of the other, or None.
-    """
-
-    kind: str
-    says: str
-    told_from: dict[str, dict[str, float | None]]
-
-    def tells(self, one: tuple[str, float], other: tuple[str, float]) -> bool:
-        """Are two causes of these names and extents told apart, whichever it is?"""
-        return self._tells(one, other[0]) and self._tells(other, one[0])
-
-    def _tells(self, cause: tuple[str, float], other: str) -> bool:
-        least = self.told_from.get(cause[0], {}).get(other)
-        return least is not None and abs(least) <= abs(cause[1])
-
-
-@dataclass(frozen=True, eq=False)
-class _Views:
-    """Where the wafer is looked at: by own lamp or a second one. ``groups`` name the poses of each option."""
-
-    lamps: tuple[tuple[float, tuple[Pose, ...]], ...]
-    groups: tuple[tuple[str, str, tuple[int, ...]], ...]
-    own: tuple[int, ...]
-
-    @property
-    def poses(self) -> tuple[Pose, ...]:
-        """All poses, lamp by lamp."""
-        return tuple(pose for _, poses in self.lamps for pose in poses)
-
-
-def wafer_options(
-    recipe: SurfaceRecipe, light_angle_deg: float, names: Sequence[str], advance: Advance = silent
-) -> tuple[Option, ...]:
-    """What would tell causes of a wafer apart, whatever their extents.
-
-    Args:
-        recipe: of a wafer.
-        light_angle_deg: of the rig.
-        names: the causes.
-        advance: progress.
-
-    Raises:
-        HeightMapError, RecipeError: the recipe's tile cannot be read or used.
-    """
-    views = _views(recipe)
-    wafer, surface = _wafer(recipe, light_angle_deg, views)
-    state = State(recipe.material.material(), light_angle_deg)
-    convention = Convention(light_angle_deg, facet_azimuth_deg=recipe.poses.facet_azimuth_deg)
-
-    def seen(made: EtchedPredictor, at: State) -> FloatArray:
-        found = [
-            evaluate(fixed(_under(made, shift_nm)), [at], poses, convention)[0]
-            for shift_nm, poses in views.lamps
-        ]
-        return np.asarray(np.log(np.concatenate(found)))
-
-    good = seen(wafer, state)
-    advance("what would tell causes apart", 0, 1 + len(names))
-    expected = _expected(recipe, views, wafer, state, seen, good, convention)
-    covariance = planned_covariance(recipe, expected)
-    found = []
-    for number, cause in enumerate(one for one in wafer_causes() if one.name in names):
-        advance("what would tell causes apart", 1 + number, 1 + len(names))
-        found.append(_signature(cause, wafer, state, surface, seen, good))
-    known = Signatures(views.poses, np.exp(good), 0.0, tuple(found), ())
-    advance("what would tell causes apart", 1 + len(names), 1 + len(names))
-    options = []
-    for kind, says, added in views.groups:
-        kept = [*views.own, *added]
-        rows = separability(known.of(kept), covariance[np.ix_(kept, kept)], with_map=False)
-        options.append(Option(kind, says, {row.cause: row.told_from for row in rows}))
-    return tuple(options)
-
-
-def _views(recipe: SurfaceRecipe) -> _Views:
-    """The recipe's poses, those besides under its own lamp, and its poses under every second lamp."""
-    assert recipe.light is not None
-    angles, tilts = recipe.poses.angles_deg, recipe.poses.tilts_deg
-    own = recipe.poses.poses()
-    further = tuple(angle for angle in ANGLES_DEG if angle not in angles)
-    more = []
-    if further:
-        more.append(("angles", f"stage angles of {listed(further, '°')} besides", pose_grid(further, tilts)))
-    more += [
-        ("tilt", f"a tilt of {tilt:g}° besides", pose_grid(angles, (tilt,)))
-        for tilt in TILTS_DEG
-        if tilt not in tilts
-    ]
-    poses, groups = list(own), []
-    for kind, says, added in more:
-        groups.append((kind, says, tuple(range(len(poses), len(poses) + len(added)))))
-        poses += added
-    lamps = [(0.0, tuple(poses))]
-    start = len(poses)
-    for lamp in second_lamps(recipe.light.wavelength_nm):
-        says = f"a second lamp of {lamp:g} nm with the same poses"
-        groups.append(("lamp", says, tuple(range(start, start + len(own)))))
-        lamps.append((lamp - recipe.light.wavelength_nm, own))
-        start += len(own)
-    return _Views(tuple(lamps), tuple(groups), tuple(range(len(own))))
-
-
-def second_lamps(wavelength_nm: float) -> tuple[float, ...]:
-    """Wavelengths of lamps that are tried beside one, the nearest first."""
-    others = [lamp for lamp in LAMPS_NM if abs(lamp / wavelength_nm - 1.0) > _APART]
-    below = sorted((lamp for lamp in others if lamp < wavelength_nm), reverse=True)[:_EACH_WAY]
-    above = sorted(lamp for lamp in others if lamp > wavelength_nm)[:_EACH_WAY]
-    return tuple(sorted((*below, *above), key=lambda lamp: abs(lamp - wavelength_nm)))
-
-
-def _wafer(recipe: SurfaceRecipe, light_angle_deg: float, views: _Views) -> tuple[EtchedPredictor, HeightMap]:
-    """The predictor, sampled for every direction and wavelength that is looked at."""
-    assert recipe.light is not None
-    tilts = tuple(sorted({pose.tilt_deg for pose in views.lamps[0][1]}))
-    tilted = recipe.model_copy(update={"poses": recipe.poses.model_copy(update={"tilts_deg": tilts})})
-    shortest = recipe.light.wavelength_nm + min(shift for shift, _ in views.lamps)
-    lamp = recipe.light.model_copy(update={"wavelength_nm": shortest})
-    reach = max(
-        needed_reach(one, light_angle_deg) for one in (tilted, recipe.model_copy(update={"light": lamp}))
-    )
-    return recipe_wafer(recipe, light_angle_deg, reach)
-
-
-def _under(wafer: EtchedPredictor, shift_nm: float) -> EtchedPredictor:
-    """The same wafer, lens and size of the lamp, at another wavelength."""
-    if shift_nm == 0.0:
-        return wafer
-    return wafer.under(replace(wafer.light, wavelength_nm=wafer.light.wavelength_nm + shift_nm))
-
-
-def _signature(
-    cause: Cause, wafer: EtchedPredictor, state: State, surface: HeightMap, seen: Seen, good: FloatArray
-) -> Signature:
-    """What a cause changes, at a third of its extents, both ends and 0 among them."""
-    side = [extent for extent in cause.extents if extent > 0.0][::-1][::_EVERY]
-    extents = sorted({0.0, *side, *(-extent for extent in side if -extent in cause.extents)})
-    changes = [
-        np.zeros_like(good) if extent == 0.0 else seen(*spoiled(cause, wafer, state, extent, surface)) - good
-        for extent in extents
-    ]
-    return Signature(cause, np.array(extents), np.array(changes), np.zeros(len(extents)))
-
-
-def _expected(
-    recipe: SurfaceRecipe,
-    views: _Views,
-    wafer: EtchedPredictor,
-    state: State,
-    seen: Seen,
-    good: FloatArray,
-    convention: Convention,
-) -> Expectation:
-    """The prediction of all that is looked at, with what the recipe states as uncertain."""
-    lamp_of = np.concatenate([np.full(len(poses), k) for k, (_, poses) in enumerate(views.lamps)])
-    found = []
-    for one in moved_inputs(recipe, wafer, state):
-        down, up = seen(*one.low) - good, seen(*one.high) - good
-        slope, bend = 0.5 * (up - down), one.square * 0.5 * (up + down)
-        parts = [slope] if np.abs(bend).max() <= NEGLIGIBLE else [slope, bend]
-        each = [lamp_of == k for k in range(len(views.lamps))]
-        masks = each if one.of_lamp else [np.full(len(good), fill_value=True)]
-        found += [
-            Component(one.source, "prediction", part * mask, shared=True)
-            for part in parts
-            for mask in masks
-            if np.any(part * mask)
-        ]
-    own = np.full(len(good), NUMERICAL_ERROR)
-    found.append(Component("numerical error of the wave model", "prediction", own, shared=False))
-    for k in range(1, len(views.lamps)):
-        found.append(Component("scale of a second lamp", "measurement", FREE * (lamp_of == k), shared=True))
-    step = max(recipe.uncertainty.stage_deg, 0.01)
-    back, ahead = (seen(wafer, replace(state, stage_deg=turn)) for turn in (-step, step))
-    per_degree = (ahead - back) / (2.0 * step)
-    return Expectation("wave", views.poses, np.exp(good), tuple(found), per_degree, None, convention)
-
-
-def listed(values: Sequence[float], unit: str = "") -> str:
-    """Numbers in a row, such as ``45°, 135° and 270°``."""
-    told = [f"{value:g}{unit}" for value in values]
-    return told[0] if len(told) == 1 else f"{', '.join(told[:-1])} and {told[-1]}"
-
 
 KINDS = ("angles", "tilt", "lamp")
 
 
 def remembered_options(
-    recipe: SurfaceRecipe, light_angle_deg: float, names: Sequence[str], advance: Advance = silent
+    recipe: SurfaceRecipe, light_angle_deg: float, names: Sequence[str], advance: Advance, causes: CauseModel
 ) -> tuple[Option, ...]:
-    """What would tell causes of a wafer apart, computed once; arguments and errors as for `telling.wafer_options`."""
+    """What would tell causes apart, computed once; none where the causes' model does not compute it.
+
+    Args:
+        recipe: the recipe.
+        light_angle_deg: of the rig.
+        names: the causes.
+        advance: progress.
+        causes: of the kind of part.
+
+    Raises:
+        HeightMapError, RecipeError: the recipe's surface cannot be read or used.
+    """
+    options = causes.options
+    if options is None:
+        return ()
     given = _given(recipe, light_angle_deg, names)
     return (
         Cache()
-        .entry("advice", given, __name__)
+        .entry("advice", given, __name__, options.__module__)
         .result(
-            lambda: wafer_options(recipe, light_angle_deg, names, advance),
+            lambda: options(recipe, light_angle_deg, names, advance),
             lambda found: json.dumps([vars(one) for one in found]).encode(),
             lambda content: tuple(Option(**one) for one in json.loads(content)),
         )
@@ -271,24 +59,29 @@ def _given(recipe: SurfaceRecipe, light_angle_deg: float, names: Sequence[str]) 
 
 
 def advice_for(
-    recipe: SurfaceRecipe, light_angle_deg: float, found: Diagnosis, advance: Advance = silent
+    recipe: SurfaceRecipe,
+    light_angle_deg: float,
+    found: Diagnosis,
+    advance: Advance = silent,
+    causes: CauseModel = PLASTIC_CAUSES,
 ) -> str | None:
-    """What would tell the tied causes of a wafer from the best one; None where that is no question, or of plastic.
+    """What would tell the tied causes from the best one; None where that is no question, or is not computed.
 
     Args:
         recipe: the recipe.
         light_angle_deg: of the rig.
         found: the diagnosis.
         advance: progress.
+        causes: of the kind of part.
 
     Raises:
-        HeightMapError, RecipeError: the recipe's tile cannot be read or used.
+        HeightMapError, RecipeError: the recipe's surface cannot be read or used.
     """
     tied = [one for one in found.ties if one.cause != NOTHING]
-    if not recipe.is_wafer or len(tied) < 2 or found.unexplained_p < recipe.decision.alpha:
+    if causes.options is None or len(tied) < 2 or found.unexplained_p < recipe.decision.alpha:
         return None
     best, *others = tied
-    options = remembered_options(recipe, light_angle_deg, [one.cause for one in tied], advance)
+    options = remembered_options(recipe, light_angle_deg, [one.cause for one in tied], advance, causes)
     tried = ", ".join(option.says for option in options)
     nothing = f"nothing that was tried ({tried}): at this size optics cannot"
     by_words: dict[str, list[str]] = {}

@@ -12,6 +12,7 @@ from anisoscope.base.progress import Advance, silent
 from anisoscope.base.significance import p_value_text
 from anisoscope.decision.decision import Decision
 from anisoscope.decision.reference_parts import GoldenSet
+from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, CauseModel
 from anisoscope.diagnosis.discriminating_poses import advice_for, bare_title
 from anisoscope.diagnosis.evidence import Evidence, against, background_of, covariance_of, inputs_of
 from anisoscope.diagnosis.ranking import NOTHING, Diagnosis, diagnose
@@ -32,6 +33,7 @@ def explain(
     decision: Decision,
     advance: Advance = silent,
     golden: GoldenSet | None = None,
+    causes: CauseModel = PLASTIC_CAUSES,
 ) -> tuple[DiagnosisRecord, str | None]:
     """Rank the causes where the part deviates or did not pass; else there is nothing to explain.
 
@@ -42,6 +44,7 @@ def explain(
         decision: the verdict, which stands.
         advance: told of every signature that is computed for the first time.
         golden: the golden parts that decided what deviates, or None.
+        causes: of the kind of part.
 
     Returns:
         The diagnosis, and a note where there is none although there should be.
@@ -50,13 +53,13 @@ def explain(
         return DiagnosisRecord(says="nothing: the part is as it should be"), None
     try:
         light_angle_deg = expected.convention.light_angle_deg
-        known = remembered_signatures(recipe, light_angle_deg, advance)
+        known = remembered_signatures(recipe, light_angle_deg, advance, causes)
         found = diagnose(known, evidence_of(recipe, expected, measured, decision, golden))
     except (AnisoscopeError, ArithmeticError, ValueError, np.linalg.LinAlgError) as problem:
         return DiagnosisRecord(says="not possible"), f"no diagnosis: {problem}"
     told = diagnosis_record(found, recipe.decision.alpha)
     try:
-        tells = advice_for(recipe, light_angle_deg, found, advance)
+        tells = advice_for(recipe, light_angle_deg, found, advance, causes)
     except (AnisoscopeError, ArithmeticError, ValueError, np.linalg.LinAlgError) as problem:
         return told, f"not known what would tell the tied causes apart: {problem}"
     return told.model_copy(update={"tells": tells}), None

@@ -32,9 +32,9 @@ def fit_shape(
     """Fit ideal ridges to the contrasts, where the part was seen at several tilts.
 
     Returns:
-        The fit, or None with fewer than two tilts or of a wafer; and a note where it failed.
+        The fit, or None with fewer than two tilts; and a note where it failed.
     """
-    if len(recipe.poses.tilts_deg) < 2 or recipe.is_wafer:
+    if len(recipe.poses.tilts_deg) < 2:
         return None, None
     try:
         problem = _problem(recipe, expected, measured, FREE)

@@ -10,30 +10,46 @@ import numpy as np
 
 from anisoscope.base.cache import Cache
 from anisoscope.base.progress import Advance, silent
-from anisoscope.diagnosis.causes import all_causes
-from anisoscope.diagnosis.signatures import Signature, Signatures, signatures
+from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, CauseModel
+from anisoscope.diagnosis.signatures import Signature, Signatures
 from anisoscope.diagnosis.tangents import Tangents
-from anisoscope.diagnosis.wafers import wafer_causes
 from anisoscope.recipe.surface import SurfaceRecipe
 
 
 def remembered_signatures(
-    recipe: SurfaceRecipe, light_angle_deg: float, advance: Advance = silent
+    recipe: SurfaceRecipe,
+    light_angle_deg: float,
+    advance: Advance = silent,
+    causes: CauseModel = PLASTIC_CAUSES,
 ) -> Signatures:
-    """The signatures of a recipe, computed once; arguments and errors as for `signatures`."""
+    """The signatures of a recipe, computed once; errors as for `signatures`.
+
+    Args:
+        recipe: the recipe.
+        light_angle_deg: of the rig.
+        advance: progress.
+        causes: of the kind of part.
+    """
     recipe = recipe.deciding()
     return (
         Cache()
-        .entry("signatures", signature_key(recipe, light_angle_deg), __name__)
+        .entry(
+            "signatures",
+            signature_key(recipe, light_angle_deg, causes),
+            __name__,
+            causes.signatures.__module__,
+        )
         .result(
-            lambda: signatures(recipe, light_angle_deg, advance),
+            lambda: causes.signatures(recipe, light_angle_deg, advance, None),
             _packed,
-            lambda content: _unpacked(content, recipe),
+            lambda content: _unpacked(content, recipe, causes),
         )
     )
 
 
-def signature_key(recipe: SurfaceRecipe, light_angle_deg: float) -> dict[str, Any]:
+def signature_key(
+    recipe: SurfaceRecipe, light_angle_deg: float, causes: CauseModel = PLASTIC_CAUSES
+) -> dict[str, Any]:
     """All that signatures are computed from."""
     surface = recipe.surface.height_map
     return {
@@ -43,10 +59,7 @@ def signature_key(recipe: SurfaceRecipe, light_angle_deg: float) -> dict[str, An
         "poses": recipe.poses.model_dump(mode="json"),
         "cells": None if recipe.area is None else recipe.area.cell_deviation,
         "light_angle_deg": light_angle_deg,
-        "causes": [
-            (one.name, one.extents, one.doubt)
-            for one in (wafer_causes() if recipe.is_wafer else all_causes())
-        ],
+        "causes": [(one.name, one.extents, one.doubt) for one in causes.causes(recipe)],
         "light": recipe.light and recipe.light.model_dump(mode="json"),
     }
 
@@ -72,12 +85,8 @@ def _packed(found: Signatures) -> bytes:
     return buffer.getvalue()
 
 
-def _unpacked(content: bytes, recipe: SurfaceRecipe) -> Signatures:
-    design = recipe.surface.design
-    known = (
-        wafer_causes() if recipe.is_wafer else all_causes(None if design is None else design.ridge_angle_deg)
-    )
-    causes = {cause.name: cause for cause in known}
+def _unpacked(content: bytes, recipe: SurfaceRecipe, model: CauseModel) -> Signatures:
+    causes = {cause.name: cause for cause in model.causes(recipe)}
     with np.load(io.BytesIO(content), allow_pickle=False) as kept:
         told = json.loads(bytes(kept["told"]))
         found = tuple(

@@ -146,10 +146,6 @@ def signatures(
         HeightMapError: the recipe's height map cannot be read or used.
     """
     recipe = recipe.deciding()
-    if recipe.is_wafer:
-        from anisoscope.diagnosis.wafers import wafer_signatures  # noqa: PLC0415 - it is made of what stands here
-
-        return wafer_signatures(recipe, light_angle_deg, advance, names)
     scene = _Scene(recipe, light_angle_deg)
     good, good_share = scene.look(scene.surface, scene.state, with_map=True)
     if np.isnan(good_share):  # a recipe that does not judge the area has no map

@@ -282,11 +282,8 @@ MAX_PITCHES = 12
 def match_map(
     recipe: SurfaceRecipe, expected: Expectation, measured: Measured
 ) -> tuple[MapPlaceRecord | None, str | None]:
-    """Where the height map lies, as the record tells it, and a note; None and None where the recipe has no map.
-
-    The tile of a wafer is at no one place: it repeats.
-    """
-    if expected.surface is None or recipe.is_wafer:
+    """Where the height map lies, as the record tells it, and a note; None and None where the recipe has no map."""
+    if expected.surface is None:
         return None, None
     try:
         return _matched(recipe, expected, measured)

@@ -98,14 +98,12 @@ def check_stray(view: View) -> None:
 
 
 def check_part(views: list[View], measured: Measured, recipe: SurfaceRecipe) -> None:
-    """Gates of the aligned pictures.
+    """Gates of the aligned pictures of ridges.
 
     Raises:
         MeasurementError: the ridges are not those of the recipe, or run elsewhere.
         CalibrationError: something stays in its place in the picture while the part turns.
     """
-    if recipe.is_wafer:  # no ridges, and the grain of its tile is alike wherever the tile repeats
-        return
     check_ridges(measured.aligned, measured.grid, recipe)
     rule = recipe.area.cell_deviation if recipe.area is not None else DEFAULT_CELL_DEVIATION
     check_dirt(views, measured, 0.5 * rule)

@@ -8,8 +8,6 @@ from anisoscope.decision.decision import Decision
 from anisoscope.decision.design_vs_map import Predict, compare
 from anisoscope.decision.reference_parts import GoldenSet
 from anisoscope.diagnosis.part_diagnosis import explain
-from anisoscope.diagnosis.shape_fit import fit_shape
-from anisoscope.imaging.height_map_place import match_map
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.inspection.job import Job
 from anisoscope.prediction.expectation import Expectation, expectation
@@ -35,10 +33,12 @@ def insight(
         predict: predicts the surface that does not decide, where the recipe has two.
     """
     recipe = job.ridged
-    diagnosis, unexplained = explain(recipe, expected, measured, decision, advance, known_good(job))
+    diagnosis, unexplained = explain(
+        recipe, expected, measured, decision, advance, known_good(job), job.kind.causes
+    )
     comparisons, reading, lost = compare(recipe, expected, measured, predict)
-    shape, unfitted = fit_shape(recipe, expected, measured)
-    placed, unplaced = match_map(recipe, expected, measured)
+    shape, unfitted = job.kind.fit_shape(recipe, expected, measured)
+    placed, unplaced = job.kind.match_map(recipe, expected, measured)
     lacking = job.golden and job.golden.lacking
     return {
         "diagnosis": diagnosis,

@@ -201,7 +201,7 @@ def _measure(
 
     job = prepare(recipe_path, rig_path, serial, without="check")
     plan = job.plan()
-    expected = expectation(job.ridged, job.rig.light.angle_deg)
+    expected = expectation(job.ridged, job.rig.light.angle_deg, job.kind.optics)
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         with open_rig(job.rig) as rig:

@@ -14,6 +14,7 @@ from anisoscope.imaging.linearisation import WhiteReference
 from anisoscope.imaging.registration.placement import check_fixture
 from anisoscope.imaging.views import Guide, Viewing
 from anisoscope.inspection.recipe_file import read_any_recipe
+from anisoscope.inspection.surface_kind import SurfaceKind, surface_kind
 from anisoscope.kinds.prints.lighting import check_filters, check_print_rig, print_files
 from anisoscope.kinds.prints.recipe import AnyRecipe, PrintRecipe
 from anisoscope.kinds.prints.reference_prints import GoldenPrints, read_golden_prints
@@ -102,6 +103,11 @@ class Job:
         """By what its frames become views; ``guides`` as of `anisoscope.imaging.views.Viewing`."""
         pixel_um = self.rig.camera.pixel_um
         return Viewing(self.white, self.calibrations, self.fixture, pixel_um, self.recipe, guides)
+
+    @property
+    def kind(self) -> SurfaceKind:
+        """What is done in its own way for the recipe's kind of surface; errors as of `ridged`."""
+        return surface_kind(self.ridged)
 
     def plan(self) -> Plan:
         """What is to be photographed."""

@@ -10,9 +10,9 @@ from anisoscope.imaging.defect_regions import deviation_map
 from anisoscope.imaging.deviation_map import cell_log_ratios
 from anisoscope.imaging.frames import AcquiredFrames
 from anisoscope.imaging.pose_radiance import Measured, drift_complaint, mean_of, measure, region_grid
-from anisoscope.imaging.quality_gates import check_part, check_views
+from anisoscope.imaging.quality_gates import check_views
 from anisoscope.imaging.registration.placement import View, resample
-from anisoscope.imaging.views import as_photographed, beside_a_mirror, most_changed, resuming_error, views_of
+from anisoscope.imaging.views import as_photographed, most_changed, resuming_error, views_of
 from anisoscope.inspection.analysis import insight, known_good
 from anisoscope.inspection.job import Job
 from anisoscope.inspection.manifest import JobFile
@@ -99,8 +99,7 @@ def measure_frames(
     """
     job.calibrations.check_valid(datetime.fromisoformat(made.created_at))
     recipe, pixel_um = job.ridged, job.rig.camera.pixel_um
-    guides = (beside_a_mirror,) if recipe.is_wafer else ()
-    views = views_of(job.viewing(guides), expected.poses, taken)
+    views = views_of(job.viewing(job.kind.guides), expected.poses, taken)
     grid, _ = region_grid(recipe, pixel_um)
     closing, change = most_changed(
         views, recipe, pixel_um, lambda view: mean_of(resample(view.image.value, view.placement, grid))
@@ -110,5 +109,5 @@ def measure_frames(
     check_views(views.poses, recipe)
     calibrated = job.calibrations.applied_to(recipe)
     measured = measure(views.poses, closing, calibrated, expected, pixel_um)
-    check_part(views.poses, measured, recipe)
+    job.kind.check_part(views.poses, measured, recipe)
     return views.poses, measured, change

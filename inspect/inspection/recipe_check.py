@@ -7,12 +7,13 @@ import numpy as np
 
 from anisoscope.base.progress import Advance, silent
 from anisoscope.decision.decision import contrast_gradient
+from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, CauseModel
 from anisoscope.diagnosis.discriminating_poses import remembered_options
 from anisoscope.diagnosis.evidence import background_of
 from anisoscope.diagnosis.separability import Separability, planned_covariance, planned_inputs, separability
 from anisoscope.diagnosis.signature_cache import remembered_signatures
-from anisoscope.prediction.expectation import Expectation, expectation
-from anisoscope.recipe.surface import SurfaceRecipe, source_name
+from anisoscope.prediction.expectation import PLASTIC, Expectation, SurfaceOptics, expectation
+from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.schema import BudgetRecord
 from anisoscope.sim.light.contrasts import contrasts
 
@@ -53,7 +54,7 @@ class TiltAdvice:
 
 @dataclass(frozen=True)
 class LampAdvice:
-    """What a second lamp would add to a wafer: pairs of causes that the recipe's poses under it would tell apart."""
+    """What a second lamp would add: pairs of causes that the recipe's poses under it would tell apart."""
 
     says: str
     tells_apart: tuple[tuple[str, str], ...]
@@ -70,7 +71,7 @@ class RecipeCheck:
         left_out: causes that this surface cannot have, with the reason.
         advice: what further tilts would add, the best first; only those that add something.
         complaints: one line each, what should be changed.
-        lamps: of a wafer, second lamps that would add something, the nearest wavelength first.
+        lamps: second lamps that would add something, the nearest wavelength first, where they are tried.
         never: causes and others that neither these poses tell them from, nor any tilt or lamp that was tried.
     """
 
@@ -85,7 +86,12 @@ class RecipeCheck:
 
 
 def check_recipe(
-    recipe: SurfaceRecipe, light_angle_deg: float, tries: Sequence[float] = (), advance: Advance = silent
+    recipe: SurfaceRecipe,
+    light_angle_deg: float,
+    tries: Sequence[float] = (),
+    advance: Advance = silent,
+    optics: SurfaceOptics = PLASTIC,
+    model: CauseModel = PLASTIC_CAUSES,
 ) -> RecipeCheck:
     """Look at a recipe; nothing moves.
 
@@ -94,14 +100,16 @@ def check_recipe(
         light_angle_deg: of the rig.
         tries: tilts that might be added, degrees.
         advance: progress.
+        optics: of the kind of surface.
+        model: causes of the kind of surface.
 
     Raises:
         HeightMapError, RecipeError: nothing can be predicted.
     """
     advance("prediction", 0, 1)
-    expected = expectation(recipe, light_angle_deg)
+    expected = expectation(recipe, light_angle_deg, optics)
     pairs, budget = _plan(recipe, expected)
-    known = remembered_signatures(recipe, light_angle_deg, advance)
+    known = remembered_signatures(recipe, light_angle_deg, advance, model)
     with_map = recipe.area is not None
     u_background = 0.0 if recipe.area is None else background_of(recipe.area.max_share)[1]
     causes = separability(
@@ -112,13 +120,9 @@ def check_recipe(
         inputs=planned_inputs(recipe, expected),
     )
     new = [tilt for tilt in tries if tilt not in recipe.poses.tilts_deg]
-    advice = _advice(recipe, light_angle_deg, new, advance) if new and _lacking(causes) else ()
+    advice = _advice(recipe, light_angle_deg, new, advance, optics, model) if new and _lacking(causes) else ()
     untold = [(cause.cause, other) for cause in causes for other in cause.never_told_from]
-    lamps = (
-        second_lamps_for(recipe, light_angle_deg, untold, advance)
-        if new and recipe.is_wafer and untold
-        else ()
-    )
+    lamps = second_lamps_for(recipe, light_angle_deg, untold, advance, model) if new and untold else ()
     told = {pair for one in advice for pair in one.tells_apart}
     told |= {pair for one in lamps for pair in one.tells_apart}
     never = tuple(pair for pair in untold if pair not in told) if new else ()
@@ -128,19 +132,24 @@ def check_recipe(
 
 
 def second_lamps_for(
-    recipe: SurfaceRecipe, light_angle_deg: float, untold: Sequence[tuple[str, str]], advance: Advance
+    recipe: SurfaceRecipe,
+    light_angle_deg: float,
+    untold: Sequence[tuple[str, str]],
+    advance: Advance,
+    model: CauseModel,
 ) -> tuple[LampAdvice, ...]:
-    """Second lamps for a wafer, the nearest first, each with the pairs that no nearer one tells apart.
+    """Second lamps, the nearest first, each with the pairs that no nearer one tells apart.
 
     Args:
         recipe: the recipe.
         light_angle_deg: of the rig.
         untold: causes and others that the recipe's poses never tell them from.
         advance: progress.
+        model: causes of the kind of surface; one that tries no lamps finds none.
     """
     names = sorted({name for pair in untold for name in pair})
     left, found = list(untold), []
-    for option in remembered_options(recipe, light_angle_deg, names, advance):
+    for option in remembered_options(recipe, light_angle_deg, names, advance, model):
         apart = tuple(pair for pair in left if option.told_from[pair[0]][pair[1]] is not None)
         if option.kind == "lamp" and apart:
             found.append(LampAdvice(option.says, apart))
@@ -174,8 +183,7 @@ def _plan(
             contrasts(expected.poses, expected.radiance), u, tolerances, strict=True
         )
     )
-    wafer = recipe.is_wafer
-    names = [(source_name(c.source, wafer=wafer), c.kind) for c in expected.components] + [
+    names = [(c.source, c.kind) for c in expected.components] + [
         ("measurement, without noise", "measurement")
     ]
     rows = [
@@ -209,7 +217,12 @@ def _lacking(causes: tuple[Separability, ...]) -> bool:
 
 
 def _advice(
-    recipe: SurfaceRecipe, light_angle_deg: float, tries: Sequence[float], advance: Advance
+    recipe: SurfaceRecipe,
+    light_angle_deg: float,
+    tries: Sequence[float],
+    advance: Advance,
+    optics: SurfaceOptics,
+    model: CauseModel,
 ) -> tuple[TiltAdvice, ...]:
     """One set of signatures over all tilts, of which parts are looked at."""
     tilts = (*recipe.poses.tilts_deg, *tries)
@@ -218,8 +231,8 @@ def _advice(
         update={"poses": recipe.poses.model_copy(update={"tilts_deg": tilts}), "decision": decision}
     )
     known, expected = (
-        remembered_signatures(wide, light_angle_deg, advance),
-        expectation(wide, light_angle_deg),
+        remembered_signatures(wide, light_angle_deg, advance, model),
+        expectation(wide, light_angle_deg, optics),
     )
     covariance, with_map = planned_covariance(wide, expected), recipe.area is not None
     inputs = planned_inputs(wide, expected)

@@ -15,8 +15,7 @@ from anisoscope.inspection.pipeline import judge
 from anisoscope.kinds.prints.expectation import PrintExpectation
 from anisoscope.kinds.prints.lighting import expectation_of_print
 from anisoscope.kinds.prints.recipe import PrintRecipe
-from anisoscope.prediction.expectation import Expectation, expectation
-from anisoscope.recipe.surface import source_name
+from anisoscope.prediction.expectation import Expectation, SurfaceOptics, expectation
 from anisoscope.record.schema import Record, read_record
 
 TOLERANCE = 1e-9
@@ -67,12 +66,13 @@ def recompute(folder: Path, on_progress: Advance = silent) -> Recomputed:
     if isinstance(job.recipe, PrintRecipe):
         expected = expectation_of_print(job.recipe, job.rig)
     else:
-        expected = expectation(job.recipe, job.rig.light.angle_deg)
+        expected = expectation(job.recipe, job.rig.light.angle_deg, job.kind.optics)
     on_progress("measurement", 0, 1)
     record, _ = judge(made, job, expected, read_frames(folder, made), on_progress)
     # what an earlier version did not tell is not there to be compared
     old = recorded.model_dump(mode="json", exclude=set(NOT_COMPARED), exclude_unset=True)
-    _call_as_now(old, wafer=not isinstance(job.recipe, PrintRecipe) and job.recipe.is_wafer)
+    if not isinstance(job.recipe, PrintRecipe):
+        _call_as_now(old, job.kind.optics)
     untold: set[str] = set()
     new = _told(old, record.model_dump(mode="json", exclude=set(NOT_COMPARED)), untold)
     notes: tuple[str, ...] = ()
@@ -85,10 +85,10 @@ def recompute(folder: Path, on_progress: Advance = silent) -> Recomputed:
     return Recomputed(folder, recorded, record.verdict, tuple(differences(old, new)), notes)
 
 
-def _call_as_now(old: dict[str, Any], *, wafer: bool) -> None:
+def _call_as_now(old: dict[str, Any], optics: SurfaceOptics) -> None:
     """Give the sources of an earlier version's budget the names that they bear now."""
     for row in old["budget"]:
-        row["source"] = source_name(row["source"], wafer=wafer)
+        row["source"] = optics.source_name(row["source"])
 
 
 def _told(old: Any, new: Any, untold: set[str], name: str = "") -> Any:  # noqa: ANN401

@@ -250,7 +250,7 @@ def expecting(job: Job, advance: Advance, lot_mates: Sequence[LotMate] = ()) -> 
     if isinstance(job.recipe, PrintRecipe):
         expected = expectation_of_print(job.recipe, job.rig)
     else:
-        expected = kept_expectation(job.recipe, job.rig.light.angle_deg)
+        expected = kept_expectation(job.recipe, job.rig.light.angle_deg, job.kind.optics)
     renderer = start_renderer(expected.surface)
     try:
         yield Ready(expected, renderer, lot_mates)

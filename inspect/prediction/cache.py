@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from anisoscope.base.cache import Cache
-from anisoscope.prediction.expectation import Component, Expectation, expectation, states_of
+from anisoscope.prediction.expectation import PLASTIC, Component, Expectation, SurfaceOptics, expectation
 from anisoscope.prediction.second_order import Response
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.recipe.surface import SurfaceRecipe
@@ -27,20 +27,22 @@ _memory: OrderedDict[str, Expectation] = OrderedDict()
 _lock = threading.Lock()
 
 
-def kept_expectation(recipe: SurfaceRecipe, light_angle_deg: float) -> Expectation:
+def kept_expectation(
+    recipe: SurfaceRecipe, light_angle_deg: float, optics: SurfaceOptics = PLASTIC
+) -> Expectation:
     """What the part should show, predicted once; arguments and errors as for `expectation.expectation`."""
     recipe = recipe.deciding()
     try:
         given = _given(recipe, light_angle_deg)
     except OSError:  # the height map cannot be read: whoever predicts says so
-        return expectation(recipe, light_angle_deg)
+        return expectation(recipe, light_angle_deg, optics)
     key = json.dumps(given, sort_keys=True)
     with _lock:
         if key in _memory:
             _memory.move_to_end(key)
             return _memory[key]
     predict = expectation if recipe.surface.height_map is None else partial(_by_disk, given)
-    found = predict(recipe, light_angle_deg)
+    found = predict(recipe, light_angle_deg, optics)
     with _lock:
         _memory[key] = found
         while len(_memory) > KEPT:
@@ -54,15 +56,17 @@ def forget() -> None:
         _memory.clear()
 
 
-def _by_disk(given: dict[str, Any], recipe: SurfaceRecipe, light_angle_deg: float) -> Expectation:
+def _by_disk(
+    given: dict[str, Any], recipe: SurfaceRecipe, light_angle_deg: float, optics: SurfaceOptics
+) -> Expectation:
     """Read a prediction, or make it and write it."""
     return (
         Cache()
-        .entry("predictions", given, __name__)
+        .entry("predictions", given, __name__, type(optics).__module__)
         .result(
-            lambda: expectation(recipe, light_angle_deg),
+            lambda: expectation(recipe, light_angle_deg, optics),
             packed,
-            lambda content: _unpacked(content, recipe, light_angle_deg),
+            lambda content: _unpacked(content, recipe, light_angle_deg, optics),
         )
     )
 
@@ -106,7 +110,9 @@ def packed(found: Expectation) -> bytes:
     return buffer.getvalue()
 
 
-def _unpacked(data: bytes, recipe: SurfaceRecipe, light_angle_deg: float) -> Expectation:
+def _unpacked(
+    data: bytes, recipe: SurfaceRecipe, light_angle_deg: float, optics: SurfaceOptics
+) -> Expectation:
     with np.load(io.BytesIO(data), allow_pickle=False) as kept:
         told = json.loads(bytes(kept["told"]))
         surface, response = None, None
@@ -129,5 +135,5 @@ def _unpacked(data: bytes, recipe: SurfaceRecipe, light_angle_deg: float) -> Exp
             Convention(light_angle_deg, facet_azimuth_deg=recipe.poses.facet_azimuth_deg),
             response,
             told["optics"],
-            states_of(recipe, light_angle_deg),
+            optics.states(recipe, light_angle_deg),
         )

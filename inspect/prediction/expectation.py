@@ -1,18 +1,17 @@
 """What the part should show: predicted radiances with everything that makes them uncertain (V_model)."""
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import RecipeError
-from anisoscope.prediction.etched import EtchedPredictor
+from anisoscope.prediction.profile_likelihood import States
 from anisoscope.prediction.propagation import PLASTIC_AND_SEAT, RIDGE_ANGLE, propagate
-from anisoscope.prediction.recipe_models import Models, models_of, moved_light
+from anisoscope.prediction.recipe_models import Models, models_of
 from anisoscope.prediction.second_order import Response, known_inputs, response_of
 from anisoscope.prediction.sensitivity import DARK, InputUncertainty, Shape, State, evaluate, fixed
-from anisoscope.prediction.wafer_states import BEYOND, DEPTH, WIDTH, WaferStates
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.recipe.poses import check_poses
 from anisoscope.recipe.surface import SurfaceRecipe
@@ -60,7 +59,7 @@ class Expectation:
         convention: how the angles are counted.
         response: how ln L bends with the inputs that all poses share, or None where that is not known.
         optics: rays or waves, and why (`models.Models.optics`).
-        states: of a wafer, the radiances in every state of what is uncertain; else None.
+        states: the radiances in every state of what is uncertain, where the model itself is asked; else None.
     """
 
     model: str
@@ -72,11 +71,11 @@ class Expectation:
     convention: Convention
     response: Response | None = None
     optics: dict[str, Any] | None = None
-    states: WaferStates | None = None
+    states: States | None = None
 
     @property
     def beside_states(self) -> tuple[Component, ...]:
-        """The components that the states of a wafer do not hold."""
+        """The components that the states do not hold."""
         assert self.states is not None
         return tuple(
             c for c in self.components if not (self.states.holds(c.source) or c.source.endswith(SECOND_ORDER))
@@ -93,12 +92,88 @@ class Expectation:
         )
 
 
-def expectation(recipe: SurfaceRecipe, light_angle_deg: float) -> Expectation:
+class SurfaceOptics(Protocol):
+    """How surfaces of one kind are predicted, and what makes their prediction uncertain."""
+
+    def models(self, recipe: SurfaceRecipe, poses: tuple[Pose, ...], convention: Convention) -> Models:
+        """Choose the optics of a recipe with one surface, and make its predictors.
+
+        Raises:
+            HeightMapError, RecipeError: as for `recipe_models.models_of`.
+        """
+        ...
+
+    def components(
+        self,
+        recipe: SurfaceRecipe,
+        models: Models,
+        radiance: FloatArray,
+        nominal: State,
+        convention: Convention,
+    ) -> list[Component]:
+        """What the surface adds to the uncertainty of the (P,) radiances, beside material, seat and light angle."""
+        ...
+
+    def states(self, recipe: SurfaceRecipe, light_angle_deg: float) -> States | None:
+        """The states of everything that is uncertain; None where slopes and bends of ln L are enough."""
+        ...
+
+    def may_be_left_out(self, source: str) -> bool:
+        """Does a source that adds nothing not belong into the budget at all?"""
+        ...
+
+    def source_name(self, source: str) -> str:
+        """What an input of the prediction is called on such a surface."""
+        ...
+
+
+class PlasticOptics:
+    """The optics of plastic surfaces: by rays or waves, from ideal ridges or a measured height map."""
+
+    def models(self, recipe: SurfaceRecipe, poses: tuple[Pose, ...], convention: Convention) -> Models:
+        """Predictors by `recipe_models.models_of`."""
+        return models_of(recipe, poses, convention)
+
+    def components(
+        self,
+        recipe: SurfaceRecipe,
+        models: Models,
+        radiance: FloatArray,
+        _nominal: State,
+        _convention: Convention,
+    ) -> list[Component]:
+        """Noise and pixel size of a height map."""
+        if models.surface is None:
+            return []
+        # about one pixel of facet is lost a pitch where a wall is narrower than a pixel; a rectangular bound
+        pixel = models.surface.pixel_x_um / recipe.surface.pitch_um / np.sqrt(3.0)
+        share = np.full(len(radiance), np.hypot(recipe.uncertainty.height_map_share, pixel))
+        return [Component("height map (noise, pixel size)", "prediction", share, shared=False)]
+
+    def states(self, _recipe: SurfaceRecipe, _light_angle_deg: float) -> None:
+        """None: ln L is known to second order."""
+
+    def may_be_left_out(self, source: str) -> bool:
+        """A tilt axis that is not there has no zero."""
+        return source == "zero of the tilt"
+
+    def source_name(self, source: str) -> str:
+        """The name as it is."""
+        return source
+
+
+PLASTIC = PlasticOptics()
+
+
+def expectation(
+    recipe: SurfaceRecipe, light_angle_deg: float, optics: SurfaceOptics = PLASTIC
+) -> Expectation:
     """Predict the poses of a recipe.
 
     Args:
         recipe: the recipe.
         light_angle_deg: the rig's angle between light and camera.
+        optics: of its kind of surface.
 
     Raises:
         HeightMapError: the recipe's height map cannot be read or used.
@@ -108,7 +183,7 @@ def expectation(recipe: SurfaceRecipe, light_angle_deg: float) -> Expectation:
     recipe, poses = recipe.deciding(), recipe.poses.poses()
     check_poses(recipe.poses, light_angle_deg)
     convention = Convention(light_angle_deg, facet_azimuth_deg=recipe.poses.facet_azimuth_deg)
-    made = models_of(recipe, poses, convention)
+    made = optics.models(recipe, poses, convention)
     nominal = State(recipe.material.material(), light_angle_deg, shape=nominal_shape(recipe))
     radiance = evaluate(fixed(made.model), [nominal], poses, convention)[0]
     black = [pose for pose, value in zip(poses, radiance, strict=True) if not value > DARK]
@@ -122,13 +197,17 @@ def expectation(recipe: SurfaceRecipe, light_angle_deg: float) -> Expectation:
     components = [
         Component(c.source, c.kind, c.absolute / radiance, shared=True)
         for c in budget.contributions
-        if c.source in _OF_THE_RECIPE and (np.any(c.absolute) or not _may_be_left_out(c.source, recipe))
+        if c.source in _OF_THE_RECIPE and (np.any(c.absolute) or not optics.may_be_left_out(c.source))
     ]
     per_u = {c.source: c.relative for c in components if np.any(c.relative)}
     straight = {source: per_u[source] for source in known_inputs(tuple(per_u))}
     response = response_of(made.sampled, nominal, poses, convention, inputs, straight) if straight else None
+    components = [replace(c, source=optics.source_name(c.source)) for c in components]
+    if response is not None:
+        response = replace(response, sources=tuple(optics.source_name(name) for name in response.sources))
     components += _second_order(response)
-    components += _of_the_model(recipe, made, radiance, nominal, convention)
+    components += optics.components(recipe, made, radiance, nominal, convention)
+    components += _of_the_optics(made, radiance)
     per_degree = budget.per_degree / radiance
     return Expectation(
         made.name,
@@ -140,7 +219,7 @@ def expectation(recipe: SurfaceRecipe, light_angle_deg: float) -> Expectation:
         convention,
         response,
         made.optics,
-        states_of(recipe, light_angle_deg),
+        optics.states(recipe, light_angle_deg),
     )
 
 
@@ -150,63 +229,15 @@ def nominal_shape(recipe: SurfaceRecipe) -> Shape:
     return Shape() if design is None else Shape(ridge_angle_deg=design.ridge_angle_deg)
 
 
-def states_of(recipe: SurfaceRecipe, light_angle_deg: float) -> WaferStates | None:
-    """The states of a wafer's recipe; they cost nothing before they are asked for."""
-    return WaferStates(recipe.deciding(), light_angle_deg) if recipe.is_wafer else None
-
-
-def _may_be_left_out(source: str, recipe: SurfaceRecipe) -> bool:
-    """Does a source that adds nothing not belong to this recipe at all?"""
-    return recipe.is_wafer or source == "zero of the tilt"
-
-
-def _of_the_model(
-    recipe: SurfaceRecipe, made: Models, radiance: FloatArray, nominal: State, convention: Convention
-) -> list[Component]:
-    """What the surface and its optics add: a height map, an etched tile with its light, neglected or computed waves."""
+def _of_the_optics(made: Models, radiance: FloatArray) -> list[Component]:
+    """What computed or neglected waves add."""
     found = []
-    if recipe.is_wafer:
-        assert isinstance(made.model, EtchedPredictor)
-        found += _of_the_wafer(recipe, made.model, radiance, nominal, convention)
-    elif made.surface is not None:
-        # about one pixel of facet is lost a pitch where a wall is narrower than a pixel; a rectangular bound
-        pixel = made.surface.pixel_x_um / recipe.surface.pitch_um / np.sqrt(3.0)
-        share = np.full(len(radiance), np.hypot(recipe.uncertainty.height_map_share, pixel))
-        found.append(Component("height map (noise, pixel size)", "prediction", share, shared=False))
     if made.numerical > 0.0:
         share = np.full(len(radiance), made.numerical)
         found.append(Component("numerical error of the wave model", "prediction", share, shared=False))
     if made.neglected_per_sr is not None:
         share = made.neglected_per_sr / np.sqrt(3.0) / radiance  # a bound, anywhere within it
         found.append(Component("waves, neglected by rays", "prediction", share, shared=False))
-    return found
-
-
-def _of_the_wafer(
-    recipe: SurfaceRecipe,
-    wafer: EtchedPredictor,
-    radiance: FloatArray,
-    nominal: State,
-    convention: Convention,
-) -> list[Component]:
-    """What good etching and the stated lamp and lens leave open; every source shared by all poses."""
-    assert recipe.light is not None
-    poses, told = recipe.poses.poses(), recipe.uncertainty
-    cases = moved_light(recipe.light, wafer.light)
-    pairs = [(name, wafer.under(low), wafer.under(high)) for name, low, high in cases]
-    if (deep := told.etch_depth_nm) > 0.0:
-        pairs.append((DEPTH, wafer.with_depths(-deep), wafer.with_depths(deep)))
-    if (wide := told.etch_width_nm) > 0.0:
-        pairs.append((WIDTH, wafer.with_widths(-wide), wafer.with_widths(wide)))
-    found = []
-    for name, below, above in pairs:
-        low, high = (
-            np.log(evaluate(fixed(end), [nominal], poses, convention)[0] / radiance) for end in (below, above)
-        )
-        found.append(Component(name, "prediction", 0.5 * (high - low), shared=True))
-        bend = np.sqrt(3.0) * 0.5 * (high + low)  # root mean square of z² for a normal z
-        if np.abs(bend).max() > NEGLIGIBLE:
-            found.append(Component(f"{name}{BEYOND}", "prediction", bend, shared=True))
     return found
 
 

@@ -37,6 +37,19 @@ class Curve(Protocol):
         ...
 
 
+class States(Curve, Protocol):
+    """Change of ln L of the poses with everything that is uncertain, by the model itself."""
+
+    @property
+    def farthest(self) -> FloatArray:
+        """(K,) standard uncertainties to which the inputs are looked at."""
+        ...
+
+    def holds(self, source: str) -> bool:
+        """Is what the budget calls so part of these states?"""
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class Combined:
     """Combinations (m, P) of the values of a curve."""

@@ -1,7 +1,7 @@
 """The recipe of a part with a surface: what it is compared with, its material, its light, and how it is judged."""
 
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal, Self, TypeVar
+from typing import Annotated, Literal, Self, TypeVar
 
 from pydantic import Field, model_validator
 
@@ -14,18 +14,6 @@ from anisoscope.sim.light.material import Material
 
 WIDEST = 0.4
 """Largest full width of a lamp's spectrum, by its wavelength: the bench's lamps are no wider."""
-
-
-_SOURCES = {"albedo of the plastic": "share of scattered light"}
-"""Sources of uncertainty that are called otherwise on a wafer than the model's input of the same place."""
-
-
-def source_name(source: str, *, wafer: bool) -> str:
-    """What a source of uncertainty is called in a budget."""
-    if wafer:
-        for plastic, mirror in _SOURCES.items():
-            source = source.replace(plastic, mirror)
-    return source
 
 
 class LightPart(Part):
@@ -129,7 +117,6 @@ class MaterialPart(Part):
     u_alpha_share: Share = 0.05
     u_albedo: NotNegative = 0.01
     u_index: NotNegative = 0.01
-    reflectance: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
 
     def material(self) -> Material:
         """The material of the reflectance model."""
@@ -170,14 +157,11 @@ class RigUncertainty(CommonUncertainty):
 
     height_map_share: NotNegative = 0.01
     tilt_deg: NotNegative = 0.0
-    etch_depth_nm: NotNegative = 1.0
-    etch_width_nm: NotNegative = 20.0
 
 
 class SurfaceRecipe(RecipeBase):
     """The recipe of a part with a surface whose contrasts are predicted; each kind of surface adds what it needs."""
 
-    is_wafer: ClassVar[bool] = False
     surface: SurfacePart
     material: MaterialPart
     decision: DecisionPart = DecisionPart()

@@ -1,7 +1,6 @@
 """What the docs show works as it stands."""
 
 import re
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -48,7 +47,11 @@ def copied(tmp_path, rng):
 
 def test_recipe_rig_and_bench_of_the_docs_inspect_a_part(copied, monkeypatch):
     # the diagnosis has tests of its own, and takes longer than this one
-    monkeypatch.setattr(explaining, "remembered_signatures", partial(signatures, names=("colour",)))
+    monkeypatch.setattr(
+        explaining,
+        "remembered_signatures",
+        lambda recipe, angle, advance, _: signatures(recipe, angle, advance, ("colour",)),
+    )
     for name, shown, quick in (
         ("bench.toml", "time_scale = 0.1", "time_scale = 0.0"),
         ("recipe.toml", "frames_per_pose = 4\ndark_frames = 8", "frames_per_pose = 2\ndark_frames = 2"),

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from anisoscope.cli import app
-from anisoscope.kinds.wafers.recipe import WaferRecipe
-from anisoscope.recipe.surface import LightPart, RigUncertainty
+from anisoscope.kinds.wafers.recipe import WaferRecipe, WaferUncertainty, recognises
+from anisoscope.recipe.surface import LightPart
 from anisoscope.sim.bench.benchfile import SamplePart
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "wafers.md").read_text(encoding="utf-8")
@@ -21,13 +21,14 @@ def blocks(language):
 def test_the_recipe_is_one_of_a_wafer_and_shows_the_defaults():
     table = tomllib.loads(blocks("toml")[0])
     recipe = WaferRecipe.model_validate(table)
-    assert recipe.is_wafer
+    assert recognises(table)
+    assert recipe.material.reflectance == table["material"]["reflectance"]
     light = LightPart()
     for key in ("u_wavelength_nm", "u_bandwidth_share", "u_lamp_share", "u_aperture_share"):
         assert table["light"][key] == getattr(light, key)
     for key in ("etch_depth_nm", "etch_width_nm"):
-        assert table["uncertainty"][key] == getattr(RigUncertainty(), key)
-    assert RigUncertainty().tilt_deg == 0.0
+        assert table["uncertainty"][key] == getattr(WaferUncertainty(), key)
+    assert WaferUncertainty().tilt_deg == 0.0
 
 
 def test_the_sample_is_understood():

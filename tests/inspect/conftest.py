@@ -22,7 +22,7 @@ from anisoscope.calibration.pictures import take_flat
 from anisoscope.cli.demo.folder import FIXTURE
 from anisoscope.diagnosis import part_diagnosis as explaining
 from anisoscope.diagnosis import signature_cache as remembering
-from anisoscope.diagnosis.signatures import signatures
+from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES
 from anisoscope.inspection import run as inspection
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
 from anisoscope.report.inspection_page import REPORT_NAME
@@ -217,11 +217,13 @@ def quick_causes(request, monkeypatch) -> None:
     if request.node.get_closest_marker("soak") is not None:
         return
 
-    def quick(recipe, light_angle_deg, advance=silent):
-        key = json.dumps(remembering.signature_key(recipe.deciding(), light_angle_deg), sort_keys=True)
+    def quick(recipe, light_angle_deg, advance=silent, causes=PLASTIC_CAUSES):
+        key = json.dumps(
+            remembering.signature_key(recipe.deciding(), light_angle_deg, causes), sort_keys=True
+        )
         if key not in QUICK:  # the product keeps them in a file
             names = ("roughness-along", "roughness-across", "colour")
-            QUICK[key] = signatures(recipe, light_angle_deg, advance, names)
+            QUICK[key] = causes.signatures(recipe, light_angle_deg, advance, names)
         return QUICK[key]
 
     monkeypatch.setattr(explaining, "remembered_signatures", quick)

@@ -139,6 +139,7 @@ def check(
     from anisoscope.cli.recipe.prints import check_print
     from anisoscope.inspection.recipe_check import check_recipe
     from anisoscope.inspection.recipe_file import read_recipe
+    from anisoscope.inspection.surface_kind import surface_kind
     from anisoscope.recipe.base import is_print
     from anisoscope.recipe.poses import check_poses
     from anisoscope.rig.rigfile import read_rig
@@ -147,10 +148,11 @@ def check(
         return check_print(file, rig, light_angle, json_=json_)
     tries = parse_numbers(try_tilts, "--try-tilts") if try_tilts.strip() else ()
     recipe = read_recipe(file)
+    kind = surface_kind(recipe)
     angle = read_rig(rig).light.angle_deg if rig is not None else light_angle
     check_poses(recipe.poses, angle, file)
     with progress(file.name, quiet=json_) as advance:
-        found = check_recipe(recipe, angle, tries, advance)
+        found = check_recipe(recipe, angle, tries, advance, kind.optics, kind.causes)
     if json_:
         content = asdict(found)
         for row, cause in zip(content["causes"], found.causes, strict=True):

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
 
@@ -40,7 +40,6 @@ class WaferRecipe(SurfaceRecipe):
     ``surface.pitch_um`` is the side of the tile that repeats, and ``surface.height_map`` is that tile.
     """
 
-    is_wafer: ClassVar[bool] = True
     material: WaferMaterial
     uncertainty: WaferUncertainty = WaferUncertainty()
 
@@ -69,6 +68,12 @@ class WaferRecipe(SurfaceRecipe):
                 "aperture_half_angle_deg, and wavelength_nm"
             )
         return self
+
+
+def of_wafer(recipe: SurfaceRecipe) -> WaferRecipe:
+    """The recipe, which is that of a wafer: the pipeline hands a kind its own recipes only."""
+    assert isinstance(recipe, WaferRecipe)
+    return recipe
 
 
 def recognises(table: Mapping[str, Any]) -> bool:

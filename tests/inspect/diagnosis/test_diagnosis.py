@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES
 from anisoscope.diagnosis.causes import Cause, all_causes
 from anisoscope.diagnosis.evidence import Evidence, background_of, covariance_of, inputs_of
 from anisoscope.diagnosis.likelihood import fit_extent, interval
@@ -324,8 +325,8 @@ def test_signatures_are_computed_once(recipe, of_the_recipe, monkeypatch, tmp_pa
         calls.append(1)
         return of_the_recipe
 
-    monkeypatch.setattr("anisoscope.diagnosis.signature_cache.signatures", compute)
-    first, second = (remembered_signatures(recipe, 10.0) for _ in range(2))
+    causes = replace(PLASTIC_CAUSES, signatures=compute)
+    first, second = (remembered_signatures(recipe, 10.0, causes=causes) for _ in range(2))
     assert len(calls) == 1
     for one, other in zip(first.found, second.found, strict=True):
         assert one.cause.name == other.cause.name
@@ -340,14 +341,14 @@ def test_signatures_are_computed_once(recipe, of_the_recipe, monkeypatch, tmp_pa
         sum(one.tangents is not None for one in second.found) == len(of_the_recipe.found) - 1
     )  # not of burrs
     rougher = recipe.model_copy(update={"material": replace_material(recipe)})
-    remembered_signatures(rougher, 10.0)
+    remembered_signatures(rougher, 10.0, causes=causes)
     assert len(calls) == 2
     for file in (tmp_path / "signatures").iterdir():
         file.write_bytes(b"damaged")
-    remembered_signatures(recipe, 10.0)
+    remembered_signatures(recipe, 10.0, causes=causes)
     assert len(calls) == 3
     monkeypatch.setattr("anisoscope.base.cache.source_digest", lambda *_: "other code")
-    remembered_signatures(recipe, 10.0)
+    remembered_signatures(recipe, 10.0, causes=causes)
     assert len(calls) == 4
 
 

@@ -171,7 +171,7 @@ def test_the_second_surface_is_predicted_once_for_all_parts_and_anew_to_recomput
     write_height_map(ridged, rig.recipe.parent / "map.npz")
     predicted = []
 
-    def counted(recipe, light_angle_deg):
+    def counted(recipe, light_angle_deg, _optics):
         predicted.append(recipe.surface.decides)
         return expectation(recipe, light_angle_deg)
 

@@ -3,7 +3,7 @@
 import pytest
 
 from anisoscope.base.progress import silent
-from anisoscope.diagnosis.discriminating_poses import Option
+from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, Option
 from anisoscope.diagnosis.signatures import signatures
 from anisoscope.inspection import recipe_check as recipecheck
 from anisoscope.inspection.recipe_check import check_recipe
@@ -16,7 +16,7 @@ def few_causes(monkeypatch):
     monkeypatch.setattr(
         recipecheck,
         "remembered_signatures",
-        lambda recipe, angle, advance: signatures(recipe, angle, advance, CAUSES),
+        lambda recipe, angle, advance, _: signatures(recipe, angle, advance, CAUSES),
     )
 
 
@@ -66,11 +66,11 @@ def test_a_second_lamp_is_named_by_what_no_nearer_one_tells(make_recipe, monkeyp
     )
     asked = []
 
-    def options(_recipe, _angle, names, _advance):
+    def options(_recipe, _angle, names, _advance, _causes):
         asked.append(names)
         return known
 
     monkeypatch.setattr(recipecheck, "remembered_options", options)
-    found = recipecheck.second_lamps_for(make_recipe(), 0.0, [pair, back, third], silent)
+    found = recipecheck.second_lamps_for(make_recipe(), 0.0, [pair, back, third], silent, PLASTIC_CAUSES)
     assert [(one.says, one.tells_apart) for one in found] == [("near", (pair,)), ("far", (back,))]
     assert asked == [["a", "b", "c"]]

@@ -20,7 +20,7 @@ def made(monkeypatch, tmp_path):
     forget()
     found = []
 
-    def noted(recipe, light_angle_deg):
+    def noted(recipe, light_angle_deg, _optics):
         found.append(light_angle_deg)
         return expectation(recipe, light_angle_deg)
 

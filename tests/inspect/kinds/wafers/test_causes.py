@@ -1,5 +1,7 @@
 """Causes on wafers: what they would change, from which size they show, what is told apart; before any part is there."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import tomli_w
@@ -8,9 +10,10 @@ from anisoscope.base.cache import VARIABLE
 from anisoscope.cli.demo import wafers as demo_wafer
 from anisoscope.diagnosis.separability import planned_covariance, separability
 from anisoscope.diagnosis.signature_cache import remembered_signatures
-from anisoscope.diagnosis.signatures import signatures
-from anisoscope.diagnosis.wafers import wafer_causes
-from anisoscope.inspection.recipe_file import read_recipe
+from anisoscope.kinds.wafers.causes import wafer_causes, wafer_signatures
+from anisoscope.kinds.wafers.discriminating_poses import WAFER_CAUSES
+from anisoscope.kinds.wafers.optics import WAFERS
+from anisoscope.kinds.wafers.recipe import read_wafer_recipe
 from anisoscope.prediction.expectation import expectation
 
 TILE_UM = 256.0
@@ -25,13 +28,13 @@ def recipe(tmp_path_factory):
             patch.setattr(demo_wafer, name, value)
         demo_wafer.write_tile(folder, np.random.default_rng(2))
         (folder / "recipe.toml").write_text(tomli_w.dumps(demo_wafer.recipe()))
-    return read_recipe(folder / "recipe.toml")
+    return read_wafer_recipe(folder / "recipe.toml")
 
 
 @pytest.fixture(scope="module")
 def known(recipe):
     """All signatures."""
-    return signatures(recipe, 0.0)
+    return wafer_signatures(recipe, 0.0)
 
 
 def by_name(known):
@@ -68,7 +71,7 @@ def test_too_wide_turns_the_contrast_as_too_deep_does_not(known):
 
 
 def test_what_shows_and_what_is_told_apart(recipe, known):
-    expected = expectation(recipe, 0.0)
+    expected = expectation(recipe, 0.0, WAFERS)
     rows = {
         row.cause: row for row in separability(known, planned_covariance(recipe, expected), with_map=False)
     }
@@ -82,19 +85,17 @@ def test_what_shows_and_what_is_told_apart(recipe, known):
 def test_signatures_of_wafers_are_kept_and_belong_to_their_light(recipe, tmp_path, monkeypatch):
     monkeypatch.setenv(VARIABLE, str(tmp_path))
     names = ("over-etch", "scatter")
-    monkeypatch.setattr(
-        "anisoscope.diagnosis.signature_cache.signatures",
-        lambda recipe, angle, advance: signatures(recipe, angle, advance, names),
+    few = replace(
+        WAFER_CAUSES,
+        signatures=lambda recipe, angle, advance, _: wafer_signatures(recipe, angle, advance, names),
     )
-    first = remembered_signatures(recipe, 0.0)
-    monkeypatch.setattr(
-        "anisoscope.diagnosis.signature_cache.signatures", lambda *_: pytest.fail("computed again")
-    )
-    again = remembered_signatures(recipe, 0.0)
+    first = remembered_signatures(recipe, 0.0, causes=few)
+    none = replace(WAFER_CAUSES, signatures=lambda *_: pytest.fail("computed again"))
+    again = remembered_signatures(recipe, 0.0, causes=none)
     for one, other in zip(first.found, again.found, strict=True):
         assert (one.cause.name, one.cause.extents) == (other.cause.name, other.cause.extents)
         assert np.array_equal(one.change, other.change)
     assert recipe.light is not None
     other_light = recipe.light.model_copy(update={"wavelength_nm": 530.0})
     with pytest.raises(pytest.fail.Exception, match="computed again"):
-        remembered_signatures(recipe.model_copy(update={"light": other_light}), 0.0)
+        remembered_signatures(recipe.model_copy(update={"light": other_light}), 0.0, causes=none)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import HeightMapError, RecipeError
-from anisoscope.prediction.etched import EtchedPredictor, WaferLight, tile_of
+from anisoscope.kinds.wafers.etched import EtchedPredictor, WaferLight, tile_of
 from anisoscope.profiles.etching import Etched
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.sim.light.geometry import Convention, directions, pose_grid

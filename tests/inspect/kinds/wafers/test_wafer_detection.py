@@ -16,7 +16,8 @@ import tomli_w
 
 from anisoscope.cli.demo import wafers as demo_wafer
 from anisoscope.decision.consistency_test import from_prediction
-from anisoscope.inspection.recipe_file import read_recipe
+from anisoscope.kinds.wafers.optics import WAFERS
+from anisoscope.kinds.wafers.recipe import read_wafer_recipe
 from anisoscope.prediction.expectation import Component, expectation
 from anisoscope.sim.bench.wafer import build_wafer
 from anisoscope.sim.bench.waferpart import WaferPart
@@ -67,8 +68,8 @@ class World:
         demo_wafer.write_tile(folder, self.rng)
         (folder / "recipe.toml").write_text(tomli_w.dumps(demo_wafer.recipe()))
         self.file = folder / "wafer.npz"
-        self.recipe = read_recipe(folder / "recipe.toml")
-        self.expected = expectation(self.recipe, 0.0)
+        self.recipe = read_wafer_recipe(folder / "recipe.toml")
+        self.expected = expectation(self.recipe, 0.0, WAFERS)
 
     def p_value(self, **wrong):
         """Of one part."""

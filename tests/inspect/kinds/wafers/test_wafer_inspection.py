@@ -17,6 +17,7 @@ from anisoscope.inspection.integrity import verify
 from anisoscope.inspection.recipe_file import read_recipe
 from anisoscope.inspection.recompute import recompute
 from anisoscope.inspection.run import inspect_part
+from anisoscope.kinds.wafers.optics import WAFERS
 from anisoscope.prediction.cache import kept_expectation
 from anisoscope.record.schema import RECORD_NAME, UNSEALED
 from anisoscope.report.inspection_page import REPORT_NAME
@@ -184,6 +185,6 @@ def test_a_wafer_computes_again_to_the_same_numbers_and_every_change_shows(inspe
 
 def test_the_prediction_of_a_wafer_is_kept(wafers, monkeypatch):
     recipe = read_recipe(wafers / "recipe.toml")
-    first = kept_expectation(recipe, 0.0)
+    first = kept_expectation(recipe, 0.0, WAFERS)
     monkeypatch.setattr("anisoscope.prediction.cache.expectation", lambda *_: pytest.fail("predicted again"))
-    assert kept_expectation(recipe, 0.0) is first
+    assert kept_expectation(recipe, 0.0, WAFERS) is first

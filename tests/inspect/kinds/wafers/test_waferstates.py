@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
+from anisoscope.kinds.wafers.etched import WaferLight
+from anisoscope.kinds.wafers.lighting import recipe_wafer, wafer_light
+from anisoscope.kinds.wafers.optics import WAFERS
 from anisoscope.kinds.wafers.recipe import WaferRecipe
-from anisoscope.prediction.etched import WaferLight
 from anisoscope.prediction.expectation import SECOND_ORDER, expectation
 from anisoscope.prediction.profile_likelihood import FARTHEST, nearest_anywhere
-from anisoscope.prediction.recipe_models import recipe_wafer, wafer_light
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_rotation
@@ -43,7 +44,7 @@ def recipe(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def expected(recipe):
-    return expectation(recipe, 0.0)
+    return expectation(recipe, 0.0, WAFERS)
 
 
 def moved(states, **z):

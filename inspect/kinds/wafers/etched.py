@@ -13,6 +13,7 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError, RecipeError
+from anisoscope.prediction.recipe_models import line_spectrum
 from anisoscope.prediction.wave import window_of
 from anisoscope.profiles.etching import Etched
 from anisoscope.profiles.heightmap import HeightMap
@@ -51,13 +52,6 @@ class WaferLight:
     def optics(self) -> Optics:
         """Sizes of lamp and lens."""
         return Optics(self.lamp_half_angle_deg, self.aperture_half_angle_deg)
-
-
-def line_spectrum(wavelength_nm: float, bandwidth_nm: float) -> LightSpectrum:
-    """A lamp's spectrum; one line for a width of 0."""
-    if bandwidth_nm == 0.0:
-        return LightSpectrum((1e-3 * wavelength_nm,))
-    return LightSpectrum.led(wavelength_nm, bandwidth_nm, count=3)
 
 
 @dataclass(frozen=True, eq=False)

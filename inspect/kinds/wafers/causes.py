@@ -6,7 +6,7 @@ for, as these are not looked for on plastics.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,8 +14,9 @@ from anisoscope.base.errors import AnisoscopeError, ModelError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.diagnosis.causes import Cause, all_causes
 from anisoscope.diagnosis.signatures import Signature, Signatures
-from anisoscope.prediction.etched import EtchedPredictor
-from anisoscope.prediction.recipe_models import moved_light, recipe_wafer
+from anisoscope.kinds.wafers.etched import EtchedPredictor
+from anisoscope.kinds.wafers.lighting import recipe_wafer
+from anisoscope.kinds.wafers.recipe import of_wafer
 from anisoscope.prediction.sensitivity import State, evaluate, fixed
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.recipe.surface import SurfaceRecipe
@@ -113,12 +114,12 @@ def wafer_signatures(
     advance: Advance = silent,
     names: Sequence[str] | None = None,
 ) -> Signatures:
-    """Compute what every cause would change; arguments as for `signatures.signatures`.
+    """Compute what every cause would change; arguments as for `diagnosis.signatures.signatures`.
 
     Raises:
         HeightMapError, RecipeError: the recipe's tile cannot be read or used.
     """
-    wafer, surface = recipe_wafer(recipe, light_angle_deg)
+    wafer, surface = recipe_wafer(of_wafer(recipe), light_angle_deg)
     poses = recipe.poses.poses()
     convention = Convention(light_angle_deg, facet_azimuth_deg=recipe.poses.facet_azimuth_deg)
     state = State(recipe.material.material(), light_angle_deg)
@@ -140,89 +141,3 @@ def wafer_signatures(
         found.append(Signature(cause, np.array(extents), np.array(changes), np.zeros(len(extents))))
     advance("signatures", len(causes), len(causes))
     return Signatures(poses, good, 0.0, tuple(found), tuple(left_out))
-
-
-Made = tuple[EtchedPredictor, State]
-SQUARE = float(np.sqrt(2.0))
-"""Standard deviation of the square of a normal z."""
-SQUARE_OF_ETCHING = float(np.sqrt(3.0))
-"""Its root mean square, which counts where a slope may vanish, as in the budget."""
-
-
-@dataclass(frozen=True, eq=False)
-class Moved:
-    """One uncertain input.
-
-    Attributes:
-        source: its name.
-        low: the wafer and its state one standard uncertainty below.
-        high: above.
-        square: what counts of the square of the input.
-        of_lamp: every lamp has an error of its own.
-    """
-
-    source: str
-    low: Made
-    high: Made
-    square: float = SQUARE
-    of_lamp: bool = False
-
-
-def moved_inputs(recipe: SurfaceRecipe, wafer: EtchedPredictor, state: State) -> tuple[Moved, ...]:
-    """All inputs that the recipe states as uncertain.
-
-    Args:
-        recipe: of a wafer.
-        wafer: its predictor.
-        state: its nominal state.
-    """
-    assert recipe.light is not None
-    told, part = recipe.uncertainty, recipe.material
-    moves: list[tuple[str, float, Callable[[float], Made], float]] = [
-        (
-            "depth of the etch passes",
-            told.etch_depth_nm,
-            lambda u: (wafer.with_depths(u), state),
-            SQUARE_OF_ETCHING,
-        ),
-        (
-            "width of the etched features",
-            told.etch_width_nm,
-            lambda u: (wafer.with_widths(u), state),
-            SQUARE_OF_ETCHING,
-        ),
-        (
-            "share of scattered light",
-            part.u_albedo,
-            lambda u: (wafer, _scattering_wafermoves(state, u)),
-            SQUARE,
-        ),
-        (
-            "seating tilt about x",
-            told.seating_tilt_deg,
-            lambda u: (wafer, replace(state, seating_deg=(u, 0.0))),
-            SQUARE,
-        ),
-        (
-            "seating tilt about y",
-            told.seating_tilt_deg,
-            lambda u: (wafer, replace(state, seating_deg=(0.0, u))),
-            SQUARE,
-        ),
-        ("zero of the tilt", told.tilt_deg, lambda u: (wafer, replace(state, tilt_deg=u)), SQUARE),
-        ("light angle", told.light_angle_deg, lambda u: (wafer, _lit(state, u)), SQUARE),
-    ]
-    found = [Moved(name, make(-u), make(u), square) for name, u, make, square in moves if u > 0.0]
-    for name, low, high in moved_light(recipe.light, wafer.light):
-        of_lamp = name != "aperture of the lens"
-        found.append(Moved(name, (wafer.under(low), state), (wafer.under(high), state), of_lamp=of_lamp))
-    return tuple(found)
-
-
-def _scattering_wafermoves(state: State, more: float) -> State:
-    albedo = min(max(state.material.albedo + more, 0.0), 1.0)
-    return replace(state, material=replace(state.material, albedo=albedo))
-
-
-def _lit(state: State, more: float) -> State:
-    return replace(state, light_angle_deg=state.light_angle_deg + more)

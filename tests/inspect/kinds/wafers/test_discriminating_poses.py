@@ -1,24 +1,24 @@
 """What would tell causes of a wafer apart: against closed forms, and against the recipe's own separability."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import tomli_w
 
 from anisoscope.base.cache import VARIABLE
+from anisoscope.base.progress import silent
 from anisoscope.cli.demo import wafers as demo_wafer
 from anisoscope.diagnosis import discriminating_poses as advice
-from anisoscope.diagnosis import discriminating_poses as telling
-from anisoscope.diagnosis.discriminating_poses import (
-    Option,
-    advice_for,
-    remembered_options,
-    second_lamps,
-    wafer_options,
-)
+from anisoscope.diagnosis.cause_model import Option
+from anisoscope.diagnosis.discriminating_poses import advice_for, remembered_options
 from anisoscope.diagnosis.ranking import Diagnosis
 from anisoscope.diagnosis.separability import planned_covariance, separability
-from anisoscope.diagnosis.signatures import signatures
-from anisoscope.inspection.recipe_file import read_recipe
+from anisoscope.kinds.wafers import discriminating_poses as telling
+from anisoscope.kinds.wafers.causes import wafer_signatures
+from anisoscope.kinds.wafers.discriminating_poses import WAFER_CAUSES, second_lamps, wafer_options
+from anisoscope.kinds.wafers.optics import WAFERS
+from anisoscope.kinds.wafers.recipe import read_wafer_recipe
 from anisoscope.prediction.expectation import expectation
 from anisoscope.record.schema import CauseRecord
 
@@ -34,7 +34,7 @@ def recipe(tmp_path_factory):
             patch.setattr(demo_wafer, name, value)
         demo_wafer.write_tile(folder, np.random.default_rng(2))
         (folder / "recipe.toml").write_text(tomli_w.dumps(demo_wafer.recipe()))
-    return read_recipe(folder / "recipe.toml")
+    return read_wafer_recipe(folder / "recipe.toml")
 
 
 @pytest.fixture(scope="module")
@@ -63,8 +63,8 @@ def test_a_tilt_tells_as_the_recipe_with_that_tilt_does(recipe, options):
     tilted = recipe.model_copy(
         update={"poses": recipe.poses.model_copy(update={"tilts_deg": (0.0, 3.0, 20.0)})}
     )
-    known = signatures(tilted, 0.0, names=DEPTHS)
-    covariance = planned_covariance(tilted, expectation(tilted, 0.0))
+    known = wafer_signatures(tilted, 0.0, names=DEPTHS)
+    covariance = planned_covariance(tilted, expectation(tilted, 0.0, WAFERS))
     rows = {row.cause: row for row in separability(known, covariance, with_map=False)}
     (option,) = (one for one in of_kind(options, "tilt") if "20°" in one.says)
     for cause, other in (DEPTHS, DEPTHS[::-1]):
@@ -109,22 +109,29 @@ def test_the_advice_names_the_first_of_every_kind_that_tells_both_ways(recipe, m
         Option("lamp", "a far lamp", told(b=2.0, c=None)),
     )
     monkeypatch.setattr(advice, "remembered_options", lambda *_: known)
-    words = advice_for(recipe, 0.0, tie(("a", 5.0), ("b", 5.0)))
+    words = advice_for(recipe, 0.0, tie(("a", 5.0), ("b", 5.0)), causes=WAFER_CAUSES)
     assert words == "a large tilt, or a near lamp"
-    assert advice_for(recipe, 0.0, tie(("a", 9.0), ("b", -9.0))) == "a small tilt, or a near lamp"
-    both = advice_for(recipe, 0.0, tie(("a", 5.0), ("b", 5.0), ("c", 5.0)))
+    assert (
+        advice_for(recipe, 0.0, tie(("a", 9.0), ("b", -9.0)), causes=WAFER_CAUSES)
+        == "a small tilt, or a near lamp"
+    )
+    both = advice_for(recipe, 0.0, tie(("a", 5.0), ("b", 5.0), ("c", 5.0)), causes=WAFER_CAUSES)
     assert both.startswith(
         "b: a large tilt, or a near lamp; c: nothing that was tried (more angles, a small tilt, "
     )
     for small in (("a", 1.0), ("b", 5.0)), (("a", 5.0), ("b", 1.0)):
-        assert advice_for(recipe, 0.0, tie(*small)).endswith("at this size optics cannot")
+        assert advice_for(recipe, 0.0, tie(*small), causes=WAFER_CAUSES).endswith(
+            "at this size optics cannot"
+        )
 
 
 def test_there_is_nothing_to_advise_without_a_tie_or_an_explanation(recipe, make_recipe, monkeypatch):
     monkeypatch.setattr(advice, "remembered_options", lambda *_: pytest.fail("was computed"))
-    assert advice_for(recipe, 0.0, tie(("a", 5.0))) is None
-    assert advice_for(recipe, 0.0, tie(("a", 5.0), ("nothing", 0.0))) is None
-    assert advice_for(recipe, 0.0, tie(("a", 5.0), ("b", 5.0), unexplained_p=1e-5)) is None
+    assert advice_for(recipe, 0.0, tie(("a", 5.0)), causes=WAFER_CAUSES) is None
+    assert advice_for(recipe, 0.0, tie(("a", 5.0), ("nothing", 0.0)), causes=WAFER_CAUSES) is None
+    assert (
+        advice_for(recipe, 0.0, tie(("a", 5.0), ("b", 5.0), unexplained_p=1e-5), causes=WAFER_CAUSES) is None
+    )
     assert advice_for(make_recipe(), 10.0, tie(("a", 5.0), ("b", 5.0))) is None
 
 
@@ -136,18 +143,18 @@ def test_options_are_kept_and_belong_to_their_recipe(recipe, options, tmp_path, 
         asked.append(arguments)
         return options
 
-    monkeypatch.setattr(advice, "wafer_options", computed)
-    assert remembered_options(recipe, 0.0, DEPTHS) == options
-    assert remembered_options(recipe, 0.0, DEPTHS[::-1]) == options
+    causes = replace(WAFER_CAUSES, options=computed)
+    assert remembered_options(recipe, 0.0, DEPTHS, silent, causes) == options
+    assert remembered_options(recipe, 0.0, DEPTHS[::-1], silent, causes) == options
     assert len(asked) == 1
     other = recipe.uncertainty.model_copy(update={"etch_depth_nm": 2.0})
-    remembered_options(recipe.model_copy(update={"uncertainty": other}), 0.0, DEPTHS)
-    remembered_options(recipe, 0.0, ("over-etch", "scatter"))
+    remembered_options(recipe.model_copy(update={"uncertainty": other}), 0.0, DEPTHS, silent, causes)
+    remembered_options(recipe, 0.0, ("over-etch", "scatter"), silent, causes)
     assert len(asked) == 3
-    (kept, *_) = (tmp_path / "options").iterdir()
+    (kept, *_) = (tmp_path / "advice").iterdir()
     kept.write_text("[")
     for names in (DEPTHS, ("over-etch", "scatter")):
-        assert remembered_options(recipe, 0.0, names) == options
+        assert remembered_options(recipe, 0.0, names, silent, causes) == options
 
 
 def test_every_cause_of_a_wafer_can_be_asked_for(recipe, monkeypatch):

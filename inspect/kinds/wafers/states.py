@@ -12,14 +12,16 @@ from functools import cached_property
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.prediction.etched import EtchedPredictor
+from anisoscope.kinds.wafers.etched import EtchedPredictor
+from anisoscope.kinds.wafers.lighting import light_steps, recipe_wafer
+from anisoscope.kinds.wafers.recipe import WaferRecipe
 from anisoscope.prediction.profile_likelihood import FARTHEST
-from anisoscope.prediction.recipe_models import light_steps, recipe_wafer
 from anisoscope.prediction.sensitivity import State, evaluate, fixed
-from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.sim.light.geometry import Convention
 
 DEPTH, WIDTH = "depth of the etch passes", "width of the etched features"
+SCATTER = "share of scattered light"
+"""What takes the place of a plastic's albedo."""
 BEYOND = ", beyond the slope"
 _STEP = 0.02  # u, of a derivative
 _WIDTHS = 2.0  # u, between the widths that are drawn
@@ -40,14 +42,14 @@ _Mover = Callable[[_Inputs, float], _Inputs]
 
 @dataclass(frozen=True, eq=False)
 class WaferStates:
-    """Change of ln L of the poses with everything that is uncertain; a `neareststate.Curve`.
+    """Change of ln L of the poses with everything that is uncertain; `profile_likelihood.States`.
 
     Attributes:
         recipe: with the poses that decide.
         light_angle_deg: of the rig.
     """
 
-    recipe: SurfaceRecipe
+    recipe: WaferRecipe
     light_angle_deg: float
 
     @property
@@ -114,7 +116,7 @@ class WaferStates:
         if told.etch_depth_nm > 0.0:
             found[DEPTH] = self._deepened
         if material.u_albedo > 0.0:
-            found["albedo of the plastic"] = self._scattering
+            found[SCATTER] = self._scattering
         if told.light_angle_deg > 0.0:
             found["light angle"] = self._lit
         if told.seating_tilt_deg > 0.0:

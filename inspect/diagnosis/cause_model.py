@@ -1,0 +1,56 @@
+"""What may be wrong with parts of one kind: the causes, what each would change, and what would tell them apart."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from anisoscope.base.progress import Advance
+from anisoscope.diagnosis.causes import Cause, all_causes
+from anisoscope.diagnosis.signatures import Signatures, signatures
+from anisoscope.recipe.surface import SurfaceRecipe
+
+
+@dataclass(frozen=True)
+class Option:
+    """Something that could be looked at besides.
+
+    Attributes:
+        kind: "angles", "tilt" or "lamp".
+        says: what it is, in words.
+        told_from: by cause and other cause, the least extent at which it tells the one from all of the other, or None.
+    """
+
+    kind: str
+    says: str
+    told_from: dict[str, dict[str, float | None]]
+
+    def tells(self, one: tuple[str, float], other: tuple[str, float]) -> bool:
+        """Are two causes of these names and extents told apart, whichever it is?"""
+        return self._tells(one, other[0]) and self._tells(other, one[0])
+
+    def _tells(self, cause: tuple[str, float], other: str) -> bool:
+        least = self.told_from.get(cause[0], {}).get(other)
+        return least is not None and abs(least) <= abs(cause[1])
+
+
+@dataclass(frozen=True)
+class CauseModel:
+    """The causes of one kind of part, as its model predicts them.
+
+    Attributes:
+        causes: every cause that is looked for on the part of a recipe.
+        signatures: what they change, by recipe, the rig's light angle, progress, and names of causes (None: all).
+        options: what would tell causes of these names apart, by recipe, light angle, names, and progress; None where
+            that is not computed.
+    """
+
+    causes: Callable[[SurfaceRecipe], tuple[Cause, ...]]
+    signatures: Callable[[SurfaceRecipe, float, Advance, Sequence[str] | None], Signatures]
+    options: Callable[[SurfaceRecipe, float, Sequence[str], Advance], tuple[Option, ...]] | None = None
+
+
+def _of_plastic(recipe: SurfaceRecipe) -> tuple[Cause, ...]:
+    design = recipe.surface.design
+    return all_causes(None if design is None else design.ridge_angle_deg)
+
+
+PLASTIC_CAUSES = CauseModel(_of_plastic, signatures)
