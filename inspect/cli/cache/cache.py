@@ -1,7 +1,5 @@
 """``anisoscope cache``: results on disk that can be computed again."""
 
-import json
-import sys
 import time
 from collections.abc import Sequence
 from itertools import groupby
@@ -10,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import App, Parameter
 
 from anisoscope.cli.console import console, print_table
+from anisoscope.cli.json_output import print_json
 
 if TYPE_CHECKING:
     from anisoscope.base.cache import Stored
@@ -28,7 +27,7 @@ def info(*, json_: Json = False) -> int:
     size = sum(one.size for one in entries)
     if json_:
         kinds = [{"kind": kind, **_numbers(rows)} for kind, rows in _by_kind(entries)]
-        _print_json({"folder": str(folder), "limit_bytes": limit, **_numbers(entries), "kinds": kinds})
+        print_json({"folder": str(folder), "limit_bytes": limit, **_numbers(entries), "kinds": kinds})
         return 0
     _write_line(f"{folder}: {len(entries)} entries, {_megabytes(size)} of {_megabytes(limit)}")
     if entries:
@@ -47,7 +46,7 @@ def clear(*, json_: Json = False) -> int:
     left = len(Cache().stored())
     if json_:
         kinds = [{"kind": kind, **_numbers(rows)} for kind, rows in _by_kind(gone)]
-        _print_json({"folder": str(folder), "removed": _numbers(gone), "kinds": kinds, "left": left})
+        print_json({"folder": str(folder), "removed": _numbers(gone), "kinds": kinds, "left": left})
         return 0
     for kind, rows in _by_kind(gone):
         _write_line(f"removed {len(rows)} {kind}, {_megabytes(sum(one.size for one in rows))}")
@@ -94,11 +93,6 @@ def _age(seconds: float) -> str:
         if seconds >= 2.0 * length:
             return f"{seconds / length:.0f} {unit}"
     return f"{seconds:.0f} s"
-
-
-def _print_json(content: object) -> None:
-    json.dump(content, sys.stdout, indent=2, allow_nan=False)
-    sys.stdout.write("\n")
 
 
 def _write_line(text: str) -> None:

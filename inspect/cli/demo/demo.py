@@ -1,7 +1,5 @@
 """``anisoscope demo``: the whole job on a virtual rig, with good and defective parts."""
 
-import json
-import sys
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, cast
@@ -11,6 +9,7 @@ from cyclopts import Parameter
 from anisoscope.base.progress import Advance
 from anisoscope.cli.console import console, print_table, progress
 from anisoscope.cli.inspect.history_entry import remember
+from anisoscope.cli.json_output import print_json
 
 if TYPE_CHECKING:
     from anisoscope.inspection.run import Inspected
@@ -69,8 +68,7 @@ def demo(
     ]
     right = all(part["verdict"] == part["expected"] for part in parts)
     if json_:
-        json.dump({"parts": parts}, sys.stdout, indent=2)
-        sys.stdout.write("\n")
+        print_json({"parts": parts})
     else:
         _print(parts, found, right)
     return 0 if right else 1

@@ -10,7 +10,8 @@ from cyclopts import App, Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.console import parse_numbers, print_table
-from anisoscope.cli.design.output import check_seed, design_json, figure_rows, print_json, width_rows
+from anisoscope.cli.design.output import check_seed, design_json, figure_rows, width_rows
+from anisoscope.cli.json_output import print_json
 
 if TYPE_CHECKING:
     from anisoscope.sim.design.depths import Depths
@@ -256,7 +257,10 @@ def depths(
         "band_nm": list(found.band_nm), "epsilon": found.epsilon, "worst_nm": found.worst_nm,
         "spike_over_lobe": spike,
     }  # fmt: skip
-    return print_json(result) if json_ else _print_depths(found, spike, coherence, width)
+    if json_:
+        print_json(result)
+        return 0
+    return _print_depths(found, spike, coherence, width)
 
 
 def _design_file(
@@ -296,7 +300,8 @@ def _deliver(
 
         write_design_report(design, html, axes, warnings)
     if as_json:
-        return print_json(design_json(design) | {"warnings": list(warnings)})
+        print_json(design_json(design) | {"warnings": list(warnings)})
+        return 0
     print_table(design.name, ["quantity", "value", "unit"], [list(row) for row in figure_rows(design)])
     rows = width_rows(design)
     if rows:

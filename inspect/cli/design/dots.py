@@ -8,7 +8,8 @@ from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.console import parse_numbers, print_table, progress
-from anisoscope.cli.design.output import check_seed, print_json
+from anisoscope.cli.design.output import check_seed
+from anisoscope.cli.json_output import print_json
 
 if TYPE_CHECKING:
     import numpy as np
@@ -88,13 +89,14 @@ def refine(
 
         write_refined_report(chosen, layout, found, html)
     if json_:
-        return print_json(
+        print_json(
             {
                 "design": chosen.name, "error": found.error, "start_error": found.start_error,
                 "generations": found.generations, "stopped": found.stopped, "method": method, "seed": seed,
                 "seconds": found.history[-1][0], "dot_um": side, "history": [list(one) for one in found.history],
             }
         )  # fmt: skip
+        return 0
     print_table(
         f"dot of {chosen.name}",
         ["quantity", "value", "unit"],
@@ -171,7 +173,7 @@ def pattern(
     counts = np.bincount(layout.classes.ravel(), minlength=len(designs))
     rows, cols = layout.index.shape
     if json_:
-        return print_json(
+        print_json(
             {
                 "rows": rows, "cols": cols, "dot_um": layout.dot_um, "size_mm": [1e-3 * s for s in layout.size_um],
                 "tiles": len(layout.tiles), "depths_nm": list(layout.passes_nm), "seed": seed,
@@ -180,6 +182,7 @@ def pattern(
                 ],
             }
         )  # fmt: skip
+        return 0
     high, wide = (1e-3 * side for side in layout.size_um)
     print_table(
         f"{cols} × {rows} dots of {layout.dot_um:g} µm, {wide:.2f} × {high:.2f} mm, {len(layout.tiles)} tiles",

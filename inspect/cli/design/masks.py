@@ -9,7 +9,8 @@ from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.console import parse_numbers, print_table
-from anisoscope.cli.design.output import check_seed, print_json
+from anisoscope.cli.design.output import check_seed
+from anisoscope.cli.json_output import print_json
 
 if TYPE_CHECKING:
     from anisoscope.profiles.heightmap import HeightMap
@@ -44,9 +45,8 @@ def mask(
     high, wide = (1e-3 * side for side in found.size_um)
     layers = {str(FIRST_LAYER + n): depth for n, depth in enumerate(found.passes_nm)}
     if json_:
-        return print_json(
-            {**counts, "layers_nm": layers, "size_mm": [high, wide], "bytes": out.stat().st_size}
-        )
+        print_json({**counts, "layers_nm": layers, "size_mm": [high, wide], "bytes": out.stat().st_size})
+        return 0
     print_table(
         out.name,
         ["quantity", "value", "unit"],
@@ -162,7 +162,8 @@ def _stream(layout: "Layout", out: Path, *, as_json: bool) -> int:
         raise UsageError(f"{out}: cannot be written ({error.strerror}); check folder and space") from None
     result = {"file": str(out), "rows": rows, "cols": cols, "pixel_um": layout.grid_um}
     if as_json:
-        return print_json(result)
+        print_json(result)
+        return 0
     sys.stdout.write(
         f"written: {out}, {rows} × {cols} heights in µm, pixel {layout.grid_um:g} µm (--pixel)\n"
     )

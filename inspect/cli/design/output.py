@@ -1,7 +1,5 @@
 """What ``anisoscope design`` prints and writes."""
 
-import json
-import sys
 from typing import TYPE_CHECKING, Any
 
 from anisoscope.base.errors import UsageError
@@ -38,12 +36,6 @@ def check_seed(seed: int) -> None:
     """
     if seed < 0:
         raise UsageError(f"--seed must be 0 or a positive whole number, not {seed}")
-
-
-def print_json(result: dict[str, Any]) -> int:
-    """Print a result as JSON."""
-    sys.stdout.write(json.dumps(result, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
-    return 0
 
 
 def design_json(design: "DesignFile") -> dict[str, Any]:

@@ -7,11 +7,11 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from anisoscope.cli.console import console, print_table
+from anisoscope.cli.json_output import print_json
 
 if TYPE_CHECKING:
     from anisoscope.experiment.experiment import Experiment, Findings, Mean, Setup
     from anisoscope.experiment.findings_map import FindingsMap
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -270,7 +270,7 @@ def ridges(
     )
     result = run_experiment(setup, None if measured is None else read_measured(measured))
     if json_:
-        _print_json(experiment_as_json(result))
+        print_json(experiment_as_json(result))
     elif csv_:
         print_csv(result)
     elif html is not None:
@@ -333,7 +333,7 @@ def findings(
         for plane in ("perpendicular", "in-plane")
     ]
     if json_:
-        _print_json(maps_as_json(maps))
+        print_json(maps_as_json(maps))
     elif html is not None or svg is not None:
         _write_maps(maps, html, svg)
     else:
@@ -350,11 +350,6 @@ def _at_most_one(given: dict[str, bool]) -> None:
 def _check_finite(facet_azimuth: float) -> None:
     if not math.isfinite(facet_azimuth):
         raise UsageError(f"--facet-azimuth takes a finite number, not {facet_azimuth}")
-
-
-def _print_json(table: dict[str, Any]) -> None:
-    json.dump(table, sys.stdout, indent=2, allow_nan=False)
-    sys.stdout.write("\n")
 
 
 def _write_maps(maps: "list[FindingsMap]", html: Path | None, svg: Path | None) -> None:

@@ -1,11 +1,10 @@
 """``anisoscope fit``: parameters of the models from measured exposures, contrasts and BRDF tables."""
 
-import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from anisoscope.cli.console import console, print_table
+from anisoscope.cli.json_output import print_json
 
 if TYPE_CHECKING:
     from anisoscope.fit.brdf import BrdfTable, Reciprocity
@@ -37,8 +36,7 @@ def show(
         found = fit_as_json(fitted)
         rows = _rows(fitted, brdf)
         found |= {} if brdf is None else _brdf_as_json(*brdf)
-        json.dump(found | {"rows": rows}, sys.stdout, indent=2, allow_nan=False)
-        sys.stdout.write("\n")
+        print_json(found | {"rows": rows})
     elif html is not None:
         from anisoscope.report.fit_page import write_fit_page
 

@@ -1,13 +1,12 @@
 """``anisoscope history``, ``show``, ``compare``, ``export``: what has been inspected, and what became of it."""
 
-import json
-import sys
 import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from anisoscope.cli.console import console, print_table
+from anisoscope.cli.json_output import print_json
 
 if TYPE_CHECKING:
     from datetime import datetime
@@ -46,11 +45,6 @@ def write_line(text: str) -> None:
     console().print(plain(text), markup=False, highlight=False, soft_wrap=True)
 
 
-def _print_json(content: object) -> None:
-    json.dump(content, sys.stdout, indent=2, allow_nan=False)
-    sys.stdout.write("\n")
-
-
 def _local(moment: "datetime") -> str:
     return moment.astimezone().strftime("%Y-%m-%d %H:%M:%S")
 
@@ -63,7 +57,7 @@ def print_history(
 
     if json_:
         listed = [as_json(row, decided.get(row.id, ())) for row in rows]
-        _print_json({"total": total, "inspections": listed})
+        print_json({"total": total, "inspections": listed})
         return
     if not rows:
         write_line("no inspections")
@@ -106,7 +100,7 @@ def _cells(row: "Row", optional: Sequence[str], decided: "Sequence[Disposition]"
 def print_added(added: "Added", where: str, *, json_: bool) -> None:
     """What became of folders that were added."""
     if json_:
-        _print_json({**asdict(added), "history": where})
+        print_json({**asdict(added), "history": where})
         return
     for line in added.refused:
         write_line(f"not added: {line}")
@@ -116,7 +110,7 @@ def print_added(added: "Added", where: str, *, json_: bool) -> None:
 def print_disposed(row: "Row", disposition: "Disposition", *, json_: bool) -> None:
     """A decision that was written down."""
     if json_:
-        _print_json({**asdict(disposition), "created_at": disposition.created_at.isoformat()})
+        print_json({**asdict(disposition), "created_at": disposition.created_at.isoformat()})
     else:
         write_line(
             f"inspection {row.id} of {row.serial}, {row.verdict}: {disposition.decision} by {disposition.reviewer}"
@@ -126,7 +120,7 @@ def print_disposed(row: "Row", disposition: "Disposition", *, json_: bool) -> No
 def print_verified(damage: Sequence[str], count: int, head: str, *, json_: bool) -> None:
     """Print the damage found in a history, and its head."""
     if json_:
-        _print_json({"intact": not damage, "inspections": count, "damage": list(damage), "head": head})
+        print_json({"intact": not damage, "inspections": count, "damage": list(damage), "head": head})
         return
     for line in damage:
         write_line(line)
@@ -141,7 +135,7 @@ def print_shown(row: "Row", decided: "Sequence[Disposition]", *, json_: bool) ->
 
     folder = _folder_state(row)
     if json_:
-        _print_json({**as_json(row, decided), "folder_state": folder})
+        print_json({**as_json(row, decided), "folder_state": folder})
         return
     console().print(f"[bold {COLORS.get(row.verdict, '')}]{plain(row.verdict)}[/]")
     for reason in row.reasons:
@@ -200,7 +194,7 @@ def _number_rows(numbers: Mapping[str, float]) -> list[list[str]]:
 def print_comparison(found: "Comparison", *, json_: bool) -> None:
     """Two inspections side by side."""
     if json_:
-        _print_json(_comparison_json(found))
+        print_json(_comparison_json(found))
         return
     names = [f"{row.serial} ({row.id})" for row in (found.first, found.second)]
     table = [["verdict", found.first.verdict, found.second.verdict, "", "", ""]]

@@ -9,7 +9,8 @@ from cyclopts import Parameter
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.console import print_table, progress
 from anisoscope.cli.ink.options import JsonOption, OverwriteOption, check_new, check_suffix
-from anisoscope.cli.ink.output import print_json, print_line
+from anisoscope.cli.ink.output import print_line
+from anisoscope.cli.json_output import print_json
 
 if TYPE_CHECKING:
     from anisoscope.ink.goniometer import Readings

@@ -8,7 +8,8 @@ from cyclopts import App, Parameter
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.console import parse_numbers
 from anisoscope.cli.ink.options import JsonOption, OverwriteOption, check_new, check_suffix
-from anisoscope.cli.ink.output import print_fit, print_json, print_line, print_show
+from anisoscope.cli.ink.output import print_fit, print_line, print_show
+from anisoscope.cli.json_output import print_json
 
 if TYPE_CHECKING:
     from anisoscope.ink.goniometer import White

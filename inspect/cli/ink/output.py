@@ -1,20 +1,12 @@
 """What ``anisoscope ink`` prints."""
 
-import json
-import sys
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from anisoscope.cli.console import console, print_table
 
 if TYPE_CHECKING:
     from anisoscope.ink.appearance import Show
     from anisoscope.ink.fitting import InkFit
-
-
-def print_json(content: dict[str, Any]) -> None:
-    """Plain data on standard output."""
-    json.dump(content, sys.stdout, indent=2, allow_nan=False)
-    sys.stdout.write("\n")
 
 
 def print_line(text: str) -> None:

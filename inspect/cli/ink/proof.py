@@ -19,7 +19,8 @@ from anisoscope.cli.ink.options import (
     percent,
     three_inks,
 )
-from anisoscope.cli.ink.output import print_json, print_line
+from anisoscope.cli.ink.output import print_line
+from anisoscope.cli.json_output import print_json
 
 if TYPE_CHECKING:
     import numpy as np

@@ -1,7 +1,5 @@
 """``anisoscope batch``: inspect the parts of a tray, one after the other."""
 
-import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -10,6 +8,7 @@ from cyclopts import Parameter
 from anisoscope.cli.inspect.batch_operator import Terminal, table_of
 from anisoscope.cli.inspect.history_entry import HistoryOption, history_place, remember
 from anisoscope.cli.inspect.lot_mates import lot_mates
+from anisoscope.cli.json_output import print_json
 
 if TYPE_CHECKING:
     from anisoscope.inspection.batch.journal import BatchFile
@@ -106,8 +105,7 @@ def _show(found: "BatchFile", folder: Path, page: Path, *, json_: bool) -> None:
             "folder": str(folder),
             "page": str(page),
         }
-        json.dump(content, sys.stdout, indent=2, allow_nan=False)
-        sys.stdout.write("\n")
+        print_json(content)
         return
     out = console()
     out.print(table_of(found))

@@ -1,7 +1,5 @@
 """``anisoscope code``: read the code on a part, from a picture or with the camera."""
 
-import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -9,6 +7,7 @@ from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.inspect.batch import CodeKind
+from anisoscope.cli.json_output import print_json
 
 if TYPE_CHECKING:
     from anisoscope.inspection.batch.codes import Code, Counts
@@ -39,8 +38,7 @@ def code(
     counts, where = _picture(picture, rig, recipe, exposure)
     found = read_codes(counts, code_kind)
     if json_:
-        json.dump({"codes": [_as_json(one) for one in found]}, sys.stdout, indent=2, allow_nan=False)
-        sys.stdout.write("\n")
+        print_json({"codes": [_as_json(one) for one in found]})
         return 0 if len(found) == 1 else 3
     for line in _lines(one_code(found, code_kind, where)):
         print(line)  # noqa: T201

@@ -1,7 +1,5 @@
 """``anisoscope resume``, ``recompute``, ``verify``: what can be done with the folder of an inspection."""
 
-import json
-import sys
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,6 +8,7 @@ from cyclopts import Parameter
 from anisoscope.cli.console import console, progress
 from anisoscope.cli.inspect.history_entry import HistoryOption, history_place, remember
 from anisoscope.cli.inspect.lot_mates import lot_mates
+from anisoscope.cli.json_output import print_json
 
 Folder = Annotated[Path, Parameter(help="Folder of an inspection.")]
 Json = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")]
@@ -85,8 +84,7 @@ def verify(folder: Folder, /, *, json_: Json = False) -> int:
 
 def _print(content: dict[str, Any], lines: list[str], *, json_: bool) -> None:
     if json_:
-        json.dump(content, sys.stdout, indent=2, allow_nan=False)
-        sys.stdout.write("\n")
+        print_json(content)
         return
     for line in lines:
         console().print(line, markup=False, highlight=False, soft_wrap=True)

@@ -1,7 +1,5 @@
 """``anisoscope inspect``: photograph one part, or take a folder of frames, and judge it."""
 
-import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,6 +10,7 @@ from anisoscope.cli.console import console, print_table, progress
 from anisoscope.cli.inspect.batch_operator import ask_serial
 from anisoscope.cli.inspect.history_entry import HistoryOption, history_place, remember
 from anisoscope.cli.inspect.lot_mates import lot_mates
+from anisoscope.cli.json_output import print_json
 
 if TYPE_CHECKING:
     from anisoscope.inspection.run import Inspected
@@ -88,8 +87,7 @@ def show(inspected: "Inspected", *, json_: bool) -> int:
     from anisoscope.record.verdict import Verdict
 
     if json_:
-        json.dump(_as_json(inspected), sys.stdout, indent=2, allow_nan=False)
-        sys.stdout.write("\n")
+        print_json(_as_json(inspected))
     else:
         _print(inspected)
     return Verdict(inspected.record.verdict).exit_code

@@ -1,7 +1,6 @@
 """``anisoscope watch``: inspect folders of frames as they arrive."""
 
 import contextlib
-import json
 import os
 import signal
 import sys
@@ -19,6 +18,7 @@ from anisoscope.cli.console import console, print_table, progress
 from anisoscope.cli.inspect.batch import CodeKind
 from anisoscope.cli.inspect.history_entry import HistoryOption, history_place, remember
 from anisoscope.cli.inspect.lot_mates import lot_mates
+from anisoscope.cli.json_output import print_json_line
 
 if TYPE_CHECKING:
     from anisoscope.inspection.batch.watch import Watch
@@ -100,7 +100,7 @@ class Teller:
     def say(self, event: dict[str, Any], text: str) -> None:
         """Say it in one way or the other."""
         if self._json:
-            print(json.dumps(event, allow_nan=False), flush=True)  # noqa: T201
+            print_json_line(event)
         else:
             console().print(text, markup=False, highlight=False, soft_wrap=True)
             sys.stdout.flush()

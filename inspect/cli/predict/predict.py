@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Group, Parameter
 
 from anisoscope.base.errors import UsageError
+from anisoscope.cli.json_output import print_json
 
 if TYPE_CHECKING:
     from anisoscope.prediction.monte_carlo import MonteCarlo
@@ -21,8 +22,6 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from anisoscope.sim.light.optics import Optics
-import json
-import sys
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -548,8 +547,7 @@ def _predict_and_print(
             tables.print_spectrum(lines, colours.wavelengths_nm)
             return
         found = output.spectrum_as_json(lines, colours.wavelengths_nm, covariance=covariance)
-    json.dump(found, sys.stdout, indent=2, allow_nan=False)
-    sys.stdout.write("\n")
+    print_json(found)
 
 
 def _check_surface(

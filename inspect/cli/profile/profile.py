@@ -1,6 +1,5 @@
 """``anisoscope profile``: look at height maps and convert them."""
 
-import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +9,7 @@ from cyclopts import App, Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.console import parse_numbers, print_table
+from anisoscope.cli.json_output import print_json
 
 if TYPE_CHECKING:
     from anisoscope.profiles.heightmap import HeightMap
@@ -114,8 +114,7 @@ def info(
             "field_um": list(surface.extent_um),
             "origin": surface.origin,
         }
-        json.dump(result, sys.stdout, indent=2, allow_nan=False)
-        sys.stdout.write("\n")
+        print_json(result)
         return 0
     field_y, field_x = surface.extent_um
     print_table(

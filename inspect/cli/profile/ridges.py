@@ -1,13 +1,12 @@
 """``anisoscope profile ridges``: pitch, angles, heights, roughness and burrs of a ridged height map."""
 
-import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
 from anisoscope.cli.console import print_table
+from anisoscope.cli.json_output import print_json
 from anisoscope.cli.profile.profile import AS_STATED, Scales
 
 if TYPE_CHECKING:
@@ -99,8 +98,7 @@ def ridges(
     surface = scales.read(file)
     found = measure_ridges(surface)
     if json_:
-        json.dump(measurement_as_json(found), sys.stdout, indent=2, allow_nan=False)
-        sys.stdout.write("\n")
+        print_json(measurement_as_json(found))
         return 0
     _print(file.name, found)
     return 0

@@ -1,11 +1,11 @@
 """What ``profile make`` and ``profile spoil`` write and print."""
 
-import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from anisoscope.cli.console import print_table
+from anisoscope.cli.json_output import print_json
 
 if TYPE_CHECKING:
     from anisoscope.profiles.heightmap import HeightMap
@@ -27,7 +27,7 @@ def list_defects(*, as_json: bool) -> int:
             }
             for defect in DEFECTS.values()
         }
-        sys.stdout.write(json.dumps(found, indent=2, ensure_ascii=False) + "\n")
+        print_json(found)
         return 0
     rows = []
     for defect in DEFECTS.values():
@@ -71,7 +71,7 @@ def deliver(
         "origin_kept_in_file": written,
     } | ({"deviation": deviation} if deviation else {})
     if as_json:
-        sys.stdout.write(json.dumps(result, indent=2, ensure_ascii=False) + "\n")
+        print_json(result)
         return 0
     table = [
         ["rows, columns", f"{rows}, {cols}", ""],

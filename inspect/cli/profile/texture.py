@@ -1,8 +1,6 @@
 """``anisoscope profile texture``: surface texture parameters of ISO 25178-2."""
 
-import json
 import math
-import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -10,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from anisoscope.cli.console import print_table
+from anisoscope.cli.json_output import print_json
 from anisoscope.cli.profile.profile import AS_STATED, Scales
 
 if TYPE_CHECKING:
@@ -48,7 +47,7 @@ def texture(
     if plot is not None:
         _draw(found, plot)
     if json_:
-        sys.stdout.write(json.dumps(_as_json(found), indent=2, allow_nan=False) + "\n")
+        print_json(_as_json(found))
     else:
         print_table(
             file.name, ["parameter", "value", "unit", "meaning"], _rows(found), caption=_caption(found)

@@ -1,7 +1,5 @@
 """``anisoscope golden``: parts that are known to be good, against which others are compared."""
 
-import json
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,6 +9,7 @@ from cyclopts import App, Parameter
 
 from anisoscope.base.errors import CalibrationError, UsageError
 from anisoscope.cli.console import console, print_table
+from anisoscope.cli.json_output import print_json
 from anisoscope.cli.recipe.golden_limit import limit_says
 
 if TYPE_CHECKING:
@@ -113,8 +112,7 @@ def show(*, recipe: RecipeFile, json_: Json = False) -> int:
             None if rules.area is None else known.area_limit(rules) or rules.area.max_share
         )
         content["area_limit_says"] = _limit_says(known, rules)
-        json.dump(content, sys.stdout, indent=2, allow_nan=False)
-        sys.stdout.write("\n")
+        print_json(content)
         return 0
     first, *others = known.poses
     names = [f"ln L{_at(pose)} − ln L{_at(first)}" for pose in others]
@@ -180,8 +178,7 @@ def _say(path: Path, number: int, what: str, known: "AnySet", *, json_: bool) ->
     lacking, count = known.lacking, len(known.parts)
     kind = "golden part" if isinstance(known, GoldenSet) else "golden print"
     if json_:
-        json.dump(_content(path, lacking if count else None, count) | {what: number}, sys.stdout, indent=2)
-        sys.stdout.write("\n")
+        print_json(_content(path, lacking if count else None, count) | {what: number})
         return 0
     out = console()
     out.print(

@@ -1,11 +1,10 @@
 """``anisoscope golden`` of prints: the same words for another kind of set."""
 
-import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from anisoscope.cli.console import console, print_table
+from anisoscope.cli.json_output import print_json
 from anisoscope.cli.recipe.golden_limit import limit_says
 
 if TYPE_CHECKING:
@@ -65,8 +64,7 @@ def show_prints(known: "GoldenPrints", recipe: "PrintRecipe", content: dict[str,
         )
         content["area_limit_says"] = _limit_says(known, recipe)
         content |= {"mean": mean.tolist(), "scatter": None if scatter is None else scatter.tolist()}
-        json.dump(content, sys.stdout, indent=2, allow_nan=False)
-        sys.stdout.write("\n")
+        print_json(content)
         return 0
     rows = [
         [part.serial, part.inspected_at, part.verdict, _share(part.area_share)]

@@ -1,12 +1,11 @@
 """``anisoscope recipe check`` of a print: what its recipe can tell."""
 
-import json
-import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from anisoscope.cli.console import console, print_table, progress
+from anisoscope.cli.json_output import print_json
 from anisoscope.cli.recipe.causes import print_causes
 
 if TYPE_CHECKING:
@@ -42,8 +41,7 @@ def check_print(file: Path, rig_path: Path | None, light_angle_deg: float, *, js
             row["ratio"] = one.ratio
         for row, cause in zip(content["causes"], found.causes, strict=True):
             row |= {"told_apart_from": cause.told_apart_from, "never_told_from": list(cause.never_told_from)}
-        json.dump(content, sys.stdout, indent=2, allow_nan=False)
-        sys.stdout.write("\n")
+        print_json(content)
         return 0
     _print(found, recipe.product, made_up=rig_path is None)
     return 0

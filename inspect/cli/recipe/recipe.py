@@ -1,7 +1,5 @@
 """``anisoscope recipe``: begin a recipe, see what it can tell, and teach it a good part."""
 
-import json
-import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,6 +8,7 @@ from cyclopts import App, Parameter
 
 from anisoscope.base.errors import CalibrationError, UsageError
 from anisoscope.cli.console import console, parse_numbers, print_table, progress
+from anisoscope.cli.json_output import print_json
 from anisoscope.cli.recipe.causes import print_causes
 
 if TYPE_CHECKING:
@@ -157,8 +156,7 @@ def check(
         content = asdict(found)
         for row, cause in zip(content["causes"], found.causes, strict=True):
             row |= {"told_apart_from": cause.told_apart_from, "never_told_from": list(cause.never_told_from)}
-        json.dump(content | {"contrast": recipe.decision.contrast}, sys.stdout, indent=2, allow_nan=False)
-        sys.stdout.write("\n")
+        print_json(content | {"contrast": recipe.decision.contrast})
     else:
         _print(found, recipe.product)
     return 0
@@ -241,8 +239,7 @@ def teach(
         )
     found = _by_golden(file, rig, share) if serial is None else _by_part(file, rig, serial, out, json_=json_)
     if json_:
-        json.dump(found.as_json(), sys.stdout, indent=2, allow_nan=False)
-        sys.stdout.write("\n")
+        print_json(found.as_json())
         return 0
     print_table(
         f"{file}: version {found.version}",

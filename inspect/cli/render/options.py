@@ -1,8 +1,6 @@
 """Options that the render commands share, and how their files are checked and written."""
 
-import json
 import os
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +13,7 @@ from cyclopts import Parameter
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.atomic_write import write_bytes
 from anisoscope.base.errors import RecordError, UsageError
+from anisoscope.cli.json_output import print_json
 
 if TYPE_CHECKING:
     from anisoscope.report.renderings import Rgb
@@ -218,8 +217,7 @@ def answer(
     from anisoscope.cli.console import console, print_table
 
     if picture.json_:
-        json.dump(found, sys.stdout, indent=2, allow_nan=False)
-        sys.stdout.write("\n")
+        print_json(found)
         return
     print_table(title, columns, rows)
     files = [str(path) for path in (picture.out, picture.raw) if path is not None]

@@ -1,7 +1,5 @@
 """``anisoscope calibrate``: what the rig must know about itself."""
 
-import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -9,6 +7,7 @@ from cyclopts import App, Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.console import console, print_table, progress
+from anisoscope.cli.json_output import print_json
 
 if TYPE_CHECKING:
     from anisoscope.calibration.record import CalibrationRecord
@@ -52,8 +51,7 @@ def flat(
     with progress("flat", quiet=json_) as advance:
         meta, record = calibrate_flat(rig, out, taking, reflectance=reflectance, on_progress=advance)
     if json_:
-        json.dump({"file": str(out), **meta, "record": _as_json(record)}, sys.stdout, indent=2)
-        sys.stdout.write("\n")
+        print_json({"file": str(out), **meta, "record": _as_json(record)})
         return 0
     text = (
         f"{out}: {meta['frames']} frames, median {meta['level']:.0%} of full scale, "
@@ -176,8 +174,7 @@ def response(
             rig, out, Taking(exposure, gain, frames), white_level=white_level, on_progress=advance
         )
     if json_:
-        json.dump({"file": str(out), **curve.model_dump(by_alias=True)}, sys.stdout, indent=1)
-        sys.stdout.write("\n")
+        print_json({"file": str(out), **curve.model_dump(by_alias=True)})
         return 0
     text = (
         f"{out}: fitted from {len(curve.exposures_s)} exposures, which agree within {curve.residual:.2%}; name it in "
@@ -267,8 +264,7 @@ def list_(*, rig: _Rig, json_: _Json = False) -> int:
 
     found = list_calibrations(rig)
     if json_:
-        json.dump([one.to_json() for one in found], sys.stdout, indent=2)
-        sys.stdout.write("\n")
+        print_json([one.to_json() for one in found])
     else:
         rows = [[one.kind, one.state, one.id or "", one.valid_until or "", one.file or ""] for one in found]
         print_table(f"Calibrations of {rig}", ["kind", "state", "id", "valid until", "file"], rows)
@@ -290,8 +286,7 @@ def _show(record: "CalibrationRecord", out: Path, *, json_: bool) -> int:
 
     target = record_path(out)
     if json_:
-        json.dump({"file": str(target), **_as_json(record)}, sys.stdout, indent=2, allow_nan=False)
-        sys.stdout.write("\n")
+        print_json({"file": str(target), **_as_json(record)})
     else:
         rows = [
             [name.replace("_", " "), f"{one.value:.6g}", "" if one.u is None else f"{one.u:.2g}", one.unit]

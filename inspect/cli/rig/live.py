@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
+from anisoscope.cli.json_output import print_json_line
 from anisoscope.cli.rig.options import Json, RigPath, write_line
 from anisoscope.cli.rig.snap import Exposure, Gain, LightState
 
@@ -138,10 +139,7 @@ def _to_page(page: "LivePage") -> "Sink":
 
 
 def _json_line(_counts: "Counts", _info: "CameraInfo", reading: "Reading") -> None:
-    import json
-
-    finite = {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in numbers(reading).items()}
-    print(json.dumps(finite), flush=True)  # noqa: T201
+    print_json_line(numbers(reading))
 
 
 def _to_screen(screen: Any) -> "Sink":  # noqa: ANN401 - rich's Live

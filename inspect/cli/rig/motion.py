@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from anisoscope.base.errors import AnisoscopeError, NotConnected, RigError
+from anisoscope.cli.json_output import print_json
 from anisoscope.cli.rig.options import (
     NOTHING_NAMED,
     AxisName,
@@ -13,7 +14,6 @@ from anisoscope.cli.rig.options import (
     Which,
     Yes,
     confirm,
-    print_json,
     write_line,
 )
 

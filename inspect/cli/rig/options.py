@@ -3,7 +3,7 @@
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -88,23 +88,6 @@ def _pair(text: str) -> "tuple[str, str | int | float | bool]":
         except ValueError:
             continue
     return key, value
-
-
-def print_json(value: Any) -> None:  # noqa: ANN401
-    """Print JSON; NaN becomes null."""
-    import json
-
-    print(json.dumps(_finite(value), ensure_ascii=False, indent=2, allow_nan=False), flush=True)  # noqa: T201
-
-
-def _finite(value: Any) -> Any:  # noqa: ANN401
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    if isinstance(value, float) and not abs(value) < float("inf"):
-        return None
-    return value
 
 
 def write_line(text: str) -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 from cyclopts import App, Group, Parameter
 
 from anisoscope.base.errors import UsageError
+from anisoscope.cli.json_output import print_json
 
 if TYPE_CHECKING:
     from anisoscope.rig.discovery import Answer, FoundPort
@@ -78,8 +79,6 @@ def ports(
         found = [listed.get(name) or FoundPort(name, "", "", "", "", "", ()) for name in port]
     answers = [ask(one.port, one.may_be) if probe else None for one in found]
     if json:
-        from anisoscope.cli.rig.options import print_json
-
         print_json(
             [
                 asdict(one) | ({} if answer is None else {"probe": asdict(answer)})

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.rig.options import Json, RigPath, print_json, write_line
+from anisoscope.cli.json_output import print_json
+from anisoscope.cli.rig.options import Json, RigPath, write_line
 
 if TYPE_CHECKING:
     from anisoscope.rig.acquisition.opening import Devices

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from anisoscope.base.errors import AnisoscopeError, RigError
-from anisoscope.cli.rig.options import NOTHING_NAMED, Json, Which, print_json
+from anisoscope.cli.json_output import print_json
+from anisoscope.cli.rig.options import NOTHING_NAMED, Json, Which
 
 if TYPE_CHECKING:
     from collections.abc import Callable

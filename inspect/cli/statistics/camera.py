@@ -1,13 +1,12 @@
 """``anisoscope camera``: what a camera is, after EMVA 1288."""
 
-import json
-import sys
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 
 from anisoscope.cli.history.options import Json
+from anisoscope.cli.json_output import print_json
 from anisoscope.cli.statistics.source import Html, print_grid, write_lines
 
 
@@ -33,8 +32,7 @@ def camera(
     if html is not None:
         write_camera_page(html, sheet)
     if json_:
-        json.dump(sheet.to_json(), sys.stdout, indent=2, allow_nan=False)
-        sys.stdout.write("\n")
+        print_json(sheet.to_json())
     else:
         record = sheet.record
         until = f"valid until {record.valid_until:%Y-%m-%d}"

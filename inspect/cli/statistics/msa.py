@@ -1,7 +1,5 @@
 """``anisoscope msa``: measurement systems analysis."""
 
-import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -9,6 +7,7 @@ from cyclopts import App, Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.history.options import Json, Place
+from anisoscope.cli.json_output import print_json
 from anisoscope.cli.statistics.source import (
     EVERYTHING,
     Alpha,
@@ -196,8 +195,7 @@ def _show(
     json_: bool,
 ) -> None:
     if json_:
-        json.dump(content, sys.stdout, indent=2, allow_nan=False)
-        sys.stdout.write("\n")
+        print_json(content)
         return
     for grid in grids:
         print_grid(grid)

@@ -1,7 +1,5 @@
 """``anisoscope spc``: control charts and capability of what was measured."""
 
-import json
-import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,6 +10,7 @@ from anisoscope.base.errors import UsageError
 from anisoscope.base.progress import Advance
 from anisoscope.cli.console import progress
 from anisoscope.cli.history.options import Json, Place
+from anisoscope.cli.json_output import print_json
 from anisoscope.cli.statistics.source import (
     EVERYTHING,
     Csv,
@@ -131,8 +130,7 @@ def _deliver(
             "studies": [study.to_json() for study in found],
             "skipped": skipped,
         }
-        json.dump(content, sys.stdout, indent=2, allow_nan=False)
-        sys.stdout.write("\n")
+        print_json(content)
         return
     _show(readings, found, skipped, alone=len(found) == 1 and not skipped)
     if html is not None:

@@ -1,13 +1,12 @@
 """``anisoscope study detection``: how often good parts fail and bad ones pass, on the virtual rig."""
 
-import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
 from anisoscope.cli.console import console, print_table, progress
+from anisoscope.cli.json_output import print_json
 from anisoscope.cli.study.optimise import HtmlOption, JobsOption, JsonOption, SchedulerOption
 
 if TYPE_CHECKING:
@@ -62,8 +61,7 @@ def detection_command(
     if markdown is not None:
         write_results(markdown, found)
     if json_:
-        json.dump(found, sys.stdout, indent=2, allow_nan=False)
-        sys.stdout.write("\n")
+        print_json(found)
         return 0
     for table in tables_of(found):
         print_table(table.title, list(table.columns), [list(row) for row in table.rows], table.note or None)

@@ -5,13 +5,12 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from anisoscope.cli.console import console, print_table
+from anisoscope.cli.json_output import print_json
 
 if TYPE_CHECKING:
     from anisoscope.report.study_page import Chart, Map, Table
     from anisoscope.study.objective import Scoring
     from anisoscope.study.optimum import Optimum
-import json
-import sys
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -322,8 +321,7 @@ def optimise(
         if robust and ("pitch" not in bounds or part.edge_radius > 0.0):
             plain = optimum(part, bounds, scoring.nominal, workers, advance)
     if json_:
-        json.dump(best_as_json(best, plain, scoring), sys.stdout, indent=2, allow_nan=False)
-        sys.stdout.write("\n")
+        print_json(best_as_json(best, plain, scoring))
     else:
         print_best(best, plain, scoring)
     drawn = charts(best, scoring)

@@ -7,8 +7,6 @@ if TYPE_CHECKING:
     from anisoscope.report.study_page import Chart, Table
     from anisoscope.study.best_angle import AngleStudy
     from anisoscope.study.convergence import ConvergenceStudy
-import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -16,6 +14,7 @@ from cyclopts import App, Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.console import console, print_table, progress
+from anisoscope.cli.json_output import print_json
 from anisoscope.cli.study.optimise import HtmlOption, JobsOption, JsonOption, PlotOption, SchedulerOption
 
 if TYPE_CHECKING:
@@ -398,8 +397,7 @@ def _hand_out(
     if plot is not None:
         write_picture(plot, charts)
     if json_:
-        json.dump(as_json, sys.stdout, indent=2, allow_nan=False)
-        sys.stdout.write("\n")
+        print_json(as_json)
         return
     for table in tables:
         print_table(table.title, list(table.columns), [list(row) for row in table.rows], table.note or None)
