@@ -1,6 +1,5 @@
 """What ``anisoscope predict --json`` prints."""
 
-from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -12,6 +11,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from anisoscope.cli.console import print_table
+from anisoscope.cli.json_output import fields_of
 
 if TYPE_CHECKING:
     from anisoscope.base.arrays import FloatArray
@@ -22,10 +22,6 @@ if TYPE_CHECKING:
 KINDS = ("difference", "michelson", "log_ratio")
 _DISAGREES = 0.2
 _SURE = 4.0  # standard uncertainties of a u from draws
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if abs(value) < float("inf") else None
 
 
 def pose_names(result: "Predicted") -> list[str]:
@@ -83,7 +79,7 @@ def _budget_as_json(budget: "Budget") -> list[dict[str, Any]]:
             "source": part.source,
             "kind": part.kind,
             "correlation": part.correlation,
-            "u": [float(value) for value in part.absolute],
+            "u": part.absolute,
             "relative": [
                 None if dark else float(value)
                 for value, dark in zip(budget.relative(part.absolute), budget.dark, strict=True)
@@ -99,7 +95,7 @@ def _covariances(result: "Predicted") -> dict[str, Any]:
     for name, matrix in matrices.items():
         assert matrix is not None
         labels = pose_names(result) if name == "radiance" else contrast_names(result)
-        found[name] = {"labels": labels, "matrix": [[_finite(v) for v in row] for row in matrix.tolist()]}
+        found[name] = {"labels": labels, "matrix": matrix}
     return found
 
 
@@ -109,9 +105,9 @@ def _monte_carlo_as_json(result: "Predicted") -> dict[str, Any]:
     return {
         "draws": len(result.drawn.radiance),
         "u_error_share": result.drawn.u_error_share,
-        "mean": result.drawn.radiance.mean(axis=0).tolist(),
-        "u": result.drawn.u().tolist(),
-        "u_first_order": result.budget.u().tolist(),
+        "mean": result.drawn.radiance.mean(axis=0),
+        "u": result.drawn.u(),
+        "u_first_order": result.budget.u(),
     }
 
 
@@ -122,12 +118,10 @@ def as_json(result: "Predicted", *, covariance: bool = False) -> dict[str, Any]:
         {"stage_deg": pose.stage_deg, "tilt_deg": pose.tilt_deg, "radiance": float(value)}
         for pose, value in zip(result.poses, result.radiance, strict=True)
     ]
-    pairs: list[dict[str, Any]] = [
-        {key: _finite(value) for key, value in asdict(contrast).items()} for contrast in result.contrasts
-    ]
+    pairs = [fields_of(contrast) for contrast in result.contrasts]
     found: dict[str, Any] = {
         "model": result.model,
-        "convention": asdict(result.convention),
+        "convention": result.convention,
         "k": result.k,
         "poses": poses,
         "contrasts": pairs,
@@ -139,7 +133,7 @@ def as_json(result: "Predicted", *, covariance: bool = False) -> dict[str, Any]:
         pose["u"] = value
     by_kind = {kind: contrast_u(result, kind) or [] for kind in KINDS}
     for number, pair in enumerate(pairs):
-        pair["u"] = {kind: _finite(values[number]) for kind, values in by_kind.items()}
+        pair["u"] = {kind: values[number] for kind, values in by_kind.items()}
     found["budget"] = _budget_as_json(result.budget)
     if result.drawn is not None:
         found["monte_carlo"] = _monte_carlo_as_json(result)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from anisoscope.cli.console import print_table
-from anisoscope.cli.json_output import print_json
+from anisoscope.cli.json_output import fields_of, print_json
 from anisoscope.cli.profile.profile import AS_STATED, Scales
 
 if TYPE_CHECKING:
@@ -33,50 +33,28 @@ NAMES = (
 
 
 def _number(quantity: "Quantity") -> dict[str, float | None]:
-    found: dict[str, float | None] = {"value": quantity.value, "u": quantity.u}
-    if quantity.at_least is not None:
-        found["at_least"] = quantity.at_least
-    if quantity.at_most is not None:
-        found["at_most"] = quantity.at_most
-    return found
+    bounds = {"at_least", "at_most"}
+    return {name: one for name, one in fields_of(quantity).items() if one is not None or name not in bounds}
 
 
 def measurement_as_json(found: "RidgeMeasurement") -> dict[str, Any]:
     """The measurement as plain data; a number is {value, u}, with at_least or at_most where only a bound is known."""
     numbers = {name: _number(getattr(found, name)) for name, _, _ in NAMES}
     ridges = [
-        {
-            "number": ridge.number,
-            "position_um": ridge.position_um,
-            "angle_deg": _number(ridge.angle_deg),
-            "height_um": _number(ridge.height_um),
-            "shift_um": _number(ridge.shift_um),
-            "points": ridge.points,
-        }
+        fields_of(ridge)
+        | {name: _number(getattr(ridge, name)) for name in ("angle_deg", "height_um", "shift_um")}
         for ridge in found.ridges
     ]
     return {
         **numbers,
-        "bandwidth_um": list(found.bandwidth_um),
+        "bandwidth_um": found.bandwidth_um,
         "lean_deg": found.lean_deg,
         "facet_share": found.facet_share,
         "plateau": found.plateau,
         "periodicity": found.score,
         "missing_share": found.missing_share,
         "ridges": ridges,
-        "burrs": [_outlier(one) for one in found.burrs],
-    }
-
-
-def _outlier(one: "Outlier") -> dict[str, Any]:
-    return {
-        "kind": one.kind,
-        "x_um": one.x_um,
-        "y_um": one.y_um,
-        "height_um": one.height_um,
-        "area_um2": one.area_um2,
-        "volume_um3": one.volume_um3,
-        "points": one.points,
+        "burrs": found.burrs,
     }
 
 

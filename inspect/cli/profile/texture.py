@@ -1,14 +1,13 @@
 """``anisoscope profile texture``: surface texture parameters of ISO 25178-2."""
 
 import math
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
 from anisoscope.cli.console import print_table
-from anisoscope.cli.json_output import print_json
+from anisoscope.cli.json_output import fields_of, print_json
 from anisoscope.cli.profile.profile import AS_STATED, Scales
 
 if TYPE_CHECKING:
@@ -55,14 +54,10 @@ def texture(
     return 0
 
 
-def _number(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
 def _as_json(found: "Texture") -> dict[str, Any]:
     limited = found.surface
     parts = {
-        name: {key.rstrip("_"): _number(value) for key, value in asdict(getattr(found, name)).items()}
+        name: {key.rstrip("_"): value for key, value in fields_of(getattr(found, name)).items()}
         for name in ("heights", "spatial", "hybrid", "core", "volumes")
     }
     bearing = {"smr_mean": found.smr_mean, "smc_10_um": found.smc_10_um, "smc_80_um": found.smc_80_um}

@@ -51,21 +51,15 @@ def scoring_text(scoring: "Scoring") -> str:
     return text
 
 
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
 def _optimum_as_json(found: "Optimum") -> dict[str, Any]:
     return {
-        "part": asdict(found.part),
+        "part": found.part,
         "score": found.scored.score,
         "mean": found.scored.mean,
         "sd": found.scored.sd,
         "nominal_contrast": found.nominal.mean,
-        "parameters": [
-            {**asdict(one), "scores": [_finite(value) for value in one.scores]} for one in found.slices
-        ],
-        "hills": [_finite(value) for value in found.hills],
+        "parameters": found.slices,
+        "hills": found.hills,
         "evaluations": found.evaluations,
     }
 
@@ -73,16 +67,15 @@ def _optimum_as_json(found: "Optimum") -> dict[str, Any]:
 def best_as_json(best: "Optimum", plain: "Optimum | None", scoring: "Scoring") -> dict[str, Any]:
     """The optimum as a table for JSON."""
     shape = best.landscape
-    grid: Any = [_finite(float(value)) for value in shape.scores.ravel()]
     return {
-        "scoring": asdict(scoring),
+        "scoring": scoring,
         "unit": CONTRAST_UNITS[scoring.contrast],
         "optimum": _optimum_as_json(best),
         "nominal_optimum": None if plain is None else _optimum_as_json(plain),
         "landscape": {
-            "names": list(shape.names),
-            "axes": [axis.tolist() for axis in shape.axes],
-            "scores": grid,
+            "names": shape.names,
+            "axes": shape.axes,
+            "scores": shape.scores.ravel(),
         },
     }
 

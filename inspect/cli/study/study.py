@@ -21,10 +21,6 @@ if TYPE_CHECKING:
     from anisoscope.report.study_page import Chart, Table
 
 
-def _finite(values: Any) -> list[float | None]:  # noqa: ANN401 - an array of any numbers
-    return [float(value) if math.isfinite(value) else None for value in values]
-
-
 def _share(value: float) -> str:
     return f"{value:.3%}" if math.isfinite(value) else "–"
 
@@ -43,11 +39,11 @@ def convergence_json(found: "ConvergenceStudy") -> dict[str, Any]:
             {
                 "defect": curve.defect,
                 "unit": LARGEST[curve.defect][1],
-                "severity": _finite(curve.severity),
-                "total": _finite(curve.total),
-                "bias": _finite(curve.bias),
-                "scatter": _finite(curve.scatter),
-                "mean_contrast": _finite(curve.mean_contrast),
+                "severity": curve.severity,
+                "total": curve.total,
+                "bias": curve.bias,
+                "scatter": curve.scatter,
+                "mean_contrast": curve.mean_contrast,
                 "sampling_bias": curve.sampling_bias,
                 "orders": {name: asdict(order) for name, order in curve.orders.items()},
             }
@@ -135,9 +131,9 @@ def angle_json(found: "tuple[AngleStudy, ...]") -> dict[str, Any]:
                         "ten_over_five": curve.ten_over_five,
                         "max_at_zero_tilt": curve.findings.max_at_zero_tilt,
                         "first_pair_larger": curve.findings.first_pair_larger,
-                        "angles_deg": _finite(curve.angles_deg),
-                        "contrast": _finite(curve.contrast),
-                        "contrast_sd": _finite(curve.sd),
+                        "angles_deg": curve.angles_deg,
+                        "contrast": curve.contrast,
+                        "contrast_sd": curve.sd,
                     }
                     for curve in study.curves
                 ],

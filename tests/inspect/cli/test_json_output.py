@@ -1,0 +1,134 @@
+"""JSON of the commands: what becomes of results, and that no key of it changes unseen."""
+
+import json
+import math
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from enum import StrEnum
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydantic import BaseModel, Field
+
+from anisoscope.cli import run
+from anisoscope.cli.json_output import as_json
+from anisoscope.profiles.files.load import write_height_map
+from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+
+
+class Colour(StrEnum):
+    RED = "red"
+
+
+class Model(BaseModel):
+    schema_version: int = Field(default=1, alias="schema")
+    width: float | None = math.inf
+
+
+@dataclass(frozen=True)
+class Result:
+    values: np.ndarray
+    model: Model
+    where: Path
+
+
+def test_results_become_what_json_holds_and_what_is_not_finite_null():
+    found = as_json(
+        {"one": Result(np.array([[1.0, np.nan]]), Model(), Path("a/b")), "two": (Colour.RED, -math.inf)}
+    )
+    assert found == {
+        "one": {"values": [[1.0, None]], "model": {"schema": 1, "width": None}, "where": "a/b"},
+        "two": ["red", None],
+    }
+    plain = as_json(
+        [np.float64(0.5), np.int64(3), np.bool_(True), datetime(2026, 1, 2, tzinfo=UTC), None, True, 2]
+    )
+    assert plain == [0.5, 3, True, "2026-01-02T00:00:00+00:00", None, True, 2]
+    assert [type(one) for one in plain[:3]] == [float, int, bool]
+    with pytest.raises(TypeError):
+        json.dumps(as_json(object()))
+
+
+def keys(value, at=""):
+    """All keys of a JSON document, with those of what they hold; items of a list count as one."""
+    if isinstance(value, dict):
+        inner = (keys(item, f"{at}{key}.") for key, item in value.items())
+        return {f"{at}{key}" for key in value}.union(*inner)
+    return set().union(*(keys(item, at) for item in value)) if isinstance(value, list) else set()
+
+
+@pytest.fixture(scope="module")
+def ridged(tmp_path_factory):
+    """A rough ridged map with a burr."""
+    rng = np.random.default_rng(1)
+    surface = add_facet_roughness(ridges(RidgeDesign(60.0, 10.0), (200, 500), 1.0, 0.3), 0.05, 0.08, 6.0, rng)
+    y, x = np.indices(surface.shape)
+    burr = 6.0 * np.maximum(0.0, 1.0 - ((x - 213) / 8) ** 2 - ((y - 100) / 12) ** 2)
+    path = tmp_path_factory.mktemp("maps") / "ridged.x3p"
+    write_height_map(
+        surface.with_height(surface.height_um + 0.02 * rng.standard_normal(surface.shape) + burr), path
+    )
+    return str(path)
+
+
+PREDICT = """
+bounces budget budget.correlation budget.kind budget.relative budget.source budget.u contrasts
+contrasts.difference contrasts.from_deg contrasts.log_ratio contrasts.michelson contrasts.tilt_deg
+contrasts.to_deg contrasts.u contrasts.u.difference contrasts.u.log_ratio contrasts.u.michelson convention
+convention.facet_azimuth_deg convention.light_angle_deg convention.rotation_sense convention.tilt_plane
+covariance covariance.difference covariance.difference.labels covariance.difference.matrix
+covariance.log_ratio covariance.log_ratio.labels covariance.log_ratio.matrix covariance.michelson
+covariance.michelson.labels covariance.michelson.matrix covariance.radiance covariance.radiance.labels
+covariance.radiance.matrix k model monte_carlo monte_carlo.draws monte_carlo.mean monte_carlo.u
+monte_carlo.u_error_share monte_carlo.u_first_order optics optics.asked optics.coherence_um optics.f_um
+optics.model optics.reason optics.stated_error optics.stated_error_per_sr optics.wavelengths_nm poses
+poses.radiance poses.stage_deg poses.tilt_deg poses.u second_reflection_would_add
+"""
+RIDGES = """
+alpha_across alpha_across.u alpha_across.value alpha_along alpha_along.u alpha_along.value
+angle_variation_deg angle_variation_deg.u angle_variation_deg.value bandwidth_um burrs burrs.area_um2
+burrs.height_um burrs.kind burrs.points burrs.volume_um3 burrs.x_um burrs.y_um direction_deg direction_deg.u
+direction_deg.value edge_radius_um edge_radius_um.at_most edge_radius_um.u edge_radius_um.value facet_share
+height_loss height_loss.u height_loss.value height_um height_um.u height_um.value height_variation_um
+height_variation_um.u height_variation_um.value lean_deg missing_share noise_um noise_um.u noise_um.value
+periodicity pitch_um pitch_um.u pitch_um.value plateau ridge_angle_deg ridge_angle_deg.u
+ridge_angle_deg.value ridges ridges.angle_deg ridges.angle_deg.u ridges.angle_deg.value ridges.height_um
+ridges.height_um.u ridges.height_um.value ridges.number ridges.points ridges.position_um ridges.shift_um
+ridges.shift_um.u ridges.shift_um.value shift_variation_um shift_variation_um.u shift_variation_um.value
+wall_angle_deg wall_angle_deg.at_least wall_angle_deg.u wall_angle_deg.value
+"""
+TEXTURE = """
+bearing bearing.smc_10_um bearing.smc_80_um bearing.smr_mean core core.sk_um core.smr1 core.smr2 core.spk_um
+core.svk_um core.top_um form heights heights.sa_um heights.sku heights.sp_um heights.sq_um heights.ssk
+heights.sv_um heights.sz_um hybrid hybrid.sdq hybrid.sdr l_filter_um missing_share s_filter_um spatial
+spatial.sal_um spatial.std_deg spatial.str spatial.str_is_bound surface volumes volumes.vmc_um
+volumes.vmp_um volumes.vvc_um volumes.vvv_um
+"""
+OPTIMISE = """
+landscape landscape.axes landscape.names landscape.scores nominal_optimum optimum optimum.evaluations
+optimum.hills optimum.mean optimum.nominal_contrast optimum.parameters optimum.parameters.at_bound
+optimum.parameters.flat optimum.parameters.kept optimum.parameters.name optimum.parameters.sampling_sd
+optimum.parameters.scores optimum.parameters.values optimum.part optimum.part.albedo
+optimum.part.alpha_across optimum.part.alpha_along optimum.part.edge_radius optimum.part.height_loss
+optimum.part.index optimum.part.pitch optimum.part.ridge_angle optimum.part.wall optimum.score optimum.sd
+scoring scoring.contrast scoring.convention scoring.convention.facet_azimuth_deg
+scoring.convention.light_angle_deg scoring.convention.rotation_sense scoring.convention.tilt_plane
+scoring.noise scoring.noise.floor scoring.noise.share scoring.over scoring.pairs_deg scoring.quantile
+scoring.samples scoring.score scoring.seed scoring.tilts_deg scoring.tolerances scoring.z unit
+"""
+
+
+@pytest.mark.parametrize(
+    ("command", "wanted"),
+    [
+        (["predict", "--ridge-angle", "10", "--tilts=-10,0", "--covariance", "--monte-carlo", "60"], PREDICT),
+        (["profile", "ridges", "MAP"], RIDGES),
+        (["profile", "texture", "MAP"], TEXTURE),
+        (["optimise", "--vary", "ridge_angle=3:20", "--jobs", "1"], OPTIMISE),
+    ],
+    ids=lambda one: one[1] if isinstance(one, list) else "",
+)
+def test_no_key_comes_or_goes(capsys, ridged, command, wanted):
+    assert run([ridged if word == "MAP" else word for word in command] + ["--json"]) == 0
+    assert keys(json.loads(capsys.readouterr().out)) == set(wanted.split())
