@@ -44,7 +44,7 @@ class Etched:
         """From a height map of level steps.
 
         The shallowest level that no sum of earlier passes explains is a pass of its own. Two passes of the same depth
-        are not told from one of twice the depth where both etched.
+        cannot be distinguished from one of twice the depth where both etched.
 
         Raises:
             HeightMapError: missing points, pixels that are no squares, or heights that are not a few levels.

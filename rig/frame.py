@@ -158,7 +158,7 @@ def filters_in_header(path: Path) -> str | None:
     try:
         with quiet_tifffile(), tifffile.TiffFile(path) as tiff:
             return _HEADER.validate_json(getattr(tiff.pages[0], "description", "")).filters
-    except Exception:  # noqa: BLE001 - somebody else's picture, in any format
+    except Exception:  # noqa: BLE001 - a foreign picture, in any format
         return None
 
 

@@ -201,7 +201,7 @@ class FrameEntry:
         commanded_deg, captured_at, camera = self.stage_deg, "", "unknown"
         try:
             ours = read_frame(self.path)
-        except RecordError:  # somebody else's picture
+        except RecordError:  # a foreign picture
             pass
         else:
             captured_at, camera = ours.captured_at, ours.camera

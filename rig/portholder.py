@@ -20,7 +20,7 @@ from pathlib import Path
 from anisoscope.base.errors import RigError
 
 POLL_S = 0.05
-SIMULATED = "sim://"  # lives in its own process: nobody else can want it
+SIMULATED = "sim://"  # exists in its own process only
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Holder:
         pid: its number.
         port: the port, as it named it.
         program: its command line, for people.
-        started: when the system started it, in the system's own count; tells it from a later one of the same number.
+        started: start time in the system's own count; distinguishes it from a later one of the same number.
         interrupt_by: the signal on which it leaves in good order; "" if it has none.
     """
 
@@ -82,7 +82,7 @@ def claim(port: str) -> Path | None:
         partial = note.with_suffix(f".{me.pid}")
         partial.write_text(json.dumps(asdict(me)), encoding="utf-8")
         partial.replace(note)
-    except OSError:  # a full or read-only disk keeps nobody from the port
+    except OSError:  # a full or read-only disk must not block the port
         return None
     return note
 
@@ -131,7 +131,7 @@ def _folder() -> Path:
     """A folder that only this user can write to, created if missing.
 
     Raises:
-        OSError: it cannot be made, or it belongs to somebody else.
+        OSError: it cannot be created, or it belongs to another user.
     """
     given = os.environ.get("XDG_RUNTIME_DIR") or os.environ.get("LOCALAPPDATA")
     folder = Path(given or tempfile.gettempdir()) / ("anisoscope" if given else f"anisoscope-{_user()}")

@@ -174,7 +174,7 @@ MAX_BACKLOG = 65536
 class Transport:
     """An open port. All reads and writes end by their deadline; all failures are `NotConnected`.
 
-    ``lock`` belongs to whoever holds a conversation (a question and its answer) on the port. `write` does not
+    ``lock`` is held for the whole of an exchange (a query and its answer) on the port. `write` does not
     need it, so that a stop command goes out while another thread waits for the answer to a move.
 
     Args:

@@ -26,9 +26,9 @@ import numpy.typing as npt
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
 from anisoscope.ink.goniometer import Readings
-from anisoscope.sim.light.ink.albedo import albedo_warning
 from anisoscope.sim.light.ink.angles import shift
 from anisoscope.sim.light.ink.ink import Ink
+from anisoscope.sim.light.ink.model import albedo_warning
 
 BoolArray = npt.NDArray[np.bool_]
 

@@ -20,7 +20,7 @@ import numpy as np
 from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.files.checks import DEFLATE_LIMIT, check_claim, checked_map, refuse
 from anisoscope.profiles.files.content import DAMAGED, Content, load_content, scaled
-from anisoscope.profiles.files.guard import decode
+from anisoscope.profiles.files.decoder_process import decode
 from anisoscope.profiles.files.units import Given, micrometres_per, require_pixel
 from anisoscope.profiles.heightmap import HeightMap
 

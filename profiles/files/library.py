@@ -10,7 +10,7 @@ from typing import Any
 
 from anisoscope.profiles.files.checks import checked_map
 from anisoscope.profiles.files.content import scaled
-from anisoscope.profiles.files.guard import decode
+from anisoscope.profiles.files.decoder_process import decode
 from anisoscope.profiles.files.units import Given, stated_micrometres_per, stated_or_given_pixel
 from anisoscope.profiles.heightmap import HeightMap
 

@@ -1,7 +1,7 @@
 """Height maps as text: matrices of heights, and lists of points x y z.
 
 A text file says neither its pixel size nor its unit, and three columns may be a narrow matrix or a list of
-points. What cannot be told from the file is asked for by an error, never guessed.
+points. What the file leaves open raises an error that names the option to give; nothing is guessed.
 """
 
 import re

@@ -168,7 +168,7 @@ def _estimate(total: FloatArray, line: Line, wall: _Wall, pitch: float, step: fl
     sharp = float(np.square(data[1] - line.at(data[0])) @ data[2])
     top, left = _plateau(*data, line, vertex)
     radius, round_top, round_left = _arc(*data, line, vertex, inclination)
-    if min(left, round_left) > CLEARLY * sharp:  # within the first pixel beside the edge anything fits
+    if min(left, round_left) > CLEARLY * sharp:  # within the first pixel next to the edge anything fits
         return np.array([np.degrees(inclination), full, 0.0, 0.0, 0.0])
     flat = left < round_left
     missing = float(line.at(np.array(vertex))) - (top if flat else round_top)
@@ -188,7 +188,7 @@ def measure_crest(
     Args:
         parts: (ridges, bins, 3) from ``profile_sums``.
         walls: (ridges, 5) from ``wall_sums``, between the positions of ``core_of_wall``.
-        line: the mean facet, beside the crest.
+        line: the mean facet next to the crest.
         angle: ridge angle in degrees.
         pitch: in µm.
         step_um: pixel across the ridges.

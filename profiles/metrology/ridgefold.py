@@ -230,7 +230,7 @@ class Positions:
 def _shifts(sums: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """(ridges, tiles) shift of every tile in µm with its height left free, its information, and its place q and v.
 
-    On the facet alone, height and shift cannot be told apart, nor pitch and tilt; what counts is the wall.
+    On the facet alone, height and shift cannot be separated, nor pitch and tilt; what counts is the wall.
     """
     w, s, ss, e, es, q, v = (sums[..., n] for n in range(7))
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -1,7 +1,7 @@
 """Power spectral densities of a surface, and the direction of its lay (ISO 25178-2).
 
 Heights count from their mean; missing points weigh nothing. The field is not taken as periodic: spectra are taken
-under a Hann window unless told otherwise.
+under a Hann window by default.
 """
 
 from dataclasses import dataclass

@@ -80,10 +80,10 @@ class Watch:
 
     Args:
         stop: stops all axes; called in the thread of the watch.
-        cancel: set by whoever wants the acquisition to end.
+        cancel: set to end the acquisition.
 
     Attributes:
-        halted: set once the rig was told to stop; long waits of the acquisition wait for it.
+        halted: set when the rig receives the stop command; long waits of the acquisition wait for it.
     """
 
     def __init__(self, stop: Callable[[], object], cancel: threading.Event) -> None:
@@ -154,7 +154,7 @@ def run_plan(
         plan: what to photograph.
         rig: an opened rig.
         folder: where to write; made if missing.
-        on_progress: is told what happens.
+        on_progress: receives the progress.
         cancel: setting it, from any thread, stops the axes at once and ends the acquisition with a `RigError`.
 
     Returns:

@@ -56,7 +56,7 @@ def find_device(pylon: Any, serial: str, name: str) -> Any:
     """Create the device with a serial number, a user-defined name, or both; the only one if neither is given.
 
     Raises:
-        NotConnected: no such camera, more than one, or somebody else uses it; those that are there are listed.
+        NotConnected: no such camera, more than one, or in use elsewhere; the cameras found are listed.
     """
     try:
         return _create(pylon.TlFactory.GetInstance(), serial, name)
@@ -346,7 +346,7 @@ class BaslerCamera:
 
         Raises:
             RigFileError: an option that makes no sense.
-            NotConnected: no such camera, or somebody else uses it.
+            NotConnected: no such camera, or in use elsewhere.
             CameraError: pypylon is not installed, or the camera refuses a setting.
         """
         if pixel_format not in BITS:

@@ -27,7 +27,7 @@ class AlwaysOn:
         """Prompt to remove the cover if it is on.
 
         Raises:
-            RigError: nobody is there to do it.
+            RigError: no operator.
         """
         if self._covered:
             self._request("take the cover off the lens")
@@ -37,7 +37,7 @@ class AlwaysOn:
         """Prompt to cover the lens unless it is covered.
 
         Raises:
-            RigError: nobody is there to do it, so that it does not get dark.
+            RigError: no operator, so that it does not get dark.
         """
         if not self._covered:
             self._request("the light of this rig cannot be switched off: cover the lens")

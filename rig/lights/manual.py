@@ -10,7 +10,7 @@ class ManualLight:
 
     Args:
         prompt: shows a request to the operator and returns when it was met; in the terminal it raises `RigError` where
-            nobody can answer, because a dark frame in the light would be subtracted as if it were dark.
+            no operator can answer, because a dark frame in the light would be subtracted as if it were dark.
     """
 
     asks = True

@@ -138,7 +138,7 @@ class SerialLight:
 
     Raises:
         NotConnected: no such port, or silence.
-        ProtocolError: somebody else answers.
+        ProtocolError: another device answers.
         RigError: an option is out of range.
     """
 

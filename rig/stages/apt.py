@@ -1,7 +1,7 @@
 """Driver for Thorlabs APT rotation stages: K10CR1, and KDC101 with a PRM1-Z8; binary at 115200 baud with RTS/CTS.
 
-The controller tells its model, and the model the scale; it answers questions while it moves, says when a motion has
-ended, and knows whether it was homed since power-up, so that a new connection may find the stage homed. One
+The controller reports its model, which determines the scale; it answers queries while it moves, reports the end of a
+motion, and knows whether it was homed since power-up, so that a new connection may find the stage homed. One
 controller is one port. Source: Thorlabs APT communications protocol.
 
 How Thorlabs APT controllers count: steps and speeds, by model and actuator.
@@ -284,7 +284,7 @@ class AptLine:
 
 STOPS = {"profiled": STOP_PROFILED, "immediate": STOP_IMMEDIATE}
 FIRST_PAUSE_S = 0.002
-# A controller that was told to search its reference may take so long to say that it does.
+# A controller may take so long to report that its reference search has begun.
 HOMING_BEGINS_S = 0.5
 
 
@@ -305,8 +305,8 @@ class Apt(PortStage):
         stop: ``profiled`` slows down on the ramp of a move; ``immediate`` does not, and a stepper may lose steps.
 
     Raises:
-        NotConnected: nobody answers.
-        ProtocolError: somebody answers, but it is no APT controller.
+        NotConnected: no answer.
+        ProtocolError: the device that answers is no APT controller.
         RigError: an option is wrong, or the scale of the stage is not known.
     """
 
@@ -366,7 +366,7 @@ class Apt(PortStage):
         self._line.send(Message(IDENTIFY, (CHANNEL, 0)))
 
     def _identify(self) -> DeviceInfo:
-        # Updates of somebody who used the controller before would only be in the way.
+        # Updates requested by an earlier host would only interfere.
         self._line.send(Message(HW_STOP_UPDATES))
         return DeviceInfo.parse(self._line.query(Message(HW_REQ_INFO), HW_GET_INFO).data)
 
@@ -425,7 +425,7 @@ class Apt(PortStage):
         self._seen_homing = self._seen_homing or status.homing
         if not status.moving and self._is_over(status):
             return False
-        # Short moves end soon; of long ones nobody has to ask often, because their end is announced.
+        # Short moves end soon; long ones need few queries, because their end is announced.
         self._line.wait_for_end(min(wait_s, self._pause_s))
         self._pause_s = min(2.0 * self._pause_s, POLL_S)
         return True

@@ -307,8 +307,8 @@ class Elliptec(PortStage):
         min_deg, max_deg: limits in degrees; by default 0 and the travel that the device reports.
 
     Raises:
-        NotConnected: nobody answers at this address.
-        ProtocolError: somebody answers, but it is no Elliptec rotation stage.
+        NotConnected: no answer at this address.
+        ProtocolError: the device that answers is no Elliptec rotation stage.
     """
 
     PORT: ClassVar = {"baudrate": 9600}
@@ -433,7 +433,7 @@ class Elliptec(PortStage):
             self._last_motion_end = time.monotonic()
             raise error_of_status(self.name, answer.status, "moving")
         if answer.status is None and not self._near(answer):
-            # Somebody's unasked-for position, or the end of the motion at a wrong place: the status tells.
+            # An unsolicited position, or the end of the motion at a wrong place: the status decides.
             self._polling = True
             return True
         self._last_motion_end = time.monotonic()

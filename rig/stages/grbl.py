@@ -3,7 +3,7 @@
 Scale, speed, acceleration and travel are read from the board, where 1 mm stands for 1°. Moves are jogs in machine
 coordinates: they leave the modes of the G-code parser alone, and a jog that is cancelled keeps its position. An
 ``ok`` only says that a move was queued: an axis has arrived when the board is idle and counts the target. The
-motors have no feedback: steps that are lost without a limit switch are seen by nobody but the camera.
+motors have no feedback: steps that are lost without a limit switch are visible to the camera only.
 Source: interface description of Grbl 1.1.
 """
 
@@ -224,8 +224,8 @@ class Grbl(GrblAxis):
         min_deg, max_deg: limits in degrees; by default the travel that the board knows.
 
     Raises:
-        NotConnected: nobody answers.
-        ProtocolError: somebody answers, but it is no Grbl 1.1.
+        NotConnected: no answer.
+        ProtocolError: the device that answers is no Grbl 1.1.
         RigError: the board has no such axis.
     """
 

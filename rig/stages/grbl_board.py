@@ -181,8 +181,8 @@ class GrblBoard(GrblTalk):
         homings: how often a reference search ended.
 
     Raises:
-        NotConnected: nobody answers.
-        ProtocolError: somebody answers, but it is no Grbl 1.1.
+        NotConnected: no answer.
+        ProtocolError: the device that answers is no Grbl 1.1.
     """
 
     def __init__(self, transport: Transport, timeout_s: float, reset_s: float) -> None:

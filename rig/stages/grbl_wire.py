@@ -126,9 +126,9 @@ class Status:
     Attributes:
         state: Idle, Run, Hold, Jog, Alarm, Door, Check, Home, Sleep.
         substate: what kind of Hold or Door; 0 without.
-        machine, work: position in machine and in work coordinates; the board tells one of them.
-        offset: machine position of the work origin, if this report tells it.
-        free: moves and bytes that the board still takes, if it tells.
+        machine, work: position in machine and in work coordinates; the board reports one of them.
+        offset: machine position of the work origin, if this report holds it.
+        free: moves and bytes that the board still accepts, if reported.
         feed: present rate.
         pins: letters of the switches that are closed.
     """

@@ -84,7 +84,7 @@ class ManualStage:
 
         Raises:
             LimitExceeded: outside of the limits.
-            RigError: nobody answers.
+            RigError: the operator does not answer.
         """
         low, high = self.limits_deg
         if not (math.isfinite(angle_deg) and low <= angle_deg <= high):

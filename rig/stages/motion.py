@@ -118,7 +118,7 @@ class StageBase(ABC):
         Raises:
             NotHomed: no reference search yet, or the reference was lost.
             LimitExceeded: the target is outside the limits; nothing was sent.
-            MotionTimeout: not there in the time that the distance needs; the stage was told to stop.
+            MotionTimeout: not there in the time that the distance needs; the stage was stopped.
         """
         with self._one_motion():
             return self._move_to(angle_deg)

@@ -33,7 +33,7 @@ class PortStage(StageBase):
 
         Raises:
             TypeError: an option that the driver does not know; the port is not touched.
-            NotConnected: no such port, it is in use, or nobody answers.
+            NotConnected: no such port, it is in use, or no answer.
             ProtocolError, RigError: as for the class.
         """
         settings = {name: options.pop(name, usual) for name, usual in cls.PORT.items()}

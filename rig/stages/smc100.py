@@ -1,6 +1,6 @@
 """Driver for rotation stages on Newport SMC100 and CONEX controllers: 57600 or 921600 baud, several on a line.
 
-The controller works in degrees, and tells limits, speed and resolution. Commands are not answered: the driver asks
+The controller works in degrees, and reports limits, speed and resolution. Commands are not answered: the driver asks
 for the error after each. A new home search needs a restart of the controller, because a referenced one refuses
 it. The reference survives a new connection. Source: Newport SMC100CC/PP user's manual.
 
@@ -258,14 +258,14 @@ class Smc100(PortStage):
         timeout_s: time in seconds for the answer to a question.
         restart_s: time in seconds that the controller may need to restart before a second home search.
         tolerance_deg: a stage this near to the target has arrived.
-        resolution_deg: smallest step; by default the encoder increment that the controller tells.
+        resolution_deg: smallest step; by default the encoder increment that the controller reports.
         velocity_deg_s: speed to compute time limits from; by default the one that is set in the controller.
         margin_s: seconds added to every computed time limit.
         min_deg, max_deg: limits in degrees; by default those of the controller.
 
     Raises:
-        NotConnected: nobody answers at this address.
-        ProtocolError: somebody answers, but it is no such controller.
+        NotConnected: no answer at this address.
+        ProtocolError: the device that answers is no such controller.
     """
 
     PORT: ClassVar = {"baudrate": 57600, "xonxoff": True}

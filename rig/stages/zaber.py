@@ -282,7 +282,7 @@ class ZaberLine:
                     raise ProtocolError(f"{self.name} sends only garbage; check port and baud rate")
             elif reply.device != self.device:
                 self._stranger = reply.device
-            elif (reply.number, reply.axis) == (number, axis):  # others answer what nobody waits for
+            elif (reply.number, reply.axis) == (number, axis):  # others answer earlier commands
                 return reply
         return None
 
@@ -409,8 +409,8 @@ class Zaber(PortStage):
         counts_per_turn: microsteps for 360°, where the device does not know, or behind a gear of your own.
 
     Raises:
-        NotConnected: nobody answers at this address.
-        ProtocolError: somebody answers, but it is no Zaber rotary stage.
+        NotConnected: no answer at this address.
+        ProtocolError: the device that answers is no Zaber rotary stage.
         LimitExceeded: `min_deg` or `max_deg` is beyond what the device allows.
         RigError: the device reports a fault that does not go away.
     """

@@ -28,8 +28,8 @@ class RemoteCamera:
             is rendered, and the very first may have to compile what renders it.
 
     Raises:
-        NotConnected: nobody serves there, or nobody answers.
-        ProtocolError: somebody answers, but not as such a camera does.
+        NotConnected: no server there, or no answer.
+        ProtocolError: the answers are not those of such a camera.
     """
 
     def __init__(self, port: str, *, timeout_s: float = 180.0) -> None:
@@ -220,7 +220,7 @@ def open_camera(
 
     Raises:
         RigFileError: neither a bench nor a port, or both; or the bench file is wrong.
-        NotConnected: nobody serves on the port.
+        NotConnected: no server on the port.
     """
     if (bench is None) == (port is None):
         raise RigFileError("camera.options: a simulated camera needs bench = FILE or port = HOST:PORT")

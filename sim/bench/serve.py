@@ -109,7 +109,7 @@ class PtyServer(Server):
             self._open_pty()  # first, so that a client who notices finds the new port
             _close(*hung_up)
         except BlockingIOError:
-            pass  # nobody reads on the other side: the line is full, and the answer is lost
+            pass  # the other side does not read: the line is full, and the answer is lost
         except OSError as problem:
             if problem.errno != errno.EIO:  # EIO: the last client has gone
                 raise

@@ -78,7 +78,7 @@ def _is_layout(path: Path) -> bool:
         with np.load(path, allow_pickle=False) as file:
             return "tile_class" in file
     except (OSError, ValueError, EOFError):
-        return True  # whoever reads a layout says what is wrong
+        return True  # the reader of the layout reports what is wrong
 
 
 class WaferSample:

@@ -16,7 +16,7 @@ class WaferPart(Part):
         file: what is etched: a design or a layout of dots (as ``anisoscope design`` writes them), an etch mask
             (GDSII), or a height map. It is a tile that is repeated over the sample.
         dot_um: side of a random dot, where the file is a design of one reflectance.
-        dots: how many different dots lie beside each other in the tile of a design, along x and along y.
+        dots: number of different dots in the tile of a design, along x and along y.
         grid_um: of a mask that does not say it.
         passes_nm: depths of the etch passes of a mask that does not say them.
         over_etch_nm: every pass is deeper by this.

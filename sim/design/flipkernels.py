@@ -9,14 +9,14 @@ only rows from ``first`` on are used; the others mirror them.
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.sim.light.compiled import announce, borrowing
+from anisoscope.sim.light.kernel_compilation import jit_kernel, log_compilation
 
-announce()
+log_compilation()
 
 Floats = npt.NDArray[np.float32]
 
 
-@borrowing(fastmath=True, nogil=True)
+@jit_kernel(fastmath=True, nogil=True)
 def windows_along_x(
     real: Floats, imag: Floats, change: tuple[float, float], factor_y: tuple[Floats, Floats],
     factor_x: tuple[Floats, Floats], sizes: tuple[int, int, int], out: Floats, power: Floats,
@@ -50,7 +50,7 @@ def windows_along_x(
                 out[bins - 1 - b, many - 1 - x] = out[b, x]
 
 
-@borrowing(fastmath=True, nogil=True)
+@jit_kernel(fastmath=True, nogil=True)
 def squared_error(
     along_x: Floats, target: Floats, wide: int, scale: float, column: Floats, rest: Floats
 ) -> float:
@@ -74,7 +74,7 @@ def squared_error(
     return total
 
 
-@borrowing(fastmath=True, nogil=True)
+@jit_kernel(fastmath=True, nogil=True)
 def add_change(
     real: Floats, imag: Floats, change: tuple[float, float],
     factor_y: tuple[Floats, Floats], factor_x: tuple[Floats, Floats],
@@ -88,7 +88,7 @@ def add_change(
             imag[q, r] += yr * factor_x[1][r] + yi * factor_x[0][r]
 
 
-@borrowing(fastmath=True, nogil=True)
+@jit_kernel(fastmath=True, nogil=True)
 def try_changes(
     cells: npt.NDArray[np.int64], to: npt.NDArray[np.int64], levels: npt.NDArray[np.int64],
     phase_real: Floats, phase_imag: Floats, real: Floats, imag: Floats,

@@ -1,7 +1,7 @@
 """Etch masks of a layout: GDSII with a cell for every tile and a layer for every pass.
 
 Units are µm with a database grid of 1 nm. A text on layer 0 of the top cell says the schema, the depths and the grid,
-so that the file can be read back without anything beside it.
+so that the file can be read back without further files.
 """
 
 import json

@@ -38,7 +38,7 @@ def read_gds(
         passes_nm: depth of the pass of layer 1, 2, …; of files of ours as they say.
 
     Raises:
-        ConfigError: no GDSII, no polygons, or depths or a grid that nobody says.
+        ConfigError: no GDSII, no polygons, or depths or a grid that are given nowhere.
         HeightMapError: a window outside the drawing, or too large.
     """
     top, header = _opened(path)

@@ -151,7 +151,7 @@ def make_layout(
         designs: of every class.
         rng: source of randomness.
         options: how; the defaults of `PatternOptions`.
-        on_progress: told after every tile.
+        on_progress: called after every tile.
 
     Raises:
         ModelError: more classes than designs, designs that do not go together, or a pattern larger than a wafer.

@@ -271,7 +271,7 @@ def refine(
         limits: when to stop; 30 s by default.
         method: genetic search, polish of one dot, or both.
         population: m, dots that the genetic search keeps; 2 or more.
-        on_progress: told along the way.
+        on_progress: called along the way.
         clock: seconds that pass.
 
     Raises:

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from numba import njit
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.sim.light.compiled import borrowing
+from anisoscope.sim.light.kernel_compilation import jit_kernel
 from anisoscope.sim.light.kernels import (
     EDGE,
     around_edge,
@@ -35,7 +35,7 @@ Marks = npt.NDArray[np.bool_]
 THIRD = 1.0 / 3.0  # in these loops a division costs as much as ten products
 
 
-@borrowing(inline="always")
+@jit_kernel(inline="always")
 def projected(gx: float, gy: float) -> tuple[float, float]:
     """Coordinates of a normal (−gx, −gy, 1): twice its stereographic projection, about the slopes near the level."""
     scale = 2.0 / (1.0 + math.sqrt(1.0 + gx * gx + gy * gy))
@@ -50,7 +50,7 @@ def slopes_at(u: FloatArray, v: FloatArray) -> FloatArray:
     return np.stack([scale * u, scale * v], axis=-1)
 
 
-@borrowing(nogil=True, error_model="numpy")
+@jit_kernel(nogil=True, error_model="numpy")
 def steepest(z: Floats, first: int, last: int, slopes: Floats) -> None:
     """Least and greatest rise from column to column and from row to row, for every column of some rows of cells.
 
@@ -74,7 +74,7 @@ def steepest(z: Floats, first: int, last: int, slopes: Floats) -> None:
                 slopes[3, c] = rise if rise > slopes[3, c] else slopes[3, c]  # noqa: FURB136
 
 
-@borrowing(nogil=True, error_model="numpy")
+@jit_kernel(nogil=True, error_model="numpy")
 def normals(
     z: FloatArray,
     pixel_x: float,
@@ -190,7 +190,7 @@ def edge_parts(where: Indices, slopes: FloatArray, weights: FloatArray) -> tuple
     return u, v, parts
 
 
-@borrowing(inline="always")
+@jit_kernel(inline="always")
 def cubic(t: float) -> tuple[float, float, float, float]:
     """Lagrange weights of the nodes −1, 0, 1, 2 at 0 ≤ t < 1."""
     before, after, far = t + 1.0, t - 1.0, t - 2.0
@@ -198,7 +198,7 @@ def cubic(t: float) -> tuple[float, float, float, float]:
     return -t * inner * THIRD, before * inner, -0.5 * outer * far, 0.5 * THIRD * outer * after
 
 
-@borrowing(nogil=True, error_model="numpy")
+@jit_kernel(nogil=True, error_model="numpy")
 def count(
     u: Floats, v: Floats, weights: FloatArray, grid: FloatArray, found: FloatArray, cells: Marks
 ) -> None:
@@ -231,7 +231,7 @@ def count(
                 row += np.uintp(1)
 
 
-@borrowing(nogil=True, error_model="numpy")
+@jit_kernel(nogil=True, error_model="numpy")
 def shine_at(
     slopes: FloatArray,
     shine: Shine,
@@ -242,7 +242,7 @@ def shine_at(
         values[n] = shine_of(slopes[n, 0], slopes[n, 1], shine)
 
 
-@borrowing(inline="always")
+@jit_kernel(inline="always")
 def _between(shine: Floats, grid: FloatArray, u: float, v: float) -> float:
     """What a normal shines, from the values at the nodes around it."""
     x, y = (u - grid[0]) * grid[1], (v - grid[2]) * grid[3]
@@ -257,7 +257,7 @@ def _between(shine: Floats, grid: FloatArray, u: float, v: float) -> float:
     return value
 
 
-@borrowing(nogil=True, error_model="numpy")
+@jit_kernel(nogil=True, error_model="numpy")
 def hidden(
     u: Floats,
     v: Floats,
@@ -287,7 +287,7 @@ def hidden(
     return float(total)
 
 
-@borrowing(nogil=True, error_model="numpy")
+@jit_kernel(nogil=True, error_model="numpy")
 def hidden_edges(
     where: Indices,
     slopes: FloatArray,
@@ -312,7 +312,7 @@ def hidden_edges(
     return float(total)
 
 
-@borrowing(nogil=True, error_model="numpy")
+@jit_kernel(nogil=True, error_model="numpy")
 def apart_shine(
     where: Indices,
     slopes: FloatArray,

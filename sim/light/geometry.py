@@ -1,7 +1,7 @@
 """Poses and directions: how sample, light and camera stand to each other.
 
 Sample frame at stage angle 0: z up, ridges along +y, the large facets lean toward +x. The stage turns the
-sample counter-clockwise as the camera sees it. The light stands ``light_angle_deg`` beside the camera, and
+sample counter-clockwise as the camera sees it. The light stands ``light_angle_deg`` from the camera, and
 both tilt together; in which plane is the convention that the ridge paper (Luongo et al. 2017, Fig. 7) leaves
 open. Only ``tilt_plane="perpendicular"`` with the facets facing the light reproduces its findings.
 """

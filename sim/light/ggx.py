@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.sim.light.compiled import announce, borrowing
 from anisoscope.sim.light.horizon import Horizon
+from anisoscope.sim.light.kernel_compilation import jit_kernel, log_compilation
 from anisoscope.sim.light.kernels import (
     _squares,
     _table,
@@ -27,13 +27,13 @@ from anisoscope.sim.light.kernels import (
 from anisoscope.sim.light.relief import Relief
 from anisoscope.sim.light.shine import Shine
 
-announce()
+log_compilation()
 
 ShareArray = npt.NDArray[np.float32]
 Lobe = Literal["beckmann", "ggx"]
 
 
-@borrowing(inline="always")
+@jit_kernel(inline="always")
 def ggx_shine_of(gx: float, gy: float, shine: Shine) -> float:
     """f·cos_i·cos_o per macroscopic area of a facet with slopes (gx, gy), as `kernels.shine_of` but for the lobe."""
     light, camera, half = shine.light, shine.camera, shine.half
@@ -65,7 +65,7 @@ def ggx_shine_of(gx: float, gy: float, shine: Shine) -> float:
     return float(value / camera[2])
 
 
-@borrowing(nogil=True)
+@jit_kernel(nogil=True)
 def ggx_radiance(
     z: FloatArray,
     pixel_x: float,

@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from anisoscope.sim.light.compiled import announce
+from anisoscope.sim.light.kernel_compilation import log_compilation
 
-announce()
+log_compilation()
 
 Floats = npt.NDArray[np.float32]
 

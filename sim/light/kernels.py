@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.sim.light.compiled import announce, borrowing
+from anisoscope.sim.light.kernel_compilation import jit_kernel, log_compilation
 from anisoscope.sim.light.shine import Shine, Vector
 
-announce()
+log_compilation()
 
 ShareArray = npt.NDArray[np.float32]
 
@@ -24,7 +24,7 @@ EDGE = 1.5
 """Difference of the neighbours' slopes from which a facet between them straddles an edge."""
 
 
-@borrowing(inline="always")
+@jit_kernel(inline="always")
 def _lambda(alpha_tan: float) -> float:
     """Smith's Λ of the Beckmann distribution."""
     if alpha_tan < 0.25:
@@ -33,14 +33,14 @@ def _lambda(alpha_tan: float) -> float:
     return max(0.0, 0.5 * (math.exp(-a * a) / (a * math.sqrt(math.pi)) - math.erfc(a)))
 
 
-@borrowing(inline="always")
+@jit_kernel(inline="always")
 def _table(table: FloatArray, cosine: float) -> float:
     position = cosine * (table.size - 1)
     index = min(int(position), table.size - 2)
     return float(table[index] + (position - index) * (table[index + 1] - table[index]))
 
 
-@borrowing(inline="always")
+@jit_kernel(inline="always")
 def _fresnel(cosine: float, index: float) -> float:
     inside = math.sqrt(1.0 - (1.0 - cosine * cosine) / (index * index))
     parallel = (index * cosine - inside) / (index * cosine + inside)
@@ -48,20 +48,20 @@ def _fresnel(cosine: float, index: float) -> float:
     return 0.5 * (parallel * parallel + perpendicular * perpendicular)
 
 
-@borrowing(inline="always")
+@jit_kernel(inline="always")
 def _slope(z: FloatArray, r: int, c: int, pixel_x: float) -> float:
     """Symmetric gradient along x of the facet at (r, c)."""
     return float(0.5 * (z[r, c + 1] - z[r, c] + z[r + 1, c + 1] - z[r + 1, c]) / pixel_x)
 
 
-@borrowing(inline="always")
+@jit_kernel(inline="always")
 def _squares(d: Vector, gx: float, gy: float, steep: float, square: float) -> tuple[float, float]:
     """Squared components of a direction along and across a facet, both times ``square`` and ``steep``."""
     along, across = d[1] + gy * d[2], steep * d[0] - gx * gy * d[1] + gx * d[2]
     return along * along * square, across * across
 
 
-@borrowing(inline="always")
+@jit_kernel(inline="always")
 def shine_of(gx: float, gy: float, shine: Shine) -> float:
     """f·cosθ_i·cosθ_o per macroscopic area of a fully visible facet with slopes (gx, gy).
 
@@ -97,7 +97,7 @@ def shine_of(gx: float, gy: float, shine: Shine) -> float:
     return float(value / camera[2])
 
 
-@borrowing(inline="always")
+@jit_kernel(inline="always")
 def blend(triangles: int, part: int) -> tuple[float, float]:
     """Shares of the first row in the slope along x, and of the first column in the slope along y, of a facet.
 
@@ -109,7 +109,7 @@ def blend(triangles: int, part: int) -> tuple[float, float]:
     return 1.0 - part, (1.0 * part if triangles == 1 else 1.0 - part)
 
 
-@borrowing(inline="always")
+@jit_kernel(inline="always")
 def cell_slopes(
     z: FloatArray, r: int, c: int, pixel_x: float, pixel_y: float, triangles: int, part: int
 ) -> tuple[float, float]:
@@ -120,7 +120,7 @@ def cell_slopes(
     return (south * low + (1.0 - south) * high) / pixel_x, (west * left + (1.0 - west) * right) / pixel_y
 
 
-@borrowing(inline="always")
+@jit_kernel(inline="always")
 def around_edge(z: FloatArray, r: int, c: int, slope: float, pixel_x: float) -> tuple[float, float, float]:
     """Slopes before and after the cell where it straddles a sharp edge across x, and the share of the first; else 1.
 
@@ -138,13 +138,13 @@ def around_edge(z: FloatArray, r: int, c: int, slope: float, pixel_x: float) -> 
     return slope, slope, 1.0
 
 
-@borrowing(inline="always")
+@jit_kernel(inline="always")
 def visible(lit: float, seen: float, same_side: bool) -> float:
     """Share of a facet that is both lit and seen: light and camera leave the same end free, or opposite ends."""
     return min(lit, seen) if same_side else max(0.0, lit + seen - 1.0)
 
 
-@borrowing(inline="always")
+@jit_kernel(inline="always")
 def _reached(
     share: float, before: float, after: float, first: float, gy: float, direction: Vector
 ) -> tuple[float, float]:
@@ -169,7 +169,7 @@ def _reached(
     return (0.0, end) if tx >= 0.0 else (1.0 - end, 1.0)
 
 
-@borrowing(inline="always")
+@jit_kernel(inline="always")
 def split_shares(
     edge: tuple[float, float, float],
     gy: float,
@@ -189,7 +189,7 @@ def split_shares(
     return max(0.0, min(end, first) - start), max(0.0, end - max(start, first))
 
 
-@borrowing(nogil=True)
+@jit_kernel(nogil=True)
 def facet_radiance(
     z: FloatArray,
     pixel_x: float,

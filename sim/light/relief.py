@@ -214,7 +214,7 @@ def radiance(
         to_light: (P, 3) unit vectors in the frame of the sample.
         to_camera: (P, 3) unit vectors in the frame of the sample.
         material: the plastic, with the roughness that the map does *not* resolve.
-        progress: told after each pose.
+        progress: called after each pose.
 
     Returns:
         (P,) values.

@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.sim.light.compiled import borrowing
+from anisoscope.sim.light.kernel_compilation import jit_kernel
 
 HeightArray = npt.NDArray[np.float32]
 Axis = tuple[float, float, float, int]
@@ -35,19 +35,19 @@ def ceilings(z: HeightArray, bulge: HeightArray, period: int) -> HeightArray:
     return np.asarray(np.fmax.reduceat(cells, np.arange(0, columns.size, SIDE), axis=1))
 
 
-@borrowing(inline="always")
+@jit_kernel(inline="always")
 def _to_border(cell: int, side: int) -> int:
     """Grid lines that a ray crosses along one axis before it leaves its block; ``side`` 1: toward larger cells."""
     return SIDE - 1 - (cell & (SIDE - 1)) if side == 1 else cell & (SIDE - 1)
 
 
-@borrowing(inline="always")
+@jit_kernel(inline="always")
 def _crossed(line: float, border: float, step: float, most: int) -> int:
     """Grid lines along one axis up to the way ``border``, of which the next is at the way ``line``."""
     return min(most, int((border - line) * abs(step)) + 1) if line < border else 0
 
 
-@borrowing(inline="always")
+@jit_kernel(inline="always")
 def leap(
     ceiling: HeightArray,
     cell: tuple[int, int],

@@ -141,7 +141,7 @@ def interreflection(
         bounces: largest number of reflections; None follows all.
         paths: paths per direction, from the camera and again from the light; rounded up to 8 times a power
             of two. The standard error falls about as 1/√paths.
-        progress: told how many directions are done.
+        progress: receives the number of completed directions.
 
     Returns:
         (P,) radiances and their standard errors.

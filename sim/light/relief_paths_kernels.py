@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.sim.light.compiled import borrowing
+from anisoscope.sim.light.kernel_compilation import jit_kernel
 from anisoscope.sim.light.relief_rays import Terrain, height, meet, slopes
 from anisoscope.sim.light.relief_scatter import (
     GLOSSY,
@@ -63,7 +63,7 @@ class Course(NamedTuple):
     ahead: bool
 
 
-@borrowing(inline="always")
+@jit_kernel(inline="always")
 def _draw(draws: Draws, dimension: int) -> float:
     """Coordinate 0 ≤ u < 1: of the shifted lattice, and beyond its dimensions of a hash."""
     if dimension < GENERATOR.size:
@@ -78,7 +78,7 @@ def _draw(draws: Draws, dimension: int) -> float:
     return float(key >> np.uint64(11)) / 9007199254740992.0
 
 
-@borrowing()
+@jit_kernel()
 def _leave(view: Vector, plastic: Plastic, draws: Draws, dimension: int) -> Vector:
     """A local direction: the mirror image of ``view`` in a random microfacet, or of cosine density."""
     choice, turn = _draw(draws, dimension), 2.0 * math.pi * _draw(draws, dimension + 1)
@@ -93,12 +93,12 @@ def _leave(view: Vector, plastic: Plastic, draws: Draws, dimension: int) -> Vect
     return twice * hu - view[0], twice * hv - view[1], twice - view[2]
 
 
-@borrowing(inline="always")
+@jit_kernel(inline="always")
 def _open(terrain: Terrain, place: Vector, cell: tuple[int, int], way: Vector) -> bool:
     return not meet(terrain, place, cell, way)[0]
 
 
-@borrowing(inline="always")
+@jit_kernel(inline="always")
 def _within(terrain: Terrain, place: Vector, beyond_x: float, beyond_y: float) -> bool:
     """Whether a place is within the averaged area, or at most so many columns and rows beyond."""
     x, rows = place[0], terrain.z.shape[0] - 1
@@ -107,14 +107,14 @@ def _within(terrain: Terrain, place: Vector, beyond_x: float, beyond_y: float) -
     return -beyond_x <= x < terrain.span + beyond_x and -beyond_y <= place[1] < rows + beyond_y
 
 
-@borrowing(inline="always")
+@jit_kernel(inline="always")
 def _growth(terrain: Terrain) -> float:
     """Area on which paths from the light begin over that on which paths from the camera do."""
     rows = terrain.z.shape[0] - 1
     return float((1.0 + 2.0 * terrain.beyond_x / terrain.span) * (1.0 + 2.0 * terrain.beyond_y / rows))
 
 
-@borrowing()
+@jit_kernel()
 def _begin(terrain: Terrain, draws: Draws, course: Course) -> tuple[bool, Facet, Vector]:
     """Whether the origin reaches the facet on which a path begins, that facet, and the direction back there."""
     beyond_x, beyond_y = (0.0, 0.0) if course.ahead else (terrain.beyond_x, terrain.beyond_y)
@@ -131,7 +131,7 @@ def _begin(terrain: Terrain, draws: Draws, course: Course) -> tuple[bool, Facet,
     return reached, (frame, place, cell), view
 
 
-@borrowing()
+@jit_kernel()
 def _gather(
     terrain: Terrain,
     plastic: Plastic,
@@ -157,13 +157,13 @@ def _gather(
             sums[end] += weight * carried * value * local[2]
 
 
-@borrowing(inline="always")
+@jit_kernel(inline="always")
 def _survival(share: float, count: int) -> float:
     """Russian roulette; before the fourth facet it would leave glossy-diffuse-glossy light to a few paths."""
     return min(1.0, share) if count > 3 else 1.0
 
 
-@borrowing()
+@jit_kernel()
 def _follow(
     terrain: Terrain,
     plastic: Plastic,
@@ -213,7 +213,7 @@ def _follow(
             _gather(terrain, plastic, facet, view, course, shares, sums)
 
 
-@borrowing(nogil=True)
+@jit_kernel(nogil=True)
 def follow_paths(
     terrain: Terrain,
     plastic: Plastic,

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from anisoscope.sim.light.compiled import borrowing
+from anisoscope.sim.light.kernel_compilation import jit_kernel
 from anisoscope.sim.light.relief_blocks import leap
 
 HeightArray = npt.NDArray[np.float32]
@@ -60,7 +60,7 @@ class Terrain(NamedTuple):
     ceiling: HeightArray
 
 
-@borrowing(inline="always")
+@jit_kernel(inline="always")
 def _columns(terrain: Terrain, col: int) -> tuple[int, int]:
     """Columns of the points left and right of a cell, anywhere along x."""
     if terrain.period > 0:
@@ -70,14 +70,14 @@ def _columns(terrain: Terrain, col: int) -> tuple[int, int]:
     return min(max(col, 0), last), min(max(col + 1, 0), last)
 
 
-@borrowing(inline="always")
+@jit_kernel(inline="always")
 def _rows(terrain: Terrain, row: int) -> tuple[int, int]:
     """Rows of the points below and above a cell, anywhere along y."""
     last = terrain.z.shape[0] - 1
     return min(max(row, 0), last), min(max(row + 1, 0), last)
 
 
-@borrowing(inline="always")
+@jit_kernel(inline="always")
 def _bend(terrain: Terrain, row: int, col: int) -> tuple[float, float]:
     """Bulge and part of a cell, anywhere."""
     rows, cells = terrain.bulge.shape
@@ -110,13 +110,13 @@ def bends(z: HeightArray, period: int, pixel_x: float) -> tuple[HeightArray, Hei
     return bulge, part
 
 
-@borrowing(inline="always")
+@jit_kernel(inline="always")
 def _over_chord(bulge: float, part: float, u: float) -> float:
     """Height of a bent facet over its chord."""
     return bulge * (u / part if u < part else (1.0 - u) / (1.0 - part))
 
 
-@borrowing()
+@jit_kernel()
 def slopes(terrain: Terrain, row: int, col: int, u: float, v: float) -> tuple[float, float]:
     """Slopes along x and y of the facet at the place (u, v) within the cell at (row, col); NaN where missing."""
     z, (r0, r1), (c0, c1) = terrain.z, _rows(terrain, row), _columns(terrain, col)
@@ -135,7 +135,7 @@ def slopes(terrain: Terrain, row: int, col: int, u: float, v: float) -> tuple[fl
     return gx, gy
 
 
-@borrowing()
+@jit_kernel()
 def height(terrain: Terrain, row: int, col: int, u: float, v: float) -> float:
     """Height in µm at (u, v) within a cell; NaN where a point is missing."""
     z, (r0, r1), (c0, c1) = terrain.z, _rows(terrain, row), _columns(terrain, col)
@@ -145,7 +145,7 @@ def height(terrain: Terrain, row: int, col: int, u: float, v: float) -> float:
     return flat + _over_chord(bulge, part, u) if bulge != 0.0 else flat
 
 
-@borrowing()
+@jit_kernel()
 def _meet_bent(
     bend: tuple[float, float], entry: float, leave: float, gap: float, left: float, first: bool
 ) -> tuple[float, float]:
@@ -172,7 +172,7 @@ def _meet_bent(
     return UNMET, lift
 
 
-@borrowing(inline="always")
+@jit_kernel(inline="always")
 def _known(z: HeightArray, rows: tuple[int, int], cols: tuple[int, int]) -> bool:
     """Whether no corner of a cell is missing."""
     return not math.isnan(
@@ -180,7 +180,7 @@ def _known(z: HeightArray, rows: tuple[int, int], cols: tuple[int, int]) -> bool
     )
 
 
-@borrowing(inline="always")
+@jit_kernel(inline="always")
 def _first_line(start: float, cell: int, step: float) -> tuple[int, float, float]:
     """Side on which a ray leaves its cell along one axis (1: the far one), way to it, and from line to line."""
     if step == 0.0:
@@ -189,7 +189,7 @@ def _first_line(start: float, cell: int, step: float) -> tuple[int, float, float
     return side, (cell + side - start) / step, abs(1.0 / step)
 
 
-@borrowing()
+@jit_kernel()
 def meet(
     terrain: Terrain,
     start: tuple[float, float, float],

@@ -7,7 +7,7 @@ import math
 from typing import NamedTuple
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.sim.light.compiled import borrowing
+from anisoscope.sim.light.kernel_compilation import jit_kernel
 from anisoscope.sim.light.kernels import _fresnel, _lambda, _table
 
 Vector = tuple[float, float, float]
@@ -27,13 +27,13 @@ class Plastic(NamedTuple):
     table: FloatArray
 
 
-@borrowing(inline="always")
+@jit_kernel(inline="always")
 def facet_frame(gx: float, gy: float) -> Frame:
     """Slopes of a facet, the length of its normal (−gx, −gy, 1), and of its tangent (0, 1, gy)."""
     return gx, gy, math.sqrt(1.0 + gx * gx + gy * gy), math.sqrt(1.0 + gy * gy)
 
 
-@borrowing(inline="always")
+@jit_kernel(inline="always")
 def to_facet(frame: Frame, d: Vector) -> Vector:
     """Components of a direction along, across and normal to a facet."""
     gx, gy, size, slant = frame
@@ -41,7 +41,7 @@ def to_facet(frame: Frame, d: Vector) -> Vector:
     return (d[1] + gy * d[2]) / slant, across, (d[2] - gx * d[0] - gy * d[1]) / size
 
 
-@borrowing(inline="always")
+@jit_kernel(inline="always")
 def from_facet(frame: Frame, d: Vector) -> Vector:
     """Direction with components along, across and normal to a facet."""
     gx, gy, size, slant = frame
@@ -53,7 +53,7 @@ def from_facet(frame: Frame, d: Vector) -> Vector:
     )
 
 
-@borrowing()
+@jit_kernel()
 def reflectance(a: Vector, b: Vector, plastic: Plastic) -> tuple[float, float]:
     """BRDF [1/sr] between two local directions, and the density [1/sr] of the lobe; both are reciprocal."""
     if a[2] <= 0.0 or b[2] <= 0.0:
@@ -74,7 +74,7 @@ def reflectance(a: Vector, b: Vector, plastic: Plastic) -> tuple[float, float]:
     return value + lobe / (1.0 + _lambda(tan_a) + _lambda(tan_b)), slopes_density / (4.0 * cos_d)
 
 
-@borrowing(inline="always")
+@jit_kernel(inline="always")
 def drawn_density(lobe: float, cosine: float) -> float:
     """Density [1/sr] with which a path draws a direction."""
     return GLOSSY * lobe + (1.0 - GLOSSY) * max(cosine, 0.0) / math.pi

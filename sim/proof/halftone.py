@@ -113,7 +113,7 @@ def halftone(
         image: (rows, cols, 3) 8-bit sRGB, or linear sRGB in float32.
         plan: how colours become coverages.
         method: "mask": void and cluster; "diffusion": vector error diffusion.
-        advance: told how far it is.
+        advance: receives the progress.
 
     Raises:
         ModelError: no such image or method, or more dots than 400 million.

@@ -6,15 +6,15 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.sim.light.compiled import announce, borrowing
+from anisoscope.sim.light.kernel_compilation import jit_kernel, log_compilation
 
-announce()
+log_compilation()
 
 Ranks = npt.NDArray[np.int64]
 Pattern = npt.NDArray[np.bool_]
 
 
-@borrowing()
+@jit_kernel()
 def _change(energy: FloatArray, kernel: FloatArray, size: int, at: int, sign: float) -> None:
     """Add a point's Gaussian to the energies, or take it away, on the torus."""
     width = kernel.shape[0]
@@ -26,7 +26,7 @@ def _change(energy: FloatArray, kernel: FloatArray, size: int, at: int, sign: fl
             energy[r * size + (col + j - reach) % size] += sign * kernel[i, j]
 
 
-@borrowing()
+@jit_kernel()
 def _extreme(energy: FloatArray, pattern: Pattern, tightest: bool) -> int:
     """The point with the most energy (tightest cluster), or the gap with the least (largest void)."""
     found, best = -1, -np.inf
@@ -38,7 +38,7 @@ def _extreme(energy: FloatArray, pattern: Pattern, tightest: bool) -> int:
     return found
 
 
-@borrowing()
+@jit_kernel()
 def rank(points: Pattern, kernel: FloatArray, size: int, energy: FloatArray, order: Ranks) -> None:
     """Ulichney's method: even out the points, number them backwards, then number the gaps forwards.
 
@@ -81,7 +81,7 @@ def rank(points: Pattern, kernel: FloatArray, size: int, energy: FloatArray, ord
         _change(energy, kernel, size, void, 1.0)
 
 
-announce()
+log_compilation()
 
 Float32 = npt.NDArray[np.float32]
 Int64 = npt.NDArray[np.int64]
@@ -95,7 +95,7 @@ OUTSIDE, TOO_BRIGHT = 0, 1
 INKS = 3
 
 
-@borrowing(inline="always", fastmath=True)
+@jit_kernel(inline="always", fastmath=True)
 def _residual(colours: Float32, weights: Weights, aim: Float32) -> Scalar:
     """Squared distance between a mixture of inks and the colour aimed at."""
     total: Scalar = ZERO
@@ -107,7 +107,7 @@ def _residual(colours: Float32, weights: Weights, aim: Float32) -> Scalar:
     return total
 
 
-@borrowing(fastmath=True)
+@jit_kernel(fastmath=True)
 def _mixture(aim: Float32, colours: Float32, solvers: Float32) -> tuple[Weights, Scalar]:
     """Non-negative least squares of three unknowns, and the squared distance that is left.
 
@@ -130,7 +130,7 @@ def _mixture(aim: Float32, colours: Float32, solvers: Float32) -> tuple[Weights,
     return found, best
 
 
-@borrowing(nogil=True)
+@jit_kernel(nogil=True)
 def separate(
     linear: Float32, colours: Float32, solvers: Float32, tolerance: float, cover: Float32, counts: Int64
 ) -> None:
@@ -160,7 +160,7 @@ def separate(
                 cover[r, c, k] = weights[k] * scale
 
 
-@borrowing(nogil=True)
+@jit_kernel(nogil=True)
 def limit_sum(cover: Float32, counts: Int64) -> None:
     """Scale sums of coverages above 1 down to 1, in place; ``counts`` as for :func:`separate`."""
     for r in range(cover.shape[0]):
@@ -173,7 +173,7 @@ def limit_sum(cover: Float32, counts: Int64) -> None:
                     cover[r, c, k] /= total
 
 
-@borrowing(nogil=True)
+@jit_kernel(nogil=True)
 def screen(cover: Float32, thresholds: Float32, first_row: int, dots: Dots) -> None:
     """Dot off dot: the k-th ink where the threshold lies between the sums of coverages before and after it.
 
@@ -194,7 +194,7 @@ def screen(cover: Float32, thresholds: Float32, first_row: int, dots: Dots) -> N
             dots[r, c] = (threshold < three) * (1 + (threshold >= one) + (threshold >= two))
 
 
-@borrowing(nogil=True)
+@jit_kernel(nogil=True)
 def diffuse(cover: Float32, first_row: int, error: Float32, dots: Dots) -> None:
     """Vector error diffusion: the nearest of no ink and the three inks; Floyd and Steinberg's weights, serpentine.
 
@@ -240,7 +240,7 @@ def diffuse(cover: Float32, first_row: int, error: Float32, dots: Dots) -> None:
             c += step
 
 
-@borrowing(nogil=True)
+@jit_kernel(nogil=True)
 def count_blocks(
     cover: Float32, dots: Dots, block: int, aimed: npt.NDArray[np.float64], printed: Int64
 ) -> None:

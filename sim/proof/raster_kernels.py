@@ -6,14 +6,14 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.sim.light.compiled import announce, borrowing
+from anisoscope.sim.light.kernel_compilation import jit_kernel, log_compilation
 
-announce()
+log_compilation()
 
 IntArray = npt.NDArray[np.int64]
 
 
-@borrowing(nogil=True)
+@jit_kernel(nogil=True)
 def draw(
     point: FloatArray, vertex: FloatArray, triangles: IntArray, depth: FloatArray, result: FloatArray
 ) -> None:

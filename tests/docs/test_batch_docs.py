@@ -9,8 +9,8 @@ import pytest
 from anisoscope.cli import app
 from anisoscope.inspection.batch.tray import read_tray
 from anisoscope.inspection.batch.watch import PartFile
+from anisoscope.sim.bench.bench import printed
 from anisoscope.sim.bench.benchfile import SamplePart
-from anisoscope.sim.bench.partcode import printed
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "batch.md").read_text(encoding="utf-8")
 

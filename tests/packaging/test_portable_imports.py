@@ -55,8 +55,8 @@ GUARDED = {
     ("sim/bench/serve.py", "os.ttyname"): "likewise",
     ("inspect/inspection/folder.py", "fcntl"): "where it is missing, the folder is not locked",
     ("rig/portholder.py", "os.getuid"): "behind hasattr(os, 'getuid')",
-    ("profiles/files/guarded.py", "resource"): "on Linux only; elsewhere the parent limits time",
-    ("profiles/files/guarded.py", "signal.setitimer"): "likewise",
+    ("profiles/files/decoder_worker.py", "resource"): "on Linux only; elsewhere the parent limits time",
+    ("profiles/files/decoder_worker.py", "signal.setitimer"): "likewise",
 }
 _FOLDERS = ("inspect", "rig", "profiles", "sim")
 MODULES = sorted(path for folder in _FOLDERS for path in (ROOT / folder).rglob("*.py"))

@@ -374,7 +374,7 @@ class AptFirmware(SimulatedDevice):
         elif self._doing is Motion.MOVE:
             self._slipped = self._target - self.motor.counts
             self._end()
-        # A stepper that searches its reference goes on slipping until somebody stops it.
+        # A stepper that searches its reference goes on slipping until it is stopped.
 
     def _halt(self) -> None:
         self._doing = None

@@ -41,7 +41,7 @@ class GrblModel:
         settings: its settings as delivered, by number.
         version: firmware release.
         build: date of the firmware.
-        options: letters of the compiled options, as ``$I`` tells them; H homes axes one by one.
+        options: letters of the compiled options, as in the answer to ``$I``; H homes axes one by one.
         resets_on_connect: whether opening the port resets the board (the DTR line of an Arduino).
     """
 

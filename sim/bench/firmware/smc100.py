@@ -92,8 +92,8 @@ class SmcModel:
     """A controller with its stage.
 
     Attributes:
-        stage: name of the stage, as ID tells it.
-        version: as VE tells it.
+        stage: name of the stage, the answer to ID.
+        version: the answer to VE.
         parameters: configuration, by letters; SU is the encoder increment in degrees.
     """
 

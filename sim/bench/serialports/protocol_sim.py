@@ -36,7 +36,7 @@ class Serial(SerialBase):
         """Connect to the device that the URL names.
 
         Raises:
-            SerialException: the URL names no device, or somebody else holds the device.
+            SerialException: the URL names no device, or the device is in use.
         """
         if self.is_open:
             raise SerialException("Port is already open.")

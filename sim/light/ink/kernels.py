@@ -9,9 +9,9 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.sim.light.compiled import announce, borrowing
+from anisoscope.sim.light.kernel_compilation import jit_kernel, log_compilation
 
-announce()
+log_compilation()
 
 Float32 = npt.NDArray[np.float32]
 Vector = tuple[float, float, float]
@@ -26,7 +26,7 @@ SCRATCH = 10
 """Rows of scratch space: the normal's components, cosines to camera and light, place in the table, lobe, colours."""
 
 
-@borrowing(inline="always", fastmath=True)
+@jit_kernel(inline="always", fastmath=True)
 def _smith(slant: float, beckmann: bool) -> float:
     """Smith's Λ for a squared slant (α tanθ)²."""
     if not beckmann:
@@ -37,7 +37,7 @@ def _smith(slant: float, beckmann: bool) -> float:
     return max(ZERO, 0.5 * (math.exp(-a * a) / (a * math.sqrt(math.pi)) - math.erfc(a)))
 
 
-@borrowing(inline="always", fastmath=True)
+@jit_kernel(inline="always", fastmath=True)
 def _density(spread: float, up: float, area: float, beckmann: bool) -> float:
     """D from the spread (x/α_x)² + (y/α_y)² of the half vector, its height, and α_x·α_y."""
     square = up * up
@@ -47,7 +47,7 @@ def _density(spread: float, up: float, area: float, beckmann: bool) -> float:
     return ONE / (PI * area * total * total)
 
 
-@borrowing(fastmath=True)
+@jit_kernel(fastmath=True)
 def _cosines(work: Float32, x: float, y: float, z: float, into: int) -> None:
     """Cosines between the normals of a row and a unit vector."""
     across, down, up, found = work[0], work[1], work[2], work[into]
@@ -55,7 +55,7 @@ def _cosines(work: Float32, x: float, y: float, z: float, into: int) -> None:
         found[c] = across[c] * x + down[c] * y + up[c] * z
 
 
-@borrowing(fastmath=True)
+@jit_kernel(fastmath=True)
 def _places(work: Float32, last: float) -> None:
     """Where in the table the goniochromatic model looks (Eq. 6), cosines cut to [0, 1]."""
     lit, seen, found = work[4], work[3], work[5]
@@ -66,7 +66,7 @@ def _places(work: Float32, last: float) -> None:
         found[c] = max(ZERO, ONE - HALF * (math.sqrt(both) - math.sqrt(neither))) * last
 
 
-@borrowing(fastmath=True)
+@jit_kernel(fastmath=True)
 def _plain_lobe(work: Float32, beam: Float32, alpha: float) -> None:
     """E/4·D·cosθi of the isotropic GGX lobe; 0 where the surface turns away.
 
@@ -85,7 +85,7 @@ def _plain_lobe(work: Float32, beam: Float32, alpha: float) -> None:
         found[c] = scale * lit[c] / max(total * total, FAINT) if faces else ZERO
 
 
-@borrowing(inline="always", fastmath=True)
+@jit_kernel(inline="always", fastmath=True)
 def _turned(x: float, y: float, z: float, beam: Float32, camera: Vector, lobe: Float32, t: Float32) -> Vector:
     """Spread of the half vector, and slants of light and camera, over an anisotropic lobe; t is the tangent."""
     bx, by, bz = y * t[2] - z * t[1], z * t[0] - x * t[2], x * t[1] - y * t[0]
@@ -102,7 +102,7 @@ def _turned(x: float, y: float, z: float, beam: Float32, camera: Vector, lobe: F
     return spread, slant_i, along * along + across * across
 
 
-@borrowing(fastmath=True)
+@jit_kernel(fastmath=True)
 def _any_lobe(
     work: Float32, tangent: Float32, beam: Float32, camera: Vector, lobe: Float32, standard: bool
 ) -> None:
@@ -133,7 +133,7 @@ def _any_lobe(
             work[6, c] = value * cos_i
 
 
-@borrowing(fastmath=True)
+@jit_kernel(fastmath=True)
 def _add_one(work: Float32, share: float, colours: Float32) -> None:
     """Add an ink that covers a row evenly: share · lobe · colour at its place in the table."""
     last = np.int32(colours.shape[0] - 2)
@@ -148,7 +148,7 @@ def _add_one(work: Float32, share: float, colours: Float32) -> None:
         blue[c] += strength * (entry[2] + beyond * entry[5])
 
 
-@borrowing(fastmath=True)
+@jit_kernel(fastmath=True)
 def _add(work: Float32, coverage: Float32, first: int, stop: int, colours: Float32) -> None:
     """Add inks that share one lobe: coverage · lobe · colour at the place in their tables."""
     last, alike = np.int32(colours.shape[1] - 2), coverage.shape[0] == 1
@@ -167,7 +167,7 @@ def _add(work: Float32, coverage: Float32, first: int, stop: int, colours: Float
             blue[c] += strength * (entry[2] + beyond * entry[5])
 
 
-@borrowing()
+@jit_kernel()
 def _take_apart(normal: Float32, work: Float32) -> None:
     """Components of the normals of a row, and no colours yet."""
     x, y, z, red, green, blue = work[0], work[1], work[2], work[7], work[8], work[9]
@@ -176,7 +176,7 @@ def _take_apart(normal: Float32, work: Float32) -> None:
         red[c], green[c], blue[c] = ZERO, ZERO, ZERO
 
 
-@borrowing()
+@jit_kernel()
 def _put_together(work: Float32, result: Float32) -> None:
     """The colours of a row."""
     red, green, blue = work[7], work[8], work[9]
@@ -184,7 +184,7 @@ def _put_together(work: Float32, result: Float32) -> None:
         result[c, 0], result[c, 1], result[c, 2] = red[c], green[c], blue[c]
 
 
-@borrowing(inline="always")
+@jit_kernel(inline="always")
 def _run_end(lobes: Float32, first: int) -> int:
     """Where the run of inks with the same lobe as the first one ends."""
     stop = first + 1
@@ -196,7 +196,7 @@ def _run_end(lobes: Float32, first: int) -> int:
     return stop
 
 
-@borrowing(nogil=True, fastmath=True)
+@jit_kernel(nogil=True, fastmath=True)
 def shade(
     normal: Float32,
     tangent: Float32,

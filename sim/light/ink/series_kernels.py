@@ -9,10 +9,10 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.sim.light.compiled import announce, borrowing
 from anisoscope.sim.light.ink.kernels import FAINT, HALF, ONE, PI, ZERO, Vector
+from anisoscope.sim.light.kernel_compilation import jit_kernel, log_compilation
 
-announce()
+log_compilation()
 
 Float32 = npt.NDArray[np.float32]
 
@@ -21,7 +21,7 @@ SCRATCH = 11
 """Rows of scratch space: normal, roots of 1 ± cosine to the camera, place, lobe, colours, coverage."""
 
 
-@borrowing()
+@jit_kernel()
 def _seen_part(normal: Float32) -> tuple[int, int]:
     """From and to which pixel of a row there is something to see."""
     first, stop = 0, normal.size // 3
@@ -32,7 +32,7 @@ def _seen_part(normal: Float32) -> tuple[int, int]:
     return first, stop
 
 
-@borrowing(fastmath=True)
+@jit_kernel(fastmath=True)
 def _begin(normal: Float32, camera: Vector, work: Float32, count: int) -> None:
     """Components of the normals of a row, what they make of the camera, and no colours yet.
 
@@ -49,7 +49,7 @@ def _begin(normal: Float32, camera: Vector, work: Float32, count: int) -> None:
         red[c], green[c], blue[c] = ZERO, ZERO, ZERO
 
 
-@borrowing(fastmath=True)
+@jit_kernel(fastmath=True)
 def _light(work: Float32, beam: Float32, alpha: float, count: int) -> None:
     """Places (Eq. 6) from −1 to 1, and E/4·D·cosθi of the isotropic GGX lobe; 0 where the surface turns away.
 
@@ -71,7 +71,7 @@ def _light(work: Float32, beam: Float32, alpha: float, count: int) -> None:
         value[c] = scale * lit / max(total * total, FAINT) if far[c] < ONE else ZERO
 
 
-@borrowing(fastmath=True)
+@jit_kernel(fastmath=True)
 def _cover(work: Float32, coverage: Float32, step: int, count: int) -> None:
     """The lobe times a coverage that is every so many numbers."""
     value, covered = work[6], work[10]
@@ -79,7 +79,7 @@ def _cover(work: Float32, coverage: Float32, step: int, count: int) -> None:
         covered[c] = value[c] * coverage[step * c]
 
 
-@borrowing(inline="always", fastmath=True)
+@jit_kernel(inline="always", fastmath=True)
 def _at(t: float, s: Float32) -> float:
     """A polynomial of degree 8 (Horner)."""
     high: float = s[4] + t * (s[5] + t * (s[6] + t * (s[7] + t * s[8])))
@@ -87,7 +87,7 @@ def _at(t: float, s: Float32) -> float:
     return found
 
 
-@borrowing(fastmath=True)
+@jit_kernel(fastmath=True)
 def _add(work: Float32, value: Float32, series: Float32, count: int) -> None:
     """Add the colours of an ink at their places, times a value."""
     place, red, green, blue = work[5], work[7], work[8], work[9]
@@ -98,7 +98,7 @@ def _add(work: Float32, value: Float32, series: Float32, count: int) -> None:
         blue[c] += strength * _at(t, series[2])
 
 
-@borrowing()
+@jit_kernel()
 def _end(work: Float32, result: Float32, count: int) -> None:
     """The colours of a row."""
     red, green, blue = work[7], work[8], work[9]
@@ -106,7 +106,7 @@ def _end(work: Float32, result: Float32, count: int) -> None:
         result[3 * c], result[3 * c + 1], result[3 * c + 2] = red[c], green[c], blue[c]
 
 
-@borrowing(nogil=True)
+@jit_kernel(nogil=True)
 def shade_by_series(
     normal: Float32,
     coverage: Float32,

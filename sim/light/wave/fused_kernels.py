@@ -8,9 +8,9 @@ over |t| ≤ ½; they are off by less than 1e-6.
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.sim.light.compiled import announce, borrowing
+from anisoscope.sim.light.kernel_compilation import jit_kernel, log_compilation
 
-announce()
+log_compilation()
 
 Floats = npt.NDArray[np.float32]
 
@@ -25,7 +25,7 @@ SINE = tuple(
 )
 
 
-@borrowing(nogil=True, error_model="numpy", fastmath=_FAST)
+@jit_kernel(nogil=True, error_model="numpy", fastmath=_FAST)
 def strip(
     height_um: Floats,
     first: int,
@@ -85,7 +85,7 @@ def strip(
                 imaginary[out, c] += w0 * work[4, c] + w1 * work[5, c] + w2 * work[6, c] + w3 * work[7, c]
 
 
-@borrowing(nogil=True, error_model="numpy", fastmath=_FAST | {"reassoc"})
+@jit_kernel(nogil=True, error_model="numpy", fastmath=_FAST | {"reassoc"})
 def gather(
     real: Floats,
     imaginary: Floats,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import HeightMapError
-from anisoscope.profiles.files import guard
+from anisoscope.profiles.files import decoder_process
 from anisoscope.profiles.files.load import read_height_map
 
 LIMIT_S = 5.0  # of this process's own time; the guarded one has a limit of its own
@@ -38,7 +38,7 @@ def little_memory():
 @pytest.fixture(autouse=True)
 def _starting(monkeypatch):
     """Seconds in which the guarded process was started anew do not count as reading."""
-    prepare = guard.GuardedProcess.prepare
+    prepare = decoder_process.GuardedProcess.prepare
 
     def timed(self, kind):
         start = time.process_time()
@@ -46,7 +46,7 @@ def _starting(monkeypatch):
         SPENT.append(time.process_time() - start)
         return found
 
-    monkeypatch.setattr(guard.GuardedProcess, "prepare", timed)
+    monkeypatch.setattr(decoder_process.GuardedProcess, "prepare", timed)
 
 
 def read_or_refuse(path, options):

@@ -29,8 +29,15 @@ from anisoscope.rig.stages.zaber import (
 from anisoscope.rig.transport import Transport
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
 from anisoscope.sim.bench.firmware.device import Bus
-from anisoscope.sim.bench.firmware.zaber import FLAGS, MILD_FLAGS, REASONS, ZaberFirmware
-from anisoscope.sim.bench.firmware.zaber_settings import X_RSB060AD, X_RST120AK, X_RSW60A
+from anisoscope.sim.bench.firmware.zaber import (
+    FLAGS,
+    MILD_FLAGS,
+    REASONS,
+    X_RSB060AD,
+    X_RST120AK,
+    X_RSW60A,
+    ZaberFirmware,
+)
 
 HURRY = {"timeout_s": 0.15, "margin_s": 0.15, "velocity_deg_s": 4000.0, "acceleration_deg_s2": 40000.0}
 COUNT_DEG = 360 / X_RSW60A.counts_per_turn

@@ -7,10 +7,9 @@ from anisoscope.base.errors import RigFileError
 from anisoscope.cli.demo.folder import FIXTURE
 from anisoscope.inspection.batch.codes import read_codes, read_picture
 from anisoscope.rig.frame import Frame, write_frame
-from anisoscope.sim.bench.bench import Bench
+from anisoscope.sim.bench.bench import Bench, printed
 from anisoscope.sim.bench.benchfile import BenchFile, CodePart
 from anisoscope.sim.bench.optics import pixel_from_mm
-from anisoscope.sim.bench.partcode import printed
 
 PLACE = {"x_mm": 1.2, "y_mm": 1.25, "width_mm": 0.8}
 

@@ -6,8 +6,15 @@ from anisoscope.base.errors import UsageError
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
 from anisoscope.sim.bench.firmware.catalogue import Mount, build
 from anisoscope.sim.bench.firmware.device import Bus
-from anisoscope.sim.bench.firmware.zaber import Command, ZaberFirmware, frame, lrc
-from anisoscope.sim.bench.firmware.zaber_settings import MODELS, X_RST120AK, X_RSW60A
+from anisoscope.sim.bench.firmware.zaber import (
+    MODELS,
+    X_RST120AK,
+    X_RSW60A,
+    Command,
+    ZaberFirmware,
+    frame,
+    lrc,
+)
 
 
 class Clock:

@@ -7,8 +7,7 @@ import pytest
 
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
 from anisoscope.sim.bench.firmware.device import Bus
-from anisoscope.sim.bench.firmware.zaber import ZaberFirmware
-from anisoscope.sim.bench.firmware.zaber_settings import X_RST120AK, X_RSW60A
+from anisoscope.sim.bench.firmware.zaber import X_RST120AK, X_RSW60A, ZaberFirmware
 from anisoscope.sim.bench.serve import TcpServer
 
 WHY = "the maker's client is not installed: pip install zaber-motion"

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import ModelError
-from anisoscope.sim.light.ink.albedo import albedo_warning, directional_albedo
 from anisoscope.sim.light.ink.angles import in_plane
-from anisoscope.sim.light.ink.model import MODELS, brdf, brdf_at_angles
+from anisoscope.sim.light.ink.model import MODELS, albedo_warning, brdf, brdf_at_angles, directional_albedo
 
 
 def test_a_factor_for_a_brdf_is_317_percent(make_ink):

@@ -1,6 +1,6 @@
 """Run other people's decoders so that a damaged file can neither hang, crash, flood nor print.
 
-One process (:mod:`anisoscope.profiles.files.guarded`) is started when the first file needs it, kept for the next
+One process (:mod:`anisoscope.profiles.files.decoder_worker`) is started when the first file needs it, kept for the next
 ones, and replaced when a file has stopped it. Heights come back as an npy file.
 """
 
@@ -30,7 +30,7 @@ PATIENCE = 10.0
 """Times so long may reading take on a machine that does other things as well."""
 BYTES_PER_SECOND = 2**20
 ADVICE = "the file is damaged, or of a kind that this reader does not know; export x3p"
-COMMAND = [sys.executable, "-P", "-m", "anisoscope.profiles.files.guarded"]
+COMMAND = [sys.executable, "-P", "-m", "anisoscope.profiles.files.decoder_worker"]
 ONE_THREAD = {
     "OPENBLAS_NUM_THREADS": "1",
     "OMP_NUM_THREADS": "1",

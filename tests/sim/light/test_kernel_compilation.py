@@ -1,6 +1,6 @@
 import os
 
-from anisoscope.sim.light.compiled import forget_stale
+from anisoscope.sim.light.kernel_compilation import remove_stale
 
 
 def test_kernels_older_than_any_source_are_forgotten(tmp_path):
@@ -12,11 +12,11 @@ def test_kernels_older_than_any_source_are_forgotten(tmp_path):
     for name, age in (("outer.f-1.py311.nbi", 200), ("inner.g-1.py311.nbi", 50)):
         (cache / name).touch()
         os.utime(cache / name, (1e9 - age, 1e9 - age))
-    forget_stale(tmp_path)
+    remove_stale(tmp_path)
     assert [path.name for path in cache.iterdir()] == ["inner.g-1.py311.nbi"]
 
 
 def test_a_folder_without_cache_is_no_trouble(tmp_path):
-    forget_stale(tmp_path / "nowhere")
+    remove_stale(tmp_path / "nowhere")
     (tmp_path / "a.py").touch()
-    forget_stale(tmp_path)
+    remove_stale(tmp_path)

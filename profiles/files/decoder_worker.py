@@ -1,4 +1,4 @@
-"""The process in which other people's decoders run: ``python -m anisoscope.profiles.files.guarded``.
+"""The process in which other people's decoders run: ``python -m anisoscope.profiles.files.decoder_worker``.
 
 It answers requests, one JSON line each on standard input, with one line each on what was standard output when it
 began; what a decoder prints goes to the null device. Where the kernel can limit memory and time of a process it

@@ -13,19 +13,19 @@ from typing import Any, TypeVar
 from numba import njit
 from numba.core import event
 
-BORROWED: dict[str, Any] = {"_nrt": False}
+NO_REFERENCE_COUNT: dict[str, Any] = {"_nrt": False}
 """Option of kernels that allocate nothing: references to the arrays given are not counted."""
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
-def borrowing(**options: Any) -> Callable[[Function], Function]:  # noqa: ANN401 - numba's options
+def jit_kernel(**options: Any) -> Callable[[Function], Function]:  # noqa: ANN401 - numba's options
     """`numba.njit`, cached on disk, for kernels that allocate nothing: what they are given they only borrow.
 
     Otherwise numba counts references to every array at every call and return, and threads that share arrays wait
     for each other's counts, which is most of the time of short kernels.
     """
-    decorator: Callable[[Function], Function] = njit(cache=True, **options, **BORROWED)
+    decorator: Callable[[Function], Function] = njit(cache=True, **options, **NO_REFERENCE_COUNT)
     return decorator
 
 
@@ -52,15 +52,15 @@ class _Announcer(event.Listener):
 _announcer = _Announcer()
 
 
-def announce() -> None:
+def log_compilation() -> None:
     """Log a warning at the first compilation from now on; asking twice changes nothing."""
     if not _announcer.listening:
         _announcer.listening = True
-        forget_stale(Path(__file__).parent)
+        remove_stale(Path(__file__).parent)
         event.register("numba:compile", _announcer)  # type: ignore[no-untyped-call]
 
 
-def forget_stale(folder: Path) -> None:
+def remove_stale(folder: Path) -> None:
     """Forget kernels that were compiled before the newest source file of a folder was written.
 
     Where the folder cannot be written, numba keeps its kernels elsewhere; sources do not change there one by one.

@@ -7,12 +7,12 @@ import time
 import pytest
 
 from anisoscope.base.errors import HeightMapError
-from anisoscope.profiles.files import guard
+from anisoscope.profiles.files import decoder_process
 
 MISBEHAVING = """
     import os, sys, time
     import numpy as np
-    from anisoscope.profiles.files import guarded
+    from anisoscope.profiles.files import decoder_worker
 
     def hang(request):
         while True:
@@ -36,29 +36,29 @@ MISBEHAVING = """
     def leave(request):
         sys.exit("no")
 
-    guarded.DECODERS.update(hang=hang, sleep=sleep, die=die, swell=swell, shout=shout, leave=leave)
-    guarded._prepare = lambda kind: "misbehaving 1"
-    guarded.main()
+    decoder_worker.DECODERS.update(hang=hang, sleep=sleep, die=die, swell=swell, shout=shout, leave=leave)
+    decoder_worker._prepare = lambda kind: "misbehaving 1"
+    decoder_worker.main()
 """
 
 
 @pytest.fixture
 def decode(tmp_path, monkeypatch):
-    """``guard.decode`` with a process of its own whose decoders misbehave."""
+    """``decoder_process.decode`` with a process of its own whose decoders misbehave."""
     script = tmp_path / "misbehaving.py"
     script.write_text(textwrap.dedent(MISBEHAVING))
-    keeper = guard._Keeper()
-    monkeypatch.setattr(guard, "COMMAND", [sys.executable, str(script)])
-    monkeypatch.setattr(guard, "_keeper", keeper)
+    keeper = decoder_process._Keeper()
+    monkeypatch.setattr(decoder_process, "COMMAND", [sys.executable, str(script)])
+    monkeypatch.setattr(decoder_process, "_keeper", keeper)
     (tmp_path / "a.sur").write_bytes(b"DIGITAL SURF")
-    yield lambda kind: guard.decode(kind, tmp_path / "a.sur")
+    yield lambda kind: decoder_process.decode(kind, tmp_path / "a.sur")
     keeper.drop()
 
 
 def test_a_decoder_that_hangs_is_stopped_and_the_next_file_is_read(decode, monkeypatch):
     start = time.monotonic()
     with monkeypatch.context() as patch, pytest.raises(HeightMapError, match="reading: the decoder stopped"):
-        patch.setattr(guard, "SECONDS", 0.3)
+        patch.setattr(decoder_process, "SECONDS", 0.3)
         decode("hang")
     assert time.monotonic() - start < 60.0  # the decoder would hang for ever
     _, raw = decode("shout")
@@ -67,7 +67,7 @@ def test_a_decoder_that_hangs_is_stopped_and_the_next_file_is_read(decode, monke
 
 def test_a_decoder_that_waits_for_ever_is_not_waited_for(decode, monkeypatch):
     with monkeypatch.context() as patch, pytest.raises(HeightMapError, match="the decoder stopped"):
-        patch.setattr(guard, "SECONDS", 0.02)
+        patch.setattr(decoder_process, "SECONDS", 0.02)
         decode("sleep")
     assert decode("shout")[1].shape == (3, 3)
 
@@ -97,10 +97,10 @@ def test_nothing_that_a_decoder_prints_is_seen(decode, capfd):
 
 def test_the_process_is_kept_and_its_folder_removed(decode, monkeypatch):
     decode("shout")
-    process = guard._keeper.process
+    process = decoder_process._keeper.process
     decode("shout")
-    assert guard._keeper.process is process
+    assert decoder_process._keeper.process is process
     assert not list(process.folder.iterdir())
-    guard._keeper.drop()
+    decoder_process._keeper.drop()
     assert not process.folder.exists()
     assert process.process.returncode is not None
