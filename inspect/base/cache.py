@@ -168,7 +168,8 @@ class Cache:
         Args:
             kind: what it is, such as "signatures"; a name that can be a folder's.
             given: all that it is computed from, as JSON.
-            modules: the modules that compute and pack it, mostly ``__name__``.
+            modules: the modules that compute and pack it, mostly ``__name__``; also those that are found through entry
+                points, which no import statement names.
             libraries: distributions whose versions count.
         """
         place = self._place()
