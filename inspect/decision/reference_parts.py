@@ -160,7 +160,7 @@ def _hashed(recipe: SurfaceRecipe, acquisition: dict[str, Any]) -> str:
 
 
 def kept_set(path: Path, model: type[Kept], what: str) -> Kept | None:
-    """A file of golden parts or prints, or None where there is none.
+    """A file of golden reference parts, or None where there is none.
 
     Raises:
         CalibrationError: the file is damaged.
@@ -232,7 +232,7 @@ def add_part(known: GoldenSet | None, recipe: SurfaceRecipe, record: Record) -> 
 
 
 def write_golden(path: Path, golden: BaseModel) -> None:
-    """Write the set, of parts or of prints, all or nothing.
+    """Write the set of reference parts, all or nothing.
 
     Raises:
         RecordError: the folder cannot be written.

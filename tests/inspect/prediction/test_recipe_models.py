@@ -8,7 +8,7 @@ import pytest
 from anisoscope.base.errors import HeightMapError, RecipeError
 from anisoscope.prediction import recipe_models as models
 from anisoscope.prediction.cache import _unpacked, packed
-from anisoscope.prediction.expectation import expectation
+from anisoscope.prediction.expectation import PLASTIC, expectation
 from anisoscope.prediction.optics_selection import Rig, Wanted, predict_with_optics
 from anisoscope.prediction.predict import predict_design
 from anisoscope.prediction.sensitivity import Shape
@@ -123,6 +123,6 @@ def test_lamp_and_lens_of_the_recipe_are_those_of_the_prediction(make_recipe):
 def test_the_choice_is_kept_with_the_prediction(make_recipe, waves):
     recipe = narrow(make_recipe)
     found = waves(make_recipe)
-    again = _unpacked(packed(found), recipe, 10.0)
+    again = _unpacked(packed(found), recipe, 10.0, PLASTIC)
     assert again.optics == found.optics
     assert packed(replace(again, optics=None)) != packed(found)
