@@ -1,12 +1,18 @@
 """The height map: a sampled surface with its scale."""
 
 from dataclasses import dataclass, field, replace
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
+from anisoscope.base.notebook import axes_or_new, html_picture, html_table
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+PICTURE_POINTS = 600  # along the longer side, in a notebook
 
 
 def _owned(height_um: FloatArray) -> FloatArray:
@@ -78,3 +84,43 @@ class HeightMap:
     def with_height(self, height_um: FloatArray, **origin: Any) -> Self:  # noqa: ANN401 - free-form provenance
         """The same grid with other heights; ``origin`` entries are added to the provenance."""
         return replace(self, height_um=height_um, origin={**self.origin, **origin})
+
+    def __repr__(self) -> str:
+        """One line: size, pixel, range of the heights, missing share."""
+        return f"HeightMap({', '.join(f'{name} {text}' for name, text in self._facts())})"
+
+    def _repr_html_(self) -> str:
+        from matplotlib.figure import Figure  # noqa: PLC0415 - slow to import
+
+        figure = Figure(figsize=(5.0, 3.6), layout="constrained")
+        step = max(1, max(self.shape) // PICTURE_POINTS)
+        self._draw(figure.add_subplot(), step)
+        name = str(self.origin.get("file", "height map"))
+        return html_table(name, ("", ""), self._facts()) + html_picture(figure, name)
+
+    def _facts(self) -> list[tuple[str, str]]:
+        rows, cols = self.shape
+        known = self.height_um[np.isfinite(self.height_um)]
+        heights = f"{known.min():.4g} to {known.max():.4g} µm" if known.size else "none measured"
+        return [
+            ("points", f"{rows} × {cols}"),
+            ("pixel", f"{self.pixel_y_um:g} × {self.pixel_x_um:g} µm"),
+            ("heights", heights),
+            ("missing", f"{self.missing_share:.2%}"),
+        ]
+
+    def plot(self, axes: "Axes | None" = None) -> "Axes":
+        """Draw the heights in false colours, x to the right and y up in µm; missing points are white.
+
+        Args:
+            axes: of matplotlib, to draw into; a new figure where they are not given.
+        """
+        return self._draw(axes_or_new(axes), 1)
+
+    def _draw(self, axes: "Axes", step: int) -> "Axes":
+        along_y, along_x = self.extent_um
+        shown = np.ma.masked_invalid(self.height_um[::step, ::step])
+        picture = axes.imshow(shown, origin="lower", extent=(0.0, along_x, 0.0, along_y), cmap="viridis")
+        axes.set(xlabel="x [µm]", ylabel="y [µm]")
+        axes.figure.colorbar(picture, ax=axes, label="height [µm]")
+        return axes

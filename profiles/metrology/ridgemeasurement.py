@@ -1,10 +1,15 @@
 """What is measured on the ridges of a map."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.notebook import axes_or_new, data_frame, html_table
 from anisoscope.profiles.metrology.burrlist import Outlier
-from anisoscope.profiles.metrology.quantity import Quantity
+from anisoscope.profiles.metrology.quantity import Quantity, as_text
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 @dataclass(frozen=True)
@@ -100,3 +105,48 @@ class RidgeMeasurement:
     plateau: bool
     score: float
     mean_ridge: MeanRidge
+
+    def quantities(self) -> dict[str, Quantity]:
+        """All numbers that have an uncertainty, by name."""
+        return {name: value for name, value in vars(self).items() if isinstance(value, Quantity)}
+
+    def __repr__(self) -> str:
+        """One line: pitch, ridge angle, height, how many ridges and burrs."""
+        pitch, angle, height = (
+            " ± ".join(as_text(value)) for value in (self.pitch_um, self.ridge_angle_deg, self.height_um)
+        )
+        return (
+            f"RidgeMeasurement(pitch {pitch} µm, ridge angle {angle}°, height {height} µm, "
+            f"{len(self.ridges)} ridges, {len(self.burrs)} burrs)"
+        )
+
+    def _repr_html_(self) -> str:
+        rows = [(name, *as_text(value)) for name, value in self.quantities().items()]
+        title = f"{len(self.ridges)} ridges, {len(self.burrs)} burrs, {self.missing_share:.2%} missing"
+        return html_table(title, ("quantity", "value", "u"), rows)
+
+    def plot(self, axes: "Axes | None" = None) -> "Axes":
+        """Draw the mean ridge about its wall, and the plane fitted to its facet.
+
+        Args:
+            axes: of matplotlib, to draw into; a new figure where they are not given.
+        """
+        axes, mean = axes_or_new(axes), self.mean_ridge
+        axes.plot(mean.x_um, mean.height_um, label="mean ridge")
+        axes.plot(mean.facet_um, mean.facet_height_um, "--", label="fitted facet")
+        axes.set(xlabel="across the ridges [µm]", ylabel="height [µm]")
+        axes.legend()
+        return axes
+
+    def to_frame(self) -> Any:  # noqa: ANN401 - pandas need not be installed
+        """The numbers as a pandas data frame: quantity, value, u, and bounds where only these are known.
+
+        Raises:
+            UsageError: pandas is not installed.
+        """
+        found = self.quantities()
+        columns = {
+            name: [getattr(one, name) for one in found.values()]
+            for name in ("value", "u", "at_least", "at_most")
+        }
+        return data_frame({"quantity": list(found), **columns})

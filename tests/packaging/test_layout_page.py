@@ -44,6 +44,12 @@ def test_modules_that_a_frame_passes_exist():
         assert importlib.util.find_spec(name) is not None, name
 
 
+def test_every_module_that_contributing_names_exists():
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    for name in set(re.findall(r"`(anisoscope(?:\.[a-z_]+)+)[.`]", text)):
+        assert importlib.util.find_spec(name) is not None, name
+
+
 def test_arrows_that_a_longer_way_says_are_left_out(tools):
     graph = {"top": {"middle", "ground"}, "middle": {"ground"}, "ground": set()}
     assert tools["draw_layout"].thinned(graph) == {"top": {"middle"}, "middle": {"ground"}, "ground": set()}

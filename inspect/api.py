@@ -1,0 +1,553 @@
+"""The public face of anisoscope: ``import anisoscope.api as an``.
+
+These names are what scripts and notebooks may rely on; defaults are those of the command line, lengths are in µm and
+angles in degrees. **Everything else in this distribution is internal** and may change without notice, but for what a
+device driver needs of `anisoscope.rig` (docs/own-driver.md). Every name has an example in docs/api.md.
+
+The module behind a name is imported when the name is first used.
+"""
+
+from collections.abc import Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+    from anisoscope.base.errors import AnisoscopeError, UsageError
+    from anisoscope.base.progress import Advance
+    from anisoscope.commissioning.commissioning import Commissioned
+    from anisoscope.history.adding import Added
+    from anisoscope.history.comparing import compare
+    from anisoscope.history.filters import Filters
+    from anisoscope.history.store import History, open_history
+    from anisoscope.ink.appearance import show_inks
+    from anisoscope.inspection.integrity import Verified
+    from anisoscope.inspection.recompute import Recomputed
+    from anisoscope.inspection.run import Inspected
+    from anisoscope.kinds.prints.recipe import AnyRecipe
+    from anisoscope.prediction.predict import Predicted
+    from anisoscope.prediction.sensitivity import InputUncertainty
+    from anisoscope.profiles.files.load import read_height_map, write_height_map
+    from anisoscope.profiles.heightmap import HeightMap
+    from anisoscope.profiles.ideal import RidgeDesign
+    from anisoscope.profiles.metrology.ridgemeasurement import RidgeMeasurement
+    from anisoscope.profiles.metrology.ridges import measure_ridges
+    from anisoscope.profiles.textures.texture import texture
+    from anisoscope.quality.capability import Specification
+    from anisoscope.quality.control import ControlStudy
+    from anisoscope.record.schema import Record
+    from anisoscope.rig.acquisition.opening import open_rig
+    from anisoscope.rig.discovery import find_ports
+    from anisoscope.rig.drivers import open_camera, open_light, open_stage
+    from anisoscope.rig.rigfile import RigFile
+    from anisoscope.sim.design.antimirror import AntiMirror
+    from anisoscope.sim.design.lobe import LobeTask, design_lobe
+    from anisoscope.sim.light.contrasts import contrasts
+    from anisoscope.sim.light.geometry import Convention, Pose
+    from anisoscope.sim.light.ink.ink import Ink
+    from anisoscope.sim.light.ink.model import brdf_at_angles as ink_brdf
+    from anisoscope.sim.light.material import Material
+    from anisoscope.sim.light.optics import Optics
+    from anisoscope.sim.materials.inks import find_ink
+    from anisoscope.sim.materials.spectra import find_illuminant
+
+# What the block above imports for type checkers: name -> module, or module:name where it has another name there.
+_HOME = {
+    "AnisoscopeError": "anisoscope.base.errors",
+    "UsageError": "anisoscope.base.errors",
+    "compare": "anisoscope.history.comparing",
+    "Filters": "anisoscope.history.filters",
+    "History": "anisoscope.history.store",
+    "open_history": "anisoscope.history.store",
+    "show_inks": "anisoscope.ink.appearance",
+    "Inspected": "anisoscope.inspection.run",
+    "Predicted": "anisoscope.prediction.predict",
+    "InputUncertainty": "anisoscope.prediction.sensitivity",
+    "read_height_map": "anisoscope.profiles.files.load",
+    "write_height_map": "anisoscope.profiles.files.load",
+    "HeightMap": "anisoscope.profiles.heightmap",
+    "RidgeDesign": "anisoscope.profiles.ideal",
+    "RidgeMeasurement": "anisoscope.profiles.metrology.ridgemeasurement",
+    "measure_ridges": "anisoscope.profiles.metrology.ridges",
+    "texture": "anisoscope.profiles.textures.texture",
+    "Specification": "anisoscope.quality.capability",
+    "ControlStudy": "anisoscope.quality.control",
+    "Record": "anisoscope.record.schema",
+    "open_rig": "anisoscope.rig.acquisition.opening",
+    "find_ports": "anisoscope.rig.discovery",
+    "open_camera": "anisoscope.rig.drivers",
+    "open_light": "anisoscope.rig.drivers",
+    "open_stage": "anisoscope.rig.drivers",
+    "AntiMirror": "anisoscope.sim.design.antimirror",
+    "LobeTask": "anisoscope.sim.design.lobe",
+    "design_lobe": "anisoscope.sim.design.lobe",
+    "contrasts": "anisoscope.sim.light.contrasts",
+    "Convention": "anisoscope.sim.light.geometry",
+    "Pose": "anisoscope.sim.light.geometry",
+    "Ink": "anisoscope.sim.light.ink.ink",
+    "ink_brdf": "anisoscope.sim.light.ink.model:brdf_at_angles",
+    "Material": "anisoscope.sim.light.material",
+    "Optics": "anisoscope.sim.light.optics",
+    "find_ink": "anisoscope.sim.materials.inks",
+    "find_illuminant": "anisoscope.sim.materials.spectra",
+}
+
+__all__ = [
+    "AnisoscopeError",
+    "AntiMirror",
+    "ControlStudy",
+    "Convention",
+    "Filters",
+    "HeightMap",
+    "History",
+    "Ink",
+    "InputUncertainty",
+    "Inspected",
+    "LobeTask",
+    "Material",
+    "Optics",
+    "Pose",
+    "Predicted",
+    "Record",
+    "RidgeDesign",
+    "RidgeMeasurement",
+    "Specification",
+    "UsageError",
+    "add_to_history",
+    "commission",
+    "compare",
+    "contrasts",
+    "control_chart",
+    "design_lobe",
+    "drivers",
+    "find_illuminant",
+    "find_ink",
+    "find_ports",
+    "ideal_ridges",
+    "ink_brdf",
+    "inspect",
+    "measure_ridges",
+    "open_camera",
+    "open_history",
+    "open_light",
+    "open_rig",
+    "open_stage",
+    "predict",
+    "read_height_map",
+    "read_recipe",
+    "read_record",
+    "read_rig",
+    "recompute",
+    "resume",
+    "show_inks",
+    "spoil",
+    "texture",
+    "verify",
+    "write_height_map",
+    "write_height_map_report",
+]
+
+
+def __getattr__(name: str) -> Any:  # noqa: ANN401 - type checkers read the block of imports
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}; it has {', '.join(__all__)}")
+    module, _, original = _HOME[name].partition(":")
+    found = getattr(import_module(module), original or name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return __all__
+
+
+def ideal_ridges(
+    ridge_angle_deg: float = 10.0,
+    pitch_um: float = 100.0,
+    *,
+    wall: Literal["perpendicular", "vertical"] = "perpendicular",
+    height_loss: float = 0.0,
+    size_um: tuple[float, float] = (1000.0, 1000.0),
+    pixel_um: float = 1.0,
+    alpha_along: float = 0.0,
+    alpha_across: float = 0.0,
+    correlation_um: float = 8.0,
+    seed: int = 0,
+) -> "HeightMap":
+    """Height map of ideal ridges, smooth or with rough facets, as ``anisoscope profile make ridges`` makes it.
+
+    Args:
+        ridge_angle_deg: angle of the large facets.
+        pitch_um: distance of the ridges.
+        wall: perpendicular to the facet, or vertical.
+        height_loss: share of the height that is missing at the crest.
+        size_um: (y, x) size of the field.
+        pixel_um: pixel size.
+        alpha_along: Beckmann roughness along the ridges.
+        alpha_across: Beckmann roughness across them.
+        correlation_um: mean correlation length of the roughness.
+        seed: of the roughness.
+
+    Raises:
+        HeightMapError: a number outside its range.
+    """
+    import numpy as np
+
+    from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+
+    shape = (round(size_um[0] / pixel_um), round(size_um[1] / pixel_um))
+    surface = ridges(RidgeDesign(pitch_um, ridge_angle_deg, wall, height_loss), shape, pixel_um)
+    return add_facet_roughness(
+        surface, alpha_along, alpha_across, correlation_um, np.random.default_rng(seed)
+    )
+
+
+def spoil(
+    surface: "HeightMap", defect: str, severity: float | None = None, *, seed: int = 0, **values: float
+) -> "HeightMap":
+    """The map with a defect of known extent, as ``anisoscope profile spoil`` makes it.
+
+    Args:
+        surface: the map.
+        defect: "burrs", "wear", "incomplete-filling", "ridge-angle" …
+        severity: share of the defect's strongest form, 0 to 1.
+        seed: of everything random.
+        values: settings of the defect, such as ``coverage``.
+
+    Raises:
+        HeightMapError, UsageError: no such defect, or a value outside its range.
+    """
+    import numpy as np
+
+    from anisoscope.profiles.spoiling import spoil as inject
+
+    return inject(surface, defect, np.random.default_rng(seed), severity=severity, values=values or None)
+
+
+def predict(
+    surface: "HeightMap | RidgeDesign",
+    *,
+    angles_deg: Sequence[float] = (0.0, 90.0, 180.0),
+    tilts_deg: Sequence[float] = (0.0,),
+    material: "Material | None" = None,
+    convention: "Convention | None" = None,
+    optics: "Optics | None" = None,
+    model: Literal["auto", "geometric", "wave"] = "auto",
+    pitch_um: float | None = None,
+    inputs: "InputUncertainty | None" = None,
+) -> "Predicted":
+    """Radiances and contrasts of a height map or of a design, as ``anisoscope predict`` computes them.
+
+    Args:
+        surface: measured heights, or ideal ridges.
+        angles_deg: stage angles.
+        tilts_deg: tilts of camera and light.
+        material: roughness, albedo, index; that of the command line where it is not given.
+        convention: how angles are counted, and the light angle (10°).
+        optics: lamp and lens; both points far away where it is not given.
+        model: rays or waves; "auto" takes what the surface needs.
+        pitch_um: of a map, where it is not to be found in the map.
+        inputs: standard uncertainties of the inputs; those of a recipe where they are not given.
+
+    Raises:
+        HeightMapError: the map cannot be used: too much is missing, or too coarse for waves.
+        ModelError: a pose that sees the surface from below, or a number outside its range.
+    """
+    from anisoscope.prediction.optics_selection import Rig, Wanted, predict_with_optics
+    from anisoscope.prediction.predict import predict_design, predict_height_map
+    from anisoscope.prediction.sensitivity import InputUncertainty
+    from anisoscope.profiles.heightmap import HeightMap
+    from anisoscope.sim.light.geometry import Convention, pose_grid
+    from anisoscope.sim.light.material import Material
+    from anisoscope.sim.light.optics import POINT_LIKE
+
+    poses = pose_grid(tuple(angles_deg), tuple(tilts_deg))
+    rig = Rig(
+        Material() if material is None else material,
+        poses,
+        Convention() if convention is None else convention,
+        POINT_LIKE if optics is None else optics,
+        InputUncertainty() if inputs is None else inputs,
+    )
+
+    def by_rays(advance: "Advance") -> "Predicted":
+        if isinstance(surface, HeightMap):
+            return predict_height_map(
+                surface,
+                rig.material,
+                poses,
+                rig.convention,
+                pitch_um,
+                inputs=rig.inputs,
+                on_progress=advance,
+                optics=rig.optics,
+            )
+        return predict_design(
+            surface,
+            rig.material,
+            poses,
+            rig.convention,
+            inputs=rig.inputs,
+            on_progress=advance,
+            optics=rig.optics,
+        )
+
+    return predict_with_optics(surface, by_rays, rig, Wanted(model), pitch_um)[0]
+
+
+def inspect(
+    recipe: Path | str,
+    rig: Path | str | None = None,
+    *,
+    serial: str,
+    frames: Path | str | None = None,
+    reflectance: float = 0.99,
+    out: Path | str = "inspections",
+    operator: str | None = None,
+    lot: str | None = None,
+    cavity: str | None = None,
+    station: str | None = None,
+    on_progress: "Advance | None" = None,
+) -> "Inspected":
+    """Photograph a part on a rig, or take a folder of frames, and decide: ``anisoscope inspect`` from Python.
+
+    Args:
+        recipe: recipe file.
+        rig: rig file; with ``frames`` the rig.toml in their folder where it is not given.
+        serial: serial number of the part.
+        frames: folder of frames (frames.csv) that another program took.
+        reflectance: of the white tile in the flat frames of that folder.
+        out: folder that receives the inspection folder.
+        operator: who inspects.
+        lot: of the part.
+        cavity: of the mould.
+        station: where the rig stands.
+        on_progress: called with what is being done, steps done and steps in all.
+
+    Returns:
+        The record with its verdict (INVALID included), and where folder and report lie. Nothing enters a history:
+        see `add_to_history`.
+
+    Raises:
+        UsageError: neither a rig nor frames.
+        AnisoscopeError: recipe, rig file, calibration or hardware, as on the command line.
+    """
+    from anisoscope.base.errors import UsageError
+    from anisoscope.base.progress import silent
+    from anisoscope.inspection.replay import inspect_frames
+    from anisoscope.inspection.run import inspect_part
+    from anisoscope.record.schema import Particulars
+
+    who = Particulars(operator=operator, lot=lot, cavity=cavity, station=station)
+    advance = silent if on_progress is None else on_progress
+    rig_path = None if rig is None else Path(rig)
+    if frames is not None:
+        return inspect_frames(
+            Path(frames),
+            Path(recipe),
+            serial,
+            Path(out),
+            advance,
+            rig_path=rig_path,
+            reflectance=reflectance,
+            particulars=who,
+        )
+    if rig_path is None:
+        raise UsageError("name a rig file, or a folder of frames")
+    return inspect_part(Path(recipe), rig_path, serial, Path(out), advance, particulars=who)
+
+
+def read_recipe(path: Path | str) -> "AnyRecipe":
+    """The recipe in a file, of whatever kind; ``${here}`` in it stands for its own folder.
+
+    Raises:
+        RecipeError: it cannot be read or used; the message names the file and the entry.
+    """
+    from anisoscope.kinds.prints.recipe import read_any_recipe
+
+    return read_any_recipe(Path(path))
+
+
+def read_rig(path: Path | str) -> "RigFile":
+    """The rig file; ``${here}`` in it stands for its own folder. `open_rig` connects to what it names.
+
+    Raises:
+        RigFileError: it cannot be read or used; the message names the file and the entry.
+    """
+    from anisoscope.rig.rigfile import read_rig as read
+
+    return read(Path(path))
+
+
+def resume(folder: Path | str, *, on_progress: "Advance | None" = None) -> "Inspected":
+    """Take up an inspection that was interrupted and finish it: ``anisoscope resume``.
+
+    Raises:
+        RecordError: there is nothing to resume, or a file of the folder is missing, damaged or was changed.
+        RigError, CalibrationError: as for `inspect`.
+    """
+    from anisoscope.base.progress import silent
+    from anisoscope.inspection.run import resume_part
+
+    return resume_part(Path(folder), silent if on_progress is None else on_progress)
+
+
+def read_record(folder: Path | str) -> "Record":
+    """The record of a finished inspection.
+
+    Raises:
+        RecordError: there is none, it is damaged or was changed, or a later version wrote it.
+    """
+    from anisoscope.record.schema import read_record as read
+
+    return read(Path(folder))
+
+
+def verify(folder: Path | str) -> "Verified":
+    """Hash every file of an inspection folder again: ``anisoscope verify``.
+
+    Raises:
+        RecordError: this is no inspection folder.
+    """
+    from anisoscope.inspection.integrity import verify as verify_folder
+
+    return verify_folder(Path(folder))
+
+
+def recompute(folder: Path | str, *, on_progress: "Advance | None" = None) -> "Recomputed":
+    """Decide anew from the frames of a finished inspection, and compare: ``anisoscope recompute``; nothing is written.
+
+    Raises:
+        RecordError: the inspection is not finished, or a file is missing or was changed.
+    """
+    from anisoscope.base.progress import silent
+    from anisoscope.inspection.recompute import recompute as recompute_folder
+
+    return recompute_folder(Path(folder), silent if on_progress is None else on_progress)
+
+
+def add_to_history(history: "History", folders: Sequence[Path | str]) -> "Added":
+    """Add finished inspections that are not in a history yet; those that are, are passed over.
+
+    Args:
+        history: opened by `open_history`.
+        folders: of inspections, or folders above them.
+
+    Raises:
+        UsageError: a folder without any inspection.
+        HistoryError: the database cannot be written.
+    """
+    from anisoscope.history.adding import add_folders
+
+    return add_folders(history, [Path(folder) for folder in folders])
+
+
+def write_height_map_report(surface: "HeightMap", name: str, path: Path | str) -> None:
+    """Write the HTML page of a height map: how it looks, what its ridges measure, where it comes from.
+
+    Args:
+        surface: the map.
+        name: title of the page.
+        path: file to write.
+
+    Raises:
+        HeightMapError: the file cannot be written.
+    """
+    from anisoscope.report.profile_page import write_profile_page
+
+    write_profile_page(surface, name, Path(path))
+
+
+def commission(
+    rig: Path | str,
+    part: Path | str,
+    *,
+    step_deg: float = 15.0,
+    tilts_deg: Sequence[float] = (-20.0, -10.0, 10.0, 20.0),
+    frames: int = 2,
+    settle_s: float = 0.1,
+    keep_frames: Path | str | None = None,
+    on_progress: "Advance | None" = None,
+) -> "Commissioned":
+    """Find sense, zeros, centre, pixel size and light angle of a rig from a known part: ``anisoscope rig commission``.
+
+    Args:
+        rig: rig file; it is not changed.
+        part: recipe of the ridged part that lies on the stage.
+        step_deg: step of the stage over one turn.
+        tilts_deg: how far a tilt axis goes from its present zero.
+        frames: of every pose.
+        settle_s: seconds to wait after every move.
+        keep_frames: empty folder that keeps the frames.
+        on_progress: called with what is being done, steps done and steps in all.
+
+    Raises:
+        AnisoscopeError: rig file, recipe or hardware, or pictures that do not carry it.
+    """
+    from anisoscope.base.progress import silent
+    from anisoscope.commissioning.angles import Assumed
+    from anisoscope.commissioning.commissioning import commission as find
+    from anisoscope.commissioning.commissioning import part_of_recipe
+    from anisoscope.commissioning.series import Series
+    from anisoscope.recipe.recipe import read_recipe
+
+    recipe = read_recipe(Path(part))
+    series = Series(
+        recipe.acquisition.exposure_s,
+        step_deg=step_deg,
+        tilts_deg=tuple(tilts_deg),
+        tilt_step_deg=max(step_deg, 60.0),
+        frames=frames,
+        dark_frames=max(frames, 4),
+        settle_s=settle_s,
+    )
+    return find(
+        Path(rig),
+        part_of_recipe(recipe, None, 0.1),
+        series,
+        Assumed(bounces=1),
+        frames=None if keep_frames is None else Path(keep_frames),
+        on_progress=silent if on_progress is None else on_progress,
+    )
+
+
+def control_chart(
+    values: "npt.ArrayLike",
+    labels: Sequence[str] | None = None,
+    *,
+    name: str = "value",
+    lower: float | None = None,
+    upper: float | None = None,
+    baseline: int | None = None,
+) -> "ControlStudy":
+    """Chart of individual values, and what the process can keep: ``anisoscope spc`` for any numbers.
+
+    Args:
+        values: (N,) in the order in which they were measured; NaN is missing.
+        labels: N names of the values; counted from 1 where they are not given.
+        name: of the number.
+        lower: lower limit of good parts.
+        upper: upper limit of good parts; without any limit no capability is computed.
+        baseline: values from the start that the limits of the chart rest on; all where it is not given.
+
+    Raises:
+        UsageError: too few values.
+    """
+    import numpy as np
+
+    from anisoscope.quality.capability import Specification
+    from anisoscope.quality.control import Settings, control_study
+
+    series = np.asarray(values, dtype=np.float64)
+    names = tuple(map(str, range(1, series.size + 1))) if labels is None else tuple(labels)
+    specification = None if lower is None and upper is None else Specification(lower, upper)
+    return control_study(name, series, names, Settings(baseline=baseline), specification)
+
+
+def drivers(group: Literal["stages", "cameras", "lights"]) -> tuple[str, ...]:
+    """Names of the installed drivers, those of other distributions included; `open_stage` and the like take them."""
+    from anisoscope.rig.drivers import installed
+
+    return tuple(sorted(installed(f"anisoscope.{group}")))
