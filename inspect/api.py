@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from anisoscope.inspection.integrity import Verified
     from anisoscope.inspection.recompute import Recomputed
     from anisoscope.inspection.run import Inspected
-    from anisoscope.kinds.prints.recipe import AnyRecipe
     from anisoscope.prediction.predict import Predicted
     from anisoscope.prediction.sensitivity import InputUncertainty
     from anisoscope.profiles.files.load import read_height_map, write_height_map
@@ -37,6 +36,7 @@ if TYPE_CHECKING:
     from anisoscope.profiles.textures.texture import texture
     from anisoscope.quality.capability import Specification
     from anisoscope.quality.control import ControlStudy
+    from anisoscope.recipe.base import RecipeBase
     from anisoscope.record.schema import Record
     from anisoscope.rig.acquisition.opening import open_rig
     from anisoscope.rig.discovery import find_ports
@@ -359,13 +359,13 @@ def inspect(
     return inspect_part(Path(recipe), rig_path, serial, Path(out), advance, particulars=who)
 
 
-def read_recipe(path: Path | str) -> "AnyRecipe":
+def read_recipe(path: Path | str) -> "RecipeBase":
     """The recipe in a file, of whatever kind; ``${here}`` in it stands for its own folder.
 
     Raises:
         RecipeError: it cannot be read or used; the message names the file and the entry.
     """
-    from anisoscope.kinds.prints.recipe import read_any_recipe
+    from anisoscope.inspection.recipe_file import read_any_recipe
 
     return read_any_recipe(Path(path))
 
@@ -491,7 +491,7 @@ def commission(
     from anisoscope.commissioning.commissioning import commission as find
     from anisoscope.commissioning.commissioning import part_of_recipe
     from anisoscope.commissioning.series import Series
-    from anisoscope.recipe.recipe import read_recipe
+    from anisoscope.inspection.recipe_file import read_recipe
 
     recipe = read_recipe(Path(part))
     series = Series(
