@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from anisoscope.base.errors import AnisoscopeError, UsageError
     from anisoscope.base.progress import Advance
     from anisoscope.commissioning.commissioning import Commissioned
+    from anisoscope.fit.fitting import Fit
     from anisoscope.history.adding import Added
     from anisoscope.history.comparing import compare
     from anisoscope.history.filters import Filters
@@ -44,10 +45,14 @@ if TYPE_CHECKING:
     from anisoscope.rig.rigfile import RigFile
     from anisoscope.sim.design.antimirror import AntiMirror
     from anisoscope.sim.design.lobe import LobeTask, design_lobe
+    from anisoscope.sim.light.colour.spaces import encode as srgb
     from anisoscope.sim.light.contrasts import contrasts
     from anisoscope.sim.light.geometry import Convention, Pose
     from anisoscope.sim.light.ink.ink import Ink
     from anisoscope.sim.light.ink.model import brdf_at_angles as ink_brdf
+    from anisoscope.sim.light.ink.shading import Light as InkLight
+    from anisoscope.sim.light.ink.shading import picture as ink_picture
+    from anisoscope.sim.light.ink.shapes import sphere
     from anisoscope.sim.light.material import Material
     from anisoscope.sim.light.optics import Optics
     from anisoscope.sim.materials.inks import find_ink
@@ -57,6 +62,7 @@ if TYPE_CHECKING:
 _HOME = {
     "AnisoscopeError": "anisoscope.base.errors",
     "UsageError": "anisoscope.base.errors",
+    "Fit": "anisoscope.fit.fitting",
     "compare": "anisoscope.history.comparing",
     "Filters": "anisoscope.history.filters",
     "History": "anisoscope.history.store",
@@ -88,6 +94,10 @@ _HOME = {
     "Pose": "anisoscope.sim.light.geometry",
     "Ink": "anisoscope.sim.light.ink.ink",
     "ink_brdf": "anisoscope.sim.light.ink.model:brdf_at_angles",
+    "InkLight": "anisoscope.sim.light.ink.shading:Light",
+    "ink_picture": "anisoscope.sim.light.ink.shading:picture",
+    "sphere": "anisoscope.sim.light.ink.shapes",
+    "srgb": "anisoscope.sim.light.colour.spaces:encode",
     "Material": "anisoscope.sim.light.material",
     "Optics": "anisoscope.sim.light.optics",
     "find_ink": "anisoscope.sim.materials.inks",
@@ -100,9 +110,11 @@ __all__ = [
     "ControlStudy",
     "Convention",
     "Filters",
+    "Fit",
     "HeightMap",
     "History",
     "Ink",
+    "InkLight",
     "InputUncertainty",
     "Inspected",
     "LobeTask",
@@ -125,8 +137,10 @@ __all__ = [
     "find_illuminant",
     "find_ink",
     "find_ports",
+    "fit_ridges",
     "ideal_ridges",
     "ink_brdf",
+    "ink_picture",
     "inspect",
     "measure_ridges",
     "open_camera",
@@ -142,7 +156,9 @@ __all__ = [
     "recompute",
     "resume",
     "show_inks",
+    "sphere",
     "spoil",
+    "srgb",
     "texture",
     "verify",
     "write_height_map",
@@ -295,6 +311,60 @@ def predict(
         )
 
     return predict_with_optics(surface, by_rays, rig, Wanted(model), pitch_um)[0]
+
+
+def fit_ridges(
+    table: Path | str,
+    *,
+    kind: Literal["exposure", "difference", "michelson", "log_ratio"] | None = None,
+    free: Sequence[str] | None = None,
+    ridge_angle_deg: float = 10.0,
+    material: "Material | None" = None,
+    convention: "Convention | None" = None,
+) -> "Fit":
+    """Ridge angle, roughness and scale from measured exposures or contrasts of one part: ``anisoscope fit ridges``.
+
+    Args:
+        table: CSV file: stage_deg,tilt_deg,value[,u] or from_deg,to_deg,tilt_deg,value[,u].
+        kind: what the values are; of exposures, which contrasts are formed and fitted.
+        free: parameters, such as "ridge_angle", "alpha_along", "k"; ridge angle, roughness and scale where not given.
+        ridge_angle_deg: where the search starts, or the fixed value.
+        material: likewise for roughness, albedo and index.
+        convention: how angles are counted, and the light angle.
+
+    Raises:
+        UsageError: a table that cannot be read, or parameters that cannot be fitted to it.
+    """
+    from anisoscope.fit.fitting import fit
+    from anisoscope.fit.parameters import USUAL, checked_values, parse_free
+    from anisoscope.fit.problem import Problem, Scene
+    from anisoscope.fit.table import read_readings
+    from anisoscope.sim.light.geometry import Convention, directions
+    from anisoscope.sim.light.material import Material
+
+    plastic, counted = material or Material(), convention or Convention()
+    poses, readings = read_readings(Path(table), kind)
+    scene = Scene(
+        *directions(poses, counted),
+        poses=poses,
+        convention=counted,
+        internal_reflection=plastic.internal_reflection,
+    )
+    usual = tuple(name for name in USUAL if readings.scaled or name != "k")
+    values = checked_values(
+        {
+            "ridge_angle_deg": ridge_angle_deg,
+            "alpha_along": plastic.alpha_along,
+            "alpha_across": plastic.alpha_across,
+            "albedo": plastic.albedo,
+            "index": plastic.index,
+            "height_loss": 0.0,
+            "seating_x_deg": 0.0,
+            "seating_y_deg": 0.0,
+            "k": 1.0,
+        }
+    )
+    return fit(Problem(scene, readings, values, usual if free is None else parse_free(",".join(free))))
 
 
 def inspect(

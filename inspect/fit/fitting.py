@@ -5,38 +5,34 @@ fit. The search runs in direct light and ends with the reflections asked for.
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from itertools import product
 from operator import itemgetter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
-from anisoscope.base.progress import Advance
-from anisoscope.fit.identifiability import derivatives, limits, whitening
-from anisoscope.fit.parameters import PARAMETERS
-from anisoscope.fit.problem import Problem, interface_alpha
-
-if TYPE_CHECKING:
-    from scipy.optimize import OptimizeResult
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
-
-from anisoscope.base.progress import silent
+from anisoscope.base.notebook import axes_or_new, data_frame, html_table
+from anisoscope.base.progress import Advance, silent
 from anisoscope.fit.identifiability import (
     MODEL_SHARE,
     Combination,
     Information,
+    derivatives,
     helping_measurement,
     information,
+    limits,
     scaled_covariance,
+    whitening,
 )
-from anisoscope.fit.parameters import OPTICS
+from anisoscope.fit.parameters import OPTICS, PARAMETERS
+from anisoscope.fit.problem import Problem, interface_alpha
 
 if TYPE_CHECKING:
-    pass
-
+    from matplotlib.axes import Axes
+    from scipy.optimize import OptimizeResult
 
 Values = dict[str, float]
 Minimum = tuple[Values, float]
@@ -286,6 +282,46 @@ class Fit:
     def rms(self) -> float:
         """Root mean square of the residuals, in the unit of the values."""
         return float(np.sqrt(np.mean(self.residual**2)))
+
+    def __repr__(self) -> str:
+        """One line: the fitted parameters with their standard uncertainties, and how well they fit."""
+        said = ", ".join(f"{one.name} {_with_u(one)}" for one in self.estimates)
+        return f"Fit({said or 'nothing free'}; rms {self.rms:.3g}, {self.dof} degrees of freedom)"
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (one.name, _with_u(one), "–" if one.low95 is None else f"{one.low95:.5g} to {one.high95:.5g}")
+            for one in self.estimates
+        ]
+        p_value = "" if self.p_value is None else f", p = {self.p_value:.2g}"
+        title = f"fit: rms {self.rms:.3g}, {self.dof} degrees of freedom{p_value}"
+        return html_table(title, ("parameter", "value", "95 % interval"), rows)
+
+    def plot(self, axes: "Axes | None" = None) -> "Axes":
+        """Draw measured against fitted values, bars of ±2 u, and the line on which both agree.
+
+        Args:
+            axes: of matplotlib, to draw into; a new figure where they are not given.
+        """
+        axes, measured = axes_or_new(axes), self.problem.readings.value
+        axes.errorbar(self.fitted, measured, 2.0 * self.u_value, fmt="o", capsize=3)
+        ends = [float(min(self.fitted.min(), measured.min())), float(max(self.fitted.max(), measured.max()))]
+        axes.plot(ends, ends, color="grey")
+        axes.set(xlabel="fitted", ylabel="measured")
+        return axes
+
+    def to_frame(self) -> Any:  # noqa: ANN401 - pandas need not be installed
+        """The fitted parameters as a pandas data frame: parameter, value, u, 95 % interval.
+
+        Raises:
+            UsageError: pandas is not installed.
+        """
+        names = ("name", "value", "u", "low95", "high95", "at_bound")
+        return data_frame({name: [getattr(one, name) for one in self.estimates] for name in names})
+
+
+def _with_u(one: Estimate) -> str:
+    return "not determined" if one.value is None else f"{one.value:.5g} ± {one.u:.2g}"
 
 
 def fit(problem: Problem, advance: Advance = silent, starts: int = STARTS) -> Fit:

@@ -58,6 +58,12 @@ class Row(NewRow):
     id: int
     hash: str = ""
 
+    def __repr__(self) -> str:
+        """One line: id, moment, serial number, product, verdict."""
+        return (
+            f"Row({self.id}, {self.created_at:%Y-%m-%d %H:%M}, {self.serial}, {self.product}, {self.verdict})"
+        )
+
 
 def row_of(record: Record, folder: Path) -> NewRow:
     """What the history remembers of a finished inspection.

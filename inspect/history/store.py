@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.errors import UsageError
+from anisoscope.base.notebook import data_frame, html_table
 from anisoscope.history import audit, schema, statements
 from anisoscope.history.address import Address, parse_address
 from anisoscope.history.column_wise import Columns, read_columns
@@ -22,6 +23,7 @@ from anisoscope.history.rows import NewRow, Row, seal_of
 from anisoscope.record.schema import RECORD_NAME
 
 EVERYTHING = Filters()
+SHOWN = 10  # the latest ones, in a notebook
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +65,31 @@ class History:
     def close(self) -> None:
         """Close the database."""
         self._database.close()
+
+    def __repr__(self) -> str:
+        """One line: where it is and how many inspections it holds; the database is asked."""
+        return f"History({self.address}, {self.count()} inspections)"
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (row.id, f"{row.created_at:%Y-%m-%d %H:%M}", row.serial, row.product, row.verdict)
+            for row in self.rows(Filters(limit=SHOWN))
+        ]
+        title = f"{self.address}: {self.count()} inspections, the latest {len(rows)}"
+        return html_table(title, ("id", "UTC", "serial", "product", "verdict"), rows)
+
+    def to_frame(self, filters: Filters = EVERYTHING) -> Any:  # noqa: ANN401 - pandas need not be installed
+        """Inspections as a pandas data frame, the oldest first: when, words, and a column for every measured number.
+
+        Args:
+            filters: which inspections.
+
+        Raises:
+            UsageError: pandas is not installed, or as for `rows`.
+            HistoryError: as for `rows`.
+        """
+        found = self.columns(filters)
+        return data_frame({"created_at": found.times, **found.texts, **found.numbers})
 
     def append(self, new: NewRow) -> Row:
         """Add an inspection; it is safe on disk when this returns. Its seal is added once, however often it is tried.

@@ -13,15 +13,19 @@ mean and a standard deviation that are estimated, and its p-value.
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
+from anisoscope.base.notebook import axes_or_new, data_frame, html_table
 from anisoscope.quality.capability import GOOD, POOR, Capability, Specification, capability
 from anisoscope.quality.individuals import BoolArray, Limits, given_limits, limits_of, moving_range
 from anisoscope.quality.nelson import Flag, flags
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 WEIGHT, WIDTH = 0.2, 3.0
 
@@ -252,6 +256,54 @@ class ControlStudy:
             at = self.labels[int(np.argmax(self.average.outside))]
             found.append(f"the moving average leaves its limits, first at {at}")
         return "not stable: " + "; ".join(found)
+
+    def __repr__(self) -> str:
+        """One line: name, how many values, and the outcome."""
+        return f"ControlStudy({self.name}, {self.count} values: {self.verdict})"
+
+    def _repr_html_(self) -> str:
+        limits = self.limits
+        rows = [
+            ("outcome", self.verdict),
+            ("values", self.count),
+            ("centre", f"{limits.center:.5g}"),
+            ("limits", f"{limits.lower:.5g} to {limits.upper:.5g}"),
+            ("short-term standard deviation", f"{limits.sigma:.3g}"),
+            *(("note", note) for note in self.notes),
+        ]
+        return html_table(self.name, ("", ""), rows)
+
+    def plot(self, axes: "Axes | None" = None) -> "Axes":
+        """Draw the chart of individual values with its limits; values that belong to a pattern are red.
+
+        Args:
+            axes: of matplotlib, to draw into; a new figure where they are not given.
+        """
+        axes, limits = axes_or_new(axes), self.limits
+        at = np.arange(1, len(self.values) + 1)
+        marked = np.zeros(len(at), dtype=bool)
+        for flag in self.flags:
+            marked[flag.first : flag.last + 1] = True
+        axes.plot(at, self.values, "o-", color="tab:blue")
+        axes.plot(at[marked], self.values[marked], "o", color="tab:red")
+        axes.axhline(limits.center, color="grey")
+        for limit in (limits.lower, limits.upper):
+            axes.axhline(limit, color="grey", linestyle="--")
+        axes.set(xlabel="value", ylabel=self.name)
+        return axes
+
+    def to_frame(self) -> Any:  # noqa: ANN401 - pandas need not be installed
+        """The values as a pandas data frame: label, value, moving range, whether it belongs to a pattern.
+
+        Raises:
+            UsageError: pandas is not installed.
+        """
+        patterns = [
+            any(flag.first <= place <= flag.last for flag in self.flags) for place in range(len(self.values))
+        ]
+        return data_frame(
+            {"label": self.labels, "value": self.values, "range": self.ranges, "in_pattern": patterns}
+        )
 
     def to_json(self) -> dict[str, Any]:
         """All of it but the values, for JSON."""
