@@ -237,9 +237,9 @@ def spoil(
     """
     import numpy as np
 
-    from anisoscope.profiles.spoiling import spoil as inject
+    from anisoscope.profiles.defect_injection import inject_defect
 
-    return inject(surface, defect, np.random.default_rng(seed), severity=severity, values=values or None)
+    return inject_defect(surface, defect, np.random.default_rng(seed), severity=severity, values=values or None)
 
 
 def predict(
