@@ -35,7 +35,7 @@ def html_picture(figure: "Figure", title: str) -> str:
     return f'<img alt="{escape(title, quote=True)}" src="data:image/png;base64,{data}">'
 
 
-def data_frame(columns: Mapping[str, Sequence[object]]) -> Any:  # noqa: ANN401 - pandas need not be installed
+def data_frame(columns: Mapping[str, Iterable[object]]) -> Any:  # noqa: ANN401 - pandas need not be installed
     """A pandas data frame of named columns.
 
     Raises:
