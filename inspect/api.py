@@ -239,7 +239,9 @@ def spoil(
 
     from anisoscope.profiles.defect_injection import inject_defect
 
-    return inject_defect(surface, defect, np.random.default_rng(seed), severity=severity, values=values or None)
+    return inject_defect(
+        surface, defect, np.random.default_rng(seed), severity=severity, values=values or None
+    )
 
 
 def predict(
