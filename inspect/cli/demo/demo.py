@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, cast
 from cyclopts import Parameter
 
 from anisoscope.base.progress import Advance
-from anisoscope.cli.console import console, print_table, progress
 from anisoscope.cli.inspect.history_entry import remember
 from anisoscope.cli.json_output import print_json
+from anisoscope.cli.options import Json
+from anisoscope.cli.progress import progress
+from anisoscope.cli.tables import console, print_table
 
 if TYPE_CHECKING:
     from anisoscope.inspection.run import Inspected
@@ -42,7 +44,7 @@ def demo(
         "demo-output"
     ),
     seed: Annotated[int, Parameter(help="Seed of everything random on the virtual rig.")] = 1,
-    json_: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")] = False,
+    json_: Json = False,
 ) -> int:
     """Inspect good and defective parts on a virtual rig: ridges with burrs or a wrong angle; bad prints; wafers off.
 

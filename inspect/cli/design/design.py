@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import App, Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.console import parse_numbers, print_table
 from anisoscope.cli.design.output import check_seed, design_json, figure_rows, width_rows
 from anisoscope.cli.json_output import print_json
+from anisoscope.cli.options import Json, parse_numbers
+from anisoscope.cli.tables import print_table
 
 if TYPE_CHECKING:
     from anisoscope.sim.design.depths import Depths
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
     from anisoscope.sim.design.lobe import AxisLobe
     from anisoscope.sim.design.models import AnyModel
 
-JsonOption = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")]
 HtmlOption = Annotated[Path | None, Parameter(help="Write a self-contained HTML page to this file.")]
 OutOption = Annotated[Path | None, Parameter(help="Write the design *.toml.")]
 NameOption = Annotated[str | None, Parameter(help="Name of the design.")]
@@ -109,7 +109,7 @@ def lobe(
     name: NameOption = None,
     out: OutOption = None,
     html: HtmlOption = None,
-    json_: JsonOption = False,
+    json_: Json = False,
 ) -> int:
     """Find the mixture of step widths whose reflectance comes closest to a Gaussian lobe.
 
@@ -169,7 +169,7 @@ def antimirror(
     name: NameOption = None,
     out: OutOption = None,
     html: HtmlOption = None,
-    json_: JsonOption = False,
+    json_: Json = False,
 ) -> int:
     """Design a surface that reflects everywhere but in the mirror direction."""
     from anisoscope.sim.design.antimirror import AntiMirror
@@ -222,7 +222,7 @@ def mixture(
     name: NameOption = None,
     out: OutOption = None,
     html: HtmlOption = None,
-    json_: JsonOption = False,
+    json_: Json = False,
 ) -> int:
     """Mix designs by shares of the area: their reflectances add."""
     from anisoscope.sim.design.designfile import mixed, read_design
@@ -242,7 +242,7 @@ def depths(
     coherence: Annotated[float, Parameter(help="Coherence length of the source for the spike, µm.")] = 16.0,
     width: Annotated[float, Parameter(help="Width of the steps for the spike, µm.")] = 2.0,
     seed: Annotated[int, Parameter(help="Seed of the global search.")] = 0,
-    json_: JsonOption = False,
+    json_: Json = False,
 ) -> int:
     """Find depths of etch passes whose levels have a zero mean phase, at one wavelength or over a band."""
     from anisoscope.sim.design.depths import design_depths

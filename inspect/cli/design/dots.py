@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.console import parse_numbers, print_table, progress
 from anisoscope.cli.design.output import check_seed
 from anisoscope.cli.json_output import print_json
+from anisoscope.cli.options import Json, parse_numbers
+from anisoscope.cli.progress import progress
+from anisoscope.cli.tables import print_table
 
 if TYPE_CHECKING:
     import numpy as np
@@ -19,7 +21,6 @@ if TYPE_CHECKING:
     from anisoscope.sim.design.layout import Layout
     from anisoscope.sim.design.refine import Refined
 
-JsonOption = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")]
 HtmlOption = Annotated[Path | None, Parameter(help="Write a self-contained HTML page to this file.")]
 DotOption = Annotated[float, Parameter(help="Side of a dot, µm; 112 are 227 dpi.")]
 SeedOption = Annotated[int, Parameter(help="Seed of everything random.")]
@@ -49,7 +50,7 @@ def refine(
     out: Annotated[Path | None, Parameter(help="Write the dot as a layout *.npz.")] = None,
     png: Annotated[Path | None, Parameter(help="Write a picture of the dot.")] = None,
     html: HtmlOption = None,
-    json_: JsonOption = False,
+    json_: Json = False,
 ) -> int:
     """Search the dot of a lobe whose own reflectance is closest to the expected one.
 
@@ -145,7 +146,7 @@ def pattern(
     seed: SeedOption = 0,
     png: Annotated[Path | None, Parameter(help="Write a picture of the classes, a pixel a dot.")] = None,
     html: HtmlOption = None,
-    json_: JsonOption = False,
+    json_: Json = False,
 ) -> int:
     """Lay out a picture as dots of a reflectance each.
 

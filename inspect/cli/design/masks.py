@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.console import parse_numbers, print_table
 from anisoscope.cli.design.output import check_seed
 from anisoscope.cli.json_output import print_json
+from anisoscope.cli.options import Json, parse_numbers
+from anisoscope.cli.tables import print_table
 
 if TYPE_CHECKING:
     from anisoscope.profiles.heightmap import HeightMap
     from anisoscope.sim.design.layout import Layout
 
-JsonOption = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")]
 GDS = (".gds", ".gds2", ".gdsii")
 
 
@@ -26,7 +26,7 @@ def mask(
     *,
     out: Annotated[Path, Parameter(help="Masks to write, *.gds.")],
     png: Annotated[Path | None, Parameter(help="Write a picture of the classes, a pixel a dot.")] = None,
-    json_: JsonOption = False,
+    json_: Json = False,
 ) -> int:
     """Write etch masks as GDSII: a cell for every tile, a layer for every pass, units µm.
 
@@ -76,7 +76,7 @@ def height(
     ] = None,
     grid: Annotated[float | None, Parameter(help="Pixel in µm, of a GDSII.")] = None,
     overwrite: Annotated[bool, Parameter(negative="", help="Replace the map if it exists.")] = False,
-    json_: JsonOption = False,
+    json_: Json = False,
 ) -> int:
     """Make a height map of a design, a layout or a GDSII file: ``predict`` and the virtual rig read it.
 

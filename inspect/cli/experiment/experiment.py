@@ -6,8 +6,9 @@ import sys
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from anisoscope.cli.console import console, print_table
 from anisoscope.cli.json_output import print_json
+from anisoscope.cli.options import Json
+from anisoscope.cli.tables import console, print_table
 
 if TYPE_CHECKING:
     from anisoscope.experiment.experiment import Experiment, Findings, Mean, Setup
@@ -224,7 +225,6 @@ FrameOption = Annotated[
     Literal["pitch-normal", "half-vector"],
     Parameter(help="Axis from which the printed model counts its shadowing."),
 ]
-JsonOption = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")]
 HtmlOption = Annotated[Path | None, Parameter(help="Write a self-contained HTML page to this file.")]
 
 app = App(name="experiment", help="Repeat the published experiment on ridges.")
@@ -248,7 +248,7 @@ def ridges(
     facet_azimuth: FacetOption = 0.0,
     light_angle: LightOption = 10.0,
     shadow_frame: FrameOption = "pitch-normal",
-    json_: JsonOption = False,
+    json_: Json = False,
     csv_: Annotated[
         bool, Parameter(name="--csv", negative="", help="Print CSV, as --measured reads it.")
     ] = False,
@@ -295,7 +295,7 @@ def findings(
     facet_azimuth: FacetOption = 0.0,
     light_angle: LightOption = 10.0,
     shadow_frame: FrameOption = "pitch-normal",
-    json_: JsonOption = False,
+    json_: Json = False,
     html: HtmlOption = None,
     svg: Annotated[Path | None, Parameter(help="Write the map as an SVG picture to this file.")] = None,
 ) -> int:

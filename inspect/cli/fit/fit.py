@@ -3,8 +3,9 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from anisoscope.cli.console import console, print_table
 from anisoscope.cli.json_output import print_json
+from anisoscope.cli.options import Json
+from anisoscope.cli.tables import console, print_table
 
 if TYPE_CHECKING:
     from anisoscope.fit.brdf import BrdfTable, Reciprocity
@@ -15,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import App, Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.console import progress
+from anisoscope.cli.progress import progress
 
 if TYPE_CHECKING:
     from anisoscope.fit.fitting import Fit
@@ -143,7 +144,6 @@ def _print_parameters(fitted: "Fit") -> None:
         )
 
 
-JsonOption = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")]
 HtmlOption = Annotated[Path | None, Parameter(help="Write a self-contained HTML page to this file.")]
 FreeOption = Annotated[
     str,
@@ -248,7 +248,7 @@ def ridges(
     ridge_angle: Annotated[float, Parameter(help="Ridge angle in degrees, where it is not free.")] = 10.0,
     options: ModelOptions | None = None,
     angles: PoseOptions | None = None,
-    json_: JsonOption = False,
+    json_: Json = False,
     html: HtmlOption = None,
 ) -> int:
     """Fit ridge angle, roughness, height loss, seating and scale to exposures or contrasts of one part.
@@ -281,7 +281,7 @@ def experiment(
     free: FreeOption = "alpha_along,alpha_across,k",
     options: ModelOptions | None = None,
     angles: PoseOptions | None = None,
-    json_: JsonOption = False,
+    json_: Json = False,
     html: HtmlOption = None,
 ) -> int:
     """Fit one plastic and one scale to the contrasts of the published experiment, over all its ridge angles.
@@ -320,7 +320,7 @@ def brdf(
     ] = None,
     wavelength: Annotated[float | None, Parameter(help="Wavelength in nm, of a table with several.")] = None,
     options: ModelOptions | None = None,
-    json_: JsonOption = False,
+    json_: Json = False,
     html: HtmlOption = None,
 ) -> int:
     """Compare a measured BRDF with a model, and fit material and ridge angle to it.

@@ -5,8 +5,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from anisoscope.cli.console import console, print_table
 from anisoscope.cli.json_output import print_json
+from anisoscope.cli.options import Json
+from anisoscope.cli.tables import console, print_table
 
 if TYPE_CHECKING:
     from datetime import datetime
@@ -21,8 +22,8 @@ from typing import Annotated
 from cyclopts import App, Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.console import progress
-from anisoscope.cli.history.options import ALL, Json, Place, Which, opened
+from anisoscope.cli.history.options import ALL, Place, Which, opened
+from anisoscope.cli.progress import progress
 
 COLORS = {"PASS": "green", "FAIL": "red", "INCONCLUSIVE": "yellow", "INVALID": "magenta"}
 _MAX_CELL = 24

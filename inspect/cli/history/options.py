@@ -23,7 +23,6 @@ Place = Annotated[
         "ANISOSCOPE_HISTORY says, else inspections/history.sqlite.",
     ),
 ]
-Json = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")]
 _MOMENT = "2026-11-01, 2026-11-01T14:30, today, or how long ago: 12h, 7d, 2w."
 
 

@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.console import print_table, progress
-from anisoscope.cli.ink.options import JsonOption, OverwriteOption, check_new, check_suffix
+from anisoscope.cli.ink.options import OverwriteOption, check_new, check_suffix
 from anisoscope.cli.ink.output import print_line
 from anisoscope.cli.json_output import print_json
+from anisoscope.cli.options import Json
+from anisoscope.cli.progress import progress
+from anisoscope.cli.tables import print_table
 
 if TYPE_CHECKING:
     from anisoscope.ink.goniometer import Readings
@@ -42,7 +44,7 @@ def compare(
         Parameter(help="Write the spheres to this *.png: a row an ink; readings, then the models."),
     ] = None,
     overwrite: OverwriteOption = False,
-    json_: JsonOption = False,
+    json_: Json = False,
 ) -> int:
     """Compare spheres shown by the models with ones made from readings: RMSE, SSIM and frame time.
 

@@ -8,13 +8,11 @@ import numpy as np
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.console import print_table, progress
 from anisoscope.cli.ink.options import (
     AngleOption,
     GainOption,
     IlluminantOption,
     InksOption,
-    JsonOption,
     OverwriteOption,
     check_new,
     check_target,
@@ -23,6 +21,9 @@ from anisoscope.cli.ink.options import (
 )
 from anisoscope.cli.ink.output import print_line
 from anisoscope.cli.json_output import print_json
+from anisoscope.cli.options import Json
+from anisoscope.cli.progress import progress
+from anisoscope.cli.tables import print_table
 
 if TYPE_CHECKING:
     from anisoscope.sim.light.ink.ink import Ink
@@ -53,7 +54,7 @@ def halftone(
         Parameter(negative="", help="Films with white where the ink goes; else black, as screens need them."),
     ] = False,
     overwrite: OverwriteOption = False,
-    json_: JsonOption = False,
+    json_: Json = False,
 ) -> int:
     """Place dots of three inks that never meet, and write the films for their screens.
 

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import App, Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.console import parse_numbers
-from anisoscope.cli.ink.options import JsonOption, OverwriteOption, check_new, check_suffix
+from anisoscope.cli.ink.options import OverwriteOption, check_new, check_suffix
 from anisoscope.cli.ink.output import print_fit, print_line, print_show
 from anisoscope.cli.json_output import print_json
+from anisoscope.cli.options import Json, parse_numbers
 
 if TYPE_CHECKING:
     from anisoscope.ink.goniometer import White
@@ -57,7 +57,7 @@ def fit(
     out: Annotated[Path | None, Parameter(help="Write the ink file *.toml.")] = None,
     html: HtmlOption = None,
     overwrite: OverwriteOption = False,
-    json_: JsonOption = False,
+    json_: Json = False,
 ) -> int:
     """Fit roughness, reflectance and goniochromatism of an ink to goniometer readings.
 
@@ -130,7 +130,7 @@ def show(
         Path | None, Parameter(help="Write a picture of the colours and spectra: *.png or *.svg.")
     ] = None,
     overwrite: OverwriteOption = False,
-    json_: JsonOption = False,
+    json_: Json = False,
 ) -> int:
     """Colour of inks against angle.
 

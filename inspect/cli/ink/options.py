@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 OverwriteOption = Annotated[
     bool, Parameter(name="--overwrite", negative="", help="Replace files that exist.")
 ]
-JsonOption = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")]
 InksOption = Annotated[
     str | None,
     Parameter(

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from anisoscope.cli.console import console, print_table
+from anisoscope.cli.tables import console, print_table
 
 if TYPE_CHECKING:
     from anisoscope.ink.appearance import Show

@@ -7,12 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.console import progress
 from anisoscope.cli.ink.options import (
     AngleOption,
     GainOption,
     InksOption,
-    JsonOption,
     OverwriteOption,
     check_new,
     check_target,
@@ -21,6 +19,8 @@ from anisoscope.cli.ink.options import (
 )
 from anisoscope.cli.ink.output import print_line
 from anisoscope.cli.json_output import print_json
+from anisoscope.cli.options import Json
+from anisoscope.cli.progress import progress
 
 if TYPE_CHECKING:
     import numpy as np
@@ -97,7 +97,7 @@ def proof(
     size: Annotated[int, Parameter(help="Side of the picture of --png in pixels.")] = 1024,
     view: View | None = None,
     overwrite: OverwriteOption = False,
-    json_: JsonOption = False,
+    json_: Json = False,
 ) -> int:
     """Show how a print of an image will look from all sides.
 

@@ -9,6 +9,7 @@ from anisoscope.cli.inspect.batch_operator import Terminal, table_of
 from anisoscope.cli.inspect.history_entry import HistoryOption, history_place, remember
 from anisoscope.cli.inspect.lot_mates import lot_mates
 from anisoscope.cli.json_output import print_json
+from anisoscope.cli.options import Json
 
 if TYPE_CHECKING:
     from anisoscope.inspection.batch.journal import BatchFile
@@ -52,7 +53,7 @@ def batch(
     operator: Annotated[str | None, Parameter(help="Who inspects; goes into the records.")] = None,
     station: Annotated[str | None, Parameter(help="Where the rig stands.")] = None,
     history: HistoryOption = None,
-    json_: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")] = False,
+    json_: Json = False,
 ) -> int:
     """Inspect the parts of a tray list; one part's trouble does not stop the others.
 
@@ -95,7 +96,7 @@ def batch(
 
 
 def _show(found: "BatchFile", folder: Path, page: Path, *, json_: bool) -> None:
-    from anisoscope.cli.console import console
+    from anisoscope.cli.tables import console
 
     if json_:
         content = {

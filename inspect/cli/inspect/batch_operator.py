@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Literal
 
 from anisoscope.base.errors import UsageError
 from anisoscope.base.progress import Advance
-from anisoscope.cli.console import console, progress
+from anisoscope.cli.progress import progress
+from anisoscope.cli.tables import console
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -8,6 +8,7 @@ from cyclopts import Parameter
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.inspect.batch import CodeKind
 from anisoscope.cli.json_output import print_json
+from anisoscope.cli.options import Json
 
 if TYPE_CHECKING:
     from anisoscope.inspection.batch.codes import Code, Counts
@@ -27,7 +28,7 @@ def code(
     ] = None,
     exposure: Annotated[float | None, Parameter(help="With --rig: exposure in seconds instead.")] = None,
     code_kind: CodeKind = "any",
-    json_: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")] = False,
+    json_: Json = False,
 ) -> int:
     """Read a Data Matrix, Code 128 or QR code, turned, pale or small; GS1 codes give lot and serial number.
 

@@ -5,13 +5,14 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from anisoscope.cli.console import console, progress
 from anisoscope.cli.inspect.history_entry import HistoryOption, history_place, remember
 from anisoscope.cli.inspect.lot_mates import lot_mates
 from anisoscope.cli.json_output import print_json
+from anisoscope.cli.options import Json
+from anisoscope.cli.progress import progress
+from anisoscope.cli.tables import console
 
 Folder = Annotated[Path, Parameter(help="Folder of an inspection.")]
-Json = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")]
 
 
 def resume(folder: Folder, /, *, history: HistoryOption = None, json_: Json = False) -> int:

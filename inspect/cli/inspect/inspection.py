@@ -6,11 +6,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.console import console, print_table, progress
 from anisoscope.cli.inspect.batch_operator import ask_serial
 from anisoscope.cli.inspect.history_entry import HistoryOption, history_place, remember
 from anisoscope.cli.inspect.lot_mates import lot_mates
 from anisoscope.cli.json_output import print_json
+from anisoscope.cli.options import Json
+from anisoscope.cli.progress import progress
+from anisoscope.cli.tables import console, print_table
 
 if TYPE_CHECKING:
     from anisoscope.inspection.run import Inspected
@@ -44,7 +46,7 @@ def inspect(
     cavity: Annotated[str | None, Parameter(help="Cavity of the mould.")] = None,
     station: Annotated[str | None, Parameter(help="Where the rig stands.")] = None,
     history: HistoryOption = None,
-    json_: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")] = False,
+    json_: Json = False,
 ) -> int:
     """Photograph a part at the recipe's angles, compare contrasts (of a print: colours) with the prediction, decide.
 

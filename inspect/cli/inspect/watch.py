@@ -14,11 +14,12 @@ from cyclopts import Parameter
 
 from anisoscope.base.errors import RecordError, UsageError
 from anisoscope.base.progress import Advance
-from anisoscope.cli.console import console, print_table, progress
 from anisoscope.cli.inspect.batch import CodeKind
 from anisoscope.cli.inspect.history_entry import HistoryOption, history_place, remember
 from anisoscope.cli.inspect.lot_mates import lot_mates
 from anisoscope.cli.json_output import print_json_line
+from anisoscope.cli.progress import progress
+from anisoscope.cli.tables import console, print_table
 
 if TYPE_CHECKING:
     from anisoscope.inspection.batch.watch import Watch

@@ -10,8 +10,8 @@ if TYPE_CHECKING:
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from anisoscope.cli.console import print_table
 from anisoscope.cli.json_output import fields_of
+from anisoscope.cli.tables import print_table
 
 if TYPE_CHECKING:
     from anisoscope.base.arrays import FloatArray

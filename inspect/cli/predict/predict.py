@@ -7,13 +7,15 @@ from cyclopts import Group, Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.json_output import print_json
+from anisoscope.cli.options import Json
 
 if TYPE_CHECKING:
     from anisoscope.prediction.monte_carlo import MonteCarlo
     from anisoscope.prediction.sensitivity import InputUncertainty
 from typing import TYPE_CHECKING, Any, Literal
 
-from anisoscope.cli.console import parse_numbers, print_table
+from anisoscope.cli.options import parse_numbers
+from anisoscope.cli.tables import print_table
 
 if TYPE_CHECKING:
     from anisoscope.prediction.optics_selection import OpticsModel, Wanted
@@ -27,7 +29,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from anisoscope.cli.console import progress
+from anisoscope.cli.progress import progress
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -428,7 +430,7 @@ def predict(
     waves: Annotated[WaveOptions, Parameter(name="*", group=WAVE_GROUP)] = WAVE_DEFAULTS,
     sizes: Annotated[OpticsOptions, Parameter(name="*", group=OPTICS_GROUP)] = OPTICS_DEFAULTS,
     uncertainties: Annotated[UncertaintyOptions, Parameter(name="*", group=GROUP)] = DEFAULTS,
-    json_: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")] = False,
+    json_: Json = False,
 ) -> int:
     """Predict radiances and contrasts, with their uncertainty, of a height map or of an ideal ridge design.
 

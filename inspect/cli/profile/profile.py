@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import App, Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.console import parse_numbers, print_table
 from anisoscope.cli.json_output import print_json
+from anisoscope.cli.options import parse_numbers
+from anisoscope.cli.tables import print_table
 
 if TYPE_CHECKING:
     from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.cli.console import progress
+from anisoscope.cli.progress import progress
 
 app = App(name="profile", help="Read, measure, convert, make and spoil height maps.")
 app.command("anisoscope.cli.profile.ridges:ridges")

@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from anisoscope.cli.console import print_table
 from anisoscope.cli.json_output import fields_of, print_json
 from anisoscope.cli.profile.profile import AS_STATED, Scales
+from anisoscope.cli.tables import print_table
 
 if TYPE_CHECKING:
     from anisoscope.profiles.metrology.burrlist import Outlier

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.console import parse_numbers
+from anisoscope.cli.options import Json, parse_numbers
 from anisoscope.cli.profile.profile import AS_STATED, Scales, parse_pixel
 from anisoscope.cli.profile.surfaces_output import deliver, list_defects
 
@@ -88,7 +88,7 @@ def make(
     rough: Annotated[RoughOptions, Parameter(group="Roughness")] = SMOOTH,
     seed: Annotated[int, Parameter(help="Seed of everything random.")] = 0,
     overwrite: Annotated[bool, Parameter(negative="", help="Replace the file if it exists.")] = False,
-    json_: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")] = False,
+    json_: Json = False,
 ) -> int:
     """Make an ideal surface, smooth or with Gaussian roughness.
 
@@ -177,7 +177,7 @@ def spoil(
     seed: Annotated[int, Parameter(help="Seed of everything random.")] = 0,
     list_: Annotated[bool, Parameter(name="--list", negative="", help="List the defects.")] = False,
     overwrite: Annotated[bool, Parameter(negative="", help="Replace the file if it exists.")] = False,
-    json_: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")] = False,
+    json_: Json = False,
     scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
     **parameters: float,
 ) -> int:

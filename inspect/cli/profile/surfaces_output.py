@@ -4,8 +4,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from anisoscope.cli.console import print_table
 from anisoscope.cli.json_output import print_json
+from anisoscope.cli.tables import print_table
 
 if TYPE_CHECKING:
     from anisoscope.profiles.heightmap import HeightMap

@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from anisoscope.cli.console import print_table
 from anisoscope.cli.json_output import fields_of, print_json
+from anisoscope.cli.options import Json
 from anisoscope.cli.profile.profile import AS_STATED, Scales
+from anisoscope.cli.tables import print_table
 
 if TYPE_CHECKING:
     from anisoscope.profiles.textures.texture import Texture
@@ -30,7 +31,7 @@ def texture(
     plot: Annotated[
         Path | None, Parameter(help="Picture of spectra, autocorrelation and bearing curve: *.png or *.svg.")
     ] = None,
-    json_: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")] = False,
+    json_: Json = False,
     scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
 ) -> int:
     """Height, spatial, hybrid and functional parameters (ISO 25178-2) of a height map.

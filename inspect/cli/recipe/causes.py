@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
-from anisoscope.cli.console import print_table
+from anisoscope.cli.tables import print_table
 
 if TYPE_CHECKING:
     from anisoscope.diagnosis.separability import Separability

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import App, Parameter
 
 from anisoscope.base.errors import CalibrationError, UsageError
-from anisoscope.cli.console import console, print_table
 from anisoscope.cli.json_output import print_json
+from anisoscope.cli.options import Json
 from anisoscope.cli.recipe.golden_limit import limit_says
+from anisoscope.cli.tables import console, print_table
 
 if TYPE_CHECKING:
     from anisoscope.cli.recipe.golden_prints import AnySet
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
 app = App(name="golden", help="Parts or prints that are known to be good, kept beside their recipe.")
 
 RecipeFile = Annotated[Path, Parameter(name=["--recipe", "-r"], help="Recipe file (TOML).")]
-Json = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")]
 
 
 @contextmanager

@@ -3,9 +3,9 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from anisoscope.cli.console import console, print_table
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.recipe.golden_limit import limit_says
+from anisoscope.cli.tables import console, print_table
 
 if TYPE_CHECKING:
     from anisoscope.decision.reference_parts import GoldenSet

@@ -4,9 +4,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from anisoscope.cli.console import console, print_table, progress
 from anisoscope.cli.json_output import print_json
+from anisoscope.cli.progress import progress
 from anisoscope.cli.recipe.causes import print_causes
+from anisoscope.cli.tables import console, print_table
 
 if TYPE_CHECKING:
     from anisoscope.kinds.prints.recipe_check import PrintRecipeCheck

@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import App, Parameter
 
 from anisoscope.base.errors import CalibrationError, UsageError
-from anisoscope.cli.console import console, parse_numbers, print_table, progress
 from anisoscope.cli.json_output import print_json
+from anisoscope.cli.options import Json, parse_numbers
+from anisoscope.cli.progress import progress
 from anisoscope.cli.recipe.causes import print_causes
+from anisoscope.cli.tables import console, print_table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,7 +24,6 @@ app = App(name="recipe", help="Recipes: what a part should look like, how it is 
 PRODUCT = "ridged part"
 MOST_PAIRS = 6
 File = Annotated[Path, Parameter(help="Recipe file (TOML).")]
-Json = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")]
 
 
 @app.command

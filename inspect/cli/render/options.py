@@ -14,6 +14,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.atomic_write import write_bytes
 from anisoscope.base.errors import RecordError, UsageError
 from anisoscope.cli.json_output import print_json
+from anisoscope.cli.options import Json
 
 if TYPE_CHECKING:
     from anisoscope.report.renderings import Rgb
@@ -87,7 +88,7 @@ class PictureOptions:
         "srgb"
     )
     panel: Annotated[int, Parameter(help="Longest side of a panel in pixels, 64 to 2000.")] = 420
-    json_: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")] = False
+    json_: Json = False
 
     def check(self, source: Path | None) -> None:
         """Refuse before the work what could not be written after it.
@@ -174,7 +175,7 @@ def parse_angles(text: str, option: str) -> tuple[float, ...]:
     Raises:
         UsageError: no list of numbers, or too many.
     """
-    from anisoscope.cli.console import parse_numbers
+    from anisoscope.cli.options import parse_numbers
 
     angles = parse_numbers(text, option)
     if len(angles) > MAX_PANELS:
@@ -214,7 +215,7 @@ def answer(
     picture: PictureOptions, found: dict[str, Any], title: str, columns: list[str], rows: list[list[str]]
 ) -> None:
     """Print JSON, or a table and what was written."""
-    from anisoscope.cli.console import console, print_table
+    from anisoscope.cli.tables import console, print_table
 
     if picture.json_:
         print_json(found)

@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.console import progress
+from anisoscope.cli.progress import progress
 from anisoscope.cli.render.options import PictureOptions, PlasticOptions, RigOptions, answer, parse_angles
 from anisoscope.cli.render.scene import Scene, SurfaceOptions
 
@@ -277,7 +277,7 @@ def two_directions(text: str) -> tuple[float, float]:
     Raises:
         UsageError: not two numbers.
     """
-    from anisoscope.cli.console import parse_numbers
+    from anisoscope.cli.options import parse_numbers
 
     found = parse_numbers(text, "--ridge-directions")
     if len(found) != 2:

@@ -155,7 +155,7 @@ def _cut(surface: "HeightMap", region: str | None) -> "tuple[HeightMap, str]":
             f"the map has {rows * cols / 1e6:.3g} million points; --region X0,Y0,X1,Y1 shows another part"
         )
     else:
-        from anisoscope.cli.console import parse_numbers
+        from anisoscope.cli.options import parse_numbers
 
         corners = parse_numbers(region, "--region")
         if len(corners) != 4 or corners[0] >= corners[2] or corners[1] >= corners[3]:

@@ -6,8 +6,10 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import App, Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.console import console, print_table, progress
 from anisoscope.cli.json_output import print_json
+from anisoscope.cli.options import Json
+from anisoscope.cli.progress import progress
+from anisoscope.cli.tables import console, print_table
 
 if TYPE_CHECKING:
     from anisoscope.calibration.record import CalibrationRecord
@@ -22,7 +24,6 @@ _Frames = Annotated[int, Parameter(help="Frames to average.")]
 _Days = Annotated[float | None, Parameter(help="Days for which it holds; else what is usual for its kind.")]
 _Operator = Annotated[str | None, Parameter(help="Who takes it; goes into the record.")]
 _Temperature = Annotated[float | None, Parameter(help="Temperature of the day in °C; goes into the record.")]
-_Json = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")]
 
 
 @app.command
@@ -37,7 +38,7 @@ def flat(
     valid_days: _Days = None,
     operator: _Operator = None,
     temperature: _Temperature = None,
-    json_: _Json = False,
+    json_: Json = False,
 ) -> int:
     """Photograph a white tile: the picture's shading and the scale of radiance.
 
@@ -72,7 +73,7 @@ def dark(
     valid_days: _Days = None,
     operator: _Operator = None,
     temperature: _Temperature = None,
-    json_: _Json = False,
+    json_: Json = False,
 ) -> int:
     """Photograph with the light off: dark level, noise and hot pixels at an exposure and gain.
 
@@ -102,7 +103,7 @@ def stray(
     valid_days: _Days = None,
     operator: _Operator = None,
     temperature: _Temperature = None,
-    json_: _Json = False,
+    json_: Json = False,
 ) -> int:
     """Photograph black glass or a light trap under the lit lamp: stray light, which inspections then subtract.
 
@@ -131,7 +132,7 @@ def linearity(
     valid_days: _Days = None,
     operator: _Operator = None,
     temperature: _Temperature = None,
-    json_: _Json = False,
+    json_: Json = False,
 ) -> int:
     """Photograph a white tile with many exposures: gain, read noise, linearity and saturation after EMVA 1288.
 
@@ -159,7 +160,7 @@ def response(
     white_level: Annotated[
         int | None, Parameter(help="Counts at which the camera clips, such as 235; else full scale.")
     ] = None,
-    json_: _Json = False,
+    json_: Json = False,
 ) -> int:
     """Photograph a still scene with many exposures: how the counts of a camera that is not linear grow with light.
 
@@ -196,7 +197,7 @@ def rotation(
     valid_days: _Days = None,
     operator: _Operator = None,
     temperature: _Temperature = None,
-    json_: _Json = False,
+    json_: Json = False,
 ) -> int:
     """Turn the fixture all round: rotation centre in the picture, size of a pixel, runout, tilt of the axis.
 
@@ -226,7 +227,7 @@ def check(
     limit: Annotated[float, Parameter(help="Largest deviation of an ln ratio.")] = 0.02,
     valid_days: _Days = None,
     operator: _Operator = None,
-    json_: _Json = False,
+    json_: Json = False,
 ) -> int:
     """Photograph a part that is kept for this, and compare it with what it showed when it was taught.
 
@@ -255,7 +256,7 @@ def check(
 
 
 @app.command(name="list")
-def list_(*, rig: _Rig, json_: _Json = False) -> int:
+def list_(*, rig: _Rig, json_: Json = False) -> int:
     """List the calibrations of a rig: what there is, until when it holds, and what is missing.
 
     Exit code 0: inspections can use them; 3: one that the rig file names does not hold, or the flat is missing.

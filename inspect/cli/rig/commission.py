@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.console import console, parse_numbers, print_table, progress
+from anisoscope.cli.options import Json, parse_numbers
+from anisoscope.cli.progress import progress
+from anisoscope.cli.tables import console, print_table
 
 if TYPE_CHECKING:
     from anisoscope.commissioning.part import RidgedPart
@@ -15,7 +17,6 @@ if TYPE_CHECKING:
     from anisoscope.commissioning.selftest_record import SelfTest
 
 _RigOption = Annotated[Path, Parameter(name=["--rig", "-g"], help="Rig file (TOML).")]
-_Json = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")]
 
 
 def commission(
@@ -51,7 +52,7 @@ def commission(
     ] = None,
     html: Annotated[Path | None, Parameter(help="Page to write.")] = None,
     write: Annotated[bool, Parameter(negative="", help="Put what was found into the rig file.")] = False,
-    json_: _Json = False,
+    json_: Json = False,
 ) -> int:
     """Find rotation sense, zero, centre, pixel size, tilt and light angle of a rig, from a known ridged part.
 
@@ -170,7 +171,7 @@ def check(
         bool, Parameter(negative="", help="The white tile lies on the stage: compare its shading.")
     ] = False,
     out: Annotated[Path | None, Parameter(help="Folder that receives the result as JSON.")] = None,
-    json_: _Json = False,
+    json_: Json = False,
 ) -> int:
     """Test a rig at the start of a shift: stage, camera, light, markers, focus. Exit code 0: fit; 3: not fit.
 

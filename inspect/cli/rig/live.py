@@ -13,7 +13,8 @@ from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.json_output import print_json_line
-from anisoscope.cli.rig.options import Json, RigPath, write_line
+from anisoscope.cli.options import Json
+from anisoscope.cli.rig.options import RigPath, write_line
 from anisoscope.cli.rig.snap import Exposure, Gain, LightState
 
 if TYPE_CHECKING:

@@ -7,15 +7,8 @@ from cyclopts import Parameter
 
 from anisoscope.base.errors import AnisoscopeError, NotConnected, RigError
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.rig.options import (
-    NOTHING_NAMED,
-    AxisName,
-    Json,
-    Which,
-    Yes,
-    confirm,
-    write_line,
-)
+from anisoscope.cli.options import Json
+from anisoscope.cli.rig.options import NOTHING_NAMED, AxisName, Which, Yes, confirm, write_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 
 AxisName = Literal["stage", "tilt"]
 RigPath = Annotated[Path, Parameter(name=["--rig", "-g"], help="Rig file (TOML).")]
-Json = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")]
 Yes = Annotated[bool, Parameter(name=["--yes", "-y"], negative="", help="Home without asking.")]
 
 

@@ -8,7 +8,8 @@ from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.rig.options import Json, RigPath, write_line
+from anisoscope.cli.options import Json
+from anisoscope.cli.rig.options import RigPath, write_line
 
 if TYPE_CHECKING:
     from anisoscope.rig.acquisition.opening import Devices

@@ -7,7 +7,8 @@ from cyclopts import Parameter
 
 from anisoscope.base.errors import AnisoscopeError, RigError
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.rig.options import NOTHING_NAMED, Json, Which
+from anisoscope.cli.options import Json
+from anisoscope.cli.rig.options import NOTHING_NAMED, Which
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -5,8 +5,8 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from anisoscope.cli.history.options import Json
 from anisoscope.cli.json_output import print_json
+from anisoscope.cli.options import Json
 from anisoscope.cli.statistics.source import Html, print_grid, write_lines
 
 

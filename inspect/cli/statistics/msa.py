@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import App, Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.history.options import Json, Place
+from anisoscope.cli.history.options import Place
 from anisoscope.cli.json_output import print_json
+from anisoscope.cli.options import Json
 from anisoscope.cli.statistics.source import (
     EVERYTHING,
     Alpha,

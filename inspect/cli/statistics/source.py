@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.console import console
 from anisoscope.cli.history.options import ALL, DEFAULT_OUT, Which
+from anisoscope.cli.tables import console
 
 if TYPE_CHECKING:
     from anisoscope.quality.readings import Readings
@@ -67,7 +67,7 @@ def readings_from(csv: Path | None, place: str | None, which: Which, limit: int 
 
 def print_grid(grid: "Grid") -> None:
     """Print a table of a page."""
-    from anisoscope.cli.console import print_table
+    from anisoscope.cli.tables import print_table
 
     print_table(grid.title, list(grid.columns), [list(row) for row in grid.rows], grid.note or None)
 

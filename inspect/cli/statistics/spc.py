@@ -8,9 +8,10 @@ from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.base.progress import Advance
-from anisoscope.cli.console import progress
-from anisoscope.cli.history.options import Json, Place
+from anisoscope.cli.history.options import Place
 from anisoscope.cli.json_output import print_json
+from anisoscope.cli.options import Json
+from anisoscope.cli.progress import progress
 from anisoscope.cli.statistics.source import (
     EVERYTHING,
     Csv,

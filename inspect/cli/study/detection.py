@@ -5,9 +5,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from anisoscope.cli.console import console, print_table, progress
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.study.optimise import HtmlOption, JobsOption, JsonOption, SchedulerOption
+from anisoscope.cli.options import Json
+from anisoscope.cli.progress import progress
+from anisoscope.cli.study.optimise import HtmlOption, JobsOption, SchedulerOption
+from anisoscope.cli.tables import console, print_table
 
 if TYPE_CHECKING:
     from anisoscope.study.detection.product import RecipeName, World
@@ -33,7 +35,7 @@ def detection_command(
     folder: Annotated[
         Path | None, Parameter(help="Where surfaces and parts are kept, so that a study can go on.")
     ] = None,
-    json_: JsonOption = False,
+    json_: Json = False,
     html: HtmlOption = None,
     markdown: Annotated[
         Path | None,

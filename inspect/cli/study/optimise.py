@@ -4,8 +4,9 @@ import math
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from anisoscope.cli.console import console, print_table
 from anisoscope.cli.json_output import print_json
+from anisoscope.cli.options import Json
+from anisoscope.cli.tables import console, print_table
 
 if TYPE_CHECKING:
     from anisoscope.report.study_page import Chart, Map, Table
@@ -18,7 +19,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.console import parse_numbers, progress
+from anisoscope.cli.options import parse_numbers
+from anisoscope.cli.progress import progress
 
 if TYPE_CHECKING:
     from anisoscope.study.objective import Noise, Tolerances
@@ -209,7 +211,6 @@ JobsOption = Annotated[int | None, Parameter(help="Processes on this machine; le
 SchedulerOption = Annotated[
     str | None, Parameter(help="Address of a Dask scheduler (tcp://host:8786) that computes instead.")
 ]
-JsonOption = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON.")]
 HtmlOption = Annotated[Path | None, Parameter(help="Write a self-contained HTML page to this file.")]
 PlotOption = Annotated[Path | None, Parameter(help="Write the charts as a picture, *.png or *.svg.")]
 
@@ -270,7 +271,7 @@ def optimise(
     facet_azimuth: Annotated[float, Parameter(help="Azimuth toward which the facets lean at 0°.")] = 0.0,
     jobs: JobsOption = None,
     scheduler: SchedulerOption = None,
-    json_: JsonOption = False,
+    json_: Json = False,
     html: HtmlOption = None,
     plot: PlotOption = None,
 ) -> int:

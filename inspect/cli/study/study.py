@@ -13,9 +13,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import App, Parameter
 
 from anisoscope.base.errors import UsageError
-from anisoscope.cli.console import console, print_table, progress
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.study.optimise import HtmlOption, JobsOption, JsonOption, PlotOption, SchedulerOption
+from anisoscope.cli.options import Json
+from anisoscope.cli.progress import progress
+from anisoscope.cli.study.optimise import HtmlOption, JobsOption, PlotOption, SchedulerOption
+from anisoscope.cli.tables import console, print_table
 
 if TYPE_CHECKING:
     from anisoscope.report.study_page import Chart, Table
@@ -242,7 +244,7 @@ def convergence_command(
     seed: SeedOption = 1,
     jobs: JobsOption = None,
     scheduler: SchedulerOption = None,
-    json_: JsonOption = False,
+    json_: Json = False,
     html: HtmlOption = None,
     plot: PlotOption = None,
 ) -> int:
@@ -320,7 +322,7 @@ def best_angle_command(
     seed: SeedOption = 1,
     jobs: JobsOption = None,
     scheduler: SchedulerOption = None,
-    json_: JsonOption = False,
+    json_: Json = False,
     html: HtmlOption = None,
     plot: PlotOption = None,
 ) -> int:

@@ -13,9 +13,9 @@ import pytest
 import tomli_w
 
 from anisoscope.calibration.pictures import take_flat
-from anisoscope.cli.console import console
 from anisoscope.cli.demo.folder import FIXTURE
 from anisoscope.cli.inspect.batch_operator import Terminal, table_of
+from anisoscope.cli.tables import console
 from anisoscope.history.rows import seal_of
 from anisoscope.history.store import open_history
 from anisoscope.inspection.batch.journal import read_batch
