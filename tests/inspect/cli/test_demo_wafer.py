@@ -9,6 +9,7 @@ import tomli_w
 from anisoscope.base.errors import RecipeError, UsageError
 from anisoscope.cli.demo import wafers as demo_wafer
 from anisoscope.inspection.recipe_file import read_recipe
+from anisoscope.kinds.wafers.recipe import WaferRecipe
 from anisoscope.rig.rigfile import read_rig
 from anisoscope.sim.bench.benchfile import read_bench
 
@@ -50,7 +51,7 @@ def test_parts_differ_by_their_defect_and_by_what_the_recipe_allows():
 def test_its_files_are_read_by_those_who_need_them(folder):
     (folder / "recipe.toml").write_text(tomli_w.dumps(demo_wafer.recipe()))
     recipe = read_recipe(folder / "recipe.toml")
-    assert recipe.is_wafer
+    assert isinstance(recipe, WaferRecipe)
     assert (recipe.area, recipe.surface.optics) == (None, "auto")
     place = folder / "bench" / "good"
     place.mkdir(parents=True)
