@@ -102,10 +102,12 @@ def evaluate(observed: Observed, file: RigFile, part: RidgedPart, assumed: Assum
         MeasurementError: neither markers nor ridges are seen often enough, or nothing fits.
     """
     poses = [seen for seen in observed.seen if not seen.again]
+    # Only the poses at the first tilt form a full turn; tilted ones foreshorten the markers.
     turn = [seen for seen in poses if seen.tilt_reading_deg == poses[0].tilt_reading_deg]
     markers = _turning_of_markers(poses)
     ridges = _turning_of_ridges(poses, markers)
     tilt = _foreshortening(poses) if file.tilt is not None else None
+    # The closing pose repeats the first one: it measures the drift of the lamp and is not fitted.
     radiance, u, drift = _without_drift(observed.seen, assumed.model_share)
     line, u_line = _lines(poses, markers, ridges, part)
     tilts, u_tilt = _tilts(poses, file, tilt)
@@ -124,6 +126,7 @@ def evaluate(observed: Observed, file: RigFile, part: RidgedPart, assumed: Assum
         file.light.angle_deg,
         bounces=assumed.bounces,
     )
+    # Markers and ridges turn with the same sense; only the radiance decides to which side the facets lean.
     sense = _any(markers, ridges).sense
     lean = line + (180.0 if light.half_turn else 0.0)
     fixes = [seen.fix for seen in turn if seen.fix is not None]

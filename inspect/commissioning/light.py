@@ -78,15 +78,17 @@ def solve(
     quick: bool,
     start: FloatArray | None = None,
 ) -> Solved:
-    """Least squares over data and priors; quick keeps roughness tables fixed, which are slow to compute."""
+    """Least squares over data and priors; quick holds the parameters whose roughness tables are slow to compute."""
     from scipy.optimize import least_squares  # noqa: PLC0415 - takes long to import
 
     held = _HELD if quick else frozenset()
     free = [n for n, one in enumerate(known) if one.name not in held]
     values = np.array([one.value for one in known])
+    # The light angle starts here without a prior: it is not drawn to the value of the rig file.
     values[1] = light_deg
     prior_u = np.array([np.inf if one.u is None else one.u for one in known])
     names = [one.name for one in known]
+    # Without a white reference the scale has no prior: start where the mean residual is 0.
     if np.isnan(values[0]):
         known = [replace(known[0], value=0.0), *known[1:]]
         values[0] = 0.0
@@ -113,6 +115,7 @@ def solve(
 
     def slopes(some: FloatArray) -> FloatArray:
         base, columns = rest(some), []
+        # Own differences instead of those of SciPy: slopes of slow parameters hardly change, and are computed once.
         for n, step in enumerate(1e-3 * scale):
             if names[free[n]] in cached:
                 columns.append(cached[names[free[n]]])

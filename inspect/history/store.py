@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from anisoscope.base.errors import UsageError
 from anisoscope.base.notebook import data_frame, html_table
-from anisoscope.history import audit, schema, statements
+from anisoscope.history import chain, schema, statements
 from anisoscope.history.address import Address, parse_address
 from anisoscope.history.column_wise import Columns, read_columns
 from anisoscope.history.columns import disposition_from, row_from
@@ -221,7 +221,7 @@ class History:
         Raises:
             HistoryError: the database cannot be read at all.
         """
-        return audit.verify_chain(self._database)
+        return chain.verify_chain(self._database)
 
     def head(self) -> str:
         """Hash of the last inspection, hexadecimal: whoever keeps it elsewhere notices a history that was cut."""

@@ -108,6 +108,7 @@ def show_inks(
         for ink in inks
     ]
     brightest = max(float(linear_srgb(xyz).max()) for xyz in colours)
+    # One factor for all inks keeps their brightness comparable; the brightest colour just avoids clipping.
     factor = exposure if exposure is not None else 1.0 / brightest if brightest > 0.0 else 1.0
     reference = SRGB_WHITE if adapt else white
     found = []

@@ -218,6 +218,7 @@ def panels_png(
             one, are drawn.
     """
     rows, cols = panels[0].pixels.shape[:2]
+    # Text has a fixed size: narrow pictures are spaced so that the page keeps a least width.
     step = max(cols, _LEAST_WIDTH // max(len(panels), 1)) + _GAP
     side = 74 if heights is not None else 0
     width = 2 * _MARGIN + step * len(panels) - _GAP + side

@@ -82,6 +82,7 @@ class Chart:
 
     def draw(self, axes: "Axes") -> None:
         """Draw into axes."""
+        # Dashed curves are references: muted, and not counted in the colour scale.
         solid = [curve for curve in self.curves if not curve.dashed]
         for curve in self.curves:
             plain = MUTED if curve.dashed else _colour(solid.index(curve), len(solid))

@@ -92,6 +92,7 @@ def height(
     extent = None if size is None else parse_numbers(size, "--size")
     if len(at) != 2 or (extent is not None and (len(extent) not in (1, 2) or min(extent) <= 0.0)):
         raise UsageError("--corner takes X,Y in µm, --size one or two positive numbers of µm")
+    # Options are X,Y; windows of a layout count rows (y) first.
     low, window = (at[1], at[0]), None if extent is None else (extent[-1], extent[0])
     kind = source.suffix.lower()
     if kind not in GDS and (depths is not None or grid is not None):
@@ -108,6 +109,7 @@ def height(
             as_json=json_,
         )
     layout = _layout_of(source, dots, dot, seed)
+    # A whole pattern can exceed the memory: .npy is written strip by strip.
     if out.suffix.lower() == ".npy" and extent is None and low == (0.0, 0.0):
         return _stream(layout, out, as_json=json_)
     return _deliver(layout.window(low, window), out, as_json=json_)

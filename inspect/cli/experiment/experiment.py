@@ -135,6 +135,8 @@ def print_experiment(result: "Experiment") -> None:
             for place, row in combinations()
         ],
     )
+    # With rows missing, means over all rows and over the measured ones differ: only the latter compare with the
+    # measured means, so both are shown.
     if measured is not None and not result.complete:
         head.insert(1, "predicted, measured rows")
     rows = []
@@ -146,8 +148,6 @@ def print_experiment(result: "Experiment") -> None:
             rows.append(
                 [f"{AXIS_NAMES[name]} {level_text(m.level_deg)}", *(_number(value) for value in values)]
             )
-    setup = result.setup
-    frame = f", shadow frame {setup.shadow_frame}" if setup.model == "printed" else ""
     print_table("Mean contrasts", ["mean over all others", *head], rows)
     setup = result.setup
     frame = f", shadow frame {setup.shadow_frame}" if setup.model == "printed" else ""

@@ -8,8 +8,8 @@ from anisoscope.cli.options import Json
 from anisoscope.cli.tables import console, print_table
 
 if TYPE_CHECKING:
-    from anisoscope.fit.brdf import BrdfTable, Reciprocity
     from anisoscope.fit.fitting import Fit
+    from anisoscope.fit.table import BrdfTable, Reciprocity
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -49,7 +49,7 @@ def show(
 
 
 def _rows(fitted: "Fit", brdf: "tuple[BrdfTable, Reciprocity] | None") -> list[dict[str, float | None]]:
-    from anisoscope.fit.brdf import COLUMNS
+    from anisoscope.fit.table import COLUMNS
     from anisoscope.fit.text import rows_as_json
 
     rows = rows_as_json(fitted)
@@ -328,9 +328,9 @@ def brdf(
     Args:
         table: CSV: theta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg,value[,u][,wavelength_nm], in the sample's frame.
     """
-    from anisoscope.fit.brdf import read_brdf, reciprocity
     from anisoscope.fit.parameters import parse_free
     from anisoscope.fit.problem import Problem, Scene
+    from anisoscope.fit.table import read_brdf, reciprocity
 
     options = options or ModelOptions()
     _at_most_one(json_, html)

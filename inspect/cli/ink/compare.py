@@ -76,6 +76,7 @@ def compare(
             fitted = fit(read)
             warnings += [f"{name}: {warning}" for warning in fitted.warnings]
             ink = fitted.ink(name, "fitted to the readings")
+            # A given roughness replaces the fitted one only in the models, not in the readings they are compared with.
             ink = ink if alpha is None else replace(ink, alpha=alpha)
             found.append(run(measured, ink, illuminant=lamp, size=size))
     if png is not None:

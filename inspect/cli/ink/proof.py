@@ -112,6 +112,7 @@ def proof(
     from anisoscope.sim.proof.separation import separation as plan_separation
 
     shown = view or View()
+    # All options are checked before the separation: planning and dithering take long.
     if out is None and png is None:
         raise UsageError("ink proof needs something to write: --out proof.html, --png picture.png, or both")
     check_target(out, "--out", (image, photo, mesh), ".html", ".htm")
@@ -133,6 +134,7 @@ def proof(
     plan = plan_separation(chosen, lamps[0], way=separation, angle_deg=angle, gain=gain)
     picture = read_image(image)
     pixels = to_dots(picture, dots or picture.srgb.shape[1])
+    # The page holds all dots in one WebGL texture, whose side is limited; a PNG has no such limit.
     if out is not None and max(pixels.shape[:2]) > MOST_DOTS:
         raise UsageError(
             f"{pixels.shape[1]} × {pixels.shape[0]} dots are more than the {MOST_DOTS} a side that a page can show: "

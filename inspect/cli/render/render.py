@@ -468,6 +468,7 @@ def checkerboard(
         f"Corrected model, {count}, {light}; ridge angle {ridge_angle:g}°, roughness {plastic.alpha_along:g} along and "
         f"{plastic.alpha_across:g} across the ridges, albedo {plastic.albedo:g}."
     )
+    # Fields of a plate are flat, without sparkle: white is their maximum, not a percentile.
     white = picture.brightest([p.radiance for p in shown], 100.0)
     write_plate(picture, plate, poses, views[0], shown, [words, rig.sentence()], white)
     values = [fields_as_json(pose, p) for pose, p in zip(poses, shown, strict=True)]

@@ -261,7 +261,7 @@ def list_(*, rig: _Rig, json_: Json = False) -> int:
 
     Exit code 0: inspections can use them; 3: one that the rig file names does not hold, or the flat is missing.
     """
-    from anisoscope.calibration.listing import list_calibrations
+    from anisoscope.calibration.corrections import list_calibrations
 
     found = list_calibrations(rig)
     if json_:

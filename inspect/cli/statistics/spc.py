@@ -86,7 +86,7 @@ def spc(
 
     Exit codes: 0 stable, 1 not stable, 64 and above nothing could be charted.
     """
-    from anisoscope.quality.tolerances import charted
+    from anisoscope.quality.capability import charted
 
     settings = charting.settings()
     tolerances = _tolerances(which.recipe)
@@ -145,7 +145,7 @@ def _tolerances(recipe: str | None) -> dict[str, float] | None:
             raise UsageError(f"--recipe: there is no file {recipe}")
         return None
     from anisoscope.inspection.recipe_file import read_recipe
-    from anisoscope.quality.tolerances import recipe_tolerances
+    from anisoscope.quality.capability import recipe_tolerances
 
     return recipe_tolerances(read_recipe(Path(recipe)))
 
@@ -188,8 +188,7 @@ def _title(name: str, group: str) -> str:
 def _specification(
     readings: "Readings", name: str, charting: Charting, tolerances: dict[str, float] | None
 ) -> "Specification | None":
-    from anisoscope.quality.capability import Specification
-    from anisoscope.quality.tolerances import specification
+    from anisoscope.quality.capability import Specification, specification
 
     if charting.lower is not None or charting.upper is not None:
         return Specification(charting.lower, charting.upper)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from anisoscope.base.errors import AnisoscopeError, MeasurementError, RecordError, UsageError
-from anisoscope.base.progress import Advance
+from anisoscope.base.progress import Advance, silent
 from anisoscope.inspection.batch.codes import one_code, read_codes
 from anisoscope.inspection.batch.first_pose import photograph_first_pose
 from anisoscope.inspection.batch.journal import (
@@ -16,7 +16,6 @@ from anisoscope.inspection.batch.journal import (
     write_batch,
 )
 from anisoscope.inspection.batch.operator import Operator
-from anisoscope.inspection.batch.refusal import CODE_PICTURE, refuse_part
 from anisoscope.inspection.batch.scan import Scan, mismatch
 from anisoscope.inspection.batch.slot_folder import unfinished_in
 from anisoscope.inspection.batch.start import (
@@ -28,14 +27,63 @@ from anisoscope.inspection.batch.start import (
     make_folder,
 )
 from anisoscope.inspection.batch.tray import Slot
-from anisoscope.inspection.folder import working_in
-from anisoscope.inspection.run import Inspected, inspect_part, resume_part
+from anisoscope.inspection.folder import new_folder, working_in
+from anisoscope.inspection.job import prepare
+from anisoscope.inspection.manifest import begin
+from anisoscope.inspection.run import Inspected, conclude, expecting, inspect_part, resume_part
 from anisoscope.record.schema import Particulars
 from anisoscope.report.batch_page import PAGE_NAME, SlotView, thumbnail, write_batch_page
 from anisoscope.report.inspection_page import REPORT_NAME
 from anisoscope.report.peers import LotMates
 from anisoscope.rig.acquisition.writer import FRAMES
-from anisoscope.rig.frame import Frame, read_frame
+from anisoscope.rig.frame import Frame, read_frame, write_frame
+
+CODE_PICTURE = "code.tif"
+
+
+def refuse_part(
+    recipe_path: Path,
+    rig_path: Path,
+    serial: str,
+    out: Path,
+    reason: str,
+    on_progress: Advance = silent,
+    *,
+    particulars: Particulars | None = None,
+    picture: Frame | None = None,
+) -> Inspected:
+    """Record an inspection as INVALID for a reason; nothing moves.
+
+    Args:
+        recipe_path: recipe file.
+        rig_path: rig file.
+        serial: serial number under which it is recorded.
+        out: folder that receives the inspection folder.
+        reason: in one line.
+        on_progress: progress.
+        particulars: operator, lot, cavity, station.
+        picture: what the code was read from; kept beside the record.
+
+    Raises:
+        UsageError, RecipeError, RigFileError, HeightMapError, CalibrationError: one of the files.
+        RecordError: the folder cannot be written.
+    """
+    job = prepare(recipe_path, rig_path, serial)
+    with expecting(job, on_progress) as ready, new_folder(out, serial) as folder:
+        here = rig_path.resolve().parent
+        started = begin(
+            folder,
+            job,
+            particulars or Particulars(),
+            plan=None,
+            frames=0,
+            rig_folder=here,
+            refused=reason,
+        )
+        if picture is not None:
+            write_frame(picture, folder / CODE_PICTURE)
+        return conclude(folder, started, job, ready, on_progress)
+
 
 FAULTS_IN_A_ROW = 2
 
@@ -180,8 +228,10 @@ class _Run:
                 scan = one_code(read_codes(picture.grey, kind), kind, "the picture at the first pose").scan
             except (MeasurementError, UsageError) as error:
                 trouble = str(error)
+        # A part whose code cannot be read is asked for even if the list names it: the slot may hold another part.
         if scan is None and (trouble is not None or slot.serial is None):
             scan = self.operator.serial_of(self.batch.slots[number], trouble or "it has no serial number yet")
+        # A part without any number is inspected all the same, as INVALID, so that its folder needs a name.
         serial = slot.serial or (scan.serial if scan is not None else None) or f"unread-{slot.label}"
         if scan is None:
             wrong = (

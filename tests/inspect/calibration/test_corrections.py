@@ -7,9 +7,8 @@ import pytest
 
 from anisoscope.base.errors import CalibrationError, RegistrationError, UsageError
 from anisoscope.calibration import record as calibrationrecord
-from anisoscope.calibration.corrections import Calibrations
+from anisoscope.calibration.corrections import Calibrations, list_calibrations
 from anisoscope.calibration.frames import Taking
-from anisoscope.calibration.listing import list_calibrations
 from anisoscope.calibration.pictures import calibrate_dark, calibrate_stray
 from anisoscope.calibration.record import read_calibration, record_path, write_calibration
 from anisoscope.calibration.rotation import calibrate_rotation

@@ -106,7 +106,7 @@ def test_the_experiment(anisoscope, tmp_path):
 
 
 def test_a_brdf_compared_and_fitted(anisoscope, tmp_path):
-    from anisoscope.fit.brdf import COLUMNS, unit_vectors
+    from anisoscope.fit.table import COLUMNS, unit_vectors
     from anisoscope.profiles.ideal import RidgeDesign
     from anisoscope.sim.light import corrected
     from anisoscope.sim.light.material import Material

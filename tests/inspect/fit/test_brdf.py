@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import UsageError
-from anisoscope.fit.brdf import COLUMNS, read_brdf, reciprocity, unit_vectors
 from anisoscope.fit.fitting import fit
 from anisoscope.fit.parameters import checked_values
 from anisoscope.fit.problem import Problem, Scene
+from anisoscope.fit.table import COLUMNS, read_brdf, reciprocity, unit_vectors
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.material import Material, facet_brdf

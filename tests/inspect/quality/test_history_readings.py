@@ -11,9 +11,8 @@ from anisoscope.history.filters import Filters
 from anisoscope.history.problems import HistoryError
 from anisoscope.history.rows import NewRow
 from anisoscope.history.store import open_history
-from anisoscope.quality.capability import Specification
+from anisoscope.quality.capability import Specification, charted, specification
 from anisoscope.quality.readings import history_readings
-from anisoscope.quality.tolerances import charted, specification
 
 
 def row(number, rng, *, predicted=0.5, tolerance=0.1, verdict="PASS"):

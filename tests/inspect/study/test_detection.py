@@ -54,8 +54,17 @@ from anisoscope.study.detection.product import (
     expected_of,
     recipe_of,
 )
-from anisoscope.study.detection.results import RULES, golden_pool, met_sets, with_area
-from anisoscope.study.detection.rules import bench_of, covariance_of_measurement, distances, limits, p_values
+from anisoscope.study.detection.results import (
+    RULES,
+    bench_of,
+    covariance_of_measurement,
+    distances,
+    golden_pool,
+    limits,
+    met_sets,
+    p_values,
+    with_area,
+)
 from anisoscope.study.detection.run import Plan, area_of, collect, study_results
 from anisoscope.study.detection.sheets import POINTS, SheetTask, cut, sheet_of, sheet_surface
 from anisoscope.study.detection.statistics import (
