@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from anisoscope.base.errors import CalibrationError, RecordError, RigError
 from anisoscope.base.progress import Advance, silent
@@ -21,6 +22,7 @@ from anisoscope.kinds.prints.lighting import check_filters, expectation_of_print
 from anisoscope.kinds.prints.recipe import PrintRecipe
 from anisoscope.prediction.cache import kept_expectation
 from anisoscope.prediction.expectation import Expectation
+from anisoscope.record.display import record_frame, record_html, record_line, record_plot
 from anisoscope.record.schema import RECORD_NAME, Particulars, Record, write_record
 from anisoscope.record.verdict import Verdict
 from anisoscope.report.inspection_page import Pictures, start_renderer, write_report
@@ -29,6 +31,9 @@ from anisoscope.report.surface_view import SurfaceView
 from anisoscope.rig.acquisition.journal import read_journal
 from anisoscope.rig.acquisition.plan import Plan
 from anisoscope.rig.acquisition.runner import Progress, Rig, check_plan, open_rig, run_plan
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 Judged = tuple[Record, Pictures]
 
@@ -41,6 +46,29 @@ class Inspected:
     folder: Path
     report: Path
     notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        """One line: serial number, product, verdict, the first reason."""
+        return f"Inspected({record_line(self.record)})"
+
+    def _repr_html_(self) -> str:
+        return record_html(self.record)
+
+    def plot(self, axes: "Axes | None" = None) -> "Axes":
+        """Draw measured and predicted radiances against the stage angle.
+
+        Args:
+            axes: of matplotlib, to draw into; a new figure where they are not given.
+        """
+        return record_plot(self.record, axes)
+
+    def to_frame(self) -> Any:  # noqa: ANN401 - pandas need not be installed
+        """The poses as a pandas data frame: stage angle, tilt, measured and predicted radiance in 1/sr.
+
+        Raises:
+            UsageError: pandas is not installed.
+        """
+        return record_frame(self.record)
 
 
 def inspect_part(

@@ -78,3 +78,35 @@ def test_identifiers_that_name_a_kind():
     )
     assert house.kind_lines(text, verbs=True) == [1, 3, 5]
     assert house.kind_lines(text) == [1, 3, 4, 5]
+
+
+# While kinds of parts become plug-ins, a few imports still go up; the marks go with the last of them.
+UNDER_WAY = pytest.mark.xfail(strict=False, reason="kinds of parts are becoming plug-ins")
+
+
+@UNDER_WAY
+def test_no_import_goes_up(found):
+    assert found["upward_imports"] == 0
+
+
+@UNDER_WAY
+def test_packages_of_the_first_level_have_no_circle(found):
+    assert found["first_level_cycles"] == 0
+
+
+@UNDER_WAY
+def test_only_kinds_name_a_kind(found):
+    assert found["kind_lines"] == 0
+
+
+def test_no_module_is_in_a_circle(found):
+    assert found["module_cycles"] == 0
+
+
+def test_few_modules_have_exactly_one_importer(found):
+    assert found["modules_with_one_importer"] <= 100
+
+
+def test_in_the_root_lie_the_public_names_and_the_entry_only():
+    kept = {path.name for path in (ROOT / "inspect").iterdir() if path.is_file()}
+    assert kept == {"__main__.py", "api.py", "py.typed"}

@@ -72,3 +72,13 @@ def test_a_picture_says_which_arrows_it_shows(tools, tmp_path):
     assert (tmp_path / "one.svg").read_bytes() == (tmp_path / "two.svg").read_bytes()
     shown = json.loads(next(ET.parse(tmp_path / "one.svg").iter(DESCRIPTION)).text)
     assert shown == {"base": [], "cli": ["base"], "rig": ["base"]}
+
+
+@pytest.mark.xfail(
+    strict=False, reason="kinds of parts are becoming plug-ins: the picture is drawn anew at the end"
+)
+def test_the_picture_shows_the_imports_as_they_are(tools):
+    """Where it does not: python tools/draw_layout.py."""
+    shown = json.loads(next(ET.parse(tools["draw_layout"].PICTURE).iter(DESCRIPTION)).text)
+    now = tools["draw_layout"].thinned(tools["draw_layout"].downward(ROOT))
+    assert shown == {name: sorted(found) for name, found in now.items()}
