@@ -52,7 +52,7 @@ class Calibrations:
     files: Mapping[str, Path] = field(default_factory=dict)
 
     def check_valid(self, at: datetime) -> None:
-        """Do all calibrations hold at a time?
+        """Check that all calibrations are valid at a time.
 
         Raises:
             CalibrationError: one has expired, or was out of its limits.
@@ -126,7 +126,7 @@ class Calibrations:
         return replace(image, value=np.where(self.hot, np.float32(np.nan), image.value))
 
     def check_place(self, stage_deg: float, place: Placement) -> None:
-        """Does the fixture stand where the calibrated rotation puts it?
+        """Check that the fixture is where the calibrated rotation puts it.
 
         The axis must lie within 5 px, and the fixture within 0.2°, of what was calibrated.
 
@@ -178,7 +178,7 @@ class Calibrations:
 
 
 def read_calibrations(part: CalibrationPart, without: Kind | None = None) -> Calibrations:
-    """Read what the rig file names under [calibration], but for one kind; an old flat needs no record.
+    """Read the calibrations of the rig file, except one kind; an old flat needs no record.
 
     Raises:
         CalibrationError: a file is missing, damaged, or of another kind.
@@ -264,7 +264,7 @@ class Listed:
 
 
 def list_calibrations(rig_path: Path, at: datetime | None = None) -> tuple[Listed, ...]:
-    """All kinds of calibrations of a rig, and how each of them stands.
+    """All kinds of calibrations of a rig, with their states.
 
     Args:
         rig_path: rig file.

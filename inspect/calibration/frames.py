@@ -127,7 +127,7 @@ class Bed:
 
 @contextmanager
 def calibration_bed(rig_path: Path, advance: Advance) -> Iterator[Bed]:
-    """Open a rig whose stage stays where it is; an arm with a tilt axis is set to 0°.
+    """Open a rig without moving its stage; an arm with a tilt axis is set to 0°.
 
     Camera and light tilt together, so that one calibration serves all tilts.
 

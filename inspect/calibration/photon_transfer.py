@@ -1,4 +1,4 @@
-"""Photon transfer: what a camera is, from its frames alone, after EMVA 1288 release 4 (linear).
+"""Photon transfer: characteristics of a camera from its frames alone, after EMVA 1288 release 4 (linear).
 
 Two frames of every exposure, under even light and in the dark, give the gain from the slope of variance over mean;
 stacks of frames give the fixed pattern. Nothing about the camera has to be known, and quantum efficiency, which needs
@@ -203,7 +203,7 @@ MIN_STACK = 8
 
 @dataclass(frozen=True)
 class PhotoTransfer:
-    """What photon transfer finds; e is electrons, dn is counts.
+    """Result of a photon transfer; e is electrons, dn is counts.
 
     Attributes:
         gain_dn_per_e: system gain K.
@@ -236,7 +236,7 @@ class PhotoTransfer:
     dynamic_range: float
 
     def to_json(self) -> dict[str, Any]:
-        """All of it, for a JSON file; what was not found is None."""
+        """All values for a JSON file; None for undetermined ones."""
         return asdict(self)
 
 
@@ -314,7 +314,7 @@ def _check(steps: Sequence[ExposureStep], light_stack: Counts, dark_stack: Count
 def _fixed_pattern(
     light: Counts, dark: Counts, gain: Estimate, highpass_px: int
 ) -> tuple[Estimate, Estimate]:
-    """DSNU in electrons, PRNU as a share: the spread of the mean frame, less what time leaves in it."""
+    """DSNU in electrons, PRNU as a share: spatial variance of the mean frame, less its remaining temporal noise."""
     light_variance, dark_variance = (
         _spatial_variance(light, highpass_px),
         _spatial_variance(dark, highpass_px),

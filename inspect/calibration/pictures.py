@@ -171,7 +171,7 @@ def calibrate_stray(
     target_reflectance: float = 1e-4,
     on_progress: Advance = silent,
 ) -> CalibrationRecord:
-    """Photograph black glass or a light trap under the lit lamp: what is seen then comes from elsewhere.
+    """Photograph black glass or a light trap under the lit lamp: the remaining signal is stray light.
 
     The picture holds counts per second at gain 1. The uncertainty of the stray radiance is that of its mean, of the
     flat's scale, and of the light that the target itself may send back: anything up to its reflectance.

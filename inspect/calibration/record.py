@@ -138,7 +138,7 @@ def advice(kind: Kind) -> str:
 
 
 def days_of(kind: Kind, days: float | None) -> float:
-    """How long a calibration shall hold, in days.
+    """Validity of a calibration, in days.
 
     Raises:
         UsageError: not between 0 and ten years.

@@ -1,4 +1,4 @@
-"""Where the stage turns, and how large a pixel is: the fixture's markers over one turn of the stage."""
+"""Rotation centre of the stage and pixel size, from the fixture's markers over one turn of the stage."""
 
 import tempfile
 from dataclasses import dataclass
@@ -116,7 +116,7 @@ def _plan(
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """Where the fixture stood at an angle of the stage, as read back."""
+    """Position of the fixture at an angle of the stage, as read back."""
 
     stage_deg: float
     place: Placement

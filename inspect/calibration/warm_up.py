@@ -164,7 +164,7 @@ def _best_fit(t: FloatArray, y: FloatArray) -> _Fit:
 
 
 def _uncertainty(fit: _Fit, t: FloatArray, gradient: list[float]) -> float:
-    """Standard uncertainty of what has a gradient by c, d, a and τ, from the Jacobian and the scatter."""
+    """Standard uncertainty of a quantity with a gradient by c, d, a and τ, from the Jacobian and the scatter."""
     design = _design(t, fit.tau_s)
     if fit.tau_s is not None:
         tau, a = fit.tau_s, fit.amplitude
@@ -227,7 +227,7 @@ def _parameters(fit: _Fit) -> FloatArray:
 
 
 def _wait_s(fit: _Fit, end_s: float, last: float, allowed: float, *, warm: bool) -> float | None:
-    """Time from the end of the series until the warm-up alone changes by less than what is allowed."""
+    """Time from the end of the series until the remaining warm-up drift is within the limit."""
     if warm:
         return 0.0
     if fit.tau_s is None:
@@ -242,7 +242,7 @@ MIN_LEVEL = 0.01
 
 
 class Lit(Protocol):
-    """What a rig needs for its lamp to be watched."""
+    """Protocol of a rig with a lamp and a camera."""
 
     @property
     def camera(self) -> Camera:
@@ -267,7 +267,7 @@ def watch_lamp(
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
 ) -> WarmUp:
-    """Switch the lamp on, take a frame every so often, and judge the series. The stage stays where it is.
+    """Switch the lamp on, record frames at intervals, and fit its warm-up. The stage does not move.
 
     Args:
         rig: an opened rig.

@@ -160,7 +160,7 @@ class Tile:
 
 
 def inspect_tile(signal: npt.NDArray[np.float32], noise: float, filters: str = "mono") -> Tile:
-    """Is the tile clean and evenly lit?
+    """Check that the tile is clean and evenly lit.
 
     Args:
         signal: (rows, cols) of the white reference.

@@ -79,7 +79,7 @@ def _report(message: str, code: int) -> int:
 
 
 def _notes(error: BaseException | None) -> list[str]:
-    """What became of rig and folder, as errors carry it; also those on which another interruption fell."""
+    """Notes on the state of rig and folder that errors carry, including errors hit by a second interruption."""
     found: list[str] = []
     while error is not None:
         found += [note for note in getattr(error, "__notes__", ()) if note not in found]

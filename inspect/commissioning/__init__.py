@@ -1,1 +1,1 @@
-"""Commissioning a rig: how its axes, its camera and its light truly stand, found from pictures."""
+"""Commissioning of a rig: geometry of its axes, camera and light, determined from pictures."""

@@ -89,7 +89,7 @@ class Angles:
 
 
 def evaluate(observed: Observed, file: RigFile, part: RidgedPart, assumed: Assumed, absolute: bool) -> Angles:
-    """Fit everything.
+    """Fit all quantities to the observed poses.
 
     Args:
         observed: what was seen.

@@ -53,7 +53,7 @@ class Solved:
         return {one.name: float(value) for one, value in zip(known, self.x, strict=True)}
 
     def covariance(self, weaken: float = 1.0) -> FloatArray:
-        """Covariance of the parameters; `weaken` makes what was known beforehand worth less by this factor."""
+        """Covariance of the parameters; `weaken` divides the weight of the priors by this factor."""
         weight = np.where(np.isfinite(self.prior_u), 1.0 / (weaken * self.prior_u), 0.0)
         stacked = np.concatenate([self.data_jac, np.diag(weight)])
         size = np.maximum(np.linalg.norm(stacked, axis=0), 1e-300)

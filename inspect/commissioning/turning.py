@@ -110,7 +110,7 @@ class Centre:
 
 
 def fit_centre(fixes: list[Fix]) -> Centre:
-    """The point about which the fixture turns: its origin goes round it on a circle, origin = c + A·e.
+    """Centre of rotation: the origin of the fixture moves on a circle about it, origin = c + A·e.
 
     Raises:
         MeasurementError: fewer than three pictures.
@@ -139,7 +139,7 @@ def fit_centre(fixes: list[Fix]) -> Centre:
 
 @dataclass(frozen=True)
 class Foreshortening:
-    """Where the tilt axis reads at an upright camera, from squeeze = cos(reading − zero): the sign stays unknown.
+    """Reading of the tilt axis at an upright camera, from squeeze = cos(reading − zero): the sign is undetermined.
 
     Attributes:
         zero_deg, u_zero_deg: reading at which the camera looks straight down, and its standard uncertainty.

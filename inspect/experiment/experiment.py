@@ -38,7 +38,7 @@ _TIE = 1e-9  # contrasts that symmetry makes equal differ by rounding
 
 @dataclass(frozen=True)
 class Setup:
-    """What is predicted, and how angles are counted.
+    """Model and angle convention of the prediction.
 
     Attributes:
         model: "printed" as published, or "corrected".

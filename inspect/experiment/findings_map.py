@@ -22,7 +22,7 @@ BoolArray = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class FindingsMap:
-    """Where on a grid of roughnesses the findings hold; boolean arrays are (alpha_along, alpha_across).
+    """Findings over a grid of roughnesses; boolean arrays are (alpha_along, alpha_across).
 
     Attributes:
         setup: model and convention; the roughness of its material is not used.
@@ -44,7 +44,7 @@ class FindingsMap:
 
     @property
     def all_three(self) -> BoolArray:
-        """Where the three findings hold together."""
+        """Grid points at which the three findings hold together."""
         return self.max_at_zero_tilt & self.first_pair_larger & self.best_at_five
 
     @property
@@ -54,7 +54,7 @@ class FindingsMap:
 
     @property
     def falling_too(self) -> BoolArray:
-        """Where the three findings hold and the mean contrast falls monotonically on both sides of zero tilt."""
+        """Grid points at which they hold and the mean contrast falls monotonically on both sides of zero tilt."""
         return self.all_three & self.falls_on_both_sides
 
     @property

@@ -236,7 +236,7 @@ class Estimate:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A fit with everything needed to read it.
+    """Result of a fit.
 
     Attributes:
         problem: what was fitted.

@@ -38,7 +38,7 @@ class Combination:
 
     @property
     def words(self) -> str:
-        """The combination as read by people."""
+        """The combination in words."""
         text = " ".join(f"{weight:+.2f}·{PARAMETERS[name].words}" for name, weight in self.parts).replace(
             "-", "−"
         )
@@ -48,7 +48,7 @@ class Combination:
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """What the data know about the free parameters.
+    """Fisher information of the data on the free parameters.
 
     Attributes:
         names: p free parameters.
@@ -153,7 +153,7 @@ def information(problem: Problem, values: Mapping[str, float], noise: FloatArray
 
 
 def helping_measurement(problem: Problem, values: Mapping[str, float], noise: FloatArray) -> str | None:
-    """The smallest measurement of a short list that would determine everything left free, or None.
+    """Smallest measurement of a short list that determines all free parameters, or None.
 
     Each candidate is computed: same kind of value, same noise per pose as the data show, together with the data; last
     the same poses with less noise. Only for poses of a stage.

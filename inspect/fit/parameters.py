@@ -10,7 +10,7 @@ from anisoscope.base.errors import UsageError
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of the model. A fit works with its internal value: the logarithm where `logarithmic`.
+    """Parameter of the model. A fit works with its internal value: the logarithm where `logarithmic`.
 
     Attributes:
         name: with its unit, as in ``ridge_angle_deg``.
@@ -39,7 +39,7 @@ class Parameter:
         return float(np.log(value)) if self.logarithmic else value
 
     def external(self, internal: float) -> float:
-        """The value as people see it."""
+        """The value in its unit."""
         return float(np.exp(internal)) if self.logarithmic else internal
 
     @property

@@ -78,7 +78,7 @@ class Scene:
     convention: Convention | None = None
 
     def radiance(self, values: Mapping[str, float], interface: float) -> FloatArray:
-        """(P,) radiances in 1/sr; 0 where light or camera stands below the sample's horizon.
+        """(P,) radiances in 1/sr; 0 where light or camera is below the sample's horizon.
 
         Args:
             values: all parameters by name.
@@ -183,7 +183,7 @@ class Readings:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What is fitted to what.
+    """Free parameters, scene and readings of a fit.
 
     Attributes:
         scene: the directions and the model.

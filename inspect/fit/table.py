@@ -311,7 +311,7 @@ def _one_wavelength(table: Table, wavelength_nm: float | None) -> tuple[Table, f
 
 
 def reciprocity(table: BrdfTable) -> Reciprocity:
-    """How well rows measured in both directions agree (Helmholtz reciprocity: f(i, o) = f(o, i))."""
+    """Agreement of rows measured in both directions (Helmholtz reciprocity: f(i, o) = f(o, i))."""
     forward = np.hstack([table.to_light, table.to_camera])
     backward = np.hstack([table.to_camera, table.to_light])
     keys = {tuple(np.round(row / _SAME).astype(int).tolist()): number for number, row in enumerate(forward)}

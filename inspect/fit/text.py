@@ -105,7 +105,7 @@ def fixed(fit: Fit) -> dict[str, float]:
 
 
 def fit_as_json(fit: Fit) -> dict[str, Any]:
-    """Everything about a fit but its rows; a number that is not determined is null."""
+    """Fit as plain data without its rows; null for an undetermined number."""
     scene, readings = fit.problem.scene, fit.problem.readings
     found: dict[str, Any] = {"model": scene.model, "kind": readings.kind, "wall": scene.wall}
     if scene.model == "corrected":

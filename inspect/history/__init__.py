@@ -1,1 +1,1 @@
-"""What was inspected, when, and how it came out: rows that are only ever added, each sealed to the one before."""
+"""History of inspections: append-only rows, each sealed to the one before."""

@@ -16,7 +16,7 @@ _AT_ONCE = 200
 
 @dataclass(frozen=True)
 class Added:
-    """What became of folders that were to be added.
+    """Result of adding folders.
 
     Attributes:
         added: how many inspections are new in the history.

@@ -1,4 +1,4 @@
-"""Where a history is: a file of SQLite, a folder that holds one, or a URL of PostgreSQL."""
+"""Address of a history: an SQLite file, a folder that holds one, or a URL of PostgreSQL."""
 
 import os
 import ssl

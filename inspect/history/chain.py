@@ -106,7 +106,7 @@ def unpack_rows(rows: Sequence[bytes], count: int) -> npt.NDArray[np.float64]:
 
 
 def _written(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Numbers to `DIGITS` digits, each the double that is nearest to what would be written."""
+    """Numbers rounded to `DIGITS` digits, each to the nearest double of its decimal form."""
     size = np.abs(values)
     usual = (size > 0.0) & np.isfinite(values)
     places = DIGITS - 1 - np.floor(np.log10(np.where(usual, size, 1.0)))
@@ -214,14 +214,14 @@ def _part(database: Database, table: Table, start: int, stop: int) -> list[tuple
 
 
 def _as_bytes(row: Mapping[Any, Any]) -> Values:
-    """Bytes as bytes, whatever the driver calls them."""
+    """Row with bytes in place of the driver's memory views."""
     return {
         str(name): bytes(value) if isinstance(value, memoryview) else value for name, value in row.items()
     }
 
 
 def _verify_file(database: Database) -> list[Damage]:
-    """What SQLite itself finds in its file: indexes that disagree with their table, torn pages."""
+    """Damage that SQLite finds in its file: indexes that disagree with their table, torn pages."""
     try:
         with database.reading() as connection:
             lines = list(connection.scalars(text("PRAGMA integrity_check(5)")))

@@ -32,7 +32,7 @@ class Columns:
 
 
 def read_columns(connection: Connection, filters: Filters) -> Columns:
-    """Read what `Columns` holds.
+    """Read the columns of the selected inspections.
 
     Raises:
         UsageError: a filter that makes no sense.
@@ -58,7 +58,7 @@ def _recipe() -> ColumnElement[str]:
 def _numbers(
     connection: Connection, kinds: Sequence[int], data: Sequence[bytes]
 ) -> dict[str, npt.NDArray[np.float64]]:
-    """Numbers by label, from what each row holds under the labels of its layout."""
+    """Numbers by label, from each row and the labels of its layout."""
     labels = {
         int(row[0]): parsed_labels(row[1])
         for row in connection.execute(select(layouts.c.id, layouts.c.labels))

@@ -21,7 +21,7 @@ _LOCK = 0x616E_6973
 
 
 class Database:
-    """One history's database.
+    """Database of one history.
 
     Writers wait for each other: on SQLite by BEGIN IMMEDIATE, on PostgreSQL by an advisory lock that ends with its
     transaction, so that it dies with its process.
@@ -108,7 +108,7 @@ def _sqlite(path: Path) -> Engine:
 
 
 def _write_ahead(connection: sqlite3.Connection) -> None:
-    """Readers and a writer side by side; a file system that cannot do this keeps what SQLite does by itself."""
+    """Concurrent readers and a writer; a file system without support falls back to SQLite's default."""
     for attempt in range(50):
         try:
             if connection.execute("PRAGMA journal_mode").fetchone()[0] == "wal":

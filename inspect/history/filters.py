@@ -9,7 +9,7 @@ from anisoscope.base.errors import UsageError
 
 @dataclass(frozen=True)
 class Filters:
-    """All that is given must hold; texts are compared as a whole, letter by letter.
+    """Conditions that must all hold; texts are compared whole and case-sensitively.
 
     Attributes:
         since: not earlier than this; with a time zone.

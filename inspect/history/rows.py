@@ -1,4 +1,4 @@
-"""One line of the history: what is remembered of an inspection when its folder is out of sight."""
+"""Row of the history: the part of a record that is stored independently of its folder."""
 
 import hashlib
 import json
@@ -66,7 +66,7 @@ class Row(NewRow):
 
 
 def row_of(record: Record, folder: Path) -> NewRow:
-    """What the history remembers of a finished inspection.
+    """Row of a finished inspection.
 
     Args:
         record: its record.

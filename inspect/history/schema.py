@@ -93,7 +93,7 @@ def _first(connection: Connection) -> None:
 
 
 def _second(connection: Connection) -> None:
-    """Version 2: what reviewers decide."""
+    """Version 2: dispositions."""
     metadata.create_all(connection, [dispositions])
     _guard(connection, dispositions)
 
@@ -115,7 +115,7 @@ def version_of(connection: Connection) -> int:
 
 
 def check_version(found: int, where: object) -> None:
-    """Can this program read such tables?
+    """Check that this program can read the tables.
 
     Raises:
         HistoryError: they are of a later program.

@@ -35,7 +35,7 @@ _WHOLE = select(inspections, layouts.c.labels).select_from(_JOINED)
 
 
 def conditions(filters: Filters) -> list[ColumnElement[bool]]:
-    """The filters as conditions; everything that a user gave is a bound parameter.
+    """Filters as SQL conditions; all user input is bound as parameters.
 
     Raises:
         UsageError: a filter that makes no sense.
@@ -122,7 +122,7 @@ def series(connection: Connection, filters: Filters, number: str) -> tuple[list[
 
 
 def _readers(connection: Connection, number: str) -> dict[int, Callable[[bytes], float]]:
-    """For each layout that has the number, what reads it."""
+    """Reader of the number for each layout that has it."""
     found: dict[int, Callable[[bytes], float]] = {}
     for layout, line in connection.execute(select(layouts.c.id, layouts.c.labels)):
         if number in (names := parsed_labels(line)):
@@ -194,7 +194,7 @@ def _layout(connection: Connection, labels: str) -> int:
 def append_disposition(
     connection: Connection, inspection: int, reviewer: str, decision: str, comment: str
 ) -> Disposition:
-    """Add what a reviewer decided about an inspection that exists."""
+    """Append a reviewer's disposition of an existing inspection."""
     last, previous = head(connection, schema.dispositions)
     values: dict[str, Any] = {
         "id": last + 1,

@@ -28,7 +28,7 @@ SHOWN = 10  # the latest ones, in a notebook
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """One number over time, the oldest first.
+    """Time series of one number, the oldest first.
 
     Attributes:
         ids: (n,) ids of the inspections, int64.
@@ -147,7 +147,7 @@ class History:
             return None if found is None else self._row(found)
 
     def series(self, filters: Filters, number: str) -> Series:
-        """One number of many inspections, the oldest first.
+        """Time series of one number, the oldest first.
 
         Args:
             filters: which inspections.
@@ -183,7 +183,7 @@ class History:
             return statements.labels(connection, filters)
 
     def dispose(self, row_id: int, *, reviewer: str, decision: str, comment: str = "") -> Disposition:
-        """Add what a reviewer decided about an inspection; earlier decisions stay.
+        """Add a reviewer's disposition of an inspection; earlier ones are unchanged.
 
         Raises:
             UsageError: there is no such inspection, nobody decides, or something that is no decision.
@@ -196,7 +196,7 @@ class History:
             return statements.append_disposition(connection, row_id, who, what, why)
 
     def dispositions(self, row_id: int) -> list[Disposition]:
-        """What reviewers decided about an inspection, the oldest first.
+        """Dispositions of an inspection, the oldest first.
 
         Raises:
             HistoryError: the database cannot be read.
@@ -216,7 +216,7 @@ class History:
             return found
 
     def verify_chain(self) -> list[Damage]:
-        """Compute every hash again: what is not as it was written, each naming its row.
+        """Recompute every hash; list the damage, each entry naming its row.
 
         Raises:
             HistoryError: the database cannot be read at all.
@@ -224,7 +224,7 @@ class History:
         return chain.verify_chain(self._database)
 
     def head(self) -> str:
-        """Hash of the last inspection, hexadecimal: whoever keeps it elsewhere notices a history that was cut."""
+        """Hash of the last inspection, hexadecimal: a copy of it elsewhere reveals a truncated history."""
         with self._database.reading() as connection:
             return statements.head(connection, schema.inspections)[1].hex()
 

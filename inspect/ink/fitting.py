@@ -99,7 +99,7 @@ class Grid:
 
 
 def grid_of(readings: Readings, floor: float | None = None, below_deg: float | None = None) -> Grid:
-    """Sort readings by place and wavelength; a place that is read twice stands twice.
+    """Sort readings by place and wavelength; a place that is read twice has two rows.
 
     Args:
         readings: BRDF values.

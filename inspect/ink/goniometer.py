@@ -20,7 +20,7 @@ BY_LIGHT = ("theta_i_deg", "correction")
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """What a goniometer read of one sample, N rows.
+    """Goniometer readings of one sample, N rows.
 
     Attributes:
         theta_i_deg: (N,) inclination of the light.
@@ -41,7 +41,7 @@ class Readings:
 
 
 def read_goniometer(path: Path) -> Readings:
-    """Read ``theta_i_deg,theta_o_deg,wavelength_nm,value``; the values stay as they are.
+    """Read ``theta_i_deg,theta_o_deg,wavelength_nm,value``; the values are not scaled.
 
     Raises:
         UsageError: a line of the file cannot be used.

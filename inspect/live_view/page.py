@@ -1,4 +1,4 @@
-"""A live picture in a browser of this machine: MJPEG over HTTP, for one camera and a few people.
+"""Live picture in a browser of this machine: MJPEG over HTTP, for one camera and a few viewers.
 
 Served on 127.0.0.1 only, below a path that nobody can guess. Requests for another host name are refused, so that no
 page of the web can read the picture through a name that it lets point here (DNS rebinding). Who looks slowly misses

@@ -217,7 +217,7 @@ def histogram_of(signal: Plane, bins: int) -> tuple[float, ...]:
 
 
 def _middle(signal: Plane) -> Plane:
-    """A square in the middle, half as wide as the picture is high or wide: markers of a fixture stand around it."""
+    """Central square, half as wide as the picture is high or wide, inside the markers of a fixture."""
     size = min(*signal.shape, 2 * MAX_MIDDLE_PX) // 4 * 2
     top, left = (signal.shape[0] - size) // 2, (signal.shape[1] - size) // 2
     return np.ascontiguousarray(signal[top : top + size, left : left + size])

@@ -30,7 +30,7 @@ COLUMNS = ("exposure_s", "amount", "light", "dark", "light_variance", "dark_vari
 
 @dataclass(frozen=True, eq=False)
 class CameraSheet:
-    """What is known of a camera.
+    """Data sheet of a camera.
 
     Attributes:
         record: the calibration.
@@ -84,7 +84,7 @@ class CameraSheet:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the reader should know."""
+        """Notes for the reader."""
         found = list(self.record.remarks)
         found.append(
             "quantum efficiency and absolute sensitivity are not given: they need a lamp of known power, and light "

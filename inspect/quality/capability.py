@@ -1,4 +1,4 @@
-"""How well a process keeps its limits: Cp, Cpk (short term), Pp, Ppk (long term), with confidence intervals.
+"""Process capability Cp, Cpk (short term), Pp, Ppk (long term) with confidence intervals, and specification limits.
 
 Sources: NIST/SEMATECH e-Handbook 6.1.6; the interval of Cp and Pp is that of a variance (chi-square), the one of Cpk
 and Ppk the approximation of A. F. Bissell, Applied Statistics 39 (1990) 331. Both presume normal values.
@@ -53,7 +53,7 @@ class Index:
 
 @dataclass(frozen=True)
 class Capability:
-    """What a process can keep.
+    """Capability of a process against its specification.
 
     Attributes:
         specification: the limits.

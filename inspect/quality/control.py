@@ -1,4 +1,4 @@
-"""One number under control: chart, EWMA, patterns, capability and normality of a series, and a verdict in words.
+"""Statistical control of one number: chart, EWMA, patterns, capability and normality, and a verdict in words.
 
 Exponentially weighted moving average: slow drifts that no single value shows.
 
@@ -164,7 +164,7 @@ FEW = 20
 
 @dataclass(frozen=True)
 class Settings:
-    """How a series is charted.
+    """Settings of a control chart.
 
     Attributes:
         baseline: measured values from the start that the limits rest on; None for all.

@@ -191,7 +191,7 @@ CATEGORIES = 1.41
 
 
 def share_interval(gauge: Terms, part: Terms, confidence: float = CONFIDENCE) -> tuple[float, float]:
-    """Two-sided interval of the standard deviation of the gauge over that of everything (%GRR as a share).
+    """Two-sided interval of the gauge's share of the total standard deviation (%GRR as a share).
 
     Args:
         gauge: weights and mean squares that make the variance of the gauge.
@@ -249,7 +249,7 @@ class GaugeData:
 
 @dataclass(frozen=True, eq=False)
 class GaugeStudy:
-    """What the study finds.
+    """Result of a gauge study.
 
     Attributes:
         data: the measurements.
@@ -280,7 +280,7 @@ class GaugeStudy:
 
     @property
     def components(self) -> tuple[Component, ...]:
-        """All that were estimated, the gauge first."""
+        """All estimated components, the gauge first."""
         some = (
             self.gauge, self.repeatability, self.reproducibility, self.appraiser, self.interaction, self.part,
             self.total,
@@ -288,7 +288,7 @@ class GaugeStudy:
         return tuple(one for one in some if one is not None)
 
     def share_of_study(self, one: Component) -> float:
-        """Standard deviation over that of everything (%GRR as a share)."""
+        """Standard deviation over the total one (%GRR as a share)."""
         return one.sigma / self.total.sigma
 
     def share_of_tolerance(self, one: Component) -> float | None:
@@ -479,7 +479,7 @@ def _one_way(data: GaugeData, tolerance: float | None, confidence: float) -> Gau
 def _components(
     measuring: list[Component], part: Component, sums: tuple[Component, Component, Component]
 ) -> tuple[Component, Component, Component]:
-    """Gauge, reproducibility and total as sums of what is counted: what came out negative is counted as 0."""
+    """Gauge, reproducibility and total as sums of components; a negative estimate counts as 0."""
     gauge, both, total = sums
     noise = sum(one.variance for one in measuring)
     return (

@@ -1,4 +1,4 @@
-"""Linearity of a gauge: does its bias change with what is measured (AIAG MSA, 4th edition, III-B)?
+"""Linearity of a gauge: dependence of its bias on the measured value (AIAG MSA, 4th edition, III-B).
 
 A straight line through all biases over the reference values; the gauge is fit if the line of zero bias lies everywhere
 within the confidence band of the fitted one.

@@ -89,7 +89,7 @@ def signals(values: FloatArray, center: float, sigma: float) -> dict[int, BoolAr
 
 
 def _run(key: IntArray) -> IntArray:
-    """How many equal keys in a row end at each place; 0 where the key is 0."""
+    """Length of the run of equal keys that ends at each place; 0 where the key is 0."""
     place = np.arange(len(key))
     start = np.zeros(len(key), dtype=np.int64)
     start[1:] = np.where(key[1:] != key[:-1], place[1:], 0)

@@ -1,1 +1,1 @@
-"""HTML pages: everything that people look at after an inspection."""
+"""HTML pages of inspections, calibrations, fits and studies."""

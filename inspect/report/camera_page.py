@@ -1,4 +1,4 @@
-"""The page of a camera after EMVA 1288: photon transfer, linearity, signal-to-noise ratio, and what was found."""
+"""Page of a camera after EMVA 1288: photon transfer, linearity, signal-to-noise ratio, and values."""
 
 import math
 from pathlib import Path
@@ -58,7 +58,7 @@ def write_camera_page(path: Path, sheet: CameraSheet) -> None:
 
 
 def values_table(sheet: CameraSheet) -> Grid:
-    """What was found, with uncertainties and what else it is called."""
+    """Values with uncertainties and symbols of the standard."""
     rows = tuple((name, *value_texts(name, one)) for name, one in sheet.rows)
     return Grid("Values", "What was found", ("what", "value", "u", "unit", "that is"), rows, "values")
 

@@ -1,4 +1,4 @@
-"""The page of a commissioning: what was found, in pictures, curves and tables."""
+"""Page of a commissioning: findings, pictures, curves and tables."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -38,7 +38,7 @@ def u_text(u: float | None) -> str:
 
 
 def finding_row(finding: Finding) -> tuple[str, str, str, str, str, str, str]:
-    """What, key, unit, old, found, u, and what to know."""
+    """Quantity, key, unit, old value, new value, u, and remark."""
     known = finding.status == "found"
     value = text_of(finding.value, finding.u) if known else finding.status
     note = (
@@ -124,7 +124,7 @@ def radiance_chart(done: Commissioned) -> str:
 
 
 def residual_chart(done: Commissioned) -> str:
-    """What is left of the angles of markers and ridges, over the reading, as a data URI."""
+    """Residual angles of markers and ridges over the reading, as a data URI."""
     with new_figure(8.6, 2.6) as (figure, axes):
         axes.axhline(0.0, color=MUTED, linewidth=0.8)
         for turning, name, colour in (

@@ -1,4 +1,4 @@
-"""The page of a designed surface: target, achieved, what stays out of reach, how it looks, and what errors do to it."""
+"""Page of a designed surface: target and achieved lobe, unreachable part, appearance, tolerances."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -59,7 +59,7 @@ class Shown:
 
 @dataclass(frozen=True, eq=False)
 class DesignPage:
-    """All that the page shows; what is empty is left out.
+    """Content of the page; empty parts are left out.
 
     Attributes:
         title: heading.

@@ -31,7 +31,7 @@ LACKING = (
 
 
 def level_text(level_deg: Sequence[float]) -> str:
-    """A level as read by people: "-20°", or "0°/90°" for a pair."""
+    """Level as text: "-20°", or "0°/90°" for a pair."""
     return "/".join(f"{value:g}°" for value in level_deg).replace("-", "−")
 
 
@@ -91,7 +91,7 @@ def _chart_text(name: str, means: Sequence[Mean]) -> str:
 
 
 def findings_chart(maps: Sequence[FindingsMap]) -> str:
-    """Where on the grid of roughnesses the findings hold, one panel a convention, as a data URI."""
+    """Map of the findings over roughness, one panel per convention, as a data URI."""
     from matplotlib.patches import Patch
 
     with new_figure(3.6 * len(maps) + 0.4, 4.3) as (figure, axes):

@@ -109,7 +109,7 @@ def svg_uri(figure: "Figure") -> str:
 
 
 def _for_both_lights(svg: str) -> str:
-    """A drawing whose colours follow the reader's screen; without a style sheet they stay as drawn."""
+    """Drawing whose colours follow the reader's colour scheme; without a style sheet they are as drawn."""
     names = {colour: f"--c{number}" for number, colour in enumerate(IN_THE_DARK)}
     for colour, name in names.items():
         svg = svg.replace(f": {colour}", f": var({name}, {colour})")
@@ -292,7 +292,7 @@ def height_picture(height_um: FloatArray, pixel_um: tuple[float, float]) -> str:
 
 
 def profile_chart(x_um: FloatArray, z_um: FloatArray) -> str:
-    """One line of the height map across the ridges."""
+    """Profile of the height map across the ridges."""
     with new_figure(9.0, 2.1) as (figure, axes):
         axes.plot(x_um, z_um, color=BLUE, linewidth=1.1)
         axes.grid()

@@ -183,7 +183,7 @@ def write_gauge_page(path: Path, title: str, source: str, study: GaugeStudy) -> 
 
 
 def components(study: GaugeStudy) -> Grid:
-    """Variances, what they are of the whole, and their intervals."""
+    """Variance components, their shares of the total, and their intervals."""
     rows = tuple(
         (
             one.name,

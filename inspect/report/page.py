@@ -1,4 +1,4 @@
-"""One way to make a page: templates that extend ``page.html``, strict about what they are given."""
+"""Rendering of pages: templates that extend ``page.html``, strict about undefined names."""
 
 from collections.abc import Callable, Mapping
 from functools import cache

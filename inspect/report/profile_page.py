@@ -1,4 +1,4 @@
-"""The page of one height map: how it looks, what its ridges measure, and where it comes from."""
+"""Page of one height map: appearance, ridges, and origin."""
 
 from pathlib import Path
 from typing import Any
@@ -52,7 +52,7 @@ NUMBERS = (
 
 
 def map_picture(surface: HeightMap, burrs: tuple[Outlier, ...] = ()) -> str:
-    """A levelled map in false colours, missing points grey, what stands out circled, as a data URI.
+    """Levelled map in false colours, missing points grey, outstanding ones circled, as a data URI.
 
     Args:
         surface: the map; heights in µm.
@@ -115,7 +115,7 @@ def ridge_chart(mean: MeanRidge) -> str:
 
 
 def slope_chart(found: RidgeMeasurement) -> str:
-    """Distribution of the slopes of single points along and across, and what α and noise make of them."""
+    """Distribution of point slopes along and across, with the ones that α and noise predict."""
     noise = found.noise_um.value or 0.0
     # of single points over one pixel: α is what is left of their variance without the noise
     extra = 2.0 * (noise / found.bandwidth_um[0]) ** 2

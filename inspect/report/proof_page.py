@@ -62,7 +62,7 @@ class ProofMesh:
 
 @dataclass(frozen=True, eq=False)
 class Proof:
-    """What a page shows.
+    """Content of a page.
 
     Attributes:
         title: of the page.
@@ -203,7 +203,7 @@ def _data(proof: Proof) -> dict[str, Any]:
 
 
 def selftest_cases(mesh: bool, lights: int) -> list[State]:
-    """What ``#selftest`` draws: all inks, models and prints under two lights, and every shape and extra."""
+    """Cases of ``#selftest``: all inks, models and prints under two lights, and every shape and extra."""
     plain = {
         "shape": "sphere",
         "yaw": 0,

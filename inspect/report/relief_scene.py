@@ -1,4 +1,4 @@
-"""What `anisoscope.report.surface_view` runs in a process of its own: pyvista draws a height map.
+"""Process of `anisoscope.report.surface_view` that draws a height map with pyvista.
 
 Where no usable OpenGL is found VTK ends its process with a signal, so this never runs in the main process: run
 as ``python -m anisoscope.report.relief_scene MAP.npz PICTURE.png [SCENE.zip]``.

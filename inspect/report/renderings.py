@@ -117,12 +117,12 @@ class _Sheet:
         self.figure, self.width, self.height = figure, width, height
 
     def text(self, x: float, y: float, text: str, **style: object) -> None:
-        """Text whose top left corner stands at (x, y)."""
+        """Text with its top left corner at (x, y)."""
         place = x / self.width, 1.0 - y / self.height
         self.figure.text(*place, text, va="top", **style)  # type: ignore[arg-type]
 
     def axes(self, x: float, y: float, width: float, height: float) -> "Axes":
-        """Axes whose top left corner stands at (x, y)."""
+        """Axes with their top left corner at (x, y)."""
         bottom = 1.0 - (y + height) / self.height
         return self.figure.add_axes((x / self.width, bottom, width / self.width, height / self.height))
 

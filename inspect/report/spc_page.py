@@ -214,7 +214,7 @@ def write_spc_page(
 
 
 def overview(studies: Sequence[ControlStudy]) -> Grid:
-    """One line a series."""
+    """Overview of the series, one row each."""
     rows = tuple(
         (
             one.name,
@@ -232,7 +232,7 @@ def overview(studies: Sequence[ControlStudy]) -> Grid:
 
 
 def study_content(study: ControlStudy) -> dict[str, Any]:
-    """All that the template shows of one series."""
+    """Content of the template for one series."""
     normality = study.normality
     words = (
         []

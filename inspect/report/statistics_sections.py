@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture as a data URI, what it shows in words, and its caption."""
+    """Picture as a data URI, with alternative text and caption."""
 
     uri: str
     alt: str
@@ -37,7 +37,7 @@ class Grid:
 
 
 def number(value: float | None, digits: int = 4) -> str:
-    """A number for people: some digits, a true minus, a dash for none."""
+    """Number as text: some digits, a true minus, a dash for None."""
     if value is None or not math.isfinite(value):
         return "–"
     whole = 10.0**digits <= abs(value) < 1e7

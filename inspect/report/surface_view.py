@@ -285,7 +285,7 @@ def viewer_of(state: bytes) -> Viewer | None:
 
 @cache
 def _page() -> tuple[str, str] | None:
-    """The viewer before and after the place of the data, which stays the same from report to report."""
+    """Viewer page before and after the place of the data, constant from report to report."""
     found = importlib.util.find_spec("trame_vtk")
     if found is None or found.origin is None:
         return None

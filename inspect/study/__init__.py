@@ -1,1 +1,1 @@
-"""Studies of the method itself: what is found, how surely, and under which conditions."""
+"""Studies of the method: detection, sensitivity, and its conditions."""

@@ -1,4 +1,4 @@
-"""Does an imperfection move the best ridge angle of the published experiment from 5° to 10°?
+"""Effect of imperfections on the best ridge angle of the published experiment, 5° or 10°.
 
 Luongo et al. 2017 predict most contrast at 5°, cite measurements with most at 10°, and suspect the surface
 structure (sections 5 and 6). Here one imperfection at a time grows, and the mean absolute contrast of the whole
@@ -194,7 +194,7 @@ def _radiance(task: _Task) -> Radiance:
 
 
 def folded_mean(value: FloatArray, sd: float) -> FloatArray:
-    """Expectation of |value + noise| for Gaussian noise: what averaging absolute contrasts makes of it."""
+    """Expectation of |value + noise| for Gaussian noise: the bias of averaged absolute contrasts."""
     if sd == 0.0:
         return np.abs(value)
     from scipy.special import erf  # noqa: PLC0415 - slow to import
@@ -219,7 +219,7 @@ def _seated(task: _Task, to_light: FloatArray, to_camera: FloatArray) -> FloatAr
 
 
 def _with_burrs(task: _Task, to_light: FloatArray, to_camera: FloatArray) -> FloatArray:
-    """One row a piece of surface; the same burrs at every ridge angle."""
+    """Rows for one piece of surface each; the same burrs at every ridge angle."""
     design = RidgeDesign(PITCH_UM, task.angle_deg)
     surface = ideal_map(design, task.sampling)
     found = []

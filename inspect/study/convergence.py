@@ -1,4 +1,4 @@
-"""Do contrasts approach the ideal prediction as defects vanish, and how fast?
+"""Convergence of contrasts to the ideal prediction as defects vanish, and its order.
 
 Luongo et al. 2017 (section 6) expect measured contrasts to converge to the predicted ones as samples get better.
 Here a surface is spoiled more and more mildly, its contrasts are predicted by the relief predictor, and their
@@ -46,7 +46,7 @@ _BOOTSTRAPS = 400
 
 @dataclass(frozen=True)
 class Sampling:
-    """How finely a study is sampled.
+    """Sampling of a study.
 
     Attributes:
         ridges: across the map.
@@ -104,7 +104,7 @@ class Convergence:
 
 @dataclass(frozen=True, eq=False)
 class ConvergenceStudy:
-    """All defects, and what they are compared with.
+    """All defects, and their common reference.
 
     Attributes:
         design: the ridges.

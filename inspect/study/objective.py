@@ -1,4 +1,4 @@
-"""How good a ridge design is: its contrast, nominal or under tolerances.
+"""Objective of a ridge design: its contrast, nominal or under tolerances.
 
 The contrast of a design is the mean, or the smallest, of |C| over the tilts and pairs asked for. Under tolerances
 it becomes a sample: every design meets the same quasi-random errors (common random numbers), so that the score is a
@@ -29,7 +29,7 @@ _DARK = 1e-12  # 1/sr
 
 @dataclass(frozen=True)
 class Part:
-    """A ridged part: what can be varied, and what stays.
+    """Ridged part: varied and fixed parameters.
 
     Attributes:
         ridge_angle: slope of the facets in degrees.
@@ -56,7 +56,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Tolerances:
-    """Standard deviations of what goes wrong from part to part and from seating to seating.
+    """Standard deviations of the variation from part to part and from seating to seating.
 
     Attributes:
         ridge_angle: of the ridge angle in degrees.
@@ -108,7 +108,7 @@ class Noise:
 
 @dataclass(frozen=True)
 class Scoring:
-    """What is maximised.
+    """Objective function and its settings.
 
     Attributes:
         contrast: which contrast; its absolute value counts.

@@ -32,7 +32,7 @@ class _Tabulated(Material):
 
 
 def rounded_polyline(design: RidgeDesign, edge_radius_um: float) -> tuple[FloatArray, FloatArray]:
-    """One period of the profile, foot to foot: wall, crest arc, facet; cut where height is lost.
+    """One period of the profile, foot to foot: wall, crest arc, facet; truncated by the lost height.
 
     Args:
         design: the ridges.
@@ -105,7 +105,7 @@ def _cut(x: FloatArray, z: FloatArray, height: float) -> tuple[FloatArray, Float
 
 @dataclass(frozen=True, eq=False)
 class _Lighting:
-    """How S segments of a profile stand to P poses; directions (S, P, 3) are along, across and normal."""
+    """Orientation of S segments of a profile to P poses; directions (S, P, 3) are along, across and normal."""
 
     to_light: FloatArray
     to_camera: FloatArray

@@ -197,7 +197,7 @@ def pattern(
 
 
 def _check_written(out: Path | None, *others: Path | None) -> None:
-    """Before anything is searched: what could not be written would be lost."""
+    """Check the output paths before the search: results that cannot be written would be lost."""
     if out is not None and out.suffix.lower() != ".npz":
         raise UsageError(f"a layout is written as *.npz, not {out.name}")
     for path in (out, *others):

@@ -1,4 +1,4 @@
-"""``anisoscope design mask`` and ``design height``: what the lithographer gets, and what instruments will measure."""
+"""``anisoscope design mask`` and ``design height``: mask for the lithographer, and height map for instruments."""
 
 import sys
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What ``anisoscope design`` prints and writes."""
+"""Output of ``anisoscope design``."""
 
 from typing import TYPE_CHECKING, Any
 

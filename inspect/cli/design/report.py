@@ -1,4 +1,4 @@
-"""Pages of ``anisoscope design``: gathers what `report.design_page` shows."""
+"""Pages of ``anisoscope design``: content for `report.design_page`."""
 
 from collections.abc import Sequence
 from pathlib import Path

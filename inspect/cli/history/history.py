@@ -1,4 +1,4 @@
-"""``anisoscope history``, ``show``, ``compare``, ``export``: what has been inspected, and what became of it."""
+"""``anisoscope history``, ``show``, ``compare``, ``export``: inspections of the past and their dispositions."""
 
 import unicodedata
 from collections.abc import Mapping, Sequence
@@ -99,7 +99,7 @@ def _cells(row: "Row", optional: Sequence[str], decided: "Sequence[Disposition]"
 
 
 def print_added(added: "Added", where: str, *, json_: bool) -> None:
-    """What became of folders that were added."""
+    """Print the result of adding folders."""
     if json_:
         print_json({**asdict(added), "history": where})
         return
@@ -131,7 +131,7 @@ def print_verified(damage: Sequence[str], count: int, head: str, *, json_: bool)
 
 
 def print_shown(row: "Row", decided: "Sequence[Disposition]", *, json_: bool) -> None:
-    """One inspection with everything that the history knows of it."""
+    """Print one inspection with all its data in the history."""
     from anisoscope.history.export import as_json
 
     folder = _folder_state(row)

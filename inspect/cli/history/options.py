@@ -28,7 +28,7 @@ _MOMENT = "2026-11-01, 2026-11-01T14:30, today, or how long ago: 12h, 7d, 2w."
 
 @dataclass(frozen=True)
 class Which:
-    """Which inspections."""
+    """Selection of inspections."""
 
     since: Annotated[str | None, Parameter(name="--since", help=f"Not earlier than {_MOMENT}")] = None
     until: Annotated[
@@ -52,7 +52,7 @@ class Which:
     operator: Annotated[str | None, Parameter(name="--operator", help="By this operator.")] = None
 
     def filters(self, limit: int | None = None) -> "Filters":
-        """As filters.
+        """Selection as filters.
 
         Args:
             limit: at most so many; None or 0 for all of them.

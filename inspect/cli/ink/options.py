@@ -1,4 +1,4 @@
-"""What the commands about prints share: inks, separation, size."""
+"""Common options of the commands on prints: inks, separation, size."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -60,7 +60,7 @@ def check_suffix(path: Path | None, option: str, *suffixes: str) -> None:
 
 
 def check_target(path: Path | None, option: str, inputs: Iterable[Path | None], *suffixes: str) -> None:
-    """As :func:`check_suffix`, and refuse to write over what is read.
+    """As :func:`check_suffix`, and refuse to overwrite an input.
 
     Raises:
         UsageError: the name ends in none of the suffixes, or is that of an input.

@@ -1,4 +1,4 @@
-"""What ``anisoscope ink`` prints."""
+"""Output of ``anisoscope ink``."""
 
 from typing import TYPE_CHECKING
 
@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 def print_line(text: str) -> None:
-    """One line that is no markup and is not wrapped."""
+    """Print one line without markup and wrapping."""
     console().print(text, markup=False, highlight=False, soft_wrap=True)
 
 

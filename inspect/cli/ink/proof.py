@@ -199,7 +199,7 @@ class _Work:
         return Scene(self.shape, self.view.yaw, self.view.pitch, cols / rows, mesh=self.mesh)
 
     def linear(self, size: int) -> "np.ndarray[Any, Any]":
-        """(size, size, 3) linear light; where a pixel holds many dots, the tones stand for their mean."""
+        """(size, size, 3) linear light; where a pixel holds many dots, the tones are their mean."""
         import numpy as np
 
         from anisoscope.sim.light.ink.shading import Light
@@ -220,7 +220,7 @@ class _Work:
         return proof_picture(where, inks, lights, cover, model=view.model, extras=extras)
 
     def exposure(self) -> float:
-        """Factor at which 99 % of the print stay below 0.9."""
+        """Factor at which 99 % of the print are below 0.9."""
         import numpy as np
 
         brightest = self.linear(192).max(axis=-1)

@@ -1,4 +1,4 @@
-"""What ``anisoscope predict --json`` prints."""
+"""Output of ``anisoscope predict --json``."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -51,7 +51,7 @@ def contrast_u(result: "Predicted", kind: str) -> list[float] | None:
 
 
 def uncertainty_warning(result: "Predicted") -> str | None:
-    """Where first-order propagation fails, or may fail; None where it serves."""
+    """Warning where first-order propagation fails, or may fail; None elsewhere."""
     if result.budget is None:
         return None
     from anisoscope.prediction.monte_carlo import disagreement
@@ -112,7 +112,7 @@ def _monte_carlo_as_json(result: "Predicted") -> dict[str, Any]:
 
 
 def as_json(result: "Predicted", *, covariance: bool = False) -> dict[str, Any]:
-    """One prediction as plain data; null stands for what a dark pose leaves undefined."""
+    """Prediction as plain data; null for values that a dark pose leaves undefined."""
     u = radiance_u(result)
     poses: list[dict[str, Any]] = [
         {"stage_deg": pose.stage_deg, "tilt_deg": pose.tilt_deg, "radiance": float(value)}

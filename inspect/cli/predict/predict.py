@@ -272,7 +272,7 @@ def light_of(text: str | None) -> Any:  # noqa: ANN401 - a LightSpectrum, import
 
 
 def differences(geometric: "Predicted", wave: "Predicted") -> list[dict[str, float | None]]:
-    """What waves change in every pose, relative to the brightest geometric radiance and to that of the pose.
+    """Difference of wave to geometric optics in every pose, relative to the brightest radiance and to the pose.
 
     Null where that is dark.
     """
@@ -290,7 +290,7 @@ def differences(geometric: "Predicted", wave: "Predicted") -> list[dict[str, flo
 
 
 def print_differences(geometric: "Predicted", wave: "Predicted") -> None:
-    """Table of what waves change."""
+    """Print the table of differences between the optics."""
     rows = [
         [
             f"{one['stage_deg']:g}",

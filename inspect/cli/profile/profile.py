@@ -137,7 +137,7 @@ def info(
 
 
 def _caption(origin: dict[str, Any]) -> str:
-    """Where a map comes from and what was changed on the way, in lines for people."""
+    """Origin of a map and its processing, in lines of text."""
     lines = [f"format {origin['format']}, role {origin['role']}, reader {origin['reader']}"]
     instrument = " ".join(str(part) for part in origin.get("instrument", {}).values())
     lines += [f"measured {' '.join((instrument, str(origin.get('date', '')))).strip()}"] if instrument else []

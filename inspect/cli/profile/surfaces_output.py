@@ -1,4 +1,4 @@
-"""What ``profile make`` and ``profile spoil`` write and print."""
+"""Output of ``profile make`` and ``profile spoil``."""
 
 import sys
 from pathlib import Path

@@ -56,7 +56,7 @@ class RigOptions:
     facet_azimuth: Annotated[float, Parameter(help="Azimuth toward which the facets lean at 0°.")] = 0.0
 
     def convention(self) -> "Convention":
-        """How the angles are counted."""
+        """Angle convention."""
         from anisoscope.sim.light.geometry import Convention
 
         return Convention(self.light_angle, self.tilt_plane, self.facet_azimuth)
@@ -91,7 +91,7 @@ class PictureOptions:
     json_: Json = False
 
     def check(self, source: Path | None) -> None:
-        """Refuse before the work what could not be written after it.
+        """Refuse impossible outputs before the work.
 
         Raises:
             UsageError: an extension, a size or a combination of files that makes no sense.
@@ -118,7 +118,7 @@ class PictureOptions:
         return found if found > 0.0 else 1.0
 
     def exposure_sentence(self, pictures: Sequence[FloatArray], white: float) -> str:
-        """How radiance became brightness."""
+        """Mapping of radiance to brightness, in words."""
         code = "sRGB transfer (IEC 61966-2-1)" if self.transfer == "srgb" else "no transfer curve"
         clipped = _share_above(pictures, white)
         return (
@@ -190,7 +190,7 @@ def painted(
     beyond: npt.NDArray[np.bool_],
     missing: npt.NDArray[np.bool_] | None = None,
 ) -> "Rgb":
-    """A radiance picture in grey, with what is beyond the sample and what is missing in their colours."""
+    """Radiance picture in grey; missing points and the region beyond the sample in their own colours."""
     from anisoscope.report.renderings import BEYOND_RGB, MISSING_RGB, grey
     from anisoscope.sim.light.picture import displayed
 
@@ -214,7 +214,7 @@ def degrees(value: float) -> str:
 def answer(
     picture: PictureOptions, found: dict[str, Any], title: str, columns: list[str], rows: list[list[str]]
 ) -> None:
-    """Print JSON, or a table and what was written."""
+    """Print JSON, or a table and the written files."""
     from anisoscope.cli.tables import console, print_table
 
     if picture.json_:

@@ -151,7 +151,7 @@ class Shot:
         self.white = picture.brightest(self.pictures, 99.5)
 
     def caption(self) -> list[str]:
-        """What stands below the pictures."""
+        """Caption of the pictures."""
         what = self.scene.name + (f"; {self.scene.note}" if self.scene.note else "")
         missing = self.scene.relief.missing_share
         gaps = f" {100 * missing:.2g} % of the facets were not measured." if missing else ""
@@ -167,7 +167,7 @@ class Shot:
         ]
 
     def answer(self) -> None:
-        """Print what was rendered."""
+        """Print the rendered quantities."""
         from anisoscope.sim.light.contrasts import contrasts
 
         view = self.views[0]
@@ -222,7 +222,7 @@ def heights_in_view(scene: Scene, view: "View") -> FloatArray:
 
 
 def height_pixels(heights: FloatArray, low: float, high: float, found: "Micrograph") -> "Rgb":
-    """Heights in colours, with what is missing and what is beyond the map."""
+    """Heights in colours; missing points and the region beyond the map in their own colours."""
     from anisoscope.report.renderings import BEYOND_RGB, MISSING_RGB, height_colours
 
     pixels = height_colours(heights, low, high)
@@ -288,7 +288,7 @@ def two_directions(text: str) -> tuple[float, float]:
 def plate_cells(
     pattern: Path | None, size_mm: float, fields: int, field_mm: float
 ) -> tuple[npt.NDArray[np.bool_], float]:
-    """Which cells have the second direction, and the side of a cell in mm."""
+    """Cells with the second direction, and the side of a cell in mm."""
     from anisoscope.sim.light.picture import checkerboard as board
 
     for name, value in (("--size", size_mm), ("--field-size", field_mm)):

@@ -44,7 +44,7 @@ class SurfaceOptions:
     ] = None
 
     def scene(self, height_map: Path | None) -> "Scene":
-        """Read or make the surface, level it, and cut out what is shown.
+        """Read or make the surface, level it, and cut out the rendered region.
 
         Raises:
             UsageError: options that make no sense together.
@@ -106,7 +106,7 @@ class SurfaceOptions:
 
 @dataclass(frozen=True)
 class Scene:
-    """What is shown.
+    """Rendered surface with its material and sampling.
 
     Attributes:
         relief: the surface.

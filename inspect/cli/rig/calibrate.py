@@ -1,4 +1,4 @@
-"""``anisoscope calibrate``: what the rig must know about itself."""
+"""``anisoscope calibrate``: calibrations of the rig."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated

@@ -19,7 +19,7 @@ Yes = Annotated[bool, Parameter(name=["--yes", "-y"], negative="", help="Home wi
 
 @dataclass(frozen=True)
 class Which:
-    """Which devices: those of a rig file, or a stage alone."""
+    """Selected devices: those of a rig file, or a stage alone."""
 
     rig: Annotated[
         Path | None, Parameter(name=["--rig", "-g"], help="Rig file (TOML) that names the devices.")
@@ -95,7 +95,7 @@ def write_line(text: str) -> None:
 
 
 def confirm(what: str, *, yes: bool) -> None:
-    """Announce what is about to happen, and ask whether it may.
+    """Announce the motion, and ask for permission.
 
     Raises:
         UsageError: nobody said yes, or there is no terminal to ask in.

@@ -111,7 +111,7 @@ def bench(
 def _serve_bench(
     virtual_rig: "Bench", base: int, stack: ExitStack, *, pty: bool
 ) -> tuple[dict[str, str], dict[str, str]]:
-    """Serve all devices; where each is found, and what a rig file calls that."""
+    """Serve all devices; print their ports, and the entries for a rig file."""
     from anisoscope.sim.bench.camera import SimulatedCamera
     from anisoscope.sim.bench.camera_server import CameraServer
     from anisoscope.sim.bench.serve import PtyServer, TcpServer

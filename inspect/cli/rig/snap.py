@@ -1,4 +1,4 @@
-"""``anisoscope rig snap``: one frame to a file, and what it is worth."""
+"""``anisoscope rig snap``: one frame to a file, with its quality figures."""
 
 import math
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""``anisoscope camera``: what a camera is, after EMVA 1288."""
+"""``anisoscope camera``: data sheet of a camera after EMVA 1288."""
 
 from pathlib import Path
 from typing import Annotated

@@ -1,4 +1,4 @@
-"""Where the commands of statistics take their numbers from: a CSV file or the history."""
+"""Source of the numbers for the commands of statistics: a CSV file or the history."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated

@@ -1,4 +1,4 @@
-"""``anisoscope spc``: control charts and capability of what was measured."""
+"""``anisoscope spc``: control charts and capability of measured series."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -58,7 +58,7 @@ class Charting:
     upper: Annotated[float | None, Parameter(name="--upper", help="Upper limit of good parts.")] = None
 
     def settings(self) -> "Settings":
-        """As the chart takes them."""
+        """Options as settings of the chart."""
         from anisoscope.quality.control import Settings
 
         return Settings(self.baseline, self.weight, self.width, self.center, self.sigma)
@@ -139,7 +139,7 @@ def _deliver(
 
 
 def _tolerances(recipe: str | None) -> dict[str, float] | None:
-    """Those of a recipe file; None where the word is no file."""
+    """Tolerances of a recipe file; None where the text is no file."""
     if recipe is None or not Path(recipe).is_file():
         if recipe is not None and recipe.endswith(".toml"):
             raise UsageError(f"--recipe: there is no file {recipe}")

@@ -38,7 +38,7 @@ CONTRAST_UNITS = {"difference": "1/sr", "michelson": "1", "log_ratio": "1"}
 
 
 def scoring_text(scoring: "Scoring") -> str:
-    """What is maximised, in words."""
+    """Objective in words."""
     pairs = ", ".join(f"{a:g}°/{b:g}°" for a, b in scoring.pairs_deg)
     tilts = ", ".join(f"{t:g}°" for t in scoring.tilts_deg)
     text = f"{scoring.over} |{scoring.contrast}| [{CONTRAST_UNITS[scoring.contrast]}], pairs {pairs}, tilts {tilts}"
@@ -139,7 +139,7 @@ def tables(best: "Optimum", plain: "Optimum | None", scoring: "Scoring") -> "lis
 
 
 def notes(best: "Optimum") -> list[str]:
-    """What a reader should know of an optimum."""
+    """Notes on an optimum."""
     found = ["Model: corrected, direct light; reflections between facet and wall are left out."]
     if best.scored.score <= 0.0:
         found.append(

@@ -1,4 +1,4 @@
-"""``anisoscope study``: what imperfect surfaces do to the contrast, by simulation."""
+"""``anisoscope study``: effect of imperfect surfaces on the contrast, by simulation."""
 
 import math
 from typing import TYPE_CHECKING, Any

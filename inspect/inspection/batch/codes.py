@@ -112,7 +112,7 @@ def read_picture(path: Path) -> Counts:
 
 @dataclass(frozen=True, eq=False)
 class _Rendering:
-    """A picture in 8 bits, the (2, 3) map from the counts to it, and what it is good for."""
+    """Picture in 8 bits, the (2, 3) map from the counts to it, and its purpose."""
 
     image: Grey
     matrix: npt.NDArray[np.float64]

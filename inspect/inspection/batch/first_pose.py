@@ -68,7 +68,7 @@ def photograph_first_pose(recipe_path: Path, rig_path: Path, exposure_s: float |
 
 
 def _go(rig: Rig, pose: Pose) -> float:
-    """Home what was not, and turn to a pose; the inspection approaches it anew, as exactly as it needs."""
+    """Home axes that are not homed, and turn to a pose; the inspection approaches it again with full accuracy."""
     for axis in rig.axes:
         if not axis.is_homed:
             axis.home()

@@ -1,4 +1,4 @@
-"""``batch.json``: what has become of every slot of a tray, on disk before and after each part."""
+"""``batch.json``: state of every slot of a tray, written before and after each part."""
 
 import json
 from datetime import UTC, datetime
@@ -26,7 +26,7 @@ class _Part(BaseModel):
 
 
 class SlotResult(_Part):
-    """What has become of a slot.
+    """State of a slot.
 
     Attributes:
         slot, serial, lot, cavity: as the list says; a serial number that it leaves open is filled in.
@@ -152,7 +152,7 @@ def read_batch(folder: Path) -> BatchFile:
 
 
 def check_same(batch: BatchFile, tray: Tray, recipe: Path) -> None:
-    """Is this the batch that was begun?
+    """Check that the batch on disk is the ordered one.
 
     Raises:
         UsageError: tray list or recipe are not what they were.

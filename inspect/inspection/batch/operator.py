@@ -36,7 +36,7 @@ class Operator(Protocol):
         ...
 
     def trouble(self, slot: SlotResult, faults: int) -> Literal["again", "go on", "stop"]:
-        """What to do after so many faults in a row."""
+        """Decision after several faults in a row."""
         ...
 
     def progress(self, batch: BatchFile, number: int) -> AbstractContextManager[Advance]:
@@ -82,7 +82,7 @@ class Unattended:
 
 
 def seconds_left(batch: BatchFile) -> float | None:
-    """How long the rest will take, by the mean of what is done; None before the first part."""
+    """Remaining time by the mean of the finished parts; None before the first part."""
     took = [one.seconds for one in batch.slots if one.seconds is not None]
     rest = sum(one.state in {"waiting", "at work"} for one in batch.slots)
     return sum(took) / len(took) * rest if took else None

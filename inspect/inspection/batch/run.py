@@ -120,7 +120,7 @@ def run_batch(order: Order, operator: Operator, remember: Remember, *, resume: b
 
 @dataclass(frozen=True, eq=False)
 class _Identity:
-    """What is known of the part before it is inspected; ``wrong`` makes it INVALID."""
+    """Identity of a part before its inspection; ``wrong`` makes it INVALID."""
 
     serial: str
     lot: str | None
@@ -217,7 +217,7 @@ class _Run:
         return part.code
 
     def _identify(self, number: int, slot: Slot, scan: Scan | None, advance: Advance) -> _Identity:
-        """Who the part is, by the list, by what was scanned, and by its code."""
+        """Identify the part by the list, by the scanned text, and by its code."""
         picture, trouble = None, None
         if scan is None and self.order.look is not None:
             advance("reading its code", 0, 1)

@@ -1,4 +1,4 @@
-"""What a code says: text of a scanner or a camera, without what only scanners need, and GS1 element strings.
+"""Content of a code: text of a scanner or a camera without scanner prefixes, and GS1 element strings.
 
 Scanners that act as keyboards may put an AIM symbology identifier in front (``]d2``), control characters around, and
 the group separator of GS1 between. AIM identifiers: ISO/IEC 15424. Element strings and application identifiers, among
@@ -52,7 +52,7 @@ class Scan:
 
 
 def read_scan(raw: str) -> Scan:
-    """Understand what a scanner typed, or a person.
+    """Parse the text of a scanner, or one typed by a person.
 
     Args:
         raw: the text as it came; what a person types is taken as it is, blanks around it aside.
@@ -108,7 +108,7 @@ def _elements(text: str) -> dict[str, str]:
 
 
 def mismatch(place: str, serial: str | None, lot: str | None, scan: Scan) -> str | None:
-    """What is wrong with a code in view of what should be in its place; None where they agree.
+    """Difference between a code and its slot; None where they agree.
 
     Args:
         place: where the part is, such as ``slot 3``.

@@ -25,7 +25,7 @@ def unfinished_in(home: Path) -> Path | None:
 
 
 def clear_stillborn(home: Path) -> None:
-    """Remove folders in which a program died before it had noted what it began: they hold no frame."""
+    """Remove folders of a program that died before its first note: they hold no frame."""
     for path in _folders(home):
         if not any((path / name).exists() for name in (RECORD_NAME, JOB, JOURNAL)):
             with contextlib.suppress(OSError):

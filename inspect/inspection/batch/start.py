@@ -1,4 +1,4 @@
-"""A batch before its first part: what is to be done, whether it can be, and what an earlier run has done of it."""
+"""Start of a batch: the order, its checks, and the results of an earlier run."""
 
 import shutil
 from collections.abc import Callable
@@ -29,7 +29,7 @@ Remember = Callable[[Inspected], None]
 
 @dataclass(frozen=True, eq=False)
 class Order:
-    """What is to be done.
+    """Order of a batch.
 
     Attributes:
         tray: the tray list.

@@ -46,7 +46,7 @@ COLUMNS = ("serial", "lot", "cavity", "operator", "station")
 
 
 class PartFile(Part):
-    """``part.toml``: who the part is, as far as it is known; everything may be left out."""
+    """``part.toml``: known particulars of the part; every entry is optional."""
 
     serial: str | None = None
     lot: str | None = None
@@ -150,7 +150,7 @@ def arrivals(root: Path, leave_out: Path) -> Iterator[Arrival]:
 
 
 def signature_of(folder: Path) -> Signature:
-    """Size and time of everything that counts in a folder; None for a file that is named and missing."""
+    """Size and time of every relevant file of a folder; None for a listed file that is missing."""
     names = [TABLE, PART_NAME, RIG_NAME]
     with contextlib.suppress(RecordError):  # the table may be half written
         names += dict.fromkeys(line.file for line in read_lines(folder / TABLE)[0])
@@ -221,7 +221,7 @@ class Listener(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Watched:
-    """What is watched, and how.
+    """Folder to watch, and settings.
 
     Attributes:
         root: the folder in which folders of frames arrive.
@@ -368,7 +368,7 @@ LEISURE = 4.0
 
 @dataclass(eq=False)
 class Watch:
-    """What was seen since the watch began.
+    """State of a watch since its start.
 
     Attributes:
         verdicts: of the inspections, in their order.
@@ -388,7 +388,7 @@ class Watch:
 
     @contextlib.contextmanager
     def open(self) -> Iterator[None]:
-        """Take the folder of the inspections, and finish what a killed program began.
+        """Lock the folder of the inspections, and finish the work of a killed program.
 
         Raises:
             UsageError, RecipeError, RigFileError: something that concerns all folders.
@@ -431,7 +431,7 @@ class Watch:
             self.look(stop)
 
     def look(self, stop: threading.Event) -> None:
-        """Look once: inspect what has come to rest, note what has not.
+        """One scan: inspect settled folders, note the others.
 
         Raises:
             RecordError: as for `run`.
@@ -566,7 +566,7 @@ class Watch:
         return folder.resolve().relative_to(self.watched.out.resolve()).as_posix()
 
     def _recover(self) -> None:
-        """An inspection that had begun when the program died: finished ones count, others begin anew."""
+        """Recover an inspection that was running when the program died: finished ones count, others begin again."""
         begun = self._journal.open
         if begun is None:
             return

@@ -44,7 +44,7 @@ MARKER_ERROR_PX = 0.03
 
 @dataclass(frozen=True)
 class Size:
-    """How large parts, frames and chunks are.
+    """Size of parts, frames and chunks.
 
     Attributes:
         ridges: ridges across the judged region.
@@ -156,13 +156,13 @@ def recipe_of(name: RecipeName, size: Size, *, stated: bool = False) -> RidgeRec
 
 @lru_cache(maxsize=8)
 def expected_of(name: RecipeName, size: Size, *, stated: bool = False) -> Expectation:
-    """What the recipe predicts; arguments as for `recipe_of`."""
+    """Prediction of the recipe; arguments as for `recipe_of`."""
     return expectation(recipe_of(name, size, stated=stated), LIGHT_DEG)
 
 
 @dataclass(frozen=True, eq=False)
 class Specimen:
-    """One part on one rig, as it truly is.
+    """True state of one part on one rig.
 
     Attributes:
         ridge_angle_deg: of its ridges.

@@ -64,7 +64,7 @@ ALONG, ACROSS, ALBEDO = "roughness along the ridges", "roughness across the ridg
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """What all parts of one recipe are weighed with: prediction, its components by name, and the golden parts.
+    """Common inputs of all parts of one recipe: prediction, its components by name, and the golden parts.
 
     Attributes:
         expected: of the recipe.
@@ -204,7 +204,7 @@ def _known(seen: Columns, kind: str, bench: Bench) -> FloatArray:
 
 
 def limits(shift: FloatArray, seen: Columns, bench: Bench) -> tuple[float, list[tuple[str, float]]]:
-    """How many σ a mean shift (P,) of ln L is, and what makes σ up: sources with their share of its square.
+    """Size of a mean shift (P,) of ln L in σ, and the sources of σ with their shares of its square.
 
     The shift is weighed along V⁻¹δ, where it shows most; V is the mean over the parts, with the ridge angle.
     """
@@ -233,7 +233,7 @@ _TINY = 1e-300
 
 
 def results_of(world: World, seen: dict[str, Columns], name: RecipeName, size: Size) -> Results:
-    """Everything about one recipe in one world.
+    """Results of one recipe in one world.
 
     Args:
         world: the world.
@@ -379,7 +379,7 @@ def _area(found: Area) -> Results:
 
 
 def _coverage_of_good(good: Columns, name: RecipeName, bench: Bench) -> Results:
-    """Shares of good parts whose 95 % intervals hold what they should."""
+    """Coverage of the 95 % intervals of good parts."""
     pairs = consecutive_pairs(bench.expected.poses)
     first, second = np.array(pairs).T
     error = good[f"{name}/error"][:, first] - good[f"{name}/error"][:, second]

@@ -1,4 +1,4 @@
-"""How often good parts fail and bad ones pass: thousands of parts on the virtual rig, in two worlds.
+"""Detection study: rates of false alarms and misses of thousands of parts on the virtual rig, in two worlds.
 
 The same world renders with the predictor's own lobe and direct light; the other one with GGX lobes, light that reflects
 more than once, a camera that is not quite linear and a near lamp. Claims come from the other one.
@@ -121,7 +121,7 @@ def _shifts(name: str, expected: Expectation) -> list[FloatArray]:
 
 
 def _good(recipe: RidgeRecipe, expected: Expectation, better: tuple[str, ...]) -> tuple[Response, FloatArray]:
-    """How good parts scatter with some sources `BETTER` times smaller, in the basis of ln ratios.
+    """Scatter of good parts with some sources `BETTER` times smaller, in the basis of ln ratios.
 
     Returns:
         Response to the inputs, the ridge angle of good parts among them, and (P − 1, P − 1) covariance of the rest.
@@ -157,7 +157,7 @@ LEAST_PARTS = 20
 
 @dataclass(frozen=True)
 class Plan:
-    """What a study does.
+    """Plan of a study.
 
     Attributes:
         worlds: in which the parts are rendered.
@@ -191,7 +191,7 @@ class Plan:
 
 
 def collect(plan: Plan, workers: Workers, advance: Advance = silent) -> dict[World, dict[str, Columns]]:
-    """Make all parts that are not cached yet, and return what was seen of them, by world and class.
+    """Simulate all parts that are not cached, and return their columns, by world and class.
 
     Raises:
         RecordError: the plan's folder cannot be written.
@@ -332,7 +332,7 @@ def notes_of(plan: Plan) -> list[str]:
 
 
 def without_nan(value: Any) -> Any:  # noqa: ANN401 - any JSON
-    """The same with None for what is no number."""
+    """The same with None for a number that is not finite."""
     if isinstance(value, dict):
         return {key: without_nan(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

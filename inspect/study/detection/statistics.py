@@ -138,7 +138,7 @@ MOST = 1.0
 
 @dataclass(frozen=True)
 class Doubt:
-    """How far signatures can be believed in the study's own world.
+    """Signature errors in the study's own world.
 
     Attributes:
         change: relative standard uncertainty of the change of ln L.
@@ -163,7 +163,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Held:
-    """How often intervals of one class hold the truth.
+    """Coverage of the intervals of one class.
 
     Attributes:
         stated: by a recipe that states the spread of the ridge angle, with the doubts of real parts.
@@ -177,7 +177,7 @@ class Held:
 
 
 def intervals_held(kind: str, seen: dict[str, Columns], name: RecipeName, size: Size) -> Held | None:
-    """How often the intervals of a class hold the truth; None of fewer than two parts or a cause not looked for.
+    """Coverage of the intervals of a class; None for fewer than two parts or a cause without a signature.
 
     Args:
         kind: the class.
@@ -258,6 +258,6 @@ def doubting(signature: Signature, part: Part, doubt: Doubt) -> tuple[Signature,
 
 
 def holds(signature: Signature, part: Part) -> bool:
-    """Does the interval of a part hold its true extent? An open end holds everything beyond."""
+    """Whether the interval of a part contains its true extent. An open end contains everything beyond."""
     low, high = interval(signature, part.evidence, fit_extent(signature, part.evidence))
     return not (low is not None and part.truth < low) and not (high is not None and part.truth > high)
