@@ -13,7 +13,8 @@ from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
 
 from anisoscope.base.errors import AnisoscopeError, NotConnected, RigFileError
-from anisoscope.rig.drivers import LIGHTS, STAGES, installed, open_light, open_stage
+from anisoscope.base.plugins import installed
+from anisoscope.rig.drivers import LIGHTS, STAGES, open_light, open_stage
 from anisoscope.rig.rigfile import BY_HAND
 from anisoscope.rig.transport import Transport
 

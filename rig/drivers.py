@@ -1,13 +1,11 @@
 """Devices by name. Entry points name them, so that a third party's driver registers like a built-in one."""
 
-import functools
-import sys
-from collections.abc import Callable, Mapping
-from importlib.metadata import EntryPoint, entry_points
+from collections.abc import Callable
 from inspect import Parameter, signature
 from typing import cast
 
 from anisoscope.base.errors import RigFileError
+from anisoscope.base.plugins import installed
 from anisoscope.rig.camera import Camera
 from anisoscope.rig.light import Light
 from anisoscope.rig.stage import RotationStage
@@ -15,17 +13,6 @@ from anisoscope.rig.stage import RotationStage
 STAGES = "anisoscope.stages"
 CAMERAS = "anisoscope.cameras"
 LIGHTS = "anisoscope.lights"
-
-
-def installed(group: str) -> dict[str, EntryPoint]:
-    """The drivers of a group (`STAGES`, `CAMERAS`, `LIGHTS`) by name."""
-    return dict(_installed(group, tuple(sys.path)))
-
-
-@functools.cache
-def _installed(group: str, _path: tuple[str, ...]) -> Mapping[str, EntryPoint]:
-    """Looked up once for a search path: reading the metadata of all packages takes as long as opening a port."""
-    return {entry.name: entry for entry in sorted(entry_points(group=group))}
 
 
 def open_stage(name: str, *, table: str = "stage", **options: object) -> RotationStage:

@@ -1,9 +1,14 @@
 """Tables of the commands, and the console that they are printed on."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
+
+from anisoscope.cli.json_output import print_json
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+    from anisoscope.kinds.kind import Shown
 
 
 def console(*, stderr: bool = False) -> "Console":
@@ -14,7 +19,9 @@ def console(*, stderr: bool = False) -> "Console":
     return found if found.is_terminal else Console(stderr=stderr, width=120)
 
 
-def print_table(title: str, columns: list[str], rows: list[list[str]], caption: str | None = None) -> None:
+def print_table(
+    title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], caption: str | None = None
+) -> None:
     """Print a table; neither headers nor data become markup."""
     from rich.markup import escape
     from rich.table import Table
@@ -27,3 +34,14 @@ def print_table(title: str, columns: list[str], rows: list[list[str]], caption: 
     for row in rows:
         table.add_row(*(escape(cell) for cell in row))
     console().print(table)
+
+
+def print_shown(shown: "Shown", *, json_: bool) -> None:
+    """Print an answer that a kind of part gives: as JSON, or its tables and lines."""
+    if json_:
+        print_json(shown.content)
+        return
+    for table in shown.tables:
+        print_table(table.title, table.columns, table.rows, table.caption)
+    for line in shown.lines:
+        console().print(line, markup=False, highlight=False, soft_wrap=True)

@@ -6,6 +6,7 @@ belongs to the poses, the region and the exposure of one recipe; rows of another
 
 import hashlib
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -20,6 +21,7 @@ from anisoscope.imaging.area_limit import MIN_PARTS, KnownShares
 from anisoscope.recipe.base import AcquisitionPart
 from anisoscope.recipe.surface import AreaPart, SurfaceRecipe
 from anisoscope.record.schema import Record
+from anisoscope.record.surface_details import surface_of
 
 Kept = TypeVar("Kept", bound=BaseModel)
 
@@ -214,18 +216,15 @@ def add_part(known: GoldenSet | None, recipe: SurfaceRecipe, record: Record) -> 
             f"{record.serial} was inspected with another recipe (poses, region or exposure differ): inspect it again"
         )
     base = known or GoldenSet(product=recipe.product, recipe_key=key, poses=poses)
-    if any((part.serial, part.inspected_at) == (record.serial, record.created_at) for part in base.parts):
-        raise CalibrationError(
-            f"this inspection of {record.serial} ({record.created_at}) is in the set already"
-        )
-    rule = recipe_then.area
+    check_new(base.parts, record)
+    rule, area = recipe_then.area, surface_of(record).area
     part = GoldenPart(
         serial=record.serial,
         inspected_at=record.created_at,
         log_radiance=tuple(float(np.log(pose.measured)) for pose in record.poses),
-        area_share=None if record.area is None else record.area.share,
-        cell_deviation=None if rule is None or record.area is None else rule.cell_deviation,
-        cells=None if record.area is None else record.area.cells,
+        area_share=None if area is None else area.share,
+        cell_deviation=None if rule is None or area is None else rule.cell_deviation,
+        cells=None if area is None else area.cells,
         verdict=record.verdict,
     )
     return base.model_copy(update={"parts": (*base.parts, part)})
@@ -240,13 +239,26 @@ def write_golden(path: Path, golden: BaseModel) -> None:
     write_text(path, json.dumps(golden.model_dump(mode="json", by_alias=True), indent=2, allow_nan=False))
 
 
-def without_part(known: GoldenSet, serial: str) -> GoldenSet:
-    """The set without all rows of a serial number.
+def without_part(known: Kept, serial: str, noun: str = "golden part") -> Kept:
+    """A set, of parts or of prints, without all rows of a serial number.
 
     Raises:
         CalibrationError: there is none.
     """
-    kept = tuple(part for part in known.parts if part.serial != serial)
-    if len(kept) == len(known.parts):
-        raise CalibrationError(f"there is no golden part {serial}")
-    return known.model_copy(update={"parts": kept})
+    parts: tuple[Any, ...] = known.parts  # type: ignore[attr-defined]
+    others = tuple(part for part in parts if part.serial != serial)
+    if len(others) == len(parts):
+        raise CalibrationError(f"there is no {noun} {serial}")
+    return known.model_copy(update={"parts": others})
+
+
+def check_new(parts: Sequence[Any], record: Record) -> None:
+    """Is an inspection not in the set yet?
+
+    Raises:
+        CalibrationError: it is.
+    """
+    if any((part.serial, part.inspected_at) == (record.serial, record.created_at) for part in parts):
+        raise CalibrationError(
+            f"this inspection of {record.serial} ({record.created_at}) is in the set already"
+        )

@@ -8,10 +8,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from anisoscope.base.errors import RecordError
-from anisoscope.kinds.prints.record import RELATIVE, PrintRecord
-from anisoscope.record.schema import RECORD_NAME, ContrastRecord, Record, sha256_of
+from anisoscope.record.schema import RECORD_NAME, Record, sha256_of
 
-CONTRAST_NAMES = {"log_ratio": "ln", "difference": "difference", "michelson": "Michelson"}
 RECIPE_DIGITS = 12
 MAX_TEXT = 200
 MAX_REASONS = 240
@@ -98,31 +96,20 @@ def row_of(record: Record, folder: Path) -> NewRow:
 def numbers_of(record: Record) -> dict[str, float]:
     """The numbers of a record by stable labels.
 
-    A contrast is called by kind, stage angles and tilt: ``ln 0-90``, ``ln 0-90 @10``, ``difference 90-180``. For each
-    of them there are ``u …`` (standard uncertainty, prediction included), ``deviation …`` (measured - predicted),
-    and ``tolerance …`` where the recipe gives one. A quantity of a print is called ``print alpha x`` and so on, with
-    the same ones beside it. Then, where they exist: ``d2``, ``p``, ``area share``, ``conformance probability``,
-    ``drift``.
+    Those of its kind of part come first, such as ``ln 0-90 @10`` of a contrast or ``print alpha x`` of a quantity, each
+    with ``u …`` (standard uncertainty, prediction included), ``deviation …`` (measured - predicted), and
+    ``tolerance …`` where the recipe gives one. Then, where they exist: ``d2``, ``p``, ``area share``,
+    ``conformance probability``, ``drift``.
     """
-    found: dict[str, float] = {}
-    for contrast in record.contrasts:
-        found |= _contrast_numbers(contrast)
-    if record.print is not None:
-        found |= _print_numbers(record.print)
+    found = {} if record.details is None else record.details.numbers()
     rest = {
         "d2": record.d2,
         "p": record.p_value,
-        "area share": None if record.area is None else record.area.share,
+        "area share": None if record.details is None else record.details.area_share,
         "conformance probability": record.conformance_probability,
         "drift": record.drift,
     }
     return found | {label: value for label, value in rest.items() if value is not None}
-
-
-def contrast_label(kind: str, from_deg: float, to_deg: float, tilt_deg: float) -> str:
-    """The label of a contrast, such as ``ln 0-90 @10``; without tilt the last part is left out."""
-    tilt = "" if tilt_deg == 0.0 else f" @{tilt_deg:g}"
-    return f"{CONTRAST_NAMES.get(kind, kind)} {from_deg:g}-{to_deg:g}{tilt}"
 
 
 def seal_of(folder: Path) -> str:
@@ -139,28 +126,6 @@ def seal_of(folder: Path) -> str:
         raise RecordError(f"cannot read {path}: {error.strerror}: was this inspection finished?") from error
     except (ValueError, AttributeError) as error:
         raise RecordError(f"{path} is damaged: it is no record") from error
-
-
-def _contrast_numbers(contrast: ContrastRecord) -> dict[str, float]:
-    label = contrast_label(contrast.kind, contrast.from_deg, contrast.to_deg, contrast.tilt_deg)
-    found = {
-        label: contrast.measured,
-        f"u {label}": contrast.u,
-        f"deviation {label}": contrast.measured - contrast.predicted,
-    }
-    return found if contrast.tolerance is None else found | {f"tolerance {label}": contrast.tolerance}
-
-
-def _print_numbers(found: PrintRecord) -> dict[str, float]:
-    numbers: dict[str, float] = {}
-    for one in found.quantities:
-        # what is told relative to its nominal value has everything in units of the value here
-        label, unit = f"print {one.name}", one.nominal if one.name in RELATIVE else 1.0
-        numbers |= {label: one.value, f"u {label}": unit * one.u, f"deviation {label}": unit * one.deviation}
-        numbers[f"tolerance {label}"] = unit * one.limit
-    if found.map is not None:
-        numbers["area share"] = found.map.share
-    return numbers
 
 
 def _recipe_digits(record: Record) -> str:

@@ -27,7 +27,6 @@ from anisoscope.inspection.frames import read_frames
 from anisoscope.inspection.job import Job, prepare
 from anisoscope.inspection.manifest import begin
 from anisoscope.inspection.pipeline import measure_frames
-from anisoscope.prediction.expectation import expectation
 from anisoscope.record.schema import Particulars, sha256_of
 from anisoscope.rig.acquisition.runner import Progress, Rig, open_rig, run_plan
 
@@ -201,7 +200,8 @@ def _measure(
 
     job = prepare(recipe_path, rig_path, serial, without="check")
     plan = job.plan()
-    expected = expectation(job.ridged, job.rig.light.angle_deg, job.kind.optics)
+    assert job.surface_recipe
+    expected = job.kind.predict(job.recipe, job.rig, cached=False)
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         with open_rig(job.rig) as rig:

@@ -8,7 +8,7 @@ from anisoscope.base.errors import RecordError
 from anisoscope.calibration.white_reference import make_reference
 from anisoscope.imaging.exposure_fusion import MIN_FRAMES
 from anisoscope.imaging.linearisation import stack
-from anisoscope.kinds.prints.recipe import AnyRecipe
+from anisoscope.recipe.base import RecipeBase
 from anisoscope.rig.acquisition.plan import Pose
 from anisoscope.rig.frame import FrameKind
 from anisoscope.rig.framefolder import POSE_TOLERANCE_DEG, FrameEntry, FrameFolder
@@ -38,7 +38,7 @@ class Replay:
         return [entry for entry, _ in self.entries if entry.kind == kind]
 
 
-def arrange(folder: FrameFolder, recipe: AnyRecipe) -> Replay:
+def arrange(folder: FrameFolder, recipe: RecipeBase) -> Replay:
     """Assign frames to the poses of a recipe, full turns aside.
 
     Raises:

@@ -3,52 +3,27 @@
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, cast
 
-from anisoscope.base.errors import CalibrationError, HeightMapError, RigFileError, UsageError
+from anisoscope.base.errors import CalibrationError, RigFileError, UsageError
 from anisoscope.calibration.corrections import Calibrations, read_calibrations
 from anisoscope.calibration.record import Kind
 from anisoscope.calibration.white_reference import read_reference
-from anisoscope.decision.reference_parts import GoldenSet, golden_path, read_golden
+from anisoscope.decision.reference_parts import golden_path
 from anisoscope.imaging.linearisation import WhiteReference
 from anisoscope.imaging.registration.placement import check_fixture
-from anisoscope.imaging.views import Guide, Viewing
-from anisoscope.inspection.recipe_file import read_any_recipe
-from anisoscope.inspection.surface_kind import SurfaceKind, surface_kind
-from anisoscope.kinds.prints.lighting import check_filters, check_print_rig, print_files
-from anisoscope.kinds.prints.recipe import AnyRecipe, PrintRecipe
-from anisoscope.kinds.prints.reference_prints import GoldenPrints, read_golden_prints
-from anisoscope.recipe.poses import check_poses
-from anisoscope.recipe.surface import SurfaceRecipe, check_lamp
+from anisoscope.imaging.views import Viewing
+from anisoscope.kinds.kind import AnyKind, Reference
+from anisoscope.kinds.registry import kind_of
+from anisoscope.recipe.base import RecipeBase
+from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.schema import sha256_of
 from anisoscope.rig.acquisition.plan import Plan, Pose
 from anisoscope.rig.fixture import Fixture
 from anisoscope.rig.rigfile import RigFile, read_rig
 
 SERIAL = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._+#-]{0,63}")
-Role = Literal[
-    "recipe",
-    "rig",
-    "white reference",
-    "height map",
-    "frame table",
-    "golden parts",
-    "flat record",
-    "dark record",
-    "dark picture",
-    "stray record",
-    "stray picture",
-    "linearity record",
-    "rotation record",
-    "check record",
-    "ink",
-    "wrong ink 1",
-    "wrong ink 2",
-    "wrong ink 3",
-    "wrong ink 4",
-    "lamp spectrum",
-    "sensitivities",
-]
+Role = str
+"""What a file is to an inspection, such as "recipe", "height map" or "flat record"; kinds of parts have their own."""
 
 
 @dataclass(frozen=True)
@@ -66,48 +41,43 @@ class Job:
 
     Attributes:
         serial: serial number of the part.
+        kind: which kind of part it is.
         recipe: what the part should look like and how it is judged.
         rig: the rig file.
         fixture: its markers; None where the pictures are aligned by their edges.
         white: the white reference.
         sources: the files, as they were read.
-        golden: parts that are known to be good, or None.
+        reference: parts that are known to be good, or None.
         calibrations: those of the rig that have records.
-        golden_prints: prints that are known to be good, or None.
     """
 
     serial: str
-    recipe: AnyRecipe
+    kind: AnyKind
+    recipe: RecipeBase
     rig: RigFile
     fixture: Fixture | None
     white: WhiteReference
     sources: tuple[Source, ...]
-    golden: GoldenSet | None = None
+    reference: Reference | None = None
     calibrations: Calibrations = field(default_factory=Calibrations)
-    golden_prints: GoldenPrints | None = None
 
     @property
-    def ridged(self) -> SurfaceRecipe:
+    def surface_recipe(self) -> SurfaceRecipe:
         """The recipe of a part with a surface.
 
         Raises:
             UsageError: it is that of a print.
         """
-        if isinstance(self.recipe, PrintRecipe):
+        if not isinstance(self.recipe, SurfaceRecipe):
             raise UsageError(
                 f"{self.recipe.product}: this works with recipes of surfaces, not with those of prints"
             )
         return self.recipe
 
-    def viewing(self, guides: tuple[Guide, ...] = ()) -> Viewing:
-        """By what its frames become views; ``guides`` as of `anisoscope.imaging.views.Viewing`."""
-        pixel_um = self.rig.camera.pixel_um
+    def viewing(self) -> Viewing:
+        """By what its frames become views."""
+        pixel_um, guides = self.rig.camera.pixel_um, self.kind.guides
         return Viewing(self.white, self.calibrations, self.fixture, pixel_um, self.recipe, guides)
-
-    @property
-    def kind(self) -> SurfaceKind:
-        """What is done in its own way for the recipe's kind of surface; errors as of `ridged`."""
-        return surface_kind(self.ridged)
 
     def plan(self) -> Plan:
         """What is to be photographed."""
@@ -151,86 +121,49 @@ def prepare(recipe_path: Path, rig_path: Path, serial: str, *, without: Kind | N
         RecipeError, RigFileError, HeightMapError, CalibrationError: a file that is missing or wrong.
     """
     check_serial(serial)
-    recipe, rig = read_any_recipe(recipe_path), read_rig(rig_path)
+    kind = kind_of(recipe_path)
+    recipe, rig = kind.read_recipe(recipe_path), read_rig(rig_path)
     white_path, fixture = flat_of(rig, rig_path), fixture_of(rig, rig_path)
     assert rig.calibration is not None
     calibrations = read_calibrations(rig.calibration, without)
     white = read_reference(white_path)
-    if isinstance(recipe, PrintRecipe):
-        check_filters(white.filters, f"camera {white.camera} of the flat", white.filters)
+    kind.check_filters(white.filters, f"camera {white.camera} of the flat", white.filters)
     sources = (
-        *sources_of(recipe_path, rig_path, recipe, rig),
+        *sources_of(recipe_path, rig_path, kind, recipe, rig),
         Source("white reference", white_path, white.sha256),
         *sources_of_calibrations(calibrations),
     )
-    golden, white = known_good(recipe_path, recipe), calibrations.white(white)
-    prints = good_prints(recipe_path, recipe, rig)
-    return Job(serial, recipe, rig, fixture, white, sources, golden, calibrations, prints)
+    reference, white = (
+        kind.read_reference(golden_path(recipe_path), recipe, rig),
+        calibrations.white(white),
+    )
+    return Job(serial, kind, recipe, rig, fixture, white, sources, reference, calibrations)
 
 
 def sources_of_calibrations(calibrations: Calibrations) -> tuple[Source, ...]:
     """The files of calibrations with their hashes."""
-    return tuple(
-        Source(cast("Role", role), path, sha256_of(path)) for role, path in calibrations.files.items()
-    )
+    return tuple(Source(role, path, sha256_of(path)) for role, path in calibrations.files.items())
 
 
-def sources_of(recipe_path: Path, rig_path: Path, recipe: AnyRecipe, rig: RigFile) -> tuple[Source, ...]:
-    """Recipe, rig file and what they name: height map and golden parts, or inks and spectra; with their hashes.
+def sources_of(
+    recipe_path: Path, rig_path: Path, kind: AnyKind, recipe: RecipeBase, rig: RigFile
+) -> tuple[Source, ...]:
+    """Recipe, rig file and what they name, such as height map, inks and golden parts; with their hashes.
 
     Raises:
         HeightMapError: the height map is missing.
         RecipeError: light or camera would stand below the part's horizon.
-        RigFileError: the rig file lacks what a print needs, or has another lamp than the recipe.
+        RigFileError: the rig file lacks what the kind needs, or has another lamp than the recipe.
     """
+    kind.check(recipe, rig, recipe_path, rig_path)
     files: list[tuple[Role, Path]] = [("recipe", recipe_path), ("rig", rig_path)]
-    if isinstance(recipe, PrintRecipe):
-        check_print_rig(rig, rig_path)
-        files += [(cast("Role", role), path) for role, path in print_files(recipe, rig).items()]
-        files += _golden_file(recipe_path)
-        return tuple(Source(role, path, sha256_of(path)) for role, path in files)
-    check_lamp(recipe, rig, rig_path)
-    check_poses(recipe.poses, rig.light.angle_deg, recipe_path)
-    if recipe.surface.height_map is not None:
-        files.append(("height map", check_map(recipe.surface.height_map)))
-    files += _golden_file(recipe_path)
+    files += [*kind.sources(recipe, rig).items(), *_golden_file(recipe_path)]
     return tuple(Source(role, path, sha256_of(path)) for role, path in files)
 
 
 def _golden_file(recipe_path: Path) -> list[tuple[Role, Path]]:
     path = golden_path(recipe_path)
     return [("golden parts", path)] if path.is_file() else []
-
-
-def known_good(recipe_path: Path, recipe: AnyRecipe) -> GoldenSet | None:
-    """The golden parts beside a recipe, or None; those of a print are of another kind (`good_prints`).
-
-    Raises:
-        CalibrationError: their file is damaged, or belongs to another recipe.
-    """
-    return None if isinstance(recipe, PrintRecipe) else read_golden(golden_path(recipe_path), recipe)
-
-
-def good_prints(recipe_path: Path, recipe: AnyRecipe, rig: RigFile) -> GoldenPrints | None:
-    """The golden prints beside the recipe of a print, or None.
-
-    Raises:
-        CalibrationError: their file is damaged, or belongs to another recipe, lamp or camera.
-    """
-    if not isinstance(recipe, PrintRecipe):
-        return None
-    return read_golden_prints(golden_path(recipe_path), recipe, rig)
-
-
-def check_map(path: Path) -> Path:
-    """The file of a height map, which is there.
-
-    Raises:
-        HeightMapError: it is not.
-    """
-    if not path.is_file():
-        raise HeightMapError(f"{path}: there is no such file")
-    return path
 
 
 def flat_of(rig: RigFile, path: Path) -> Path:

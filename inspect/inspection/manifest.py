@@ -14,13 +14,9 @@ from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import AnisoscopeError, RecordError, UsageError
 from anisoscope.calibration.corrections import calibrations_of
 from anisoscope.calibration.white_reference import read_reference
-from anisoscope.decision.reference_parts import read_golden
 from anisoscope.inspection.folder import INPUTS, JOB
 from anisoscope.inspection.job import Job, Role, Source, fixture_of
-from anisoscope.inspection.recipe_file import read_any_recipe
-from anisoscope.kinds.prints.lighting import from_copies
-from anisoscope.kinds.prints.recipe import PrintRecipe
-from anisoscope.kinds.prints.reference_prints import read_golden_prints
+from anisoscope.kinds.registry import kind_of
 from anisoscope.record.schema import InputFile, Particulars, sha256_of
 from anisoscope.rig.acquisition.plan import Plan
 from anisoscope.rig.acquisition.writer import FRAMES
@@ -168,25 +164,19 @@ def reopen(folder: Path) -> tuple[JobFile, Job]:
     missing = {"recipe", "rig", "white reference"} - paths.keys()
     if missing:
         raise RecordError(f"{folder / JOB} is damaged: it names no {min(missing)}")
-    recipe = read_any_recipe(paths["recipe"])
-    if "height map" in paths and not isinstance(recipe, PrintRecipe):
-        surface = recipe.surface.model_copy(update={"height_map": paths["height map"]})
-        recipe = recipe.model_copy(update={"surface": surface})
+    kind = kind_of(paths["recipe"])
+    recipe = kind.read_recipe(paths["recipe"])
     here = Path(made.rig_folder)
     rig = read_rig(paths["rig"], here=here) if made.origin == "rig" else read_replay_rig(paths["rig"])
     rig = rig.model_copy(update={"calibration": CalibrationPart(flat=paths["white reference"])})
-    if isinstance(recipe, PrintRecipe):
-        recipe, rig = from_copies(recipe, rig, {str(role): path for role, path in paths.items()})
+    recipe, rig = kind.from_copies(recipe, rig, paths)
     white = read_reference(paths["white reference"])
     sources = tuple(Source(copy.role, folder / copy.name, copy.sha256) for copy in made.inputs)
-    golden, prints, known = None, None, paths.get("golden parts")
-    if isinstance(recipe, PrintRecipe):
-        prints = None if known is None else read_golden_prints(known, recipe)
-    elif known is not None:
-        golden = read_golden(known, recipe)
-    calibrations = calibrations_of({str(role): path for role, path in paths.items()})
+    known = paths.get("golden parts")
+    reference = None if known is None else kind.read_reference(known, recipe)
+    calibrations = calibrations_of(paths)
     white, fixture = calibrations.white(white), fixture_of(rig, paths["rig"])
-    return made, Job(made.serial, recipe, rig, fixture, white, sources, golden, calibrations, prints)
+    return made, Job(made.serial, kind, recipe, rig, fixture, white, sources, reference, calibrations)
 
 
 def checked(file: InputFile, folder: Path) -> Path:

@@ -12,10 +12,6 @@ from anisoscope.inspection.folder import JOB
 from anisoscope.inspection.frames import read_frames
 from anisoscope.inspection.manifest import reopen
 from anisoscope.inspection.pipeline import judge
-from anisoscope.kinds.prints.expectation import PrintExpectation
-from anisoscope.kinds.prints.lighting import expectation_of_print
-from anisoscope.kinds.prints.recipe import PrintRecipe
-from anisoscope.prediction.expectation import Expectation, SurfaceOptics, expectation
 from anisoscope.record.schema import Record, read_record
 
 TOLERANCE = 1e-9
@@ -62,17 +58,13 @@ def recompute(folder: Path, on_progress: Advance = silent) -> Recomputed:
         )
     made, job = reopen(folder)
     on_progress("prediction", 0, 1)
-    expected: Expectation | PrintExpectation
-    if isinstance(job.recipe, PrintRecipe):
-        expected = expectation_of_print(job.recipe, job.rig)
-    else:
-        expected = expectation(job.recipe, job.rig.light.angle_deg, job.kind.optics)
+    # the prediction is made anew: a cached one would not tell whether the numbers follow from the folder
+    expected = job.kind.predict(job.recipe, job.rig, cached=False)
     on_progress("measurement", 0, 1)
     record, _ = judge(made, job, expected, read_frames(folder, made), on_progress)
     # what an earlier version did not tell is not there to be compared
     old = recorded.model_dump(mode="json", exclude=set(NOT_COMPARED), exclude_unset=True)
-    if not isinstance(job.recipe, PrintRecipe):
-        _call_as_now(old, job.kind.optics)
+    job.kind.rename_in(old)
     untold: set[str] = set()
     new = _told(old, record.model_dump(mode="json", exclude=set(NOT_COMPARED)), untold)
     notes: tuple[str, ...] = ()
@@ -83,12 +75,6 @@ def recompute(folder: Path, on_progress: Advance = silent) -> Recomputed:
             f"not compared, because the version that recorded did not tell it: {', '.join(sorted(untold))}",
         )
     return Recomputed(folder, recorded, record.verdict, tuple(differences(old, new)), notes)
-
-
-def _call_as_now(old: dict[str, Any], optics: SurfaceOptics) -> None:
-    """Give the sources of an earlier version's budget the names that they bear now."""
-    for row in old["budget"]:
-        row["source"] = optics.source_name(row["source"])
 
 
 def _told(old: Any, new: Any, untold: set[str], name: str = "") -> Any:  # noqa: ANN401

@@ -1,69 +1,46 @@
-"""From a finished inspection to its record."""
+"""From a finished inspection to its record, whatever the kind of part."""
 
-from datetime import UTC, datetime
+from collections.abc import Sequence
+from datetime import datetime
 from importlib.metadata import version
-from typing import Unpack, cast
 
-from anisoscope.decision.decision import Decision
+from anisoscope.base.arrays import FloatArray
 from anisoscope.imaging.frames import AcquiredFrames, Shot
-from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.registration.placement import View
-from anisoscope.imaging.views import pose_records
-from anisoscope.inspection.job import Job, Role
+from anisoscope.inspection.job import Job
 from anisoscope.inspection.manifest import JobFile
-from anisoscope.kinds.prints.expectation import PrintExpectation
-from anisoscope.prediction.expectation import Expectation
-from anisoscope.record.schema import CalibrationUse, FrameRecord, InputFile, Record, Results
+from anisoscope.kinds.kind import Expected, Explanation, Results
+from anisoscope.record.schema import CalibrationUse, FrameRecord, InputFile, PoseRecord, Record
 from anisoscope.record.verdict import Verdict
 from anisoscope.rig.camera import UNCALIBRATED
-
-_NOTHING: Results = {
-    "poses": (),
-    "contrasts": (),
-    "d2": None,
-    "dof": None,
-    "p_value": None,
-    "area": None,
-    "budget": (),
-    "drift": None,
-}
-"""Of an inspection that could not be judged."""
-
-
-def results(expected: Expectation, views: list[View], measured: Measured, decision: Decision) -> Results:
-    """The part of a record that a verdict rests on."""
-    return {
-        "poses": pose_records(views, measured.radiance, expected.radiance),
-        "contrasts": decision.contrasts,
-        "between_tilts": decision.between_tilts,
-        "d2": decision.d2,
-        "dof": decision.dof,
-        "p_value": decision.p_value,
-        "conformance_probability": decision.conformance_probability,
-        "regions": decision.regions,
-        "area": decision.area,
-        "budget": decision.budget,
-        "drift": measured.drift,
-    }
 
 
 def make_record(
     made: JobFile,
     job: Job,
-    expected: Expectation | PrintExpectation,
+    expected: Expected,
     taken: AcquiredFrames,
-    *,
-    verdict: Verdict,
+    created_at: datetime,
     reasons: tuple[str, ...],
-    **results: Unpack[Results],
+    *,
+    verdict: Verdict = Verdict.INVALID,
+    views: Sequence[View] = (),
+    results: Results | None = None,
+    explanation: Explanation | None = None,
+    drift: float | None = None,
 ) -> Record:
     """The record of an inspection; without ``results`` it is one that could not be judged."""
+    explanation = explanation or Explanation()
     calibrated = taken.linear or "linearity" in job.calibrations.records
-    notes = (*(() if calibrated else (UNCALIBRATED,)), *results.get("notes", ()))
-    found: Results = {**_NOTHING, **results, "notes": notes}
+    notes: tuple[str, ...] = () if calibrated else (UNCALIBRATED,)
+    details = job.kind.without_results()
+    if results is not None:
+        notes += results.notes
+        details = results.details.model_copy(update=dict(explanation.details))
     return Record(
+        kind=job.kind.name,
         software=f"anisoscope {version('anisoscope')}",
-        created_at=datetime.now(UTC).isoformat(timespec="seconds"),
+        created_at=created_at.isoformat(timespec="seconds"),
         serial=job.serial,
         particulars=made.particulars,
         product=job.recipe.product,
@@ -72,6 +49,16 @@ def make_record(
         model=expected.model,
         optics=expected.optics,
         convention=vars(expected.convention),
+        poses=() if results is None else pose_records(views, results.measured, results.predicted),
+        d2=results and results.d2,
+        dof=results and results.dof,
+        p_value=results and results.p_value,
+        budget=() if results is None else results.budget,
+        drift=drift,
+        conformance_probability=results and results.conformance_probability,
+        diagnosis=explanation.diagnosis,
+        details=details,
+        notes=(*notes, *explanation.notes),
         white_reference={
             "taken_at": job.white.taken_at,
             "reflectance": job.white.reflectance,
@@ -86,7 +73,26 @@ def make_record(
         stage=taken.stage,
         inputs=tuple(InputFile(name=copy.name, sha256=copy.sha256) for copy in made.inputs),
         frames=tuple(_frame_record(shot) for shot in taken.shots),
-        **found,
+    )
+
+
+def pose_records(
+    views: Sequence[View], measured: FloatArray, predicted: FloatArray
+) -> tuple[PoseRecord, ...]:
+    """The poses with their (P,) measured and predicted radiances in 1/sr, and where the markers stood."""
+    return tuple(
+        PoseRecord(
+            stage_deg=view.stage_deg,
+            tilt_deg=view.tilt_deg,
+            measured=seen,
+            predicted=wanted,
+            marker_angle_deg=view.placement.angle_deg,
+            pixel_um=view.placement.pixel_um,
+            residual_px=view.placement.residual_px,
+            markers=view.placement.markers,
+            dropped=view.placement.dropped,
+        )
+        for view, seen, wanted in zip(views, measured, predicted, strict=True)
     )
 
 
@@ -103,7 +109,7 @@ def _calibrations(made: JobFile, job: Job) -> tuple[CalibrationUse, ...]:
             valid_until=one.valid_until.isoformat(),
         )
         for kind, one in job.calibrations.records.items()
-        for role in (cast("Role", f"{kind} record"),)
+        for role in (f"{kind} record",)
         if role in copies
     )
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from anisoscope.base.errors import CalibrationError, RecordError, UsageError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.calibration.white_reference import read_reference, write_reference
+from anisoscope.decision.reference_parts import golden_path
 from anisoscope.imaging.linearisation import WhiteReference, check_size
 from anisoscope.inspection.folder import INPUTS, new_folder
 from anisoscope.inspection.frame_table import Replay, arrange, camera_of, white_of
@@ -19,13 +20,11 @@ from anisoscope.inspection.job import (
     check_serial,
     fixture_of,
     flat_of,
-    good_prints,
-    known_good,
     sources_of,
 )
 from anisoscope.inspection.manifest import begin
-from anisoscope.inspection.recipe_file import read_any_recipe
 from anisoscope.inspection.run import Inspected, conclude, expecting
+from anisoscope.kinds.registry import kind_of
 from anisoscope.record.schema import Particulars, sha256_of
 from anisoscope.report.peers import LotMate
 from anisoscope.rig.acquisition.journal import FrameLine, JournalFile, RunLine
@@ -72,14 +71,15 @@ def inspect_frames(
     if not 0.0 < reflectance <= 1.0:
         raise UsageError(f"the reflectance of the tile must lie between 0 and 1, not {reflectance}")
     rig_path = rig_path or _rig_beside(frames)
-    recipe, rig = read_any_recipe(recipe_path), read_replay_rig(rig_path)
+    kind = kind_of(recipe_path)
+    recipe, rig = kind.read_recipe(recipe_path), read_replay_rig(rig_path)
     fixture = fixture_of(rig, rig_path)
-    golden, prints = known_good(recipe_path, recipe), good_prints(recipe_path, recipe, rig)
+    reference = kind.read_reference(golden_path(recipe_path), recipe, rig)
     replay = arrange(read_frame_folder(frames), recipe)
     made_white = white_of(replay, reflectance, rig.light.angle_deg)
     white = None if made_white is not None else _white_of_rig(rig, rig_path, replay)
     sources = (
-        *sources_of(recipe_path, rig_path, recipe, rig),
+        *sources_of(recipe_path, rig_path, kind, recipe, rig),
         Source("frame table", frames / TABLE, sha256_of(frames / TABLE)),
     )
     with contextlib.ExitStack() as cleanup:
@@ -92,13 +92,13 @@ def inspect_frames(
         white = white or read_reference(path)
         job = Job(
             serial,
+            kind,
             recipe,
             rig,
             fixture,
             white,
             (*sources, Source("white reference", path, white.sha256)),
-            golden,
-            golden_prints=prints,
+            reference,
         )
         ready = cleanup.enter_context(expecting(job, on_progress, lot_mates))
         made = begin(

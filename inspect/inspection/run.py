@@ -2,32 +2,30 @@
 
 import contextlib
 import threading
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from datetime import UTC, datetime
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from anisoscope.base.errors import CalibrationError, RecordError, RigError
 from anisoscope.base.progress import Advance, silent
+from anisoscope.imaging.frames import AcquiredFrames
 from anisoscope.imaging.linearisation import check_size
 from anisoscope.inspection.folder import new_folder, sweep, tell_to_resume, working_in
 from anisoscope.inspection.frames import check_frames, missing_frames, read_frames
 from anisoscope.inspection.integrity import listed_files
 from anisoscope.inspection.job import Job, prepare
 from anisoscope.inspection.manifest import JobFile, begin, one_round_more, reopen
-from anisoscope.inspection.pipeline import judge
-from anisoscope.kinds.prints.expectation import PrintExpectation
-from anisoscope.kinds.prints.lighting import check_filters, expectation_of_print
-from anisoscope.kinds.prints.recipe import PrintRecipe
-from anisoscope.prediction.cache import kept_expectation
-from anisoscope.prediction.expectation import Expectation
+from anisoscope.inspection.pipeline import Case, Diagnose, Judged, diagnose_by_kind, judge, utc_now
+from anisoscope.kinds.kind import Expected, Explanation
+from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.record.display import record_frame, record_html, record_line, record_plot
 from anisoscope.record.schema import RECORD_NAME, Particulars, Record, write_record
 from anisoscope.record.verdict import Verdict
-from anisoscope.report.inspection_page import Pictures, start_renderer, write_report
+from anisoscope.report.inspection_page import Pictures, Sections, start_renderer, write_report
 from anisoscope.report.peers import LotMate, LotMates, lot_of, no_lot_mates
-from anisoscope.report.surface_view import SurfaceView
+from anisoscope.report.surface_view import Picture3D, SurfaceView
 from anisoscope.rig.acquisition.journal import read_journal
 from anisoscope.rig.acquisition.plan import Plan
 from anisoscope.rig.acquisition.runner import Progress, Rig, check_plan, open_rig, run_plan
@@ -35,7 +33,38 @@ from anisoscope.rig.acquisition.runner import Progress, Rig, check_plan, open_ri
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Judged = tuple[Record, Pictures]
+
+def predict_cached(job: Job) -> Expected:
+    """What the part of a job should show; every part of one recipe on one rig is predicted once."""
+    found: Expected = job.kind.predict(job.recipe, job.rig, cached=True)
+    return found
+
+
+def diagnose_cached(case: Case, advance: Advance) -> Explanation:
+    """The diagnosis that the kind of part makes; its predictions may come from the cache."""
+    return diagnose_by_kind(case, advance, cached=True)
+
+
+@dataclass(frozen=True)
+class Methods:
+    """What varies in an inspection beside recipe and rig; tests hand in quicker ones.
+
+    Attributes:
+        predict: what the part should show.
+        diagnose: explains a verdict.
+        start_renderer: begins to draw a height map for the report.
+        write_report: writes the report; arguments as of `anisoscope.report.inspection_page.write_report`.
+        now: the time.
+    """
+
+    predict: Callable[[Job], Expected] = predict_cached
+    diagnose: Diagnose = diagnose_cached
+    start_renderer: Callable[[HeightMap | None], SurfaceView | None] = start_renderer
+    write_report: Callable[[Record, Pictures, Path, Picture3D | None, Sections], Path] = write_report
+    now: Callable[[], datetime] = utc_now
+
+
+USUAL = Methods()
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +110,7 @@ def inspect_part(
     particulars: Particulars | None = None,
     lot_mates: Sequence[LotMate] = (),
     cancel: threading.Event | None = None,
+    methods: Methods | None = None,
 ) -> Inspected:
     """Photograph a part on a rig and judge it.
 
@@ -93,6 +123,7 @@ def inspect_part(
         particulars: operator, lot, cavity, station.
         lot_mates: inspections of the same lot, for the report.
         cancel: setting it stops the rig at once and ends the inspection with a `RigError`.
+        methods: what varies, for tests.
 
     Returns:
         The record, INVALID included.
@@ -105,15 +136,15 @@ def inspect_part(
     """
     job = prepare(recipe_path, rig_path, serial)
     try:
-        job.calibrations.check_valid(datetime.now(UTC))
+        job.calibrations.check_valid((methods or USUAL).now())
     except CalibrationError:
-        return _refused(job, rig_path, out, particulars or Particulars(), on_progress)
+        return _refused(job, rig_path, out, particulars or Particulars(), on_progress, methods)
     plan = job.plan()
     with contextlib.ExitStack() as cleanup:
         # The devices first: the prediction takes long, a cable that is not plugged in shows at once.
         with open_rig(job.rig) as rig:
             _check_rig(rig, plan, job)
-            ready = cleanup.enter_context(expecting(job, on_progress, lot_mates))
+            ready = cleanup.enter_context(expecting(job, on_progress, lot_mates, methods))
             folder = cleanup.enter_context(new_folder(out, serial))
             here = rig_path.resolve().parent
             made = begin(
@@ -129,9 +160,11 @@ def inspect_part(
         return conclude(folder, made, job, ready, on_progress, judged)
 
 
-def _refused(job: Job, rig_path: Path, out: Path, particulars: Particulars, advance: Advance) -> Inspected:
+def _refused(
+    job: Job, rig_path: Path, out: Path, particulars: Particulars, advance: Advance, methods: Methods | None
+) -> Inspected:
     """An INVALID inspection without photographs, because a calibration does not hold any more."""
-    with expecting(job, advance) as ready, new_folder(out, job.serial) as folder:
+    with expecting(job, advance, methods=methods) as ready, new_folder(out, job.serial) as folder:
         here = rig_path.resolve().parent
         made = begin(folder, job, particulars, plan=None, frames=0, rig_folder=here)
         return conclude(folder, made, job, ready, advance)
@@ -143,6 +176,7 @@ def resume_part(
     *,
     lot_mates: LotMates = no_lot_mates,
     cancel: threading.Event | None = None,
+    methods: Methods | None = None,
 ) -> Inspected:
     """Take up an inspection that was interrupted, and finish it.
 
@@ -155,6 +189,7 @@ def resume_part(
         on_progress: called with what is being done, steps done and steps in all.
         lot_mates: who was inspected before of the lot that the folder names, for the report; must not raise.
         cancel: setting it stops the rig at once and ends the inspection with a `RigError`.
+        methods: what varies, for tests.
 
     Raises:
         RecordError: there is nothing to resume, or a file of the folder is missing, damaged or was changed.
@@ -173,7 +208,7 @@ def resume_part(
             cleanup.enter_context(_going_on(folder))
             ready: Ready | None = None
             if missing_frames(made, read_journal(folder)) == 0:
-                ready = cleanup.enter_context(expecting(job, on_progress, mates))
+                ready = cleanup.enter_context(expecting(job, on_progress, mates, methods))
                 judged = _judge(made, folder, job, ready, on_progress)
                 if _settled(made, job, judged):
                     return conclude(folder, made, job, ready, on_progress, judged)
@@ -182,7 +217,7 @@ def resume_part(
                 raise RecordError(f"{folder}: not all frames were copied: inspect the folder of frames again")
             with open_rig(job.rig) as rig:
                 _check_rig(rig, made.plan, job)
-                ready = ready or cleanup.enter_context(expecting(job, on_progress, mates))
+                ready = ready or cleanup.enter_context(expecting(job, on_progress, mates, methods))
                 _photograph(made.plan, rig, folder, on_progress, cancel)
                 made, judged = _decide(made, rig, folder, job, ready, on_progress, cancel)
             return conclude(folder, made, job, ready, on_progress, judged)
@@ -206,8 +241,7 @@ def _check_rig(rig: Rig, plan: Plan, job: Job) -> None:
             f"the flat was taken with camera {job.white.camera}, this is {info.serial}: "
             "take a new one with `anisoscope calibrate flat`"
         )
-    if isinstance(job.recipe, PrintRecipe):
-        check_filters(info.filters, f"camera {info.serial}", job.white.filters)
+    job.kind.check_filters(info.filters, f"camera {info.serial}", job.white.filters)
     check_size(job.white, (info.rows, info.cols))
     job.calibrations.check_camera(info.serial, (info.rows, info.cols))
 
@@ -245,7 +279,23 @@ def _decide(
 def _judge(made: JobFile, folder: Path, job: Job, ready: "Ready", advance: Advance) -> Judged:
     advance("measurement", 0, 1)
     taken, final = read_frames(folder, made), _is_last_round(made, job)
-    return judge(made, job, ready.expected, taken, advance, final=final, predict=kept_expectation)
+    return _judged(made, job, ready, taken, advance, final=final)
+
+
+def _judged(
+    made: JobFile, job: Job, ready: "Ready", taken: AcquiredFrames, advance: Advance, *, final: bool = True
+) -> Judged:
+    methods = ready.methods
+    return judge(
+        made,
+        job,
+        ready.expected,
+        taken,
+        advance,
+        final=final,
+        diagnose=methods.diagnose,
+        now=methods.now,
+    )
 
 
 def _is_last_round(made: JobFile, job: Job) -> bool:
@@ -261,27 +311,27 @@ def _settled(made: JobFile, job: Job, judged: Judged) -> bool:
 class Ready:
     """What is there before the frames: the prediction, the drawings of the height map in work, and the lot."""
 
-    expected: Expectation | PrintExpectation
+    expected: Expected
     renderer: SurfaceView | None
     lot_mates: Sequence[LotMate] = ()
+    methods: Methods = field(default_factory=Methods)
 
 
 @contextlib.contextmanager
-def expecting(job: Job, advance: Advance, lot_mates: Sequence[LotMate] = ()) -> Iterator[Ready]:
+def expecting(
+    job: Job, advance: Advance, lot_mates: Sequence[LotMate] = (), methods: Methods | None = None
+) -> Iterator[Ready]:
     """Predict the poses of a job, and let the height map be drawn meanwhile; leaving ends the drawing.
 
     Raises:
         HeightMapError, RecipeError, InkFileError: nothing can be predicted.
     """
     advance("prediction", 0, 1)
-    expected: Expectation | PrintExpectation
-    if isinstance(job.recipe, PrintRecipe):
-        expected = expectation_of_print(job.recipe, job.rig)
-    else:
-        expected = kept_expectation(job.recipe, job.rig.light.angle_deg, job.kind.optics)
-    renderer = start_renderer(expected.surface)
+    methods = methods or USUAL
+    expected = methods.predict(job)
+    renderer = methods.start_renderer(expected.surface)
     try:
-        yield Ready(expected, renderer, lot_mates)
+        yield Ready(expected, renderer, lot_mates, methods)
     finally:
         if renderer is not None:
             renderer.discard()
@@ -306,13 +356,14 @@ def conclude(
     if judged is None:
         advance("measurement", 0, 1)
         taken = read_frames(folder, made)
-        judged = judge(made, job, ready.expected, taken, advance, predict=kept_expectation)
+        judged = _judged(made, job, ready, taken, advance)
     record, pictures = judged
     advance("report", 0, 1)
     view = ready.renderer.result() if ready.renderer is not None else None
     lot = lot_of(record, ready.lot_mates)
     pictures = replace(pictures, calibrations=job.calibrations.records, lot=lot)
-    report = write_report(record, pictures, folder, view)
+    sections = job.kind.sections(record, pictures)
+    report = ready.methods.write_report(record, pictures, folder, view, sections)
     record = record.model_copy(update={"files": listed_files(folder)})
     write_record(record, folder)
     advance(record.verdict, 1, 1)

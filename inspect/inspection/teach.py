@@ -2,7 +2,7 @@
 
 import tempfile
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,18 +10,16 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.atomic_write import write_text
-from anisoscope.base.errors import MeasurementError, RecordError, RigFileError, Saturated
+from anisoscope.base.errors import MeasurementError, RigFileError, Saturated
 from anisoscope.base.progress import Advance, silent
 from anisoscope.base.significance import p_value_text
-from anisoscope.decision.reference_parts import golden_path, read_golden
+from anisoscope.decision.reference_parts import golden_path
 from anisoscope.imaging.registration.placement import Grid, Placement, locate, resample
-from anisoscope.inspection.job import Job, check_serial, prepare
-from anisoscope.inspection.recipe_file import read_any_recipe
+from anisoscope.inspection.job import check_serial, prepare
 from anisoscope.inspection.run import inspect_part
-from anisoscope.kinds.prints.lighting import check_filters, expectation_of_print
-from anisoscope.kinds.prints.recipe import AnyRecipe, PrintRecipe
-from anisoscope.kinds.prints.tolerances import golden_tolerances, taught_tolerances
-from anisoscope.recipe.surface import SurfaceRecipe
+from anisoscope.kinds.registry import read_any_recipe
+from anisoscope.recipe.base import RecipeBase
+from anisoscope.recipe.teaching import Change, Taught, kept_path
 from anisoscope.recipe.template import with_values
 from anisoscope.record.schema import Record
 from anisoscope.rig.acquisition.journal import read_journal
@@ -33,12 +31,11 @@ from anisoscope.rig.frame import Frame, read_frame
 
 UNLIKE = 2.0  # factor in brightness from which on a stretch along the border is not the part
 POINTS_A_PITCH = 4
-CELL_MM = 0.1
 QUIET = 1.25  # markers need white around them
 
 
 def largest_region(
-    pictures: Sequence[FloatArray], places: Sequence[Placement], fixture: Fixture, recipe: AnyRecipe
+    pictures: Sequence[FloatArray], places: Sequence[Placement], fixture: Fixture, recipe: RecipeBase
 ) -> float:
     """Side of the largest square about the recipe's middle of the region, whole pitches or cells of the map, in mm.
 
@@ -51,7 +48,7 @@ def largest_region(
     Raises:
         MeasurementError: not even two pitches or cells fit.
     """
-    pitch_mm = step_mm(recipe)
+    pitch_mm = recipe.step_mm
     turn = recipe.poses.facet_azimuth_deg
     best = 0
     most = int(_reach(fixture, recipe) / pitch_mm)
@@ -59,9 +56,7 @@ def largest_region(
     for count in range(2, most + 1):
         grid = _grid(recipe, count, turn)
         if not _clear_of_markers(fixture, recipe, count * pitch_mm):
-            best -= isinstance(
-                recipe, PrintRecipe
-            )  # its edge may lie here as well, and colours would show it
+            best -= recipe.keeps_off_rim  # its edge may lie here as well
             break
         if not all(
             _shows(picture, place, grid, middle)
@@ -72,36 +67,25 @@ def largest_region(
         best = count
     if best < 2:
         raise MeasurementError(
-            f"around region.center_mm not even two {_steps(recipe)} of the part show in all poses: centre the part, or "
+            f"around region.center_mm not even two {recipe.steps} of the part show in all poses: centre the part, or "
             "correct region.center_mm in the recipe"
         )
     return round(best * pitch_mm, 6)
 
 
-def step_mm(recipe: AnyRecipe) -> float:
-    """By what a region grows: a pitch, or a cell of the map of a print."""
-    if isinstance(recipe, PrintRecipe):
-        return CELL_MM if recipe.area is None else recipe.area.cell_mm
-    return recipe.surface.pitch_um / 1000.0
-
-
-def _steps(recipe: AnyRecipe) -> str:
-    return "cells" if isinstance(recipe, PrintRecipe) else "pitches"
-
-
-def _reach(fixture: Fixture, recipe: AnyRecipe) -> float:
+def _reach(fixture: Fixture, recipe: RecipeBase) -> float:
     """Side beyond which no square can lie between the markers."""
     x, y = recipe.region.center_mm
     return 2.0 * max(float(np.hypot(one.x_mm - x, one.y_mm - y)) for one in fixture.markers)
 
 
-def _grid(recipe: AnyRecipe, count: int, turn_deg: float) -> Grid:
+def _grid(recipe: RecipeBase, count: int, turn_deg: float) -> Grid:
     points = count * POINTS_A_PITCH
-    step = step_mm(recipe) / POINTS_A_PITCH
+    step = recipe.step_mm / POINTS_A_PITCH
     return Grid(recipe.region.center_mm, step, (points, points), turn_deg)
 
 
-def _clear_of_markers(fixture: Fixture, recipe: AnyRecipe, side_mm: float) -> bool:
+def _clear_of_markers(fixture: Fixture, recipe: RecipeBase, side_mm: float) -> bool:
     """Does a square keep off all markers and their white rims?"""
     turn = np.radians(recipe.poses.facet_azimuth_deg)
     reach = 0.5 * side_mm + 0.5 * QUIET * fixture.marker_mm * (abs(np.cos(turn)) + abs(np.sin(turn)))
@@ -113,7 +97,7 @@ def _clear_of_markers(fixture: Fixture, recipe: AnyRecipe, side_mm: float) -> bo
     return True
 
 
-def _middle(picture: FloatArray, place: Placement, recipe: AnyRecipe) -> float:
+def _middle(picture: FloatArray, place: Placement, recipe: RecipeBase) -> float:
     middle = resample(picture.astype(np.float32), place, _grid(recipe, 2, recipe.poses.facet_azimuth_deg))
     return float(np.nanmean(middle)) if np.isfinite(middle).any() else 0.0
 
@@ -131,43 +115,7 @@ def _shows(picture: FloatArray, place: Placement, grid: Grid, middle: float) -> 
 
 LEVEL = 0.7  # of full scale, of the brightest pose
 BRIGHT_PERCENTILE = 99.9
-WANTED_RATIO = 4.0  # T/U
-GOLDEN_SIGMAS = 3.0
 MAX_TRIES = 8
-
-
-@dataclass(frozen=True)
-class Change:
-    """A value of the recipe, as it was and is."""
-
-    key: str
-    old: Any
-    new: Any
-    why: str
-
-
-@dataclass(frozen=True)
-class Taught:
-    """A recipe that was taught.
-
-    Attributes:
-        version: the new one.
-        kept: where the old version lies.
-        folder: the inspection of the good part with the new exposure and region; None where none was inspected.
-        changes: what was changed.
-        notes: what the user should know besides.
-    """
-
-    version: int
-    kept: Path
-    folder: Path | None
-    changes: tuple[Change, ...]
-    notes: tuple[str, ...]
-
-    def as_json(self) -> dict[str, Any]:
-        """For `json.dump`."""
-        folder = None if self.folder is None else str(self.folder)
-        return asdict(self) | {"kept": str(self.kept), "folder": folder}
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,9 +156,8 @@ def teach(recipe_path: Path, rig_path: Path, serial: str, out: Path, advance: Ad
     recipe, text = job.recipe, recipe_path.read_text(encoding="utf-8")
     kept = kept_path(recipe_path, recipe.version)
     with open_rig(job.rig) as rig:
-        if isinstance(recipe, PrintRecipe):
-            info = rig.camera.info
-            check_filters(info.filters, f"camera {info.serial}", job.white.filters)
+        info = rig.camera.info
+        job.kind.check_filters(info.filters, f"camera {info.serial}", job.white.filters)
         probe = _probe(rig, recipe, fixture, advance)
     size = largest_region(probe.pictures, probe.places, fixture, recipe)
     values: dict[tuple[str, ...], Any] = {
@@ -229,7 +176,7 @@ def teach(recipe_path: Path, rig_path: Path, serial: str, out: Path, advance: Ad
         raise MeasurementError(
             f"the part cannot teach the recipe, which stays as it is: {'; '.join(record.reasons)} ({inspected.folder})"
         )
-    limits = _limits(record, recipe, recipe_path, job)
+    limits = job.kind.taught_limits(record, recipe, job.reference, job.rig)
     values |= {key: value for key, (value, _) in limits.items()}
     write_text(kept, text)
     write_text(recipe_path, with_values(text, values))
@@ -255,28 +202,11 @@ def teach(recipe_path: Path, rig_path: Path, serial: str, out: Path, advance: Ad
     return Taught(taught.version, kept, inspected.folder, changes, _notes(record, recipe_path, recipe))
 
 
-def _limits(
-    record: Record, recipe: AnyRecipe, recipe_path: Path, job: Job
-) -> dict[tuple[str, ...], tuple[Any, str]]:
-    """The tolerances by their places in the recipe, each with where it comes from."""
-    if isinstance(recipe, PrintRecipe):
-        if record.print is None or record.print.lobe is None:
-            raise MeasurementError("hardly anything is printed there: the recipe stays as it is")
-        golden = job.golden_prints
-        if golden is None or golden.lacking is not None:
-            found = taught_tolerances(record, recipe)
-        else:
-            found = golden_tolerances(golden, recipe, expectation_of_print(recipe, job.rig))
-        return {("tolerances", key): (one.value, one.why) for key, one in found.items()}
-    tolerances, why = _tolerances(record, recipe, recipe_path)
-    return {("decision", "tolerance"): (tolerances, why)}
-
-
-def _value(recipe: AnyRecipe, key: tuple[str, ...]) -> Any:  # noqa: ANN401 - of any type
+def _value(recipe: RecipeBase, key: tuple[str, ...]) -> Any:  # noqa: ANN401 - of any type
     return getattr(getattr(recipe, key[0]), key[1])
 
 
-def _probe(rig: Rig, recipe: AnyRecipe, fixture: Fixture, advance: Advance) -> _Probe:
+def _probe(rig: Rig, recipe: RecipeBase, fixture: Fixture, advance: Advance) -> _Probe:
     """Photograph every pose once, exposed so that the brightest one reaches the wanted level.
 
     Raises:
@@ -316,43 +246,12 @@ def _photograph(rig: Rig, plan: Plan) -> list[Frame]:
         return [read_frame(folder / line.name) for _, line in lines if line.kind == "sample"]
 
 
-def _tolerances(record: Record, recipe: SurfaceRecipe, recipe_path: Path) -> tuple[list[float], str]:
-    """One tolerance a pair: 4 U, or what the golden parts vary where that is more."""
-    by_u = np.array([WANTED_RATIO * 2.0 * contrast.u for contrast in record.contrasts])
-    golden = read_golden(golden_path(recipe_path), recipe)
-    why = f"{WANTED_RATIO:g} times the expanded uncertainty"
-    spread = np.zeros_like(by_u)
-    if golden is not None and len(golden.parts) >= 3 and recipe.decision.contrast == "log_ratio":
-        logs = np.array([part.log_radiance for part in golden.parts])
-        index = {(pose.stage_deg, pose.tilt_deg): k for k, pose in enumerate(record.poses)}
-        for k, pair in enumerate(record.contrasts):
-            a, b = index[pair.from_deg, pair.tilt_deg], index[pair.to_deg, pair.tilt_deg]
-            seen = logs[:, a] - logs[:, b]
-            off = abs(float(seen.mean()) - pair.predicted)
-            spread[k] = off + GOLDEN_SIGMAS * float(seen.std(ddof=1))
-        why += f", or what {len(golden.parts)} golden parts vary"
-    return [float(f"{value:.2g}") for value in np.maximum(by_u, spread)], why
-
-
-def kept_path(recipe_path: Path, version: int) -> Path:
-    """Where the old version goes.
-
-    Raises:
-        RecordError: something else lies there.
-    """
-    path = recipe_path.with_name(f"{recipe_path.stem}.v{version}{recipe_path.suffix}")
-    if path.exists():
-        raise RecordError(f"{path} exists already: move it away, or correct `version` in {recipe_path}")
-    return path
-
-
-def _notes(record: Record, recipe_path: Path, recipe: AnyRecipe) -> tuple[str, ...]:
+def _notes(record: Record, recipe_path: Path, recipe: RecipeBase) -> tuple[str, ...]:
     notes = []
     if record.p_value is not None and record.p_value < recipe.decision.alpha:
-        tables = "is [print]" if isinstance(recipe, PrintRecipe) else "are [material] and [surface]"
         notes.append(
             f"the part deviates significantly from the prediction (p {p_value_text(record.p_value)}): is it good, and "
-            f"{tables} right?"
+            f"{recipe.described_in} right?"
         )
     if golden_path(recipe_path).exists():
         notes.append(

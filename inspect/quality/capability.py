@@ -12,10 +12,10 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
 from anisoscope.history.chain import KEPT
-from anisoscope.history.rows import contrast_label
 from anisoscope.quality.individuals import Limits, sigma_freedom
 from anisoscope.quality.readings import Readings
 from anisoscope.recipe.surface import SurfaceRecipe
+from anisoscope.record.surface_details import contrast_label
 from anisoscope.sim.light.contrasts import consecutive_pairs
 
 CONFIDENCE = 0.95

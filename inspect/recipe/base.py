@@ -1,9 +1,7 @@
 """What recipes of all kinds of parts have in common: name, poses, exposure, region, and limits of a measurement."""
 
-import tomllib
 from itertools import pairwise
-from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -98,10 +96,14 @@ class RecipeBase(Part):
     limits: LimitsPart = LimitsPart()
     uncertainty: CommonUncertainty = CommonUncertainty()
 
+    steps: ClassVar[str] = "cells"
+    """What the region is a whole number of, in the plural."""
+    keeps_off_rim: ClassVar[bool] = False
+    """The region that is taught keeps a step off the markers, where the edge of the part may lie."""
+    described_in: ClassVar[str] = "are its tables"
+    """The tables of what is predicted from, with their verb."""
 
-def is_print(path: Path) -> bool:
-    """Is this the recipe of a print, with a [print] table? What is wrong with a file shows when it is read."""
-    try:
-        return "print" in tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except (OSError, ValueError):
-        return False
+    @property
+    def step_mm(self) -> float:
+        """By what a region grows."""
+        return 0.1

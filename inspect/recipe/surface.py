@@ -1,7 +1,7 @@
 """The recipe of a part with a surface: what it is compared with, its material, its light, and how it is judged."""
 
 from pathlib import Path
-from typing import Annotated, Literal, Self, TypeVar
+from typing import Annotated, ClassVar, Literal, Self, TypeVar
 
 from pydantic import Field, model_validator
 
@@ -182,6 +182,14 @@ class SurfaceRecipe(RecipeBase):
         smallest_mm = pitches * self.surface.pitch_um / 1000.0
         if min(self.region.size_mm) < smallest_mm * (1.0 - 1e-9):
             raise ValueError(f"region.size_mm must span {words} ({smallest_mm:g} mm)")
+
+    steps: ClassVar[str] = "pitches"
+    described_in: ClassVar[str] = "are [material] and [surface]"
+
+    @property
+    def step_mm(self) -> float:
+        """By what a region grows: a pitch."""
+        return self.surface.pitch_um / 1000.0
 
     def tolerances(self) -> tuple[float, ...] | None:
         """One tolerance a pair, or None."""

@@ -1,14 +1,16 @@
 """The JSON Schema of `record.json`, and what changed in it.
 
-Schema 1 only grows: this version reads every record of schema 1, whichever version wrote it, and an earlier version
-refuses, by name, what it does not know. Fields that came later are optional, and their defaults stand for "not told":
-``poses[].dropped``, ``area.learnt``, ``calibrations``, ``map_place``, ``optics``, ``print``,
-``between_tilts``, ``diagnosis.tells``, ``print.map.learnt``, ``print.map.p_value``. ``print.lobe`` may be null.
+Schema 2 has the fields of all kinds of parts side by side, the name of the ``kind``, and ``details``: what is of that
+kind alone. Schema 1 had the details of all kinds among the fields; `upgrade.upgraded` reads it. A schema only grows:
+this version reads every record of schema 1 and 2, whichever version wrote it, and an earlier version refuses, by name,
+what it does not know. Fields that came later are optional, and their defaults stand for "not told".
 """
 
 import json
 from typing import Any
 
+from anisoscope.base.plugins import installed
+from anisoscope.record.details import GROUP, Details, recorded_kind
 from anisoscope.record.schema import SCHEMA, Record
 
 TITLE = f"anisoscope record, schema {SCHEMA}"
@@ -16,14 +18,27 @@ DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 
 def record_schema() -> dict[str, Any]:
-    """JSON Schema (draft 2020-12) of the file, its seal included."""
+    """JSON Schema (draft 2020-12) of the file, its seal included, with the details of the kinds that are installed."""
     schema = Record.model_json_schema(by_alias=True, mode="validation")
+    schema["$defs"].pop(Details.__name__)
+    kinds: dict[type[Details], list[str]] = {}
+    for name in installed(GROUP):
+        kinds.setdefault(recorded_kind(name).details, []).append(name)
+    for details in kinds:
+        own = details.model_json_schema(by_alias=True, mode="validation")
+        schema["$defs"] |= own.pop("$defs", {}) | {details.__name__: own}
+    alternatives = [{"$ref": f"#/$defs/{details.__name__}"} for details in kinds]
+    schema["properties"]["details"] = {"anyOf": [*alternatives, {"type": "null"}], "default": None}
+    schema["properties"]["details"]["description"] = "; ".join(
+        f"{details.__name__}: {', '.join(names)}" for details, names in kinds.items()
+    )
     seal = {
         "type": "string",
         "pattern": "^[0-9a-f]{64}$",
         "description": "SHA-256 of the file's own bytes with 64 zeros in place of the seal",
     }
     schema["properties"]["seal"] = seal
+    schema["$defs"] = dict(sorted(schema["$defs"].items()))
     return {"$schema": DIALECT} | schema | {"title": TITLE}
 
 

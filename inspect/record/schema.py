@@ -3,18 +3,19 @@
 import hashlib
 import json
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypedDict
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny, model_validator
 
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import RecordError
-from anisoscope.kinds.prints.record import PrintRecord
+from anisoscope.record.details import Details, recorded_kind
+from anisoscope.record.upgrade import upgraded
 from anisoscope.record.verdict import Verdict
 
 RECORD_NAME = "record.json"
 UNSEALED = "0" * 64
-SCHEMA = 1
+SCHEMA = 2
 
 
 class _Part(BaseModel):
@@ -283,13 +284,15 @@ class MapPlaceRecord(_Part):
 class Record(_Part):
     """An inspection, complete; ``recipe`` and ``rig`` hold the files as they were.
 
-    Schema 1 only grows: fields that came later have defaults, which stand for "not told" (`recordschema`).
+    ``details`` holds what is of its ``kind`` of part alone; None where that could not be judged. The schema only grows:
+    fields that came later have defaults, which stand for "not told" (`json_schema`).
 
     ``files`` lists everything else in the folder. ``record.json`` is written last, so that where it is, all of
     them are.
     """
 
-    schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
+    schema_version: Annotated[Literal[2], Field(alias="schema")] = 2
+    kind: str
     software: str
     created_at: str
     serial: str
@@ -301,23 +304,14 @@ class Record(_Part):
     optics: OpticsRecord | None = None
     convention: dict[str, Any]
     poses: tuple[PoseRecord, ...]
-    contrasts: tuple[ContrastRecord, ...]
-    between_tilts: tuple[TiltContrastRecord, ...] = ()
     d2: float | None
     dof: int | None
     p_value: float | None
-    area: AreaRecord | None
     budget: tuple[BudgetRecord, ...]
     drift: float | None
     conformance_probability: float | None = None
-    regions: tuple[RegionRecord, ...] = ()
     diagnosis: DiagnosisRecord | None = None
-    comparisons: tuple[ComparisonRecord, ...] = ()
-    reading: str | None = None
-    shape: ShapeRecord | None = None
-    golden: GoldenRecord | None = None
-    map_place: MapPlaceRecord | None = None
-    print: PrintRecord | None = None
+    details: SerializeAsAny[Details] | None = None
     rounds: int = 1
     notes: tuple[str, ...] = ()
     white_reference: dict[str, Any]
@@ -330,29 +324,13 @@ class Record(_Part):
     frames: tuple[FrameRecord, ...]
     files: tuple[InputFile, ...] = ()
 
-
-class Results(TypedDict, total=False):
-    """What a record holds beside its inputs: the models that measurement, decision and diagnosis made."""
-
-    poses: tuple[PoseRecord, ...]
-    contrasts: tuple[ContrastRecord, ...]
-    between_tilts: tuple[TiltContrastRecord, ...]
-    d2: float | None
-    dof: int | None
-    p_value: float | None
-    area: AreaRecord | None
-    budget: tuple[BudgetRecord, ...]
-    drift: float | None
-    conformance_probability: float | None
-    regions: tuple[RegionRecord, ...]
-    diagnosis: DiagnosisRecord
-    comparisons: tuple[ComparisonRecord, ...]
-    reading: str | None
-    shape: ShapeRecord | None
-    golden: GoldenRecord | None
-    map_place: MapPlaceRecord | None
-    print: PrintRecord
-    notes: tuple[str, ...]
+    @model_validator(mode="before")
+    @classmethod
+    def _details_of_the_kind(cls, record: Any) -> Any:  # noqa: ANN401
+        if isinstance(record, dict) and isinstance(record.get("details"), dict):
+            details = recorded_kind(str(record.get("kind"))).details.model_validate(record["details"])
+            return {**record, "details": details}
+        return record
 
 
 def sha256_of(path: Path) -> str:
@@ -386,6 +364,8 @@ def read_record(folder: Path) -> Record:
         seal = content.pop("seal", None) if isinstance(content, dict) else None
         if seal is not None and seal != _seal_of(text, str(seal)):
             raise RecordError(f"{path} is damaged: it was changed after it had been written")
+        if isinstance(content, dict):
+            content = upgraded(content)
         later = _later(content)
         if later is not None:
             raise RecordError(

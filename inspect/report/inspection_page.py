@@ -10,26 +10,21 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.calibration.record import CalibrationRecord, Kind
-from anisoscope.kinds.prints.report_sections import PrintPictures, print_parts, print_rule
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.record.schema import BudgetRecord, CauseRecord, Record
+from anisoscope.record.schema import CauseRecord, Record
 from anisoscope.report import figures
 from anisoscope.report.page import ready_template, write_page
-from anisoscope.report.peers import Lot, Peers, among
+from anisoscope.report.peers import Lot, Peers
 from anisoscope.report.provenance import calibrations_of, files_of, groups_of
-from anisoscope.report.rule import NAMES, PRECEDENCE, UNITS, deviation_decides, level_of, rule_of
+from anisoscope.report.rule import PRECEDENCE
 from anisoscope.report.surface_view import Picture3D, SurfacePictures, SurfaceView, flat_drawings, viewer_of
-from anisoscope.report.tilt_sections import tilt_parts
-from anisoscope.report.wording import cause_range, cause_text, contrast_name, filters, labels_of
+from anisoscope.report.wording import cause_range, cause_text, filters
 
 Image = npt.NDArray[np.float32]
 
 REPORT_NAME = "report.html"
 TEMPLATE = "inspection.html"
-MAX_REGIONS = 12
-WANTED_RATIO = 4.0
-SMALL_SHARE = 0.01
-SURFACES = {"design": "ideal design", "height_map": "height map"}
+INVALID_RULE = "what makes a measurement unfit goes before all that was measured, and never fails a part"
 MEANING = {
     "PASS": "The part is as predicted, within the tolerance.",
     "FAIL": "The part deviates too much from what it should be.",
@@ -52,7 +47,7 @@ class Pictures:
         raw: pictures as photographed, where they could not be judged.
         calibrations: records of the rig's calibrations, by kind.
         lot: parts of the same lot that were inspected before, or None.
-        print: the colours of a print, or None.
+        of_kind: what the kind of part shows besides, or None.
     """
 
     aligned: tuple[Image, ...] = ()
@@ -64,7 +59,33 @@ class Pictures:
     raw: tuple[tuple[str, Image], ...] = field(default=())
     calibrations: Mapping[Kind, CalibrationRecord] = field(default_factory=dict)
     lot: Lot | None = None
-    print: PrintPictures | None = None
+    of_kind: object = None
+
+
+@dataclass(frozen=True, eq=False)
+class Sections:
+    """What the report shows of one kind of part; sources are Jinja templates, which may use ``content``.
+
+    Attributes:
+        rule: the rule that decided, in one sentence.
+        reasons: further lines below the verdict: name and text.
+        before, after: sources of the sections before and after the diagnosis.
+        budget: source of the uncertainty budget.
+        fitted_too: what causes are fitted to beside the poses, such as " and to the share of the area that deviates".
+        lot_peers: the part among its lot, or None.
+        unit: of what is compared with the lot.
+        content: what the sources name.
+    """
+
+    rule: str = ""
+    reasons: tuple[tuple[str, str], ...] = ()
+    before: str = ""
+    after: str = ""
+    budget: str = ""
+    fitted_too: str = ""
+    lot_peers: Peers | None = None
+    unit: str = "1"
+    content: Mapping[str, Any] = field(default_factory=dict)
 
 
 def start_renderer(surface: HeightMap | None) -> SurfaceView | None:
@@ -77,7 +98,13 @@ def start_renderer(surface: HeightMap | None) -> SurfaceView | None:
     return SurfaceView(surface, lambda: ready_template(TEMPLATE, filters()))
 
 
-def write_report(record: Record, pictures: Pictures, folder: Path, view: Picture3D | None = None) -> Path:
+def write_report(
+    record: Record,
+    pictures: Pictures,
+    folder: Path,
+    view: Picture3D | None = None,
+    sections: Sections | None = None,
+) -> Path:
     """Write ``report.html`` into an inspection folder, all or nothing.
 
     Args:
@@ -85,48 +112,42 @@ def write_report(record: Record, pictures: Pictures, folder: Path, view: Picture
         pictures: what to show.
         folder: the inspection folder.
         view: the height map in 3-D, or None.
+        sections: what the kind of part shows of it.
 
     Raises:
         RecordError: the folder cannot be written.
     """
-    path = folder / REPORT_NAME
-    write_page(path, TEMPLATE, _content(record, pictures, folder, view), filters())
+    path, sections = folder / REPORT_NAME, sections or Sections()
+    parts = {"before": sections.before, "after": sections.after, "budget": sections.budget}
+    write_page(path, TEMPLATE, _content(record, pictures, folder, view, sections), filters(), parts)
     return path
 
 
-def _content(record: Record, pictures: Pictures, folder: Path, view: Picture3D | None) -> dict[str, Any]:
-    large, small = _budget(record)
+def _content(
+    record: Record, pictures: Pictures, folder: Path, view: Picture3D | None, sections: Sections
+) -> dict[str, Any]:
+    causes = _causes(record)
     return {
         "record": record,
         "meaning": MEANING[record.verdict],
-        "rule_text": rule_of(record) if record.print is None else print_rule(record),
+        "rule_text": sections.rule or INVALID_RULE,
+        "reasons": sections.reasons,
         "precedence": PRECEDENCE,
         "rule": record.recipe["decision"],
-        "deviation_decides": deviation_decides(record),
-        "level": level_of(record),
-        "kind": NAMES.get(record.contrasts[0].kind, "") if record.contrasts else "",
-        "unit": UNITS.get(record.contrasts[0].kind, "1") if record.contrasts else "1",
-        "surfaces": SURFACES,
-        "regions": record.regions[:MAX_REGIONS],
-        "causes": _causes(record),
+        "causes": causes,
         "cause_range": cause_range,
-        "cause_text": "; or, not to be told apart: ".join(cause_text(c) for c in _causes(record) if c.tie),
-        "narrow": [c for c in record.contrasts if c.tolerance_ratio and c.tolerance_ratio < WANTED_RATIO],
-        "budget": large,
-        "small_budget": small,
-        "budget_top": max((max(row.contributions, default=0.0) for row in record.budget), default=0.0),
-        "golden": _golden(record),
+        "cause_text": "; or, not to be told apart: ".join(cause_text(c) for c in causes if c.tie),
+        "fitted_too": sections.fitted_too,
+        "unit": sections.unit,
         "lot": pictures.lot,
-        "lot_peers": _lot_peers(record, pictures.lot),
+        "lot_peers": sections.lot_peers,
         "groups": groups_of(record),
         "calibrations": calibrations_of(record, pictures.calibrations),
         "files": files_of(record, folder),
         "folder": folder.name,
         **_photographs(record, pictures),
-        **_maps(record, pictures),
-        **tilt_parts(record),
-        **print_parts(record, pictures.print),
         **_surface(pictures.surface, view),
+        **sections.content,
     }
 
 
@@ -141,78 +162,6 @@ def _photographs(record: Record, pictures: Pictures) -> dict[str, Any]:
         ],
         "raw": [(name, figures.photograph(image, _top(image))) for name, image in pictures.raw],
     }
-
-
-def _maps(record: Record, pictures: Pictures) -> dict[str, Any]:
-    labels = labels_of(record)
-    found: dict[str, Any] = {"labels": labels, "maps": [], "chart": None, "deviation_map": None}
-    if pictures.deviation is not None:
-        places = [_on_map(record, (region.x, region.y)) for region in record.regions[:MAX_REGIONS]]
-        found["deviation_map"] = figures.deviation_map(
-            pictures.deviation, pictures.deviating, places, pictures.size_mm, _frame(record)
-        )
-    if pictures.ratios is not None:
-        found["maps"] = [
-            (label, figures.contrast_map(ratio, pictures.deviating, pictures.size_mm, _frame(record)))
-            for label, ratio in zip(labels, pictures.ratios, strict=True)
-        ]
-    if record.contrasts:
-        found["chart"] = figures.contrast_chart(
-            labels,
-            [c.measured - c.predicted for c in record.contrasts],
-            [c.u for c in record.contrasts],
-            [c.tolerance for c in record.contrasts],
-            NAMES[record.contrasts[0].kind],
-        )
-    return found
-
-
-def _budget(record: Record) -> tuple[list[BudgetRecord], list[BudgetRecord]]:
-    """Sources that make up a hundredth of some variance, and the others; a print has a table of its own."""
-    if record.print is not None:
-        return [], []
-    variance = np.array([contrast.u**2 for contrast in record.contrasts])
-    large: list[BudgetRecord] = []
-    small: list[BudgetRecord] = []
-    for row in record.budget:
-        counts = bool(np.any(np.square(row.contributions) >= SMALL_SHARE * variance))
-        (large if counts else small).append(row)
-    return large, small
-
-
-def _golden(record: Record) -> Peers | None:
-    if record.golden is None:
-        return None
-    first = record.poses[0].stage_deg
-    labels = [contrast_name(p.stage_deg, first, p.tilt_deg) for p in record.poses[1:]]
-    known = np.array(record.golden.contrasts)
-    return among(labels, known, record.golden.measured, "golden parts", "ln ratio [1]")
-
-
-def _lot_peers(record: Record, lot: Lot | None) -> Peers | None:
-    """The part among its lot, as far as parts were measured alike."""
-    count = len(record.contrasts)
-    known = [part.contrasts for part in lot.parts if len(part.contrasts) == count] if lot else []
-    if not known or not count:
-        return None
-    kind, mine = record.contrasts[0].kind, [c.measured for c in record.contrasts]
-    return among(
-        labels_of(record), np.array(known), mine, "parts of the lot", f"{NAMES[kind]} [{UNITS[kind]}]"
-    )
-
-
-def _on_map(record: Record, place_mm: tuple[float, float]) -> tuple[float, float]:
-    """A place of the part at 0° along the axes of the map, whose ridges stand upright; both from the rotation axis."""
-    (x, y), turn = place_mm, np.radians(record.recipe["poses"]["facet_azimuth_deg"])
-    return float(np.cos(turn) * x + np.sin(turn) * y), float(np.cos(turn) * y - np.sin(turn) * x)
-
-
-def _frame(record: Record) -> figures.MapFrame:
-    """Where the maps lie, and what their axes are."""
-    middle = _on_map(record, record.recipe["region"]["center_mm"])
-    if record.recipe["poses"]["facet_azimuth_deg"] == 0.0:
-        return figures.MapFrame(middle)
-    return figures.MapFrame(middle, "across the ridges", "along the ridges")
 
 
 def _causes(record: Record) -> tuple[CauseRecord, ...]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from functools import cache
+from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +14,13 @@ if TYPE_CHECKING:
 Filters = Mapping[str, Callable[..., str]]
 
 
-def write_page(path: Path, template: str, content: Mapping[str, Any], filters: Filters | None = None) -> None:
+def write_page(
+    path: Path,
+    template: str,
+    content: Mapping[str, Any],
+    filters: Filters | None = None,
+    parts: Mapping[str, str] | None = None,
+) -> None:
     """Write a self-contained page, atomically.
 
     Args:
@@ -21,11 +28,19 @@ def write_page(path: Path, template: str, content: Mapping[str, Any], filters: F
         template: name of a template of this package.
         content: what the template shows; a name that it misses is an error.
         filters: functions that the template calls by name.
+        parts: sources of templates that the template includes by these names.
 
     Raises:
         RecordError: the file cannot be written.
     """
-    write_text(path, ready_template(template, filters).render(**content))
+    ready = ready_template(template, filters)
+    included = {name: ready.environment.from_string(source) for name, source in (parts or {}).items()}
+    write_text(path, ready.render(**content, **included))
+
+
+def template_text(template: str) -> str:
+    """The source of a template of this package."""
+    return (files("anisoscope.report") / "templates" / template).read_text(encoding="utf-8")
 
 
 def ready_template(template: str, filters: Filters | None = None) -> "jinja2.Template":

@@ -63,9 +63,9 @@ def lot_of(record: Record, mates: Sequence[LotMate]) -> Lot | None:
     """
     if record.particulars.lot is None or not mates:
         return None
-    from anisoscope.history.rows import contrast_label, storable
+    from anisoscope.history.rows import storable
 
-    labels = [contrast_label(c.kind, c.from_deg, c.to_deg, c.tilt_deg) for c in record.contrasts]
+    labels = [] if record.details is None else list(record.details.compared())
     last = {mate.serial: mate for mate in mates if mate.product == storable(record.product)}
     last.pop(storable(record.serial), None)
     return Lot(record.particulars.lot, tuple(_part(mate, labels) for mate in last.values()))

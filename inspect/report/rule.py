@@ -1,6 +1,7 @@
 """Which rule gave a verdict, in one sentence."""
 
 from anisoscope.record.schema import Record
+from anisoscope.record.surface_details import surface_of
 
 NAMES = {"log_ratio": "ln ratio", "michelson": "Michelson contrast", "difference": "difference of radiance"}
 UNITS = {"log_ratio": "1", "michelson": "1", "difference": "1/sr"}
@@ -9,7 +10,8 @@ PRECEDENCE = "INVALID goes before FAIL, FAIL before INCONCLUSIVE, INCONCLUSIVE b
 
 def deviation_decides(record: Record) -> bool:
     """Whether a significant deviation fails the part: where the recipe says so, or gives no tolerance."""
-    without = bool(record.contrasts) and record.contrasts[0].tolerance is None
+    contrasts = surface_of(record).contrasts
+    without = bool(contrasts) and contrasts[0].tolerance is None
     return record.recipe["decision"]["deviation"] == "fail" or without
 
 
@@ -19,7 +21,8 @@ def level_of(record: Record) -> float:
     Holm (1979): the less likely one of the two is held against half of alpha, and then the other one against all of it.
     """
     level: float = record.recipe["decision"]["alpha"]
-    other = None if record.area is None else record.area.p_value
+    area = surface_of(record).area
+    other = None if area is None else area.p_value
     return level if other is None or other < min(0.5 * level, record.p_value or 0.0) else 0.5 * level
 
 
@@ -38,15 +41,15 @@ def rule_of(record: Record) -> str:
 
 def _saying(record: Record, verdict: str) -> list[str]:
     """What gives this verdict."""
-    level, found = level_of(record), []
-    limited = [c for c in record.contrasts if c.verdict == verdict and c.tolerance is not None]
+    level, found, details = level_of(record), [], surface_of(record)
+    limited = [c for c in details.contrasts if c.verdict == verdict and c.tolerance is not None]
     side = "outside" if verdict == "FAIL" else "on one side or the other of"
     if limited:
         lie = "contrast lies" if len(limited) == 1 else "contrasts lie"
         found.append(
             f"{len(limited)} {lie} {side} the tolerance by {_band(verdict)} the guard band (ISO 14253-1)"
         )
-    if record.area is not None and record.area.verdict == verdict:
+    if details.area is not None and details.area.verdict == verdict:
         found.append(
             f"the deviating area lies {side} its limit by {_band(verdict)} the guard band (ISO 14253-1)"
         )

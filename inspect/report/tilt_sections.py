@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from anisoscope.record.schema import Record, TiltContrastRecord
+from anisoscope.record.surface_details import surface_of
 from anisoscope.report import figures
 from anisoscope.report.rule import NAMES
 from anisoscope.report.wording import U_SAID, signed
@@ -51,7 +52,7 @@ def shown_between_tilts(
     record: Record,
 ) -> tuple[tuple[TiltContrastRecord, ...], tuple[TiltContrastRecord, ...]]:
     """The contrasts between tilts that are shown, and those that are folded away, both in the order of the record."""
-    found = record.between_tilts
+    found = surface_of(record).between_tilts
     likely = sorted(range(len(found)), key=lambda k: (found[k].p_value, k))
     kept = set(likely[:MOST])
     return (

@@ -2,6 +2,7 @@
 
 from anisoscope.base.significance import p_value_text
 from anisoscope.record.schema import CauseRecord, Record
+from anisoscope.record.surface_details import surface_of
 from anisoscope.report.page import Filters
 from anisoscope.report.provenance import when
 
@@ -28,7 +29,7 @@ def signed(value: float, digits: int = 3) -> str:
 
 def labels_of(record: Record) -> list[str]:
     """Names of the contrasts, such as ``0° / 90°, tilt 10°``."""
-    return [contrast_name(c.from_deg, c.to_deg, c.tilt_deg) for c in record.contrasts]
+    return [contrast_name(c.from_deg, c.to_deg, c.tilt_deg) for c in surface_of(record).contrasts]
 
 
 def contrast_name(from_deg: float, to_deg: float, tilt_deg: float) -> str:

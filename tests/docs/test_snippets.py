@@ -9,8 +9,8 @@ import pytest
 from anisoscope.calibration.pictures import take_flat
 from anisoscope.diagnosis import part_diagnosis as explaining
 from anisoscope.diagnosis.signatures import signatures
-from anisoscope.inspection.recipe_file import read_recipe
 from anisoscope.inspection.run import inspect_part
+from anisoscope.kinds.registry import read_recipe
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
 from anisoscope.rig.acquisition.opening import open_rig

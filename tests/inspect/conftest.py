@@ -9,7 +9,7 @@ import sys
 import time
 from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -233,11 +233,11 @@ def quick_causes(request, monkeypatch) -> None:
 def plain_report(monkeypatch) -> None:
     """Reports of one line, for tests that run many inspections; drawing takes longer than all the rest."""
 
-    def write(record, _pictures, folder, _view=None):
+    def write(record, _pictures, folder, *_):
         (folder / REPORT_NAME).write_text(record.verdict)
         return folder / REPORT_NAME
 
-    monkeypatch.setattr(inspection, "write_report", write)
+    monkeypatch.setattr(inspection, "USUAL", replace(inspection.USUAL, write_report=write))
 
 
 @pytest.fixture

@@ -4,9 +4,10 @@ from types import SimpleNamespace
 
 import pytest
 
+from anisoscope.base.plugins import installed
 from anisoscope.rig import discovery
 from anisoscope.rig.discovery import candidates, find_ports, probe
-from anisoscope.rig.drivers import LIGHTS, STAGES, installed
+from anisoscope.rig.drivers import LIGHTS, STAGES
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
 from anisoscope.sim.bench.firmware.catalogue import Mount, build
 from anisoscope.sim.bench.serve import TcpServer

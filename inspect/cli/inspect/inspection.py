@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from anisoscope.inspection.run import Inspected
     from anisoscope.record.schema import CauseRecord, Record
 
-MAX_REGIONS = 5
-
 
 def inspect(
     *,
@@ -96,14 +94,14 @@ def show(inspected: "Inspected", *, json_: bool) -> int:
 
 
 def _as_json(inspected: "Inspected") -> dict[str, Any]:
+    from anisoscope.kinds.registry import kind_named
+
     record = inspected.record
     diagnosis = record.diagnosis
     return {
+        "kind": record.kind,
         "verdict": record.verdict,
         "reasons": list(record.reasons),
-        "contrasts": [contrast.model_dump() for contrast in record.contrasts],
-        "between_tilts": [one.model_dump() for one in record.between_tilts],
-        "area": None if record.area is None else record.area.model_dump(),
         "d2": record.d2,
         "dof": record.dof,
         "p_value": record.p_value,
@@ -113,13 +111,7 @@ def _as_json(inspected: "Inspected") -> dict[str, Any]:
         "says": None if diagnosis is None else diagnosis.says,
         "tells": None if diagnosis is None else diagnosis.tells,
         "unexplained_p": None if diagnosis is None else diagnosis.unexplained_p,
-        "regions": [region.model_dump() for region in record.regions],
-        "comparisons": [one.model_dump() for one in record.comparisons],
-        "reading": record.reading,
-        "shape": None if record.shape is None else record.shape.model_dump(),
-        "golden_parts": 0 if record.golden is None else record.golden.parts,
-        "map_place": None if record.map_place is None else record.map_place.model_dump(),
-        "print": None if record.print is None else record.print.model_dump(),
+        **kind_named(record.kind).shown(record).content,
         "rounds": record.rounds,
         "dropped_markers": [list(pose.dropped) for pose in record.poses],
         "calibrations": [one.model_dump() for one in record.calibrations],
@@ -131,21 +123,15 @@ def _as_json(inspected: "Inspected") -> dict[str, Any]:
 
 def explained(record: "Record") -> list[str]:
     """What is wrong and where, in a line each; empty for a part as it should be."""
+    from anisoscope.kinds.registry import kind_named
+
     lines = []
     diagnosis = record.diagnosis
     if diagnosis is not None and diagnosis.causes:
         lines.append(f"cause: {diagnosis.says}")
         lines += [_cause_line(cause) for cause in diagnosis.causes if cause.tie and cause.cause != "nothing"]
         lines += [f"what would tell them apart: {diagnosis.tells}"] if diagnosis.tells else []
-    if record.reading is not None:
-        lines.append(f"design and height map: {record.reading}")
-    if record.verdict != "PASS":
-        lines += [
-            f"{region.kind} at x {region.x:+.2f} mm, y {region.y:+.2f} mm: {region.area_share:.2%} of the area, "
-            f"p = {region.p_value:.2g}"
-            for region in record.regions[:MAX_REGIONS]
-        ]
-    return lines
+    return [*lines, *kind_named(record.kind).shown(record).lines]
 
 
 def _cause_line(cause: "CauseRecord") -> str:
@@ -154,72 +140,12 @@ def _cause_line(cause: "CauseRecord") -> str:
     return f"  {cause_text(cause)}, weight {cause.weight:.0%}"
 
 
-def _print_quantities(record: "Record") -> None:
-    """What was judged of a print."""
-    from anisoscope.kinds.prints.report_sections import quantity_row
-
-    assert record.print is not None
-    rows = [quantity_row(one) for one in record.print.quantities]
-    print_table(
-        f"{record.serial}: {record.product}",
-        ["quantity", "measured", "nominal", "off by", "u", "limit", ""],
-        [[row.title, row.value, row.nominal, row.deviation, row.u, row.limit, row.verdict] for row in rows],
-        ". ".join(record.print.not_judged) or None,
-    )
-
-
-def _print_between_tilts(record: "Record") -> None:
-    """The contrasts between tilts; of many the least likely ones, in their order."""
-    from anisoscope.report.tilt_sections import shown_between_tilts, tilt_row
-    from anisoscope.report.wording import U_SAID
-
-    shown, folded = shown_between_tilts(record)
-    print_table(
-        "the same stage angle at two tilts",
-        ["contrast", "at [°]", "tilts [°]", "measured", "U", "predicted", "U", "deviation", "U", "p"],
-        [[row.kind, row.stage, row.tilts, *row.numbers, row.chance] for row in map(tilt_row, shown)],
-        f"{U_SAID}; for information"
-        + (f"; {len(folded)} more, all likelier, in record.json" if folded else ""),
-    )
-
-
 def _print(inspected: "Inspected") -> None:
+    from anisoscope.kinds.registry import kind_named
+
     record = inspected.record
-    if record.contrasts:
-        print_table(
-            f"{record.serial}: {record.product}",
-            [
-                "contrast",
-                "from [°]",
-                "to [°]",
-                "tilt [°]",
-                "measured",
-                "predicted",
-                "deviation",
-                "u",
-                "tolerance",
-                "",
-            ],
-            [
-                [
-                    contrast.kind,
-                    f"{contrast.from_deg:g}",
-                    f"{contrast.to_deg:g}",
-                    f"{contrast.tilt_deg:g}",
-                    f"{contrast.measured:+.4f}",
-                    f"{contrast.predicted:+.4f}",
-                    f"{contrast.measured - contrast.predicted:+.4f}",
-                    f"{contrast.u:.4f}",
-                    "–" if contrast.tolerance is None else f"±{contrast.tolerance:g}",
-                    contrast.verdict if contrast.tolerance is not None else "",
-                ]
-                for contrast in record.contrasts
-            ],
-        )
-    if record.between_tilts:
-        _print_between_tilts(record)
-    if record.print is not None:
-        _print_quantities(record)
+    for table in kind_named(record.kind).shown(record).tables:
+        print_table(table.title, table.columns, table.rows, table.caption)
     out = console()
     color = {"PASS": "green", "FAIL": "red", "INCONCLUSIVE": "yellow", "INVALID": "magenta"}[record.verdict]
     out.print(f"[bold {color}]{record.verdict}[/]")

@@ -1,6 +1,5 @@
 """``anisoscope recipe``: begin a recipe, see what it can tell, and teach it a good part."""
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,19 +9,14 @@ from anisoscope.base.errors import CalibrationError, UsageError
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json, parse_numbers
 from anisoscope.cli.progress import progress
-from anisoscope.cli.recipe.causes import print_causes
-from anisoscope.cli.tables import console, print_table
+from anisoscope.cli.tables import console, print_shown, print_table
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from anisoscope.inspection.recipe_check import RecipeCheck
-    from anisoscope.inspection.teach import Taught
+    from anisoscope.recipe.teaching import Taught
 
 app = App(name="recipe", help="Recipes: what a part should look like, how it is photographed and judged.")
 
 PRODUCT = "ridged part"
-MOST_PAIRS = 6
 File = Annotated[Path, Parameter(help="Recipe file (TOML).")]
 
 
@@ -53,7 +47,7 @@ def new(
     import os
 
     from anisoscope.base.atomic_write import write_text
-    from anisoscope.inspection.recipe_file import read_recipe
+    from anisoscope.kinds.registry import read_recipe
     from anisoscope.recipe.template import new_recipe
 
     if out.exists():
@@ -136,78 +130,14 @@ def check(
     json_: Json = False,
 ) -> int:
     """Predict what a recipe's poses show, and say what it can and cannot tell apart; nothing moves."""
-    from anisoscope.cli.recipe.prints import check_print
-    from anisoscope.inspection.recipe_check import check_recipe
-    from anisoscope.inspection.recipe_file import read_recipe
-    from anisoscope.inspection.surface_kind import surface_kind
-    from anisoscope.recipe.base import is_print
-    from anisoscope.recipe.poses import check_poses
-    from anisoscope.rig.rigfile import read_rig
+    from anisoscope.kinds.registry import kind_of
 
-    if is_print(file):
-        return check_print(file, rig, light_angle, json_=json_)
     tries = parse_numbers(try_tilts, "--try-tilts") if try_tilts.strip() else ()
-    recipe = read_recipe(file)
-    kind = surface_kind(recipe)
-    angle = read_rig(rig).light.angle_deg if rig is not None else light_angle
-    check_poses(recipe.poses, angle, file)
+    kind = kind_of(file)
     with progress(file.name, quiet=json_) as advance:
-        found = check_recipe(recipe, angle, tries, advance, kind.optics, kind.causes)
-    if json_:
-        content = asdict(found)
-        for row, cause in zip(content["causes"], found.causes, strict=True):
-            row |= {"told_apart_from": cause.told_apart_from, "never_told_from": list(cause.never_told_from)}
-        print_json(content | {"contrast": recipe.decision.contrast})
-    else:
-        _print(found, recipe.product)
+        shown = kind.check_recipe(file, rig, light_angle, tries, advance)
+    print_shown(shown, json_=json_)
     return 0
-
-
-def _print(found: "RecipeCheck", product: str) -> None:
-    names = [f"{p.from_deg:g}°/{p.to_deg:g}° @ {p.tilt_deg:g}°" for p in found.pairs]
-    print_table(
-        product,
-        ["pair", "predicted", "u", "tolerance", "T/U"],
-        [
-            [
-                name,
-                f"{pair.predicted:+.4f}",
-                f"{pair.u:.4f}",
-                "–" if pair.tolerance is None else f"±{pair.tolerance:g}",
-                "–" if pair.ratio is None else f"{pair.ratio:.1f}",
-            ]
-            for name, pair in zip(names, found.pairs, strict=True)
-        ],
-    )
-    print_table(
-        "uncertainty budget",
-        ["source", *(f"u({name})" for name in names)],
-        [[row.source, *(f"{value:.4f}" for value in row.contributions)] for row in found.budget],
-    )
-    print_causes(found.causes)
-    out = console()
-    for cause, reason in found.left_out:
-        out.print(f"not looked at: {cause}: {reason}", markup=False, highlight=False, soft_wrap=True)
-    for one in found.advice:
-        told = [f"show {', '.join(one.shows)}"] if one.shows else []
-        told += [f"tell {_apart(one.tells_apart)}"] if one.tells_apart else []
-        out.print(
-            f"a tilt of {one.tilt_deg:g}° besides would {' and '.join(told)}",
-            markup=False,
-            highlight=False,
-            soft_wrap=True,
-        )
-    lines = [f"{one.says} would tell {_apart(one.tells_apart)}" for one in found.lamps]
-    if found.never:
-        lines.append(f"nothing that was tried would tell {_apart(found.never)}")
-    for line in (*lines, *found.complaints):
-        out.print(line, markup=False, highlight=False, soft_wrap=True)
-
-
-def _apart(pairs: "Sequence[tuple[str, str]]") -> str:
-    """Causes and what they are told from; of many the first."""
-    more = f" and {len(pairs) - MOST_PAIRS} more" if len(pairs) > MOST_PAIRS else ""
-    return ", ".join(f"{a} from {b}" for a, b in pairs[:MOST_PAIRS]) + more
 
 
 @app.command
@@ -263,9 +193,9 @@ def _by_part(file: Path, rig: Path, serial: str, out: Path, *, json_: bool) -> "
 
 def _by_golden(file: Path, rig: Path, share: float) -> "Taught":
     """No part is judged here, so no exit code may look like a verdict."""
-    from anisoscope.kinds.prints.teach import teach_by_golden
+    from anisoscope.kinds.registry import kind_of
 
     try:
-        return teach_by_golden(file, rig, share)
+        return kind_of(file).teach_by_reference(file, rig, share)
     except CalibrationError as error:
         raise UsageError(str(error)) from error

@@ -64,7 +64,7 @@ def commission(
     from anisoscope.commissioning.commissioning import write_to_rig_file
     from anisoscope.commissioning.record import default_record_path, write_commissioning
     from anisoscope.commissioning.series import Series
-    from anisoscope.inspection.recipe_file import read_recipe
+    from anisoscope.kinds.registry import read_recipe
 
     recipe = None if part is None else read_recipe(part)
     if exposure is None:
@@ -119,7 +119,7 @@ def _part(
 
     from anisoscope.commissioning.commissioning import part_of_recipe
     from anisoscope.commissioning.part import RidgedPart
-    from anisoscope.inspection.recipe_file import read_recipe
+    from anisoscope.kinds.registry import read_recipe
 
     if recipe_path is not None:
         known = part_of_recipe(read_recipe(recipe_path), ridge_angle, u_ridge_angle)

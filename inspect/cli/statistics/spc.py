@@ -144,7 +144,7 @@ def _tolerances(recipe: str | None) -> dict[str, float] | None:
         if recipe is not None and recipe.endswith(".toml"):
             raise UsageError(f"--recipe: there is no file {recipe}")
         return None
-    from anisoscope.inspection.recipe_file import read_recipe
+    from anisoscope.kinds.registry import read_recipe
     from anisoscope.quality.capability import recipe_tolerances
 
     return recipe_tolerances(read_recipe(Path(recipe)))

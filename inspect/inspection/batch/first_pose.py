@@ -7,8 +7,8 @@ from pathlib import Path
 from anisoscope.inspection.batch.codes import Code, Kind, one_code, read_codes
 from anisoscope.inspection.batch.scan import Scan
 from anisoscope.inspection.frame_table import Replay
-from anisoscope.inspection.recipe_file import read_any_recipe
-from anisoscope.kinds.prints.recipe import AnyRecipe
+from anisoscope.kinds.registry import read_any_recipe
+from anisoscope.recipe.base import RecipeBase
 from anisoscope.rig.acquisition.opening import Rig, open_rig
 from anisoscope.rig.acquisition.plan import Plan, Pose
 from anisoscope.rig.acquisition.runner import check_plan
@@ -89,7 +89,7 @@ def code_on_part(recipe_path: Path, rig_path: Path, look: Look) -> tuple[Code, F
     return one_code(read_codes(frame.grey, look.kind), look.kind, "the picture at the first pose"), frame
 
 
-def scan_of(replay: Replay, recipe: AnyRecipe, kind: Kind) -> Scan:
+def scan_of(replay: Replay, recipe: RecipeBase, kind: Kind) -> Scan:
     """Text of the only code in the frames at the first pose; of several exposures, the first that shows one.
 
     Args:

@@ -30,10 +30,10 @@ from anisoscope.inspection.batch.slot_folder import clear_copies, inspected_in
 from anisoscope.inspection.folder import working_in
 from anisoscope.inspection.frame_table import arrange
 from anisoscope.inspection.job import check_serial
-from anisoscope.inspection.recipe_file import read_any_recipe
 from anisoscope.inspection.replay import inspect_frames
 from anisoscope.inspection.run import Inspected
-from anisoscope.kinds.prints.recipe import AnyRecipe
+from anisoscope.kinds.registry import read_any_recipe
+from anisoscope.recipe.base import RecipeBase
 from anisoscope.record.schema import RECORD_NAME, Particulars, sha256_of
 from anisoscope.report.peers import LotMates, no_lot_mates
 from anisoscope.rig.acquisition.writer import FRAMES
@@ -383,7 +383,7 @@ class Watch:
     bad: dict[str, Bad] = field(default_factory=dict)
     arriving: dict[str, tuple[Signature, float]] = field(default_factory=dict)
     _reported: dict[str, str] = field(default_factory=dict)
-    _recipe: AnyRecipe = field(init=False)
+    _recipe: RecipeBase = field(init=False)
     _journal: WatchJournal = field(init=False)
 
     @contextlib.contextmanager

@@ -2,7 +2,7 @@
 
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated, ClassVar, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
@@ -10,7 +10,6 @@ from anisoscope.base.errors import ModelError, RecipeError
 from anisoscope.base.toml_file import NameOrFile, NotNegative, Part, Positive, Share, read_toml_model
 from anisoscope.recipe.base import CommonUncertainty, RecipeBase
 from anisoscope.recipe.poses import PosesPart
-from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.sim.light.colour.observer import shares_of_points
 from anisoscope.sim.light.ink.ink import Ink
 from anisoscope.sim.materials.inks import SYNTHETIC, InkFileError, read_ink
@@ -158,6 +157,14 @@ class PrintRecipe(RecipeBase):
     area: PrintArea | None = PrintArea()
     uncertainty: PrintUncertainty = PrintUncertainty()
 
+    keeps_off_rim: ClassVar[bool] = True
+    described_in: ClassVar[str] = "is [print]"
+
+    @property
+    def step_mm(self) -> float:
+        """By what a region grows: a cell of the map."""
+        return super().step_mm if self.area is None else self.area.cell_mm
+
     @model_validator(mode="after")
     def _cells_fit(self) -> Self:
         if self.area is not None and min(self.region.size_mm) < SIDES * self.area.cell_mm:
@@ -165,9 +172,6 @@ class PrintRecipe(RecipeBase):
                 f"region.size_mm must span at least {SIDES} cells of area.cell_mm ({self.area.cell_mm:g} mm) each way"
             )
         return self
-
-
-AnyRecipe = SurfaceRecipe | PrintRecipe
 
 
 def read_print_recipe(path: Path) -> PrintRecipe:

@@ -1,6 +1,11 @@
 """What the record of an inspection holds of a print."""
 
+from typing import Any
+
 from pydantic import BaseModel, ConfigDict
+
+from anisoscope.record.details import Details
+from anisoscope.record.schema import Record
 
 Triple = tuple[float, float, float]
 RELATIVE = frozenset({"alpha x", "alpha y", "gain"})
@@ -146,7 +151,7 @@ class GoldenPrintsRecord(_Part):
     colours: tuple[GoldenColourRecord, ...]
 
 
-class PrintRecord(_Part):
+class PrintDetails(Details):
     """A print: what it was compared with, the colours of its poses, the lobe, the map and what was judged.
 
     ``to_xyz`` takes π times the channels to XYZ; ``matrix_residual`` is the CIEDE2000 that it leaves on the spectra of
@@ -169,3 +174,28 @@ class PrintRecord(_Part):
     map: PrintMapRecord | None
     not_judged: tuple[str, ...] = ()
     golden: GoldenPrintsRecord | None = None
+
+    def numbers(self) -> dict[str, float]:
+        """The quantities, such as ``print alpha x``, and the share of the area that deviates."""
+        numbers: dict[str, float] = {}
+        for one in self.quantities:
+            # what is told relative to its nominal value has everything in units of the value here
+            label, unit = f"print {one.name}", one.nominal if one.name in RELATIVE else 1.0
+            numbers |= {
+                label: one.value,
+                f"u {label}": unit * one.u,
+                f"deviation {label}": unit * one.deviation,
+            }
+            numbers[f"tolerance {label}"] = unit * one.limit
+        return numbers if self.map is None else numbers | {"area share": self.map.share}
+
+    @classmethod
+    def of_schema_1(cls, record: dict[str, Any]) -> dict[str, Any] | None:
+        """What a record of schema 1 had under ``print``."""
+        found: dict[str, Any] | None = record.pop("print", None)
+        return found
+
+
+def print_of(record: Record) -> PrintDetails | None:
+    """The details of the record of a print; None of an inspection that could not be judged, or of anything else."""
+    return record.details if isinstance(record.details, PrintDetails) else None

@@ -3,13 +3,11 @@
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.imaging.registration.placement import View
-from anisoscope.imaging.views import pose_records
+from anisoscope.kinds.kind import Results
 from anisoscope.kinds.prints.colour_map import PrintMap, Spot
 from anisoscope.kinds.prints.decision import NOT_JUDGED, PrintDecision
 from anisoscope.kinds.prints.expectation import PrintExpectation
 from anisoscope.kinds.prints.lobe_fit import PARAMETERS, PrintFit
-from anisoscope.kinds.prints.measurement import MeasuredPrint
 from anisoscope.kinds.prints.quantities import Quantity
 from anisoscope.kinds.prints.recipe import PrintRecipe
 from anisoscope.kinds.prints.record import (
@@ -18,14 +16,14 @@ from anisoscope.kinds.prints.record import (
     GoldenFitRecord,
     GoldenPrintsRecord,
     LobeRecord,
+    PrintDetails,
     PrintMapRecord,
-    PrintRecord,
     QuantityRecord,
     SpotRecord,
     Triple,
 )
 from anisoscope.kinds.prints.reference_test import BesideGolden
-from anisoscope.record.schema import BudgetRecord, Results
+from anisoscope.record.schema import BudgetRecord
 from anisoscope.record.verdict import Verdict
 from anisoscope.sim.light.ink.ink import Ink
 
@@ -52,36 +50,33 @@ def triple(values: FloatArray) -> Triple:
 def print_results(
     recipe: PrintRecipe,
     expected: PrintExpectation,
-    views: list[View],
-    measured: MeasuredPrint,
     decision: PrintDecision,
     names: tuple[str, str],
+    notes: tuple[str, ...] = (),
 ) -> Results:
-    """The fields of a record that a verdict on a print rests on.
+    """What the record holds of a print.
 
     Args:
         recipe: its recipe.
         expected: the prediction.
-        views: one a pose.
-        measured: the channels.
         decision: the verdict.
         names: of the sensitivities, and of the camera's filters.
+        notes: what the user should know besides.
     """
     luminance, wanted = (
         np.array([getattr(one, name)[1] for one in decision.colours]) / np.pi
         for name in ("xyz", "xyz_predicted")
     )
-    return {
-        "poses": pose_records(views, luminance, wanted),
-        "contrasts": (),
-        "d2": decision.d2,
-        "dof": decision.dof,
-        "p_value": decision.p_value,
-        "area": None,
-        "budget": _budget(decision.quantities),
-        "drift": measured.drift,
-        "print": _print(recipe, expected, decision, names),
-    }
+    return Results(
+        luminance,
+        wanted,
+        _print(recipe, expected, decision, names),
+        _budget(decision.quantities),
+        decision.d2,
+        decision.dof,
+        decision.p_value,
+        notes=notes,
+    )
 
 
 def _budget(quantities: tuple[Quantity, ...]) -> tuple[BudgetRecord, ...]:
@@ -104,10 +99,10 @@ def _budget(quantities: tuple[Quantity, ...]) -> tuple[BudgetRecord, ...]:
 
 def _print(
     recipe: PrintRecipe, expected: PrintExpectation, decision: PrintDecision, names: tuple[str, str]
-) -> PrintRecord:
+) -> PrintDetails:
     eye, ink = expected.eye, expected.scene.ink
     matrix = [triple(row) for row in eye.to_xyz]
-    return PrintRecord(
+    return PrintDetails(
         ink=ink.name,
         lamp=eye.lamp,
         sensitivities=names[0],

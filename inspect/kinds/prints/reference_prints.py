@@ -14,12 +14,12 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import CalibrationError
-from anisoscope.decision.reference_parts import counted, kept_set, limit_is_given, same_exposure
+from anisoscope.decision.reference_parts import check_new, counted, kept_set, limit_is_given, same_exposure
 from anisoscope.imaging.area_limit import MIN_PARTS, KnownShares
 from anisoscope.kinds.prints.lighting import lamp_and_sensitivities
 from anisoscope.kinds.prints.lobe_fit import PARAMETERS
 from anisoscope.kinds.prints.recipe import PrintArea, PrintRecipe
-from anisoscope.kinds.prints.record import PrintRecord, Triple
+from anisoscope.kinds.prints.record import PrintDetails, Triple, print_of
 from anisoscope.record.schema import Record
 from anisoscope.rig.rigfile import RigFile
 
@@ -184,14 +184,15 @@ def add_print(known: GoldenPrints | None, recipe: PrintRecipe, record: Record) -
         CalibrationError: the inspection was INVALID, was made with another recipe or seen otherwise, or is in the set
             already.
     """
-    if record.verdict == "INVALID" or record.print is None:
+    shown = print_of(record)
+    if record.verdict == "INVALID" or shown is None:
         what = "an INVALID inspection" if record.verdict == "INVALID" else "an inspection of something else"
         raise CalibrationError(f"{record.serial}: {what} says nothing about a good print")
-    if record.print.lobe is None:
+    if shown.lobe is None:
         raise CalibrationError(
             f"{record.serial}: hardly anything is printed there, which says nothing about a good print"
         )
-    shown, key = record.print, print_key(recipe)
+    key = print_key(recipe)
     then = PrintRecipe.model_validate(record.recipe)
     if print_key(then) != key:
         raise CalibrationError(
@@ -205,10 +206,7 @@ def add_print(known: GoldenPrints | None, recipe: PrintRecipe, record: Record) -
             raise CalibrationError(
                 f"{record.serial} was seen with the {what} {getattr(seen, what)!r}, the others with {wanted!r}"
             )
-    if any((part.serial, part.inspected_at) == (record.serial, record.created_at) for part in base.parts):
-        raise CalibrationError(
-            f"this inspection of {record.serial} ({record.created_at}) is in the set already"
-        )
+    check_new(base.parts, record)
     logs = np.log([one.measured for one in shown.colours]).tolist()
     part = GoldenPrint(
         serial=record.serial,
@@ -220,7 +218,7 @@ def add_print(known: GoldenPrints | None, recipe: PrintRecipe, record: Record) -
     return base.model_copy(update={"parts": (*base.parts, part)})
 
 
-def _of_map(shown: PrintRecord) -> dict[str, Any]:
+def _of_map(shown: PrintDetails) -> dict[str, Any]:
     """What a golden print keeps of its map."""
     seen = shown.map
     if seen is None:
@@ -234,15 +232,3 @@ def _of_map(shown: PrintRecord) -> dict[str, Any]:
         "curl_deg": curl.value,
         "u_curl_deg": curl.u,
     }
-
-
-def without_print(known: GoldenPrints, serial: str) -> GoldenPrints:
-    """The set without all rows of a serial number.
-
-    Raises:
-        CalibrationError: there is none.
-    """
-    kept = tuple(part for part in known.parts if part.serial != serial)
-    if len(kept) == len(known.parts):
-        raise CalibrationError(f"there is no golden print {serial}")
-    return known.model_copy(update={"parts": kept})

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,9 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.kinds.prints import report_figures
+from anisoscope.kinds.prints.decision import PrintDecision
+from anisoscope.kinds.prints.expectation import PrintExpectation
+from anisoscope.kinds.prints.measurement import MeasuredPrint
 from anisoscope.kinds.prints.record import (
     MOST_SPOTS,
     RELATIVE,
@@ -16,8 +20,10 @@ from anisoscope.kinds.prints.record import (
     GoldenPrintsRecord,
     QuantityRecord,
     SpotRecord,
+    print_of,
 )
 from anisoscope.record.schema import Record
+from anisoscope.report.inspection_page import Pictures, Sections
 from anisoscope.report.peers import among
 from anisoscope.sim.light.colour.spaces import hexadecimal
 
@@ -47,6 +53,25 @@ class PrintPictures:
     total: FloatArray | None
     lean_deg: FloatArray | None
     deviating: npt.NDArray[np.bool_] | None
+
+
+def print_pictures(
+    expected: PrintExpectation, measured: MeasuredPrint, decision: PrintDecision
+) -> PrintPictures:
+    """What the report shows of a print: cells in the colours of the eye, and the maps."""
+    eye, found = expected.eye, decision.map
+    cells = np.moveaxis(measured.cells, 1, -1)
+    return PrintPictures(
+        seen=tuple(eye.srgb(one) for one in cells),
+        measured=eye.srgb(measured.channels),
+        predicted=eye.srgb(np.stack([one.wanted for one in decision.colours])),
+        size_mm=measured.grid.size_mm,
+        center_mm=measured.grid.center_mm,
+        local=None if found is None else found.local,
+        total=None if found is None else found.total,
+        lean_deg=None if found is None else found.lean_deg,
+        deviating=None if found is None else found.deviating,
+    )
 
 
 @dataclass(frozen=True)
@@ -84,13 +109,23 @@ class SourceRow:
     shares: tuple[float, ...]
 
 
+def print_sections(record: Record, pictures: Pictures) -> Sections:
+    """The sections of the report of a print."""
+    shown = pictures.of_kind if isinstance(pictures.of_kind, PrintPictures) else None
+    source = (files("anisoscope.kinds.prints") / "templates" / "inspection_print.html").read_text(
+        encoding="utf-8"
+    )
+    return Sections(rule=print_rule(record), before=source, content=print_parts(record, shown))
+
+
 def print_parts(record: Record, pictures: PrintPictures | None) -> Mapping[str, Any]:
-    """What the template shows of a print; nothing for any other part."""
-    found = record.print
+    """What the template shows of a print; nothing of one that could not be judged."""
+    found = print_of(record)
     if found is None:
-        return {}
+        return {"found": None}
     told = [one for one in found.quantities if one.name not in ("delta_e", "curl")]
     content: dict[str, Any] = {
+        "found": found,
         "patches": () if pictures is None else _patches(found.colours, pictures),
         "tilts": sorted({one.tilt_deg for one in found.colours}),
         "quantity_rows": tuple(map(quantity_row, found.quantities)),
@@ -196,9 +231,8 @@ def _sources(record: Record, told: list[QuantityRecord]) -> tuple[SourceRow, ...
 
 def print_rule(record: Record) -> str:
     """The rule that decided, in one sentence."""
-    found = record.print
-    assert found is not None
-    if record.verdict == "INVALID":
+    found = print_of(record)
+    if record.verdict == "INVALID" or found is None:
         return "what makes a measurement unfit goes before all that was measured, and never fails a print"
     saying = [one.title for one in found.quantities if one.verdict == record.verdict]
     if found.map is not None and found.map.verdict == record.verdict:

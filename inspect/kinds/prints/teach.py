@@ -9,12 +9,11 @@ from typing import Any
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import UsageError
 from anisoscope.decision.reference_parts import golden_path, limit_is_given
-from anisoscope.inspection.recipe_file import read_any_recipe
-from anisoscope.inspection.teach import Change, Taught, kept_path
 from anisoscope.kinds.prints.lighting import check_print_rig, expectation_of_print
 from anisoscope.kinds.prints.recipe import PrintRecipe, read_print_recipe
 from anisoscope.kinds.prints.reference_prints import GoldenPrints, read_golden_prints
 from anisoscope.kinds.prints.tolerances import PASSING, golden_tolerances
+from anisoscope.recipe.teaching import Change, Taught, kept_path
 from anisoscope.recipe.template import with_values
 from anisoscope.rig.rigfile import read_rig
 
@@ -34,12 +33,7 @@ def teach_by_golden(recipe_path: Path, rig_path: Path, share: float = PASSING) -
     """
     if not 0.5 <= share < 1.0:
         raise UsageError(f"--share must lie between 0.5 and 1, not {share:g}")
-    recipe = read_any_recipe(recipe_path)
-    if not isinstance(recipe, PrintRecipe):
-        raise UsageError(
-            f"{recipe_path} is no recipe of a print: golden parts teach tolerances beside a part that is inspected, "
-            "with --serial"
-        )
+    recipe = read_print_recipe(recipe_path)
     rig = read_rig(rig_path)
     check_print_rig(rig, rig_path)
     golden = read_golden_prints(golden_path(recipe_path), recipe, rig)

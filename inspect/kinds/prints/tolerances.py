@@ -23,7 +23,7 @@ from anisoscope.kinds.prints.measurement import MeasuredPrint, cell_grid
 from anisoscope.kinds.prints.pose_colours import colours_of
 from anisoscope.kinds.prints.quantities import Quantity
 from anisoscope.kinds.prints.recipe import PrintRecipe
-from anisoscope.kinds.prints.record import LENGTHS
+from anisoscope.kinds.prints.record import LENGTHS, print_of
 from anisoscope.kinds.prints.reference_prints import GoldenPrints
 from anisoscope.kinds.prints.sources import of_poses, total
 from anisoscope.record.schema import Record
@@ -73,9 +73,10 @@ def taught_tolerances(record: Record, recipe: PrintRecipe) -> dict[str, TaughtLi
         record: the inspection of a good print.
         recipe: its recipe, whose other limits stay.
     """
-    assert record.print is not None
+    shown = print_of(record)
+    assert shown is not None
     found: dict[str, float] = {}
-    for one in record.print.quantities:
+    for one in shown.quantities:
         wanted = max(WANTED_RATIO * 2.0 * one.u, abs(one.deviation) + SIGMAS * one.u)
         key = KEYS[one.name]
         found[key] = max(found.get(key, 0.0), wanted)

@@ -22,7 +22,7 @@ import anisoscope.inspection.replay, anisoscope.sim.bench.camera
 from pathlib import Path
 from anisoscope.cli import main
 from anisoscope.prediction.expectation import expectation
-from anisoscope.inspection.recipe_file import read_recipe
+from anisoscope.kinds.registry import read_recipe
 expectation(read_recipe(Path(sys.argv[1])), 10.0)  # what it keeps of the material, every child has
 gc.collect()
 gc.freeze()  # so that no child looks at all this again when it ends

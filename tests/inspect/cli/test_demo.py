@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,7 @@ from anisoscope.inspection import run as inspection
 @pytest.fixture
 def verdicts_of(plain_report, monkeypatch, tmp_path):
     """``verdicts_of(seed)`` runs the job of the demo without its pages: pages do not change verdicts."""
-    monkeypatch.setattr(inspection, "start_renderer", lambda _surface: None)
+    monkeypatch.setattr(inspection, "USUAL", replace(inspection.USUAL, start_renderer=lambda _: None))
 
     def run(seed):
         folder = lay_out(tmp_path / str(seed), seed, silent)

@@ -8,7 +8,7 @@ import tomli_w
 
 from anisoscope.base.errors import RecipeError, UsageError
 from anisoscope.cli.demo import wafers as demo_wafer
-from anisoscope.inspection.recipe_file import read_recipe
+from anisoscope.kinds.registry import read_recipe
 from anisoscope.kinds.wafers.recipe import WaferRecipe
 from anisoscope.rig.rigfile import read_rig
 from anisoscope.sim.bench.benchfile import read_bench

@@ -74,7 +74,7 @@ def test_frames_instead_of_a_rig(anisoscope, inspected, tmp_path):
         *job, "--frames", tmp_path / "frames", "--rig", part / "rig.toml", "--json", "--operator", "M. M."
     )
     assert done.code == 0, done.err
-    live = {(c.from_deg, c.to_deg): c.measured for c in record.contrasts}
+    live = {(c.from_deg, c.to_deg): c.measured for c in record.details.contrasts}
     for contrast in done.json["contrasts"]:
         assert contrast["measured"] == pytest.approx(live[contrast["from_deg"], contrast["to_deg"]], abs=1e-9)
     assert '"operator": "M. M."' in next((tmp_path / "out").glob("*/record.json")).read_text()

@@ -5,7 +5,7 @@ import shutil
 import pytest
 
 from anisoscope.decision.reference_parts import golden_path
-from anisoscope.inspection.recipe_file import read_recipe
+from anisoscope.kinds.registry import read_recipe
 
 
 @pytest.mark.usefixtures("plain_report")

@@ -91,8 +91,10 @@ def test_an_inspection_enters_the_history_of_its_folder(virtual_rig, inspect_on)
     record = read_record(folder)
     assert (row.serial, row.lot, row.cavity, row.operator, row.station) == ("T-1", "L1", "2", "M. M.", "east")
     assert (row.verdict, row.seal, row.folder) == (record.verdict, seal_of(folder), str(folder))
-    assert row.numbers["ln 0-90"] == pytest.approx(record.contrasts[0].measured, rel=1e-6)  # seven digits
-    assert row.numbers["u ln 0-90"] == pytest.approx(record.contrasts[0].u, rel=1e-6)
+    assert row.numbers["ln 0-90"] == pytest.approx(
+        record.details.contrasts[0].measured, rel=1e-6
+    )  # seven digits
+    assert row.numbers["u ln 0-90"] == pytest.approx(record.details.contrasts[0].u, rel=1e-6)
 
 
 def test_a_history_elsewhere_or_none(judged, inspect_on, monkeypatch, tmp_path):

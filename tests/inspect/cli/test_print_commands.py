@@ -3,7 +3,7 @@
 import pytest
 
 from anisoscope.base.errors import RecipeError
-from anisoscope.inspection.recipe_file import read_recipe
+from anisoscope.kinds.registry import read_recipe
 
 
 @pytest.fixture

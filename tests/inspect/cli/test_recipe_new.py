@@ -2,7 +2,7 @@
 
 import pytest
 
-from anisoscope.inspection.recipe_file import read_recipe
+from anisoscope.kinds.registry import read_recipe
 
 
 def test_a_spread_of_the_ridge_angle_goes_into_the_design(anisoscope, tmp_path):

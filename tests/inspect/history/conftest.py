@@ -11,6 +11,7 @@ from anisoscope.history.address import parse_address
 from anisoscope.history.rows import NewRow
 from anisoscope.history.store import open_history
 from anisoscope.record.schema import Record, write_record
+from anisoscope.record.upgrade import upgraded
 
 START = datetime(2026, 11, 1, 6, 0, tzinfo=UTC)
 PRODUCT = "ridged plate"
@@ -144,7 +145,7 @@ def record_of(serial="A1", **changes):
         "inputs": ({"name": "inputs/recipe.toml", "sha256": "5eed" * 16},),
         "frames": (),
     }
-    return Record.model_validate(values | changes)
+    return Record.model_validate(upgraded(values | changes))
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from anisoscope.record.schema import RECORD_NAME, read_record
 
 
 def contrast(record, **changes):
-    return record.contrasts[0].model_copy(update=changes)
+    return record.details.contrasts[0].model_copy(update=changes)
 
 
 def test_a_row_says_what_the_record_says(inspected):
@@ -33,7 +33,9 @@ def test_contrasts_are_called_by_kind_angles_and_tilt(inspected):
         contrast(record, tilt_deg=10.0, kind="michelson", tolerance=None),
         contrast(record, from_deg=90.0, to_deg=180.0, tilt_deg=-7.5, kind="difference"),
     )
-    found = numbers_of(record.model_copy(update={"contrasts": kinds}))
+    found = numbers_of(
+        record.model_copy(update={"details": record.details.model_copy(update={"contrasts": kinds})})
+    )
     assert found["ln 0-90"] == 2.1
     assert found["u ln 0-90"] == 0.05
     assert found["deviation ln 0-90"] == pytest.approx(0.1)

@@ -98,7 +98,7 @@ def test_a_whole_inspection_tells_where_the_recipes_map_lies(virtual_rig, plain_
         },
     )
     record = rig.inspect().record
-    found = record.map_place
+    found = record.details.map_place
     assert (found.resolved, found.ratio > 2.0) == (True, True)
     np.testing.assert_allclose([found.x_um, found.y_um], [(280 - 300) * 2.0, (159 - 150) * 4.0], atol=2.0)
     assert abs(found.phase_um + 40.0) < 2.0

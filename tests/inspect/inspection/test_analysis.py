@@ -12,8 +12,8 @@ from anisoscope.diagnosis import part_diagnosis as explaining
 from anisoscope.diagnosis.shape_fit import fit_shape
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.registration.placement import Grid
-from anisoscope.inspection.recipe_file import read_recipe
 from anisoscope.inspection.recompute import recompute
+from anisoscope.kinds.registry import read_recipe
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
 from anisoscope.prediction.cache import forget
 from anisoscope.prediction.expectation import Component, expectation
@@ -63,8 +63,13 @@ def test_a_part_as_it_should_be_has_nothing_to_explain(virtual_rig):
     assert record.verdict == "PASS"
     assert record.diagnosis.says.startswith("nothing")
     assert record.diagnosis.causes == ()
-    assert [(one.surface, one.decides) for one in record.comparisons] == [("design", True)]
-    assert (record.reading, record.shape, record.golden, record.rounds) == (None, None, None, 1)
+    assert [(one.surface, one.decides) for one in record.details.comparisons] == [("design", True)]
+    assert (record.details.reading, record.details.shape, record.details.golden, record.rounds) == (
+        None,
+        None,
+        None,
+        1,
+    )
 
 
 @pytest.mark.usefixtures("plain_report")
@@ -92,8 +97,8 @@ def test_golden_parts_decide_what_deviates_and_are_kept_in_the_folder(virtual_ri
         golden = add_part(golden, recipe, first.model_copy(update={"serial": f"G{number}", "poses": poses}))
         write_golden(golden_path(rig.recipe), golden)
     record = (found := rig.inspect("T-2")).record
-    assert record.golden.parts == 8
-    assert np.shape(record.golden.contrasts) == (8, 2)
+    assert record.details.golden.parts == 8
+    assert np.shape(record.details.golden.contrasts) == (8, 2)
     assert any("like the 8 golden parts" in reason for reason in record.reasons)
     assert any(file.name == "inputs/recipe.golden.json" for file in record.inputs)
     golden_path(rig.recipe).unlink()
@@ -106,7 +111,7 @@ def test_too_few_golden_parts_are_said_to_be_too_few(virtual_rig):
     record = rig.inspect().record
     write_golden(golden_path(rig.recipe), add_part(None, read_recipe(rig.recipe), record))
     found = rig.inspect("T-2")
-    assert (found.record.verdict, found.record.golden) == ("PASS", None)
+    assert (found.record.verdict, found.record.details.golden) == ("PASS", None)
     assert "1 golden part: from 3 on they are compared with, 6 are sensible" in found.notes
 
 
@@ -180,7 +185,7 @@ def test_the_second_surface_is_predicted_once_for_all_parts_and_anew_to_recomput
     records = [rig.inspect(serial).record for serial in ("K-1", "K-2")]
     assert sorted(predicted) == ["design", "height_map"]
     for record in records:
-        assert [one.surface for one in record.comparisons] == ["design", "height_map"]
+        assert [one.surface for one in record.details.comparisons] == ["design", "height_map"]
     assert records[0].comparisons[1].predicted == records[1].comparisons[1].predicted
     last = rig.inspect("K-3").folder
     del predicted[:]

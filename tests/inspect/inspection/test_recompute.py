@@ -34,9 +34,13 @@ def test_a_folder_explains_itself_anywhere(finished, tmp_path):
 
 def test_a_record_of_other_numbers_differs_and_they_are_named(finished):
     record = read_record(finished)
-    pair = record.contrasts[1].model_copy(update={"measured": record.contrasts[1].measured * (1.0 + 1e-7)})
+    contrasts = record.details.contrasts
+    pair = contrasts[1].model_copy(update={"measured": contrasts[1].measured * (1.0 + 1e-7)})
     forged = record.model_copy(
-        update={"contrasts": (record.contrasts[0], pair, *record.contrasts[2:]), "verdict": "FAIL"}
+        update={
+            "details": record.details.model_copy(update={"contrasts": (contrasts[0], pair, *contrasts[2:])}),
+            "verdict": "FAIL",
+        }
     )
     write_record(forged, finished)  # with a new seal, as a forger would
     found = recompute(finished)
@@ -122,7 +126,7 @@ def as_written_before(folder):
         content.pop(name, None)
     for pose in content["poses"]:
         del pose["dropped"]
-    del content["area"]["learnt"]
+    del content["details"]["area"]["learnt"]
     content["software"] = "anisoscope 0.0.1"
     text = json.dumps(content | {"seal": UNSEALED}, indent=2)
     path.write_text(text.replace(UNSEALED, hashlib.sha256(text.encode()).hexdigest()), encoding="utf-8")

@@ -2,6 +2,7 @@
 
 import re
 import subprocess
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -23,7 +24,7 @@ from anisoscope.imaging.pose_radiance import region_grid
 from anisoscope.imaging.registration.placement import locate, resample
 from anisoscope.inspection import run as inspection
 from anisoscope.inspection.job import check_serial
-from anisoscope.inspection.recipe_file import read_recipe
+from anisoscope.kinds.registry import read_recipe
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
@@ -97,11 +98,11 @@ def test_contrasts_of_the_record_follow_from_its_poses(virtual_rig, plain_report
         poses = tuple(Pose(pose.stage_deg, pose.tilt_deg) for pose in record.poses)
         for name in ("measured", "predicted"):
             found = contrasts(poses, np.array([getattr(pose, name) for pose in record.poses]))
-            assert [getattr(c, name) for c in record.contrasts] == pytest.approx(
+            assert [getattr(c, name) for c in record.details.contrasts] == pytest.approx(
                 [getattr(c, kind) for c in found]
             )
         squares = np.sum([np.square(row.contributions) for row in record.budget], axis=0)
-        assert [c.u**2 for c in record.contrasts] == pytest.approx(squares)
+        assert [c.u**2 for c in record.details.contrasts] == pytest.approx(squares)
         assert record.d2 < 20
 
 
@@ -154,7 +155,7 @@ def test_an_unfit_measurement_is_invalid_and_says_why(virtual_rig, case):
     assert record.verdict == "INVALID"
     (reason,) = record.reasons
     assert re.search(message, reason), reason
-    assert bool(record.contrasts) == (case == "drift")  # what could be measured is kept
+    assert bool(record.details.contrasts) == (case == "drift")  # what could be measured is kept
     assert inspected.report.is_file()
     assert not rig.bench.light_on
 
@@ -250,7 +251,8 @@ def test_what_can_be_known_before_the_first_picture_leaves_no_folder(virtual_rig
 
 
 def test_a_cable_that_is_not_plugged_in_shows_before_the_prediction(virtual_rig, monkeypatch):
-    monkeypatch.setattr(inspection, "kept_expectation", lambda *_: pytest.fail("predicted for nothing"))
+    fail = lambda *_: pytest.fail("predicted for nothing")  # noqa: E731
+    monkeypatch.setattr(inspection, "USUAL", replace(inspection.USUAL, predict=fail))
     for stage, error in (({"port": "/dev/ttyNOTHERE"}, NotConnected), ({"driver": "eliptec"}, RigFileError)):
         rig = virtual_rig(rig={"stage": stage})
         with pytest.raises(error, match="there is no"):
@@ -337,7 +339,10 @@ def test_the_renderer_is_ended_whatever_fails(virtual_rig, monkeypatch, step, er
     def fail(*_, **__):
         raise error
 
-    monkeypatch.setattr(inspection, "start_renderer", lambda _: drawing)
+    methods = replace(inspection.USUAL, start_renderer=lambda _: drawing)
+    if step == "write_report":
+        methods = replace(methods, write_report=fail)
+    monkeypatch.setattr(inspection, "USUAL", methods)
     monkeypatch.setattr(inspection, step, fail)
     with pytest.raises(type(error)):
         virtual_rig().inspect()

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import MeasurementError, RecordError
-from anisoscope.inspection.recipe_file import read_recipe
 from anisoscope.inspection.teach import teach
+from anisoscope.kinds.registry import read_recipe
 from anisoscope.record.schema import read_record
 
 UNTAUGHT = {
@@ -33,7 +33,7 @@ def test_a_good_part_teaches_the_recipe(flat_at_any_exposure):
     assert recipe.region.size_mm[0] == recipe.region.size_mm[1]
     assert 0.8 <= recipe.region.size_mm[0] <= 1.2
     assert recipe.acquisition.exposure_s > 0.0005
-    wanted = [8.0 * contrast.u for contrast in record.contrasts]
+    wanted = [8.0 * contrast.u for contrast in record.details.contrasts]
     assert recipe.decision.tolerance == pytest.approx(wanted, rel=0.06)
     assert {change.key for change in found.changes} == {
         "acquisition.exposure_s",

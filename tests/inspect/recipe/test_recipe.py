@@ -2,7 +2,7 @@ import pytest
 import tomli_w
 
 from anisoscope.base.errors import RecipeError
-from anisoscope.inspection.recipe_file import read_recipe
+from anisoscope.kinds.registry import read_recipe
 from anisoscope.prediction.expectation import expectation, recipe_uncertainty
 from anisoscope.recipe.poses import check_poses
 

@@ -5,7 +5,7 @@ import tomllib
 import pytest
 
 from anisoscope.base.errors import RecipeError
-from anisoscope.inspection.recipe_file import read_recipe
+from anisoscope.kinds.registry import read_recipe
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
 from anisoscope.recipe.template import new_recipe, with_values
 

@@ -13,9 +13,10 @@ import pytest
 from anisoscope.base.errors import RecordError
 from anisoscope.decision.reference_parts import read_golden, recipe_key, write_golden
 from anisoscope.record.json_schema import record_schema, record_schema_text
-from anisoscope.record.schema import RECORD_NAME, read_record
+from anisoscope.record.schema import RECORD_NAME, read_record, write_record
 
-FILE = Path(__file__).parents[3] / "docs" / "schema" / "record-1.schema.json"
+FIRST = Path(__file__).parents[3] / "docs" / "schema" / "record-1.schema.json"
+FILE = Path(__file__).parents[3] / "docs" / "schema" / "record-2.schema.json"
 PLAIN = {"string": str, "integer": int, "number": (int, float), "boolean": bool, "null": type(None)}
 KNOWN = {
     "type",
@@ -119,17 +120,20 @@ def test_a_real_record_keeps_the_schema_and_a_forged_one_does_not(virtual_rig):
 
 def test_records_of_the_first_version_are_read_and_keep_the_schema(tmp_path):
     (tmp_path / RECORD_NAME).write_text(FIRST_VERSION, encoding="utf-8")
-    record, schema = read_record(tmp_path), record_schema()
-    assert (record.serial, record.poses[0].dropped, record.area.learnt) == ("S 1", (), False)
+    record, schema = read_record(tmp_path), json.loads(FIRST.read_text(encoding="utf-8"))
+    assert (record.serial, record.poses[0].dropped, record.details.area.learnt) == ("S 1", (), False)
     assert record.calibrations == ()
     assert complaints(json.loads(FIRST_VERSION), schema, schema) == []
+    now = record_schema()
+    again = write_record(record, tmp_path).read_text(encoding="utf-8")
+    assert complaints(json.loads(again), now, now) == []
 
 
-@pytest.mark.parametrize("change", [{"schema": 2}, {"hue": 3.0}])
+@pytest.mark.parametrize("change", [{"schema": 3}, {"hue": 3.0}])
 def test_records_of_later_versions_ask_for_an_update(tmp_path, change):
     content = json.loads(FIRST_VERSION) | change
     (tmp_path / RECORD_NAME).write_text(json.dumps(content), encoding="utf-8")
-    with pytest.raises(RecordError, match=r"written by a later version .*(schema 2|holds hue)"):
+    with pytest.raises(RecordError, match=r"written by a later version .*(schema 3|holds hue)"):
         read_record(tmp_path)
 
 

@@ -22,6 +22,7 @@ def record():
     contrast = {"from_deg": 0.0, "to_deg": 90.0, "tilt_deg": 0.0, "kind": "log_ratio", "measured": 1 / 3}
     return Record.model_validate(
         {
+            "kind": "ridges",
             "software": "anisoscope 0",
             "created_at": "2026-01-02T03:04:05+00:00",
             "serial": "S 1",
@@ -31,21 +32,22 @@ def record():
             "model": "corrected",
             "convention": {"light_angle_deg": 10.0},
             "poses": [{**pose, "pixel_um": 4.0, "residual_px": 0.1, "markers": 4}],
-            "contrasts": [
-                {
-                    **contrast,
-                    "predicted": 0.3,
-                    "u": 0.01,
-                    "tolerance": None,
-                    "guard": None,
-                    "conformance_probability": None,
-                    "verdict": "PASS",
-                }
-            ],
+            "details": {
+                "contrasts": [
+                    {
+                        **contrast,
+                        "predicted": 0.3,
+                        "u": 0.01,
+                        "tolerance": None,
+                        "guard": None,
+                        "conformance_probability": None,
+                        "verdict": "PASS",
+                    }
+                ],
+            },
             "d2": 1.5,
             "dof": 2,
             "p_value": 0.5,
-            "area": None,
             "budget": [{"source": "albedo", "kind": "prediction", "contributions": [0.1, 0.2]}],
             "drift": None,
             "white_reference": {},
@@ -66,7 +68,7 @@ def test_round_trip(record, tmp_path):
 
 
 def test_the_file_says_its_schema(record, tmp_path):
-    assert json.loads(write_record(record, tmp_path).read_text(encoding="utf-8"))["schema"] == 1
+    assert json.loads(write_record(record, tmp_path).read_text(encoding="utf-8"))["schema"] == 2
 
 
 @pytest.mark.parametrize("step", ["replace", "open"])

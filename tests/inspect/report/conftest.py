@@ -15,6 +15,7 @@ import pytest
 
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.record.schema import Record
+from anisoscope.record.upgrade import upgraded
 from anisoscope.report.inspection_page import Pictures
 
 # Chromium wants its pipes as descriptors 3 and 4. They may have any number here, also 3 and 4 themselves.
@@ -352,7 +353,7 @@ RECORD = {
 @pytest.fixture(scope="session")
 def make_report_record():
     """``make_report_record(verdict="PASS")`` gives a record with everything in it, and changes."""
-    return lambda **changes: Record.model_validate(RECORD | changes)
+    return lambda **changes: Record.model_validate(upgraded(RECORD | changes))
 
 
 @pytest.fixture(scope="session")

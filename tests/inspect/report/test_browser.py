@@ -41,7 +41,7 @@ def test_tables_say_what_the_record_says(page, parts):
         "[...document.querySelectorAll('#contrasts tbody tr')].map(r => [...r.cells].map(c => c.innerText))"
     )
     record = json.loads(Path(report).with_name("record.json").read_text(encoding="utf-8"))
-    for row, contrast in zip(rows, record["contrasts"], strict=False):
+    for row, contrast in zip(rows, record["details"]["contrasts"], strict=False):
         shown = [float(cell.replace("−", "-")) for cell in row[1:5]]
         expected = [
             contrast["measured"],

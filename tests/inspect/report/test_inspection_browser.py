@@ -11,6 +11,7 @@ import pytest
 
 from anisoscope.report.inspection_page import Pictures, start_renderer, write_report
 from anisoscope.report.peers import Lot, LotPart
+from anisoscope.report.surface_sections import surface_sections
 from anisoscope.report.wording import cause_range
 
 pytestmark = pytest.mark.browser
@@ -33,7 +34,8 @@ def report(tmp_path_factory, make_report_record, report_pictures, view):
     """Folder and record of a report with a 3-D view."""
     folder = tmp_path_factory.mktemp("A-17-20260304T050607Z")
     record = make_report_record()
-    write_report(record, replace(report_pictures, lot=LOT), folder, view)
+    pictures = replace(report_pictures, lot=LOT)
+    write_report(record, pictures, folder, view, surface_sections(record, pictures))
     return folder, record
 
 
@@ -135,7 +137,7 @@ def test_tables_say_what_the_record_says(shown, report):
         "Object.fromEntries([...document.querySelectorAll('table[id]')].map(t => [t.id, "
         "[...t.tBodies[0].rows].map(r => [...r.cells].map(c => c.textContent.trim()))]))"
     )
-    for row, c in zip(rows["contrasts"], record.contrasts, strict=False):
+    for row, c in zip(rows["contrasts"], record.details.contrasts, strict=False):
         wanted = [c.measured, c.predicted, c.measured - c.predicted, c.u, c.tolerance, c.guard]
         assert [number(cell) for cell in row[1:7]] == pytest.approx(wanted, abs=5.1e-4)
         assert row[9] == c.verdict
@@ -148,12 +150,14 @@ def test_tables_say_what_the_record_says(shown, report):
     for row, c in zip(rows["diagnosis"], record.diagnosis.causes, strict=True):
         assert (row[0], number(row[1])) == (c.title, pytest.approx(c.severity, rel=5e-3))
         assert row[2] == cause_range(c)
-    for row, r in zip(rows["regions"], record.regions, strict=True):
+    for row, r in zip(rows["regions"], record.details.regions, strict=True):
         x, y = (number(part) for part in row[2].split(", "))
         assert (row[1], x, y) == (r.kind, pytest.approx(r.x, abs=5.1e-3), pytest.approx(r.y, abs=5.1e-3))
     assert [number(row[1]) for row in rows["shape"][:1]] == pytest.approx([8.9])
     assert [row[3:] for row in rows["comparisons"]] == [["no", "yes"], ["yes", "no"]]
-    assert [number(row[1]) for row in rows["golden"]] == pytest.approx(record.golden.measured, abs=5.1e-4)
+    assert [number(row[1]) for row in rows["golden"]] == pytest.approx(
+        record.details.golden.measured, abs=5.1e-4
+    )
     assert [number(row[2]) for row in rows["lot"]] == pytest.approx([2.12, 0.14], abs=5.1e-4)
     assert [row[5] for row in rows["lot"]] == ["5 of 5", "5 of 5"]
     assert {row[0]: row[1] for row in rows["files"]} == {f.name: f.sha256 for f in record.inputs}
@@ -210,7 +214,7 @@ def test_text_stands_out_from_its_ground(page, tmp_path, make_report_record, sch
     """WCAG 2.2, 1.4.3: 4.5 to 1, for large text 3 to 1."""
     contrasts = [c.model_dump() | {"verdict": verdict} for c in make_report_record().contrasts]
     record = make_report_record(verdict=verdict, contrasts=contrasts)
-    path = write_report(record, Pictures(), tmp_path)
+    path = write_report(record, Pictures(), tmp_path, None, surface_sections(record, Pictures()))
     try:
         page.prefer(scheme)
         page.open(path.as_uri())
@@ -289,7 +293,8 @@ def test_texts_stay_texts(page, tmp_path, make_report_record, report_pictures):
     record = type(make_report_record()).model_validate(content)
     raw = tuple((EVIL, picture) for picture in report_pictures.aligned[:1])
     lot = Lot(EVIL, (LotPart(EVIL, EVIL, ()),))
-    path = write_report(record, replace(report_pictures, surface=None, raw=raw, lot=lot), tmp_path)
+    pictures = replace(report_pictures, surface=None, raw=raw, lot=lot)
+    path = write_report(record, pictures, tmp_path, None, surface_sections(record, pictures))
     page.open(path.as_uri())
     assert page.complaints() == []
     assert page.requests() == [path.as_uri()]

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from anisoscope.rig.drivers import CAMERAS, installed
+from anisoscope.base.plugins import installed
+from anisoscope.rig.drivers import CAMERAS
 from anisoscope.rig.framefolderline import COLUMNS, OPTIONAL
 from anisoscope.rig.rigfile import CameraPart
 

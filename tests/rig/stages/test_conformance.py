@@ -6,7 +6,8 @@ import time
 import pytest
 
 from anisoscope.base.errors import LimitExceeded, MotionTimeout, NotConnected, NotHomed, RigError, Stalled
-from anisoscope.rig.drivers import STAGES, installed
+from anisoscope.base.plugins import installed
+from anisoscope.rig.drivers import STAGES
 from anisoscope.rig.stage import RotationStage
 from anisoscope.sim.bench.firmware import catalogue
 from anisoscope.sim.bench.firmware.faults import FaultKind

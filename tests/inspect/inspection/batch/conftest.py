@@ -1,12 +1,15 @@
 """Trays on the virtual rig."""
 
+from dataclasses import replace
+
 import pytest
 
-from anisoscope.inspection import pipeline as judging
+from anisoscope.inspection import run as inspection
 from anisoscope.inspection.batch.operator import Answer, Unattended
 from anisoscope.inspection.batch.run import run_batch
 from anisoscope.inspection.batch.start import Order
 from anisoscope.inspection.batch.tray import read_tray
+from anisoscope.kinds.kind import Explanation
 
 TILE = {"sample": {"kind": "white-tile"}}
 TWO_POSES = {"poses": {"angles_deg": [0.0, 90.0]}}
@@ -47,7 +50,8 @@ class Scripted(Unattended):
 @pytest.fixture(autouse=True)
 def nothing_explained(monkeypatch):
     """Why a part fails is told by other tests, and takes longer than all of these."""
-    monkeypatch.setattr(judging, "insight", lambda *_, **__: {})
+    methods = replace(inspection.USUAL, diagnose=lambda *_: Explanation())
+    monkeypatch.setattr(inspection, "USUAL", methods)
 
 
 @pytest.fixture

@@ -215,13 +215,13 @@ def test_a_code_that_cannot_be_read_is_asked_for_or_makes_the_part_invalid(tray_
 
 
 def test_every_part_is_shown_beside_those_of_its_lot(tray_of, monkeypatch, tmp_path):
-    lots, write = [], inspection.write_report
+    lots, write = [], inspection.USUAL.write_report
 
     def look(record, pictures, *others):
         lots.append((record.serial, pictures.lot and [part.serial for part in pictures.lot.parts]))
         return write(record, pictures, *others)
 
-    monkeypatch.setattr(inspection, "write_report", look)
+    monkeypatch.setattr(inspection, "USUAL", replace(inspection.USUAL, write_report=look))
     place = tmp_path / "history.sqlite"
     order = tray_of("slot,serial,lot\n1,A17,L7\n2,A18,L8\n3,A19,L7\n")
     order = replace(order, lot_mates=lambda lot: lot_mates(place, lot))
@@ -230,13 +230,13 @@ def test_every_part_is_shown_beside_those_of_its_lot(tray_of, monkeypatch, tmp_p
 
 
 def test_a_part_that_is_taken_up_is_shown_beside_its_lot_as_well(tray_of, failing, monkeypatch, tmp_path):
-    lots, write = [], inspection.write_report
+    lots, write = [], inspection.USUAL.write_report
 
     def look(record, pictures, *others):
         lots.append((record.serial, pictures.lot and [part.serial for part in pictures.lot.parts]))
         return write(record, pictures, *others)
 
-    monkeypatch.setattr(inspection, "write_report", look)
+    monkeypatch.setattr(inspection, "USUAL", replace(inspection.USUAL, write_report=look))
     failing(2)
     place = tmp_path / "history.sqlite"
     order = replace(

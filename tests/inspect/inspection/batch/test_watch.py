@@ -386,13 +386,13 @@ def test_of_several_exposures_the_one_that_shows_the_code_is_read(place):
 
 
 def test_every_part_is_shown_beside_those_of_its_lot(place, monkeypatch, tmp_path):
-    lots, write = [], inspection.write_report
+    lots, write = [], inspection.USUAL.write_report
 
     def note(record, pictures, *others):
         lots.append((record.serial, pictures.lot and [part.serial for part in pictures.lot.parts]))
         return write(record, pictures, *others)
 
-    monkeypatch.setattr(inspection, "write_report", note)
+    monkeypatch.setattr(inspection, "USUAL", replace(inspection.USUAL, write_report=note))
     history = tmp_path / "history.sqlite"
     for number in range(3):
         (write_part(place.root / f"P{number}", number) / "part.toml").write_text(f'lot = "L{number % 2}"\n')

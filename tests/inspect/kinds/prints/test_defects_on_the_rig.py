@@ -19,7 +19,7 @@ def causes(record):
 
 def quantity(record, name):
     """A judged quantity."""
-    return next(one for one in record.print.quantities if one.name == name)
+    return next(one for one in record.details.quantities if one.name == name)
 
 
 def test_a_good_print_passes_and_its_folder_explains_itself(print_rig, capsys):
@@ -28,9 +28,9 @@ def test_a_good_print_passes_and_its_folder_explains_itself(print_rig, capsys):
     assert record.verdict == "PASS", record.reasons
     assert record.model == "ink"
     assert record.diagnosis.says.startswith("nothing")
-    assert max(one.delta_e for one in record.print.colours) < 0.6
+    assert max(one.delta_e for one in record.details.colours) < 0.6
     assert quantity(record, "alpha x").value == pytest.approx(0.19, rel=0.01)
-    assert abs(record.print.lobe.form) < 0.05
+    assert abs(record.details.lobe.form) < 0.05
     roles = {file.name for file in record.inputs}
     assert {"inputs/synthetic-green.toml", "inputs/synthetic-red.toml"} <= roles
     assert "<h2>What was judged</h2>" in done.report.read_text()
@@ -51,7 +51,7 @@ def test_a_good_print_passes_and_its_folder_explains_itself(print_rig, capsys):
     printed = capsys.readouterr().out
     assert "roughness along x" in printed
     assert "PASS" in printed
-    assert json.loads((done.folder / RECORD_NAME).read_text())["print"]["not_judged"][0].startswith(
+    assert json.loads((done.folder / RECORD_NAME).read_text())["details"]["not_judged"][0].startswith(
         "c of the ink"
     )
 

@@ -13,10 +13,10 @@ from anisoscope.inspection.integrity import verify
 from anisoscope.inspection.job import prepare
 from anisoscope.inspection.recompute import recompute
 from anisoscope.inspection.run import inspect_part
+from anisoscope.kinds.kind import usable
 from anisoscope.kinds.prints.lighting import expectation_of_print
 from anisoscope.kinds.prints.lobe_fit import PARAMETERS
 from anisoscope.kinds.prints.model import State
-from anisoscope.kinds.prints.pipeline import _known_good
 from anisoscope.kinds.prints.recipe import read_print_recipe
 from anisoscope.kinds.prints.reference_prints import add_print, read_golden_prints
 from anisoscope.rig.rigfile import read_rig
@@ -63,7 +63,7 @@ def check_that_they_teach(recipe_path, rig_path, capsys):
     assert len(told["changes"]) == 7
     assert told["notes"] == ["the limit of the area is learnt at every inspection: it is 1.00% now"]
     # exposure, region and poses stay, and with them the golden prints
-    assert prepare(recipe_path, rig_path, "P-3").golden_prints.lacking is None
+    assert prepare(recipe_path, rig_path, "P-3").reference.lacking is None
 
 
 def test_golden_prints_are_kept_and_decide_what_deviates(print_rig, capsys):
@@ -74,14 +74,18 @@ def test_golden_prints_are_kept_and_decide_what_deviates(print_rig, capsys):
     assert "1 added, 1 golden print\n" in capsys.readouterr().out
     assert command.show(recipe=recipe_path, json_=True) == 0
     told = json.loads(capsys.readouterr().out)
-    assert (told["count"], told["seen"]["lamp"], told["compared_with"]) == (1, done.record.print.lamp, False)
-    shown = np.array([one.measured for one in done.record.print.colours])
+    assert (told["count"], told["seen"]["lamp"], told["compared_with"]) == (
+        1,
+        done.record.details.lamp,
+        False,
+    )
+    shown = np.array([one.measured for one in done.record.details.colours])
     assert np.exp(told["mean"]) == pytest.approx(shown)
     with pytest.raises(UsageError, match="is in the set already"):
         command.add(done.folder, recipe=recipe_path)
     job = prepare(recipe_path, rig_path, "P-2")
-    assert _known_good(job) is None
-    assert job.golden_prints.lacking.startswith("1 golden print: from 10 on")
+    assert usable(job.reference) is None
+    assert job.reference.lacking.startswith("1 golden print: from 10 on")
 
     for file, old, new, match in (
         (rig_path, "led-white", "d65", "seen with the lamp 'led-white .*, now it is 'D65'"),
@@ -109,12 +113,12 @@ def test_golden_prints_are_kept_and_decide_what_deviates(print_rig, capsys):
     (recipe_path.with_name("bench.toml")).write_text(other.with_name("bench.toml").read_text())
     found = inspect_part(recipe_path, rig_path, "P-2", print_rig.folder / "inspections")
     record = found.record
-    beside = record.print.golden
+    beside = record.details.golden
     assert (beside.parts, len(beside.fitted), len(beside.colours), record.dof) == (24, 9, 9, 9)
     assert record.p_value < 0.005
     assert min(one.p_value for one in beside.colours) == record.p_value
     assert "wrong-ink-synthetic red" in [one.cause for one in record.diagnosis.causes if one.tie]
-    seen = record.print.map
+    seen = record.details.map
     assert (seen.learnt, seen.verdict) == (True, "PASS")
     # 100 cells of which none deviated on the golden prints
     assert seen.max_share == pytest.approx(0.01)

@@ -91,7 +91,7 @@ def test_an_unprinted_sheet_on_the_rig(print_rig):
     record = done.record
     assert record.verdict == "FAIL", record.reasons
     assert "nothing is printed here, the ink is missing" in record.reasons[0]
-    assert record.print.lobe is None
+    assert record.details.lobe is None
     assert record.diagnosis.causes[0].cause == "missing-ink"
     page = done.report.read_text()
     assert "No lobe of any width" in page
@@ -108,4 +108,4 @@ def test_an_unprinted_sheet_on_the_rig(print_rig):
 def test_a_cap_on_the_lens_stays_invalid(print_rig):
     record = print_rig.inspect({"coverage": 0.0}, bench={"optics": {"electrons": 1000.0}}).record
     assert record.verdict == "INVALID"
-    assert record.print is None
+    assert record.details is None

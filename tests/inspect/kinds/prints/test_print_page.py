@@ -8,9 +8,10 @@ import pytest
 from anisoscope.diagnosis.part_diagnosis import diagnosis_record
 from anisoscope.imaging.linearisation import RadianceImage
 from anisoscope.imaging.registration.placement import Placement, View
+from anisoscope.inspection.record_builder import pose_records
 from anisoscope.kinds.prints.causes import explain_print
+from anisoscope.kinds.prints.kind import PRINTS
 from anisoscope.kinds.prints.model import State
-from anisoscope.kinds.prints.pipeline import _pictures
 from anisoscope.kinds.prints.record_builder import print_results
 from anisoscope.kinds.prints.report_sections import print_rule, quantity_row
 from anisoscope.record.schema import Record
@@ -66,7 +67,7 @@ def page(sheet, tmp_path):
         recipe, expected = sheet.recipe, sheet.expected
         measured, decision = sheet.decided()
         found = explain_print(recipe, expected, measured, decision)
-        told = print_results(recipe, expected, views(expected), measured, decision, ("made-up", "rggb"))
+        told = print_results(recipe, expected, decision, ("made-up", "rggb"))
         record = Record.model_validate(
             {
                 "software": "anisoscope test",
@@ -90,11 +91,20 @@ def page(sheet, tmp_path):
                 "inputs": (),
                 "frames": (),
                 "diagnosis": diagnosis_record(found, 0.01, "print"),
-                **told,
+                "kind": "prints",
+                "details": told.details,
+                "poses": pose_records(views(expected), told.measured, told.predicted),
+                "budget": told.budget,
+                "d2": told.d2,
+                "dof": told.dof,
+                "p_value": told.p_value,
+                "drift": measured.drift,
             }
         )
-        pictures = Pictures(print=_pictures(expected, measured, decision))
-        return write_report(record, pictures, tmp_path).read_text(encoding="utf-8"), record
+        pictures = PRINTS.pictures(recipe, expected, measured, decision)
+        return write_report(record, pictures, tmp_path, None, PRINTS.sections(record, pictures)).read_text(
+            encoding="utf-8"
+        ), record
 
     return write
 
@@ -107,8 +117,8 @@ def test_a_failed_print_is_explained(page):
     assert "outside the limit by more than the guard band (ISO 14253-1)" in text
     assert print_rule(record) in text
     assert "brushed print: roughness at 90° over 0°" in text
-    assert text.count('class="patch"') == len(record.print.colours) == 21
-    assert record.print.not_judged[0] in text
+    assert text.count('class="patch"') == len(record.details.colours) == 21
+    assert record.details.not_judged[0] in text
     assert "P&lt;1&gt;" in text
     assert "<b>" not in text
 
@@ -123,10 +133,7 @@ def test_nothing_comes_from_outside(page):
 
 def test_quantities_are_worded_in_their_units(sheet):
     _, decision = sheet.all(State(alpha=np.log(1.1))).decided()
-    seen = views(sheet.expected)
-    told = print_results(sheet.recipe, sheet.expected, seen, sheet.measured(), decision, ("made-up", "rggb"))[
-        "print"
-    ]
+    told = print_results(sheet.recipe, sheet.expected, decision, ("made-up", "rggb")).details
     rows = {one.name: quantity_row(one) for one in told.quantities}
     assert (rows["alpha x"].value, rows["alpha x"].limit, rows["alpha x"].verdict) == (
         "0.209",
@@ -139,11 +146,13 @@ def test_quantities_are_worded_in_their_units(sheet):
 
 
 def test_an_invalid_print_shows_what_the_camera_saw(sheet, tmp_path):
-    nothing = dict.fromkeys(("d2", "dof", "p_value", "area", "drift"))
-    nothing |= {"poses": (), "contrasts": (), "budget": ()}
+    nothing = dict.fromkeys(("d2", "dof", "p_value", "drift"))
+    nothing |= {"poses": (), "budget": (), "kind": "prints"}
     record = recorded(sheet, verdict="INVALID", reasons=("the lamp drifts",), **nothing)
     raw = (("0°", np.ones((20, 30), np.float32)),)
-    text = write_report(record, Pictures(raw=raw), tmp_path).read_text(encoding="utf-8")
+    text = write_report(
+        record, Pictures(raw=raw), tmp_path, None, PRINTS.sections(record, Pictures())
+    ).read_text(encoding="utf-8")
     assert "the lamp drifts" in text
     assert "<h2>What the camera saw</h2>" in text
     assert "What was judged" not in text

@@ -10,9 +10,9 @@ from anisoscope.imaging.linearisation import RadianceImage
 from anisoscope.imaging.registration.placement import Grid, Placement, View
 from anisoscope.inspection.frames import read_frames
 from anisoscope.inspection.manifest import reopen
+from anisoscope.inspection.pipeline import judge
 from anisoscope.kinds.prints.lighting import expectation_of_print
 from anisoscope.kinds.prints.measurement import Mosaics
-from anisoscope.kinds.prints.pipeline import judge_print
 from anisoscope.kinds.prints.spot_area import spot_shares
 from anisoscope.rig.bayer import channel_of_pixels
 
@@ -53,7 +53,7 @@ def test_a_spot_on_the_rig_has_its_area_and_dirt_is_no_spot(print_rig):
     """A spot of 0.4 mm takes 3.14 % of 2 × 2 mm; with a dirty white tile the same frames make no verdict."""
     spot = {"x_mm": 0.33, "y_mm": -0.27, "diameter_mm": 0.4, "missing_share": 0.6}
     done = print_rig.inspect({"spots": [spot]})
-    found, true = done.record.print.map, np.pi * 0.2**2 / 4.0
+    found, true = done.record.details.map, np.pi * 0.2**2 / 4.0
     (spot,) = found.spots
     assert spot.area_share == found.share
     assert spot.area_share == pytest.approx(true, rel=0.15)
@@ -67,7 +67,7 @@ def test_a_spot_on_the_rig_has_its_area_and_dirt_is_no_spot(print_rig):
     signal[np.hypot(rows - 280, cols - 174) < 8] *= 0.8
     dirty = replace(job, white=replace(job.white, signal=signal))
     expected = expectation_of_print(job.recipe, job.rig)
-    record, _ = judge_print(made, dirty, expected, read_frames(done.folder, made))
+    record, _ = judge(made, dirty, expected, read_frames(done.folder, made))
     assert record.verdict == "INVALID"
     place = re.search(
         r"something stays at column (\d+), row (\d+) of the picture while the print", record.reasons[0]

@@ -40,7 +40,7 @@ def test_a_good_print_teaches_its_recipe(print_rig):
     frame_level = max(pose.measured for pose in record.poses)
     assert frame_level > 0.0
     limits = recipe.tolerances.model_dump()
-    for one in record.print.quantities:
+    for one in record.details.quantities:
         limit = limits[KEYS[one.name]]
         assert limit >= 8.0 * one.u
         assert abs(one.deviation) + 1.645 * one.u < limit

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,9 +15,9 @@ from anisoscope.diagnosis import part_diagnosis as explaining
 from anisoscope.diagnosis.signature_cache import remembered_signatures
 from anisoscope.inspection import run as inspection
 from anisoscope.inspection.integrity import verify
-from anisoscope.inspection.recipe_file import read_recipe
 from anisoscope.inspection.recompute import recompute
 from anisoscope.inspection.run import inspect_part
+from anisoscope.kinds.registry import read_recipe
 from anisoscope.kinds.wafers.optics import WAFERS
 from anisoscope.prediction.cache import kept_expectation
 from anisoscope.record.schema import RECORD_NAME, UNSEALED
@@ -26,7 +27,7 @@ TILE_UM = 128.0
 WRONG = {"good": {}, "deep": {"over_etch_nm": 20.0}, "wide": {"width_bias_nm": 320.0}}
 
 
-def _plain(record, _pictures, folder, _view=None):
+def _plain(record, _pictures, folder, *_):
     """A report of one line: drawing takes longer than all the rest."""
     (folder / REPORT_NAME).write_text(record.verdict)
     return folder / REPORT_NAME
@@ -69,9 +70,10 @@ def inspected(wafers):
             rig = wafers / "bench" / name / "rig.toml"
             with pytest.MonkeyPatch.context() as patch:
                 patch.setattr(explaining, "remembered_signatures", remembered_signatures)
-                patch.setattr(inspection, "start_renderer", lambda _: None)
+                methods = replace(inspection.USUAL, start_renderer=lambda _: None)
                 if name != "good":  # one report is looked at
-                    patch.setattr(inspection, "write_report", _plain)
+                    methods = replace(methods, write_report=_plain)
+                patch.setattr(inspection, "USUAL", methods)
                 kept[name] = inspect_part(wafers / "recipe.toml", rig, f"W-{name}", wafers / "inspections")
         return kept[name]
 
@@ -100,9 +102,9 @@ def test_the_record_and_the_report_say_which_optics_and_why(inspected):
     assert {"depth of the etch passes", "width of the etched features", "wavelength of the lamp"} <= sources
     assert {"aperture of the lens", "size of the lamp", "seating tilt about x", "zero of the tilt"} <= sources
     assert not any("roughness" in source for source in sources)
-    assert record.area is None
-    assert record.shape is None
-    assert record.map_place is None
+    assert record.details.area is None
+    assert record.details.shape is None
+    assert record.details.map_place is None
 
 
 @pytest.mark.parametrize(
@@ -130,14 +132,14 @@ def test_the_spike_shows_in_the_contrasts_between_tilts_of_record_and_report(ins
     good, deep = inspected("good"), inspected("deep").record
     for record in (good.record, deep):
         radiance = {(pose.stage_deg, pose.tilt_deg): pose for pose in record.poses}
-        assert len(record.between_tilts) == 2
-        for one in record.between_tilts:
+        assert len(record.details.between_tilts) == 2
+        for one in record.details.between_tilts:
             first, other = (radiance[one.stage_deg, tilt] for tilt in (one.from_tilt_deg, one.to_tilt_deg))
             assert one.measured == pytest.approx(np.log(first.measured / other.measured))
             assert one.predicted == pytest.approx(np.log(first.predicted / other.predicted))
             assert one.u == pytest.approx(np.hypot(one.u_measured, one.u_predicted))
             assert one.u_measured < 0.01 < one.u_predicted  # the seat decides where the mirror direction is
-    assert min(one.p_value for one in good.record.between_tilts) > 0.01
+    assert min(one.p_value for one in good.record.details.between_tilts) > 0.01
     assert max(one.p_value for one in deep.between_tilts) < 1e-6
     assert all(one.p_value > 0.001 for one in deep.contrasts)  # at one tilt nothing is seen of it
     report = good.report.read_text()
@@ -160,7 +162,7 @@ def test_scattered_light_is_called_so_and_records_of_before_compute_again(inspec
     (row,) = (row for row in content["budget"] if row["source"] == "share of scattered light")
     assert not any("plastic" in other["source"] for other in content["budget"])
     row["source"] = "albedo of the plastic"
-    del content["between_tilts"], content["diagnosis"]["tells"]
+    del content["details"]["between_tilts"], content["diagnosis"]["tells"]
     text = json.dumps(content | {"seal": UNSEALED}, indent=2)
     path.write_text(text.replace(UNSEALED, hashlib.sha256(text.encode()).hexdigest()), encoding="utf-8")
     again = recompute(folder)

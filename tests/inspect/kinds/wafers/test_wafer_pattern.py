@@ -1,5 +1,7 @@
 """A wafer whose pattern does not repeat: a window of it is inspected, where it lies on the part."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import tomli_w
@@ -70,8 +72,10 @@ def recipe(center_mm):
     ],
 )
 def test_a_window_of_a_pattern_is_inspected_where_it_lies(wafer, monkeypatch, name, center_mm, verdict):
-    monkeypatch.setattr(inspection, "start_renderer", lambda _: None)
-    monkeypatch.setattr(inspection, "write_report", lambda *_: wafer / "none.html")
+    methods = replace(
+        inspection.USUAL, start_renderer=lambda _: None, write_report=lambda *_: wafer / "none.html"
+    )
+    monkeypatch.setattr(inspection, "USUAL", methods)
     path = wafer / f"{name}.toml"
     path.write_text(tomli_w.dumps(recipe(center_mm)))
     record = inspect_part(path, wafer / "bench" / "part" / "rig.toml", name, wafer / "inspections").record

@@ -1,5 +1,7 @@
 """Where the limit of the deviating area comes from, in words: for golden parts and for golden prints."""
 
+from anisoscope.imaging.area_limit import MIN_PARTS
+
 
 def limit_says(
     stated: float | None,
@@ -22,8 +24,6 @@ def limit_says(
         exceeds: how often a good one exceeds the learnt limit, and what shares its level.
         judged: how they must have been judged.
     """
-    from anisoscope.imaging.area_limit import MIN_PARTS
-
     if stated is None:
         return "limit of the area: none, the recipe does not judge it"
     if learnt is not None:

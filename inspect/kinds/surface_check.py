@@ -1,7 +1,7 @@
 """What a recipe can tell before any part is there: contrasts with u, T/U, the budget, causes, and helping tilts."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -12,6 +12,8 @@ from anisoscope.diagnosis.discriminating_poses import remembered_options
 from anisoscope.diagnosis.evidence import background_of
 from anisoscope.diagnosis.separability import Separability, planned_covariance, planned_inputs, separability
 from anisoscope.diagnosis.signature_cache import remembered_signatures
+from anisoscope.kinds.causes_table import causes_content, causes_table
+from anisoscope.kinds.kind import Shown, Table
 from anisoscope.prediction.expectation import PLASTIC, Expectation, SurfaceOptics, expectation
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.schema import BudgetRecord
@@ -267,3 +269,56 @@ def _added(tilt_deg: float, before: tuple[Separability, ...], after: tuple[Separ
         if other not in new.never_told_from
     )
     return TiltAdvice(tilt_deg, shows, apart)
+
+
+def checked_recipe(
+    recipe: SurfaceRecipe,
+    light_angle_deg: float,
+    tries: Sequence[float],
+    advance: Advance,
+    optics: SurfaceOptics,
+    model: CauseModel,
+) -> Shown:
+    """What ``anisoscope recipe check`` prints; arguments as of `check_recipe`."""
+    found = check_recipe(recipe, light_angle_deg, tries, advance, optics, model)
+    content = asdict(found) | {"budget": [row.model_dump() for row in found.budget]}
+    causes_content(content["causes"], found.causes)
+    content["contrast"] = recipe.decision.contrast
+    names = [f"{p.from_deg:g}°/{p.to_deg:g}° @ {p.tilt_deg:g}°" for p in found.pairs]
+    pairs = Table(
+        recipe.product,
+        ["pair", "predicted", "u", "tolerance", "T/U"],
+        [
+            [
+                name,
+                f"{pair.predicted:+.4f}",
+                f"{pair.u:.4f}",
+                "–" if pair.tolerance is None else f"±{pair.tolerance:g}",
+                "–" if pair.ratio is None else f"{pair.ratio:.1f}",
+            ]
+            for name, pair in zip(names, found.pairs, strict=True)
+        ],
+    )
+    budget = Table(
+        "uncertainty budget",
+        ["source", *(f"u({name})" for name in names)],
+        [[row.source, *(f"{value:.4f}" for value in row.contributions)] for row in found.budget],
+    )
+    lines = [f"not looked at: {cause}: {reason}" for cause, reason in found.left_out]
+    for one in found.advice:
+        told = [f"show {', '.join(one.shows)}"] if one.shows else []
+        told += [f"tell {_apart(one.tells_apart)}"] if one.tells_apart else []
+        lines.append(f"a tilt of {one.tilt_deg:g}° besides would {' and '.join(told)}")
+    lines += [f"{one.says} would tell {_apart(one.tells_apart)}" for one in found.lamps]
+    if found.never:
+        lines.append(f"nothing that was tried would tell {_apart(found.never)}")
+    return Shown(content, (pairs, budget, causes_table(found.causes)), (*lines, *found.complaints))
+
+
+MOST_PAIRS = 6
+
+
+def _apart(pairs: Sequence[tuple[str, str]]) -> str:
+    """Causes and what they are told from; of many the first."""
+    more = f" and {len(pairs) - MOST_PAIRS} more" if len(pairs) > MOST_PAIRS else ""
+    return ", ".join(f"{a} from {b}" for a, b in pairs[:MOST_PAIRS]) + more

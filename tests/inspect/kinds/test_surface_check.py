@@ -5,8 +5,8 @@ import pytest
 from anisoscope.base.progress import silent
 from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, Option
 from anisoscope.diagnosis.signatures import signatures
-from anisoscope.inspection import recipe_check as recipecheck
-from anisoscope.inspection.recipe_check import check_recipe
+from anisoscope.kinds import surface_check as recipecheck
+from anisoscope.kinds.surface_check import check_recipe
 
 CAUSES = ("roughness-along", "light-angle")
 

@@ -1,19 +1,17 @@
-"""The table of causes that ``anisoscope recipe check`` prints, for ridged parts, wafers and prints."""
+"""The table of causes that ``anisoscope recipe check`` prints."""
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from typing import Any
 
-from anisoscope.cli.tables import print_table
-
-if TYPE_CHECKING:
-    from anisoscope.diagnosis.separability import Separability
+from anisoscope.diagnosis.separability import Separability
+from anisoscope.kinds.kind import Table
 
 
-def print_causes(causes: "Iterable[Separability]") -> None:
+def causes_table(causes: Iterable[Separability]) -> Table:
     """From which extent on every cause shows, and from which on no other looks the same."""
     causes = list(causes)
     titles = {cause.cause: cause.title for cause in causes}
-    print_table(
+    return Table(
         "causes",
         ["cause", "shows from", "told apart from", "never told from"],
         [
@@ -27,6 +25,12 @@ def print_causes(causes: "Iterable[Separability]") -> None:
         ],
         "from which extent on a cause shows (3 standard uncertainties) and no other looks the same",
     )
+
+
+def causes_content(rows: list[dict[str, Any]], causes: Iterable[Separability]) -> None:
+    """Add to rows of JSON, one a cause, what is computed of it."""
+    for row, cause in zip(rows, causes, strict=True):
+        row |= {"told_apart_from": cause.told_apart_from, "never_told_from": list(cause.never_told_from)}
 
 
 def _extent(value: float | None, unit: str) -> str:

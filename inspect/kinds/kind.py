@@ -1,0 +1,423 @@
+"""What a kind of part is: how its recipe reads, what it should show, and how it is measured, judged and reported.
+
+The one pipeline of inspections, the records, the report and the command line ask a kind through this class alone. A
+kind of a third party subclasses it and registers an instance under the entry point group ``anisoscope.kinds``; see
+docs/own-kind.md.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Generic, Protocol, TypeVar
+
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import RecipeError, UsageError
+from anisoscope.base.progress import Advance, silent
+from anisoscope.base.toml_file import read_toml_model
+from anisoscope.calibration.corrections import Calibrations
+from anisoscope.imaging.frames import AcquiredFrames
+from anisoscope.imaging.views import Guide, Views
+from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.recipe.base import RecipeBase
+from anisoscope.recipe.poses import check_poses
+from anisoscope.recipe.teaching import Taught
+from anisoscope.record.details import Details
+from anisoscope.record.schema import BudgetRecord, DiagnosisRecord, Record
+from anisoscope.record.verdict import Verdict
+from anisoscope.report.inspection_page import Pictures, Sections
+from anisoscope.rig.rigfile import RigFile
+from anisoscope.sim.light.geometry import Convention, Pose
+
+
+class Expected(Protocol):
+    """A prediction, as far as all kinds have it in common."""
+
+    @property
+    def model(self) -> str:
+        """The name of the reflectance model."""
+        ...
+
+    @property
+    def optics(self) -> dict[str, Any] | None:
+        """Rays or waves, and why; None where this was no question."""
+        ...
+
+    @property
+    def convention(self) -> Convention:
+        """How the angles are counted."""
+        ...
+
+    @property
+    def surface(self) -> HeightMap | None:
+        """The height map behind the prediction, or None."""
+        ...
+
+    @property
+    def poses(self) -> tuple[Pose, ...]:
+        """The poses that were predicted."""
+        ...
+
+
+class Measured(Protocol):
+    """A measurement, as far as all kinds have it in common."""
+
+    @property
+    def drift(self) -> float | None:
+        """Relative change of the first pose until the end, or None where it was photographed once."""
+        ...
+
+
+class Decided(Protocol):
+    """A verdict, as far as all kinds have it in common."""
+
+    @property
+    def verdict(self) -> Verdict:
+        """Of the part."""
+        ...
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """One line each, most important first."""
+        ...
+
+
+class Reference(Protocol):
+    """A set of good parts."""
+
+    @property
+    def parts(self) -> Sequence[Any]:
+        """One row a part."""
+        ...
+
+    @property
+    def lacking(self) -> str | None:
+        """Why they cannot tell yet what is a deviation, or None if they can."""
+        ...
+
+
+RecipeT = TypeVar("RecipeT", bound=RecipeBase)
+ExpectedT = TypeVar("ExpectedT", bound=Expected)
+MeasuredT = TypeVar("MeasuredT", bound=Measured)
+DecidedT = TypeVar("DecidedT", bound=Decided)
+
+
+@dataclass(frozen=True, eq=False)
+class Sitting:
+    """The photographs of a part and by what they are measured.
+
+    Attributes:
+        views: one linear picture a pose, with the place of the part in it.
+        frames: the raw frames and their camera.
+        calibrations: of the rig.
+        rig: the rig file.
+    """
+
+    views: Views
+    frames: AcquiredFrames
+    calibrations: Calibrations
+    rig: RigFile
+
+    @property
+    def pixel_um(self) -> float:
+        """Size of a camera pixel on the sample according to the rig file."""
+        return self.rig.camera.pixel_um
+
+
+@dataclass(frozen=True, eq=False)
+class Results:
+    """What a record holds of measurement and verdict.
+
+    Attributes:
+        measured, predicted: (P,) radiances of the poses in 1/sr.
+        details: what is of this kind alone.
+        budget: sources of uncertainty, the largest first.
+        d2, dof, p_value: squared Mahalanobis distance from what is expected, its degrees of freedom, and the
+            probability of a larger one; None where the kind has none.
+        conformance_probability: that all deviations truly lie within their tolerances, or None.
+        notes: what the user should know besides.
+    """
+
+    measured: FloatArray
+    predicted: FloatArray
+    details: Details
+    budget: tuple[BudgetRecord, ...] = ()
+    d2: float | None = None
+    dof: int | None = None
+    p_value: float | None = None
+    conformance_probability: float | None = None
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """What explains a verdict and never changes it: the diagnosis, further fields of the details, and notes."""
+
+    diagnosis: DiagnosisRecord | None = None
+    details: Mapping[str, Any] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table on the terminal."""
+
+    title: str
+    columns: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    caption: str | None = None
+
+
+@dataclass(frozen=True)
+class Shown:
+    """An answer of a command: as JSON, and as tables and lines for people."""
+
+    content: dict[str, Any]
+    tables: tuple[Table, ...] = ()
+    lines: tuple[str, ...] = ()
+
+
+def usable(reference: Reference | None) -> Reference | None:
+    """Good parts that are enough to tell what is a deviation, or None."""
+    return reference if reference is not None and reference.lacking is None else None
+
+
+class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
+    """A kind of part. What has a default here need not be given.
+
+    Attributes:
+        name: its name, in recipes (``kind = "…"``) and records.
+        one: a part of it in a sentence, such as "a print".
+        fallback: recipes that no kind recognises are of this one.
+        guides: what is done to pictures before markers and edges are searched in them.
+    """
+
+    name: str
+    one: str
+    fallback: bool = False
+    guides: tuple[Guide, ...] = ()
+
+    # ---- the recipe -------------------------------------------------------------------------------------------
+
+    @property
+    @abstractmethod
+    def recipe(self) -> type[RecipeT]:
+        """The model of its recipe."""
+
+    @property
+    @abstractmethod
+    def details(self) -> type[Details]:
+        """Its part of a record."""
+
+    def recognises(self, table: Mapping[str, Any]) -> bool:
+        """Is this a recipe of this kind, though it does not say so with ``kind``?"""
+        del table
+        return False
+
+    def read_recipe(self, path: Path) -> RecipeT:
+        """Read a recipe; ``${here}`` in it stands for its own folder.
+
+        Raises:
+            RecipeError: the file is missing or wrong; the message names file, key and what is expected.
+        """
+        here = {"here": str(path.resolve().parent)}
+        return read_toml_model(path, self.recipe, error=RecipeError, substitutions=here)
+
+    def check(self, recipe: RecipeT, rig: RigFile, recipe_path: Path, rig_path: Path) -> None:
+        """Do recipe and rig fit each other? Nothing moves.
+
+        Raises:
+            RecipeError, RigFileError: they do not.
+        """
+        del rig_path
+        check_poses(recipe.poses, rig.light.angle_deg, recipe_path)
+
+    def sources(self, recipe: RecipeT, rig: RigFile) -> Mapping[str, Path]:
+        """Further files that the inspection starts from, by their role: they are copied and hashed."""
+        del recipe, rig
+        return {}
+
+    def from_copies(
+        self, recipe: RecipeT, rig: RigFile, copies: Mapping[str, Path]
+    ) -> tuple[RecipeT, RigFile]:
+        """Recipe and rig with the copies of their files in an inspection folder, by role."""
+        del copies
+        return recipe, rig
+
+    def check_filters(self, filters: str, camera: str, of_flat: str) -> None:
+        """Can the part be seen through these colour filters?
+
+        Raises:
+            CalibrationError: it cannot.
+        """
+
+    # ---- from the prediction to the verdict -------------------------------------------------------------------
+
+    @abstractmethod
+    def predict(self, recipe: RecipeT, rig: RigFile, *, cached: bool) -> ExpectedT:
+        """What the part should show; ``cached``: an earlier prediction of the same code will do."""
+
+    @abstractmethod
+    def measure(self, sitting: Sitting, recipe: RecipeT, expected: ExpectedT) -> tuple[MeasuredT, float]:
+        """What the part shows, through all quality gates, and by how much the first pose had changed on resuming.
+
+        Raises:
+            MeasurementError, CameraError: INVALID, with the reason.
+        """
+
+    def drift_error(self, measured: MeasuredT, recipe: RecipeT) -> str | None:
+        """Why the measurement is unfit, if the first pose, photographed again at the end, differs too much."""
+        drift, limit = measured.drift, recipe.limits.drift
+        if drift is None or abs(drift) <= limit:
+            return None
+        return (
+            f"at the end the first pose is {abs(drift):.1%} {'brighter' if drift > 0 else 'darker'} than at the start "
+            f"(limit {limit:.1%}): let the lamp warm up, and check that the part sits tight"
+        )
+
+    @abstractmethod
+    def decide(
+        self,
+        sitting: Sitting,
+        recipe: RecipeT,
+        expected: ExpectedT,
+        measured: MeasuredT,
+        reference: Reference | None,
+    ) -> DecidedT:
+        """The verdict; ``reference``: the good parts, also too few of them (`usable`), or None.
+
+        Raises:
+            MeasurementError: nothing can be judged: INVALID.
+        """
+
+    @abstractmethod
+    def results(
+        self,
+        sitting: Sitting,
+        recipe: RecipeT,
+        expected: ExpectedT,
+        measured: MeasuredT,
+        decided: DecidedT,
+        reference: Reference | None,
+    ) -> Results:
+        """What the record holds of measurement and verdict."""
+
+    def without_results(self) -> Details | None:
+        """The details of an inspection that could not be judged."""
+        return None
+
+    def diagnose(
+        self,
+        sitting: Sitting,
+        recipe: RecipeT,
+        expected: ExpectedT,
+        measured: MeasuredT,
+        decided: DecidedT,
+        reference: Reference | None,
+        advance: Advance = silent,
+        *,
+        cached: bool = False,
+    ) -> Explanation:
+        """What explains the verdict; it never changes it.
+
+        Args:
+            sitting: the photographs.
+            recipe: the recipe.
+            expected: the prediction that decided.
+            measured: the measurement.
+            decided: the verdict.
+            reference: the good parts, also too few of them, or None.
+            advance: progress, where that takes long.
+            cached: an earlier prediction of the same code will do.
+        """
+        del sitting, recipe, expected, measured, decided, reference, advance, cached
+        return Explanation()
+
+    def rename_in(self, record: dict[str, Any]) -> None:
+        """Give what an earlier version of this kind named otherwise, in a dumped record, the names of now."""
+
+    # ---- good parts -------------------------------------------------------------------------------------------
+
+    reference_noun: str = "golden part"
+
+    def read_reference(self, path: Path, recipe: RecipeT, rig: RigFile | None = None) -> Reference | None:
+        """The good parts in a file, or None where there is none.
+
+        Raises:
+            CalibrationError: the file is damaged, or belongs to another recipe or rig.
+        """
+        del path, recipe, rig
+        return None
+
+    def add_reference(self, known: Any, recipe: RecipeT, record: Record) -> Any:  # noqa: ANN401
+        """A set with one good part more.
+
+        Raises:
+            CalibrationError: the inspection cannot teach this set.
+        """
+        del known, record
+        raise UsageError(f"{recipe.product}: good parts are not collected of this kind of part")
+
+    def show_reference(self, known: Any, recipe: RecipeT) -> Shown:  # noqa: ANN401
+        """The good parts for ``anisoscope golden show``."""
+        del known
+        raise UsageError(f"{recipe.product}: good parts are not collected of this kind of part")
+
+    # ---- what the commands of recipes ask ---------------------------------------------------------------------
+
+    def taught_limits(
+        self, record: Record, recipe: RecipeT, reference: Reference | None, rig: RigFile
+    ) -> dict[tuple[str, ...], tuple[Any, str]]:
+        """Limits that the inspection of a good part teaches, by their keys in the recipe, each with its reason.
+
+        Raises:
+            MeasurementError: it teaches none; the recipe stays as it is.
+        """
+        del record, recipe, reference, rig
+        return {}
+
+    def teach_by_reference(self, recipe_path: Path, rig_path: Path, share: float) -> Taught:
+        """Write a new version of a recipe with the limits that its good parts teach.
+
+        Raises:
+            UsageError: good parts do not teach this kind, or there are too few of them.
+        """
+        del rig_path, share
+        raise UsageError(
+            f"{recipe_path} is no recipe of a print: golden parts teach tolerances beside a part that is inspected, "
+            "with --serial"
+        )
+
+    def check_recipe(
+        self,
+        path: Path,
+        rig_path: Path | None,
+        light_angle_deg: float,
+        tries: Sequence[float] = (),
+        advance: Advance = silent,
+    ) -> Shown:
+        """What a recipe can tell before any part is there; without a rig file by the angle of the light."""
+        del rig_path, light_angle_deg, tries, advance
+        recipe = self.read_recipe(path)
+        return Shown({"product": recipe.product}, lines=(f"{path}: the recipe can be read",))
+
+    # ---- report and terminal ----------------------------------------------------------------------------------
+
+    def pictures(
+        self, recipe: RecipeT, expected: ExpectedT, measured: MeasuredT, decided: DecidedT
+    ) -> Pictures:
+        """What the report shows beside the record."""
+        del recipe, measured, decided
+        return Pictures(surface=expected.surface)
+
+    def sections(self, record: Record, pictures: Pictures) -> Sections:
+        """Its part of the report."""
+        del record, pictures
+        return Sections()
+
+    def shown(self, record: Record) -> Shown:
+        """Its part of what ``anisoscope inspect`` prints: JSON beside the common keys, tables, and lines."""
+        return Shown({"details": None if record.details is None else record.details.model_dump(mode="json")})
+
+
+AnyKind = Kind[Any, Any, Any, Any]

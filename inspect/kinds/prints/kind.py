@@ -1,0 +1,271 @@
+"""Prints with structural-colour inks as a kind of part."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from anisoscope.base.errors import AnisoscopeError, MeasurementError
+from anisoscope.base.progress import Advance, silent
+from anisoscope.diagnosis.part_diagnosis import diagnosis_record
+from anisoscope.imaging.pose_radiance import check_light, check_view
+from anisoscope.imaging.quality_gates import check_views
+from anisoscope.imaging.views import most_changed
+from anisoscope.kinds.kind import Explanation, Kind, Reference, Results, Shown, Sitting, Table, usable
+from anisoscope.kinds.prints.causes import explain_print
+from anisoscope.kinds.prints.decision import PrintDecision, decide_print
+from anisoscope.kinds.prints.expectation import PrintExpectation
+from anisoscope.kinds.prints.lighting import (
+    check_filters,
+    check_print_rig,
+    expectation_of_print,
+    from_copies,
+    lamp_and_sensitivities,
+    print_files,
+)
+from anisoscope.kinds.prints.measurement import MeasuredPrint, measure_print, region_mean
+from anisoscope.kinds.prints.recipe import PrintRecipe, read_print_recipe
+from anisoscope.kinds.prints.record import PrintDetails, print_of
+from anisoscope.kinds.prints.record_builder import nothing_wrong, print_results
+from anisoscope.kinds.prints.reference_prints import GoldenPrints, add_print, read_golden_prints
+from anisoscope.kinds.prints.stationary_artifacts import check_print_dirt
+from anisoscope.recipe.teaching import Taught
+from anisoscope.record.schema import DiagnosisRecord, Record
+from anisoscope.report.inspection_page import Pictures, Sections
+from anisoscope.rig.rigfile import RigFile
+
+# matplotlib comes with the report's sections, which are imported where they are asked for
+
+
+class Prints(Kind[PrintRecipe, PrintExpectation, MeasuredPrint, PrintDecision]):
+    """Prints: colours of the poses, the lobe of the flakes, and the map of local differences."""
+
+    name = "prints"
+    one = "a print"
+    reference_noun = "golden print"
+
+    @property
+    def recipe(self) -> type[PrintRecipe]:
+        """The model of its recipe."""
+        return PrintRecipe
+
+    @property
+    def details(self) -> type[PrintDetails]:
+        """Colours, quantities, lobe and map."""
+        return PrintDetails
+
+    def recognises(self, table: Mapping[str, Any]) -> bool:
+        """Its recipe has a table [print]."""
+        return "print" in table
+
+    def read_recipe(self, path: Path) -> PrintRecipe:
+        """Read a recipe; errors as for `read_print_recipe`."""
+        return read_print_recipe(path)
+
+    def check(self, recipe: PrintRecipe, rig: RigFile, recipe_path: Path, rig_path: Path) -> None:
+        """Does the rig file say what colours rest on?"""
+        del recipe, recipe_path
+        check_print_rig(rig, rig_path)
+
+    def sources(self, recipe: PrintRecipe, rig: RigFile) -> Mapping[str, Path]:
+        """Inks and spectra."""
+        return print_files(recipe, rig)
+
+    def from_copies(
+        self, recipe: PrintRecipe, rig: RigFile, copies: Mapping[str, Path]
+    ) -> tuple[PrintRecipe, RigFile]:
+        """Recipe and rig with the copies of inks and spectra."""
+        return from_copies(recipe, rig, copies)
+
+    def check_filters(self, filters: str, camera: str, of_flat: str) -> None:
+        """Can the camera tell colours, and was its flat taken through the same filters?"""
+        check_filters(filters, camera, of_flat)
+
+    def predict(self, recipe: PrintRecipe, rig: RigFile, *, cached: bool) -> PrintExpectation:
+        """The channels of the poses; they are predicted quickly, and never cached."""
+        del cached
+        return expectation_of_print(recipe, rig)
+
+    def measure(
+        self, sitting: Sitting, recipe: PrintRecipe, expected: PrintExpectation
+    ) -> tuple[MeasuredPrint, float]:
+        """Channels of the poses."""
+        recipe = sitting.calibrations.applied_to(recipe)
+        views, filters, pixel_um = sitting.views, sitting.frames.filters, sitting.pixel_um
+        closing, change = most_changed(
+            views, recipe, pixel_um, lambda view: region_mean(view, recipe, filters)
+        )
+        for view in [*views.poses, *([closing] if closing else [])]:
+            check_light(view.stage_deg, view.image, recipe)
+            # a tilted arm looks from elsewhere: within a tilt only must the centre stay where it is
+            alike = next(first for first in views.poses if first.tilt_deg == view.tilt_deg)
+            check_view(view, alike, recipe, pixel_um)
+            sitting.calibrations.check_place(view.stage_deg, view.placement)
+        check_views(views.poses)
+        measured = measure_print(views.poses, closing, recipe, filters)
+        check_print_dirt(views.poses, recipe, filters, expected.eye, measured.channels)
+        return measured, change
+
+    def drift_error(self, measured: MeasuredPrint, recipe: PrintRecipe) -> str | None:
+        """Why the measurement is unfit, if the first pose, photographed again at the end, differs too much."""
+        found = super().drift_error(measured, recipe)
+        return found and found.replace("the part sits tight", "the print lies tight")
+
+    def decide(
+        self,
+        sitting: Sitting,
+        recipe: PrintRecipe,
+        expected: PrintExpectation,
+        measured: MeasuredPrint,
+        reference: Reference | None,
+    ) -> PrintDecision:
+        """Every quantity against its limit, all channels together, and the area that deviates."""
+        recipe = sitting.calibrations.applied_to(recipe)
+        return decide_print(expected, measured, recipe, cast("GoldenPrints | None", usable(reference)))
+
+    def results(
+        self,
+        sitting: Sitting,
+        recipe: PrintRecipe,
+        expected: PrintExpectation,
+        measured: MeasuredPrint,
+        decided: PrintDecision,
+        reference: Reference | None,
+    ) -> Results:
+        """The numbers that the verdict rests on."""
+        del measured
+        names = (lamp_and_sensitivities(sitting.rig)[1].name, sitting.frames.filters)
+        lacking = reference and reference.lacking
+        return print_results(recipe, expected, decided, names, (lacking,) if lacking else ())
+
+    def diagnose(
+        self,
+        sitting: Sitting,
+        recipe: PrintRecipe,
+        expected: PrintExpectation,
+        measured: MeasuredPrint,
+        decided: PrintDecision,
+        reference: Reference | None,
+        advance: Advance = silent,
+        *,
+        cached: bool = False,
+    ) -> Explanation:
+        """The causes, or a note where they cannot be told."""
+        del reference, cached
+        advance("causes", 0, 1)
+        recipe = sitting.calibrations.applied_to(recipe)
+        alpha = recipe.decision.alpha
+        if nothing_wrong(decided, alpha):
+            return Explanation(DiagnosisRecord(says="nothing: the print is as it should be"))
+        try:
+            found = explain_print(recipe, expected, measured, decided)
+        except (AnisoscopeError, ArithmeticError, ValueError, np.linalg.LinAlgError) as problem:
+            return Explanation(DiagnosisRecord(says="not possible"), notes=(f"no diagnosis: {problem}",))
+        return Explanation(diagnosis_record(found, alpha, "print"))
+
+    def read_reference(
+        self, path: Path, recipe: PrintRecipe, rig: RigFile | None = None
+    ) -> GoldenPrints | None:
+        """The golden prints."""
+        return read_golden_prints(path, recipe, rig)
+
+    def add_reference(self, known: Any, recipe: PrintRecipe, record: Record) -> GoldenPrints:  # noqa: ANN401
+        """Golden prints with one more."""
+        return add_print(known, recipe, record)
+
+    def show_reference(self, known: Any, recipe: PrintRecipe) -> Shown:  # noqa: ANN401
+        """Golden prints, and how much they vary."""
+        from anisoscope.kinds.prints.reference_shown import prints_shown
+
+        return prints_shown(known, recipe)
+
+    def taught_limits(
+        self, record: Record, recipe: PrintRecipe, reference: Reference | None, rig: RigFile
+    ) -> dict[tuple[str, ...], tuple[Any, str]]:
+        """The tolerances, by golden prints, or as long as there are too few by this print."""
+        from anisoscope.kinds.prints.tolerances import golden_tolerances, taught_tolerances
+
+        shown = print_of(record)
+        if shown is None or shown.lobe is None:
+            raise MeasurementError("hardly anything is printed there: the recipe stays as it is")
+        golden = cast("GoldenPrints | None", usable(reference))
+        if golden is None:
+            found = taught_tolerances(record, recipe)
+        else:
+            found = golden_tolerances(golden, recipe, expectation_of_print(recipe, rig))
+        return {("tolerances", key): (one.value, one.why) for key, one in found.items()}
+
+    def teach_by_reference(self, recipe_path: Path, rig_path: Path, share: float) -> Taught:
+        """Write a new version of the recipe with the tolerances that its golden prints teach."""
+        from anisoscope.kinds.prints.teach import teach_by_golden
+
+        return teach_by_golden(recipe_path, rig_path, share)
+
+    def check_recipe(
+        self,
+        path: Path,
+        rig_path: Path | None,
+        light_angle_deg: float,
+        tries: Sequence[float] = (),
+        advance: Advance = silent,
+    ) -> Shown:
+        """Poses, quantities with their uncertainties, and causes; without a rig file by a made-up lamp and camera."""
+        from anisoscope.kinds.prints.recipe_shown import checked_print
+
+        del tries
+        return checked_print(path, rig_path, light_angle_deg, advance)
+
+    def pictures(
+        self,
+        recipe: PrintRecipe,
+        expected: PrintExpectation,
+        measured: MeasuredPrint,
+        decided: PrintDecision,
+    ) -> Pictures:
+        """Cells in the colours of the eye, and the maps."""
+        from anisoscope.kinds.prints.report_sections import print_pictures
+
+        del recipe
+        return Pictures(of_kind=print_pictures(expected, measured, decided))
+
+    def sections(self, record: Record, pictures: Pictures) -> Sections:
+        """Colours, quantities, lobe, maps and budget."""
+        from anisoscope.kinds.prints.report_sections import print_sections
+
+        return print_sections(record, pictures)
+
+    def shown(self, record: Record) -> Shown:
+        """What was judged."""
+        from anisoscope.kinds.prints.report_sections import quantity_row
+
+        found = print_of(record)
+        # keys of all kinds, from the time when there was one list of them
+        content: dict[str, Any] = {
+            "contrasts": [],
+            "between_tilts": [],
+            "area": None,
+            "regions": [],
+            "comparisons": [],
+            "reading": None,
+            "shape": None,
+            "golden_parts": 0,
+            "map_place": None,
+            "print": None if found is None else found.model_dump(),
+        }
+        if found is None:
+            return Shown(content)
+        rows = [quantity_row(one) for one in found.quantities]
+        table = Table(
+            f"{record.serial}: {record.product}",
+            ["quantity", "measured", "nominal", "off by", "u", "limit", ""],
+            [
+                [row.title, row.value, row.nominal, row.deviation, row.u, row.limit, row.verdict]
+                for row in rows
+            ],
+            ". ".join(found.not_judged) or None,
+        )
+        return Shown(content, (table,))
+
+
+PRINTS = Prints()

@@ -1,0 +1,44 @@
+"""Plastic parts with ridges as a kind of part."""
+
+from anisoscope.diagnosis.shape_fit import fit_shape
+from anisoscope.imaging.height_map_place import match_map
+from anisoscope.imaging.pose_radiance import Measured
+from anisoscope.imaging.quality_gates import check_part
+from anisoscope.imaging.registration.placement import View
+from anisoscope.kinds.ridges.recipe import RidgeRecipe
+from anisoscope.kinds.surface import SurfaceKind
+from anisoscope.prediction.expectation import Expectation
+from anisoscope.recipe.surface import SurfaceRecipe
+from anisoscope.record.schema import MapPlaceRecord, ShapeRecord
+
+
+class Ridges(SurfaceKind[RidgeRecipe]):
+    """Ridges: their contrasts under rotation, and the cells of their contrast map."""
+
+    name = "ridges"
+    one = "a part with ridges"
+    fallback = True
+
+    @property
+    def recipe(self) -> type[RidgeRecipe]:
+        """The model of its recipe."""
+        return RidgeRecipe
+
+    def check_part(self, views: list[View], measured: Measured, recipe: SurfaceRecipe) -> None:
+        """Do the ridges lie as the recipe says, and nothing else in front of them?"""
+        check_part(views, measured, recipe)
+
+    def fit_shape(
+        self, recipe: SurfaceRecipe, expected: Expectation, measured: Measured
+    ) -> tuple[ShapeRecord | None, str | None]:
+        """Ideal ridges fitted over the tilts."""
+        return fit_shape(recipe, expected, measured)
+
+    def match_map(
+        self, recipe: SurfaceRecipe, expected: Expectation, measured: Measured
+    ) -> tuple[MapPlaceRecord | None, str | None]:
+        """Where the height map lies on the part."""
+        return match_map(recipe, expected, measured)
+
+
+RIDGES = Ridges()

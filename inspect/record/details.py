@@ -1,0 +1,94 @@
+"""The part of a record that is of one kind of part: what every kind must be able to say of it."""
+
+from collections.abc import Mapping
+from typing import Any, Protocol, cast
+
+from pydantic import BaseModel, ConfigDict
+
+from anisoscope.base.errors import RecordError
+from anisoscope.base.plugins import installed, load
+
+GROUP = "anisoscope.kinds"
+"""Entry points of the kinds of parts."""
+
+
+class Details(BaseModel):
+    """What the record of one kind of part holds beside the fields of all kinds.
+
+    The methods are what history, statistics and reports ask without knowing the kind.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    def numbers(self) -> dict[str, float]:
+        """What was measured, by labels that stay: ``NAME``, with ``u NAME``, ``deviation NAME``, ``tolerance NAME``.
+
+        History, control charts and capability take their numbers from here.
+        """
+        return {}
+
+    @property
+    def area_share(self) -> float | None:
+        """The share of the area that deviates, where the numbers do not hold it."""
+        return None
+
+    def compared(self) -> dict[str, float]:
+        """Those of the numbers by which a part is compared with others of its lot."""
+        return {}
+
+    @classmethod
+    def of_schema_1(cls, record: dict[str, Any]) -> dict[str, Any] | None:
+        """The details of a record of schema 1, taken out of its fields: those that are called alike."""
+        return {name: record.pop(name) for name in tuple(record) if name in cls.model_fields}
+
+
+class RecordedKind(Protocol):
+    """A kind of part as far as records need it; `anisoscope.kinds.kind.Kind` is the whole of it."""
+
+    name: str
+    fallback: bool
+
+    @property
+    def details(self) -> type[Details]:
+        """Its part of a record."""
+        ...
+
+    def recognises(self, table: Mapping[str, Any]) -> bool:
+        """Is this a recipe of this kind, though it does not say so?"""
+        ...
+
+
+def recorded_kind(name: str) -> RecordedKind:
+    """The kind of part of a name.
+
+    Raises:
+        RecordError: none is installed under this name, or it does not load.
+    """
+    return cast("RecordedKind", load(GROUP, name, "kind of part", RecordError))
+
+
+def kind_of_recipe(table: Mapping[str, Any]) -> str:
+    """The name of the kind that a recipe is of: the one that it says, or else the one that recognises it.
+
+    Args:
+        table: the recipe as it is read from its file or stands in a record.
+
+    Raises:
+        RecordError: no kind of part is installed that would take it.
+    """
+    told = table.get("kind")
+    if told is not None:
+        return str(told)
+    fallback = None
+    for name in installed(GROUP):
+        try:
+            kind = recorded_kind(name)
+        except RecordError:
+            continue  # a broken plug-in is an error where a recipe names it, and must not spoil all others
+        if kind.fallback:
+            fallback = name
+        elif kind.recognises(table):
+            return name
+    if fallback is None:
+        raise RecordError("no kind of part is installed that would take this recipe")
+    return fallback

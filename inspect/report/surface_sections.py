@@ -1,0 +1,123 @@
+"""What the report shows of a surface that reflects: contrasts, maps, comparisons, golden parts, and the budget."""
+
+from typing import Any
+
+import numpy as np
+
+from anisoscope.record.schema import BudgetRecord, Record
+from anisoscope.record.surface_details import SurfaceDetails, surface_of
+from anisoscope.report import figures
+from anisoscope.report.inspection_page import Pictures, Sections
+from anisoscope.report.page import template_text
+from anisoscope.report.peers import Lot, Peers, among
+from anisoscope.report.rule import NAMES, UNITS, deviation_decides, level_of, rule_of
+from anisoscope.report.tilt_sections import tilt_parts
+from anisoscope.report.wording import contrast_name, labels_of
+
+MAX_REGIONS = 12
+WANTED_RATIO = 4.0
+SMALL_SHARE = 0.01
+SURFACES = {"design": "ideal design", "height_map": "height map"}
+
+
+def surface_sections(record: Record, pictures: Pictures) -> Sections:
+    """The sections of the report of a part whose contrasts were judged."""
+    found = surface_of(record)
+    unit = UNITS.get(found.contrasts[0].kind, "1") if found.contrasts else "1"
+    large, small = _budget(record, found)
+    content = {
+        "found": found,
+        "deviation_decides": deviation_decides(record),
+        "level": level_of(record),
+        "kind": NAMES.get(found.contrasts[0].kind, "") if found.contrasts else "",
+        "surfaces": SURFACES,
+        "regions": found.regions[:MAX_REGIONS],
+        "narrow": [c for c in found.contrasts if c.tolerance_ratio and c.tolerance_ratio < WANTED_RATIO],
+        "budget_rows": large,
+        "small_budget": small,
+        "budget_top": max((max(row.contributions, default=0.0) for row in record.budget), default=0.0),
+        "golden": _golden(record, found),
+        **_maps(record, found, pictures),
+        **tilt_parts(record),
+    }
+    return Sections(
+        rule=rule_of(record),
+        reasons=(("Design and height map", found.reading),) if found.reading else (),
+        before=template_text("inspection_surface.html"),
+        after=template_text("inspection_surface_causes.html"),
+        budget=template_text("inspection_surface_budget.html"),
+        fitted_too=" and to the share of the area that deviates" if found.area else "",
+        lot_peers=_lot_peers(record, found, pictures.lot),
+        unit=unit,
+        content=content,
+    )
+
+
+def _maps(record: Record, found: SurfaceDetails, pictures: Pictures) -> dict[str, Any]:
+    labels = labels_of(record)
+    maps: dict[str, Any] = {"labels": labels, "maps": [], "chart": None, "deviation_map": None}
+    if pictures.deviation is not None:
+        places = [_on_map(record, (region.x, region.y)) for region in found.regions[:MAX_REGIONS]]
+        maps["deviation_map"] = figures.deviation_map(
+            pictures.deviation, pictures.deviating, places, pictures.size_mm, _frame(record)
+        )
+    if pictures.ratios is not None:
+        maps["maps"] = [
+            (label, figures.contrast_map(ratio, pictures.deviating, pictures.size_mm, _frame(record)))
+            for label, ratio in zip(labels, pictures.ratios, strict=True)
+        ]
+    if found.contrasts:
+        maps["chart"] = figures.contrast_chart(
+            labels,
+            [c.measured - c.predicted for c in found.contrasts],
+            [c.u for c in found.contrasts],
+            [c.tolerance for c in found.contrasts],
+            NAMES[found.contrasts[0].kind],
+        )
+    return maps
+
+
+def _budget(record: Record, found: SurfaceDetails) -> tuple[list[BudgetRecord], list[BudgetRecord]]:
+    """Sources that make up a hundredth of some variance, and the others."""
+    variance = np.array([contrast.u**2 for contrast in found.contrasts])
+    large: list[BudgetRecord] = []
+    small: list[BudgetRecord] = []
+    for row in record.budget:
+        counts = bool(np.any(np.square(row.contributions) >= SMALL_SHARE * variance))
+        (large if counts else small).append(row)
+    return large, small
+
+
+def _golden(record: Record, found: SurfaceDetails) -> Peers | None:
+    if found.golden is None:
+        return None
+    first = record.poses[0].stage_deg
+    labels = [contrast_name(p.stage_deg, first, p.tilt_deg) for p in record.poses[1:]]
+    known = np.array(found.golden.contrasts)
+    return among(labels, known, found.golden.measured, "golden parts", "ln ratio [1]")
+
+
+def _lot_peers(record: Record, found: SurfaceDetails, lot: Lot | None) -> Peers | None:
+    """The part among its lot, as far as parts were measured alike."""
+    count = len(found.contrasts)
+    known = [part.contrasts for part in lot.parts if len(part.contrasts) == count] if lot else []
+    if not known or not count:
+        return None
+    kind, mine = found.contrasts[0].kind, [c.measured for c in found.contrasts]
+    return among(
+        labels_of(record), np.array(known), mine, "parts of the lot", f"{NAMES[kind]} [{UNITS[kind]}]"
+    )
+
+
+def _on_map(record: Record, place_mm: tuple[float, float]) -> tuple[float, float]:
+    """A place of the part at 0° along the axes of the map, whose ridges stand upright; both from the rotation axis."""
+    (x, y), turn = place_mm, np.radians(record.recipe["poses"]["facet_azimuth_deg"])
+    return float(np.cos(turn) * x + np.sin(turn) * y), float(np.cos(turn) * y - np.sin(turn) * x)
+
+
+def _frame(record: Record) -> figures.MapFrame:
+    """Where the maps lie, and what their axes are."""
+    middle = _on_map(record, record.recipe["region"]["center_mm"])
+    if record.recipe["poses"]["facet_azimuth_deg"] == 0.0:
+        return figures.MapFrame(middle)
+    return figures.MapFrame(middle, "across the ridges", "along the ridges")
