@@ -17,7 +17,6 @@ from anisoscope.kinds.prints.sources import of_poses
 from anisoscope.kinds.prints.template import new_print_recipe
 from anisoscope.kinds.registry import read_any_recipe, read_recipe
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
-from anisoscope.recipe.base import is_print
 from anisoscope.recipe.template import new_recipe
 from anisoscope.rig.rigfile import RigFile
 from anisoscope.sim.materials.inks import InkFileError, synthetic_ink, write_ink
