@@ -102,7 +102,7 @@ def test_what_is_no_number_is_never_written(record, tmp_path):
 DAMAGE = {
     "truncated": lambda text: text[: len(text) // 2],
     "empty": lambda _: "",
-    "other schema": lambda text: text.replace('"schema": 1,\n  "soft', '"schema": 2,\n  "soft'),
+    "other schema": lambda text: text.replace('"schema": 2,\n  "kind', '"schema": 3,\n  "kind'),
     "other verdict": lambda text: text.replace('"PASS",\n  "reasons', '"GOOD",\n  "reasons'),
     "further key": lambda text: text.replace("{", '{"more": 1,', 1),
 }

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from anisoscope.record.schema import sha256_of
-from anisoscope.report import figures, inspection_page
+from anisoscope.report import figures, surface_sections
 from anisoscope.report.peers import LotMate, among, lot_of
 from anisoscope.report.provenance import UNSAID, calibrations_of, files_of, groups_of
 from anisoscope.report.rule import rule_of
@@ -162,7 +162,7 @@ def test_of_many_contrasts_between_tilts_the_least_likely_are_shown(make_report_
 
 
 def test_a_contrast_between_tilts_says_every_value_with_its_expanded_uncertainty(make_report_record):
-    (one,) = make_report_record(between_tilts=between(1)).between_tilts
+    (one,) = make_report_record(between_tilts=between(1)).details.between_tilts
     row = tilt_row(one)
     assert row.label == "−90°, tilt 0° / 1°"
     assert row.numbers == ("+0.310", "0.006", "+0.300", "0.008", "+0.010", "0.010")
@@ -186,7 +186,7 @@ def test_map_and_table_count_from_the_rotation_axis(
         return ""
 
     monkeypatch.setattr(figures, "deviation_map", keep)
-    inspection_page._maps(record, report_pictures)
+    surface_sections._maps(record, record.details, report_pictures)
     (place,), (left, right, low, high) = drawn["places"], drawn["ends"]
     height, width = report_pictures.size_mm
     assert (right - left, high - low) == pytest.approx((width, height))

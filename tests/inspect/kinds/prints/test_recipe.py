@@ -15,7 +15,7 @@ from anisoscope.kinds.prints.recipe import PrintTolerances, PrintUncertainty, re
 from anisoscope.kinds.prints.recipe_check import as_predicted, check_print_recipe, planned_quantities
 from anisoscope.kinds.prints.sources import of_poses
 from anisoscope.kinds.prints.template import new_print_recipe
-from anisoscope.kinds.registry import read_any_recipe, read_recipe
+from anisoscope.kinds.registry import kind_of, read_any_recipe, read_recipe
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
 from anisoscope.recipe.template import new_recipe
 from anisoscope.rig.rigfile import RigFile
@@ -38,7 +38,7 @@ def written(tmp_path):
 
 def test_a_new_recipe_is_valid_and_holds_the_starting_limits(written):
     recipe = read_any_recipe(written())
-    assert is_print(written())
+    assert kind_of(written()).name == "prints"
     assert recipe.product == 'print "7"'
     assert recipe.tolerances == type(recipe.tolerances)()
     assert recipe.uncertainty == type(recipe.uncertainty)()
