@@ -437,7 +437,7 @@ def read_recipe(path: Path | str) -> "RecipeBase":
     Raises:
         RecipeError: it cannot be read or used; the message names the file and the entry.
     """
-    from anisoscope.inspection.recipe_file import read_any_recipe
+    from anisoscope.kinds.registry import read_any_recipe
 
     return read_any_recipe(Path(path))
 
@@ -563,7 +563,7 @@ def commission(
     from anisoscope.commissioning.commissioning import commission as find
     from anisoscope.commissioning.commissioning import part_of_recipe
     from anisoscope.commissioning.series import Series
-    from anisoscope.inspection.recipe_file import read_recipe
+    from anisoscope.kinds.registry import read_recipe
 
     recipe = read_recipe(Path(part))
     series = Series(
