@@ -44,7 +44,10 @@ def test_a_record_of_other_numbers_differs_and_they_are_named(finished):
     )
     write_record(forged, finished)  # with a new seal, as a forger would
     found = recompute(finished)
-    assert [line.partition(":")[0] for line in found.differences] == ["details.contrasts[1].measured", "verdict"]
+    assert [line.partition(":")[0] for line in found.differences] == [
+        "details.contrasts[1].measured",
+        "verdict",
+    ]
     assert verify(finished).intact  # nobody but a recomputation notices
 
 
