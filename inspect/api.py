@@ -620,6 +620,6 @@ def control_chart(
 
 def drivers(group: Literal["stages", "cameras", "lights"]) -> tuple[str, ...]:
     """Names of the installed drivers, those of other distributions included; `open_stage` and the like take them."""
-    from anisoscope.rig.drivers import installed
+    from anisoscope.base.plugins import installed
 
     return tuple(sorted(installed(f"anisoscope.{group}")))
