@@ -62,10 +62,13 @@ def import_graph(checkout: Path) -> dict[str, set[str]]:
         # grimp takes the first root it finds: with this file the copy is a package before any installed one.
         Path(lain, "anisoscope", "__init__.py").touch()
         sys.path.insert(0, lain)
+        imported = sys.modules.pop("anisoscope", None)  # or grimp would look where that one lies
         try:
             graph = grimp.build_graph("anisoscope", cache_dir=None)
         finally:
             sys.path.remove(lain)
+            if imported is not None:
+                sys.modules["anisoscope"] = imported
     return {
         module: {other for other in graph.find_modules_directly_imported_by(module) if other != "anisoscope"}
         for module in sorted(graph.modules)

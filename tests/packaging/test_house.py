@@ -26,6 +26,10 @@ def found():
     return house.numbers(ROOT)
 
 
+def test_the_graph_holds_all_modules(found):
+    assert len(house.import_graph(ROOT)) > 0.9 * found["files"]
+
+
 def test_every_package_of_the_first_level_has_its_floor(found):
     named, _, there = found["layers_cover"].partition(" of ")
     assert named == there
