@@ -14,7 +14,6 @@ import errno
 import functools
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from contextvars import ContextVar
 from importlib.metadata import entry_points
@@ -25,6 +24,7 @@ import serial
 from serial.serialutil import PortNotOpenError
 from serial.tools import list_ports
 
+from anisoscope.base.clock import SYSTEM, Clock
 from anisoscope.base.errors import NotConnected
 from anisoscope.rig.portholder import claim, holder_of, release
 
@@ -67,6 +67,8 @@ class Connection:
             )
         except PORT_ERRORS as problem:
             raise NotConnected(_why_not_open(port, problem)) from problem
+        # a simulated device may bring a time of its own
+        self.clock: Clock = getattr(self.serial, "clock", SYSTEM)
         self._claim = claim(port)
 
     def take(self) -> Self:
@@ -222,6 +224,11 @@ class Transport:
         return self._connection.serial
 
     @property
+    def clock(self) -> Clock:
+        """Time by which to wait for what is behind the port."""
+        return self._connection.clock
+
+    @property
     def pending(self) -> bytes:
         """Bytes received and not read yet."""
         return bytes(self._buffer)
@@ -246,7 +253,7 @@ class Transport:
         Raises:
             NotConnected: the port is closed or unplugged.
         """
-        deadline = time.monotonic() + timeout_s
+        deadline = self.clock() + timeout_s
         while len(self._buffer) < count:
             if not self._fill(deadline):
                 return None
@@ -260,7 +267,7 @@ class Transport:
         Raises:
             NotConnected: the port is closed or unplugged.
         """
-        deadline = time.monotonic() + timeout_s
+        deadline = self.clock() + timeout_s
         while (end := self._buffer.find(terminator)) < 0:
             del self._buffer[:-MAX_BACKLOG]
             if not self._fill(deadline):
@@ -273,7 +280,7 @@ class Transport:
         Raises:
             NotConnected: the port is closed or unplugged.
         """
-        self._fill(time.monotonic(), only_waiting=True)
+        self._fill(self.clock(), only_waiting=True)
         return self._take(len(self._buffer))
 
     def close(self) -> None:
@@ -306,7 +313,7 @@ class Transport:
             self._buffer.extend(came)
             if came and not only_waiting:
                 return True
-            if not came and (only_waiting or time.monotonic() >= deadline):
+            if not came and (only_waiting or self.clock() >= deadline):
                 return False
             if len(self._buffer) > MAX_BACKLOG:
                 return False

@@ -10,7 +10,6 @@ import contextlib
 import logging
 import re
 import threading
-import time
 from dataclasses import dataclass
 from typing import Self
 
@@ -62,6 +61,7 @@ class LightLine:
 
     def __init__(self, transport: Transport, timeout_s: float) -> None:
         self.transport = transport
+        self._clock = transport.clock
         self.name = f"the light at {transport.port}"
         self._timeout_s = timeout_s
 
@@ -92,20 +92,20 @@ class LightLine:
 
     def identify(self, boot_s: float) -> str:
         """Identify the controller, for as long as a board may take to start after the port was opened."""
-        deadline = time.monotonic() + boot_s
+        deadline = self._clock() + boot_s
         while True:
             try:
                 return self.query("ID?", "ID")
             except NotConnected:
-                if not self.transport.is_open or time.monotonic() >= deadline:
+                if not self.transport.is_open or self._clock() >= deadline:
                     raise
-                time.sleep(BOOT_POLL_S)
+                self._clock.sleep(BOOT_POLL_S)
 
     def _await(self, expected: str) -> tuple[bool, str | None]:
         """Whether anything came in time, and the answer if it was among it."""
         heard = False
-        deadline = time.monotonic() + self._timeout_s
-        while (left_s := deadline - time.monotonic()) > 0.0:
+        deadline = self._clock() + self._timeout_s
+        while (left_s := deadline - self._clock()) > 0.0:
             line = self.transport.read_until(b"\n", left_s)
             if line is None:
                 break
@@ -211,15 +211,15 @@ class SerialLight:
 
     def _switch(self, command: str, *, on: bool) -> None:
         self._line.query(command, f"OK {command}")
-        deadline = time.monotonic() + self._settle_s
+        deadline = self._transport.clock() + self._settle_s
         while True:
             status = self._line.status()
             wrong = self._what_is_wrong(status, on)
             if not wrong:
                 return
-            if status.on != on or time.monotonic() >= deadline:
+            if status.on != on or self._transport.clock() >= deadline:
                 raise RigError(f"{self.name} was switched {command.lower()}, but {wrong}")
-            time.sleep(SENSOR_POLL_S)
+            self._transport.clock.sleep(SENSOR_POLL_S)
 
     def _what_is_wrong(self, status: LightStatus, on: bool) -> str:
         if status.on != on:

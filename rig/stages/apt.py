@@ -11,7 +11,6 @@ period of the controller's clock, times 65536. Source: Thorlabs APT communicatio
 """
 
 import logging
-import time
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -170,6 +169,7 @@ class AptLine:
 
     def __init__(self, transport: Transport, address: int, timeout_s: float) -> None:
         self.transport = transport
+        self._clock = transport.clock
         self.address = address
         self.name = f"the controller at {transport.port}"
         self.servo = False
@@ -208,7 +208,7 @@ class AptLine:
         for _ in range(TRIES):
             self.send(question)
             self._heard, self._stranger = False, None
-            deadline = time.monotonic() + self._timeout_s
+            deadline = self._clock() + self._timeout_s
             while (message := self._next(deadline)) is not None:
                 if message.id == expected:
                     return self._newest(message)
@@ -223,7 +223,7 @@ class AptLine:
 
     def wait_for_end(self, wait_s: float) -> None:
         """Wait up to `wait_s` seconds for the news that a motion ended."""
-        deadline = time.monotonic() + wait_s
+        deadline = self._clock() + wait_s
         while (message := self._next(deadline)) is not None:
             if message.id in ENDS:
                 return
@@ -238,7 +238,7 @@ class AptLine:
 
     def _next(self, deadline: float) -> Message | None:
         while (message := self._take()) is None:
-            left_s = deadline - time.monotonic()
+            left_s = deadline - self._clock()
             first = self.transport.read_exactly(1, left_s) if left_s > 0.0 else None
             if first is None:
                 return None
@@ -266,7 +266,7 @@ class AptLine:
         return message
 
     def _acknowledge(self) -> None:
-        now = time.monotonic()
+        now = self._clock()
         if now - self._acknowledged > ACKNOWLEDGE_S:
             self._acknowledged = now
             self.send(Message(ACK_DC_STATUS))
@@ -414,7 +414,7 @@ class Apt(PortStage):
             _log.warning("%s: status %08X before a motion", self.name, before.bits)
             switched.insert(0, Message(SET_ENABLED, (CHANNEL, DISABLE)))
         self._line.ended = None
-        self._begun = time.monotonic()
+        self._begun = self._clock()
         self._seen_moving = self._seen_homing = False
         self._pause_s = FIRST_PAUSE_S
         self._line.send(*switched, command)
@@ -446,7 +446,7 @@ class Apt(PortStage):
 
     def _has_homed(self) -> bool:
         """Whether the homed bit can be that of this reference search, and not of one before."""
-        return self._seen_homing or time.monotonic() - self._begun > HOMING_BEGINS_S
+        return self._seen_homing or self._clock() - self._begun > HOMING_BEGINS_S
 
     def _raise_trouble(self, status: Status) -> None:
         # The search begins and ends at a switch; touched during anything else, it is in the way.
@@ -464,8 +464,8 @@ class Apt(PortStage):
         self._line.send(Message(STOP, (CHANNEL, self._stop_mode)))
 
     def _wait_until_still(self) -> None:
-        deadline = time.monotonic() + self.rules.margin_s
-        while self._line.status().moving and time.monotonic() < deadline:
+        deadline = self._clock() + self.rules.margin_s
+        while self._line.status().moving and self._clock() < deadline:
             self._line.wait_for_end(POLL_S)
 
     def _end_session(self) -> None:

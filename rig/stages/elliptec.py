@@ -13,7 +13,6 @@ answers of real devices.
 
 import logging
 import re
-import time
 from dataclasses import dataclass
 from typing import ClassVar, Self
 
@@ -197,6 +196,7 @@ class ElliptecLine:
 
     def __init__(self, transport: Transport, address: str, timeout_s: float) -> None:
         self.transport = transport
+        self._clock = transport.clock
         self.address = address
         self.name = f"the stage at {transport.port}, address {address},"
         self.busy_limit_s = 10.0
@@ -210,9 +210,9 @@ class ElliptecLine:
 
     def next_answer(self, wait_s: float) -> Answer | None:
         """Return the next whole answer of this device within `wait_s` seconds; skip what is unasked for."""
-        deadline = time.monotonic() + wait_s
+        deadline = self._clock() + wait_s
         damaged = 0
-        while (line := self.transport.read_until(TERMINATOR, deadline - time.monotonic())) is not None:
+        while (line := self.transport.read_until(TERMINATOR, deadline - self._clock())) is not None:
             answer = Answer.parse(line)
             self._heard = True
             if answer is None:
@@ -233,7 +233,7 @@ class ElliptecLine:
 
         A damaged answer is asked for again; a busy device is asked for up to `busy_limit_s`.
         """
-        busy_until = time.monotonic() + self.busy_limit_s
+        busy_until = self._clock() + self.busy_limit_s
         tries = 0
         while tries < TRIES:
             self.transport.discard()
@@ -243,18 +243,18 @@ class ElliptecLine:
                 tries = tries + 1 if self._heard or self.transport.pending else TRIES
             elif answer.code == expected:
                 return answer
-            elif time.monotonic() >= busy_until:
+            elif self._clock() >= busy_until:
                 raise MotionTimeout(f"{self.name} stays busy; switch it off and on")
             else:
-                time.sleep(BUSY_POLL_S)
+                self._clock.sleep(BUSY_POLL_S)
         raise self._silence()
 
     def _await_answer(self, expected: str) -> Answer | None:
         """Wait for an answer of one kind, or for the news that the device is busy or in trouble."""
-        deadline = time.monotonic() + self._timeout_s
+        deadline = self._clock() + self._timeout_s
         self._stranger = ""
         self._heard = False
-        while (left_s := deadline - time.monotonic()) > 0.0:
+        while (left_s := deadline - self._clock()) > 0.0:
             answer = self.next_answer(left_s)
             if answer is None:
                 break
@@ -407,9 +407,9 @@ class Elliptec(PortStage):
         self._begin(f"ma{counts_to_hex(self._target_counts)}")
 
     def _begin(self, command: str) -> None:
-        pause_s = self._last_motion_end + self._move_gap_s - time.monotonic()
+        pause_s = self._last_motion_end + self._move_gap_s - self._clock()
         if pause_s > 0.0:
-            time.sleep(pause_s)
+            self._clock.sleep(pause_s)
         self._transport.discard()
         self._command = command
         self._polling = self._refused = False
@@ -418,7 +418,7 @@ class Elliptec(PortStage):
 
     def _is_busy(self, wait_s: float) -> bool:
         if self._polling:
-            time.sleep(self._poll_s)
+            self._clock.sleep(self._poll_s)
             self._poll_s = min(2.0 * self._poll_s, BUSY_POLL_S)
             self._line.send("gs")
         answer = self._line.next_answer(wait_s)
@@ -430,13 +430,13 @@ class Elliptec(PortStage):
             self._polling = True
             return True
         if answer.status:
-            self._last_motion_end = time.monotonic()
+            self._last_motion_end = self._clock()
             raise error_of_status(self.name, answer.status, "moving")
         if answer.status is None and not self._near(answer):
             # An unsolicited position, or the end of the motion at a wrong place: the status decides.
             self._polling = True
             return True
-        self._last_motion_end = time.monotonic()
+        self._last_motion_end = self._clock()
         self._polling = True  # from here on the device has to be asked
         if self._refused and not self._stopping.is_set() and not self._near(self._line.query("gp", "PO")):
             self._begin(self._command)
@@ -461,4 +461,4 @@ class Elliptec(PortStage):
     def _wait_until_still(self) -> None:
         # A stop is answered once; what else may come is discarded before the next question.
         self._line.next_answer(QUIET_S)
-        self._last_motion_end = time.monotonic()
+        self._last_motion_end = self._clock()

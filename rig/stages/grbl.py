@@ -7,7 +7,6 @@ motors have no feedback: steps that are lost without a limit switch are visible 
 Source: interface description of Grbl 1.1.
 """
 
-import time
 from abc import abstractmethod
 from typing import ClassVar
 
@@ -151,12 +150,12 @@ class GrblAxis(PortStage):
     def _begin(self, command: str) -> None:
         self._command = command
         self._polls = 0
-        self._busy_until = time.monotonic() + self.rules.margin_s
+        self._busy_until = self._clock() + self.rules.margin_s
         self._board.send(command)
 
     def _is_busy(self, wait_s: float) -> bool:
         if self._polls and not self._searching:
-            time.sleep(max(0.0, min(wait_s, FIRST_POLL_S * 2.0 ** min(self._polls, 5))))
+            self._clock.sleep(max(0.0, min(wait_s, FIRST_POLL_S * 2.0 ** min(self._polls, 5))))
         self._polls += 1
         return self._search_goes_on(wait_s) if self._searching else self._move_goes_on()
 
@@ -183,9 +182,9 @@ class GrblAxis(PortStage):
         refusal = self._board.answer
         if not isinstance(refusal, Refused):
             return False
-        if refusal.code != NOT_IDLE or time.monotonic() >= self._busy_until or self._stopping.is_set():
+        if refusal.code != NOT_IDLE or self._clock() >= self._busy_until or self._stopping.is_set():
             raise error_of_refusal(self.name, refusal.code, doing)
-        time.sleep(BUSY_POLL_S)
+        self._clock.sleep(BUSY_POLL_S)
         self._board.send(self._command)
         return True
 
@@ -194,12 +193,12 @@ class GrblAxis(PortStage):
         self._board.send_now(RESET if self._searching else JOG_CANCEL)
 
     def _wait_until_still(self) -> None:
-        deadline = time.monotonic() + self.rules.margin_s
+        deadline = self._clock() + self.rules.margin_s
         if self._searching or self._board.critical:
             self._searching = False
             self._board.reset(self.rules.margin_s)
-        while time.monotonic() < deadline and self._board.query_status().state in MOVING:
-            time.sleep(BUSY_POLL_S)
+        while self._clock() < deadline and self._board.query_status().state in MOVING:
+            self._clock.sleep(BUSY_POLL_S)
         self._board.alarm = None
 
 
@@ -308,7 +307,7 @@ class Grbl(GrblAxis):
             self._board.reset()
         self._board.alarm = None
         self._queried_order = False
-        self._queried_at = time.monotonic()
+        self._queried_at = self._clock()
         self._begin(f"$H{self.axis}" if "H" in self._board.options else "$H")
 
     def _search_goes_on(self, wait_s: float) -> bool:
@@ -328,7 +327,7 @@ class Grbl(GrblAxis):
         return True
 
     def _query_periodically(self) -> None:
-        now = time.monotonic()
+        now = self._clock()
         if now - self._queried_at >= QUERY_INTERVAL_S or self._polls <= 1:
             self._queried_at = now
             self._board.send_now(STATUS)

@@ -1,7 +1,6 @@
 """A Grbl board, which several axes share: how it starts, what it is, where it stands."""
 
 import logging
-import time
 import weakref
 from collections.abc import Callable
 
@@ -60,6 +59,7 @@ class GrblTalk:
         self.alarm: int | None = None
         self.answer: Ok | Refused | None = None
         self._transports = [transport]
+        self._clock = transport.clock
         self._timeout_s = timeout_s
         self._offset: tuple[float, ...] = ()
         self._rest = b""
@@ -85,8 +85,8 @@ class GrblTalk:
 
     def next_message(self, wait_s: float) -> Message | None:
         """Return the next message within `wait_s` seconds, and take note of what it means for all axes."""
-        deadline = time.monotonic() + wait_s
-        while (line := self._transport.read_until(TERMINATOR, deadline - time.monotonic())) is not None:
+        deadline = self._clock() + wait_s
+        while (line := self._transport.read_until(TERMINATOR, deadline - self._clock())) is not None:
             line, self._rest = self._rest + line, b""
             if (message := self._take(line)) is not None:
                 return message
@@ -212,8 +212,8 @@ class GrblBoard(GrblTalk):
         for _ in range(TRIES):
             self._heard = False
             self.send_now(STATUS)
-            deadline = time.monotonic() + wait_s
-            while (left_s := deadline - time.monotonic()) > 0.0:
+            deadline = self._clock() + wait_s
+            while (left_s := deadline - self._clock()) > 0.0:
                 message = self.next_message(left_s)
                 if isinstance(message, Status):
                     return message
@@ -237,8 +237,8 @@ class GrblBoard(GrblTalk):
         return self._await_banner(wait_s)
 
     def _await_banner(self, wait_s: float) -> bool:
-        deadline = time.monotonic() + wait_s
-        while (left_s := deadline - time.monotonic()) > 0.0:
+        deadline = self._clock() + wait_s
+        while (left_s := deadline - self._clock()) > 0.0:
             message = self.next_message(left_s)
             if isinstance(message, Banner):
                 self.version = message.version

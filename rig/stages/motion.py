@@ -8,12 +8,12 @@ needs a reference search first; stop works from another thread. Angles are in de
 import contextlib
 import math
 import threading
-import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import Self
 
+from anisoscope.base.clock import SYSTEM, Clock
 from anisoscope.base.errors import LimitExceeded, MotionTimeout, NotHomed, RigError
 from anisoscope.rig.stage import MotionRules, check_limits
 
@@ -81,6 +81,11 @@ class StageBase(ABC):
     def name(self) -> str:
         """Model and serial number, for records."""
         return self._name
+
+    @property
+    def _clock(self) -> Clock:
+        """Time by which motions are waited for."""
+        return SYSTEM
 
     @property
     def limits_deg(self) -> tuple[float, float]:
@@ -201,7 +206,7 @@ class StageBase(ABC):
     def _move(self, what: str, begin: Callable[[], None], target_deg: float, timeout_s: float) -> float:
         self._left_at_deg = None
         try:
-            deadline = time.monotonic() + timeout_s
+            deadline = self._clock() + timeout_s
             begin()
             reached = self._await(what, target_deg, deadline, timeout_s)
         except BaseException:
@@ -215,7 +220,7 @@ class StageBase(ABC):
     def _await(self, what: str, target_deg: float, deadline: float, timeout_s: float) -> float:
         short_since: float | None = None
         while True:
-            left_s = deadline - time.monotonic()
+            left_s = deadline - self._clock()
             busy = self._is_busy(min(POLL_S, left_s)) if left_s > 0.0 else self._is_surely_busy()
             if self._stopping.is_set():
                 self._send_stop()
@@ -224,7 +229,7 @@ class StageBase(ABC):
             at_deg = self._read_deg() if not busy else math.nan
             if abs(at_deg - target_deg) <= self.rules.tolerance_deg:
                 return at_deg
-            now = time.monotonic()
+            now = self._clock()
             short_since = None if busy else short_since or now
             if short_since is not None and now - short_since >= SETTLE_S:
                 raise self._off_target(what, at_deg, target_deg)
@@ -233,7 +238,7 @@ class StageBase(ABC):
 
     def _wait_until_still(self) -> None:
         """After a stop command: read pending messages until the device is at rest."""
-        deadline = time.monotonic() + self.rules.margin_s
+        deadline = self._clock() + self.rules.margin_s
         while self._is_busy(min(POLL_S, self.rules.margin_s)):
-            if time.monotonic() >= deadline:
+            if self._clock() >= deadline:
                 return

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from inspect import signature
 from typing import Any, ClassVar, Self
 
+from anisoscope.base.clock import Clock
 from anisoscope.base.errors import RigError
 from anisoscope.rig.stages.motion import StageBase
 from anisoscope.rig.transport import Transport
@@ -22,6 +23,11 @@ class PortStage(StageBase):
     PORT: ClassVar[dict[str, Any]]
     _transport: Transport
     _owns_transport = False
+
+    @property
+    def _clock(self) -> Clock:
+        """Time of the port: a simulated device may have one of its own."""
+        return self._transport.clock
 
     @classmethod
     def open(cls, port: str, **options: Any) -> Self:  # noqa: ANN401 - the driver's own options

@@ -13,7 +13,6 @@ Source: Newport SMC100CC/PP user's manual.
 import contextlib
 import logging
 import re
-import time
 from dataclasses import dataclass
 from typing import ClassVar, Self
 
@@ -157,6 +156,7 @@ class Smc100Line:
     def __init__(self, transport: Transport, address: int, timeout_s: float) -> None:
         self.name = f"the stage at {transport.port}, address {address},"
         self._transport = transport
+        self._clock = transport.clock
         self._address = address
         self._timeout_s = timeout_s
         self._stranger: int | None = None
@@ -216,9 +216,9 @@ class Smc100Line:
             raise error_of_letter(self.name, letter, doing)
 
     def _answer_to(self, code: str) -> str | None:
-        deadline = time.monotonic() + self._timeout_s
+        deadline = self._clock() + self._timeout_s
         damaged = 0
-        while (line := self._transport.read_until(TERMINATOR, deadline - time.monotonic())) is not None:
+        while (line := self._transport.read_until(TERMINATOR, deadline - self._clock())) is not None:
             answer = Answer.parse(line)
             if answer is None:
                 damaged += bool(line.strip(b"\r\n\0 "))
@@ -356,14 +356,14 @@ class Smc100(PortStage):
     def _restart(self) -> None:
         """Restart the controller, and wait until it answers again and knows no reference."""
         self._line.send("RS")  # no question about an error: it answers nothing for some seconds
-        deadline = time.monotonic() + self._restart_s
+        deadline = self._clock() + self._restart_s
         while True:
             with contextlib.suppress(NotConnected):
                 if self._line.state().code in NOT_REFERENCED:
                     return
-            if not self._transport.is_open or time.monotonic() >= deadline:
+            if not self._transport.is_open or self._clock() >= deadline:
                 raise NotConnected(f"{self.name} does not come back from its restart; switch it off and on")
-            time.sleep(BUSY_POLL_S)
+            self._clock.sleep(BUSY_POLL_S)
 
     def _begin_move(self, target_deg: float) -> None:
         self._searching = False
@@ -375,27 +375,27 @@ class Smc100(PortStage):
     def _begin(self, command: str, doing: str) -> None:
         self._command, self._doing = command, doing
         self._polls = 0
-        self._busy_until = time.monotonic() + self.rules.margin_s
+        self._busy_until = self._clock() + self.rules.margin_s
         self._order()
 
     def _order(self) -> None:
         """Send the command of the motion; one that meets a moving stage is sent again later."""
         self._line.send(self._command)
         self._refusal = self._line.error()
-        if self._refusal in BUSY_ERRORS and time.monotonic() < self._busy_until:
+        if self._refusal in BUSY_ERRORS and self._clock() < self._busy_until:
             return
         if self._refusal != NO_ERROR:
             raise error_of_letter(self.name, self._refusal, self._doing)
 
     def _is_busy(self, wait_s: float) -> bool:
         if self._polls:
-            time.sleep(max(0.0, min(wait_s, FIRST_POLL_S * 2.0 ** min(self._polls, 5))))
+            self._clock.sleep(max(0.0, min(wait_s, FIRST_POLL_S * 2.0 ** min(self._polls, 5))))
         self._polls += 1
         state = self._state()
         if state.code in IN_MOTION:
             return True
         if self._refusal != NO_ERROR and not self._stopping.is_set():
-            time.sleep(BUSY_POLL_S)
+            self._clock.sleep(BUSY_POLL_S)
             self._order()
             return True
         if state.code not in READY and not self._stopping.is_set():
@@ -417,7 +417,7 @@ class Smc100(PortStage):
         self._line.send("ST")
 
     def _wait_until_still(self) -> None:
-        deadline = time.monotonic() + self.rules.margin_s
-        while self._line.state().code in IN_MOTION and time.monotonic() < deadline:
-            time.sleep(BUSY_POLL_S)
+        deadline = self._clock() + self.rules.margin_s
+        while self._line.state().code in IN_MOTION and self._clock() < deadline:
+            self._clock.sleep(BUSY_POLL_S)
         self._line.error()  # a stop of a stage at rest may have been refused

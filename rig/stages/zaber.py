@@ -21,7 +21,6 @@ import itertools
 import logging
 import math
 import re
-import time
 from dataclasses import dataclass
 from typing import ClassVar, Self
 
@@ -206,6 +205,7 @@ class ZaberLine:
 
     def __init__(self, transport: Transport, device: int, axis: int, timeout_s: float) -> None:
         self.transport = transport
+        self._clock = transport.clock
         self.device = device
         self.axis = axis
         self.name = f"the stage at {transport.port}, address {device},"
@@ -261,16 +261,16 @@ class ZaberLine:
 
     def rest(self, wait_s: float) -> None:
         """Wait, but no longer than until the device alerts us."""
-        deadline = time.monotonic() + wait_s
-        while (left_s := deadline - time.monotonic()) > 0.0:
+        deadline = self._clock() + wait_s
+        while (left_s := deadline - self._clock()) > 0.0:
             line = self.transport.read_until(TERMINATOR, left_s)
             if line is not None and is_alert_of(line, self.device):
                 return
 
     def _await_reply(self, number: int, axis: int) -> Reply | None:
-        deadline = time.monotonic() + self._timeout_s
+        deadline = self._clock() + self._timeout_s
         damaged = 0
-        while (line := self.transport.read_until(TERMINATOR, deadline - time.monotonic())) is not None:
+        while (line := self.transport.read_until(TERMINATOR, deadline - self._clock())) is not None:
             reply = Reply.parse(line)
             if reply is None:
                 if is_aside(line):

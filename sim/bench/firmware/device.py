@@ -13,6 +13,11 @@ from anisoscope.sim.bench.firmware.faults import Fault, FaultKind
 class Firmware(Protocol):
     """A simulated device on a line: bytes in, bytes out."""
 
+    @property
+    def clock(self) -> Callable[[], float]:
+        """Monotonic time of the device in seconds; a `Clock` also says how to wait by it."""
+        ...
+
     def connect(self) -> None:
         """A host opened the line."""
         ...
@@ -78,6 +83,11 @@ class SimulatedDevice(ABC):
 
     def _repair(self) -> None:  # noqa: B027 - most devices have nothing more to repair
         """Undo the side effects of a fault."""
+
+    @property
+    def clock(self) -> Callable[[], float]:
+        """Monotonic time of the device in seconds."""
+        return self._clock
 
     # The line.
 
@@ -150,6 +160,11 @@ class Bus:
 
     def __init__(self, *devices: Firmware) -> None:
         self.devices = devices
+
+    @property
+    def clock(self) -> Callable[[], float]:
+        """Monotonic time of all devices on the line, in seconds."""
+        return self.devices[0].clock
 
     def connect(self) -> None:
         """A host opened the line."""

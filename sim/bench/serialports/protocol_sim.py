@@ -8,12 +8,12 @@ Values are percent-decoded; ``fault`` may be given several times.
 import errno
 import math
 import threading
-import time
 from typing import TYPE_CHECKING, ClassVar
 from urllib.parse import unquote
 
-from serial.serialutil import PortNotOpenError, SerialBase, SerialException, Timeout
+from serial.serialutil import PortNotOpenError, SerialBase, SerialException
 
+from anisoscope.base.clock import SYSTEM, Clock
 from anisoscope.base.errors import AnisoscopeError
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
 from anisoscope.sim.bench.firmware.catalogue import Mount, build
@@ -49,6 +49,7 @@ class Serial(SerialBase):
                 raise SerialException(errno.EBUSY, "the simulated device is in use")
             Serial._held.add(id(firmware))
         self._firmware = firmware
+        self._clock = firmware.clock if isinstance(firmware.clock, Clock) else SYSTEM
         self._inbox = bytearray()
         firmware.connect()
         self.is_open = True
@@ -61,6 +62,11 @@ class Serial(SerialBase):
                 Serial._held.discard(id(self._firmware))
 
     @property
+    def clock(self) -> Clock:
+        """Time of the device."""
+        return self._clock
+
+    @property
     def in_waiting(self) -> int:
         """Number of bytes that can be read without waiting."""
         self._receive()
@@ -68,10 +74,11 @@ class Serial(SerialBase):
 
     def read(self, size: int = 1, /) -> bytes:
         """Read up to `size` bytes, waiting for them no longer than the timeout of the port."""
-        timeout = Timeout(math.inf if self.timeout is None else self.timeout)
+        clock = self._clock
+        deadline = math.inf if self.timeout is None else clock() + self.timeout
         self._receive()
-        while len(self._inbox) < size and not timeout.expired():
-            time.sleep(POLL_S)
+        while len(self._inbox) < size and clock() < deadline:
+            clock.sleep(POLL_S)
             self._receive()
         data = bytes(self._inbox[:size])
         del self._inbox[:size]

@@ -6,6 +6,7 @@ import time
 
 import pytest
 
+from anisoscope.base.clock import SYSTEM, VirtualClock
 from anisoscope.base.errors import NotConnected, ProtocolError, RigError
 from anisoscope.rig.drivers import open_light
 from anisoscope.rig.light import Light
@@ -74,8 +75,9 @@ def test_a_day_in_the_life(served):
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_fault_ends_in_its_error(served, fault):
-    firmware = LightFirmware(faults=(fault,))
+def test_a_fault_ends_in_its_error(request, served, fault):
+    line = request.node.callspec.params["served"]
+    firmware = LightFirmware(faults=(fault,), clock=VirtualClock() if line == "sim" else SYSTEM)
     port = served(firmware)
     with contextlib.ExitStack() as stack:
         if FAULTS[fault] is not None:

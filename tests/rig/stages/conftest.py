@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from anisoscope.base import errors
+from anisoscope.base.clock import SYSTEM, VirtualClock
 from anisoscope.rig.drivers import open_stage
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
 from anisoscope.sim.bench.firmware.catalogue import Mount, build
@@ -26,6 +27,7 @@ class Case:
     faults: dict
 
     def firmware(self, *faults, time_scale=0.0, **axis):
+        """The device; with ``clock=`` that of a test, what waits for it waits by that clock, too."""
         return build(self.protocol, [Mount(RotaryAxis(time_scale=time_scale, **axis))], faults=faults)
 
     def open(self, port, **options):
@@ -51,8 +53,9 @@ LINES = ("sim", "pty", "tcp")
 def pytest_generate_tests(metafunc):
     """``case`` runs a test for every protocol, ``case`` with ``fault`` for every fault of every protocol.
 
-    Where such a test is served as well, every fault comes over ``sim`` and one of the two real lines, every line has
-    faults of every protocol, and ``make soak`` does the rest: nearly all of it is waiting.
+    Where such a test is served as well, every fault comes over ``sim``, every second one over one of the two real
+    lines, every line has faults of every protocol, and ``make soak`` does the rest: on real lines nearly all of it is
+    waiting.
     """
     asked = {"case", "fault", "served"} & set(metafunc.fixturenames)
     pairs = [(case, fault) for case in CASES.values() for fault in case.faults]
@@ -64,7 +67,7 @@ def pytest_generate_tests(metafunc):
                 pytest.param(*pair, line, id=f"{name}-{line}", marks=[pytest.mark.soak] if later else [])
                 for number, (name, pair) in enumerate(zip(ids, pairs, strict=True))
                 for line in LINES
-                for later in [line == LINES[1 + number % 2]]
+                for later in [line not in {"sim", LINES[number % 4 % 3]}]
             ],
             indirect=["served"],
         )
@@ -81,6 +84,13 @@ def pytest_generate_tests(metafunc):
 def all_cases():
     """The cases of all protocols, by name."""
     return CASES
+
+
+@pytest.fixture
+def clock(request):
+    """Time of a device in this process passes where the driver waits; a real line takes the system's."""
+    line = request.node.callspec.params.get("served", "sim") if hasattr(request.node, "callspec") else "sim"
+    return VirtualClock() if line == "sim" else SYSTEM
 
 
 @pytest.fixture

@@ -35,8 +35,8 @@ def test_every_fault_that_a_device_can_have_is_in_the_table(case):
     assert {fault.partition(":")[0] for fault in case.faults} == {str(kind) for kind in possible}
 
 
-def test_a_day_in_the_life(served, case):
-    firmware = case.firmware("split", "unsolicited", "garbage")
+def test_a_day_in_the_life(served, case, clock):
+    firmware = case.firmware("split", "unsolicited", "garbage", clock=clock)
     with case.open(served(firmware)) as stage:
         assert isinstance(stage, RotationStage)
         assert stage.name == case.stage["name"]
@@ -50,8 +50,8 @@ def test_a_day_in_the_life(served, case):
     assert not stage.is_homed
 
 
-def test_clients_come_and_go(served, case):
-    port = served(case.firmware())
+def test_clients_come_and_go(served, case, clock):
+    port = served(case.firmware(clock=clock))
     for again in range(2):
         with case.open(port) as stage:
             assert stage.is_homed == (bool(again) and case.stage["remembers_its_reference"])
@@ -59,15 +59,15 @@ def test_clients_come_and_go(served, case):
 
 
 @pytest.mark.parametrize("angle", [10.0, 0.001, 359.9999, 123.4567])
-def test_angles_are_rounded_to_counts(in_process, case, angle):
-    with case.open(in_process(case.firmware())) as stage:
+def test_angles_are_rounded_to_counts(in_process, case, angle, clock):
+    with case.open(in_process(case.firmware(clock=clock))) as stage:
         stage.home()
         assert stage.move_to(angle) == pytest.approx(angle, abs=half_step(stage))
 
 
 @pytest.mark.parametrize("beyond", [-0.1, 0.1, float("nan"), float("inf")])
-def test_limits_are_checked_before_anything_moves(in_process, case, beyond):
-    firmware = case.firmware()
+def test_limits_are_checked_before_anything_moves(in_process, case, beyond, clock):
+    firmware = case.firmware(clock=clock)
     with case.open(in_process(firmware)) as stage:
         stage.home()
         sent = len(firmware.commands)
@@ -77,15 +77,15 @@ def test_limits_are_checked_before_anything_moves(in_process, case, beyond):
         assert len(firmware.commands) == sent
 
 
-def test_own_limits(in_process, case):
-    with case.open(in_process(case.firmware()), min_deg=5.0, max_deg=20.0) as stage:
+def test_own_limits(in_process, case, clock):
+    with case.open(in_process(case.firmware(clock=clock)), min_deg=5.0, max_deg=20.0) as stage:
         stage.home()
         with pytest.raises(LimitExceeded, match="5°…20°"):
             stage.move_to(21.0)
 
 
-def test_no_absolute_move_before_homing(in_process, case):
-    firmware = case.firmware()
+def test_no_absolute_move_before_homing(in_process, case, clock):
+    firmware = case.firmware(clock=clock)
     with case.open(in_process(firmware)) as stage:
         with pytest.raises(NotHomed):
             stage.move_to(10.0)
@@ -95,8 +95,8 @@ def test_no_absolute_move_before_homing(in_process, case):
     assert not firmware.axis.busy()
 
 
-def test_a_fault_ends_in_its_error_within_its_time(served, case, fault):
-    firmware = case.firmware(fault, time_scale=0.02)
+def test_a_fault_ends_in_its_error_within_its_time(served, case, fault, clock):
+    firmware = case.firmware(fault, time_scale=0.02, clock=clock)
     port = served(firmware)
     threads = set(threading.enumerate())
     expected = case.error_of(fault)
@@ -107,22 +107,22 @@ def test_a_fault_ends_in_its_error_within_its_time(served, case, fault):
         return
     error, pattern = expected
     patience = {} if error is NotConnected else {"timeout_s": PATIENT_S}
-    start, limit_s = time.monotonic(), 60.0
+    start, limit_s = clock(), 60.0
     with pytest.raises(error, match=pattern) as caught, case.open(port, **patience) as stage:
         limit_s += 3.0 * stage.rules.timeout_s(360.0)
         stage.home()
         stage.move_to(90.0)
         stage.move_to(100.0)
     assert "\n" not in str(caught.value)
-    assert time.monotonic() - start < limit_s
+    assert clock() - start < limit_s
     if error in {MotionTimeout, Stalled}:
         assert firmware.stops > 0
     assert not firmware.axis.busy() or error is NotConnected
     assert set(threading.enumerate()) <= threads
 
 
-def test_after_a_fault_the_next_connection_works(in_process, case, fault):
-    firmware = case.firmware(fault, time_scale=0.02)
+def test_after_a_fault_the_next_connection_works(in_process, case, fault, clock):
+    firmware = case.firmware(fault, time_scale=0.02, clock=clock)
     port = in_process(firmware)
     if case.error_of(fault) is not None:
         with pytest.raises(RigError), case.open(port) as stage:
@@ -179,8 +179,8 @@ def test_an_interrupt_stops_the_stage(in_process, case, monkeypatch):
         assert not firmware.axis.busy()
 
 
-def test_stop_at_rest_and_closing_twice_are_harmless(in_process, case):
-    stage = case.open(in_process(case.firmware()))
+def test_stop_at_rest_and_closing_twice_are_harmless(in_process, case, clock):
+    stage = case.open(in_process(case.firmware(clock=clock)))
     stage.stop()
     assert stage.home() == pytest.approx(0.0, abs=half_step(stage))
     stage.close()
@@ -189,7 +189,7 @@ def test_stop_at_rest_and_closing_twice_are_harmless(in_process, case):
         stage.position_deg()
 
 
-def test_only_one_program_may_hold_a_port(in_process, case):
-    port = in_process(case.firmware())
+def test_only_one_program_may_hold_a_port(in_process, case, clock):
+    port = in_process(case.firmware(clock=clock))
     with case.open(port), pytest.raises(NotConnected, match="in use"):
         case.open(port)
