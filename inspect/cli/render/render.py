@@ -10,8 +10,15 @@ from cyclopts import Parameter
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.progress import progress
-from anisoscope.cli.render.options import PictureOptions, PlasticOptions, RigOptions, answer, parse_angles
-from anisoscope.cli.render.scene import Scene, SurfaceOptions
+from anisoscope.cli.render.scene import (
+    PictureOptions,
+    PlasticOptions,
+    RigOptions,
+    Scene,
+    SurfaceOptions,
+    answer,
+    parse_angles,
+)
 
 if TYPE_CHECKING:
     from anisoscope.base.progress import Advance
@@ -24,7 +31,7 @@ from typing import TYPE_CHECKING
 
 import numpy.typing as npt
 
-from anisoscope.cli.render.options import degrees, painted, signed
+from anisoscope.cli.render.scene import degrees, painted, signed
 
 if TYPE_CHECKING:
     from anisoscope.sim.light.geometry import Convention, Pose
