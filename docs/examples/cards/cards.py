@@ -1,0 +1,143 @@
+"""A kind of part of our own for anisoscope: matt cards, of which only the mean brightness is judged."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from anisoscope.base.toml_file import Part, Positive
+from anisoscope.imaging.pose_radiance import check_light, check_view, mean_of
+from anisoscope.imaging.registration.placement import Grid, View, resample
+from anisoscope.imaging.views import most_changed
+from anisoscope.kinds.kind import Kind, Reference, Results, Shown, Sitting, Table
+from anisoscope.recipe.base import RecipeBase
+from anisoscope.record.details import Details
+from anisoscope.record.schema import Record
+from anisoscope.record.verdict import Verdict
+from anisoscope.report.inspection_page import Pictures, Sections
+from anisoscope.rig.rigfile import RigFile
+from anisoscope.sim.light.geometry import Convention, Pose
+
+
+class CardPart(Part):
+    """What a good card shows: its mean radiance in 1/sr, and how far it may be off."""
+
+    radiance: Positive
+    limit: Positive
+
+
+class CardRecipe(RecipeBase):
+    """The recipe of a card: the tables of all kinds, and [card]."""
+
+    card: CardPart
+
+
+class CardDetails(Details):
+    """Its part of record.json."""
+
+    mean: float
+    limit: float
+
+    def numbers(self) -> dict[str, float]:
+        """What the history and the control charts take."""
+        return {"card radiance": self.mean}
+
+
+@dataclass(frozen=True)
+class Expected:
+    """All poses show the same."""
+
+    poses: tuple[Pose, ...]
+    convention: Convention
+    radiance: float
+    model: str = "card"
+    optics: None = None
+    surface: None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """Mean radiances of the poses."""
+
+    radiance: np.ndarray
+    drift: float | None
+
+
+@dataclass(frozen=True)
+class Decided:
+    """The verdict."""
+
+    verdict: Verdict
+    reasons: tuple[str, ...]
+
+
+class Cards(Kind[CardRecipe, Expected, Measured, Decided]):
+    """Matt cards."""
+
+    name = "cards"
+    one = "a card"
+    recipe = CardRecipe
+    details = CardDetails
+
+    def predict(self, recipe: CardRecipe, rig: RigFile, *, cached: bool) -> Expected:  # noqa: ARG002
+        """The same radiance in all poses."""
+        return Expected(recipe.poses.poses(), Convention(rig.light.angle_deg), recipe.card.radiance)
+
+    def measure(self, sitting: Sitting, recipe: CardRecipe, expected: Expected) -> tuple[Measured, float]:  # noqa: ARG002
+        """The mean of the region in every pose, after the gates of light and markers."""
+        height, width = recipe.region.size_mm[1], recipe.region.size_mm[0]
+        step = sitting.pixel_um / 1000.0
+        grid = Grid(recipe.region.center_mm, step, (round(height / step), round(width / step)))
+
+        def mean(view: View) -> float:
+            return mean_of(resample(view.image.value, view.placement, grid))
+
+        views = sitting.views
+        closing, change = most_changed(views, recipe, sitting.pixel_um, mean)
+        for view in views.poses:
+            check_light(view.stage_deg, view.image, recipe)
+            check_view(view, views.poses[0], recipe, sitting.pixel_um)
+        radiance = np.array([mean(view) for view in views.poses])
+        drift = None if closing is None else mean(closing) / float(radiance[0]) - 1.0
+        return Measured(radiance, drift), change
+
+    def decide(
+        self,
+        sitting: Sitting,  # noqa: ARG002
+        recipe: CardRecipe,
+        expected: Expected,  # noqa: ARG002
+        measured: Measured,
+        reference: Reference | None,  # noqa: ARG002
+    ) -> Decided:
+        """One threshold on the mean."""
+        off = float(measured.radiance.mean()) - recipe.card.radiance
+        verdict = Verdict.PASS if abs(off) <= recipe.card.limit else Verdict.FAIL
+        return Decided(verdict, (f"the card is off by {off:+.3f} 1/sr (limit {recipe.card.limit:g})",))
+
+    def results(
+        self,
+        sitting: Sitting,  # noqa: ARG002
+        recipe: CardRecipe,
+        expected: Expected,
+        measured: Measured,
+        decided: Decided,  # noqa: ARG002
+        reference: Reference | None,  # noqa: ARG002
+    ) -> Results:
+        """What the record holds."""
+        details = CardDetails(mean=float(measured.radiance.mean()), limit=recipe.card.limit)
+        return Results(measured.radiance, np.full(len(expected.poses), expected.radiance), details)
+
+    def sections(self, record: Record, pictures: Pictures) -> Sections:  # noqa: ARG002
+        """A heading of its own in the report."""
+        source = "{% if card %}<h2>The card</h2><p>Mean radiance {{ '%.4f'|format(card.mean) }} 1/sr.</p>{% endif %}"
+        return Sections(rule="one threshold on the mean", before=source, content={"card": record.details})
+
+    def shown(self, record: Record) -> Shown:
+        """What `anisoscope inspect` prints."""
+        found = record.details
+        if not isinstance(found, CardDetails):
+            return Shown({"card": None})
+        rows = [[f"{found.mean:.4f}", f"{found.limit:g}"]]
+        return Shown({"card": found.model_dump()}, (Table(record.serial, ["mean [1/sr]", "limit"], rows),))
+
+
+CARDS = Cards()

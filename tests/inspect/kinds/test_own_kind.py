@@ -1,0 +1,122 @@
+"""A fourth kind of part from a package of a third party, from recipe to report, without a change in shared code.
+
+It is the example of docs/own-kind.md.
+"""
+
+import json
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+DOCS = Path(__file__).resolve().parents[3] / "docs"
+EXAMPLE = DOCS / "examples" / "cards"
+CARD = {
+    "kind": "cards",
+    "surface": None,
+    "material": None,
+    "decision": None,
+    "uncertainty": None,
+    "card": {"radiance": 0.05, "limit": 0.05},
+}
+
+
+def install(folder, name, points, files):
+    """A distribution on the search path, as pip leaves it."""
+    about = folder / f"{name}-1.0.dist-info"
+    about.mkdir(parents=True)
+    (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text(points)
+    for path, text in files.items():
+        (folder / path).write_text(text, encoding="utf-8")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory):
+    """The folder with the example and its entry point."""
+    project = tomllib.loads((EXAMPLE / "pyproject.toml").read_text(encoding="utf-8"))
+    (group, entries), *_ = project["project"]["entry-points"].items()
+    points = f"[{group}]\n" + "".join(f"{key} = {value}\n" for key, value in entries.items())
+    files = {"cards.py": (EXAMPLE / "cards.py").read_text(encoding="utf-8")}
+    return install(tmp_path_factory.mktemp("third party"), "cards_kind", points, files)
+
+
+def run(*arguments, path=None, cwd=None):
+    environment = os.environ | ({} if path is None else {"PYTHONPATH": str(path)})
+    command = [sys.executable, "-m", "anisoscope", *map(str, arguments)]
+    return subprocess.run(
+        command, capture_output=True, text=True, check=False, timeout=300, cwd=cwd, env=environment
+    )
+
+
+def test_a_card_goes_from_recipe_to_report(virtual_rig, installed):
+    part = virtual_rig(recipe=CARD)
+    history = f"sqlite:///{part.out.parent / 'history.sqlite'}"
+    options = ("-r", part.recipe, "-g", part.rig, "-s", "C-1", "--out", part.out, "--history", history)
+    done = run("inspect", *options, "--json", path=installed)
+    assert done.returncode in {0, 1}, done.stdout + done.stderr
+    found = json.loads(done.stdout)
+    folder = Path(found["folder"])
+    record = json.loads((folder / "record.json").read_text(encoding="utf-8"))
+    assert (record["schema"], record["kind"]) == (2, "cards")
+    assert record["details"] == found["card"]
+    assert (found["verdict"] == "PASS") == (abs(found["card"]["mean"] - 0.05) <= 0.05)
+    assert "<h2>The card</h2>" in (folder / "report.html").read_text(encoding="utf-8")
+    assert run("verify", folder, path=installed).returncode == 0
+    again = run("recompute", folder, "--json", path=installed)
+    assert json.loads(again.stdout)["differences"] == [], again.stdout + again.stderr
+    shown = run("show", folder, "--history", history, "--json", path=installed)
+    assert shown.returncode == 0, shown.stdout + shown.stderr
+    assert '"card radiance"' in shown.stdout
+    without = run("recompute", folder)  # the package is not installed any more
+    assert without.returncode >= 64
+    assert (
+        "there is no kind of part 'cards'; installed: prints, ridges, wafers"
+        in without.stdout + without.stderr
+    )
+
+
+def test_an_unknown_kind_is_one_line_that_names_the_known_ones(virtual_rig):
+    part = virtual_rig(recipe=CARD | {"kind": "plates"})
+    done = run("inspect", "-r", part.recipe, "-g", part.rig, "-s", "C-1", "--out", part.out)
+    said = done.stdout + done.stderr
+    assert done.returncode >= 64
+    assert "Traceback" not in said
+    assert "kind: there is no kind of part 'plates'; installed: prints, ridges, wafers" in " ".join(
+        said.split()
+    )
+
+
+def test_a_broken_plug_in_is_one_line_and_does_not_spoil_other_recipes(virtual_rig, tmp_path):
+    points = "[anisoscope.kinds]\nbroken = broken_kind:KIND\n"
+    path = install(
+        tmp_path / "site", "broken_kind", points, {"broken_kind.py": "import nothing_of_this_name\n"}
+    )
+    part = virtual_rig(recipe=CARD | {"kind": "broken"})
+    done = run("recipe", "check", part.recipe, path=path)
+    said = " ".join((done.stdout + done.stderr).split())
+    assert done.returncode >= 64
+    assert "Traceback" not in said
+    assert "the kind of part 'broken' does not load: No module named 'nothing_of_this_name'" in said
+    good = virtual_rig("good")
+    done = run("golden", "show", "-r", good.recipe, path=path)
+    assert "there are no golden parts of this recipe" in " ".join((done.stdout + done.stderr).split())
+
+
+def test_a_recipe_may_name_its_kind(virtual_rig):
+    from anisoscope.kinds.registry import kind_of
+
+    assert kind_of(virtual_rig(recipe={"kind": "ridges"}).recipe).name == "ridges"
+    assert kind_of(virtual_rig("unsaid").recipe).name == "ridges"
+
+
+def test_the_page_shows_the_files_as_they_are():
+    page = (DOCS / "own-kind.md").read_text(encoding="utf-8")
+    for language, name in (("python", "cards.py"), ("toml", "pyproject.toml")):
+        shown = re.findall(rf"```{language}\n(.*?)```", page, re.DOTALL)
+        assert (EXAMPLE / name).read_text(encoding="utf-8") in shown, name
