@@ -141,7 +141,7 @@ def draw(arrows: Mapping[str, set[str]], floor: Mapping[str, int], out: Path) ->
     """Write the picture."""
     x, chains = places(arrows, floor)
     left, right = min(x.values()) - BOX[0], max(x.values()) + BOX[0]
-    height = (max(floor.values()) + 0.9) * RISE
+    height = (max(floor.values()) + 0.6) * RISE
     plt.rcParams.update({"svg.hashsalt": "layout", "svg.fonttype": "none", "font.family": "sans-serif"})
     figure = plt.figure(figsize=(0.72 * (right - left), 0.72 * height))
     axes = figure.add_axes((0, 0, 1, 1), xlim=(left, right), ylim=(0.0, height), aspect="equal")
@@ -152,7 +152,7 @@ def draw(arrows: Mapping[str, set[str]], floor: Mapping[str, int], out: Path) ->
         _arrow(axes, [(x[node], node[2] * RISE) for node in chain])
     for name, level in floor.items():
         _box(axes, name, x[name, "", level], level * RISE)
-    _key(axes, left, height)
+    _key(axes, left, right)
     content = json.dumps({name: sorted(arrows[name]) for name in sorted(arrows)})
     figure.savefig(
         out,
@@ -197,14 +197,15 @@ def _box(axes: Axes, name: str, x: float, y: float) -> None:
     axes.text(x, y, name, ha="center", va="center_baseline", fontsize=10, zorder=3)
 
 
-def _key(axes: Axes, left: float, height: float) -> None:
-    for row, (name, (fill, line)) in enumerate(GROUPS.items()):
-        y = height - 0.3 - 0.34 * row
-        corner = (left + 0.25, y - 0.1)
+def _key(axes: Axes, left: float, right: float) -> None:
+    """The groups, in the strip below the lowest floor."""
+    step = (right - left) / len(GROUPS)
+    for place, (name, (fill, line)) in enumerate(GROUPS.items()):
+        x = left + 0.15 + place * step
         axes.add_patch(
-            FancyBboxPatch(corner, 0.3, 0.2, "round,pad=0,rounding_size=0.05", fc=fill, ec=line, lw=0.8)
+            FancyBboxPatch((x, 0.12), 0.26, 0.2, "round,pad=0,rounding_size=0.05", fc=fill, ec=line, lw=0.8)
         )
-        axes.text(left + 0.68, y, name, va="center_baseline", fontsize=9)
+        axes.text(x + 0.36, 0.22, name, va="center_baseline", fontsize=8)
 
 
 def main() -> None:
