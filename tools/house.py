@@ -26,7 +26,8 @@ ROOT = Path(__file__).resolve().parents[1]
 KIND_NAME = re.compile(
     r"wafer|Wafer|WAFER|Prints?(?=[A-Z]|$)|PRINTS?(?=_|$)|(?:^|_)prints?_|_prints?$|^prints$"
 )
-VERB_NAME = re.compile(r"^_?print(_(?!causes|recipe|expectation|record|model|prints|kind)|$)")
+VERB_NAME = re.compile(r"^_?print(_(?!causes|recipe|expectation|record|model|prints|kind)|$)|_and_print$")
+OF_LIBRARIES = {"print_svg"}  # matplotlib's
 _LAYOUT = {
     tokenize.COMMENT,
     tokenize.NL,
@@ -204,7 +205,8 @@ def kind_lines(text: str, *, verbs: bool = False) -> list[int]:
         if name == "print":  # a field; `print(...)` and `console.print(...)` write
             found = before.string == "." and after.string != "("
         else:
-            found = bool(KIND_NAME.search(name)) and not (verbs and VERB_NAME.match(name))
+            verb = name in OF_LIBRARIES or (verbs and VERB_NAME.search(name))
+            found = bool(KIND_NAME.search(name)) and not verb
         if found:
             lines.add(token.start[0])
     return sorted(lines)

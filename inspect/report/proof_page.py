@@ -122,7 +122,7 @@ def write_proof_page(proof: Proof, path: Path) -> None:
 
     models = [(key, LABELS[key]) for key in MODELS]
     shapes = [("sphere", "sphere"), ("cylinder", "cylinder"), ("plane", "plane")]
-    prints = [("halftone", "halftone"), ("tones", "continuous tones")]
+    pictures = [("halftone", "halftone"), ("tones", "continuous tones")]
     content = {
         "title": proof.title,
         "subtitle": proof.subtitle,
@@ -131,7 +131,7 @@ def write_proof_page(proof: Proof, path: Path) -> None:
         "notes": proof.notes,
         "photo": proof.photo,
         "shapes": shapes if proof.mesh is None else [*shapes, ("mesh", "mesh")],
-        "prints": prints + [(f"solid{k}", f"solid {ink.name}") for k, ink in enumerate(proof.inks, 1)],
+        "prints": pictures + [(f"solid{k}", f"solid {ink.name}") for k, ink in enumerate(proof.inks, 1)],
         "illuminants": [(k, one.illuminant.name) for k, one in enumerate(proof.lights)],
         "models": models,
         "roughness": [(key, label) for key, label, _ in proof.roughness],

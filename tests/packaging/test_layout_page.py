@@ -77,9 +77,6 @@ def test_a_picture_says_which_arrows_it_shows(tools, tmp_path):
     assert shown == {"base": [], "cli": ["base"], "rig": ["base"]}
 
 
-@pytest.mark.xfail(
-    strict=False, reason="kinds of parts are becoming plug-ins: the picture is drawn anew at the end"
-)
 def test_the_picture_shows_the_imports_as_they_are(tools):
     """Where it does not: python tools/draw_layout.py."""
     shown = json.loads(next(ET.parse(tools["draw_layout"].PICTURE).iter(DESCRIPTION)).text)
