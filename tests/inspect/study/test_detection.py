@@ -401,7 +401,7 @@ def test_the_area_under_the_curve_of_a_shift_is_that_of_drawn_parts(rng):
 def studied():
     """A small study of both worlds, and what it tells; made by one worker for all of them."""
     shared = Path(os.environ["ANISOSCOPE_CACHE"]) / "studied"
-    plan = Plan(("same", "other"), ("standard", "tilted"), 40, 4, 1, SMALL, shared / "kept")
+    plan = Plan(("same", "other"), ("standard", "tilted"), 40, 2, 1, SMALL, shared / "kept")
     try:
         shared.mkdir(parents=True)
     except FileExistsError:
@@ -411,8 +411,8 @@ def studied():
             time.sleep(0.2)
         return plan, json.loads((shared / "told.json").read_text(encoding="utf-8"))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(detection_sheets, "_PATHS", 256)
-        patch.setattr(detection_diagnosis, "FITTED", 3)  # a second each
+        patch.setattr(detection_sheets, "_PATHS", 64)
+        patch.setattr(detection_diagnosis, "FITTED", 2)  # a second each
         told = study_results(plan, Workers(1))
     (shared / "told.json").write_text(json.dumps(told), encoding="utf-8")
     (shared / "made").touch()
@@ -433,14 +433,14 @@ def test_the_numbers_of_a_study_fit_together(studied):
             assert sum(good["p_values"]["shipped"]["histogram"]) == good["parts"]
             assert [one["name"] for one in found["classes"]] == [kind.name for kind in CLASSES]
             for one in found["classes"]:
-                assert one["parts"] == 4
+                assert one["parts"] == 2
                 assert 0.0 <= one["scores"]["shipped"]["auc"] <= 1.0
                 # the predictor's own world is known so well, and of the causes one was looked for
                 tried = world == "same" and one["name"] == "roughness"
                 assert (one["intervals"] is not None) == tried
                 if tried:
                     rates = [one["intervals"][key] for key in INTERVALS]
-                    assert [rate["of"] for rate in rates] == [4, 4]
+                    assert [rate["of"] for rate in rates] == [2, 2]
                     assert len(one["intervals"]["doubts"]) == 2
                 false, detected = one["roc"]["shipped+area"]
                 assert (np.diff(false) >= 0).all()
@@ -546,7 +546,7 @@ def test_the_series_of_views_begins_with_the_standard_recipe_and_closes_with_its
     assert len(views) == 10
 
 
-@pytest.mark.soak
+@pytest.mark.statistics
 def test_false_alarms_of_the_same_world_keep_their_level(tmp_path: Path):
     """Five hundred good parts of the real size: the level holds where the recipe states all that varies."""
     plan = Plan(("same",), ("standard", "tilted"), 500, 25, 2, Size(causes=("roughness-across",)), tmp_path)
