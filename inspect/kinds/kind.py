@@ -177,6 +177,18 @@ class Shown:
     lines: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True)
+class NewRecipe:
+    """What ``anisoscope recipe new`` was asked for; None is what was not said."""
+
+    product: str | None
+    pitch_um: float
+    ridge_angle_deg: float | None
+    u_ridge_angle_deg: float | None
+    height_map: Path | None
+    ink: str | None
+
+
 def usable(reference: Reference | None) -> Reference | None:
     """Good parts that are enough to tell what is a deviation, or None."""
     return reference if reference is not None and reference.lacking is None else None
@@ -364,6 +376,23 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
         raise UsageError(f"{recipe.product}: good parts are not collected of this kind of part")
 
     # ---- what the commands of recipes ask ---------------------------------------------------------------------
+
+    def makes(self, asked: NewRecipe) -> bool:
+        """Is a recipe of this kind asked for? One of the fallback is, where no kind says so."""
+        del asked
+        return False
+
+    def new_recipe(self, out: Path, asked: NewRecipe) -> str:
+        """Write a recipe with comments, valid as written.
+
+        Returns:
+            The tables that are to be adapted, in words.
+
+        Raises:
+            UsageError: what was asked for does not fit together.
+        """
+        del out, asked
+        raise UsageError(f"there is no recipe of {self.one} to begin with")
 
     def taught_limits(
         self, record: Record, recipe: RecipeT, reference: Reference | None, rig: RigFile

@@ -6,7 +6,7 @@ from typing import Any, cast
 
 from anisoscope.base.errors import RecipeError, RecordError
 from anisoscope.base.plugins import installed, load
-from anisoscope.kinds.kind import AnyKind
+from anisoscope.kinds.kind import AnyKind, NewRecipe
 from anisoscope.recipe.base import RecipeBase
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.details import GROUP, kind_of_recipe
@@ -56,6 +56,13 @@ def read_recipe(path: Path) -> SurfaceRecipe:
         raise RecipeError(f"{path}: the recipe of {kind.one}; this works with recipes of surfaces only")
     recipe: SurfaceRecipe = kind.read_recipe(path)
     return recipe
+
+
+def kind_of_new(asked: NewRecipe) -> AnyKind:
+    """The kind whose recipe is to be written."""
+    kinds = [kind_named(name) for name in kind_names()]
+    chosen = [kind for kind in kinds if kind.makes(asked)] or [kind for kind in kinds if kind.fallback]
+    return chosen[0]
 
 
 def _table(path: Path) -> dict[str, Any]:

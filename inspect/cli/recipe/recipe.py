@@ -44,72 +44,16 @@ def new(
     With --ridge-angle and --height-map the height map decides, and the design is compared with as well; with
     --u-ridge-angle besides the design decides. With --ink it is the recipe of a print.
     """
-    import os
-
-    from anisoscope.base.atomic_write import write_text
-    from anisoscope.kinds.registry import read_recipe
-    from anisoscope.recipe.template import new_recipe
+    from anisoscope.kinds.kind import NewRecipe
+    from anisoscope.kinds.registry import kind_of_new
 
     if out.exists():
         raise UsageError(f"{out} exists already: name another file, or change it with an editor")
-    if ink is not None:
-        if (ridge_angle, u_ridge_angle, height_map) != (None, None, None):
-            raise UsageError(
-                "--ink makes the recipe of a print: leave --ridge-angle, --u-ridge-angle and --height-map out"
-            )
-        return _new_print(out, "print" if product == PRODUCT else product, ink)
-    if ridge_angle is None and height_map is None:
-        ridge_angle = 10.0
-    if u_ridge_angle is not None and ridge_angle is None:
-        raise UsageError(
-            "--u-ridge-angle is the spread of a design's ridges: give --ridge-angle as well, or leave it out"
-        )
-    if height_map is not None and not height_map.is_file():
-        raise UsageError(f"{height_map}: there is no such file")
-    beside = None if height_map is None else os.path.relpath(height_map.resolve(), out.resolve().parent)
-    text = new_recipe(
-        product,
-        pitch,
-        ridge_angle_deg=ridge_angle,
-        u_ridge_angle_deg=u_ridge_angle,
-        height_map=beside and Path(beside).as_posix(),
-    )
-    write_text(out, text)
-    try:
-        read_recipe(out)
-    except BaseException:
-        out.unlink()
-        raise
+    named = None if product == PRODUCT else product
+    asked = NewRecipe(named, pitch, ridge_angle, u_ridge_angle, height_map, ink)
+    tables = kind_of_new(asked).new_recipe(out, asked)
     console().print(
-        f"{out}: written; adapt [material] and [region], then: anisoscope recipe check {out}",
-        markup=False,
-        highlight=False,
-        soft_wrap=True,
-    )
-    return 0
-
-
-def _new_print(out: Path, product: str, ink: str) -> int:
-    """Write the recipe of a print; a file of an ink is named as seen from the recipe."""
-    import os
-
-    from anisoscope.base.atomic_write import write_text
-    from anisoscope.kinds.prints.recipe import read_print_recipe
-    from anisoscope.kinds.prints.template import new_print_recipe
-    from anisoscope.sim.materials.inks import SYNTHETIC, find_ink
-
-    find_ink(ink)
-    if ink not in SYNTHETIC:
-        ink = Path(os.path.relpath(Path(ink).resolve(), out.resolve().parent)).as_posix()
-    others = tuple(name for name in SYNTHETIC if name != ink) if ink in SYNTHETIC else ()
-    write_text(out, new_print_recipe(product, ink, others))
-    try:
-        read_print_recipe(out)
-    except BaseException:
-        out.unlink()
-        raise
-    console().print(
-        f"{out}: written; adapt [print], [acquisition] and [region], then: anisoscope recipe check {out}",
+        f"{out}: written; adapt {tables}, then: anisoscope recipe check {out}",
         markup=False,
         highlight=False,
         soft_wrap=True,

@@ -12,7 +12,17 @@ from anisoscope.diagnosis.part_diagnosis import diagnosis_record
 from anisoscope.imaging.pose_radiance import check_light, check_view
 from anisoscope.imaging.quality_gates import check_views
 from anisoscope.imaging.views import most_changed
-from anisoscope.kinds.kind import Explanation, Kind, Reference, Results, Shown, Sitting, Table, usable
+from anisoscope.kinds.kind import (
+    Explanation,
+    Kind,
+    NewRecipe,
+    Reference,
+    Results,
+    Shown,
+    Sitting,
+    Table,
+    usable,
+)
 from anisoscope.kinds.prints.causes import explain_print
 from anisoscope.kinds.prints.decision import PrintDecision, decide_print
 from anisoscope.kinds.prints.expectation import PrintExpectation
@@ -179,6 +189,17 @@ class Prints(Kind[PrintRecipe, PrintExpectation, MeasuredPrint, PrintDecision]):
         from anisoscope.kinds.prints.reference_shown import prints_shown
 
         return prints_shown(known, recipe)
+
+    def makes(self, asked: NewRecipe) -> bool:
+        """Where an ink is named."""
+        return asked.ink is not None
+
+    def new_recipe(self, out: Path, asked: NewRecipe) -> str:
+        """Write the recipe of a print."""
+        from anisoscope.kinds.prints.template import write_new_recipe
+
+        write_new_recipe(out, asked)
+        return "[print], [acquisition] and [region]"
 
     def taught_limits(
         self, record: Record, recipe: PrintRecipe, reference: Reference | None, rig: RigFile

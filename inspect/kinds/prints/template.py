@@ -1,6 +1,15 @@
 """The text of a new recipe of a print."""
 
+import os
+from pathlib import Path
+
 import tomli_w
+
+from anisoscope.base.atomic_write import write_text
+from anisoscope.base.errors import UsageError
+from anisoscope.kinds.kind import NewRecipe
+from anisoscope.kinds.prints.recipe import read_print_recipe
+from anisoscope.sim.materials.inks import SYNTHETIC, find_ink
 
 _TEMPLATE = """\
 # What a print should look like, how it is photographed, and how it is judged. Angles in degrees.
@@ -86,3 +95,27 @@ def new_print_recipe(product: str, ink: str, wrong_inks: tuple[str, ...] = ()) -
 
     wrong = "[" + ", ".join(literal(name) for name in wrong_inks) + "]"
     return _TEMPLATE.format(product=literal(product), ink=literal(ink), wrong=wrong)
+
+
+def write_new_recipe(out: Path, asked: NewRecipe) -> None:
+    """Write the recipe of a print, valid as written; a file of an ink is named as seen from the recipe.
+
+    Raises:
+        UsageError: ridges were asked for as well, or there is no such ink.
+    """
+    if (asked.ridge_angle_deg, asked.u_ridge_angle_deg, asked.height_map) != (None, None, None):
+        raise UsageError(
+            "--ink makes the recipe of a print: leave --ridge-angle, --u-ridge-angle and --height-map out"
+        )
+    assert asked.ink is not None
+    ink = asked.ink
+    find_ink(ink)
+    if ink not in SYNTHETIC:
+        ink = Path(os.path.relpath(Path(ink).resolve(), out.resolve().parent)).as_posix()
+    others = tuple(name for name in SYNTHETIC if name != ink) if ink in SYNTHETIC else ()
+    write_text(out, new_print_recipe(asked.product or "print", ink, others))
+    try:
+        read_print_recipe(out)
+    except BaseException:
+        out.unlink()
+        raise

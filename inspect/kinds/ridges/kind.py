@@ -1,10 +1,13 @@
 """Plastic parts with ridges as a kind of part."""
 
+from pathlib import Path
+
 from anisoscope.diagnosis.shape_fit import fit_shape
 from anisoscope.imaging.height_map_place import match_map
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.quality_gates import check_part
 from anisoscope.imaging.registration.placement import View
+from anisoscope.kinds.kind import NewRecipe
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
 from anisoscope.kinds.surface import SurfaceKind
 from anisoscope.prediction.expectation import Expectation
@@ -23,6 +26,13 @@ class Ridges(SurfaceKind[RidgeRecipe]):
     def recipe(self) -> type[RidgeRecipe]:
         """The model of its recipe."""
         return RidgeRecipe
+
+    def new_recipe(self, out: Path, asked: NewRecipe) -> str:
+        """Write the recipe of ridges."""
+        from anisoscope.kinds.ridges.template import write_new_recipe
+
+        write_new_recipe(out, asked)
+        return "[material] and [region]"
 
     def check_part(self, views: list[View], measured: Measured, recipe: SurfaceRecipe) -> None:
         """Do the ridges lie as the recipe says, and nothing else in front of them?"""

@@ -1,0 +1,45 @@
+"""A new recipe of ridges, written beside the height map that it names."""
+
+import os
+from pathlib import Path
+
+from anisoscope.base.atomic_write import write_text
+from anisoscope.base.errors import UsageError
+from anisoscope.kinds.kind import NewRecipe
+from anisoscope.kinds.ridges.recipe import RidgeRecipe
+from anisoscope.recipe.surface import read_surface_recipe
+from anisoscope.recipe.template import new_recipe
+
+PRODUCT = "ridged part"
+RIDGE_ANGLE_DEG = 10.0
+
+
+def write_new_recipe(out: Path, asked: NewRecipe) -> None:
+    """Write a recipe that is valid as written.
+
+    Raises:
+        UsageError: a spread without a design, or a height map that is not there.
+    """
+    ridge_angle, height_map = asked.ridge_angle_deg, asked.height_map
+    if ridge_angle is None and height_map is None:
+        ridge_angle = RIDGE_ANGLE_DEG
+    if asked.u_ridge_angle_deg is not None and ridge_angle is None:
+        raise UsageError(
+            "--u-ridge-angle is the spread of a design's ridges: give --ridge-angle as well, or leave it out"
+        )
+    if height_map is not None and not height_map.is_file():
+        raise UsageError(f"{height_map}: there is no such file")
+    beside = None if height_map is None else os.path.relpath(height_map.resolve(), out.resolve().parent)
+    text = new_recipe(
+        asked.product or PRODUCT,
+        asked.pitch_um,
+        ridge_angle_deg=ridge_angle,
+        u_ridge_angle_deg=asked.u_ridge_angle_deg,
+        height_map=beside and Path(beside).as_posix(),
+    )
+    write_text(out, text)
+    try:
+        read_surface_recipe(out, RidgeRecipe)
+    except BaseException:
+        out.unlink()
+        raise
