@@ -79,16 +79,18 @@ def kind_of_recipe(table: Mapping[str, Any]) -> str:
     told = table.get("kind")
     if told is not None:
         return str(told)
-    fallback = None
+    fallback, problems = None, []
     for name in installed(GROUP):
         try:
             kind = recorded_kind(name)
-        except RecordError:
-            continue  # a broken plug-in is an error where a recipe names it, and must not spoil all others
+        except RecordError as problem:  # an error where a recipe names it; it must not spoil all others
+            problems.append(str(problem))
+            continue
         if kind.fallback:
             fallback = name
         elif kind.recognises(table):
             return name
     if fallback is None:
-        raise RecordError("no kind of part is installed that would take this recipe")
+        why = "".join(f"; {problem}" for problem in problems)
+        raise RecordError(f"no kind of part is installed that would take this recipe{why}")
     return fallback

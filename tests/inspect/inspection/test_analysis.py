@@ -119,7 +119,7 @@ def test_too_few_golden_parts_are_said_to_be_too_few(virtual_rig):
 def test_what_is_undecided_is_measured_again_and_recomputed(virtual_rig):
     # a tolerance at the deviation itself: no number of rounds decides
     first = virtual_rig("first", bench=WRONG, recipe={"decision": {"remeasure": 0}}).inspect().record
-    edge = max(abs(one.measured - one.predicted) for one in first.contrasts)
+    edge = max(abs(one.measured - one.predicted) for one in first.details.contrasts)
     changes = {"decision": {"tolerance": edge, "remeasure": 2}, "area": None}
     found = virtual_rig("edge", bench=WRONG, recipe=changes).inspect()
     assert (found.record.verdict, found.record.rounds) == ("INCONCLUSIVE", 3)
@@ -143,11 +143,11 @@ def test_records_of_before_stay_readable(virtual_rig, plain_report):
         "rounds",
     )
     for name in (*new, "notes"):
-        content.pop(name)
-    for contrast in content["contrasts"]:
+        (content["details"] if name in content["details"] else content).pop(name)
+    for contrast in content["details"]["contrasts"]:
         del contrast["p_value"], contrast["tolerance_ratio"]
     old = Record.model_validate_json(json.dumps(content))
-    assert (old.rounds, old.diagnosis, old.contrasts[0].p_value) == (1, None, None)
+    assert (old.rounds, old.diagnosis, old.details.contrasts[0].p_value) == (1, None, None)
 
 
 @pytest.mark.parametrize("agrees", [(True, True), (True, False), (False, True), (False, False)])
@@ -186,7 +186,7 @@ def test_the_second_surface_is_predicted_once_for_all_parts_and_anew_to_recomput
     assert sorted(predicted) == ["design", "height_map"]
     for record in records:
         assert [one.surface for one in record.details.comparisons] == ["design", "height_map"]
-    assert records[0].comparisons[1].predicted == records[1].comparisons[1].predicted
+    assert records[0].details.comparisons[1].predicted == records[1].details.comparisons[1].predicted
     last = rig.inspect("K-3").folder
     del predicted[:]
     assert recompute(last).differences == ()

@@ -11,6 +11,7 @@ from anisoscope.kinds.prints.decision import decide_print
 from anisoscope.kinds.prints.expectation import rig_sources
 from anisoscope.kinds.prints.model import State
 from anisoscope.kinds.prints.recipe import read_print_recipe
+from anisoscope.kinds.prints.record import PrintDetails
 from anisoscope.kinds.prints.sources import total
 from anisoscope.kinds.prints.tolerances import (
     KEYS,
@@ -58,7 +59,7 @@ def test_tolerances_are_rounded_up_and_cover_the_print(make_recipe):
         SimpleNamespace(name="alpha x", u=0.0101, deviation=0.002),
         SimpleNamespace(name="alpha y", u=0.005, deviation=-0.1),
     ]
-    record = SimpleNamespace(print=SimpleNamespace(quantities=quantities))
+    record = SimpleNamespace(details=PrintDetails.model_construct(quantities=quantities))
     found = taught_tolerances(record, make_recipe(tolerances={"alpha_share": 0.06}))
     assert {key: one.value for key, one in found.items()} == {"delta_e": 1.3, "alpha_share": 0.12}
     assert found["alpha_share"].why.endswith("; WIDER than the stated 0.06")

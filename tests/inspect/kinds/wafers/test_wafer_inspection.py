@@ -140,7 +140,7 @@ def test_the_spike_shows_in_the_contrasts_between_tilts_of_record_and_report(ins
             assert one.u == pytest.approx(np.hypot(one.u_measured, one.u_predicted))
             assert one.u_measured < 0.01 < one.u_predicted  # the seat decides where the mirror direction is
     assert min(one.p_value for one in good.record.details.between_tilts) > 0.01
-    assert max(one.p_value for one in deep.between_tilts) < 1e-6
+    assert max(one.p_value for one in deep.details.between_tilts) < 1e-6
     assert all(one.p_value > 0.001 for one in deep.contrasts)  # at one tilt nothing is seen of it
     report = good.report.read_text()
     assert 'id="between-tilts"' in report
@@ -167,7 +167,7 @@ def test_scattered_light_is_called_so_and_records_of_before_compute_again(inspec
     path.write_text(text.replace(UNSEALED, hashlib.sha256(text.encode()).hexdigest()), encoding="utf-8")
     again = recompute(folder)
     assert (again.differences, again.verdict) == ((), "PASS")
-    assert "did not tell it: between_tilts, diagnosis.tells" in again.notes[-1]
+    assert "did not tell it: details.between_tilts, diagnosis.tells" in again.notes[-1]
     assert verify(folder).intact
 
 
