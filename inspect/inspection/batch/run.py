@@ -30,7 +30,7 @@ from anisoscope.inspection.batch.tray import Slot
 from anisoscope.inspection.folder import new_folder, working_in
 from anisoscope.inspection.job import prepare
 from anisoscope.inspection.manifest import begin
-from anisoscope.inspection.run import Inspected, conclude, expecting, inspect_part, resume_part
+from anisoscope.inspection.run import Inspected, Methods, conclude, expecting, inspect_part, resume_part
 from anisoscope.record.schema import Particulars
 from anisoscope.report.batch_page import PAGE_NAME, SlotView, thumbnail, write_batch_page
 from anisoscope.report.inspection_page import REPORT_NAME
@@ -51,6 +51,7 @@ def refuse_part(
     *,
     particulars: Particulars | None = None,
     picture: Frame | None = None,
+    methods: Methods | None = None,
 ) -> Inspected:
     """Record an inspection as INVALID for a reason; nothing moves.
 
@@ -63,13 +64,14 @@ def refuse_part(
         on_progress: progress.
         particulars: operator, lot, cavity, station.
         picture: what the code was read from; kept beside the record.
+        methods: what varies in an inspection, for tests.
 
     Raises:
         UsageError, RecipeError, RigFileError, HeightMapError, CalibrationError: one of the files.
         RecordError: the folder cannot be written.
     """
     job = prepare(recipe_path, rig_path, serial)
-    with expecting(job, on_progress) as ready, new_folder(out, serial) as folder:
+    with expecting(job, on_progress, methods=methods) as ready, new_folder(out, serial) as folder:
         here = rig_path.resolve().parent
         started = begin(
             folder,
@@ -88,7 +90,14 @@ def refuse_part(
 FAULTS_IN_A_ROW = 2
 
 
-def run_batch(order: Order, operator: Operator, remember: Remember, *, resume: bool = False) -> BatchFile:
+def run_batch(
+    order: Order,
+    operator: Operator,
+    remember: Remember,
+    *,
+    resume: bool = False,
+    methods: Methods | None = None,
+) -> BatchFile:
     """Inspect the parts of a tray, one after the other.
 
     Args:
@@ -96,6 +105,7 @@ def run_batch(order: Order, operator: Operator, remember: Remember, *, resume: b
         operator: who places the parts.
         remember: enters a finished inspection into the history; must not raise.
         resume: go on with a batch that was interrupted: what is done stays, what was begun is finished.
+        methods: what varies in an inspection, for tests.
 
     Returns:
         What has become of every slot, as ``batch.json`` says it.
@@ -109,7 +119,7 @@ def run_batch(order: Order, operator: Operator, remember: Remember, *, resume: b
     make_folder(order.out, resume=resume)
     with working_in(order.out):
         batch = begin_batch(order, remember, resume=resume)
-        run = _Run(order, operator, remember, batch)
+        run = _Run(order, operator, remember, batch, methods)
         try:
             run.all_slots()
         except KeyboardInterrupt as interruption:
@@ -130,8 +140,16 @@ class _Identity:
 
 
 class _Run:
-    def __init__(self, order: Order, operator: Operator, remember: Remember, batch: BatchFile) -> None:
+    def __init__(
+        self,
+        order: Order,
+        operator: Operator,
+        remember: Remember,
+        batch: BatchFile,
+        methods: Methods | None,
+    ) -> None:
         self.order, self.operator, self.remember, self.batch = order, operator, remember, batch
+        self.methods = methods
         self.faults = 0
 
     def all_slots(self) -> None:
@@ -200,10 +218,18 @@ class _Run:
         who = Particulars(operator=order.operator, station=order.station, lot=part.lot, cavity=slot.cavity)
         if part.wrong is not None:
             inspected = refuse_part(
-                recipe, rig, part.serial, home, part.wrong, advance, particulars=who, picture=part.picture
+                recipe,
+                rig,
+                part.serial,
+                home,
+                part.wrong,
+                advance,
+                particulars=who,
+                picture=part.picture,
+                methods=self.methods,
             )
         else:
-            inspected = _resumed(unfinished, order.lot_mates, advance) or inspect_part(
+            inspected = _resumed(unfinished, order.lot_mates, advance, self.methods) or inspect_part(
                 recipe,
                 rig,
                 part.serial,
@@ -211,6 +237,7 @@ class _Run:
                 advance,
                 particulars=who,
                 lot_mates=order.lot_mates(part.lot),
+                methods=self.methods,
             )
         self._note(number, **done_with(inspected, order.out))
         self.remember(inspected)
@@ -251,12 +278,14 @@ class _Run:
         return f"slot {self.batch.slots[number].slot}: its code reads {serial}, which slot {others[0].slot} holds"
 
 
-def _resumed(unfinished: Path | None, lot_mates: LotMates, advance: Advance) -> Inspected | None:
+def _resumed(
+    unfinished: Path | None, lot_mates: LotMates, advance: Advance, methods: Methods | None
+) -> Inspected | None:
     """Resume an inspection; None without one, or if its folder is damaged and the part is inspected again."""
     if unfinished is None:
         return None
     try:
-        return resume_part(unfinished, advance, lot_mates=lot_mates)
+        return resume_part(unfinished, advance, lot_mates=lot_mates, methods=methods)
     except RecordError:
         return None
 

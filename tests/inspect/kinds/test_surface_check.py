@@ -3,7 +3,7 @@
 import pytest
 
 from anisoscope.base.progress import silent
-from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, Option
+from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, CauseModel, Option
 from anisoscope.diagnosis.signatures import signatures
 from anisoscope.kinds import surface_check as recipecheck
 from anisoscope.kinds.surface_check import check_recipe
@@ -11,17 +11,20 @@ from anisoscope.kinds.surface_check import check_recipe
 CAUSES = ("roughness-along", "light-angle")
 
 
-@pytest.fixture(autouse=True)
-def few_causes(monkeypatch):
-    monkeypatch.setattr(
-        recipecheck,
-        "remembered_signatures",
-        lambda recipe, angle, advance, _: signatures(recipe, angle, advance, CAUSES),
-    )
+def _few(recipe):
+    return tuple(cause for cause in PLASTIC_CAUSES.causes(recipe) if cause.name in CAUSES)
+
+
+def _signatures_of_few(recipe, light_angle_deg, advance, _):
+    return signatures(recipe, light_angle_deg, advance, CAUSES)
+
+
+_signatures_of_few.__module__ = signatures.__module__  # whose source enters the key of what is stored
+FEW = CauseModel(_few, _signatures_of_few)
 
 
 def test_planned_contrasts_budget_and_causes(make_recipe):
-    found = check_recipe(make_recipe(), 10.0)
+    found = check_recipe(make_recipe(), 10.0, model=FEW)
     assert [(p.from_deg, p.to_deg) for p in found.pairs] == [(0.0, 90.0), (90.0, 180.0)]
     for pair, k in zip(found.pairs, range(2), strict=True):
         assert pair.ratio == pytest.approx(0.25 / (2 * pair.u))
@@ -32,15 +35,15 @@ def test_planned_contrasts_budget_and_causes(make_recipe):
 
 
 def test_a_narrow_tolerance_and_none_are_said(make_recipe):
-    (line,) = check_recipe(make_recipe(decision={"tolerance": 0.01}), 10.0).complaints
+    (line,) = check_recipe(make_recipe(decision={"tolerance": 0.01}), 10.0, model=FEW).complaints
     assert line.startswith("T/U is ")
-    (line,) = check_recipe(make_recipe(decision={"tolerance": None}), 10.0).complaints
+    (line,) = check_recipe(make_recipe(decision={"tolerance": None}), 10.0, model=FEW).complaints
     assert line.startswith("no tolerance")
 
 
 def test_tilts_that_help_are_named(make_recipe):
     poses = {"angles_deg": [0.0, 180.0]}
-    found = check_recipe(make_recipe(poses=poses, area=None), 10.0, tries=(0.0, 20.0))
+    found = check_recipe(make_recipe(poses=poses, area=None), 10.0, tries=(0.0, 20.0), model=FEW)
     by_name = {cause.cause: cause for cause in found.causes}
     assert by_name["light-angle"].never_told_from == ("roughness-along",)
     assert [one.tilt_deg for one in found.advice] == [20.0]
@@ -51,7 +54,7 @@ def test_tilts_that_help_are_named(make_recipe):
 
 def test_what_nothing_tells_is_said(make_recipe):
     poses = {"angles_deg": [0.0, 180.0]}
-    found = check_recipe(make_recipe(poses=poses, area=None), 10.0, tries=(0.5,))
+    found = check_recipe(make_recipe(poses=poses, area=None), 10.0, tries=(0.5,), model=FEW)
     assert found.advice == ()
     assert ("light-angle", "roughness-along") in found.never
 

@@ -8,7 +8,6 @@ import pytest
 from anisoscope.base.errors import CameraError, UsageError
 from anisoscope.cli.inspect.history_entry import remember
 from anisoscope.cli.inspect.lot_mates import lot_mates
-from anisoscope.inspection import run as inspection
 from anisoscope.inspection.batch.first_pose import Look
 from anisoscope.inspection.batch.journal import read_batch
 from anisoscope.inspection.batch.operator import Answer, Unattended, seconds_left
@@ -18,8 +17,6 @@ from anisoscope.inspection.integrity import verify
 from anisoscope.inspection.recompute import recompute
 from anisoscope.record.schema import read_record
 from anisoscope.sim.bench.camera import SimulatedCamera
-
-pytestmark = pytest.mark.usefixtures("plain_report")
 
 THREE = "slot,serial,lot,cavity\n1,A17,7,a\n2,A18,7,b\n3,A19,,\n"
 CODE = {"x_mm": 1.3, "y_mm": 1.3, "width_mm": 0.8}
@@ -214,34 +211,36 @@ def test_a_code_that_cannot_be_read_is_asked_for_or_makes_the_part_invalid(tray_
     assert [slot for slot, why in who.asked if why is not False] == ["1", "3"]
 
 
-def test_every_part_is_shown_beside_those_of_its_lot(tray_of, monkeypatch, tmp_path):
-    lots, write = [], inspection.USUAL.write_report
+def test_every_part_is_shown_beside_those_of_its_lot(tray_of, quick, tmp_path):
+    lots, write = [], quick.write_report
 
     def look(record, pictures, *others):
         lots.append((record.serial, pictures.lot and [part.serial for part in pictures.lot.parts]))
         return write(record, pictures, *others)
 
-    monkeypatch.setattr(inspection, "USUAL", replace(inspection.USUAL, write_report=look))
+    methods = replace(quick, write_report=look)
     place = tmp_path / "history.sqlite"
     order = tray_of("slot,serial,lot\n1,A17,L7\n2,A18,L8\n3,A19,L7\n")
     order = replace(order, lot_mates=lambda lot: lot_mates(place, lot))
-    run_batch(order, Unattended(), lambda inspected: remember(inspected, place))
+    run_batch(order, Unattended(), lambda inspected: remember(inspected, place), methods=methods)
     assert lots == [("A17", None), ("A18", None), ("A19", ["A17"])]
 
 
-def test_a_part_that_is_taken_up_is_shown_beside_its_lot_as_well(tray_of, failing, monkeypatch, tmp_path):
-    lots, write = [], inspection.USUAL.write_report
+def test_a_part_that_is_taken_up_is_shown_beside_its_lot_as_well(tray_of, failing, quick, tmp_path):
+    lots, write = [], quick.write_report
 
     def look(record, pictures, *others):
         lots.append((record.serial, pictures.lot and [part.serial for part in pictures.lot.parts]))
         return write(record, pictures, *others)
 
-    monkeypatch.setattr(inspection, "USUAL", replace(inspection.USUAL, write_report=look))
+    methods = replace(quick, write_report=look)
     failing(2)
     place = tmp_path / "history.sqlite"
     order = replace(
         tray_of("slot,serial,lot\n1,A17,L7\n2,A18,L7\n"), lot_mates=lambda lot: lot_mates(place, lot)
     )
     for resume in (False, True):
-        run_batch(order, Unattended(), lambda inspected: remember(inspected, place), resume=resume)
+        run_batch(
+            order, Unattended(), lambda inspected: remember(inspected, place), resume=resume, methods=methods
+        )
     assert lots == [("A17", None), ("A18", ["A17"])]

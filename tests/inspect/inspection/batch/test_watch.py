@@ -31,7 +31,7 @@ from anisoscope.record.schema import read_record
 from anisoscope.rig.frame import Frame
 from anisoscope.rig.framefolder import write_frame_folder
 
-pytestmark = pytest.mark.usefixtures("plain_report")
+pytestmark = pytest.mark.usefixtures("plain_report", "nothing_explained")
 
 RIG = {
     "schema": 1,
