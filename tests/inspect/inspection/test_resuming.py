@@ -75,7 +75,7 @@ def test_what_is_undecided_gets_its_further_round_even_if_the_program_died_befor
 ):
     wrong = {"sample": {"material": {"alpha_along": 0.09}}}
     first = virtual_rig("first", bench=wrong, recipe={"decision": {"remeasure": 0}}).inspect().record
-    edge = max(abs(one.measured - one.predicted) for one in first.contrasts)
+    edge = max(abs(one.measured - one.predicted) for one in first.details.contrasts)
     rig = virtual_rig("edge", bench=wrong, recipe={"decision": {"tolerance": edge}, "area": None})
     with monkeypatch.context() as patch:
         patch.setattr(inspection, "judge", lambda *_, **__: 1 / 0)

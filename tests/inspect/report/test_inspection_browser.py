@@ -212,7 +212,7 @@ UNREADABLE = """
 @pytest.mark.parametrize("verdict", ["PASS", "FAIL", "INCONCLUSIVE", "INVALID"])
 def test_text_stands_out_from_its_ground(page, tmp_path, make_report_record, scheme, verdict):
     """WCAG 2.2, 1.4.3: 4.5 to 1, for large text 3 to 1."""
-    contrasts = [c.model_dump() | {"verdict": verdict} for c in make_report_record().contrasts]
+    contrasts = [c.model_dump() | {"verdict": verdict} for c in make_report_record().details.contrasts]
     record = make_report_record(verdict=verdict, contrasts=contrasts)
     path = write_report(record, Pictures(), tmp_path, None, surface_sections(record, Pictures()))
     try:
