@@ -92,7 +92,6 @@ def test_packages_of_the_first_level_have_no_circle(found):
     assert found["first_level_cycles"] == 0
 
 
-@pytest.mark.xfail(strict=False, reason="recipe new still makes the recipe of a print itself")
 def test_only_kinds_name_a_kind(found):
     assert found["kind_lines"] == 0
 
