@@ -7,7 +7,6 @@ import shutil
 import subprocess
 import sys
 import time
-from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,7 +26,7 @@ from anisoscope.inspection import run as inspection
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
 from anisoscope.report.inspection_page import REPORT_NAME
 from anisoscope.rig.frame import Frame
-from anisoscope.sim.bench.bench import Bench, shared_bench
+from anisoscope.sim.bench.bench import SCENES, Bench, shared_bench
 from anisoscope.sim.bench.camera import SimulatedCamera
 
 SPEC = importlib.util.spec_from_file_location("forkserver", Path(__file__).with_name("forkserver.py"))
@@ -183,32 +182,12 @@ def small_wafer_rig() -> Callable[[dict], dict]:
     return small
 
 
-def _seen_through(bench, angle_deg, tilt_deg):
-    """All that a picture without noise depends on."""
-    file = bench.file
-    parts = file.model_dump_json(exclude={"stage", "tilt"})
-    sample = Path(file.sample.file).stat().st_mtime_ns if file.sample.file is not None else None
-    return parts, sample, angle_deg, tilt_deg
-
-
 @pytest.fixture(scope="session", autouse=True)
 def pictures_without_noise():
     """Equal parts in equal poses are rendered once; half of all inspections here are of one and the same part."""
-    render, kept = Bench._render, OrderedDict()
-
-    def remember(bench, angle_deg, tilt_deg):
-        key = _seen_through(bench, angle_deg, tilt_deg)
-        if key not in kept:
-            kept[key] = render(bench, angle_deg, tilt_deg)
-            kept[key].flags.writeable = False
-        kept.move_to_end(key)
-        if len(kept) > 40:
-            kept.popitem(last=False)
-        return kept[key]
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Bench, "_render", remember)
-        yield
+    SCENES.most = 40
+    yield
+    SCENES.most = 0
 
 
 @pytest.fixture(autouse=True)
