@@ -20,7 +20,7 @@ from anisoscope.inspection.manifest import JobFile, begin, one_round_more, reope
 from anisoscope.inspection.pipeline import Case, Diagnose, Judged, diagnose_by_kind, judge, utc_now
 from anisoscope.kinds.kind import Expected, Explanation
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.record.display import record_frame, record_html, record_line, record_plot
+from anisoscope.record.display import record_html, record_line
 from anisoscope.record.schema import RECORD_NAME, Particulars, Record, write_record
 from anisoscope.record.verdict import Verdict
 from anisoscope.report.inspection_page import Pictures, Sections, start_renderer, write_report
@@ -89,7 +89,7 @@ class Inspected:
         Args:
             axes: of matplotlib, to draw into; a new figure where they are not given.
         """
-        return record_plot(self.record, axes)
+        return self.record.plot(axes)
 
     def to_frame(self) -> Any:  # noqa: ANN401 - pandas need not be installed
         """The poses as a pandas data frame: stage angle, tilt, measured and predicted radiance in 1/sr.
@@ -97,7 +97,7 @@ class Inspected:
         Raises:
             UsageError: pandas is not installed.
         """
-        return record_frame(self.record)
+        return self.record.to_frame()
 
 
 def inspect_part(

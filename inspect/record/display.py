@@ -1,4 +1,4 @@
-"""A record in a notebook: one line, a table, a picture, a data frame; the same for every kind of part."""
+"""Display of a record in a notebook: one line, HTML tables, a plot, a data frame; the same for every kind of part."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Protocol
@@ -9,8 +9,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-class SeenPose(Protocol):
-    """What is shown of a pose; radiances in 1/sr."""
+class DisplayedPose(Protocol):
+    """The fields of a pose that are displayed; radiances in 1/sr."""
 
     @property
     def stage_deg(self) -> float: ...  # noqa: D102
@@ -22,8 +22,8 @@ class SeenPose(Protocol):
     def predicted(self) -> float: ...  # noqa: D102
 
 
-class SeenRecord(Protocol):
-    """What is shown of a record."""
+class DisplayedRecord(Protocol):
+    """The fields of a record that are displayed."""
 
     @property
     def serial(self) -> str: ...  # noqa: D102
@@ -34,16 +34,16 @@ class SeenRecord(Protocol):
     @property
     def reasons(self) -> tuple[str, ...]: ...  # noqa: D102
     @property
-    def poses(self) -> Sequence[SeenPose]: ...  # noqa: D102
+    def poses(self) -> Sequence[DisplayedPose]: ...  # noqa: D102
 
 
-def record_line(record: SeenRecord) -> str:
+def record_line(record: DisplayedRecord) -> str:
     """Serial number, product, verdict and the first reason."""
     reason = f", {record.reasons[0]}" if record.reasons else ""
     return f"{record.serial}, {record.product}: {record.verdict}{reason}"
 
 
-def record_html(record: SeenRecord) -> str:
+def record_html(record: DisplayedRecord) -> str:
     """Verdict and reasons, and the radiances of the poses."""
     reasons = html_table(
         f"{record.serial}, {record.product}: {record.verdict}", ("reasons",), zip(record.reasons)
@@ -55,7 +55,7 @@ def record_html(record: SeenRecord) -> str:
     return reasons + html_table("radiance in 1/sr", ("stage", "tilt", "measured", "predicted"), rows)
 
 
-def record_plot(record: SeenRecord, axes: "Axes | None" = None) -> "Axes":
+def record_plot(record: DisplayedRecord, axes: "Axes | None" = None) -> "Axes":
     """Draw measured and predicted radiances of the poses against the stage angle, a colour for every tilt."""
     axes = axes_or_new(axes)
     for number, tilt in enumerate(sorted({pose.tilt_deg for pose in record.poses})):
@@ -72,7 +72,7 @@ def record_plot(record: SeenRecord, axes: "Axes | None" = None) -> "Axes":
     return axes
 
 
-def record_frame(record: SeenRecord) -> Any:  # noqa: ANN401 - pandas need not be installed
+def record_frame(record: DisplayedRecord) -> Any:  # noqa: ANN401 - pandas need not be installed
     """The poses as a pandas data frame: stage angle, tilt, measured and predicted radiance in 1/sr.
 
     Raises:

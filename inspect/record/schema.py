@@ -3,15 +3,19 @@
 import hashlib
 import json
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny, model_validator
 
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import RecordError
 from anisoscope.record.details import Details, recorded_kind
+from anisoscope.record.display import record_frame, record_html, record_line, record_plot
 from anisoscope.record.upgrade import upgraded
 from anisoscope.record.verdict import Verdict
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 RECORD_NAME = "record.json"
 UNSEALED = "0" * 64
@@ -331,6 +335,29 @@ class Record(_Part):
             details = recorded_kind(str(record.get("kind"))).details.model_validate(record["details"])
             return {**record, "details": details}
         return record
+
+    def __repr__(self) -> str:
+        """One line: serial number, product, verdict, the first reason."""
+        return f"Record({record_line(self)})"
+
+    def _repr_html_(self) -> str:
+        return record_html(self)
+
+    def plot(self, axes: "Axes | None" = None) -> "Axes":
+        """Draw measured and predicted radiances against the stage angle.
+
+        Args:
+            axes: of matplotlib, to draw into; a new figure where they are not given.
+        """
+        return record_plot(self, axes)
+
+    def to_frame(self) -> Any:  # noqa: ANN401 - pandas need not be installed
+        """The poses as a pandas data frame: stage angle, tilt, measured and predicted radiance in 1/sr.
+
+        Raises:
+            UsageError: pandas is not installed.
+        """
+        return record_frame(self)
 
 
 def sha256_of(path: Path) -> str:

@@ -128,3 +128,18 @@ def test_the_fingerprint_is_that_of_the_bytes(tmp_path):
     path = tmp_path / "x"
     path.write_bytes(b"abc" * 10**6)
     assert sha256_of(path) == hashlib.sha256(b"abc" * 10**6).hexdigest()
+
+
+def test_a_record_displays_itself_in_a_notebook(record):
+    bad = record.model_copy(update={"serial": "<script>", "reasons": ("too dark",)})
+    assert repr(bad) == f"Record(<script>, {bad.product}: {bad.verdict}, too dark)"
+    assert "<script>" not in bad._repr_html_()
+    assert "too dark" in bad._repr_html_()
+
+
+def test_a_record_draws_its_poses_and_is_a_table(record):
+    pytest.importorskip("pandas")
+    assert list(record.to_frame().columns) == ["stage_deg", "tilt_deg", "measured", "predicted"]
+    assert len(record.to_frame()) == len(record.poses)
+    axes = record.plot()
+    assert len(axes.get_lines()) == 2 * len({pose.tilt_deg for pose in record.poses})
