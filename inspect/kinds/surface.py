@@ -12,7 +12,7 @@ from anisoscope.base.progress import Advance, silent
 from anisoscope.base.significance import log_basis
 from anisoscope.decision.decision import Decision, decide
 from anisoscope.decision.design_vs_map import Predict, compare
-from anisoscope.decision.reference_parts import GoldenSet, add_part, read_golden
+from anisoscope.decision.reference_parts import GoldenSet, add_part, limit_is_given, read_golden
 from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, CauseModel
 from anisoscope.diagnosis.part_diagnosis import explain
 from anisoscope.imaging.defect_regions import deviation_map
@@ -21,8 +21,8 @@ from anisoscope.imaging.pose_radiance import Measured, mean_of, measure, region_
 from anisoscope.imaging.quality_gates import check_views
 from anisoscope.imaging.registration.placement import View, resample
 from anisoscope.imaging.views import most_changed
+from anisoscope.kinds.golden_limit import limit_says
 from anisoscope.kinds.kind import Explanation, Kind, Reference, Results, Shown, Sitting, Table, usable
-from anisoscope.kinds.surface_golden import golden_shown
 from anisoscope.prediction.cache import kept_expectation
 from anisoscope.prediction.expectation import PLASTIC, Expectation, SurfaceOptics, expectation
 from anisoscope.recipe.poses import check_poses
@@ -361,3 +361,59 @@ def _tilt_table(record: Record) -> Table:
         f"{U_SAID}; for information"
         + (f"; {len(folded)} more, all likelier, in record.json" if folded else ""),
     )
+
+
+def golden_shown(known: GoldenSet, recipe: SurfaceRecipe) -> Shown:
+    """The golden parts, and how much they vary."""
+    contrasts = known.contrasts()
+    scatter = contrasts.std(axis=0, ddof=1) if len(contrasts) > 1 else np.full(contrasts.shape[1], np.nan)
+    content: dict[str, Any] = {}
+    content["parts"] = [part.model_dump() for part in known.parts]
+    content["mean"] = [float(value) for value in contrasts.mean(axis=0)]
+    content["scatter"] = [float(value) if np.isfinite(value) else None for value in scatter]
+    content["area_limit"] = None if recipe.area is None else known.area_limit(recipe) or recipe.area.max_share
+    content["area_limit_says"] = _limit_says(known, recipe)
+    first, *others = known.poses
+    names = [f"ln L{_at(pose)} − ln L{_at(first)}" for pose in others]
+    rows = [
+        [
+            part.serial,
+            part.inspected_at,
+            part.verdict,
+            _share(part.area_share),
+            *(f"{value:+.4f}" for value in row),
+        ]
+        for part, row in zip(known.parts, contrasts, strict=True)
+    ]
+    rows.append(["mean", "", "", "", *(f"{value:+.4f}" for value in contrasts.mean(axis=0))])
+    rows.append(
+        ["scatter", "", "", "", *(f"{value:.4f}" if np.isfinite(value) else "–" for value in scatter)]
+    )
+    table = Table(
+        f"golden parts: {known.product}",
+        ["part", "inspected", "verdict", "area", *names],
+        rows,
+        known.lacking,
+    )
+    return Shown(content, (table,), (_limit_says(known, recipe),))
+
+
+def _share(share: float | None) -> str:
+    return "–" if share is None else f"{share:.2%}"
+
+
+def _limit_says(known: GoldenSet, recipe: SurfaceRecipe) -> str:
+    rule, alpha = recipe.area, recipe.decision.alpha
+    return limit_says(
+        None if rule is None else rule.max_share,
+        None if rule is None else known.area_limit(recipe),
+        0 if rule is None else len(known.area_shares(rule)),
+        given=rule is not None and limit_is_given(rule),
+        things="parts",
+        exceeds=f"one good part in {2.0 / alpha:.0f} exceeds it; contrasts and area share the level {alpha:g}",
+        judged="" if rule is None else f"at cell_deviation {rule.cell_deviation:g}",
+    )
+
+
+def _at(pose: tuple[float, float]) -> str:
+    return f"({pose[0]:g}°" + (f", tilt {pose[1]:g}°)" if pose[1] else ")")

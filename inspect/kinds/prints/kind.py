@@ -186,7 +186,7 @@ class Prints(Kind[PrintRecipe, PrintExpectation, MeasuredPrint, PrintDecision]):
 
     def show_reference(self, known: Any, recipe: PrintRecipe) -> Shown:  # noqa: ANN401
         """Golden prints, and how much they vary."""
-        from anisoscope.kinds.prints.reference_shown import prints_shown
+        from anisoscope.kinds.prints.reference_prints import prints_shown
 
         return prints_shown(known, recipe)
 
@@ -196,7 +196,7 @@ class Prints(Kind[PrintRecipe, PrintExpectation, MeasuredPrint, PrintDecision]):
 
     def new_recipe(self, out: Path, asked: NewRecipe) -> str:
         """Write the recipe of a print."""
-        from anisoscope.kinds.prints.template import write_new_recipe
+        from anisoscope.kinds.prints.recipe import write_new_recipe
 
         write_new_recipe(out, asked)
         return "[print], [acquisition] and [region]"
@@ -232,7 +232,7 @@ class Prints(Kind[PrintRecipe, PrintExpectation, MeasuredPrint, PrintDecision]):
         advance: Advance = silent,
     ) -> Shown:
         """Poses, quantities with their uncertainties, and causes; without a rig file by a made-up lamp and camera."""
-        from anisoscope.kinds.prints.recipe_shown import checked_print
+        from anisoscope.kinds.prints.recipe_check import checked_print
 
         del tries
         return checked_print(path, rig_path, light_angle_deg, advance)
@@ -245,20 +245,20 @@ class Prints(Kind[PrintRecipe, PrintExpectation, MeasuredPrint, PrintDecision]):
         decided: PrintDecision,
     ) -> Pictures:
         """Cells in the colours of the eye, and the maps."""
-        from anisoscope.kinds.prints.report_sections import print_pictures
+        from anisoscope.kinds.prints.report import print_pictures
 
         del recipe
         return Pictures(of_kind=print_pictures(expected, measured, decided))
 
     def sections(self, record: Record, pictures: Pictures) -> Sections:
         """Colours, quantities, lobe, maps and budget."""
-        from anisoscope.kinds.prints.report_sections import print_sections
+        from anisoscope.kinds.prints.report import print_sections
 
         return print_sections(record, pictures)
 
     def shown(self, record: Record) -> Shown:
         """What was judged."""
-        from anisoscope.kinds.prints.report_sections import quantity_row
+        from anisoscope.kinds.prints.report import quantity_row
 
         found = print_of(record)
         # keys of all kinds, from the time when there was one list of them

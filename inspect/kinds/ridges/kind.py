@@ -29,7 +29,7 @@ class Ridges(SurfaceKind[RidgeRecipe]):
 
     def new_recipe(self, out: Path, asked: NewRecipe) -> str:
         """Write the recipe of ridges."""
-        from anisoscope.kinds.ridges.template import write_new_recipe
+        from anisoscope.kinds.ridges.recipe import write_new_recipe
 
         write_new_recipe(out, asked)
         return "[material] and [region]"

@@ -10,8 +10,7 @@ from sqlalchemy import create_engine, make_url, text
 from anisoscope.history.address import parse_address
 from anisoscope.history.rows import NewRow
 from anisoscope.history.store import open_history
-from anisoscope.record.schema import Record, write_record
-from anisoscope.record.upgrade import upgraded
+from anisoscope.record.schema import Record, upgraded, write_record
 
 START = datetime(2026, 11, 1, 6, 0, tzinfo=UTC)
 PRODUCT = "ridged plate"

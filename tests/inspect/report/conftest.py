@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.record.schema import Record
-from anisoscope.record.upgrade import upgraded
+from anisoscope.record.schema import Record, upgraded
 from anisoscope.report.inspection_page import Pictures
 
 # Chromium wants its pipes as descriptors 3 and 4. They may have any number here, also 3 and 4 themselves.

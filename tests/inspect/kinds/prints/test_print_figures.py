@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from matplotlib.quiver import Quiver
 
-from anisoscope.kinds.prints import report_figures
+from anisoscope.kinds.prints import report
 from anisoscope.kinds.prints.record import ColourRecord, QuantityRecord, SpotRecord
 
 SIZE_MM, CENTER_MM = (1.0, 2.0), (5.0, -3.0)
@@ -14,7 +14,7 @@ SIZE_MM, CENTER_MM = (1.0, 2.0), (5.0, -3.0)
 def drawn(monkeypatch):
     """The figures that were drawn, before they become text."""
     found = []
-    monkeypatch.setattr(report_figures, "svg_uri", lambda figure: found.append(figure) or "")
+    monkeypatch.setattr(report, "svg_uri", lambda figure: found.append(figure) or "")
     return found
 
 
@@ -22,7 +22,7 @@ def test_a_map_lies_where_its_region_does_and_numbers_its_spots(drawn):
     deviating = np.zeros((10, 20), dtype=bool)
     deviating[2:4, 15:18] = True
     spot = SpotRecord(x=5.65, y=-2.8, width=0.3, length=0.2, area_share=0.03, cells=6, delta_e=9.0)
-    report_figures.difference_map(9.0 * deviating, deviating, SIZE_MM, CENTER_MM, (spot,))
+    report.difference_map(9.0 * deviating, deviating, SIZE_MM, CENTER_MM, (spot,))
     axes = drawn[0].axes[0]
     assert axes.images[0].get_extent() == [4.0, 6.0, -3.5, -2.5]
     (edges,) = (patch for patch in axes.patches if patch.get_path().vertices.size)
@@ -36,7 +36,7 @@ def test_a_map_lies_where_its_region_does_and_numbers_its_spots(drawn):
 def test_an_arrow_is_no_longer_than_the_space_to_the_next(drawn, most_deg):
     lean = np.zeros((2, 40, 40))
     lean[0, 22, 22], lean[1, 10, 10] = most_deg, -0.5 * most_deg
-    report_figures.lean_map(lean, (1.0, 1.0), CENTER_MM)
+    report.lean_map(lean, (1.0, 1.0), CENTER_MM)
     (arrows,) = (one for one in drawn[0].axes[0].collections if isinstance(one, Quiver))
     assert arrows.scale_units == "xy"
     space = np.diff(np.unique(arrows.X)).min()
@@ -55,7 +55,7 @@ def quantity(name, deviation, u):
 
 
 def test_the_bar_of_a_length_ends_at_zero_and_that_of_a_difference_does_not(drawn):
-    report_figures.quantity_chart([quantity("tilt", 0.1, 0.2), quantity("gain", 0.1, 0.2)])
+    report.quantity_chart([quantity("tilt", 0.1, 0.2), quantity("gain", 0.1, 0.2)])
     bars = [one for one in drawn[0].axes[0].collections if len(one.get_segments()) == 1]
     spans = [one.get_segments()[0][:, 0] for one in bars]
     assert spans[0] == pytest.approx([0.0, 0.492])
@@ -73,9 +73,9 @@ def test_the_lobe_of_many_stage_angles_keeps_its_marks(drawn):
         for k in range(12)
         for tilt in (-10.0, 0.0, 10.0)
     ]  # fmt: skip
-    report_figures.lobe_chart(colours)
+    report.lobe_chart(colours)
     axes = drawn[0].axes[0]
-    marked = [line for line in axes.lines if line.get_marker() in report_figures.MARKS]
+    marked = [line for line in axes.lines if line.get_marker() in report.MARKS]
     assert len(marked) == 12
     assert min(line.get_markersize() for line in marked) >= 3
     assert axes.get_legend()._ncols == 2

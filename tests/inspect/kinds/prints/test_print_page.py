@@ -8,12 +8,12 @@ import pytest
 from anisoscope.diagnosis.part_diagnosis import diagnosis_record
 from anisoscope.imaging.linearisation import RadianceImage
 from anisoscope.imaging.registration.placement import Placement, View
-from anisoscope.inspection.record_builder import pose_records
+from anisoscope.inspection.pipeline import pose_records
 from anisoscope.kinds.prints.causes import explain_print
 from anisoscope.kinds.prints.kind import PRINTS
 from anisoscope.kinds.prints.model import State
 from anisoscope.kinds.prints.record_builder import print_results
-from anisoscope.kinds.prints.report_sections import print_rule, quantity_row
+from anisoscope.kinds.prints.report import print_rule, quantity_row
 from anisoscope.record.schema import Record
 from anisoscope.report.inspection_page import Pictures, write_report
 

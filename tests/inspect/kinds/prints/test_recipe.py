@@ -11,10 +11,14 @@ from scipy.stats import norm
 from anisoscope.base.errors import RecipeError
 from anisoscope.cli.demo.prints import rig_of
 from anisoscope.kinds.prints.lighting import expectation_of_print
-from anisoscope.kinds.prints.recipe import PrintTolerances, PrintUncertainty, read_print_recipe
+from anisoscope.kinds.prints.recipe import (
+    PrintTolerances,
+    PrintUncertainty,
+    new_print_recipe,
+    read_print_recipe,
+)
 from anisoscope.kinds.prints.recipe_check import as_predicted, check_print_recipe, planned_quantities
 from anisoscope.kinds.prints.sources import of_poses
-from anisoscope.kinds.prints.template import new_print_recipe
 from anisoscope.kinds.registry import kind_of, read_any_recipe, read_recipe
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
 from anisoscope.recipe.template import new_recipe

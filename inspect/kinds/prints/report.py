@@ -1,19 +1,20 @@
 """What the report of an inspection shows of a print: colours, lobe, maps, what was judged, and by which rule."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.kinds.prints import report_figures
 from anisoscope.kinds.prints.decision import PrintDecision
 from anisoscope.kinds.prints.expectation import PrintExpectation
 from anisoscope.kinds.prints.measurement import MeasuredPrint
 from anisoscope.kinds.prints.record import (
+    LENGTHS,
     MOST_SPOTS,
     RELATIVE,
     ColourRecord,
@@ -23,6 +24,21 @@ from anisoscope.kinds.prints.record import (
     print_of,
 )
 from anisoscope.record.schema import Record
+from anisoscope.report.figures import (
+    BLUE,
+    GREEN,
+    INK,
+    MUTED,
+    ORANGE,
+    RED,
+    ZONE,
+    ZONE_EDGE,
+    _outline,
+    new_figure,
+    new_map_figure,
+    png_uri,
+    svg_uri,
+)
 from anisoscope.report.inspection_page import Pictures, Sections
 from anisoscope.report.peers import among
 from anisoscope.sim.light.colour.spaces import hexadecimal
@@ -131,8 +147,8 @@ def print_parts(record: Record, pictures: PrintPictures | None) -> Mapping[str, 
         "quantity_rows": tuple(map(quantity_row, found.quantities)),
         "sources": _sources(record, told),
         "print_labels": [one.title for one in told],
-        "lobe_chart": report_figures.lobe_chart(found.colours),
-        "quantity_chart": report_figures.quantity_chart(found.quantities),
+        "lobe_chart": lobe_chart(found.colours),
+        "quantity_chart": quantity_chart(found.quantities),
         "print_maps": ()
         if pictures is None
         else _maps(pictures, () if found.map is None else found.map.spots),
@@ -153,7 +169,7 @@ def _golden_strip(golden: GoldenPrintsRecord) -> str:
 def _patches(colours: tuple[ColourRecord, ...], pictures: PrintPictures) -> tuple[Patch, ...]:
     rows = zip(colours, pictures.seen, pictures.measured, pictures.predicted, strict=True)
     return tuple(
-        Patch(one, report_figures.cells_picture(cells), hexadecimal(seen), hexadecimal(wanted))
+        Patch(one, cells_picture(cells), hexadecimal(seen), hexadecimal(wanted))
         for one, cells, seen, wanted in rows
     )
 
@@ -165,17 +181,17 @@ def _maps(pictures: PrintPictures, spots: tuple[SpotRecord, ...]) -> tuple[tuple
     size, center = pictures.size_mm, pictures.center_mm
     return (
         (
-            report_figures.difference_map(pictures.local, pictures.deviating, size, center, spots),
+            difference_map(pictures.local, pictures.deviating, size, center, spots),
             "Against the rest of the region: ΔE2000 of the worst pose; outlined what deviates, numbers as in the table",
             "Map of colour differences of cells against the whole region",
         ),
         (
-            report_figures.difference_map(pictures.total, None, size, center),
+            difference_map(pictures.total, None, size, center),
             "Against the prediction: ΔE2000 of the worst pose",
             "Map of colour differences of cells against the prediction",
         ),
         (
-            report_figures.lean_map(pictures.lean_deg, size, center),
+            lean_map(pictures.lean_deg, size, center),
             "How the flakes lean, against the whole region; an arrow that reaches the next one: the end of the scale",
             "Map of the tilt of the flakes",
         ),
@@ -247,3 +263,160 @@ def print_rule(record: Record) -> str:
     if record.verdict == "INCONCLUSIVE":
         return f"no limit is broken for certain, but within a guard band of it (ISO 14253-1): {', '.join(saying)}"
     return "every quantity lies within its limit by more than its guard band (ISO 14253-1)"
+
+
+SHADES = (BLUE, ORANGE, GREEN, RED, MUTED, INK)
+LEGEND_ROWS = 6
+MARKS = ("o", "s", "^", "D", "v", "P")
+SMALLEST_MARK = 3
+SMALL_LEAN_DEG = 0.2
+SHORTEST = 0.02
+"""Half height of the zone of a quantity without uncertainty, so that it is seen."""
+
+
+def cells_picture(srgb: FloatArray) -> str:
+    """(rows, cols, 3) encoded sRGB as a PNG, one pixel a cell."""
+    done, data = cv2.imencode(".png", np.asarray(np.rint(255.0 * srgb[..., ::-1]), dtype=np.uint8))
+    assert done
+    return png_uri(data.tobytes())
+
+
+def lobe_chart(colours: Sequence[ColourRecord]) -> str:
+    """Radiance of the green channel over the tilt, one line a stage angle: measured marks, predicted lines."""
+    with new_figure(9.0, 3.4) as (figure, axes):
+        angles = sorted({one.stage_deg for one in colours})
+        for number, angle in enumerate(angles):
+            line = sorted((one for one in colours if one.stage_deg == angle), key=lambda one: one.tilt_deg)
+            tilts = np.array([one.tilt_deg for one in line])
+            shade, mark = SHADES[number % len(SHADES)], MARKS[number % len(MARKS)]
+            axes.plot(tilts, [one.predicted[1] for one in line], color=shade, linewidth=1.1, alpha=0.8)
+            axes.errorbar(
+                tilts,
+                [one.measured[1] for one in line],
+                yerr=[1.96 * one.u[1] * one.measured[1] for one in line],
+                fmt=mark,
+                color=shade,
+                markersize=max(6 - number, SMALLEST_MARK),
+                capsize=2,
+                label=f"{angle:g}°",
+            )
+        axes.set_yscale("log")
+        axes.grid(which="both")
+        axes.set_xlabel(
+            "tilt of camera and light [°];  marks: measured, with 95 % interval; lines join the predicted poses"
+        )
+        axes.set_ylabel("green channel [1/sr]")
+        columns = 1 + (len(angles) - 1) // LEGEND_ROWS
+        axes.legend(frameon=False, fontsize=8, title="stage angle", title_fontsize=8, ncols=columns)
+        return svg_uri(figure)
+
+
+def quantity_chart(quantities: Sequence[QuantityRecord]) -> str:
+    """Deviation of every quantity over its limit, with 95 % intervals, in front of the zone of good prints."""
+    count = len(quantities)
+    with new_figure(9.0, 0.75 + 0.36 * count) as (figure, axes):
+        axes.axvspan(-1.0, 1.0, color=ZONE, ec=ZONE_EDGE, linewidth=0.8)
+        for row, one in enumerate(quantities):
+            at, reach = one.deviation / one.limit, 1.96 * one.u / one.limit
+            reach = max(reach, SHORTEST)
+            axes.errorbar(
+                at,
+                row,
+                xerr=[[min(reach, at) if one.name in LENGTHS else reach], [reach]],
+                fmt="o",
+                color=BLUE,
+                capsize=4,
+                markersize=6,
+                linewidth=1.6,
+            )
+        axes.axvline(0.0, color=MUTED, linewidth=0.9)
+        axes.set_yticks(range(count), [one.title.replace("-", "−") for one in quantities])
+        axes.set_ylim(count - 0.45, -0.55)
+        axes.grid(axis="x")
+        axes.set_xlabel("deviation over its limit;  bar: 95 % interval, green: good prints")
+        reach = max((abs(one.deviation) + 1.96 * one.u) / one.limit for one in quantities)
+        axes.set_xlim(-1.1 * max(reach, 1.2), 1.1 * max(reach, 1.2))
+        return svg_uri(figure)
+
+
+def difference_map(
+    delta_e: FloatArray,
+    deviating: npt.NDArray[np.bool_] | None,
+    size_mm: tuple[float, float],
+    center_mm: tuple[float, float] = (0.0, 0.0),
+    spots: Sequence[SpotRecord] = (),
+) -> str:
+    """Colour differences of the cells, first row at the top; where cells deviate, their patches are outlined.
+
+    Args:
+        delta_e: (rows, cols) CIEDE2000.
+        deviating: (rows, cols) which cells deviate, or None.
+        size_mm: (height, width) of the region.
+        center_mm: (x, y) of its middle.
+        spots: places that deviate, to be numbered from 1.
+    """
+    from matplotlib.patheffects import withStroke  # noqa: PLC0415 - heavy
+    from matplotlib.transforms import Affine2D  # noqa: PLC0415 - heavy
+
+    with new_map_figure(size_mm) as (figure, axes, bar):
+        extent = _extent(size_mm, center_mm)
+        top = max(float(np.percentile(delta_e, 99.5)), 0.5)
+        shown = axes.imshow(delta_e, cmap="cividis", vmin=0.0, vmax=top, extent=extent)
+        if deviating is not None and deviating.any():
+            edges = _outline(deviating, size_mm)
+            edges.set_transform(Affine2D().translate(*center_mm) + axes.transData)
+            axes.add_artist(edges)
+        for number, spot in enumerate(spots, start=1):
+            at = (spot.x + 0.5 * spot.width, spot.y + 0.5 * spot.length)
+            label = axes.annotate(
+                str(number),
+                at,
+                xytext=(2, 2),
+                textcoords="offset points",
+                fontsize=9,
+                fontweight="bold",
+                annotation_clip=False,
+            )
+            label.set_path_effects([withStroke(linewidth=2.5, foreground="white")])
+        figure.colorbar(shown, cax=bar, label="ΔE2000")
+        return svg_uri(figure)
+
+
+def _extent(
+    size_mm: tuple[float, float], center_mm: tuple[float, float]
+) -> tuple[float, float, float, float]:
+    (height, width), (x, y) = size_mm, center_mm
+    return (x - width / 2, x + width / 2, y - height / 2, y + height / 2)
+
+
+def lean_map(
+    lean_deg: FloatArray, size_mm: tuple[float, float], center_mm: tuple[float, float] = (0.0, 0.0)
+) -> str:
+    """How the flakes lean in every cell against the whole region: size in colour, direction and size as arrows.
+
+    An arrow that reaches to the next one leans as far as the scale goes, so that noise does not look like a lean.
+    """
+    rows, cols = lean_deg.shape[1:]
+    with new_map_figure(size_mm) as (figure, axes, bar):
+        extent = left, right, bottom, top = _extent(size_mm, center_mm)
+        size = np.hypot(*lean_deg)
+        most = max(float(size.max()), SMALL_LEAN_DEG)
+        shown = axes.imshow(size, cmap="cividis", vmin=0.0, vmax=most, extent=extent)
+        step = max(1, max(rows, cols) // 10)
+        x = left + (np.arange(cols) + 0.5) / cols * (right - left)
+        y = top - (np.arange(rows) + 0.5) / rows * (top - bottom)
+        part = np.s_[step // 2 :: step]
+        axes.quiver(
+            x[part],
+            y[part],
+            lean_deg[0][part, part],
+            lean_deg[1][part, part],
+            color="#ffffff",
+            angles="xy",
+            scale_units="xy",
+            scale=most / (step * (right - left) / cols),
+            pivot="middle",
+            width=0.006,
+        )
+        figure.colorbar(shown, cax=bar, label="lean against the region [°]")
+        return svg_uri(figure)
