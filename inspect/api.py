@@ -273,7 +273,7 @@ def predict(
         HeightMapError: the map cannot be used: too much is missing, or too coarse for waves.
         ModelError: a pose that sees the surface from below, or a number outside its range.
     """
-    from anisoscope.prediction.optics_selection import Rig, Wanted, predict_with_optics
+    from anisoscope.prediction.optics_selection import OpticsRequest, Rig, predict_with_optics
     from anisoscope.prediction.predict import predict_design, predict_height_map
     from anisoscope.prediction.sensitivity import InputUncertainty
     from anisoscope.profiles.heightmap import HeightMap
@@ -312,7 +312,7 @@ def predict(
             optics=rig.optics,
         )
 
-    return predict_with_optics(surface, by_rays, rig, Wanted(model), pitch_um)[0]
+    return predict_with_optics(surface, by_rays, rig, OpticsRequest(model), pitch_um)[0]
 
 
 def fit_ridges(

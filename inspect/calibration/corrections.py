@@ -58,9 +58,9 @@ class Calibrations:
             CalibrationError: one has expired, or was out of its limits.
         """
         for kind in KINDS:
-            complaint = self.records[kind].complaint(at) if kind in self.records else None
-            if complaint is not None:
-                raise CalibrationError(complaint)
+            invalid_reason = self.records[kind].invalid_reason(at) if kind in self.records else None
+            if invalid_reason is not None:
+                raise CalibrationError(invalid_reason)
 
     def check_camera(self, serial: str, shape: tuple[int, int]) -> None:
         """Check that all calibrations belong to this camera.
@@ -299,7 +299,7 @@ def _listed(kind: Kind, part: CalibrationPart | None, at: datetime) -> Listed:
         record.taken_at.isoformat(timespec="seconds"),
         record.valid_until.isoformat(timespec="seconds"),
         needed,
-        record.complaint(at) or "",
+        record.invalid_reason(at) or "",
     )
 
 

@@ -33,7 +33,7 @@ from anisoscope.rig.frame import Frame
 WINDOW_SHARE = 0.4  # of rows and columns: beyond, vignetting spreads the signal
 MIN_STEPS, MAX_STEPS = 10, 200
 FIRST_SHARE, LAST_SHARE = 0.02, 1.3  # of the exposure that reaches full scale
-LINEAR_ENOUGH = 0.002
+MAX_RAW_ERROR = 0.002
 MAX_ERROR = 0.02
 
 
@@ -123,7 +123,7 @@ def _green(frame: Frame) -> Counts:
 def _results(series: list[ExposureStep], found: PhotoTransfer) -> dict[str, Any]:
     saturation_dn = found.saturation_e.value * found.gain_dn_per_e.value
     bend, residuals = _response(series, saturation_dn)
-    bent = found.linearity_error > LINEAR_ENOUGH
+    bent = found.linearity_error > MAX_RAW_ERROR
     error = float(np.mean(np.abs(residuals))) if bent else found.linearity_error
     remarks = []
     if bent:

@@ -118,7 +118,7 @@ class CalibrationRecord(_Part):
             )
         return self.values[name]
 
-    def complaint(self, at: datetime) -> str | None:
+    def invalid_reason(self, at: datetime) -> str | None:
         """Why this calibration makes a measurement at a time INVALID, if it does."""
         if at >= self.valid_until:
             ended = self.valid_until.strftime("%Y-%m-%d %H:%M UTC")

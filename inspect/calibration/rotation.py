@@ -115,14 +115,14 @@ def _plan(
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
+class _Located:
     """Position of the fixture at an angle of the stage, as read back."""
 
     stage_deg: float
     place: Placement
 
 
-def _places(records: list[FrameRecord], fixture: Fixture) -> list[_Seen]:
+def _places(records: list[FrameRecord], fixture: Fixture) -> list[_Located]:
     dark = stack(record.frame for record in records if record.frame.kind == "dark")
     poses: dict[Pose, list[FrameRecord]] = {}
     for record in records:
@@ -137,22 +137,22 @@ def _places(records: list[FrameRecord], fixture: Fixture) -> list[_Seen]:
         )
         frame = shots[0].frame
         even = grey_of(picture.astype(np.float32), frame.filters)
-        found.append(_Seen(frame.stage_deg, locate(even, fixture, frame.tilt_deg)))
+        found.append(_Located(frame.stage_deg, locate(even, fixture, frame.tilt_deg)))
     return found
 
 
-def _results(seen: list[_Seen], file: RigFile) -> dict[str, Any]:
-    places = [one.place for one in seen]
+def _results(located: list[_Located], file: RigFile) -> dict[str, Any]:
+    places = [one.place for one in located]
     centre, u_px, eccentricity, u_mm, rest_px = _circle(places)
     distance_px = np.hypot(*rest_px.T)
-    turns = np.array([angle_between(one.stage_deg, one.place.angle_deg) for one in seen])
+    turns = np.array([angle_between(one.stage_deg, one.place.angle_deg) for one in located])
     zero = float(turns[0] + np.mean([angle_between(turns[0], turn) for turn in turns]))
     off = np.array([angle_between(zero, turn) for turn in turns])
     sizes = np.array([place.pixel_um for place in places])
     pixel_um, u_pixel = float(sizes.mean()), float(sizes.std(ddof=1) / np.sqrt(len(sizes)))
     tilt, u_tilt = _axis_tilt(places)
     runout = float(distance_px.max())
-    remarks = _complaints(runout, float(np.abs(off).max()), pixel_um, file)
+    remarks = _faults(runout, float(np.abs(off).max()), pixel_um, file)
     return {
         "values": {
             "centre_column": Value(value=centre[0], u=u_px, unit="px"),
@@ -167,7 +167,7 @@ def _results(seen: list[_Seen], file: RigFile) -> dict[str, Any]:
         },
         "residuals": tuple(float(value) for value in distance_px),
         "details": {
-            "angles_deg": [one.stage_deg for one in seen],
+            "angles_deg": [one.stage_deg for one in located],
             "markers": min(place.markers for place in places),
         },
         "in_limits": not remarks,
@@ -209,7 +209,7 @@ def _axis_tilt(places: list[Placement]) -> tuple[float, float]:
     return tilt, limit - tilt
 
 
-def _complaints(runout_px: float, turn_error_deg: float, pixel_um: float, file: RigFile) -> list[str]:
+def _faults(runout_px: float, turn_error_deg: float, pixel_um: float, file: RigFile) -> list[str]:
     found = []
     if runout_px > MAX_RUNOUT_PX:
         found.append(

@@ -33,7 +33,7 @@ def from_prediction(expected: Expectation, measured: Measured) -> tuple[float, i
     basis = log_basis(len(expected.poses))
     off = basis @ np.log(measured.radiance / expected.radiance)
     if expected.states is not None:
-        own = _covariance(expected.beside_states + measured.components, basis)
+        own = _covariance(expected.outside_states + measured.components, basis)
         if _regular(own):
             d2 = nearest_anywhere(Combined(expected.states, basis), off, own, expected.states.farthest)
             return d2, len(basis), float(chi2.sf(d2, len(basis)))

@@ -57,12 +57,14 @@ def between_tilts(
     pairs = tuple(_pairs(expected.poses))
     if not pairs:
         return ()
-    seen, meant = (pair_values(pairs, side.radiance, kind) for side in (measured, expected))
+    measured_values, predicted_values = (
+        pair_values(pairs, side.radiance, kind) for side in (measured, expected)
+    )
     components = expected.components + measured.components
-    u_seen = _spread(pairs, measured.radiance, kind, [c for c in components if c.kind == "measurement"])
-    u_meant = _spread(pairs, expected.radiance, kind, [c for c in components if c.kind != "measurement"])
-    u = np.hypot(u_seen, u_meant)
-    adjusted = holm(two_sided(_by_u(seen - meant, u)))
+    u_contrast = _spread(pairs, measured.radiance, kind, [c for c in components if c.kind == "measurement"])
+    u_predicted = _spread(pairs, expected.radiance, kind, [c for c in components if c.kind != "measurement"])
+    u = np.hypot(u_contrast, u_predicted)
+    adjusted = holm(two_sided(_by_u(measured_values - predicted_values, u)))
     poses = expected.poses
     return tuple(
         TiltContrastRecord(
@@ -70,10 +72,10 @@ def between_tilts(
             from_tilt_deg=poses[i].tilt_deg,
             to_tilt_deg=poses[j].tilt_deg,
             kind=kind,
-            measured=seen[k],
-            predicted=meant[k],
-            u_measured=u_seen[k],
-            u_predicted=u_meant[k],
+            measured=measured_values[k],
+            predicted=predicted_values[k],
+            u_measured=u_contrast[k],
+            u_predicted=u_predicted[k],
             u=u[k],
             p_value=adjusted[k],
         )

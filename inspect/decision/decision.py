@@ -107,12 +107,12 @@ def decide(
     variances = [gradient[c.kind] @ c.covariance() @ gradient[c.kind].T for c in components]
     covariance = np.asarray(np.sum(variances, axis=0))
     u = np.sqrt(np.diag(covariance))
-    weighed = (
+    test_result = (
         from_prediction(expected, measured)
         if golden is None
         else from_golden(expected, measured, golden.contrasts())
     )
-    d2, dof, p_value = weighed
+    d2, dof, p_value = test_result
     pairs = _judge_pairs(found, predicted, deviation, u, recipe)
     known = None if golden is None else golden.known_shares(recipe)
     cells = None if recipe.area is None else cell_map(measured, expected.poses, recipe.area)

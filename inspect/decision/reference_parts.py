@@ -23,7 +23,7 @@ from anisoscope.recipe.surface import AreaPart, SurfaceRecipe
 from anisoscope.record.schema import Record
 from anisoscope.record.surface_details import surface_of
 
-Kept = TypeVar("Kept", bound=BaseModel)
+ReferenceSet = TypeVar("ReferenceSet", bound=BaseModel)
 
 _MEASURED = ("surface", "poses", "region")
 _NO_MATTER = frozenset({"settle_s"})
@@ -155,13 +155,13 @@ def _plain(value: object) -> object:
 
 
 def _hashed(recipe: SurfaceRecipe, acquisition: dict[str, Any]) -> str:
-    told = recipe.model_dump(mode="json")
-    told["surface"] = {"pitch_um": told["surface"]["pitch_um"]}
-    content = {name: told[name] for name in _MEASURED} | {"acquisition": acquisition}
+    stored = recipe.model_dump(mode="json")
+    stored["surface"] = {"pitch_um": stored["surface"]["pitch_um"]}
+    content = {name: stored[name] for name in _MEASURED} | {"acquisition": acquisition}
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
-def kept_set(path: Path, model: type[Kept], what: str) -> Kept | None:
+def reference_set_in(path: Path, model: type[ReferenceSet], what: str) -> ReferenceSet | None:
     """A file of golden reference parts, or None where there is none.
 
     Raises:
@@ -182,7 +182,7 @@ def read_golden(path: Path, recipe: SurfaceRecipe) -> GoldenSet | None:
     Raises:
         CalibrationError: the file is damaged, or belongs to another recipe.
     """
-    found = kept_set(path, GoldenSet, "golden parts")
+    found = reference_set_in(path, GoldenSet, "golden parts")
     if found is None:
         return None
     if found.recipe_key == _earlier_key(recipe):
@@ -209,9 +209,9 @@ def add_part(known: GoldenSet | None, recipe: SurfaceRecipe, record: Record) -> 
     poses = tuple((pose.stage_deg, pose.tilt_deg) for pose in recipe.poses.poses())
     if record.verdict == "INVALID" or not record.poses:
         raise CalibrationError(f"{record.serial}: an INVALID inspection says nothing about a good part")
-    seen = tuple((pose.stage_deg, pose.tilt_deg) for pose in record.poses)
+    recorded = tuple((pose.stage_deg, pose.tilt_deg) for pose in record.poses)
     key, recipe_then = recipe_key(recipe), type(recipe).model_validate(record.recipe, extra="ignore")
-    if seen != poses or recipe_key(recipe_then) != key:
+    if recorded != poses or recipe_key(recipe_then) != key:
         raise CalibrationError(
             f"{record.serial} was inspected with another recipe (poses, region or exposure differ): inspect it again"
         )
@@ -239,7 +239,7 @@ def write_golden(path: Path, golden: BaseModel) -> None:
     write_text(path, json.dumps(golden.model_dump(mode="json", by_alias=True), indent=2, allow_nan=False))
 
 
-def without_part(known: Kept, serial: str, noun: str = "golden part") -> Kept:
+def without_part(known: ReferenceSet, serial: str, noun: str = "golden part") -> ReferenceSet:
     """A set, of parts or of prints, without all rows of a serial number.
 
     Raises:

@@ -11,24 +11,25 @@ from anisoscope.recipe.surface import SurfaceRecipe
 
 @dataclass(frozen=True)
 class Option:
-    """Something that could be looked at besides.
+    """A further measurement that may separate causes.
 
     Attributes:
         kind: "angles", "tilt" or "lamp".
-        says: what it is, in words.
-        told_from: by cause and other cause, the least extent at which it tells the one from all of the other, or None.
+        says: the measurement in words.
+        separation_extents: by cause and other cause, the least extent at which the measurement separates the one from
+            all extents of the other, or None.
     """
 
     kind: str
     says: str
-    told_from: dict[str, dict[str, float | None]]
+    separation_extents: dict[str, dict[str, float | None]]
 
-    def tells(self, one: tuple[str, float], other: tuple[str, float]) -> bool:
+    def separates(self, one: tuple[str, float], other: tuple[str, float]) -> bool:
         """Are two causes of these names and extents told apart, whichever it is?"""
-        return self._tells(one, other[0]) and self._tells(other, one[0])
+        return self._separates(one, other[0]) and self._separates(other, one[0])
 
-    def _tells(self, cause: tuple[str, float], other: str) -> bool:
-        least = self.told_from.get(cause[0], {}).get(other)
+    def _separates(self, cause: tuple[str, float], other: str) -> bool:
+        least = self.separation_extents.get(cause[0], {}).get(other)
         return least is not None and abs(least) <= abs(cause[1])
 
 

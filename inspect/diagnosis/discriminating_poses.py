@@ -17,7 +17,7 @@ from anisoscope.recipe.surface import SurfaceRecipe
 KINDS = ("angles", "tilt", "lamp")
 
 
-def remembered_options(
+def cached_options(
     recipe: SurfaceRecipe, light_angle_deg: float, names: Sequence[str], advance: Advance, causes: CauseModel
 ) -> tuple[Option, ...]:
     """What would tell causes apart, computed once; none where the causes' model does not compute it.
@@ -35,10 +35,10 @@ def remembered_options(
     options = causes.options
     if options is None:
         return ()
-    given = _given(recipe, light_angle_deg, names)
+    key_fields = _key_fields(recipe, light_angle_deg, names)
     return (
         Cache()
-        .entry("advice", given, __name__, options.__module__)
+        .entry("advice", key_fields, __name__, options.__module__)
         .result(
             lambda: options(recipe, light_angle_deg, names, advance),
             lambda found: json.dumps([vars(one) for one in found]).encode(),
@@ -47,7 +47,7 @@ def remembered_options(
     )
 
 
-def _given(recipe: SurfaceRecipe, light_angle_deg: float, names: Sequence[str]) -> dict[str, Any]:
+def _key_fields(recipe: SurfaceRecipe, light_angle_deg: float, names: Sequence[str]) -> dict[str, Any]:
     """All that options are computed from."""
     surface = recipe.surface.height_map
     return {
@@ -81,20 +81,20 @@ def advice_for(
     if causes.options is None or len(tied) < 2 or found.unexplained_p < recipe.decision.alpha:
         return None
     best, *others = tied
-    options = remembered_options(recipe, light_angle_deg, [one.cause for one in tied], advance, causes)
+    options = cached_options(recipe, light_angle_deg, [one.cause for one in tied], advance, causes)
     tried = ", ".join(option.says for option in options)
     nothing = f"nothing that was tried ({tried}): at this size optics cannot"
     by_words: dict[str, list[str]] = {}
     for one in others:
         pair = (best.cause, best.severity), (one.cause, one.severity)
-        words = telling(tuple(option for option in options if option.tells(*pair)))
+        words = discriminating_options(tuple(option for option in options if option.separates(*pair)))
         by_words.setdefault(words or nothing, []).append(bare_title(one.title))
     if len(by_words) == 1:
         return next(iter(by_words))
     return "; ".join(f"{', '.join(titles)}: {words}" for words, titles in by_words.items())
 
 
-def telling(options: Sequence[Option]) -> str:
+def discriminating_options(options: Sequence[Option]) -> str:
     """What tells two causes apart, the first of every kind; empty where nothing does."""
     first = [next((one.says for one in options if one.kind == kind), None) for kind in KINDS]
     return ", or ".join(words for words in first if words is not None)

@@ -101,9 +101,9 @@ def against(evidence: Evidence, golden: FloatArray, scale_share: float) -> Evide
     mean, stated = golden.mean(axis=0), evidence.stated()
     root = root_of(stated)
     own = np.cov(golden, rowvar=False) + scale_share**2
-    seen = np.linalg.solve(root, np.linalg.solve(root, own).T)
+    whitened = np.linalg.solve(root, np.linalg.solve(root, own).T)
     freedom = float(poses + count - 1)
-    scatter = (poses * np.eye(poses) + (count - 1) * seen) / freedom * (1.0 + 1.0 / count)
+    scatter = (poses * np.eye(poses) + (count - 1) * whitened) / freedom * (1.0 + 1.0 / count)
     off = mean - np.median(mean)
     learnt = Learnt(scatter, freedom, np.hypot(off, np.sqrt(np.mean(off**2))))
     return replace(evidence, deviation=evidence.deviation - mean, learnt=learnt)
@@ -156,8 +156,8 @@ class Inputs:
         others = np.array([name != source for name in self.response.sources])
         tangent = self.response.slope[:, others]
         if tangents is not None:
-            told = tangents.change(extent, self.response.sources) * self.units
-            tangent = tangent + told[..., others]
+            slopes = tangents.change(extent, self.response.sources) * self.units
+            tangent = tangent + slopes[..., others]
         elif source is not None:
             k = self.response.sources.index(source)
             z = np.clip(np.asarray(extent) / self.u[source], -FARTHEST, FARTHEST)
@@ -168,10 +168,10 @@ class Inputs:
 
     def of(self, poses: Sequence[int]) -> "Inputs":
         """Those of some of the poses."""
-        kept = list(poses)
-        told = self.response
-        response = Response(told.sources, told.slope[kept], told.bend[kept])
-        return replace(self, response=response, rest=self.rest[np.ix_(kept, kept)])
+        selected = list(poses)
+        whole = self.response
+        response = Response(whole.sources, whole.slope[selected], whole.bend[selected])
+        return replace(self, response=response, rest=self.rest[np.ix_(selected, selected)])
 
 
 def inputs_of(recipe: SurfaceRecipe, expected: Expectation, measured: tuple[Component, ...]) -> Inputs | None:
@@ -208,8 +208,8 @@ def background_of(max_share: float) -> tuple[float, float]:
 def whitening(covariance: FloatArray) -> FloatArray:
     """W with WᵀW = V⁻¹ within the range of V: (rank, P)."""
     values, vectors = np.linalg.eigh(covariance)
-    kept = values > max(values[-1], 0.0) * values.size * np.finfo(np.float64).eps
-    return np.asarray((vectors[:, kept] / np.sqrt(values[kept])).T)
+    selected = values > max(values[-1], 0.0) * values.size * np.finfo(np.float64).eps
+    return np.asarray((vectors[:, selected] / np.sqrt(values[selected])).T)
 
 
 def share_variance(

@@ -42,7 +42,9 @@ class Fitted:
 
 def nothing(evidence: Evidence) -> Fitted:
     """How well a part as predicted explains what was measured."""
-    chi2, cost = _weighed(evidence, evidence.good[None], np.zeros((1, len(evidence.deviation))), np.zeros(1))
+    chi2, cost = _chi2_and_cost(
+        evidence, evidence.good[None], np.zeros((1, len(evidence.deviation))), np.zeros(1)
+    )
     return Fitted(0.0, 0.0, float(chi2[0]), float(cost[0]))
 
 
@@ -130,10 +132,10 @@ def costs(
     """(E,) χ² and (E,) −2 ln of the likelihood of (E,) extents, but for what all causes share."""
     changes, shares = signature.at(extents)
     covariances = _covariances(signature, evidence, extents, changes, as_input=as_input)
-    return _weighed(evidence, covariances, changes, shares)
+    return _chi2_and_cost(evidence, covariances, changes, shares)
 
 
-def _weighed(
+def _chi2_and_cost(
     evidence: Evidence, covariances: FloatArray, changes: FloatArray, shares: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     chi2, size = _quadratic(covariances, evidence.deviation - changes)

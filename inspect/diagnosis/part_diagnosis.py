@@ -16,14 +16,14 @@ from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, CauseModel
 from anisoscope.diagnosis.discriminating_poses import advice_for, bare_title
 from anisoscope.diagnosis.evidence import Evidence, against, background_of, covariance_of, inputs_of
 from anisoscope.diagnosis.ranking import NOTHING, Diagnosis, diagnose
-from anisoscope.diagnosis.signature_cache import remembered_signatures
+from anisoscope.diagnosis.signature_cache import cached_signatures
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.prediction.expectation import Expectation
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.schema import DiagnosisRecord
 from anisoscope.record.verdict import Verdict
 
-TIES_SAID = 3  # in one line; the table of causes has all
+MAX_LISTED_TIES = 3  # in one line; the table of causes has all
 
 
 def explain(
@@ -53,16 +53,16 @@ def explain(
         return DiagnosisRecord(says="nothing: the part is as it should be"), None
     try:
         light_angle_deg = expected.convention.light_angle_deg
-        known = remembered_signatures(recipe, light_angle_deg, advance, causes)
+        known = cached_signatures(recipe, light_angle_deg, advance, causes)
         found = diagnose(known, evidence_of(recipe, expected, measured, decision, golden))
     except (AnisoscopeError, ArithmeticError, ValueError, np.linalg.LinAlgError) as problem:
         return DiagnosisRecord(says="not possible"), f"no diagnosis: {problem}"
-    told = diagnosis_record(found, recipe.decision.alpha)
+    record = diagnosis_record(found, recipe.decision.alpha)
     try:
-        tells = advice_for(recipe, light_angle_deg, found, advance, causes)
+        advice = advice_for(recipe, light_angle_deg, found, advance, causes)
     except (AnisoscopeError, ArithmeticError, ValueError, np.linalg.LinAlgError) as problem:
-        return told, f"not known what would tell the tied causes apart: {problem}"
-    return told.model_copy(update={"tells": tells}), None
+        return record, f"not known what would tell the tied causes apart: {problem}"
+    return record.model_copy(update={"tells": advice}), None
 
 
 def evidence_of(
@@ -82,8 +82,8 @@ def evidence_of(
         found = replace(found, share=area.share, u_share=area.u, background=mean, u_background=u)
     if golden is None:
         return found
-    shown = np.array([part.log_radiance for part in golden.parts]) - predicted
-    return against(found, shown, scale_share)
+    golden_deviations = np.array([part.log_radiance for part in golden.parts]) - predicted
+    return against(found, golden_deviations, scale_share)
 
 
 def diagnosis_record(found: Diagnosis, alpha: float, of: str = "part") -> DiagnosisRecord:
@@ -95,11 +95,11 @@ def diagnosis_record(found: Diagnosis, alpha: float, of: str = "part") -> Diagno
         of: what was inspected, in words.
     """
     return DiagnosisRecord(
-        says=_says(found, alpha, of), causes=found.causes, unexplained_p=found.unexplained_p
+        says=_summary(found, alpha, of), causes=found.causes, unexplained_p=found.unexplained_p
     )
 
 
-def _says(found: Diagnosis, alpha: float, of: str) -> str:
+def _summary(found: Diagnosis, alpha: float, of: str) -> str:
     best = found.causes[0]
     if found.unexplained_p < alpha:
         return f"none of the causes explains the {of} (p {p_value_text(found.unexplained_p)} for the best of them)"
@@ -108,5 +108,5 @@ def _says(found: Diagnosis, alpha: float, of: str) -> str:
     ties = [bare_title(one.title) for one in found.ties if one is not best]
     if not ties:
         return bare_title(best.title)
-    more = f" and {len(ties) - TIES_SAID} more" if len(ties) > TIES_SAID else ""
-    return f"{bare_title(best.title)}; or, not to be told apart: {', '.join(ties[:TIES_SAID])}{more}"
+    more = f" and {len(ties) - MAX_LISTED_TIES} more" if len(ties) > MAX_LISTED_TIES else ""
+    return f"{bare_title(best.title)}; or, not to be told apart: {', '.join(ties[:MAX_LISTED_TIES])}{more}"

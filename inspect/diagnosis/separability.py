@@ -28,8 +28,8 @@ class Separability:
         title: what it is.
         unit: of its extents.
         group: of the cause.
-        shows_from: least extent (by size) that lies 3σ from a good part, or None within what was looked at.
-        told_from: for every other cause, the least extent that lies 3σ from all its extents, or None.
+        detection_extent: least extent (by size) that lies 3σ from a good part, or None within what was looked at.
+        separation_extents: for every other cause, the least extent that lies 3σ from all its extents, or None.
         greatest: greatest extent that was looked at.
     """
 
@@ -37,22 +37,26 @@ class Separability:
     title: str
     unit: str
     group: str
-    shows_from: float | None
-    told_from: dict[str, float | None]
+    detection_extent: float | None
+    separation_extents: dict[str, float | None]
     greatest: float
 
     @property
-    def never_told_from(self) -> tuple[str, ...]:
+    def inseparable_causes(self) -> tuple[str, ...]:
         """Causes that look the same at every extent that was looked at."""
-        return tuple(name for name, extent in self.told_from.items() if extent is None)
+        return tuple(name for name, extent in self.separation_extents.items() if extent is None)
 
     @property
-    def told_apart_from(self) -> float | None:
+    def separation_extent(self) -> float | None:
         """Least extent at which no other cause looks the same, or None if there is none."""
-        extents = [abs(extent) for extent in self.told_from.values() if extent is not None]
-        if self.never_told_from or self.shows_from is None or len(extents) < len(self.told_from):
+        extents = [abs(extent) for extent in self.separation_extents.values() if extent is not None]
+        if (
+            self.inseparable_causes
+            or self.detection_extent is None
+            or len(extents) < len(self.separation_extents)
+        ):
             return None
-        return max([abs(self.shows_from), *extents])
+        return max([abs(self.detection_extent), *extents])
 
 
 def planned_components(recipe: SurfaceRecipe, expected: Expectation) -> tuple[Component, ...]:
@@ -97,22 +101,22 @@ def separability(
         u_background: standard uncertainty of that share on good parts.
         inputs: the uncertain inputs, which act otherwise on spoiled parts; None: as on the good part.
     """
-    weigh = whitening(covariance if inputs is None else inputs.covariance())
+    whitener = whitening(covariance if inputs is None else inputs.covariance())
     u_map = u_background if with_map else None
-    curves = [_curve(signature, weigh, u_map, inputs) for signature in known.found]
-    shows = [_lead(curve, _good(weigh, u_map)) for curve in curves]
+    curves = [_curve(signature, whitener, u_map, inputs) for signature in known.found]
+    leads = [_lead(curve, _good_part(whitener, u_map)) for curve in curves]
     rows = []
-    for signature, curve, shown in zip(known.found, curves, shows, strict=True):
+    for signature, curve, lead in zip(known.found, curves, leads, strict=True):
         cause = signature.cause
         others = {
-            other.cause.name: _least(curve, _lead(curve, beside))
-            for other, beside in zip(known.found, curves, strict=True)
+            other.cause.name: _least(curve, _lead(curve, other_curve))
+            for other, other_curve in zip(known.found, curves, strict=True)
             if other is not signature
         }
         greatest = float(np.abs(signature.extents).max())
         rows.append(
             Separability(
-                cause.name, cause.title, cause.unit, cause.group, _least(curve, shown), others, greatest
+                cause.name, cause.title, cause.unit, cause.group, _least(curve, lead), others, greatest
             )
         )
     return tuple(rows)
@@ -135,19 +139,23 @@ class _Curve:
 
 
 def _curve(
-    signature: Signature, weigh: FloatArray, u_background: float | None, inputs: Inputs | None
+    signature: Signature, whitener: FloatArray, u_background: float | None, inputs: Inputs | None
 ) -> _Curve:
     low, high = signature.bounds
     extents = np.linspace(low, high, GRID)
     change, share = signature.at(extents)
-    scaled, size = _doubted(signature, extents, change, weigh, inputs)
+    scaled, size = _doubted(signature, extents, change, whitener, inputs)
     variance = None if u_background is None else share_variance(share, 0.0, u_background)
     size = size if variance is None else size + np.log(variance)
-    return _Curve(extents, change @ weigh.T, share, scaled, variance, size)
+    return _Curve(extents, change @ whitener.T, share, scaled, variance, size)
 
 
 def _doubted(
-    signature: Signature, extents: FloatArray, changes: FloatArray, weigh: FloatArray, inputs: Inputs | None
+    signature: Signature,
+    extents: FloatArray,
+    changes: FloatArray,
+    whitener: FloatArray,
+    inputs: Inputs | None,
 ) -> tuple[FloatArray, FloatArray]:
     """What inputs and doubt make of whitened deviations along a signature.
 
@@ -155,25 +163,25 @@ def _doubted(
         signature: of the cause.
         extents: (E,) extents.
         changes: (E, P) changes of ln L there.
-        weigh: (r, P) whitening of V.
+        whitener: (r, P) whitening of V.
         inputs: the uncertain inputs, or None.
 
     Returns:
         (E, r, r) L with LᵀL the inverse of their covariance, and (E,) its ln determinant.
     """
     own = (signature.cause.doubt * changes) ** 2
-    covariance = np.eye(len(weigh)) + np.einsum("ip,ep,jp->eij", weigh, own, weigh, optimize=True)
+    covariance = np.eye(len(whitener)) + np.einsum("ip,ep,jp->eij", whitener, own, whitener, optimize=True)
     if inputs is not None and signature.tangents is not None:
-        there = inputs.covariance(None, extents, signature.tangents)
-        covariance += weigh @ (there - inputs.covariance()) @ weigh.T
+        deviating = inputs.covariance(None, extents, signature.tangents)
+        covariance += whitener @ (deviating - inputs.covariance()) @ whitener.T
     root = np.linalg.cholesky(covariance)
     size = 2.0 * np.sum(np.log(np.diagonal(root, axis1=1, axis2=2)), axis=1)
     return np.linalg.inv(root), np.asarray(size)
 
 
-def _good(weigh: FloatArray, u_background: float | None) -> _Curve:
+def _good_part(whitener: FloatArray, u_background: float | None) -> _Curve:
     """A good part, as a curve of one point."""
-    zero, rank = np.zeros(1), len(weigh)
+    zero, rank = np.zeros(1), len(whitener)
     variance = None if u_background is None else share_variance(zero, 0.0, u_background)
     size = zero if variance is None else np.log(variance)
     return _Curve(zero, np.zeros((1, rank)), zero, np.eye(rank)[None], variance, size)
@@ -193,12 +201,12 @@ def _lead(curve: _Curve, other: _Curve) -> FloatArray:
 
 def _least(curve: _Curve, lead: FloatArray) -> float | None:
     """The extent of least size from which on a curve leads by 3σ."""
-    apart = lead >= SIGMAS**2
+    separated = lead >= SIGMAS**2
     best = None
     for side in (1.0, -1.0):
         chosen = np.flatnonzero(np.sign(curve.extents) == side)
         chosen = chosen[np.argsort(np.abs(curve.extents[chosen]))]
-        clear = np.logical_and.accumulate(apart[chosen][::-1])[::-1]
+        clear = np.logical_and.accumulate(separated[chosen][::-1])[::-1]
         if clear.any():
             extent = float(curve.extents[chosen[int(np.argmax(clear))]])
             best = extent if best is None or abs(extent) < abs(best) else best

@@ -49,23 +49,23 @@ def fit_shape(
 
 
 def _problem(
-    recipe: SurfaceRecipe, expected: Expectation, measured: Measured, wanted: tuple[str, ...]
+    recipe: SurfaceRecipe, expected: Expectation, measured: Measured, parameters: tuple[str, ...]
 ) -> Problem:
     poses = len(expected.poses)
     basis = log_basis(poses)
-    held = HELD if SEATING[0] in wanted else (*HELD, "seating tilt about x", "seating tilt about y")
-    kept = [c for c in expected.components if c.source in held]
-    total = np.sum([c.covariance() for c in (*kept, *measured.components)], axis=0)
-    dropped = wanted[: max(len(wanted) - (poses - 1), 0)]
+    held = HELD if SEATING[0] in parameters else (*HELD, "seating tilt about x", "seating tilt about y")
+    prediction_components = [c for c in expected.components if c.source in held]
+    total = np.sum([c.covariance() for c in (*prediction_components, *measured.components)], axis=0)
+    dropped = parameters[: max(len(parameters) - (poses - 1), 0)]
     design, material = recipe.surface.design, recipe.material
-    given = {
+    nominal = {
         "alpha_along": material.alpha_along,
         "alpha_across": material.alpha_across,
         "albedo": material.albedo,
         "index": material.index,
     }
     if design is not None:
-        given["ridge_angle_deg"] = design.ridge_angle_deg
+        nominal["ridge_angle_deg"] = design.ridge_angle_deg
     to_light, to_camera = directions(expected.poses, expected.convention)
     scene = Scene(
         to_light,
@@ -75,7 +75,7 @@ def _problem(
         poses=expected.poses,
         convention=expected.convention,
     )
-    values = checked_values(given)
+    values = checked_values(nominal)
     readings = Readings(
         kind="log_ratio",
         first=np.arange(1, poses),
@@ -86,7 +86,7 @@ def _problem(
         labels=tuple(f"{p.stage_deg:g}° @ {p.tilt_deg:g}°" for p in expected.poses[1:]),
         assumption="uncertainty of measurement, albedo, index and light angle",
     )
-    free = tuple(name for name in PARAMETERS if name in wanted and name not in dropped)
+    free = tuple(name for name in PARAMETERS if name in parameters and name not in dropped)
     return Problem(scene, readings, values, free)
 
 

@@ -16,7 +16,7 @@ from anisoscope.diagnosis.tangents import Tangents
 from anisoscope.recipe.surface import SurfaceRecipe
 
 
-def remembered_signatures(
+def cached_signatures(
     recipe: SurfaceRecipe,
     light_angle_deg: float,
     advance: Advance = silent,
@@ -65,13 +65,16 @@ def signature_key(
 
 
 def _packed(found: Signatures) -> bytes:
-    told = {
+    header = {
         "names": [one.cause.name for one in found.found],
         "doubts": [one.cause.doubt for one in found.found],
         "left_out": found.left_out,
         "share": found.share,
     }
-    arrays = {"told": np.frombuffer(json.dumps(told).encode(), dtype=np.uint8), "radiance": found.radiance}
+    arrays = {
+        "header": np.frombuffer(json.dumps(header).encode(), dtype=np.uint8),
+        "radiance": found.radiance,
+    }
     for number, one in enumerate(found.found):
         arrays |= {
             f"extents{number}": one.extents,
@@ -87,17 +90,17 @@ def _packed(found: Signatures) -> bytes:
 
 def _unpacked(content: bytes, recipe: SurfaceRecipe, model: CauseModel) -> Signatures:
     causes = {cause.name: cause for cause in model.causes(recipe)}
-    with np.load(io.BytesIO(content), allow_pickle=False) as kept:
-        told = json.loads(bytes(kept["told"]))
+    with np.load(io.BytesIO(content), allow_pickle=False) as stored:
+        header = json.loads(bytes(stored["header"]))
         found = tuple(
             Signature(
                 replace(causes[name], doubt=doubt),
-                kept[f"extents{n}"],
-                kept[f"change{n}"],
-                kept[f"share{n}"],
-                Tangents(kept[f"at{n}"], kept[f"tangents{n}"]) if f"at{n}" in kept else None,
+                stored[f"extents{n}"],
+                stored[f"change{n}"],
+                stored[f"share{n}"],
+                Tangents(stored[f"at{n}"], stored[f"tangents{n}"]) if f"at{n}" in stored else None,
             )
-            for n, (name, doubt) in enumerate(zip(told["names"], told["doubts"], strict=True))
+            for n, (name, doubt) in enumerate(zip(header["names"], header["doubts"], strict=True))
         )
-        left_out = tuple((name, reason) for name, reason in told["left_out"])
-        return Signatures(recipe.poses.poses(), kept["radiance"], told["share"], found, left_out)
+        left_out = tuple((name, reason) for name, reason in header["left_out"])
+        return Signatures(recipe.poses.poses(), stored["radiance"], header["share"], found, left_out)

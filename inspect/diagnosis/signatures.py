@@ -116,13 +116,15 @@ class Signatures:
 
     def of(self, poses: Sequence[int]) -> "Signatures":
         """Those of some of the poses, by their numbers."""
-        kept = list(poses)
+        selected = list(poses)
         return replace(
             self,
-            poses=tuple(self.poses[k] for k in kept),
-            radiance=self.radiance[kept],
+            poses=tuple(self.poses[k] for k in selected),
+            radiance=self.radiance[selected],
             found=tuple(
-                replace(one, change=one.change[:, kept], tangents=one.tangents and one.tangents.of(kept))
+                replace(
+                    one, change=one.change[:, selected], tangents=one.tangents and one.tangents.of(selected)
+                )
                 for one in self.found
             ),
         )
@@ -220,8 +222,8 @@ class _Scene:
         inner = slice(points, (PROFILE_PITCHES - 1) * points)  # crests stand on both sides
 
         def predict(to_light: FloatArray, to_camera: FloatArray, material: Material) -> FloatArray:
-            shown = radiance_maps(relief, to_light, to_camera, material)
-            return np.array([float(np.mean(view[:, inner], dtype=np.float64)) for view in shown])
+            maps = radiance_maps(relief, to_light, to_camera, material)
+            return np.array([float(np.mean(view[:, inner], dtype=np.float64)) for view in maps])
 
         return predict
 
@@ -272,23 +274,23 @@ class _Scene:
         to_light, to_camera = (side @ seat for side in directions(self.poses, convention))
         weights = relief.column_weights()
         means, cells = [], []
-        for shown in radiance_maps(relief, to_light, to_camera, state.material):
-            column = np.nanmean(shown, axis=0, dtype=np.float64)
+        for radiance in radiance_maps(relief, to_light, to_camera, state.material):
+            column = np.nanmean(radiance, axis=0, dtype=np.float64)
             means.append(float(np.sum(column * weights) / np.sum(weights)))
-            cells.append(self._cells(shown, surface))
+            cells.append(self._cells(radiance, surface))
         return np.array(means), self._deviating(np.array(cells))
 
-    def _cells(self, shown: npt.NDArray[np.float32], surface: HeightMap) -> FloatArray:
+    def _cells(self, radiance: npt.NDArray[np.float32], surface: HeightMap) -> FloatArray:
         """Means over cells a quarter of a pitch wide, as the contrast map has them."""
         side = self.pitch_um / CELLS_PER_PITCH
-        rows, cols = shown.shape
+        rows, cols = radiance.shape
         row = (np.arange(rows) * surface.pixel_y_um / side).astype(int)
         col = (np.arange(cols) * surface.pixel_x_um / side).astype(int)
         shape = row[-1] + 1, col[-1] + 1
         index = (row[:, None] * shape[1] + col[None, :]).ravel()
-        known = np.isfinite(shown).ravel()
+        known = np.isfinite(radiance).ravel()
         size = shape[0] * shape[1]
-        total = np.bincount(index[known], weights=shown.ravel()[known], minlength=size)
+        total = np.bincount(index[known], weights=radiance.ravel()[known], minlength=size)
         count = np.bincount(index[known], minlength=size)
         return np.asarray((total / np.maximum(count, 1)).reshape(shape))
 

@@ -38,7 +38,7 @@ Values = dict[str, float]
 Minimum = tuple[Values, float]
 
 RIVAL_CHI2 = 9.0
-KEPT = 3  # minima that are refined
+MAX_MINIMA = 3  # minima that are refined
 _GRIDS = {
     "ridge_angle_deg": (2.0, 4.0, 6.0, 8.0, 10.0, 13.0, 16.0, 20.0, 26.0),
     "alpha_along": (0.03, 0.06, 0.12, 0.25),
@@ -126,7 +126,7 @@ def search(problem: Problem, weight: FloatArray, starts: int, advance: Advance) 
         found = _hop(problem, weight, distinct(problem, found))
     if starts:
         advance("refinement", total - 2, total)
-        found = [minimise(problem, values, weight) for values, _ in distinct(problem, found)[:KEPT]]
+        found = [minimise(problem, values, weight) for values, _ in distinct(problem, found)[:MAX_MINIMA]]
     return distinct(problem, found)
 
 
@@ -285,8 +285,8 @@ class Fit:
 
     def __repr__(self) -> str:
         """One line: the fitted parameters with their standard uncertainties, and how well they fit."""
-        said = ", ".join(f"{one.name} {_with_u(one)}" for one in self.estimates)
-        return f"Fit({said or 'nothing free'}; rms {self.rms:.3g}, {self.dof} degrees of freedom)"
+        values = ", ".join(f"{one.name} {_with_u(one)}" for one in self.estimates)
+        return f"Fit({values or 'nothing free'}; rms {self.rms:.3g}, {self.dof} degrees of freedom)"
 
     def _repr_html_(self) -> str:
         rows = [

@@ -73,10 +73,10 @@ def _gamma_chance(shares: FloatArray, share: float) -> float:
 def _counting_chance(shares: FloatArray, cells: int, share: float) -> float:
     from scipy.special import betainc  # noqa: PLC0415 - heavy
 
-    seen, count = float(shares.sum()) * cells, len(shares)
+    deviating, count = float(shares.sum()) * cells, len(shares)
     # a share of a print is not one of whole cells: what is more than k of them exceeds a limit of k
     more = max(int(np.ceil(share * cells - 1e-6)), 1)
-    return float(betainc(more, seen + 0.5, 1.0 / (count + 1.0)))
+    return float(betainc(more, deviating + 0.5, 1.0 / (count + 1.0)))
 
 
 def _gamma_limit(shares: FloatArray, alpha: float) -> float:
@@ -91,7 +91,7 @@ def _counting_limit(shares: FloatArray, cells: int, alpha: float) -> float:
     """Smallest share whose excess is less probable than alpha for one more part, if cells deviate each for itself."""
     from scipy.special import betainc  # noqa: PLC0415 - heavy
 
-    seen, count = float(shares.sum()) * cells, len(shares)
+    deviating, count = float(shares.sum()) * cells, len(shares)
     # tail of the negative binomial distribution that a gamma-distributed rate gives
-    more = betainc(np.arange(1, cells + 1), seen + 0.5, 1.0 / (count + 1.0))
+    more = betainc(np.arange(1, cells + 1), deviating + 0.5, 1.0 / (count + 1.0))
     return float(np.argmax(more < alpha)) / cells if more[-1] < alpha else 1.0

@@ -58,11 +58,11 @@ def _same_flank(lines: FloatArray) -> FloatArray:
     steps = CELLS_PER_PITCH * np.array([j for j in range(-NEIGHBOURS, NEIGHBOURS + 1) if j])
     at = np.arange(cols)[:, None] + steps
     inside = (at >= 0) & (at < cols)
-    beside = np.where(inside, lines[:, np.clip(at, 0, cols - 1)], np.nan)
-    enough = inside.sum(axis=1) >= MIN_NEIGHBOURS
+    neighbours = np.where(inside, lines[:, np.clip(at, 0, cols - 1)], np.nan)
+    countable = inside.sum(axis=1) >= MIN_NEIGHBOURS
     found = lines.copy()
-    if enough.any():
-        found[:, enough] = _median_of_known(beside[:, enough])
+    if countable.any():
+        found[:, countable] = _median_of_known(neighbours[:, countable])
     assert found.shape == (pairs, cols)
     return found
 
@@ -137,7 +137,7 @@ def judge_area(
     )
     u = float(np.hypot(0.5 * (at_low - at_high), 0.5 / off.size))
     if known is not None:
-        return _beside_golden(share, u, known, alpha, p_means), off > rule.cell_deviation
+        return _limit_by_golden(share, u, known, alpha, p_means), off > rule.cell_deviation
     limit, guard = rule.max_share, coverage * u
     verdict = Verdict.INCONCLUSIVE
     if share <= limit - guard:
@@ -149,7 +149,7 @@ def judge_area(
     ), off > rule.cell_deviation
 
 
-def _beside_golden(share: float, u: float, known: KnownShares, alpha: float, p_means: float) -> AreaRecord:
+def _limit_by_golden(share: float, u: float, known: KnownShares, alpha: float, p_means: float) -> AreaRecord:
     chance = known.chance(share)
     fails = holm(np.array([p_means, chance]))[1] < alpha
     limit = known.limit(alpha if p_means < 0.5 * alpha else 0.5 * alpha)

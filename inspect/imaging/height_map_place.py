@@ -155,8 +155,8 @@ def render(
         for size, pixel in zip(surface.shape, surface_pixels(surface), strict=True)
     )
     found = []
-    for shown in radiance_maps(Relief(surface, pitch_um), to_light, to_camera, material):
-        filled = np.nan_to_num(shown, nan=float(np.nanmean(shown)))
+    for radiance in radiance_maps(Relief(surface, pitch_um), to_light, to_camera, material):
+        filled = np.nan_to_num(radiance, nan=float(np.nanmean(radiance)))
         steps = (pixel_um / surface.pixel_x_um, pixel_um / surface.pixel_y_um)
         calm = cv2.GaussianBlur(
             filled, (0, 0), sigmaX=max(0.29 * steps[0], 1e-3), sigmaY=max(0.29 * steps[1], 1e-3)
@@ -164,8 +164,8 @@ def render(
         column, row = np.meshgrid(np.arange(cols) - (cols - 1) / 2.0, np.arange(rows) - (rows - 1) / 2.0)
         at_column = column * steps[0] + (filled.shape[1] - 1) / 2.0
         at_row = (filled.shape[0] - 1) / 2.0 - row * steps[1]  # rows of a map rise with +y
-        seen = cv2.remap(calm, at_column.astype(np.float32), at_row.astype(np.float32), cv2.INTER_LINEAR)
-        found.append(np.asarray(seen, dtype=np.float32))
+        measured = cv2.remap(calm, at_column.astype(np.float32), at_row.astype(np.float32), cv2.INTER_LINEAR)
+        found.append(np.asarray(measured, dtype=np.float32))
     return found
 
 
@@ -184,8 +184,8 @@ def _phase(aligned: Sequence[Image], rendered: Sequence[Image], pitch: float) ->
     """Shift of the map's middle within ± half a pitch, in pixels; all poses weighed by how strong their ridges are."""
     together = sum(
         (
-            np.conj(_wave(seen, pitch)) * _wave(drawn, pitch)
-            for seen, drawn in zip(aligned, rendered, strict=True)
+            np.conj(_wave(measured, pitch)) * _wave(rendered_map, pitch)
+            for measured, rendered_map in zip(aligned, rendered, strict=True)
         ),
         0j,
     )
@@ -230,20 +230,22 @@ def _correlations(
     """
     shape, size = aligned[0].shape, rendered[0].shape
     total, overlap = np.zeros([a + b - 1 for a, b in zip(shape, size, strict=True)]), _Overlap(shape, size)
-    for seen, drawn in zip(aligned, rendered, strict=True):
-        total += overlap.correlations(_without_ridges(seen, pitch), _without_ridges(drawn, pitch))
+    for measured, rendered_map in zip(aligned, rendered, strict=True):
+        total += overlap.correlations(_without_ridges(measured, pitch), _without_ridges(rendered_map, pitch))
     return total / len(aligned), ((shape[0] + size[0]) / 2.0 - 1.0, (shape[1] + size[1]) / 2.0 - 1.0)
 
 
 class _Overlap:
     """Every place of pictures of one shape over pictures of another one."""
 
-    def __init__(self, seen: tuple[int, ...], drawn: tuple[int, ...]) -> None:
-        self._full = tuple(a + b - 1 for a, b in zip(seen, drawn, strict=True))
+    def __init__(self, measured: tuple[int, ...], rendered_map: tuple[int, ...]) -> None:
+        self._full = tuple(a + b - 1 for a, b in zip(measured, rendered_map, strict=True))
         self._size = tuple(cv2.getOptimalDFTSize(n) for n in self._full)
-        self._ones = self._spectrum(np.ones(seen)), self._spectrum(np.ones(drawn))
+        self._ones = self._spectrum(np.ones(measured)), self._spectrum(np.ones(rendered_map))
         self._count = np.maximum(np.rint(self._product(*self._ones)), 1.0)
-        self._enough = self._count >= MIN_OVERLAP * min(int(np.prod(seen)), int(np.prod(drawn)))
+        self._sufficient = self._count >= MIN_OVERLAP * min(
+            int(np.prod(measured)), int(np.prod(rendered_map))
+        )
 
     def _spectrum(self, picture: FloatArray) -> Spectrum:
         return np.asarray(np.fft.rfft2(picture, self._size))
@@ -252,16 +254,16 @@ class _Overlap:
         found = np.fft.irfft2(one * two, self._size)
         return np.asarray(found[: self._full[0], : self._full[1]])
 
-    def correlations(self, seen: Image, drawn: Image) -> FloatArray:
+    def correlations(self, measured: Image, rendered_map: Image) -> FloatArray:
         """Full normalised cross-correlation of two pictures; 0 where they overlap too little."""
-        a, b = seen.astype(np.float64), drawn[::-1, ::-1].astype(np.float64)
+        a, b = measured.astype(np.float64), rendered_map[::-1, ::-1].astype(np.float64)
         of_a, of_b = self._spectrum(a), self._spectrum(b)
         sum_a, sum_b = self._product(of_a, self._ones[1]), self._product(self._ones[0], of_b)
         product = self._product(of_a, of_b) - sum_a * sum_b / self._count
         spread_a = self._product(self._spectrum(a * a), self._ones[1]) - sum_a**2 / self._count
         spread_b = self._product(self._ones[0], self._spectrum(b * b)) - sum_b**2 / self._count
         found = product / np.sqrt(np.maximum(spread_a * spread_b, 1e-12))
-        return np.where(self._enough, found, 0.0)
+        return np.where(self._sufficient, found, 0.0)
 
 
 def _top(line: FloatArray, at: int) -> float:
@@ -371,12 +373,12 @@ def _shared(
         count = round(int((high - low + 1.0) / whole) * whole)
         ranges.append((low, max(count, 1)))
     (top, rows), (left, cols) = ranges
-    seen = [_window(one, top, left, (rows, cols)) for one in pictures]
-    drawn = [_window(one, top - offset[0], left - offset[1], (rows, cols)) for one in rendered]
+    measured = [_window(one, top, left, (rows, cols)) for one in pictures]
+    rendered_map = [_window(one, top - offset[0], left - offset[1], (rows, cols)) for one in rendered]
     return {
         "shared_share": rows * cols / float(shape[0] * shape[1]),
-        "measured": tuple(float(one.mean()) for one in seen),
-        "predicted": tuple(float(one.mean()) for one in drawn),
+        "measured": tuple(float(one.mean()) for one in measured),
+        "predicted": tuple(float(one.mean()) for one in rendered_map),
     }
 
 

@@ -129,12 +129,12 @@ def measure(
         check_view(view, alike, recipe, pixel_um)
     grid, per_cell = region_grid(recipe, pixel_um)
 
-    def seen(view: View) -> tuple[Image, float, FloatArray]:
+    def sampled(view: View) -> tuple[Image, float, FloatArray]:
         picture = resample(view.image.value, view.placement, grid)
         _check_region(view, picture, grid, recipe)
         return picture, _mean_noise(view, grid), _cell_means(picture, per_cell)
 
-    pictures, noises, blocks = zip(*for_each(seen, views), strict=True)
+    pictures, noises, blocks = zip(*for_each(sampled, views), strict=True)
     aligned, noise, cells = list(pictures), np.array(noises), np.stack(blocks)
     radiance = np.array([mean_of(picture) for picture in aligned])
     if np.any(radiance <= 0):
@@ -153,7 +153,7 @@ def measure(
     )
 
 
-def drift_complaint(measured: Measured, recipe: SurfaceRecipe) -> str | None:
+def drift_error(measured: Measured, recipe: SurfaceRecipe) -> str | None:
     """Why the measurement is unfit, if the first pose, photographed again at the end, differs too much."""
     drift, limit = measured.drift, recipe.limits.drift
     if drift is None or abs(drift) <= limit:
@@ -187,11 +187,11 @@ def _corners(view: View, grid: Grid) -> FloatArray:
     """(4, 2) column and row of the region's corners in the picture."""
     rows, cols = grid.shape
     ends = np.array([[x, y, 1.0] for x in (0, cols - 1) for y in (0, rows - 1)])
-    seen = ends @ (view.placement.homography @ grid.to_mm()).T
-    return np.asarray(seen[:, :2] / seen[:, 2:])
+    sampled = ends @ (view.placement.homography @ grid.to_mm()).T
+    return np.asarray(sampled[:, :2] / sampled[:, 2:])
 
 
-def _lies_inside(view: View, grid: Grid) -> bool:
+def _is_inside(view: View, grid: Grid) -> bool:
     """Do the corners of the region, and so all of it, lie on pixels of the picture?"""
     at = _corners(view, grid)
     return bool(np.all((at >= 0.0) & (at <= np.array(view.image.value.shape[::-1]) - 1.0)))
@@ -199,7 +199,7 @@ def _lies_inside(view: View, grid: Grid) -> bool:
 
 def _check_region(view: View, picture: Image, grid: Grid, recipe: SurfaceRecipe) -> None:
     share = 0.0
-    if not _lies_inside(view, grid) or view.image.saturated.any():
+    if not _is_inside(view, grid) or view.image.saturated.any():
         saturated = resample(view.image.saturated.astype(np.float32), view.placement, grid)
         inside = np.isfinite(saturated)
         if not inside.all():

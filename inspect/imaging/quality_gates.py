@@ -27,7 +27,7 @@ BLACK_SHARE = 0.25
 PITCH_SHARE = 0.03
 DIRECTION_DEG = 5.0
 CLEAR_PEAK = 0.2
-PEAK_KEPT = 0.01
+MIN_EXPECTED_SHARE = 0.01
 POINTS_A_PITCH = 6.0
 MAX_WINDOW = 512
 STILL_CELLS = 8.0
@@ -55,8 +55,8 @@ def check_tilt(view: View) -> None:
     share = max(abs(float(near) - cos), abs(float(far) - cos)) / cos
     if abs(place.squeeze - 1.0) <= max(share, MIN_SQUEEZE_SHARE) + 4.0 * place.u_squeeze:
         return
-    seen = float(np.degrees(np.arccos(min(place.squeeze * cos, 1.0))))
-    words = f"the markers say {seen:.1f}°"
+    observed = float(np.degrees(np.arccos(min(place.squeeze * cos, 1.0))))
+    words = f"the markers say {observed:.1f}°"
     if place.squeeze * cos > 1.0:
         words = f"in the markers columns are foreshortened instead of rows, by {1.0 - 1.0 / (place.squeeze * cos):.2%}"
     raise RegistrationError(
@@ -157,13 +157,13 @@ def find_ridges(aligned: tuple[Image, ...], pixel_um: float, pitch_um: float) ->
         return np.asarray(rows[:, None] & (np.abs(across - at_across) <= bins * bin_size[1])[None, :])
 
     near, peak = around(0.0, 1.0 / pitch_um, 1.6), around(f_down, f_across, 1.6)
-    beside = near & ~around(f_down, f_across, 2.1)  # the window spreads a wave over four bins
+    surrounding = near & ~around(f_down, f_across, 2.1)  # the window spreads a wave over four bins
     direction = float(np.degrees(np.arctan2(f_down, f_across)))
     return Ridges(
         float(1.0 / max(np.hypot(f_down, f_across), 1e-12)),
         (direction + 90.0) % 180.0 - 90.0,
         float(inside[peak].sum()) / total,
-        float(inside[beside].sum()) / total,
+        float(inside[surrounding].sum()) / total,
         bool(near[row, col]),
     )
 
@@ -203,7 +203,7 @@ def check_ridges(aligned: tuple[Image, ...], grid: Grid, recipe: SurfaceRecipe) 
     found = find_ridges(aligned, grid.pixel_mm * 1000.0, pitch_um)
     if found is None or found.share < CLEAR_PEAK:
         return
-    if not found.is_expected and found.expected_share > PEAK_KEPT:
+    if not found.is_expected and found.expected_share > MIN_EXPECTED_SHARE:
         return  # a harmonic, or a mark beside the ridges
     if abs(found.direction_deg) > DIRECTION_DEG:
         raise MeasurementError(
@@ -235,10 +235,10 @@ def check_dirt(views: list[View], measured: Measured, threshold: float) -> None:
     known, moved = np.ones(shape, dtype=bool), np.zeros(shape, dtype=bool)
     for i, other in zip(turned[1:], maps[1:], strict=True):
         at = _same_pixels(views[0], views[i], measured.grid, shape)
-        seen = _looked_up(other, at)
+        observed = _looked_up(other, at)
         moved |= np.hypot(*np.moveaxis(at - _cell_indices(shape)[..., :2], -1, 0)) > STILL_CELLS
-        known &= np.isfinite(seen)
-        fixed &= np.sign(first) * seen > threshold
+        known &= np.isfinite(observed)
+        fixed &= np.sign(first) * observed > threshold
         chance *= 0.5 * float(np.mean(np.abs(other) > threshold))
     fixed &= known & moved
     expected = chance * float((known & moved).sum())
@@ -294,5 +294,5 @@ def _cell_indices(shape: tuple[int, ...]) -> FloatArray:
 def _place_of(cells: npt.NDArray[np.bool_], view: View, grid: Grid) -> tuple[float, float]:
     """Column and row in the picture of the cell in the middle of some."""
     row, column = (float(np.median(index)) for index in np.nonzero(cells))
-    seen = _cells_to_pixels(view, grid, cells.shape[1]) @ [column, row, 1.0]
-    return float(seen[0] / seen[2]), float(seen[1] / seen[2])
+    observed = _cells_to_pixels(view, grid, cells.shape[1]) @ [column, row, 1.0]
+    return float(observed[0] / observed[2]), float(observed[1] / observed[2])

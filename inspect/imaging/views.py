@@ -85,7 +85,7 @@ def luminance(picture: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
     return np.asarray(cv2.sepFilter2D(picture, -1, _EVEN, _EVEN, borderType=cv2.BORDER_REFLECT_101))
 
 
-def beside_a_mirror(picture: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+def clipped_at_white(picture: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
     """(rows, cols) a picture in 1/sr where nothing is brighter than a white diffuser, to find printed markers in.
 
     A mirror may be a thousand times as bright as what is printed beside it.
@@ -93,9 +93,9 @@ def beside_a_mirror(picture: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]
     return np.minimum(picture, np.float32(1.0 / np.pi))
 
 
-def as_photographed(taken: AcquiredFrames) -> tuple[tuple[str, npt.NDArray[np.float32]], ...]:
+def as_photographed(acquired: AcquiredFrames) -> tuple[tuple[str, npt.NDArray[np.float32]], ...]:
     """The first frame of every pose, raw."""
-    first = {shot.pose: shot for shot in reversed(taken.shots) if shot.frame.kind == "sample"}
+    first = {shot.pose: shot for shot in reversed(acquired.shots) if shot.frame.kind == "sample"}
     poses = sorted(first, key=lambda pose: (pose.tilt_deg, pose.stage_deg))
     tilted = len({pose.tilt_deg for pose in poses}) > 1
     return tuple(
@@ -107,45 +107,47 @@ def as_photographed(taken: AcquiredFrames) -> tuple[tuple[str, npt.NDArray[np.fl
     )
 
 
-def views_of(viewing: Viewing, poses: Sequence[LightPose], taken: AcquiredFrames) -> Views:
+def views_of(viewing: Viewing, poses: Sequence[LightPose], acquired: AcquiredFrames) -> Views:
     """All pictures that count, linear, and where the part stands in each.
 
     Args:
         viewing: white reference, calibrations, fixture and limits.
         poses: those that were asked for.
-        taken: the frames.
+        acquired: the frames.
 
     Raises:
         MeasurementError, CameraError: INVALID, with the reason.
     """
     groups: dict[tuple[Pose, bool, bool, int], list[Shot]] = defaultdict(list)
-    for shot in taken.shots:
+    for shot in acquired.shots:
         if shot.frame.kind == "sample":
             groups[shot.pose, shot.again, shot.check, shot.run if shot.check else 0].append(shot)
     plain = {pose: shots for (pose, again, _, _), shots in groups.items() if not again}
-    wanted = [Pose(pose.stage_deg, pose.tilt_deg) for pose in poses]
-    for pose in wanted:
+    requested = [Pose(pose.stage_deg, pose.tilt_deg) for pose in poses]
+    for pose in requested:
         if pose not in plain:
             raise MeasurementError(f"there is no picture at {pose.stage_deg:g}°, tilt {pose.tilt_deg:g}°")
-    first_again = [(check, s) for (pose, again, check, _), s in groups.items() if again and pose == wanted[0]]
+    first_again = [
+        (check, s) for (pose, again, check, _), s in groups.items() if again and pose == requested[0]
+    ]
     at_end = [shots for check, shots in first_again if not check]
     on_resuming = [shots for check, shots in first_again if check]
-    groups_of_shots = [*(plain[pose] for pose in wanted), *at_end, *on_resuming]
+    groups_of_shots = [*(plain[pose] for pose in requested), *at_end, *on_resuming]
 
     @cache
     def like(kind: FrameKind, exposure_s: float, gain: float) -> Stack:
-        return _like(kind, exposure_s, gain, taken)
+        return _like(kind, exposure_s, gain, acquired)
 
     def photograph(shots: list[Shot]) -> Photograph:
-        return _photograph(viewing, shots, taken, like)
+        return _photograph(viewing, shots, acquired, like)
 
     settings = {(shot.frame.exposure_s, shot.frame.gain) for shots in groups_of_shots for shot in shots}
     _ready_before_threads(viewing, settings, like)
-    seen = place(
+    placed = place(
         for_each(photograph, groups_of_shots), viewing.fixture, viewing.pixel_um, viewing.corrections.axis_px
     )
-    first_end, first_resumed = len(wanted), len(wanted) + len(at_end)
-    return Views(seen[:first_end], seen[first_end:first_resumed], seen[first_resumed:])
+    first_end, first_resumed = len(requested), len(requested) + len(at_end)
+    return Views(placed[:first_end], placed[first_end:first_resumed], placed[first_resumed:])
 
 
 def _ready_before_threads(
@@ -160,16 +162,18 @@ def _ready_before_threads(
 def _photograph(
     viewing: Viewing,
     shots: list[Shot],
-    taken: AcquiredFrames,
+    acquired: AcquiredFrames,
     like: Callable[[FrameKind, float, float], Stack],
 ) -> Photograph:
     pose, settings = shots[0].pose, dict.fromkeys((s.frame.exposure_s, s.frame.gain) for s in shots)
     exposed = [
-        _exposed(viewing, [s.frame for s in shots if (s.frame.exposure_s, s.frame.gain) == one], taken, like)
+        _exposed(
+            viewing, [s.frame for s in shots if (s.frame.exposure_s, s.frame.gain) == one], acquired, like
+        )
         for one in settings
     ]
     black = shots[0].frame.black_level
-    image = viewing.corrections.masked(radiance_of(exposed, viewing.white, taken.full_scale, black))
+    image = viewing.corrections.masked(radiance_of(exposed, viewing.white, acquired.full_scale, black))
     check_light(pose.stage_deg, image, viewing.recipe)
     share = np.count_nonzero(image.saturated) / image.saturated.size
     if share > MAX_SATURATED_PICTURE:
@@ -188,18 +192,18 @@ def _guide(frame: Frame, guides: tuple[Guide, ...]) -> Guide | None:
     if not steps:
         return None
 
-    def shown(picture: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    def evened(picture: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         for step in steps:
             picture = step(picture)
         return picture
 
-    return shown
+    return evened
 
 
 def _exposed(
     viewing: Viewing,
     frames: list[Frame],
-    taken: AcquiredFrames,
+    acquired: AcquiredFrames,
     like: Callable[[FrameKind, float, float], Stack],
 ) -> Exposed:
     """The frames of a pose at one exposure, with what is to be taken off them."""
@@ -207,18 +211,18 @@ def _exposed(
     dark = like("dark", raw.exposure_s, raw.gain)
 
     def corrected(sample: Stack) -> Stack:
-        return viewing.corrections.corrected(_without_stray(sample, dark, taken, like), dark)
+        return viewing.corrections.corrected(_without_stray(sample, dark, acquired, like), dark)
 
     return Exposed(raw, dark, corrected)
 
 
-def _like(kind: FrameKind, exposure_s: float, gain: float, taken: AcquiredFrames) -> Stack:
+def _like(kind: FrameKind, exposure_s: float, gain: float, acquired: AcquiredFrames) -> Stack:
     """The frames of a kind that were exposed like some others.
 
     Raises:
         CalibrationError: there are none.
     """
-    frames = [shot.frame for shot in taken.shots if shot.frame.kind == kind]
+    frames = [shot.frame for shot in acquired.shots if shot.frame.kind == kind]
     alike = [frame for frame in frames if (frame.exposure_s, frame.gain) == (exposure_s, gain)]
     if not alike:
         what = "none at all" if not frames else f"only such of {frames[0].exposure_s:g} s"
@@ -230,10 +234,10 @@ def _like(kind: FrameKind, exposure_s: float, gain: float, taken: AcquiredFrames
 
 
 def _without_stray(
-    sample: Stack, dark: Stack, taken: AcquiredFrames, like: Callable[[FrameKind, float, float], Stack]
+    sample: Stack, dark: Stack, acquired: AcquiredFrames, like: Callable[[FrameKind, float, float], Stack]
 ) -> Stack:
     """The sample without the light that reaches the camera by other ways, where a light trap shows how much."""
-    if not any(shot.frame.kind == "stray" for shot in taken.shots):
+    if not any(shot.frame.kind == "stray" for shot in acquired.shots):
         return sample
     stray = like("stray", sample.exposure_s, sample.gain)
     own = sample.noise**2 + sample.frames * (stray.noise**2 / stray.frames + dark.noise**2 / dark.frames)
@@ -280,13 +284,13 @@ def pose_records(views: list[View], measured: FloatArray, predicted: FloatArray)
         PoseRecord(
             stage_deg=view.stage_deg,
             tilt_deg=view.tilt_deg,
-            measured=seen,
-            predicted=wanted,
+            measured=radiance,
+            predicted=expected,
             marker_angle_deg=view.placement.angle_deg,
             pixel_um=view.placement.pixel_um,
             residual_px=view.placement.residual_px,
             markers=view.placement.markers,
             dropped=view.placement.dropped,
         )
-        for view, seen, wanted in zip(views, measured, predicted, strict=True)
+        for view, radiance, expected in zip(views, measured, predicted, strict=True)
     )

@@ -57,13 +57,13 @@ def signed(value: float) -> str:
     return f"{value:+.3f}".replace("-", "−")
 
 
-def show_as_json(shown: Show) -> dict[str, Any]:
+def show_as_json(appearance: Show) -> dict[str, Any]:
     """Colours as plain data."""
     return {
-        "illuminant": shown.illuminant.name,
-        "model": shown.model,
-        "exposure": shown.exposure,
-        "adapted": shown.adapted,
+        "illuminant": appearance.illuminant.name,
+        "model": appearance.model,
+        "exposure": appearance.exposure,
+        "adapted": appearance.adapted,
         "inks": [
             {
                 "name": one.ink.name,
@@ -76,7 +76,7 @@ def show_as_json(shown: Show) -> dict[str, Any]:
                 "clipped": one.clipped,
                 "delta_e2000": one.difference.tolist(),
             }
-            for one in shown.inks
+            for one in appearance.inks
         ],
     }
 
@@ -84,9 +84,9 @@ def show_as_json(shown: Show) -> dict[str, Any]:
 SHOW_COLUMNS = ("θ [°]", "X [1]", "Y [1]", "Z [1]", "x [1]", "y [1]", "sRGB", "ΔE2000 from the first [1]")
 
 
-def show_rows(shown: Show, number: int) -> list[list[str]]:
+def show_rows(appearance: Show, number: int) -> list[list[str]]:
     """Angle, XYZ, chromaticity, hex and colour difference of one ink as texts."""
-    one = shown.inks[number]
+    one = appearance.inks[number]
     rows = []
     for theta, xyz, code, apart in zip(one.theta_deg, one.xyz, one.hexes, one.difference, strict=True):
         total = max(float(xyz.sum()), 1e-30)
@@ -95,21 +95,21 @@ def show_rows(shown: Show, number: int) -> list[list[str]]:
     return rows
 
 
-def show_notes(shown: Show) -> list[str]:
+def show_notes(appearance: Show) -> list[str]:
     """Notes on how the colours are computed."""
     where = "in the mirror direction"
-    if shown.inks[0].off_mirror_deg:
-        where = f"{shown.inks[0].off_mirror_deg:+g}° beside the mirror direction".replace("-", "−")
-    adapted = "white adapted to that of sRGB (Bradford)" if shown.adapted else "no chromatic adaptation"
-    clipped = sum(one.clipped for one in shown.inks)
-    total = sum(len(one.theta_deg) for one in shown.inks)
+    if appearance.inks[0].off_mirror_deg:
+        where = f"{appearance.inks[0].off_mirror_deg:+g}° beside the mirror direction".replace("-", "−")
+    adapted = "white adapted to that of sRGB (Bradford)" if appearance.adapted else "no chromatic adaptation"
+    clipped = sum(one.clipped for one in appearance.inks)
+    total = sum(len(one.theta_deg) for one in appearance.inks)
     return [
         (
-            f"Light {shown.illuminant.name}, {where}, model {shown.model}; CIE 1931 2° observer, "
+            f"Light {appearance.illuminant.name}, {where}, model {appearance.model}; CIE 1931 2° observer, "
             f"Y = 1 for a perfect white; {adapted}."
         ),
         (
-            f"Shown and compared at exposure {shown.exposure:.3g}; {clipped} of {total} colours are out of the "
+            f"Shown and compared at exposure {appearance.exposure:.3g}; {clipped} of {total} colours are out of the "
             "gamut of sRGB and clipped."
         ),
     ]

@@ -19,7 +19,7 @@ from anisoscope.inspection.job import check_serial, prepare
 from anisoscope.inspection.run import inspect_part
 from anisoscope.kinds.registry import read_any_recipe
 from anisoscope.recipe.base import RecipeBase
-from anisoscope.recipe.teaching import Change, Taught, kept_path
+from anisoscope.recipe.teaching import Change, Taught, previous_version_path
 from anisoscope.recipe.template import with_values
 from anisoscope.record.schema import Record
 from anisoscope.rig.acquisition.journal import read_journal
@@ -56,7 +56,7 @@ def largest_region(
     for count in range(2, most + 1):
         grid = _grid(recipe, count, turn)
         if not _clear_of_markers(fixture, recipe, count * pitch_mm):
-            best -= recipe.keeps_off_rim  # its edge may lie here as well
+            best -= recipe.margin_at_markers  # its edge may lie here as well
             break
         if not all(
             _shows(picture, place, grid, middle)
@@ -154,7 +154,7 @@ def teach(recipe_path: Path, rig_path: Path, serial: str, out: Path, advance: Ad
     if fixture is None:
         raise RigFileError(f"{rig_path} describes no [fixture]: teaching finds the part between its markers")
     recipe, text = job.recipe, recipe_path.read_text(encoding="utf-8")
-    kept = kept_path(recipe_path, recipe.version)
+    kept = previous_version_path(recipe_path, recipe.version)
     with open_rig(job.rig) as rig:
         info = rig.camera.info
         job.kind.check_filters(info.filters, f"camera {info.serial}", job.white.filters)

@@ -17,9 +17,9 @@ def causes_table(causes: Iterable[Separability]) -> Table:
         [
             [
                 cause.title,
-                _extent(cause.shows_from, cause.unit),
-                _extent(cause.told_apart_from, cause.unit),
-                "; ".join(titles.get(name, name) for name in cause.never_told_from),
+                _extent(cause.detection_extent, cause.unit),
+                _extent(cause.separation_extent, cause.unit),
+                "; ".join(titles.get(name, name) for name in cause.inseparable_causes),
             ]
             for cause in causes
         ],
@@ -28,9 +28,10 @@ def causes_table(causes: Iterable[Separability]) -> Table:
 
 
 def causes_content(rows: list[dict[str, Any]], causes: Iterable[Separability]) -> None:
-    """Add to rows of JSON, one a cause, what is computed of it."""
+    """Give rows of JSON, one a cause, the keys of the command, and add what is computed of each."""
     for row, cause in zip(rows, causes, strict=True):
-        row |= {"told_apart_from": cause.told_apart_from, "never_told_from": list(cause.never_told_from)}
+        row |= {"shows_from": row.pop("detection_extent"), "told_from": row.pop("separation_extents")}
+        row |= {"told_apart_from": cause.separation_extent, "never_told_from": list(cause.inseparable_causes)}
 
 
 def _extent(value: float | None, unit: str) -> str:

@@ -23,7 +23,7 @@ from anisoscope.imaging.registration.placement import View, resample
 from anisoscope.imaging.views import most_changed
 from anisoscope.kinds.golden_limit import limit_says
 from anisoscope.kinds.kind import Explanation, Kind, Reference, Results, Shown, Sitting, Table, usable
-from anisoscope.prediction.cache import kept_expectation
+from anisoscope.prediction.cache import cached_expectation
 from anisoscope.prediction.expectation import PLASTIC, Expectation, SurfaceOptics, expectation
 from anisoscope.recipe.poses import check_poses
 from anisoscope.recipe.surface import SurfaceRecipe, check_lamp, read_surface_recipe
@@ -86,7 +86,7 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
         return self._predict(cached=cached)(recipe, rig.light.angle_deg)
 
     def _predict(self, *, cached: bool) -> Predict:
-        return partial(kept_expectation if cached else expectation, optics=self.optics)
+        return partial(cached_expectation if cached else expectation, optics=self.optics)
 
     def check_part(self, views: list[View], measured: Measured, recipe: SurfaceRecipe) -> None:
         """Gates of the aligned pictures.

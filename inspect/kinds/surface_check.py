@@ -8,10 +8,10 @@ import numpy as np
 from anisoscope.base.progress import Advance, silent
 from anisoscope.decision.decision import contrast_gradient
 from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, CauseModel
-from anisoscope.diagnosis.discriminating_poses import remembered_options
+from anisoscope.diagnosis.discriminating_poses import cached_options
 from anisoscope.diagnosis.evidence import background_of
 from anisoscope.diagnosis.separability import Separability, planned_covariance, planned_inputs, separability
-from anisoscope.diagnosis.signature_cache import remembered_signatures
+from anisoscope.diagnosis.signature_cache import cached_signatures
 from anisoscope.kinds.causes_table import causes_content, causes_table
 from anisoscope.kinds.kind import Shown, Table
 from anisoscope.prediction.expectation import PLASTIC, Expectation, SurfaceOptics, expectation
@@ -111,7 +111,7 @@ def check_recipe(
     advance("prediction", 0, 1)
     expected = expectation(recipe, light_angle_deg, optics)
     pairs, budget = _plan(recipe, expected)
-    known = remembered_signatures(recipe, light_angle_deg, advance, model)
+    known = cached_signatures(recipe, light_angle_deg, advance, model)
     with_map = recipe.area is not None
     u_background = 0.0 if recipe.area is None else background_of(recipe.area.max_share)[1]
     causes = separability(
@@ -123,7 +123,7 @@ def check_recipe(
     )
     new = [tilt for tilt in tries if tilt not in recipe.poses.tilts_deg]
     advice = _advice(recipe, light_angle_deg, new, advance, optics, model) if new and _lacking(causes) else ()
-    untold = [(cause.cause, other) for cause in causes for other in cause.never_told_from]
+    untold = [(cause.cause, other) for cause in causes for other in cause.inseparable_causes]
     lamps = second_lamps_for(recipe, light_angle_deg, untold, advance, model) if new and untold else ()
     told = {pair for one in advice for pair in one.tells_apart}
     told |= {pair for one in lamps for pair in one.tells_apart}
@@ -151,8 +151,8 @@ def second_lamps_for(
     """
     names = sorted({name for pair in untold for name in pair})
     left, found = list(untold), []
-    for option in remembered_options(recipe, light_angle_deg, names, advance, model):
-        apart = tuple(pair for pair in left if option.told_from[pair[0]][pair[1]] is not None)
+    for option in cached_options(recipe, light_angle_deg, names, advance, model):
+        apart = tuple(pair for pair in left if option.separation_extents[pair[0]][pair[1]] is not None)
         if option.kind == "lamp" and apart:
             found.append(LampAdvice(option.says, apart))
             left = [pair for pair in left if pair not in apart]
@@ -215,7 +215,7 @@ def _complaints(recipe: SurfaceRecipe, pairs: tuple[PlannedPair, ...]) -> tuple[
 
 
 def _lacking(causes: tuple[Separability, ...]) -> bool:
-    return any(cause.shows_from is None or cause.never_told_from for cause in causes)
+    return any(cause.detection_extent is None or cause.inseparable_causes for cause in causes)
 
 
 def _advice(
@@ -233,7 +233,7 @@ def _advice(
         update={"poses": recipe.poses.model_copy(update={"tilts_deg": tilts}), "decision": decision}
     )
     known, expected = (
-        remembered_signatures(wide, light_angle_deg, advance, model),
+        cached_signatures(wide, light_angle_deg, advance, model),
         expectation(wide, light_angle_deg, optics),
     )
     covariance, with_map = planned_covariance(wide, expected), recipe.area is not None
@@ -260,13 +260,13 @@ def _added(tilt_deg: float, before: tuple[Separability, ...], after: tuple[Separ
     shows = tuple(
         new.cause
         for old, new in zip(before, after, strict=True)
-        if old.shows_from is None and new.shows_from is not None
+        if old.detection_extent is None and new.detection_extent is not None
     )
     apart = tuple(
         (old.cause, other)
         for old, new in zip(before, after, strict=True)
-        for other in old.never_told_from
-        if other not in new.never_told_from
+        for other in old.inseparable_causes
+        if other not in new.inseparable_causes
     )
     return TiltAdvice(tilt_deg, shows, apart)
 

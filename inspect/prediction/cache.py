@@ -22,30 +22,30 @@ from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.sim.light.geometry import Convention
 
-KEPT = 4
+MAX_IN_MEMORY = 4
 _memory: OrderedDict[str, Expectation] = OrderedDict()
 _lock = threading.Lock()
 
 
-def kept_expectation(
+def cached_expectation(
     recipe: SurfaceRecipe, light_angle_deg: float, optics: SurfaceOptics = PLASTIC
 ) -> Expectation:
     """What the part should show, predicted once; arguments and errors as for `expectation.expectation`."""
     recipe = recipe.deciding()
     try:
-        given = _given(recipe, light_angle_deg)
+        key_fields = _key_fields(recipe, light_angle_deg)
     except OSError:  # the height map cannot be read: whoever predicts says so
         return expectation(recipe, light_angle_deg, optics)
-    key = json.dumps(given, sort_keys=True)
+    key = json.dumps(key_fields, sort_keys=True)
     with _lock:
         if key in _memory:
             _memory.move_to_end(key)
             return _memory[key]
-    predict = expectation if recipe.surface.height_map is None else partial(_by_disk, given)
+    predict = expectation if recipe.surface.height_map is None else partial(_by_disk, key_fields)
     found = predict(recipe, light_angle_deg, optics)
     with _lock:
         _memory[key] = found
-        while len(_memory) > KEPT:
+        while len(_memory) > MAX_IN_MEMORY:
             _memory.popitem(last=False)
     return found
 
@@ -57,12 +57,12 @@ def forget() -> None:
 
 
 def _by_disk(
-    given: dict[str, Any], recipe: SurfaceRecipe, light_angle_deg: float, optics: SurfaceOptics
+    key_fields: dict[str, Any], recipe: SurfaceRecipe, light_angle_deg: float, optics: SurfaceOptics
 ) -> Expectation:
     """Read a prediction, or make it and write it."""
     return (
         Cache()
-        .entry("predictions", given, __name__, type(optics).__module__)
+        .entry("predictions", key_fields, __name__, type(optics).__module__)
         .result(
             lambda: expectation(recipe, light_angle_deg, optics),
             packed,
@@ -71,7 +71,7 @@ def _by_disk(
     )
 
 
-def _given(recipe: SurfaceRecipe, light_angle_deg: float) -> dict[str, Any]:
+def _key_fields(recipe: SurfaceRecipe, light_angle_deg: float) -> dict[str, Any]:
     """All that a prediction is computed from."""
     surface = recipe.surface.height_map
     return {
@@ -87,7 +87,7 @@ def _given(recipe: SurfaceRecipe, light_angle_deg: float) -> dict[str, Any]:
 
 def packed(found: Expectation) -> bytes:
     """A prediction as bytes, without loss."""
-    told = {
+    header = {
         "model": found.model,
         "components": [(one.source, one.kind, one.shared) for one in found.components],
         "sources": None if found.response is None else found.response.sources,
@@ -95,7 +95,7 @@ def packed(found: Expectation) -> bytes:
         "optics": found.optics,
     }
     arrays = {
-        "told": np.frombuffer(json.dumps(told).encode(), dtype=np.uint8),
+        "header": np.frombuffer(json.dumps(header).encode(), dtype=np.uint8),
         "radiance": found.radiance,
         "per_degree": found.per_degree,
         "relative": np.array([one.relative for one in found.components]),
@@ -113,27 +113,27 @@ def packed(found: Expectation) -> bytes:
 def _unpacked(
     data: bytes, recipe: SurfaceRecipe, light_angle_deg: float, optics: SurfaceOptics
 ) -> Expectation:
-    with np.load(io.BytesIO(data), allow_pickle=False) as kept:
-        told = json.loads(bytes(kept["told"]))
+    with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
+        header = json.loads(bytes(arrays["header"]))
         surface, response = None, None
-        if "height_um" in kept:
-            across, along = (float(size) for size in kept["pixels_um"])
-            surface = HeightMap(kept["height_um"], across, along, told["origin"])
-        if told["sources"] is not None:
-            response = Response(tuple(told["sources"]), kept["slope"], kept["bend"])
+        if "height_um" in arrays:
+            across, along = (float(size) for size in arrays["pixels_um"])
+            surface = HeightMap(arrays["height_um"], across, along, header["origin"])
+        if header["sources"] is not None:
+            response = Response(tuple(header["sources"]), arrays["slope"], arrays["bend"])
         components = tuple(
             Component(source, kind, relative, shared)
-            for (source, kind, shared), relative in zip(told["components"], kept["relative"], strict=True)
+            for (source, kind, shared), relative in zip(header["components"], arrays["relative"], strict=True)
         )
         return Expectation(
-            told["model"],
+            header["model"],
             recipe.poses.poses(),
-            kept["radiance"],
+            arrays["radiance"],
             components,
-            kept["per_degree"],
+            arrays["per_degree"],
             surface,
             Convention(light_angle_deg, facet_azimuth_deg=recipe.poses.facet_azimuth_deg),
             response,
-            told["optics"],
+            header["optics"],
             optics.states(recipe, light_angle_deg),
         )

@@ -74,7 +74,7 @@ class Expectation:
     states: States | None = None
 
     @property
-    def beside_states(self) -> tuple[Component, ...]:
+    def outside_states(self) -> tuple[Component, ...]:
         """The components that the states do not hold."""
         assert self.states is not None
         return tuple(
@@ -86,9 +86,9 @@ class Expectation:
         """The components that the response does not hold."""
         if self.response is None:
             return self.components
-        told = self.response.sources
+        sources = self.response.sources
         return tuple(
-            c for c in self.components if c.source not in told and not c.source.endswith(SECOND_ORDER)
+            c for c in self.components if c.source not in sources and not c.source.endswith(SECOND_ORDER)
         )
 
 
@@ -118,7 +118,7 @@ class SurfaceOptics(Protocol):
         """The states of everything that is uncertain; None where slopes and bends of ln L are enough."""
         ...
 
-    def may_be_left_out(self, source: str) -> bool:
+    def omitted_if_zero(self, source: str) -> bool:
         """Does a source that adds nothing not belong into the budget at all?"""
         ...
 
@@ -153,7 +153,7 @@ class PlasticOptics:
     def states(self, _recipe: SurfaceRecipe, _light_angle_deg: float) -> None:
         """None: ln L is known to second order."""
 
-    def may_be_left_out(self, source: str) -> bool:
+    def omitted_if_zero(self, source: str) -> bool:
         """A tilt axis that is not there has no zero."""
         return source == "zero of the tilt"
 
@@ -197,7 +197,7 @@ def expectation(
     components = [
         Component(c.source, c.kind, c.absolute / radiance, shared=True)
         for c in budget.contributions
-        if c.source in _OF_THE_RECIPE and (np.any(c.absolute) or not optics.may_be_left_out(c.source))
+        if c.source in _OF_THE_RECIPE and (np.any(c.absolute) or not optics.omitted_if_zero(c.source))
     ]
     per_u = {c.source: c.relative for c in components if np.any(c.relative)}
     straight = {source: per_u[source] for source in known_inputs(tuple(per_u))}

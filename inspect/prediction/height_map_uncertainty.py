@@ -50,7 +50,7 @@ def relief_surface(relief: Relief, optics: Optics = POINT_LIKE) -> Surface:
 
 def map_contributions(
     relief: Relief,
-    seen: tuple[FloatArray, FloatArray],
+    directions: tuple[FloatArray, FloatArray],
     material: Material,
     radiance: FloatArray,
     inputs: InputUncertainty | None,
@@ -60,7 +60,7 @@ def map_contributions(
 
     Args:
         relief: the whole map, prepared.
-        seen: (P, 3) unit vectors to the light and to the camera.
+        directions: (P, 3) unit vectors to the light and to the camera.
         material: the plastic.
         radiance: (P,) nominal radiances of the whole map in 1/sr.
         inputs: standard uncertainties.
@@ -74,8 +74,10 @@ def map_contributions(
         found.append(pixel_bias(relief.surface.pixel_x_um, relief.pitch_um, radiance))
     if steps:
         rng = np.random.default_rng(0)  # the same map has the same uncertainty every time
-        found += height_noise(relief, seen, material, radiance, inputs.height_noise_um, rng, on_progress)
-    scatter = ridge_scatter(relief, seen, material, inputs.ridges_seen, on_progress)
+        found += height_noise(
+            relief, directions, material, radiance, inputs.height_noise_um, rng, on_progress
+        )
+    scatter = ridge_scatter(relief, directions, material, inputs.ridges_seen, on_progress)
     return (*found, *(() if scatter is None else (scatter,)))
 
 
@@ -87,7 +89,7 @@ def pixel_bias(pixel_um: float, pitch_um: float, radiance: FloatArray) -> Contri
 
 def height_noise(
     relief: Relief,
-    seen: tuple[FloatArray, FloatArray],
+    directions: tuple[FloatArray, FloatArray],
     material: Material,
     radiance: FloatArray,
     noise_um: float,
@@ -110,7 +112,7 @@ def height_noise(
 
     Args:
         relief: the whole map.
-        seen: (P, 3) unit vectors to the light and to the camera.
+        directions: (P, 3) unit vectors to the light and to the camera.
         material: the plastic.
         radiance: (P,) nominal radiances of the whole map in 1/sr.
         noise_um: standard deviation, in every point for itself, in µm.
@@ -119,13 +121,13 @@ def height_noise(
         realisations: how many, at least 2.
     """
     band = best_band(relief)
-    plain = relief_radiance(band, *seen, material)
+    plain = relief_radiance(band, *directions, material)
     drawn = []
     for number in range(realisations):
         on_progress("height noise", number, realisations)
         height = band.surface.height_um
         noisy = band.surface.with_height(height + noise_um * rng.standard_normal(height.shape))
-        drawn.append(relief_radiance(replace(band, surface=noisy), *seen, material))
+        drawn.append(relief_radiance(replace(band, surface=noisy), *directions, material))
     found = np.array(drawn)
     bright = (plain > DARK) & (radiance > DARK)
     gain = np.where(bright, radiance / np.where(bright, plain, 1.0), 1.0)
@@ -139,7 +141,7 @@ def height_noise(
 
 def ridge_scatter(
     relief: Relief,
-    seen: tuple[FloatArray, FloatArray],
+    directions: tuple[FloatArray, FloatArray],
     material: Material,
     ridges_seen: int | None = None,
     on_progress: Advance = silent,
@@ -168,7 +170,7 @@ def ridge_scatter(
             continue
         on_progress("scatter between ridges", number, count)
         ridge = replace(relief, surface=surface.with_height(height), max_missing_share=1.0)
-        drawn.append(relief_radiance(ridge, *seen, material))
+        drawn.append(relief_radiance(ridge, *directions, material))
     found = np.array([row for row in drawn if np.isfinite(row).all()])
     if len(found) < MIN_RIDGES:
         return None

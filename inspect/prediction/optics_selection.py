@@ -49,7 +49,7 @@ OpticsModel = Literal["auto", "geometric", "wave", "both"]
 
 
 @dataclass(frozen=True)
-class Wanted:
+class OpticsRequest:
     """Which optics are asked for.
 
     Attributes:
@@ -84,7 +84,7 @@ class Rig:
     monte_carlo: MonteCarlo | None = None
 
 
-def optics_for(surface: HeightMap | RidgeDesign, rig: Rig, wanted: Wanted) -> OpticsChoice | None:
+def optics_for(surface: HeightMap | RidgeDesign, rig: Rig, request: OpticsRequest) -> OpticsChoice | None:
     """Which optics a surface needs under a rig; None where a map has missing points: rays only.
 
     Lamp, lens and the roughness of the plastic all shorten the coherence. This is what an inspection asks too: the
@@ -93,21 +93,21 @@ def optics_for(surface: HeightMap | RidgeDesign, rig: Rig, wanted: Wanted) -> Op
     if isinstance(surface, RidgeDesign):
         # walls send nothing that is seen, and as jumps they need no fine points
         facets = replace(surface, pitch_um=surface.facet_width_um, wall="vertical")
-        pixel = min(0.125 * wanted.light.shortest_um, surface.pitch_um / 64.0)
+        pixel = min(0.125 * request.light.shortest_um, surface.pitch_um / 64.0)
         count = max(256, int(4.0 * facets.pitch_um / pixel))
         heights = WaveSurface.of(facets.profile(np.asarray((np.arange(count) + 0.5) * pixel)), pixel)
     elif surface.missing_share > 0.0:
         return None
     else:
-        heights = wave_surface(surface).interpolated(wanted.interpolate)
-    return choose_optics(heights, _window(rig), wanted.light, max(half.z for half in _halves(rig)))
+        heights = wave_surface(surface).interpolated(request.interpolate)
+    return choose_optics(heights, _window(rig), request.light, max(half.z for half in _halves(rig)))
 
 
 def predict_with_optics(
     surface: HeightMap | RidgeDesign,
     geometric: Callable[[Advance], Predicted],
     rig: Rig,
-    wanted: Wanted,
+    request: OpticsRequest,
     pitch_um: float | None = None,
     levelling: Levelling = "auto",
     on_progress: Advance = silent,
@@ -118,7 +118,7 @@ def predict_with_optics(
         surface: the map as read, or ideal ridges.
         geometric: makes the geometric prediction.
         rig: everything else that predictions need.
-        wanted: which optics.
+        request: which optics.
         pitch_um: as in `preparing.prepare_relief`.
         levelling: as in `preparing.prepare_relief`.
         on_progress: told along the way.
@@ -127,20 +127,20 @@ def predict_with_optics(
         HeightMapError: waves are asked for by name, and the map has missing points or too coarse pixels.
         ModelError: waves are asked for by name, with a lamp near the part.
     """
-    choice = optics_for(surface, rig, wanted)
-    model = ("geometric" if choice is None else choice.model) if wanted.model == "auto" else wanted.model
+    choice = optics_for(surface, rig, request)
+    model = ("geometric" if choice is None else choice.model) if request.model == "auto" else request.model
     found = []
     if model in ("wave", "both"):
         stepped = choice is not None and choice.stepped
         try:
-            found.append(_by_waves(surface, rig, wanted, stepped, pitch_um, levelling, on_progress))
+            found.append(_by_waves(surface, rig, request, stepped, pitch_um, levelling, on_progress))
         except (HeightMapError, ModelError) as problem:
-            if wanted.model != "auto" or choice is None:
+            if request.model != "auto" or choice is None:
                 raise
             choice, model = by_rays_instead(choice, problem), "geometric"
     if model in ("geometric", "both"):
         found.insert(0, geometric(on_progress))
-    notes = optics_note(choice, wanted) | error_note(choice, rig, wanted)
+    notes = optics_note(choice, request) | error_note(choice, rig, request)
     return tuple(replace(one, notes={**one.notes, "optics": notes}) for one in found)
 
 
@@ -151,28 +151,28 @@ def by_rays_instead(choice: OpticsChoice, problem: Exception | str) -> OpticsCho
     return replace(choice, model="geometric", reason=reason, stated_error=error)
 
 
-def optics_note(choice: OpticsChoice | None, wanted: Wanted) -> dict[str, Any]:
+def optics_note(choice: OpticsChoice | None, request: OpticsRequest) -> dict[str, Any]:
     """What is said of the choice, as plain data; lengths in µm, null for what has no end."""
-    said: dict[str, Any] = {"asked": wanted.model}
+    note: dict[str, Any] = {"asked": request.model}
     if choice is None:
-        return said | {
+        return note | {
             "model": "geometric",
             "reason": "the map has missing points, and waves need all of them: geometric",
             "stated_error": None,
             "f_um": None,
             "coherence_um": None,
         }
-    return said | {
+    return note | {
         "model": choice.model,
         "reason": choice.reason,
         "stated_error": choice.stated_error,
         "f_um": _finite(choice.f_um),
         "coherence_um": _finite(choice.coherence_um),
-        "wavelengths_nm": [1e3 * wavelength for wavelength in wanted.light.wavelengths_um],
+        "wavelengths_nm": [1e3 * wavelength for wavelength in request.light.wavelengths_um],
     }
 
 
-def error_note(choice: OpticsChoice | None, rig: Rig, wanted: Wanted) -> dict[str, float | None]:
+def error_note(choice: OpticsChoice | None, rig: Rig, request: OpticsRequest) -> dict[str, float | None]:
     """The stated error in 1/sr: its share of the middle of the brightest lobe, which holds in every pose.
 
     A pose that sees the foot of a lobe only may be off by more than the stated share of itself: what diffraction takes
@@ -180,7 +180,7 @@ def error_note(choice: OpticsChoice | None, rig: Rig, wanted: Wanted) -> dict[st
     """
     if choice is None:
         return {"stated_error_per_sr": None}
-    longest, window = wanted.light.longest_um, _window(rig)
+    longest, window = request.light.longest_um, _window(rig)
     middles = []
     for half in _halves(rig):
         x, y = effective_coherence_um(window, longest, half.z)
@@ -207,7 +207,7 @@ def _window(rig: Rig) -> Window:
 def _by_waves(
     surface: HeightMap | RidgeDesign,
     rig: Rig,
-    wanted: Wanted,
+    request: OpticsRequest,
     stepped: bool,
     pitch_um: float | None,
     levelling: Levelling,
@@ -217,9 +217,9 @@ def _by_waves(
         raise ModelError("waves need a lamp far away: leave --lamp-distance out, or take --model geometric")
     on_progress("waves", 0, 1)
     if isinstance(surface, RidgeDesign):
-        of, shape = _of_design(surface, rig, wanted), Shape(surface.ridge_angle_deg, surface.height_loss)
+        of, shape = _of_design(surface, rig, request), Shape(surface.ridge_angle_deg, surface.height_loss)
     else:
-        of, shape = fixed(_of_map(surface, rig, wanted, stepped, pitch_um, levelling)), None
+        of, shape = fixed(_of_map(surface, rig, request, stepped, pitch_um, levelling)), None
     nominal = State(rig.material, rig.convention.light_angle_deg)
     if shape is not None:
         nominal = replace(nominal, shape=shape)
@@ -235,7 +235,11 @@ def _by_waves(
 
 
 def wave_model(
-    surface: HeightMap | RidgeDesign, rig: Rig, wanted: Wanted, stepped: bool, pitch_um: float | None = None
+    surface: HeightMap | RidgeDesign,
+    rig: Rig,
+    request: OpticsRequest,
+    stepped: bool,
+    pitch_um: float | None = None,
 ) -> Model:
     """The wave predictor of a surface as it is, without uncertainty; arguments as for `predict_with_optics`.
 
@@ -244,8 +248,8 @@ def wave_model(
         ModelError: too many points would be needed.
     """
     if isinstance(surface, RidgeDesign):
-        return _of_design(surface, rig, wanted)(Shape(surface.ridge_angle_deg, surface.height_loss))
-    return _of_map(surface, rig, wanted, stepped, pitch_um, "auto")
+        return _of_design(surface, rig, request)(Shape(surface.ridge_angle_deg, surface.height_loss))
+    return _of_map(surface, rig, request, stepped, pitch_um, "auto")
 
 
 def _contributions(
@@ -260,25 +264,25 @@ def _contributions(
     return own, Contribution("height map, overall", share, "independent")
 
 
-def _of_design(design: RidgeDesign, rig: Rig, wanted: Wanted) -> Surface:
+def _of_design(design: RidgeDesign, rig: Rig, request: OpticsRequest) -> Surface:
     def shaped(shape: Shape) -> Model:
         ridges = replace(design, ridge_angle_deg=shape.ridge_angle_deg, height_loss=shape.height_loss)
 
         def base(to_light: FloatArray, to_camera: FloatArray, material: Material) -> FloatArray:
             return corrected.radiance(to_light, to_camera, ridges, material)
 
-        heights = design_surface(ridges, wanted.light)
-        return WavePredictor(heights, through(base, rig.optics), rig.optics, wanted.light)
+        heights = design_surface(ridges, request.light)
+        return WavePredictor(heights, through(base, rig.optics), rig.optics, request.light)
 
     nominal = Shape(design.ridge_angle_deg, design.height_loss)
-    kept = shaped(nominal)
-    return lambda shape: kept if shape == nominal else shaped(shape)
+    nominal_predictor = shaped(nominal)
+    return lambda shape: nominal_predictor if shape == nominal else shaped(shape)
 
 
 def _of_map(
     surface: HeightMap,
     rig: Rig,
-    wanted: Wanted,
+    request: OpticsRequest,
     stepped: bool,
     pitch_um: float | None,
     levelling: Levelling,
@@ -290,11 +294,11 @@ def _of_map(
         width = int(level.shape[1] * level.pixel_x_um / relief.pitch_um) * relief.pitch_um
         cols = max(2, round(width / level.pixel_x_um))
         level = level.with_height(level.height_um[:, :cols])
-    heights = replace(wave_surface(level), cells=stepped).interpolated(wanted.interpolate)
+    heights = replace(wave_surface(level), cells=stepped).interpolated(request.interpolate)
     halves = _halves(rig)
-    sampling_of(heights, wanted.light.shortest_um, max(half.z for half in halves)).check()
-    fine = fine_enough(heights, _window(rig), wanted.light, halves)
-    return WavePredictor(fine, relief_model(relief, rig.optics), rig.optics, wanted.light)
+    sampling_of(heights, request.light.shortest_um, max(half.z for half in halves)).check()
+    fine = fine_enough(heights, _window(rig), request.light, halves)
+    return WavePredictor(fine, relief_model(relief, rig.optics), rig.optics, request.light)
 
 
 def fine_enough(

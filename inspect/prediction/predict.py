@@ -42,7 +42,7 @@ from anisoscope.sim.light.unresolved import resolve
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-WORTH_SAYING = 0.005
+NOTE_THRESHOLD = 0.005
 COARSE_PATHS = 2048
 _PERFECT = 1e9  # an index that mirrors everything
 
@@ -55,14 +55,14 @@ def lost_in_roughness(material: Material, steepest_deg: float) -> float:
     """
     steepest = np.cos(np.radians(min(steepest_deg, 89.0)))
     roughness = max(material.alpha_along, material.alpha_across)
-    kept = lobe_albedo(np.array([1.0, steepest]), roughness, _PERFECT)
-    return float(np.max(1.0 - kept))
+    reflected = lobe_albedo(np.array([1.0, steepest]), roughness, _PERFECT)
+    return float(np.max(1.0 - reflected))
 
 
 def roughness_note(material: Material, steepest_deg: float) -> dict[str, Any]:
     """The note on single scattering, where it is worth saying."""
     lost = lost_in_roughness(material, steepest_deg)
-    return {"lost_in_roughness": lost} if lost > WORTH_SAYING else {}
+    return {"lost_in_roughness": lost} if lost > NOTE_THRESHOLD else {}
 
 
 def reflections_note(direct: FloatArray, twice: FloatArray) -> dict[str, Any]:
@@ -74,7 +74,7 @@ def reflections_note(direct: FloatArray, twice: FloatArray) -> dict[str, Any]:
     """
     lit = direct > 0.0
     share = float(np.max(twice[lit] / direct[lit], initial=0.0))
-    return {"second_reflection_would_add": share} if share > WORTH_SAYING else {}
+    return {"second_reflection_would_add": share} if share > NOTE_THRESHOLD else {}
 
 
 def design_notes(
@@ -147,11 +147,11 @@ class Predicted:
 
     def __repr__(self) -> str:
         """One line: model, how many poses, and the contrasts."""
-        said = ", ".join(
+        values = ", ".join(
             f"ln {one.from_deg:g}°/{one.to_deg:g}° {one.log_ratio:+.3f}" for one in self.contrasts[:4]
         )
         more = f" and {len(self.contrasts) - 4} more" if len(self.contrasts) > 4 else ""
-        return f"Predicted({self.model}, {len(self.poses)} poses: {said or 'no contrast'}{more})"
+        return f"Predicted({self.model}, {len(self.poses)} poses: {values or 'no contrast'}{more})"
 
     def _repr_html_(self) -> str:
         columns = self._columns()

@@ -13,7 +13,7 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 
 _STEPS, _HALVINGS, _SETTLED = 25, 6, 1e-9
-_NEAR_ENOUGH = 1e-4  # of a squared distance whose every step costs
+_CONVERGENCE = 1e-4  # of a squared distance whose every step costs
 _ASIDE = 1.5  # u
 
 FARTHEST = 8.0
@@ -154,7 +154,7 @@ def nearest_anywhere(
 
     def search(start: FloatArray) -> tuple[FloatArray, FloatArray]:
         one, metric = deviation[None], covariance[None]
-        return nearest_states(curve, one, metric, start, settled=_NEAR_ENOUGH, farthest=farthest)
+        return nearest_states(curve, one, metric, start, settled=_CONVERGENCE, farthest=farthest)
 
     left, z = search(np.zeros((1, count)))
     if not turning.size:

@@ -11,8 +11,8 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError, ModelError, RecipeError
 from anisoscope.prediction.height_map_uncertainty import best_band, relief_model
 from anisoscope.prediction.optics_selection import (
+    OpticsRequest,
     Rig,
-    Wanted,
     by_rays_instead,
     error_note,
     optics_for,
@@ -75,8 +75,8 @@ def models_of(recipe: SurfaceRecipe, poses: tuple[Pose, ...], convention: Conven
 
             return through(predict, rig.optics)
 
-        seen = ideal(Shape(design.ridge_angle_deg))
-        return _chosen(recipe, design, rig, lambda: (seen, ideal, None, "corrected"))
+        predictor = ideal(Shape(design.ridge_angle_deg))
+        return _chosen(recipe, design, rig, lambda: (predictor, ideal, None, "corrected"))
     surface = read_surface(recipe)
 
     def by_rays() -> tuple[Model, Surface, HeightMap | None, str]:
@@ -120,12 +120,12 @@ def rig_of(recipe: SurfaceRecipe, poses: tuple[Pose, ...], convention: Conventio
     return Rig(recipe.material.material(), poses, convention, optics)
 
 
-def wanted_of(recipe: SurfaceRecipe) -> Wanted:
+def optics_request_of(recipe: SurfaceRecipe) -> OpticsRequest:
     """The optics that a recipe asks for, and its lamp."""
     part = recipe.light
     if part is None:
-        return Wanted(recipe.surface.optics)
-    return Wanted(recipe.surface.optics, line_spectrum(part.wavelength_nm, part.bandwidth_nm))
+        return OpticsRequest(recipe.surface.optics)
+    return OpticsRequest(recipe.surface.optics, line_spectrum(part.wavelength_nm, part.bandwidth_nm))
 
 
 def _chosen(
@@ -135,44 +135,46 @@ def _chosen(
     by_rays: Callable[[], tuple[Model, Surface, HeightMap | None, str]],
 ) -> Models:
     """Rays or waves for plastic; rays with a stated error where waves would be right and cannot be had."""
-    wanted = wanted_of(recipe)
-    choice = optics_for(surface, rig, wanted)
+    request = optics_request_of(recipe)
+    choice = optics_for(surface, rig, request)
     model, sampled, drawn, name = by_rays()
-    asked = wanted.model
-    wave = asked == "wave" or (asked == "auto" and choice is not None and choice.model == "wave")
+    requested = request.model
+    wave = requested == "wave" or (requested == "auto" and choice is not None and choice.model == "wave")
     if wave:
         try:
             stepped = choice is not None and choice.stepped
-            found = wave_model(surface, rig, wanted, stepped, recipe.surface.pitch_um)
+            found = wave_model(surface, rig, request, stepped, recipe.surface.pitch_um)
             found(*directions(rig.poses, rig.convention), rig.material)
         except (HeightMapError, ModelError) as problem:
-            if asked == "wave" or choice is None:
+            if requested == "wave" or choice is None:
                 raise RecipeError(f'surface.optics: waves cannot be had: {problem}; or take "auto"') from None
             choice = by_rays_instead(choice, problem)
         else:
-            turned = _turned(surface, found, rig, wanted)
+            turned = _turned(surface, found, rig, request)
             return Models(
-                found, turned, drawn, "wave", optics_notes(choice, rig, wanted), numerical=NUMERICAL_ERROR
+                found, turned, drawn, "wave", optics_notes(choice, rig, request), numerical=NUMERICAL_ERROR
             )
     elif choice is not None and choice.model == "wave":
         choice = by_rays_instead(choice, "rays are asked for")
     else:
-        return Models(model, sampled, drawn, name, optics_notes(choice, rig, wanted))
-    notes = optics_notes(choice, rig, wanted)
+        return Models(model, sampled, drawn, name, optics_notes(choice, rig, request))
+    notes = optics_notes(choice, rig, request)
     return Models(model, sampled, drawn, name, notes, neglected_per_sr=notes["stated_error_per_sr"])
 
 
-def _turned(surface: HeightMap | RidgeDesign, found: Model, rig: Rig, wanted: Wanted) -> Surface:
+def _turned(surface: HeightMap | RidgeDesign, found: Model, rig: Rig, request: OpticsRequest) -> Surface:
     """The waves of a surface as it is, and of a design of other ridge angles."""
 
     def shaped(shape: Shape) -> Model:
         if not isinstance(surface, RidgeDesign) or shape.ridge_angle_deg == surface.ridge_angle_deg:
             return found
-        return wave_model(replace(surface, ridge_angle_deg=shape.ridge_angle_deg), rig, wanted, stepped=False)
+        return wave_model(
+            replace(surface, ridge_angle_deg=shape.ridge_angle_deg), rig, request, stepped=False
+        )
 
     return shaped
 
 
-def optics_notes(choice: OpticsChoice | None, rig: Rig, wanted: Wanted) -> dict[str, Any]:
+def optics_notes(choice: OpticsChoice | None, rig: Rig, request: OpticsRequest) -> dict[str, Any]:
     """What a record says of the choice of optics."""
-    return optics_note(choice, wanted) | error_note(choice, rig, wanted)
+    return optics_note(choice, request) | error_note(choice, rig, request)

@@ -195,8 +195,8 @@ class Budget:
         curved = [zero if c.curvature is None else c.curvature for c in self.contributions]
         second = np.sqrt(np.sum([zero, *(value**2 for value in curved)], axis=0))
         largest = np.max([zero, *(np.abs(self.relative(c.absolute)) for c in self.contributions)], axis=0)
-        seen = second > np.maximum(_CURVED * self.u(), DARK)
-        return np.asarray(seen | (largest > _ROUGHLY_LINEAR))
+        bent = second > np.maximum(_CURVED * self.u(), DARK)
+        return np.asarray(bent | (largest > _ROUGHLY_LINEAR))
 
 
 def fixed(model: Model) -> Surface:
@@ -204,7 +204,9 @@ def fixed(model: Model) -> Surface:
     return lambda _shape: model
 
 
-def _seen(state: State, poses: Sequence[Pose], convention: Convention) -> tuple[FloatArray, FloatArray]:
+def _turned_directions(
+    state: State, poses: Sequence[Pose], convention: Convention
+) -> tuple[FloatArray, FloatArray]:
     turn, tilt = (np.broadcast_to(angle, len(poses)) for angle in (state.stage_deg, state.tilt_deg))
     moved = tuple(
         Pose(pose.stage_deg + float(a), pose.tilt_deg + float(b))
@@ -241,7 +243,7 @@ def evaluate(
     result = np.empty((len(states), len(poses)))
     for step, ((shape, material), members) in enumerate(groups.items()):
         on_progress("uncertainty", step, len(groups))
-        seen = [_seen(states[number], poses, convention) for number in members]
-        to_light, to_camera = (np.concatenate([pair[side] for pair in seen]) for side in (0, 1))
+        bent = [_turned_directions(states[number], poses, convention) for number in members]
+        to_light, to_camera = (np.concatenate([pair[side] for pair in bent]) for side in (0, 1))
         result[members] = surface(shape)(to_light, to_camera, material).reshape(len(members), len(poses))
     return result

@@ -106,7 +106,7 @@ class WavePredictor:
     optics: Optics
     light: LightSpectrum
     _slopes: FloatArray = field(init=False)
-    _kept: list["_Kept"] = field(init=False, default_factory=list)
+    _stored: list["_Stored"] = field(init=False, default_factory=list)
 
     def __post_init__(self) -> None:
         limit = 0.25 * self.light.shortest_um
@@ -136,14 +136,14 @@ class WavePredictor:
         window = window_of(to_light, to_camera, self.optics, lobe.slope_variance)
         total = 0.0
         for wavelength, share in zip(self.light.wavelengths_um, self.light.weights, strict=True):
-            kept = self._correlation(wavelength, half.z, window)
-            found = kept.correlation
+            stored = self._correlation(wavelength, half.z, window)
+            found = stored.correlation
             # another h_z is another wavelength, of the same slopes
             matched = replace(half, x=half.x * found.h_z / half.z, y=half.y * found.h_z / half.z, z=found.h_z)
             dense = (found.extruded_density if self.surface.is_profile else found.density)(matched, window)
             dense *= (found.h_z / half.z) ** 2
             total += (
-                share * radiance_scale(half, wavelength) * dense * self._cell(half, wavelength, kept.times)
+                share * radiance_scale(half, wavelength) * dense * self._cell(half, wavelength, stored.times)
             )
         return max(total * lobe.factor, 0.0)  # rounding leaves less than nothing where it is dark
 
@@ -152,19 +152,24 @@ class WavePredictor:
 
         return cell_response(self.surface, half, wavelength_um, times)
 
-    def _correlation(self, wavelength_um: float, h_z: float, window: Window) -> "_Kept":
+    def _correlation(self, wavelength_um: float, h_z: float, window: Window) -> "_Stored":
         reach = reach_um(window, wavelength_um, h_z)
         times = self._times(wavelength_um, h_z, window)
-        for kept in self._kept:
-            one = kept.correlation
+        for stored in self._stored:
+            one = stored.correlation
             near = one.wavelength_um == wavelength_um and abs(one.h_z / h_z - 1.0) < SAME_H_Z
-            if near and kept.reach[0] >= reach[0] and kept.reach[1] >= reach[1] and 2 * kept.times >= times:
-                return kept
+            if (
+                near
+                and stored.reach[0] >= reach[0]
+                and stored.reach[1] >= reach[1]
+                and 2 * stored.times >= times
+            ):
+                return stored
         self._check_size(wavelength_um, h_z, window)
         roomy = 1.3 * reach[0], 1.3 * reach[1]  # other roughness and tilts are asked for next
         found = correlation_of(self.surface, wavelength_um, h_z, roomy, endless=True)
-        self._kept.append(_Kept(found.of_cells(times), roomy, times))
-        return self._kept[-1]
+        self._stored.append(_Stored(found.of_cells(times), roomy, times))
+        return self._stored[-1]
 
     def _times(self, wavelength_um: float, h_z: float, window: Window) -> int:
         """Parts that pixels of one height are taken in."""
@@ -194,7 +199,7 @@ class WavePredictor:
 
 
 @dataclass(frozen=True, eq=False)
-class _Kept:
+class _Stored:
     """A correlation, how far it reaches along x and y, and the parts that pixels of one height are taken in."""
 
     correlation: Correlation

@@ -98,7 +98,7 @@ class RecipeBase(Part):
 
     steps: ClassVar[str] = "cells"
     """What the region is a whole number of, in the plural."""
-    keeps_off_rim: ClassVar[bool] = False
+    margin_at_markers: ClassVar[bool] = False
     """The region that is taught keeps a step off the markers, where the edge of the part may lie."""
     described_in: ClassVar[str] = "are its tables"
     """The tables of what is predicted from, with their verb."""

@@ -228,7 +228,7 @@ def read_surface_recipe(path: Path, model: type[RecipeT]) -> RecipeT:
     return recipe
 
 
-APART = 3.0
+MAX_Z = 3.0
 """Standard uncertainties of the recipe by which the two may differ."""
 
 
@@ -243,35 +243,35 @@ def check_lamp(recipe: SurfaceRecipe, rig: RigFile, path: Path) -> None:
     Raises:
         RigFileError: they differ by more than the recipe's uncertainties explain.
     """
-    told = recipe.light
-    if told is None:
+    lamp = recipe.light
+    if lamp is None:
         return
     pairs = (
-        ("light.wavelength_nm", "nm", rig.light.wavelength_nm, told.wavelength_nm, told.u_wavelength_nm),
+        ("light.wavelength_nm", "nm", rig.light.wavelength_nm, lamp.wavelength_nm, lamp.u_wavelength_nm),
         (
             "light.bandwidth_nm",
             "nm",
             rig.light.bandwidth_nm,
-            told.bandwidth_nm,
-            told.u_bandwidth_share * told.bandwidth_nm,
+            lamp.bandwidth_nm,
+            lamp.u_bandwidth_share * lamp.bandwidth_nm,
         ),
         (
             "light.half_angle_deg",
             "°",
             rig.light.half_angle_deg,
-            told.lamp_half_angle_deg,
-            told.u_lamp_share * told.lamp_half_angle_deg,
+            lamp.lamp_half_angle_deg,
+            lamp.u_lamp_share * lamp.lamp_half_angle_deg,
         ),
         (
             "camera.half_angle_deg",
             "°",
             rig.camera.half_angle_deg,
-            told.aperture_half_angle_deg,
-            told.u_aperture_share * told.aperture_half_angle_deg,
+            lamp.aperture_half_angle_deg,
+            lamp.u_aperture_share * lamp.aperture_half_angle_deg,
         ),
     )
     for key, unit, has, meant, u in pairs:
-        if has is not None and abs(has - meant) > APART * u + 1e-9 * abs(meant):
+        if has is not None and abs(has - meant) > MAX_Z * u + 1e-9 * abs(meant):
             space = "" if unit == "°" else " "
             raise RigFileError(
                 f"{path}: {key} is {has:g}{space}{unit}, the recipe predicts for {meant:g} ± {u:g}{space}{unit} "

@@ -41,7 +41,7 @@ class Taught:
         return asdict(self) | {"kept": str(self.kept), "folder": folder}
 
 
-def kept_path(recipe_path: Path, version: int) -> Path:
+def previous_version_path(recipe_path: Path, version: int) -> Path:
     """Where the old version goes.
 
     Raises:

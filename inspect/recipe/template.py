@@ -118,9 +118,9 @@ def with_values(text: str, changes: Mapping[tuple[str, ...], Any]) -> str:
     Raises:
         RecipeError: the file is written in a way in which this cannot change it.
     """
-    wanted = tomllib.loads(text)
+    expected = tomllib.loads(text)
     for place, value in changes.items():
-        table = wanted
+        table = expected
         for name in place[:-1]:
             table = table.setdefault(name, {})
         table[place[-1]] = value
@@ -129,7 +129,7 @@ def with_values(text: str, changes: Mapping[tuple[str, ...], Any]) -> str:
         found = tomllib.loads(text)
     except tomllib.TOMLDecodeError:
         found = {}
-    if found != wanted:
+    if found != expected:
         keys = ", ".join(".".join(place) for place in changes)
         raise RecipeError(
             f"{keys} cannot be changed in this recipe: write each on a line of its own, in its [table]"

@@ -30,7 +30,7 @@ Result = TypeVar("Result")
 CONNECT_TIMEOUT_S = 5.0
 NO_WORKERS_TIMEOUT_S = 20.0
 _PARTS = 64  # steps of the progress bar, about
-_SHOWN = 120  # characters of a failed task
+_MAX_TASK_TEXT = 120  # characters of a failed task
 _RECOMPUTED_S = 0.05  # between looks at results that went with their worker
 _PARENT_S = 0.5  # between looks at whether the parent is still there
 
@@ -153,9 +153,9 @@ def _compute(part: _Part) -> list[Any]:
             else:
                 values.append(part.function(task, np.random.default_rng(part.seeds[offset])))
         except Exception as error:  # noqa: BLE001 - it is reported where the sweep was started
-            kept = error if isinstance(error, AnisoscopeError) else None
+            known_error = error if isinstance(error, AnisoscopeError) else None
             text = " ".join(f"{type(error).__name__}: {error}".split())
-            return [_Failure(part.first + offset, repr(task)[:_SHOWN], kept, text)]
+            return [_Failure(part.first + offset, repr(task)[:_MAX_TASK_TEXT], known_error, text)]
     return values
 
 

@@ -108,9 +108,9 @@ def plain_location(value):
     return corners, ids
 
 
-def plain(taken, flat, recipe, places):
+def plain(acquired, flat, recipe, places):
     """Mean radiance of every pose, as simply as numpy can: whole pictures, double precision, pose after pose."""
-    dark = plain_stack([one for one in taken.shots if one.frame.kind == "dark"])
+    dark = plain_stack([one for one in acquired.shots if one.frame.kind == "dark"])
     spread = 1.4826 * np.median(np.abs(dark[0] - np.median(dark[0]))) + 0.5
     hot = np.abs(dark[0] - np.median(dark[0])) > HOT_PIXEL_SIGMA * spread
     grid, _ = region_grid(recipe, PIXEL_UM)
@@ -119,7 +119,7 @@ def plain(taken, flat, recipe, places):
         for angle in ANGLES[: 1 if again else 3]:
             group = [
                 s
-                for s in taken.shots
+                for s in acquired.shots
                 if s.frame.kind == "sample" and (s.pose.stage_deg, s.again) == (angle, again)
             ]
             mean, noise, saturated = plain_stack(group)
@@ -168,22 +168,22 @@ MADE = JobFile(
 )
 
 
-def judged(taken, flat, expected):
+def judged(acquired, flat, expected):
     """What is measured and decided, as for the first part after the program was started."""
     recipe = RidgeRecipe.model_validate(RECIPE)
     for name in ("unlit", "radiance_per_signal"):
         flat.__dict__.pop(name, None)  # every inspection starts with a flat just read
     job = Job("B", recipe, RigFile.model_validate(RIG), MARKERS, flat, ())
-    _, measured, _ = measure_frames(MADE, job, expected, taken)
+    _, measured, _ = measure_frames(MADE, job, expected, acquired)
     return measured, decide(expected, measured, recipe)
 
 
-def timed(taken, flat, expected, rounds=5):
+def timed(acquired, flat, expected, rounds=5):
     """Wall seconds and processor seconds of every round."""
     found = []
     for _ in range(rounds):
         start, worked = time.perf_counter(), time.process_time()
-        judged(taken, flat, expected)
+        judged(acquired, flat, expected)
         found.append((time.perf_counter() - start, time.process_time() - worked))
     return np.array(found).T
 
@@ -196,14 +196,14 @@ def scene():
 
 
 def test_from_frames_to_a_verdict(scene):
-    expected, taken, flat = scene
-    measured, decision = judged(taken, flat, expected)  # what is compiled or loaded once
-    times, busy = timed(taken, flat, expected)
-    first = {s.pose.stage_deg: s.frame.counts for s in taken.shots if s.frame.kind == "sample"}
+    expected, acquired, flat = scene
+    measured, decision = judged(acquired, flat, expected)  # what is compiled or loaded once
+    times, busy = timed(acquired, flat, expected)
+    first = {s.pose.stage_deg: s.frame.counts for s in acquired.shots if s.frame.kind == "sample"}
     places = {angle: locate((counts - 64.0).astype(np.float32), MARKERS) for angle, counts in first.items()}
     with Peak() as theirs:
         start, worked = time.perf_counter(), time.process_time()
-        radiance, _ = plain(taken, flat, RidgeRecipe.model_validate(RECIPE), places)
+        radiance, _ = plain(acquired, flat, RidgeRecipe.model_validate(RECIPE), places)
         plainly, plainly_busy = time.perf_counter() - start, time.process_time() - worked
     print(
         f"\n10 frames of {COLS} × {ROWS}: {times.min():.2f} s at best, {np.median(times):.2f} s usually, "
@@ -217,9 +217,9 @@ def test_from_frames_to_a_verdict(scene):
 
 @pytest.mark.parametrize("shots", [1, 2])
 def test_memory_from_frames_to_a_verdict(scene, tmp_path, shots):
-    _, taken, flat = scene
+    _, acquired, flat = scene
     np.save(tmp_path / "flat.npy", flat.signal)
-    for number, one in enumerate(some(taken, shots)):
+    for number, one in enumerate(some(acquired, shots)):
         np.save(tmp_path / f"{number}.npy", one.frame.counts)
         told = [one.frame.kind, one.pose.stage_deg, one.again, flat.radiance]
         (tmp_path / f"{number}.json").write_text(json.dumps(told))
@@ -235,10 +235,10 @@ def test_memory_from_frames_to_a_verdict(scene, tmp_path, shots):
     assert found["peak_mb"] <= MAX_MB
 
 
-def some(taken, shots):
+def some(acquired, shots):
     """So many frames a pose; of one, without the end."""
     seen = {}
-    for one in taken.shots:
+    for one in acquired.shots:
         key = one.frame.kind, one.pose, one.again
         seen[key] = seen.get(key, 0) + 1
         if one.frame.kind == "dark" or (seen[key] <= shots and not (one.again and shots == 1)):
@@ -262,14 +262,14 @@ def alone(folder):
         )
         shots.append(Shot(str(number), "0" * 64, frame, Pose(angle, 0.0), again, 1, check=False))
     flat = WhiteReference(np.load(folder / "flat.npy"), radiance, "X", "", 0.99, "0")
-    taken, expected = (
+    acquired, expected = (
         AcquiredFrames(tuple(shots), "X", "benchmark"),
         expectation(RidgeRecipe.model_validate(RECIPE), 10.0),
     )
     before_mb = memory_mb("VmRSS")
-    _, decision = judged(taken, flat, expected)
+    _, decision = judged(acquired, flat, expected)
     peak_mb = memory_mb("VmHWM")
-    times, busy = timed(taken, flat, expected, 3)
+    times, busy = timed(acquired, flat, expected, 3)
     told = {
         "frames": len(shots),
         "verdict": decision.verdict.value,

@@ -49,7 +49,7 @@ def test_recipe_rig_and_bench_of_the_docs_inspect_a_part(copied, monkeypatch):
     # the diagnosis has tests of its own, and takes longer than this one
     monkeypatch.setattr(
         explaining,
-        "remembered_signatures",
+        "cached_signatures",
         lambda recipe, angle, advance, _: signatures(recipe, angle, advance, ("colour",)),
     )
     for name, shown, quick in (

@@ -205,7 +205,7 @@ def quick_causes(request, monkeypatch) -> None:
             QUICK[key] = causes.signatures(recipe, light_angle_deg, advance, names)
         return QUICK[key]
 
-    monkeypatch.setattr(explaining, "remembered_signatures", quick)
+    monkeypatch.setattr(explaining, "cached_signatures", quick)
 
 
 @pytest.fixture

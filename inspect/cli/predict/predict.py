@@ -18,7 +18,7 @@ from anisoscope.cli.options import parse_numbers
 from anisoscope.cli.tables import print_table
 
 if TYPE_CHECKING:
-    from anisoscope.prediction.optics_selection import OpticsModel, Wanted
+    from anisoscope.prediction.optics_selection import OpticsModel, OpticsRequest
     from anisoscope.prediction.predict import Predicted
 from typing import TYPE_CHECKING
 
@@ -226,7 +226,7 @@ WAVE_DEFAULTS = WaveOptions()
 
 def optics_request(
     options: WaveOptions, model: Model | None, bounces: int | Literal["all"], roughness: str
-) -> "Wanted | None":
+) -> "OpticsRequest | None":
     """Requested wave optics; None where --model names one of the geometric models.
 
     Raises:
@@ -246,11 +246,11 @@ def optics_request(
     if optics in ("wave", "both") and (bounces != 1 or roughness != "lobe"):
         which = "--bounces" if bounces != 1 else "--roughness plastic"
         raise UsageError(f"{which} belongs to rays: --model {optics} follows waves, which reflect once")
-    from anisoscope.prediction.optics_selection import Wanted
+    from anisoscope.prediction.optics_selection import OpticsRequest
 
     if optics == "auto" and (bounces != 1 or roughness != "lobe"):
         optics = "geometric"
-    return Wanted(optics, light_of(options.wavelengths), options.interpolate)
+    return OpticsRequest(optics, light_of(options.wavelengths), options.interpolate)
 
 
 def light_of(text: str | None) -> Any:  # noqa: ANN401 - a LightSpectrum, imported when it runs

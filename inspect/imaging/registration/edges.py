@@ -36,7 +36,7 @@ DAMPING = 300.0
 NEAR_PX = 3.0
 TILES = 8
 STEPS = 10
-ENOUGH_PX = 3e-3
+CONVERGENCE_PX = 3e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,11 +104,11 @@ def clearest(surface: FloatArray) -> tuple[tuple[float, float], float, float]:
     """(columns, rows) of the best shift, its correlation, and the best one elsewhere by it."""
     row, col = (int(i) for i in np.unravel_index(surface.argmax(), surface.shape))
     away = [np.fft.fftfreq(size, 1.0 / size) for size in surface.shape]
-    apart = [
+    distance = [
         np.abs((line - line[at] + len(line) / 2.0) % len(line) - len(line) / 2.0)
         for line, at in zip(away, (row, col), strict=True)
     ]
-    elsewhere = np.hypot(apart[0][:, None], apart[1]) > NEAR_PX
+    elsewhere = np.hypot(distance[0][:, None], distance[1]) > NEAR_PX
     peak = float(surface[row, col])
     second = float(surface.max(where=elsewhere, initial=0.0))
     return (float(away[1][col]), float(away[0][row])), peak, second / max(peak, 1e-12)
@@ -128,7 +128,7 @@ def refined(first: Image, other: Image, warp: FloatArray, window: Image) -> Fit:
         step = np.linalg.lstsq(_normal(design, window), right, rcond=None)[0][:3]
         step *= min(1.0, 1.0 / max(float(np.abs(step).max()), 1e-12))
         warp = _stepped(warp, step, reach, first.shape[0])
-        if np.abs(step).max() < ENOUGH_PX:
+        if np.abs(step).max() < CONVERGENCE_PX:
             break
     design, rest, seen = _linear(first, other, warp, reach)
     inverse = np.linalg.pinv(_normal(design, window))
@@ -196,7 +196,7 @@ _ADVICE = "describe a [fixture] with markers in the rig file"
 
 
 @dataclass(frozen=True)
-class Seen:
+class TurnedPicture:
     """A picture to be aligned.
 
     Attributes:
@@ -211,7 +211,7 @@ class Seen:
 
 
 def place_by_edges(
-    pictures: Sequence[Seen], pixel_um: float, axis_px: tuple[float, float] | None = None
+    pictures: Sequence[TurnedPicture], pixel_um: float, axis_px: tuple[float, float] | None = None
 ) -> list[Placement]:
     """Where the sample stands in every picture, seen from the first one.
 
@@ -240,7 +240,7 @@ def place_by_edges(
 
 
 def _placed(
-    pictures: Sequence[Seen], pixel_um: float, axis_px: tuple[float, float], reach_px: float
+    pictures: Sequence[TurnedPicture], pixel_um: float, axis_px: tuple[float, float], reach_px: float
 ) -> list[Placement]:
     """Where the sample stands in every picture, whose shift from where it should stand is within reach."""
     nominal = [_nominal(seen, pixel_um, axis_px) for seen in pictures]
@@ -255,7 +255,7 @@ def _placed(
     return found
 
 
-def _nominal(seen: Seen, pixel_um: float, axis_px: tuple[float, float]) -> Placement:
+def _nominal(seen: TurnedPicture, pixel_um: float, axis_px: tuple[float, float]) -> Placement:
     """Where the sample stands if stage, axis and tilt are right."""
     factor = 1000.0 / pixel_um * np.exp(1j * np.radians(seen.stage_deg))
     squeeze = float(np.cos(np.radians(seen.tilt_deg)))
@@ -348,8 +348,8 @@ def _about_the_axis(places: list[Placement]) -> list[Placement]:
     if not turned:
         return places
     design = np.concatenate([place.matrix[:, :2] - places[0].matrix[:, :2] for place in turned])
-    wanted = np.concatenate([places[0].matrix[:, 2] - place.matrix[:, 2] for place in turned])
-    origin = np.linalg.lstsq(design, wanted, rcond=None)[0]
+    target = np.concatenate([places[0].matrix[:, 2] - place.matrix[:, 2] for place in turned])
+    origin = np.linalg.lstsq(design, target, rcond=None)[0]
     found = []
     for place in places:
         matrix = place.matrix.copy()
@@ -359,7 +359,7 @@ def _about_the_axis(places: list[Placement]) -> list[Placement]:
     return found
 
 
-def _check(seen: Seen, place: Placement, first: Placement) -> None:
+def _check(seen: TurnedPicture, place: Placement, first: Placement) -> None:
     """Does the picture stand where stage and axis say?"""
     off = float(np.hypot(*np.subtract(place.axis_px, first.axis_px)))
     turn = (place.angle_deg - seen.stage_deg + 180.0) % 360.0 - 180.0

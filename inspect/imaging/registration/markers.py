@@ -72,10 +72,10 @@ def find_markers(image: Image, fixture: Fixture) -> list[Marker]:
     thinned = image[::4, ::4]
     known = np.isfinite(thinned)
     top = max(upper_quantile(thinned if known.all() else thinned[known], 0.995), 1e-9)
-    wanted = {marker.id for marker in fixture.markers}
+    expected = {marker.id for marker in fixture.markers}
     factor = max(1, max(image.shape) // _REDUCED_PX)
     found = _detect(image, fixture, top, factor)
-    if factor > 1 and not wanted <= {number for number, _ in found}:
+    if factor > 1 and not expected <= {number for number, _ in found}:
         found = _detect(image, fixture, top, 1)
     modules = dictionary_of(fixture).markerSize + 2
     return [_measured(image, number, corners, modules, top) for number, corners in found]
@@ -89,10 +89,10 @@ def _detect(image: Image, fixture: Fixture, top: float, factor: int) -> list[tup
     small = _reduced(image, factor)
     calm = np.clip(cv2.GaussianBlur(small, (0, 0), 1.0) / top, 0.0, 1.0)  # noise in the dark hides markers
     detector = cv2.aruco.ArucoDetector(dictionary_of(fixture), _detection())
-    wanted = {marker.id for marker in fixture.markers}
+    expected = {marker.id for marker in fixture.markers}
     found: list[tuple[int, FloatArray]] = []
     for power in _COMPRESSIONS:
-        missing = wanted - {number for number, _ in found}
+        missing = expected - {number for number, _ in found}
         if not missing:
             break
         squeezed = np.asarray(255.0 * calm**power, dtype=np.uint8)
@@ -131,11 +131,11 @@ def _measured(image: Image, number: int, corners: FloatArray, modules: int, top:
     edge, across = np.zeros(2), np.zeros(2)
     for _ in range(_ROUNDS):
         points, along, edge, across = _sides(image, corners, modules, top)
-        before, beside = np.roll(points, 1, axis=0), np.roll(along, 1, axis=0)
-        turn = beside[:, 0] * along[:, 1] - beside[:, 1] * along[:, 0]
+        before, neighbour = np.roll(points, 1, axis=0), np.roll(along, 1, axis=0)
+        turn = neighbour[:, 0] * along[:, 1] - neighbour[:, 1] * along[:, 0]
         gap = points - before
         steps = (gap[:, 0] * along[:, 1] - gap[:, 1] * along[:, 0]) / np.where(np.abs(turn) < 1e-3, 1.0, turn)
-        corners = before + steps[:, None] * beside
+        corners = before + steps[:, None] * neighbour
     return Marker(number, corners, _spread(edge, across), float(edge[0] / max(edge[-1], 1e-9)))
 
 
@@ -155,13 +155,13 @@ def _sides(
     lit = _lit_along(image, base, across[:, None] * normals[:, None, :])
     lit /= top
     np.clip(lit, 0.0, 2.0, out=lit)
-    offset, kept = _steps(lit, across)
+    offset, used = _steps(lit, across)
     ramp = np.linspace(-1.0, 1.0, lines)
-    level, slope, kept = _straight(ramp, offset, kept)
+    level, slope, used = _straight(ramp, offset, used)
     first, last = (np.clip(level + end * slope, -reach, reach)[:, None] * normals for end in (-1.0, 1.0))
     start, stop = base[:, 0] + first, base[:, -1] + last
     direction = (stop - start) / np.maximum(np.linalg.norm(stop - start, axis=1), 1e-9)[:, None]
-    edge = np.median([lit[side, kept[side]].mean(axis=0) for side in range(4)], axis=0)
+    edge = np.median([lit[side, used[side]].mean(axis=0) for side in range(4)], axis=0)
     edge = edge[::-1] if edge[0] > edge[-1] else edge
     return 0.5 * (start + stop), direction, edge, across
 
@@ -195,26 +195,26 @@ def _steps(lit: FloatArray, across: FloatArray) -> tuple[FloatArray, Mask]:
     rise = rise * sense
     usual = _medians(rise)[:, None]
     offset = sense * moment / np.maximum(rise, 0.2 * usual + 1e-12)
-    kept = whole & (rise > 0.5 * usual) & (rise < 1.5 * usual)
-    kept |= kept.sum(axis=1, keepdims=True) < lit.shape[1] // 3
-    return np.clip(offset, across[0], across[-1]), kept
+    used = whole & (rise > 0.5 * usual) & (rise < 1.5 * usual)
+    used |= used.sum(axis=1, keepdims=True) < lit.shape[1] // 3
+    return np.clip(offset, across[0], across[-1]), used
 
 
-def _medians(values: FloatArray, kept: Mask | None = None) -> FloatArray:
+def _medians(values: FloatArray, used: Mask | None = None) -> FloatArray:
     """Median of every row, of the values kept: one of them at least."""
-    count = np.full(len(values), values.shape[1]) if kept is None else kept.sum(axis=1)
-    ordered = np.sort(values if kept is None else np.where(kept, values, np.inf), axis=1)
+    count = np.full(len(values), values.shape[1]) if used is None else used.sum(axis=1)
+    ordered = np.sort(values if used is None else np.where(used, values, np.inf), axis=1)
     rows = np.arange(len(values))
     return np.asarray(0.5 * (ordered[rows, (count - 1) // 2] + ordered[rows, count // 2]))
 
 
-def _straight(ramp: FloatArray, offset: FloatArray, kept: Mask) -> tuple[FloatArray, FloatArray, Mask]:
+def _straight(ramp: FloatArray, offset: FloatArray, used: Mask) -> tuple[FloatArray, FloatArray, Mask]:
     """Level and slope (4,) of straight lines through most of the centres, and which were used."""
-    level = _medians(offset, kept)
-    slope, close = np.zeros(len(level)), kept
+    level = _medians(offset, used)
+    slope, close = np.zeros(len(level)), used
     for _ in range(3):
         away = np.abs(offset - level[:, None] - slope[:, None] * ramp)
-        close = kept & (away <= np.maximum(3.0 * 1.4826 * _medians(away, kept), 0.05)[:, None])
+        close = used & (away <= np.maximum(3.0 * 1.4826 * _medians(away, used), 0.05)[:, None])
         count = np.maximum(close.sum(axis=1), 1)
         middle = close @ ramp / count
         mean = (close * offset).sum(axis=1) / count
@@ -306,10 +306,10 @@ def agree(
     def off(marker: Marker, fit: Fit) -> float:
         return float(np.sqrt(np.mean(np.sum((fit.to_pixels(known_mm[marker.id]) - marker.corners) ** 2, 1))))
 
-    kept = tuple(found)
-    whole = fitted(kept)
-    without = {i: fitted([*kept[:i], *kept[i + 1 :]]) for i in range(len(kept)) if len(kept) > MIN_MARKERS}
-    suspects = [i for i, fit in without.items() if off(kept[i], fit) > _allowed(fit)]
+    used = tuple(found)
+    whole = fitted(used)
+    without = {i: fitted([*used[:i], *used[i + 1 :]]) for i in range(len(used)) if len(used) > MIN_MARKERS}
+    suspects = [i for i, fit in without.items() if off(used[i], fit) > _allowed(fit)]
     dropped: tuple[int, ...] = ()
     if suspects:
         # one that is off makes every fit that holds it bad; the right one to leave out is clearly the best
@@ -317,17 +317,17 @@ def agree(
         best = without[order[0]]
         rest = [without[i].residual_px for i in without if i != order[0]]
         if best.residual_px > OFF_PX or min(rest) < 1.5 * best.residual_px:
-            raise RegistrationError(_contradiction(kept, [off(m, whole) for m in kept]))
-        dropped = (kept[order[0]].id,)
-        kept = (*kept[: order[0]], *kept[order[0] + 1 :])
+            raise RegistrationError(_contradiction(used, [off(m, whole) for m in used]))
+        dropped = (used[order[0]].id,)
+        used = (*used[: order[0]], *used[order[0] + 1 :])
         whole = best
-    seen, u_seen, rest_px = _seen_squeeze(
-        np.concatenate([known_mm[m.id] for m in kept]), np.concatenate([m.corners for m in kept])
+    seen, u_squeeze, rest_px = _measured_squeeze(
+        np.concatenate([known_mm[m.id] for m in used]), np.concatenate([m.corners for m in used])
     )
     # markers that agree on another foreshortening say that the arm stands elsewhere; that is for a gate to judge
     if whole.residual_px > OFF_PX and rest_px > OFF_PX:
-        raise RegistrationError(_contradiction(kept, [off(m, whole) for m in kept]))
-    return Agreed(whole, kept, dropped, seen / squeeze, u_seen / squeeze)
+        raise RegistrationError(_contradiction(used, [off(m, whole) for m in used]))
+    return Agreed(whole, used, dropped, seen / squeeze, u_squeeze / squeeze)
 
 
 def _allowed(fit: Fit) -> float:
@@ -420,7 +420,7 @@ def _as_fit(
     return Fit(homography, fit.angle_deg, fit.pixel_um, residual, parameters)
 
 
-def _seen_squeeze(points_mm: FloatArray, pixels: FloatArray) -> tuple[float, float, float]:
+def _measured_squeeze(points_mm: FloatArray, pixels: FloatArray) -> tuple[float, float, float]:
     """Scale of the rows by that of the columns, from a free affine fit; its standard uncertainty; the rms rest."""
     design = np.column_stack([points_mm, np.ones(len(points_mm))])
     affine = np.linalg.lstsq(design, pixels, rcond=None)[0]

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from anisoscope.base.errors import RegistrationError
 from anisoscope.base.parallel import for_each
 from anisoscope.imaging.linearisation import RadianceImage
-from anisoscope.imaging.registration.edges import Seen, place_by_edges
+from anisoscope.imaging.registration.edges import TurnedPicture, place_by_edges
 from anisoscope.imaging.registration.placement import Placement, View, locate
 from anisoscope.rig.fixture import Fixture
 
@@ -73,8 +73,8 @@ def place(
 def _by_edges(
     photographs: Sequence[Photograph], pixel_um: float, axis_px: tuple[float, float] | None
 ) -> list[Placement]:
-    seen = [Seen(_searched(one), one.stage_deg, one.arm_deg) for one in photographs]
-    return place_by_edges(seen, pixel_um, axis_px)
+    pictures = [TurnedPicture(_searched(one), one.stage_deg, one.arm_deg) for one in photographs]
+    return place_by_edges(pictures, pixel_um, axis_px)
 
 
 def _views(photographs: Sequence[Photograph], places: Sequence[Placement]) -> list[View]:

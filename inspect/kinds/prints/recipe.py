@@ -161,7 +161,7 @@ class PrintRecipe(RecipeBase):
     area: PrintArea | None = PrintArea()
     uncertainty: PrintUncertainty = PrintUncertainty()
 
-    keeps_off_rim: ClassVar[bool] = True
+    margin_at_markers: ClassVar[bool] = True
     described_in: ClassVar[str] = "is [print]"
 
     @property

@@ -14,7 +14,13 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import CalibrationError
-from anisoscope.decision.reference_parts import check_new, counted, kept_set, limit_is_given, same_exposure
+from anisoscope.decision.reference_parts import (
+    check_new,
+    counted,
+    limit_is_given,
+    reference_set_in,
+    same_exposure,
+)
 from anisoscope.imaging.area_limit import MIN_PARTS, KnownShares
 from anisoscope.kinds.golden_limit import limit_says
 from anisoscope.kinds.kind import Shown, Table
@@ -152,7 +158,7 @@ def read_golden_prints(path: Path, recipe: PrintRecipe, rig: RigFile | None = No
     Raises:
         CalibrationError: the file is damaged, or belongs to another recipe, or to another lamp or camera.
     """
-    found = kept_set(path, GoldenPrints, "golden prints")
+    found = reference_set_in(path, GoldenPrints, "golden prints")
     if found is None:
         return None
     anew = "inspect good prints anew, add them to an empty set, and delete the old file"

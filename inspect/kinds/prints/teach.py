@@ -13,7 +13,7 @@ from anisoscope.kinds.prints.lighting import check_print_rig, expectation_of_pri
 from anisoscope.kinds.prints.recipe import PrintRecipe, read_print_recipe
 from anisoscope.kinds.prints.reference_prints import GoldenPrints, read_golden_prints
 from anisoscope.kinds.prints.tolerances import PASSING, golden_tolerances
-from anisoscope.recipe.teaching import Change, Taught, kept_path
+from anisoscope.recipe.teaching import Change, Taught, previous_version_path
 from anisoscope.recipe.template import with_values
 from anisoscope.rig.rigfile import read_rig
 
@@ -45,7 +45,7 @@ def teach_by_golden(recipe_path: Path, rig_path: Path, share: float = PASSING) -
     limits = golden_tolerances(golden, recipe, expectation_of_print(recipe, rig), share)
     values: dict[tuple[str, ...], Any] = {("version",): recipe.version + 1}
     values |= {("tolerances", key): one.value for key, one in limits.items()}
-    kept, text = kept_path(recipe_path, recipe.version), recipe_path.read_text(encoding="utf-8")
+    kept, text = previous_version_path(recipe_path, recipe.version), recipe_path.read_text(encoding="utf-8")
     new = with_values(text, values)
     write_text(kept, text)
     write_text(recipe_path, new)

@@ -99,7 +99,7 @@ def wafer_options(
     for kind, says, added in views.groups:
         kept = [*views.own, *added]
         rows = separability(known.of(kept), covariance[np.ix_(kept, kept)], with_map=False)
-        options.append(Option(kind, says, {row.cause: row.told_from for row in rows}))
+        options.append(Option(kind, says, {row.cause: row.separation_extents for row in rows}))
     return tuple(options)
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from anisoscope.imaging.views import beside_a_mirror
+from anisoscope.imaging.views import clipped_at_white
 from anisoscope.kinds.surface import SurfaceKind
 from anisoscope.kinds.wafers.discriminating_poses import WAFER_CAUSES
 from anisoscope.kinds.wafers.optics import WAFERS as OPTICS
@@ -18,7 +18,7 @@ class Wafers(SurfaceKind[WaferRecipe]):
 
     name = "wafers"
     one = "a wafer"
-    guides = (beside_a_mirror,)
+    guides = (clipped_at_white,)
     optics = OPTICS
     causes = WAFER_CAUSES
 

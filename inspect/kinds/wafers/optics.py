@@ -9,7 +9,7 @@ from anisoscope.kinds.wafers.recipe import of_wafer
 from anisoscope.kinds.wafers.states import BEYOND, DEPTH, SCATTER, WIDTH, WaferStates
 from anisoscope.prediction.expectation import NEGLIGIBLE, Component
 from anisoscope.prediction.optics_selection import optics_for
-from anisoscope.prediction.recipe_models import Models, optics_notes, rig_of, wanted_of
+from anisoscope.prediction.recipe_models import Models, optics_notes, optics_request_of, rig_of
 from anisoscope.prediction.sensitivity import State, evaluate, fixed
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.sim.light.geometry import Convention, Pose
@@ -30,7 +30,7 @@ class WaferOptics:
             RecipeError: it is not the tile that repeats.
         """
         found, surface = recipe_wafer(of_wafer(recipe), convention.light_angle_deg)
-        rig, wanted = rig_of(recipe, poses, convention), wanted_of(recipe)
+        rig, wanted = rig_of(recipe, poses, convention), optics_request_of(recipe)
         notes = optics_notes(optics_for(surface, rig, wanted), rig, wanted)
         notes |= {
             "model": "wave",
@@ -76,7 +76,7 @@ class WaferOptics:
         """The states of a wafer's recipe; they cost nothing before they are asked for."""
         return WaferStates(of_wafer(recipe).deciding(), light_angle_deg)
 
-    def may_be_left_out(self, _source: str) -> bool:
+    def omitted_if_zero(self, _source: str) -> bool:
         """All sources of plastics: a mirror has few of them."""
         return True
 

@@ -27,7 +27,7 @@ from anisoscope.base.errors import MeasurementError
 from anisoscope.calibration.white_reference import make_reference
 from anisoscope.decision.decision import Decision, decide
 from anisoscope.imaging.linearisation import RadianceImage, Stack, WhiteReference, linearise, stack
-from anisoscope.imaging.pose_radiance import drift_complaint, measure
+from anisoscope.imaging.pose_radiance import drift_error, measure
 from anisoscope.imaging.registration.placement import Placement, View
 from anisoscope.profiles.defects_contact import edge_wear
 from anisoscope.profiles.heightmap import HeightMap
@@ -439,7 +439,7 @@ def judge(views: list[View], truth: FloatArray, name: RecipeName, size: Size) ->
     poses = len(expected.poses)
     try:
         measured = measure(views[:poses], views[-1], recipe, expected, size.pixel_um)
-        unfit = drift_complaint(measured, recipe) is not None
+        invalid = drift_error(measured, recipe) is not None
         decision = decide(expected, measured, recipe)
     except MeasurementError as error:
         return {**_invalid_row(poses), "reason": str(error)}
@@ -447,8 +447,8 @@ def judge(views: list[View], truth: FloatArray, name: RecipeName, size: Size) ->
     own = np.array([c.relative for c in measured.components])
     assert tuple(c.source for c in measured.components) == MEASURED_SOURCES
     return {
-        "valid": not unfit,
-        "reason": "drift" if unfit else "",
+        "valid": not invalid,
+        "reason": "drift" if invalid else "",
         "deviation": deviation,
         "error": np.log(measured.radiance / truth[:poses]),
         "own": own,

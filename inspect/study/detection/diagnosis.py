@@ -14,7 +14,7 @@ from anisoscope.diagnosis.evidence import Evidence, against, background_of, cova
 from anisoscope.diagnosis.ranking import NOTHING, diagnose
 from anisoscope.diagnosis.separability import Separability, planned_covariance, planned_inputs, separability
 from anisoscope.diagnosis.shape_fit import fit_shape
-from anisoscope.diagnosis.signature_cache import remembered_signatures
+from anisoscope.diagnosis.signature_cache import cached_signatures
 from anisoscope.diagnosis.signatures import Signatures, signatures
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.registration.placement import Grid
@@ -45,7 +45,7 @@ def signatures_of(name: RecipeName, size: Size, *, stated: bool = False) -> Sign
     """What every cause would change for the poses of a recipe; arguments as for `recipe_of`."""
     recipe = recipe_of(name, size, stated=stated)
     if size.causes is None:
-        return remembered_signatures(recipe, LIGHT_DEG)
+        return cached_signatures(recipe, LIGHT_DEG)
     return signatures(recipe, LIGHT_DEG, names=size.causes)
 
 

@@ -248,7 +248,8 @@ def results_of(world: World, seen: dict[str, Columns], name: RecipeName, size: S
     first = bench_of(name, size, good[f"{name}/deviation"][pool[0]], own)
     benches = [replace(first, golden=good[f"{name}/deviation"][part]) for part in pool]
     met = {
-        kind: met_sets(len(columns["extent"]), pool, of_good=kind == GOOD) for kind, columns in valid.items()
+        kind: compared_sets(len(columns["extent"]), pool, of_good=kind == GOOD)
+        for kind, columns in valid.items()
     }
     scores = {kind: _scores(columns, kind, name, benches, met[kind]) for kind, columns in valid.items()}
     with_area(scores)
@@ -295,7 +296,7 @@ def golden_pool(parts: int) -> list[npt.NDArray[np.int_]]:
     return [rng.permutation(parts)[:count] for _ in range(GOLDEN_SETS)]
 
 
-def met_sets(parts: int, pool: list[npt.NDArray[np.int_]], *, of_good: bool) -> npt.NDArray[np.int_]:
+def compared_sets(parts: int, pool: list[npt.NDArray[np.int_]], *, of_good: bool) -> npt.NDArray[np.int_]:
     """(parts,) number of the golden set that every part is compared with: in turn, never one that it belongs to."""
     members = [set(part.tolist()) if of_good else set() for part in pool]
     found = np.arange(parts) % len(pool)
@@ -455,7 +456,7 @@ def _diagnosis(
     taught = diagnosed(kind, seen, name, size, TAUGHT_DIAGNOSES, bench.golden)
     named, counts = np.unique(diagnoses["first"], return_counts=True)
     order = np.argsort(-counts)
-    needed = None if apart is None else apart.told_apart_from
+    needed = None if apart is None else apart.separation_extent
     right, u, low, high = (diagnoses[name] for name in ("extent", "u", "low", "high"))
     inside = np.isfinite(right)
     truth = true_extents(kind, seen, size)
@@ -471,7 +472,7 @@ def _diagnosis(
         "right_first_against_golden": _rate(rate(taught["first"] == cause)),
         "confidently_wrong_against_golden": _rate(rate(taught["wrong"])),
         "first": [[str(named[k]) or "none", int(counts[k])] for k in order[:4]],
-        "shows_from": None if apart is None else apart.shows_from,
+        "shows_from": None if apart is None else apart.detection_extent,
         "told_apart_from": needed,
         "separable": bool(needed is not None and extent >= abs(needed)),
         "extent": extent,
@@ -482,4 +483,4 @@ def _diagnosis(
     }
 
 
-__all__ = ["LEVEL", "RULES", "Rule", "golden_pool", "met_sets", "results_of", "with_area"]
+__all__ = ["LEVEL", "RULES", "Rule", "compared_sets", "golden_pool", "results_of", "with_area"]

@@ -57,7 +57,7 @@ from anisoscope.study.detection.sheets import bounces_of, prepare_sheet, sheet_t
 from anisoscope.study.sweep import Workers, sweep
 
 SHAPES = ("ridge-angle", "roughness")
-WANTED = 0.99
+POWER = 0.99
 BETTER = 3.0
 POSES: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
     "standard poses": ((0.0, 90.0, 180.0), (0.0,)),

@@ -55,11 +55,11 @@ def test_it_holds_until_its_end_and_not_beyond(dark):
     record, _ = dark
     assert record.valid_until - record.taken_at == timedelta(days=2)
     just_before, end = record.valid_until - timedelta(seconds=1), record.valid_until
-    assert record.complaint(just_before) is None
-    assert "expired" in record.complaint(end)
-    assert "anisoscope calibrate dark" in record.complaint(end)
+    assert record.invalid_reason(just_before) is None
+    assert "expired" in record.invalid_reason(end)
+    assert "anisoscope calibrate dark" in record.invalid_reason(end)
     unfit = record.model_copy(update={"in_limits": False, "remarks": ("the lamp leaks",)})
-    assert "out of its limits (the lamp leaks)" in unfit.complaint(just_before)
+    assert "out of its limits (the lamp leaks)" in unfit.invalid_reason(just_before)
 
 
 def test_every_kind_has_a_usual_validity_and_two_records_two_ids():

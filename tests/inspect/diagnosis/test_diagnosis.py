@@ -11,7 +11,7 @@ from anisoscope.diagnosis.evidence import Evidence, background_of, covariance_of
 from anisoscope.diagnosis.likelihood import fit_extent, interval
 from anisoscope.diagnosis.ranking import NOTHING, diagnose
 from anisoscope.diagnosis.separability import planned_covariance, separability
-from anisoscope.diagnosis.signature_cache import remembered_signatures
+from anisoscope.diagnosis.signature_cache import cached_signatures
 from anisoscope.diagnosis.signatures import Signature, Signatures, signatures
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
 from anisoscope.prediction.expectation import Component, expectation
@@ -167,16 +167,16 @@ def test_twins_are_said_to_be_a_tie_and_never_told_apart(rng):
     result = diagnose(found, Evidence(0.6 * slope, V))
     assert {finding.cause for finding in result.ties} == {"a", "twin"}
     rows = {row.cause: row for row in separability(found, V, with_map=False)}
-    assert rows["a"].never_told_from == ("twin",)
-    assert rows["a"].told_apart_from is None
-    assert rows["b"].never_told_from == ()
+    assert rows["a"].inseparable_causes == ("twin",)
+    assert rows["a"].separation_extent is None
+    assert rows["b"].inseparable_causes == ()
 
 
 def test_the_extent_that_shows_is_three_sigma(rng):
     V, slope = covariance(rng), rng.normal(size=len(POSES))
     row = separability(known(line("a", slope)), V, with_map=False)[0]
     sigma = (slope @ np.linalg.inv(V) @ slope) ** -0.5
-    assert abs(row.shows_from) == pytest.approx(3.0 * sigma, abs=0.02)
+    assert abs(row.detection_extent) == pytest.approx(3.0 * sigma, abs=0.02)
 
 
 def test_marks_in_the_map_tell_twins_apart(rng):
@@ -308,8 +308,8 @@ def test_burrs_show_in_the_map_and_colour_does_not(of_the_recipe):
 def test_the_recipe_says_beforehand_what_it_can_tell(recipe, of_the_recipe):
     V = planned_covariance(recipe, expectation(recipe, 10.0))
     rows = {row.cause: row for row in separability(of_the_recipe, V, with_map=True)}
-    assert 0.1 < abs(rows["ridge-angle"].shows_from) < 1.5
-    assert rows["ridge-angle"].told_from["colour"] is not None
+    assert 0.1 < abs(rows["ridge-angle"].detection_extent) < 1.5
+    assert rows["ridge-angle"].separation_extents["colour"] is not None
     signature = next(one for one in of_the_recipe.found if one.cause.name == "ridge-angle")
     change, share = signature.at(1.5)
     result = diagnose(of_the_recipe, Evidence(change, V, float(share), 0.003))
@@ -326,7 +326,7 @@ def test_signatures_are_computed_once(recipe, of_the_recipe, monkeypatch, tmp_pa
         return of_the_recipe
 
     causes = replace(PLASTIC_CAUSES, signatures=compute)
-    first, second = (remembered_signatures(recipe, 10.0, causes=causes) for _ in range(2))
+    first, second = (cached_signatures(recipe, 10.0, causes=causes) for _ in range(2))
     assert len(calls) == 1
     for one, other in zip(first.found, second.found, strict=True):
         assert one.cause.name == other.cause.name
@@ -341,14 +341,14 @@ def test_signatures_are_computed_once(recipe, of_the_recipe, monkeypatch, tmp_pa
         sum(one.tangents is not None for one in second.found) == len(of_the_recipe.found) - 1
     )  # not of burrs
     rougher = recipe.model_copy(update={"material": replace_material(recipe)})
-    remembered_signatures(rougher, 10.0, causes=causes)
+    cached_signatures(rougher, 10.0, causes=causes)
     assert len(calls) == 2
     for file in (tmp_path / "signatures").iterdir():
         file.write_bytes(b"damaged")
-    remembered_signatures(recipe, 10.0, causes=causes)
+    cached_signatures(recipe, 10.0, causes=causes)
     assert len(calls) == 3
     monkeypatch.setattr("anisoscope.base.cache.source_digest", lambda *_: "other code")
-    remembered_signatures(recipe, 10.0, causes=causes)
+    cached_signatures(recipe, 10.0, causes=causes)
     assert len(calls) == 4
 
 

@@ -33,7 +33,7 @@ def expected():
 
 @pytest.fixture
 def quick(recipe, monkeypatch, of_the_recipe):
-    monkeypatch.setattr(explaining, "remembered_signatures", lambda *_: of_the_recipe)
+    monkeypatch.setattr(explaining, "cached_signatures", lambda *_: of_the_recipe)
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import pytest
 
 from anisoscope.base.errors import MeasurementError, RegistrationError, Saturated
 from anisoscope.imaging.linearisation import RadianceImage
-from anisoscope.imaging.pose_radiance import drift_complaint, measure, region_grid
+from anisoscope.imaging.pose_radiance import drift_error, measure, region_grid
 from anisoscope.imaging.registration.placement import Placement, View
 from anisoscope.prediction.expectation import expectation
 
@@ -183,7 +183,7 @@ def test_a_fixture_turned_on_the_stage_is_noticed(recipe, expected, turned):
 
 @pytest.mark.parametrize(("again", "words"), [(0.28, "6.7% darker"), (0.32, "6.7% brighter"), (0.301, None)])
 def test_drift_is_noticed(views, recipe, expected, again, words):
-    complaint = drift_complaint(measure(views, view(0.0, again), recipe, expected, 8.0), recipe)
+    complaint = drift_error(measure(views, view(0.0, again), recipe, expected, 8.0), recipe)
     assert complaint is None if words is None else words in complaint
 
 

@@ -77,7 +77,7 @@ def test_a_diagnosis_that_fails_leaves_the_verdict(virtual_rig, monkeypatch):
     def fails(*_):
         raise ModelError("no such surface")
 
-    monkeypatch.setattr(explaining, "remembered_signatures", fails)
+    monkeypatch.setattr(explaining, "cached_signatures", fails)
     found = virtual_rig(recipe=STRICT, bench=WRONG).inspect()
     assert found.record.verdict == "FAIL"
     assert found.record.diagnosis.says == "not possible"

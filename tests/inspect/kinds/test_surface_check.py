@@ -45,7 +45,7 @@ def test_tilts_that_help_are_named(make_recipe):
     poses = {"angles_deg": [0.0, 180.0]}
     found = check_recipe(make_recipe(poses=poses, area=None), 10.0, tries=(0.0, 20.0), model=FEW)
     by_name = {cause.cause: cause for cause in found.causes}
-    assert by_name["light-angle"].never_told_from == ("roughness-along",)
+    assert by_name["light-angle"].inseparable_causes == ("roughness-along",)
     assert [one.tilt_deg for one in found.advice] == [20.0]
     assert ("light-angle", "roughness-along") in found.advice[0].tells_apart
     assert ("light-angle", "roughness-along") not in found.never
@@ -73,7 +73,7 @@ def test_a_second_lamp_is_named_by_what_no_nearer_one_tells(make_recipe, monkeyp
         asked.append(names)
         return known
 
-    monkeypatch.setattr(recipecheck, "remembered_options", options)
+    monkeypatch.setattr(recipecheck, "cached_options", options)
     found = recipecheck.second_lamps_for(make_recipe(), 0.0, [pair, back, third], silent, PLASTIC_CAUSES)
     assert [(one.says, one.tells_apart) for one in found] == [("near", (pair,)), ("far", (back,))]
     assert asked == [["a", "b", "c"]]

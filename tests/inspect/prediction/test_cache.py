@@ -7,7 +7,7 @@ import pytest
 
 from anisoscope.diagnosis import signature_cache as remembering
 from anisoscope.prediction import cache as keptprediction
-from anisoscope.prediction.cache import forget, kept_expectation, packed
+from anisoscope.prediction.cache import cached_expectation, forget, packed
 from anisoscope.prediction.expectation import expectation
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.ideal import RidgeDesign, ridges
@@ -49,8 +49,8 @@ def files(tmp_path):
 
 
 def test_a_design_is_predicted_once_and_leaves_nothing_on_disk(made, make_recipe, tmp_path):
-    first = kept_expectation(make_recipe(), 10.0)
-    assert kept_expectation(make_recipe(product="another name"), 10.0) is first
+    first = cached_expectation(make_recipe(), 10.0)
+    assert cached_expectation(make_recipe(product="another name"), 10.0) is first
     assert (len(made), files(tmp_path)) == (1, [])
 
 
@@ -61,16 +61,16 @@ def test_what_the_prediction_rests_on_makes_it_anew(made, make_recipe):
         {"uncertainty": {"seating_tilt_deg": 0.06}},
         {"surface": {"design": {"u_ridge_angle_deg": 0.1}}},
     )
-    found = [kept_expectation(make_recipe(**change), 10.0) for change in changes]
-    found.append(kept_expectation(make_recipe(), 11.0))
+    found = [cached_expectation(make_recipe(**change), 10.0) for change in changes]
+    found.append(cached_expectation(make_recipe(), 11.0))
     assert len(made) == len({packed(one) for one in found}) == 5
 
 
 def test_a_prediction_from_a_map_outlives_the_program_without_loss(made, of_a_map, tmp_path):
     recipe = of_a_map()
-    first = kept_expectation(recipe, 10.0)
+    first = cached_expectation(recipe, 10.0)
     forget()
-    again = kept_expectation(of_a_map("a copy of it"), 10.0)
+    again = cached_expectation(of_a_map("a copy of it"), 10.0)
     assert (len(made), len(files(tmp_path))) == (1, 1)
     assert packed(again) == packed(first) == packed(expectation(recipe, 10.0))
     assert (again.poses, again.convention, again.model) == (first.poses, first.convention, "relief")
@@ -79,8 +79,8 @@ def test_a_prediction_from_a_map_outlives_the_program_without_loss(made, of_a_ma
 
 
 def test_another_map_of_the_same_name_is_predicted_anew(made, of_a_map):
-    kept_expectation(of_a_map(), 10.0)
-    kept_expectation(of_a_map(angle_deg=9.0), 10.0)
+    cached_expectation(of_a_map(), 10.0)
+    cached_expectation(of_a_map(angle_deg=9.0), 10.0)
     assert len(made) == 2
 
 
@@ -88,7 +88,7 @@ def test_damaged_files_other_code_and_missing_folders_cost_a_prediction_only(
     made, of_a_map, monkeypatch, tmp_path
 ):
     recipe = of_a_map()
-    first = packed(kept_expectation(recipe, 10.0))
+    first = packed(cached_expectation(recipe, 10.0))
     for spoil in (
         lambda: files(tmp_path)[0].write_bytes(files(tmp_path)[0].read_bytes()[:1000]),
         lambda: monkeypatch.setattr("anisoscope.base.cache.source_digest", lambda *_: "another"),
@@ -97,7 +97,7 @@ def test_damaged_files_other_code_and_missing_folders_cost_a_prediction_only(
         spoil()
         forget()
         before = len(made)
-        assert packed(kept_expectation(recipe, 10.0)) == first
+        assert packed(cached_expectation(recipe, 10.0)) == first
         assert len(made) == before + 1
 
 
@@ -105,14 +105,14 @@ def test_a_map_that_is_not_there_is_said_by_the_prediction(made, of_a_map):
     recipe = of_a_map()
     recipe.surface.height_map.unlink()
     with pytest.raises(Exception, match=r"map\.x3p"):
-        kept_expectation(recipe, 10.0)
+        cached_expectation(recipe, 10.0)
     assert len(made) == 1
 
 
 def test_only_some_predictions_stay_in_memory(made, make_recipe):
-    angles = [8.0 + 0.5 * number for number in range(keptprediction.KEPT + 1)]
+    angles = [8.0 + 0.5 * number for number in range(keptprediction.MAX_IN_MEMORY + 1)]
     for angle in (*angles, angles[-1], angles[0]):
-        kept_expectation(make_recipe(), angle)
+        cached_expectation(make_recipe(), angle)
     assert made == [*angles, angles[0]]
 
 

@@ -9,7 +9,7 @@ from anisoscope.base.errors import HeightMapError, RecipeError
 from anisoscope.prediction import recipe_models as models
 from anisoscope.prediction.cache import _unpacked, packed
 from anisoscope.prediction.expectation import PLASTIC, expectation
-from anisoscope.prediction.optics_selection import Rig, Wanted, predict_with_optics
+from anisoscope.prediction.optics_selection import OpticsRequest, Rig, predict_with_optics
 from anisoscope.prediction.predict import predict_design
 from anisoscope.prediction.sensitivity import Shape
 from anisoscope.sim.light.geometry import Convention, directions
@@ -64,7 +64,7 @@ def test_narrow_ridges_are_predicted_by_waves_as_predict_does_it(make_recipe, wa
     recipe = narrow(make_recipe)
     found = waves(make_recipe)
     rig = Rig(recipe.material.material(), recipe.poses.poses(), Convention(10.0))
-    (alone,) = predict_with_optics(recipe.surface.ridge_design(), lambda _: None, rig, Wanted("wave"))
+    (alone,) = predict_with_optics(recipe.surface.ridge_design(), lambda _: None, rig, OpticsRequest("wave"))
     assert (found.model, found.optics["model"], found.optics["asked"]) == ("wave", "wave", "auto")
     assert found.radiance == pytest.approx(alone.radiance, rel=1e-9)
     (numerical,) = (c for c in found.components if c.source == "numerical error of the wave model")

@@ -57,11 +57,11 @@ from anisoscope.study.detection.product import (
 from anisoscope.study.detection.results import (
     RULES,
     bench_of,
+    compared_sets,
     covariance_of_measurement,
     distances,
     golden_pool,
     limits,
-    met_sets,
     p_values,
     with_area,
 )
@@ -369,11 +369,11 @@ def test_the_area_is_weighed_by_what_good_parts_show(rng):
 def test_golden_parts_are_none_of_those_that_are_judged():
     pool = golden_pool(1000)
     assert {len(np.unique(part)) for part in pool} == {25}
-    met = met_sets(1000, pool, of_good=True)
+    met = compared_sets(1000, pool, of_good=True)
     assert not any(number in pool[chosen] for number, chosen in enumerate(met))
     assert np.bincount(met, minlength=len(pool)).min() > 15
     assert len(golden_pool(40)[0]) == 20
-    assert met_sets(3, pool, of_good=False).tolist() == [0, 1, 2]
+    assert compared_sets(3, pool, of_good=False).tolist() == [0, 1, 2]
 
 
 def test_the_true_extent_counts_what_good_parts_scatter_and_what_lies_within():

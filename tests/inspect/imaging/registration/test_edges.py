@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import RegistrationError
-from anisoscope.imaging.registration.edges import Seen, place_by_edges
+from anisoscope.imaging.registration.edges import TurnedPicture, place_by_edges
 
 SIZE, PIXEL_UM, SUB = 320, 8.0, 3
 DOT_UM = 2.0
@@ -81,7 +81,7 @@ def random_shots(rng, known_axis):
     angles = (0.0, *rng.uniform(20, 340, 2))
     slips = [(0.0, 0.0, 0.0), *((*rng.uniform(-0.012, 0.012, 2), rng.uniform(-0.1, 0.1)) for _ in range(2))]
     shots = [photograph(kinds, rng, a, axis, slip=s) for a, s in zip(angles, slips, strict=True)]
-    seen = [Seen(image, angle) for (image, _), angle in zip(shots, angles, strict=True)]
+    seen = [TurnedPicture(image, angle) for (image, _), angle in zip(shots, angles, strict=True)]
     return seen, [true for _, true in shots], axis
 
 
@@ -151,7 +151,11 @@ def test_what_cannot_be_aligned_is_refused(scene, known_axis):
         first, _ = photograph(kinds, rng, 0.0, axis)
         turned, _ = photograph(other(rng) if other else kinds, rng, 90.0, axis, **changes)
         with pytest.raises(RegistrationError, match=r"^at 90° .*(fixture|slip)") as caught:
-            place_by_edges([Seen(first, 0.0), Seen(turned, 90.0)], PIXEL_UM, axis if known_axis else None)
+            place_by_edges(
+                [TurnedPicture(first, 0.0), TurnedPicture(turned, 90.0)],
+                PIXEL_UM,
+                axis if known_axis else None,
+            )
         assert "\n" not in str(caught.value)
 
 
@@ -161,7 +165,9 @@ def test_a_tilted_arm_is_taken_into_account(tilt):
     axis, kinds = middle(rng), part(rng)
     shots = [photograph(kinds, rng, angle, axis, tilt_deg=tilt) for angle in ANGLES]
     places = place_by_edges(
-        [Seen(image, angle, tilt) for (image, _), angle in zip(shots, ANGLES, strict=True)], PIXEL_UM, axis
+        [TurnedPicture(image, angle, tilt) for (image, _), angle in zip(shots, ANGLES, strict=True)],
+        PIXEL_UM,
+        axis,
     )
     for place, (_, true) in zip(places[1:], shots[1:], strict=True):
         assert worst_px(place, places[0], true, shots[0][1]) < 0.3
@@ -170,6 +176,6 @@ def test_a_tilted_arm_is_taken_into_account(tilt):
 def test_an_axis_that_nobody_calibrated_is_found():
     rng = np.random.default_rng(7)
     axis, kinds = ((SIZE - 1) / 2 + 6.5, (SIZE - 1) / 2 - 5.0), part(rng)
-    seen = [Seen(photograph(kinds, rng, angle, axis)[0], angle) for angle in ANGLES]
+    seen = [TurnedPicture(photograph(kinds, rng, angle, axis)[0], angle) for angle in ANGLES]
     for place in place_by_edges(seen, PIXEL_UM):
         np.testing.assert_allclose(place.axis_px, axis, atol=0.3)

@@ -155,12 +155,12 @@ def test_a_check_says_what_the_recipe_tells(make_recipe, predict):
     assert names["ratio"].u < 0.005
     causes = {one.cause: one for one in found.causes}
     # the sizes that are to be found
-    assert abs(causes["roughness"].shows_from) < 0.10
-    assert abs(causes["brushing"].shows_from) < 0.15
-    assert causes["missing-ink"].shows_from < 0.10
-    assert causes["lean"].shows_from < 1.0
-    assert abs(causes["film-thickness"].told_apart_from) < 10.0
-    assert causes["wrong-ink-synthetic red"].told_apart_from < 0.05
+    assert abs(causes["roughness"].detection_extent) < 0.10
+    assert abs(causes["brushing"].detection_extent) < 0.15
+    assert causes["missing-ink"].detection_extent < 0.10
+    assert causes["lean"].detection_extent < 1.0
+    assert abs(causes["film-thickness"].separation_extent) < 10.0
+    assert causes["wrong-ink-synthetic red"].separation_extent < 0.05
     assert any("brackets" in line for line in found.complaints)
 
 

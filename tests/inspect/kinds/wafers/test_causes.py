@@ -9,7 +9,7 @@ import tomli_w
 from anisoscope.base.cache import VARIABLE
 from anisoscope.cli.demo import wafers as demo_wafer
 from anisoscope.diagnosis.separability import planned_covariance, separability
-from anisoscope.diagnosis.signature_cache import remembered_signatures
+from anisoscope.diagnosis.signature_cache import cached_signatures
 from anisoscope.kinds.wafers.causes import wafer_causes, wafer_signatures
 from anisoscope.kinds.wafers.discriminating_poses import WAFER_CAUSES
 from anisoscope.kinds.wafers.optics import WAFERS
@@ -75,11 +75,11 @@ def test_what_shows_and_what_is_told_apart(recipe, known):
     rows = {
         row.cause: row for row in separability(known, planned_covariance(recipe, expected), with_map=False)
     }
-    assert rows["over-etch"].shows_from < 6.0
-    assert rows["width-bias"].shows_from < 250.0
-    assert rows["over-etch"].never_told_from == ("under-etch",)
-    assert rows["over-etch"].told_from["width-bias"] < 10.0
-    assert rows["width-bias"].told_from["over-etch"] < 350.0
+    assert rows["over-etch"].detection_extent < 6.0
+    assert rows["width-bias"].detection_extent < 250.0
+    assert rows["over-etch"].inseparable_causes == ("under-etch",)
+    assert rows["over-etch"].separation_extents["width-bias"] < 10.0
+    assert rows["width-bias"].separation_extents["over-etch"] < 350.0
 
 
 def test_signatures_of_wafers_are_kept_and_belong_to_their_light(recipe, tmp_path, monkeypatch):
@@ -89,13 +89,13 @@ def test_signatures_of_wafers_are_kept_and_belong_to_their_light(recipe, tmp_pat
         WAFER_CAUSES,
         signatures=lambda recipe, angle, advance, _: wafer_signatures(recipe, angle, advance, names),
     )
-    first = remembered_signatures(recipe, 0.0, causes=few)
+    first = cached_signatures(recipe, 0.0, causes=few)
     none = replace(WAFER_CAUSES, signatures=lambda *_: pytest.fail("computed again"))
-    again = remembered_signatures(recipe, 0.0, causes=none)
+    again = cached_signatures(recipe, 0.0, causes=none)
     for one, other in zip(first.found, again.found, strict=True):
         assert (one.cause.name, one.cause.extents) == (other.cause.name, other.cause.extents)
         assert np.array_equal(one.change, other.change)
     assert recipe.light is not None
     other_light = recipe.light.model_copy(update={"wavelength_nm": 530.0})
     with pytest.raises(pytest.fail.Exception, match="computed again"):
-        remembered_signatures(recipe.model_copy(update={"light": other_light}), 0.0, causes=none)
+        cached_signatures(recipe.model_copy(update={"light": other_light}), 0.0, causes=none)

@@ -11,10 +11,10 @@ from anisoscope.base.progress import silent
 from anisoscope.cli.demo import wafers as demo_wafer
 from anisoscope.diagnosis import discriminating_poses as advice
 from anisoscope.diagnosis.cause_model import Option
-from anisoscope.diagnosis.discriminating_poses import advice_for, remembered_options
+from anisoscope.diagnosis.discriminating_poses import advice_for, cached_options
 from anisoscope.diagnosis.ranking import Diagnosis
 from anisoscope.diagnosis.separability import planned_covariance, separability
-from anisoscope.kinds.wafers import discriminating_poses as telling
+from anisoscope.kinds.wafers import discriminating_poses as discriminating_options
 from anisoscope.kinds.wafers.causes import wafer_signatures
 from anisoscope.kinds.wafers.discriminating_poses import WAFER_CAUSES, second_lamps, wafer_options
 from anisoscope.kinds.wafers.optics import WAFERS
@@ -50,12 +50,12 @@ def of_kind(options, kind):
 def test_the_square_of_the_depth_is_told_by_no_angle_but_by_another_wavelength(options):
     """|τ|² = sin²(2π·e/λ) is even in e at the wavelength of the design, cos²(2π·(λ/4 + e)/λ') at another is not."""
     (angles,) = of_kind(options, "angles")
-    assert angles.told_from == {"over-etch": {"under-etch": None}, "under-etch": {"over-etch": None}}
+    assert angles.separation_extents == {"over-etch": {"under-etch": None}, "under-etch": {"over-etch": None}}
     lamps = of_kind(options, "lamp")
     assert [option.says.split()[4] for option in lamps] == ["470", "450", "590", "625"]
     for option in lamps:
         for cause, other in (DEPTHS, DEPTHS[::-1]):
-            assert option.told_from[cause][other] < 10.0
+            assert option.separation_extents[cause][other] < 10.0
 
 
 def test_a_tilt_tells_as_the_recipe_with_that_tilt_does(recipe, options):
@@ -68,7 +68,9 @@ def test_a_tilt_tells_as_the_recipe_with_that_tilt_does(recipe, options):
     rows = {row.cause: row for row in separability(known, covariance, with_map=False)}
     (option,) = (one for one in of_kind(options, "tilt") if "20°" in one.says)
     for cause, other in (DEPTHS, DEPTHS[::-1]):
-        assert option.told_from[cause][other] == pytest.approx(rows[cause].told_from[other], rel=0.15)
+        assert option.separation_extents[cause][other] == pytest.approx(
+            rows[cause].separation_extents[other], rel=0.15
+        )
 
 
 def test_lamps_that_are_tried_stand_on_both_sides_and_are_no_neighbours():
@@ -108,7 +110,7 @@ def test_the_advice_names_the_first_of_every_kind_that_tells_both_ways(recipe, m
         Option("lamp", "a near lamp", told(b=3.0, c=None)),
         Option("lamp", "a far lamp", told(b=2.0, c=None)),
     )
-    monkeypatch.setattr(advice, "remembered_options", lambda *_: known)
+    monkeypatch.setattr(advice, "cached_options", lambda *_: known)
     words = advice_for(recipe, 0.0, tie(("a", 5.0), ("b", 5.0)), causes=WAFER_CAUSES)
     assert words == "a large tilt, or a near lamp"
     assert (
@@ -126,7 +128,7 @@ def test_the_advice_names_the_first_of_every_kind_that_tells_both_ways(recipe, m
 
 
 def test_there_is_nothing_to_advise_without_a_tie_or_an_explanation(recipe, make_recipe, monkeypatch):
-    monkeypatch.setattr(advice, "remembered_options", lambda *_: pytest.fail("was computed"))
+    monkeypatch.setattr(advice, "cached_options", lambda *_: pytest.fail("was computed"))
     assert advice_for(recipe, 0.0, tie(("a", 5.0)), causes=WAFER_CAUSES) is None
     assert advice_for(recipe, 0.0, tie(("a", 5.0), ("nothing", 0.0)), causes=WAFER_CAUSES) is None
     assert (
@@ -144,22 +146,22 @@ def test_options_are_kept_and_belong_to_their_recipe(recipe, options, tmp_path, 
         return options
 
     causes = replace(WAFER_CAUSES, options=computed)
-    assert remembered_options(recipe, 0.0, DEPTHS, silent, causes) == options
-    assert remembered_options(recipe, 0.0, DEPTHS[::-1], silent, causes) == options
+    assert cached_options(recipe, 0.0, DEPTHS, silent, causes) == options
+    assert cached_options(recipe, 0.0, DEPTHS[::-1], silent, causes) == options
     assert len(asked) == 1
     other = recipe.uncertainty.model_copy(update={"etch_depth_nm": 2.0})
-    remembered_options(recipe.model_copy(update={"uncertainty": other}), 0.0, DEPTHS, silent, causes)
-    remembered_options(recipe, 0.0, ("over-etch", "scatter"), silent, causes)
+    cached_options(recipe.model_copy(update={"uncertainty": other}), 0.0, DEPTHS, silent, causes)
+    cached_options(recipe, 0.0, ("over-etch", "scatter"), silent, causes)
     assert len(asked) == 3
     (kept, *_) = (tmp_path / "advice").iterdir()
     kept.write_text("[")
     for names in (DEPTHS, ("over-etch", "scatter")):
-        assert remembered_options(recipe, 0.0, names, silent, causes) == options
+        assert cached_options(recipe, 0.0, names, silent, causes) == options
 
 
 def test_every_cause_of_a_wafer_can_be_asked_for(recipe, monkeypatch):
-    monkeypatch.setattr(telling, "TILTS_DEG", ())
-    monkeypatch.setattr(telling, "LAMPS_NM", ())
+    monkeypatch.setattr(discriminating_options, "TILTS_DEG", ())
+    monkeypatch.setattr(discriminating_options, "LAMPS_NM", ())
     (angles,) = wafer_options(recipe, 0.0, ("width-bias", "scatter", "seating-x"))
-    assert set(angles.told_from) == {"width-bias", "scatter", "seating-x"}
-    assert angles.told_from["width-bias"]["scatter"] is not None
+    assert set(angles.separation_extents) == {"width-bias", "scatter", "seating-x"}
+    assert angles.separation_extents["width-bias"]["scatter"] is not None

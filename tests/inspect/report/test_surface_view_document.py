@@ -8,7 +8,7 @@ from html.parser import HTMLParser
 
 import pytest
 
-from anisoscope.report import surface_view as viewer3d
+from anisoscope.report import surface_view
 from anisoscope.report.surface_view import viewer_of
 
 
@@ -60,12 +60,12 @@ def test_the_attribute_says_the_document():
 
 
 def test_without_trame_there_is_none(monkeypatch):
-    viewer3d._page.cache_clear()
+    surface_view._page.cache_clear()
     monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
     try:
         assert viewer_of(b"state") is None
     finally:
-        viewer3d._page.cache_clear()
+        surface_view._page.cache_clear()
 
 
 @pytest.fixture(autouse=True)

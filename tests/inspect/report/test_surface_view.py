@@ -10,7 +10,7 @@ def test_a_program_that_ends_while_drawings_are_made_ends_with_its_own_code():
     script = textwrap.dedent("""
         import os, sys, time
         from matplotlib import font_manager, ft2font
-        from anisoscope.report import surface_view as surfaceview
+        from anisoscope.report import surface_view
         from anisoscope.profiles.ideal import RidgeDesign, ridges
 
         class NoProcess:
@@ -23,14 +23,14 @@ def test_a_program_that_ends_while_drawings_are_made_ends_with_its_own_code():
                 ft2font.FT2Font(font).set_text("height map")
 
         font = font_manager.findfont("DejaVu Sans")
-        surfaceview.Renderer = NoProcess
-        surfaceview.flat_drawings = lambda _surface: ("", "")
+        surface_view.Renderer = NoProcess
+        surface_view.flat_drawings = lambda _surface: ("", "")
         surface = ridges(RidgeDesign(100.0, 10.0), (4, 100), (4.0, 4.0))
         children = []
         for number in range(6):
             child = os.fork()
             if child == 0:
-                view = surfaceview.SurfaceView(surface, write_text)
+                view = surface_view.SurfaceView(surface, write_text)
                 time.sleep(0.05 * number)
                 view.discard()
                 sys.exit(69)

@@ -8,7 +8,7 @@ import zipfile
 import numpy as np
 import pytest
 
-from anisoscope.report import surface_view as relief3d
+from anisoscope.report import surface_view
 from anisoscope.report.surface_view import MAX_POINTS, Renderer
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -50,7 +50,7 @@ def test_picture_and_scene_are_drawn_once_and_kept(ridges, monkeypatch, tmp_path
 
 
 def test_what_is_drawn_is_small_and_true(ridges):
-    packed, _ = relief3d._reduced(ridges, (1.0, 0.5))
+    packed, _ = surface_view._reduced(ridges, (1.0, 0.5))
     with np.load(io.BytesIO(packed)) as data:
         assert max(data["z"].shape) <= MAX_POINTS
         rows, cols = (round(step / pixel) for step, pixel in zip(data["pixel"], (1.0, 0.5), strict=True))
@@ -72,7 +72,7 @@ def test_without_trame_there_is_a_still_picture(ridges, monkeypatch, tmp_path):
 
 def test_a_renderer_that_dies_says_what_it_needs(ridges, monkeypatch, tmp_path):
     monkeypatch.setenv("ANISOSCOPE_CACHE", str(tmp_path))
-    monkeypatch.setattr(relief3d, "DRAWS", "anisoscope.no_such_module")
+    monkeypatch.setattr(surface_view, "DRAWS", "anisoscope.no_such_module")
     view = Renderer(ridges, (1.0, 1.0), interactive=True).result()
     assert (view.png, view.scene) == (None, None)
     assert "EGL" in view.note
@@ -81,7 +81,7 @@ def test_a_renderer_that_dies_says_what_it_needs(ridges, monkeypatch, tmp_path):
 def test_a_discarded_renderer_leaves_nothing(ridges, monkeypatch, tmp_path):
     monkeypatch.setenv("ANISOSCOPE_CACHE", str(tmp_path / "cache"))
     monkeypatch.setenv("TMPDIR", str(tmp_path))
-    monkeypatch.setattr(relief3d.tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(surface_view.tempfile, "tempdir", str(tmp_path))
     renderer = Renderer(ridges, (1.0, 1.0))
     renderer.discard()
     assert list(tmp_path.iterdir()) == []

@@ -58,7 +58,9 @@ def moved(states, **z):
 
 
 def test_states_hold_all_that_the_budget_names_but_errors_of_each_pose(expected):
-    assert [component.source for component in expected.beside_states] == ["numerical error of the wave model"]
+    assert [component.source for component in expected.outside_states] == [
+        "numerical error of the wave model"
+    ]
     named = {
         c.source for c in expected.components if not c.source.endswith((SECOND_ORDER, "beyond the slope"))
     }

@@ -12,14 +12,14 @@ import tomli_w
 from anisoscope.calibration.pictures import take_flat
 from anisoscope.cli.demo import wafers as demo_wafer
 from anisoscope.diagnosis import part_diagnosis as explaining
-from anisoscope.diagnosis.signature_cache import remembered_signatures
+from anisoscope.diagnosis.signature_cache import cached_signatures
 from anisoscope.inspection import run as inspection
 from anisoscope.inspection.integrity import verify
 from anisoscope.inspection.recompute import recompute
 from anisoscope.inspection.run import inspect_part
 from anisoscope.kinds.registry import read_recipe
 from anisoscope.kinds.wafers.optics import WAFERS
-from anisoscope.prediction.cache import kept_expectation
+from anisoscope.prediction.cache import cached_expectation
 from anisoscope.record.schema import RECORD_NAME, UNSEALED
 from anisoscope.report.inspection_page import REPORT_NAME
 
@@ -69,7 +69,7 @@ def inspected(wafers):
         if name not in kept:
             rig = wafers / "bench" / name / "rig.toml"
             with pytest.MonkeyPatch.context() as patch:
-                patch.setattr(explaining, "remembered_signatures", remembered_signatures)
+                patch.setattr(explaining, "cached_signatures", cached_signatures)
                 methods = replace(inspection.USUAL, start_renderer=lambda _: None)
                 if name != "good":  # one report is looked at
                     methods = replace(methods, write_report=_plain)
@@ -187,6 +187,6 @@ def test_a_wafer_computes_again_to_the_same_numbers_and_every_change_shows(inspe
 
 def test_the_prediction_of_a_wafer_is_kept(wafers, monkeypatch):
     recipe = read_recipe(wafers / "recipe.toml")
-    first = kept_expectation(recipe, 0.0, WAFERS)
+    first = cached_expectation(recipe, 0.0, WAFERS)
     monkeypatch.setattr("anisoscope.prediction.cache.expectation", lambda *_: pytest.fail("predicted again"))
-    assert kept_expectation(recipe, 0.0, WAFERS) is first
+    assert cached_expectation(recipe, 0.0, WAFERS) is first
