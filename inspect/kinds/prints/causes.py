@@ -187,7 +187,7 @@ def explain_print(
     if decision.bare is not None:
         return decision.bare.diagnosis()
     logs, covariance, sources = _deviation(expected, measured, decision)
-    found = decision.map
+    found = None if decision.map is None else decision.map.record
     if found is None:
         known, evidence = known_causes(recipe, expected, decision.fit, 0), Evidence(logs, covariance)
         return _alone(diagnose(known, evidence), known, evidence, sources)
@@ -195,8 +195,8 @@ def explain_print(
     whole = np.zeros((size, size))
     whole[:-1, :-1], whole[-1, -1] = covariance, found.u_curl_deg**2
     curl = float(np.linalg.norm(found.curl_deg, 2))
-    known = known_causes(recipe, expected, decision.fit, 1, found.curl_deg)
-    evidence = Evidence(np.append(logs, curl), whole, found.share, found.u_share, _BACKGROUND, U_BACKGROUND)
+    known = known_causes(recipe, expected, decision.fit, 1, np.array(found.curl_deg))
+    evidence = Evidence(np.append(logs, curl), whole, found.share, found.u, _BACKGROUND, U_BACKGROUND)
     return _alone(diagnose(known, evidence), known, evidence, sources)
 
 
@@ -260,7 +260,7 @@ def known_causes(
         expected: the prediction.
         fit: gives the directions of brushing and lean; None for those along x.
         extra: 1 if the change of tilt across the region is a datum after ln of the channels, else 0.
-        curl_deg: (2, 2) that change as the map shows it (`PrintMap.curl_deg`), for its direction, or None.
+        curl_deg: (2, 2) that change as the map shows it (`PrintMapRecord.curl_deg`), for its direction, or None.
 
     Raises:
         InkFileError: one of the wrong inks cannot be read.

@@ -18,7 +18,7 @@ from anisoscope.kinds.prints.expectation import PrintExpectation
 from anisoscope.kinds.prints.lobe_fit import PrintFit
 from anisoscope.kinds.prints.measurement import MeasuredPrint
 from anisoscope.kinds.prints.recipe import PrintArea
-from anisoscope.kinds.prints.record import MOST_SPOTS
+from anisoscope.kinds.prints.record import MOST_SPOTS, PrintMapRecord, SpotRecord
 from anisoscope.kinds.prints.reference_test import GoldenArea
 from anisoscope.kinds.prints.spot_area import spot_shares
 from anisoscope.record.verdict import Verdict
@@ -33,23 +33,6 @@ U_EDGE_SHARE = 0.05
 """Relative standard uncertainty of an area that pixels tell: lens and pixels blur its edge."""
 
 
-@dataclass(frozen=True)
-class Spot:
-    """Cells that deviate and touch each other: middle and extents in mm, and the largest CIEDE2000 among them.
-
-    ``area_share`` is the share of the area that the pixels off by more than the limit cover; without pictures, of the
-    cells.
-    """
-
-    x_mm: float
-    y_mm: float
-    width_mm: float
-    length_mm: float
-    area_share: float
-    cells: int
-    delta_e: float
-
-
 @dataclass(frozen=True, eq=False)
 class PrintMap:
     """The cells of a print, (rows, cols), first row at the top.
@@ -58,37 +41,22 @@ class PrintMap:
         local: CIEDE2000 of every cell against the region, the largest over the poses.
         total: CIEDE2000 against the prediction, the largest over the poses.
         lean_deg: (2, rows, cols) lean of the flakes toward +x and +y of the print, against the region's.
-        noise: CIEDE2000 that noise alone makes, rms, in the worst pose.
         deviating: cells whose local difference exceeds the limit.
-        share: share of the area that deviates, the sum over all spots; its standard uncertainty ``u_share``.
-        curl_deg: (2, 2) change of the lean toward x and y (rows) across the region along its x and y (columns).
-        u_curl_deg: standard uncertainty of each.
-        max_share: limit of the share.
-        verdict: of the area alone.
-        learnt: the limit is that of golden prints, without a guard band, because their scatter holds the measurement's.
-        p_value: probability of as much for a print like the golden ones, adjusted over all tests; None without them.
-        spots: cells that deviate together, the largest first, `MOST_SPOTS` at most.
+        record: its numbers and verdict. The limit of golden prints has no guard band, because their scatter holds the
+            uncertainty of the measurement.
     """
 
     local: FloatArray
     total: FloatArray
     lean_deg: FloatArray
-    noise: float
     deviating: npt.NDArray[np.bool_]
-    share: float
-    u_share: float
-    curl_deg: FloatArray
-    u_curl_deg: float
-    max_share: float
-    verdict: Verdict
-    spots: tuple[Spot, ...]
-    learnt: bool = False
-    p_value: float | None = None
+    record: PrintMapRecord
 
-    def beside(self, golden: GoldenArea, alpha: float) -> "PrintMap":
-        """The same map judged by what golden prints have shown of the area."""
+    def with_learnt_limit(self, golden: GoldenArea, alpha: float) -> "PrintMap":
+        """The same map judged by the areas of the golden prints."""
         verdict = Verdict.FAIL if golden.p_value < alpha else Verdict.PASS
-        return replace(self, max_share=golden.limit, verdict=verdict, learnt=True, p_value=golden.p_value)
+        learnt = {"max_share": golden.limit, "verdict": verdict, "learnt": True, "p_value": golden.p_value}
+        return replace(self, record=self.record.model_copy(update=learnt))
 
 
 def map_of(
@@ -128,24 +96,29 @@ def map_of(
     of_edges = 0.5 / local.size
     if measured.pictures is not None:
         areas = spot_shares(labels, apart, measured.pictures, measured.grid, eye, usual, rule.cell_delta_e)
-        spots = [replace(spot, area_share=float(area)) for spot, area in zip(spots, areas, strict=True)]
+        spots = [
+            spot.model_copy(update={"area_share": float(area)})
+            for spot, area in zip(spots, areas, strict=True)
+        ]
         share = float(areas.sum())
         of_edges = U_EDGE_SHARE * share
     u = float(np.hypot(0.5 * (low - high), of_edges))
-    return PrintMap(
-        local,
-        total,
-        lean,
-        noise,
-        deviating,
-        share,
-        u,
-        curl,
-        u_curl,
-        rule.max_share,
-        _judged(share, u, rule.max_share, coverage),
-        tuple(sorted(spots, key=lambda spot: -spot.area_share)[:MOST_SPOTS]),
+    (xx, xy), (yx, yy) = curl.tolist()
+    record = PrintMapRecord(
+        cell_mm=rule.cell_mm,
+        rows=local.shape[0],
+        cols=local.shape[1],
+        cell_delta_e=rule.cell_delta_e,
+        noise=noise,
+        share=share,
+        u=u,
+        max_share=rule.max_share,
+        verdict=_judged(share, u, rule.max_share, coverage),
+        curl_deg=((xx, xy), (yx, yy)),
+        u_curl_deg=u_curl,
+        spots=tuple(sorted(spots, key=lambda spot: -spot.area_share)[:MOST_SPOTS]),
     )
+    return PrintMap(local, total, lean, deviating, record)
 
 
 def _judged(share: float, u: float, limit: float, coverage: float) -> Verdict:
@@ -198,7 +171,7 @@ def _labels(deviating: npt.NDArray[np.bool_]) -> npt.NDArray[np.int32]:
     return np.asarray(cv2.connectedComponents(deviating.astype(np.uint8), connectivity=8)[1], dtype=np.int32)
 
 
-def _spots(labels: npt.NDArray[np.int32], local: FloatArray, grid: Grid) -> list[Spot]:
+def _spots(labels: npt.NDArray[np.int32], local: FloatArray, grid: Grid) -> list[SpotRecord]:
     """The spots in the order of their numbers, with the area of their cells."""
     found = []
     for label in range(1, int(labels.max()) + 1):
@@ -207,14 +180,14 @@ def _spots(labels: npt.NDArray[np.int32], local: FloatArray, grid: Grid) -> list
         middle = np.array([0.5 * (cols.min() + cols.max()), 0.5 * (rows.min() + rows.max()), 1.0])
         x, y = (grid.to_mm() @ middle)[:2]
         found.append(
-            Spot(
-                float(x),
-                float(y),
-                float(np.ptp(cols) + 1) * grid.pixel_mm,
-                float(np.ptp(rows) + 1) * grid.pixel_mm,
-                len(rows) / labels.size,
-                len(rows),
-                float(local[inside].max()),
+            SpotRecord(
+                x=float(x),
+                y=float(y),
+                width=float(np.ptp(cols) + 1) * grid.pixel_mm,
+                length=float(np.ptp(rows) + 1) * grid.pixel_mm,
+                area_share=len(rows) / labels.size,
+                cells=len(rows),
+                delta_e=float(local[inside].max()),
             )
         )
     return found

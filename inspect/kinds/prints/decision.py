@@ -11,17 +11,20 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import MeasurementError
 from anisoscope.base.significance import mahalanobis, p_value_text
+from anisoscope.kinds.kind import Results
 from anisoscope.kinds.prints.colour_map import PrintMap, map_of
 from anisoscope.kinds.prints.expectation import PrintExpectation, rig_sources
 from anisoscope.kinds.prints.lobe_fit import NoLobe, PrintFit, fit_print
 from anisoscope.kinds.prints.measurement import MeasuredPrint
 from anisoscope.kinds.prints.missing_ink import Bare, what_lies_there, without_ink
-from anisoscope.kinds.prints.pose_colours import PoseColour, colours_of
+from anisoscope.kinds.prints.pose_colours import colours_of
 from anisoscope.kinds.prints.quantities import Judge, Quantity, sentence
 from anisoscope.kinds.prints.recipe import PrintArea, PrintRecipe
+from anisoscope.kinds.prints.record import ColourRecord, PrintDetails, PrintMapRecord, triple
 from anisoscope.kinds.prints.reference_prints import GoldenPrints
-from anisoscope.kinds.prints.reference_test import BesideGolden, beside_golden, linear_fit
+from anisoscope.kinds.prints.reference_test import GoldenComparison, compare_with_golden, linear_fit
 from anisoscope.kinds.prints.sources import Source, total
+from anisoscope.record.schema import BudgetRecord
 from anisoscope.record.verdict import Verdict
 
 NOT_JUDGED = (
@@ -50,21 +53,21 @@ class PrintDecision:
         dof: how many numbers that are.
         p_value: probability of a larger distance for a print as predicted; with golden prints of any of their tests.
         sources: of uncertainty, of prediction and measurement.
-        golden: the print beside the golden prints, where these decide what deviates.
+        golden: comparison with the golden prints, where these decide what deviates.
         bare: how much of the ink is missing, where there is no lobe.
     """
 
     verdict: Verdict
     reasons: tuple[str, ...]
     quantities: tuple[Quantity, ...]
-    colours: tuple[PoseColour, ...]
+    colours: tuple[ColourRecord, ...]
     fit: PrintFit | None
     map: PrintMap | None
     d2: float
     dof: int
     p_value: float
     sources: tuple[Source, ...]
-    golden: BesideGolden | None = None
+    golden: GoldenComparison | None = None
     bare: Bare | None = None
 
 
@@ -95,26 +98,26 @@ def decide_print(
     except NoLobe as problem:
         return _without_lobe(expected, measured, recipe, str(problem))
     colours = colours_of(expected, measured, fit, covariance)
-    found, beside = None, None
+    found, comparison = None, None
     if recipe.area is not None:
         found = map_of(measured, expected, fit, recipe.area, recipe.decision.coverage)
     if golden is not None:
         linear, alpha = linear_fit(expected, (*expected.common, *of_rig)), recipe.decision.alpha
         known = golden.known_shares(recipe)
-        area = None if known is None or found is None else (known, found.share)
-        beside = beside_golden(golden, expected, logs, linear, area, alpha)
-        d2, dof, p_value = beside.t2, len(beside.measured), beside.p_value
-        if found is not None and beside.area is not None:
-            found = found.beside(beside.area, alpha)
+        area = None if known is None or found is None else (known, found.record.share)
+        comparison = compare_with_golden(golden, expected, logs, linear, area, alpha)
+        d2, dof, p_value = comparison.t2, len(comparison.measured), comparison.p_value
+        if found is not None and comparison.area is not None:
+            found = found.with_learnt_limit(comparison.area, alpha)
     judge = Judge(expected, fit, recipe, (*expected.common, *of_rig))
     quantities = (*judge.quantities(), judge.colour(colours))
     if found is not None:
         quantities = (*quantities, judge.curl(found))
     verdict, reasons = _combine(
-        quantities, found, recipe, beside, *_together(expected, p_value, beside, recipe)
+        quantities, found, recipe, comparison, *_together(p_value, comparison, recipe)
     )
     return PrintDecision(
-        verdict, reasons, quantities, colours, fit, found, d2, dof, p_value, everything, beside
+        verdict, reasons, quantities, colours, fit, found, d2, dof, p_value, everything, comparison
     )
 
 
@@ -158,23 +161,21 @@ def _from_prediction(
     return d2, dof, float(chi2.sf(d2, dof))
 
 
-def _together(
-    expected: PrintExpectation, p_value: float, beside: BesideGolden | None, recipe: PrintRecipe
-) -> tuple[bool, str]:
+def _together(p_value: float, comparison: GoldenComparison | None, recipe: PrintRecipe) -> tuple[bool, str]:
     """Whether all channels together deviate significantly, and what to say of it."""
     alpha = recipe.decision.alpha
     significant = p_value < alpha
-    alike = "as predicted" if beside is None else f"like the {beside.count} golden prints"
-    shared = "" if beside is None or beside.area is None else ", shared with the area"
+    alike = "as predicted" if comparison is None else f"like the {comparison.count} golden prints"
+    shared = "" if comparison is None or comparison.area is None else ", shared with the area"
     line = f"all channels together: p {p_value_text(p_value)} for a print {alike} (level {alpha:g}{shared})"
     if not significant:
         return False, line
     where = ""
-    if beside is not None:
-        named = ["lobe and level"] if beside.p_fitted < alpha else []
+    if comparison is not None:
+        named = ["lobe and level"] if comparison.p_fitted < alpha else []
         named += [
-            f"the colour at {pose.stage_deg:g}°, tilt {pose.tilt_deg:g}°"
-            for pose, one in zip(expected.poses, beside.colours, strict=True)
+            f"the colour at {one.stage_deg:g}°, tilt {one.tilt_deg:g}°"
+            for one in comparison.colours
             if one.p_value < alpha
         ]
         more = f" and {len(named) - NAMED} more" if len(named) > NAMED else ""
@@ -186,7 +187,7 @@ def _combine(
     quantities: tuple[Quantity, ...],
     found: PrintMap | None,
     recipe: PrintRecipe,
-    beside: BesideGolden | None,
+    comparison: GoldenComparison | None,
     significant: bool,
     line: str,
 ) -> tuple[Verdict, tuple[str, ...]]:
@@ -194,7 +195,7 @@ def _combine(
     rule = recipe.decision
     findings = [(one.verdict, sentence(one)) for one in quantities]
     if found is not None and recipe.area is not None:
-        findings.append((found.verdict, _of_area(found, recipe.area, beside)))
+        findings.append((found.record.verdict, _of_area(found.record, recipe.area, comparison)))
     fails = significant and rule.deviation == "fail"
     findings.append((Verdict.FAIL if fails else Verdict.PASS, line))
     order = [Verdict.FAIL, Verdict.INCONCLUSIVE, Verdict.PASS]
@@ -207,9 +208,87 @@ def _combine(
     return verdict, (("warning: significant deviation within the limits",) if warn else ()) + decisive
 
 
-def _of_area(found: PrintMap, rule: PrintArea, beside: BesideGolden | None) -> str:
+def _of_area(found: PrintMapRecord, rule: PrintArea, comparison: GoldenComparison | None) -> str:
     """The deviating area with its limit, and where that comes from."""
     line = f" of the area is off by more than ΔE {rule.cell_delta_e:g} from the rest (limit "
-    if beside is None or beside.area is None:
+    if comparison is None or comparison.area is None:
         return f"{found.share:.1%}{line}{found.max_share:.1%})"
-    return f"{found.share:.2%}{line}{found.max_share:.2%}, learnt from {beside.area.prints} golden prints)"
+    return (
+        f"{found.share:.2%}{line}{found.max_share:.2%}, learnt from {comparison.area.prints} golden prints)"
+    )
+
+
+def print_results(
+    expected: PrintExpectation,
+    decision: PrintDecision,
+    names: tuple[str, str],
+    notes: tuple[str, ...] = (),
+) -> Results:
+    """What the record holds of a print.
+
+    Args:
+        expected: the prediction.
+        decision: the verdict.
+        names: of the sensitivities, and of the camera's filters.
+        notes: what the user should know besides.
+    """
+    luminance, wanted = (
+        np.array([getattr(one, name)[1] for one in decision.colours]) / np.pi
+        for name in ("xyz", "xyz_predicted")
+    )
+    return Results(
+        luminance,
+        wanted,
+        _details(expected, decision, names),
+        _budget(decision.quantities),
+        decision.d2,
+        decision.dof,
+        decision.p_value,
+        notes=notes,
+    )
+
+
+def _budget(quantities: tuple[Quantity, ...]) -> tuple[BudgetRecord, ...]:
+    """Contributions to every quantity that has some, largest share of a limit first; 0 where a source has none."""
+    budgeted = [one for one in quantities if one.contributions]
+    sources = dict.fromkeys((name, kind) for one in budgeted for name, kind, _ in one.contributions)
+    rows = []
+    for source, kind in sources:
+        values = tuple(
+            float(np.linalg.norm([u for name, _, u in one.contributions if name == source]))
+            for one in budgeted
+        )
+        rows.append(BudgetRecord(source=source, kind=kind, contributions=values))
+    limits = [one.limit for one in budgeted]
+    return tuple(
+        sorted(
+            rows, key=lambda row: -max(u / limit for u, limit in zip(row.contributions, limits, strict=True))
+        )
+    )
+
+
+def _details(expected: PrintExpectation, decision: PrintDecision, names: tuple[str, str]) -> PrintDetails:
+    eye, ink = expected.eye, expected.scene.ink
+    matrix = [triple(row) for row in eye.to_xyz]
+    return PrintDetails(
+        ink=ink.name,
+        lamp=eye.lamp,
+        sensitivities=names[0],
+        filters=names[1],
+        to_xyz=(matrix[0], matrix[1], matrix[2]),
+        white=triple(eye.white),
+        exposure=eye.exposure,
+        matrix_residual=eye.residual,
+        matrix_residual_changed=eye.residual_changed,
+        colours=decision.colours,
+        quantities=decision.quantities,
+        lobe=None if decision.fit is None else decision.fit.record(ink),
+        map=None if decision.map is None else decision.map.record,
+        not_judged=(NOT_JUDGED,),
+        golden=None if decision.golden is None else decision.golden.record(),
+    )
+
+
+def nothing_wrong(decision: PrintDecision, alpha: float) -> bool:
+    """Is there nothing to explain?"""
+    return decision.verdict is Verdict.PASS and decision.p_value >= alpha

@@ -24,7 +24,7 @@ from anisoscope.kinds.kind import (
     usable,
 )
 from anisoscope.kinds.prints.causes import explain_print
-from anisoscope.kinds.prints.decision import PrintDecision, decide_print
+from anisoscope.kinds.prints.decision import PrintDecision, decide_print, nothing_wrong, print_results
 from anisoscope.kinds.prints.expectation import PrintExpectation
 from anisoscope.kinds.prints.lighting import (
     check_filters,
@@ -37,7 +37,6 @@ from anisoscope.kinds.prints.lighting import (
 from anisoscope.kinds.prints.measurement import MeasuredPrint, measure_print, region_mean
 from anisoscope.kinds.prints.recipe import PrintRecipe, read_print_recipe
 from anisoscope.kinds.prints.record import PrintDetails, print_of
-from anisoscope.kinds.prints.record_builder import nothing_wrong, print_results
 from anisoscope.kinds.prints.reference_prints import GoldenPrints, add_print, read_golden_prints
 from anisoscope.kinds.prints.stationary_artifacts import check_print_dirt
 from anisoscope.recipe.teaching import Taught
@@ -144,10 +143,10 @@ class Prints(Kind[PrintRecipe, PrintExpectation, MeasuredPrint, PrintDecision]):
         reference: Reference | None,
     ) -> Results:
         """The numbers that the verdict rests on."""
-        del measured
+        del recipe, measured
         names = (lamp_and_sensitivities(sitting.rig)[1].name, sitting.frames.filters)
         lacking = reference and reference.lacking
-        return print_results(recipe, expected, decided, names, (lacking,) if lacking else ())
+        return print_results(expected, decided, names, (lacking,) if lacking else ())
 
     def diagnose(
         self,

@@ -12,7 +12,9 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import MeasurementError, ModelError, RecipeError
 from anisoscope.kinds.prints.model import Scene, State
+from anisoscope.kinds.prints.record import LobeRecord, triple
 from anisoscope.kinds.prints.sources import Source, total
+from anisoscope.sim.light.ink.ink import Ink
 
 PARAMETERS = ("alpha", "ratio", "skew", "tilt_x_deg", "tilt_y_deg", "red", "green", "blue", "lobe")
 _ROUNDS = 60
@@ -62,6 +64,20 @@ class PrintFit:
         """Its standard uncertainty."""
         k = PARAMETERS.index(name)
         return float(np.sqrt(self.covariance[k, k]))
+
+    def record(self, ink: Ink) -> LobeRecord:
+        """The lobe as the record holds it; its roughness is that of the recipe's ink times the fitted change."""
+        alpha = float(np.sqrt(ink.alpha * ink.across) * np.exp(self.state.alpha))
+        return LobeRecord(
+            alpha=alpha,
+            u_alpha=alpha * self.u("alpha"),
+            form=self.value("lobe"),
+            u_form=self.u("lobe"),
+            tilt_deg=(self.state.tilt_x_deg, self.state.tilt_y_deg),
+            levels=triple(np.exp([self.state.red, self.state.green, self.state.blue])),
+            chi2=self.chi2,
+            dof=self.dof,
+        )
 
 
 def fit_print(

@@ -208,15 +208,15 @@ def _level(recipe: PrintRecipe, missing: float, u: float) -> Quantity:
     limit = recipe.tolerances.gain_share
     verdict, guard, conformance = guarded(-missing, u, limit, recipe.decision.coverage)
     return Quantity(
-        "gain",
-        "level of the ink",
-        "",
-        1.0 - missing,
-        1.0,
-        -missing,
-        u,
-        limit,
-        guard,
-        conformance,
-        verdict,
+        name="gain",
+        title="level of the ink",
+        unit="",
+        value=1.0 - missing,
+        nominal=1.0,
+        deviation=-missing,
+        u=u,
+        limit=limit,
+        guard=guard,
+        conformance_probability=conformance,
+        verdict=verdict,
     )

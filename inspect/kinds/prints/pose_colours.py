@@ -1,7 +1,5 @@
 """The colours of a print's poses: measured beside wanted, and by how much they differ."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
@@ -10,29 +8,7 @@ from anisoscope.kinds.prints.expectation import PrintExpectation
 from anisoscope.kinds.prints.lobe_fit import PARAMETERS, PrintFit
 from anisoscope.kinds.prints.measurement import MeasuredPrint
 from anisoscope.kinds.prints.model import State
-
-
-@dataclass(frozen=True, eq=False)
-class PoseColour:
-    """The colour of one pose.
-
-    Attributes:
-        measured, predicted: (3,) channels in 1/sr.
-        wanted: (3,) channels predicted for a print that lies and leans as this one does.
-        u: (3,) relative standard uncertainty of the measured over the wanted channels.
-        xyz, xyz_predicted: (3,) of measured and wanted, Y = 1 for the perfect diffuser.
-        delta_e: CIEDE2000 between them.
-        u_delta_e: its standard uncertainty.
-    """
-
-    measured: FloatArray
-    predicted: FloatArray
-    wanted: FloatArray
-    u: FloatArray
-    xyz: FloatArray
-    xyz_predicted: FloatArray
-    delta_e: float
-    u_delta_e: float
+from anisoscope.kinds.prints.record import ColourRecord, triple
 
 
 def without_lean(fit: PrintFit, covariance: FloatArray) -> FloatArray:
@@ -44,7 +20,7 @@ def without_lean(fit: PrintFit, covariance: FloatArray) -> FloatArray:
 
 def colours_of(
     expected: PrintExpectation, measured: MeasuredPrint, fit: PrintFit | None, covariance: FloatArray
-) -> tuple[PoseColour, ...]:
+) -> tuple[ColourRecord, ...]:
     """Colours against those of a print that leans alike: the lean, maybe that of its seat, is judged by itself.
 
     Without a fit nothing is known of a lean, and the colours are compared with those of a print that lies flat.
@@ -57,20 +33,22 @@ def colours_of(
     delta = eye.difference(measured.channels, channels)
     xyz, wanted = eye.xyz(measured.channels), eye.xyz(channels)
     found = []
-    for k in range(len(delta)):
+    for k, pose in enumerate(expected.poses):
         block = covariance[3 * k : 3 * k + 3, 3 * k : 3 * k + 3]
         worst = worst_direction(block, metric[k])
         u = float(np.sqrt(worst @ metric[k] @ worst))
         found.append(
-            PoseColour(
-                measured.channels[k],
-                expected.channels[k],
-                channels[k],
-                np.sqrt(np.diag(block)),
-                xyz[k],
-                wanted[k],
-                float(delta[k]),
-                u,
+            ColourRecord(
+                stage_deg=pose.stage_deg,
+                tilt_deg=pose.tilt_deg,
+                measured=triple(measured.channels[k]),
+                predicted=triple(expected.channels[k]),
+                wanted=triple(channels[k]),
+                u=triple(np.sqrt(np.diag(block))),
+                xyz=triple(xyz[k]),
+                xyz_predicted=triple(wanted[k]),
+                delta_e=float(delta[k]),
+                u_delta_e=u,
             )
         )
     return tuple(found)

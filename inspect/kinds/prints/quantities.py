@@ -5,7 +5,7 @@ which it is largest.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,44 +15,19 @@ from anisoscope.kinds.prints.colour_map import PrintMap
 from anisoscope.kinds.prints.expectation import PrintExpectation
 from anisoscope.kinds.prints.lobe_fit import PARAMETERS, PrintFit
 from anisoscope.kinds.prints.model import State, roughness_along
-from anisoscope.kinds.prints.pose_colours import PoseColour
 from anisoscope.kinds.prints.recipe import PrintRecipe
+from anisoscope.kinds.prints.record import ColourRecord, QuantityRecord
 from anisoscope.kinds.prints.sources import Source
-from anisoscope.record.verdict import Verdict
 
 _STEP = 1e-4
 
 
-@dataclass(frozen=True)
-class Quantity:
-    """A quantity of a print that is judged.
+class Quantity(QuantityRecord):
+    """A judged quantity with the (name, kind, u) of every source that contributes to its uncertainty.
 
-    Attributes:
-        name: short name, as in the record and the history.
-        title: what it is.
-        unit: of its numbers; "" for a plain number or a share.
-        value: measured.
-        nominal: what it should be.
-        deviation: how far it is off, in the unit of the limit: relative where the limit is a share.
-        u: standard uncertainty of the deviation.
-        limit: largest deviation of a good print.
-        guard: guard band.
-        conformance: probability that the deviation truly lies within the limit.
-        verdict: of this quantity alone.
-        contributions: by source of uncertainty, of the deviation.
+    The record holds the contributions in its budget.
     """
 
-    name: str
-    title: str
-    unit: str
-    value: float
-    nominal: float
-    deviation: float
-    u: float
-    limit: float
-    guard: float
-    conformance: float
-    verdict: Verdict
     contributions: tuple[tuple[str, str, float], ...] = ()
 
 
@@ -92,7 +67,7 @@ class Judge:
         found.append(self._length("tilt", "tilt of the flakes", "°", self._tilt, limits.tilt_deg, seat))
         return tuple(found)
 
-    def colour(self, colours: tuple[PoseColour, ...]) -> Quantity:
+    def colour(self, colours: tuple[ColourRecord, ...]) -> Quantity:
         """The largest CIEDE2000 of a pose: the one that comes nearest to its limit, or beyond it by most."""
         coverage = self.recipe.decision.coverage
         worst = max(colours, key=lambda one: one.delta_e + coverage * one.u_delta_e)
@@ -100,23 +75,22 @@ class Judge:
             if one.delta_e - coverage * one.u_delta_e >= self.limits.delta_e:
                 worst = max(colours, key=lambda one: one.delta_e - coverage * one.u_delta_e)
                 break
-        at = self.expected.poses[colours.index(worst)]
-        title = f"ΔE2000 at {at.stage_deg:g}°, tilt {at.tilt_deg:g}°"
-        return self._made(
+        title = f"ΔE2000 at {worst.stage_deg:g}°, tilt {worst.tilt_deg:g}°"
+        return self._guarded(
             "delta_e", title, "", worst.delta_e, 0.0, worst.delta_e, worst.u_delta_e, self.limits.delta_e
         )
 
     def curl(self, found: PrintMap) -> Quantity:
         """How much the lean of the flakes changes across the region."""
-        size = float(np.linalg.norm(found.curl_deg, 2))
-        return self._made(
+        size = float(np.linalg.norm(found.record.curl_deg, 2))
+        return self._guarded(
             "curl",
             "change of tilt across the region",
             "°",
             size,
             0.0,
             size,
-            found.u_curl_deg,
+            found.record.u_curl_deg,
             self.limits.curl_deg,
         )
 
@@ -128,7 +102,7 @@ class Judge:
 
         nominal = float(log_ratio(State())[0])
         one = self._scalar(name, title, log_ratio, nominal, self.limits.ln_ratio, ())
-        return replace(one, value=nominal + one.deviation, nominal=nominal)
+        return one.model_copy(update={"value": nominal + one.deviation})
 
     def _level(self, state: State) -> FloatArray:
         """Ln of Y of the brightest pose, as far as the level of the channels makes it."""
@@ -175,7 +149,7 @@ class Judge:
         # a change of the logarithm is one of the share times 1 + share
         slope = (1.0 + share) * self._slopes(function)[0] if relative else self._slopes(function)[0]
         u, rows = self._spread(slope, tuple((source, (1.0 + share) * size) for source, size in own))
-        return self._made(name, title, "", nominal * (1.0 + share), nominal, share, u, limit, rows)
+        return self._guarded(name, title, "", nominal * (1.0 + share), nominal, share, u, limit, rows)
 
     def _length(
         self,
@@ -191,7 +165,7 @@ class Judge:
         size, slopes = float(np.linalg.norm(off)), self._slopes(function)
         vectors = np.linalg.eigh(slopes @ self.fit.covariance @ slopes.T)[1]
         u, rows = self._spread(vectors[:, -1] @ slopes, own)
-        return self._made(name, title, unit, size, 0.0, size, u, limit, rows)
+        return self._guarded(name, title, unit, size, 0.0, size, u, limit, rows)
 
     def _spread(
         self, slope: FloatArray, own: tuple[tuple[str, float], ...]
@@ -202,7 +176,7 @@ class Judge:
         rows += [(name, "prediction", float(u)) for name, u in own]
         return float(np.linalg.norm([row[2] for row in rows])), tuple(rows)
 
-    def _made(
+    def _guarded(
         self,
         name: str,
         title: str,
@@ -216,7 +190,18 @@ class Judge:
     ) -> Quantity:
         verdict, guard, conformance = guarded(deviation, u, limit, self.recipe.decision.coverage)
         return Quantity(
-            name, title, unit, value, nominal, deviation, u, limit, guard, conformance, verdict, rows
+            name=name,
+            title=title,
+            unit=unit,
+            value=value,
+            nominal=nominal,
+            deviation=deviation,
+            u=u,
+            limit=limit,
+            guard=guard,
+            conformance_probability=conformance,
+            verdict=verdict,
+            contributions=rows,
         )
 
 

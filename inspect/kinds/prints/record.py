@@ -4,8 +4,10 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.record.details import Details
 from anisoscope.record.schema import Record
+from anisoscope.record.verdict import Verdict
 
 Triple = tuple[float, float, float]
 RELATIVE = frozenset({"alpha x", "alpha y", "gain"})
@@ -14,6 +16,12 @@ LENGTHS = frozenset({"chromaticity", "tilt", "delta_e", "curl"})
 """Quantities that are never negative: how far apart, whichever way."""
 MOST_SPOTS = 12
 """Places of the map that a record lists, the largest first."""
+
+
+def triple(values: FloatArray) -> Triple:
+    """Three numbers as JSON holds them."""
+    red, green, blue = (float(value) for value in values)
+    return red, green, blue
 
 
 class _Part(BaseModel):
@@ -55,11 +63,15 @@ class QuantityRecord(_Part):
     limit: float
     guard: float
     conformance_probability: float
-    verdict: str
+    verdict: Verdict
 
 
 class SpotRecord(_Part):
-    """Cells that deviate together: middle and extents in mm, share of the area, and the largest CIEDE2000."""
+    """Adjoining cells that deviate: middle and extents in mm, and the largest CIEDE2000 among them.
+
+    ``area_share`` is the share of the area that the pixels off by more than the limit cover; without pictures, of the
+    cells.
+    """
 
     x: float
     y: float
@@ -86,7 +98,7 @@ class PrintMapRecord(_Part):
     share: float
     u: float
     max_share: float
-    verdict: str
+    verdict: Verdict
     curl_deg: tuple[tuple[float, float], tuple[float, float]]
     u_curl_deg: float
     spots: tuple[SpotRecord, ...] = ()

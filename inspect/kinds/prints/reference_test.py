@@ -18,32 +18,28 @@ from anisoscope.imaging.area_limit import KnownShares
 from anisoscope.kinds.prints.expectation import PrintExpectation
 from anisoscope.kinds.prints.lobe_fit import PARAMETERS
 from anisoscope.kinds.prints.model import State
+from anisoscope.kinds.prints.record import GoldenColourRecord, GoldenFitRecord, GoldenPrintsRecord
 from anisoscope.kinds.prints.reference_prints import GoldenPrints
 from anisoscope.kinds.prints.sources import Source, total
 
+FIT_TITLES = {
+    "alpha": ("ln of the roughness", ""),
+    "ratio": ("ln of roughness at 90° over 0°", ""),
+    "skew": ("ln of roughness at 135° over 45°", ""),
+    "tilt_x_deg": ("lean toward +x", "°"),
+    "tilt_y_deg": ("lean toward +y", "°"),
+    "red": ("ln of the level of red", ""),
+    "green": ("ln of the level of green", ""),
+    "blue": ("ln of the level of blue", ""),
+    "lobe": ("form of the lobe", ""),
+}
+"""Fitted parameters, with their units."""
 LEAN = [PARAMETERS.index(name) for name in ("tilt_x_deg", "tilt_y_deg")]
 
 
 @dataclass(frozen=True)
-class GoldenColour:
-    """The colour of one pose beside the golden prints, all without what their lean makes.
-
-    Attributes:
-        delta_e: CIEDE2000 from their mean.
-        spread: root mean square CIEDE2000 of the golden prints from their mean.
-        t2: Hotelling's T² of the three channels.
-        p_value: probability of more for a print like the golden ones, Holm-adjusted over all tests.
-    """
-
-    delta_e: float
-    spread: float
-    t2: float
-    p_value: float
-
-
-@dataclass(frozen=True)
 class GoldenArea:
-    """The deviating area beside that of the golden prints.
+    """Comparison of the deviating area with that of the golden prints.
 
     Attributes:
         limit: largest share of one more good print, but for its part of the level.
@@ -57,12 +53,12 @@ class GoldenArea:
 
 
 @dataclass(frozen=True, eq=False)
-class BesideGolden:
-    """A print beside the golden prints.
+class GoldenComparison:
+    """Comparison of a print with the golden prints.
 
     Attributes:
         count: n, how many they are.
-        fitted: (n, 9) parameters of the golden prints from those of the predicted print, as of `fitting.PARAMETERS`.
+        fitted: (n, 9) parameters of the golden prints from those of the predicted print, as of `lobe_fit.PARAMETERS`.
         measured: (9,) those of this print.
         t2: Hotelling's T² of the nine.
         p_fitted: probability of more for a print like the golden ones, Holm-adjusted.
@@ -77,7 +73,7 @@ class BesideGolden:
     measured: FloatArray
     t2: float
     p_fitted: float
-    colours: tuple[GoldenColour, ...]
+    colours: tuple[GoldenColourRecord, ...]
     logs: FloatArray
     covariance: FloatArray
     area: GoldenArea | None = None
@@ -86,6 +82,24 @@ class BesideGolden:
     def p_value(self) -> float:
         """Probability that a print like the golden ones deviates as much in any test but that of the area."""
         return min(self.p_fitted, *(one.p_value for one in self.colours))
+
+    def record(self) -> GoldenPrintsRecord:
+        """The comparison as the record holds it."""
+        fitted = tuple(
+            GoldenFitRecord(
+                name=name,
+                title=FIT_TITLES[name][0],
+                unit=FIT_TITLES[name][1],
+                measured=float(own),
+                mean=float(known.mean()),
+                s=float(known.std(ddof=1)),
+                golden=tuple(known.tolist()),
+            )
+            for name, own, known in zip(PARAMETERS, self.measured, self.fitted.T, strict=True)
+        )
+        return GoldenPrintsRecord(
+            parts=self.count, t2=self.t2, p_value=self.p_fitted, fitted=fitted, colours=self.colours
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,15 +122,15 @@ def linear_fit(expected: PrintExpectation, sources: tuple[Source, ...]) -> Linea
     return LinearFit(slopes, np.linalg.solve(slopes.T @ weighed, weighed.T))
 
 
-def beside_golden(
+def compare_with_golden(
     golden: GoldenPrints,
     expected: PrintExpectation,
     logs: FloatArray,
     fit: LinearFit,
     area: tuple[KnownShares, float] | None = None,
     alpha: float = 0.01,
-) -> BesideGolden:
-    """Weigh a print by the golden prints.
+) -> GoldenComparison:
+    """Test a print against the golden prints.
 
     Args:
         golden: the set, none of whose prints is lacking.
@@ -145,17 +159,24 @@ def beside_golden(
     p_fitted, p_colours = (float(p) for p in holm(np.array(p_values))[:2])
     apart, spread = _differences(expected, here, others)
     colours = tuple(
-        GoldenColour(float(apart[k]), float(spread[k]), tests[k][0], float(max(of_poses[k], p_colours)))
-        for k in range(len(here))
+        GoldenColourRecord(
+            stage_deg=pose.stage_deg,
+            tilt_deg=pose.tilt_deg,
+            delta_e=float(apart[k]),
+            spread=float(spread[k]),
+            t2=tests[k][0],
+            p_value=float(max(of_poses[k], p_colours)),
+        )
+        for k, pose in enumerate(expected.poses)
     )
     count = len(known)
     scatter = slopes @ np.cov(fitted, rowvar=False) @ slopes.T * (1.0 + 1.0 / count)
     mean = golden.logs().mean(axis=0)
-    return BesideGolden(count, fitted, own, t2, p_fitted, colours, mean, np.asarray(scatter), shares)
+    return GoldenComparison(count, fitted, own, t2, p_fitted, colours, mean, np.asarray(scatter), shares)
 
 
 def _area(known: KnownShares, share: float, others: list[float], alpha: float) -> GoldenArea:
-    """The test of the area beside the p values of the other tests; its limit is that of its step of Holm's."""
+    """Test of the area, Holm-adjusted with the p values of the other tests; its limit is that of its Holm step."""
     rejected = 0
     for step, p_value in enumerate(sorted(others)):
         if p_value * (len(others) + 1 - step) >= alpha:

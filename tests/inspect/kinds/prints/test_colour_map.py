@@ -28,7 +28,7 @@ def test_curl_along_a_diagonal_is_a_matrix(sheet):
             x, y = (col + 0.5) / cols - 0.5, 0.5 - (row + 0.5) / rows
             sheet.states[row, col] = State(tilt_x_deg=0.4 * x, tilt_y_deg=0.8 * y)
     _, decision = sheet.decided()
-    assert decision.map.curl_deg == pytest.approx(np.diag([0.4, 0.8]), abs=0.02)
+    assert decision.map.record.curl_deg == pytest.approx(np.diag([0.4, 0.8]), abs=0.02)
     curl = next(one for one in decision.quantities if one.name == "curl")
     assert curl.value == pytest.approx(0.8, abs=0.02)
     assert curl.verdict is Verdict.FAIL
@@ -36,17 +36,17 @@ def test_curl_along_a_diagonal_is_a_matrix(sheet):
 
 def test_a_spot_is_no_curl_and_a_grain_is_no_spot(sheet):
     _, decision = sheet.spotted(slice(0, 5), slice(15, 20), 0.6).decided()
-    assert np.abs(decision.map.curl_deg).max() < 0.05
+    assert np.abs(decision.map.record.curl_deg).max() < 0.05
     _, clean = sheet.all(State()).decided()
-    assert clean.map.share == 0.0
-    assert clean.map.local.max() < 3.0 * clean.map.noise + 1.0
-    assert clean.map.verdict is Verdict.PASS
+    assert clean.map.record.share == 0.0
+    assert clean.map.local.max() < 3.0 * clean.map.record.noise + 1.0
+    assert clean.map.record.verdict is Verdict.PASS
 
 
 def test_two_spots_are_two(sheet):
     sheet.spotted(slice(2, 4), slice(2, 5), 0.5).spotted(slice(12, 16), slice(12, 14), 0.4)
     _, decision = sheet.decided()
-    large, small = decision.map.spots
+    large, small = decision.map.record.spots
     assert (large.cells, small.cells) == (8, 6)
     assert small.delta_e > large.delta_e
     assert large.area_share == pytest.approx(8.0 / 400.0)
@@ -56,4 +56,4 @@ def test_what_all_cells_share_shows_against_the_prediction_only(sheet):
     _, decision = sheet.all(State(missing=0.15)).decided()
     assert decision.map.local.max() < 2.0
     assert decision.map.total.min() > 2.0
-    assert decision.map.verdict is Verdict.PASS
+    assert decision.map.record.verdict is Verdict.PASS

@@ -100,10 +100,10 @@ def test_a_sheet_that_stands_on_edge_leans(sheet):
 def test_a_spot_fails_and_is_found(sheet):
     measured, decision = sheet.spotted(slice(3, 6), slice(10, 14), 0.5).decided()
     assert decision.verdict is Verdict.FAIL
-    assert decision.map.share == pytest.approx(12.0 / 400.0)
-    (spot,) = decision.map.spots
-    assert (spot.x_mm, spot.y_mm) == (pytest.approx(0.2), pytest.approx(0.55))
-    assert (spot.width_mm, spot.length_mm) == (pytest.approx(0.4), pytest.approx(0.3))
+    assert decision.map.record.share == pytest.approx(12.0 / 400.0)
+    (spot,) = decision.map.record.spots
+    assert (spot.x, spot.y) == (pytest.approx(0.2), pytest.approx(0.55))
+    assert (spot.width, spot.length) == (pytest.approx(0.4), pytest.approx(0.3))
     assert explained(sheet, measured, decision).causes[0].cause == "spots"
 
 

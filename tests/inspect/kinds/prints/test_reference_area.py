@@ -11,7 +11,7 @@ from anisoscope.kinds.prints.expectation import rig_sources
 from anisoscope.kinds.prints.lobe_fit import PARAMETERS
 from anisoscope.kinds.prints.model import State
 from anisoscope.kinds.prints.reference_prints import TESTS, GoldenPrint, GoldenPrints, Seen, print_key
-from anisoscope.kinds.prints.reference_test import beside_golden, linear_fit
+from anisoscope.kinds.prints.reference_test import compare_with_golden, linear_fit
 from anisoscope.record.verdict import Verdict
 
 SPREAD = {"alpha": 0.01, "ratio": 0.01, "skew": 0.01, "tilt_x_deg": 0.1, "tilt_y_deg": 0.1, "red": 0.02,
@@ -95,13 +95,13 @@ def test_lobe_colours_and_area_share_one_level(few):
     known, good = golden.known_shares(recipe), golden.logs().mean(axis=0)
     far = good + 0.3 * expected.scene.slope("alpha")
     for logs, parts in ((good, 3.0), (far, 2.0)):
-        limit = beside_golden(golden, expected, logs, fit, (known, 0.02), 0.01).area.limit
+        limit = compare_with_golden(golden, expected, logs, fit, (known, 0.02), 0.01).area.limit
         assert limit == pytest.approx(known.limit(0.01 / parts))
         for share, fails in ((0.99 * limit, False), (1.01 * limit, True)):
-            found = beside_golden(golden, expected, logs, fit, (known, share), 0.01)
+            found = compare_with_golden(golden, expected, logs, fit, (known, share), 0.01)
             assert (found.area.p_value < 0.01) is fails
-    alone = beside_golden(golden, expected, good + 0.02, fit)
-    shared = beside_golden(golden, expected, good + 0.02, fit, (known, 0.0), 0.01)
+    alone = compare_with_golden(golden, expected, good + 0.02, fit)
+    shared = compare_with_golden(golden, expected, good + 0.02, fit, (known, 0.0), 0.01)
     assert shared.p_value >= alone.p_value
 
 
@@ -111,11 +111,12 @@ def test_a_spot_fails_by_what_golden_prints_have_shown(few, sheet):
     measured = spotted.measured()
     clean, marked = (golden_of(few, shares) for shares in ([0.0] * 15, [0.002 * k for k in range(15)]))
     found = decide_print(expected, measured, recipe, clean)
-    assert (found.verdict, found.map.learnt, found.map.max_share) == (Verdict.FAIL, True, pytest.approx(0.01))
+    area = found.map.record
+    assert (found.verdict, area.learnt, area.max_share) == (Verdict.FAIL, True, pytest.approx(0.01))
     assert any("(limit 1.00%, learnt from 15 golden prints)" in line for line in found.reasons)
     found = decide_print(expected, measured, recipe, marked)
-    assert found.map.verdict is Verdict.PASS
-    assert found.map.max_share > 0.028
+    assert found.map.record.verdict is Verdict.PASS
+    assert found.map.record.max_share > 0.028
     assert "shared with the area" in " ".join(found.reasons)
 
 

@@ -11,7 +11,7 @@ from anisoscope.kinds.prints.expectation import rig_sources
 from anisoscope.kinds.prints.lobe_fit import PARAMETERS
 from anisoscope.kinds.prints.model import State
 from anisoscope.kinds.prints.reference_prints import NEEDED, print_key
-from anisoscope.kinds.prints.reference_test import beside_golden, linear_fit
+from anisoscope.kinds.prints.reference_test import compare_with_golden, linear_fit
 from anisoscope.record.verdict import Verdict
 from anisoscope.sim.materials.inks import synthetic_ink
 
@@ -46,7 +46,7 @@ def beside(house):
     """``beside(logs)`` weighs a print by the golden ones."""
     recipe, expected, golden = house
     fit = linear_fit(expected, (*expected.common, *rig_sources(recipe, expected)))
-    return lambda logs: beside_golden(golden, expected, logs, fit)
+    return lambda logs: compare_with_golden(golden, expected, logs, fit)
 
 
 @pytest.fixture
@@ -73,7 +73,7 @@ def test_good_prints_are_like_the_golden_ones(house, golden_of):
     found = []
     for _ in range(60):
         own, *others = rng.choice(len(pool), 31, replace=False)
-        found.append(beside_golden(golden_of(recipe, expected, pool[others]), expected, pool[own], fit))
+        found.append(compare_with_golden(golden_of(recipe, expected, pool[others]), expected, pool[own], fit))
     assert sum(one.p_value < 0.05 for one in found) <= 8
     assert sum(one.p_value < 0.5 for one in found) >= 10
     assert np.mean([one.t2 for one in found]) == pytest.approx(9 * 29 / 19, rel=0.25)

@@ -10,9 +10,9 @@ from anisoscope.imaging.linearisation import RadianceImage
 from anisoscope.imaging.registration.placement import Placement, View
 from anisoscope.inspection.pipeline import pose_records
 from anisoscope.kinds.prints.causes import explain_print
+from anisoscope.kinds.prints.decision import print_results
 from anisoscope.kinds.prints.kind import PRINTS
 from anisoscope.kinds.prints.model import State
-from anisoscope.kinds.prints.record_builder import print_results
 from anisoscope.kinds.prints.report import print_rule, quantity_row
 from anisoscope.record.schema import Record
 from anisoscope.report.inspection_page import Pictures, write_report
@@ -67,7 +67,7 @@ def page(sheet, tmp_path):
         recipe, expected = sheet.recipe, sheet.expected
         measured, decision = sheet.decided()
         found = explain_print(recipe, expected, measured, decision)
-        told = print_results(recipe, expected, decision, ("made-up", "rggb"))
+        told = print_results(expected, decision, ("made-up", "rggb"))
         record = Record.model_validate(
             {
                 "software": "anisoscope test",
@@ -133,7 +133,7 @@ def test_nothing_comes_from_outside(page):
 
 def test_quantities_are_worded_in_their_units(sheet):
     _, decision = sheet.all(State(alpha=np.log(1.1))).decided()
-    told = print_results(sheet.recipe, sheet.expected, decision, ("made-up", "rggb")).details
+    told = print_results(sheet.expected, decision, ("made-up", "rggb")).details
     rows = {one.name: quantity_row(one) for one in told.quantities}
     assert (rows["alpha x"].value, rows["alpha x"].limit, rows["alpha x"].verdict) == (
         "0.209",
