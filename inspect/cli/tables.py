@@ -8,7 +8,7 @@ from anisoscope.cli.json_output import print_json
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from anisoscope.kinds.kind import Shown
+    from anisoscope.kinds.kind import CommandOutput
 
 
 def console(*, stderr: bool = False) -> "Console":
@@ -36,12 +36,12 @@ def print_table(
     console().print(table)
 
 
-def print_shown(shown: "Shown", *, json_: bool) -> None:
+def print_output(output: "CommandOutput", *, json_: bool) -> None:
     """Print an answer that a kind of part gives: as JSON, or its tables and lines."""
     if json_:
-        print_json(shown.content)
+        print_json(output.content)
         return
-    for table in shown.tables:
+    for table in output.tables:
         print_table(table.title, table.columns, table.rows, table.caption)
-    for line in shown.lines:
+    for line in output.lines:
         console().print(line, markup=False, highlight=False, soft_wrap=True)

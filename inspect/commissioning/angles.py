@@ -7,7 +7,7 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import MeasurementError
 from anisoscope.commissioning.light import SURE, LightFit, Radiances, fit_light
-from anisoscope.commissioning.observation import Observed, Seen
+from anisoscope.commissioning.observation import Observed, ObservedPose
 from anisoscope.commissioning.part import RidgedPart
 from anisoscope.commissioning.turning import (
     Centre,
@@ -101,14 +101,14 @@ def evaluate(observed: Observed, file: RigFile, part: RidgedPart, assumed: Assum
     Raises:
         MeasurementError: neither markers nor ridges are seen often enough, or nothing fits.
     """
-    poses = [seen for seen in observed.seen if not seen.again]
+    poses = [pose for pose in observed.poses if not pose.again]
     # Only the poses at the first tilt form a full turn; tilted ones foreshorten the markers.
-    turn = [seen for seen in poses if seen.tilt_reading_deg == poses[0].tilt_reading_deg]
+    turn = [pose for pose in poses if pose.tilt_reading_deg == poses[0].tilt_reading_deg]
     markers = _turning_of_markers(poses)
     ridges = _turning_of_ridges(poses, markers)
     tilt = _foreshortening(poses) if file.tilt is not None else None
     # The closing pose repeats the first one: it measures the drift of the lamp and is not fitted.
-    radiance, u, drift = _without_drift(observed.seen, assumed.model_share)
+    radiance, u, drift = _without_drift(observed.poses, assumed.model_share)
     line, u_line = _lines(poses, markers, ridges, part)
     tilts, u_tilt = _tilts(poses, file, tilt)
     light = fit_light(
@@ -129,13 +129,13 @@ def evaluate(observed: Observed, file: RigFile, part: RidgedPart, assumed: Assum
     # Markers and ridges turn with the same sense; only the radiance decides to which side the facets lean.
     sense = _any(markers, ridges).sense
     lean = line + (180.0 if light.half_turn else 0.0)
-    fixes = [seen.fix for seen in turn if seen.fix is not None]
-    zero = circular_mean(np.array([seen.reading_deg for seen in poses]) - sense * lean)
+    fixes = [pose.fix for pose in turn if pose.fix is not None]
+    zero = circular_mean(np.array([pose.reading_deg for pose in poses]) - sense * lean)
     seats = np.array(
         [
-            wrapped(at - seen.fix.angle_deg)
-            for at, seen in zip(lean, poses, strict=True)
-            if seen.fix is not None
+            wrapped(at - pose.fix.angle_deg)
+            for at, pose in zip(lean, poses, strict=True)
+            if pose.fix is not None
         ]
     )
     pixels = np.array([fix.pixel_um for fix in fixes])
@@ -169,20 +169,20 @@ def _any(markers: Turning | None, ridges: Turning | None) -> Turning:
     return found
 
 
-def _turning_of_markers(poses: list[Seen]) -> Turning | None:
-    seen = [(pose.reading_deg, pose.fix.angle_deg) for pose in poses if pose.fix is not None]
-    if len(seen) < MIN_PICTURES:
+def _turning_of_markers(poses: list[ObservedPose]) -> Turning | None:
+    readings = [(pose.reading_deg, pose.fix.angle_deg) for pose in poses if pose.fix is not None]
+    if len(readings) < MIN_PICTURES:
         return None
-    reading, angle = np.array(seen).T
+    reading, angle = np.array(readings).T
     return fit_turning(reading, angle)
 
 
-def _turning_of_ridges(poses: list[Seen], markers: Turning | None) -> Turning | None:
+def _turning_of_ridges(poses: list[ObservedPose], markers: Turning | None) -> Turning | None:
     """Rotation of the direction across the ridges, without outliers: dim ridges drown in noise."""
-    seen = [(pose.reading_deg, pose.ridge_deg) for pose in poses if pose.ridge_deg is not None]
-    if len(seen) < MIN_PICTURES:
+    readings = [(pose.reading_deg, pose.ridge_deg) for pose in poses if pose.ridge_deg is not None]
+    if len(readings) < MIN_PICTURES:
         return None
-    reading, angle = np.array(seen).T
+    reading, angle = np.array(readings).T
     try:
         first = fit_turning(reading, angle, 180.0, floor_deg=0.02)
     except MeasurementError:
@@ -196,27 +196,29 @@ def _turning_of_ridges(poses: list[Seen], markers: Turning | None) -> Turning | 
     return fit_turning(reading[inliers], angle[inliers], 180.0, floor_deg=0.02)
 
 
-def _foreshortening(poses: list[Seen]) -> Foreshortening | None:
-    seen = [(pose.tilt_reading_deg, pose.fix) for pose in poses if pose.fix is not None]
-    if len({round(reading, 2) for reading, _ in seen}) < 3:
+def _foreshortening(poses: list[ObservedPose]) -> Foreshortening | None:
+    readings = [(pose.tilt_reading_deg, pose.fix) for pose in poses if pose.fix is not None]
+    if len({round(reading, 2) for reading, _ in readings}) < 3:
         return None
-    return fit_foreshortening(np.array([reading for reading, _ in seen]), [fix for _, fix in seen])
+    return fit_foreshortening(np.array([reading for reading, _ in readings]), [fix for _, fix in readings])
 
 
-def _without_drift(seen: tuple[Seen, ...], model_share: float) -> tuple[FloatArray, FloatArray, float]:
+def _without_drift(
+    observed: tuple[ObservedPose, ...], model_share: float
+) -> tuple[FloatArray, FloatArray, float]:
     """Radiances of all poses but the closing one, u of each, and the drift, assumed linear in time."""
-    poses = [one for one in seen if not one.again]
-    closing = [one for one in seen if one.again]
+    poses = [one for one in observed if not one.again]
+    closing = [one for one in observed if one.again]
     radiance = np.array([one.radiance for one in poses])
     drift = closing[0].radiance / radiance[0] - 1.0 if closing else 0.0
-    flicker = float(np.sqrt(np.mean([one.flicker**2 for one in seen])))
+    flicker = float(np.sqrt(np.mean([one.flicker**2 for one in observed])))
     noise = np.array([one.u_noise for one in poses])
     u = np.sqrt(noise**2 + flicker**2 + drift**2 / 12.0 + model_share**2)
     return radiance / (1.0 + drift * np.arange(len(poses)) / len(poses)), u, float(drift)
 
 
 def _lines(
-    poses: list[Seen], markers: Turning | None, ridges: Turning | None, part: RidgedPart
+    poses: list[ObservedPose], markers: Turning | None, ridges: Turning | None, part: RidgedPart
 ) -> tuple[FloatArray, float]:
     """Azimuth across the ridges in every picture, and its standard uncertainty, from all pictures together."""
     reading = np.array([pose.reading_deg for pose in poses])
@@ -227,7 +229,9 @@ def _lines(
     return found.sense * (reading - found.zero_deg) + part.facet_azimuth_deg, 1.0
 
 
-def _tilts(poses: list[Seen], file: RigFile, found: Foreshortening | None) -> tuple[FloatArray, float]:
+def _tilts(
+    poses: list[ObservedPose], file: RigFile, found: Foreshortening | None
+) -> tuple[FloatArray, float]:
     if file.tilt is None:
         return np.full(len(poses), file.geometry.tilt_deg), U_ARM_DEG
     reading = np.array([pose.tilt_reading_deg for pose in poses])

@@ -99,15 +99,15 @@ def _edited(text: str, changes: Changes) -> str | None:
         block = _block(lines, table)
         if block is None:
             return None
-        shown = _shown(value)
+        text = _toml_text(value)
         pattern = re.compile(rf"^(\s*{re.escape(key)}\s*=\s*)([^#\n\r]*?)(\s*(#[^\n\r]*)?)(\r?\n|$)")
         for number in block:
             if match := pattern.match(lines[number]):
-                lines[number] = f"{match[1]}{shown}{match[3]}{match[5]}"
+                lines[number] = f"{match[1]}{text}{match[3]}{match[5]}"
                 break
         else:
             end = "\r\n" if "\r\n" in text else "\n"
-            lines.insert(block.start, f"{key} = {shown}{end}")
+            lines.insert(block.start, f"{key} = {text}{end}")
     try:
         edited = "".join(lines)
         tomllib.loads(edited)
@@ -128,7 +128,7 @@ def _block(lines: list[str], table: str) -> range | None:
     return range(first, end)
 
 
-def _shown(value: Value) -> str:
+def _toml_text(value: Value) -> str:
     if isinstance(value, str):
         return f'"{value}"'
     return repr(value)
@@ -173,8 +173,8 @@ def part_of_recipe(
             )
         )
         along, across = (
-            float(np.hypot(mine, seen.value or 0.0))
-            for mine, seen in ((along, found.alpha_along), (across, found.alpha_across))
+            float(np.hypot(own, estimate.value or 0.0))
+            for own, estimate in ((along, found.alpha_along), (across, found.alpha_across))
         )
         if angle is None:
             angle, u_ridge_angle_deg = found.ridge_angle_deg.value, float(found.ridge_angle_deg.u or 0.1)
@@ -329,16 +329,16 @@ def _plain(table: dict[str, Any]) -> dict[str, Any]:
 def _poses(observed: Observed, angles: Angles) -> tuple[PoseRecord, ...]:
     light = angles.light
     found = []
-    for n, seen in enumerate(one for one in observed.seen if not one.again):
-        fix = seen.fix
+    for n, pose in enumerate(one for one in observed.poses if not one.again):
+        fix = pose.fix
         found.append(
             PoseRecord(
-                reading_deg=seen.reading_deg,
-                tilt_reading_deg=seen.tilt_reading_deg,
+                reading_deg=pose.reading_deg,
+                tilt_reading_deg=pose.tilt_reading_deg,
                 marker_deg=None if fix is None else fix.angle_deg,
                 marker_residual_px=None if fix is None else fix.residual_px,
                 squeeze=None if fix is None else fix.squeeze,
-                ridge_deg=seen.ridge_deg,
+                ridge_deg=pose.ridge_deg,
                 radiance=float(angles.corrected[n]),
                 u_relative=float(angles.u_relative[n]),
                 fitted=float(light.fitted[n]),

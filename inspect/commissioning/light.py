@@ -226,15 +226,15 @@ class LightFit:
         return next(parameter for parameter in self.parameters if parameter.name == name)
 
 
-def _known(part: RidgedPart, seen: Radiances, light_deg: float) -> list[Known]:
-    log_scale = 0.0 if seen.absolute else float("nan")
+def _known(part: RidgedPart, radiances: Radiances, light_deg: float) -> list[Known]:
+    log_scale = 0.0 if radiances.absolute else float("nan")
     mean = float(0.5 * np.log(part.alpha_across * part.alpha_along))
     ratio = float(np.log(part.alpha_across / part.alpha_along))
     return [
-        Known("log_scale", "ln k", log_scale, seen.u_scale if seen.absolute else None),
+        Known("log_scale", "ln k", log_scale, radiances.u_scale if radiances.absolute else None),
         Known("light_deg", "light angle [°]", light_deg, None, 1.0, LIGHT_RANGE_DEG),
         Known("azimuth_deg", "light azimuth [°]", 0.0, None, 1.0, (-60.0, 60.0)),
-        Known("tilt_zero_deg", "zero of the tilt [°]", 0.0, max(seen.u_tilt_deg, 1e-3), 0.1),
+        Known("tilt_zero_deg", "zero of the tilt [°]", 0.0, max(radiances.u_tilt_deg, 1e-3), 0.1),
         Known("ridge_deg", "ridge angle [°]", part.ridge_angle_deg, part.u_ridge_angle_deg, 0.1, (0.1, 44.9)),
         Known("log_mean", "ln √(α along·α across)", mean, part.u_alpha_share / np.sqrt(2.0), 0.05, (-6.0, -0.5)),
         Known("log_ratio", "ln (α across/α along)", ratio, part.u_alpha_share * np.sqrt(2.0), 0.05, (-2.0, 2.0)),
@@ -246,32 +246,32 @@ def _known(part: RidgedPart, seen: Radiances, light_deg: float) -> list[Known]:
 
 
 def fit_light(
-    part: RidgedPart, seen: Radiances, light_deg: float = 10.0, *, bounces: int | None = 1
+    part: RidgedPart, radiances: Radiances, light_deg: float = 10.0, *, bounces: int | None = 1
 ) -> LightFit:
     """Fit light angle, light azimuth, sides and signs to the radiances of a ridged part.
 
     Args:
         part: the part and what is known of it.
-        seen: the radiances.
+        radiances: the radiances.
         light_deg: where the search begins; it does not pull.
         bounces: reflections that the model counts; None counts all.
 
     Raises:
         MeasurementError: too few poses, or nothing fits.
     """
-    if len(seen.radiance) < 6:
+    if len(radiances.radiance) < 6:
         raise MeasurementError(
-            f"the light angle needs radiances of at least 6 poses, not {len(seen.radiance)}"
+            f"the light angle needs radiances of at least 6 poses, not {len(radiances.radiance)}"
         )
-    known = _known(part, seen, light_deg)
-    measured = np.log(seen.radiance)
+    known = _known(part, radiances, light_deg)
+    measured = np.log(radiances.radiance)
 
     def solved(key: _Branch, near: Solved | None) -> Solved:
         start = None if near is None else near.x
-        model = _model(part, seen, *key, bounces)
-        return solve(model, known, measured, seen.u_relative, light_deg, quick=near is None, start=start)
+        model = _model(part, radiances, *key, bounces)
+        return solve(model, known, measured, radiances.u_relative, light_deg, quick=near is None, start=start)
 
-    branches: list[_Branch] = list(product((False, True), (1, -1) if seen.free_sign else (1,)))
+    branches: list[_Branch] = list(product((False, True), (1, -1) if radiances.free_sign else (1,)))
     trials = {key: solved(key, None) for key in branches}
     first = min(trials.values(), key=lambda trial: trial.chi2)
     # what lies far behind needs no better look
@@ -291,20 +291,24 @@ def fit_light(
     return LightFit(
         _parameters(known, full, widened),
         full.correlation(),
-        np.exp(_model(part, seen, *best, bounces)(full.named(known))),
+        np.exp(_model(part, radiances, *best, bounces)(full.named(known))),
         full.z,
         full.chi2,
         full.dof,
         widened,
         best[0],
         (min(sides) - full.chi2) / unit,
-        best[1] if seen.free_sign else None,
+        best[1] if radiances.free_sign else None,
         (min(signs) - full.chi2) / unit if signs else None,
     )
 
 
-def _model(part: RidgedPart, seen: Radiances, half_turn: bool, sign: int, bounces: int | None) -> RigModel:
-    return RigModel(part, seen.lean_deg + (180.0 if half_turn else 0.0), sign * seen.tilt_deg, bounces)
+def _model(
+    part: RidgedPart, radiances: Radiances, half_turn: bool, sign: int, bounces: int | None
+) -> RigModel:
+    return RigModel(
+        part, radiances.lean_deg + (180.0 if half_turn else 0.0), sign * radiances.tilt_deg, bounces
+    )
 
 
 def _parameters(known: list[Known], solved: Solved, widened: float) -> tuple[Parameter, ...]:

@@ -113,14 +113,14 @@ def _side_blur(image: Image, start: FloatArray, end: FloatArray, modules: int) -
     across = np.linspace(-reach, reach, int(8 * reach) + 1)
     base = start + np.linspace(0.2, 0.8, max(12, int(length)))[:, None] * (end - start)
     points = (base[:, None, :] + across[None, :, None] * np.array([-along[1], along[0]])).astype(np.float32)
-    seen = cv2.remap(
+    strip = cv2.remap(
         np.nan_to_num(image),
         points[..., 0],
         points[..., 1],
         cv2.INTER_LINEAR,
         borderMode=cv2.BORDER_REPLICATE,
     )
-    steps = np.diff(seen.astype(np.float64).mean(axis=0))
+    steps = np.diff(strip.astype(np.float64).mean(axis=0))
     steps = np.maximum(steps * np.sign(steps.sum()), 0.0)
     at = 0.5 * (across[1:] + across[:-1])
     total = max(float(steps.sum()), 1e-12)

@@ -204,12 +204,12 @@ def squeeze_of(fix: Fix) -> FloatArray:
 
 Image = npt.NDArray[np.float32]
 
-SHOWN = 3
-SHOWN_PX = 480
+PICTURES = 3
+PICTURE_PX = 480
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class ObservedPose:
     """Quantities measured in one picture.
 
     Attributes:
@@ -258,7 +258,7 @@ class Picture:
 class Observed:
     """All poses in the order in which they were photographed, `blur_px` of the marker edges, pictures to show."""
 
-    seen: tuple[Seen, ...]
+    poses: tuple[ObservedPose, ...]
     blur_px: float | None
     pictures: tuple[Picture, ...]
 
@@ -275,26 +275,26 @@ def observe(picture_set: PictureSet, file: RigFile, part: RidgedPart, advance: A
     Raises:
         MeasurementError: the spot is dark, saturated or outside of a picture.
     """
-    seen, pictures, blurs = [], [], []
+    poses, pictures, blurs = [], [], []
     turn = [
         shots.pose.stage_deg
         for shots in picture_set.shots
         if shots.pose.tilt_deg == picture_set.shots[0].pose.tilt_deg
     ]
-    chosen = {round(n * len(turn) / SHOWN) for n in range(SHOWN)}
+    chosen = {round(n * len(turn) / PICTURES) for n in range(PICTURES)}
     for number, look in enumerate(picture_set.looks()):
         advance("markers and ridges", number, len(picture_set.shots))
         fix = find_fixture(look.image, file.fixture) if file.fixture is not None else None
         found, spot = _see(look, fix, file, part)
-        seen.append(found)
+        poses.append(found)
         if fix is not None and file.fixture is not None and fix.squeeze > 0.97:
             blurs.append(edge_blur_px(look.image, fix, modules_of(file.fixture.dictionary)))
         if number in chosen:
             pictures.append(_picture(look, found, spot))
-    return Observed(tuple(seen), float(np.median(blurs)) if blurs else None, tuple(pictures))
+    return Observed(tuple(poses), float(np.median(blurs)) if blurs else None, tuple(pictures))
 
 
-def _see(look: Look, fix: Fix | None, file: RigFile, part: RidgedPart) -> tuple[Seen, Spot]:
+def _see(look: Look, fix: Fix | None, file: RigFile, part: RidgedPart) -> tuple[ObservedPose, Spot]:
     if fix is not None:
         matrix, origin, center, squeeze = fix.matrix, fix.origin_px, part.center_mm, squeeze_of(fix)
     else:
@@ -306,21 +306,23 @@ def _see(look: Look, fix: Fix | None, file: RigFile, part: RidgedPart) -> tuple[
     wave = ridge_wave(look, spot, matrix, part.pitch_um / 1000.0)
     ridge = None if wave is None else lean_line_deg(wave, squeeze)
     return (
-        Seen(look.reading_deg, look.tilt_reading_deg, look.again, fix, ridge, radiance, u, look.flicker),
+        ObservedPose(
+            look.reading_deg, look.tilt_reading_deg, look.again, fix, ridge, radiance, u, look.flicker
+        ),
         spot,
     )
 
 
-def _picture(look: Look, seen: Seen, spot: Spot) -> Picture:
-    scale = min(1.0, SHOWN_PX / max(look.image.shape))
+def _picture(look: Look, pose: ObservedPose, spot: Spot) -> Picture:
+    scale = min(1.0, PICTURE_PX / max(look.image.shape))
     small = cv2.resize(np.nan_to_num(look.image), None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     return Picture(
         np.asarray(small, dtype=np.float32),
         scale,
         look.reading_deg,
         look.tilt_reading_deg,
-        seen.fix.corners_px if seen.fix is not None else np.empty((0, 2)),
+        pose.fix.corners_px if pose.fix is not None else np.empty((0, 2)),
         spot.center_px,
         0.5 * spot.weight.shape[1],
-        seen.ridge_deg,
+        pose.ridge_deg,
     )

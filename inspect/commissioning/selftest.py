@@ -87,23 +87,24 @@ def check_markers(bed: Bed) -> list[Check]:
     if settings.tile or fixture is None:
         return [skipped_check(*name, why) for name in MARKERS]
     check_fixture(fixture)
-    seen = [(angle, fix, picture) for angle, fix, picture in bed.views if fix is not None]
-    if len(seen) < len(bed.views):
+    located = [(angle, fix, picture) for angle, fix, picture in bed.views if fix is not None]
+    if len(located) < len(bed.views):
         raise MeasurementError(
-            f"the markers are seen in {len(seen)} of {len(bed.views)} pictures: check that the light is on, the lens "
+            f"the markers are seen in {len(located)} of {len(bed.views)} pictures: check that the light is on, the "
+            "lens "
             "clear and in focus, and the fixture that of the rig file"
         )
-    fixes = [fix for _, fix, _ in seen]
+    fixes = [fix for _, fix, _ in located]
     pixel = float(np.mean([fix.pixel_um for fix in fixes]))
     blur = float(
-        np.median([edge_blur_px(image, fix, modules_of(fixture.dictionary)) for _, fix, image in seen])
+        np.median([edge_blur_px(image, fix, modules_of(fixture.dictionary)) for _, fix, image in located])
     )
     return [
         limit_check(
             *MARKERS[0], max(fix.residual_px for fix in fixes), settings.residual_px, "px",
             "check focus, and that the markers stand where the rig file says",
         ),
-        _angle(seen, bed),
+        _angle(located, bed),
         _centre(fixes, bed),
         limit_check(
             *MARKERS[3], abs(pixel / bed.file.camera.pixel_um - 1.0), settings.scale_share, "relative",
@@ -114,9 +115,9 @@ def check_markers(bed: Bed) -> list[Check]:
     ]  # fmt: skip
 
 
-def _angle(seen: list[tuple[float, Fix, npt.NDArray[np.float32]]], bed: Bed) -> Check:
-    off = wrapped(np.array([fix.angle_deg - angle for angle, fix, _ in seen]))
-    other = wrapped(np.array([fix.angle_deg + angle for angle, fix, _ in seen]))
+def _angle(located: list[tuple[float, Fix, npt.NDArray[np.float32]]], bed: Bed) -> Check:
+    off = wrapped(np.array([fix.angle_deg - angle for angle, fix, _ in located]))
+    other = wrapped(np.array([fix.angle_deg + angle for angle, fix, _ in located]))
     advice = "seat the fixture again, or correct stage.zero_deg: `anisoscope rig commission`"
     if np.max(np.abs(other - other[0])) < 1.0 < np.max(np.abs(off - off[0])):
         advice = "the stage turns the other way than stage.turns says: `anisoscope rig commission`"

@@ -108,12 +108,12 @@ def limit_check(
     """Check of a number against a limit; `advice` is added on failure, `remark` always."""
     good = bool(np.isfinite(value)) and (value >= limit if at_least else value <= limit)
     text = "; ".join(text for text in (remark, "" if good else advice) if text)
-    shown = float(value) if np.isfinite(value) else None
+    finite = float(value) if np.isfinite(value) else None
     return Check(
         key=key,
         words=words,
         outcome="PASS" if good else "FAIL",
-        value=shown,
+        value=finite,
         limit=limit,
         unit=unit,
         remark=text,

@@ -17,7 +17,7 @@ from anisoscope.history.problems import Damage, HistoryError
 
 START = bytes(32)
 """What the first row has for the hash of the row before it."""
-KEPT, DIGITS = 1e-6, 7
+PRECISION, DIGITS = 1e-6, 7
 """Numbers of a row are kept to this share of themselves, and shown with so many digits."""
 _SINGLE, _DOUBLE = struct.Struct("<f"), struct.Struct("<d")
 INSPECTION_FIELDS = (
@@ -59,7 +59,7 @@ def _plain(value: object) -> object:
 
 
 def pack(values: Sequence[float]) -> bytes:
-    """Numbers, little-endian: single precision where that is exact to `KEPT`, else double.
+    """Numbers, little-endian: single precision where that is exact to `PRECISION`, else double.
 
     An uncertainty is known to two digits; seven are kept of every number. The record in the folder holds all.
     """
@@ -68,7 +68,7 @@ def pack(values: Sequence[float]) -> bytes:
     except OverflowError:
         single = b""
     if single and all(
-        one == stored or abs(one - stored) <= KEPT * abs(one)
+        one == stored or abs(one - stored) <= PRECISION * abs(one)
         for one, stored in zip(values, unpack(single, len(values)), strict=True)
     ):
         return single

@@ -70,7 +70,7 @@ def row_from(values: Mapping[str, Any], history: Path | None) -> Row:
         operator=values["operator"],
         verdict=values["verdict"],
         reasons=tuple(json.loads(values["reasons"])),
-        folder=_shown_folder(values["folder"], history),
+        folder=_relative_folder(values["folder"], history),
         seal=bytes(values["seal"]).hex(),
         software=values["software"],
         numbers=dict(zip(labels, unpack(bytes(values["numbers"]), len(labels)), strict=True)),
@@ -110,5 +110,5 @@ def _base(history: Path) -> Path:
     return history.parent.resolve()
 
 
-def _shown_folder(folder: str, history: Path | None) -> str:
+def _relative_folder(folder: str, history: Path | None) -> str:
     return folder if history is None else str(history.parent / folder)

@@ -23,7 +23,7 @@ from anisoscope.history.rows import NewRow, Row, seal_of
 from anisoscope.record.schema import RECORD_NAME
 
 EVERYTHING = Filters()
-SHOWN = 10  # the latest ones, in a notebook
+LATEST = 10  # the latest ones, in a notebook
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +73,7 @@ class History:
     def _repr_html_(self) -> str:
         rows = [
             (row.id, f"{row.created_at:%Y-%m-%d %H:%M}", row.serial, row.product, row.verdict)
-            for row in self.rows(Filters(limit=SHOWN))
+            for row in self.rows(Filters(limit=LATEST))
         ]
         title = f"{self.address}: {self.count()} inspections, the latest {len(rows)}"
         return html_table(title, ("id", "UTC", "serial", "product", "verdict"), rows)

@@ -195,7 +195,7 @@ def _measure(
 ) -> tuple[FloatArray, FloatArray, dict[str, Any]]:
     """Contrasts of the standard now, their covariance from the measurement, and fields of the record."""
 
-    def tell(now: Progress) -> None:
+    def report_progress(now: Progress) -> None:
         advance(now.text, now.done, now.total)
 
     job = prepare(recipe_path, rig_path, serial, without="check")
@@ -208,10 +208,10 @@ def _measure(
             _check_camera(rig, job)
             info, stage = rig.camera.info, rig.stage.name
             here = rig_path.resolve().parent
-            made = begin(folder, job, Particulars(), plan=plan, frames=plan.frame_count, rig_folder=here)
-            run_plan(plan, rig, folder, on_progress=tell)
+            manifest = begin(folder, job, Particulars(), plan=plan, frames=plan.frame_count, rig_folder=here)
+            run_plan(plan, rig, folder, on_progress=report_progress)
         advance("measurement", 0, 1)
-        _, measured, _ = measure_frames(made, job, expected, read_frames(folder, made))
+        _, measured, _ = measure_frames(manifest, job, expected, read_frames(folder, manifest))
     content = {
         "rig": job.rig.name,
         "camera": CameraRecord(

@@ -56,11 +56,11 @@ def new_folder(out: Path, serial: str) -> Iterator[Path]:
             if folder is not None and not _has_frames(folder):
                 _remove(folder)
             elif folder is not None:
-                tell_to_resume(folder, error)
+                add_resume_hint(folder, error)
             raise
 
 
-def tell_to_resume(folder: Path, error: BaseException) -> None:
+def add_resume_hint(folder: Path, error: BaseException) -> None:
     """Note on an error how the inspection goes on, unless it is finished."""
     if not (folder / RECORD_NAME).exists():
         error.add_note(f"`anisoscope resume {folder}` goes on from here")

@@ -44,23 +44,23 @@ def arrange(folder: FrameFolder, recipe: RecipeBase) -> Replay:
     Raises:
         RecordError: a pose or the dark frames are missing, or a pose has several exposures with too few frames each.
     """
-    wanted = [Pose(pose.stage_deg, pose.tilt_deg) for pose in recipe.poses.poses()]
+    required = [Pose(pose.stage_deg, pose.tilt_deg) for pose in recipe.poses.poses()]
     notes = list(folder.notes)
     found: list[tuple[FrameEntry, Pose]] = []
     groups: dict[Pose, list[FrameEntry]] = defaultdict(list)
     for entry in folder.entries:
-        pose = next((pose for pose in wanted if _stands_at(entry, pose)), None)
+        pose = next((pose for pose in required if _stands_at(entry, pose)), None)
         found.append((entry, pose or Pose(entry.stage_deg, entry.tilt_deg)))
         if entry.kind == "sample" and pose is not None and not entry.again:
             groups[pose].append(entry)
-    _check_poses(folder, wanted, groups)
+    _check_poses(folder, required, groups)
     _check_exposures(folder)
     used = sum(map(len, groups.values()))
     if passed_over := len(folder.of_kind("sample", again=False)) - used:
         notes.append(
             f"{passed_over} sample frames at poses that the recipe does not ask for were passed over"
         )
-    if not any(entry.again and pose == wanted[0] for entry, pose in found):
+    if not any(entry.again and pose == required[0] for entry, pose in found):
         notes.append("no frames show the first pose again at the end: drift of the lamp is not known")
     if min(map(len, groups.values())) < MIN_FRAMES:
         notes.append("a pose has one frame only: noise of the camera is not in the uncertainty")
@@ -72,15 +72,15 @@ def _stands_at(entry: FrameEntry, pose: Pose) -> bool:
     return abs(turned) <= POSE_TOLERANCE_DEG and abs(entry.tilt_deg - pose.tilt_deg) <= POSE_TOLERANCE_DEG
 
 
-def _check_poses(folder: FrameFolder, wanted: list[Pose], groups: dict[Pose, list[FrameEntry]]) -> None:
-    missing = [pose for pose in wanted if pose not in groups]
+def _check_poses(folder: FrameFolder, required: list[Pose], groups: dict[Pose, list[FrameEntry]]) -> None:
+    missing = [pose for pose in required if pose not in groups]
     if missing:
         samples = folder.of_kind("sample")
-        there = sorted({(round(e.tilt_deg, 2) + 0.0, round(e.stage_deg, 2) + 0.0) for e in samples})
-        shown = ", ".join(f"{stage:g}° (tilt {tilt:g}°)" for tilt, stage in there) or "none"
+        available = sorted({(round(e.tilt_deg, 2) + 0.0, round(e.stage_deg, 2) + 0.0) for e in samples})
+        listing = ", ".join(f"{stage:g}° (tilt {tilt:g}°)" for tilt, stage in available) or "none"
         raise RecordError(
             f"{folder.folder}: the recipe asks for a picture at {missing[0].stage_deg:g}°, tilt "
-            f"{missing[0].tilt_deg:g}°; sample frames there are at: {shown}"
+            f"{missing[0].tilt_deg:g}°; sample frames there are at: {listing}"
         )
     for pose, entries in groups.items():
         _check_bracket(folder, pose, entries)

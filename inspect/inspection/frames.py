@@ -5,7 +5,7 @@ from pathlib import Path
 
 from anisoscope.base.errors import RecordError
 from anisoscope.imaging.frames import AcquiredFrames, Shot
-from anisoscope.inspection.manifest import JobFile, checked
+from anisoscope.inspection.manifest import Manifest, checked
 from anisoscope.record.schema import InputFile
 from anisoscope.rig.acquisition.journal import FrameLine, Journal, read_journal
 from anisoscope.rig.acquisition.writer import FRAMES
@@ -16,11 +16,11 @@ NOT_USED = "not used"
 REPLAYED = "as the table of the frames says"
 
 
-def missing_frames(made: JobFile, journal: Journal) -> int:
+def missing_frames(manifest: Manifest, journal: Journal) -> int:
     """How many frames are still to be taken."""
-    if made.plan is None:
-        return made.frames - len(journal.frames)
-    return made.plan.frame_count - len(made.plan.complete(journal.by_step))
+    if manifest.plan is None:
+        return manifest.frames - len(journal.frames)
+    return manifest.plan.frame_count - len(manifest.plan.complete(journal.by_step))
 
 
 def check_frames(folder: Path) -> None:
@@ -33,19 +33,19 @@ def check_frames(folder: Path) -> None:
         checked(InputFile(name=line.name, sha256=line.sha256), folder)
 
 
-def read_frames(folder: Path, made: JobFile) -> AcquiredFrames:
+def read_frames(folder: Path, manifest: Manifest) -> AcquiredFrames:
     """Read the frames of a folder that has all of them.
 
     Raises:
         RecordError: a frame is missing, was changed or is damaged.
     """
-    if made.frames == 0:
+    if manifest.frames == 0:
         return AcquiredFrames((), NOT_USED, NOT_USED)
     journal = read_journal(folder)
-    if missing_frames(made, journal) > 0:
-        raise RecordError(f"{folder}: {missing_frames(made, journal)} frames are still to be taken")
-    lines = [*journal.by_step.values(), *journal.checks(made.plan.shots_per_pose if made.plan else 1)]
-    load = _loader(folder, made)
+    if missing_frames(manifest, journal) > 0:
+        raise RecordError(f"{folder}: {missing_frames(manifest, journal)} frames are still to be taken")
+    lines = [*journal.by_step.values(), *journal.checks(manifest.plan.shots_per_pose if manifest.plan else 1)]
+    load = _loader(folder, manifest)
     shots = tuple(_shot(line, folder, load) for line in lines)
     first = shots[0].frame
     for shot in shots:
@@ -63,9 +63,9 @@ def _shot(line: FrameLine, folder: Path, load: Callable[[str], Frame]) -> Shot:
     )
 
 
-def _loader(folder: Path, made: JobFile) -> Callable[[str], Frame]:
+def _loader(folder: Path, manifest: Manifest) -> Callable[[str], Frame]:
     """What reads a frame by its name; frames of a replay are described by their table."""
-    if made.origin == "rig":
+    if manifest.origin == "rig":
         return lambda name: read_frame(folder / name)
     entries = {entry.path: entry for entry in read_frame_folder(folder / FRAMES).entries}
 

@@ -44,11 +44,11 @@ def verify(folder: Path) -> Verified:
     Raises:
         RecordError: this is no inspection folder.
     """
-    there = files_in(folder)
-    if not there & {RECORD_NAME, JOB}:
+    present = files_in(folder)
+    if not present & {RECORD_NAME, JOB}:
         raise RecordError(f"{folder}: is no inspection folder: it holds neither {RECORD_NAME} nor {JOB}")
     record, changed = None, []
-    if RECORD_NAME in there:
+    if RECORD_NAME in present:
         try:
             record = read_record(folder)
         except RecordError:
@@ -58,14 +58,14 @@ def verify(folder: Path) -> Verified:
     known, damaged = _begun(folder) if record is None else (list(record.files), [])
     expected = {file.name: file.sha256 for file in known}
     changed += damaged
-    changed += [name for name in expected.keys() & there if _hash(folder / name) != expected[name]]
+    changed += [name for name in expected.keys() & present if _hash(folder / name) != expected[name]]
     own = {RECORD_NAME} if record is not None else {RECORD_NAME, JOB, JOURNAL, REPORT_NAME}
     return Verified(
-        RECORD_NAME in there,
+        RECORD_NAME in present,
         len(expected) + 1,
         tuple(sorted(set(changed))),
-        tuple(sorted(expected.keys() - there)),
-        tuple(sorted(there - expected.keys() - own)),
+        tuple(sorted(expected.keys() - present)),
+        tuple(sorted(present - expected.keys() - own)),
     )
 
 

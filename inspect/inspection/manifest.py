@@ -30,7 +30,7 @@ class InputCopy(InputFile):
     original: str
 
 
-class JobFile(BaseModel):
+class Manifest(BaseModel):
     """``job.json``.
 
     Attributes:
@@ -74,14 +74,14 @@ def begin(
     frames: int,
     rig_folder: Path,
     refused: str | None = None,
-) -> JobFile:
+) -> Manifest:
     """Copy the files of a job into ``inputs/`` and write ``job.json``, which makes the folder one to be resumed.
 
     Raises:
         RecordError: the folder cannot be written.
         UsageError: a file was changed since it was read.
     """
-    made = JobFile(
+    manifest = Manifest(
         software=f"anisoscope {version('anisoscope')}",
         created_at=datetime.now(UTC).isoformat(timespec="milliseconds"),
         serial=job.serial,
@@ -93,36 +93,36 @@ def begin(
         inputs=tuple(_copy(source, folder) for source in job.sources),
         refused=refused,
     )
-    _write(made, folder)
-    return made
+    _write(manifest, folder)
+    return manifest
 
 
-def one_round_more(folder: Path, made: JobFile) -> JobFile:
+def one_round_more(folder: Path, manifest: Manifest) -> Manifest:
     """Write down that all poses are photographed once more, before they are, so that this can be resumed as well.
 
     Raises:
         RecordError: the folder cannot be written.
     """
-    assert made.plan is not None
-    plan = replace(made.plan, rounds=made.plan.rounds + 1)
-    more = made.model_copy(update={"plan": plan, "frames": plan.frame_count})
+    assert manifest.plan is not None
+    plan = replace(manifest.plan, rounds=manifest.plan.rounds + 1)
+    more = manifest.model_copy(update={"plan": plan, "frames": plan.frame_count})
     _write(more, folder)
     return more
 
 
-def _write(made: JobFile, folder: Path) -> None:
-    write_text(folder / JOB, json.dumps(made.model_dump(mode="json", by_alias=True), indent=2) + "\n")
+def _write(manifest: Manifest, folder: Path) -> None:
+    write_text(folder / JOB, json.dumps(manifest.model_dump(mode="json", by_alias=True), indent=2) + "\n")
 
 
 def _copy(source: Source, folder: Path) -> InputCopy:
     # The table of a replay describes the frames beside it.
     target = folder / (FRAMES if source.role == "frame table" else INPUTS) / source.path.name
-    made_here = source.path == target
-    if target.exists() and not made_here:
+    in_place = source.path == target
+    if target.exists() and not in_place:
         target = target.with_name(f"{source.role.replace(' ', '-')}-{source.path.name}")
     try:
         target.parent.mkdir(exist_ok=True)
-        if not made_here:
+        if not in_place:
             shutil.copyfile(source.path, target)
     except OSError as error:
         raise RecordError(f"cannot copy {source.path} to {target}: {error.strerror}") from error
@@ -136,7 +136,7 @@ def _copy(source: Source, folder: Path) -> InputCopy:
     )
 
 
-def read_job_file(folder: Path) -> JobFile:
+def read_job_file(folder: Path) -> Manifest:
     """Read ``job.json``.
 
     Raises:
@@ -144,7 +144,7 @@ def read_job_file(folder: Path) -> JobFile:
     """
     path = folder / JOB
     try:
-        return JobFile.model_validate_json(path.read_bytes())
+        return Manifest.model_validate_json(path.read_bytes())
     except OSError as error:
         what = "no inspection of this version began here" if folder.is_dir() else "there is no such folder"
         raise RecordError(f"cannot read {path}: {error.strerror}: {what}") from error
@@ -152,31 +152,31 @@ def read_job_file(folder: Path) -> JobFile:
         raise RecordError(f"{path} is damaged: {str(error).splitlines()[0]}") from error
 
 
-def reopen(folder: Path) -> tuple[JobFile, Job]:
+def reopen(folder: Path) -> tuple[Manifest, Job]:
     """The job of an inspection folder, from its own copies alone.
 
     Raises:
         RecordError: ``job.json`` or a copy is missing, damaged or was changed.
         RecipeError, RigFileError, CalibrationError: a copy that this version cannot use.
     """
-    made = read_job_file(folder)
-    paths = {copy.role: checked(copy, folder) for copy in made.inputs}
+    manifest = read_job_file(folder)
+    paths = {copy.role: checked(copy, folder) for copy in manifest.inputs}
     missing = {"recipe", "rig", "white reference"} - paths.keys()
     if missing:
         raise RecordError(f"{folder / JOB} is damaged: it names no {min(missing)}")
     kind = kind_of(paths["recipe"])
     recipe = kind.read_recipe(paths["recipe"])
-    here = Path(made.rig_folder)
-    rig = read_rig(paths["rig"], here=here) if made.origin == "rig" else read_replay_rig(paths["rig"])
+    here = Path(manifest.rig_folder)
+    rig = read_rig(paths["rig"], here=here) if manifest.origin == "rig" else read_replay_rig(paths["rig"])
     rig = rig.model_copy(update={"calibration": CalibrationPart(flat=paths["white reference"])})
     recipe, rig = kind.from_copies(recipe, rig, paths)
     white = read_reference(paths["white reference"])
-    sources = tuple(Source(copy.role, folder / copy.name, copy.sha256) for copy in made.inputs)
+    sources = tuple(Source(copy.role, folder / copy.name, copy.sha256) for copy in manifest.inputs)
     known = paths.get("golden parts")
     reference = None if known is None else kind.read_reference(known, recipe)
     calibrations = calibrations_of(paths)
     white, fixture = calibrations.white(white), fixture_of(rig, paths["rig"])
-    return made, Job(made.serial, kind, recipe, rig, fixture, white, sources, reference, calibrations)
+    return manifest, Job(manifest.serial, kind, recipe, rig, fixture, white, sources, reference, calibrations)
 
 
 def checked(file: InputFile, folder: Path) -> Path:

@@ -13,7 +13,7 @@ from anisoscope.imaging.frames import AcquiredFrames, Shot
 from anisoscope.imaging.registration.placement import View
 from anisoscope.imaging.views import as_photographed, resuming_error, views_of
 from anisoscope.inspection.job import Job
-from anisoscope.inspection.manifest import JobFile
+from anisoscope.inspection.manifest import Manifest
 from anisoscope.kinds.kind import AnyKind, Expected, Explanation, Reference, Results, Sitting
 from anisoscope.recipe.base import RecipeBase
 from anisoscope.record.schema import CalibrationUse, FrameRecord, InputFile, PoseRecord, Record
@@ -61,10 +61,10 @@ def utc_now() -> datetime:
 
 
 def judge(
-    made: JobFile,
+    manifest: Manifest,
     job: Job,
     expected: Expected,
-    taken: AcquiredFrames,
+    frames: AcquiredFrames,
     advance: Advance = silent,
     *,
     final: bool = True,
@@ -74,10 +74,10 @@ def judge(
     """Measure and decide; what makes the measurement unfit becomes an INVALID record.
 
     Args:
-        made: how the inspection began.
+        manifest: how the inspection began.
         job: its recipe, rig and white reference.
         expected: the prediction.
-        taken: its frames.
+        frames: of the inspection.
         advance: progress of what is being explained, where that takes long.
         final: what is INCONCLUSIVE is explained as well; it will not be measured again.
         diagnose: explains the verdict.
@@ -87,28 +87,28 @@ def judge(
         The record, without the list of the folder's files, and the pictures of the report.
     """
     kind, recipe, reference = job.kind, job.recipe, job.reference
-    if made.refused is not None:
-        record = make_record(made, job, expected, taken, now(), (made.refused,))
+    if manifest.refused is not None:
+        record = make_record(manifest, job, expected, frames, now(), (manifest.refused,))
         return record, Pictures(surface=expected.surface)
     try:
-        sitting, measured, change = measure_frames(made, job, expected, taken)
+        sitting, measured, change = measure_frames(manifest, job, expected, frames)
         decided = kind.decide(sitting, recipe, expected, measured, reference)
     except (MeasurementError, CameraError) as error:
-        record = make_record(made, job, expected, taken, now(), (str(error),))
-        return record, Pictures(raw=as_photographed(taken), surface=expected.surface)
-    unfit = resuming_error(change, recipe.limits.drift) or kind.drift_error(measured, recipe)
+        record = make_record(manifest, job, expected, frames, now(), (str(error),))
+        return record, Pictures(raw=as_photographed(frames), surface=expected.surface)
+    invalid_reason = resuming_error(change, recipe.limits.drift) or kind.drift_error(measured, recipe)
     explanation = Explanation()
-    if not unfit and (final or decided.verdict is not Verdict.INCONCLUSIVE):
+    if not invalid_reason and (final or decided.verdict is not Verdict.INCONCLUSIVE):
         case = Case(kind, sitting, recipe, expected, measured, decided, reference)
         explanation = diagnose(case, advance)
     record = make_record(
-        made,
+        manifest,
         job,
         expected,
-        taken,
+        frames,
         now(),
-        (unfit,) if unfit else decided.reasons,
-        verdict=Verdict.INVALID if unfit else decided.verdict,
+        (invalid_reason,) if invalid_reason else decided.reasons,
+        verdict=Verdict.INVALID if invalid_reason else decided.verdict,
         views=sitting.views.poses,
         results=kind.results(sitting, recipe, expected, measured, decided, reference),
         explanation=explanation,
@@ -118,7 +118,7 @@ def judge(
 
 
 def measure_frames(
-    made: JobFile, job: Job, expected: Expected, taken: AcquiredFrames
+    manifest: Manifest, job: Job, expected: Expected, frames: AcquiredFrames
 ) -> tuple[Sitting, Any, float]:
     """What an inspection's frames show, through all gates.
 
@@ -128,19 +128,19 @@ def measure_frames(
     Raises:
         MeasurementError, CameraError: INVALID, with the reason.
     """
-    job.calibrations.check_valid(datetime.fromisoformat(made.created_at))
-    job.kind.check_filters(taken.filters, taken.camera, job.white.filters)
-    views = views_of(job.viewing(), expected.poses, taken)
-    sitting = Sitting(views, taken, job.calibrations, job.rig)
+    job.calibrations.check_valid(datetime.fromisoformat(manifest.created_at))
+    job.kind.check_filters(frames.filters, frames.camera, job.white.filters)
+    views = views_of(job.viewing(), expected.poses, frames)
+    sitting = Sitting(views, frames, job.calibrations, job.rig)
     measured, change = job.kind.measure(sitting, job.recipe, expected)
     return sitting, measured, change
 
 
 def make_record(
-    made: JobFile,
+    manifest: Manifest,
     job: Job,
     expected: Expected,
-    taken: AcquiredFrames,
+    frames: AcquiredFrames,
     created_at: datetime,
     reasons: tuple[str, ...],
     *,
@@ -152,7 +152,7 @@ def make_record(
 ) -> Record:
     """The record of an inspection; without ``results`` it is one that could not be judged."""
     explanation = explanation or Explanation()
-    calibrated = taken.linear or "linearity" in job.calibrations.records
+    calibrated = frames.linear or "linearity" in job.calibrations.records
     notes: tuple[str, ...] = () if calibrated else (UNCALIBRATED,)
     details = job.kind.without_results()
     if results is not None:
@@ -163,7 +163,7 @@ def make_record(
         software=f"anisoscope {version('anisoscope')}",
         created_at=created_at.isoformat(timespec="seconds"),
         serial=job.serial,
-        particulars=made.particulars,
+        particulars=manifest.particulars,
         product=job.recipe.product,
         verdict=verdict.value,
         reasons=reasons,
@@ -186,14 +186,14 @@ def make_record(
             "camera": job.white.camera,
             "sha256": job.white.sha256,
         },
-        calibrations=_calibrations(made, job),
-        rounds=made.plan.rounds if made.plan is not None else 1,
+        calibrations=_calibrations(manifest, job),
+        rounds=manifest.plan.rounds if manifest.plan is not None else 1,
         recipe=job.recipe.model_dump(mode="json", by_alias=True),
         rig=job.rig.model_dump(mode="json", by_alias=True),
-        camera=taken.camera,
-        stage=taken.stage,
-        inputs=tuple(InputFile(name=copy.name, sha256=copy.sha256) for copy in made.inputs),
-        frames=tuple(_frame_record(shot) for shot in taken.shots),
+        camera=frames.camera,
+        stage=frames.stage,
+        inputs=tuple(InputFile(name=copy.name, sha256=copy.sha256) for copy in manifest.inputs),
+        frames=tuple(_frame_record(shot) for shot in frames.shots),
     )
 
 
@@ -205,21 +205,21 @@ def pose_records(
         PoseRecord(
             stage_deg=view.stage_deg,
             tilt_deg=view.tilt_deg,
-            measured=seen,
-            predicted=wanted,
+            measured=value,
+            predicted=prediction,
             marker_angle_deg=view.placement.angle_deg,
             pixel_um=view.placement.pixel_um,
             residual_px=view.placement.residual_px,
             markers=view.placement.markers,
             dropped=view.placement.dropped,
         )
-        for view, seen, wanted in zip(views, measured, predicted, strict=True)
+        for view, value, prediction in zip(views, measured, predicted, strict=True)
     )
 
 
-def _calibrations(made: JobFile, job: Job) -> tuple[CalibrationUse, ...]:
+def _calibrations(manifest: Manifest, job: Job) -> tuple[CalibrationUse, ...]:
     """The calibrations that have records, with the copies in the folder."""
-    copies = {copy.role: copy for copy in made.inputs}
+    copies = {copy.role: copy for copy in manifest.inputs}
     return tuple(
         CalibrationUse(
             name=copies[role].name,

@@ -70,14 +70,14 @@ def inspect_frames(
     check_serial(serial)
     if not 0.0 < reflectance <= 1.0:
         raise UsageError(f"the reflectance of the tile must lie between 0 and 1, not {reflectance}")
-    rig_path = rig_path or _rig_beside(frames)
+    rig_path = rig_path or _rig_in(frames)
     kind = kind_of(recipe_path)
     recipe, rig = kind.read_recipe(recipe_path), read_replay_rig(rig_path)
     fixture = fixture_of(rig, rig_path)
     reference = kind.read_reference(golden_path(recipe_path), recipe, rig)
     replay = arrange(read_frame_folder(frames), recipe)
-    made_white = white_of(replay, reflectance, rig.light.angle_deg)
-    white = None if made_white is not None else _white_of_rig(rig, rig_path, replay)
+    white_of_frames = white_of(replay, reflectance, rig.light.angle_deg)
+    white = None if white_of_frames is not None else _white_of_rig(rig, rig_path, replay)
     sources = (
         *sources_of(recipe_path, rig_path, kind, recipe, rig),
         Source("frame table", frames / TABLE, sha256_of(frames / TABLE)),
@@ -85,8 +85,8 @@ def inspect_frames(
     with contextlib.ExitStack() as cleanup:
         folder = cleanup.enter_context(new_folder(out, serial))
         path = folder / INPUTS / WHITE_NAME
-        if made_white is not None:
-            write_reference(path, made_white)
+        if white_of_frames is not None:
+            write_reference(path, white_of_frames)
         elif rig.calibration is not None:
             path = rig.calibration.flat
         white = white or read_reference(path)
@@ -101,7 +101,7 @@ def inspect_frames(
             reference,
         )
         ready = cleanup.enter_context(expecting(job, on_progress, lot_mates))
-        made = begin(
+        manifest = begin(
             folder,
             job,
             particulars or Particulars(),
@@ -110,11 +110,11 @@ def inspect_frames(
             rig_folder=rig_path.resolve().parent,
         )
         _copy(replay, frames, folder, on_progress)
-        inspected = conclude(folder, made, job, ready, on_progress)
+        inspected = conclude(folder, manifest, job, ready, on_progress)
     return Inspected(inspected.record, folder, inspected.report, (*replay.notes, *inspected.notes))
 
 
-def _rig_beside(frames: Path) -> Path:
+def _rig_in(frames: Path) -> Path:
     path = frames / RIG_NAME
     if not path.is_file():
         raise UsageError(

@@ -12,11 +12,11 @@ from anisoscope.base.errors import CalibrationError, RecordError, RigError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.imaging.frames import AcquiredFrames
 from anisoscope.imaging.linearisation import check_size
-from anisoscope.inspection.folder import new_folder, sweep, tell_to_resume, working_in
+from anisoscope.inspection.folder import add_resume_hint, new_folder, sweep, working_in
 from anisoscope.inspection.frames import check_frames, missing_frames, read_frames
 from anisoscope.inspection.integrity import listed_files
 from anisoscope.inspection.job import Job, prepare
-from anisoscope.inspection.manifest import JobFile, begin, one_round_more, reopen
+from anisoscope.inspection.manifest import Manifest, begin, one_round_more, reopen
 from anisoscope.inspection.pipeline import Case, Diagnose, Judged, diagnose_by_kind, judge, utc_now
 from anisoscope.kinds.kind import Expected, Explanation
 from anisoscope.profiles.heightmap import HeightMap
@@ -147,7 +147,7 @@ def inspect_part(
             ready = cleanup.enter_context(expecting(job, on_progress, lot_mates, methods))
             folder = cleanup.enter_context(new_folder(out, serial))
             here = rig_path.resolve().parent
-            made = begin(
+            manifest = begin(
                 folder,
                 job,
                 particulars or Particulars(),
@@ -156,8 +156,8 @@ def inspect_part(
                 rig_folder=here,
             )
             _photograph(plan, rig, folder, on_progress, cancel)
-            made, judged = _decide(made, rig, folder, job, ready, on_progress, cancel)
-        return conclude(folder, made, job, ready, on_progress, judged)
+            manifest, judged = _decide(manifest, rig, folder, job, ready, on_progress, cancel)
+        return conclude(folder, manifest, job, ready, on_progress, judged)
 
 
 def _refused(
@@ -166,8 +166,8 @@ def _refused(
     """An INVALID inspection without photographs, because a calibration does not hold any more."""
     with expecting(job, advance, methods=methods) as ready, new_folder(out, job.serial) as folder:
         here = rig_path.resolve().parent
-        made = begin(folder, job, particulars, plan=None, frames=0, rig_folder=here)
-        return conclude(folder, made, job, ready, advance)
+        manifest = begin(folder, job, particulars, plan=None, frames=0, rig_folder=here)
+        return conclude(folder, manifest, job, ready, advance)
 
 
 def resume_part(
@@ -200,27 +200,27 @@ def resume_part(
     if (folder / RECORD_NAME).exists():
         raise RecordError(f"{folder}: this inspection is finished; there is nothing to resume")
     with working_in(folder):
-        made, job = reopen(folder)
-        mates = lot_mates(made.particulars.lot)
+        manifest, job = reopen(folder)
+        mates = lot_mates(manifest.particulars.lot)
         check_frames(folder)
         sweep(folder)
         with contextlib.ExitStack() as cleanup:
             cleanup.enter_context(_going_on(folder))
             ready: Ready | None = None
-            if missing_frames(made, read_journal(folder)) == 0:
+            if missing_frames(manifest, read_journal(folder)) == 0:
                 ready = cleanup.enter_context(expecting(job, on_progress, mates, methods))
-                judged = _judge(made, folder, job, ready, on_progress)
-                if _settled(made, job, judged):
-                    return conclude(folder, made, job, ready, on_progress, judged)
-                made = one_round_more(folder, made)
-            if made.plan is None:
+                judged = _judge(manifest, folder, job, ready, on_progress)
+                if _settled(manifest, job, judged):
+                    return conclude(folder, manifest, job, ready, on_progress, judged)
+                manifest = one_round_more(folder, manifest)
+            if manifest.plan is None:
                 raise RecordError(f"{folder}: not all frames were copied: inspect the folder of frames again")
             with open_rig(job.rig) as rig:
-                _check_rig(rig, made.plan, job)
+                _check_rig(rig, manifest.plan, job)
                 ready = ready or cleanup.enter_context(expecting(job, on_progress, mates, methods))
-                _photograph(made.plan, rig, folder, on_progress, cancel)
-                made, judged = _decide(made, rig, folder, job, ready, on_progress, cancel)
-            return conclude(folder, made, job, ready, on_progress, judged)
+                _photograph(manifest.plan, rig, folder, on_progress, cancel)
+                manifest, judged = _decide(manifest, rig, folder, job, ready, on_progress, cancel)
+            return conclude(folder, manifest, job, ready, on_progress, judged)
 
 
 @contextlib.contextmanager
@@ -228,7 +228,7 @@ def _going_on(folder: Path) -> Iterator[None]:
     try:
         yield
     except (RigError, KeyboardInterrupt) as error:
-        tell_to_resume(folder, error)
+        add_resume_hint(folder, error)
         raise
 
 
@@ -247,50 +247,56 @@ def _check_rig(rig: Rig, plan: Plan, job: Job) -> None:
 
 
 def _photograph(plan: Plan, rig: Rig, folder: Path, advance: Advance, cancel: threading.Event | None) -> None:
-    def tell(now: Progress) -> None:
+    def report_progress(now: Progress) -> None:
         advance(now.text, now.done, now.total)
 
-    run_plan(plan, rig, folder, on_progress=tell, cancel=cancel)
+    run_plan(plan, rig, folder, on_progress=report_progress, cancel=cancel)
 
 
 def _decide(
-    made: JobFile,
+    manifest: Manifest,
     rig: Rig,
     folder: Path,
     job: Job,
     ready: "Ready",
     advance: Advance,
     cancel: threading.Event | None,
-) -> tuple[JobFile, Judged]:
+) -> tuple[Manifest, Judged]:
     """Judge; what is undecided is photographed anew in the same seating, as often as the recipe says.
 
     All frames of a pose are averaged, whichever round took them, so that noise and flicker shrink; what is
     systematic stays.
     """
     while True:
-        judged = _judge(made, folder, job, ready, advance)
-        if _settled(made, job, judged):
-            return made, judged
-        made = one_round_more(folder, made)
-        assert made.plan is not None
-        _photograph(made.plan, rig, folder, advance, cancel)
+        judged = _judge(manifest, folder, job, ready, advance)
+        if _settled(manifest, job, judged):
+            return manifest, judged
+        manifest = one_round_more(folder, manifest)
+        assert manifest.plan is not None
+        _photograph(manifest.plan, rig, folder, advance, cancel)
 
 
-def _judge(made: JobFile, folder: Path, job: Job, ready: "Ready", advance: Advance) -> Judged:
+def _judge(manifest: Manifest, folder: Path, job: Job, ready: "Ready", advance: Advance) -> Judged:
     advance("measurement", 0, 1)
-    taken, final = read_frames(folder, made), _is_last_round(made, job)
-    return _judged(made, job, ready, taken, advance, final=final)
+    frames, final = read_frames(folder, manifest), _is_last_round(manifest, job)
+    return _judged(manifest, job, ready, frames, advance, final=final)
 
 
 def _judged(
-    made: JobFile, job: Job, ready: "Ready", taken: AcquiredFrames, advance: Advance, *, final: bool = True
+    manifest: Manifest,
+    job: Job,
+    ready: "Ready",
+    frames: AcquiredFrames,
+    advance: Advance,
+    *,
+    final: bool = True,
 ) -> Judged:
     methods = ready.methods
     return judge(
-        made,
+        manifest,
         job,
         ready.expected,
-        taken,
+        frames,
         advance,
         final=final,
         diagnose=methods.diagnose,
@@ -298,13 +304,13 @@ def _judged(
     )
 
 
-def _is_last_round(made: JobFile, job: Job) -> bool:
-    return made.plan is None or made.plan.rounds >= 1 + job.recipe.decision.remeasure
+def _is_last_round(manifest: Manifest, job: Job) -> bool:
+    return manifest.plan is None or manifest.plan.rounds >= 1 + job.recipe.decision.remeasure
 
 
-def _settled(made: JobFile, job: Job, judged: Judged) -> bool:
+def _settled(manifest: Manifest, job: Job, judged: Judged) -> bool:
     """Is there nothing to be gained from photographing once more?"""
-    return _is_last_round(made, job) or judged[0].verdict != Verdict.INCONCLUSIVE.value
+    return _is_last_round(manifest, job) or judged[0].verdict != Verdict.INCONCLUSIVE.value
 
 
 @dataclass(frozen=True, eq=False)
@@ -338,13 +344,13 @@ def expecting(
 
 
 def conclude(
-    folder: Path, made: JobFile, job: Job, ready: Ready, advance: Advance, judged: Judged | None = None
+    folder: Path, manifest: Manifest, job: Job, ready: Ready, advance: Advance, judged: Judged | None = None
 ) -> Inspected:
     """Judge the frames of a folder, and write report and record; the record comes last and closes the folder.
 
     Args:
         folder: the inspection folder.
-        made: how the inspection began.
+        manifest: how the inspection began.
         job: its recipe, rig and white reference.
         ready: what was made before.
         advance: progress.
@@ -355,8 +361,8 @@ def conclude(
     """
     if judged is None:
         advance("measurement", 0, 1)
-        taken = read_frames(folder, made)
-        judged = _judged(made, job, ready, taken, advance)
+        frames = read_frames(folder, manifest)
+        judged = _judged(manifest, job, ready, frames, advance)
     record, pictures = judged
     advance("report", 0, 1)
     view = ready.renderer.result() if ready.renderer is not None else None

@@ -104,11 +104,11 @@ def _middle(picture: FloatArray, place: Placement, recipe: RecipeBase) -> float:
 
 def _shows(picture: FloatArray, place: Placement, grid: Grid, middle: float) -> bool:
     """Is all of the square in the picture, and are its border stretches about as bright as its middle?"""
-    seen = resample(picture.astype(np.float32), place, grid).astype(np.float64)
-    if middle <= 0.0 or not np.isfinite(seen).all():
+    patch = resample(picture.astype(np.float32), place, grid).astype(np.float64)
+    if middle <= 0.0 or not np.isfinite(patch).all():
         return False
-    n = seen.shape[0] // POINTS_A_PITCH
-    blocks = seen.reshape(n, POINTS_A_PITCH, n, POINTS_A_PITCH).mean(axis=(1, 3))
+    n = patch.shape[0] // POINTS_A_PITCH
+    blocks = patch.reshape(n, POINTS_A_PITCH, n, POINTS_A_PITCH).mean(axis=(1, 3))
     border = np.concatenate([blocks[0], blocks[-1], blocks[1:-1, 0], blocks[1:-1, -1]])
     return bool(np.all((border > middle / UNLIKE) & (border < middle * UNLIKE)))
 
@@ -154,7 +154,7 @@ def teach(recipe_path: Path, rig_path: Path, serial: str, out: Path, advance: Ad
     if fixture is None:
         raise RigFileError(f"{rig_path} describes no [fixture]: teaching finds the part between its markers")
     recipe, text = job.recipe, recipe_path.read_text(encoding="utf-8")
-    kept = previous_version_path(recipe_path, recipe.version)
+    previous = previous_version_path(recipe_path, recipe.version)
     with open_rig(job.rig) as rig:
         info = rig.camera.info
         job.kind.check_filters(info.filters, f"camera {info.serial}", job.white.filters)
@@ -178,7 +178,7 @@ def teach(recipe_path: Path, rig_path: Path, serial: str, out: Path, advance: Ad
         )
     limits = job.kind.taught_limits(record, recipe, job.reference, job.rig)
     values |= {key: value for key, (value, _) in limits.items()}
-    write_text(kept, text)
+    write_text(previous, text)
     write_text(recipe_path, with_values(text, values))
     taught = read_any_recipe(recipe_path)
     changes = (
@@ -199,7 +199,7 @@ def teach(recipe_path: Path, rig_path: Path, serial: str, out: Path, advance: Ad
             for key, (_, why) in limits.items()
         ),
     )
-    return Taught(taught.version, kept, inspected.folder, changes, _notes(record, recipe_path, recipe))
+    return Taught(taught.version, previous, inspected.folder, changes, _notes(record, recipe_path, recipe))
 
 
 def _value(recipe: RecipeBase, key: tuple[str, ...]) -> Any:  # noqa: ANN401 - of any type

@@ -3,7 +3,7 @@
 from anisoscope.imaging.area_limit import MIN_PARTS
 
 
-def limit_says(
+def area_limit_text(
     stated: float | None,
     learnt: float | None,
     count: int,

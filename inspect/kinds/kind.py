@@ -169,7 +169,7 @@ class Table:
 
 
 @dataclass(frozen=True)
-class Shown:
+class CommandOutput:
     """An answer of a command: as JSON, and as tables and lines for people."""
 
     content: dict[str, Any]
@@ -370,19 +370,19 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
         del known, record
         raise UsageError(f"{recipe.product}: good parts are not collected of this kind of part")
 
-    def show_reference(self, known: Any, recipe: RecipeT) -> Shown:  # noqa: ANN401
+    def show_reference(self, known: Any, recipe: RecipeT) -> CommandOutput:  # noqa: ANN401
         """The good parts for ``anisoscope golden show``."""
         del known
         raise UsageError(f"{recipe.product}: good parts are not collected of this kind of part")
 
     # ---- what the commands of recipes ask ---------------------------------------------------------------------
 
-    def makes(self, asked: NewRecipe) -> bool:
+    def makes(self, requested: NewRecipe) -> bool:
         """Is a recipe of this kind asked for? One of the fallback is, where no kind says so."""
-        del asked
+        del requested
         return False
 
-    def new_recipe(self, out: Path, asked: NewRecipe) -> str:
+    def new_recipe(self, out: Path, requested: NewRecipe) -> str:
         """Write a recipe with comments, valid as written.
 
         Returns:
@@ -391,7 +391,7 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
         Raises:
             UsageError: what was asked for does not fit together.
         """
-        del out, asked
+        del out, requested
         raise UsageError(f"there is no recipe of {self.one} to begin with")
 
     def taught_limits(
@@ -424,11 +424,11 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
         light_angle_deg: float,
         tries: Sequence[float] = (),
         advance: Advance = silent,
-    ) -> Shown:
+    ) -> CommandOutput:
         """What a recipe can tell before any part is there; without a rig file by the angle of the light."""
         del rig_path, light_angle_deg, tries, advance
         recipe = self.read_recipe(path)
-        return Shown({"product": recipe.product}, lines=(f"{path}: the recipe can be read",))
+        return CommandOutput({"product": recipe.product}, lines=(f"{path}: the recipe can be read",))
 
     # ---- report and terminal ----------------------------------------------------------------------------------
 
@@ -444,9 +444,11 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
         del record, pictures
         return Sections()
 
-    def shown(self, record: Record) -> Shown:
+    def summary(self, record: Record) -> CommandOutput:
         """Its part of what ``anisoscope inspect`` prints: JSON beside the common keys, tables, and lines."""
-        return Shown({"details": None if record.details is None else record.details.model_dump(mode="json")})
+        return CommandOutput(
+            {"details": None if record.details is None else record.details.model_dump(mode="json")}
+        )
 
 
 AnyKind = Kind[Any, Any, Any, Any]

@@ -58,10 +58,10 @@ def read_recipe(path: Path) -> SurfaceRecipe:
     return recipe
 
 
-def kind_of_new(asked: NewRecipe) -> AnyKind:
+def kind_of_new(requested: NewRecipe) -> AnyKind:
     """The kind whose recipe is to be written."""
     kinds = [kind_named(name) for name in kind_names()]
-    chosen = [kind for kind in kinds if kind.makes(asked)] or [kind for kind in kinds if kind.fallback]
+    chosen = [kind for kind in kinds if kind.makes(requested)] or [kind for kind in kinds if kind.fallback]
     return chosen[0]
 
 

@@ -21,8 +21,8 @@ from anisoscope.imaging.pose_radiance import Measured, mean_of, measure, region_
 from anisoscope.imaging.quality_gates import check_views
 from anisoscope.imaging.registration.placement import View, resample
 from anisoscope.imaging.views import most_changed
-from anisoscope.kinds.golden_limit import limit_says
-from anisoscope.kinds.kind import Explanation, Kind, Reference, Results, Shown, Sitting, Table, usable
+from anisoscope.kinds.golden_limit import area_limit_text
+from anisoscope.kinds.kind import CommandOutput, Explanation, Kind, Reference, Results, Sitting, Table, usable
 from anisoscope.prediction.cache import cached_expectation
 from anisoscope.prediction.expectation import PLASTIC, Expectation, SurfaceOptics, expectation
 from anisoscope.recipe.poses import check_poses
@@ -214,9 +214,9 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
         """Golden parts with one more."""
         return add_part(known, recipe, record)
 
-    def show_reference(self, known: Any, recipe: RecipeT) -> Shown:  # noqa: ANN401
+    def show_reference(self, known: Any, recipe: RecipeT) -> CommandOutput:  # noqa: ANN401
         """The golden parts, and how much they vary."""
-        return golden_shown(known, recipe)
+        return reference_table(known, recipe)
 
     def taught_limits(
         self, record: Record, recipe: RecipeT, reference: Reference | None, rig: RigFile
@@ -232,7 +232,7 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
         light_angle_deg: float,
         tries: Sequence[float] = (),
         advance: Advance = silent,
-    ) -> Shown:
+    ) -> CommandOutput:
         """Contrasts, budget, causes, and tilts that would help."""
         from anisoscope.kinds.surface_check import checked_recipe  # noqa: PLC0415 - heavy
 
@@ -262,7 +262,7 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
 
         return surface_sections(record, pictures)
 
-    def shown(self, record: Record) -> Shown:
+    def summary(self, record: Record) -> CommandOutput:
         """The contrasts, and where the part deviates."""
         found = surface_of(record)
         content = found.model_dump()
@@ -279,29 +279,29 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
                 f"p = {region.p_value:.2g}"
                 for region in found.regions[:MAX_REGIONS]
             ]
-        return Shown(content, tuple(tables), tuple(lines))
+        return CommandOutput(content, tuple(tables), tuple(lines))
 
 
 MAX_REGIONS = 5
 
-WANTED_RATIO = 4.0  # T/U
+TARGET_RATIO = 4.0  # T/U
 GOLDEN_SIGMAS = 3.0
 
 
 def _tolerances(record: Record, recipe: SurfaceRecipe, golden: GoldenSet | None) -> tuple[list[float], str]:
     """One tolerance a pair: 4 U, or what the golden parts vary where that is more."""
     judged = surface_of(record).contrasts
-    by_u = np.array([WANTED_RATIO * 2.0 * contrast.u for contrast in judged])
-    why = f"{WANTED_RATIO:g} times the expanded uncertainty"
+    by_u = np.array([TARGET_RATIO * 2.0 * contrast.u for contrast in judged])
+    why = f"{TARGET_RATIO:g} times the expanded uncertainty"
     spread = np.zeros_like(by_u)
     if golden is not None and len(golden.parts) >= 3 and recipe.decision.contrast == "log_ratio":
         logs = np.array([part.log_radiance for part in golden.parts])
         index = {(pose.stage_deg, pose.tilt_deg): k for k, pose in enumerate(record.poses)}
         for k, pair in enumerate(judged):
             a, b = index[pair.from_deg, pair.tilt_deg], index[pair.to_deg, pair.tilt_deg]
-            seen = logs[:, a] - logs[:, b]
-            off = abs(float(seen.mean()) - pair.predicted)
-            spread[k] = off + GOLDEN_SIGMAS * float(seen.std(ddof=1))
+            log_ratios = logs[:, a] - logs[:, b]
+            off = abs(float(log_ratios.mean()) - pair.predicted)
+            spread[k] = off + GOLDEN_SIGMAS * float(log_ratios.std(ddof=1))
         why += f", or what {len(golden.parts)} golden parts vary"
     return [float(f"{value:.2g}") for value in np.maximum(by_u, spread)], why
 
@@ -350,20 +350,20 @@ def _contrast_table(record: Record, found: SurfaceDetails) -> Table:
 
 def _tilt_table(record: Record) -> Table:
     """The contrasts between tilts; of many the least likely ones, in their order."""
-    from anisoscope.report.tilt_sections import shown_between_tilts, tilt_row  # noqa: PLC0415 - draws
-    from anisoscope.report.wording import U_SAID  # noqa: PLC0415
+    from anisoscope.report.tilt_sections import listed_tilt_contrasts, tilt_row  # noqa: PLC0415 - draws
+    from anisoscope.report.wording import U_LEGEND  # noqa: PLC0415
 
-    shown, folded = shown_between_tilts(record)
+    listed, folded = listed_tilt_contrasts(record)
     return Table(
         "the same stage angle at two tilts",
         ["contrast", "at [°]", "tilts [°]", "measured", "U", "predicted", "U", "deviation", "U", "p"],
-        [[row.kind, row.stage, row.tilts, *row.numbers, row.chance] for row in map(tilt_row, shown)],
-        f"{U_SAID}; for information"
+        [[row.kind, row.stage, row.tilts, *row.numbers, row.chance] for row in map(tilt_row, listed)],
+        f"{U_LEGEND}; for information"
         + (f"; {len(folded)} more, all likelier, in record.json" if folded else ""),
     )
 
 
-def golden_shown(known: GoldenSet, recipe: SurfaceRecipe) -> Shown:
+def reference_table(known: GoldenSet, recipe: SurfaceRecipe) -> CommandOutput:
     """The golden parts, and how much they vary."""
     contrasts = known.contrasts()
     scatter = contrasts.std(axis=0, ddof=1) if len(contrasts) > 1 else np.full(contrasts.shape[1], np.nan)
@@ -372,7 +372,7 @@ def golden_shown(known: GoldenSet, recipe: SurfaceRecipe) -> Shown:
     content["mean"] = [float(value) for value in contrasts.mean(axis=0)]
     content["scatter"] = [float(value) if np.isfinite(value) else None for value in scatter]
     content["area_limit"] = None if recipe.area is None else known.area_limit(recipe) or recipe.area.max_share
-    content["area_limit_says"] = _limit_says(known, recipe)
+    content["area_limit_says"] = _area_limit_text(known, recipe)
     first, *others = known.poses
     names = [f"ln L{_at(pose)} − ln L{_at(first)}" for pose in others]
     rows = [
@@ -395,16 +395,16 @@ def golden_shown(known: GoldenSet, recipe: SurfaceRecipe) -> Shown:
         rows,
         known.lacking,
     )
-    return Shown(content, (table,), (_limit_says(known, recipe),))
+    return CommandOutput(content, (table,), (_area_limit_text(known, recipe),))
 
 
 def _share(share: float | None) -> str:
     return "–" if share is None else f"{share:.2%}"
 
 
-def _limit_says(known: GoldenSet, recipe: SurfaceRecipe) -> str:
+def _area_limit_text(known: GoldenSet, recipe: SurfaceRecipe) -> str:
     rule, alpha = recipe.area, recipe.decision.alpha
-    return limit_says(
+    return area_limit_text(
         None if rule is None else rule.max_share,
         None if rule is None else known.area_limit(recipe),
         0 if rule is None else len(known.area_shares(rule)),

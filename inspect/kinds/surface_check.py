@@ -13,13 +13,13 @@ from anisoscope.diagnosis.evidence import background_of
 from anisoscope.diagnosis.separability import Separability, planned_covariance, planned_inputs, separability
 from anisoscope.diagnosis.signature_cache import cached_signatures
 from anisoscope.kinds.causes_table import causes_content, causes_table
-from anisoscope.kinds.kind import Shown, Table
+from anisoscope.kinds.kind import CommandOutput, Table
 from anisoscope.prediction.expectation import PLASTIC, Expectation, SurfaceOptics, expectation
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.schema import BudgetRecord
 from anisoscope.sim.light.contrasts import contrasts
 
-WANTED_RATIO = 4.0
+TARGET_RATIO = 4.0
 
 
 @dataclass(frozen=True)
@@ -203,13 +203,13 @@ def _complaints(recipe: SurfaceRecipe, pairs: tuple[PlannedPair, ...]) -> tuple[
     found = []
     if recipe.decision.tolerance is None:
         found.append("no tolerance: every significant deviation fails the part (set one, or `recipe teach`)")
-    weak = [pair for pair in pairs if pair.ratio is not None and pair.ratio < WANTED_RATIO]
+    weak = [pair for pair in pairs if pair.ratio is not None and pair.ratio < TARGET_RATIO]
     if weak:
         least = min(weak, key=lambda pair: pair.ratio or 0.0)
         found.append(
             f"T/U is {least.ratio:.1f} at {least.from_deg:g}°/{least.to_deg:g}°, tilt {least.tilt_deg:g}° "
-            f"({WANTED_RATIO:g} wanted): good parts may end undecided; "
-            f"{WANTED_RATIO * 2.0 * least.u:.2g} would be enough, or less uncertainty (see the budget)"
+            f"({TARGET_RATIO:g} wanted): good parts may end undecided; "
+            f"{TARGET_RATIO * 2.0 * least.u:.2g} would be enough, or less uncertainty (see the budget)"
         )
     return tuple(found)
 
@@ -278,7 +278,7 @@ def checked_recipe(
     advance: Advance,
     optics: SurfaceOptics,
     model: CauseModel,
-) -> Shown:
+) -> CommandOutput:
     """What ``anisoscope recipe check`` prints; arguments as of `check_recipe`."""
     found = check_recipe(recipe, light_angle_deg, tries, advance, optics, model)
     content = asdict(found) | {"budget": [row.model_dump() for row in found.budget]}
@@ -312,7 +312,7 @@ def checked_recipe(
     lines += [f"{one.says} would tell {_apart(one.tells_apart)}" for one in found.lamps]
     if found.never:
         lines.append(f"nothing that was tried would tell {_apart(found.never)}")
-    return Shown(content, (pairs, budget, causes_table(found.causes)), (*lines, *found.complaints))
+    return CommandOutput(content, (pairs, budget, causes_table(found.causes)), (*lines, *found.complaints))
 
 
 MOST_PAIRS = 6

@@ -11,7 +11,7 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
-from anisoscope.history.chain import KEPT
+from anisoscope.history.chain import PRECISION
 from anisoscope.quality.individuals import Limits, sigma_freedom
 from anisoscope.quality.readings import Readings
 from anisoscope.recipe.surface import SurfaceRecipe
@@ -155,7 +155,7 @@ def capability(
 
 
 DEVIATION, TOLERANCE, DOUBT = "deviation ", "tolerance ", "u "
-SAME = 4.0 * KEPT  # two predictions of one recipe differ by rounding only
+SAME = 4.0 * PRECISION  # two predictions of one recipe differ by rounding only
 
 
 def recipe_tolerances(recipe: SurfaceRecipe) -> dict[str, float]:

@@ -76,9 +76,9 @@ def kind_of_recipe(table: Mapping[str, Any]) -> str:
     Raises:
         RecordError: no kind of part is installed that would take it.
     """
-    told = table.get("kind")
-    if told is not None:
-        return str(told)
+    named = table.get("kind")
+    if named is not None:
+        return str(named)
     fallback, problems = None, []
     for name in installed(GROUP):
         try:

@@ -45,7 +45,7 @@ class PhaseCurve:
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
+class CaptionedPicture:
     """A picture.
 
     Attributes:
@@ -82,8 +82,8 @@ class DesignPage:
     lobes: Sequence[LobeCurves] = ()
     phase: PhaseCurve | None = None
     progress: Sequence[tuple[float, float]] = ()
-    pictures: Sequence[Shown] = ()
-    looks: Sequence[Shown] = ()
+    pictures: Sequence[CaptionedPicture] = ()
+    looks: Sequence[CaptionedPicture] = ()
     tolerances: Sequence[Sequence[str]] = ()
     notes: Sequence[str] = ()
 
@@ -94,32 +94,32 @@ TOLERANCE_COLUMNS = (
 )  # fmt: skip
 
 
-def write_design_page(shown: DesignPage, path: Path) -> None:
+def write_design_page(page: DesignPage, path: Path) -> None:
     """Write the page, atomically.
 
     Raises:
         RecordError: the file cannot be written.
     """
-    charts = [(_lobe_chart(one), _lobe_text(one)) for one in shown.lobes]
-    if shown.phase is not None:
-        low, high = shown.phase.band_nm
+    charts = [(_lobe_chart(one), _lobe_text(one)) for one in page.lobes]
+    if page.phase is not None:
+        low, high = page.phase.band_nm
         where = f"at {low:g} nm" if low == high else f"from {low:g} to {high:g} nm"
         text = f"Mean phase |τ| of all levels over wavelength; it was made small {where}"
-        charts.append((_phase_chart(shown.phase), text))
-    if len(shown.progress) > 1:
-        text = f"Relative error over time, from {shown.progress[0][1]:.3f} to {shown.progress[-1][1]:.4f}"
-        charts.append((_progress_chart(shown.progress), text))
+        charts.append((_phase_chart(page.phase), text))
+    if len(page.progress) > 1:
+        text = f"Relative error over time, from {page.progress[0][1]:.3f} to {page.progress[-1][1]:.4f}"
+        charts.append((_progress_chart(page.progress), text))
     content = {
-        "title": shown.title,
-        "subtitle": shown.subtitle,
-        "warnings": shown.warnings,
-        "figures": shown.figures,
+        "title": page.title,
+        "subtitle": page.subtitle,
+        "warnings": page.warnings,
+        "figures": page.figures,
         "charts": charts,
-        "pictures": [(_picture_uri(one.pixels), one.caption) for one in shown.pictures],
-        "looks": [(_picture_uri(one.pixels), one.caption) for one in shown.looks],
+        "pictures": [(_picture_uri(one.pixels), one.caption) for one in page.pictures],
+        "looks": [(_picture_uri(one.pixels), one.caption) for one in page.looks],
         "columns": TOLERANCE_COLUMNS,
-        "tolerances": shown.tolerances,
-        "notes": shown.notes,
+        "tolerances": page.tolerances,
+        "notes": page.notes,
     }
     write_page(path, "design.html", content)
 

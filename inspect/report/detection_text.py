@@ -10,7 +10,7 @@ from anisoscope.base.errors import UsageError
 Results = dict[str, Any]
 
 BEGIN, END = "<!-- results: begin -->", "<!-- results: end -->"
-WANTED = 0.99
+TARGET_AUC = 0.99
 ALARMS = {
     "shipped": "D² against the prediction, as shipped",
     "spread": "… with the spread of the ridge angle stated",
@@ -93,7 +93,7 @@ def _class(one: Results) -> Results:
 def _reaching(rows: list[Results]) -> Results:
     """Plans that reach the target area, the first three in the order of trial, and the best of all."""
     short = [{**row, "sigmas": round(row["sigmas"], 1), "auc": round(row["auc"], 3)} for row in rows]
-    enough = [row for row in short if row["auc"] >= WANTED]
+    enough = [row for row in short if row["auc"] >= TARGET_AUC]
     return {"enough": enough[:3], "best": max(short, key=lambda row: row["auc"])}
 
 
@@ -179,7 +179,7 @@ def _limits(cases: list[Results], outlook: Results) -> str:
     ]
     for case in cases:
         for one in case["classes"]:
-            if one["best"] < WANTED:
+            if one["best"] < TARGET_AUC:
                 why = ", ".join(f"{source} {share:g} %" for source, share in one["limits"])
                 lines.append(
                     f"- {one['title']} ({case['where']}): {one['best']:.3f} at {one['sigmas']:g} σ; {why}"

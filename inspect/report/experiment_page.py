@@ -215,5 +215,5 @@ def _write(path: Path, title: str, conventions: list[Convention], content: dict[
         "convention": convention_text,
         "percent": lambda share: f"{100.0 * share:.1f} %",
     }
-    shown = {"title": title, "conventions": conventions, "result": None, **content}
-    write_page(path, "experiment.html", shown, filters)
+    context = {"title": title, "conventions": conventions, "result": None, **content}
+    write_page(path, "experiment.html", context, filters)

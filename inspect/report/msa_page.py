@@ -28,13 +28,18 @@ NAMED = 40  # parts up to which the axis names them
 
 def share_picture(study: GaugeStudy) -> str:
     """Every component as a share of the study variation and of the tolerance, as a data URI."""
-    shown = [one for one in study.components if one.name != "total"]
-    with new_figure(9.4, 0.9 + 0.55 * len(shown)) as (figure, axes):
-        rows = np.arange(len(shown), dtype=np.float64)
-        kinds = [("of the study variation", BLUE, "", [study.share_of_study(one) for one in shown])]
+    components = [one for one in study.components if one.name != "total"]
+    with new_figure(9.4, 0.9 + 0.55 * len(components)) as (figure, axes):
+        rows = np.arange(len(components), dtype=np.float64)
+        kinds = [("of the study variation", BLUE, "", [study.share_of_study(one) for one in components])]
         if study.tolerance is not None:
             kinds.append(
-                ("of the tolerance", ORANGE, "//", [study.share_of_tolerance(one) or 0.0 for one in shown])
+                (
+                    "of the tolerance",
+                    ORANGE,
+                    "//",
+                    [study.share_of_tolerance(one) or 0.0 for one in components],
+                )
             )
         height = 0.8 / len(kinds)
         for k, (name, colour, hatch, shares) in enumerate(kinds):
@@ -45,7 +50,7 @@ def share_picture(study: GaugeStudy) -> str:
             axes.bar_label(bars, fmt="%.1f %%", padding=3, fontsize=8, color=INK)
         for level in (10.0, 30.0):
             axes.axvline(level, color=RED, linewidth=0.9, linestyle="--")
-        axes.set_yticks(rows, [one.name for one in shown])
+        axes.set_yticks(rows, [one.name for one in components])
         axes.invert_yaxis()
         axes.margins(x=0.12)
         axes.set_xlabel("standard deviation [%];  dashes: 10 % and 30 %, the limits for the gauge")

@@ -62,13 +62,13 @@ def map_picture(surface: HeightMap, burrs: tuple[Outlier, ...] = ()) -> str:
 
     rows, cols = surface.shape
     step = max(1, -(-max(rows, cols) // PICTURE_POINTS))
-    shown = surface.height_um[::step, ::step]
+    heights = surface.height_um[::step, ::step]
     height, width = (n * 1e-3 for n in surface.extent_um)
     with new_map_figure((height, width)) as (figure, axes, bar):
-        low, high = np.nanpercentile(shown, [0.5, 99.5])
+        low, high = np.nanpercentile(heights, [0.5, 99.5])
         axes.set_facecolor("#9aa5ae")
         image = axes.imshow(
-            np.ma.masked_invalid(shown), origin="lower", cmap="viridis", extent=(0.0, width, 0.0, height),
+            np.ma.masked_invalid(heights), origin="lower", cmap="viridis", extent=(0.0, width, 0.0, height),
             vmin=low, vmax=max(high, low + 1e-9), interpolation="nearest",
         )  # fmt: skip
         for kind, colour in COLOURS.items():

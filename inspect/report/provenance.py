@@ -8,7 +8,7 @@ from anisoscope.calibration.record import CalibrationRecord, Kind
 from anisoscope.record.schema import InputFile, PoseRecord, Record, sha256_of
 from anisoscope.rig.acquisition.journal import JOURNAL
 
-UNSAID = "not stated"
+NOT_STATED = "not stated"
 
 
 @dataclass(frozen=True)
@@ -56,10 +56,10 @@ def _inspection(record: Record) -> tuple[tuple[str, str], ...]:
     return (
         ("serial number", record.serial),
         ("product", record.product),
-        ("lot", who.lot or UNSAID),
-        ("cavity", who.cavity or UNSAID),
-        ("operator", who.operator or UNSAID),
-        ("station", who.station or UNSAID),
+        ("lot", who.lot or NOT_STATED),
+        ("cavity", who.cavity or NOT_STATED),
+        ("operator", who.operator or NOT_STATED),
+        ("station", who.station or NOT_STATED),
         ("inspected", when(record.created_at)),
         ("frames", f"{len(record.frames)}{rounds}"),
         ("software", record.software),

@@ -30,24 +30,24 @@ def rule_of(record: Record) -> str:
     """The rule that decided."""
     if record.verdict == "INVALID":
         return "what makes a measurement unfit goes before all that was measured, and never fails a part"
-    broken = _saying(record, "FAIL")
+    broken = _decisive(record, "FAIL")
     if record.verdict == "FAIL":
         return f"{_listed(broken)}; FAIL goes before every verdict but INVALID"
     if record.verdict == "INCONCLUSIVE":
-        near = _saying(record, "INCONCLUSIVE")
+        near = _decisive(record, "INCONCLUSIVE")
         return f"no limit is broken for certain, but {_listed(near)}"
     return "every quantity lies within its limit by more than its guard band (ISO 14253-1)"
 
 
-def _saying(record: Record, verdict: str) -> list[str]:
+def _decisive(record: Record, verdict: str) -> list[str]:
     """What gives this verdict."""
     level, found, details = level_of(record), [], surface_of(record)
     limited = [c for c in details.contrasts if c.verdict == verdict and c.tolerance is not None]
     side = "outside" if verdict == "FAIL" else "on one side or the other of"
     if limited:
-        lie = "contrast lies" if len(limited) == 1 else "contrasts lie"
+        noun = "contrast lies" if len(limited) == 1 else "contrasts lie"
         found.append(
-            f"{len(limited)} {lie} {side} the tolerance by {_band(verdict)} the guard band (ISO 14253-1)"
+            f"{len(limited)} {noun} {side} the tolerance by {_band(verdict)} the guard band (ISO 14253-1)"
         )
     if details.area is not None and details.area.verdict == verdict:
         found.append(

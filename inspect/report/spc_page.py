@@ -96,9 +96,9 @@ def control_picture(study: ControlStudy) -> str:
         _line(ranges, study.ranges, study.wide)
         _levels(ranges, limits.range_center, None, limits.range_upper)
         _line(average, study.average.average, study.average.outside)
-        shown = outline(study.average.upper)
+        points = outline(study.average.upper)
         for edge in (study.average.lower, study.average.upper):
-            average.plot(shown + 1, edge[shown], color=RED, linewidth=1.0, linestyle="--")
+            average.plot(points + 1, edge[points], color=RED, linewidth=1.0, linestyle="--")
         average.axhline(limits.center, color=GREEN, linewidth=1.0, zorder=2.5)
         for axes, name in zip((values, ranges, average), ("value", "moving range", "EWMA"), strict=True):
             axes.set_ylabel(name)
@@ -108,9 +108,9 @@ def control_picture(study: ControlStudy) -> str:
 
 
 def _line(axes: "Axes", values: FloatArray, marked: BoolArray) -> None:
-    shown = outline(values)
+    points = outline(values)
     single = len(values) <= SINGLE
-    axes.plot(shown + 1, values[shown], color=BLUE, linewidth=0.9 if single else 0.6,
+    axes.plot(points + 1, values[points], color=BLUE, linewidth=0.9 if single else 0.6,
               marker="o" if single else "", markersize=3)  # fmt: skip
     places = distinct_on_paper(values, marked)
     crowded = len(places) > MANY

@@ -51,8 +51,8 @@ def _colour(number: int, count: int) -> str:
 def _round_ticks(axis: "Axis", values: FloatArray) -> None:
     """Plain numbers along a logarithmic axis of less than two decades."""
     ticks = [float(f"{value:.1g}") for value in np.geomspace(values[0], values[-1], 5)]
-    shown = sorted({tick for tick in ticks if values[0] * 0.999 <= tick <= values[-1] * 1.001})
-    axis.set_ticks(shown, [f"{tick:g}" for tick in shown])
+    image = sorted({tick for tick in ticks if values[0] * 0.999 <= tick <= values[-1] * 1.001})
+    axis.set_ticks(image, [f"{tick:g}" for tick in image])
     axis.set_ticks([], minor=True)
 
 
@@ -145,7 +145,7 @@ class Map:
 
     def draw(self, axes: "Axes") -> None:
         """Draw into axes."""
-        shown = axes.pcolormesh(
+        image = axes.pcolormesh(
             self.x, self.y, self.values, cmap="cividis", shading="gouraud", rasterized=True
         )
         if self.log_x:
@@ -157,7 +157,7 @@ class Map:
         axes.plot(*self.mark, "o", color=RED, markerfacecolor="white", markersize=7, clip_on=False, zorder=5)
         axes.set_xlabel(self.x_label)
         axes.set_ylabel(self.y_label)
-        axes.figure.colorbar(shown, ax=axes, label=self.bar_label)
+        axes.figure.colorbar(image, ax=axes, label=self.bar_label)
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from anisoscope.report.tilt_sections import tilt_parts
 from anisoscope.report.wording import contrast_name, labels_of
 
 MAX_REGIONS = 12
-WANTED_RATIO = 4.0
+TARGET_RATIO = 4.0
 SMALL_SHARE = 0.01
 SURFACES = {"design": "ideal design", "height_map": "height map"}
 
@@ -32,7 +32,7 @@ def surface_sections(record: Record, pictures: Pictures) -> Sections:
         "kind": NAMES.get(found.contrasts[0].kind, "") if found.contrasts else "",
         "surfaces": SURFACES,
         "regions": found.regions[:MAX_REGIONS],
-        "narrow": [c for c in found.contrasts if c.tolerance_ratio and c.tolerance_ratio < WANTED_RATIO],
+        "narrow": [c for c in found.contrasts if c.tolerance_ratio and c.tolerance_ratio < TARGET_RATIO],
         "budget_rows": large,
         "small_budget": small,
         "budget_top": max((max(row.contributions, default=0.0) for row in record.budget), default=0.0),

@@ -169,10 +169,10 @@ class SurfacePictures(Picture3D):
 def flat_drawings(surface: HeightMap) -> tuple[str, str]:
     """The map seen from above, and its middle row, as data URIs."""
     line = surface.height_um[surface.shape[0] // 2]
-    shown = min(line.size, round(PROFILE_UM / surface.pixel_x_um))
+    count = min(line.size, round(PROFILE_UM / surface.pixel_x_um))
     return (
         figures.height_picture(surface.height_um, (surface.pixel_y_um, surface.pixel_x_um)),
-        figures.profile_chart(np.arange(shown) * surface.pixel_x_um, line[:shown]),
+        figures.profile_chart(np.arange(count) * surface.pixel_x_um, line[:count]),
     )
 
 

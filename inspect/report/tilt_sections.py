@@ -7,7 +7,7 @@ from anisoscope.record.schema import Record, TiltContrastRecord
 from anisoscope.record.surface_details import surface_of
 from anisoscope.report import figures
 from anisoscope.report.rule import NAMES
-from anisoscope.report.wording import U_SAID, signed
+from anisoscope.report.wording import U_LEGEND, signed
 
 MOST = 12
 """Rows that are shown; of more the least likely ones, and the rest is folded away."""
@@ -48,37 +48,37 @@ def tilt_row(one: TiltContrastRecord) -> TiltRow:
     return TiltRow(one.kind, _label(one), _minus(stage), _minus(tilts), numbers, chance)
 
 
-def shown_between_tilts(
+def listed_tilt_contrasts(
     record: Record,
 ) -> tuple[tuple[TiltContrastRecord, ...], tuple[TiltContrastRecord, ...]]:
     """The contrasts between tilts that are shown, and those that are folded away, both in the order of the record."""
     found = surface_of(record).between_tilts
     likely = sorted(range(len(found)), key=lambda k: (found[k].p_value, k))
-    kept = set(likely[:MOST])
+    listed = set(likely[:MOST])
     return (
-        tuple(one for k, one in enumerate(found) if k in kept),
-        tuple(one for k, one in enumerate(found) if k not in kept),
+        tuple(one for k, one in enumerate(found) if k in listed),
+        tuple(one for k, one in enumerate(found) if k not in listed),
     )
 
 
 def tilt_parts(record: Record) -> dict[str, Any]:
     """What the page says of the contrasts between tilts."""
-    shown, folded = shown_between_tilts(record)
-    if not shown:
-        return {"tilt_rows": (), "tilt_folded": (), "tilt_chart": None, "u_said": U_SAID}
-    kind = shown[0].kind
+    listed_rows, folded = listed_tilt_contrasts(record)
+    if not listed_rows:
+        return {"tilt_rows": (), "tilt_folded": (), "tilt_chart": None, "u_said": U_LEGEND}
+    kind = listed_rows[0].kind
     chart = figures.contrast_chart(
-        [_label(one) for one in shown],
-        [one.measured - one.predicted for one in shown],
-        [one.u for one in shown],
-        [None] * len(shown),
+        [_label(one) for one in listed_rows],
+        [one.measured - one.predicted for one in listed_rows],
+        [one.u for one in listed_rows],
+        [None] * len(listed_rows),
         NAMES[kind],
     )
     return {
-        "tilt_rows": tuple(map(tilt_row, shown)),
+        "tilt_rows": tuple(map(tilt_row, listed_rows)),
         "tilt_folded": tuple(map(tilt_row, folded)),
         "tilt_chart": chart,
-        "u_said": U_SAID,
+        "u_said": U_LEGEND,
     }
 
 

@@ -6,7 +6,7 @@ from anisoscope.record.surface_details import surface_of
 from anisoscope.report.page import Filters
 from anisoscope.report.provenance import when
 
-U_SAID = "U = 2u: expanded uncertainty"
+U_LEGEND = "U = 2u: expanded uncertainty"
 
 
 def filters() -> Filters:
@@ -23,8 +23,8 @@ def filters() -> Filters:
 
 def signed(value: float, digits: int = 3) -> str:
     """A number with its sign, a true minus; what rounds to nothing has none."""
-    told = f"{value:+.{digits}f}"
-    return told[1:] if float(told) == 0.0 else told.replace("-", "−")
+    text = f"{value:+.{digits}f}"
+    return text[1:] if float(text) == 0.0 else text.replace("-", "−")
 
 
 def labels_of(record: Record) -> list[str]:

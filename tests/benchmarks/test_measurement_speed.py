@@ -24,7 +24,7 @@ from anisoscope.imaging.linearisation import HOT_PIXEL_SIGMA, SATURATION_SHARE, 
 from anisoscope.imaging.pose_radiance import region_grid
 from anisoscope.imaging.registration.placement import locate, resample
 from anisoscope.inspection.job import Job
-from anisoscope.inspection.manifest import JobFile
+from anisoscope.inspection.manifest import Manifest
 from anisoscope.inspection.pipeline import measure_frames
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
 from anisoscope.prediction.expectation import expectation
@@ -156,7 +156,7 @@ class Peak:
         self._thread.join()
 
 
-MADE = JobFile(
+MADE = Manifest(
     software="x",
     created_at="2025-01-01T00:00:00+00:00",
     serial="B",

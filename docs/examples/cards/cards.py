@@ -8,7 +8,7 @@ from anisoscope.base.toml_file import Part, Positive
 from anisoscope.imaging.pose_radiance import check_light, check_view, mean_of
 from anisoscope.imaging.registration.placement import Grid, View, resample
 from anisoscope.imaging.views import most_changed
-from anisoscope.kinds.kind import Kind, Reference, Results, Shown, Sitting, Table
+from anisoscope.kinds.kind import CommandOutput, Kind, Reference, Results, Sitting, Table
 from anisoscope.recipe.base import RecipeBase
 from anisoscope.record.details import Details
 from anisoscope.record.schema import Record
@@ -131,13 +131,15 @@ class Cards(Kind[CardRecipe, Expected, Measured, Decided]):
         source = "{% if card %}<h2>The card</h2><p>Mean radiance {{ '%.4f'|format(card.mean) }} 1/sr.</p>{% endif %}"
         return Sections(rule="one threshold on the mean", before=source, content={"card": record.details})
 
-    def shown(self, record: Record) -> Shown:
+    def summary(self, record: Record) -> CommandOutput:
         """What `anisoscope inspect` prints."""
         found = record.details
         if not isinstance(found, CardDetails):
-            return Shown({"card": None})
+            return CommandOutput({"card": None})
         rows = [[f"{found.mean:.4f}", f"{found.limit:g}"]]
-        return Shown({"card": found.model_dump()}, (Table(record.serial, ["mean [1/sr]", "limit"], rows),))
+        return CommandOutput(
+            {"card": found.model_dump()}, (Table(record.serial, ["mean [1/sr]", "limit"], rows),)
+        )
 
 
 CARDS = Cards()

@@ -100,11 +100,11 @@ def _print(parts: list[dict[str, Any]], found: "list[tuple[str, str, Inspected]]
     out = console()
     for part in parts:
         out.print(f"report of {part['serial']}: {part['report']}", highlight=False, soft_wrap=True)
-    said: dict[str, list[str]] = {}
+    serials_by_note: dict[str, list[str]] = {}
     for part, (_, _, inspected) in zip(parts, found, strict=True):
         for note in inspected.notes:
-            said.setdefault(note, []).append(part["serial"])
-    for note, serials in said.items():
+            serials_by_note.setdefault(note, []).append(part["serial"])
+    for note, serials in serials_by_note.items():
         out.print(f"note on {', '.join(serials)}: {note}", markup=False, highlight=False, soft_wrap=True)
     out.print(
         "Every verdict is the expected one." if right else "[bold]A verdict is not the expected one.[/bold]"

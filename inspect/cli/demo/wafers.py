@@ -108,12 +108,12 @@ def write_tile(folder: Path, rng: np.random.Generator) -> None:
     from anisoscope.sim.design.designfile import write_design, write_layout
     from anisoscope.sim.design.pattern import PatternOptions, make_layout
 
-    made = design()
+    pattern = design()
     classes = np.zeros((DOTS, DOTS), dtype=np.int64)
-    drawn = [make_layout(classes, (made,), rng, PatternOptions(DOT_UM, DOTS**2)) for _ in range(DRAWS)]
+    drawn = [make_layout(classes, (pattern,), rng, PatternOptions(DOT_UM, DOTS**2)) for _ in range(DRAWS)]
     layout = min(drawn, key=lambda one: abs(float(one.tiles[one.index].mean()) - 0.5))
-    write_design(made, folder / "design.toml")
-    write_layout(layout, folder / "wafer.npz", (made,))
+    write_design(pattern, folder / "design.toml")
+    write_layout(layout, folder / "wafer.npz", (pattern,))
     write_height_map(layout.window(), folder / "tile.npz")
 
 

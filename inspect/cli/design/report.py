@@ -7,7 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from anisoscope.cli.design.output import figure_rows
-from anisoscope.report.design_page import DesignPage, LobeCurves, PhaseCurve, Shown, write_design_page
+from anisoscope.report.design_page import (
+    CaptionedPicture,
+    DesignPage,
+    LobeCurves,
+    PhaseCurve,
+    write_design_page,
+)
 from anisoscope.sim.design.appearance import Picture, mirrored_dots, pattern_under, screen
 from anisoscope.sim.design.models import LobeModel, MixtureModel, model_density
 from anisoscope.sim.design.pattern import PatternOptions, make_layout
@@ -26,7 +32,7 @@ SOURCE = (
     "Levin et al. 2013, Fabricating BRDFs at high spatial resolution using wave optics, with its equations mended: the "
     "source blurs the lobe too, and mixtures count by area. Scalar waves, no shadows, one material."
 )
-SHOWN_BAND = (380.0, 750.0)
+DRAWN_BAND = (380.0, 750.0)
 
 
 def write_design_report(
@@ -64,7 +70,9 @@ def write_refined_report(design: "DesignFile", layout: "Layout", found: "Refined
     """
     table = layout.heights_um
     grey = (table - table.min()) / max(float(np.ptp(table)), 1e-9)
-    dot = Shown(np.repeat(grey[layout.tiles[0]][::-1, :, None], 3, axis=2), "The dot; deeper is darker")
+    dot = CaptionedPicture(
+        np.repeat(grey[layout.tiles[0]][::-1, :, None], 3, axis=2), "The dot; deeper is darker"
+    )
     figures = [
         ("relative error of the best random dot", f"{found.start_error:.4f}", "1"),
         ("relative error", f"{found.error:.4f}", "1"),
@@ -93,19 +101,21 @@ def write_pattern_report(layout: "Layout", designs: "Sequence[DesignFile]", path
     Raises:
         RecordError: the file cannot be written.
     """
-    seen = [
+    views = [
         (pattern_under(layout, designs, *h), words)
         for h, words in (((LOOK_H, 0.0), "Lamp to the side (x)"), ((0.0, LOOK_H), "Lamp above (y)"))
     ]
-    brightest = max(float(each.max()) for (_, each), _ in seen)
+    brightest = max(float(each.max()) for (_, each), _ in views)
     looks = tuple(
-        Shown(np.repeat(_encoded(picture / brightest)[..., None], 3, axis=2), f"{words}, h = {LOOK_H:g}")
-        for (picture, _), words in seen
+        CaptionedPicture(
+            np.repeat(_encoded(picture / brightest)[..., None], 3, axis=2), f"{words}, h = {LOOK_H:g}"
+        )
+        for (picture, _), words in views
     )
     figures = [
         (
             name,
-            f"{seen[0][0][1][number] / brightest:.3f}, {seen[1][0][1][number] / brightest:.3f}",
+            f"{views[0][0][1][number] / brightest:.3f}, {views[1][0][1][number] / brightest:.3f}",
             "side, above",
         )
         for number, name in enumerate(layout.names)
@@ -113,9 +123,9 @@ def write_pattern_report(layout: "Layout", designs: "Sequence[DesignFile]", path
     high, wide = (1e-3 * side for side in layout.size_um)
     etched = next(design for design in designs if design.passes_nm)
     pictures = tuple(
-        Shown(shown.srgb, f"{design.name}: {shown.caption}")
+        CaptionedPicture(picture.srgb, f"{design.name}: {picture.caption}")
         for design in designs
-        for shown in (screen(design, white=True), mirrored_dots(design, white=True))
+        for picture in (screen(design, white=True), mirrored_dots(design, white=True))
     )
     write_design_page(
         DesignPage(
@@ -166,16 +176,16 @@ def _curves(design: "DesignFile", axes: "Sequence[AxisLobe]") -> tuple[LobeCurve
 
 
 def _phase(design: "DesignFile") -> PhaseCurve:
-    nm = np.linspace(min(SHOWN_BAND[0], design.band_nm[0]), max(SHOWN_BAND[1], design.band_nm[1]), 371)
+    nm = np.linspace(min(DRAWN_BAND[0], design.band_nm[0]), max(DRAWN_BAND[1], design.band_nm[1]), 371)
     return PhaseCurve(nm, design.depths.tau(nm), design.band_nm)
 
 
-def _pictures(design: "DesignFile") -> tuple[Shown, ...]:
+def _pictures(design: "DesignFile") -> tuple[CaptionedPicture, ...]:
     found: list[Picture] = [
         screen(design, white=False), screen(design, white=True),
         mirrored_dots(design, white=False), mirrored_dots(design, white=True),
     ]  # fmt: skip
-    return tuple(Shown(one.srgb, one.caption) for one in found)
+    return tuple(CaptionedPicture(one.srgb, one.caption) for one in found)
 
 
 def tolerance_rows(design: "DesignFile", layout: "Layout") -> list[list[str]]:

@@ -87,8 +87,8 @@ def print_csv(result: "Experiment") -> None:
     for place, row in combinations():
         values = [*(f"{value:g}" for value in row), repr(float(result.predicted[place]))]
         if result.measured is not None:
-            seen = float(result.measured[place])
-            values.append(repr(seen) if math.isfinite(seen) else "")
+            mean = float(result.measured[place])
+            values.append(repr(mean) if math.isfinite(mean) else "")
         writer.writerow(values)
 
 

@@ -130,7 +130,7 @@ def print_verified(damage: Sequence[str], count: int, head: str, *, json_: bool)
     write_line(f"head: {head}")
 
 
-def print_shown(row: "Row", decided: "Sequence[Disposition]", *, json_: bool) -> None:
+def print_inspection(row: "Row", decided: "Sequence[Disposition]", *, json_: bool) -> None:
     """Print one inspection with all its data in the history."""
     from anisoscope.history.export import as_json
 
@@ -350,7 +350,7 @@ def show(inspection: One, /, *, place: Place = None, json_: Json = False) -> int
 
     with opened(place) as found:
         row = find(found, inspection)
-        print_shown(row, found.dispositions(row.id), json_=json_)
+        print_inspection(row, found.dispositions(row.id), json_=json_)
     return 0
 
 

@@ -108,8 +108,8 @@ def _write(
     from anisoscope.sim.light.colour.spaces import encode
     from anisoscope.sim.proof.imagefile import dots_png, film_png
 
-    shown = encode(plan.colours.T / plan.colours.max()).srgb
-    palette = np.rint(255.0 * np.vstack([np.zeros(3), shown])).astype(np.uint8)
+    tints = encode(plan.colours.T / plan.colours.max()).srgb
+    palette = np.rint(255.0 * np.vstack([np.zeros(3), tints])).astype(np.uint8)
     write_bytes(out, dots_png(found.dots, palette, dpi))
     for number, path in enumerate(films):
         write_bytes(path, film_png(found.mask(number), dpi, positive=not negative))

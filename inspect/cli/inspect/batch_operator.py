@@ -59,7 +59,7 @@ class Terminal:
             try:
                 return Answer("go on", read_scan(text))
             except UsageError as error:
-                _tell(str(error))
+                _print_line(str(error))
 
     def serial_of(self, slot: "SlotResult", why: str) -> "Scan | None":
         """Ask for the serial number of a part whose code cannot be read; Enter gives up."""
@@ -67,7 +67,7 @@ class Terminal:
 
         if not self.interactive:
             return None
-        _tell(f"slot {slot.slot}: {why}")
+        _print_line(f"slot {slot.slot}: {why}")
         while True:
             text = _line("scan its code or type its serial number; Enter makes the part INVALID: ")
             if text is None or not text.strip():
@@ -75,7 +75,7 @@ class Terminal:
             try:
                 return read_scan(text)
             except UsageError as error:
-                _tell(str(error))
+                _print_line(str(error))
 
     def trouble(self, slot: "SlotResult", faults: int) -> Literal["again", "go on", "stop"]:
         """Ask what to do after faults in a row."""
@@ -143,9 +143,9 @@ def table_of(batch: "BatchFile") -> "Table":
 
 
 def _part(slot: "SlotResult") -> str:
-    said = [f"part {slot.serial}" if slot.serial else "the part"]
-    said += [f"{what} {text}" for what, text in (("lot", slot.lot), ("cavity", slot.cavity)) if text]
-    return ", ".join(said)
+    parts = [f"part {slot.serial}" if slot.serial else "the part"]
+    parts += [f"{what} {text}" for what, text in (("lot", slot.lot), ("cavity", slot.cavity)) if text]
+    return ", ".join(parts)
 
 
 def _name(slot: "SlotResult") -> str:
@@ -166,5 +166,5 @@ def _line(prompt: str) -> str | None:
     return text.rstrip("\r\n")
 
 
-def _tell(text: str) -> None:
+def _print_line(text: str) -> None:
     print(text, file=sys.stderr, flush=True)  # noqa: T201

@@ -48,9 +48,9 @@ def remember(inspected: "Inspected", place: str | Path | None) -> None:
         with open_history(place) as history:
             history.append(row_of(inspected.record, inspected.folder))
     except Exception as error:  # noqa: BLE001 - record and verdict stand, whatever goes wrong here
-        said = " ".join(str(error).split()) or type(error).__name__
+        problem = " ".join(str(error).split()) or type(error).__name__
         print(  # noqa: T201
-            f"anisoscope: the inspection is not in the history yet: {said}; "
+            f"anisoscope: the inspection is not in the history yet: {problem}; "
             f"`anisoscope history add {inspected.folder}{_where(place)}` adds it",
             file=sys.stderr,
         )

@@ -111,7 +111,7 @@ def _as_json(inspected: "Inspected") -> dict[str, Any]:
         "says": None if diagnosis is None else diagnosis.says,
         "tells": None if diagnosis is None else diagnosis.tells,
         "unexplained_p": None if diagnosis is None else diagnosis.unexplained_p,
-        **kind_named(record.kind).shown(record).content,
+        **kind_named(record.kind).summary(record).content,
         "rounds": record.rounds,
         "dropped_markers": [list(pose.dropped) for pose in record.poses],
         "calibrations": [one.model_dump() for one in record.calibrations],
@@ -131,7 +131,7 @@ def explained(record: "Record") -> list[str]:
         lines.append(f"cause: {diagnosis.says}")
         lines += [_cause_line(cause) for cause in diagnosis.causes if cause.tie and cause.cause != "nothing"]
         lines += [f"what would tell them apart: {diagnosis.tells}"] if diagnosis.tells else []
-    return [*lines, *kind_named(record.kind).shown(record).lines]
+    return [*lines, *kind_named(record.kind).summary(record).lines]
 
 
 def _cause_line(cause: "CauseRecord") -> str:
@@ -144,7 +144,7 @@ def _print(inspected: "Inspected") -> None:
     from anisoscope.kinds.registry import kind_named
 
     record = inspected.record
-    for table in kind_named(record.kind).shown(record).tables:
+    for table in kind_named(record.kind).summary(record).tables:
         print_table(table.title, table.columns, table.rows, table.caption)
     out = console()
     color = {"PASS": "green", "FAIL": "red", "INCONCLUSIVE": "yellow", "INVALID": "magenta"}[record.verdict]

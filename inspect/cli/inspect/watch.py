@@ -77,7 +77,7 @@ def watch(
     )
     teller = Teller(json_=json_)
     watching = Watch(what, teller, lambda inspected: remember(inspected, place))
-    with _until_told() as stop, watching.open():
+    with _until_signalled() as stop, watching.open():
         teller.say({"event": "watching", "folder": str(what.root)}, f"watching {what.root}; Ctrl-C ends")
         (watching.run_once if once else watching.run)(stop)
     teller.end(watching)
@@ -144,21 +144,21 @@ class Teller:
         counts = {word: watching.verdicts.count(word) for word in dict.fromkeys(watching.verdicts)}
         if bad and not self._json:
             print_table("Not inspected", ["folder", "why"], [[name, why] for name, why in bad.items()])
-        said = ", ".join(f"{count} {word}" for word, count in counts.items()) or "nothing new"
+        summary = ", ".join(f"{count} {word}" for word, count in counts.items()) or "nothing new"
         left = f"; still arriving: {', '.join(sorted(watching.arriving))}" if watching.arriving else ""
         self.say(
             {"event": "end", "counts": counts, "bad": bad, "arriving": sorted(watching.arriving)},
-            f"{said}{left}",
+            f"{summary}{left}",
         )
 
 
 @contextlib.contextmanager
-def _until_told() -> Iterator[threading.Event]:
+def _until_signalled() -> Iterator[threading.Event]:
     """An event that the first Ctrl-C or SIGTERM sets; a second one interrupts at once."""
     stop = threading.Event()
     before: dict[int, Any] = {}
 
-    def tell(number: int, _frame: FrameType | None) -> None:
+    def on_signal(number: int, _frame: FrameType | None) -> None:
         if stop.is_set():
             raise KeyboardInterrupt
         stop.set()
@@ -173,7 +173,7 @@ def _until_told() -> Iterator[threading.Event]:
     numbers = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
     for number in numbers:
         if signal.getsignal(number) is not signal.SIG_IGN:
-            before[number] = signal.signal(number, tell)
+            before[number] = signal.signal(number, on_signal)
     try:
         yield stop
     finally:

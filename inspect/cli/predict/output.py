@@ -210,8 +210,8 @@ def _caption(result: "Predicted") -> str:
         if name in _IN_WORDS:
             caption += "; " + _IN_WORDS[name].format(100.0 * value)
             continue
-        shown = f"{value:.4g}" if isinstance(value, float) else str(value)
-        caption += f"; {name.replace('_', ' ')}: {shown}"
+        text = f"{value:.4g}" if isinstance(value, float) else str(value)
+        caption += f"; {name.replace('_', ' ')}: {text}"
     if result.budget is not None:
         source = "first order" if result.drawn is None else f"{len(result.drawn.radiance)} draws"
         caption += f"; ± is the standard uncertainty (coverage factor 1), from {source}"
@@ -295,10 +295,10 @@ def print_spectrum(results: "list[Predicted]", wavelengths_nm: tuple[float, ...]
     """Print radiances and contrasts of every wavelength."""
     radiance, contrast = columns_of(results[0])
     wavelength_head = "wavelength [nm]"
-    shown = [f"{wavelength:g}" for wavelength in wavelengths_nm]
+    text = [f"{wavelength:g}" for wavelength in wavelengths_nm]
     for title, head, rows_of, caption in (
         ("Radiance per unit irradiance", radiance, radiance_rows, None),
         ("Contrasts", contrast, contrast_rows, _caption(results[0])),
     ):
-        rows = [[name, *row] for name, one in zip(shown, results, strict=True) for row in rows_of(one)]
+        rows = [[name, *row] for name, one in zip(text, results, strict=True) for row in rows_of(one)]
         print_table(title, [wavelength_head, *head], rows, caption=caption)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from anisoscope.profiles.metrology.quantity import Quantity
     from anisoscope.profiles.metrology.ridgemeasurement import RidgeMeasurement
 
-SHOWN_BURRS = 12
+LISTED_BURRS = 12
 NAMES = (
     ("pitch_um", "pitch", "µm"),
     ("direction_deg", "direction from +y", "°"),
@@ -114,11 +114,11 @@ def _print(name: str, found: "RidgeMeasurement") -> None:
 
 def _print_burrs(burrs: "tuple[Outlier, ...]") -> None:
     rows = []
-    for one in burrs[:SHOWN_BURRS]:
+    for one in burrs[:LISTED_BURRS]:
         size = f"{one.height_um:.2f}", f"{one.area_um2:.4g}", f"{one.volume_um3:.4g}"
         rows.append([one.kind, f"{one.x_um:.1f}", f"{one.y_um:.1f}", *size])
     count = {kind: sum(one.kind == kind for one in burrs) for kind in ("burr", "spike", "pit")}
-    more = f"; {SHOWN_BURRS} shown, all with --json" if len(burrs) > SHOWN_BURRS else ""
+    more = f"; {LISTED_BURRS} shown, all with --json" if len(burrs) > LISTED_BURRS else ""
     print_table(
         "what stands out, largest volume first",
         ["kind", "x [µm]", "y [µm]", "height [µm]", "area [µm²]", "volume [µm³]"],

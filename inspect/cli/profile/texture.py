@@ -153,8 +153,8 @@ def _draw(found: "Texture", path: Path) -> None:
     curve = bearing(surface)
 
     def spectrum(label: str, one: spectra.Spectrum) -> Curve:
-        shown = (one.frequency > 0.0) & (one.density > 0.0)
-        return Curve(label, one.frequency[shown], one.density[shown])
+        chosen = (one.frequency > 0.0) & (one.density > 0.0)
+        return Curve(label, one.frequency[chosen], one.density[chosen])
 
     charts = (
         Chart(
@@ -201,8 +201,8 @@ def _draw(found: "Texture", path: Path) -> None:
         ),
     )
     # a flat map has no spectrum that a logarithmic axis could show
-    shown = [chart for chart in charts if not chart.log or all(one.x.size for one in chart.curves)]
-    write_picture(path, shown, columns=2)
+    chosen = [chart for chart in charts if not chart.log or all(one.x.size for one in chart.curves)]
+    write_picture(path, chosen, columns=2)
 
 
 def _last(acf: Any) -> float:  # noqa: ANN401 - the module of the type is slow to import

@@ -11,7 +11,7 @@ from cyclopts import App, Parameter
 from anisoscope.base.errors import CalibrationError, UsageError
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
-from anisoscope.cli.tables import console, print_shown
+from anisoscope.cli.tables import console, print_output
 
 if TYPE_CHECKING:
     from anisoscope.kinds.kind import Reference
@@ -51,7 +51,7 @@ def add(
             known = kind.add_reference(known, rules, read_record(folder))
     assert known is not None
     write_golden(path, known)
-    return _say(path, len(folders), "added", known, kind.reference_noun, json_=json_)
+    return _print_change(path, len(folders), "added", known, kind.reference_noun, json_=json_)
 
 
 @app.command
@@ -74,7 +74,7 @@ def remove(*serials: str, recipe: RecipeFile, json_: Json = False) -> int:
         write_golden(path, known)
     else:
         path.unlink()
-    return _say(path, before - len(known.parts), "removed", known, kind.reference_noun, json_=json_)
+    return _print_change(path, before - len(known.parts), "removed", known, kind.reference_noun, json_=json_)
 
 
 @app.command
@@ -91,9 +91,9 @@ def show(*, recipe: RecipeFile, json_: Json = False) -> int:
             raise CalibrationError(
                 f"{path}: there are no golden parts of this recipe: add some with `anisoscope golden add`"
             )
-    shown = kind.show_reference(known, rules)
-    content = _content(path, known.lacking, len(known.parts)) | shown.content
-    print_shown(replace(shown, content=content), json_=json_)
+    output = kind.show_reference(known, rules)
+    content = _content(path, known.lacking, len(known.parts)) | output.content
+    print_output(replace(output, content=content), json_=json_)
     return 0
 
 
@@ -106,7 +106,7 @@ def _content(path: Path, lacking: str | None, count: int) -> dict[str, Any]:
     }
 
 
-def _say(path: Path, number: int, what: str, known: "Reference", noun: str, *, json_: bool) -> int:
+def _print_change(path: Path, number: int, what: str, known: "Reference", noun: str, *, json_: bool) -> int:
     from anisoscope.decision.reference_parts import counted
 
     lacking, count = known.lacking, len(known.parts)

@@ -9,7 +9,7 @@ from anisoscope.base.errors import CalibrationError, UsageError
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json, parse_numbers
 from anisoscope.cli.progress import progress
-from anisoscope.cli.tables import console, print_shown, print_table
+from anisoscope.cli.tables import console, print_output, print_table
 
 if TYPE_CHECKING:
     from anisoscope.recipe.teaching import Taught
@@ -50,8 +50,8 @@ def new(
     if out.exists():
         raise UsageError(f"{out} exists already: name another file, or change it with an editor")
     named = None if product == PRODUCT else product
-    asked = NewRecipe(named, pitch, ridge_angle, u_ridge_angle, height_map, ink)
-    tables = kind_of_new(asked).new_recipe(out, asked)
+    requested = NewRecipe(named, pitch, ridge_angle, u_ridge_angle, height_map, ink)
+    tables = kind_of_new(requested).new_recipe(out, requested)
     console().print(
         f"{out}: written; adapt {tables}, then: anisoscope recipe check {out}",
         markup=False,
@@ -79,8 +79,8 @@ def check(
     tries = parse_numbers(try_tilts, "--try-tilts") if try_tilts.strip() else ()
     kind = kind_of(file)
     with progress(file.name, quiet=json_) as advance:
-        shown = kind.check_recipe(file, rig, light_angle, tries, advance)
-    print_shown(shown, json_=json_)
+        output = kind.check_recipe(file, rig, light_angle, tries, advance)
+    print_output(output, json_=json_)
     return 0
 
 

@@ -273,8 +273,8 @@ def list_(*, rig: _Rig, json_: Json = False) -> int:
             if one.advice:
                 console().print(f"{one.kind}: {one.advice}", markup=False, highlight=False, soft_wrap=True)
     usable = {"valid", "no record"}
-    unfit = [one for one in found if one.state not in usable and (one.needed or one.file is not None)]
-    return 3 if unfit else 0
+    invalid = [one for one in found if one.state not in usable and (one.needed or one.file is not None)]
+    return 3 if invalid else 0
 
 
 def _as_json(record: "CalibrationRecord") -> dict[str, object]:

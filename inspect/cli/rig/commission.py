@@ -149,8 +149,8 @@ def _show(record: "Commissioning", lines: list[str], as_json: bool) -> None:
         sys.stdout.write(record.model_dump_json(by_alias=True, indent=2) + "\n")
         return
     rows = [finding_row(finding) for finding in record.findings]
-    shown = [[words, unit, old, value, u] for words, _, unit, old, value, u, _ in rows]
-    print_table(f"Commissioning of {record.rig}", ["what", "unit", "rig file", "found", "u"], shown)
+    cells = [[words, unit, old, value, u] for words, _, unit, old, value, u, _ in rows]
+    print_table(f"Commissioning of {record.rig}", ["what", "unit", "rig file", "found", "u"], cells)
     remarks = [f"{row[1]}: {row[6]}" for row in rows if row[6]]
     for line in (*remarks, *record.notes, *lines):
         console().print(line, markup=False, highlight=False)

@@ -100,8 +100,8 @@ def bench(
             places, urls = _serve_bench(virtual_rig, base, stack, pty=pty)
             if write_rig is not None:
                 _write_rig(virtual_rig, urls, write_rig)
-            shown = ", ".join(f"{name} {place}" for name, place in places.items())
-            print(f"serving bench on {shown}", flush=True)  # noqa: T201
+            listing = ", ".join(f"{name} {place}" for name, place in places.items())
+            print(f"serving bench on {listing}", flush=True)  # noqa: T201
             threading.Event().wait()
         except KeyboardInterrupt:
             return 0

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from anisoscope.quality.control import ControlStudy, Settings
     from anisoscope.quality.readings import Readings
 
-SHOWN = 20  # patterns in the terminal
+LISTED = 20  # patterns in the terminal
 
 
 @dataclass(frozen=True)
@@ -208,11 +208,11 @@ def _show(readings: "Readings", studies: "list[ControlStudy]", skipped: list[str
     if not alone:
         print_grid(overview(studies))
     else:
-        for grid in tables(studies[0], SHOWN):
+        for grid in tables(studies[0], LISTED):
             print_grid(grid)
         if studies[0].normality is not None:
             write_lines(f"Anderson-Darling: p {studies[0].normality.p:.3g}, {studies[0].normality.hint}")
         write_lines(*studies[0].notes)
     write_lines(*(f"left out: {line}" for line in skipped))
-    for study in studies if len(studies) <= SHOWN else studies[:1]:
+    for study in studies if len(studies) <= LISTED else studies[:1]:
         write_lines(f"{study.name}: {study.verdict}")

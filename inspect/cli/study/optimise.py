@@ -100,10 +100,10 @@ def tables(best: "Optimum", plain: "Optimum | None", scoring: "Scoring") -> "lis
         )
     columns = ("parameter", "optimum", "keeps 99 % of the score", "sd between samples", "remark")
     tables = [Table("Optimum", columns, tuple(rows))]
-    shown = [("optimum", best.part, best.scored, best.nominal)]
+    parts = [("optimum", best.part, best.scored, best.nominal)]
     if plain is not None:
         under = score(plain.part, scoring)
-        shown = [("robust", *shown[0][1:]), ("nominal", plain.part, under, plain.nominal)]
+        parts = [("robust", *parts[0][1:]), ("nominal", plain.part, under, plain.nominal)]
     names = [one.name for one in best.slices]
     tables.append(
         Table(
@@ -125,7 +125,7 @@ def tables(best: "Optimum", plain: "Optimum | None", scoring: "Scoring") -> "lis
                     f"{scored.sd:.3g}",
                     f"{scored.score:.5g}",
                 )
-                for label, part, scored, ideal in shown
+                for label, part, scored, ideal in parts
             ),
         )
     )

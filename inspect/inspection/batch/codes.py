@@ -129,11 +129,11 @@ def _code(one: Any, rendering: _Rendering, library: Any) -> Code:  # noqa: ANN40
         [[p.x, p.y] for p in (place.top_left, place.top_right, place.bottom_right, place.bottom_left)]
     )
     back = cv2.invertAffineTransform(rendering.matrix)
-    seen = np.rint(corners @ back[:, :2].T + back[:, 2]).astype(int)
+    outline = np.rint(corners @ back[:, :2].T + back[:, 2]).astype(int)
     return Code(
         names[one.symbology],
         read_scan(f"{one.symbology_identifier}{raw}"),
-        tuple((int(column), int(row)) for column, row in seen),
+        tuple((int(column), int(row)) for column, row in outline),
     )
 
 

@@ -332,8 +332,8 @@ def _view(slot: SlotResult, folder: Path) -> SlotView:
 
 def _picture(inside: Path) -> str | None:
     """The first frame that shows the part, or its code."""
-    shown = [*sorted((inside / FRAMES).glob("*_sample_*.tif"))[:1], inside / CODE_PICTURE]
-    for path in shown:
+    pictures = [*sorted((inside / FRAMES).glob("*_sample_*.tif"))[:1], inside / CODE_PICTURE]
+    for path in pictures:
         with contextlib.suppress(RecordError):
             return thumbnail(read_frame(path).grey)
     return None

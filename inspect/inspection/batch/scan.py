@@ -15,8 +15,8 @@ GROUP = "\x1d"
 _AIM = re.compile(r"\][A-Za-z][0-9A-Za-z]")
 _GS1_MARKS = frozenset({"]d2", "]d5", "]C1", "]Q3", "]Q5", "]e0", "]J1"})
 _SPELT_GROUP = re.compile(r"<GS>|\{GS\}|␝", re.IGNORECASE)
-_SHOWN = re.compile(r"(?:\(\d{2,4}\)[^()]+)+")
-_SHOWN_ELEMENT = re.compile(r"\((\d{2,4})\)([^()]+)")
+_PRINTED = re.compile(r"(?:\(\d{2,4}\)[^()]+)+")
+_PRINTED_ELEMENT = re.compile(r"\((\d{2,4})\)([^()]+)")
 # Length of the identifier by its first two digits; two where nothing else is said.
 _IDENTIFIER_DIGITS = {
     **dict.fromkeys(("23", "24", "25", "40", "41", "42", "71"), 3),
@@ -70,14 +70,14 @@ def read_scan(raw: str) -> Scan:
         raise UsageError("the code is empty: scan it again, or type the serial number")
     if (mark is not None and mark.group() in _GS1_MARKS) or GROUP in printed:
         return _of_elements(_elements(printed))
-    if _SHOWN.fullmatch(printed):
-        return _of_elements(dict(_SHOWN_ELEMENT.findall(printed)))
+    if _PRINTED.fullmatch(printed):
+        return _of_elements(dict(_PRINTED_ELEMENT.findall(printed)))
     return Scan(printed, printed)
 
 
 def _of_elements(elements: dict[str, str]) -> Scan:
-    shown = "".join(f"({identifier}){value}" for identifier, value in elements.items())
-    return Scan(shown, elements.get(SERIAL), elements.get(LOT), gs1=True)
+    readable = "".join(f"({identifier}){value}" for identifier, value in elements.items())
+    return Scan(readable, elements.get(SERIAL), elements.get(LOT), gs1=True)
 
 
 def _elements(text: str) -> dict[str, str]:
@@ -86,8 +86,8 @@ def _elements(text: str) -> dict[str, str]:
     Raises:
         UsageError: an identifier or a value is missing or cut off.
     """
-    if _SHOWN.fullmatch(text):  # some scanners add the brackets themselves
-        return dict(_SHOWN_ELEMENT.findall(text))
+    if _PRINTED.fullmatch(text):  # some scanners add the brackets themselves
+        return dict(_PRINTED_ELEMENT.findall(text))
     found: dict[str, str] = {}
     rest = text.lstrip(GROUP)
     while rest:
@@ -98,9 +98,9 @@ def _elements(text: str) -> dict[str, str]:
         value = rest[len(identifier) : end]
         cut = whole is not None and (len(rest) < whole or GROUP in value)
         if not (identifier.isascii() and identifier.isdigit()) or not value or cut:
-            shown = text.replace(GROUP, "|")
+            readable = text.replace(GROUP, "|")
             raise UsageError(
-                f"the code is marked as GS1, but {shown[:48]!r} is cut off or no GS1 at {rest[:12]!r}"
+                f"the code is marked as GS1, but {readable[:48]!r} is cut off or no GS1 at {rest[:12]!r}"
             )
         found[identifier] = value
         rest = rest[end:].lstrip(GROUP)

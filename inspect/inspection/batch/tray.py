@@ -175,14 +175,14 @@ def _file(texts: Mapping[str, str], column: str, path: Path, place: str) -> Path
 
 def _refuse_doubles(slots: tuple[Slot, ...], path: Path) -> None:
     """Refuse names that differ only in case: they share a folder on some systems."""
-    seen: dict[tuple[str, str], Slot] = {}
+    first_with: dict[tuple[str, str], Slot] = {}
     for slot in slots:
         names = {"slot": slot.label.casefold(), "serial": slot.serial}
         for column, name in names.items():
-            first = slot if name is None else seen.setdefault((column, name), slot)
+            first = slot if name is None else first_with.setdefault((column, name), slot)
             if first is not slot:
-                shown = slot.label if column == "slot" else slot.serial
+                value = slot.label if column == "slot" else slot.serial
                 raise UsageError(
-                    f"{path}, line {slot.line}, column {column}: {shown} stands already in line {first.line}; every "
+                    f"{path}, line {slot.line}, column {column}: {value} stands already in line {first.line}; every "
                     f"{column} stands once"
                 )

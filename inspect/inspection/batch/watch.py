@@ -436,9 +436,9 @@ class Watch:
         Raises:
             RecordError: as for `run`.
         """
-        seen = set()
+        listed = set()
         for arrival in arrivals(self.watched.root, self.watched.out):
-            seen.add(arrival.name)
+            listed.add(arrival.name)
             if stop.is_set():
                 return
             if self._journal.knows(arrival):
@@ -451,7 +451,7 @@ class Watch:
             if self._at_rest(arrival.name, signature):
                 self._take(arrival, signature)
         for names in (self.arriving, self.bad):
-            for name in names.keys() - seen:
+            for name in names.keys() - listed:
                 del names[name]
 
     def _is_due(self, name: str, signature: Signature) -> bool:

@@ -48,15 +48,15 @@ _LEVEL_DOUBT = 0.005
 _SHIFT_DOUBT = 0.1
 """The spectra are known at steps of 10 nm, linear between them."""
 _OF_INK = "ink: binder mixed in, other flakes or another batch; press: flakes do not lie flat"
-Made = tuple[Cause, Extents, Callable[[float], State]]
+StateCause = tuple[Cause, Extents, Callable[[float], State]]
 """A cause with its extents, and what state of the print it makes of an extent."""
 
 
-def too_bright(coverage: float) -> list[Made]:
+def too_bright(coverage: float) -> list[StateCause]:
     """Causes of a level that is too high: brighter ink, and where the recipe's print is no solid one, more of it."""
     title = "level too high (ink brighter or denser, or lamp and flat not as they were), relative excess"
     brighter = cause_of("bright-ink", title, "", "finish", _BRIGHT, _LEVEL_DOUBT)
-    found: list[Made] = [(brighter, _EXCESS, lambda e: State(red=_ln(e), green=_ln(e), blue=_ln(e)))]
+    found: list[StateCause] = [(brighter, _EXCESS, lambda e: State(red=_ln(e), green=_ln(e), blue=_ln(e)))]
     if coverage < 1.0:
         most = 1.0 / coverage - 1.0
         extents = (*(e for e in _EXCESS if e < 0.99 * most), most)
@@ -83,7 +83,7 @@ _BRIGHT = (
 _DOTS = "press: dots grow (pressure, thin ink, screen), or the wrong screen"
 
 
-def of_ink(state: State) -> list[Made]:
+def of_ink(state: State) -> list[StateCause]:
     """Causes with their extents, and what state of the print each makes of an extent."""
     brush = np.array([state.ratio, state.skew])
     brush = brush / max(float(np.linalg.norm(brush)), 1e-12) if np.any(brush) else np.array([1.0, 0.0])
@@ -204,12 +204,12 @@ def _deviation(
     expected: PrintExpectation, measured: MeasuredPrint, decision: PrintDecision
 ) -> tuple[FloatArray, FloatArray, tuple[Source, ...]]:
     """Ln of the channels over the golden prints, or else over the prediction, its covariance, and the sources in it."""
-    logs, beside = np.log(measured.channels).ravel(), decision.golden
-    if beside is None:
+    logs, golden = np.log(measured.channels).ravel(), decision.golden
+    if golden is None:
         return logs - np.log(expected.channels).ravel(), total(decision.sources, logs.size), decision.sources
     # how good inks and seats vary shows in the golden prints' scatter
     own = tuple(source for source in decision.sources if source not in expected.fitted)
-    return logs - beside.logs, total(own, logs.size) + beside.covariance, own
+    return logs - golden.logs, total(own, logs.size) + golden.covariance, own
 
 
 def _alone(found: Diagnosis, known: Signatures, evidence: Evidence, sources: tuple[Source, ...]) -> Diagnosis:
@@ -265,8 +265,8 @@ def known_causes(
     Raises:
         InkFileError: one of the wrong inks cannot be read.
     """
-    made = [*of_ink(State() if fit is None else fit.state), *too_bright(expected.scene.coverage)]
-    signatures = [_of_state(expected.scene, *one, extra) for one in made]
+    state_causes = [*of_ink(State() if fit is None else fit.state), *too_bright(expected.scene.coverage)]
+    signatures = [_of_state(expected.scene, *one, extra) for one in state_causes]
     signatures += [
         _of_state(
             replace(expected.scene, other=ink),
@@ -288,7 +288,7 @@ _WRONG = "press: ink of another job in the pan or the screen"
 def _of_state(
     scene: Scene, cause: Cause, extents: Extents, state: Callable[[float], State], extra: int
 ) -> Signature:
-    good, kept, changes = scene.log_channels(), [], []
+    good, usable, changes = scene.log_channels(), [], []
     for extent in extents:
         try:
             channels = scene.channels(state(extent)).ravel()
@@ -297,8 +297,8 @@ def _of_state(
         if channels.min() <= 0.0:  # all the ink gone from a black sheet
             continue
         changes.append(np.append(np.log(channels) - good, np.zeros(extra)))
-        kept.append(extent)
-    return Signature(cause, np.array(kept), np.array(changes), np.zeros(len(kept)))
+        usable.append(extent)
+    return Signature(cause, np.array(usable), np.array(changes), np.zeros(len(usable)))
 
 
 def _curl(recipe: PrintRecipe, expected: PrintExpectation, curl_deg: FloatArray | None) -> Signature:
@@ -312,10 +312,10 @@ def _curl(recipe: PrintRecipe, expected: PrintExpectation, curl_deg: FloatArray 
     eye, changes, shares = expected.eye, [], []
     for extent in extents:
         ways = expected.scene.leaning(extent * alike)
-        seen = ways[of_cells.ravel()]
-        mean = seen.mean(axis=0)
+        region = ways[of_cells.ravel()]
+        mean = region.mean(axis=0)
         changes.append(np.append(np.log(mean / expected.channels).ravel(), extent))
-        off = eye.difference(ways, np.broadcast_to(np.median(seen, axis=0), ways.shape)).max(axis=1)
+        off = eye.difference(ways, np.broadcast_to(np.median(region, axis=0), ways.shape)).max(axis=1)
         shares.append(float(np.mean(off[of_cells.ravel()] > recipe.area.cell_delta_e)))
     cause = cause_of("curl", "curled sheet, change of tilt across the region", "°", "shape", _CURLED, 0.05)
     return Signature(cause, extents, np.array(changes), np.array(shares))

@@ -69,9 +69,9 @@ class Eye:
         total = x + 15.0 * y + 3.0 * z
         return np.stack([4.0 * x / total, 9.0 * y / total], axis=-1)
 
-    def difference(self, seen: FloatArray, wanted: FloatArray) -> FloatArray:
+    def difference(self, measured: FloatArray, reference: FloatArray) -> FloatArray:
         """(…) CIEDE2000 between (…, 3) channels."""
-        return ciede2000(self.lab(wanted), self.lab(seen))
+        return ciede2000(self.lab(reference), self.lab(measured))
 
     def metric(self, channels: FloatArray) -> FloatArray:
         """(P, 3, 3) G with ΔE² = dᵀ G d for small changes d of ln of (P, 3) channels.
@@ -106,9 +106,9 @@ def eye_of(scene: Scene, lamp: Illuminant) -> Eye:
     weights = xyz_weights(lamp, scene.ink.nm)
     spectra = [np.pi * scene.spectra(state) for state in _CHANGES]
     bells = np.exp(-0.5 * ((scene.ink.nm - _BELLS_NM[:, None]) / _BELL_WIDTH_NM) ** 2)
-    seen = np.concatenate([*spectra, bells, np.ones((1, len(scene.ink.nm)))])
+    measured = np.concatenate([*spectra, bells, np.ones((1, len(scene.ink.nm)))])
     scale = np.concatenate([np.full(sum(map(len, spectra)), 1.0), np.full(len(bells) + 1, _BELL_WEIGHT)])
-    rgb, xyz = seen @ scene.weights, seen @ weights
+    rgb, xyz = measured @ scene.weights, measured @ weights
     scale = scale / xyz[:, 1]
     fitted = np.linalg.lstsq(rgb * scale[:, None], xyz * scale[:, None], rcond=None)[0]
     matrix = np.asarray(fitted.T, dtype=np.float64)

@@ -78,8 +78,8 @@ def map_of(
     cells = np.maximum(np.moveaxis(measured.cells, 1, -1), 1e-7)
     apart = eye.difference(cells, np.broadcast_to(usual[:, None, None], cells.shape))
     local = apart.max(axis=0)
-    wanted = np.broadcast_to(expected.channels[:, None, None], cells.shape)
-    total = eye.difference(cells, wanted).max(axis=0)
+    predicted = np.broadcast_to(expected.channels[:, None, None], cells.shape)
+    total = eye.difference(cells, predicted).max(axis=0)
     noise = _noise_floor(eye, usual, measured.cell_noise)
     limit = MAX_NOISE_SHARE * rule.cell_delta_e
     if noise > limit:
@@ -153,14 +153,14 @@ def _curl(lean: FloatArray) -> tuple[FloatArray, float]:
     down, across = ((np.arange(count) + 0.5) / count - 0.5 for count in (rows, cols))
     y, x = np.meshgrid(-down, across, indexing="ij")
     base = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=-1)
-    found, kept = np.zeros((3, 2)), np.ones(x.size, dtype=bool)
+    found, inliers = np.zeros((3, 2)), np.ones(x.size, dtype=bool)
     values = lean.reshape(2, -1).T
     for _ in range(5):
-        found = np.asarray(np.linalg.lstsq(base[kept], values[kept], rcond=None)[0], dtype=np.float64)
+        found = np.asarray(np.linalg.lstsq(base[inliers], values[inliers], rcond=None)[0], dtype=np.float64)
         off = np.hypot(*(values - base @ found).T)
-        kept = off <= max(3.0 * float(np.median(off)), 1e-6)
-    scatter = float(np.sqrt(np.mean((values - base @ found)[kept] ** 2)))
-    u = float(np.hypot(scatter * np.sqrt(12.0 / kept.sum()), FIELD_TILT_DEG))
+        inliers = off <= max(3.0 * float(np.median(off)), 1e-6)
+    scatter = float(np.sqrt(np.mean((values - base @ found)[inliers] ** 2)))
+    u = float(np.hypot(scatter * np.sqrt(12.0 / inliers.sum()), FIELD_TILT_DEG))
     return np.asarray(found[:2].T), u
 
 

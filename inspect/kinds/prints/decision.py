@@ -16,7 +16,7 @@ from anisoscope.kinds.prints.colour_map import PrintMap, map_of
 from anisoscope.kinds.prints.expectation import PrintExpectation, rig_sources
 from anisoscope.kinds.prints.lobe_fit import NoLobe, PrintFit, fit_print
 from anisoscope.kinds.prints.measurement import MeasuredPrint
-from anisoscope.kinds.prints.missing_ink import Bare, what_lies_there, without_ink
+from anisoscope.kinds.prints.missing_ink import Bare, sheet_description, without_ink
 from anisoscope.kinds.prints.pose_colours import colours_of
 from anisoscope.kinds.prints.quantities import Judge, Quantity, sentence
 from anisoscope.kinds.prints.recipe import PrintArea, PrintRecipe
@@ -131,7 +131,7 @@ def _without_lobe(
     """
     bare = without_ink(expected, measured, recipe)
     if bare is None:
-        raise MeasurementError(f"{problem}{what_lies_there(expected, measured, recipe)}")
+        raise MeasurementError(f"{problem}{sheet_description(expected, measured, recipe)}")
     logs = np.log(measured.channels).ravel()
     sources = (*expected.sources, *measured.sources, *rig_sources(recipe, expected))
     covariance = total(sources, logs.size)
@@ -232,13 +232,13 @@ def print_results(
         names: of the sensitivities, and of the camera's filters.
         notes: what the user should know besides.
     """
-    luminance, wanted = (
+    luminance, predicted = (
         np.array([getattr(one, name)[1] for one in decision.colours]) / np.pi
         for name in ("xyz", "xyz_predicted")
     )
     return Results(
         luminance,
-        wanted,
+        predicted,
         _details(expected, decision, names),
         _budget(decision.quantities),
         decision.d2,

@@ -13,12 +13,12 @@ from anisoscope.imaging.pose_radiance import check_light, check_view
 from anisoscope.imaging.quality_gates import check_views
 from anisoscope.imaging.views import most_changed
 from anisoscope.kinds.kind import (
+    CommandOutput,
     Explanation,
     Kind,
     NewRecipe,
     Reference,
     Results,
-    Shown,
     Sitting,
     Table,
     usable,
@@ -183,21 +183,21 @@ class Prints(Kind[PrintRecipe, PrintExpectation, MeasuredPrint, PrintDecision]):
         """Golden prints with one more."""
         return add_print(known, recipe, record)
 
-    def show_reference(self, known: Any, recipe: PrintRecipe) -> Shown:  # noqa: ANN401
+    def show_reference(self, known: Any, recipe: PrintRecipe) -> CommandOutput:  # noqa: ANN401
         """Golden prints, and how much they vary."""
-        from anisoscope.kinds.prints.reference_prints import prints_shown
+        from anisoscope.kinds.prints.reference_prints import reference_table
 
-        return prints_shown(known, recipe)
+        return reference_table(known, recipe)
 
-    def makes(self, asked: NewRecipe) -> bool:
+    def makes(self, requested: NewRecipe) -> bool:
         """Where an ink is named."""
-        return asked.ink is not None
+        return requested.ink is not None
 
-    def new_recipe(self, out: Path, asked: NewRecipe) -> str:
+    def new_recipe(self, out: Path, requested: NewRecipe) -> str:
         """Write the recipe of a print."""
         from anisoscope.kinds.prints.recipe import write_new_recipe
 
-        write_new_recipe(out, asked)
+        write_new_recipe(out, requested)
         return "[print], [acquisition] and [region]"
 
     def taught_limits(
@@ -206,8 +206,8 @@ class Prints(Kind[PrintRecipe, PrintExpectation, MeasuredPrint, PrintDecision]):
         """The tolerances, by golden prints, or as long as there are too few by this print."""
         from anisoscope.kinds.prints.tolerances import golden_tolerances, taught_tolerances
 
-        shown = print_of(record)
-        if shown is None or shown.lobe is None:
+        details = print_of(record)
+        if details is None or details.lobe is None:
             raise MeasurementError("hardly anything is printed there: the recipe stays as it is")
         golden = cast("GoldenPrints | None", usable(reference))
         if golden is None:
@@ -229,7 +229,7 @@ class Prints(Kind[PrintRecipe, PrintExpectation, MeasuredPrint, PrintDecision]):
         light_angle_deg: float,
         tries: Sequence[float] = (),
         advance: Advance = silent,
-    ) -> Shown:
+    ) -> CommandOutput:
         """Poses, quantities with their uncertainties, and causes; without a rig file by a made-up lamp and camera."""
         from anisoscope.kinds.prints.recipe_check import checked_print
 
@@ -255,7 +255,7 @@ class Prints(Kind[PrintRecipe, PrintExpectation, MeasuredPrint, PrintDecision]):
 
         return print_sections(record, pictures)
 
-    def shown(self, record: Record) -> Shown:
+    def summary(self, record: Record) -> CommandOutput:
         """What was judged."""
         from anisoscope.kinds.prints.report import quantity_row
 
@@ -274,7 +274,7 @@ class Prints(Kind[PrintRecipe, PrintExpectation, MeasuredPrint, PrintDecision]):
             "print": None if found is None else found.model_dump(),
         }
         if found is None:
-            return Shown(content)
+            return CommandOutput(content)
         rows = [quantity_row(one) for one in found.quantities]
         table = Table(
             f"{record.serial}: {record.product}",
@@ -285,7 +285,7 @@ class Prints(Kind[PrintRecipe, PrintExpectation, MeasuredPrint, PrintDecision]):
             ],
             ". ".join(found.not_judged) or None,
         )
-        return Shown(content, (table,))
+        return CommandOutput(content, (table,))
 
 
 PRINTS = Prints()

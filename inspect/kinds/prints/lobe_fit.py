@@ -23,7 +23,7 @@ _WILDEST = {"alpha": 2.5, "tilt_x_deg": 60.0, "tilt_y_deg": 60.0, "lobe": 30.0}
 """Beyond these no print is left: a lobe twelve times as wide as it should be is plain paper's."""
 _VAGUE = 0.5
 """Standard uncertainty of ln α beyond which it is no lobe whose width is told."""
-_UNFIT = "the lobe of this print cannot be fitted: is this the recipe's ink, and does the print lie flat?"
+_NO_FIT = "the lobe of this print cannot be fitted: is this the recipe's ink, and does the print lie flat?"
 _STEP_LIMIT = {"alpha": 0.4, "ratio": 0.4, "skew": 0.4, "tilt_x_deg": 4.0, "tilt_y_deg": 4.0, "lobe": 0.5}
 _TITLES = {
     "alpha": "roughness", "ratio": "ratio of roughness 0°/90°", "skew": "ratio of roughness 45°/135°",
@@ -110,7 +110,7 @@ def fit_print(
         chi2 = float(white_off @ white_off)
         step, rank = _solved(white, white_off)
         if rank < len(PARAMETERS):
-            raise NoLobe(_UNFIT) if turn else MeasurementError(_undetermined(white))
+            raise NoLobe(_NO_FIT) if turn else MeasurementError(_undetermined(white))
         if abs(before - chi2) < _SETTLED * (1.0 + chi2):
             found = _fitted(state, white, root, chi2, slopes)
             if found.u("alpha") > _VAGUE:
@@ -119,7 +119,7 @@ def fit_print(
         state, before = _moved(scene, state, step, log_channels, root, chi2), chi2
         if any(abs(getattr(state, name)) > most for name, most in _WILDEST.items()):
             break
-    raise NoLobe(_UNFIT)
+    raise NoLobe(_NO_FIT)
 
 
 def _whitened(root: FloatArray, values: FloatArray) -> FloatArray:
@@ -138,7 +138,7 @@ def _solved(white: FloatArray, off: FloatArray) -> tuple[FloatArray, int]:
 
 
 def _moved(
-    scene: Scene, state: State, step: FloatArray, wanted: FloatArray, root: FloatArray, chi2: float
+    scene: Scene, state: State, step: FloatArray, target: FloatArray, root: FloatArray, chi2: float
 ) -> State:
     """A step of Gauss and Newton, shortened until it helps."""
     limits = np.array([_STEP_LIMIT.get(name, 1.0) for name in PARAMETERS])
@@ -148,14 +148,14 @@ def _moved(
         trial = _at(state, step)
         step = 0.5 * step
         try:
-            off = _whitened(root, wanted - scene.log_channels(trial))
+            off = _whitened(root, target - scene.log_channels(trial))
         except ModelError:  # leans so far that no flake reflects into some pose
             continue
         best = trial
         if float(off @ off) <= chi2:
             break
     if best is None:
-        raise NoLobe(_UNFIT)
+        raise NoLobe(_NO_FIT)
     return best
 
 

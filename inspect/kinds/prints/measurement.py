@@ -64,7 +64,7 @@ def cell_grid(recipe: PrintRecipe) -> Grid:
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
+class _PictureMeans:
     """One picture: means and noise of region and cells, by filter; pixels that count, and that are saturated."""
 
     mean: FloatArray
@@ -88,28 +88,28 @@ def measure_print(
         MeasurementError: INVALID, with the reason.
     """
     grid = cell_grid(recipe)
-    seen = [_seen(view, grid, filters, recipe) for view in views]
-    channels = np.stack([one.mean for one in seen])
+    means = [_picture_means(view, grid, filters, recipe) for view in views]
+    channels = np.stack([one.mean for one in means])
     if np.any(channels <= 0.0):
         at, channel = (int(k) for k in np.unravel_index(int(channels.argmin()), channels.shape))
         raise MeasurementError(
             f"at {views[at].stage_deg:g}°, tilt {views[at].tilt_deg:g}°, the print is darker than the dark frames in "
             f"{CHANNELS[channel]}: check light and dark frames, and add a longer exposure (acquisition.brackets)"
         )
-    noise, drift = np.stack([one.noise for one in seen]) / channels, None
+    noise, drift = np.stack([one.noise for one in means]) / channels, None
     if closing is not None:
-        again = _seen(closing, grid, filters, recipe).mean
+        again = _picture_means(closing, grid, filters, recipe).mean
         drift = float(again.sum() / channels[0].sum() - 1.0)
     lamp = abs(drift) / np.sqrt(3.0) if drift is not None else recipe.limits.drift / np.sqrt(3.0)
     # few frames a pose, so all poses together say how much the lamp flickers
     flicker = np.sqrt(np.mean([view.image.flicker**2 for view in views]))
     frames = np.sqrt([view.image.frames for view in views])
     ones = np.ones_like(channels)
-    cells = np.stack([one.cells for one in seen])
+    cells = np.stack([one.cells for one in means])
     return MeasuredPrint(
         channels,
         cells,
-        np.stack([one.cell_noise for one in seen]) / channels,
+        np.stack([one.cell_noise for one in means]) / channels,
         (
             of_each("noise of camera and photons", "measurement", noise.ravel()),
             of_poses("flicker of the lamp", "measurement", ones * (flicker / frames)[:, None]),
@@ -123,10 +123,10 @@ def measure_print(
 
 def region_mean(view: View, recipe: PrintRecipe, filters: str) -> float:
     """Mean radiance of the region over all channels alike; errors as for `measure_print`."""
-    return float(_seen(view, cell_grid(recipe), filters, recipe).mean.mean())
+    return float(_picture_means(view, cell_grid(recipe), filters, recipe).mean.mean())
 
 
-def _seen(view: View, grid: Grid, filters: str, recipe: PrintRecipe) -> _Seen:
+def _picture_means(view: View, grid: Grid, filters: str, recipe: PrintRecipe) -> _PictureMeans:
     window, cell = _cells_of_pixels(view, grid, recipe)
     value = view.image.value[window]
     inside = cell >= 0
@@ -146,7 +146,7 @@ def _seen(view: View, grid: Grid, filters: str, recipe: PrintRecipe) -> _Seen:
     squares = np.bincount(place, variance, COLOURS * count).reshape(COLOURS, count)
     number, sums = number.reshape(COLOURS, count), sums.reshape(COLOURS, count)
     whole = number.sum(axis=1)
-    return _Seen(
+    return _PictureMeans(
         sums.sum(axis=1) / whole,
         np.sqrt(squares.sum(axis=1)) / whole,
         (sums / number).reshape(COLOURS, *grid.shape),

@@ -143,7 +143,7 @@ def _interval(shares: FloatArray, cost: FloatArray, best: int) -> tuple[float, f
     return ends[0], ends[1]
 
 
-def what_lies_there(expected: PrintExpectation, measured: MeasuredPrint, recipe: PrintRecipe) -> str:
+def sheet_description(expected: PrintExpectation, measured: MeasuredPrint, recipe: PrintRecipe) -> str:
     """More to say of a sheet without a lobe that is not the recipe's without ink: "" or how it reflects."""
     found = _reflectances(expected, measured)
     if float(np.std(found)) > ALIKE * float(np.mean(found)):

@@ -14,8 +14,8 @@ from anisoscope.kinds.prints.record import ColourRecord, triple
 def without_lean(fit: PrintFit, covariance: FloatArray) -> FloatArray:
     """(N, N) covariance of ln of the channels: what the two fitted tilts follow is no deviation."""
     places = [PARAMETERS.index(name) for name in ("tilt_x_deg", "tilt_y_deg")]
-    kept = np.eye(len(covariance)) - fit.slopes[:, places] @ fit.gain[places]
-    return np.asarray(kept @ covariance @ kept.T)
+    projection = np.eye(len(covariance)) - fit.slopes[:, places] @ fit.gain[places]
+    return np.asarray(projection @ covariance @ projection.T)
 
 
 def colours_of(
@@ -31,7 +31,7 @@ def colours_of(
         leans = State(tilt_x_deg=fit.state.tilt_x_deg, tilt_y_deg=fit.state.tilt_y_deg)
         channels, covariance = expected.scene.channels(leans), without_lean(fit, covariance)
     delta = eye.difference(measured.channels, channels)
-    xyz, wanted = eye.xyz(measured.channels), eye.xyz(channels)
+    xyz, xyz_reference = eye.xyz(measured.channels), eye.xyz(channels)
     found = []
     for k, pose in enumerate(expected.poses):
         block = covariance[3 * k : 3 * k + 3, 3 * k : 3 * k + 3]
@@ -46,7 +46,7 @@ def colours_of(
                 wanted=triple(channels[k]),
                 u=triple(np.sqrt(np.diag(block))),
                 xyz=triple(xyz[k]),
-                xyz_predicted=triple(wanted[k]),
+                xyz_predicted=triple(xyz_reference[k]),
                 delta_e=float(delta[k]),
                 u_delta_e=u,
             )

@@ -303,23 +303,23 @@ def new_print_recipe(product: str, ink: str, wrong_inks: tuple[str, ...] = ()) -
     return _TEMPLATE.format(product=literal(product), ink=literal(ink), wrong=wrong)
 
 
-def write_new_recipe(out: Path, asked: NewRecipe) -> None:
+def write_new_recipe(out: Path, requested: NewRecipe) -> None:
     """Write the recipe of a print, valid as written; a file of an ink is named as seen from the recipe.
 
     Raises:
         UsageError: ridges were asked for as well, or there is no such ink.
     """
-    if (asked.ridge_angle_deg, asked.u_ridge_angle_deg, asked.height_map) != (None, None, None):
+    if (requested.ridge_angle_deg, requested.u_ridge_angle_deg, requested.height_map) != (None, None, None):
         raise UsageError(
             "--ink makes the recipe of a print: leave --ridge-angle, --u-ridge-angle and --height-map out"
         )
-    assert asked.ink is not None
-    ink = asked.ink
+    assert requested.ink is not None
+    ink = requested.ink
     find_ink(ink)
     if ink not in SYNTHETIC:
         ink = Path(os.path.relpath(Path(ink).resolve(), out.resolve().parent)).as_posix()
     others = tuple(name for name in SYNTHETIC if name != ink) if ink in SYNTHETIC else ()
-    write_text(out, new_print_recipe(asked.product or "print", ink, others))
+    write_text(out, new_print_recipe(requested.product or "print", ink, others))
     try:
         read_print_recipe(out)
     except BaseException:

@@ -9,7 +9,7 @@ from anisoscope.base.errors import MeasurementError, RecipeError
 from anisoscope.base.progress import Advance
 from anisoscope.diagnosis.separability import Separability, separability
 from anisoscope.kinds.causes_table import causes_content, causes_table
-from anisoscope.kinds.kind import Shown, Table
+from anisoscope.kinds.kind import CommandOutput, Table
 from anisoscope.kinds.prints.causes import U_BACKGROUND, known_causes
 from anisoscope.kinds.prints.decision import PrintDecision, decide_print
 from anisoscope.kinds.prints.expectation import PrintExpectation, expect_print, rig_sources
@@ -22,7 +22,7 @@ from anisoscope.kinds.prints.sources import Source, of_poses, total
 from anisoscope.rig.rigfile import read_rig
 from anisoscope.sim.materials.spectra import find_illuminant, find_sensitivities
 
-WANTED_SHARE = 0.9
+TARGET_SHARE = 0.9
 """Good prints that should come out of a limit decided."""
 DIM = 0.1
 """Brightness of a pose, by the brightest, below which a longer exposure is worth while."""
@@ -192,10 +192,10 @@ def _complaints(
         )
     found += [
         f"of prints as good as [print] and [uncertainty] say only {one.passing:.0%} will pass the limit of "
-        f"{one.title} ({WANTED_SHARE:.0%} wanted), and most others end undecided: widen the limit, or lessen the "
+        f"{one.title} ({TARGET_SHARE:.0%} wanted), and most others end undecided: widen the limit, or lessen the "
         "uncertainties"
         for one in quantities
-        if one.passing < WANTED_SHARE
+        if one.passing < TARGET_SHARE
     ]
     return tuple(found)
 
@@ -203,7 +203,9 @@ def _complaints(
 LAMP = "led-white"
 
 
-def checked_print(file: Path, rig_path: Path | None, light_angle_deg: float, advance: Advance) -> Shown:
+def checked_print(
+    file: Path, rig_path: Path | None, light_angle_deg: float, advance: Advance
+) -> CommandOutput:
     """Look at the recipe of a print; without a rig file the lamp and the camera are made-up ones."""
     recipe = read_print_recipe(file)
     advance("prediction", 0, 1)
@@ -252,4 +254,4 @@ def checked_print(file: Path, rig_path: Path | None, light_angle_deg: float, adv
     if rig_path is None:
         lines.append("lamp and camera are made-up ones: name a rig file with --rig for its own")
     tables = (first, second, causes_table(found.causes))
-    return Shown(content, tables, (*lines, *found.complaints))
+    return CommandOutput(content, tables, (*lines, *found.complaints))

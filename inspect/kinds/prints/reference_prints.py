@@ -22,8 +22,8 @@ from anisoscope.decision.reference_parts import (
     same_exposure,
 )
 from anisoscope.imaging.area_limit import MIN_PARTS, KnownShares
-from anisoscope.kinds.golden_limit import limit_says
-from anisoscope.kinds.kind import Shown, Table
+from anisoscope.kinds.golden_limit import area_limit_text
+from anisoscope.kinds.kind import CommandOutput, Table
 from anisoscope.kinds.prints.lighting import lamp_and_sensitivities
 from anisoscope.kinds.prints.lobe_fit import PARAMETERS
 from anisoscope.kinds.prints.recipe import PrintArea, PrintRecipe
@@ -38,7 +38,7 @@ TESTS = 3
 """What shares one level where golden prints decide: lobe and level, colours of the poses, and the area."""
 
 
-class Seen(BaseModel):
+class ViewingConditions(BaseModel):
     """By whose light and eyes prints were seen: names of ink, lamp, sensitivities and colour filters."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -88,7 +88,7 @@ class GoldenPrints(BaseModel):
     kind: Literal["print"] = "print"
     product: str
     recipe_key: str
-    seen: Seen
+    seen: ViewingConditions
     poses: tuple[tuple[float, float], ...]
     parts: tuple[GoldenPrint, ...] = ()
 
@@ -138,10 +138,10 @@ class GoldenPrints(BaseModel):
 
 def print_key(recipe: PrintRecipe) -> str:
     """Hash of what must be the same in two recipes for their prints to be comparable."""
-    told = recipe.model_dump(mode="json")
+    dumped = recipe.model_dump(mode="json")
     content = {
-        "poses": told["poses"],
-        "region": told["region"],
+        "poses": dumped["poses"],
+        "region": dumped["region"],
         "acquisition": same_exposure(recipe.acquisition),
     }
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
@@ -192,11 +192,11 @@ def add_print(known: GoldenPrints | None, recipe: PrintRecipe, record: Record) -
         CalibrationError: the inspection was INVALID, was made with another recipe or seen otherwise, or is in the set
             already.
     """
-    shown = print_of(record)
-    if record.verdict == "INVALID" or shown is None:
+    details = print_of(record)
+    if record.verdict == "INVALID" or details is None:
         what = "an INVALID inspection" if record.verdict == "INVALID" else "an inspection of something else"
         raise CalibrationError(f"{record.serial}: {what} says nothing about a good print")
-    if shown.lobe is None:
+    if details.lobe is None:
         raise CalibrationError(
             f"{record.serial}: hardly anything is printed there, which says nothing about a good print"
         )
@@ -206,43 +206,45 @@ def add_print(known: GoldenPrints | None, recipe: PrintRecipe, record: Record) -
         raise CalibrationError(
             f"{record.serial} was inspected with another recipe (poses, region or exposure differ): inspect it again"
         )
-    seen = Seen(ink=shown.ink, lamp=shown.lamp, sensitivities=shown.sensitivities, filters=shown.filters)
-    poses = tuple((one.stage_deg, one.tilt_deg) for one in shown.colours)
-    base = known or GoldenPrints(product=recipe.product, recipe_key=key, seen=seen, poses=poses)
-    for what, wanted in base.seen:
-        if getattr(seen, what) != wanted:
+    conditions = ViewingConditions(
+        ink=details.ink, lamp=details.lamp, sensitivities=details.sensitivities, filters=details.filters
+    )
+    poses = tuple((one.stage_deg, one.tilt_deg) for one in details.colours)
+    base = known or GoldenPrints(product=recipe.product, recipe_key=key, seen=conditions, poses=poses)
+    for what, common in base.seen:
+        if getattr(conditions, what) != common:
             raise CalibrationError(
-                f"{record.serial} was seen with the {what} {getattr(seen, what)!r}, the others with {wanted!r}"
+                f"{record.serial} was seen with the {what} {getattr(conditions, what)!r}, the others with {common!r}"
             )
     check_new(base.parts, record)
-    logs = np.log([one.measured for one in shown.colours]).tolist()
+    logs = np.log([one.measured for one in details.colours]).tolist()
     part = GoldenPrint(
         serial=record.serial,
         inspected_at=record.created_at,
         log_channels=tuple((red, green, blue) for red, green, blue in logs),
         verdict=record.verdict,
-        **_of_map(shown),
+        **_of_map(details),
     )
     return base.model_copy(update={"parts": (*base.parts, part)})
 
 
-def _of_map(shown: PrintDetails) -> dict[str, Any]:
+def _of_map(details: PrintDetails) -> dict[str, Any]:
     """What a golden print keeps of its map."""
-    seen = shown.map
-    if seen is None:
+    area_map = details.map
+    if area_map is None:
         return {"area_share": None}
-    curl = next(one for one in shown.quantities if one.name == "curl")
+    curl = next(one for one in details.quantities if one.name == "curl")
     return {
-        "area_share": seen.share,
-        "cell_delta_e": seen.cell_delta_e,
-        "cell_mm": seen.cell_mm,
-        "cells": seen.rows * seen.cols,
+        "area_share": area_map.share,
+        "cell_delta_e": area_map.cell_delta_e,
+        "cell_mm": area_map.cell_mm,
+        "cells": area_map.rows * area_map.cols,
         "curl_deg": curl.value,
         "u_curl_deg": curl.u,
     }
 
 
-def prints_shown(known: GoldenPrints, recipe: PrintRecipe) -> Shown:
+def reference_table(known: GoldenPrints, recipe: PrintRecipe) -> CommandOutput:
     """Golden prints: how bright each is from their mean, and how far it is off besides."""
     logs = known.logs()
     off = (logs - logs.mean(axis=0)).reshape(len(logs), -1, 3)
@@ -253,7 +255,7 @@ def prints_shown(known: GoldenPrints, recipe: PrintRecipe) -> Shown:
     content: dict[str, Any] = {"seen": known.seen.model_dump(), "poses": [list(pose) for pose in known.poses]}
     content["parts"] = [part.model_dump() for part in known.parts]
     content["area_limit"] = None if recipe.area is None else known.area_limit(recipe) or recipe.area.max_share
-    content["area_limit_says"] = _limit_says(known, recipe)
+    content["area_limit_says"] = _area_limit_text(known, recipe)
     content |= {"mean": mean.tolist(), "scatter": None if scatter is None else scatter.tolist()}
     rows = [
         [part.serial, part.inspected_at, part.verdict, _share(part.area_share)]
@@ -270,18 +272,18 @@ def prints_shown(known: GoldenPrints, recipe: PrintRecipe) -> Shown:
         rows,
         known.lacking,
     )
-    seen = known.seen
+    conditions = known.seen
     line = (
-        f"ln of the channels from the mean of these prints, over all {len(known.poses)} poses; seen: ink {seen.ink}, "
-        f"lamp {seen.lamp}, camera {seen.sensitivities} ({seen.filters})"
+        f"ln of the channels from the mean of these prints, over all {len(known.poses)} poses; seen: ink "
+        f"{conditions.ink}, lamp {conditions.lamp}, camera {conditions.sensitivities} ({conditions.filters})"
     )
-    return Shown(content, (table,), (line, _limit_says(known, recipe)))
+    return CommandOutput(content, (table,), (line, _area_limit_text(known, recipe)))
 
 
-def _limit_says(known: GoldenPrints, recipe: PrintRecipe) -> str:
+def _area_limit_text(known: GoldenPrints, recipe: PrintRecipe) -> str:
     rule, alpha = recipe.area, recipe.decision.alpha
     often = f"one good print in {TESTS / alpha:.0f} exceeds it"
-    return limit_says(
+    return area_limit_text(
         None if rule is None else rule.max_share,
         None if rule is None else known.area_limit(recipe),
         0 if rule is None else len(known.area_shares(rule)),

@@ -192,7 +192,9 @@ def _differences(
 ) -> tuple[FloatArray, FloatArray]:
     """(P,) CIEDE2000 of a print from the golden prints' mean, and the rms of theirs; ln of channels over predicted."""
     mean = others.mean(axis=0)
-    wanted = expected.channels * np.exp(mean)
-    apart = expected.eye.difference(expected.channels * np.exp(here), wanted)
-    each = expected.eye.difference(expected.channels * np.exp(others), np.broadcast_to(wanted, others.shape))
+    mean_channels = expected.channels * np.exp(mean)
+    apart = expected.eye.difference(expected.channels * np.exp(here), mean_channels)
+    each = expected.eye.difference(
+        expected.channels * np.exp(others), np.broadcast_to(mean_channels, others.shape)
+    )
     return apart, np.sqrt(np.mean(each**2, axis=0) * len(others) / (len(others) - 1.0))

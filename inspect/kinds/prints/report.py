@@ -51,7 +51,7 @@ class PrintPictures:
     """Pictures of a print beside its record.
 
     Attributes:
-        seen: one picture a pose, (cell rows, cell cols, 3) encoded sRGB, first row at the top.
+        cell_colours: one picture a pose, (cell rows, cell cols, 3) encoded sRGB, first row at the top.
         measured, predicted: (P, 3) encoded sRGB of the region.
         size_mm: (height, width) of the region.
         center_mm: its middle.
@@ -60,7 +60,7 @@ class PrintPictures:
         deviating: (cell rows, cell cols) cells that deviate, or None.
     """
 
-    seen: tuple[FloatArray, ...]
+    cell_colours: tuple[FloatArray, ...]
     measured: FloatArray
     predicted: FloatArray
     size_mm: tuple[float, float]
@@ -78,7 +78,7 @@ def print_pictures(
     eye, found = expected.eye, decision.map
     cells = np.moveaxis(measured.cells, 1, -1)
     return PrintPictures(
-        seen=tuple(eye.srgb(one) for one in cells),
+        cell_colours=tuple(eye.srgb(one) for one in cells),
         measured=eye.srgb(measured.channels),
         predicted=eye.srgb(np.stack([one.wanted for one in decision.colours])),
         size_mm=measured.grid.size_mm,
@@ -127,11 +127,11 @@ class SourceRow:
 
 def print_sections(record: Record, pictures: Pictures) -> Sections:
     """The sections of the report of a print."""
-    shown = pictures.of_kind if isinstance(pictures.of_kind, PrintPictures) else None
+    found = pictures.of_kind if isinstance(pictures.of_kind, PrintPictures) else None
     source = (files("anisoscope.kinds.prints") / "templates" / "inspection_print.html").read_text(
         encoding="utf-8"
     )
-    return Sections(rule=print_rule(record), before=source, content=print_parts(record, shown))
+    return Sections(rule=print_rule(record), before=source, content=print_parts(record, found))
 
 
 def print_parts(record: Record, pictures: PrintPictures | None) -> Mapping[str, Any]:
@@ -139,14 +139,14 @@ def print_parts(record: Record, pictures: PrintPictures | None) -> Mapping[str, 
     found = print_of(record)
     if found is None:
         return {"found": None}
-    told = [one for one in found.quantities if one.name not in ("delta_e", "curl")]
+    fitted = [one for one in found.quantities if one.name not in ("delta_e", "curl")]
     content: dict[str, Any] = {
         "found": found,
         "patches": () if pictures is None else _patches(found.colours, pictures),
         "tilts": sorted({one.tilt_deg for one in found.colours}),
         "quantity_rows": tuple(map(quantity_row, found.quantities)),
-        "sources": _sources(record, told),
-        "print_labels": [one.title for one in told],
+        "sources": _sources(record, fitted),
+        "print_labels": [one.title for one in fitted],
         "lobe_chart": lobe_chart(found.colours),
         "quantity_chart": quantity_chart(found.quantities),
         "print_maps": ()
@@ -167,10 +167,10 @@ def _golden_strip(golden: GoldenPrintsRecord) -> str:
 
 
 def _patches(colours: tuple[ColourRecord, ...], pictures: PrintPictures) -> tuple[Patch, ...]:
-    rows = zip(colours, pictures.seen, pictures.measured, pictures.predicted, strict=True)
+    rows = zip(colours, pictures.cell_colours, pictures.measured, pictures.predicted, strict=True)
     return tuple(
-        Patch(one, cells_picture(cells), hexadecimal(seen), hexadecimal(wanted))
-        for one, cells, seen, wanted in rows
+        Patch(one, cells_picture(cells), hexadecimal(measured), hexadecimal(predicted))
+        for one, cells, measured, predicted in rows
     )
 
 
@@ -231,9 +231,9 @@ def quantity_row(one: QuantityRecord) -> QuantityRow:
     )
 
 
-def _sources(record: Record, told: list[QuantityRecord]) -> tuple[SourceRow, ...]:
+def _sources(record: Record, fitted: list[QuantityRecord]) -> tuple[SourceRow, ...]:
     """The budget in shares of the limits; what is below a hundredth everywhere is left to the record."""
-    limits = [one.limit for one in told]
+    limits = [one.limit for one in fitted]
     rows = (
         SourceRow(
             row.source,
@@ -250,18 +250,18 @@ def print_rule(record: Record) -> str:
     found = print_of(record)
     if record.verdict == "INVALID" or found is None:
         return "what makes a measurement unfit goes before all that was measured, and never fails a print"
-    saying = [one.title for one in found.quantities if one.verdict == record.verdict]
+    criteria = [one.title for one in found.quantities if one.verdict == record.verdict]
     if found.map is not None and found.map.verdict == record.verdict:
-        saying.append("the deviating area")
+        criteria.append("the deviating area")
     rule = record.recipe["decision"]
     if record.verdict == "FAIL":
         if found.lobe is None:
             return "no lobe is left, and what the pictures show is explained by ink that is missing"
         if rule["deviation"] == "fail" and (record.p_value or 0.0) < rule["alpha"]:
-            saying.append("all channels together")
-        return f"outside the limit by more than the guard band (ISO 14253-1): {', '.join(saying)}"
+            criteria.append("all channels together")
+        return f"outside the limit by more than the guard band (ISO 14253-1): {', '.join(criteria)}"
     if record.verdict == "INCONCLUSIVE":
-        return f"no limit is broken for certain, but within a guard band of it (ISO 14253-1): {', '.join(saying)}"
+        return f"no limit is broken for certain, but within a guard band of it (ISO 14253-1): {', '.join(criteria)}"
     return "every quantity lies within its limit by more than its guard band (ISO 14253-1)"
 
 
@@ -361,7 +361,7 @@ def difference_map(
     with new_map_figure(size_mm) as (figure, axes, bar):
         extent = _extent(size_mm, center_mm)
         top = max(float(np.percentile(delta_e, 99.5)), 0.5)
-        shown = axes.imshow(delta_e, cmap="cividis", vmin=0.0, vmax=top, extent=extent)
+        image = axes.imshow(delta_e, cmap="cividis", vmin=0.0, vmax=top, extent=extent)
         if deviating is not None and deviating.any():
             edges = _outline(deviating, size_mm)
             edges.set_transform(Affine2D().translate(*center_mm) + axes.transData)
@@ -378,7 +378,7 @@ def difference_map(
                 annotation_clip=False,
             )
             label.set_path_effects([withStroke(linewidth=2.5, foreground="white")])
-        figure.colorbar(shown, cax=bar, label="ΔE2000")
+        figure.colorbar(image, cax=bar, label="ΔE2000")
         return svg_uri(figure)
 
 
@@ -401,7 +401,7 @@ def lean_map(
         extent = left, right, bottom, top = _extent(size_mm, center_mm)
         size = np.hypot(*lean_deg)
         most = max(float(size.max()), SMALL_LEAN_DEG)
-        shown = axes.imshow(size, cmap="cividis", vmin=0.0, vmax=most, extent=extent)
+        image = axes.imshow(size, cmap="cividis", vmin=0.0, vmax=most, extent=extent)
         step = max(1, max(rows, cols) // 10)
         x = left + (np.arange(cols) + 0.5) / cols * (right - left)
         y = top - (np.arange(rows) + 0.5) / rows * (top - bottom)
@@ -418,5 +418,5 @@ def lean_map(
             pivot="middle",
             width=0.006,
         )
-        figure.colorbar(shown, cax=bar, label="lean against the region [°]")
+        figure.colorbar(image, cax=bar, label="lean against the region [°]")
         return svg_uri(figure)

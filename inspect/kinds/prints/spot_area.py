@@ -34,16 +34,16 @@ def spot_shares(
         usual: (P, 3) channels of the region, from which pixels are off.
         limit: CIEDE2000.
     """
-    found, taken = np.zeros(int(labels.max())), labels > 0
-    kept: dict[int, tuple[FloatArray, npt.NDArray[np.intp]]] = {}
+    found, assigned = np.zeros(int(labels.max())), labels > 0
+    by_pose: dict[int, tuple[FloatArray, npt.NDArray[np.intp]]] = {}
     for spot in range(1, len(found) + 1):
         inside = labels == spot
         pose = int(off[:, inside].mean(axis=1).argmax())
-        around = cv2.dilate(inside.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool) & ~taken
-        taken |= around
-        if pose not in kept:
-            kept[pose] = _fours(pictures, pose, grid)
-        fours, cell = kept[pose]
+        around = cv2.dilate(inside.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool) & ~assigned
+        assigned |= around
+        if pose not in by_pose:
+            by_pose[pose] = _fours(pictures, pose, grid)
+        fours, cell = by_pose[pose]
         chosen = (inside | around).ravel()[cell]
         apart = eye.difference(fours[chosen], np.broadcast_to(usual[pose], (int(chosen.sum()), 3)))
         number = np.bincount(cell[chosen], minlength=labels.size)

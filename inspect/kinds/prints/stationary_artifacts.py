@@ -113,8 +113,8 @@ def _inside(view: View, recipe: PrintRecipe, shape: tuple[int, int]) -> Mask:
             for a, b in ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))
         ]
     )
-    seen = corners @ view.placement.homography.T
-    places = (seen[:, :2] / seen[:, 2:] - 0.5) / 2.0
+    projected = corners @ view.placement.homography.T
+    places = (projected[:, :2] / projected[:, 2:] - 0.5) / 2.0
     found = np.zeros(shape, dtype=np.uint8)
     cv2.fillConvexPoly(found, np.rint(places).astype(np.int32), 1)
     return found.astype(bool)

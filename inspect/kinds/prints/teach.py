@@ -45,16 +45,19 @@ def teach_by_golden(recipe_path: Path, rig_path: Path, share: float = PASSING) -
     limits = golden_tolerances(golden, recipe, expectation_of_print(recipe, rig), share)
     values: dict[tuple[str, ...], Any] = {("version",): recipe.version + 1}
     values |= {("tolerances", key): one.value for key, one in limits.items()}
-    kept, text = previous_version_path(recipe_path, recipe.version), recipe_path.read_text(encoding="utf-8")
+    previous, text = (
+        previous_version_path(recipe_path, recipe.version),
+        recipe_path.read_text(encoding="utf-8"),
+    )
     new = with_values(text, values)
-    write_text(kept, text)
+    write_text(previous, text)
     write_text(recipe_path, new)
     taught = read_print_recipe(recipe_path)
     changes = tuple(
         Change(f"tolerances.{key}", getattr(recipe.tolerances, key), getattr(taught.tolerances, key), one.why)
         for key, one in limits.items()
     )
-    return Taught(taught.version, kept, None, changes, _notes(recipe, golden))
+    return Taught(taught.version, previous, None, changes, _notes(recipe, golden))
 
 
 def _notes(recipe: PrintRecipe, golden: GoldenPrints) -> tuple[str, ...]:

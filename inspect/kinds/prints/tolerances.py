@@ -28,7 +28,7 @@ from anisoscope.kinds.prints.reference_prints import GoldenPrints
 from anisoscope.kinds.prints.sources import of_poses, total
 from anisoscope.record.schema import Record
 
-WANTED_RATIO = 4.0  # T/U, U = 2 u
+TARGET_RATIO = 4.0  # T/U, U = 2 u
 SIGMAS = 3.0
 PASSING = 0.95
 """Share of good prints that should pass all limits that golden prints teach."""
@@ -44,7 +44,7 @@ KEYS = {
     "curl": "curl_deg",
 }
 """The limit under which each quantity stands in the recipe."""
-WHY = f"{WANTED_RATIO:g} times the expanded uncertainty, or what this print deviates and {SIGMAS:g} u if that is more"
+WHY = f"{TARGET_RATIO:g} times the expanded uncertainty, or what this print deviates and {SIGMAS:g} u if that is more"
 _DRIFT = 0.25
 """Drift of the lamp in an inspection by its limit, as `recipe check` takes it."""
 
@@ -58,7 +58,7 @@ class TaughtLimit:
 
 
 @dataclass(frozen=True)
-class _Seen:
+class _Spread:
     """A quantity of golden prints: deviations, largest guard band, and u of the measurement alone."""
 
     deviations: FloatArray
@@ -73,13 +73,13 @@ def taught_tolerances(record: Record, recipe: PrintRecipe) -> dict[str, TaughtLi
         record: the inspection of a good print.
         recipe: its recipe, whose other limits stay.
     """
-    shown = print_of(record)
-    assert shown is not None
+    details = print_of(record)
+    assert details is not None
     found: dict[str, float] = {}
-    for one in shown.quantities:
-        wanted = max(WANTED_RATIO * 2.0 * one.u, abs(one.deviation) + SIGMAS * one.u)
+    for one in details.quantities:
+        needed = max(TARGET_RATIO * 2.0 * one.u, abs(one.deviation) + SIGMAS * one.u)
         key = KEYS[one.name]
-        found[key] = max(found.get(key, 0.0), wanted)
+        found[key] = max(found.get(key, 0.0), needed)
     return {key: _limit(recipe, key, value, WHY) for key, value in found.items() if value > 0.0}
 
 
@@ -94,10 +94,10 @@ def golden_tolerances(
         expected: what it predicts.
         share: of good prints, 0 to 1.
     """
-    seen = _quantities(golden, recipe, expected)
-    alpha = (1.0 - share) / len(seen)
+    spreads = _quantities(golden, recipe, expected)
+    alpha = (1.0 - share) / len(spreads)
     found: dict[str, tuple[float, str]] = {}
-    for name, one in seen.items():
+    for name, one in spreads.items():
         reached = _reached(name, one, alpha)
         mean = "" if name in LENGTHS else f" (their mean is {one.deviations.mean():+.2g})"
         words = (
@@ -122,7 +122,7 @@ def _limit(recipe: PrintRecipe, key: str, value: float, why: str) -> TaughtLimit
     return TaughtLimit(limit, why)
 
 
-def _reached(name: str, one: _Seen, alpha: float) -> float:
+def _reached(name: str, one: _Spread, alpha: float) -> float:
     """What one more good print exceeds with a probability of alpha."""
     from scipy.special import stdtrit  # noqa: PLC0415 - heavy
 
@@ -139,12 +139,12 @@ def _reached(name: str, one: _Seen, alpha: float) -> float:
     return float(np.hypot(reach, factor * one.u))
 
 
-def _quantities(golden: GoldenPrints, recipe: PrintRecipe, expected: PrintExpectation) -> dict[str, _Seen]:
+def _quantities(golden: GoldenPrints, recipe: PrintRecipe, expected: PrintExpectation) -> dict[str, _Spread]:
     """What golden prints show of every quantity, judged by the recipe and the prediction of now."""
     plain = recipe.model_copy(update={"area": None})
     measured = [_measured(logs, plain) for logs in golden.logs()]
     decisions = [decide_print(expected, one, plain) for one in measured]
-    found: dict[str, _Seen] = {}
+    found: dict[str, _Spread] = {}
     for k, first in enumerate(decisions[0].quantities):
         rows = [decision.quantities[k] for decision in decisions]
         if first.name == "delta_e":
@@ -152,12 +152,12 @@ def _quantities(golden: GoldenPrints, recipe: PrintRecipe, expected: PrintExpect
         else:
             u = [_of_measurement(row) for row in rows]
         deviations = np.array([row.deviation for row in rows])
-        found[first.name] = _Seen(deviations, max(row.guard for row in rows), max(u))
+        found[first.name] = _Spread(deviations, max(row.guard for row in rows), max(u))
     curls = [(part.curl_deg, part.u_curl_deg) for part in golden.parts if part.curl_deg is not None]
     if recipe.area is not None and len(curls) == len(golden.parts):
         known = np.array(curls, dtype=np.float64)
         u_curl = float(known[:, 1].max())
-        found["curl"] = _Seen(known[:, 0], recipe.decision.coverage * u_curl, u_curl)
+        found["curl"] = _Spread(known[:, 0], recipe.decision.coverage * u_curl, u_curl)
     return found
 
 

@@ -27,11 +27,11 @@ class Ridges(SurfaceKind[RidgeRecipe]):
         """The model of its recipe."""
         return RidgeRecipe
 
-    def new_recipe(self, out: Path, asked: NewRecipe) -> str:
+    def new_recipe(self, out: Path, requested: NewRecipe) -> str:
         """Write the recipe of ridges."""
         from anisoscope.kinds.ridges.recipe import write_new_recipe
 
-        write_new_recipe(out, asked)
+        write_new_recipe(out, requested)
         return "[material] and [region]"
 
     def check_part(self, views: list[View], measured: Measured, recipe: SurfaceRecipe) -> None:

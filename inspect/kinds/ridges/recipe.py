@@ -28,28 +28,30 @@ PRODUCT = "ridged part"
 RIDGE_ANGLE_DEG = 10.0
 
 
-def write_new_recipe(out: Path, asked: NewRecipe) -> None:
+def write_new_recipe(out: Path, requested: NewRecipe) -> None:
     """Write a recipe that is valid as written.
 
     Raises:
         UsageError: a spread without a design, or a height map that is not there.
     """
-    ridge_angle, height_map = asked.ridge_angle_deg, asked.height_map
+    ridge_angle, height_map = requested.ridge_angle_deg, requested.height_map
     if ridge_angle is None and height_map is None:
         ridge_angle = RIDGE_ANGLE_DEG
-    if asked.u_ridge_angle_deg is not None and ridge_angle is None:
+    if requested.u_ridge_angle_deg is not None and ridge_angle is None:
         raise UsageError(
             "--u-ridge-angle is the spread of a design's ridges: give --ridge-angle as well, or leave it out"
         )
     if height_map is not None and not height_map.is_file():
         raise UsageError(f"{height_map}: there is no such file")
-    beside = None if height_map is None else os.path.relpath(height_map.resolve(), out.resolve().parent)
+    relative_path = (
+        None if height_map is None else os.path.relpath(height_map.resolve(), out.resolve().parent)
+    )
     text = new_recipe(
-        asked.product or PRODUCT,
-        asked.pitch_um,
+        requested.product or PRODUCT,
+        requested.pitch_um,
         ridge_angle_deg=ridge_angle,
-        u_ridge_angle_deg=asked.u_ridge_angle_deg,
-        height_map=beside and Path(beside).as_posix(),
+        u_ridge_angle_deg=requested.u_ridge_angle_deg,
+        height_map=relative_path and Path(relative_path).as_posix(),
     )
     write_text(out, text)
     try:

@@ -132,9 +132,11 @@ def wafer_signatures(
         try:
             for extent in cause.extents:
                 changed, moved = spoiled(cause, wafer, state, extent, surface)
-                seen = good if extent == 0.0 else evaluate(fixed(changed), [moved], poses, convention)[0]
+                changed_radiance = (
+                    good if extent == 0.0 else evaluate(fixed(changed), [moved], poses, convention)[0]
+                )
                 extents.append(extent)
-                changes.append(np.log(seen / good))
+                changes.append(np.log(changed_radiance / good))
         except AnisoscopeError as problem:
             left_out.append((cause.name, str(problem)))
             continue

@@ -31,7 +31,7 @@ from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.sim.light.geometry import Convention, Pose, pose_grid
 from anisoscope.sim.light.wave.choice import NUMERICAL_ERROR
 
-Seen = Callable[[EtchedPredictor, State], FloatArray]
+LogRadiance = Callable[[EtchedPredictor, State], FloatArray]
 
 ANGLES_DEG = (45.0, 135.0, 270.0)
 TILTS_DEG = (10.0, 20.0)
@@ -78,28 +78,28 @@ def wafer_options(
     state = State(recipe.material.material(), light_angle_deg)
     convention = Convention(light_angle_deg, facet_azimuth_deg=recipe.poses.facet_azimuth_deg)
 
-    def seen(made: EtchedPredictor, at: State) -> FloatArray:
+    def log_radiance(etched: EtchedPredictor, at: State) -> FloatArray:
         found = [
-            evaluate(fixed(_under(made, shift_nm)), [at], poses, convention)[0]
+            evaluate(fixed(_under(etched, shift_nm)), [at], poses, convention)[0]
             for shift_nm, poses in views.lamps
         ]
         return np.asarray(np.log(np.concatenate(found)))
 
-    good = seen(wafer, state)
+    good = log_radiance(wafer, state)
     advance("what would tell causes apart", 0, 1 + len(names))
-    expected = _expected(recipe, views, wafer, state, seen, good, convention)
+    expected = _expected(recipe, views, wafer, state, log_radiance, good, convention)
     covariance = planned_covariance(recipe, expected)
     found = []
     for number, cause in enumerate(one for one in wafer_causes() if one.name in names):
         advance("what would tell causes apart", 1 + number, 1 + len(names))
-        found.append(_signature(cause, wafer, state, surface, seen, good))
+        found.append(_signature(cause, wafer, state, surface, log_radiance, good))
     known = Signatures(views.poses, np.exp(good), 0.0, tuple(found), ())
     advance("what would tell causes apart", 1 + len(names), 1 + len(names))
     options = []
-    for kind, says, added in views.groups:
-        kept = [*views.own, *added]
-        rows = separability(known.of(kept), covariance[np.ix_(kept, kept)], with_map=False)
-        options.append(Option(kind, says, {row.cause: row.separation_extents for row in rows}))
+    for kind, text, added in views.groups:
+        chosen = [*views.own, *added]
+        rows = separability(known.of(chosen), covariance[np.ix_(chosen, chosen)], with_map=False)
+        options.append(Option(kind, text, {row.cause: row.separation_extents for row in rows}))
     return tuple(options)
 
 
@@ -118,14 +118,14 @@ def _views(recipe: WaferRecipe) -> _Views:
         if tilt not in tilts
     ]
     poses, groups = list(own), []
-    for kind, says, added in more:
-        groups.append((kind, says, tuple(range(len(poses), len(poses) + len(added)))))
+    for kind, text, added in more:
+        groups.append((kind, text, tuple(range(len(poses), len(poses) + len(added)))))
         poses += added
     lamps = [(0.0, tuple(poses))]
     start = len(poses)
     for lamp in second_lamps(recipe.light.wavelength_nm):
-        says = f"a second lamp of {lamp:g} nm with the same poses"
-        groups.append(("lamp", says, tuple(range(start, start + len(own)))))
+        text = f"a second lamp of {lamp:g} nm with the same poses"
+        groups.append(("lamp", text, tuple(range(start, start + len(own)))))
         lamps.append((lamp - recipe.light.wavelength_nm, own))
         start += len(own)
     return _Views(tuple(lamps), tuple(groups), tuple(range(len(own))))
@@ -160,13 +160,20 @@ def _under(wafer: EtchedPredictor, shift_nm: float) -> EtchedPredictor:
 
 
 def _signature(
-    cause: Cause, wafer: EtchedPredictor, state: State, surface: HeightMap, seen: Seen, good: FloatArray
+    cause: Cause,
+    wafer: EtchedPredictor,
+    state: State,
+    surface: HeightMap,
+    log_radiance: LogRadiance,
+    good: FloatArray,
 ) -> Signature:
     """What a cause changes, at a third of its extents, both ends and 0 among them."""
     side = [extent for extent in cause.extents if extent > 0.0][::-1][::_EVERY]
     extents = sorted({0.0, *side, *(-extent for extent in side if -extent in cause.extents)})
     changes = [
-        np.zeros_like(good) if extent == 0.0 else seen(*spoiled(cause, wafer, state, extent, surface)) - good
+        np.zeros_like(good)
+        if extent == 0.0
+        else log_radiance(*spoiled(cause, wafer, state, extent, surface)) - good
         for extent in extents
     ]
     return Signature(cause, np.array(extents), np.array(changes), np.zeros(len(extents)))
@@ -177,7 +184,7 @@ def _expected(
     views: _Views,
     wafer: EtchedPredictor,
     state: State,
-    seen: Seen,
+    log_radiance: LogRadiance,
     good: FloatArray,
     convention: Convention,
 ) -> Expectation:
@@ -185,7 +192,7 @@ def _expected(
     lamp_of = np.concatenate([np.full(len(poses), k) for k, (_, poses) in enumerate(views.lamps)])
     found = []
     for one in moved_inputs(recipe, wafer, state):
-        down, up = seen(*one.low) - good, seen(*one.high) - good
+        down, up = log_radiance(*one.low) - good, log_radiance(*one.high) - good
         slope, bend = 0.5 * (up - down), one.square * 0.5 * (up + down)
         parts = [slope] if np.abs(bend).max() <= NEGLIGIBLE else [slope, bend]
         each = [lamp_of == k for k in range(len(views.lamps))]
@@ -201,18 +208,18 @@ def _expected(
     for k in range(1, len(views.lamps)):
         found.append(Component("scale of a second lamp", "measurement", FREE * (lamp_of == k), shared=True))
     step = max(recipe.uncertainty.stage_deg, 0.01)
-    back, ahead = (seen(wafer, replace(state, stage_deg=turn)) for turn in (-step, step))
+    back, ahead = (log_radiance(wafer, replace(state, stage_deg=turn)) for turn in (-step, step))
     per_degree = (ahead - back) / (2.0 * step)
     return Expectation("wave", views.poses, np.exp(good), tuple(found), per_degree, None, convention)
 
 
 def listed(values: Sequence[float], unit: str = "") -> str:
     """Numbers in a row, such as ``45°, 135° and 270°``."""
-    told = [f"{value:g}{unit}" for value in values]
-    return told[0] if len(told) == 1 else f"{', '.join(told[:-1])} and {told[-1]}"
+    texts = [f"{value:g}{unit}" for value in values]
+    return texts[0] if len(texts) == 1 else f"{', '.join(texts[:-1])} and {texts[-1]}"
 
 
-Made = tuple[EtchedPredictor, State]
+EtchedState = tuple[EtchedPredictor, State]
 SQUARE = float(np.sqrt(2.0))
 """Standard deviation of the square of a normal z."""
 SQUARE_OF_ETCHING = float(np.sqrt(3.0))
@@ -232,8 +239,8 @@ class Moved:
     """
 
     source: str
-    low: Made
-    high: Made
+    low: EtchedState
+    high: EtchedState
     square: float = SQUARE
     of_lamp: bool = False
 
@@ -247,17 +254,17 @@ def moved_inputs(recipe: WaferRecipe, wafer: EtchedPredictor, state: State) -> t
         state: its nominal state.
     """
     assert recipe.light is not None
-    told, part = recipe.uncertainty, recipe.material
-    moves: list[tuple[str, float, Callable[[float], Made], float]] = [
+    stated, part = recipe.uncertainty, recipe.material
+    moves: list[tuple[str, float, Callable[[float], EtchedState], float]] = [
         (
             DEPTH,
-            told.etch_depth_nm,
+            stated.etch_depth_nm,
             lambda u: (wafer.with_depths(u), state),
             SQUARE_OF_ETCHING,
         ),
         (
             WIDTH,
-            told.etch_width_nm,
+            stated.etch_width_nm,
             lambda u: (wafer.with_widths(u), state),
             SQUARE_OF_ETCHING,
         ),
@@ -269,18 +276,18 @@ def moved_inputs(recipe: WaferRecipe, wafer: EtchedPredictor, state: State) -> t
         ),
         (
             "seating tilt about x",
-            told.seating_tilt_deg,
+            stated.seating_tilt_deg,
             lambda u: (wafer, replace(state, seating_deg=(u, 0.0))),
             SQUARE,
         ),
         (
             "seating tilt about y",
-            told.seating_tilt_deg,
+            stated.seating_tilt_deg,
             lambda u: (wafer, replace(state, seating_deg=(0.0, u))),
             SQUARE,
         ),
-        ("zero of the tilt", told.tilt_deg, lambda u: (wafer, replace(state, tilt_deg=u)), SQUARE),
-        ("light angle", told.light_angle_deg, lambda u: (wafer, _lit(state, u)), SQUARE),
+        ("zero of the tilt", stated.tilt_deg, lambda u: (wafer, replace(state, tilt_deg=u)), SQUARE),
+        ("light angle", stated.light_angle_deg, lambda u: (wafer, _lit(state, u)), SQUARE),
     ]
     found = [Moved(name, make(-u), make(u), square) for name, u, make, square in moves if u > 0.0]
     for name, low, high in moved_light(recipe.light, wafer.light):

@@ -63,7 +63,7 @@ class EtchedPredictor:
         light: lamp and lens.
         reflectance: of the coating, 0 to 1.
         orders: of the tile; at any width near its own, where `near_widths` made the predictor.
-        kept: spectra of the tile's pieces, for other widths.
+        bands: spectra of the tile's pieces, for other widths.
         reach: of the orders, in cycles per µm.
     """
 
@@ -71,14 +71,14 @@ class EtchedPredictor:
     light: WaferLight
     reflectance: float
     orders: Orders | WidthOrders
-    kept: dict[str, Bands]
+    bands: dict[str, Bands]
     reach: float
 
     @classmethod
     def of(cls, tile: Etched, light: WaferLight, reflectance: float = 1.0, reach: float = REACH) -> Self:
         """Of a tile; ``reach`` bounds the frequencies that any direction needs."""
-        kept: dict[str, Bands] = {}
-        return cls(tile, light, reflectance, Orders.of(tile, reach, kept), kept, reach)
+        bands: dict[str, Bands] = {}
+        return cls(tile, light, reflectance, Orders.of(tile, reach, bands), bands, reach)
 
     def with_depths(self, deeper_nm: float) -> Self:
         """The same wafer, every pass deeper: the areas of the levels stay."""
@@ -87,7 +87,7 @@ class EtchedPredictor:
     def with_widths(self, wider_nm: float) -> Self:
         """The same wafer, every etched feature wider."""
         tile = self.tile.widened(1e-3 * wider_nm)
-        return replace(self, tile=tile, orders=Orders.of(tile, self.reach, self.kept))
+        return replace(self, tile=tile, orders=Orders.of(tile, self.reach, self.bands))
 
     def near_widths(self, step_nm: float) -> Callable[[float], Self]:
         """The same wafer at any bias of its widths in nm, quick: by parabolas through widths up to a step away.
@@ -97,7 +97,7 @@ class EtchedPredictor:
         """
         tile, reach = self.tile, self.reach
         series = WidthOrders.of(
-            lambda share: Orders.of(tile.widened(1e-3 * step_nm * share), reach, self.kept)
+            lambda share: Orders.of(tile.widened(1e-3 * step_nm * share), reach, self.bands)
         )
         return lambda wider_nm: replace(self, orders=series.at(wider_nm / step_nm))
 

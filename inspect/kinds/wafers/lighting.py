@@ -47,8 +47,8 @@ def recipe_wafer(
 def needed_reach(recipe: WaferRecipe, light_angle_deg: float) -> float:
     """Largest frequency in cycles per µm that directions near the recipe's poses need, in any state of the inputs."""
     assert recipe.light is not None
-    told, lamp, light = recipe.uncertainty, recipe.light, wafer_light(recipe.light)
-    turned = np.sqrt(2.0) * told.seating_tilt_deg + 0.5 * (told.light_angle_deg + told.tilt_deg)
+    stated, lamp, light = recipe.uncertainty, recipe.light, wafer_light(recipe.light)
+    turned = np.sqrt(2.0) * stated.seating_tilt_deg + 0.5 * (stated.light_angle_deg + stated.tilt_deg)
     cones = light.lamp_half_angle_deg * (1.0 + FARTHEST * lamp.u_lamp_share)
     cones += light.aperture_half_angle_deg * (1.0 + FARTHEST * lamp.u_aperture_share)
     tilt = max(abs(angle) for angle in recipe.poses.tilts_deg)

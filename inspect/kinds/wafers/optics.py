@@ -15,7 +15,7 @@ from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.sim.light.geometry import Convention, Pose
 from anisoscope.sim.light.wave.choice import NUMERICAL_ERROR
 
-SHOWN_UM = 64.0
+DRAWN_UM = 64.0
 """Side of the part of a wafer that is drawn."""
 
 
@@ -30,14 +30,14 @@ class WaferOptics:
             RecipeError: it is not the tile that repeats.
         """
         found, surface = recipe_wafer(of_wafer(recipe), convention.light_angle_deg)
-        rig, wanted = rig_of(recipe, poses, convention), optics_request_of(recipe)
-        notes = optics_notes(optics_for(surface, rig, wanted), rig, wanted)
+        rig, request = rig_of(recipe, poses, convention), optics_request_of(recipe)
+        notes = optics_notes(optics_for(surface, rig, request), rig, request)
         notes |= {
             "model": "wave",
             "stated_error": NUMERICAL_ERROR,
             "reason": f"{notes['reason']} (a mirror with steps: diffraction orders of the tile)",
         }
-        points = int(SHOWN_UM / surface.pixel_x_um)
+        points = int(DRAWN_UM / surface.pixel_x_um)
         drawn = surface.with_height(surface.height_um[:points, :points])
         return Models(found, fixed(found), drawn, "wave", notes, numerical=NUMERICAL_ERROR)
 
@@ -53,12 +53,12 @@ class WaferOptics:
         wafer, predictor = of_wafer(recipe), models.model
         assert isinstance(predictor, EtchedPredictor)
         assert wafer.light is not None
-        poses, told = wafer.poses.poses(), wafer.uncertainty
+        poses, stated = wafer.poses.poses(), wafer.uncertainty
         cases = moved_light(wafer.light, predictor.light)
         pairs = [(name, predictor.under(low), predictor.under(high)) for name, low, high in cases]
-        if (deep := told.etch_depth_nm) > 0.0:
+        if (deep := stated.etch_depth_nm) > 0.0:
             pairs.append((DEPTH, predictor.with_depths(-deep), predictor.with_depths(deep)))
-        if (wide := told.etch_width_nm) > 0.0:
+        if (wide := stated.etch_width_nm) > 0.0:
             pairs.append((WIDTH, predictor.with_widths(-wide), predictor.with_widths(wide)))
         found = []
         for name, below, above in pairs:

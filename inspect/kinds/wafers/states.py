@@ -109,20 +109,20 @@ class WaferStates:
 
         The width comes first: it takes the wafer that was drawn at another width.
         """
-        told, material = self.recipe.uncertainty, self.recipe.material
+        stated, material = self.recipe.uncertainty, self.recipe.material
         found: dict[str, _Mover] = {}
-        if told.etch_width_nm > 0.0:
+        if stated.etch_width_nm > 0.0:
             found[WIDTH] = self._widened
-        if told.etch_depth_nm > 0.0:
+        if stated.etch_depth_nm > 0.0:
             found[DEPTH] = self._deepened
         if material.u_albedo > 0.0:
             found[SCATTER] = self._scattering
-        if told.light_angle_deg > 0.0:
+        if stated.light_angle_deg > 0.0:
             found["light angle"] = self._lit
-        if told.seating_tilt_deg > 0.0:
+        if stated.seating_tilt_deg > 0.0:
             found["seating tilt about x"] = self._seated_x
             found["seating tilt about y"] = self._seated_y
-        if told.tilt_deg > 0.0:
+        if stated.tilt_deg > 0.0:
             found["zero of the tilt"] = self._tilted
         assert self.recipe.light is not None
         for name, field, u in light_steps(self.recipe.light):

@@ -6,9 +6,9 @@ import pytest
 from anisoscope.record.schema import sha256_of
 from anisoscope.report import figures, surface_sections
 from anisoscope.report.peers import LotMate, among, lot_of
-from anisoscope.report.provenance import UNSAID, calibrations_of, files_of, groups_of
+from anisoscope.report.provenance import NOT_STATED, calibrations_of, files_of, groups_of
 from anisoscope.report.rule import rule_of
-from anisoscope.report.tilt_sections import MOST, shown_between_tilts, tilt_parts, tilt_row
+from anisoscope.report.tilt_sections import MOST, listed_tilt_contrasts, tilt_parts, tilt_row
 from anisoscope.report.wording import cause_range, cause_text, contrast_name, filters
 
 
@@ -106,7 +106,7 @@ def test_provenance_says_who_what_with_what(make_report_record):
     assert told["drift"].startswith("−0.21 %")
     assert "turned +0.01° from the stage's reading" in told["alignment"]
     silent = {n: v for g in groups_of(make_report_record(particulars={}, poses=[])) for n, v in g.rows}
-    assert {silent[name] for name in ("lot", "cavity", "operator", "station")} == {UNSAID}
+    assert {silent[name] for name in ("lot", "cavity", "operator", "station")} == {NOT_STATED}
     assert silent["alignment"] == "–"
 
 
@@ -153,7 +153,7 @@ def between(count):
 @pytest.mark.parametrize("count", [0, 3, MOST, MOST + 4])
 def test_of_many_contrasts_between_tilts_the_least_likely_are_shown(make_report_record, count):
     record = make_report_record(between_tilts=between(count))
-    shown, folded = shown_between_tilts(record)
+    shown, folded = listed_tilt_contrasts(record)
     assert (len(shown), len(folded)) == (min(count, MOST), max(count - MOST, 0))
     assert [one.to_tilt_deg for one in (*folded, *shown)] == [float(k) for k in range(1, count + 1)]
     parts = tilt_parts(record)

@@ -10,7 +10,13 @@ from anisoscope.kinds.prints.decision import decide_print
 from anisoscope.kinds.prints.expectation import rig_sources
 from anisoscope.kinds.prints.lobe_fit import PARAMETERS
 from anisoscope.kinds.prints.model import State
-from anisoscope.kinds.prints.reference_prints import TESTS, GoldenPrint, GoldenPrints, Seen, print_key
+from anisoscope.kinds.prints.reference_prints import (
+    TESTS,
+    GoldenPrint,
+    GoldenPrints,
+    ViewingConditions,
+    print_key,
+)
 from anisoscope.kinds.prints.reference_test import compare_with_golden, linear_fit
 from anisoscope.record.verdict import Verdict
 
@@ -46,7 +52,9 @@ def golden_of(few, shares, cell_mm=0.2):
                 verdict="PASS",
             )
         )
-    seen = Seen(ink="synthetic green", lamp="led-white", sensitivities="synthetic", filters="rggb")
+    seen = ViewingConditions(
+        ink="synthetic green", lamp="led-white", sensitivities="synthetic", filters="rggb"
+    )
     poses = tuple((pose.stage_deg, pose.tilt_deg) for pose in expected.poses)
     return GoldenPrints(
         product="test print", recipe_key=print_key(recipe), seen=seen, poses=poses, parts=tuple(parts)
