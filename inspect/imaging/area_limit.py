@@ -1,11 +1,11 @@
-"""How much of the area may deviate: learnt from golden parts, because a limit for all products is too wide for most.
+"""Limit of the deviating area, learnt from golden parts: one limit for all products is too wide for most.
 
-What deviates on a good part is a sum of few small marks, so the shares are taken to be gamma distributed, whose cube
-roots are nearly normal whatever its shape (Wilson and Hilferty 1931). The limit is the upper prediction limit for one
-more part (Krishnamoorthy, Mathew and Mukherjee, Technometrics 50, 2008): over all sets of n good parts, the next good
-part exceeds it with probability alpha. Where hardly any cell deviates, counting has the word: the Poisson prediction
-limit for one more part (Jeffreys' prior). The shares' scatter holds that of the measurement, so no guard band comes on
-top.
+The deviating area of a good part is the sum of a few small marks, so the shares are modelled as gamma distributed;
+cube roots of a gamma variate are nearly normal whatever its shape (Wilson and Hilferty 1931). The limit is the upper
+prediction limit for one more part (Krishnamoorthy, Mathew and Mukherjee, Technometrics 50, 2008): over all sets of n
+good parts, the next good part exceeds it with probability alpha. Where hardly any cell deviates, the Poisson prediction
+limit for one more part applies (Jeffreys' prior). The scatter of the shares includes that of the measurement, so no
+guard band is added.
 """
 
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ MIN_PARTS = 10
 
 
 def learnt_limit(shares: Sequence[float], cells: int, alpha: float) -> float | None:
-    """Largest share of the area that one more good part shows, but for a chance of alpha.
+    """Upper prediction limit of the deviating share of one more good part, exceeded with probability alpha.
 
     Args:
         shares: of golden parts, 0 to 1.
@@ -27,7 +27,7 @@ def learnt_limit(shares: Sequence[float], cells: int, alpha: float) -> float | N
         alpha: chance that a good part exceeds the limit.
 
     Returns:
-        The limit; None for fewer than `MIN_PARTS` parts. Never less than what a golden part has shown.
+        The limit; None for fewer than `MIN_PARTS` parts. Never less than the largest share of a golden part.
     """
     if len(shares) < MIN_PARTS:
         return None
@@ -38,7 +38,7 @@ def learnt_limit(shares: Sequence[float], cells: int, alpha: float) -> float | N
 
 @dataclass(frozen=True)
 class KnownShares:
-    """Shares of deviating cells that golden parts have shown.
+    """Shares of deviating cells of the golden parts.
 
     Attributes:
         shares: one a part, 0 to 1; at least `MIN_PARTS`.
@@ -49,13 +49,13 @@ class KnownShares:
     cells: int
 
     def limit(self, alpha: float) -> float:
-        """What one more good part exceeds with a chance of alpha."""
+        """The share that one more good part exceeds with probability alpha."""
         found = learnt_limit(self.shares, self.cells, alpha)
         assert found is not None
         return found
 
     def chance(self, share: float) -> float:
-        """The chance that one more good part shows as much: the alpha whose limit this share just exceeds."""
+        """P value of a share: probability that one more good part reaches it, the alpha whose limit it just exceeds."""
         found = np.asarray(self.shares, dtype=np.float64)
         if share <= found.max():
             return 1.0
@@ -74,7 +74,7 @@ def _counting_chance(shares: FloatArray, cells: int, share: float) -> float:
     from scipy.special import betainc  # noqa: PLC0415 - heavy
 
     deviating, count = float(shares.sum()) * cells, len(shares)
-    # a share of a print is not one of whole cells: what is more than k of them exceeds a limit of k
+    # the share of a print is not a whole number of cells: more than k of them exceeds a limit of k
     more = max(int(np.ceil(share * cells - 1e-6)), 1)
     return float(betainc(more, deviating + 0.5, 1.0 / (count + 1.0)))
 
@@ -88,7 +88,7 @@ def _gamma_limit(shares: FloatArray, alpha: float) -> float:
 
 
 def _counting_limit(shares: FloatArray, cells: int, alpha: float) -> float:
-    """Smallest share whose excess is less probable than alpha for one more part, if cells deviate each for itself."""
+    """Smallest share exceeded with probability below alpha by one more part, if cells deviate independently."""
     from scipy.special import betainc  # noqa: PLC0415 - heavy
 
     deviating, count = float(shares.sum()) * cells, len(shares)

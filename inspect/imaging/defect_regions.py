@@ -1,8 +1,8 @@
-"""Where a part deviates: connected cells of the contrast map, with place, area, kind and the chance of finding such.
+"""Defect regions: connected deviating cells of the contrast map, with place, area, kind and chance probability.
 
-The chance is an upper bound: on a good part cells deviate with a probability q each, for themselves, so that fewer
-than N·A(n)·qⁿ groups of n touching cells are expected among N cells, A(n) being the number of shapes that n cells can
-have (fixed polyplets; OEIS A006770). q is the tail of the map's own scatter, or what good parts have shown.
+The chance is an upper bound: on a good part every cell deviates independently with probability q, so that fewer than
+ N·A(n)·qⁿ groups of n touching cells are expected among N cells, A(n) being the number of shapes that n cells can
+have (fixed polyplets; OEIS A006770). q is the tail of the map's own scatter, or the share found on good parts.
 """
 
 from typing import Literal
@@ -29,7 +29,7 @@ SPOT_CELLS = 6
 
 
 def deviation_map(cells: CellMap) -> FloatArray:
-    """(cell rows, cell cols) ln ratio by which a cell is off, of the pair of angles where it is off most."""
+    """(cell rows, cell cols) deviation of every cell in ln ratio, for the pair of angles where it is largest."""
     most = np.abs(cells.off).argmax(axis=0)
     return np.asarray(np.take_along_axis(cells.off, most[None], axis=0)[0])
 
@@ -37,8 +37,8 @@ def deviation_map(cells: CellMap) -> FloatArray:
 def chance_of_a_cell(deviation: FloatArray, threshold: float) -> float:
     """Probability that a cell of a good part deviates, from the map itself.
 
-    Beyond the 99th percentile the tail goes on as it fell from the 90th: exponentially, heavier than a normal one,
-    because rough facets scatter so.
+    Beyond the 99th percentile the tail is extrapolated exponentially from its fall since the 90th: heavier than a
+    normal tail, as rough facets show it.
     """
     size = np.abs(deviation - np.median(deviation))
     at_90, at_99 = np.quantile(size, [0.9, 0.99])
@@ -48,7 +48,7 @@ def chance_of_a_cell(deviation: FloatArray, threshold: float) -> float:
 
 
 def chance_of_a_group(cells: int, among: int, chance: float) -> float:
-    """Probability that a group of at least so many touching cells deviates by chance somewhere.
+    """Probability that a group of at least this many touching cells deviates by chance anywhere in the map.
 
     Args:
         cells: size of the group.
@@ -66,7 +66,7 @@ def chance_of_a_group(cells: int, among: int, chance: float) -> float:
 def find_regions(
     deviation: FloatArray, rule: AreaPart, grid: Grid, chance: float | None = None
 ) -> tuple[RegionRecord, ...]:
-    """Groups of deviating cells, the least probable (then the largest) first.
+    """Groups of deviating cells, sorted by chance probability, then by size, largest first.
 
     Args:
         deviation: (cell rows, cell cols), as from `deviation_map`; the first row lies farthest along the ridges.
@@ -104,7 +104,7 @@ def _region(inside: Cells, deviation: FloatArray, grid: Grid, chance: float) -> 
 
 
 def kind_of(inside: Cells) -> Kind:
-    """What a group of cells looks like, from its form alone."""
+    """Kind of a group of cells, from its shape alone."""
     rows, cols = np.nonzero(inside)
     height, width = np.ptp(rows) + 1, np.ptp(cols) + 1
     if height >= WHOLE_LINE * inside.shape[0] and len(rows) >= 0.5 * height * width:

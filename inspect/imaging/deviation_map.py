@@ -1,4 +1,4 @@
-"""The contrast map judged: which cells deviate from their flank, and whether that is too much of the area."""
+"""Deviation map: the cells of the contrast map that deviate from their flank, and the decision on their area."""
 
 from dataclasses import dataclass
 
@@ -21,7 +21,7 @@ MAX_CELL_NOISE = 0.25
 
 @dataclass(frozen=True, eq=False)
 class CellMap:
-    """The contrast map: (pairs, cell rows, cell cols) ln ratios, and by how much every cell is off its flank."""
+    """The contrast map: (pairs, cell rows, cell cols) ln ratios, and the deviation of every cell from its flank."""
 
     ratios: FloatArray
     off: FloatArray
@@ -32,12 +32,12 @@ MIN_NEIGHBOURS = 3
 
 
 def cell_deviations(ratios: FloatArray, cell_deviation: float) -> FloatArray:
-    """By how much every cell is off what its place should show.
+    """Deviation of every cell from the value expected at its place.
 
-    Each line of cells (a column) runs along one flank of one ridge, so its median is what that flank shows; marks
-    stand out against it. A whole line that is off by more than ``cell_deviation`` from the same flank of the
-    neighbouring ridges belongs to a ridge that is missing or deformed: all of it deviates. Smaller differences of
-    lines come from where the raster cuts the flanks, and do not count.
+    Each line of cells (a column) runs along one flank of one ridge, so its median is the value of that flank, and
+    marks stand out against it. A whole line that differs by more than ``cell_deviation`` from the same flank of the
+    neighbouring ridges belongs to a missing or deformed ridge: all of it deviates. Smaller differences between lines
+    come from where the raster cuts the flanks, and are ignored.
 
     Args:
         ratios: (pairs, cell rows, cell cols) ln ratios, `CELLS_PER_PITCH` columns a pitch.
@@ -53,7 +53,7 @@ def cell_deviations(ratios: FloatArray, cell_deviation: float) -> FloatArray:
 
 
 def _same_flank(lines: FloatArray) -> FloatArray:
-    """(pairs, cols) median of the same flank on the ridges beside; the line itself where there are too few."""
+    """(pairs, cols) median of the same flank on the neighbouring ridges; the line itself where these are too few."""
     pairs, cols = lines.shape
     steps = CELLS_PER_PITCH * np.array([j for j in range(-NEIGHBOURS, NEIGHBOURS + 1) if j])
     at = np.arange(cols)[:, None] + steps
@@ -84,7 +84,7 @@ def cell_log_ratios(measured: Measured, poses: tuple[Pose, ...]) -> FloatArray:
 
 
 def cell_map(measured: Measured, poses: tuple[Pose, ...], rule: AreaPart) -> CellMap:
-    """The contrast map of a part, by a recipe's threshold."""
+    """The contrast map of a part, with a recipe's threshold."""
     ratios = cell_log_ratios(measured, poses)
     return CellMap(ratios, cell_deviations(ratios, rule.cell_deviation))
 
@@ -100,24 +100,24 @@ def judge_area(
     p_means: float = 1.0,
     cells: CellMap | None = None,
 ) -> tuple[AreaRecord | None, npt.NDArray[np.bool_] | None]:
-    """Judge the contrast map of a part.
+    """Decide on the deviating area of a part from its contrast map.
 
     Args:
         measured: the part.
         poses: P poses.
         rule: threshold and limit.
         coverage: guard band by the standard uncertainty of the share.
-        known: what golden parts have shown; their limit has no guard band, because their scatter holds that of the
+        known: shares of golden parts; their limit has no guard band, because their scatter includes that of the
             measurement.
         alpha: level of the means and of the area of golden parts together (Holm 1979).
         p_means: p value of the means.
-        cells: the contrast map, where it is known already.
+        cells: the contrast map, if already computed.
 
     Returns:
         The result and (cell rows, cell cols) where cells deviate; None and None without a rule.
 
     Raises:
-        MeasurementError: the cells are too noisy to tell.
+        MeasurementError: the noise of the cells exceeds what the threshold allows.
     """
     if rule is None:
         return None, None

@@ -1,7 +1,7 @@
-"""Exposure brackets of a pose become one linear picture; a pose with one exposure goes its usual way.
+"""Fusion of the exposure brackets of a pose to one linear picture; a single exposure is linearised as it is.
 
-The noise that weighs the exposures is the one that the frames themselves show: their scatter in the dark is the read
-noise, and how it grows with the signal is the gain of the camera (photon transfer).
+The exposures are weighted by the noise of the frames themselves: their scatter in the dark gives the read noise, its
+growth with the signal the gain of the camera (photon transfer).
 """
 
 from collections.abc import Callable, Sequence
@@ -26,9 +26,9 @@ class Exposed:
     """The frames of one pose and exposure.
 
     Attributes:
-        raw: as they were counted.
+        raw: counts of the camera.
         dark: the dark frames of this exposure.
-        correct: what makes a stack of them what a linear camera would have counted, without stray light.
+        correct: corrects a stack to the counts of a linear camera, without stray light.
     """
 
     raw: Stack
@@ -58,7 +58,7 @@ def radiance_of(
         black_level: counts of a pixel without light.
 
     Raises:
-        CalibrationError: dark frames or white reference do not fit, or too few frames tell the noise of a bracket.
+        CalibrationError: dark frames or white reference do not fit, or too few frames for the noise of a bracket.
     """
     if len(exposed) == 1:
         return linearise(exposed[0].sample, exposed[0].dark, white, full_scale)
@@ -86,7 +86,7 @@ def radiance_of(
 def noise_of(exposed: Sequence[Exposed], full_scale: int, black_level: float) -> SensorNoise:
     """Gain and read noise of the camera, from the scatter of the frames of a bracket.
 
-    Pixels near clipping are left out, where noise is cut off, and hot ones; the flicker of the lamp is taken off.
+    Pixels near clipping, where noise is truncated, and hot pixels are excluded; the flicker of the lamp is subtracted.
     """
     excess, light, dark_variance, dark_light = 0.0, 0.0, [], []
     for one in exposed:

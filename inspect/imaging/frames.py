@@ -1,4 +1,4 @@
-"""The frames that an inspection rests on, with the poses at which they were taken."""
+"""The acquired frames of an inspection, with their poses."""
 
 from dataclasses import dataclass
 
@@ -14,10 +14,10 @@ class Shot:
         name: its file, relative to the folder.
         sha256: of the file.
         frame: what is in it.
-        pose: the pose that was asked for.
-        again: whether it only shows drift.
-        run: number of the run that took it.
-        check: whether it was taken on resuming.
+        pose: the commanded pose.
+        again: a repetition, used for drift only.
+        run: number of the acquisition run.
+        check: acquired on resuming, to compare with the frames before the interruption.
     """
 
     name: str
@@ -31,7 +31,7 @@ class Shot:
 
 @dataclass(frozen=True, eq=False)
 class AcquiredFrames:
-    """The frames that count, and the devices that took them; `linear` if all cameras count in proportion to light."""
+    """The frames used, and the devices that acquired them; `linear` if all cameras respond linearly."""
 
     shots: tuple[Shot, ...]
     camera: str
@@ -45,5 +45,5 @@ class AcquiredFrames:
 
     @property
     def full_scale(self) -> int:
-        """Largest count that the camera can give."""
+        """Full-scale count of the camera."""
         return self.shots[0].frame.full_scale

@@ -1,14 +1,13 @@
-"""Where on the part the recipe's height map lies: it is rendered as each pose shows it, and matched to the picture.
+"""Position of the recipe's height map on the part, by matching its rendered views to the pictures of the poses.
 
-Across the ridges everything repeats after a pitch. The ridges' own pattern gives the phase, within half a pitch; which
-ridge it is, and where along the ridges, only marks and roughness can tell that the map and the picture share. So what
-is the same on every ridge is taken out before whole pitches are compared, and the best place counts only where it is
-clearly better than every other one. Else the place is unresolved, and only means are compared.
+Across the ridges the pattern repeats after one pitch. The pattern of the ridges gives the phase, within half a pitch;
+the ridge number and the position along the ridges follow only from marks and roughness that map and picture share. So
+the part of the signal that is common to all ridges is removed before whole pitches are compared, and the best position
+counts only where it is clearly better than every other one. Otherwise the position is unresolved, and only means are
+compared.
 
-Where the recipe's height map lies in the pictures, and what pictures and map show on the ground that they share.
-
-Pictures and map are reduced to some points a pitch and cut about their middles first, so that the cost is bounded. It
-informs: the verdict compares the means of region and map, which need no place.
+Pictures and map are first reduced to a few points per pitch and cropped about their centres, which bounds the cost. The
+result is informative: the verdict compares the means of region and map, which need no position.
 """
 
 from collections.abc import Sequence
@@ -40,15 +39,15 @@ MIN_OVERLAP = 0.3
 
 @dataclass(frozen=True)
 class MapPlace:
-    """Where the middle of the height map lies in the region.
+    """Position of the centre of the height map in the region.
 
     Attributes:
-        x_um: across the ridges, from the middle of the region.
+        x_um: across the ridges, from the centre of the region.
         y_um: along them.
-        phase_um: x_um within ± half a pitch, of the ridges' own pattern; it has no uncertainty, and marks shift it.
-        correlation: of what the map and the pictures share beside the ridges.
-        ratio: correlation by that of the best place elsewhere.
-        resolved: whether the place is clear; else only means and the phase count.
+        phase_um: x_um within ± half a pitch, from the pattern of the ridges; without uncertainty, and shifted by marks.
+        correlation: of map and pictures, ridges removed.
+        ratio: correlation over that of the best other position.
+        resolved: the position is unambiguous; otherwise only means and phase are valid.
     """
 
     x_um: float
@@ -94,7 +93,7 @@ def place_map(
         pitch_um: pitch of the ridges.
 
     Raises:
-        RegistrationError: the map holds no whole pitch, or nothing is seen of its ridges.
+        RegistrationError: the map holds no whole pitch, or its ridges are not visible.
     """
     pixel_um = grid.pixel_mm * 1000.0
     if min((n - 1) * size for n, size in zip(surface.shape, surface_pixels(surface), strict=True)) < pitch_um:
@@ -108,10 +107,10 @@ def place_map(
 def place_rendered(
     aligned: Sequence[Image], rendered: Sequence[Image], pixel_um: float, pitch_um: float
 ) -> MapPlace:
-    """Match what the poses show of the height map (`render`) to the aligned pictures, both of the same pixels.
+    """Match the rendered views of the height map (`render`) to the aligned pictures, both of the same pixel size.
 
     Raises:
-        RegistrationError: nothing is seen of the map's ridges.
+        RegistrationError: the ridges of the map are not visible.
     """
     pitch = pitch_um / pixel_um
     phase = _phase(aligned, rendered, pitch)
@@ -136,7 +135,7 @@ def render(
     pixel_um: float,
     pitch_um: float | None = None,
 ) -> list[Image]:
-    """What each pose shows of the height map, on square pixels, the first row farthest along the ridges.
+    """Render the height map in each pose on square pixels, the first row farthest along the ridges.
 
     Args:
         surface: the height map.
@@ -147,7 +146,7 @@ def render(
         pitch_um: after which the surface repeats.
 
     Returns:
-        P pictures; the map's middle is theirs.
+        P pictures, centred on the map.
     """
     to_light, to_camera = directions(tuple(poses), convention)
     rows, cols = (
@@ -170,7 +169,7 @@ def render(
 
 
 def _wave(picture: Image, pitch: float) -> complex:
-    """The ridges' pattern: amplitude and phase of the first harmonic across, counted from the picture's middle."""
+    """Pattern of the ridges: complex amplitude of the first harmonic across, relative to the picture's centre."""
     cols = picture.shape[1]
     across = np.arange(cols) - (cols - 1) / 2.0
     whole = int(cols / pitch) * pitch
@@ -181,7 +180,7 @@ def _wave(picture: Image, pitch: float) -> complex:
 
 
 def _phase(aligned: Sequence[Image], rendered: Sequence[Image], pitch: float) -> float:
-    """Shift of the map's middle within ± half a pitch, in pixels; all poses weighed by how strong their ridges are."""
+    """Shift of the map's centre within ± half a pitch, in pixels; poses weighted by the amplitude of their ridges."""
     together = sum(
         (
             np.conj(_wave(measured, pitch)) * _wave(rendered_map, pitch)
@@ -197,7 +196,7 @@ def _phase(aligned: Sequence[Image], rendered: Sequence[Image], pitch: float) ->
 
 
 def _without_ridges(picture: Image, pitch: float) -> Image:
-    """Ln of a picture without what is the same on every ridge and along it, and without slow changes."""
+    """Ln of a picture with the mean ridge profile and slow changes removed."""
     filled = np.nan_to_num(picture, nan=float(np.nanmean(picture)))
     logs = np.log(np.maximum(filled, 1e-3 * float(filled.mean())))
     logs -= np.median(logs, axis=0)
@@ -208,7 +207,7 @@ def _without_ridges(picture: Image, pitch: float) -> Image:
 def _features(
     aligned: Sequence[Image], rendered: Sequence[Image], phase: float, pitch: float
 ) -> tuple[float, float, tuple[float, float]]:
-    """Best correlation of features, the best one elsewhere, and the place of the best (across, along) in pixels."""
+    """Best correlation of features, the best one elsewhere, and the best position (across, along) in pixels."""
     surface, centre = _correlations(aligned, rendered, pitch)
     rows, cols = np.indices(surface.shape)
     across = cols - centre[1]
@@ -224,9 +223,9 @@ def _features(
 def _correlations(
     aligned: Sequence[Image], rendered: Sequence[Image], pitch: float
 ) -> tuple[FloatArray, tuple[float, float]]:
-    """Mean normalised correlation for every place of the map, and the (row, col) where both middles coincide.
+    """Mean normalised correlation for every position of the map, and the (row, col) where both centres coincide.
 
-    Pictures are surrounded by nothing, so that a map may hang over; places with little overlap do not count.
+    Pictures are zero-padded, so that a map may extend beyond them; positions with little overlap do not count.
     """
     shape, size = aligned[0].shape, rendered[0].shape
     total, overlap = np.zeros([a + b - 1 for a, b in zip(shape, size, strict=True)]), _Overlap(shape, size)
@@ -236,7 +235,7 @@ def _correlations(
 
 
 class _Overlap:
-    """Every place of pictures of one shape over pictures of another one."""
+    """Relative positions of pictures of one shape over pictures of another."""
 
     def __init__(self, measured: tuple[int, ...], rendered_map: tuple[int, ...]) -> None:
         self._full = tuple(a + b - 1 for a, b in zip(measured, rendered_map, strict=True))
@@ -267,7 +266,7 @@ class _Overlap:
 
 
 def _top(line: FloatArray, at: int) -> float:
-    """Place of a peak between points: the top of a parabola through three of them."""
+    """Sub-point position of a peak: the vertex of a parabola through three points."""
     if not 0 < at < len(line) - 1:
         return float(at)
     before, top, after = line[at - 1 : at + 2]
@@ -284,7 +283,7 @@ MAX_PITCHES = 12
 def match_map(
     recipe: SurfaceRecipe, expected: Expectation, measured: Measured
 ) -> tuple[MapPlaceRecord | None, str | None]:
-    """Where the height map lies, as the record tells it, and a note; None and None where the recipe has no map."""
+    """Record of the height map's position, and a note; None and None where the recipe has no map."""
     if expected.surface is None:
         return None, None
     try:
@@ -331,10 +330,10 @@ def _matched(
 
 
 def _reduced(picture: Image, factor: int) -> Image:
-    """Means of squares, at most `MAX_POINTS` a side about the middle."""
+    """Block means about the centre, at most `MAX_POINTS` per side."""
     rows, cols = (min(size // factor, MAX_POINTS) for size in picture.shape)
     top, left = ((size - n * factor) / 2.0 for size, n in zip(picture.shape, (rows, cols), strict=True))
-    # an odd rest would move the middle by half a point
+    # an odd remainder would move the centre by half a point
     shift = np.array([[1.0, 0.0, left], [0.0, 1.0, top]])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     filled = np.nan_to_num(picture, nan=float(np.nanmean(picture)))
@@ -344,7 +343,7 @@ def _reduced(picture: Image, factor: int) -> Image:
 
 
 def _reduced_map(surface: HeightMap, pitch_um: float) -> HeightMap:
-    """The middle of a map, some pitches wide, with some points a pitch."""
+    """The centre of a map, a few pitches wide, with a few points per pitch."""
     steps, cuts = [], []
     for size, pixel in zip(surface.shape, surface_pixels(surface), strict=True):
         step = max(1, int(pitch_um / MAP_POINTS_A_PITCH / pixel))
@@ -363,7 +362,7 @@ def _reduced_map(surface: HeightMap, pitch_um: float) -> HeightMap:
 def _shared(
     pictures: list[Image], rendered: list[Image], place: MapPlace, pixel_um: float, pitch_um: float
 ) -> dict[str, object]:
-    """Means of pictures and map over the ground that they share, whole pitches across."""
+    """Means of pictures and map over their common area, whole pitches across."""
     shape, size = pictures[0].shape, rendered[0].shape
     offset = (-place.y_um / pixel_um, place.x_um / pixel_um)
     ranges = []
@@ -383,7 +382,7 @@ def _shared(
 
 
 def _window(picture: Image, top: float, left: float, shape: tuple[int, int]) -> Image:
-    """A cut whose corner is given from the picture's middle."""
+    """A crop whose corner is given relative to the picture's centre."""
     at = (left + (picture.shape[1] - 1) / 2.0, top + (picture.shape[0] - 1) / 2.0)
     shift = np.array([[1.0, 0.0, at[0]], [0.0, 1.0, at[1]]])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP

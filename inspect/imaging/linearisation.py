@@ -1,6 +1,6 @@
-"""From raw counts to radiance: dark, flat and white reference, with the noise that the frames show.
+"""From raw counts to radiance: dark, flat and white reference, with the noise estimated from the frames.
 
-Pictures are worked on in blocks of rows that fit into a core's cache, because passes over whole ones wait for memory.
+Pictures are processed in blocks of rows that fit into a core's cache: passes over whole pictures are memory-bound.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -25,11 +25,11 @@ HOT_PIXEL_SIGMA = 12.0
 _BLOCK_BYTES = 1 << 18
 _SAMPLE_SIZE = 1 << 18
 _GUESS_SIZE = 1 << 12
-_EXACT_SUMS = 256  # so many 16-bit counts add up exactly in single precision
+_EXACT_SUMS = 256  # number of 16-bit counts whose sum is exact in single precision
 
 
 def _blocks(shape: tuple[int, ...]) -> Iterator[slice]:
-    """Rows that make blocks of a quarter of a megabyte in single precision."""
+    """Slices of rows: blocks of a quarter of a megabyte in single precision."""
     rows = max(1, _BLOCK_BYTES // (4 * max(shape[1], 1)))
     for start in range(0, shape[0], rows):
         yield slice(start, start + rows)
@@ -47,17 +47,17 @@ def _thinned(image: Image) -> Image:
 
 @dataclass(frozen=True, eq=False)
 class Stack:
-    """Frames of one pose put together.
+    """Combined frames of one pose.
 
     Attributes:
         mean: (rows, cols) mean counts.
         frames: how many frames it is the mean of.
         scatter: (rows, cols) standard deviation of one frame about the mean of the frames, in counts; or the frames,
-            which show it.
+            from which it is computed.
         saturated: (rows, cols) True where any frame reached full scale.
         exposure_s: exposure of every frame.
         gain: gain of every frame.
-        flicker: standard deviation of one frame's mean over the picture, counts: what all pixels share.
+        flicker: standard deviation of one frame's mean over the picture in counts, common to all pixels.
     """
 
     mean: Image
@@ -87,7 +87,7 @@ class Stack:
 
 
 def stack(frames: Iterable[Frame]) -> Stack:
-    """Mean and noise of frames taken alike.
+    """Mean and noise of frames with the same settings.
 
     Raises:
         CalibrationError: the frames differ in size, exposure or gain, or there are none.
@@ -146,9 +146,9 @@ def scatter_in(scatter: Scatter, window: Window) -> Image:
 
 
 def _deviation(counts: list[Counts], noise: Image) -> None:
-    """Standard deviation of counts, from their differences to the first: small ones, so nothing cancels.
+    """Standard deviation of counts, from their differences to the first frame to avoid cancellation.
 
-    ``noise`` comes as zeros.
+    ``noise`` is passed in as zeros.
     """
     count, total, squares = len(counts), np.zeros_like(noise), noise
     first = counts[0].astype(np.float32)
@@ -169,16 +169,16 @@ def _deviation(counts: list[Counts], noise: Image) -> None:
 
 @dataclass(frozen=True, eq=False)
 class WhiteReference:
-    """A flat frame of a white tile: it fixes the picture's shading and the scale of radiance.
+    """Flat frame of a white tile: corrects the shading and fixes the radiance scale.
 
     Attributes:
         signal: (rows, cols) counts per second at unit gain, dark subtracted.
-        radiance: what a perfect measurement of the tile would give, in 1/sr: ρ·cos θl/π.
-        camera: serial number of the camera it was taken with.
+        radiance: nominal radiance of the tile in 1/sr: ρ·cos θl/π.
+        camera: serial number of the camera.
         taken_at: UTC time.
         reflectance: reflectance of the tile.
         sha256: hash of the file.
-        filters: the colour filters on the camera's pixels; every pixel has the scale of its own one.
+        filters: the colour filters on the camera's pixels; every pixel has the scale of its own filter.
     """
 
     signal: Image
@@ -191,12 +191,12 @@ class WhiteReference:
 
     @cached_property
     def unlit(self) -> Mask:
-        """Pixels that the flat shows next to no light in."""
+        """Pixels with next to no light in the flat."""
         return np.asarray(self.signal <= np.float32(0.05 * _middle(self.signal)))
 
     @cached_property
     def radiance_per_signal(self) -> Image:
-        """(rows, cols) radiance of one count per second at unit gain; anything where there is no light."""
+        """(rows, cols) radiance of one count per second at unit gain; undefined where `unlit`."""
         found = np.empty(self.signal.shape, dtype=np.float32)
         for rows in _blocks(found.shape):
             safe = np.where(self.unlit[rows], np.float32(1.0), self.signal[rows])
@@ -210,8 +210,8 @@ class RadianceImage:
 
     Attributes:
         value: (rows, cols); NaN where the pixel is unusable (hot, or saturated).
-        scatter: (rows, cols) standard deviation of one pixel of the mean picture, or what tells it of a window;
-            only `noise` minds where there is no value.
+        scatter: (rows, cols) standard deviation of one pixel of the mean picture, or a function that computes it for a
+            window; only `noise` sets it to NaN where there is no value.
         saturated: (rows, cols) True where a pixel reached full scale in any frame.
         signal_share: 99th percentile of the dark-corrected signal, as a share of full scale.
         flicker: relative standard deviation of the light from one frame to the next, common to all pixels.
@@ -236,7 +236,7 @@ class RadianceImage:
         return self.noise_in((slice(None), slice(None)))
 
     def noise_in(self, window: Window) -> Image:
-        """`noise` within a window: most of a picture is never asked for."""
+        """`noise` within a window, computed on demand."""
         found = self.scatter(window) if callable(self.scatter) else self.scatter[window]
         unknown = np.isnan(self.value[window])
         return np.where(unknown, np.float32(np.nan), found) if unknown.any() else found
@@ -265,7 +265,7 @@ def linearise(sample: Stack, dark: Stack, white: WhiteReference, full_scale: int
 
     Args:
         sample: frames of the part in one pose.
-        dark: frames with the light off, taken alike.
+        dark: frames with the light off, same settings.
         white: the white reference.
         full_scale: largest count of the camera.
 
@@ -302,8 +302,8 @@ def linearise(sample: Stack, dark: Stack, white: WhiteReference, full_scale: int
 
 
 def _noise_of(sample: Stack, dark: Stack, white: WhiteReference) -> Callable[[Window], Image]:
-    """What tells the noise of a window of a linear picture, from the scatter of sample and dark frames."""
-    scatter, frames = sample.scatter, sample.frames  # without the mean, which need not live on
+    """Function for the noise of a window of a linear picture, from the scatter of sample and dark frames."""
+    scatter, frames = sample.scatter, sample.frames  # not the stack itself: its mean can be freed
     per_second = np.float32(1.0 / (sample.exposure_s * sample.gain))
 
     def noise(window: Window) -> Image:
@@ -326,16 +326,16 @@ def _noise_of(sample: Stack, dark: Stack, white: WhiteReference) -> Callable[[Wi
 
 
 def upper_quantile(values: Image, share: float) -> float:
-    """The value below which a share (of .5 or more) of the values lies, linear between neighbours.
+    """Quantile at or above the median, linear between neighbours.
 
-    As `numpy.quantile`, but only the values above a guess, which every n-th of them allows, are put into order.
+    As `numpy.quantile`, but only the values above an estimate from every n-th of them are sorted.
     """
     flat = values.ravel()
     place = share * (flat.size - 1)
     lower = int(place)
     few = np.sort(flat[:: max(1, flat.size // _GUESS_SIZE)])
     high = flat[flat >= few[int((2.0 * share - 1.0) * (few.size - 1))]]
-    if flat.size - high.size > lower:  # a poor guess
+    if flat.size - high.size > lower:  # the estimate was too high
         high = flat
     at = lower - (flat.size - high.size)
     ordered = np.partition(high, (at, min(at + 1, high.size - 1)))

@@ -19,21 +19,21 @@ from anisoscope.recipe.surface import SurfaceRecipe
 Image = npt.NDArray[np.float32]
 
 CELLS_PER_PITCH = 4
-_NOISE_SAMPLE = 1 << 17  # pixels that tell the noise to a fifth of a percent
+_NOISE_SAMPLE = 1 << 17  # pixels that determine the noise to a fifth of a percent
 
 
 class Limited(Protocol):
-    """A recipe of any kind, as far as it says what makes a measurement unfit."""
+    """The part of a recipe of any kind that limits what counts as a valid measurement."""
 
     @property
     def limits(self) -> LimitsPart:
-        """What makes a measurement INVALID."""
+        """Limits beyond which a measurement is INVALID."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """What the pictures say.
+    """Result of the measurement.
 
     Attributes:
         radiance: (P,) mean radiance of the region in 1/sr, whole pitches.
@@ -55,7 +55,7 @@ class Measured:
 
 
 def region_grid(recipe: SurfaceRecipe, pixel_um: float) -> tuple[Grid, int]:
-    """Raster of the region: whole pitches across and along, a whole number of points a cell.
+    """Raster of the region: whole pitches across and along, a whole number of points per cell.
 
     Returns:
         The raster and the points per side of a cell.
@@ -73,7 +73,7 @@ def check_view(view: View, first: View, recipe: Limited, pixel_um: float) -> Non
     """Gates of one picture.
 
     Raises:
-        RegistrationError: the markers do not fit, or stand elsewhere than stage and rig file say.
+        RegistrationError: the markers do not fit, or their pose contradicts stage and rig file.
         MeasurementError: no light.
     """
     limits, place = recipe.limits, view.placement
@@ -113,8 +113,8 @@ def measure(
     """Pose radiances over the recipe's region.
 
     Args:
-        views: one a pose, in the recipe's order.
-        closing: the first pose photographed again at the end.
+        views: one per pose, in the recipe's order.
+        closing: the repetition of the first pose at the end.
         recipe: region and limits.
         expected: the prediction; gives the change with stage angle.
         pixel_um: size of a camera pixel on the sample according to the rig file.
@@ -124,7 +124,7 @@ def measure(
     """
     for view in [*views, *([closing] if closing else [])]:
         check_light(view.stage_deg, view.image, recipe)
-        # a tilted arm looks from elsewhere: within a tilt only must the centre stay where it is
+        # a tilted arm looks from another direction: the centre must stay in place only within one tilt
         alike = next(first for first in views if first.tilt_deg == view.tilt_deg)
         check_view(view, alike, recipe, pixel_um)
     grid, per_cell = region_grid(recipe, pixel_um)
@@ -154,7 +154,7 @@ def measure(
 
 
 def drift_error(measured: Measured, recipe: SurfaceRecipe) -> str | None:
-    """Why the measurement is unfit, if the first pose, photographed again at the end, differs too much."""
+    """Reason why the drift invalidates the measurement, or None: first pose against its repetition at the end."""
     drift, limit = measured.drift, recipe.limits.drift
     if drift is None or abs(drift) <= limit:
         return None
@@ -165,7 +165,7 @@ def drift_error(measured: Measured, recipe: SurfaceRecipe) -> str | None:
 
 
 def check_light(stage_deg: float, image: RadianceImage, recipe: Limited) -> None:
-    """Is there any light in the picture?
+    """Check that the picture is lit.
 
     Raises:
         MeasurementError: next to none.
@@ -192,7 +192,7 @@ def _corners(view: View, grid: Grid) -> FloatArray:
 
 
 def _is_inside(view: View, grid: Grid) -> bool:
-    """Do the corners of the region, and so all of it, lie on pixels of the picture?"""
+    """Whether the corners of the region, and so all of it, are within the picture."""
     at = _corners(view, grid)
     return bool(np.all((at >= 0.0) & (at <= np.array(view.image.value.shape[::-1]) - 1.0)))
 
@@ -262,9 +262,9 @@ def _components(
     ones = np.ones_like(radiance)
     lamp = abs(drift) / np.sqrt(3.0) if drift is not None else recipe.limits.drift / np.sqrt(3.0)
     shift = np.array([_shift_sensitivity(picture) for picture in aligned])
-    # what edges leave in doubt is the uncertainty itself
+    # registered by edges: the residual is already the uncertainty
     residual = np.array([v.placement.residual_px / np.sqrt(max(2 * v.placement.markers, 1)) for v in views])
-    # few frames a pose, so all poses together say how much the lamp flickers
+    # few frames per pose, so the flicker of the lamp is estimated from all poses together
     flicker = np.sqrt(np.mean([view.image.flicker**2 for view in views]))
     frames = np.sqrt([view.image.frames for view in views])
     found = (
@@ -281,7 +281,7 @@ def _components(
 
 
 def _shift_sensitivity(picture: Image) -> float:
-    """Relative change of the region's mean per pixel of shift, from what enters and leaves at its edges."""
+    """Relative change of the region's mean per pixel of shift, from the radiance at its edges."""
     mean = mean_of(picture)
     rows, cols = picture.shape
     across = abs(np.nanmean(picture[:, 0]) - np.nanmean(picture[:, -1])) / cols

@@ -1,8 +1,7 @@
-"""What makes a measurement unfit, seen in the pictures themselves; every complaint says what to do.
+"""Quality gates on the pictures: tilt, sharpness, stray light, stationary dirt, and the identity of the part.
 
-Light, saturation, place and drift are checked where they are measured (`measurement`); here are the gates that compare
-pictures: tilt, sharpness, stray light, dirt that stays while the part turns, and whether this is
-the recipe's part at all.
+Light, saturation, registration and drift are checked where they are measured (`pose_radiance`); these gates compare
+pictures. Every error message says what to do.
 """
 
 from dataclasses import dataclass
@@ -35,10 +34,10 @@ DEFAULT_CELL_DEVIATION = 0.3
 
 
 def check_views(views: list[View], recipe: SurfaceRecipe | None = None) -> None:
-    """Gates of the pictures, as far as markers show it; without a recipe they need not resolve a pitch.
+    """Gates that use the markers; without a recipe the pictures need not resolve a pitch.
 
     Raises:
-        RegistrationError: the arm stands at another tilt than it says.
+        RegistrationError: the tilt of the arm differs from the commanded one.
         MeasurementError: a picture is out of focus, or stray light fills the shadows.
     """
     for view in views:
@@ -48,7 +47,7 @@ def check_views(views: list[View], recipe: SurfaceRecipe | None = None) -> None:
 
 
 def check_tilt(view: View) -> None:
-    """Does the plate look as foreshortened as the tilt of the arm makes it?"""
+    """Compare the foreshortening of the plate with the tilt of the arm."""
     place = view.placement
     cos = float(np.cos(np.radians(view.tilt_deg)))
     near, far = (np.cos(np.radians(abs(view.tilt_deg) + turn)) for turn in (-TILT_DEG, TILT_DEG))
@@ -66,7 +65,7 @@ def check_tilt(view: View) -> None:
 
 
 def check_sharpness(view: View, first: View, recipe: SurfaceRecipe | None = None) -> None:
-    """Are the markers' edges as sharp as in the first pose, and sharp enough for the cells of the contrast map?"""
+    """Compare the sharpness of the markers' edges with the first pose, and with the cells of the contrast map."""
     blur, usual = view.placement.blur_px, first.placement.blur_px
     if blur is None or usual is None:
         return
@@ -88,7 +87,7 @@ def check_sharpness(view: View, first: View, recipe: SurfaceRecipe | None = None
 
 
 def check_stray(view: View) -> None:
-    """Is the black of the markers black?"""
+    """Detect stray light in the black of the markers."""
     black = view.placement.black_share
     if black is not None and black > BLACK_SHARE:
         raise MeasurementError(
@@ -102,7 +101,7 @@ def check_part(views: list[View], measured: Measured, recipe: SurfaceRecipe) -> 
 
     Raises:
         MeasurementError: the ridges are not those of the recipe, or run elsewhere.
-        CalibrationError: something stays in its place in the picture while the part turns.
+        CalibrationError: a deviation is stationary in the picture while the part turns.
     """
     check_ridges(measured.aligned, measured.grid, recipe)
     rule = recipe.area.cell_deviation if recipe.area is not None else DEFAULT_CELL_DEVIATION
@@ -111,14 +110,14 @@ def check_part(views: list[View], measured: Measured, recipe: SurfaceRecipe) -> 
 
 @dataclass(frozen=True)
 class Ridges:
-    """What repeats in the aligned pictures.
+    """The strongest periodic structure of the aligned pictures.
 
     Attributes:
-        pitch_um: distance.
-        direction_deg: across the ridges, from where the recipe has it, −90 to 90.
+        pitch_um: period.
+        direction_deg: across the ridges, relative to the recipe, −90 to 90.
         share: share of the pictures' variation in this wave.
         expected_share: share in the wave that the recipe expects.
-        is_expected: whether that is the strongest one, as far as the pictures are wide enough to tell.
+        is_expected: the expected wave is the strongest one, within the resolution of the pictures.
     """
 
     pitch_um: float
@@ -129,7 +128,7 @@ class Ridges:
 
 
 def find_ridges(aligned: tuple[Image, ...], pixel_um: float, pitch_um: float) -> Ridges | None:
-    """The strongest wave in pictures whose columns should run along ridges; None where a pitch is hardly resolved.
+    """Strongest wave in pictures whose columns should follow the ridges; None where the pitch is hardly resolved.
 
     Args:
         aligned: P pictures (rows, cols).
@@ -169,7 +168,7 @@ def find_ridges(aligned: tuple[Image, ...], pixel_um: float, pitch_um: float) ->
 
 
 def _power(aligned: tuple[Image, ...], factor: int) -> tuple[FloatArray, tuple[FloatArray, FloatArray]]:
-    """Mean of the pictures' power spectra, each of them counting alike, and the frequencies of rows and columns."""
+    """Mean of the pictures' normalised power spectra, and the frequencies of rows and columns."""
     spectra = []
     for picture in aligned:
         rows, cols = (size - size % factor for size in picture.shape)
@@ -188,7 +187,7 @@ def _power(aligned: tuple[Image, ...], factor: int) -> tuple[FloatArray, tuple[F
 
 
 def _refined(power: FloatArray, at: tuple[int, int], axis: int, frequencies: FloatArray) -> float:
-    """Frequency of a peak along an axis: the top of a parabola through the logarithms of three neighbours."""
+    """Frequency of a peak along an axis: vertex of a parabola through the logarithms of three neighbours."""
     size = power.shape[axis]
     line = power[:, at[1]] if axis == 0 else power[at[0]]
     before, top, after = (np.log(line[(at[axis] + step) % size] + 1e-30) for step in (-1, 0, 1))
@@ -198,13 +197,13 @@ def _refined(power: FloatArray, at: tuple[int, int], axis: int, frequencies: Flo
 
 
 def check_ridges(aligned: tuple[Image, ...], grid: Grid, recipe: SurfaceRecipe) -> None:
-    """Are these the recipe's ridges, and do they run where it says? Where none stand out, nothing is said."""
+    """Compare pitch and direction of the ridges with the recipe; passes where no ridges stand out."""
     pitch_um = recipe.surface.pitch_um
     found = find_ridges(aligned, grid.pixel_mm * 1000.0, pitch_um)
     if found is None or found.share < CLEAR_PEAK:
         return
     if not found.is_expected and found.expected_share > MIN_EXPECTED_SHARE:
-        return  # a harmonic, or a mark beside the ridges
+        return  # a harmonic, or a mark next to the ridges
     if abs(found.direction_deg) > DIRECTION_DEG:
         raise MeasurementError(
             f"the ridges run {abs(found.direction_deg):.0f}° from where the recipe says: lay the part into the fixture "
@@ -218,11 +217,11 @@ def check_ridges(aligned: tuple[Image, ...], grid: Grid, recipe: SurfaceRecipe) 
 
 
 def check_dirt(views: list[View], measured: Measured, threshold: float) -> None:
-    """Does anything stay in its place in the picture while the part turns under it?
+    """Detect stationary dirt: deviations at fixed pixels while the part turns.
 
-    Cells are compared with their flank in every pose; on lens, sensor or white tile dirt makes the same cells of the
-    *picture* deviate in every pose, a mark on the part moves. How many would do so by chance follows from how many
-    deviate in each pose.
+    Cells are compared with their flank in every pose. Dirt on lens, sensor or white tile makes the same cells of the
+    *picture* deviate in every pose, whereas a mark on the part moves. The number expected by chance follows from the
+    number of deviating cells in each pose.
     """
     turned = [
         i for i, v in enumerate(views) if i == 0 or abs(angle_between(views[0].stage_deg, v.stage_deg)) > 1.0
@@ -266,13 +265,13 @@ def _looked_up(cells: FloatArray, at: Image) -> Image:
 
 
 def _off_flank(cells: FloatArray) -> FloatArray:
-    """Ln of every cell by the median along its flank."""
+    """Ln ratio of every cell to the median along its flank."""
     logs = np.log(np.maximum(cells, 1e-6))
     return np.asarray(logs - np.median(logs, axis=0))
 
 
 def _cells_to_pixels(view: View, grid: Grid, cols: int) -> FloatArray:
-    """(3, 3) map from (column, row, 1) of cells, of which there are ``cols`` in a row, to those of the picture."""
+    """(3, 3) map from (column, row, 1) of cells, ``cols`` in a row, to (column, row, 1) of the picture."""
     side = grid.shape[1] / cols
     centres = np.array([[side, 0.0, (side - 1.0) / 2.0], [0.0, side, (side - 1.0) / 2.0], [0.0, 0.0, 1.0]])
     return np.asarray(view.placement.homography @ grid.to_mm() @ centres)
@@ -292,7 +291,7 @@ def _cell_indices(shape: tuple[int, ...]) -> FloatArray:
 
 
 def _place_of(cells: npt.NDArray[np.bool_], view: View, grid: Grid) -> tuple[float, float]:
-    """Column and row in the picture of the cell in the middle of some."""
+    """Column and row in the picture of the median cell of a set."""
     row, column = (float(np.median(index)) for index in np.nonzero(cells))
     observed = _cells_to_pixels(view, grid, cells.shape[1]) @ [column, row, 1.0]
     return float(observed[0] / observed[2]), float(observed[1] / observed[2])

@@ -1,4 +1,4 @@
-"""From the frames of an inspection to views: one linear picture a pose, and where the part stands in it."""
+"""Views of an inspection: one linear picture per pose, with the placement of the part in it."""
 
 from collections import defaultdict
 from collections.abc import Callable, Sequence
@@ -11,14 +11,14 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.base.errors import CalibrationError, MeasurementError, Saturated
+from anisoscope.base.errors import CalibrationError, MeasurementError, RegistrationError, Saturated
 from anisoscope.base.parallel import for_each
 from anisoscope.imaging.exposure_fusion import Exposed, radiance_of
 from anisoscope.imaging.frames import AcquiredFrames, Shot
 from anisoscope.imaging.linearisation import RadianceImage, Stack, WhiteReference, stack
 from anisoscope.imaging.pose_radiance import Limited, check_light, check_view
-from anisoscope.imaging.registration.placement import View
-from anisoscope.imaging.registration.placing import Photograph, place
+from anisoscope.imaging.registration.edges import TurnedPicture, place_by_edges
+from anisoscope.imaging.registration.placement import Placement, View, locate
 from anisoscope.record.schema import PoseRecord
 from anisoscope.rig.acquisition.plan import Pose
 from anisoscope.rig.fixture import Fixture
@@ -31,7 +31,7 @@ _EVEN = np.array([0.25, 0.5, 0.25], dtype=np.float32)
 
 
 class Corrections(Protocol):
-    """What the calibrations of a rig change in a picture; `anisoscope.calibration.corrections` has them."""
+    """Corrections by the calibrations of a rig; implemented in `anisoscope.calibration.corrections`."""
 
     @property
     def axis_px(self) -> tuple[float, float] | None:
@@ -39,25 +39,25 @@ class Corrections(Protocol):
         ...
 
     def corrected(self, sample: Stack, dark: Stack) -> Stack:
-        """A sample as a linear camera would have counted it, without stray light."""
+        """A sample in counts of a linear camera, without stray light."""
         ...
 
     def masked(self, image: RadianceImage) -> RadianceImage:
-        """A picture without the pixels that are known to be hot."""
+        """A picture without its known hot pixels."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Viewing:
-    """By what frames become views.
+    """Settings for the conversion of frames to views.
 
     Attributes:
         white: the white reference.
         corrections: the calibrations.
-        fixture: the markers; None where pictures are aligned by their edges.
+        fixture: the markers; None where pictures are registered by edges.
         pixel_um: size of a camera pixel on the sample according to the rig file.
-        recipe: what makes a measurement unfit.
-        guides: what is done to a picture before markers and edges are searched in it, one after the other.
+        recipe: limits of a valid measurement.
+        guides: filters applied in turn to a picture before markers and edges are searched in it.
     """
 
     white: WhiteReference
@@ -70,25 +70,43 @@ class Viewing:
 
 @dataclass(frozen=True, eq=False)
 class Views:
-    """The poses in the order of the recipe, and the first of them as seen again: at the end, and on resuming."""
+    """Views of the poses in the order of the recipe, and repetitions of the first: at the end, and on resuming."""
 
     poses: list[View]
     at_end: list[View]
     on_resuming: list[View]
 
 
-def luminance(picture: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-    """(rows, cols) a mosaic with its colours evened out, to find markers in: (R + 2 G + B)/4 at every pixel.
+@dataclass(frozen=True, eq=False)
+class Photograph:
+    """A linear picture to be registered.
 
-    The binomial 3 × 3 weighs all four filters of a mosaic with a quarter each and moves no edge.
+    Attributes:
+        stage_deg, tilt_deg: commanded angles.
+        arm_deg: tilt of the arm as read back.
+        image: the picture.
+        guide: filter for the picture in which markers and edges are searched, or None.
+    """
+
+    stage_deg: float
+    tilt_deg: float
+    arm_deg: float
+    image: RadianceImage
+    guide: Guide | None = None
+
+
+def luminance(picture: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    """(rows, cols) luminance of a mosaic for the marker search: (R + 2 G + B)/4 at every pixel.
+
+    The binomial 3 × 3 weights all four filters of a mosaic with a quarter each and shifts no edge.
     """
     return np.asarray(cv2.sepFilter2D(picture, -1, _EVEN, _EVEN, borderType=cv2.BORDER_REFLECT_101))
 
 
 def clipped_at_white(picture: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-    """(rows, cols) a picture in 1/sr where nothing is brighter than a white diffuser, to find printed markers in.
+    """(rows, cols) a picture in 1/sr clipped at the radiance of a white diffuser, for the search of printed markers.
 
-    A mirror may be a thousand times as bright as what is printed beside it.
+    A mirror may be a thousand times as bright as a print next to it.
     """
     return np.minimum(picture, np.float32(1.0 / np.pi))
 
@@ -108,11 +126,11 @@ def as_photographed(acquired: AcquiredFrames) -> tuple[tuple[str, npt.NDArray[np
 
 
 def views_of(viewing: Viewing, poses: Sequence[LightPose], acquired: AcquiredFrames) -> Views:
-    """All pictures that count, linear, and where the part stands in each.
+    """Linear pictures of all poses, and the placement of the part in each.
 
     Args:
         viewing: white reference, calibrations, fixture and limits.
-        poses: those that were asked for.
+        poses: the requested poses.
         acquired: the frames.
 
     Raises:
@@ -143,7 +161,7 @@ def views_of(viewing: Viewing, poses: Sequence[LightPose], acquired: AcquiredFra
 
     settings = {(shot.frame.exposure_s, shot.frame.gain) for shots in groups_of_shots for shot in shots}
     _ready_before_threads(viewing, settings, like)
-    placed = place(
+    placed = register(
         for_each(photograph, groups_of_shots), viewing.fixture, viewing.pixel_um, viewing.corrections.axis_px
     )
     first_end, first_resumed = len(requested), len(requested) + len(at_end)
@@ -153,7 +171,7 @@ def views_of(viewing: Viewing, poses: Sequence[LightPose], acquired: AcquiredFra
 def _ready_before_threads(
     viewing: Viewing, settings: set[tuple[float, float]], like: Callable[[FrameKind, float, float], Stack]
 ) -> None:
-    """What all poses share is made once, before they are worked on side by side."""
+    """Compute what all poses share once, before they are processed in parallel threads."""
     tasks: list[Callable[[], object]] = [lambda: viewing.white.radiance_per_signal]
     tasks += [lambda one=setting: like("dark", *one).hot for setting in sorted(settings)]  # type: ignore[misc]
     for_each(lambda task: task(), tasks)
@@ -187,7 +205,7 @@ def _photograph(
 
 
 def _guide(frame: Frame, guides: tuple[Guide, ...]) -> Guide | None:
-    """What markers are searched in, if it is not the picture itself."""
+    """Filter for the picture in which markers are searched, or None."""
     steps = ((luminance,) if frame.filters != "mono" else ()) + guides
     if not steps:
         return None
@@ -206,7 +224,7 @@ def _exposed(
     acquired: AcquiredFrames,
     like: Callable[[FrameKind, float, float], Stack],
 ) -> Exposed:
-    """The frames of a pose at one exposure, with what is to be taken off them."""
+    """The frames of a pose at one exposure, with their dark frames and corrections."""
     raw = stack(frames)
     dark = like("dark", raw.exposure_s, raw.gain)
 
@@ -217,7 +235,7 @@ def _exposed(
 
 
 def _like(kind: FrameKind, exposure_s: float, gain: float, acquired: AcquiredFrames) -> Stack:
-    """The frames of a kind that were exposed like some others.
+    """The frames of a kind with the same exposure and gain.
 
     Raises:
         CalibrationError: there are none.
@@ -236,7 +254,7 @@ def _like(kind: FrameKind, exposure_s: float, gain: float, acquired: AcquiredFra
 def _without_stray(
     sample: Stack, dark: Stack, acquired: AcquiredFrames, like: Callable[[FrameKind, float, float], Stack]
 ) -> Stack:
-    """The sample without the light that reaches the camera by other ways, where a light trap shows how much."""
+    """The sample minus the stray light measured with a light trap, where there are such frames."""
     if not any(shot.frame.kind == "stray" for shot in acquired.shots):
         return sample
     stray = like("stray", sample.exposure_s, sample.gain)
@@ -244,10 +262,75 @@ def _without_stray(
     return replace(sample, mean=sample.mean - (stray.mean - dark.mean), scatter=np.sqrt(own))
 
 
+def register(
+    photographs: Sequence[Photograph],
+    fixture: Fixture | None,
+    pixel_um: float,
+    axis_px: tuple[float, float] | None = None,
+) -> list[View]:
+    """Register the part in every picture: by the fixture's markers, or by edges.
+
+    Without a fixture, or where it permits this and too few of its markers are visible, all pictures are registered to
+    the first one by their edges; the sample's origin is then the rotation axis.
+
+    Args:
+        photographs: the first is the reference for edges.
+        fixture: the markers.
+        pixel_um: size of a pixel on the sample.
+        axis_px: (column, row) of the rotation axis, where it was calibrated.
+
+    Raises:
+        RegistrationError: both fail.
+    """
+    if fixture is not None:
+        marked = fixture
+
+        def located(one: Photograph) -> Placement:
+            return locate(_searched(one), marked, one.arm_deg)
+
+        try:
+            return _views(photographs, for_each(located, photographs))
+        except RegistrationError as by_markers:
+            if fixture.without_markers == "refuse":
+                raise
+            try:
+                return _views(photographs, _by_edges(photographs, pixel_um, axis_px))
+            except RegistrationError as by_edges:
+                raise RegistrationError(f"{by_markers}; without them: {by_edges}") from by_edges
+    return _views(photographs, _by_edges(photographs, pixel_um, axis_px))
+
+
+def _by_edges(
+    photographs: Sequence[Photograph], pixel_um: float, axis_px: tuple[float, float] | None
+) -> list[Placement]:
+    pictures = [TurnedPicture(_searched(one), one.stage_deg, one.arm_deg) for one in photographs]
+    return place_by_edges(pictures, pixel_um, axis_px)
+
+
+def _views(photographs: Sequence[Photograph], places: Sequence[Placement]) -> list[View]:
+    return [
+        View(one.stage_deg, one.tilt_deg, one.image, where)
+        for one, where in zip(photographs, places, strict=True)
+    ]
+
+
+def _searched(one: Photograph) -> npt.NDArray[np.float32]:
+    found = _bright(one.image)
+    return found if one.guide is None else one.guide(found)
+
+
+def _bright(image: RadianceImage) -> npt.NDArray[np.float32]:
+    """The picture searched: saturated pixels, which have no value, count as the brightest ones."""
+    if not image.saturated.any():
+        return image.value
+    brightest = image.value.max(initial=0.0, where=image.usable)
+    return np.where(image.saturated, brightest, image.value)
+
+
 def most_changed(
     views: Views, recipe: Limited, pixel_um: float, mean: Callable[[View], float]
 ) -> tuple[View | None, float]:
-    """The view of the first pose that differs most from the first one, and how much those on resuming differ.
+    """The repetition of the first pose that differs most from it, and the changes found on resuming.
 
     Args:
         views: all of them.
@@ -269,7 +352,7 @@ def most_changed(
 
 
 def resuming_error(change: float, limit: float) -> str | None:
-    """Why the frames before and after an interruption do not belong together, if they do not."""
+    """Reason why the frames before and after an interruption do not belong together, or None."""
     if abs(change) <= limit:
         return None
     return (
@@ -279,7 +362,7 @@ def resuming_error(change: float, limit: float) -> str | None:
 
 
 def pose_records(views: list[View], measured: FloatArray, predicted: FloatArray) -> tuple[PoseRecord, ...]:
-    """The poses with their (P,) measured and predicted radiances in 1/sr, and where the markers stood."""
+    """Records of the poses: (P,) measured and predicted radiances in 1/sr, and the placement by the markers."""
     return tuple(
         PoseRecord(
             stage_deg=view.stage_deg,

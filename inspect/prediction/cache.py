@@ -1,7 +1,7 @@
 """Cache of predictions, keyed by recipe, rig geometry and code version.
 
-Every part of one recipe on one rig is predicted alike. The last few predictions stay in memory, which is what a batch
-needs. Those from a height map take longer than an inspection and are cached on disk as well. Recomputing an inspection
+All parts of one recipe on one rig share a prediction. The last few predictions are held in memory, which serves a
+batch. Those from a height map take longer than an inspection and are cached on disk as well. Recomputing an inspection
 never uses this cache.
 """
 
@@ -30,11 +30,11 @@ _lock = threading.Lock()
 def cached_expectation(
     recipe: SurfaceRecipe, light_angle_deg: float, optics: SurfaceOptics = PLASTIC
 ) -> Expectation:
-    """What the part should show, predicted once; arguments and errors as for `expectation.expectation`."""
+    """Cached prediction of a recipe; arguments and errors as for `expectation.expectation`."""
     recipe = recipe.deciding()
     try:
         key_fields = _key_fields(recipe, light_angle_deg)
-    except OSError:  # the height map cannot be read: whoever predicts says so
+    except OSError:  # the height map cannot be read: the prediction raises the proper error
         return expectation(recipe, light_angle_deg, optics)
     key = json.dumps(key_fields, sort_keys=True)
     with _lock:
@@ -51,7 +51,7 @@ def cached_expectation(
 
 
 def forget() -> None:
-    """Empty the memory; what lies on disk stays."""
+    """Empty the memory; entries on disk remain."""
     with _lock:
         _memory.clear()
 
@@ -59,7 +59,7 @@ def forget() -> None:
 def _by_disk(
     key_fields: dict[str, Any], recipe: SurfaceRecipe, light_angle_deg: float, optics: SurfaceOptics
 ) -> Expectation:
-    """Read a prediction, or make it and write it."""
+    """Read a prediction from disk, or compute and write it."""
     return (
         Cache()
         .entry("predictions", key_fields, __name__, type(optics).__module__)
@@ -72,7 +72,7 @@ def _by_disk(
 
 
 def _key_fields(recipe: SurfaceRecipe, light_angle_deg: float) -> dict[str, Any]:
-    """All that a prediction is computed from."""
+    """Every input of a prediction, for the cache key."""
     surface = recipe.surface.height_map
     return {
         "surface": recipe.surface.model_dump(mode="json", exclude={"height_map"}),
@@ -86,7 +86,7 @@ def _key_fields(recipe: SurfaceRecipe, light_angle_deg: float) -> dict[str, Any]
 
 
 def packed(found: Expectation) -> bytes:
-    """A prediction as bytes, without loss."""
+    """Serialise a prediction without loss."""
     header = {
         "model": found.model,
         "components": [(one.source, one.kind, one.shared) for one in found.components],

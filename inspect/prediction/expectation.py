@@ -1,4 +1,4 @@
-"""What the part should show: predicted radiances with everything that makes them uncertain (V_model)."""
+"""Expected pose radiances of a part, with the components of their model uncertainty (V_model)."""
 
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
@@ -27,10 +27,10 @@ class Component:
     """One source of uncertainty, as relative standard uncertainties of the pose radiances.
 
     Attributes:
-        source: what it is, in words.
+        source: its name in words.
         kind: "prediction" or "measurement".
         relative: (P,) standard uncertainty of ln L; signed where it is shared.
-        shared: one error moves all poses together (rank one), else each pose has its own.
+        shared: fully correlated between poses (rank one); otherwise independent.
     """
 
     source: str
@@ -57,9 +57,9 @@ class Expectation:
         per_degree: (P,) change of ln L per degree of stage angle.
         surface: the height map, levelled, or None for a design.
         convention: how the angles are counted.
-        response: how ln L bends with the inputs that all poses share, or None where that is not known.
+        response: second-order response of ln L to the inputs shared by all poses, or None where unknown.
         optics: rays or waves, and why (`models.Models.optics`).
-        states: the radiances in every state of what is uncertain, where the model itself is asked; else None.
+        states: ln L in any state of the uncertain inputs, where the model itself is evaluated; else None.
     """
 
     model: str
@@ -75,7 +75,7 @@ class Expectation:
 
     @property
     def outside_states(self) -> tuple[Component, ...]:
-        """The components that the states do not hold."""
+        """Components not covered by `states`."""
         assert self.states is not None
         return tuple(
             c for c in self.components if not (self.states.holds(c.source) or c.source.endswith(SECOND_ORDER))
@@ -83,7 +83,7 @@ class Expectation:
 
     @property
     def alone(self) -> tuple[Component, ...]:
-        """The components that the response does not hold."""
+        """Components not covered by `response`."""
         if self.response is None:
             return self.components
         sources = self.response.sources
@@ -93,7 +93,7 @@ class Expectation:
 
 
 class SurfaceOptics(Protocol):
-    """How surfaces of one kind are predicted, and what makes their prediction uncertain."""
+    """Optical model of one kind of surface, with the uncertainty of its prediction."""
 
     def models(self, recipe: SurfaceRecipe, poses: tuple[Pose, ...], convention: Convention) -> Models:
         """Choose the optics of a recipe with one surface, and make its predictors.
@@ -111,19 +111,19 @@ class SurfaceOptics(Protocol):
         nominal: State,
         convention: Convention,
     ) -> list[Component]:
-        """What the surface adds to the uncertainty of the (P,) radiances, beside material, seat and light angle."""
+        """Uncertainty of the (P,) radiances from the surface, besides material, seating and light angle."""
         ...
 
     def states(self, recipe: SurfaceRecipe, light_angle_deg: float) -> States | None:
-        """The states of everything that is uncertain; None where slopes and bends of ln L are enough."""
+        """The states of the uncertain inputs; None where the second-order expansion of ln L suffices."""
         ...
 
     def omitted_if_zero(self, source: str) -> bool:
-        """Does a source that adds nothing not belong into the budget at all?"""
+        """Whether a source that contributes nothing is omitted from the budget."""
         ...
 
     def source_name(self, source: str) -> str:
-        """What an input of the prediction is called on such a surface."""
+        """Name of an input of the prediction on such a surface."""
         ...
 
 
@@ -145,7 +145,7 @@ class PlasticOptics:
         """Noise and pixel size of a height map."""
         if models.surface is None:
             return []
-        # about one pixel of facet is lost a pitch where a wall is narrower than a pixel; a rectangular bound
+        # about one pixel of facet is lost per pitch where a wall is narrower than a pixel; rectangular
         pixel = models.surface.pixel_x_um / recipe.surface.pitch_um / np.sqrt(3.0)
         share = np.full(len(radiance), np.hypot(recipe.uncertainty.height_map_share, pixel))
         return [Component("height map (noise, pixel size)", "prediction", share, shared=False)]
@@ -154,11 +154,11 @@ class PlasticOptics:
         """None: ln L is known to second order."""
 
     def omitted_if_zero(self, source: str) -> bool:
-        """A tilt axis that is not there has no zero."""
+        """A rig without tilt axis has no zero of the tilt."""
         return source == "zero of the tilt"
 
     def source_name(self, source: str) -> str:
-        """The name as it is."""
+        """The name unchanged."""
         return source
 
 
@@ -177,8 +177,8 @@ def expectation(
 
     Raises:
         HeightMapError: the recipe's height map cannot be read or used.
-        RecipeError: the part should be black in some pose, so that no contrast is defined; or light or camera stands
-            below its horizon.
+        RecipeError: the predicted radiance vanishes in some pose, so that no contrast is defined; or light or camera is
+            below the horizon.
     """
     recipe, poses = recipe.deciding(), recipe.poses.poses()
     check_poses(recipe.poses, light_angle_deg)
@@ -224,25 +224,25 @@ def expectation(
 
 
 def nominal_shape(recipe: SurfaceRecipe) -> Shape:
-    """The shape that is as designed; a height map is what it is."""
+    """The nominal shape of the design; a height map has none to vary."""
     design = recipe.surface.design
     return Shape() if design is None else Shape(ridge_angle_deg=design.ridge_angle_deg)
 
 
 def _of_the_optics(made: Models, radiance: FloatArray) -> list[Component]:
-    """What computed or neglected waves add."""
+    """Uncertainty from the numerics of wave optics, or from its neglect."""
     found = []
     if made.numerical > 0.0:
         share = np.full(len(radiance), made.numerical)
         found.append(Component("numerical error of the wave model", "prediction", share, shared=False))
     if made.neglected_per_sr is not None:
-        share = made.neglected_per_sr / np.sqrt(3.0) / radiance  # a bound, anywhere within it
+        share = made.neglected_per_sr / np.sqrt(3.0) / radiance  # a bound, rectangular
         found.append(Component("waves, neglected by rays", "prediction", share, shared=False))
     return found
 
 
 def _second_order(response: Response | None) -> list[Component]:
-    """What the bend of the inputs adds to their slopes: ½ h (z² − 1) of each and h z z' of two, shared by all poses.
+    """Second-order components of the inputs: ½ h (z² − 1) of each and h z z' of every two, shared by all poses.
 
     None of them correlates with another or with a slope, because odd moments of normal inputs vanish.
     """

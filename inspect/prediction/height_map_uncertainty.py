@@ -1,4 +1,4 @@
-"""What a height map adds to the uncertainty of its prediction: noise, pixels, and how few ridges it holds."""
+"""Uncertainty of a prediction from its height map: noise, pixel size, and the number of ridges."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ MIN_RIDGES = 4
 
 
 def best_band(relief: Relief) -> Relief:
-    """As many rows as the sensitivities need, where the fewest heights are missing."""
+    """Band with as many rows as the sensitivities need, where the fewest heights are missing."""
     height = relief.surface.height_um
     count = min(height.shape[0], SAMPLED_ROWS)
     known = np.concatenate([[0], np.cumsum(np.isfinite(height).sum(axis=1))])
@@ -28,7 +28,7 @@ def best_band(relief: Relief) -> Relief:
 
 
 def relief_model(relief: Relief, optics: Optics = POINT_LIKE, on_progress: Advance = silent) -> Model:
-    """The predictor of one relief, as lamp and lens see it."""
+    """Predictor of one relief under given lamp and lens."""
 
     def predict(to_light: FloatArray, to_camera: FloatArray, material: Material) -> FloatArray:
         return relief_radiance(relief, to_light, to_camera, material, on_progress)
@@ -37,7 +37,7 @@ def relief_model(relief: Relief, optics: Optics = POINT_LIKE, on_progress: Advan
 
 
 def relief_surface(relief: Relief, optics: Optics = POINT_LIKE) -> Surface:
-    """A relief whose heights may be wrong by a factor."""
+    """Predictor of a relief with a scale factor on its heights."""
 
     def shaped(shape: Shape) -> Model:
         if shape.height_factor == 1.0:
@@ -56,7 +56,7 @@ def map_contributions(
     inputs: InputUncertainty | None,
     on_progress: Advance = silent,
 ) -> tuple[Contribution, ...]:
-    """Contributions of the map itself, those of its scale apart; none without ``inputs``.
+    """Contributions of the map itself, except those of its scale; none without ``inputs``.
 
     Args:
         relief: the whole map, prepared.
@@ -64,7 +64,7 @@ def map_contributions(
         material: the plastic.
         radiance: (P,) nominal radiances of the whole map in 1/sr.
         inputs: standard uncertainties.
-        on_progress: told of every step.
+        on_progress: called at every step.
     """
     if inputs is None:
         return ()
@@ -73,7 +73,7 @@ def map_contributions(
     if relief.pitch_um is not None:
         found.append(pixel_bias(relief.surface.pixel_x_um, relief.pitch_um, radiance))
     if steps:
-        rng = np.random.default_rng(0)  # the same map has the same uncertainty every time
+        rng = np.random.default_rng(0)  # fixed seed: the same map always has the same uncertainty
         found += height_noise(
             relief, directions, material, radiance, inputs.height_noise_um, rng, on_progress
         )
@@ -82,7 +82,7 @@ def map_contributions(
 
 
 def pixel_bias(pixel_um: float, pitch_um: float, radiance: FloatArray) -> Contribution:
-    """A wall narrower than a pixel costs up to one pixel of facet a pitch; evenly distributed, so divided by √3."""
+    """Bias of walls narrower than a pixel: up to one pixel of facet per pitch, rectangular, so divided by √3."""
     share = pixel_um / pitch_um / np.sqrt(3.0)
     return Contribution("pixel size against the walls", share * radiance, "independent", rectangular=True)
 
@@ -97,15 +97,15 @@ def height_noise(
     on_progress: Advance = silent,
     realisations: int = REALISATIONS,
 ) -> list[Contribution]:
-    """Noise of the heights: the mean shift that it makes, and the scatter about it.
+    """Contributions of height noise: the mean shift of the radiance, and the scatter about it.
 
-    A derivative for each of a million points is out of reach, and useless besides: to first order the errors of
-    independent points average out, and what stays is of second order, because noise adds slopes and so widens
-    the lobe. So noise of the stated size is added once more to a band of the map, a few times:
+    Derivatives for a million points are infeasible, and to first order the errors of independent points average
+    out; the remaining effect is of second order, because noise adds slopes and so widens the lobe. So noise of the
+    stated size is added once more to a band of the map, in a few realisations:
 
     - Their mean minus the band without it is the shift. A map that was measured with this noise already carries
       it once. It is not corrected, and counts in full as a standard uncertainty shared by all poses; relative to
-      L it holds for the whole map.
+      L it applies to the whole map.
     - Their covariance over the poses, times facets of the band over facets of the map, is the scatter of the
       mean over the whole map: facets far from each other are independent. Of N realisations it has rank N − 1 and
       a relative error of 1/√(2(N − 1)) in u.
@@ -115,9 +115,9 @@ def height_noise(
         directions: (P, 3) unit vectors to the light and to the camera.
         material: the plastic.
         radiance: (P,) nominal radiances of the whole map in 1/sr.
-        noise_um: standard deviation, in every point for itself, in µm.
+        noise_um: standard deviation, independent in every point, in µm.
         rng: generator.
-        on_progress: told of every realisation.
+        on_progress: called at every realisation.
         realisations: how many, at least 2.
     """
     band = best_band(relief)
@@ -146,12 +146,12 @@ def ridge_scatter(
     ridges_seen: int | None = None,
     on_progress: Advance = silent,
 ) -> Contribution | None:
-    """Uncertainty of a mean over so few ridges, from the scatter between the ridges of the map.
+    """Uncertainty of a mean over few ridges, from the scatter between the ridges of the map.
 
     The map's ridges are a sample of those of the part. Resampling them with replacement gives a covariance of their
     mean of S/n, where S is the covariance between the n ridges; that limit of many resamplings is taken directly,
     with n − 1 for an unbiased S. Where the camera sees ``ridges_seen`` other ridges, S/ridges_seen adds to it.
-    Neighbouring ridges are taken as independent: a slow change over the map is told too small.
+    Neighbouring ridges are taken as independent, which underestimates a slow change over the map.
 
     Returns:
         The contribution, or None for maps with fewer than four whole ridges or without period.

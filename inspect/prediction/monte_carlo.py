@@ -1,4 +1,4 @@
-"""Uncertainty by Monte Carlo (JCGM 101:2008): all inputs drawn at once, the whole model for every draw."""
+"""Uncertainty by Monte Carlo (JCGM 101:2008): joint draws of all inputs through the full model."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ _NODES = ((-0.774596669241, 5.0 / 18.0), (0.0, 8.0 / 18.0), (0.774596669241, 5.0
 
 @dataclass(frozen=True)
 class MonteCarlo:
-    """How a prediction's uncertainty is checked by drawing all inputs at once.
+    """Settings of a Monte Carlo check of the uncertainty.
 
     Attributes:
         draws: number of draws, at least 10.
@@ -88,9 +88,9 @@ def draw(
     additional: Sequence[Contribution] = (),
     on_progress: Advance = silent,
 ) -> Drawn:
-    """Draw all inputs from their distributions and predict.
+    """Predict for draws of all inputs from their distributions.
 
-    Inputs are normal, cut at the limits of what is possible; the variation of the light angle over the field is
+    Inputs are normal, truncated at their physical limits; the variation of the light angle over the field is
     averaged in every draw. Additional contributions are drawn with their covariance, the rectangular ones evenly.
 
     Args:
@@ -103,10 +103,10 @@ def draw(
         rng: generator.
         radiance: (P,) nominal radiances where ``surface`` is a stand-in; changes are then taken relative to its own.
         additional: contributions that are not those of an input.
-        on_progress: told of every draw.
+        on_progress: called at every draw.
 
     Raises:
-        ModelError: too few draws, or a draw that stands at or below the horizon.
+        ModelError: too few draws, or a draw with light or camera at or below the horizon.
     """
     if draws < MIN_DRAWS:
         raise ModelError(f"a Monte Carlo needs at least {MIN_DRAWS} draws, not {draws}")

@@ -1,4 +1,4 @@
-"""Predictions under the optics that a surface needs: rays, waves, whichever is right, or both."""
+"""Selection of ray or wave optics for a surface, and predictions under the selected model."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -50,12 +50,12 @@ OpticsModel = Literal["auto", "geometric", "wave", "both"]
 
 @dataclass(frozen=True)
 class OpticsRequest:
-    """Which optics are asked for.
+    """Requested optics.
 
     Attributes:
         model: "auto": what the surface needs; "geometric", "wave", or "both".
         light: the wavelengths, for the choice and for waves.
-        interpolate: heights are interpolated this many times before they are taken for waves.
+        interpolate: factor by which heights are interpolated for wave optics.
     """
 
     model: OpticsModel = "auto"
@@ -65,7 +65,7 @@ class OpticsRequest:
 
 @dataclass(frozen=True)
 class Rig:
-    """What a prediction is made for.
+    """Material, poses and rig of a prediction.
 
     Attributes:
         material: the plastic.
@@ -85,13 +85,13 @@ class Rig:
 
 
 def optics_for(surface: HeightMap | RidgeDesign, rig: Rig, request: OpticsRequest) -> OpticsChoice | None:
-    """Which optics a surface needs under a rig; None where a map has missing points: rays only.
+    """Optics that a surface needs under a rig; None where a map has missing points (rays only).
 
-    Lamp, lens and the roughness of the plastic all shorten the coherence. This is what an inspection asks too: the
-    answer depends on nothing that is measured.
+    Lamp, lens and the roughness of the plastic all reduce the coherence. Inspections use the same choice: it depends
+    on nothing that is measured.
     """
     if isinstance(surface, RidgeDesign):
-        # walls send nothing that is seen, and as jumps they need no fine points
+        # walls send no light to the camera, and as jumps they need no fine sampling
         facets = replace(surface, pitch_um=surface.facet_width_um, wall="vertical")
         pixel = min(0.125 * request.light.shortest_um, surface.pitch_um / 64.0)
         count = max(256, int(4.0 * facets.pitch_um / pixel))
@@ -112,20 +112,20 @@ def predict_with_optics(
     levelling: Levelling = "auto",
     on_progress: Advance = silent,
 ) -> tuple[Predicted, ...]:
-    """One prediction, or geometric and wave ones where both are asked for; each carries the choice in its notes.
+    """One prediction, or a geometric and a wave one if both are requested; the notes of each state the choice.
 
     Args:
         surface: the map as read, or ideal ridges.
         geometric: makes the geometric prediction.
         rig: everything else that predictions need.
-        request: which optics.
+        request: the requested optics.
         pitch_um: as in `preparing.prepare_relief`.
         levelling: as in `preparing.prepare_relief`.
-        on_progress: told along the way.
+        on_progress: called at every step.
 
     Raises:
-        HeightMapError: waves are asked for by name, and the map has missing points or too coarse pixels.
-        ModelError: waves are asked for by name, with a lamp near the part.
+        HeightMapError: waves are requested by name, and the map has missing points or too coarse pixels.
+        ModelError: waves are requested by name, with a lamp near the part.
     """
     choice = optics_for(surface, rig, request)
     model = ("geometric" if choice is None else choice.model) if request.model == "auto" else request.model
@@ -145,14 +145,14 @@ def predict_with_optics(
 
 
 def by_rays_instead(choice: OpticsChoice, problem: Exception | str) -> OpticsChoice:
-    """What is said where waves would be right and cannot be had: nobody asked for them by name."""
+    """Choice of rays with a reason, where wave optics applies but is unavailable and was not requested by name."""
     reason = f"{choice.reason}; but waves cannot be had ({problem}): geometric, with an error"
     error = min(1.0, SHARP_ERROR * choice.coherence_um / choice.f_um)
     return replace(choice, model="geometric", reason=reason, stated_error=error)
 
 
 def optics_note(choice: OpticsChoice | None, request: OpticsRequest) -> dict[str, Any]:
-    """What is said of the choice, as plain data; lengths in µm, null for what has no end."""
+    """The choice of optics as plain data; lengths in µm, null for infinite ones."""
     note: dict[str, Any] = {"asked": request.model}
     if choice is None:
         return note | {
@@ -175,8 +175,8 @@ def optics_note(choice: OpticsChoice | None, request: OpticsRequest) -> dict[str
 def error_note(choice: OpticsChoice | None, rig: Rig, request: OpticsRequest) -> dict[str, float | None]:
     """The stated error in 1/sr: its share of the middle of the brightest lobe, which holds in every pose.
 
-    A pose that sees the foot of a lobe only may be off by more than the stated share of itself: what diffraction takes
-    out of a lobe falls off with the square of the angle, roughness much faster.
+    In a pose at the foot of a lobe the relative error may exceed the stated share: light diffracted out of a lobe falls
+    off with the square of the angle, that scattered by roughness much faster.
     """
     if choice is None:
         return {"stated_error_per_sr": None}
@@ -241,7 +241,7 @@ def wave_model(
     stepped: bool,
     pitch_um: float | None = None,
 ) -> Model:
-    """The wave predictor of a surface as it is, without uncertainty; arguments as for `predict_with_optics`.
+    """The wave predictor of a fixed surface, without uncertainty; arguments as for `predict_with_optics`.
 
     Raises:
         HeightMapError: the map has missing points or too coarse pixels.
@@ -287,7 +287,7 @@ def _of_map(
     pitch_um: float | None,
     levelling: Levelling,
 ) -> Model:
-    wave_surface(surface)  # missing points are refused before anything is levelled
+    wave_surface(surface)  # missing points are refused before levelling
     relief, _ = prepare_relief(surface, pitch_um, levelling)
     level = relief.surface
     if relief.pitch_um is not None:
@@ -304,9 +304,9 @@ def _of_map(
 def fine_enough(
     surface: WaveSurface, window: Window, light: LightSpectrum, halves: tuple[HalfVector, ...]
 ) -> WaveSurface:
-    """Heights interpolated as far as the blur asks for: what it lets through must not fold back at the pixels.
+    """Heights interpolated until the pixels resolve every spatial frequency that the blur passes (no aliasing).
 
-    Steps are left as they are: their heights hold for whole pixels.
+    Steps are not interpolated: their heights apply to whole pixels.
 
     Raises:
         HeightMapError: too coarse pixels, or too many points.

@@ -44,14 +44,14 @@ if TYPE_CHECKING:
 
 NOTE_THRESHOLD = 0.005
 COARSE_PATHS = 2048
-_PERFECT = 1e9  # an index that mirrors everything
+_PERFECT = 1e9  # an index of total reflection
 
 
 def lost_in_roughness(material: Material, steepest_deg: float) -> float:
     """Largest share of the light of a lobe that single scattering leaves out, at facets lit up to ``steepest_deg``.
 
-    A microfacet lobe follows light to its first microfacet only; what meets a second one is lost to it. The loss is
-    what a perfect mirror of this roughness would lack (Heitz 2014, section 5.4: the white furnace).
+    A microfacet lobe follows light to its first microfacet only; light that meets a second one is lost. The loss is the
+    deficit of a perfect mirror of this roughness (Heitz 2014, section 5.4: the white furnace).
     """
     steepest = np.cos(np.radians(min(steepest_deg, 89.0)))
     roughness = max(material.alpha_along, material.alpha_across)
@@ -60,13 +60,13 @@ def lost_in_roughness(material: Material, steepest_deg: float) -> float:
 
 
 def roughness_note(material: Material, steepest_deg: float) -> dict[str, Any]:
-    """The note on single scattering, where it is worth saying."""
+    """Note on single scattering, where the loss is significant."""
     lost = lost_in_roughness(material, steepest_deg)
     return {"lost_in_roughness": lost} if lost > NOTE_THRESHOLD else {}
 
 
 def reflections_note(direct: FloatArray, twice: FloatArray) -> dict[str, Any]:
-    """The note on reflections that are not followed: the largest share that a second one would add.
+    """Note on neglected reflections: the largest share that a second one would add.
 
     Args:
         direct: (P,) direct light in 1/sr.
@@ -85,7 +85,7 @@ def design_notes(
     direct: FloatArray,
     bounces: int | None,
 ) -> dict[str, Any]:
-    """What direct light on ideal ridges leaves out; (P, 3) directions, (P,) radiances in 1/sr."""
+    """Notes on effects neglected by direct light on ideal ridges; (P, 3) directions, (P,) radiances in 1/sr."""
     steepest = float(np.degrees(np.arccos(np.min(to_light[:, 2])))) + design.ridge_angle_deg
     notes = roughness_note(material, steepest)
     if bounces == 1:
@@ -100,7 +100,7 @@ Roughness = Literal["lobe", "plastic"]
 
 @dataclass(frozen=True)
 class Predicted:
-    """A prediction with everything needed to read it.
+    """A prediction with its model, conventions and uncertainty.
 
     Attributes:
         model: "printed", "corrected", "relief" or "wave".
@@ -110,7 +110,7 @@ class Predicted:
         contrasts: contrasts of consecutive stage angles.
         k: scale between prediction and measurement; 1 unless it was fitted.
         notes: further findings, such as the pitch of a height map.
-        budget: sources of uncertainty, to first order; None where it was not asked for.
+        budget: sources of uncertainty, to first order; None if not requested.
         drawn: radiances of a Monte Carlo, or None.
     """
 
@@ -183,7 +183,7 @@ class Predicted:
         """Draw the radiances against the stage angle, a line for every tilt, bars of ±2 u.
 
         Args:
-            axes: of matplotlib, to draw into; a new figure where they are not given.
+            axes: matplotlib axes; a new figure by default.
         """
         axes, u = axes_or_new(axes), self.u_radiance
         for tilt in sorted({pose.tilt_deg for pose in self.poses}):
@@ -251,7 +251,7 @@ def with_uncertainty(
     additional: tuple[Contribution, ...],
     on_progress: Advance,
 ) -> Predicted:
-    """A prediction with its budget, and draws where they are asked for; unchanged without ``inputs``."""
+    """A prediction with its budget, and draws if requested; unchanged without ``inputs``."""
     if inputs is None:
         return found
     poses, convention = found.poses, found.convention
@@ -305,18 +305,18 @@ def predict_height_map(
         material: the plastic.
         poses: P poses.
         convention: how the angles are counted.
-        pitch_um: as in `prediction.preparing.prepare_relief`, as are the next two, and the errors.
+        pitch_um: as in `relief_preparation.prepare_relief`, as are the next two, and the errors.
         levelling: how the map is levelled.
         max_missing_share: share of missing facets above which the map is refused.
         inputs: uncertainties of everything; with them the prediction carries its own. Sensitivities are those of direct
             light on the best 160 rows of the map, relative to L.
-        monte_carlo: draws besides, on the same rows.
-        on_progress: told along the way.
+        monte_carlo: draws in addition, on the same rows.
+        on_progress: called at every step.
         bounces: largest number of reflections; None follows all. Reflections see point-like lamp and lens.
         optics: sizes of lamp and lens.
         facets: how four points become facets.
-        roughness: "lobe": the material's roughness is what the map does not resolve. "plastic": it is that at all
-            scales, and the lobe keeps what the map does not show (`sim.light.unresolved`).
+        roughness: "lobe": the material's roughness is the part that the map does not resolve. "plastic": it is that at
+            all scales, and the lobe carries what the map does not resolve (`sim.light.unresolved`).
     """
     relief, period = prepare_relief(surface, pitch_um, levelling, max_missing_share, facets)
     on_progress("prediction", 0, 1)

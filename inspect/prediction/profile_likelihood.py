@@ -1,8 +1,8 @@
-"""How far deviations lie from the nearest state of uncertain inputs, along the curves that these make of ln L.
+"""Profile likelihood: distance of deviations from the nearest state of the uncertain inputs, along curves in ln L.
 
-An input that is uncertain moves all poses together along a curve, and good parts lie around that curve. A part is as
-far off as the nearest state of the inputs leaves it: min over z of |z|² + (d − f(z))ᵀV⁻¹(d − f(z)), V being what every
-pose has for itself. Where f is straight this is the Mahalanobis distance of the whole covariance.
+An uncertain input moves all poses together along a curve, and good parts scatter about that curve. The squared distance
+of a part is that from the nearest state of the inputs: min over z of |z|² + (d − f(z))ᵀV⁻¹(d − f(z)), with V the
+covariance of the independent errors. Where f is linear this is the Mahalanobis distance of the full covariance.
 """
 
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 
 _STEPS, _HALVINGS, _SETTLED = 25, 6, 1e-9
-_CONVERGENCE = 1e-4  # of a squared distance whose every step costs
+_CONVERGENCE = 1e-4  # tolerance of a squared distance whose evaluations are costly
 _ASIDE = 1.5  # u
 
 FARTHEST = 8.0
@@ -38,15 +38,15 @@ class Curve(Protocol):
 
 
 class States(Curve, Protocol):
-    """Change of ln L of the poses with everything that is uncertain, by the model itself."""
+    """Change of ln L of the poses with all uncertain inputs, evaluated by the model itself."""
 
     @property
     def farthest(self) -> FloatArray:
-        """(K,) standard uncertainties to which the inputs are looked at."""
+        """(K,) range of the search for every input, in standard uncertainties."""
         ...
 
     def holds(self, source: str) -> bool:
-        """Is what the budget calls so part of these states?"""
+        """Whether the source of this name in the budget is an input of these states."""
         ...
 
 
@@ -78,12 +78,12 @@ def nearest(
     *,
     start: FloatArray | None = None,
 ) -> FloatArray:
-    """How far deviations lie from what the inputs allow: the least |z|² + (d − f(z))ᵀV⁻¹(d − f(z)).
+    """Squared distance of deviations, minimised over the inputs: min |z|² + (d − f(z))ᵀV⁻¹(d − f(z)).
 
     Args:
         curve: of the m values, with K inputs.
         deviation: (N, m) of N parts.
-        covariance: (N, m, m) of what every value has for itself, of full rank.
+        covariance: (N, m, m) of the independent errors, of full rank.
         start: (N, K) states to start from; None: the nominal one.
 
     Returns:
@@ -104,7 +104,7 @@ def nearest_states(
 ) -> tuple[FloatArray, FloatArray]:
     """The same within ``farthest`` of every input, and the (N, K) states themselves.
 
-    By Gauss-Newton steps that are halved until they lead down; the first is that of the tangent where it starts.
+    Gauss-Newton steps, halved until the distance decreases; the first one is along the tangent at the start.
     """
     weight = np.linalg.inv(covariance)
     z = start
@@ -136,16 +136,16 @@ def nearest_states(
 def nearest_anywhere(
     curve: Curve, deviation: FloatArray, covariance: FloatArray, farthest: float | FloatArray = FARTHEST
 ) -> float:
-    """The same of one part, where an input may change the values by its square alone, and states cost.
+    """The same for one part with costly states, where an input may act by its square alone.
 
-    Such an input has no tangent at its nominal value, and a step would never leave it: from where the steps end they
-    are taken again with one such input set to either side.
+    Such an input has no tangent at its nominal value, and a step would never leave it: the search is repeated from its
+    end with one such input displaced to either side.
 
     Args:
         curve: of the m values, with K inputs.
         deviation: (m,).
         covariance: (m, m).
-        farthest: standard uncertainties to which the inputs, or (K,) each of them, are looked at.
+        farthest: range of the search in standard uncertainties, for all inputs or (K,) for each.
     """
     count = len(curve.sources)
     ends = curve.change(np.vstack([np.eye(count), -np.eye(count)]))

@@ -1,4 +1,1 @@
-"""Where the part stands in every picture, and where the height map lies on it.
-
-Markers first (``markers``, ``markerfit``, ``placement``), edges where there are none (``edges``); ``placing`` chooses.
-"""
+"""Registration of the part in every picture: by fiducial markers (``placement``) or by edges (``edges``)."""

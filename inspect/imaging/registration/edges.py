@@ -1,19 +1,17 @@
-"""Aligning the turned pictures without markers, by the edges of what lies under the camera.
+"""Registration of the turned pictures without markers, by the edges of the part.
 
-Every picture is turned back about the rotation axis by what the stage says; what is left is a small shift and turn,
-found by the directions of edges (`edgefit`). Ridges repeat, so that the ridges of a picture fit as well one pitch
-further: they are damped in the search, and outline and single marks say which place is meant. Where they do not say so
-clearly, or anything else is unclear, the pictures are refused.
+Every picture is turned back about the rotation axis by the stage angle; the remaining small shift and rotation are
+fitted to the directions of edges. Ridges are periodic, so that a picture fits equally well one pitch further: they are
+damped in the search, and outline and single marks resolve the ambiguity. Pictures whose position stays ambiguous are
+refused.
 
-Laying one turned picture onto another by the directions of their edges, with what the fit leaves in doubt.
+Turning the part inverts contrasts, and with them the sign of every gradient; its direction modulo 180° is invariant,
+and so is its square as a complex number (orientation correlation of Fitch et al., BMVC 2002, squared to be independent
+of the sign of contrast). A strong edge counts hardly more than a weak one above the noise.
 
-Grey values flip when the part is turned, and with them the sign of every gradient; its direction modulo 180° stays, and
-so does its square as a complex number (orientation correlation of Fitch et al., BMVC 2002, with the square that makes
-it blind to contrast). A strong edge counts hardly more than a weak one that noise does not drown.
-
-All shifts are tried at once by Fourier transform. What repeats stands out in the spectrum and is damped there, so that
-ridges do not drown the outline and the marks that tell one pitch from the next. The best place is refined by least
-squares in shift and turn, by all edges.
+All shifts are correlated at once by Fourier transform. Periodic structure stands out in the spectrum and is damped
+there, so that the ridges do not mask the outline and the marks that distinguish one pitch from the next. The best
+position is refined by least squares in shift and rotation over all edges.
 """
 
 from collections.abc import Sequence
@@ -41,12 +39,12 @@ CONVERGENCE_PX = 3e-3
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """How a picture lies on the first one.
+    """Alignment of a picture with the first one.
 
     Attributes:
         warp: (2, 3) map from points of the first picture to those of the other one.
         score: correlation of the edges' directions, 1 where they agree everywhere.
-        u_px: standard uncertainty of a place, root mean square over the window, in points: by how much tiles disagree.
+        u_px: standard uncertainty of a position in points, rms over the window, from the scatter between tiles.
     """
 
     warp: FloatArray
@@ -62,7 +60,7 @@ def noise_of(image: Image) -> float:
 
 
 def directions(image: Image, sigma_px: float) -> Image:
-    """Squared direction of the gradient: real and imaginary part, length 1 at clear edges and 0 where there are none.
+    """Squared direction of the gradient as real and imaginary part, of length 1 at clear edges and 0 without edges.
 
     Args:
         image: (rows, cols) picture; NaN where it has no value.
@@ -101,7 +99,7 @@ def all_shifts(first: Image, other: Image, window: Image) -> FloatArray:
 
 
 def clearest(surface: FloatArray) -> tuple[tuple[float, float], float, float]:
-    """(columns, rows) of the best shift, its correlation, and the best one elsewhere by it."""
+    """(columns, rows) of the best shift, its correlation, and the ratio of the second-best peak to it."""
     row, col = (int(i) for i in np.unravel_index(surface.argmax(), surface.shape))
     away = [np.fft.fftfreq(size, 1.0 / size) for size in surface.shape]
     distance = [
@@ -120,7 +118,7 @@ def shifted(shift: tuple[float, float]) -> FloatArray:
 
 
 def refined(first: Image, other: Image, warp: FloatArray, window: Image) -> Fit:
-    """The warp near one at which the fields agree best: least squares in shift, turn about the middle, and gain."""
+    """Least-squares refinement of a warp in shift, rotation about the centre, and gain."""
     reach = 0.35 * first.shape[0]
     for _ in range(STEPS):
         design, rest, _ = _linear(first, other, warp, reach)
@@ -142,7 +140,7 @@ def refined(first: Image, other: Image, warp: FloatArray, window: Image) -> Fit:
 
 
 def _pulled(field: Image, warp: FloatArray) -> Image:
-    """The field where the warp says; 0 outside."""
+    """The field resampled by the warp; 0 outside."""
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     return np.asarray(cv2.warpAffine(field, warp, field.shape[1::-1], flags=flags), dtype=np.float32)
 
@@ -155,7 +153,7 @@ def _slopes(field: Image) -> tuple[Image, Image]:
 def _linear(
     first: Image, other: Image, warp: FloatArray, reach: float
 ) -> tuple[tuple[Image, ...], Image, Image]:
-    """Derivatives by shift, turn (in points at ``reach``) and gain; what is left; the other field pulled back."""
+    """Derivatives by shift, rotation (in points at ``reach``) and gain; the residual; the other field resampled."""
     seen = _pulled(other, warp)
     gain = np.float32(np.vdot(seen, first) / max(float(np.vdot(seen, seen)), 1e-12))
     across, down = (gain * slope for slope in _slopes(seen))
@@ -170,7 +168,7 @@ def _normal(design: tuple[Image, ...], window: Image) -> FloatArray:
 
 
 def _stepped(warp: FloatArray, step: FloatArray, reach: float, side: int) -> FloatArray:
-    """The warp after a shift and a turn about the middle of the first picture."""
+    """The warp after a shift and a rotation about the centre of the first picture."""
     turn, middle = step[2] / reach, (side - 1) / 2.0
     cos, sin = np.cos(turn), np.sin(turn)
     motion = np.array([[cos, -sin, step[0]], [sin, cos, step[1]], [0.0, 0.0, 1.0]])
@@ -197,7 +195,7 @@ _ADVICE = "describe a [fixture] with markers in the rig file"
 
 @dataclass(frozen=True)
 class TurnedPicture:
-    """A picture to be aligned.
+    """A picture to be registered.
 
     Attributes:
         image: (rows, cols) linear picture; NaN where a pixel has no value.
@@ -213,7 +211,7 @@ class TurnedPicture:
 def place_by_edges(
     pictures: Sequence[TurnedPicture], pixel_um: float, axis_px: tuple[float, float] | None = None
 ) -> list[Placement]:
-    """Where the sample stands in every picture, seen from the first one.
+    """Register every picture to the first one.
 
     Args:
         pictures: at least one; the first is the reference.
@@ -221,17 +219,16 @@ def place_by_edges(
         axis_px: (column, row) of the rotation axis, calibrated; without it, it is estimated from the pictures.
 
     Returns:
-        One a picture; the sample's origin is the rotation axis.
+        One placement per picture; the sample's origin is the rotation axis.
 
     Raises:
-        RegistrationError: there is too little structure, the pictures fit in several places, or they fit elsewhere than
-            stage and axis say.
+        RegistrationError: too little structure, an ambiguous position, or one that contradicts stage and axis.
     """
     shape = pictures[0].image.shape
     start = axis_px or ((shape[1] - 1) / 2.0, (shape[0] - 1) / 2.0)
     found = _placed(pictures, pixel_um, start, UNKNOWN_AXIS_SHARE * min(shape))
     if axis_px is None:
-        # once more about the axis that they show, so that all sides of the part weigh alike
+        # repeated about the axis found, so that all sides of the part have equal weight
         about = _about_the_axis(found)[0].axis_px
         found = _about_the_axis(_placed(pictures, pixel_um, about, 2.0 * MAX_SHIFT_PX))
     for seen, place in zip(pictures[1:], found[1:], strict=True):
@@ -242,7 +239,7 @@ def place_by_edges(
 def _placed(
     pictures: Sequence[TurnedPicture], pixel_um: float, axis_px: tuple[float, float], reach_px: float
 ) -> list[Placement]:
-    """Where the sample stands in every picture, whose shift from where it should stand is within reach."""
+    """Placement in every picture, searched within ``reach`` of the nominal one."""
     nominal = [_nominal(seen, pixel_um, axis_px) for seen in pictures]
     grid = _raster(pictures[0].image.shape, axis_px, pixel_um)
     scale = grid.pixel_mm * 1000.0 / pixel_um
@@ -256,7 +253,7 @@ def _placed(
 
 
 def _nominal(seen: TurnedPicture, pixel_um: float, axis_px: tuple[float, float]) -> Placement:
-    """Where the sample stands if stage, axis and tilt are right."""
+    """Nominal placement from stage, axis and tilt."""
     factor = 1000.0 / pixel_um * np.exp(1j * np.radians(seen.stage_deg))
     squeeze = float(np.cos(np.radians(seen.tilt_deg)))
     matrix = np.array(
@@ -269,7 +266,7 @@ def _nominal(seen: TurnedPicture, pixel_um: float, axis_px: tuple[float, float])
 
 
 def _raster(shape: tuple[int, ...], axis_px: tuple[float, float], pixel_um: float) -> Grid:
-    """A square about the axis, as large as the circle that every turned picture shows."""
+    """Square raster about the axis that circumscribes the circle common to all turned pictures."""
     radius = min(*axis_px, shape[1] - 1 - axis_px[0], shape[0] - 1 - axis_px[1])
     side = 2.0 * max(radius, 8.0)
     points = min(int(side), MAX_SIDE) // 4 * 4
@@ -277,7 +274,7 @@ def _raster(shape: tuple[int, ...], axis_px: tuple[float, float], pixel_um: floa
 
 
 def _turned_back(image: Image, place: Placement, grid: Grid, scale: float) -> Image:
-    """The picture on the raster, its noise alike in light and dark; NaN where it has no value."""
+    """The picture on the raster, with variance-stabilised noise; NaN where it has no value."""
     calm = np.sqrt(np.maximum(image, 0.0, dtype=np.float32))
     if scale > 1.0:
         calm = np.asarray(cv2.GaussianBlur(calm, (0, 0), 0.35 * scale), dtype=np.float32)
@@ -292,7 +289,7 @@ def _window(side: int, margin: float, soft: float) -> Image:
 
 
 def _aligned(first: Image, other: Image, reach: float, name: str) -> Fit:
-    """How the other picture, turned back, lies on the first one.
+    """Align another picture, turned back, with the first one.
 
     Args:
         first: (side, side) picture.
@@ -333,7 +330,7 @@ def _aligned(first: Image, other: Image, reach: float, name: str) -> Fit:
 
 
 def _moved(nominal: Placement, warp: FloatArray, grid: Grid, residual_px: float) -> Placement:
-    """The placement under which the picture fits the first one."""
+    """The placement corrected by the fitted warp."""
     to_mm = grid.to_mm()
     motion = to_mm @ np.vstack([warp, [0.0, 0.0, 1.0]]) @ np.linalg.inv(to_mm)
     matrix = nominal.matrix @ motion
@@ -343,7 +340,7 @@ def _moved(nominal: Placement, warp: FloatArray, grid: Grid, residual_px: float)
 
 
 def _about_the_axis(places: list[Placement]) -> list[Placement]:
-    """The same placements with the origin in the point that moves least: the rotation axis."""
+    """The placements with the origin moved to the point that moves least: the rotation axis."""
     turned = [place for place in places[1:] if np.abs(place.matrix - places[0].matrix)[:, :2].max() > 1e-3]
     if not turned:
         return places
@@ -360,7 +357,7 @@ def _about_the_axis(places: list[Placement]) -> list[Placement]:
 
 
 def _check(seen: TurnedPicture, place: Placement, first: Placement) -> None:
-    """Does the picture stand where stage and axis say?"""
+    """Compare a placement with stage angle and rotation axis."""
     off = float(np.hypot(*np.subtract(place.axis_px, first.axis_px)))
     turn = (place.angle_deg - seen.stage_deg + 180.0) % 360.0 - 180.0
     if off > MAX_SHIFT_PX or abs(turn) > MAX_TURN_DEG:

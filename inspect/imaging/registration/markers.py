@@ -1,16 +1,14 @@
-"""The fixture's ArUco markers in one picture: found on a reduced picture, measured on the linear one at full size.
+"""The fixture's ArUco markers in one picture, and the pose of the plate fitted to their corners.
 
-A side of a marker is a straight line through the centres of the brightness steps on many lines across it; corners are
-crossings of sides. Blur rounds a corner, but leaves the middle of a side where it is; dirt moves some steps, but not
-most of them.
+Markers are detected on a reduced picture and measured on the linear one at full size. A side of a marker is a straight
+line through the centres of the brightness steps on many scan lines across it; corners are intersections of sides. Blur
+rounds a corner but does not shift the middle of a side; dirt shifts some steps, but not most of them.
 
-Where the sample stands, fitted to the corners of its fixture's markers; one marker that lies is found out.
-
-The model is a similarity (turn, scale, shift) of a plate that is foreshortened along the picture's rows by the cosine
-of the tilt. Where the plate is tilted and the markers show it, one more number q says how much smaller its far side
-looks: with (X, Y) the similarity in pixels from the middle of the picture and c the cosine,
-u = X/(1 + qY), v = cY/(1 + qY), a pinhole camera whose axis is tilted about the picture's horizontal axis
-(Hartley and Zisserman, Multiple View Geometry, 2nd edition, 8.1; q = sin(tilt) · focal length/distance).
+The model is a similarity (rotation, scale, shift) of a plate foreshortened along the picture's rows by the cosine of
+the tilt; a single inconsistent marker is identified and left out. Where the plate is tilted and the markers resolve it,
+one more parameter q describes the perspective of its far side: with (X, Y) the similarity in pixels from the middle of
+the picture and c the cosine, u = X/(1 + qY), v = cY/(1 + qY), a pinhole camera whose axis is tilted about the picture's
+horizontal axis (Hartley and Zisserman, Multiple View Geometry, 2nd edition, 8.1; q = sin(tilt)·focal length/distance).
 """
 
 from collections.abc import Sequence
@@ -37,13 +35,13 @@ _ROUNDS = 2
 
 @dataclass(frozen=True, eq=False)
 class Marker:
-    """A marker as seen.
+    """A marker found in a picture.
 
     Attributes:
         id: its number in the dictionary.
         corners: (4, 2) column and row, top left first, clockwise.
         blur_px: standard deviation of the edge spread across its sides.
-        black_share: brightness of its black border by that of its white label.
+        black_share: brightness of its black border relative to its white label.
     """
 
     id: int
@@ -58,7 +56,7 @@ def dictionary_of(fixture: Fixture) -> cv2.aruco.Dictionary:
 
 
 def marker_corners_mm(fixture: Fixture) -> dict[int, FloatArray]:
-    """Corners of every marker in sample millimetres, (4, 2): top left first, clockwise as seen, as OpenCV counts."""
+    """Corners of every marker in sample millimetres, (4, 2): OpenCV's order, top left first, clockwise."""
     half = fixture.marker_mm / 2.0
     offsets = np.array([[-half, half], [half, half], [half, -half], [-half, -half]])
     return {marker.id: offsets + np.array([marker.x_mm, marker.y_mm]) for marker in fixture.markers}
@@ -67,7 +65,7 @@ def marker_corners_mm(fixture: Fixture) -> dict[int, FloatArray]:
 def find_markers(image: Image, fixture: Fixture) -> list[Marker]:
     """The fixture's markers in a linear picture (rows, cols), NaN where a pixel has no value.
 
-    Where the reduced picture shows less than all of them, the whole one is searched.
+    If the reduced picture does not show all of them, the picture is searched at full size.
     """
     thinned = image[::4, ::4]
     known = np.isfinite(thinned)
@@ -84,7 +82,7 @@ def find_markers(image: Image, fixture: Fixture) -> list[Marker]:
 def _detect(image: Image, fixture: Fixture, top: float, factor: int) -> list[tuple[int, FloatArray]]:
     """The fixture's markers and their rough corners (4, 2).
 
-    Compressed pictures show dim markers beside a bright part, but blur eats their black; so several are tried.
+    Compressing brightness reveals dim markers next to a bright part, but blur fades their black; so several are tried.
     """
     small = _reduced(image, factor)
     calm = np.clip(cv2.GaussianBlur(small, (0, 0), 1.0) / top, 0.0, 1.0)  # noise in the dark hides markers
@@ -109,7 +107,7 @@ def _detect(image: Image, fixture: Fixture, top: float, factor: int) -> list[tup
 
 
 def _reduced(image: Image, factor: int) -> Image:
-    """The picture without gaps, ``factor`` × ``factor`` pixels made one."""
+    """The picture with gaps filled, binned ``factor`` × ``factor``."""
     if factor > 1:
         rows, cols = (size - size % factor for size in image.shape)
         image = np.asarray(
@@ -119,7 +117,7 @@ def _reduced(image: Image, factor: int) -> Image:
 
 
 def _detection() -> cv2.aruco.DetectorParameters:
-    """Thresholds that noise in the dark does not cross, over windows from a fraction of a module to several."""
+    """Detector settings: thresholds above dark noise, windows from a fraction of a module to several."""
     parameters = cv2.aruco.DetectorParameters()
     parameters.adaptiveThreshConstant = 15
     parameters.adaptiveThreshWinSizeMax = 53
@@ -127,7 +125,7 @@ def _detection() -> cv2.aruco.DetectorParameters:
 
 
 def _measured(image: Image, number: int, corners: FloatArray, modules: int, top: float) -> Marker:
-    """A marker whose corners are the crossings of lines through its sides, refined in two rounds."""
+    """A marker whose corners are the intersections of lines through its sides, refined in two rounds."""
     edge, across = np.zeros(2), np.zeros(2)
     for _ in range(_ROUNDS):
         points, along, edge, across = _sides(image, corners, modules, top)
@@ -142,7 +140,7 @@ def _measured(image: Image, number: int, corners: FloatArray, modules: int, top:
 def _sides(
     image: Image, corners: FloatArray, modules: int, top: float
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """A point (4, 2) and the direction (4, 2) of every side, and the rising profile of the edges and its places."""
+    """A point (4, 2) and the direction (4, 2) of every side, and the edge profile with its positions."""
     ends = np.roll(corners, -1, axis=0)
     lengths = np.linalg.norm(ends - corners, axis=1)
     along = (ends - corners) / np.maximum(lengths, 1e-9)[:, None]
@@ -177,14 +175,14 @@ def _lit_along(image: Image, base: FloatArray, away: FloatArray) -> FloatArray:
 
 
 def _steps(lit: FloatArray, across: FloatArray) -> tuple[FloatArray, Mask]:
-    """Where brightness steps on every line across the sides: centres (4, lines), and which lines show a usual step.
+    """Centres (4, lines) of the brightness steps across the sides, and which scan lines have a regular step.
 
     Args:
         lit: (4, lines, points) brightness; NaN where a pixel has no value.
         across: (points,) places along the lines.
     """
     middles = 0.5 * (across[1:] + across[:-1])
-    # the sum over steps of their height times their place, by parts; NaN where any of the line is
+    # centroid of the gradient, by parts; NaN where any value of the line is
     moment = lit @ (np.pad(middles, (1, 0)) - np.pad(middles, (0, 1)))
     rise = lit[..., -1] - lit[..., 0]
     whole = np.isfinite(moment)
@@ -201,7 +199,7 @@ def _steps(lit: FloatArray, across: FloatArray) -> tuple[FloatArray, Mask]:
 
 
 def _medians(values: FloatArray, used: Mask | None = None) -> FloatArray:
-    """Median of every row, of the values kept: one of them at least."""
+    """Median of every row over the values used, at least one per row."""
     count = np.full(len(values), values.shape[1]) if used is None else used.sum(axis=1)
     ordered = np.sort(values if used is None else np.where(used, values, np.inf), axis=1)
     rows = np.arange(len(values))
@@ -209,7 +207,7 @@ def _medians(values: FloatArray, used: Mask | None = None) -> FloatArray:
 
 
 def _straight(ramp: FloatArray, offset: FloatArray, used: Mask) -> tuple[FloatArray, FloatArray, Mask]:
-    """Level and slope (4,) of straight lines through most of the centres, and which were used."""
+    """Level and slope (4,) of robust straight lines through the centres, and which were used."""
     level = _medians(offset, used)
     slope, close = np.zeros(len(level)), used
     for _ in range(3):
@@ -225,7 +223,7 @@ def _straight(ramp: FloatArray, offset: FloatArray, used: Mask) -> tuple[FloatAr
 
 
 def _spread(edge: FloatArray, across: FloatArray) -> float:
-    """Standard deviation of the edge spread of a rising profile, from where it passes 20 and 80 percent."""
+    """Standard deviation of the edge spread of a rising profile, from its 20 and 80 percent crossings."""
     rising = np.maximum.accumulate(edge)
     share = (rising - rising[0]) / max(float(rising[-1] - rising[0]), 1e-12)
     low, high = (float(np.interp(level, share, across)) for level in (0.2, 0.8))
@@ -243,11 +241,11 @@ _ROUNDS_markerfit = 4
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A fitted plate.
+    """Fitted pose of the plate.
 
     Attributes:
         homography: (3, 3) map from sample millimetres to (column, row, 1), its last element 1.
-        angle_deg: angle of the sample, counter-clockwise as seen, 0 to 360.
+        angle_deg: angle of the sample, counter-clockwise in the picture, 0 to 360.
         pixel_um: size of a pixel on the sample, at its origin.
         residual_px: rms distance of the corners from the fit.
         parameters: number of parameters.
@@ -267,13 +265,13 @@ class Fit:
 
 @dataclass(frozen=True, eq=False)
 class Agreed:
-    """A fit to markers that agree with each other.
+    """A fit to mutually consistent markers.
 
     Attributes:
         fit: the fit.
-        markers: those it rests on.
+        markers: the markers used.
         dropped: ids of the others.
-        squeeze: foreshortening of the rows that the markers show, by the one that was assumed.
+        squeeze: measured foreshortening of the rows, relative to the assumed one.
         u_squeeze: its standard uncertainty.
     """
 
@@ -287,16 +285,16 @@ class Agreed:
 def agree(
     found: Sequence[Marker], known_mm: dict[int, FloatArray], squeeze: float, middle_px: tuple[float, float]
 ) -> Agreed:
-    """Fit the plate to the markers that agree.
+    """Fit the plate to the mutually consistent markers.
 
     Args:
-        found: markers as seen, all of them known.
+        found: markers in the picture, all of them of the fixture.
         known_mm: (4, 2) corners of every marker of the fixture.
         squeeze: cosine of the tilt.
         middle_px: (column, row) of the middle of the picture.
 
     Raises:
-        RegistrationError: a marker is off, and there are too few to tell which.
+        RegistrationError: markers are inconsistent, and too few to identify the wrong one.
     """
 
     def fitted(markers: Sequence[Marker]) -> Fit:
@@ -312,7 +310,7 @@ def agree(
     suspects = [i for i, fit in without.items() if off(used[i], fit) > _allowed(fit)]
     dropped: tuple[int, ...] = ()
     if suspects:
-        # one that is off makes every fit that holds it bad; the right one to leave out is clearly the best
+        # a wrong marker spoils every fit that includes it; leaving out the right one gives clearly the best fit
         order = sorted(suspects, key=lambda i: without[i].residual_px)
         best = without[order[0]]
         rest = [without[i].residual_px for i in without if i != order[0]]
@@ -324,7 +322,7 @@ def agree(
     seen, u_squeeze, rest_px = _measured_squeeze(
         np.concatenate([known_mm[m.id] for m in used]), np.concatenate([m.corners for m in used])
     )
-    # markers that agree on another foreshortening say that the arm stands elsewhere; that is for a gate to judge
+    # markers that agree on another foreshortening indicate a wrong tilt, which the tilt gate decides on
     if whole.residual_px > OFF_PX and rest_px > OFF_PX:
         raise RegistrationError(_contradiction(used, [off(m, whole) for m in used]))
     return Agreed(whole, used, dropped, seen / squeeze, u_squeeze / squeeze)
@@ -345,7 +343,7 @@ def _contradiction(markers: Sequence[Marker], off_px: list[float]) -> str:
 def fit_plate(
     points_mm: FloatArray, pixels: FloatArray, squeeze: float, middle_px: tuple[float, float]
 ) -> Fit:
-    """Least squares for the plate, with perspective where it is tilted and the points show it.
+    """Least-squares pose of the plate, with perspective where it is tilted and the points resolve it.
 
     Args:
         points_mm: (N, 2) sample millimetres.
@@ -421,7 +419,7 @@ def _as_fit(
 
 
 def _measured_squeeze(points_mm: FloatArray, pixels: FloatArray) -> tuple[float, float, float]:
-    """Scale of the rows by that of the columns, from a free affine fit; its standard uncertainty; the rms rest."""
+    """Scale of rows over columns from a free affine fit, its standard uncertainty, and the rms residual."""
     design = np.column_stack([points_mm, np.ones(len(points_mm))])
     affine = np.linalg.lstsq(design, pixels, rcond=None)[0]
     rest = pixels - design @ affine

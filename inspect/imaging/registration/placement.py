@@ -1,4 +1,4 @@
-"""Aligning the turned pictures by the ArUco markers of the fixture."""
+"""Placement of the sample in a picture from the ArUco markers of the fixture, and resampling on its raster."""
 
 from dataclasses import dataclass
 
@@ -27,22 +27,22 @@ MIN_MARKERS = 3
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """Where the sample stands in one picture.
+    """Placement of the sample in one picture.
 
     Attributes:
         matrix: (2, 3) map from sample millimetres (x right, y up, at stage angle 0) to (column, row); with
             `perspective` the upper rows of a homography.
-        angle_deg: angle of the sample, counter-clockwise as seen, 0 to 360.
+        angle_deg: angle of the sample, counter-clockwise in the picture, 0 to 360.
         pixel_um: size of a pixel on the sample.
         axis_px: (column, row) of the sample's origin.
         residual_px: rms distance of the marker corners from the fit; without markers, of parts of the picture.
-        markers: how many markers the fit rests on; 0 where the pictures are aligned by their edges.
-        perspective: third row of the homography but for its 1, per millimetre; zeros for parallel projection.
+        markers: number of markers used; 0 where the pictures are registered by edges.
+        perspective: third row of the homography without its 1, per millimetre; zeros for parallel projection.
         blur_px: standard deviation of the edge spread at the markers, where it is known.
-        black_share: brightness of the markers' black by that of their white, where it is known.
-        squeeze: foreshortening of the picture's rows that the markers show, by the one that the tilt makes.
+        black_share: brightness of the markers' black relative to their white, where it is known.
+        squeeze: measured foreshortening of the picture's rows, relative to the cosine of the tilt.
         u_squeeze: its standard uncertainty.
-        dropped: ids of markers that do not fit the others and were left out.
+        dropped: ids of inconsistent markers that were left out.
     """
 
     matrix: FloatArray
@@ -66,7 +66,7 @@ class Placement:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One pose as photographed: picture, place of the fixture, commanded angle."""
+    """One photographed pose: picture, placement of the sample, commanded angles."""
 
     stage_deg: float
     tilt_deg: float
@@ -75,7 +75,7 @@ class View:
 
 
 def check_fixture(fixture: Fixture) -> None:
-    """Can pictures be aligned by this fixture at all?
+    """Check that pictures can be registered by this fixture.
 
     Raises:
         RigFileError: an unknown dictionary, a marker that it does not hold, or too few markers.
@@ -105,16 +105,16 @@ def locate(image: Image, fixture: Fixture, tilt_deg: float = 0.0) -> Placement:
     """Find the fixture in a picture and fit a similarity: rotation, scale, shift.
 
     A tilted camera sees the plate foreshortened along the rows of the picture's height by cos(tilt); this is
-    taken out before the fit. A lens from which the far side of a tilted plate looks smaller adds one number, where the
-    markers show it (`markerfit`). A single marker that does not fit the others is left out and named.
+    removed before the fit. Perspective adds one parameter where the markers resolve it (`markers`). A single
+    inconsistent marker is left out and reported.
 
     Args:
         image: (rows, cols) linear picture.
-        fixture: the markers and where they stand.
+        fixture: the markers and their positions.
         tilt_deg: tilt of the camera about the picture's horizontal axis.
 
     Raises:
-        RegistrationError: fewer than three of the fixture's markers are seen, or they contradict each other.
+        RegistrationError: fewer than three of the fixture's markers are visible, or they contradict each other.
     """
     known = marker_corners_mm(fixture)
     found = find_markers(image, fixture)
@@ -150,7 +150,7 @@ def _placement(agreed: Agreed) -> Placement:
 
 
 def angle_between(first_deg: float, second_deg: float) -> float:
-    """Signed smallest turn from the first angle to the second, −180 to 180."""
+    """Signed smallest rotation from the first angle to the second, −180 to 180."""
     return (second_deg - first_deg + 180.0) % 360.0 - 180.0
 
 
@@ -159,7 +159,7 @@ class Grid:
     """A raster on the sample, its columns along the ridges.
 
     Attributes:
-        center_mm: (x, y) of the raster's middle, in sample millimetres at stage angle 0.
+        center_mm: (x, y) of the raster's centre, in sample millimetres at stage angle 0.
         pixel_mm: distance of neighbouring points.
         shape: (rows, cols); the first row lies farthest along the ridges.
         turn_deg: azimuth of the raster's x axis: the side toward which the facets lean.
@@ -186,11 +186,11 @@ class Grid:
 
 
 def resample(image: Image, placement: Placement, grid: Grid) -> Image:
-    """The picture on the sample's raster, warped once; NaN where the picture has no value.
+    """The picture resampled once on the sample's raster; NaN where the picture has no value.
 
     Args:
         image: (rows, cols) linear picture.
-        placement: where the fixture stands in it.
+        placement: of the sample in it.
         grid: the raster.
 
     Returns:
