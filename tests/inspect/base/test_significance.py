@@ -11,7 +11,7 @@ from anisoscope.base.significance import (
     joint_conformance,
     log_basis,
     mahalanobis,
-    said,
+    p_value_text,
     two_sided,
 )
 
@@ -104,4 +104,4 @@ def test_joint_conformance_of_deviations_that_move_together():
 
 
 def test_a_probability_too_small_for_a_number_is_no_certainty():
-    assert (said(0.0123), said(1.9e-14), said(0.0)) == ("= 0.012", "= 1.9e-14", "< 1e-300")
+    assert (p_value_text(0.0123), p_value_text(1.9e-14), p_value_text(0.0)) == ("= 0.012", "= 1.9e-14", "< 1e-300")

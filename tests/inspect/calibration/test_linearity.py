@@ -64,7 +64,7 @@ def test_uncalibrated_is_written_down_until_the_curve_is_given(virtual_rig, curv
     found = lay_out(virtual_rig, "good", response=str(path)).inspect().record
     assert found.verdict == "PASS", found.reasons
     assert not any("uncalibrated" in note for note in found.notes)
-    for pair in found.contrasts:
+    for pair in found.details.contrasts:
         assert pair.measured == pytest.approx(pair.predicted, rel=0.03)
 
 

@@ -54,6 +54,7 @@ def judged(virtual_rig, monkeypatch):
         folder.mkdir(parents=True)
         record = Record.model_validate(
             {
+                "kind": "ridges",
                 "software": "anisoscope 0.1.0",
                 "created_at": "2026-11-01T06:00:00+00:00",
                 "serial": f"{serial}-{folder.name}",
@@ -63,8 +64,8 @@ def judged(virtual_rig, monkeypatch):
                 "reasons": ("nobody looked",),
                 "inputs": ({"name": "inputs/recipe.toml", "sha256": 32 * "5e"},),
                 **dict.fromkeys(("model", "camera", "stage"), "none"),
-                **dict.fromkeys(("d2", "dof", "p_value", "area", "drift")),
-                **dict.fromkeys(("poses", "contrasts", "budget", "frames"), ()),
+                **dict.fromkeys(("d2", "dof", "p_value", "drift")),
+                **dict.fromkeys(("poses", "budget", "frames"), ()),
                 **{key: {} for key in ("convention", "white_reference", "recipe", "rig")},
             }
         )

@@ -50,7 +50,7 @@ def test_tables_say_what_the_record_says(page, parts):
             contrast["u"],
         ]
         assert shown == pytest.approx(expected, abs=6e-4)
-    assert rows[-1][1] == f"{100 * record['area']['share']:.1f} %"
+    assert rows[-1][1] == f"{100 * record['details']['area']['share']:.1f} %"
 
 
 def test_nothing_is_cut_off_on_a_printed_a4_page(page, parts):

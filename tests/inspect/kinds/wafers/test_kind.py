@@ -141,7 +141,7 @@ def test_the_spike_shows_in_the_contrasts_between_tilts_of_record_and_report(ins
             assert one.u_measured < 0.01 < one.u_predicted  # the seat decides where the mirror direction is
     assert min(one.p_value for one in good.record.details.between_tilts) > 0.01
     assert max(one.p_value for one in deep.details.between_tilts) < 1e-6
-    assert all(one.p_value > 0.001 for one in deep.contrasts)  # at one tilt nothing is seen of it
+    assert all(one.p_value > 0.001 for one in deep.details.contrasts)  # at one tilt nothing is seen of it
     report = good.report.read_text()
     assert 'id="between-tilts"' in report
     assert "0°, tilt 0° / 3°" in report
