@@ -104,4 +104,8 @@ def test_joint_conformance_of_deviations_that_move_together():
 
 
 def test_a_probability_too_small_for_a_number_is_no_certainty():
-    assert (p_value_text(0.0123), p_value_text(1.9e-14), p_value_text(0.0)) == ("= 0.012", "= 1.9e-14", "< 1e-300")
+    assert (p_value_text(0.0123), p_value_text(1.9e-14), p_value_text(0.0)) == (
+        "= 0.012",
+        "= 1.9e-14",
+        "< 1e-300",
+    )
