@@ -18,7 +18,7 @@ from anisoscope.history.problems import Damage, HistoryError
 START = bytes(32)
 """What the first row has for the hash of the row before it."""
 PRECISION, DIGITS = 1e-6, 7
-"""Numbers of a row are kept to this share of themselves, and shown with so many digits."""
+"""Relative precision of the stored numbers of a row, and the digits of their display."""
 _SINGLE, _DOUBLE = struct.Struct("<f"), struct.Struct("<d")
 INSPECTION_FIELDS = (
     "id",

@@ -46,7 +46,7 @@ class Series:
 
 @dataclass(eq=False)
 class History:
-    """Open history; made by `open_history`, closed on leaving the context."""
+    """Open history from `open_history`; closed on leaving the context."""
 
     address: Address
     _database: Database = field(init=False)
@@ -67,7 +67,7 @@ class History:
         self._database.close()
 
     def __repr__(self) -> str:
-        """One line: where it is and how many inspections it holds; the database is asked."""
+        """One line: its address and number of inspections, from a query."""
         return f"History({self.address}, {self.count()} inspections)"
 
     def _repr_html_(self) -> str:

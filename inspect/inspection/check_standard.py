@@ -1,4 +1,4 @@
-"""The check standard: a part that is kept, whose contrasts must come out today as they did when it was taught."""
+"""Check standard: a retained part whose contrasts must be reproduced within the uncertainty."""
 
 import tempfile
 from dataclasses import dataclass
@@ -168,7 +168,7 @@ def standard_of(record: CalibrationRecord, path: Path) -> Standard:
 def _compared(
     contrasts: FloatArray, covariance: FloatArray, standard: Standard, limit: float
 ) -> dict[str, Any]:
-    """The part of a record that says whether the standard shows what it was taught."""
+    """Comparison of the measured contrasts with those of the standard, as the calibration record holds it."""
     from scipy.stats import chi2  # noqa: PLC0415 - 1 s
 
     off, both = contrasts - np.array(standard.contrasts), covariance + np.array(standard.covariance)

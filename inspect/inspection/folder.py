@@ -40,7 +40,7 @@ def make_folder(out: Path, serial: str) -> Path:
 
 @contextlib.contextmanager
 def new_folder(out: Path, serial: str) -> Iterator[Path]:
-    """Work in a new folder; leaving by an error removes it if it holds no frame, else the error says how to go on.
+    """Work in a new folder; an error removes it if it holds no frame, or else gets a note how to resume.
 
     Raises:
         RecordError: it cannot be made.
@@ -61,14 +61,14 @@ def new_folder(out: Path, serial: str) -> Iterator[Path]:
 
 
 def add_resume_hint(folder: Path, error: BaseException) -> None:
-    """Note on an error how the inspection goes on, unless it is finished."""
+    """Add a note to an error how to resume the inspection, unless it is finished."""
     if not (folder / RECORD_NAME).exists():
         error.add_note(f"`anisoscope resume {folder}` goes on from here")
 
 
 @contextlib.contextmanager
 def working_in(folder: Path) -> Iterator[None]:
-    """Be the only one that works in an inspection folder.
+    """Lock an inspection folder for exclusive work.
 
     The lock dies with its process; where the system has no such locks, there is none.
 
@@ -102,7 +102,7 @@ def _has_frames(folder: Path) -> bool:
 
 
 def _remove(folder: Path) -> None:
-    """Remove what an inspection without frames has made, and nothing else."""
+    """Remove the files of an inspection without frames, and nothing else."""
     ours = [folder / JOB, folder / JOURNAL, *(folder / INPUTS).glob("*"), *(folder / FRAMES).glob(".frame-*")]
     for path in ours:
         with contextlib.suppress(OSError):

@@ -87,7 +87,7 @@ def _check_poses(folder: FrameFolder, required: list[Pose], groups: dict[Pose, l
 
 
 def _check_bracket(folder: FrameFolder, pose: Pose, entries: list[FrameEntry]) -> None:
-    """Several exposures of a pose are merged; their own scatter tells how they are weighed."""
+    """Merge the exposures of a pose; their own scatter weights them."""
     place = f"{folder.folder}: the sample frames at {pose.stage_deg:g}°, tilt {pose.tilt_deg:g}°"
     if len({entry.gain for entry in entries}) > 1:
         raise RecordError(f"{place} differ in gain: one gain a pose is needed")
@@ -121,13 +121,13 @@ def _check_exposures(folder: FrameFolder) -> None:
 
 
 def camera_of(replay: Replay) -> str | None:
-    """The camera that took the frames, where they say it."""
+    """The camera of the frames, where they name it."""
     camera = replay.entries[0][0].load().camera
     return None if camera == UNKNOWN else camera
 
 
 def white_of(replay: Replay, reflectance: float, light_angle_deg: float) -> dict[str, Any] | None:
-    """The white reference that the flat frames make, if there are any; see `make_reference`.
+    """White reference from the flat frames, if the folder has any; see `make_reference`.
 
     Args:
         replay: the frames.

@@ -17,14 +17,14 @@ REPLAYED = "as the table of the frames says"
 
 
 def missing_frames(manifest: Manifest, journal: Journal) -> int:
-    """How many frames are still to be taken."""
+    """Number of frames still to be photographed."""
     if manifest.plan is None:
         return manifest.frames - len(journal.frames)
     return manifest.plan.frame_count - len(manifest.plan.complete(journal.by_step))
 
 
 def check_frames(folder: Path) -> None:
-    """Are the frames of a folder what they were when they were taken?
+    """Check that the frames of a folder are unchanged.
 
     Raises:
         RecordError: one is missing or was changed; it is named.

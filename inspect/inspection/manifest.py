@@ -24,7 +24,7 @@ from anisoscope.rig.rigfile import CalibrationPart, read_replay_rig, read_rig
 
 
 class InputCopy(InputFile):
-    """A copy in the folder of a file that the inspection started from; ``original`` says where that was."""
+    """Copy of an input file in the inspection folder; ``original`` is the path of the input."""
 
     role: Role
     original: str
@@ -61,7 +61,7 @@ class Manifest(BaseModel):
     refused: str | None = None
 
     def input(self, role: Role) -> InputCopy | None:
-        """The copy of the file of a role, if there is one."""
+        """The copy of the file of a role, or None."""
         return next((copy for copy in self.inputs if copy.role == role), None)
 
 

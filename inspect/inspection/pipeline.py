@@ -71,15 +71,15 @@ def judge(
     diagnose: Diagnose = diagnose_by_kind,
     now: Callable[[], datetime] = utc_now,
 ) -> Judged:
-    """Measure and decide; what makes the measurement unfit becomes an INVALID record.
+    """Measure, decide and diagnose; a measurement that fails a quality gate becomes an INVALID record.
 
     Args:
         manifest: how the inspection began.
         job: its recipe, rig and white reference.
         expected: the prediction.
         frames: of the inspection.
-        advance: progress of what is being explained, where that takes long.
-        final: what is INCONCLUSIVE is explained as well; it will not be measured again.
+        advance: progress of the diagnosis, where that takes long.
+        final: diagnose an INCONCLUSIVE part as well; it will not be measured again.
         diagnose: explains the verdict.
         now: the time of the record.
 
@@ -120,10 +120,10 @@ def judge(
 def measure_frames(
     manifest: Manifest, job: Job, expected: Expected, frames: AcquiredFrames
 ) -> tuple[Sitting, Any, float]:
-    """What an inspection's frames show, through all gates.
+    """Measurement of an inspection's frames, through all quality gates.
 
     Returns:
-        The photographs, what was measured, and by how much the first pose had changed on resuming.
+        The photographs, the measurement, and the change of the first pose on resuming.
 
     Raises:
         MeasurementError, CameraError: INVALID, with the reason.

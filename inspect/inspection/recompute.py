@@ -16,12 +16,12 @@ from anisoscope.record.schema import Record, read_record
 
 TOLERANCE = 1e-9
 NOT_COMPARED = frozenset({"software", "created_at", "files", "recipe", "rig"})
-"""What tells when and by what a record was made, and where its files lay; their hashes are checked instead."""
+"""Fields on the origin of a record and the paths of its files; their hashes are checked instead."""
 
 
 @dataclass(frozen=True)
 class Recomputed:
-    """A record made again.
+    """A record computed again from its folder.
 
     Attributes:
         folder: the inspection folder.

@@ -47,7 +47,7 @@ def diagnose_cached(case: Case, advance: Advance) -> Explanation:
 
 @dataclass(frozen=True)
 class Methods:
-    """What varies in an inspection beside recipe and rig; tests hand in quicker ones.
+    """Exchangeable methods of an inspection; tests hand in quicker ones.
 
     Attributes:
         predict: what the part should show.
@@ -69,7 +69,7 @@ USUAL = Methods()
 
 @dataclass(frozen=True, eq=False)
 class Inspected:
-    """A finished inspection: its record, where it lies, and what the user should know besides."""
+    """A finished inspection: its record, folder and report, and notes for the user."""
 
     record: Record
     folder: Path
@@ -262,7 +262,7 @@ def _decide(
     advance: Advance,
     cancel: threading.Event | None,
 ) -> tuple[Manifest, Judged]:
-    """Judge; what is undecided is photographed anew in the same seating, as often as the recipe says.
+    """Judge; repeat an INCONCLUSIVE measurement in the same seating, up to the number of rounds in the recipe.
 
     All frames of a pose are averaged, whichever round took them, so that noise and flicker shrink; what is
     systematic stays.
@@ -309,13 +309,13 @@ def _is_last_round(manifest: Manifest, job: Job) -> bool:
 
 
 def _settled(manifest: Manifest, job: Job, judged: Judged) -> bool:
-    """Is there nothing to be gained from photographing once more?"""
+    """Whether no further round of photographs is due."""
     return _is_last_round(manifest, job) or judged[0].verdict != Verdict.INCONCLUSIVE.value
 
 
 @dataclass(frozen=True, eq=False)
 class Ready:
-    """What is there before the frames: the prediction, the drawings of the height map in work, and the lot."""
+    """Preparation before the frames: prediction, renderings of the height map in progress, and the lot."""
 
     expected: Expected
     renderer: SurfaceView | None
@@ -352,7 +352,7 @@ def conclude(
         folder: the inspection folder.
         manifest: how the inspection began.
         job: its recipe, rig and white reference.
-        ready: what was made before.
+        ready: preparation.
         advance: progress.
         judged: record and pictures, where the frames were judged already.
 

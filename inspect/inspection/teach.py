@@ -74,7 +74,7 @@ def largest_region(
 
 
 def _reach(fixture: Fixture, recipe: RecipeBase) -> float:
-    """Side beyond which no square can lie between the markers."""
+    """Largest side of a square between the markers."""
     x, y = recipe.region.center_mm
     return 2.0 * max(float(np.hypot(one.x_mm - x, one.y_mm - y)) for one in fixture.markers)
 
@@ -128,7 +128,7 @@ class _Probe:
 
 
 def teach(recipe_path: Path, rig_path: Path, serial: str, out: Path, advance: Advance = silent) -> Taught:
-    """Photograph a good part and write a new version of a recipe; the old one is kept beside it.
+    """Photograph a good part and write a new version of a recipe; the old one is saved next to it.
 
     The part is photographed once to find exposure and region, then inspected with them; tolerances follow from the
     uncertainty of that inspection, and from the golden parts of the recipe where there are any. The tolerances of a
@@ -207,7 +207,7 @@ def _value(recipe: RecipeBase, key: tuple[str, ...]) -> Any:  # noqa: ANN401 - o
 
 
 def _probe(rig: Rig, recipe: RecipeBase, fixture: Fixture, advance: Advance) -> _Probe:
-    """Photograph every pose once, exposed so that the brightest one reaches the wanted level.
+    """Photograph every pose once, exposed so that the brightest one reaches the target level.
 
     Raises:
         Saturated: no exposure was found.

@@ -1,4 +1,4 @@
-"""Where the limit of the deviating area comes from, in words: for golden parts and for golden prints."""
+"""Text on the origin of the area limit, for golden parts and golden prints."""
 
 from anisoscope.imaging.area_limit import MIN_PARTS
 

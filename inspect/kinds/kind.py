@@ -1,4 +1,4 @@
-"""What a kind of part is: how its recipe reads, what it should show, and how it is measured, judged and reported.
+"""Interface of a kind of part: recipe, prediction, measurement, decision, diagnosis and report.
 
 The one pipeline of inspections, the records, the report and the command line ask a kind through this class alone. A
 kind of a third party subclasses it and registers an instance under the entry point group ``anisoscope.kinds``; see
@@ -92,7 +92,7 @@ class Reference(Protocol):
 
     @property
     def lacking(self) -> str | None:
-        """Why they cannot tell yet what is a deviation, or None if they can."""
+        """Why they cannot serve as a reference yet, or None if they can."""
         ...
 
 
@@ -126,7 +126,7 @@ class Sitting:
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """What a record holds of measurement and verdict.
+    """Results of measurement and verdict for the record.
 
     Attributes:
         measured, predicted: (P,) radiances of the poses in 1/sr.
@@ -179,7 +179,7 @@ class CommandOutput:
 
 @dataclass(frozen=True)
 class NewRecipe:
-    """What ``anisoscope recipe new`` was asked for; None is what was not said."""
+    """Options of ``anisoscope recipe new``; None where one was not given."""
 
     product: str | None
     pitch_um: float
@@ -190,7 +190,7 @@ class NewRecipe:
 
 
 def usable(reference: Reference | None) -> Reference | None:
-    """Good parts that are enough to tell what is a deviation, or None."""
+    """The reference set if it has enough good parts, or None."""
     return reference if reference is not None and reference.lacking is None else None
 
 
@@ -222,7 +222,7 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
         """Its part of a record."""
 
     def recognises(self, table: Mapping[str, Any]) -> bool:
-        """Is this a recipe of this kind, though it does not say so with ``kind``?"""
+        """Whether a recipe without the key ``kind`` is of this kind."""
         del table
         return False
 
@@ -236,7 +236,7 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
         return read_toml_model(path, self.recipe, error=RecipeError, substitutions=here)
 
     def check(self, recipe: RecipeT, rig: RigFile, recipe_path: Path, rig_path: Path) -> None:
-        """Do recipe and rig fit each other? Nothing moves.
+        """Check that recipe and rig fit each other; nothing moves.
 
         Raises:
             RecipeError, RigFileError: they do not.
@@ -257,7 +257,7 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
         return recipe, rig
 
     def check_filters(self, filters: str, camera: str, of_flat: str) -> None:
-        """Can the part be seen through these colour filters?
+        """Check that the part can be measured through these colour filters.
 
         Raises:
             CalibrationError: it cannot.
@@ -267,18 +267,18 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
 
     @abstractmethod
     def predict(self, recipe: RecipeT, rig: RigFile, *, cached: bool) -> ExpectedT:
-        """What the part should show; ``cached``: an earlier prediction of the same code will do."""
+        """Prediction of the part; ``cached``: one of the same code from the cache will do."""
 
     @abstractmethod
     def measure(self, sitting: Sitting, recipe: RecipeT, expected: ExpectedT) -> tuple[MeasuredT, float]:
-        """What the part shows, through all quality gates, and by how much the first pose had changed on resuming.
+        """Measurement of the part, through all quality gates, and the change of the first pose on resuming.
 
         Raises:
             MeasurementError, CameraError: INVALID, with the reason.
         """
 
     def drift_error(self, measured: MeasuredT, recipe: RecipeT) -> str | None:
-        """Why the measurement is unfit, if the first pose, photographed again at the end, differs too much."""
+        """Why the measurement is invalid, if the repeated first pose differs too much at the end."""
         drift, limit = measured.drift, recipe.limits.drift
         if drift is None or abs(drift) <= limit:
             return None
@@ -312,7 +312,7 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
         decided: DecidedT,
         reference: Reference | None,
     ) -> Results:
-        """What the record holds of measurement and verdict."""
+        """Results of measurement and verdict for the record."""
 
     def without_results(self) -> Details | None:
         """The details of an inspection that could not be judged."""
@@ -330,7 +330,7 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
         *,
         cached: bool = False,
     ) -> Explanation:
-        """What explains the verdict; it never changes it.
+        """Diagnosis of the verdict, which it never changes.
 
         Args:
             sitting: the photographs.
@@ -346,7 +346,7 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
         return Explanation()
 
     def rename_in(self, record: dict[str, Any]) -> None:
-        """Give what an earlier version of this kind named otherwise, in a dumped record, the names of now."""
+        """Rename entries of a dumped record of an earlier version of this kind to the present names."""
 
     # ---- good parts -------------------------------------------------------------------------------------------
 
@@ -378,7 +378,7 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
     # ---- what the commands of recipes ask ---------------------------------------------------------------------
 
     def makes(self, requested: NewRecipe) -> bool:
-        """Is a recipe of this kind asked for? One of the fallback is, where no kind says so."""
+        """Whether the options are for a recipe of this kind; where no kind claims them, the fallback writes it."""
         del requested
         return False
 
@@ -425,7 +425,7 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
         tries: Sequence[float] = (),
         advance: Advance = silent,
     ) -> CommandOutput:
-        """What a recipe can tell before any part is there; without a rig file by the angle of the light."""
+        """Check of a recipe before inspection; without a rig file for the given angle of the light."""
         del rig_path, light_angle_deg, tries, advance
         recipe = self.read_recipe(path)
         return CommandOutput({"product": recipe.product}, lines=(f"{path}: the recipe can be read",))
@@ -435,7 +435,7 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
     def pictures(
         self, recipe: RecipeT, expected: ExpectedT, measured: MeasuredT, decided: DecidedT
     ) -> Pictures:
-        """What the report shows beside the record."""
+        """Pictures of the report that the record does not hold."""
         del recipe, measured, decided
         return Pictures(surface=expected.surface)
 
@@ -445,7 +445,7 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
         return Sections()
 
     def summary(self, record: Record) -> CommandOutput:
-        """Its part of what ``anisoscope inspect`` prints: JSON beside the common keys, tables, and lines."""
+        """Its part of the output of ``anisoscope inspect``: further JSON keys, tables, and lines."""
         return CommandOutput(
             {"details": None if record.details is None else record.details.model_dump(mode="json")}
         )

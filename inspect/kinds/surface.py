@@ -40,9 +40,9 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
     """A part whose surface decides how bright it is in every pose: its contrasts are judged."""
 
     optics: SurfaceOptics = PLASTIC
-    """How it is predicted."""
+    """Optics of its prediction."""
     causes: CauseModel = PLASTIC_CAUSES
-    """What may be wrong with it."""
+    """Its causes of deviation."""
 
     @property
     def details(self) -> type[SurfaceDetails]:
@@ -54,7 +54,7 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
         return read_surface_recipe(path, self.recipe)
 
     def check(self, recipe: RecipeT, rig: RigFile, recipe_path: Path, rig_path: Path) -> None:
-        """Are lamp and lens those that the recipe predicts for?"""
+        """Check that lamp and lens are those of the recipe's prediction."""
         check_lamp(recipe, rig, rig_path)
         super().check(recipe, rig, recipe_path, rig_path)
 
@@ -98,14 +98,14 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
     def fit_shape(
         self, recipe: SurfaceRecipe, expected: Expectation, measured: Measured
     ) -> tuple[ShapeRecord | None, str | None]:
-        """The shape fitted over the tilts, or a note why there is none."""
+        """Shape fitted over the tilts, or a note why it is missing."""
         del recipe, expected, measured
         return None, None
 
     def match_map(
         self, recipe: SurfaceRecipe, expected: Expectation, measured: Measured
     ) -> tuple[MapPlaceRecord | None, str | None]:
-        """Where the height map lies on the part, or a note why that is not known."""
+        """Position of the height map on the part, or a note why it is unknown."""
         del recipe, expected, measured
         return None, None
 
@@ -145,7 +145,7 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
         decided: Decision,
         reference: Reference | None,
     ) -> Results:
-        """The numbers that the verdict rests on."""
+        """Results for the record."""
         del sitting, recipe, reference
         details = SurfaceDetails(
             contrasts=decided.contrasts,
@@ -201,7 +201,7 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
         )
 
     def rename_in(self, record: dict[str, Any]) -> None:
-        """The sources of an earlier version's budget get the names that they bear now."""
+        """Rename the sources of the budget of an earlier version."""
         for row in record["budget"]:
             row["source"] = self.optics.source_name(row["source"])
 
@@ -263,7 +263,7 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
         return surface_sections(record, pictures)
 
     def summary(self, record: Record) -> CommandOutput:
-        """The contrasts, and where the part deviates."""
+        """Tables of the contrasts, and lines on the deviating regions."""
         found = surface_of(record)
         content = found.model_dump()
         golden = content.pop("golden")
@@ -307,7 +307,7 @@ def _tolerances(record: Record, recipe: SurfaceRecipe, golden: GoldenSet | None)
 
 
 def golden_record(golden: GoldenSet, measured: Measured) -> GoldenRecord:
-    """The golden parts that decided, and this part among them."""
+    """The golden parts behind the verdict, and this part among them."""
     contrasts = golden.contrasts()
     mine = log_basis(len(measured.radiance)) @ np.log(measured.radiance)
     return GoldenRecord(

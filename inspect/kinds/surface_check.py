@@ -1,4 +1,4 @@
-"""What a recipe can tell before any part is there: contrasts with u, T/U, the budget, causes, and helping tilts."""
+"""Check of a recipe before inspection: contrasts with u, T/U, budget, separability of causes, helpful tilts."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -47,7 +47,7 @@ class PlannedPair:
 
 @dataclass(frozen=True)
 class TiltAdvice:
-    """What a further tilt would add: causes that it would show, and pairs of causes that it would tell apart."""
+    """Benefit of a further tilt: causes that become detectable, and pairs of causes that become separable."""
 
     tilt_deg: float
     shows: tuple[str, ...]
@@ -56,7 +56,7 @@ class TiltAdvice:
 
 @dataclass(frozen=True)
 class LampAdvice:
-    """What a second lamp would add: pairs of causes that the recipe's poses under it would tell apart."""
+    """Benefit of a second lamp: pairs of causes that become separable with the recipe's poses under it."""
 
     says: str
     tells_apart: tuple[tuple[str, str], ...]
@@ -64,12 +64,12 @@ class LampAdvice:
 
 @dataclass(frozen=True)
 class RecipeCheck:
-    """What a recipe can tell.
+    """Capability of a recipe.
 
     Attributes:
         pairs: the contrasts.
         budget: sources of uncertainty of the contrasts, the largest first; the measurement's in one row.
-        causes: what the poses tell of every cause.
+        causes: separability of every cause.
         left_out: causes that this surface cannot have, with the reason.
         advice: what further tilts would add, the best first; only those that add something.
         complaints: one line each, what should be changed.
@@ -95,7 +95,7 @@ def check_recipe(
     optics: SurfaceOptics = PLASTIC,
     model: CauseModel = PLASTIC_CAUSES,
 ) -> RecipeCheck:
-    """Look at a recipe; nothing moves.
+    """Check a recipe; nothing moves.
 
     Args:
         recipe: the recipe.
@@ -140,7 +140,7 @@ def second_lamps_for(
     advance: Advance,
     model: CauseModel,
 ) -> tuple[LampAdvice, ...]:
-    """Second lamps, the nearest first, each with the pairs that no nearer one tells apart.
+    """Second lamps, nearest wavelength first, each with the pairs that no nearer one separates.
 
     Args:
         recipe: the recipe.
@@ -319,6 +319,6 @@ MOST_PAIRS = 6
 
 
 def _apart(pairs: Sequence[tuple[str, str]]) -> str:
-    """Causes and what they are told from; of many the first."""
+    """Pairs of causes in words; of many the first."""
     more = f" and {len(pairs) - MOST_PAIRS} more" if len(pairs) > MOST_PAIRS else ""
     return ", ".join(f"{a} from {b}" for a, b in pairs[:MOST_PAIRS]) + more

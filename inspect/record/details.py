@@ -1,4 +1,4 @@
-"""The part of a record that is of one kind of part: what every kind must be able to say of it."""
+"""Kind-specific part of a record, with the interface that history, statistics and reports need."""
 
 from collections.abc import Mapping
 from typing import Any, Protocol, cast
@@ -13,15 +13,15 @@ GROUP = "anisoscope.kinds"
 
 
 class Details(BaseModel):
-    """What the record of one kind of part holds beside the fields of all kinds.
+    """Fields of a record that belong to one kind of part.
 
-    The methods are what history, statistics and reports ask without knowing the kind.
+    History, statistics and reports use the methods without knowing the kind.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     def numbers(self) -> dict[str, float]:
-        """What was measured, by labels that stay: ``NAME``, with ``u NAME``, ``deviation NAME``, ``tolerance NAME``.
+        """Measured numbers by stable labels: ``NAME``, with ``u NAME``, ``deviation NAME``, ``tolerance NAME``.
 
         History, control charts and capability take their numbers from here.
         """
@@ -38,7 +38,7 @@ class Details(BaseModel):
 
     @classmethod
     def of_schema_1(cls, record: dict[str, Any]) -> dict[str, Any] | None:
-        """The details of a record of schema 1, taken out of its fields: those that are called alike."""
+        """Move the details out of the fields of a record of schema 1, by their names."""
         return {name: record.pop(name) for name in tuple(record) if name in cls.model_fields}
 
 
@@ -54,7 +54,7 @@ class RecordedKind(Protocol):
         ...
 
     def recognises(self, table: Mapping[str, Any]) -> bool:
-        """Is this a recipe of this kind, though it does not say so?"""
+        """Whether a recipe without the key ``kind`` is of this kind."""
         ...
 
 
@@ -68,7 +68,7 @@ def recorded_kind(name: str) -> RecordedKind:
 
 
 def kind_of_recipe(table: Mapping[str, Any]) -> str:
-    """The name of the kind that a recipe is of: the one that it says, or else the one that recognises it.
+    """Name of the kind of a recipe: the one that it states, or else the one that recognises it.
 
     Args:
         table: the recipe as it is read from its file or stands in a record.

@@ -43,5 +43,5 @@ def record_schema() -> dict[str, Any]:
 
 
 def record_schema_text() -> str:
-    """The schema as it lies in the documentation."""
+    """The schema as published in the documentation."""
     return json.dumps(record_schema(), indent=2, ensure_ascii=False) + "\n"

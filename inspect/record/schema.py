@@ -1,4 +1,4 @@
-"""The record of an inspection: what was measured, with what, how it was judged, and who can check it."""
+"""Record of an inspection: measurement, equipment, decision, and the hashes that make it verifiable."""
 
 import hashlib
 import json
@@ -26,14 +26,14 @@ class _Part(BaseModel):
 
 
 class InputFile(_Part):
-    """A file that the inspection used or made."""
+    """A file that the inspection read or wrote."""
 
     name: str
     sha256: str
 
 
 class Particulars(_Part):
-    """Who inspects which lot where, as far as it was said."""
+    """Operator, lot, cavity and station, as far as stated."""
 
     operator: str | None = None
     lot: str | None = None
@@ -265,7 +265,7 @@ class GoldenRecord(_Part):
 
 
 class MapPlaceRecord(_Part):
-    """Where the middle of the height map lies, from the middle of the region: x across the ridges, y along them.
+    """Position of the middle of the height map from the middle of the region: x across the ridges, y along them.
 
     ``phase_um`` is x within ± half a pitch. Where the place is resolved, ``measured`` and ``predicted`` are mean
     radiances in 1/sr of the poses of the first tilt over the share of the region that the map covers as well; they do
@@ -429,7 +429,7 @@ def _seal_of(text: str, seal: str) -> str:
 def upgraded(content: dict[str, Any]) -> dict[str, Any]:
     """A parsed record of schema 1 as one of schema 2; other records as they are.
 
-    What the older version did not tell stays untold, so that recomputing does not compare it.
+    Fields that the older version lacked stay absent, so that recomputing does not compare them.
 
     Raises:
         RecordError: the kind of part that it is of is not installed.

@@ -1,10 +1,10 @@
-"""The four things that can be said of a part."""
+"""The four verdicts."""
 
 from enum import StrEnum
 
 
 class Verdict(StrEnum):
-    """What is said of a part."""
+    """Verdict on a part."""
 
     PASS = "PASS"
     FAIL = "FAIL"

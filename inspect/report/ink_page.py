@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 LISTED = 200
 LEAST_APART = 60.0
-"""Distance in sRGB codes from which two curves are told apart by their colours."""
+"""Smallest distance in sRGB codes of two distinguishable curve colours."""
 
 
 def write_ink_fit_page(found: InkFit, ink: Ink, title: str, path: Path) -> None:

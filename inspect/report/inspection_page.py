@@ -35,7 +35,7 @@ MEANING = {
 
 @dataclass(frozen=True, eq=False)
 class Pictures:
-    """What the report shows beside the record; all may be missing in an INVALID inspection.
+    """Pictures of the report that the record does not hold; all may be missing in an INVALID inspection.
 
     Attributes:
         aligned: one picture a pose on the sample's raster, radiance in 1/sr.

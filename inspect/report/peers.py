@@ -1,4 +1,4 @@
-"""Where a part lies among others: the golden parts of its recipe, and the parts of its lot."""
+"""Comparison of a part with its peers: the golden parts of its recipe, and the parts of its lot."""
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -45,7 +45,7 @@ class LotMate:
 
 
 LotMates = Callable[[str | None], Sequence[LotMate]]
-"""The inspections of a lot, the oldest first; none where there is no lot."""
+"""The inspections of a lot, the oldest first; empty without a lot."""
 
 
 def no_lot_mates(lot: str | None) -> tuple[LotMate, ...]:

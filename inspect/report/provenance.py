@@ -21,7 +21,7 @@ class Group:
 
 @dataclass(frozen=True)
 class CalibrationRow:
-    """One calibration; empty where its record does not say."""
+    """One calibration; fields that its record lacks are empty."""
 
     kind: str
     id: str
@@ -42,7 +42,7 @@ def turn_text(value: float) -> str:
 
 
 def groups_of(record: Record) -> tuple[Group, ...]:
-    """All that a record says of part, recipe, rig and software."""
+    """Part, recipe, rig and software of a record in rows."""
     return (
         Group("Part and inspection", _inspection(record)),
         Group("Recipe and prediction", _recipe(record)),

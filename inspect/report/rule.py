@@ -9,7 +9,7 @@ PRECEDENCE = "INVALID goes before FAIL, FAIL before INCONCLUSIVE, INCONCLUSIVE b
 
 
 def deviation_decides(record: Record) -> bool:
-    """Whether a significant deviation fails the part: where the recipe says so, or gives no tolerance."""
+    """Whether a significant deviation fails the part: by the recipe's rule, or for want of a tolerance."""
     contrasts = surface_of(record).contrasts
     without = bool(contrasts) and contrasts[0].tolerance is None
     return record.recipe["decision"]["deviation"] == "fail" or without
@@ -40,7 +40,7 @@ def rule_of(record: Record) -> str:
 
 
 def _decisive(record: Record, verdict: str) -> list[str]:
-    """What gives this verdict."""
+    """Criteria that lead to this verdict."""
     level, found, details = level_of(record), [], surface_of(record)
     limited = [c for c in details.contrasts if c.verdict == verdict and c.tolerance is not None]
     side = "outside" if verdict == "FAIL" else "on one side or the other of"

@@ -127,7 +127,7 @@ def _levels(axes: "Axes", center: float, lower: float | None, upper: float) -> N
 
 
 def _name_rules(axes: "Axes", study: ControlStudy) -> None:
-    """Number of each violated rule at its value, unless there are too many to read."""
+    """Number of each violated rule at its value, unless they are too many to read."""
     if len(study.flags) > NAMED:
         return
     rules: dict[int, list[str]] = {}

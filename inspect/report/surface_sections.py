@@ -116,7 +116,7 @@ def _on_map(record: Record, place_mm: tuple[float, float]) -> tuple[float, float
 
 
 def _frame(record: Record) -> figures.MapFrame:
-    """Where the maps lie, and what their axes are."""
+    """Position and axes of the maps."""
     middle = _on_map(record, record.recipe["region"]["center_mm"])
     if record.recipe["poses"]["facet_azimuth_deg"] == 0.0:
         return figures.MapFrame(middle)

@@ -51,7 +51,7 @@ def tilt_row(one: TiltContrastRecord) -> TiltRow:
 def listed_tilt_contrasts(
     record: Record,
 ) -> tuple[tuple[TiltContrastRecord, ...], tuple[TiltContrastRecord, ...]]:
-    """The contrasts between tilts that are shown, and those that are folded away, both in the order of the record."""
+    """Listed and folded contrasts between tilts, both in the order of the record."""
     found = surface_of(record).between_tilts
     likely = sorted(range(len(found)), key=lambda k: (found[k].p_value, k))
     listed = set(likely[:MOST])
@@ -62,7 +62,7 @@ def listed_tilt_contrasts(
 
 
 def tilt_parts(record: Record) -> dict[str, Any]:
-    """What the page says of the contrasts between tilts."""
+    """Template context of the contrasts between tilts."""
     listed_rows, folded = listed_tilt_contrasts(record)
     if not listed_rows:
         return {"tilt_rows": (), "tilt_folded": (), "tilt_chart": None, "u_said": U_LEGEND}

@@ -33,7 +33,7 @@ def labels_of(record: Record) -> list[str]:
 
 
 def contrast_name(from_deg: float, to_deg: float, tilt_deg: float) -> str:
-    """A contrast by its stage angles, and by its tilt where there is one."""
+    """Label of a contrast by its stage angles, and its tilt if it has one."""
     tilt = f", tilt {tilt_deg:g}°" if tilt_deg else ""
     return f"{from_deg:g}° / {to_deg:g}°{tilt}".replace("-", "−")
 

@@ -28,7 +28,7 @@ class _Scene(Protocol):
 
     @staticmethod
     def lay_out(out: Path, seed: int, advance: Advance) -> Path:
-        """Write recipe, rig files and calibrations below a folder, and return it; parts lie in ``bench/NAME``."""
+        """Write recipe, rig files and calibrations below a folder, and return it; the parts are in ``bench/NAME``."""
         ...
 
 

@@ -1,4 +1,4 @@
-"""What the demos of all kinds lay out alike: their folder, and one bench and one rig file a part."""
+"""Common files of the demos of all kinds: the folder, and one bench and one rig file a part."""
 
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ FIXTURE = {
 
 
 def begin(out: Path, seed: int) -> tuple[Path, np.random.Generator]:
-    """The folder of a demo, absolute and made if it is missing, and what draws everything random in it.
+    """Absolute folder of a demo, created if missing, and its random generator.
 
     Raises:
         UsageError: a negative seed.

@@ -60,7 +60,7 @@ def lay_out(out: Path, seed: int, advance: Advance) -> Path:
 
 
 def recipe_of(ink: str) -> dict[str, Any]:
-    """The recipe of a print with one of the made-up inks."""
+    """The recipe of a print with one of the synthetic inks."""
     return {
         "schema": 1,
         "product": f"demo print, {ink}",

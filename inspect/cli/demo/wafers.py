@@ -146,7 +146,7 @@ def recipe() -> dict[str, Any]:
 
 
 def sample(name: str, rng: np.random.Generator) -> dict[str, Any]:
-    """The sample table of a part: etching, lamp, lens and seating as uncertain as the recipe says, and its defect."""
+    """The sample table of a part: etching, lamp, lens and seating with the recipe's uncertainties, and its defect."""
     if name == "white-tile":
         return {"kind": "white-tile", "reflectance": 0.99}
 

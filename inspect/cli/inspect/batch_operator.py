@@ -27,13 +27,13 @@ COLOURS = {
 
 
 class Terminal:
-    """Asks on standard error, reads standard input; with ``answers`` False nobody is asked, only told."""
+    """Prompts on standard error and reads standard input; with ``answers`` False it only prints."""
 
     def __init__(self, *, quiet: bool, answers: bool) -> None:
         self.quiet, self.interactive = quiet, answers
 
     def say(self, text: str) -> None:
-        """Tell something in a line, unless only JSON is wanted."""
+        """Print a line, unless the output is JSON."""
         if not self.quiet:
             console(stderr=True).print(text, markup=False, highlight=False, soft_wrap=True)
 

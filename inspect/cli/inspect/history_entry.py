@@ -35,7 +35,7 @@ def history_place(option: str | None, out: Path) -> str | Path | None:
 
 
 def remember(inspected: "Inspected", place: str | Path | None) -> None:
-    """Enter a finished inspection into the history; where that fails, say so and how to catch up, in one line.
+    """Enter a finished inspection into the history; on failure print one line with the remedy.
 
     Verdict and exit code are those of the part: what becomes of a database changes neither.
     """

@@ -12,7 +12,7 @@ MOST = 500
 
 
 def lot_mates(place: str | Path | None, lot: str | None) -> "tuple[LotMate, ...]":
-    """The latest inspections of a lot, the oldest first; none where there is no lot, no history, or it cannot be read.
+    """The latest inspections of a lot, the oldest first; empty without a lot or a readable history.
 
     Args:
         place: where the history is, or None.

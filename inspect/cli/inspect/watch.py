@@ -93,13 +93,13 @@ def _exit_code(watching: "Watch") -> int:
 
 
 class Teller:
-    """Says what happens: in lines for people, or as JSON."""
+    """Prints events as lines of text or as JSON."""
 
     def __init__(self, *, json_: bool) -> None:
         self._json = json_
 
     def say(self, event: dict[str, Any], text: str) -> None:
-        """Say it in one way or the other."""
+        """Print an event as JSON or as text."""
         if self._json:
             print_json_line(event)
         else:

@@ -363,7 +363,7 @@ class WatchJournal:
 
 RETRY_S = 60.0
 LEISURE = 4.0
-"""A pause is at least so many times as long as the look before, however many old folders there are."""
+"""Smallest ratio of a pause to the scan before it, however many old folders there are."""
 
 
 @dataclass(eq=False)

@@ -1,4 +1,4 @@
-"""What may be wrong with a print, what each would change in all channels, and which of it explains what was seen.
+"""Causes of a deviating print: the change of all channels by each, and the ones that explain the measurement.
 
 The signatures come from the ink model for the recipe's poses; causes are weighed and ranked as those of ridged parts
 (`anisoscope.diagnosis.ranking`). Beside ln of the channels two numbers of the map are data: how the tilt
@@ -333,7 +333,7 @@ _CURLED = "handling: sheet dried unevenly, or is not held down at its edges"
 
 
 def _spots(scene: Scene) -> Signature:
-    """Ink that is missing here and there: those cells deviate, and the mean shows half of their share."""
+    """Ink missing in spots: those cells deviate, and the mean shows half of their share."""
     good = scene.log_channels()
     extents = np.array(SHARES)
     changes = [np.append(scene.log_channels(State(missing=0.5 * e)) - good, 0.0) for e in SHARES]

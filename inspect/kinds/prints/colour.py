@@ -33,7 +33,7 @@ _STEP = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Eye:
-    """How colours are told from the camera's channels.
+    """Conversion of the camera's channels to colours as the eye sees them.
 
     Attributes:
         lamp: the light.

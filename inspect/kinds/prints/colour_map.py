@@ -1,8 +1,8 @@
-"""The map of a print: colour differences cell by cell, how the flakes lean from cell to cell, and spots.
+"""Colour map of a print: colour differences and lean of the flakes cell by cell, and deviating spots.
 
-Each cell is compared with the whole region, so that what is alike everywhere does not show; the difference to the
-prediction is kept beside it. A linear fit over all poses tells how every cell leans, and a plane through that is the
-curl of the sheet.
+Each cell is compared with the whole region, so that uniform deviations cancel; the difference to the prediction is
+computed as well. A linear fit over all poses gives the lean of every cell, and a plane through the leans the curl of
+the sheet.
 """
 
 from dataclasses import dataclass, replace
@@ -30,7 +30,7 @@ FIELD_TILT_DEG = 0.03
 _LOCAL = ("tilt_x_deg", "tilt_y_deg", "alpha", "red", "green", "blue")
 _FLOOR = 0.005
 U_EDGE_SHARE = 0.05
-"""Relative standard uncertainty of an area that pixels tell: lens and pixels blur its edge."""
+"""Relative standard uncertainty of an area counted in pixels: lens and pixels blur its edge."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +72,7 @@ def map_of(
         coverage: guard band by the standard uncertainty of the share.
 
     Raises:
-        MeasurementError: the cells are too noisy to tell.
+        MeasurementError: the cells are too noisy.
     """
     eye, usual = expected.eye, np.median(measured.cells, axis=(2, 3))
     cells = np.maximum(np.moveaxis(measured.cells, 1, -1), 1e-7)

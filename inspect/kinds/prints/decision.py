@@ -83,7 +83,7 @@ def decide_print(
         expected: the prediction.
         measured: the channels.
         recipe: limits and rule.
-        golden: good prints, instead of the prediction, to tell what is a deviation.
+        golden: good prints that replace the prediction as the reference of a deviation.
 
     Raises:
         MeasurementError: the print cannot be fitted, its map is too noisy, or the golden prints do not vary enough.
@@ -162,7 +162,7 @@ def _from_prediction(
 
 
 def _together(p_value: float, comparison: GoldenComparison | None, recipe: PrintRecipe) -> tuple[bool, str]:
-    """Whether all channels together deviate significantly, and what to say of it."""
+    """Whether all channels together deviate significantly, and the line of the reasons about it."""
     alpha = recipe.decision.alpha
     significant = p_value < alpha
     alike = "as predicted" if comparison is None else f"like the {comparison.count} golden prints"
@@ -191,7 +191,7 @@ def _combine(
     significant: bool,
     line: str,
 ) -> tuple[Verdict, tuple[str, ...]]:
-    """Precedence FAIL > INCONCLUSIVE > PASS over all criteria, with a line for each that speaks."""
+    """Precedence FAIL > INCONCLUSIVE > PASS over all criteria, with the lines of the decisive ones."""
     rule = recipe.decision
     findings = [(one.verdict, sentence(one)) for one in quantities]
     if found is not None and recipe.area is not None:
@@ -224,13 +224,13 @@ def print_results(
     names: tuple[str, str],
     notes: tuple[str, ...] = (),
 ) -> Results:
-    """What the record holds of a print.
+    """Results of a print for its record.
 
     Args:
         expected: the prediction.
         decision: the verdict.
         names: of the sensitivities, and of the camera's filters.
-        notes: what the user should know besides.
+        notes: for the user.
     """
     luminance, predicted = (
         np.array([getattr(one, name)[1] for one in decision.colours]) / np.pi
@@ -290,5 +290,5 @@ def _details(expected: PrintExpectation, decision: PrintDecision, names: tuple[s
 
 
 def nothing_wrong(decision: PrintDecision, alpha: float) -> bool:
-    """Is there nothing to explain?"""
+    """Whether the print passes without a significant deviation, so that no cause is sought."""
     return decision.verdict is Verdict.PASS and decision.p_value >= alpha

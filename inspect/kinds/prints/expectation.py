@@ -20,7 +20,7 @@ from anisoscope.sim.light.ink.angles import half_vector
 MODEL = "ink"
 _DARK = 1e-9
 MOST_SLOPES = 40.0
-"""tan²θh/α² beyond which GGX and Beckmann differ by a factor of 10¹⁴, so that nothing is predicted there."""
+"""tan²θh/α² beyond which GGX and Beckmann differ by a factor of 10¹⁴, so that no prediction is made."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -73,7 +73,7 @@ class Prints(Kind[PrintRecipe, PrintExpectation, MeasuredPrint, PrintDecision]):
         return read_print_recipe(path)
 
     def check(self, recipe: PrintRecipe, rig: RigFile, recipe_path: Path, rig_path: Path) -> None:
-        """Does the rig file say what colours rest on?"""
+        """Check that the rig file states lamp spectrum and sensitivities."""
         del recipe, recipe_path
         check_print_rig(rig, rig_path)
 
@@ -88,7 +88,7 @@ class Prints(Kind[PrintRecipe, PrintExpectation, MeasuredPrint, PrintDecision]):
         return from_copies(recipe, rig, copies)
 
     def check_filters(self, filters: str, camera: str, of_flat: str) -> None:
-        """Can the camera tell colours, and was its flat taken through the same filters?"""
+        """Check that the camera has colour filters, and that its flat was recorded through the same ones."""
         check_filters(filters, camera, of_flat)
 
     def predict(self, recipe: PrintRecipe, rig: RigFile, *, cached: bool) -> PrintExpectation:
@@ -117,7 +117,7 @@ class Prints(Kind[PrintRecipe, PrintExpectation, MeasuredPrint, PrintDecision]):
         return measured, change
 
     def drift_error(self, measured: MeasuredPrint, recipe: PrintRecipe) -> str | None:
-        """Why the measurement is unfit, if the first pose, photographed again at the end, differs too much."""
+        """Why the measurement is invalid, if the repeated first pose differs too much at the end."""
         found = super().drift_error(measured, recipe)
         return found and found.replace("the part sits tight", "the print lies tight")
 
@@ -142,7 +142,7 @@ class Prints(Kind[PrintRecipe, PrintExpectation, MeasuredPrint, PrintDecision]):
         decided: PrintDecision,
         reference: Reference | None,
     ) -> Results:
-        """The numbers that the verdict rests on."""
+        """Results for the record."""
         del recipe, measured
         names = (lamp_and_sensitivities(sitting.rig)[1].name, sitting.frames.filters)
         lacking = reference and reference.lacking
@@ -160,7 +160,7 @@ class Prints(Kind[PrintRecipe, PrintExpectation, MeasuredPrint, PrintDecision]):
         *,
         cached: bool = False,
     ) -> Explanation:
-        """The causes, or a note where they cannot be told."""
+        """The causes, or a note where no diagnosis is possible."""
         del reference, cached
         advance("causes", 0, 1)
         recipe = sitting.calibrations.applied_to(recipe)
@@ -190,7 +190,7 @@ class Prints(Kind[PrintRecipe, PrintExpectation, MeasuredPrint, PrintDecision]):
         return reference_table(known, recipe)
 
     def makes(self, requested: NewRecipe) -> bool:
-        """Where an ink is named."""
+        """A recipe with an ink."""
         return requested.ink is not None
 
     def new_recipe(self, out: Path, requested: NewRecipe) -> str:
@@ -203,7 +203,7 @@ class Prints(Kind[PrintRecipe, PrintExpectation, MeasuredPrint, PrintDecision]):
     def taught_limits(
         self, record: Record, recipe: PrintRecipe, reference: Reference | None, rig: RigFile
     ) -> dict[tuple[str, ...], tuple[Any, str]]:
-        """The tolerances, by golden prints, or as long as there are too few by this print."""
+        """Tolerances from the golden prints, or from this print while those are too few."""
         from anisoscope.kinds.prints.tolerances import golden_tolerances, taught_tolerances
 
         details = print_of(record)
@@ -230,7 +230,7 @@ class Prints(Kind[PrintRecipe, PrintExpectation, MeasuredPrint, PrintDecision]):
         tries: Sequence[float] = (),
         advance: Advance = silent,
     ) -> CommandOutput:
-        """Poses, quantities with their uncertainties, and causes; without a rig file by a made-up lamp and camera."""
+        """Poses, quantities with u, and separability of causes; without a rig file for a synthetic lamp and camera."""
         from anisoscope.kinds.prints.recipe_check import checked_print
 
         del tries
@@ -256,7 +256,7 @@ class Prints(Kind[PrintRecipe, PrintExpectation, MeasuredPrint, PrintDecision]):
         return print_sections(record, pictures)
 
     def summary(self, record: Record) -> CommandOutput:
-        """What was judged."""
+        """Table of the judged quantities."""
         from anisoscope.kinds.prints.report import quantity_row
 
         found = print_of(record)

@@ -1,4 +1,4 @@
-"""Lamp and colour filters of a rig, as far as the colours of a print rest on them, and the files that say so."""
+"""Lamp spectrum and sensitivities of a rig, from which the colours of a print are computed, and their files."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,7 +21,7 @@ MOSAICS = tuple(name for name in FILTERS if name != "mono")
 
 
 def check_print_rig(rig: RigFile, path: Path) -> None:
-    """Does a rig file say what colours rest on, and can it be read?
+    """Check that a rig file states the lamp spectrum and sensitivities, and that both can be read.
 
     Raises:
         RigFileError: it does not.
@@ -43,7 +43,7 @@ def check_print_rig(rig: RigFile, path: Path) -> None:
 
 
 def lamp_and_sensitivities(rig: RigFile) -> tuple[Illuminant, Sensitivities]:
-    """Spectrum of a rig's lamp, and sensitivities of its colour camera; made-up ones of a simulated camera.
+    """Spectrum of a rig's lamp, and sensitivities of its colour camera; synthetic ones for a simulated camera.
 
     Raises:
         UsageError: a file cannot be used.
@@ -55,7 +55,7 @@ def lamp_and_sensitivities(rig: RigFile) -> tuple[Illuminant, Sensitivities]:
 
 
 def print_files(recipe: PrintRecipe, rig: RigFile) -> dict[str, Path]:
-    """Files that the colours of a print rest on, by their role; inks of the package too, so that they are kept."""
+    """Input files of the colours of a print, by role; inks of the package too, so that the folder holds copies."""
     found = {"ink": ink_file(recipe.print.ink)}
     for number, name in enumerate(recipe.print.wrong_inks, start=1):
         found[f"wrong ink {number}"] = ink_file(name)
@@ -86,7 +86,7 @@ def from_copies(recipe: PrintRecipe, rig: RigFile, paths: Mapping[str, Path]) ->
 
 
 def check_filters(filters: str, camera: str, of_flat: str) -> None:
-    """Can this camera tell colours, and was its flat taken through the same filters?
+    """Check that the camera has colour filters, and that its flat was recorded through the same ones.
 
     Raises:
         CalibrationError: it has no colour filters, or the flat is one through others.

@@ -22,7 +22,7 @@ _SETTLED = 1e-9
 _WILDEST = {"alpha": 2.5, "tilt_x_deg": 60.0, "tilt_y_deg": 60.0, "lobe": 30.0}
 """Beyond these no print is left: a lobe twelve times as wide as it should be is plain paper's."""
 _VAGUE = 0.5
-"""Standard uncertainty of ln α beyond which it is no lobe whose width is told."""
+"""Largest standard uncertainty of ln α of a lobe whose width counts as determined."""
 _NO_FIT = "the lobe of this print cannot be fitted: is this the recipe's ink, and does the print lie flat?"
 _STEP_LIMIT = {"alpha": 0.4, "ratio": 0.4, "skew": 0.4, "tilt_x_deg": 4.0, "tilt_y_deg": 4.0, "lobe": 0.5}
 _TITLES = {
@@ -33,7 +33,7 @@ _TITLES = {
 
 
 class NoLobe(MeasurementError):
-    """No lobe of any width, height or form makes what the pictures show."""
+    """No lobe of any width, height or form fits the channels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +93,7 @@ def fit_print(
 
     Raises:
         MeasurementError: the poses do not determine a parameter.
-        NoLobe: the fit does not settle, or settles where there is no lobe to tell the width of.
+        NoLobe: the fit does not settle, or settles where the width of the lobe is undetermined.
     """
     covariance = total(sources, len(log_channels))
     try:
@@ -173,7 +173,7 @@ def _fitted(state: State, white: FloatArray, root: FloatArray, chi2: float, slop
 
 
 def check_poses(scene: Scene) -> None:
-    """Do the poses tell every parameter?
+    """Check that the poses determine every parameter.
 
     Raises:
         RecipeError: they do not.
@@ -184,7 +184,7 @@ def check_poses(scene: Scene) -> None:
 
 
 def _undetermined(white: FloatArray) -> str:
-    """Which parameter the poses do not tell."""
+    """Message that names the parameter that the poses do not determine."""
     scale = np.linalg.norm(white, axis=0)
     _, _, vectors = np.linalg.svd(white / np.where(scale > 0.0, scale, 1.0))
     name = PARAMETERS[int(np.argmax(np.abs(vectors[-1])))]

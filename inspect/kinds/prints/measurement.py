@@ -33,13 +33,13 @@ class Mosaics:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredPrint:
-    """What the pictures of a print say.
+    """Measurement of a print.
 
     Attributes:
         channels: (P, 3) mean radiance of the region in 1/sr.
         cells: (P, 3, cell rows, cell cols) mean radiance of square cells, first row at the top.
         cell_noise: (P, 3) standard uncertainty of ln of a cell from noise.
-        sources: what of the measurement the pictures themselves show to be uncertain.
+        sources: of uncertainty, as estimated from the pictures themselves.
         grid: raster of the cells.
         drift: L(first pose, at the end)/L(first pose, at the start) − 1, or None.
         pictures: what the cells were taken from, for a closer look; None where there are none.

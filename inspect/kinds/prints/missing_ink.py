@@ -73,7 +73,7 @@ class Bare:
         )
 
     def diagnosis(self) -> Diagnosis:
-        """The cause, which is the only one that was looked at."""
+        """The diagnosis, with missing ink as its only cause."""
         found = CauseRecord(
             cause=MISSING_INK,
             title=MISSING_TITLE,
@@ -144,7 +144,7 @@ def _interval(shares: FloatArray, cost: FloatArray, best: int) -> tuple[float, f
 
 
 def sheet_description(expected: PrintExpectation, measured: MeasuredPrint, recipe: PrintRecipe) -> str:
-    """More to say of a sheet without a lobe that is not the recipe's without ink: "" or how it reflects."""
+    """Description of a sheet without a lobe that missing ink does not explain: its reflectance, or ""."""
     found = _reflectances(expected, measured)
     if float(np.std(found)) > ALIKE * float(np.mean(found)):
         return ""

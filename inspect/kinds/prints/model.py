@@ -197,7 +197,7 @@ def squared_slopes(half: FloatArray, matrix: FloatArray) -> FloatArray:
 
 
 def roughness_matrix(ink: Ink, state: State) -> FloatArray:
-    """(2, 2) A: its quadratic form along a direction is α² there."""
+    """(2, 2) A, whose quadratic form along a direction is α² in that direction."""
     turn = np.radians(ink.brush_deg)
     axes = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
     nominal = axes @ np.diag([ink.alpha**2, ink.across**2]) @ axes.T

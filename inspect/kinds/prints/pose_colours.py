@@ -1,4 +1,4 @@
-"""The colours of a print's poses: measured beside wanted, and by how much they differ."""
+"""Colour differences of a print's poses between measurement and prediction (CIEDE2000)."""
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from anisoscope.kinds.prints.record import ColourRecord, triple
 
 
 def without_lean(fit: PrintFit, covariance: FloatArray) -> FloatArray:
-    """(N, N) covariance of ln of the channels: what the two fitted tilts follow is no deviation."""
+    """(N, N) covariance of ln of the channels: without what the two fitted tilts explain."""
     places = [PARAMETERS.index(name) for name in ("tilt_x_deg", "tilt_y_deg")]
     projection = np.eye(len(covariance)) - fit.slopes[:, places] @ fit.gain[places]
     return np.asarray(projection @ covariance @ projection.T)
@@ -21,9 +21,10 @@ def without_lean(fit: PrintFit, covariance: FloatArray) -> FloatArray:
 def colours_of(
     expected: PrintExpectation, measured: MeasuredPrint, fit: PrintFit | None, covariance: FloatArray
 ) -> tuple[ColourRecord, ...]:
-    """Colours against those of a print that leans alike: the lean, maybe that of its seat, is judged by itself.
+    """Colours compared with those of a print with the same lean, which is judged by itself.
 
-    Without a fit nothing is known of a lean, and the colours are compared with those of a print that lies flat.
+    The lean may be that of the seat. Without a fit it is unknown, and the colours are compared with
+    those of a flat print.
     """
     eye, metric = expected.eye, expected.eye.metric(measured.channels)
     channels = expected.channels

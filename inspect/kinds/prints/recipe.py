@@ -85,7 +85,7 @@ class PrintPart(Part):
 
 
 class PrintPoses(PosesPart):
-    """Stage angles and tilts; see `docs/prints.md` for what the usual ones tell apart."""
+    """Stage angles and tilts; `docs/prints.md` lists the causes that the default ones separate."""
 
     angles_deg: Annotated[tuple[float, ...], Field(min_length=2)] = ANGLES_DEG
     tilts_deg: Annotated[tuple[float, ...], Field(min_length=1)] = TILTS_DEG

@@ -63,7 +63,7 @@ class PlannedPose:
 
 @dataclass(frozen=True)
 class PrintRecipeCheck:
-    """What the recipe of a print can tell."""
+    """Capability of a print's recipe: poses, judged quantities, and separability of causes."""
 
     poses: tuple[PlannedPose, ...]
     quantities: tuple[PlannedQuantity, ...]
@@ -73,7 +73,7 @@ class PrintRecipeCheck:
 
 
 def check_print_recipe(recipe: PrintRecipe, expected: PrintExpectation) -> PrintRecipeCheck:
-    """Look at the recipe of a print; nothing moves.
+    """Check the recipe of a print; nothing moves.
 
     Args:
         recipe: the recipe.
@@ -206,7 +206,7 @@ LAMP = "led-white"
 def checked_print(
     file: Path, rig_path: Path | None, light_angle_deg: float, advance: Advance
 ) -> CommandOutput:
-    """Look at the recipe of a print; without a rig file the lamp and the camera are made-up ones."""
+    """Check of a print's recipe for the command line; without a rig file lamp and camera are synthetic."""
     recipe = read_print_recipe(file)
     advance("prediction", 0, 1)
     if rig_path is not None:

@@ -1,4 +1,4 @@
-"""What the record of an inspection holds of a print."""
+"""Record models of a print: colours, quantities, lobe, map, and the golden prints."""
 
 from typing import Any
 
@@ -124,7 +124,7 @@ class LobeRecord(_Part):
 
 
 class GoldenFitRecord(_Part):
-    """A fitted parameter beside the golden prints: this print's, their mean and standard deviation, and theirs.
+    """A fitted parameter of this print and of the golden prints, with their mean and standard deviation.
 
     All are taken linearly about the print that the recipe predicts, which has 0.
     """
@@ -139,7 +139,7 @@ class GoldenFitRecord(_Part):
 
 
 class GoldenColourRecord(_Part):
-    """The colour of one pose beside the golden prints, all without what their lean makes.
+    """Colour of one pose compared with the golden prints, all corrected for their lean.
 
     ``delta_e`` is the CIEDE2000 from their mean, ``spread`` the root mean square of theirs, ``t2`` Hotelling's T² of
     the three channels; ``p_value`` is adjusted over all tests (Holm).

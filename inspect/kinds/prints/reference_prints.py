@@ -1,4 +1,4 @@
-"""Golden prints: what prints that are known to be good have shown, kept beside their recipe.
+"""Golden prints: measurements of known good prints, stored next to their recipe.
 
 The file (JSON, schema 1) holds one row a print: ln of red, green and blue in every pose. It belongs to the ink, the
 poses, the region and the exposure of one recipe, and to the lamp and the camera of one rig; other rows are refused.
@@ -32,14 +32,14 @@ from anisoscope.record.schema import Record
 from anisoscope.rig.rigfile import RigFile
 
 NEEDED = len(PARAMETERS) + 1
-"""Prints from which on the scatter of all that is fitted can be told (Hotelling's T²)."""
+"""Smallest number of prints for a covariance of all fitted parameters (Hotelling's T²)."""
 SENSIBLE = 3 * len(PARAMETERS)
 TESTS = 3
 """What shares one level where golden prints decide: lobe and level, colours of the poses, and the area."""
 
 
 class ViewingConditions(BaseModel):
-    """By whose light and eyes prints were seen: names of ink, lamp, sensitivities and colour filters."""
+    """Viewing conditions of prints: names of ink, lamp, sensitivities and colour filters."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -50,11 +50,11 @@ class ViewingConditions(BaseModel):
 
 
 class GoldenPrint(BaseModel):
-    """One good print: who it is, when it was inspected, and (P, 3) ln of its channels.
+    """One good print: serial number, time of inspection, and (P, 3) ln of its channels.
 
     ``area_share`` is the share of the area that deviated by more than ``cell_delta_e`` in cells of ``cell_mm``, of
     which there were ``cells``; ``curl_deg`` is the change of tilt across the region, and ``u_curl_deg`` its standard
-    uncertainty. Sets of earlier versions do not tell them.
+    uncertainty. Sets of earlier versions lack them.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -77,7 +77,7 @@ class GoldenPrints(BaseModel):
     Attributes:
         product: of the recipe.
         recipe_key: hash of what the prints have in common in their recipes.
-        seen: by whose light and eyes.
+        seen: viewing conditions.
         poses: (stage angle, tilt) of every pose, degrees.
         parts: the prints, in the order in which they were added.
     """
@@ -107,7 +107,7 @@ class GoldenPrints(BaseModel):
         )
 
     def known_shares(self, recipe: PrintRecipe) -> KnownShares | None:
-        """What these prints teach of the area; None where the recipe gives its own limit or they are too few."""
+        """Area shares learnt from these prints; None where the recipe gives its own limit or they are too few."""
         rule = recipe.area
         if rule is None or limit_is_given(rule):
             return None
@@ -121,7 +121,7 @@ class GoldenPrints(BaseModel):
 
     @property
     def lacking(self) -> str | None:
-        """Why the prints cannot tell yet what is a deviation, or None if they can."""
+        """Why the prints cannot serve as a reference yet, or None if they can."""
         count = len(self.parts)
         if count < NEEDED:
             return (
@@ -153,7 +153,7 @@ def read_golden_prints(path: Path, recipe: PrintRecipe, rig: RigFile | None = No
     Args:
         path: their file.
         recipe: the recipe.
-        rig: if given, the rig that is to see the next print.
+        rig: if given, the rig that will photograph the next print.
 
     Raises:
         CalibrationError: the file is damaged, or belongs to another recipe, or to another lamp or camera.
@@ -229,7 +229,7 @@ def add_print(known: GoldenPrints | None, recipe: PrintRecipe, record: Record) -
 
 
 def _of_map(details: PrintDetails) -> dict[str, Any]:
-    """What a golden print keeps of its map."""
+    """Fields of a golden print that come from its map."""
     area_map = details.map
     if area_map is None:
         return {"area_share": None}

@@ -1,4 +1,4 @@
-"""Is a print like the golden prints? Hotelling's T² of all that is fitted, and of the colour of every pose.
+"""Test of a print against the golden prints: Hotelling's T² of all that is fitted, and of the colour of every pose.
 
 The scatter of 25 prints cannot weigh the 63 channels of 21 poses. What is weighed are combinations of them: the nine
 parameters of the fit (roughness in every direction, lean, levels, form of the lobe), taken linearly about the print
@@ -44,7 +44,7 @@ class GoldenArea:
     Attributes:
         limit: largest share of one more good print, but for its part of the level.
         p_value: probability of as much for a print like the golden ones, Holm-adjusted over all tests.
-        prints: how many golden prints tell it.
+        prints: number of golden prints behind the limit.
     """
 
     limit: float
@@ -64,8 +64,8 @@ class GoldenComparison:
         p_fitted: probability of more for a print like the golden ones, Holm-adjusted.
         colours: one a pose.
         logs: (3P,) mean of the golden prints' ln of the channels.
-        covariance: (3P, 3P) by how much a good print's ln of the channels differs from it, as far as the nine tell.
-        area: the deviating area by that of the golden prints, or None where they do not tell.
+        covariance: (3P, 3P) covariance of a good print's ln of the channels about it, from the scatter of the nine.
+        area: the deviating area by that of the golden prints, or None where they lack it.
     """
 
     count: int
@@ -137,7 +137,7 @@ def compare_with_golden(
         expected: the prediction.
         logs: (3P,) ln of the print's channels.
         fit: what is weighed, of all prints alike.
-        area: what golden prints have shown of the area, and the share that deviates here; None if they do not tell.
+        area: area shares of the golden prints, and the share that deviates here; None where they lack them.
         alpha: level of all tests together.
 
     Raises:

@@ -1,4 +1,4 @@
-"""What the report of an inspection shows of a print: colours, lobe, maps, what was judged, and by which rule."""
+"""Report sections and figures of a print: colours, lobe, maps, judged quantities, and the rule."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -48,7 +48,7 @@ UNSURE = 0.01
 
 @dataclass(frozen=True, eq=False)
 class PrintPictures:
-    """Pictures of a print beside its record.
+    """Pictures of a print that the record does not hold.
 
     Attributes:
         cell_colours: one picture a pose, (cell rows, cell cols, 3) encoded sRGB, first row at the top.
@@ -74,7 +74,7 @@ class PrintPictures:
 def print_pictures(
     expected: PrintExpectation, measured: MeasuredPrint, decision: PrintDecision
 ) -> PrintPictures:
-    """What the report shows of a print: cells in the colours of the eye, and the maps."""
+    """Pictures for the report of a print: cells in the colours of the eye, and the maps."""
     eye, found = expected.eye, decision.map
     cells = np.moveaxis(measured.cells, 1, -1)
     return PrintPictures(
@@ -135,7 +135,7 @@ def print_sections(record: Record, pictures: Pictures) -> Sections:
 
 
 def print_parts(record: Record, pictures: PrintPictures | None) -> Mapping[str, Any]:
-    """What the template shows of a print; nothing of one that could not be judged."""
+    """Template context of a print; empty for one that could not be judged."""
     found = print_of(record)
     if found is None:
         return {"found": None}
@@ -159,7 +159,7 @@ def print_parts(record: Record, pictures: PrintPictures | None) -> Mapping[str, 
 
 
 def _golden_strip(golden: GoldenPrintsRecord) -> str:
-    """The fitted parameters beside those of the golden prints, each in their standard deviations."""
+    """Strip chart of the fitted parameters among those of the golden prints, in their standard deviations."""
     names = [one.title for one in golden.fitted]
     known = np.array([np.subtract(one.golden, one.mean) / (one.s or 1.0) for one in golden.fitted]).T
     mine = [(one.measured - one.mean) / (one.s or 1.0) for one in golden.fitted]
@@ -271,7 +271,7 @@ MARKS = ("o", "s", "^", "D", "v", "P")
 SMALLEST_MARK = 3
 SMALL_LEAN_DEG = 0.2
 SHORTEST = 0.02
-"""Half height of the zone of a quantity without uncertainty, so that it is seen."""
+"""Half width of the bar of a quantity without uncertainty, so that it is visible."""
 
 
 def cells_picture(srgb: FloatArray) -> str:

@@ -22,7 +22,7 @@ Mask = npt.NDArray[np.bool_]
 FINE, COARSE = 3, 41
 """Sides of the squares of fours that are compared: the mean of a place, and the median of its surroundings."""
 SAMPLE = 4000
-"""Fours of pixels that tell how the brightness changes across the region."""
+"""Pixel quads from which the brightness gradient across the region is estimated."""
 SIGMAS = 4.0
 """By how many times a picture's own scatter dirt must stand out: prints have grain."""
 STEP = 0.005
@@ -32,7 +32,7 @@ ALIKE = 1.8
 FEWEST = 4
 """Fours of pixels that count as dirt."""
 FAR = 2.0
-"""By how many of its own sizes dirt must lie away from what a mark of the print there would have moved to."""
+"""Smallest distance of dirt from the place to which a mark of the print would have moved, in sizes of the dirt."""
 TURN_DEG = 20.0
 """Prints that are turned by less are not looked at."""
 
@@ -79,7 +79,7 @@ def check_print_dirt(
 
 
 def _against_surroundings(view: View, recipe: PrintRecipe, filters: str) -> Image:
-    """(rows/2, cols/2) ln of the brightness of fours of pixels by that of their surroundings; NaN beside the region."""
+    """(rows/2, cols/2) ln of brightness of pixel quads over that of their surroundings; NaN outside the region."""
     grey = fours_of(view.image.value, filters).mean(axis=0)
     known = _inside(view, recipe, (grey.shape[0], grey.shape[1])) & (grey > 0.0)
     off = np.where(known, _flattened(np.log(np.maximum(grey, 1e-12)), known), 0.0)
@@ -105,7 +105,7 @@ def _flattened(logs: Image, known: Mask) -> Image:
 
 
 def _inside(view: View, recipe: PrintRecipe, shape: tuple[int, int]) -> Mask:
-    """(rows/2, cols/2) whether a four of pixels lies in the recipe's region."""
+    """(rows/2, cols/2) mask of the pixel quads within the recipe's region."""
     (x, y), (width, height) = recipe.region.center_mm, recipe.region.size_mm
     corners = np.array(
         [

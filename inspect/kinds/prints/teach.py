@@ -19,7 +19,7 @@ from anisoscope.rig.rigfile import read_rig
 
 
 def teach_by_golden(recipe_path: Path, rig_path: Path, share: float = PASSING) -> Taught:
-    """Write a new version of a print's recipe with the tolerances that its golden prints teach; the old one is kept.
+    """Write a new version of a print's recipe with tolerances learnt from its golden prints; the old one is saved.
 
     Args:
         recipe_path: recipe file.
@@ -61,7 +61,7 @@ def teach_by_golden(recipe_path: Path, rig_path: Path, share: float = PASSING) -
 
 
 def _notes(recipe: PrintRecipe, golden: GoldenPrints) -> tuple[str, ...]:
-    """Where the other limit comes from, that of the area."""
+    """Notes on the limit of the area, which is learnt at every inspection."""
     notes = []
     rule = recipe.area
     if rule is not None and limit_is_given(rule):

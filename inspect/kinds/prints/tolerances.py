@@ -162,7 +162,7 @@ def _quantities(golden: GoldenPrints, recipe: PrintRecipe, expected: PrintExpect
 
 
 def _measured(logs: FloatArray, recipe: PrintRecipe) -> MeasuredPrint:
-    """A golden print as far as its channels are kept; its noise is small and left out."""
+    """Measurement of a golden print from its stored channels; its noise is small and left out."""
     channels = np.exp(logs).reshape(-1, 3)
     lamp = _DRIFT * recipe.limits.drift / np.sqrt(3.0)
     drift = of_poses("drift of the lamp", "measurement", np.full(channels.shape, lamp))

@@ -35,7 +35,7 @@ class Ridges(SurfaceKind[RidgeRecipe]):
         return "[material] and [region]"
 
     def check_part(self, views: list[View], measured: Measured, recipe: SurfaceRecipe) -> None:
-        """Do the ridges lie as the recipe says, and nothing else in front of them?"""
+        """Check the direction of the ridges, and that nothing hides them."""
         check_part(views, measured, recipe)
 
     def fit_shape(
@@ -47,7 +47,7 @@ class Ridges(SurfaceKind[RidgeRecipe]):
     def match_map(
         self, recipe: SurfaceRecipe, expected: Expectation, measured: Measured
     ) -> tuple[MapPlaceRecord | None, str | None]:
-        """Where the height map lies on the part."""
+        """Position of the height map on the part."""
         return match_map(recipe, expected, measured)
 
 

@@ -14,7 +14,7 @@ from anisoscope.recipe.template import new_recipe
 
 
 class RidgeRecipe(SurfaceRecipe):
-    """The recipe of a plastic part with ridges, as read from its file; cells of its contrast map are judged too."""
+    """The recipe of a plastic part with ridges, as read from its file; cells of its contrast map are judged as well."""
 
     area: AreaPart | None = AreaPart()
 

@@ -1,4 +1,4 @@
-"""What may be wrong with an etched wafer, and what it would change: computed by waves on the recipe's tile.
+"""Causes of a deviating etched wafer and their signatures, computed by wave optics on the recipe's tile.
 
 Etching too deep leaves a mean phase, and so a spike in the mirror direction; features too wide do so too, because the
 levels then have unequal areas, and move the lobes besides. Causes that plastics have (burrs, wear, …) are not looked

@@ -1,4 +1,4 @@
-"""What would tell causes of a wafer apart that look alike in a recipe's poses: computed by its model, not guessed.
+"""Discriminating poses and lamps for causes of a wafer that look alike in a recipe's poses, computed by its model.
 
 Further stage angles, further tilts, and the same poses under a second lamp are tried one by one. Too deep and too
 shallow etching of a design without a spike change everything by their square at the design's wavelength; where the
@@ -41,12 +41,12 @@ _APART = 0.05  # of the wavelength: a lamp that is nearer is no other one
 _EACH_WAY = 2  # lamps on either side
 _EVERY = 3  # of a cause's extents: a threshold need not be known better
 FREE = 1.0
-"""Standard uncertainty of ln of a scale that nothing tells."""
+"""Standard uncertainty of ln of an unknown scale."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Views:
-    """Where the wafer is looked at: by own lamp or a second one. ``groups`` name the poses of each option."""
+    """Views of the wafer, under its own lamp or a second one. ``groups`` name the poses of each option."""
 
     lamps: tuple[tuple[float, tuple[Pose, ...]], ...]
     groups: tuple[tuple[str, str, tuple[int, ...]], ...]
@@ -61,7 +61,7 @@ class _Views:
 def wafer_options(
     recipe: SurfaceRecipe, light_angle_deg: float, names: Sequence[str], advance: Advance = silent
 ) -> tuple[Option, ...]:
-    """What would tell causes of a wafer apart, whatever their extents.
+    """Options that separate causes of a wafer, whatever their extents.
 
     Args:
         recipe: of a wafer.
@@ -132,7 +132,7 @@ def _views(recipe: WaferRecipe) -> _Views:
 
 
 def second_lamps(wavelength_nm: float) -> tuple[float, ...]:
-    """Wavelengths of lamps that are tried beside one, the nearest first."""
+    """Wavelengths of second lamps that are tried, the nearest first."""
     others = [lamp for lamp in LAMPS_NM if abs(lamp / wavelength_nm - 1.0) > _APART]
     below = sorted((lamp for lamp in others if lamp < wavelength_nm), reverse=True)[:_EACH_WAY]
     above = sorted(lamp for lamp in others if lamp > wavelength_nm)[:_EACH_WAY]

@@ -1,4 +1,4 @@
-"""How wafers are predicted: by the diffraction orders of their tile, with what etching, lamp and lens leave open."""
+"""Prediction of wafers from the diffraction orders of their tile, with the uncertainty of etching, lamp and lens."""
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from anisoscope.sim.light.geometry import Convention, Pose
 from anisoscope.sim.light.wave.choice import NUMERICAL_ERROR
 
 DRAWN_UM = 64.0
-"""Side of the part of a wafer that is drawn."""
+"""Side of the drawn part of a wafer, µm."""
 
 
 class WaferOptics:
@@ -73,7 +73,7 @@ class WaferOptics:
         return found
 
     def states(self, recipe: SurfaceRecipe, light_angle_deg: float) -> WaferStates:
-        """The states of a wafer's recipe; they cost nothing before they are asked for."""
+        """The states of a wafer's recipe; they are computed on demand."""
         return WaferStates(of_wafer(recipe).deciding(), light_angle_deg)
 
     def omitted_if_zero(self, _source: str) -> bool:

@@ -1,4 +1,4 @@
-"""How a wafer looks in every state of what is uncertain about it, its lamp and its seat: by the model itself.
+"""Radiances of a wafer in every state of its uncertain inputs (etching, lamp, seat), by the model itself.
 
 A seat that is two standard uncertainties off lets a bright order into the lens: no expansion to second order knows it.
 Directions cost little once the orders of the tile are known, so that the nearest state of the inputs is sought among
@@ -21,7 +21,7 @@ from anisoscope.sim.light.geometry import Convention
 
 DEPTH, WIDTH = "depth of the etch passes", "width of the etched features"
 SCATTER = "share of scattered light"
-"""What takes the place of a plastic's albedo."""
+"""Counterpart of a plastic's albedo."""
 BEYOND = ", beyond the slope"
 _STEP = 0.02  # u, of a derivative
 _WIDTHS = 2.0  # u, between the widths that are drawn
@@ -31,7 +31,7 @@ _LEAST = 0.5  # of its nominal value: no lamp or lens is less than that
 
 @dataclass(frozen=True)
 class _Inputs:
-    """What one state says, in the units of the recipe."""
+    """Inputs of one state, in the units of the recipe."""
 
     state: State
     wafer: EtchedPredictor
