@@ -1,7 +1,7 @@
 """Calibrations of a rig file: corrections and uncertainties for an inspection, validity, and their list.
 
 A file that is missing, damaged or of another camera is an error before anything moves (exit code 3). A calibration that
-has expired, or was out of its limits, makes an INVALID record that says so.
+has expired, or was out of its limits, gives an INVALID record with the reason.
 """
 
 from collections.abc import Mapping
@@ -131,7 +131,7 @@ class Calibrations:
         The axis must lie within 5 px, and the fixture within 0.2°, of what was calibrated.
 
         Raises:
-            RegistrationError: it does not.
+            RegistrationError: it is not.
         """
         record = self.records.get("rotation")
         if record is None or place.markers == 0:
@@ -245,7 +245,7 @@ class Listed:
         file: what the rig file names, or None.
         id: of its record.
         taken_at, valid_until: UTC times.
-        needed: whether inspections need one.
+        needed: whether inspections require one.
         advice: what to do, "" where nothing.
     """
 

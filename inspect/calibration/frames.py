@@ -23,15 +23,15 @@ MIN_FRAMES, MAX_FRAMES = 2, 1024
 
 @dataclass(frozen=True)
 class Taking:
-    """Exposure of a calibration, and remarks for its record.
+    """Acquisition settings of a calibration, and entries for its record.
 
     Attributes:
         exposure_s: exposure in seconds.
         gain: gain of the camera, as a factor.
         frames: frames to average, of every kind.
-        valid_days: how long the calibration holds; None for what is usual.
-        operator: who takes it.
-        temperature_c: temperature of the day.
+        valid_days: validity of the calibration in days; None for the default.
+        operator: name of the operator.
+        temperature_c: ambient temperature.
     """
 
     exposure_s: float
@@ -65,7 +65,7 @@ class Bed:
 
     @property
     def camera(self) -> CameraRecord:
-        """The camera, as records name it."""
+        """The camera, as identified in records."""
         info = self.rig.camera.info
         return CameraRecord(
             model=info.model, serial=info.serial, rows=info.rows, cols=info.cols, bit_depth=info.bit_depth
@@ -113,7 +113,7 @@ class Bed:
         )
 
     def content(self, taking: Taking, frames: int, sample: Stack | None = None) -> dict[str, Any]:
-        """The fields of a record that every kind shares; settings as the camera reported them, where it is known."""
+        """The fields common to records of all kinds; settings as the camera reported them, where known."""
         return {
             "rig": self.file.name,
             "camera": self.camera,

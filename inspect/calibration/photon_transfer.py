@@ -1,10 +1,8 @@
 """Photon transfer: characteristics of a camera from its frames alone, after EMVA 1288 release 4 (linear).
 
 Two frames of every exposure, under even light and in the dark, give the gain from the slope of variance over mean;
-stacks of frames give the fixed pattern. Nothing about the camera has to be known, and quantum efficiency, which needs
-a calibrated lamp, is not found: light counts in electrons.
-
-The photon transfer curve: mean and temporal variance over exposure, and what its shape tells (EMVA 1288).
+stacks of frames give the fixed pattern. No property of the camera needs to be known. Quantum efficiency, which requires
+a calibrated lamp, is not determined: light is measured in electrons.
 
 Electrons (e) and counts (dn) are tied by the system gain K, the slope of variance over mean.
 """

@@ -35,7 +35,7 @@ class _Part(BaseModel):
 
 
 class Value(_Part):
-    """A number that was found: its unit ("" for a plain number) and, where it has one, its standard uncertainty."""
+    """A calibrated value with its unit ("" for a pure number) and, where known, its standard uncertainty."""
 
     value: float
     u: float | None = None
@@ -119,7 +119,7 @@ class CalibrationRecord(_Part):
         return self.values[name]
 
     def invalid_reason(self, at: datetime) -> str | None:
-        """Why this calibration makes a measurement at a time INVALID, if it does."""
+        """Reason why this calibration makes a measurement at a time INVALID, or None."""
         if at >= self.valid_until:
             ended = self.valid_until.strftime("%Y-%m-%d %H:%M UTC")
             return f"the {self.kind} calibration {self.id} expired at {ended}: {advice(self.kind)}"

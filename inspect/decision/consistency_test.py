@@ -1,9 +1,9 @@
-"""Is a part as predicted, or as the golden parts are? Squared distance, degrees of freedom and p value.
+"""Consistency test of a part with the prediction or the golden parts: squared distance, degrees of freedom, p value.
 
-Both take into account that ln L bends with the inputs that all poses share (`response`; or as the model itself
-says, `states`): the distance from the prediction is that from the nearest state of the inputs, and what T² of
-good parts exceeds how often is found by drawing golden sets and parts from the stated uncertainties instead of from a
-normal distribution.
+Both account for the nonlinear response of ln L to the inputs shared by all poses (`response`, or `states` of the model
+itself): the distance from the prediction is that from the nearest state of the inputs, and the distribution of T² of
+good parts is simulated by drawing golden sets and parts from the stated uncertainties instead of from a normal
+distribution.
 """
 
 import numpy as np
@@ -23,10 +23,10 @@ _SINGULAR = 1e-9
 
 
 def from_prediction(expected: Expectation, measured: Measured) -> tuple[float, int, float]:
-    """D² of all contrasts together, how many there are, and the chance of more for a part as predicted.
+    """D² of all contrasts, its degrees of freedom, and its p value for a part as predicted.
 
     Raises:
-        MeasurementError: nothing is uncertain, so that nothing can be weighed.
+        MeasurementError: no uncertainty is stated, so that no distance is defined.
     """
     from scipy.stats import chi2  # noqa: PLC0415 - 1 s
 
@@ -46,10 +46,10 @@ def from_prediction(expected: Expectation, measured: Measured) -> tuple[float, i
 
 
 def from_golden(expected: Expectation, measured: Measured, golden: FloatArray) -> tuple[float, int, float]:
-    """T² from the mean of golden parts, how many contrasts there are, and the chance of more for a good part.
+    """T² from the mean of golden parts, the number of contrasts, and its p value for a good part.
 
     Args:
-        expected: the prediction; it tells how good parts scatter beyond the normal distribution, not where they lie.
+        expected: the prediction; it determines the non-normal scatter of good parts, not their mean.
         measured: the part.
         golden: (n, P − 1) contrasts of the golden parts in the basis of `log_basis`.
 
@@ -66,7 +66,7 @@ def from_golden(expected: Expectation, measured: Measured, golden: FloatArray) -
 
 
 def own_covariance(expected: Expectation, measured: Measured) -> FloatArray:
-    """(P − 1, P − 1) covariance of the contrasts of what the response does not hold."""
+    """(P − 1, P − 1) covariance of the contrasts from the components not covered by the response."""
     return _covariance(expected.alone + measured.components, log_basis(len(expected.poses)))
 
 
@@ -83,15 +83,15 @@ def _regular(covariance: FloatArray) -> bool:
 
 
 def golden_chances(response: Response, covariance: FloatArray, count: int) -> FloatArray:
-    """P values of T² that good parts would get by the normal theory, drawn from the stated uncertainties.
+    """Normal-theory p values of T² of good parts drawn from the stated uncertainties.
 
     Args:
         response: of the m contrasts.
-        covariance: (m, m) of what every contrast has for itself.
+        covariance: (m, m) of the errors outside the response.
         count: golden parts in a set, more than m.
 
     Returns:
-        (DRAWS,) p values, ascending; uniform where the response is straight.
+        (DRAWS,) p values, ascending; uniform where the response is linear.
     """
     from scipy.stats import f  # noqa: PLC0415 - 1 s
 
@@ -112,9 +112,9 @@ def golden_chances(response: Response, covariance: FloatArray, count: int) -> Fl
 
 
 def calibrated(p_values: FloatArray, drawn: FloatArray) -> FloatArray:
-    """How often good parts get p values as small as these.
+    """Calibrated p values: the share of good parts whose normal-theory p value is as small.
 
-    Between and below the levels at which the drawn ones are counted ln p goes on as a straight line of ln p.
+    Between and below the counted levels ln p is interpolated and extrapolated linearly in ln p.
 
     Args:
         p_values: p values by the normal theory.

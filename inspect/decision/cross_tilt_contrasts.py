@@ -1,4 +1,4 @@
-"""Contrasts of one stage angle between two tilts: a spike, or a lobe that is too wide, changes those and no others."""
+"""Contrasts of one stage angle between two tilts, which reveal a spike or an excessive lobe width."""
 
 from collections.abc import Iterator, Sequence
 
@@ -84,7 +84,7 @@ def between_tilts(
 
 
 def deviating(expected: Expectation, measured: Measured, alpha: float) -> tuple[str, ...]:
-    """Names of the ln ratios between the first tilt and another one that deviate by themselves, at one level (Holm).
+    """Names of the individually significant ln ratios between the first tilt and another one, at one level (Holm).
 
     Args:
         expected: prediction with its uncertainty components.
@@ -112,7 +112,7 @@ def deviating(expected: Expectation, measured: Measured, alpha: float) -> tuple[
 def _spread(
     pairs: tuple[tuple[int, int], ...], radiance: FloatArray, kind: ContrastKind, components: list[Component]
 ) -> FloatArray:
-    """(N,) standard uncertainties that components make of contrasts."""
+    """(N,) standard uncertainties of contrasts from components."""
     gradient = pair_gradient(pairs, radiance, kind)
     total = np.zeros((len(radiance), len(radiance)))
     for component in components:
@@ -121,12 +121,12 @@ def _spread(
 
 
 def _by_u(change: FloatArray, u: FloatArray) -> FloatArray:
-    """Deviations in standard uncertainties; what is certain and off at all is off without end."""
+    """Deviations in standard uncertainties; infinite where a deviating value has no uncertainty."""
     return np.divide(change, u, out=np.where(change == 0.0, 0.0, np.inf), where=u > 0.0)
 
 
 def _pairs(poses: tuple[Pose, ...]) -> Iterator[tuple[int, int]]:
-    """Every pose beside the first one at its stage angle."""
+    """Pairs of every pose with the first one at its stage angle."""
     first: dict[float, int] = {}
     for number, pose in enumerate(poses):
         if pose.stage_deg in first:

@@ -1,8 +1,8 @@
 """The verdict: guard-banded tolerances, significance over all contrasts, and the contrast map.
 
 Precedence: INVALID > FAIL > INCONCLUSIVE > PASS. Guard band after ISO 14253-1, conformance probability after
-JCGM 106:2012, §7. Whether the part deviates at all is decided by the means of all poses together; marks in the map are
-judged by the share of the area that they cover, because no two maps scatter alike.
+JCGM 106:2012, §7. Whether the part deviates at all is decided by the means of all poses together; marks in the map by
+the share of the area that they cover, because no two maps have the same scatter.
 """
 
 from dataclasses import dataclass
@@ -35,7 +35,7 @@ from anisoscope.sim.light.geometry import Pose
 
 @dataclass(frozen=True)
 class Decision:
-    """Verdict with everything that led to it.
+    """Verdict with its reasons and test results.
 
     Attributes:
         verdict: of the part.
@@ -44,16 +44,16 @@ class Decision:
         d2: squared Mahalanobis distance of all deviations from the prediction; with golden parts Hotelling's T² from
             their mean.
         dof: number of independent contrasts.
-        p_value: probability of a larger distance for a part as predicted (or as the golden parts); where the area is
-            judged by golden parts too, both share one level (Holm 1979).
+        p_value: probability of a larger distance for a part as predicted (or as the golden parts); where golden parts
+            limit the area too, both tests share one level (Holm 1979).
         golden: number of golden parts compared with, 0 for none.
         conformance_probability: that all deviations truly lie within their tolerances, or None.
-        area: the contrast map judged, or None.
+        area: the result for the contrast map, or None.
         regions: groups of deviating cells, the least probable first.
         budget: sources of uncertainty, largest first.
-        cells: the contrast map, or None where the area is not judged.
+        cells: the contrast map, or None without a limit of the area.
         deviating: (cell rows, cell cols) True where a cell deviates.
-        between_tilts: the contrasts between tilts, for information: all together they decide already.
+        between_tilts: the contrasts between tilts, informative: the joint test already includes them.
     """
 
     verdict: Verdict
@@ -84,16 +84,16 @@ def _values(found: tuple[Contrast, ...], kind: ContrastKind) -> FloatArray:
 def decide(
     expected: Expectation, measured: Measured, recipe: SurfaceRecipe, golden: GoldenSet | None = None
 ) -> Decision:
-    """Judge a part.
+    """Decide on a part.
 
     Args:
         expected: prediction with its uncertainty components.
         measured: measurement with its uncertainty components.
         recipe: the decision rule.
-        golden: good parts, instead of the prediction, to tell what is a deviation.
+        golden: golden parts as the reference for the significance, instead of the prediction.
 
     Raises:
-        MeasurementError: nothing is uncertain, so that nothing can be weighed; or too few golden parts.
+        MeasurementError: no uncertainty is stated, so that no distance is defined; or too few golden parts.
     """
     rule = recipe.decision
     found = contrasts(expected.poses, measured.radiance)
@@ -236,9 +236,9 @@ def _combine(
     golden: int,
     where: tuple[str, ...],
 ) -> tuple[Verdict, tuple[str, ...]]:
-    """Precedence FAIL > INCONCLUSIVE > PASS over all criteria, with a line for each that speaks.
+    """Precedence FAIL > INCONCLUSIVE > PASS over all criteria, with a line for each that contributes.
 
-    ``where`` names the contrasts that deviate by themselves.
+    ``where`` names the individually significant contrasts.
     """
     findings = [(pair.verdict, _of_tolerance(pair, rule)) for pair in pairs if pair.tolerance is not None]
     if area is not None:
@@ -280,7 +280,7 @@ def _of_tolerance(pair: ContrastRecord, rule: DecisionPart) -> str:
 
 
 def _where(pairs: tuple[ContrastRecord, ...], alpha: float) -> tuple[str, ...]:
-    """The pairs that deviate by themselves, at one level for all (Holm)."""
+    """The individually significant pairs, at one level for all (Holm)."""
     return tuple(
         f"{p.from_deg:g}°/{p.to_deg:g}° at tilt {p.tilt_deg:g}°"
         for p in pairs

@@ -1,7 +1,7 @@
-"""Two comparisons: is the part what was designed, and does light agree with its height map?
+"""Comparison of the measurement with both surfaces of a recipe: the design and the height map.
 
-A recipe that gives both surfaces says which one decides; the other one is compared with as well, and the two answers
-together tell where to look: at the shape, at the height map, or at dirt, plastic and rig.
+A recipe with both surfaces states which one decides; the other one is compared as well, and both results together
+locate the problem: the shape, the height map, or dirt, plastic and rig.
 """
 
 from collections.abc import Callable
@@ -42,8 +42,8 @@ def compare(
         predict: predicts the surface that does not decide.
 
     Returns:
-        The comparisons, what they mean together (None of a recipe with one surface), and a note where the surface
-        that does not decide could not be compared with.
+        The comparisons, their joint interpretation (None of a recipe with one surface), and a note where the surface
+        that does not decide could not be compared.
     """
     decides = recipe.surface.decides
     mine = _one(decides, expected, measured, recipe, decides=True)

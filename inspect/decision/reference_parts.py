@@ -1,6 +1,6 @@
-"""Golden parts: what parts that are known to be good have shown, kept beside their recipe.
+"""Golden parts: results of parts known to be good, stored next to their recipe.
 
-The file (JSON, schema 1) holds one row a part: ln radiance of every pose, and the share of the area that deviates. It
+The file (JSON, schema 1) holds one row per part: ln radiance of every pose, and the share of the area that deviates. It
 belongs to the poses, the region and the exposure of one recipe; rows of another one are refused.
 """
 
@@ -31,10 +31,10 @@ _EARLIER = ("exposure_s", "gain", "frames_per_pose", "dark_frames", "settle_s")
 
 
 class GoldenPart(BaseModel):
-    """One good part: who it is, when it was inspected, and (P,) ln radiances.
+    """One golden part: identity, time of inspection, and (P,) ln radiances.
 
     ``area_share`` is the share of the ``cells`` that deviated by more than ``cell_deviation``; sets of earlier versions
-    do not say by how much.
+    do not record the threshold.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -53,7 +53,7 @@ class GoldenSet(BaseModel):
 
     Attributes:
         product: of the recipe.
-        recipe_key: hash of what the parts have in common in their recipes.
+        recipe_key: hash of the recipe entries common to the parts.
         poses: (stage angle, tilt) of every pose, degrees.
         parts: the parts, in the order in which they were added.
     """
@@ -72,7 +72,7 @@ class GoldenSet(BaseModel):
         return np.asarray(values @ log_basis(len(self.poses)).T)
 
     def area_shares(self, rule: AreaPart) -> tuple[float, ...]:
-        """Shares of the area that deviated, of the parts that were judged with this threshold."""
+        """Deviating shares of the area, of the parts inspected with this threshold."""
         return tuple(
             part.area_share
             for part in self.parts
@@ -80,7 +80,7 @@ class GoldenSet(BaseModel):
         )
 
     def known_shares(self, recipe: SurfaceRecipe) -> KnownShares | None:
-        """What these parts teach of the area; None where the recipe gives its own limit or they are too few."""
+        """Shares that set the limit of the area; None where the recipe gives its own or the parts are too few."""
         rule = recipe.area
         if rule is None or limit_is_given(rule):
             return None
@@ -88,18 +88,18 @@ class GoldenSet(BaseModel):
         return KnownShares(tuple(shares), cells[-1]) if cells and len(shares) >= MIN_PARTS else None
 
     def area_limit(self, recipe: SurfaceRecipe) -> float | None:
-        """The limit of the area that these parts teach, for a part whose contrasts are as they should be."""
+        """Limit of the area learnt from these parts, for a part whose contrasts are consistent."""
         known = self.known_shares(recipe)
         return None if known is None else known.limit(0.5 * recipe.decision.alpha)
 
     @property
     def needed(self) -> int:
-        """How many parts it takes before they tell what is a deviation."""
+        """Number of parts needed before they serve as the reference."""
         return len(self.poses)
 
     @property
     def lacking(self) -> str | None:
-        """Why the parts cannot tell yet what is a deviation, or None if they can."""
+        """Reason why the parts do not serve as the reference yet, or None."""
         count = len(self.parts)
         if count < self.needed:
             sensible = 3 * (self.needed - 1)
@@ -119,33 +119,33 @@ def counted(count: int, what: str) -> str:
 
 
 def golden_path(recipe_path: Path) -> Path:
-    """Where the good parts of a recipe are kept: ``NAME.golden.json`` beside it."""
+    """Path of the golden parts of a recipe: ``NAME.golden.json`` next to it."""
     return recipe_path.with_name(f"{recipe_path.stem}.golden.json")
 
 
 def limit_is_given(rule: BaseModel) -> bool:
-    """Does the recipe itself say how much of the area may deviate?"""
+    """Whether the recipe itself states a limit of the deviating area."""
     return "max_share" in rule.model_fields_set
 
 
 def recipe_key(recipe: SurfaceRecipe) -> str:
-    """Hash of what must be the same for contrasts to be comparable.
+    """Hash of the recipe entries that must agree for contrasts to be comparable.
 
-    Of the acquisition only what changes a measurement; what has its default counts as not there, so that a key outlives
-    new fields.
+    Of the acquisition only entries that affect a measurement; entries at their default are omitted, so that a key
+    remains valid when fields are added.
     """
     return _hashed(recipe, same_exposure(recipe.acquisition))
 
 
 def same_exposure(acquisition: AcquisitionPart) -> dict[str, Any]:
-    """What of an acquisition must be the same, without what has its default."""
+    """Entries of an acquisition that must agree, without those at their default."""
     exposed = acquisition.model_dump(mode="json", exclude=set(_NO_MATTER))
     usual = {name: field.default for name, field in type(acquisition).model_fields.items()}
     return {name: value for name, value in exposed.items() if value != _plain(usual[name])}
 
 
 def _earlier_key(recipe: SurfaceRecipe) -> str:
-    """The key as it was made before: of the whole acquisition, as far as there was one."""
+    """Key of earlier versions: of the whole acquisition, as far as there was one."""
     exposed = recipe.acquisition.model_dump(mode="json")
     return _hashed(recipe, {k: v for k, v in exposed.items() if k in _EARLIER or (k == "brackets" and v)})
 
@@ -162,7 +162,7 @@ def _hashed(recipe: SurfaceRecipe, acquisition: dict[str, Any]) -> str:
 
 
 def reference_set_in(path: Path, model: type[ReferenceSet], what: str) -> ReferenceSet | None:
-    """A file of golden reference parts, or None where there is none.
+    """Read a file of golden parts; None if there is none.
 
     Raises:
         CalibrationError: the file is damaged.
@@ -177,7 +177,7 @@ def reference_set_in(path: Path, model: type[ReferenceSet], what: str) -> Refere
 
 
 def read_golden(path: Path, recipe: SurfaceRecipe) -> GoldenSet | None:
-    """The good parts of a recipe, or None where none were ever added.
+    """The golden parts of a recipe, or None if none were added.
 
     Raises:
         CalibrationError: the file is damaged, or belongs to another recipe.
@@ -196,7 +196,7 @@ def read_golden(path: Path, recipe: SurfaceRecipe) -> GoldenSet | None:
 
 
 def add_part(known: GoldenSet | None, recipe: SurfaceRecipe, record: Record) -> GoldenSet:
-    """A set with one part more.
+    """A set with one more part.
 
     Args:
         known: the set so far, or None.
@@ -253,7 +253,7 @@ def without_part(known: ReferenceSet, serial: str, noun: str = "golden part") ->
 
 
 def check_new(parts: Sequence[Any], record: Record) -> None:
-    """Is an inspection not in the set yet?
+    """Check that an inspection is not in the set yet.
 
     Raises:
         CalibrationError: it is.

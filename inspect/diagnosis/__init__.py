@@ -1,1 +1,1 @@
-"""What is wrong with a part: causes, what each would change, and which of them explains what was seen."""
+"""Diagnosis: causes of deviations, their signatures, and their ranking for a measured part."""

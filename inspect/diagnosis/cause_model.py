@@ -1,4 +1,4 @@
-"""What may be wrong with parts of one kind: the causes, what each would change, and what would tell them apart."""
+"""Cause model of one kind of part: causes, their signatures, and measurements that separate them."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ class Option:
     separation_extents: dict[str, dict[str, float | None]]
 
     def separates(self, one: tuple[str, float], other: tuple[str, float]) -> bool:
-        """Are two causes of these names and extents told apart, whichever it is?"""
+        """Whether the measurement separates two causes of these names and extents, whichever is true."""
         return self._separates(one, other[0]) and self._separates(other, one[0])
 
     def _separates(self, cause: tuple[str, float], other: str) -> bool:
@@ -38,10 +38,10 @@ class CauseModel:
     """The causes of one kind of part, as its model predicts them.
 
     Attributes:
-        causes: every cause that is looked for on the part of a recipe.
-        signatures: what they change, by recipe, the rig's light angle, progress, and names of causes (None: all).
-        options: what would tell causes of these names apart, by recipe, light angle, names, and progress; None where
-            that is not computed.
+        causes: all causes considered for the part of a recipe.
+        signatures: their signatures, by recipe, the rig's light angle, progress, and names of causes (None: all).
+        options: measurements that separate causes of these names, by recipe, light angle, names, and progress; None if
+            not computed.
     """
 
     causes: Callable[[SurfaceRecipe], tuple[Cause, ...]]

@@ -1,4 +1,4 @@
-"""What may be wrong: every defect of a surface, the finish and colour of the plastic, and how part and lamp stand."""
+"""Causes of deviations: surface defects, finish and colour of the plastic, position of part and lamp."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -14,7 +14,7 @@ from anisoscope.profiles.heightmap import HeightMap
 Group = Literal["shape", "area", "finish", "rig"]
 Change = Callable[[HeightMap, State, float], tuple[HeightMap, State]]
 
-# Defects that sit here and there, so that the contrast map shows them; the others change the whole surface alike.
+# Local defects, visible in the contrast map; the others change the whole surface uniformly.
 LOCAL = ("burrs", "scratches", "dust", "missing-ridges")
 SIGNED = ("ridge-angle", "pitch")
 EXTRUDED = ("ridge-angle", "wear", "incomplete-filling")
@@ -22,33 +22,33 @@ EXTRUDED = ("ridge-angle", "wear", "incomplete-filling")
 _STEPS = (0.05, 0.12, 0.25, 0.5, 1.0)
 _FINE_STEPS = (0.02, 0.05, 0.08, 0.12, 0.16, 0.2, 0.25, 0.32, 0.4, 0.5, 0.65, 0.8, 1.0)
 PITCHES = 24
-_MISSING = (1, 2, 4, 7, 10)  # of the ridges of the surface that is spoiled
-# How well the change of ln L is known. Marks: real ones vary in size and form. Ridges that are missing: which ones, and
-# how much of them lies within the region. Edges: a real crest is not cut or worn exactly so, and on rough facets the
-# change is 2 to 3 % of itself off that on smooth ones. Pitch: which flanks the ends of the region cut is not known.
+_MISSING = (1, 2, 4, 7, 10)  # of the ridges of the surface with defects
+# Relative uncertainty of the change of ln L. Marks: real ones vary in size and form. Missing ridges: which ones, and
+# their length within the region. Edges: a real crest differs from the model cut, and on rough facets the change differs
+# by 2 to 3 % of itself from that on smooth ones. Pitch: which flanks are cut by the ends of the region is not known.
 _DOUBT = {
     "burrs": 0.3, "scratches": 0.3, "dust": 0.3, "missing-ridges": 0.2, "chatter": 0.2, "rough-facets": 0.1,
     "wear": 0.1, "incomplete-filling": 0.03, "ridge-angle": 0.03, "pitch": 1.0,
 }  # fmt: skip
 _DOUBT_OF_LOBES = 0.05
-_SEED = 7  # the same places at every extent, so that a signature grows smoothly
+_SEED = 7  # the same places at every extent, so that a signature varies smoothly
 
 
 @dataclass(frozen=True)
 class Cause:
-    """One thing that may be wrong, and how far.
+    """A cause of deviations with its range of extents.
 
     Attributes:
         name: short name, as in the record.
         title: what it is, for people.
         unit: of its extent; "" for a share.
-        group: "shape" and "area": the surface, everywhere alike or here and there; "finish": the plastic; "rig":
-            not the part at all.
-        explains: what makes it happen.
-        extents: extents to look at, ascending, 0 among them.
+        group: "shape" and "area": the surface, uniformly or locally; "finish": the plastic; "rig":
+            not the part.
+        explains: its usual origin.
+        extents: extents to compute, ascending, including 0.
         change: the surface and the state of material and rig at an extent.
         doubt: relative standard uncertainty of the change of ln L that is computed for it.
-        source: name of the source of uncertainty of the prediction that is the same thing, or "".
+        source: name of the identical source of uncertainty of the prediction, or "".
     """
 
     name: str
@@ -63,7 +63,7 @@ class Cause:
 
 
 def all_causes(ridge_angle_deg: float | None = None) -> tuple[Cause, ...]:
-    """Every cause that is looked for.
+    """All causes considered.
 
     Args:
         ridge_angle_deg: nominal ridge angle, so that no facet is turned beyond flat; None if unknown.

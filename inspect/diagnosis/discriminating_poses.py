@@ -1,6 +1,6 @@
-"""What would tell causes apart that look alike, in words; computed by the model of the kind of part, and cached.
+"""Further measurements that separate tied causes, computed by the model of the kind of part, and cached.
 
-It belongs to the recipe and the rig's light angle, not to a part.
+They depend on the recipe and the rig's light angle, not on a part.
 """
 
 import hashlib
@@ -20,7 +20,7 @@ KINDS = ("angles", "tilt", "lamp")
 def cached_options(
     recipe: SurfaceRecipe, light_angle_deg: float, names: Sequence[str], advance: Advance, causes: CauseModel
 ) -> tuple[Option, ...]:
-    """What would tell causes apart, computed once; none where the causes' model does not compute it.
+    """Cached options for separating causes; none where the cause model does not compute them.
 
     Args:
         recipe: the recipe.
@@ -48,7 +48,7 @@ def cached_options(
 
 
 def _key_fields(recipe: SurfaceRecipe, light_angle_deg: float, names: Sequence[str]) -> dict[str, Any]:
-    """All that options are computed from."""
+    """Every input of the options, for the cache key."""
     surface = recipe.surface.height_map
     return {
         "recipe": recipe.model_dump(mode="json", exclude={"surface": {"height_map"}}),
@@ -65,7 +65,7 @@ def advice_for(
     advance: Advance = silent,
     causes: CauseModel = PLASTIC_CAUSES,
 ) -> str | None:
-    """What would tell the tied causes from the best one; None where that is no question, or is not computed.
+    """Measurements that would separate the tied causes from the best one; None without ties, or if not computed.
 
     Args:
         recipe: the recipe.
@@ -95,11 +95,11 @@ def advice_for(
 
 
 def discriminating_options(options: Sequence[Option]) -> str:
-    """What tells two causes apart, the first of every kind; empty where nothing does."""
+    """The first option of every kind in words; empty if there is none."""
     first = [next((one.says for one in options if one.kind == kind), None) for kind in KINDS]
     return ", or ".join(words for words in first if words is not None)
 
 
 def bare_title(title: str) -> str:
-    """The title of a cause to stand without its severity."""
+    """Title of a cause without its severity."""
     return title.removesuffix(" by").removesuffix(",")

@@ -1,4 +1,4 @@
-"""What a diagnosis rests on: the deviation with its covariance, the share of deviating cells, and uncertain inputs."""
+"""Evidence of a diagnosis: deviation and covariance, share of deviating cells, and uncertain inputs."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -12,14 +12,14 @@ from anisoscope.prediction.propagation import RIDGE_ANGLE
 from anisoscope.prediction.second_order import Response
 from anisoscope.recipe.surface import SurfaceRecipe
 
-FARTHEST = 6.0  # u from the nominal state to which the second order is trusted
+FARTHEST = 6.0  # range in u about the nominal state within which the second order is valid
 SHARE_FLOOR = 0.003  # cells that deviate on one good part and not on another
-SHARE_RELATIVE = 0.3  # how well a share of deviating cells is predicted: size and form of real marks vary
+SHARE_RELATIVE = 0.3  # uncertainty of a predicted share of deviating cells: size and form of real marks vary
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What a diagnosis rests on.
+    """Evidence of a diagnosis.
 
     Attributes:
         deviation: (P,) ln L measured − ln L predicted.
@@ -29,7 +29,7 @@ class Evidence:
         background: share of cells that deviate on good parts.
         u_background: its standard uncertainty.
         inputs: of the prediction, that may be causes too, or None.
-        learnt: what golden parts teach where the deviation is that from their mean, or None.
+        learnt: scatter learnt from golden parts if the deviation is from their mean, or None.
         share_relative: relative standard uncertainty of a share of deviating cells that a signature predicts.
         share_floor: standard uncertainty of any such share.
     """
@@ -64,7 +64,7 @@ class Evidence:
 
 @dataclass(frozen=True, eq=False)
 class Learnt:
-    """What golden parts teach of good parts, and of how far the model can be believed.
+    """Scatter of good parts and error of the model, learnt from golden parts.
 
     The scatter of n parts is known to n − 1 degrees of freedom only, so that the stated covariance goes in as a prior
     (inverse Wishart, worth as many parts as there are poses; Gelman et al., Bayesian Data Analysis, 3.6): few parts
@@ -76,7 +76,7 @@ class Learnt:
         freedom: degrees of freedom to which it is known.
         misfit: (P,) relative doubt of every change of ln L: by how much the mean of the golden parts lies off the
             prediction in that pose, and on average over the poses, the scale aside. A model that misses L by a share
-            misses its changes by that share at least, and one pose may be met by chance.
+            misses its changes by that share at least, and the agreement in one pose may be accidental.
     """
 
     scatter: FloatArray
@@ -90,7 +90,7 @@ class Learnt:
 
 
 def against(evidence: Evidence, golden: FloatArray, scale_share: float) -> Evidence:
-    """The same part, compared with golden parts instead of the prediction: the model's own error cancels.
+    """Evidence relative to golden parts instead of the prediction: the model's own error cancels.
 
     Args:
         evidence: against the prediction.
@@ -110,7 +110,7 @@ def against(evidence: Evidence, golden: FloatArray, scale_share: float) -> Evide
 
 
 def root_of(covariance: FloatArray) -> FloatArray:
-    """(…, P, P) R with R Rᵀ the covariances (…, P, P); what is certain gets next to no uncertainty instead of none."""
+    """(…, P, P) R with R Rᵀ the covariances (…, P, P); zero variances are regularised."""
     try:
         return np.asarray(np.linalg.cholesky(covariance))
     except np.linalg.LinAlgError:
@@ -120,7 +120,7 @@ def root_of(covariance: FloatArray) -> FloatArray:
 
 
 def covariance_of(components: tuple[Component, ...], scale_share: float, poses: int) -> FloatArray:
-    """(P, P) covariance of ln L from all sources, and a scale that all poses share."""
+    """(P, P) covariance of ln L from all sources, and a scale common to all poses."""
     total = np.full((poses, poses), scale_share**2)
     for component in components:
         total += component.covariance()
@@ -134,7 +134,7 @@ class Inputs:
     Attributes:
         response: of ln L to the inputs, in units of their standard uncertainties.
         u: standard uncertainties of inputs by name, in the unit of the cause's extent.
-        rest: (P, P) covariance of everything else.
+        rest: (P, P) covariance of all other sources.
         units: (K,) standard uncertainties of the response's inputs, in the units of `Tangents`.
     """
 
@@ -149,9 +149,9 @@ class Inputs:
         """(…, P, P) covariance of ln L where a cause has extents (…).
 
         Args:
-            source: the input that the cause is: then it is off by the extent, and not uncertain itself.
+            source: the input identical with the cause: it is shifted by the extent, and not uncertain itself.
             extent: extents of the cause.
-            tangents: how the inputs act on the part there; None: as on the good part, to second order.
+            tangents: response of the part to the inputs at that extent; None: as of the good part, to second order.
         """
         others = np.array([name != source for name in self.response.sources])
         tangent = self.response.slope[:, others]
@@ -175,7 +175,7 @@ class Inputs:
 
 
 def inputs_of(recipe: SurfaceRecipe, expected: Expectation, measured: tuple[Component, ...]) -> Inputs | None:
-    """The uncertain inputs of a recipe's prediction, those that may be causes in the units of their extents."""
+    """Uncertain inputs of a recipe's prediction; those that may be causes in the units of their extents."""
     if expected.response is None:
         return None
     part, rig, sources = recipe.material, recipe.uncertainty, expected.response.sources
@@ -199,7 +199,7 @@ def inputs_of(recipe: SurfaceRecipe, expected: Expectation, measured: tuple[Comp
 def background_of(max_share: float) -> tuple[float, float]:
     """Share of deviating cells on good parts, and its uncertainty.
 
-    All that the limit allows, the less likely the nearer to it: a triangular distribution that falls to 0 at the limit
+    Any share within the limit, with a probability that decreases towards it: a triangular distribution, 0 at the limit
     (JCGM 100:2008, 4.3.9, one side of it).
     """
     return max_share / 3.0, float(max_share / np.sqrt(18.0))
@@ -219,5 +219,5 @@ def share_variance(
     relative: float = SHARE_RELATIVE,
     floor: float = SHARE_FLOOR,
 ) -> FloatArray:
-    """Variances of a share of deviating cells against the (E,) shares that causes predict."""
+    """Variances of a share of deviating cells about the (E,) shares that causes predict."""
     return np.asarray(u_share**2 + u_background**2 + floor**2 + (relative * shares) ** 2)

@@ -1,11 +1,10 @@
-"""How likely the extents of a cause make what was measured: the best extent, its uncertainty, and its 95 % interval.
+"""Likelihood of the extents of a cause: best extent, its uncertainty, and its 95 % interval.
 
-At every extent the covariance is the one that holds there: with the uncertain inputs as they act on a part that has so
-much of the cause, with the doubt of the signature, which grows with the change, and for a cause that is an input of the
-prediction too without that input's uncertainty. −2 ln of the likelihood
-is then χ² and the ln determinant together. The interval holds all extents that the likelihood ratio does not reject
-(Wilks 1938): where a signature bends, or an extent can only be positive, the curvature at the best point says too
-little, because a part may look good though it has some of the defect.
+The covariance depends on the extent: it includes the response of the deviating part to the uncertain inputs and the
+doubt of the signature, which grows with the change; for a cause that is also an input of the prediction it excludes
+that input's uncertainty. −2 ln of the likelihood is then the sum of χ² and the ln determinant. The interval contains all
+extents that the likelihood ratio does not reject (Wilks 1938): where a signature is curved, or an extent can only be
+positive, the curvature at the best point is not sufficient, because a part may look good despite some of the defect.
 """
 
 from dataclasses import dataclass
@@ -18,20 +17,20 @@ from anisoscope.diagnosis.signatures import Signature
 
 QUANTILE = 3.841458820694124
 """95 % of χ² with one degree of freedom."""
-_COARSE = 6  # every sixth extent of a signature's table is looked at first
+_COARSE = 6  # the coarse search takes every sixth extent of a signature's table
 _FINE = 17  # points between the best point's neighbours
 _NEAR, _NEAR_POINTS = 4.0, 25  # u to both sides of the best extent, and points there
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """How well one extent of one cause explains a part.
+    """Fit of one cause to a part.
 
     Attributes:
         extent: the extent.
         u: its standard uncertainty, from the curvature; infinite where the data do not determine it.
-        chi2: what remains unexplained.
-        cost: −2 ln of the likelihood, but for what all causes share.
+        chi2: of the residual.
+        cost: −2 ln of the likelihood, up to a constant common to all causes.
     """
 
     extent: float
@@ -41,7 +40,7 @@ class Fitted:
 
 
 def nothing(evidence: Evidence) -> Fitted:
-    """How well a part as predicted explains what was measured."""
+    """Fit of the hypothesis that the part is as predicted."""
     chi2, cost = _chi2_and_cost(
         evidence, evidence.good[None], np.zeros((1, len(evidence.deviation))), np.zeros(1)
     )
@@ -54,7 +53,7 @@ def fit_extent(signature: Signature, evidence: Evidence, *, as_input: bool = Fal
     Args:
         signature: of the cause.
         evidence: what was measured.
-        as_input: the covariance leaves out the input of the prediction that the cause is, if it is one.
+        as_input: if the cause is an input of the prediction, the covariance excludes that input.
     """
     extents = np.unique(np.append(signature.table[0][::_COARSE], [*signature.bounds, 0.0]))
     extents = extents[(extents >= signature.bounds[0]) & (extents <= signature.bounds[1])]
@@ -71,7 +70,7 @@ def fit_extent(signature: Signature, evidence: Evidence, *, as_input: bool = Fal
 
 
 def _vertex(extents: FloatArray, cost: FloatArray, k: int) -> float:
-    """Where the parabola through the least cost and its neighbours is least."""
+    """Minimum of the parabola through the least cost and its neighbours."""
     if k in (0, len(extents) - 1):
         return float(extents[k])
     left, right = extents[k] - extents[k - 1], extents[k + 1] - extents[k]
@@ -99,10 +98,10 @@ def interval(signature: Signature, evidence: Evidence, fit: Fitted) -> tuple[flo
     Args:
         signature: of the cause.
         evidence: what was measured.
-        fit: the best extent with its uncertainty, to know where to look.
+        fit: the best extent with its uncertainty, which set the search range.
 
     Returns:
-        Least and greatest extent; None where the interval reaches the end of what was looked at, unless that is nil.
+        Least and greatest extent; None where the interval reaches the end of the signature, unless that is 0.
     """
     low, high = signature.bounds
     looked = [signature.table[0][::_COARSE], np.array([low, high, fit.extent])]
@@ -129,7 +128,7 @@ def _crossing(extents: FloatArray, cost: FloatArray, inside: int, outside: int, 
 def costs(
     signature: Signature, evidence: Evidence, extents: FloatArray, *, as_input: bool
 ) -> tuple[FloatArray, FloatArray]:
-    """(E,) χ² and (E,) −2 ln of the likelihood of (E,) extents, but for what all causes share."""
+    """(E,) χ² and (E,) −2 ln of the likelihood of (E,) extents, up to a constant common to all causes."""
     changes, shares = signature.at(extents)
     covariances = _covariances(signature, evidence, extents, changes, as_input=as_input)
     return _chi2_and_cost(evidence, covariances, changes, shares)
@@ -148,7 +147,7 @@ def _chi2_and_cost(
 
 
 def _minus_two_ln(chi2: FloatArray, evidence: Evidence) -> FloatArray:
-    """−2 ln of the density at a squared distance: normal, or Student's where golden parts tell the covariance."""
+    """−2 ln of the density at a squared distance: normal, or Student's if golden parts estimate the covariance."""
     if evidence.learnt is None:
         return chi2
     freedom = evidence.learnt.freedom
@@ -159,7 +158,9 @@ def _quadratic(covariances: FloatArray, off: FloatArray) -> tuple[FloatArray, Fl
     """(E,) dᵀV⁻¹d and (E,) ln |V| of deviations (E, P) with covariances (E, P, P)."""
     try:
         root = np.linalg.cholesky(covariances)
-    except np.linalg.LinAlgError:  # something is certain: what nothing makes uncertain is not divided by nil
+    except (
+        np.linalg.LinAlgError
+    ):  # singular covariance: avoids division by zero along directions without uncertainty
         values, vectors = np.linalg.eigh(covariances)
         values = np.maximum(values, values[:, -1:] * values.shape[-1] * np.finfo(np.float64).eps)
         along = np.einsum("epk,ep->ek", vectors, off)

@@ -1,6 +1,6 @@
-"""What is wrong with a part that deviates, as its record tells it. It never changes the verdict.
+"""Diagnosis of a deviating part for its record. It never changes the verdict.
 
-What cannot be told becomes a note: the causes are computed from models and kept on disk, and neither may fail a part.
+A diagnosis that fails becomes a note: causes are computed from models and cached on disk, and neither may fail a part.
 """
 
 from dataclasses import replace
@@ -23,7 +23,7 @@ from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.schema import DiagnosisRecord
 from anisoscope.record.verdict import Verdict
 
-MAX_LISTED_TIES = 3  # in one line; the table of causes has all
+MAX_LISTED_TIES = 3  # in one line; the table of causes lists all
 
 
 def explain(
@@ -35,19 +35,19 @@ def explain(
     golden: GoldenSet | None = None,
     causes: CauseModel = PLASTIC_CAUSES,
 ) -> tuple[DiagnosisRecord, str | None]:
-    """Rank the causes where the part deviates or did not pass; else there is nothing to explain.
+    """Rank the causes if the part deviates or did not pass.
 
     Args:
         recipe: the recipe.
         expected: the prediction that decided.
         measured: the measurement.
         decision: the verdict, which stands.
-        advance: told of every signature that is computed for the first time.
-        golden: the golden parts that decided what deviates, or None.
+        advance: called at every signature that is not cached.
+        golden: the golden parts used as the reference, or None.
         causes: of the kind of part.
 
     Returns:
-        The diagnosis, and a note where there is none although there should be.
+        The diagnosis, and a note where it failed.
     """
     if decision.verdict is Verdict.PASS and decision.p_value >= recipe.decision.alpha:
         return DiagnosisRecord(says="nothing: the part is as it should be"), None
@@ -72,7 +72,7 @@ def evidence_of(
     decision: Decision,
     golden: GoldenSet | None = None,
 ) -> Evidence:
-    """What the causes are weighed by: ln L over golden parts, else over the prediction, and the share of the area."""
+    """Evidence of a part: ln L relative to golden parts or the prediction, and the deviating share of the area."""
     scale_share, predicted = recipe.uncertainty.scale_share, np.log(expected.radiance)
     deviation = np.log(measured.radiance) - predicted
     covariance = covariance_of(expected.components + measured.components, scale_share, len(deviation))
@@ -87,12 +87,12 @@ def evidence_of(
 
 
 def diagnosis_record(found: Diagnosis, alpha: float, of: str = "part") -> DiagnosisRecord:
-    """The causes as a record tells them.
+    """Record of the ranked causes.
 
     Args:
         found: the causes, ranked.
         alpha: level of significance: below it none of them explains what was inspected.
-        of: what was inspected, in words.
+        of: noun for the inspected part.
     """
     return DiagnosisRecord(
         says=_summary(found, alpha, of), causes=found.causes, unexplained_p=found.unexplained_p

@@ -1,12 +1,12 @@
-"""Which cause explains what was measured: greatest likelihood along every signature, ranked.
+"""Ranking of the causes of a deviation by the maximum likelihood along every signature.
 
 d = ln L measured − predicted has the covariance V of measurement and prediction together, with the scale of the white
-reference as one more shared term, and what is not known of the signature itself, in every pose for itself. Along each
-signature g(e) the extent e has the greatest likelihood (`anisoscope.diagnosis.likelihood`), to which the share of
-deviating cells adds one more datum. Causes are ranked by the Bayesian information criterion (Schwarz 1978). What lies
-within 3σ of the best is a tie, and is said to be one. An extent that is an input of the prediction too, such as a
-roughness, is then fitted again without the uncertainty of that input in V. With golden parts d is the distance from
-their mean, and V is what they and the budget tell together (`anisoscope.diagnosis.evidence.Learnt`).
+reference as one more shared term, and the doubt of the signature, independent in every pose. Along each signature g(e)
+the extent e of maximum likelihood is found (`anisoscope.diagnosis.likelihood`), to which the share of deviating cells
+adds one more datum. Causes are ranked by the Bayesian information criterion (Schwarz 1978). Causes within 3σ of the
+best are reported as ties. An extent that is an input of the prediction too, such as a roughness, is then fitted again
+without the uncertainty of that input in V. With golden parts d is the distance from their mean, and V combines their
+scatter with the budget (`anisoscope.diagnosis.evidence.Learnt`).
 """
 
 from dataclasses import dataclass, replace
@@ -29,7 +29,7 @@ class Diagnosis:
 
     Attributes:
         causes: ranked causes, "nothing" among them.
-        unexplained_p: probability of the χ² that the best leaves; small: none of the causes explains the part.
+        unexplained_p: p value of the residual χ² of the best; small: none of the causes explains the part.
     """
 
     causes: tuple[CauseRecord, ...]
@@ -37,7 +37,7 @@ class Diagnosis:
 
     @property
     def ties(self) -> tuple[CauseRecord, ...]:
-        """The best cause and those that cannot be told from it."""
+        """The best cause and those that cannot be separated from it."""
         return tuple(cause for cause in self.causes if cause.tie)
 
 
@@ -65,7 +65,7 @@ def diagnose(known: Signatures, evidence: Evidence) -> Diagnosis:
 
 
 def _chance(left: float, dof: int, evidence: Evidence) -> float:
-    """Probability of a greater distance: χ², or Hotelling's T² where golden parts tell the covariance."""
+    """Probability of a greater distance: χ², or Hotelling's T² if golden parts estimate the covariance."""
     from scipy.stats import chi2, f  # noqa: PLC0415 - 1 s
 
     if evidence.learnt is None:
@@ -78,7 +78,7 @@ def _cause(
     row: tuple[Signature | None, Fitted], weight: float, best: Fitted, good: Fitted, evidence: Evidence
 ) -> CauseRecord:
     signature, fit = row
-    # what fits no better than nothing at all is no cause, however little the best one explains
+    # a cause that fits no better than "nothing" is excluded, however little the best one explains
     explains = signature is None or good.cost - fit.cost > _SAME
     tie = fit is best or (fit.cost - best.cost < TIE and explains)
     if signature is None:
@@ -109,7 +109,7 @@ def _cause(
 
 
 def _fitted(signature: Signature, evidence: Evidence) -> Fitted:
-    """Weighed with all that is uncertain, so that causes compare; the extent without the input that it is itself."""
+    """Likelihood with the full covariance, so that causes compare; extent without the input identical with it."""
     found = fit_extent(signature, evidence)
     if evidence.inputs is None or signature.cause.source not in evidence.inputs.u:
         return found

@@ -1,8 +1,8 @@
-"""What a recipe's poses can tell, before any part is measured: from which extent a cause shows, beside which others.
+"""Separability of causes under a recipe's poses, predicted before any part is measured.
 
-Two causes are told apart at an extent where no extent of the other comes nearer than 3σ by the likelihood that the
-diagnosis uses: the Fisher information of the poses, taken along the curves that the signatures are instead of along
-their tangents, with what is not known of the signatures themselves.
+Two causes are separated at an extent if no extent of the other is nearer than 3σ by the likelihood of the diagnosis:
+the Fisher information of the poses along the curved signatures instead of their tangents, with the doubt of the
+signatures.
 """
 
 from dataclasses import dataclass
@@ -21,16 +21,16 @@ GRID = 121
 
 @dataclass(frozen=True)
 class Separability:
-    """What the poses tell of one cause.
+    """Detectability of one cause, and its separability from the others.
 
     Attributes:
         cause: its name.
-        title: what it is.
+        title: for people.
         unit: of its extents.
         group: of the cause.
-        detection_extent: least extent (by size) that lies 3σ from a good part, or None within what was looked at.
-        separation_extents: for every other cause, the least extent that lies 3σ from all its extents, or None.
-        greatest: greatest extent that was looked at.
+        detection_extent: least extent (by size) 3σ from a good part, or None within the extents computed.
+        separation_extents: for every other cause, the least extent 3σ from all its extents, or None.
+        greatest: greatest extent computed.
     """
 
     cause: str
@@ -43,12 +43,12 @@ class Separability:
 
     @property
     def inseparable_causes(self) -> tuple[str, ...]:
-        """Causes that look the same at every extent that was looked at."""
+        """Causes that cannot be separated from this one at any extent computed."""
         return tuple(name for name, extent in self.separation_extents.items() if extent is None)
 
     @property
     def separation_extent(self) -> float | None:
-        """Least extent at which no other cause looks the same, or None if there is none."""
+        """Least extent at which the cause is separated from all others, or None if there is none."""
         extents = [abs(extent) for extent in self.separation_extents.values() if extent is not None]
         if (
             self.inseparable_causes
@@ -60,9 +60,9 @@ class Separability:
 
 
 def planned_components(recipe: SurfaceRecipe, expected: Expectation) -> tuple[Component, ...]:
-    """What an inspection by this recipe will add to the prediction's uncertainty, as far as the recipe says.
+    """Measurement components that an inspection by this recipe will add, as far as the recipe states them.
 
-    Noise of the pictures is small against the rest and left out; the lamp drifts by a quarter of its limit.
+    Noise of the pictures is negligible and left out; the lamp is assumed to drift by a quarter of its limit.
     """
     rig = recipe.uncertainty
     own = np.sqrt(rig.flat_share**2 + rig.linearity_share**2 + (0.25 * recipe.limits.drift) ** 2 / 3.0)
@@ -80,7 +80,7 @@ def planned_covariance(recipe: SurfaceRecipe, expected: Expectation) -> FloatArr
 
 
 def planned_inputs(recipe: SurfaceRecipe, expected: Expectation) -> Inputs | None:
-    """The uncertain inputs with what such an inspection will add, or None where it is not known how ln L bends."""
+    """The uncertain inputs of such an inspection, or None where the second-order response is unknown."""
     return inputs_of(recipe, expected, planned_components(recipe, expected))
 
 
@@ -92,14 +92,14 @@ def separability(
     u_background: float = 0.0,
     inputs: Inputs | None = None,
 ) -> tuple[Separability, ...]:
-    """What can be told, cause by cause.
+    """Detectability and separability of every cause.
 
     Args:
         known: the signatures.
         covariance: (P, P) of ln L.
-        with_map: the share of deviating cells counts too.
+        with_map: use the share of deviating cells as well.
         u_background: standard uncertainty of that share on good parts.
-        inputs: the uncertain inputs, which act otherwise on spoiled parts; None: as on the good part.
+        inputs: the uncertain inputs, whose effect depends on the cause; None: as on the good part.
     """
     whitener = whitening(covariance if inputs is None else inputs.covariance())
     u_map = u_background if with_map else None
@@ -157,7 +157,7 @@ def _doubted(
     whitener: FloatArray,
     inputs: Inputs | None,
 ) -> tuple[FloatArray, FloatArray]:
-    """What inputs and doubt make of whitened deviations along a signature.
+    """Likelihood weights of whitened deviations along a signature, from inputs and doubt.
 
     Args:
         signature: of the cause.
@@ -188,7 +188,7 @@ def _good_part(whitener: FloatArray, u_background: float | None) -> _Curve:
 
 
 def _lead(curve: _Curve, other: _Curve) -> FloatArray:
-    """(S,) by how much the likelihood of every point of a curve exceeds the best of another one, as a χ²."""
+    """(S,) excess of the likelihood of every point of a curve over the best of another one, as a χ²."""
     found = np.full(len(curve.extents), np.inf)
     for k in range(len(other.extents)):
         off = (curve.whitened - other.whitened[k]) @ other.scaled[k].T
@@ -200,7 +200,7 @@ def _lead(curve: _Curve, other: _Curve) -> FloatArray:
 
 
 def _least(curve: _Curve, lead: FloatArray) -> float | None:
-    """The extent of least size from which on a curve leads by 3σ."""
+    """Least extent beyond which a curve leads by 3σ throughout."""
     separated = lead >= SIGMAS**2
     best = None
     for side in (1.0, -1.0):

@@ -1,7 +1,7 @@
 """Ridge angle, roughness, height loss and seating of a part, fitted to its contrasts over several tilts.
 
-Only what the poses determine gets a number; the rest is said not to be determined. Light is counted as the prediction
-of an ideal design counts it.
+Parameters not determined by the poses are reported as such. The optical model is that of the prediction of an ideal
+design.
 """
 
 import numpy as np
@@ -18,18 +18,18 @@ from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.schema import EstimateRecord, ShapeRecord
 from anisoscope.sim.light.geometry import directions
 
-# In the order in which they are left out where there are fewer contrasts than parameters.
+# In the order in which they are dropped if there are fewer contrasts than parameters.
 FREE = ("height_loss", "seating_x_deg", "seating_y_deg", "alpha_across", "alpha_along", "ridge_angle_deg")
 SEATING = ("seating_x_deg", "seating_y_deg")
 STARTS = 1
-# What is fitted may not be counted as an uncertainty of the prediction as well.
+# Fitted parameters must not count as uncertainties of the prediction as well.
 HELD = ("albedo of the plastic", "refractive index", "light angle")
 
 
 def fit_shape(
     recipe: SurfaceRecipe, expected: Expectation, measured: Measured
 ) -> tuple[ShapeRecord | None, str | None]:
-    """Fit ideal ridges to the contrasts, where the part was seen at several tilts.
+    """Fit ideal ridges to the contrasts of a part measured at several tilts.
 
     Returns:
         The fit, or None with fewer than two tilts; and a note where it failed.
@@ -39,7 +39,7 @@ def fit_shape(
     try:
         problem = _problem(recipe, expected, measured, FREE)
         known = information(problem, problem.values, problem.readings.covariance)
-        if "ridge_angle_deg" in known.undetermined:  # a tilted seat looks like another angle: trust the seat
+        if "ridge_angle_deg" in known.undetermined:  # degenerate with a tilted seating: assume none
             shape = tuple(name for name in FREE if name not in SEATING)
             problem = _problem(recipe, expected, measured, shape)
         found = fit(problem, starts=STARTS)

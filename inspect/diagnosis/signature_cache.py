@@ -1,4 +1,4 @@
-"""Cache of signatures: they depend on recipe and rig only, and take longer than an inspection."""
+"""Cache of signatures, which depend on recipe and rig only and take longer than an inspection."""
 
 import hashlib
 import io
@@ -22,7 +22,7 @@ def cached_signatures(
     advance: Advance = silent,
     causes: CauseModel = PLASTIC_CAUSES,
 ) -> Signatures:
-    """The signatures of a recipe, computed once; errors as for `signatures`.
+    """Cached signatures of a recipe; errors as for `signatures`.
 
     Args:
         recipe: the recipe.
@@ -50,10 +50,10 @@ def cached_signatures(
 def signature_key(
     recipe: SurfaceRecipe, light_angle_deg: float, causes: CauseModel = PLASTIC_CAUSES
 ) -> dict[str, Any]:
-    """All that signatures are computed from."""
+    """Every input of the signatures, for the cache key."""
     surface = recipe.surface.height_map
     return {
-        "surface": recipe.surface.model_dump(mode="json", exclude={"height_map"}),  # every folder has a copy
+        "surface": recipe.surface.model_dump(mode="json", exclude={"height_map"}),  # its path varies
         "map": "" if surface is None else hashlib.sha256(surface.read_bytes()).hexdigest(),
         "material": vars(recipe.material.material()),
         "poses": recipe.poses.model_dump(mode="json"),

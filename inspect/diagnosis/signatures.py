@@ -1,8 +1,8 @@
-"""What every cause would change in the pictures: ln radiance of every pose, and the share of deviating cells.
+"""Signatures of causes: change of ln radiance of every pose, and of the share of deviating cells.
 
-The recipe's surface is spoiled, step by step, and predicted like the good one (`anisoscope.sim.light`); the difference
-of the two is the signature of the defect. Random defects lie at the same places in every step. What is the same all
-along the ridges of a design is computed on a profile with points so close that worn edges are round.
+Each defect is applied to the recipe's surface in steps of its extent and predicted like the good surface
+(`anisoscope.sim.light`); the difference of the two is its signature. Random defects have the same places in every step.
+Defects that are uniform along the ridges of a design are computed on a profile fine enough for rounded edges.
 """
 
 import contextlib
@@ -52,14 +52,14 @@ DOUBTFUL = 0.2
 
 @dataclass(frozen=True, eq=False)
 class Signature:
-    """What one cause changes.
+    """Signature of one cause.
 
     Attributes:
         cause: the cause.
-        extents: (S,) extents at which it was computed, ascending; those that the surface cannot have are left out.
+        extents: (S,) extents at which it was computed, ascending; those impossible on the surface are left out.
         change: (S, P) ln L − ln L of the good part.
         share: (S,) share of the cells of the contrast map that deviate, beyond those of the good part.
-        tangents: how the inputs of the prediction act along the cause; None: as on the good part.
+        tangents: response to the inputs of the prediction along the cause; None: as on the good part.
     """
 
     cause: Cause
@@ -76,7 +76,7 @@ class Signature:
 
     @cached_property
     def table(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(T,) extents close together, (T, P) changes and (T,) shares there."""
+        """(T,) finely spaced extents, with (T, P) changes and (T,) shares."""
         extents = np.unique(np.concatenate([np.linspace(*self.bounds, TABLE), self.extents]))
         return extents, *self.at(extents)
 
@@ -105,7 +105,7 @@ class Signatures:
         radiance: (P,) of the good part in 1/sr, as this surface predicts it.
         share: share of cells that deviate on the good part.
         found: one a cause.
-        left_out: causes that this surface cannot have, with the reason.
+        left_out: causes impossible on this surface, with the reason.
     """
 
     poses: tuple[Pose, ...]
@@ -136,13 +136,13 @@ def signatures(
     advance: Advance = silent,
     names: Sequence[str] | None = None,
 ) -> Signatures:
-    """Compute what every cause would change for the poses of a recipe.
+    """Compute the signatures of the causes for the poses of a recipe.
 
     Args:
         recipe: the recipe.
         light_angle_deg: angle between light and camera.
-        advance: told of every cause.
-        names: causes to look at; all of them if None.
+        advance: called at every cause.
+        names: causes to compute; all of them if None.
 
     Raises:
         HeightMapError: the recipe's height map cannot be read or used.
@@ -150,7 +150,7 @@ def signatures(
     recipe = recipe.deciding()
     scene = _Scene(recipe, light_angle_deg)
     good, good_share = scene.look(scene.surface, scene.state, with_map=True)
-    if np.isnan(good_share):  # a recipe that does not judge the area has no map
+    if np.isnan(good_share):  # a recipe without limit of the area has no map
         good_share = 0.0
     design = recipe.surface.design
     causes = [
@@ -197,7 +197,7 @@ def _signature(scene: "_Scene", cause: Cause, good: FloatArray, good_share: floa
 
 
 class _Scene:
-    """The recipe's surface, cut to a size that is quick to predict, and what the rig makes of it."""
+    """The recipe's surface, cropped to a size that is quick to predict, under the rig's light and camera."""
 
     def __init__(self, recipe: SurfaceRecipe, light_angle_deg: float) -> None:
         self.poses = recipe.poses.poses()
@@ -211,15 +211,15 @@ class _Scene:
         self.profile = None if self.design is None else _profile(self.design)
 
     def look_along(self, profile: HeightMap) -> FloatArray:
-        """(P,) radiances of ridges that are the same all along."""
+        """(P,) radiances of ridges that are uniform along their length."""
         convention = Convention(self.state.light_angle_deg, facet_azimuth_deg=self.azimuth_deg)
         return self._along(profile)(*directions(self.poses, convention), self.state.material)
 
     def _along(self, profile: HeightMap) -> Model:
-        """The predictor of ridges that are the same all along, from those in the middle."""
+        """Predictor of ridges that are uniform along their length, from the inner ones."""
         relief = Relief(profile, self.pitch_um)
         points = (profile.shape[1] - 1) // PROFILE_PITCHES
-        inner = slice(points, (PROFILE_PITCHES - 1) * points)  # crests stand on both sides
+        inner = slice(points, (PROFILE_PITCHES - 1) * points)  # crests on both sides shadow them
 
         def predict(to_light: FloatArray, to_camera: FloatArray, material: Material) -> FloatArray:
             maps = radiance_maps(relief, to_light, to_camera, material)
@@ -228,11 +228,11 @@ class _Scene:
         return predict
 
     def _band(self, surface: HeightMap) -> Model:
-        """The predictor of as many rows of a surface as sensitivities need."""
+        """Predictor of the band of a surface that sensitivities need."""
         return relief_model(best_band(Relief(surface, self.pitch_um, max_missing_share=1.0)))
 
     def tangents(self, cause: Cause, extents: Sequence[float]) -> Tangents | None:
-        """How the inputs act along a cause; None where they cannot be moved on the good part."""
+        """Response to the inputs along a cause; None where they cannot be varied on the good part."""
         convention = Convention(self.state.light_angle_deg, facet_azimuth_deg=self.azimuth_deg)
         found: dict[float, FloatArray] = {}
         for extent in looked_at(extents):
@@ -246,7 +246,7 @@ class _Scene:
         return Tangents(np.array(list(found)), np.array(list(found.values())))
 
     def _spoiled(self, cause: Cause, extent: float) -> tuple[Surface, State]:
-        """The predictor of the surface with a cause, by the shape that it has without, and the state."""
+        """Predictor of the surface with a cause as a function of the good shape, and its state."""
         along = self.profile is not None and (cause.name in EXTRUDED or cause.group in ("finish", "rig"))
         predictor = self._along if along else self._band
         base = self.profile if along else self.surface
@@ -264,7 +264,7 @@ class _Scene:
         return shaped, state
 
     def look(self, surface: HeightMap, state: State, *, with_map: bool) -> tuple[FloatArray, float]:
-        """(P,) radiances, and the share of deviating cells (NaN where no map was asked for)."""
+        """(P,) radiances, and the share of deviating cells (NaN without map)."""
         relief = Relief(surface, self.pitch_um, max_missing_share=1.0)
         convention = Convention(state.light_angle_deg, facet_azimuth_deg=self.azimuth_deg)
         if not with_map or self.cell_deviation is None:
@@ -281,7 +281,7 @@ class _Scene:
         return np.array(means), self._deviating(np.array(cells))
 
     def _cells(self, radiance: npt.NDArray[np.float32], surface: HeightMap) -> FloatArray:
-        """Means over cells a quarter of a pitch wide, as the contrast map has them."""
+        """Means over cells a quarter of a pitch wide, as in the contrast map."""
         side = self.pitch_um / CELLS_PER_PITCH
         rows, cols = radiance.shape
         row = (np.arange(rows) * surface.pixel_y_um / side).astype(int)

@@ -1,8 +1,8 @@
-"""How the inputs of the prediction act on a part that is not as it should be.
+"""Tangents: response of ln L of a defective part to the inputs of the prediction.
 
-ln L of a spoiled surface answers otherwise to roughness, albedo and seating than that of the good one: a cut crest is a
-facet of its own that looks elsewhere, a broader lobe hides the Lambertian base. What the recipe's uncertainties make of
-ln L is therefore propagated anew (JCGM 100:2008, 5.2) at some extents of a cause, and interpolated between them.
+ln L of a defective surface depends differently on roughness, albedo and seating than that of the good one: a cut crest
+is a facet of another orientation, a broader lobe masks the Lambertian base. The recipe's uncertainties are therefore
+propagated separately (JCGM 100:2008, 5.2) at some extents of a cause, and interpolated between them.
 """
 
 from collections.abc import Sequence
@@ -41,10 +41,10 @@ _UNIT = InputUncertainty(
 
 @dataclass(frozen=True, eq=False)
 class Tangents:
-    """How ln L changes with the inputs along one cause.
+    """Response of ln L to the inputs along one cause.
 
     Attributes:
-        extents: (T,) extents of the cause, ascending, nil among them.
+        extents: (T,) extents of the cause, ascending, including 0.
         slope: (T, P, K) change of ln L per unit of the K `INPUTS`: of ln α, of the albedo, of the index, per degree.
     """
 
@@ -59,7 +59,7 @@ class Tangents:
         return PchipInterpolator(self.extents, self.slope - good, axis=0)
 
     def change(self, extent: float | FloatArray, sources: Sequence[str]) -> FloatArray:
-        """(…, P, K) by how much the slopes of K sources differ from those of the good part; 0 for others."""
+        """(…, P, K) difference of the slopes of K sources from those of the good part; 0 for other sources."""
         found = self._curve(np.clip(extent, self.extents[0], self.extents[-1]))
         columns = [INPUTS.index(source) if source in INPUTS else -1 for source in sources]
         known = np.array([column >= 0 for column in columns])
@@ -71,7 +71,7 @@ class Tangents:
 
 
 def looked_at(extents: Sequence[float]) -> tuple[float, ...]:
-    """Nil and some extents to either side of it, the outermost among them, spread evenly over those that there are."""
+    """0 and some extents to either side of it, evenly spread and including the outermost ones."""
     found = {0.0}
     for side in ([e for e in extents if e > 0.0], [e for e in reversed(extents) if e < 0.0]):
         places = np.linspace(len(side) - 1, 0, A_SIDE + 1)[:-1] if len(side) > A_SIDE else range(len(side))
@@ -85,8 +85,8 @@ def slopes_of(
     """(P, K) change of ln L per unit of every one of `INPUTS`; None where a pose is dark.
 
     Args:
-        surface: predictor of the spoiled surface, by the shape of the good one.
-        state: in which it is predicted.
+        surface: predictor of the defective surface as a function of the good shape.
+        state: of the prediction.
         poses: P poses.
         convention: how the angles are counted.
         turning: the ridge angle of the good surface is uncertain too; else its column is 0.

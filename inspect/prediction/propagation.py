@@ -1,4 +1,4 @@
-"""First-order propagation through a predictor: probes of every input, and the budget that they give."""
+"""First-order propagation of uncertainty through a predictor by finite differences of every input."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -41,7 +41,7 @@ _STAGE = "stage"
 
 @dataclass(frozen=True, eq=False)
 class _Probe:
-    """Two states beside the nominal one, and how far below and above it they stand."""
+    """Two states below and above the nominal one, with their distances from it."""
 
     low: State
     high: State
@@ -51,7 +51,7 @@ class _Probe:
 
 @dataclass(frozen=True)
 class _Source:
-    """A source, the probe that tells its sensitivity, and its standard uncertainty in the probe's unit."""
+    """A source, the probe of its sensitivity, and its standard uncertainty in the unit of the probe."""
 
     name: str
     probe: str
@@ -76,7 +76,7 @@ def _sources(nominal: State, inputs: InputUncertainty) -> list[_Source]:
         _Source(RIDGE_ANGLE, "ridge_angle_deg", inputs.ridge_angle_deg),
         _Source("height loss of the design", "height_loss", inputs.height_loss),
         _Source("height scale of the map", "height_factor", inputs.height_scale_share),
-        # a pixel larger by some share flattens all slopes by it, and direct light knows no other length
+        # a larger pixel flattens all slopes by the same share, and direct light depends on no other length
         _Source("pixel size of the map", "height_factor", -inputs.pixel_size_share),
     ]
 
@@ -120,7 +120,7 @@ def _material_probe(nominal: State, name: str, step: float, limits: tuple[float,
 
 
 def _slope(probe: _Probe, values: FloatArray, middle: FloatArray, radiance: FloatArray) -> FloatArray:
-    """(P,) change of L per unit: by ln L where there is light, by L itself where there is next to none.
+    """(P,) sensitivity of L per unit: by ln L where there is light, by L itself where there is next to none.
 
     ``values`` are the radiances (low, high) and ``middle`` the nominal ones of the surface that was probed, of which
     ``radiance`` is the nominal one of the surface that is meant.
@@ -133,15 +133,15 @@ def _slope(probe: _Probe, values: FloatArray, middle: FloatArray, radiance: Floa
 
 
 def _gain(middle: FloatArray, radiance: FloatArray) -> FloatArray:
-    """(P,) ratio of the radiance meant to the one probed; 1 where either is dark."""
+    """(P,) ratio of the intended radiance to the probed one; 1 where either is dark."""
     bright = (middle > DARK) & (radiance > DARK)
     return np.where(bright, radiance / np.where(bright, middle, 1.0), 1.0)
 
 
 def _curvature(probe: _Probe, values: FloatArray, middle: FloatArray, u: float) -> FloatArray:
-    """(P,) |L''|·u²/√2, what the second order adds to the standard deviation for a normal input.
+    """(P,) |L''|·u²/√2, the second-order part of the standard deviation for a normal input.
 
-    At a limit of what is possible half the distribution is cut off: then the first order itself is in doubt.
+    At a physical limit half the distribution is cut off, and the first order itself is in doubt.
     """
     if min(probe.below, probe.above) <= 0.0:
         return np.asarray(np.abs(values[1] - values[0]) / (probe.below + probe.above) * abs(u))
@@ -163,7 +163,7 @@ def propagate(
     """Budget of the pose radiances to first order, by central differences.
 
     Steps are 1 % of a roughness, 0.01 of the albedo, 0.005 of the index, 0.1° of an angle (0.05° of the ridge angle),
-    0.005 of height loss and scale; at the limit of what is possible one-sided. Sources of no uncertainty cost nothing.
+    0.005 of height loss and scale; one-sided at a physical limit. Sources without uncertainty cost nothing.
 
     Args:
         surface: predictor of a shape; `prediction.sensitivity.fixed` makes one of any model.
@@ -173,7 +173,7 @@ def propagate(
         inputs: standard uncertainties of the inputs.
         radiance: (P,) nominal radiances where ``surface`` is a cheaper stand-in (part of a map); else its own.
         additional: contributions that are not those of an input, such as the scatter of the ridges.
-        on_progress: told of every call of the predictor.
+        on_progress: called at every call of the predictor.
 
     Raises:
         ModelError: a pose so close to the horizon that a step leads below it.
@@ -195,9 +195,7 @@ def propagate(
             change = _slope(probe, pair, middle, meant) * source.u
             bend = gain * _curvature(probe, pair, middle, source.u)
             contributions.append(Contribution(source.name, change, source.correlation, curvature=bend))
-        elif (
-            source.probe not in SHAPE_RANGE
-        ):  # designs have no scale, maps no ridge angle: say nothing of those
+        elif source.probe not in SHAPE_RANGE:  # designs have no scale, maps no ridge angle: not in the budget
             contributions.append(Contribution(source.name, zero, source.correlation))
     if field:
         shift = gain * 5.0 / 18.0 * (values[1] + values[2] - 2.0 * middle)

@@ -1,6 +1,6 @@
-"""By what a recipe is predicted: rays or waves, as its surface needs, and the reason, which goes into the record.
+"""Predictors of a recipe: ray or wave optics as its surface needs, with the reason, which enters the record.
 
-Nothing that is measured has a say, so that all parts of a recipe are predicted alike.
+The choice is independent of the measurement, so that all parts of a recipe share a prediction.
 """
 
 from collections.abc import Callable
@@ -35,15 +35,15 @@ from anisoscope.sim.light.wave.reflectance import LightSpectrum
 
 @dataclass(frozen=True, eq=False)
 class Models:
-    """What a recipe is predicted by.
+    """Predictors of a recipe.
 
     Attributes:
         model: the predictor.
         sampled: a cheaper one of the same surface, for sensitivities; of a design also of other ridge angles.
-        surface: what is drawn of the height map, levelled; None for a design.
+        surface: the levelled height map for the drawings; None for a design.
         name: "relief", "corrected" or "wave".
-        optics: asked, model, reason, stated_error and the like, as `withoptics.optics_note` and `error_note` tell it.
-        neglected_per_sr: what rays neglect where waves were right, in 1/sr; None where they are right themselves.
+        optics: asked, model, reason, stated_error and the like, from `optics_selection.optics_note` and `error_note`.
+        neglected_per_sr: error of rays where waves apply, in 1/sr; None where rays are adequate.
         numerical: relative error of the waves; 0 of rays.
     """
 
@@ -60,8 +60,8 @@ def models_of(recipe: SurfaceRecipe, poses: tuple[Pose, ...], convention: Conven
     """Choose the optics of a plastic surface, and make its predictors.
 
     Raises:
-        HeightMapError: the height map cannot be read or used, or waves are asked for by name and it is too coarse.
-        RecipeError: waves are asked for by name and cannot be had.
+        HeightMapError: the height map cannot be read or used, or is too coarse for waves requested by name.
+        RecipeError: waves are requested by name and unavailable.
     """
     rig = rig_of(recipe, poses, convention)
     if recipe.surface.design is not None:
@@ -105,14 +105,14 @@ def read_surface(recipe: SurfaceRecipe) -> HeightMap:
 
 
 def line_spectrum(wavelength_nm: float, bandwidth_nm: float) -> LightSpectrum:
-    """A lamp's spectrum; one line for a width of 0."""
+    """Spectrum of a lamp; a single line for a width of 0."""
     if bandwidth_nm == 0.0:
         return LightSpectrum((1e-3 * wavelength_nm,))
     return LightSpectrum.led(wavelength_nm, bandwidth_nm, count=3)
 
 
 def rig_of(recipe: SurfaceRecipe, poses: tuple[Pose, ...], convention: Convention) -> Rig:
-    """Material, poses, and sizes of lamp and lens, which the choice of optics depends on."""
+    """Material, poses, and sizes of lamp and lens, on which the choice of optics depends."""
     part = recipe.light
     optics = POINT_LIKE
     if part is not None:
@@ -121,7 +121,7 @@ def rig_of(recipe: SurfaceRecipe, poses: tuple[Pose, ...], convention: Conventio
 
 
 def optics_request_of(recipe: SurfaceRecipe) -> OpticsRequest:
-    """The optics that a recipe asks for, and its lamp."""
+    """Requested optics of a recipe, with its lamp."""
     part = recipe.light
     if part is None:
         return OpticsRequest(recipe.surface.optics)
@@ -134,7 +134,7 @@ def _chosen(
     rig: Rig,
     by_rays: Callable[[], tuple[Model, Surface, HeightMap | None, str]],
 ) -> Models:
-    """Rays or waves for plastic; rays with a stated error where waves would be right and cannot be had."""
+    """Rays or waves for plastic; rays with a stated error where waves apply but are unavailable."""
     request = optics_request_of(recipe)
     choice = optics_for(surface, rig, request)
     model, sampled, drawn, name = by_rays()
@@ -163,7 +163,7 @@ def _chosen(
 
 
 def _turned(surface: HeightMap | RidgeDesign, found: Model, rig: Rig, request: OpticsRequest) -> Surface:
-    """The waves of a surface as it is, and of a design of other ridge angles."""
+    """Wave predictors of the surface, and of a design with other ridge angles."""
 
     def shaped(shape: Shape) -> Model:
         if not isinstance(surface, RidgeDesign) or shape.ridge_angle_deg == surface.ridge_angle_deg:
@@ -176,5 +176,5 @@ def _turned(surface: HeightMap | RidgeDesign, found: Model, rig: Rig, request: O
 
 
 def optics_notes(choice: OpticsChoice | None, rig: Rig, request: OpticsRequest) -> dict[str, Any]:
-    """What a record says of the choice of optics."""
+    """Notes of a record on the choice of optics."""
     return optics_note(choice, request) | error_note(choice, rig, request)

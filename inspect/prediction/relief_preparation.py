@@ -1,4 +1,4 @@
-"""A height map made ready for prediction: levelled, its period known, its facets chosen."""
+"""Preparation of a height map for prediction: levelling, period, facets."""
 
 from typing import Any, Literal
 
@@ -72,7 +72,7 @@ def prepare_relief(
 
 
 def map_notes(relief: Relief, period: Period) -> dict[str, Any]:
-    """What a reader of a prediction should know of its map."""
+    """Notes on the map of a prediction."""
     notes: dict[str, Any] = {"missing_share": relief.missing_share}
     done = relief.surface.origin.get("levelling")
     notes["levelling"] = done["method"] if isinstance(done, dict) else "none"

@@ -1,9 +1,9 @@
-"""How ln L of all poses bends with the inputs that they share.
+"""Second-order response of ln L of all poses to their shared inputs.
 
-An input that is uncertain (roughness, albedo, seating, …) moves all poses together along a curve, and good parts lie
-around that curve. A covariance knows its tangent only: where the camera errs less than the curve bends, distances in
-the metric of a covariance find too many good parts far off. So the curve itself is kept, to second order, and the
-distance of a part is that from the nearest point of it (`neareststate`).
+An uncertain input (roughness, albedo, seating, …) moves all poses together along a curve, and good parts scatter about
+that curve. A covariance represents its tangent only: where the bend of the curve exceeds the camera's errors, the
+Mahalanobis distance rejects too many good parts. So the curve itself is represented, to second order, and the distance
+of a part is that from its nearest point (`profile_likelihood`).
 """
 
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ from anisoscope.prediction.sensitivity import (
 from anisoscope.sim.light.geometry import Convention, Pose
 
 INDEX_RANGE = (1.0, 4.0)
-_LEAST_STEP = 0.2  # in u; an input nearer to the end of what is possible than that is taken to be straight
+_LEAST_STEP = 0.2  # in u; an input nearer to its physical limit than that is taken as linear
 _SEAT = {"seating tilt about x": 0, "seating tilt about y": 1}
 _MATERIAL = {
     "roughness along the ridges": ("alpha_along", ALPHA_RANGE),
@@ -63,7 +63,7 @@ class Response:
         return Response(self.sources, basis @ self.slope, np.einsum("ip,pab->iab", basis, self.bend))
 
     def draw(self, covariance: FloatArray, count: int, rng: np.random.Generator) -> FloatArray:
-        """(count, P) errors as they would be: of normal inputs, and of every pose for itself with a covariance."""
+        """(count, P) random errors: of normal inputs, plus independent ones with a covariance."""
         values, vectors = np.linalg.eigh(covariance)
         alone = rng.standard_normal((count, len(values))) * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
         return np.asarray(alone + self.change(rng.standard_normal((count, len(self.sources)))))
@@ -77,7 +77,7 @@ def response_of(
     inputs: InputUncertainty,
     straight: dict[str, FloatArray],
 ) -> Response | None:
-    """Second-order response of ln L, by probes one u to either side of every input and of every two together.
+    """Second-order response of ln L, from probes one u to either side of every input and of every pair.
 
     Args:
         surface: the predictor of a shape.
@@ -85,7 +85,7 @@ def response_of(
         poses: P poses.
         convention: how the angles are counted.
         inputs: standard uncertainties of the inputs.
-        straight: (P,) change of ln L per u of every input that is uncertain, for those that cannot be probed.
+        straight: (P,) change of ln L per u of every uncertain input, for those that cannot be probed.
 
     Returns:
         The response, or None where a probe finds no light, so that ln L has no second order.
@@ -118,7 +118,7 @@ def response_of(
 
 
 def _offsets(steps: FloatArray) -> list[FloatArray]:
-    """Where to look, in units of u: at the nominal state, beside it along every input, and along every two."""
+    """Probed states in units of u: the nominal one, steps along every input, and along every pair."""
     unit = np.diag(steps)
     bent = [k for k in range(len(steps)) if steps[k] > 0.0]
     ends = [sign * unit[k] for k in bent for sign in (-1.0, 1.0)]
@@ -126,7 +126,7 @@ def _offsets(steps: FloatArray) -> list[FloatArray]:
 
 
 def _step(nominal: State, name: str, inputs: InputUncertainty) -> float:
-    """How many u may be probed to either side, at most one; 0 where it is too few to tell a bend."""
+    """Step of the probe in u, at most one; 0 where it would be too small to determine a bend."""
     if name == RIDGE_ANGLE:
         value, (low, high) = nominal.shape.ridge_angle_deg, SHAPE_RANGE["ridge_angle_deg"]
     elif name in _MATERIAL:
@@ -173,6 +173,6 @@ def _moved(nominal: State, offset: dict[str, float], inputs: InputUncertainty) -
 
 
 def known_inputs(sources: Sequence[str]) -> tuple[str, ...]:
-    """Those of several sources of uncertainty whose inputs can be moved."""
+    """The sources of uncertainty whose inputs can be probed."""
     known = {*_MATERIAL, *_SEAT, "light angle", RIDGE_ANGLE}
     return tuple(source for source in sources if source in known)

@@ -1,9 +1,9 @@
-"""How uncertain a prediction is: from the uncertainty of its inputs to a covariance of the pose radiances.
+"""Sensitivity of a prediction: from the uncertainty of its inputs to a covariance of the pose radiances.
 
 The law of propagation of uncertainty (JCGM 100:2008, 5.2; for several outputs JCGM 102:2011, 6.2): every input is
 moved a small step down and up, everything else held, and half the change of the radiances per step times the
 standard uncertainty of the input is its contribution. Works with any predictor that takes directions and a
-material. All states that share material and shape go into one call of the predictor.
+material. All states with the same material and shape are evaluated in one call of the predictor.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,38 +22,38 @@ from anisoscope.sim.light.material import Material
 Correlation = Literal["shared", "independent", "partial"]
 Model = Callable[[FloatArray, FloatArray, Material], FloatArray]
 
-DARK = 1e-9  # 1/sr; below it ln L says nothing
+DARK = 1e-9  # 1/sr; below it ln L is meaningless
 ALPHA_RANGE = (0.001, 1.0)
 SHAPE_RANGE = {
     "ridge_angle_deg": (0.0, 44.9),
     "height_loss": (0.0, 1.0),
     "height_factor": (0.0, float("inf")),
 }
-_CURVED = 0.3  # share of the linear u above which the second order is told
+_CURVED = 0.3  # share of the linear u above which the second order is reported
 _ROUGHLY_LINEAR = 0.3  # relative u of one source, likewise
 
 
 @dataclass(frozen=True)
 class InputUncertainty:
-    """Standard uncertainties of everything that a prediction is made from; the defaults are the recipe's.
+    """Standard uncertainties of all inputs of a prediction; the defaults are the recipe's.
 
     Attributes:
-        alpha_share: relative, of both roughnesses, each for itself.
+        alpha_share: relative, of both roughnesses independently.
         albedo: of the diffuse albedo.
         index: of the refractive index.
         light_angle_deg: of the angle between light and camera.
         light_field_deg: half-width by which the light angle varies over the field of view.
-        stage_deg: of the stage angle, another error in every pose.
+        stage_deg: of the stage angle, independent in every pose.
         stage_zero_deg: of the stage's zero against the ridges, the same in all poses.
-        tilt_deg: of the tilt, another error in every pose.
+        tilt_deg: of the tilt, independent in every pose.
         tilt_zero_deg: of the zero of the tilt, the same in all poses.
         seating_tilt_deg: of the seating, about x and about y of the part, each.
         ridge_angle_deg: of the ridge angle of a design.
         height_loss: of the height loss of a design, a share.
-        height_noise_um: standard deviation of the noise of a height map, in each point for itself.
+        height_noise_um: standard deviation of the noise of a height map, independent in every point.
         height_scale_share: relative, of the amplification of the heights of a map.
         pixel_size_share: relative, of the pixel size of a map, both axes together.
-        height_map_share: relative, of the radiance of a pose, for whatever else is wrong with a map.
+        height_map_share: relative, of the radiance of a pose, for all other errors of a map.
         ridges_seen: number of ridges in the camera's field of view; None counts no scatter for them.
 
     Raises:
@@ -92,7 +92,7 @@ class InputUncertainty:
 
 @dataclass(frozen=True)
 class Shape:
-    """What may be uncertain about the shape of a surface.
+    """Uncertain parameters of the shape of a surface.
 
     Attributes:
         ridge_angle_deg: ridge angle of a design.
@@ -110,7 +110,7 @@ Surface = Callable[[Shape], Model]
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Everything that one prediction depends on; the turns are one number or (P,) values, in degrees."""
+    """All inputs of one prediction; rotations are one number or (P,) values, in degrees."""
 
     material: Material
     light_angle_deg: float
@@ -122,17 +122,17 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class Contribution:
-    """What one source adds to the uncertainty of the pose radiances.
+    """Contribution of one source to the uncertainty of the pose radiances.
 
     Attributes:
-        source: what it is, in words.
+        source: its name in words.
         absolute: (P,) standard uncertainty in 1/sr; signed where it is shared.
         correlation: "shared": one error moves all poses together; "independent": every pose has its own;
             "partial": as ``matrix`` says.
         matrix: (P, P) covariance in 1/sr², for "partial" only.
         curvature: (P,) standard deviation in 1/sr that the second order of the model adds; not in the covariance.
         rectangular: evenly distributed within its bounds, else normal.
-        kind: of what it makes uncertain.
+        kind: of the uncertain quantity.
     """
 
     source: str
@@ -200,7 +200,7 @@ class Budget:
 
 
 def fixed(model: Model) -> Surface:
-    """A surface whose shape is beyond doubt, from its predictor."""
+    """A surface of exactly known shape, from its predictor."""
     return lambda _shape: model
 
 
@@ -235,7 +235,7 @@ def evaluate(
     """Radiances of all poses in all states, (S, P) in 1/sr; one call of the predictor per material and shape.
 
     Raises:
-        ModelError: in some state light or camera stands at or below the horizon of the sample.
+        ModelError: in some state light or camera is at or below the horizon of the sample.
     """
     groups: dict[tuple[Shape, Material], list[int]] = {}
     for number, state in enumerate(states):

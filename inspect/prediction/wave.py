@@ -1,7 +1,7 @@
-"""A predictor by wave optics that stands beside the geometric ones.
+"""Predictor by wave optics, with the interface of the geometric ones.
 
-Light mirrored by the surface is followed as a wave; the Lambertian base, which is light that was scattered inside the
-plastic, as rays. Radiances have the meaning and the unit of the geometric models.
+Light reflected at the surface is propagated as a wave, the Lambertian base (light scattered inside the plastic) as
+rays. Radiances have the meaning and the unit of the geometric models.
 """
 
 from dataclasses import dataclass, field, replace
@@ -36,7 +36,7 @@ _DESIGN_POINTS = 2**20
 
 
 def wave_surface(surface: HeightMap) -> WaveSurface:
-    """The heights for wave optics; a map whose rows are all alike counts as a profile drawn out endlessly.
+    """The heights for wave optics; a map of identical rows counts as an infinitely extended profile.
 
     Raises:
         HeightMapError: a pixel without a height.
@@ -48,7 +48,7 @@ def wave_surface(surface: HeightMap) -> WaveSurface:
 
 
 def design_surface(design: RidgeDesign, light: LightSpectrum) -> WaveSurface:
-    """Profile of ideal ridges, sampled so finely that the walls hold the phase; vertical walls are jumps.
+    """Profile of ideal ridges, sampled finely enough for the phase on the walls; vertical walls are jumps.
 
     Raises:
         ModelError: too many points would be needed.
@@ -92,11 +92,11 @@ def window_of(
 
 @dataclass(eq=False)
 class WavePredictor:
-    """Predicts radiances by wave optics; keeps the correlations that it has taken.
+    """Predictor of radiances by wave optics; caches its height correlations.
 
     Attributes:
-        surface: the heights, as fine as they are to be used.
-        base: the geometric model, which gives the Lambertian base: what it gives more with albedo than without.
+        surface: the heights, at the sampling used.
+        base: the geometric model; its difference with and without albedo is the Lambertian base.
         optics: lamp and lens.
         light: the wavelengths.
     """
@@ -116,7 +116,7 @@ class WavePredictor:
         """(P,) radiances in 1/sr for (P, 3) unit vectors; the signature of every predictor.
 
         Raises:
-            HeightMapError: the pixels are too coarse, or the map is smaller than light is coherent over.
+            HeightMapError: the pixels are too coarse, or the map is smaller than the coherence length.
             ModelError: a direction below the horizon, or a lamp close by.
         """
         halves = [half_vector(i, o) for i, o in zip(to_light, to_camera, strict=True)]
@@ -138,14 +138,14 @@ class WavePredictor:
         for wavelength, share in zip(self.light.wavelengths_um, self.light.weights, strict=True):
             stored = self._correlation(wavelength, half.z, window)
             found = stored.correlation
-            # another h_z is another wavelength, of the same slopes
+            # another h_z is equivalent to another wavelength at the same slopes
             matched = replace(half, x=half.x * found.h_z / half.z, y=half.y * found.h_z / half.z, z=found.h_z)
             dense = (found.extruded_density if self.surface.is_profile else found.density)(matched, window)
             dense *= (found.h_z / half.z) ** 2
             total += (
                 share * radiance_scale(half, wavelength) * dense * self._cell(half, wavelength, stored.times)
             )
-        return max(total * lobe.factor, 0.0)  # rounding leaves less than nothing where it is dark
+        return max(total * lobe.factor, 0.0)  # rounding may leave negative values where it is dark
 
     def _cell(self, half: HalfVector, wavelength_um: float, times: int) -> float:
         from anisoscope.sim.light.wave.fused import cell_response  # noqa: PLC0415 - numba when first needed
@@ -166,13 +166,13 @@ class WavePredictor:
             ):
                 return stored
         self._check_size(wavelength_um, h_z, window)
-        roomy = 1.3 * reach[0], 1.3 * reach[1]  # other roughness and tilts are asked for next
+        roomy = 1.3 * reach[0], 1.3 * reach[1]  # margin for other roughnesses and tilts
         found = correlation_of(self.surface, wavelength_um, h_z, roomy, endless=True)
         self._stored.append(_Stored(found.of_cells(times), roomy, times))
         return self._stored[-1]
 
     def _times(self, wavelength_um: float, h_z: float, window: Window) -> int:
-        """Parts that pixels of one height are taken in."""
+        """Number of parts into which pixels of constant height are divided."""
         if not self.surface.cells or window.slope_variance is None:
             return 1
         rough = 2.0 * h_z / wavelength_um * np.sqrt(np.diag(window.slope_variance))
@@ -200,7 +200,7 @@ class WavePredictor:
 
 @dataclass(frozen=True, eq=False)
 class _Stored:
-    """A correlation, how far it reaches along x and y, and the parts that pixels of one height are taken in."""
+    """A cached correlation, its reach along x and y, and the subdivision of pixels of constant height."""
 
     correlation: Correlation
     reach: tuple[float, float]

@@ -1,1 +1,1 @@
-"""The recipe: what a part should look like, how it is photographed, and how it is judged."""
+"""The recipe: expected part, poses and acquisition, and the decision rule."""

@@ -1,4 +1,4 @@
-"""What recipes of all kinds of parts have in common: name, poses, exposure, region, and limits of a measurement."""
+"""Common part of the recipes of all kinds: name, poses, exposure, region, and limits of a measurement."""
 
 from itertools import pairwise
 from typing import Annotated, ClassVar, Literal, Self
@@ -13,8 +13,8 @@ from anisoscope.rig.acquisition.plan import LEAST_STEP
 class AcquisitionPart(Part):
     """Exposure and repetition.
 
-    ``brackets`` are further exposures of every pose, as multiples of ``exposure_s``, for parts whose dark poses are
-    lost in noise at the exposure that the bright ones bear. Frames are counted for every exposure.
+    ``brackets`` are further exposures of every pose, as multiples of ``exposure_s``, for parts whose dark poses drown
+    in noise at the longest exposure that the bright ones allow. The number of frames is per exposure.
     """
 
     exposure_s: Positive
@@ -36,7 +36,7 @@ class AcquisitionPart(Part):
 
 
 class RegionPart(Part):
-    """The rectangle of the part that is judged, in mm.
+    """The inspected rectangle of the part, in mm.
 
     ``center_mm`` is (x, y) from the rotation axis at stage angle 0, ``size_mm`` (across the ridges, along them).
     """
@@ -46,10 +46,10 @@ class RegionPart(Part):
 
 
 class DecisionBase(Part):
-    """How a part of any kind is judged.
+    """Decision rule for a part of any kind.
 
     ``alpha`` is the level of significance; ``deviation`` says what a significant deviation within the tolerance does;
-    the guard band is ``coverage`` standard uncertainties wide. What is INCONCLUSIVE is photographed up to ``remeasure``
+    the guard band is ``coverage`` standard uncertainties wide. INCONCLUSIVE parts are measured up to ``remeasure``
     times more.
     """
 
@@ -60,7 +60,7 @@ class DecisionBase(Part):
 
 
 class LimitsPart(Part):
-    """What makes a measurement INVALID."""
+    """Limits beyond which a measurement is INVALID."""
 
     saturated_share: Share = 0.001
     registration_px: Positive = 0.5
@@ -71,7 +71,7 @@ class LimitsPart(Part):
 
 
 class CommonUncertainty(Part):
-    """Standard uncertainties of the rig that one inspection of any kind of part cannot see."""
+    """Standard uncertainties of the rig that a single inspection cannot determine."""
 
     light_angle_deg: NotNegative = 0.1
     stage_deg: NotNegative = 0.05
@@ -83,7 +83,7 @@ class CommonUncertainty(Part):
 
 
 class RecipeBase(Part):
-    """What the recipes of all kinds of parts have in common; a kind adds its own tables, and may narrow these."""
+    """Common tables of the recipes of all kinds; a kind adds its own tables, and may narrow these."""
 
     schema_version: Annotated[Literal[1], Field(alias="schema")]
     kind: str | None = None
@@ -97,13 +97,13 @@ class RecipeBase(Part):
     uncertainty: CommonUncertainty = CommonUncertainty()
 
     steps: ClassVar[str] = "cells"
-    """What the region is a whole number of, in the plural."""
+    """Unit of which the region is a whole number, in the plural."""
     margin_at_markers: ClassVar[bool] = False
-    """The region that is taught keeps a step off the markers, where the edge of the part may lie."""
+    """The taught region keeps one step clear of the markers, where the edge of the part may be."""
     described_in: ClassVar[str] = "are its tables"
-    """The tables of what is predicted from, with their verb."""
+    """The tables that describe the expected part, with their verb."""
 
     @property
     def step_mm(self) -> float:
-        """By what a region grows."""
+        """Increment of the size of a region."""
         return 0.1

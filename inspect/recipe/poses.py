@@ -1,4 +1,4 @@
-"""The poses of a recipe: stage angles and tilts, and whether light and camera stand above the part in all of them."""
+"""The poses of a recipe: stage angles and tilts, with light and camera above the horizon in all of them."""
 
 from pathlib import Path
 from typing import Annotated, Self
@@ -30,7 +30,7 @@ class PosesPart(Part):
 
 
 def check_poses(poses: PosesPart, light_angle_deg: float, path: Path | None = None) -> None:
-    """Do light and camera stand above the part in every pose?
+    """Check that light and camera are above the horizon of the part in every pose.
 
     Args:
         poses: of the recipe.
@@ -38,7 +38,7 @@ def check_poses(poses: PosesPart, light_angle_deg: float, path: Path | None = No
         path: of the recipe's file, for the message.
 
     Raises:
-        RecipeError: in some pose one of them does not.
+        RecipeError: in some pose one of them is not.
     """
     try:
         directions(poses.poses(), Convention(light_angle_deg))

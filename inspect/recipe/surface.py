@@ -1,4 +1,4 @@
-"""The recipe of a part with a surface: what it is compared with, its material, its light, and how it is judged."""
+"""Recipe of a part with a surface: reference surface, material, light, and decision rule."""
 
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self, TypeVar
@@ -17,7 +17,7 @@ WIDEST = 0.4
 
 
 class LightPart(Part):
-    """Lamp and lens as the part sees them, with standard uncertainties: what waves make of a part depends on them.
+    """Lamp and lens as seen from the part, with standard uncertainties; diffraction depends on them.
 
     ``bandwidth_nm`` is the full width of the lamp's spectrum at half of its height; half angles are those of the cones
     of light that fall in and that the lens collects.
@@ -48,7 +48,7 @@ AskedOptics = Literal["auto", "geometric", "wave"]
 
 
 class DesignPart(Part):
-    """Ideal ridges; ``u_ridge_angle_deg`` is how much the angle of good parts spreads, a standard deviation."""
+    """Ideal ridges; ``u_ridge_angle_deg`` is the standard deviation of the angle of good parts."""
 
     ridge_angle_deg: Annotated[float, Field(ge=0.0, lt=45.0)]
     u_ridge_angle_deg: NotNegative = 0.0
@@ -56,7 +56,7 @@ class DesignPart(Part):
 
 
 class SurfacePart(Part):
-    """What the part is compared with: a measured height map, an ideal design, or both.
+    """Reference surface: a measured height map, an ideal design, or both.
 
     ``pitch_um`` is needed in all cases: means and the contrast map are taken over whole pitches. Of both surfaces,
     ``compare`` says which one decides; the other is compared with as well. ``optics`` says how light is predicted:
@@ -90,12 +90,12 @@ class SurfacePart(Part):
 
     @property
     def decides(self) -> Surface:
-        """What the verdict compares with."""
+        """The surface on which the verdict is based."""
         return self.compare or ("height_map" if self.design is None else "design")
 
     @property
     def both(self) -> bool:
-        """There is a second comparison."""
+        """Whether there is a second surface to compare with."""
         return self.height_map is not None and self.design is not None
 
     def ridge_design(self) -> RidgeDesign:
@@ -126,11 +126,11 @@ class MaterialPart(Part):
 
 
 class DecisionPart(DecisionBase):
-    """How contrasts are judged.
+    """Decision rule for the contrasts.
 
     ``tolerance`` is the largest deviation |measured − predicted| of a good part, one number for all pairs or
     one a pair; without it a significant deviation at ``alpha`` fails the part. ``deviation`` says what a
-    significant deviation within the tolerance does. What is INCONCLUSIVE is photographed up to ``remeasure`` times
+    significant deviation within the tolerance does. INCONCLUSIVE parts are measured up to ``remeasure`` times
     more.
     """
 
@@ -139,9 +139,9 @@ class DecisionPart(DecisionBase):
 
 
 class AreaPart(Part):
-    """How the contrast map is judged: cells a quarter of a pitch wide, against the median along their flank.
+    """Decision rule for the contrast map: cells a quarter of a pitch wide, against the median along their flank.
 
-    A cell deviates where its ln ratio is off by more than ``cell_deviation``; the part fails where more than
+    A cell deviates if its ln ratio differs by more than ``cell_deviation``; the part fails if more than
     ``max_share`` of the area does.
     """
 
@@ -150,7 +150,7 @@ class AreaPart(Part):
 
 
 class RigUncertainty(CommonUncertainty):
-    """Standard uncertainties of the rig that one inspection cannot see.
+    """Standard uncertainties of the rig that a single inspection cannot determine.
 
     ``tilt_deg`` is of the zero of the tilt.
     """
@@ -160,7 +160,7 @@ class RigUncertainty(CommonUncertainty):
 
 
 class SurfaceRecipe(RecipeBase):
-    """The recipe of a part with a surface whose contrasts are predicted; each kind of surface adds what it needs."""
+    """Recipe of a part with a surface whose contrasts are predicted; each kind of surface adds its own tables."""
 
     surface: SurfacePart
     material: MaterialPart
@@ -178,7 +178,7 @@ class SurfaceRecipe(RecipeBase):
         return self
 
     def _check_span(self, pitches: float, words: str) -> None:
-        """Is the region as wide as so many pitches, both ways?"""
+        """Check that the region spans the minimum number of pitches both ways."""
         smallest_mm = pitches * self.surface.pitch_um / 1000.0
         if min(self.region.size_mm) < smallest_mm * (1.0 - 1e-9):
             raise ValueError(f"region.size_mm must span {words} ({smallest_mm:g} mm)")
@@ -188,7 +188,7 @@ class SurfaceRecipe(RecipeBase):
 
     @property
     def step_mm(self) -> float:
-        """By what a region grows: a pitch."""
+        """Increment of the size of a region: one pitch."""
         return self.surface.pitch_um / 1000.0
 
     def tolerances(self) -> tuple[float, ...] | None:
@@ -199,13 +199,13 @@ class SurfaceRecipe(RecipeBase):
         return (tolerance,) * (len(self.poses.tilts_deg) * (len(self.poses.angles_deg) - 1))
 
     def against(self, surface: Surface) -> Self:
-        """The recipe with one of its surfaces alone."""
+        """The recipe reduced to one of its surfaces."""
         other = "design" if surface == "height_map" else "height_map"
         alone = self.surface.model_copy(update={other: None, "compare": None})
         return self.model_copy(update={"surface": alone})
 
     def deciding(self) -> Self:
-        """The recipe with the surface alone that decides."""
+        """The recipe reduced to the surface that decides."""
         return self.against(self.surface.decides) if self.surface.both else self
 
 
@@ -233,7 +233,7 @@ MAX_Z = 3.0
 
 
 def check_lamp(recipe: SurfaceRecipe, rig: RigFile, path: Path) -> None:
-    """Compare the recipe's lamp and lens with those of the rig file; what either leaves out is not compared.
+    """Compare the recipe's lamp and lens with those of the rig file, as far as both state them.
 
     Args:
         recipe: with ``[light]`` or without.

@@ -1,4 +1,4 @@
-"""A recipe that was taught by good parts: what changed, and where the version before lies."""
+"""Result of teaching a recipe from good parts: the changes, and the path of the previous version."""
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -9,7 +9,7 @@ from anisoscope.base.errors import RecordError
 
 @dataclass(frozen=True)
 class Change:
-    """A value of the recipe, as it was and is."""
+    """Old and new value of a recipe entry."""
 
     key: str
     old: Any
@@ -19,14 +19,14 @@ class Change:
 
 @dataclass(frozen=True)
 class Taught:
-    """A recipe that was taught.
+    """A taught recipe.
 
     Attributes:
         version: the new one.
-        kept: where the old version lies.
+        kept: path of the previous version.
         folder: the inspection of the good part with the new exposure and region; None where none was inspected.
         changes: what was changed.
-        notes: what the user should know besides.
+        notes: further remarks for the user.
     """
 
     version: int
@@ -42,10 +42,10 @@ class Taught:
 
 
 def previous_version_path(recipe_path: Path, version: int) -> Path:
-    """Where the old version goes.
+    """Path for the previous version.
 
     Raises:
-        RecordError: something else lies there.
+        RecordError: another file has this name.
     """
     path = recipe_path.with_name(f"{recipe_path.stem}.v{version}{recipe_path.suffix}")
     if path.exists():

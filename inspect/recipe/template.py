@@ -1,4 +1,4 @@
-"""The text of a recipe file: a new one with comments, and one with some values changed and the rest as it was."""
+"""Text of a recipe file: a new one with comments, and edits of values that leave the rest unchanged."""
 
 import re
 import tomllib
@@ -73,14 +73,14 @@ def new_recipe(
     height_map: str | None,
     u_ridge_angle_deg: float | None = None,
 ) -> str:
-    """The text of a recipe with comments; of two surfaces the height map decides, unless a spread is given.
+    """Text of a new recipe with comments; of two surfaces the height map decides, unless a spread is given.
 
     Args:
         product: name of the product.
         pitch_um: pitch of the ridges.
         ridge_angle_deg: of the ideal design, or None.
-        height_map: path of a height map, as it shall stand there, or None.
-        u_ridge_angle_deg: spread of the ridge angle of good parts; beside a height map None, unless the design is to
+        height_map: path of a height map as written into the recipe, or None.
+        u_ridge_angle_deg: spread of the ridge angle of good parts; with a height map None, unless the design is to
             decide.
     """
     lines = []
@@ -109,14 +109,14 @@ def new_recipe(
 
 
 def with_values(text: str, changes: Mapping[tuple[str, ...], Any]) -> str:
-    """The text with some values changed; comments and everything else stay.
+    """The text with some values changed; comments and everything else are preserved.
 
     Args:
         text: of a recipe.
         changes: new values by (key,) at the top or (table, key).
 
     Raises:
-        RecipeError: the file is written in a way in which this cannot change it.
+        RecipeError: the layout of the file does not allow the change.
     """
     expected = tomllib.loads(text)
     for place, value in changes.items():
@@ -160,7 +160,7 @@ def _changed(text: str, place: tuple[str, ...], value: object) -> str:
 
 
 def _end(lines: list[str], first: int) -> int:
-    """The line after a value that may be an array over several lines."""
+    """First line after a value, which may be an array over several lines."""
     depth = 0
     for k in range(first, len(lines)):
         code = lines[k].partition("#")[0]
@@ -171,7 +171,7 @@ def _end(lines: list[str], first: int) -> int:
 
 
 def _literal(value: object) -> str:
-    """A value as TOML writes it."""
+    """A value in TOML syntax."""
     import tomli_w  # noqa: PLC0415
 
     if isinstance(value, list | tuple):
