@@ -2,9 +2,10 @@
 
 The covariance depends on the extent: it includes the response of the deviating part to the uncertain inputs and the
 doubt of the signature, which grows with the change; for a cause that is also an input of the prediction it excludes
-that input's uncertainty. −2 ln of the likelihood is then the sum of χ² and the ln determinant. The interval contains all
-extents that the likelihood ratio does not reject (Wilks 1938): where a signature is curved, or an extent can only be
-positive, the curvature at the best point is not sufficient, because a part may look good despite some of the defect.
+that input's uncertainty. −2 ln of the likelihood is then the sum of χ² and the ln determinant. The interval contains
+all extents that the likelihood ratio does not reject (Wilks 1938): where a signature is curved, or an extent can only
+be positive, the curvature at the best point is not sufficient, because a part may look good despite some of the
+defect.
 """
 
 from dataclasses import dataclass

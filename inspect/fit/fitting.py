@@ -1,4 +1,4 @@
-"""Weighted nonlinear least squares of the reflectance models; no number that the data do not give.
+"""Weighted nonlinear least squares of the reflectance models; reports only parameters determined by the data.
 
 Starts are the best of a fixed grid of ridge angles and roughnesses, so that the same data always give the same
 fit. The search runs in direct light and ends with the reflections asked for.
@@ -44,7 +44,7 @@ _GRIDS = {
     "alpha_along": (0.03, 0.06, 0.12, 0.25),
     "alpha_across": (0.03, 0.06, 0.12, 0.25),
 }
-_ROUNDS = 4  # of refreshing the table of the interface
+_ROUNDS = 4  # iterations of updating the table of the interface
 _EVALUATIONS = {True: 100, False: 40}  # of a fine and of a coarse search
 _TOLERANCE = {True: 1e-10, False: 1e-6}
 _HOPS_DEG = (
@@ -52,7 +52,7 @@ _HOPS_DEG = (
     -1.0,
     1.0,
     2.0,
-)  # a glint stands about as bright on either side of a facet's mirror direction
+)  # a glint is about equally bright on either side of a facet's mirror direction
 
 
 def _with(problem: Problem, values: Mapping[str, float], internal: FloatArray) -> Values:
@@ -113,7 +113,7 @@ def search(problem: Problem, weight: FloatArray, starts: int, advance: Advance) 
         problem: what is fitted.
         weight: whitening of its readings.
         starts: how many starting points are followed; 0 follows the given values only.
-        advance: told how far the work is.
+        advance: progress.
     """
     begin = starting_points(problem, weight, starts)
     total = len(begin) + len(_HOPS_DEG) + 2
@@ -131,7 +131,7 @@ def search(problem: Problem, weight: FloatArray, starts: int, advance: Advance) 
 
 
 def _hop(problem: Problem, weight: FloatArray, found: list[Minimum]) -> list[Minimum]:
-    """Minima, including those reached from ridge angles next to that of the best one."""
+    """Minima, including those reached from ridge angles adjacent to that of the best one."""
     one = PARAMETERS["ridge_angle_deg"]
     for _ in range(2):
         best = found[0]
@@ -240,7 +240,7 @@ class Fit:
 
     Attributes:
         problem: what was fitted.
-        values: all parameters at the minimum, those that are not determined included: not for reporting.
+        values: all parameters at the minimum, including undetermined ones: not for reporting.
         estimates: p free parameters.
         covariance: (p, p) of the free parameters as reported; NaN where one is not determined.
         correlation: (p, p), NaN likewise.
@@ -301,7 +301,7 @@ class Fit:
         """Draw measured against fitted values, bars of ±2 u, and the line on which both agree.
 
         Args:
-            axes: of matplotlib, to draw into; a new figure where they are not given.
+            axes: matplotlib axes; a new figure by default.
         """
         axes, measured = axes_or_new(axes), self.problem.readings.value
         axes.errorbar(self.fitted, measured, 2.0 * self.u_value, fmt="o", capsize=3)
@@ -359,7 +359,7 @@ def _with_optics(
     if doubt is not None and doubt[1] > HOPELESS:
         raise UsageError(doubt[0])
     advance("with index or albedo free", 1, 2)
-    # with a wrong albedo the search may have ended far off: the given values are another start
+    # a wrong albedo may have misled the search: the given values are another start
     starts = [values for values, _ in found[:2]] + starting_points(problem, weight, 0)
     refined = distinct(problem, [minimise(problem, values, weight) for values in starts])
     doubt = _doubt(problem, refined[0][0])

@@ -1,9 +1,8 @@
-"""Identifiability of the parameters from the Fisher information, checked before anything is reported.
+"""Identifiability of the parameters from the Fisher information, checked before reporting.
 
-The information counts the noise of the data and, for every pose, an error of the model itself (`MODEL_SHARE`): a
-parameter that shows only in differences smaller than what the model is wrong by is not determined, however
-quiet the data. Parameters are counted in units of their limits (`fitparameters`), so that an eigenvalue below 1
-belongs to a combination that the data do not determine.
+The information includes the noise of the data and, for every pose, an error of the model itself (`MODEL_SHARE`): a
+parameter whose effect is below the model error is not determined, however low the noise. Parameters are scaled to
+their limits (`parameters`), so that an eigenvalue below 1 belongs to a combination that the data do not determine.
 """
 
 from collections.abc import Mapping
@@ -21,7 +20,7 @@ MODEL_SHARE = 0.01  # of every radiance; a lobe that scatters once loses 2 to 3 
 QUIETER = 0.1
 _RANK = 1e-12  # of a covariance matrix
 _FINITE = 1e-7  # singular values below this share of the largest are finite-difference noise
-_VISIBLE = 0.1  # part of a combination that is worth naming
+_VISIBLE = 0.1  # least weight in a combination that is named
 
 
 @dataclass(frozen=True)
@@ -153,7 +152,7 @@ def information(problem: Problem, values: Mapping[str, float], noise: FloatArray
 
 
 def helping_measurement(problem: Problem, values: Mapping[str, float], noise: FloatArray) -> str | None:
-    """Smallest measurement of a short list that determines all free parameters, or None.
+    """Smallest measurement from a short list that determines all free parameters, or None.
 
     Each candidate is computed: same kind of value, same noise per pose as the data show, together with the data; last
     the same poses with less noise. Only for poses of a stage.

@@ -128,7 +128,7 @@ class Readings:
         value: (N,) measured values.
         covariance: (N, N) of the values; only its shape counts where the noise is not known.
         noise_known: the covariance has been given with the values.
-        labels: N texts that tell the rows apart.
+        labels: N texts that identify the rows.
         assumption: what the covariance rests on, in words.
         gain: (N,) factor between k·L and a single value; 1/cos θi for a BRDF.
     """

@@ -180,7 +180,7 @@ def experiment_problem(
     """A problem from measured absolute contrasts.
 
     Args:
-        measured: (ridge angle, tilt, pair) contrasts, NaN where not measured (`measuredtable.read_measured`).
+        measured: (ridge angle, tilt, pair) contrasts, NaN where not measured (`measured_table.read_measured`).
         convention: how the angles are counted.
         optics: keywords of `Scene`: model, bounces, wall, internal_reflection.
         values: all parameters.

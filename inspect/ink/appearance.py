@@ -1,4 +1,4 @@
-"""The colour of inks against angle, as the eye sees it under one light."""
+"""Colour of inks against angle under one illuminant, for the standard observer."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -31,7 +31,7 @@ class Appearance:
     Attributes:
         ink: the ink.
         theta_deg: (N,) inclination of light and eye, on opposite sides.
-        off_mirror_deg: by how much the eye stands beside the mirror direction.
+        off_mirror_deg: angle of the eye from the mirror direction.
         xyz: (N, 3), Y = 1 for the perfect diffuser.
         srgb: (N, 3) encoded and clipped, at the exposure.
         hexes: (N,) the same as ``#rrggbb``.
@@ -56,7 +56,7 @@ class Show:
     Attributes:
         illuminant: the light.
         model: of the BRDF.
-        exposure: what XYZ was multiplied with to be shown.
+        exposure: factor on XYZ for display.
         adapted: the light's white was turned into that of sRGB (Bradford).
         inks: their colours.
     """

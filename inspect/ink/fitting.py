@@ -1,4 +1,4 @@
-"""Fit of an ink to goniometer readings: parameters, their uncertainties, and what speaks against them.
+"""Fit of an ink to goniometer readings: parameters, uncertainties, and warnings.
 
 The joint fit: α, ρ(λ) and c(λ) at once, from the logarithms of all readings.
 
@@ -234,11 +234,11 @@ def solve_jointly(grid: Grid, noise: float) -> Solution:
 
     Args:
         grid: the readings.
-        noise: relative standard deviation of a reading, beside the floor of the grid; it weighs, the uncertainties come
-            from the scatter about the fit.
+        noise: relative standard deviation of a reading, in addition to the floor of the grid; for the weights only, the
+            uncertainties come from the scatter about the fit.
 
     Raises:
-        UsageError: readings that do not tell ρ from c, or do not say how wide the lobe is.
+        UsageError: readings that do not separate ρ from c, or do not determine the width of the lobe.
     """
     given = np.isfinite(grid.value)
     measured = np.where(given, grid.value, 1.0)
@@ -430,7 +430,7 @@ class InkFit:
         residual: (G, W) ln measured − ln fitted at the places of the grid, NaN where there is no reading.
         grid: the readings as they were fitted.
         scale: how the readings became a BRDF.
-        warnings: what speaks against the result.
+        warnings: reasons to doubt the result.
     """
 
     method: Method
@@ -455,7 +455,7 @@ class InkFit:
         """The ink, in the BRDF scale.
 
         Raises:
-            ModelError: fitted numbers that no ink can have.
+            ModelError: fitted values outside the range of inks.
         """
         rho, c, nm = (tuple(values.tolist()) for values in (self.rho, self.c, self.nm))
         return Ink(name, self.alpha, nm, rho, c, "brdf", source)

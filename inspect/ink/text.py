@@ -1,4 +1,4 @@
-"""Fits and colours of inks as plain data and as words, the same in terminal, JSON and page."""
+"""Fits and colours of inks as plain data and as text, common to terminal, JSON and page."""
 
 from dataclasses import asdict
 from typing import Any

@@ -119,8 +119,8 @@ def predict_with_optics(
         geometric: makes the geometric prediction.
         rig: everything else that predictions need.
         request: the requested optics.
-        pitch_um: as in `preparing.prepare_relief`.
-        levelling: as in `preparing.prepare_relief`.
+        pitch_um: as in `relief_preparation.prepare_relief`.
+        levelling: as in `relief_preparation.prepare_relief`.
         on_progress: called at every step.
 
     Raises:

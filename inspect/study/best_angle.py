@@ -247,10 +247,10 @@ def best_angle(
         names: of ``IMPERFECTIONS``.
         material: the plastic without the imperfection.
         sampling: of height maps with burrs.
-        workers: who computes.
+        workers: processes or cluster.
         step_deg: of the ridge angles from 2° to 25°; slow imperfections take at least 1°.
         seed: of the pieces of surface.
-        advance: told how far it is.
+        advance: progress.
 
     Raises:
         UsageError: no such imperfection.

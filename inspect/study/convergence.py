@@ -1,9 +1,9 @@
 """Convergence of contrasts to the ideal prediction as defects vanish, and its order.
 
 Luongo et al. 2017 (section 6) expect measured contrasts to converge to the predicted ones as samples get better.
-Here a surface is spoiled more and more mildly, its contrasts are predicted by the relief predictor, and their
-deviation from those of the unspoiled surface on the same grid of points is followed. The deviation has two parts:
-the bias is common to all spoiled surfaces, the scatter differs from one piece of surface to the next.
+Here defects of decreasing size are applied to a surface, its contrasts are predicted by the relief predictor, and their
+deviation from those of the ideal surface on the same grid of points is followed. The deviation has two parts: the bias
+is common to all defective surfaces, the scatter differs from one piece of surface to the next.
 """
 
 from collections.abc import Sequence
@@ -85,11 +85,11 @@ class Convergence:
         defect: which.
         severity: (S,) rising, in the unit of ``LARGEST``.
         total: (S,) rms deviation over contrasts and pieces of surface.
-        bias: (S,) rms over the contrasts of the mean deviation; NaN where it drowns in the scatter.
+        bias: (S,) rms over the contrasts of the mean deviation; NaN where it is below the scatter.
         scatter: (S,) rms standard deviation between pieces, 0 for defects that are not random.
         mean_contrast: (S,) mean absolute contrast, in multiples of the ideal one.
-        orders: of "total", and of "bias" and "scatter" where those are told apart.
-        sampling_bias: relief of the unspoiled map against the corrected model, relative to the rms contrast.
+        orders: of "total", and of "bias" and "scatter" where these can be separated.
+        sampling_bias: relief of the ideal map against the corrected model, relative to the rms contrast.
     """
 
     defect: Defect
@@ -130,7 +130,7 @@ class _Task:
 
 
 def ideal_map(design: RidgeDesign, sampling: Sampling) -> HeightMap:
-    """The unspoiled surface, one column and row more than whole pitches and pixels."""
+    """The ideal surface, one column and row more than whole pitches and pixels."""
     cols = round(sampling.ridges * design.pitch_um / sampling.pixel_um) + 1
     return ridges(design, (round(sampling.length_um / sampling.pixel_um) + 1, cols), sampling.pixel_um, 0.25)
 
@@ -208,10 +208,10 @@ def convergence(
         design: the ridges.
         material: the plastic.
         sampling: of the maps with random defects.
-        workers: who computes.
+        workers: processes or cluster.
         severities: how many sizes, at least 3.
         seed: of the pieces of surface.
-        advance: told how far it is.
+        advance: progress.
 
     Raises:
         UsageError: fewer than three sizes, or none of the defects known.

@@ -1,4 +1,4 @@
-"""The best ridge design within bounds: a grid that sees every hill, then a polish of the highest ones.
+"""Optimum ridge design within bounds: global grid search, then local refinement of the highest maxima.
 
 The grid covers the whole box (pitch and roughness evenly in the logarithm). Every grid point that none of its
 neighbours exceeds is a hill; the highest ones are climbed by a bounded simplex, which needs no derivatives: |C|
@@ -31,8 +31,8 @@ class Slice:
 
     Attributes:
         name: the parameter.
-        values: where.
-        scores: the scores there.
+        values: of the parameter.
+        scores: at these values.
         kept: interval within which the score loses at most COST_SHARE; bounds where it never loses that much.
         flat: the score changes by less than FLAT_SHARE over the whole range.
         at_bound: "lower" or "upper" where the optimum stands there, else None.
@@ -212,8 +212,8 @@ def optimum(
         part: what is not varied.
         bounds: of the varied parameters, keyed by their names in ``LIMITS``.
         scoring: what is maximised.
-        workers: who computes.
-        advance: told how far the search is.
+        workers: processes or cluster.
+        advance: progress.
 
     Raises:
         UsageError: bounds that mean nothing, or no part within them that can be made.

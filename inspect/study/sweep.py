@@ -43,7 +43,7 @@ class SweepError(AnisoscopeError):
 
 @dataclass(frozen=True)
 class Workers:
-    """Who computes.
+    """Processes or cluster of a sweep.
 
     Attributes:
         jobs: processes on this machine; 1 is this process, None one for every core.
@@ -63,7 +63,7 @@ class Workers:
 
 @dataclass(frozen=True)
 class _Failure:
-    """What went wrong in a task, as text: the exception itself may not survive the way back."""
+    """Failure of a task, as text: the exception itself may not be picklable."""
 
     number: int
     task: str
@@ -73,7 +73,7 @@ class _Failure:
 
 @dataclass(frozen=True)
 class _Part:
-    """Some consecutive tasks, with the seeds that are theirs."""
+    """A block of consecutive tasks with their seeds."""
 
     function: Callable[..., Any]
     first: int
@@ -100,10 +100,10 @@ def sweep(
     Args:
         function: a function of a module, so that another process can find it.
         tasks: what it is called with.
-        workers: who computes; the results do not depend on it.
+        workers: processes or cluster; the results do not depend on it.
         seed: seed of the sweep; task n gets the n-th child of ``numpy.random.SeedSequence(seed)``.
-        advance: told how many tasks are done.
-        doing: what to say meanwhile.
+        advance: called with the number of finished tasks.
+        doing: label of the progress.
 
     Returns:
         The results, in the order of the tasks.

@@ -236,7 +236,7 @@ OFF_PX = 0.3
 OFF_SIGMA = 4.0
 _MIN_SQUEEZE_CHANGE = 2e-4  # tilts below 1° show no perspective
 _MIN_F = 12.0
-_ROUNDS_markerfit = 4
+_FIT_ROUNDS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -356,7 +356,7 @@ def fit_plate(
     if 1.0 - squeeze < _MIN_SQUEEZE_CHANGE:
         return _as_fit(points_mm, pixels, plain, squeeze, middle_px, 4)
     bent = plain
-    for _ in range(_ROUNDS_markerfit):
+    for _ in range(_FIT_ROUNDS):
         bent = _solve(points_mm, centred, squeeze, bent)
     fits = (
         _as_fit(points_mm, pixels, plain, squeeze, middle_px, 4),

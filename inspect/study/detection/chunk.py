@@ -1,8 +1,8 @@
 """Chunk of the study: parts that share one camera, photographed, measured and decided as by ``inspect``.
 
-What can be told from radiances alone (significance, diagnosis) is told from what is kept, when the study is evaluated.
+Quantities that follow from radiances alone (significance, diagnosis) are computed from the cache at evaluation.
 A chunk depends on the seed, the world, the class and its number alone; it is cached, so that a study that was
-cut off goes on where it stopped, and a larger one uses what a smaller one made.
+interrupted resumes where it stopped, and a larger one reuses the chunks of a smaller one.
 
 A part photographed: cut from its sheet, given its own shape, lobe, seating and lamp, through lens and sensor.
 
@@ -353,7 +353,7 @@ class ChunkTask:
 
 
 def inspect_chunk(task: ChunkTask) -> Columns:
-    """Columns of a chunk, each (parts, …), made unless they are cached."""
+    """Columns of a chunk, each (parts, …), computed unless cached."""
     return task.entry.result(lambda: _simulated_chunk(task), _packed, _unpacked)
 
 
@@ -427,7 +427,7 @@ def _inspected(task: ChunkTask) -> list[Row]:
 
 
 def judge(views: list[View], truth: FloatArray, name: RecipeName, size: Size) -> Row:
-    """Everything that the study keeps of one part under one recipe.
+    """Stored results of one part under one recipe.
 
     Args:
         views: of the whole series.

@@ -1,6 +1,6 @@
 """Diagnosis of the parts of a study: causes with their extents, and fitted shapes.
 
-Both need the radiances alone that a chunk keeps, so that they are computed when a study is evaluated.
+Both need only the radiances stored with a chunk, so that they are computed at evaluation.
 """
 
 from functools import lru_cache
@@ -42,7 +42,7 @@ FITTED = 60
 
 @lru_cache(maxsize=8)
 def signatures_of(name: RecipeName, size: Size, *, stated: bool = False) -> Signatures:
-    """What every cause would change for the poses of a recipe; arguments as for `recipe_of`."""
+    """Signatures of the causes for the poses of a recipe; arguments as for `recipe_of`."""
     recipe = recipe_of(name, size, stated=stated)
     if size.causes is None:
         return cached_signatures(recipe, LIGHT_DEG)
@@ -78,7 +78,7 @@ def evidence(
     *,
     stated: bool = False,
 ) -> Evidence:
-    """What one part is diagnosed from, as ``inspect`` has it.
+    """Evidence for the diagnosis of one part, as in ``inspect``.
 
     Args:
         seen: columns of a class.

@@ -1,4 +1,4 @@
-"""What the detection study inspects: the product with its recipes, how good parts vary, the defects, the two worlds.
+"""Product of the detection study: recipes, variation of good parts, defect classes, and the two worlds.
 
 Every part meets a rig of its own, drawn from what the recipe states of rigs, so that rates are means over parts and
 rigs alike.
@@ -107,7 +107,7 @@ class DefectClass:
     values: dict[str, float] = field(default_factory=dict)
 
 
-# densities such that scratches spoil 1 % and grains 2 % of the area: measured on the sheets, told in the results
+# densities such that scratches spoil 1 % and grains 2 % of the area: measured on the sheets, reported in the results
 CLASSES = (
     DefectClass("ridge-angle", "ridge angle ±0.5°", "ridge-angle", 0.5, signed=True),
     DefectClass("roughness", "roughness across the ridges +20 %", "roughness-across", 0.2),

@@ -171,7 +171,7 @@ def distances(deviation: FloatArray, covariance: FloatArray) -> FloatArray:
 
 
 def _chi2(deviation: FloatArray, alone: FloatArray, response: Response) -> FloatArray:
-    """As `weighing.from_prediction`, for (N, P) parts with (N, P, P) covariances of what the response does not hold."""
+    """As `consistency_test.from_prediction`, with (N, P, P) covariances outside the response."""
     from scipy.stats import chi2  # noqa: PLC0415 - 1 s
 
     basis = log_basis(deviation.shape[1])
@@ -297,7 +297,7 @@ def golden_pool(parts: int) -> list[npt.NDArray[np.int_]]:
 
 
 def compared_sets(parts: int, pool: list[npt.NDArray[np.int_]], *, of_good: bool) -> npt.NDArray[np.int_]:
-    """(parts,) number of the golden set that every part is compared with: in turn, never one that it belongs to."""
+    """(parts,) number of the golden set compared with every part: in turn, never one that contains it."""
     members = [set(part.tolist()) if of_good else set() for part in pool]
     found = np.arange(parts) % len(pool)
     for number in range(parts):
@@ -418,7 +418,7 @@ def _class(
     apart: Separability | None,
 ) -> Results:
     columns, own = seen[kind], scores[kind]
-    way = np.where(columns["extent"] < 0.0, -1.0, 1.0)[:, None]  # what is off both ways must not cancel
+    way = np.where(columns["extent"] < 0.0, -1.0, 1.0)[:, None]  # deviations of opposite sign must not cancel
     shift = np.mean(
         way * (columns[f"{name}/deviation"] - seen[GOOD][f"{name}/deviation"].mean(axis=0)), axis=0
     )
