@@ -23,7 +23,7 @@ from anisoscope.inspection.job import (
     sources_of,
 )
 from anisoscope.inspection.manifest import begin
-from anisoscope.inspection.run import Inspected, conclude, expecting
+from anisoscope.inspection.run import Inspected, Methods, conclude, expecting
 from anisoscope.kinds.registry import kind_of
 from anisoscope.record.schema import Particulars, sha256_of
 from anisoscope.report.peers import LotMate
@@ -47,6 +47,7 @@ def inspect_frames(
     reflectance: float = 0.99,
     particulars: Particulars | None = None,
     lot_mates: Sequence[LotMate] = (),
+    methods: Methods | None = None,
 ) -> Inspected:
     """Judge a part by the frames of a folder; they are copied, so that the inspection folder explains itself.
 
@@ -60,6 +61,7 @@ def inspect_frames(
         reflectance: reflectance of the tile in the flat frames, if there are any.
         particulars: operator, lot, cavity, station.
         lot_mates: inspections of the same lot, for the report.
+        methods: what varies, for tests.
 
     Raises:
         UsageError: no rig file, or a wrong reflectance.
@@ -100,7 +102,7 @@ def inspect_frames(
             (*sources, Source("white reference", path, white.sha256)),
             reference,
         )
-        ready = cleanup.enter_context(expecting(job, on_progress, lot_mates))
+        ready = cleanup.enter_context(expecting(job, on_progress, lot_mates, methods))
         manifest = begin(
             folder,
             job,

@@ -16,7 +16,7 @@ from anisoscope.base.significance import p_value_text
 from anisoscope.decision.reference_parts import golden_path
 from anisoscope.imaging.registration.placement import Grid, Placement, locate, resample
 from anisoscope.inspection.job import check_serial, prepare
-from anisoscope.inspection.run import inspect_part
+from anisoscope.inspection.run import Methods, inspect_part
 from anisoscope.kinds.registry import read_any_recipe
 from anisoscope.recipe.base import RecipeBase
 from anisoscope.recipe.teaching import Change, Taught, previous_version_path
@@ -127,7 +127,15 @@ class _Probe:
     places: tuple[Placement, ...]
 
 
-def teach(recipe_path: Path, rig_path: Path, serial: str, out: Path, advance: Advance = silent) -> Taught:
+def teach(
+    recipe_path: Path,
+    rig_path: Path,
+    serial: str,
+    out: Path,
+    advance: Advance = silent,
+    *,
+    methods: Methods | None = None,
+) -> Taught:
     """Photograph a good part and write a new version of a recipe; the old one is saved next to it.
 
     The part is photographed once to find exposure and region, then inspected with them; tolerances follow from the
@@ -141,6 +149,7 @@ def teach(recipe_path: Path, rig_path: Path, serial: str, out: Path, advance: Ad
         serial: of the good part.
         out: folder that receives the inspection folder.
         advance: progress.
+        methods: what varies in an inspection, for tests.
 
     Raises:
         UsageError, RecipeError, RigFileError, HeightMapError, CalibrationError: before anything moves.
@@ -168,7 +177,7 @@ def teach(recipe_path: Path, rig_path: Path, serial: str, out: Path, advance: Ad
     candidate = recipe_path.with_name(f".{recipe_path.stem}-taught.toml")
     try:
         write_text(candidate, with_values(text, values))
-        inspected = inspect_part(candidate, rig_path, serial, out, advance)
+        inspected = inspect_part(candidate, rig_path, serial, out, advance, methods=methods)
     finally:
         candidate.unlink(missing_ok=True)
     record = inspected.record

@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 
 from anisoscope.calibration.pictures import take_flat
-from anisoscope.diagnosis import part_diagnosis as explaining
-from anisoscope.diagnosis.signatures import signatures
 from anisoscope.inspection.run import inspect_part
 from anisoscope.kinds.registry import read_recipe
 from anisoscope.profiles.files.load import write_height_map
@@ -45,13 +43,7 @@ def copied(tmp_path, rng):
     return tmp_path
 
 
-def test_recipe_rig_and_bench_of_the_docs_inspect_a_part(copied, monkeypatch):
-    # the diagnosis has tests of its own, and takes longer than this one
-    monkeypatch.setattr(
-        explaining,
-        "cached_signatures",
-        lambda recipe, angle, advance, _: signatures(recipe, angle, advance, ("colour",)),
-    )
+def test_recipe_rig_and_bench_of_the_docs_inspect_a_part(copied):
     for name, shown, quick in (
         ("bench.toml", "time_scale = 0.1", "time_scale = 0.0"),
         ("recipe.toml", "frames_per_pose = 4\ndark_frames = 8", "frames_per_pose = 2\ndark_frames = 2"),

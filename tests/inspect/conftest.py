@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,13 +16,9 @@ import pytest
 import tomli_w
 
 from anisoscope.base.errors import CameraError
-from anisoscope.base.progress import silent
 from anisoscope.calibration.pictures import take_flat
 from anisoscope.cli.demo.folder import FIXTURE
-from anisoscope.diagnosis import part_diagnosis as explaining
-from anisoscope.diagnosis import signature_cache as remembering
-from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES
-from anisoscope.inspection import run as inspection
+from anisoscope.inspection.run import Inspected, Methods, inspect_part
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
 from anisoscope.report.inspection_page import REPORT_NAME
 from anisoscope.rig.frame import Frame
@@ -36,7 +32,6 @@ ForkServer = FORKSERVER.ForkServer
 ONE_THREAD = FORKSERVER.ONE_THREAD
 LOBE = {"alpha_along": 0.06, "alpha_across": 0.10, "albedo": 0.2, "index": 1.5}
 EXPOSURE_S = 0.0015
-QUICK = {}
 
 
 def merged(base, changes):
@@ -99,6 +94,15 @@ def write(path, table):
     return path
 
 
+def one_line(record, _pictures, folder, *_):
+    """A report of one line: drawing takes longer than all the rest of an inspection."""
+    (folder / REPORT_NAME).write_text(record.verdict)
+    return folder / REPORT_NAME
+
+
+PLAIN = Methods(start_renderer=lambda _: None, write_report=one_line)
+
+
 @dataclass(frozen=True)
 class VirtualRig:
     """Files of one part on the virtual rig, and how to inspect it."""
@@ -117,9 +121,9 @@ class VirtualRig:
         """The folders of inspections."""
         return sorted(path for path in self.out.iterdir() if path.is_dir()) if self.out.exists() else []
 
-    def inspect(self, serial: str = "T-1") -> inspection.Inspected:
-        """Inspect the part."""
-        return inspection.inspect_part(self.recipe, self.rig, serial, self.out)
+    def inspect(self, serial: str = "T-1", methods: Methods = PLAIN) -> Inspected:
+        """Inspect the part; without ``methods`` its report is one line."""
+        return inspect_part(self.recipe, self.rig, serial, self.out, methods=methods)
 
     def break_off(self, monkeypatch: pytest.MonkeyPatch, after: int) -> Path:
         """Inspect until the camera has given so many frames and fails; the folder that is left."""
@@ -190,33 +194,10 @@ def pictures_without_noise():
     SCENES.most = 0
 
 
-@pytest.fixture(autouse=True)
-def quick_causes(request, monkeypatch) -> None:
-    """Causes of the plastic only, which take no map: all of them take half a minute. Marked soak, a test gets all."""
-    if request.node.get_closest_marker("soak") is not None:
-        return
-
-    def quick(recipe, light_angle_deg, advance=silent, causes=PLASTIC_CAUSES):
-        key = json.dumps(
-            remembering.signature_key(recipe.deciding(), light_angle_deg, causes), sort_keys=True
-        )
-        if key not in QUICK:  # the product keeps them in a file
-            names = ("roughness-along", "roughness-across", "colour")
-            QUICK[key] = causes.signatures(recipe, light_angle_deg, advance, names)
-        return QUICK[key]
-
-    monkeypatch.setattr(explaining, "cached_signatures", quick)
-
-
-@pytest.fixture
-def plain_report(monkeypatch) -> None:
-    """Reports of one line, for tests that run many inspections; drawing takes longer than all the rest."""
-
-    def write(record, _pictures, folder, *_):
-        (folder / REPORT_NAME).write_text(record.verdict)
-        return folder / REPORT_NAME
-
-    monkeypatch.setattr(inspection, "USUAL", replace(inspection.USUAL, write_report=write))
+@pytest.fixture(scope="session")
+def plain() -> Methods:
+    """What varies in an inspection: a report of one line, all else as shipped, with its diagnosis."""
+    return PLAIN
 
 
 @pytest.fixture

@@ -31,7 +31,7 @@ from anisoscope.inspection.folder import working_in
 from anisoscope.inspection.frame_table import arrange
 from anisoscope.inspection.job import check_serial
 from anisoscope.inspection.replay import inspect_frames
-from anisoscope.inspection.run import Inspected
+from anisoscope.inspection.run import Inspected, Methods
 from anisoscope.kinds.registry import read_any_recipe
 from anisoscope.recipe.base import RecipeBase
 from anisoscope.record.schema import RECORD_NAME, Particulars, sha256_of
@@ -374,6 +374,7 @@ class Watch:
         verdicts: of the inspections, in their order.
         bad: folders that cannot be inspected as they are, by name.
         arriving: folders that were still changing when they were looked at last, by name.
+        methods: what varies in an inspection, for tests.
     """
 
     watched: Watched
@@ -382,6 +383,7 @@ class Watch:
     verdicts: list[str] = field(default_factory=list)
     bad: dict[str, Bad] = field(default_factory=dict)
     arriving: dict[str, tuple[Signature, float]] = field(default_factory=dict)
+    methods: Methods | None = None
     _reported: dict[str, str] = field(default_factory=dict)
     _recipe: RecipeBase = field(init=False)
     _journal: WatchJournal = field(init=False)
@@ -538,6 +540,7 @@ class Watch:
                 reflectance=watched.reflectance,
                 particulars=who,
                 lot_mates=watched.lot_mates(who.lot),
+                methods=self.methods,
             )
         copied = frames_key(inspected.folder / FRAMES)
         if copied == frames:

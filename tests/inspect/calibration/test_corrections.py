@@ -18,6 +18,7 @@ from anisoscope.inspection.check_standard import run_check, teach_check
 from anisoscope.inspection.integrity import verify
 from anisoscope.inspection.job import prepare
 from anisoscope.inspection.recompute import recompute
+from anisoscope.inspection.run import Methods
 
 EXPOSURE_S = 0.0015
 
@@ -42,7 +43,6 @@ def own_flat(flat, tmp_path):
     return tmp_path / flat.name
 
 
-@pytest.mark.usefixtures("plain_report")
 def test_an_expired_flat_is_an_invalid_record_without_any_photograph(virtual_rig, own_flat, monkeypatch):
     record = expired(own_flat, "flat")
     rig = virtual_rig(rig={"calibration": {"flat": str(own_flat)}})
@@ -60,7 +60,7 @@ def test_an_expired_flat_is_an_invalid_record_without_any_photograph(virtual_rig
 
 def test_the_report_of_an_inspection_without_photographs_says_why(virtual_rig, own_flat):
     expired(own_flat, "flat")
-    found = virtual_rig(rig={"calibration": {"flat": str(own_flat)}}).inspect()
+    found = virtual_rig(rig={"calibration": {"flat": str(own_flat)}}).inspect(methods=Methods())
     page = found.report.read_text(encoding="utf-8")
     assert "INVALID" in page
     assert "expired at" in page
@@ -112,7 +112,6 @@ def test_a_file_that_cannot_be_used_is_told_before_anything_moves(virtual_rig, f
     assert not rig.folders
 
 
-@pytest.mark.usefixtures("plain_report")
 def test_all_calibrations_together_serve_an_inspection_that_can_be_recomputed(
     virtual_rig, flat, dark, tmp_path
 ):
@@ -145,7 +144,6 @@ def test_all_calibrations_together_serve_an_inspection_that_can_be_recomputed(
     assert "anisoscope calibrate rotation" in moved.record.reasons[0]
 
 
-@pytest.mark.usefixtures("plain_report")
 def test_the_check_standard_is_taught_checked_and_stops_inspections_when_it_is_off(
     virtual_rig, flat, tmp_path
 ):

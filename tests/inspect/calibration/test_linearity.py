@@ -53,7 +53,6 @@ def test_the_curve_is_the_gamma_of_the_camera(curve):
     np.testing.assert_allclose(ratio / np.median(ratio), 1.0, atol=0.03)
 
 
-@pytest.mark.usefixtures("plain_report")
 def test_uncalibrated_is_written_down_until_the_curve_is_given(virtual_rig, curve):
     _, path = curve
     bent = virtual_rig(bench={"sensor": WEBCAM})

@@ -1,23 +1,23 @@
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from anisoscope.base.progress import silent
 from anisoscope.cli.demo.ridges import PARTS, lay_out
-from anisoscope.inspection import run as inspection
+from anisoscope.inspection.run import inspect_part
 
 
 @pytest.fixture
-def verdicts_of(plain_report, monkeypatch, tmp_path):
+def verdicts_of(plain, tmp_path):
     """``verdicts_of(seed)`` runs the job of the demo without its pages: pages do not change verdicts."""
-    monkeypatch.setattr(inspection, "USUAL", replace(inspection.USUAL, start_renderer=lambda _: None))
 
     def run(seed):
         folder = lay_out(tmp_path / str(seed), seed, silent)
         rigs = [folder / "bench" / name / "rig.toml" for name in PARTS]
-        found = [inspection.inspect_part(folder / "recipe.toml", rig, "P", folder / "out") for rig in rigs]
+        found = [
+            inspect_part(folder / "recipe.toml", rig, "P", folder / "out", methods=plain) for rig in rigs
+        ]
         return [inspected.record.verdict for inspected in found]
 
     return run

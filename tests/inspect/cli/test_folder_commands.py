@@ -10,7 +10,7 @@ from anisoscope.rig.framefolder import write_frame_folder
 
 
 @pytest.fixture
-def inspected(virtual_rig, plain_report):
+def inspected(virtual_rig):
     """The folder of a finished inspection."""
     return virtual_rig().inspect().folder
 

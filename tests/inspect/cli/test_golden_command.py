@@ -2,13 +2,10 @@
 
 import shutil
 
-import pytest
-
 from anisoscope.decision.reference_parts import golden_path
 from anisoscope.kinds.registry import read_recipe
 
 
-@pytest.mark.usefixtures("plain_report")
 def test_golden_parts_are_added_shown_and_removed(anisoscope, virtual_rig):
     rig = virtual_rig()
     folders = [rig.inspect(serial).folder for serial in ("A", "B")]

@@ -10,7 +10,7 @@ from anisoscope.history.store import History, open_history
 from anisoscope.inspection import run as inspection
 from anisoscope.record.schema import Particulars, Record, read_record, write_record
 
-pytestmark = pytest.mark.usefixtures("plain_report", "no_history_said")
+pytestmark = pytest.mark.usefixtures("no_history_said")
 INCONCLUSIVE = 2
 NOWHERE = "postgresql://me:secret@127.0.0.1:1/none"
 

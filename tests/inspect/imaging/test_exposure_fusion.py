@@ -140,8 +140,7 @@ def shiny(virtual_rig):
     )
 
 
-@pytest.mark.usefixtures("plain_report")
-def test_bright_and_dark_poses_are_right_with_brackets_and_invalid_without(shiny):
+def test_bright_and_dark_poses_are_right_with_brackets_and_invalid_without(shiny, plain):
     for name, time_s, told in (("long", LONG_S, "are saturated"), ("short", SHORT_S, "too much to tell")):
         record = shiny(name, exposure_s=time_s).inspect().record
         assert record.verdict == "INVALID"
@@ -159,7 +158,7 @@ def test_bright_and_dark_poses_are_right_with_brackets_and_invalid_without(shiny
     assert verify(found.folder).intact
     assert recompute(found.folder).differences == ()
     folder = frame_folder(rig, found)
-    again = inspect_frames(folder, rig.recipe, "R-1", rig.out, rig_path=rig.rig)
+    again = inspect_frames(folder, rig.recipe, "R-1", rig.out, rig_path=rig.rig, methods=plain)
     numbers = {"poses", "contrasts", "budget", "drift"}
     assert again.record.model_dump(include=numbers) == record.model_dump(include=numbers)
 
@@ -174,20 +173,18 @@ def frame_folder(rig, inspected):
 QUICK = {"acquisition": {"brackets": [2.0]}}
 
 
-@pytest.mark.usefixtures("plain_report")
 @pytest.mark.parametrize("after", [3, 10])  # of 2 × 2 dark frames and 4 × 2 × 2 at poses
-def test_an_interrupted_bracket_goes_on(virtual_rig, monkeypatch, after):
+def test_an_interrupted_bracket_goes_on(virtual_rig, monkeypatch, plain, after):
     rig = virtual_rig(recipe=QUICK)
     folder = rig.break_off(monkeypatch, after)
-    found = resume_part(folder)
+    found = resume_part(folder, methods=plain)
     assert found.record.verdict == "PASS", found.record.reasons
     again = [frame for frame in found.record.frames if frame.again]
     assert len(again) == (8 if after == 10 else 4)  # at the end, and on resuming once the first pose is kept
     assert recompute(folder).differences == ()
 
 
-@pytest.mark.usefixtures("plain_report")
-def test_a_table_with_too_few_frames_of_an_exposure(virtual_rig):
+def test_a_table_with_too_few_frames_of_an_exposure(virtual_rig, plain):
     rig = virtual_rig(recipe=QUICK)
     folder = frame_folder(rig, rig.inspect())
     with (folder / TABLE).open(encoding="utf-8") as stream:
@@ -200,4 +197,4 @@ def test_a_table_with_too_few_frames_of_an_exposure(virtual_rig):
         writer.writerows(lines)
     told = r"at 0°, tilt 0° have 2 exposures, which takes 2 or more frames of each; of 0\.003 s there is 1 sample"
     with pytest.raises(RecordError, match=told):
-        inspect_frames(folder, rig.recipe, "R-1", rig.out, rig_path=rig.rig)
+        inspect_frames(folder, rig.recipe, "R-1", rig.out, rig_path=rig.rig, methods=plain)

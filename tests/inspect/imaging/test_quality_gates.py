@@ -185,14 +185,14 @@ BENCHES = {
 
 
 @pytest.mark.parametrize("case", BENCHES)
-def test_an_unfit_rig_is_invalid_and_says_what_to_do(case, virtual_rig, plain_report):
+def test_an_unfit_rig_is_invalid_and_says_what_to_do(case, virtual_rig):
     changes, words = BENCHES[case]
     record = virtual_rig(**changes).inspect().record
     assert record.verdict == "INVALID"
     assert re.search(words, record.reasons[0]), record.reasons
 
 
-def test_without_a_fixture_the_edges_of_the_part_align_the_pictures(virtual_rig, plain_report):
+def test_without_a_fixture_the_edges_of_the_part_align_the_pictures(virtual_rig):
     with_markers = virtual_rig("markers").inspect().record
     record = virtual_rig("edges", rig={"fixture": None}).inspect().record
     assert record.verdict in {"PASS", "INVALID"}

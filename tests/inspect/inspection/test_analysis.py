@@ -1,6 +1,7 @@
 """What a record tells beside the verdict, from frames to recomputation."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,12 +9,14 @@ import pytest
 from anisoscope.base.errors import ModelError
 from anisoscope.decision.design_vs_map import READINGS, compare
 from anisoscope.decision.reference_parts import add_part, golden_path, write_golden
-from anisoscope.diagnosis import part_diagnosis as explaining
+from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES
 from anisoscope.diagnosis.shape_fit import fit_shape
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.registration.placement import Grid
+from anisoscope.inspection.pipeline import diagnose_by_kind
 from anisoscope.inspection.recompute import recompute
 from anisoscope.kinds.registry import read_recipe
+from anisoscope.kinds.ridges.kind import Ridges
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
 from anisoscope.prediction.cache import forget
 from anisoscope.prediction.expectation import Component, expectation
@@ -33,7 +36,6 @@ def seen(radiance, u=0.003):
     return Measured(np.asarray(radiance), (noise,), (), cells, np.full(len(radiance), 0.01), grid, 0.0)
 
 
-@pytest.mark.usefixtures("plain_report")
 def test_a_wrong_roughness_is_named_and_recomputed(virtual_rig):
     found = virtual_rig(recipe=STRICT, bench=WRONG).inspect()
     record = read_record(found.folder)
@@ -41,13 +43,13 @@ def test_a_wrong_roughness_is_named_and_recomputed(virtual_rig):
     best = record.diagnosis.causes[0]
     assert best.cause == "roughness-along"
     assert best.severity == pytest.approx(0.5, abs=max(4 * best.u, 0.1))
+    assert len(record.diagnosis.causes) >= 15
     assert sum(cause.weight for cause in record.diagnosis.causes) == pytest.approx(1.0)
     again = recompute(found.folder)
     assert (again.verdict, again.differences) == ("FAIL", ())
 
 
 @pytest.mark.soak
-@pytest.mark.usefixtures("plain_report")
 def test_all_causes_are_the_same_without_what_was_kept(virtual_rig, tmp_path, monkeypatch):
     monkeypatch.setenv("ANISOSCOPE_CACHE", str(tmp_path / "one"))
     found = virtual_rig(recipe=STRICT, bench=WRONG).inspect()
@@ -57,7 +59,6 @@ def test_all_causes_are_the_same_without_what_was_kept(virtual_rig, tmp_path, mo
     assert recompute(found.folder).differences == ()
 
 
-@pytest.mark.usefixtures("plain_report")
 def test_a_part_as_it_should_be_has_nothing_to_explain(virtual_rig):
     record = virtual_rig(recipe={"decision": {"remeasure": 0}}).inspect().record
     assert record.verdict == "PASS"
@@ -72,19 +73,23 @@ def test_a_part_as_it_should_be_has_nothing_to_explain(virtual_rig):
     )
 
 
-@pytest.mark.usefixtures("plain_report")
-def test_a_diagnosis_that_fails_leaves_the_verdict(virtual_rig, monkeypatch):
+def test_a_diagnosis_that_fails_leaves_the_verdict(virtual_rig, plain):
     def fails(*_):
         raise ModelError("no such surface")
 
-    monkeypatch.setattr(explaining, "cached_signatures", fails)
-    found = virtual_rig(recipe=STRICT, bench=WRONG).inspect()
+    class Unexplained(Ridges):
+        causes = replace(PLASTIC_CAUSES, signatures=fails)
+
+    def diagnose(case, advance):
+        return diagnose_by_kind(replace(case, kind=Unexplained()), advance)
+
+    methods = replace(plain, diagnose=diagnose)
+    found = virtual_rig(recipe=STRICT, bench=WRONG).inspect(methods=methods)
     assert found.record.verdict == "FAIL"
     assert found.record.diagnosis.says == "not possible"
     assert "no diagnosis: no such surface" in found.notes
 
 
-@pytest.mark.usefixtures("plain_report")
 def test_golden_parts_decide_what_deviates_and_are_kept_in_the_folder(virtual_rig):
     rig = virtual_rig(recipe=STRICT)
     first = rig.inspect().record
@@ -105,7 +110,6 @@ def test_golden_parts_decide_what_deviates_and_are_kept_in_the_folder(virtual_ri
     assert recompute(found.folder).differences == ()
 
 
-@pytest.mark.usefixtures("plain_report")
 def test_too_few_golden_parts_are_said_to_be_too_few(virtual_rig):
     rig = virtual_rig()
     record = rig.inspect().record
@@ -115,7 +119,6 @@ def test_too_few_golden_parts_are_said_to_be_too_few(virtual_rig):
     assert "1 golden part: from 3 on they are compared with, 6 are sensible" in found.notes
 
 
-@pytest.mark.usefixtures("plain_report")
 def test_what_is_undecided_is_measured_again_and_recomputed(virtual_rig):
     # a tolerance at the deviation itself: no number of rounds decides
     first = virtual_rig("first", bench=WRONG, recipe={"decision": {"remeasure": 0}}).inspect().record
@@ -129,7 +132,7 @@ def test_what_is_undecided_is_measured_again_and_recomputed(virtual_rig):
     assert recompute(found.folder).differences == ()
 
 
-def test_records_of_before_stay_readable(virtual_rig, plain_report):
+def test_records_of_before_stay_readable(virtual_rig):
     content = json.loads((virtual_rig().inspect().folder / "record.json").read_text())
     content.pop("seal")
     new = (
@@ -169,7 +172,6 @@ def test_both_surfaces_read_together(make_recipe, tmp_path, agrees):
     assert [one.decides for one in found] == [True, False]
 
 
-@pytest.mark.usefixtures("plain_report")
 def test_the_second_surface_is_predicted_once_for_all_parts_and_anew_to_recompute(virtual_rig, monkeypatch):
     rig = virtual_rig(recipe={"surface": {"height_map": "map.npz", "compare": "design"}})
     ridged = ridges(RidgeDesign(100.0, 10.0), (241, 1201), (5.0, 1.0))

@@ -12,8 +12,6 @@ from anisoscope.inspection.integrity import verify
 from anisoscope.inspection.recompute import differences, recompute
 from anisoscope.record.schema import RECORD_NAME, UNSEALED, read_record, write_record
 
-pytestmark = pytest.mark.usefixtures("plain_report")
-
 
 @pytest.fixture
 def finished(virtual_rig):

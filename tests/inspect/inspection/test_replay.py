@@ -18,7 +18,6 @@ from anisoscope.rig.framefolder import TABLE, write_frame_folder
 from anisoscope.sim.bench.bench import Bench
 from anisoscope.sim.bench.benchfile import read_bench
 
-pytestmark = pytest.mark.usefixtures("plain_report")
 COLUMNS = ["file", "kind", "stage_deg", "tilt_deg", "exposure_s", "gain", "bit_depth", "black_level"]
 
 
@@ -33,11 +32,18 @@ def taken(virtual_rig):
     return rig, inspected, folder
 
 
-def replay(rig, folder, **options):
-    return inspect_frames(folder, rig.recipe, "R-1", rig.out, **({"rig_path": rig.rig} | options))
+@pytest.fixture
+def replay(plain):
+    """``replay(rig, folder)`` inspects a folder of frames."""
+
+    def run(rig, folder, **options):
+        options = {"rig_path": rig.rig, "methods": plain, **options}
+        return inspect_frames(folder, rig.recipe, "R-1", rig.out, **options)
+
+    return run
 
 
-def test_the_same_frames_give_the_same_numbers_without_any_device(taken):
+def test_the_same_frames_give_the_same_numbers_without_any_device(taken, replay):
     rig, live, folder = taken
     rig.rig.with_name("bench.toml").unlink()
     found = replay(rig, folder)
@@ -62,7 +68,7 @@ def rewrite(folder, change):
     return lines
 
 
-def test_pictures_of_another_program_by_its_own_angles(taken):
+def test_pictures_of_another_program_by_its_own_angles(taken, replay):
     rig, live, folder = taken
     for path in folder.glob("*.tif"):
         counts = tifffile.imread(path)
@@ -105,7 +111,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_incomplete_folders_are_refused_before_anything_is_written(taken, fault):
+def test_incomplete_folders_are_refused_before_anything_is_written(taken, fault, replay):
     rig, _, folder = taken
     change, message = FAULTS[fault]
     rewrite(folder, change)
@@ -116,7 +122,7 @@ def test_incomplete_folders_are_refused_before_anything_is_written(taken, fault)
     assert rig.folders == before
 
 
-def test_one_gain_a_pose(taken):
+def test_one_gain_a_pose(taken, replay):
     rig, _, folder = taken
     lines = rewrite(folder, list)
     dark = {**lines[0], "gain": "2", "file": "dark.tif"}
@@ -128,7 +134,7 @@ def test_one_gain_a_pose(taken):
         replay(rig, folder)
 
 
-def test_the_rig_file_may_lie_beside_the_frames(taken):
+def test_the_rig_file_may_lie_beside_the_frames(taken, replay):
     rig, _, folder = taken
     with pytest.raises(UsageError, match=r"holds no rig\.toml: name a rig file with --rig; of it are needed"):
         replay(rig, folder, rig_path=None)
@@ -136,7 +142,7 @@ def test_the_rig_file_may_lie_beside_the_frames(taken):
     assert replay(rig, folder, rig_path=None).record.verdict == "PASS"
 
 
-def test_a_flat_of_another_camera(taken):
+def test_a_flat_of_another_camera(taken, replay):
     rig, _, folder = taken
     for path in folder.glob("*.tif"):
         data = path.read_bytes()
@@ -178,7 +184,7 @@ def add(folder, kind, pictures):
     rewrite(folder, change)
 
 
-def test_flats_in_the_folder_fix_the_scale(taken):
+def test_flats_in_the_folder_fix_the_scale(taken, replay):
     rig, live, folder = taken
     geometry = bare(rig)
     with pytest.raises(CalibrationError, match="names no flat"):
@@ -196,7 +202,7 @@ def test_flats_in_the_folder_fix_the_scale(taken):
         replay(rig, folder, rig_path=geometry, reflectance=99.0)
 
 
-def test_stray_light_is_taken_away_where_a_light_trap_shows_it(taken):
+def test_stray_light_is_taken_away_where_a_light_trap_shows_it(taken, replay):
     rig, live, folder = taken
     lines = rewrite(folder, list)
     glare = 200
@@ -213,7 +219,7 @@ def test_stray_light_is_taken_away_where_a_light_trap_shows_it(taken):
         assert without.measured == pytest.approx(old.measured, rel=1e-3)
 
 
-def test_what_is_not_known_is_said(taken):
+def test_what_is_not_known_is_said(taken, replay):
     rig, _, folder = taken
     lines = rewrite(folder, lambda lines: [{k: v for k, v in line.items() if k != "again"} for line in lines])
     dark = [line for line in lines if line["kind"] == "dark"]
@@ -229,7 +235,7 @@ def test_what_is_not_known_is_said(taken):
     assert any("one frame only" in note for note in notes)
 
 
-def test_a_replay_that_was_interrupted(taken, monkeypatch):
+def test_a_replay_that_was_interrupted(taken, monkeypatch, replay):
     rig, _, folder = taken
     before = set(rig.folders)
     copy, count = shutil.copyfile, []

@@ -14,16 +14,14 @@ from anisoscope.inspection.run import resume_part
 from anisoscope.record.schema import read_record
 from anisoscope.rig.acquisition.journal import JOURNAL, read_journal
 
-pytestmark = pytest.mark.usefixtures("plain_report")
-
 
 @pytest.mark.parametrize("after", [1, 4, 9])  # of 2 dark frames and 4 × 2 at poses
-def test_a_resumed_inspection_judges_as_an_undisturbed_one(virtual_rig, monkeypatch, after):
+def test_a_resumed_inspection_judges_as_an_undisturbed_one(virtual_rig, monkeypatch, plain, after):
     rig = virtual_rig()
     folder = rig.break_off(monkeypatch, after)
     assert verify(folder).intact
     assert not verify(folder).finished
-    found = resume_part(folder)
+    found = resume_part(folder, methods=plain)
     assert found.record.verdict == "PASS", found.record.reasons
     assert read_record(folder) == found.record
     again = [frame for frame in found.record.frames if frame.again]
@@ -31,32 +29,32 @@ def test_a_resumed_inspection_judges_as_an_undisturbed_one(virtual_rig, monkeypa
     assert verify(folder).intact
     assert recompute(folder).differences == ()
     with pytest.raises(RecordError, match="this inspection is finished; there is nothing to resume"):
-        resume_part(folder)
+        resume_part(folder, methods=plain)
 
 
-def test_an_inspection_may_be_interrupted_twice(virtual_rig, monkeypatch):
+def test_an_inspection_may_be_interrupted_twice(virtual_rig, monkeypatch, plain):
     rig = virtual_rig()
     folder = rig.break_off(monkeypatch, 5)
-    monkeypatch.setattr(rig.__class__, "inspect", lambda _: resume_part(folder))
+    monkeypatch.setattr(rig.__class__, "inspect", lambda _: resume_part(folder, methods=plain))
     rig.break_off(monkeypatch, 3)
-    assert resume_part(folder).record.verdict == "PASS"
+    assert resume_part(folder, methods=plain).record.verdict == "PASS"
     journal = read_journal(folder)
     assert [run.run for run in journal.runs] == [0, 1, 2]
     assert verify(folder).intact
 
 
-def test_a_lamp_that_changed_meanwhile_makes_it_invalid(virtual_rig, monkeypatch):
+def test_a_lamp_that_changed_meanwhile_makes_it_invalid(virtual_rig, monkeypatch, plain):
     rig = virtual_rig()
     folder = rig.break_off(monkeypatch, 6)
     bench = rig.rig.with_name("bench.toml")
     bench.write_text(bench.read_text().replace("electrons = 24000000.0", "electrons = 22000000.0"))
-    record = resume_part(folder).record
+    record = resume_part(folder, methods=plain).record
     assert record.verdict == "INVALID"
     assert "when the inspection was resumed, the first pose had changed by -8." in record.reasons[0]
     assert recompute(folder).differences == ()
 
 
-def test_with_all_frames_there_no_rig_is_needed(virtual_rig, monkeypatch):
+def test_with_all_frames_there_no_rig_is_needed(virtual_rig, monkeypatch, plain):
     rig = virtual_rig()
     with monkeypatch.context() as patch:
         patch.setattr(inspection, "judge", lambda *_, **__: 1 / 0)
@@ -67,11 +65,11 @@ def test_with_all_frames_there_no_rig_is_needed(virtual_rig, monkeypatch):
     shutil.rmtree(rig.rig.parent / "bench.toml", ignore_errors=True)
     for path in (rig.rig, rig.recipe, rig.rig.with_name("bench.toml")):
         path.unlink()
-    assert resume_part(folder).record.verdict == "PASS"
+    assert resume_part(folder, methods=plain).record.verdict == "PASS"
 
 
 def test_what_is_undecided_gets_its_further_round_even_if_the_program_died_before_judging(
-    virtual_rig, monkeypatch
+    virtual_rig, monkeypatch, plain
 ):
     wrong = {"sample": {"material": {"alpha_along": 0.09}}}
     first = virtual_rig("first", bench=wrong, recipe={"decision": {"remeasure": 0}}).inspect().record
@@ -82,21 +80,21 @@ def test_what_is_undecided_gets_its_further_round_even_if_the_program_died_befor
         with pytest.raises(ZeroDivisionError):
             rig.inspect()
     (folder,) = rig.folders
-    record = resume_part(folder).record
+    record = resume_part(folder, methods=plain).record
     assert (record.verdict, record.rounds) == ("INCONCLUSIVE", 2)
     assert sum(frame.kind == "sample" and not frame.again for frame in record.frames) == 2 * 6
     assert recompute(folder).differences == ()
 
 
-def test_a_job_that_took_no_frame_yet_can_be_resumed(virtual_rig, monkeypatch):
+def test_a_job_that_took_no_frame_yet_can_be_resumed(virtual_rig, monkeypatch, plain):
     rig = virtual_rig()
     folder = rig.break_off(monkeypatch, 1)
     for path in ((folder / JOURNAL), *(folder / "frames").iterdir()):
         path.unlink()
-    assert resume_part(folder).record.verdict == "PASS"
+    assert resume_part(folder, methods=plain).record.verdict == "PASS"
 
 
-def test_what_a_killed_program_leaves_half_done_is_swept_away(virtual_rig, monkeypatch):
+def test_what_a_killed_program_leaves_half_done_is_swept_away(virtual_rig, monkeypatch, plain):
     rig = virtual_rig()
     folder = rig.break_off(monkeypatch, 5)
     frames = folder / "frames"
@@ -110,7 +108,7 @@ def test_what_a_killed_program_leaves_half_done_is_swept_away(virtual_rig, monke
         "frames/.frame-x1",
         ".report.html.partial",
     }
-    assert resume_part(folder).record.verdict == "PASS"
+    assert resume_part(folder, methods=plain).record.verdict == "PASS"
     assert verify(folder).intact
 
 
@@ -162,12 +160,12 @@ def test_folders_that_are_no_inspections(tmp_path):
     assert (tmp_path / "inputs" / "mine.txt").exists()
 
 
-def test_two_cannot_work_in_one_folder(virtual_rig, monkeypatch):
+def test_two_cannot_work_in_one_folder(virtual_rig, monkeypatch, plain):
     rig = virtual_rig()
     folder = rig.break_off(monkeypatch, 5)
     with working_in(folder), pytest.raises(RecordError, match="another process is at work"):
-        resume_part(folder)
-    assert resume_part(folder).record.verdict == "PASS"
+        resume_part(folder, methods=plain)
+    assert resume_part(folder, methods=plain).record.verdict == "PASS"
 
 
 def test_what_was_said_of_the_part_goes_from_the_job_into_the_record(virtual_rig):

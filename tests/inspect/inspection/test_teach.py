@@ -21,11 +21,10 @@ def flat_at_any_exposure(virtual_rig):
     return virtual_rig(recipe=UNTAUGHT)
 
 
-@pytest.mark.usefixtures("plain_report")
-def test_a_good_part_teaches_the_recipe(flat_at_any_exposure):
+def test_a_good_part_teaches_the_recipe(flat_at_any_exposure, plain):
     rig = flat_at_any_exposure
     before = rig.recipe.read_text()
-    found = teach(rig.recipe, rig.rig, "GOOD-1", rig.out)
+    found = teach(rig.recipe, rig.rig, "GOOD-1", rig.out, methods=plain)
     recipe, record = read_recipe(rig.recipe), read_record(found.folder)
     assert (recipe.version, found.version, found.kept.read_text()) == (2, 2, before)
     assert read_recipe(found.kept).version == 1
@@ -45,21 +44,19 @@ def test_a_good_part_teaches_the_recipe(flat_at_any_exposure):
     assert not list(rig.recipe.parent.glob(".*.toml"))
 
 
-@pytest.mark.usefixtures("plain_report")
-def test_a_part_that_cannot_be_measured_leaves_the_recipe(virtual_rig):
+def test_a_part_that_cannot_be_measured_leaves_the_recipe(virtual_rig, plain):
     rig = virtual_rig(recipe={**UNTAUGHT, "limits": {"registration_px": 0.0001}})
     before = rig.recipe.read_text()
     with pytest.raises(MeasurementError, match="cannot teach the recipe, which stays as it is"):
-        teach(rig.recipe, rig.rig, "GOOD-1", rig.out)
+        teach(rig.recipe, rig.rig, "GOOD-1", rig.out, methods=plain)
     assert rig.recipe.read_text() == before
     assert sorted(path.name for path in rig.recipe.parent.glob("*recipe*")) == ["recipe.toml"]
 
 
-@pytest.mark.usefixtures("plain_report")
-def test_an_old_version_is_never_overwritten(flat_at_any_exposure):
+def test_an_old_version_is_never_overwritten(flat_at_any_exposure, plain):
     rig = flat_at_any_exposure
     rig.recipe.with_name("recipe.v1.toml").write_text("mine")
     with pytest.raises(RecordError, match="exists already"):
-        teach(rig.recipe, rig.rig, "GOOD-1", rig.out)
+        teach(rig.recipe, rig.rig, "GOOD-1", rig.out, methods=plain)
     assert rig.recipe.with_name("recipe.v1.toml").read_text() == "mine"
     assert rig.folders == []

@@ -107,7 +107,6 @@ def test_the_published_schema_is_that_of_the_code():
     assert FILE.read_text(encoding="utf-8") == record_schema_text()
 
 
-@pytest.mark.usefixtures("plain_report")
 def test_a_real_record_keeps_the_schema_and_a_forged_one_does_not(virtual_rig):
     content = json.loads((virtual_rig().inspect().folder / RECORD_NAME).read_text(encoding="utf-8"))
     schema = record_schema()

@@ -227,9 +227,7 @@ def test_a_ratio_of_smooth_profiles_is_what_a_rough_surface_changes(world, name)
         assert distances(off[None], total[None])[0] < 2.5
 
 
-def test_the_short_route_measures_what_the_bench_and_inspect_measure(
-    virtual_rig, plain_report, tmp_path, rng
-):
+def test_the_short_route_measures_what_the_bench_and_inspect_measure(virtual_rig, tmp_path, rng):
     """One part through devices, markers and the whole of ``inspect``; and through the study."""
     size = Size(ridges=10, pitches=10, pixel_um=8.0, sheets=1)
     state = replace(

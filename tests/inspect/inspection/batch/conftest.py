@@ -4,14 +4,11 @@ from dataclasses import replace
 
 import pytest
 
-from anisoscope.inspection import run as inspection
 from anisoscope.inspection.batch.operator import Answer, Unattended
 from anisoscope.inspection.batch.run import run_batch
 from anisoscope.inspection.batch.start import Order
 from anisoscope.inspection.batch.tray import read_tray
-from anisoscope.inspection.run import Methods
 from anisoscope.kinds.kind import Explanation
-from anisoscope.report.inspection_page import REPORT_NAME
 
 TILE = {"sample": {"kind": "white-tile"}}
 TWO_POSES = {"poses": {"angles_deg": [0.0, 90.0]}}
@@ -49,27 +46,10 @@ class Scripted(Unattended):
         self.done.append(batch.slots[number].word)
 
 
-def one_line(record, _pictures, folder, *_):
-    """A report that takes no time to draw."""
-    (folder / REPORT_NAME).write_text(record.verdict)
-    return folder / REPORT_NAME
-
-
-# Why a part fails and how that is shown is tested elsewhere, and takes longer than all of these tests.
-QUICK = Methods(diagnose=lambda *_: Explanation(), write_report=one_line)
-
-
-@pytest.fixture
-def quick():
-    """What varies in an inspection: no diagnosis, and a report of one line."""
-    return QUICK
-
-
-@pytest.fixture
-def nothing_explained(monkeypatch):
-    """For what takes no methods: a watched folder is recomputed by frames."""
-    methods = replace(inspection.USUAL, diagnose=QUICK.diagnose)
-    monkeypatch.setattr(inspection, "USUAL", methods)
+@pytest.fixture(scope="session")
+def quick(plain):
+    """What varies in an inspection: no diagnosis, which is tested elsewhere, and a report of one line."""
+    return replace(plain, diagnose=lambda *_: Explanation())
 
 
 @pytest.fixture
@@ -100,11 +80,11 @@ def remembered():
 
 
 @pytest.fixture
-def run(remembered):
+def run(remembered, quick):
     """Runs a batch."""
 
     def start(order, operator=None, **options):
-        options = {"methods": QUICK, **options}
+        options = {"methods": quick, **options}
         return run_batch(
             order, operator or Unattended(), lambda found: remembered.append(found.record.serial), **options
         )

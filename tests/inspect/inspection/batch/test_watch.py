@@ -6,6 +6,7 @@ import shutil
 import threading
 import time
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -16,7 +17,6 @@ from anisoscope.base.errors import ConfigError, RecordError, UsageError
 from anisoscope.cli.demo.folder import FIXTURE
 from anisoscope.cli.inspect.history_entry import remember
 from anisoscope.cli.inspect.lot_mates import lot_mates
-from anisoscope.inspection import run as inspection
 from anisoscope.inspection.batch import watch as watching
 from anisoscope.inspection.batch.watch import (
     WATCH_NAME,
@@ -30,8 +30,6 @@ from anisoscope.inspection.batch.watch import (
 from anisoscope.record.schema import read_record
 from anisoscope.rig.frame import Frame
 from anisoscope.rig.framefolder import write_frame_folder
-
-pytestmark = pytest.mark.usefixtures("plain_report", "nothing_explained")
 
 RIG = {
     "schema": 1,
@@ -97,28 +95,38 @@ class Heard:
 
 
 @pytest.fixture
+def start(quick):
+    """``start(place, heard, remember)`` is a watch whose parts are inspected without diagnosis and drawing."""
+    return partial(Watch, methods=quick)
+
+
+@pytest.fixture
+def look(start):
+    """``look(place)``: one look of a program that has just been started; returns what was told, and the watch."""
+
+    def once(place, remembered=None):
+        heard, stop = Heard(), threading.Event()
+        remember = lambda found: None if remembered is None else remembered.append(found.record.serial)  # noqa: E731
+        started = start(place, heard, remember)
+        with started.open():
+            started.run_once(stop)
+        return heard.events, started
+
+    return once
+
+
+@pytest.fixture
 def place(tmp_path, virtual_rig):
     rig = virtual_rig(recipe={"poses": {"angles_deg": [0.0, 90.0]}})
     (tmp_path / "in").mkdir()
     return Watched(tmp_path / "in", tmp_path / "out", rig.recipe, settle_s=0.0, poll_s=0.02)
 
 
-def look(place, remembered=None):
-    """One look of a program that has just been started; returns what was told, and the watch."""
-    heard, stop = Heard(), threading.Event()
-    watch = Watch(
-        place, heard, lambda found: None if remembered is None else remembered.append(found.record.serial)
-    )
-    with watch.open():
-        watch.run_once(stop)
-    return heard.events, watch
-
-
 def inspections(place):
     return sorted(path.parent for path in place.out.glob("*/*/record.json"))
 
 
-def test_every_folder_is_inspected_once_and_remembered(place):
+def test_every_folder_is_inspected_once_and_remembered(place, look):
     for number in range(3):
         write_part(place.root / f"P{number}", number)
     remembered = []
@@ -134,7 +142,7 @@ def test_every_folder_is_inspected_once_and_remembered(place):
     assert look(place, remembered)[0] == []
 
 
-def test_serial_number_and_lot_have_three_sources(place):
+def test_serial_number_and_lot_have_three_sources(place, look):
     folder = write_part(place.root / "P 1", 1)
     assert whose(folder) == ("P 1", whose(folder)[1])
     table = folder / "frames.csv"
@@ -159,7 +167,7 @@ def test_serial_number_and_lot_have_three_sources(place):
         whose(write_part(place.root / "#1", 1))
 
 
-def test_bad_folders_are_told_once_and_inspected_when_they_are_mended(place):
+def test_bad_folders_are_told_once_and_inspected_when_they_are_mended(place, start):
     missing, torn, plain = (
         write_part(place.root / name, seed) for seed, name in enumerate(("A", "B", "C"), 1)
     )
@@ -173,7 +181,7 @@ def test_bad_folders_are_told_once_and_inspected_when_they_are_mended(place):
     (place.root / ".hidden").mkdir()
     shutil.copytree(plain, place.root / "D.partial")
     heard, stop = Heard(), threading.Event()
-    watch = Watch(place, heard, lambda _: None)
+    watch = start(place, heard, lambda _: None)
     with watch.open():
         for _ in range(3):
             watch.look(stop)
@@ -189,7 +197,7 @@ def test_bad_folders_are_told_once_and_inspected_when_they_are_mended(place):
         assert watch.bad == {}
 
 
-def test_a_slowly_written_folder_is_taken_when_it_is_whole(place):
+def test_a_slowly_written_folder_is_taken_when_it_is_whole(place, start):
     source = write_part(place.root.parent / "source", 5)
     slow = place.root / "slow"
 
@@ -199,13 +207,13 @@ def test_a_slowly_written_folder_is_taken_when_it_is_whole(place):
         for name in names:  # the table first: the worst order
             data = (source / name).read_bytes()
             with (slow / name).open("wb", buffering=0) as stream:
-                for start in range(0, len(data), len(data) // 2 + 1):
-                    stream.write(data[start : start + len(data) // 2 + 1])
+                for at in range(0, len(data), len(data) // 2 + 1):
+                    stream.write(data[at : at + len(data) // 2 + 1])
                     time.sleep(0.02)
 
     place = Watched(place.root, place.out, place.recipe, settle_s=0.6, poll_s=0.02)
     heard, stop = Heard(), threading.Event()
-    watch = Watch(place, heard, lambda _: stop.set())
+    watch = start(place, heard, lambda _: stop.set())
     writer, timer = threading.Thread(target=write), threading.Timer(60.0, stop.set)
     with watch.open():
         writer.start()
@@ -228,7 +236,7 @@ class Killed(BaseException):
 
 
 @pytest.mark.parametrize("moment", ["before", "while", "after", "noted"])
-def test_whenever_it_dies_nothing_is_lost_and_nothing_doubled(place, monkeypatch, moment):
+def test_whenever_it_dies_nothing_is_lost_and_nothing_doubled(place, monkeypatch, moment, look):
     write_part(place.root / "A", 1)
     write_part(place.root / "B", 2)
     remembered = []
@@ -269,7 +277,7 @@ def test_whenever_it_dies_nothing_is_lost_and_nothing_doubled(place, monkeypatch
     assert len(list((place.out / "A").iterdir())) == 1
 
 
-def test_a_torn_line_of_the_journal_is_dropped_and_a_damaged_one_named(place):
+def test_a_torn_line_of_the_journal_is_dropped_and_a_damaged_one_named(place, look):
     write_part(place.root / "A", 1)
     look(place)
     path = place.out / WATCH_NAME
@@ -282,7 +290,7 @@ def test_a_torn_line_of_the_journal_is_dropped_and_a_damaged_one_named(place):
         look(place)
 
 
-def test_frames_that_change_while_they_are_copied_are_looked_at_again(place, monkeypatch):
+def test_frames_that_change_while_they_are_copied_are_looked_at_again(place, monkeypatch, look):
     folder = write_part(place.root / "A", 1)
     inspect = watching.inspect_frames
 
@@ -298,14 +306,14 @@ def test_frames_that_change_while_they_are_copied_are_looked_at_again(place, mon
     assert look(place)[0] == []
 
 
-def test_a_full_disk_is_tried_again_later(place, monkeypatch):
+def test_a_full_disk_is_tried_again_later(place, monkeypatch, start):
     write_part(place.root / "A", 1)
 
     def fail(*_, **__):
         raise RecordError("cannot write: No space left on device")
 
     heard, stop = Heard(), threading.Event()
-    watch = Watch(place, heard, lambda _: None)
+    watch = start(place, heard, lambda _: None)
     with watch.open():
         with monkeypatch.context() as patch:
             patch.setattr(watching, "inspect_frames", fail)
@@ -317,19 +325,19 @@ def test_a_full_disk_is_tried_again_later(place, monkeypatch):
     assert heard.events[1:] == [("A", "INVALID")]
 
 
-def test_only_one_watch_works_in_a_folder_and_only_what_can_be_watched_is(place):
-    watch = Watch(place, Heard(), lambda _: None)
+def test_only_one_watch_works_in_a_folder_and_only_what_can_be_watched_is(place, look, start):
+    watch = start(place, Heard(), lambda _: None)
     with watch.open(), pytest.raises(RecordError, match="another process is at work"):
         look(place)
     with pytest.raises(UsageError, match="there is no such folder to watch"):
         look(Watched(place.root / "none", place.out, place.recipe))
 
 
-def test_old_folders_cost_one_look_at_their_table_each(place, monkeypatch):
+def test_old_folders_cost_one_look_at_their_table_each(place, monkeypatch, start):
     for number in range(300):
         (folder := place.root / f"old{number:03d}").mkdir()
         (folder / "frames.csv").write_text("x")
-    watch = Watch(place, Heard(), lambda _: None)
+    watch = start(place, Heard(), lambda _: None)
     with watch.open(), contextlib.ExitStack() as stack:
         watch._journal.marks = {one.folder: one.mark for one in arrivals(place.root, place.out)}
         count, stat = [], os.stat
@@ -340,7 +348,7 @@ def test_old_folders_cost_one_look_at_their_table_each(place, monkeypatch):
     assert len(count) <= 301
 
 
-def test_the_code_on_a_part_says_who_it_is(place):
+def test_the_code_on_a_part_says_who_it_is(place, look):
     place = replace(place, code_kind="any")
     root = place.root
     write_part(root / "by-code", 1, first=coded("A17"))
@@ -368,7 +376,7 @@ def test_the_code_on_a_part_says_who_it_is(place):
     assert ("wrong", "INVALID") in look(place)[0]
 
 
-def test_of_several_exposures_the_one_that_shows_the_code_is_read(place):
+def test_of_several_exposures_the_one_that_shows_the_code_is_read(place, look):
     rng = np.random.default_rng(1)
     pictures = [(0.001, 70), (0.004, coded("A17"))]
     frames = [replace(frame("dark", 0.0, 64, rng), exposure_s=at) for at, _ in pictures for _ in range(2)]
@@ -385,21 +393,21 @@ def test_of_several_exposures_the_one_that_shows_the_code_is_read(place):
     assert [read_record(path).serial for path in inspections(place)] == ["A17"]
 
 
-def test_every_part_is_shown_beside_those_of_its_lot(place, monkeypatch, tmp_path):
-    lots, write = [], inspection.USUAL.write_report
+def test_every_part_is_shown_beside_those_of_its_lot(place, quick, tmp_path, start):
+    lots, write = [], quick.write_report
 
     def note(record, pictures, *others):
         lots.append((record.serial, pictures.lot and [part.serial for part in pictures.lot.parts]))
         return write(record, pictures, *others)
 
-    monkeypatch.setattr(inspection, "USUAL", replace(inspection.USUAL, write_report=note))
     history = tmp_path / "history.sqlite"
     for number in range(3):
         (write_part(place.root / f"P{number}", number) / "part.toml").write_text(f'lot = "L{number % 2}"\n')
-    watch = Watch(
+    watch = start(
         replace(place, lot_mates=lambda lot: lot_mates(history, lot)),
         Heard(),
         lambda found: remember(found, history),
+        methods=replace(quick, write_report=note),
     )
     with watch.open():
         watch.run_once(threading.Event())

@@ -8,7 +8,7 @@ import tomli_w
 
 from anisoscope.calibration.pictures import take_flat
 from anisoscope.cli.demo import prints as demo_print
-from anisoscope.inspection.run import inspect_part
+from anisoscope.inspection.run import Methods, inspect_part
 from anisoscope.kinds.prints.decision import decide_print
 from anisoscope.kinds.prints.expectation import expect_print
 from anisoscope.kinds.prints.measurement import MeasuredPrint, cell_grid
@@ -144,8 +144,8 @@ def sheet(good):
 class PrintRig:
     """A print on the small colour rig."""
 
-    def __init__(self, folder, flat, seed):
-        self.folder, self.flat, self.seed = folder, flat, seed
+    def __init__(self, folder, flat, seed, methods=None):
+        self.folder, self.flat, self.seed, self.methods = folder, flat, seed, methods
 
     def lay_out(self, defects, *, recipe=None, bench=None, name="print"):
         """Write the files of a print with defects; paths of recipe and rig file."""
@@ -160,10 +160,11 @@ class PrintRig:
         (here / "rig.toml").write_text(tomli_w.dumps(small_rig(str(self.flat))))
         return here / "recipe.toml", here / "rig.toml"
 
-    def inspect(self, defects, **changes):
-        """Photograph and judge a print."""
+    def inspect(self, defects, *, drawn=False, **changes):
+        """Photograph and judge a print; the report is one line unless it is to be ``drawn``."""
         recipe, rig = self.lay_out(defects, **changes)
-        return inspect_part(recipe, rig, "P-1", self.folder / "inspections")
+        methods = Methods() if drawn else self.methods
+        return inspect_part(recipe, rig, "P-1", self.folder / "inspections", methods=methods)
 
 
 def small_bench(sample, seed):
@@ -205,6 +206,6 @@ def colour_flat(tmp_path_factory):
 
 
 @pytest.fixture
-def print_rig(tmp_path, colour_flat):
+def print_rig(tmp_path, colour_flat, plain):
     """A small colour rig: ``print_rig.inspect({"alpha_share": 0.1})``."""
-    return PrintRig(tmp_path, colour_flat, 12)
+    return PrintRig(tmp_path, colour_flat, 12, plain)

@@ -108,7 +108,6 @@ def row(case, world, records):
 
 
 @pytest.mark.statistics
-@pytest.mark.usefixtures("plain_report")
 @pytest.mark.parametrize("world", ["same", "other"])
 def test_all_defects_are_found(print_rig, world):
     good, lobe = CASES[0], 0.0

@@ -23,7 +23,7 @@ def quantity(record, name):
 
 
 def test_a_good_print_passes_and_its_folder_explains_itself(print_rig, capsys):
-    done = print_rig.inspect({})
+    done = print_rig.inspect({}, drawn=True)
     record = done.record
     assert record.verdict == "PASS", record.reasons
     assert record.model == "ink"
@@ -63,7 +63,6 @@ def test_a_good_print_passes_and_its_folder_explains_itself(print_rig, capsys):
         ({"wrong_ink": "synthetic-red", "wrong_share": 0.05}, "chromaticity", "wrong-ink-synthetic red"),
     ],
 )
-@pytest.mark.usefixtures("plain_report")
 def test_a_defect_fails_and_its_cause_is_named(print_rig, defects, failing, cause):
     record = print_rig.inspect(defects).record
     assert record.verdict == "FAIL", record.reasons

@@ -87,7 +87,7 @@ def test_what_is_no_sheet_of_this_product_gives_no_verdict(few, seen, sheet_of, 
 
 
 def test_an_unprinted_sheet_on_the_rig(print_rig):
-    done = print_rig.inspect({"coverage": 0.0})
+    done = print_rig.inspect({"coverage": 0.0}, drawn=True)
     record = done.record
     assert record.verdict == "FAIL", record.reasons
     assert "nothing is printed here, the ink is missing" in record.reasons[0]
@@ -104,7 +104,6 @@ def test_an_unprinted_sheet_on_the_rig(print_rig):
     assert not golden_path(recipe_path).exists()
 
 
-@pytest.mark.usefixtures("plain_report")
 def test_a_cap_on_the_lens_stays_invalid(print_rig):
     record = print_rig.inspect({"coverage": 0.0}, bench={"optics": {"electrons": 1000.0}}).record
     assert record.verdict == "INVALID"

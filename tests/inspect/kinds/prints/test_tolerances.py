@@ -26,12 +26,11 @@ from anisoscope.record.verdict import Verdict
 from anisoscope.sim.materials.inks import synthetic_ink
 
 
-@pytest.mark.usefixtures("plain_report")
-def test_a_good_print_teaches_its_recipe(print_rig):
+def test_a_good_print_teaches_its_recipe(print_rig, plain):
     untaught = {"acquisition": {"exposure_s": 0.0004}, "region": {"size_mm": [0.4, 0.4]}}
     recipe_path, rig_path = print_rig.lay_out({}, recipe=untaught)
     before = recipe_path.read_text()
-    found = teach(recipe_path, rig_path, "GOOD-1", print_rig.folder / "inspections")
+    found = teach(recipe_path, rig_path, "GOOD-1", print_rig.folder / "inspections", methods=plain)
     recipe, record = read_print_recipe(recipe_path), read_record(found.folder)
     assert (recipe.version, found.version, found.kept.read_text()) == (2, 2, before)
     # the sheet is 2.4 mm wide; a cell of 0.2 mm stays away from its edge

@@ -58,12 +58,11 @@ def inspected(rig, name, defects, rng, *, recipe, golden=None):
     recipe_path, rig_path = rig.lay_out(varied | defects, recipe=recipe, bench=bench, name=name)
     if golden is not None:
         write_golden(golden_path(recipe_path), golden)
-    record = inspect_part(recipe_path, rig_path, name, rig.folder / "inspections").record
+    record = inspect_part(recipe_path, rig_path, name, rig.folder / "inspections", methods=rig.methods).record
     return record, read_print_recipe(recipe_path), read_rig(rig_path)
 
 
 @pytest.mark.statistics
-@pytest.mark.usefixtures("plain_report")
 def test_limits_that_golden_prints_teach(print_rig):
     rng, golden, before = np.random.default_rng(31), None, []
     for number in range(SENSIBLE):

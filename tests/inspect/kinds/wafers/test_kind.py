@@ -11,9 +11,6 @@ import tomli_w
 
 from anisoscope.calibration.pictures import take_flat
 from anisoscope.cli.demo import wafers as demo_wafer
-from anisoscope.diagnosis import part_diagnosis as explaining
-from anisoscope.diagnosis.signature_cache import cached_signatures
-from anisoscope.inspection import run as inspection
 from anisoscope.inspection.integrity import verify
 from anisoscope.inspection.recompute import recompute
 from anisoscope.inspection.run import inspect_part
@@ -21,16 +18,10 @@ from anisoscope.kinds.registry import read_recipe
 from anisoscope.kinds.wafers.optics import WAFERS
 from anisoscope.prediction.cache import cached_expectation
 from anisoscope.record.schema import RECORD_NAME, UNSEALED
-from anisoscope.report.inspection_page import REPORT_NAME
+from anisoscope.report.inspection_page import write_report
 
 TILE_UM = 128.0
 WRONG = {"good": {}, "deep": {"over_etch_nm": 20.0}, "wide": {"width_bias_nm": 320.0}}
-
-
-def _plain(record, _pictures, folder, *_):
-    """A report of one line: drawing takes longer than all the rest."""
-    (folder / REPORT_NAME).write_text(record.verdict)
-    return folder / REPORT_NAME
 
 
 @pytest.fixture(scope="module")
@@ -61,20 +52,18 @@ def wafers(tmp_path_factory, small_wafer_rig):
 
 
 @pytest.fixture(scope="module")
-def inspected(wafers):
+def inspected(wafers, plain):
     """``inspected(name)``: each wafer is inspected once, with all causes of wafers."""
     kept = {}
 
     def inspect(name):
         if name not in kept:
             rig = wafers / "bench" / name / "rig.toml"
-            with pytest.MonkeyPatch.context() as patch:
-                patch.setattr(explaining, "cached_signatures", cached_signatures)
-                methods = replace(inspection.USUAL, start_renderer=lambda _: None)
-                if name != "good":  # one report is looked at
-                    methods = replace(methods, write_report=_plain)
-                patch.setattr(inspection, "USUAL", methods)
-                kept[name] = inspect_part(wafers / "recipe.toml", rig, f"W-{name}", wafers / "inspections")
+            # one report is looked at
+            methods = replace(plain, write_report=write_report) if name == "good" else plain
+            kept[name] = inspect_part(
+                wafers / "recipe.toml", rig, f"W-{name}", wafers / "inspections", methods=methods
+            )
         return kept[name]
 
     return inspect

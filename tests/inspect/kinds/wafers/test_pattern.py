@@ -1,14 +1,11 @@
 """A wafer whose pattern does not repeat: a window of it is inspected, where it lies on the part."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import tomli_w
 
 from anisoscope.calibration.pictures import take_flat
 from anisoscope.cli.demo import wafers as demo_wafer
-from anisoscope.inspection import run as inspection
 from anisoscope.inspection.run import inspect_part
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.sim.design.designfile import write_layout
@@ -71,14 +68,12 @@ def recipe(center_mm):
         pytest.param("elsewhere", [MIDDLE_MM, MIDDLE_MM], "FAIL", marks=pytest.mark.soak),
     ],
 )
-def test_a_window_of_a_pattern_is_inspected_where_it_lies(wafer, monkeypatch, name, center_mm, verdict):
-    methods = replace(
-        inspection.USUAL, start_renderer=lambda _: None, write_report=lambda *_: wafer / "none.html"
-    )
-    monkeypatch.setattr(inspection, "USUAL", methods)
+def test_a_window_of_a_pattern_is_inspected_where_it_lies(wafer, plain, name, center_mm, verdict):
     path = wafer / f"{name}.toml"
     path.write_text(tomli_w.dumps(recipe(center_mm)))
-    record = inspect_part(path, wafer / "bench" / "part" / "rig.toml", name, wafer / "inspections").record
+    record = inspect_part(
+        path, wafer / "bench" / "part" / "rig.toml", name, wafer / "inspections", methods=plain
+    ).record
     assert record.verdict == verdict, record.reasons
     if verdict == "PASS":
         assert record.p_value > 0.01
