@@ -63,15 +63,15 @@ def _with(problem: Problem, values: Mapping[str, float], internal: FloatArray) -
 def _with_scale(problem: Problem, values: Values, weight: FloatArray) -> tuple[Values, float]:
     """The values with the best k, where it is free, and the weighted sum of squares."""
     model = weight @ problem.predicted(values, interface_alpha(problem.values))
-    seen = weight @ problem.readings.value
+    weighted = weight @ problem.readings.value
     if "k" in problem.free:
         with np.errstate(all="ignore"):
-            k = values["k"] * float(model @ seen) / float(model @ model)
+            k = values["k"] * float(model @ weighted) / float(model @ model)
         if not PARAMETERS["k"].low < k < PARAMETERS["k"].high:
             return values, float("inf")
         model = model * k / values["k"]
         values = values | {"k": k}
-    return values, float(np.sum((seen - model) ** 2))
+    return values, float(np.sum((weighted - model) ** 2))
 
 
 def starting_points(problem: Problem, weight: FloatArray, count: int) -> list[Values]:
@@ -158,13 +158,13 @@ def minimise(problem: Problem, start: Values, weight: FloatArray, *, fine: bool 
     from scipy.optimize import least_squares  # noqa: PLC0415 - half a second that --help should not pay
 
     low, high = (np.array(ends) for ends in zip(*(PARAMETERS[n].bounds for n in problem.free), strict=True))
-    seen = weight @ problem.readings.value
+    weighted = weight @ problem.readings.value
     values, cost = start, float("inf")
     for _ in range(_ROUNDS if fine else 1):
         interface, base = interface_alpha(values), values
 
         def residual(x: FloatArray, base: Values = base, interface: float = interface) -> FloatArray:
-            return np.asarray(weight @ problem.predicted(_with(problem, base, x), interface) - seen)
+            return np.asarray(weight @ problem.predicted(_with(problem, base, x), interface) - weighted)
 
         def slope(x: FloatArray, base: Values = base, interface: float = interface) -> FloatArray:
             return np.asarray(weight @ derivatives(problem, _with(problem, base, x), interface))

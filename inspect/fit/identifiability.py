@@ -126,7 +126,7 @@ def _sensitivity(problem: Problem, values: Mapping[str, float], noise: FloatArra
     return whitening(total) @ derivatives(problem, values) * limits(problem.free)
 
 
-def _judge(names: tuple[str, ...], sensitivity: FloatArray) -> Information:
+def _information_of(names: tuple[str, ...], sensitivity: FloatArray) -> Information:
     covariance = scaled_covariance(sensitivity)
     uncertainty = np.sqrt(np.diag(covariance))
     correlation = covariance / np.outer(uncertainty, uncertainty)
@@ -148,7 +148,7 @@ def information(problem: Problem, values: Mapping[str, float], noise: FloatArray
         values: all parameters.
         noise: (N, N) covariance of the values; of zeros, only the model's error counts.
     """
-    return _judge(problem.free, _sensitivity(problem, values, noise))
+    return _information_of(problem.free, _sensitivity(problem, values, noise))
 
 
 def helping_measurement(problem: Problem, values: Mapping[str, float], noise: FloatArray) -> str | None:
@@ -173,7 +173,7 @@ def helping_measurement(problem: Problem, values: Mapping[str, float], noise: Fl
         light = extra.radiance(values, interface_alpha(values))
         own = readings.by_log_radiance(light, values["k"])
         enlarged = _sensitivity(trial, values, float(relative) * own @ own.T)
-        if not _judge(problem.free, np.vstack([here, enlarged])).undetermined:
+        if not _information_of(problem.free, np.vstack([here, enlarged])).undetermined:
             return words
     quiet = information(problem, values, QUIETER**2 * noise)
     return None if quiet.undetermined else "the same poses with a tenth of the noise"

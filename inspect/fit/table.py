@@ -127,18 +127,18 @@ def _contrasts(
     table: Table, kind: Kind, errors: Errors, given: FloatArray | None
 ) -> tuple[tuple[Pose, ...], Readings]:
     poses: dict[Pose, int] = {}
-    seen: set[tuple[Pose, Pose]] = set()
+    pairs_read: set[tuple[Pose, Pose]] = set()
     pairs = []
     for row, (start, end, tilt) in enumerate(table.rows[:, :3]):
         pair = Pose(float(start), float(tilt)), Pose(float(end), float(tilt))
         if start == end:
             raise UsageError(f"{table.place(row)}: a contrast of {start:g}° with itself")
         # A repeated pair shares both photographs, which makes the covariance below singular.
-        if pair in seen and errors == "shared" and given is None:
+        if pair in pairs_read and errors == "shared" and given is None:
             raise UsageError(
                 f"{table.place(row)}: this pair is given twice: --errors independent takes it for new photographs"
             )
-        seen.add(pair)
+        pairs_read.add(pair)
         pairs.append(tuple(poses.setdefault(pose, len(poses)) for pose in pair))
     value = table.column("value")
     if kind == "michelson" and np.any(np.abs(value) >= 1.0):

@@ -129,13 +129,13 @@ def _mean(counts: list[Counts], mean: Image) -> None:
         mean /= np.float32(len(counts))
 
 
-def _seen(scatter: Scatter, window: Window) -> Scatter:
+def _window_of(scatter: Scatter, window: Window) -> Scatter:
     return tuple(one[window] for one in scatter) if isinstance(scatter, tuple) else scatter[window]
 
 
 def scatter_in(scatter: Scatter, window: Window) -> Image:
     """A window of the scatter of a `Stack`, (rows, cols); of a single frame, zeros."""
-    counts = _seen(scatter, window)
+    counts = _window_of(scatter, window)
     if not isinstance(counts, tuple):
         return counts
     noise = np.zeros(counts[0].shape, dtype=np.float32)
@@ -309,8 +309,8 @@ def _noise_of(sample: Stack, dark: Stack, white: WhiteReference) -> Callable[[Wi
     def noise(window: Window) -> Image:
         scale, own, of_dark = (
             white.radiance_per_signal[window],
-            _seen(scatter, window),
-            _seen(dark.scatter, window),
+            _window_of(scatter, window),
+            _window_of(dark.scatter, window),
         )
         found = np.empty(scale.shape, dtype=np.float32)
         for rows in _blocks(found.shape):

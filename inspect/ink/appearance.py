@@ -94,17 +94,17 @@ def show_inks(
         ModelError: an ink whose wavelengths give no colour.
     """
     theta = np.array(theta_deg, dtype=np.float64)
-    seen = theta + off_mirror_deg
+    theta_o_deg = theta + off_mirror_deg
     if not inks or theta.size == 0:
         raise UsageError("colours need an ink and an angle")
-    if not (theta.min() >= 0.0 and theta.max() < 90.0 and np.abs(seen).max() < 90.0):
+    if not (theta.min() >= 0.0 and theta.max() < 90.0 and np.abs(theta_o_deg).max() < 90.0):
         raise UsageError("angles of light and eye lie between 0 and 90°")
     if exposure is not None and not 0.0 < exposure < np.inf:
         raise UsageError(f"the exposure must be a number above 0, not {exposure:g}")
     white = white_point(illuminant)
     turn = bradford(white, SRGB_WHITE) if adapt else np.eye(3)
     colours = [
-        np.pi * brdf_at_angles(ink, theta, seen, model) @ xyz_weights(illuminant, ink.nm) @ turn.T
+        np.pi * brdf_at_angles(ink, theta, theta_o_deg, model) @ xyz_weights(illuminant, ink.nm) @ turn.T
         for ink in inks
     ]
     brightest = max(float(linear_srgb(xyz).max()) for xyz in colours)

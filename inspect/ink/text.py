@@ -88,10 +88,10 @@ def show_rows(appearance: Show, number: int) -> list[list[str]]:
     """Angle, XYZ, chromaticity, hex and colour difference of one ink as texts."""
     one = appearance.inks[number]
     rows = []
-    for theta, xyz, code, apart in zip(one.theta_deg, one.xyz, one.hexes, one.difference, strict=True):
+    for theta, xyz, code, difference in zip(one.theta_deg, one.xyz, one.hexes, one.difference, strict=True):
         total = max(float(xyz.sum()), 1e-30)
         chroma = [f"{part / total:.4f}" for part in xyz[:2]]
-        rows.append([f"{theta:g}", *(f"{part:.4g}" for part in xyz), *chroma, code, f"{apart:.2f}"])
+        rows.append([f"{theta:g}", *(f"{part:.4g}" for part in xyz), *chroma, code, f"{difference:.2f}"])
     return rows
 
 

@@ -183,9 +183,9 @@ def expectation(
     recipe, poses = recipe.deciding(), recipe.poses.poses()
     check_poses(recipe.poses, light_angle_deg)
     convention = Convention(light_angle_deg, facet_azimuth_deg=recipe.poses.facet_azimuth_deg)
-    made = optics.models(recipe, poses, convention)
+    models = optics.models(recipe, poses, convention)
     nominal = State(recipe.material.material(), light_angle_deg, shape=nominal_shape(recipe))
-    radiance = evaluate(fixed(made.model), [nominal], poses, convention)[0]
+    radiance = evaluate(fixed(models.model), [nominal], poses, convention)[0]
     black = [pose for pose, value in zip(poses, radiance, strict=True) if not value > DARK]
     if black:
         raise RecipeError(
@@ -193,7 +193,7 @@ def expectation(
             "reach the camera, so that no contrast is defined: correct albedo and roughness, or leave the pose out"
         )
     inputs = recipe_uncertainty(recipe)
-    budget = propagate(made.sampled, nominal, poses, convention, inputs, radiance=radiance)
+    budget = propagate(models.sampled, nominal, poses, convention, inputs, radiance=radiance)
     components = [
         Component(c.source, c.kind, c.absolute / radiance, shared=True)
         for c in budget.contributions
@@ -201,24 +201,24 @@ def expectation(
     ]
     per_u = {c.source: c.relative for c in components if np.any(c.relative)}
     straight = {source: per_u[source] for source in known_inputs(tuple(per_u))}
-    response = response_of(made.sampled, nominal, poses, convention, inputs, straight) if straight else None
+    response = response_of(models.sampled, nominal, poses, convention, inputs, straight) if straight else None
     components = [replace(c, source=optics.source_name(c.source)) for c in components]
     if response is not None:
         response = replace(response, sources=tuple(optics.source_name(name) for name in response.sources))
     components += _second_order(response)
-    components += optics.components(recipe, made, radiance, nominal, convention)
-    components += _of_the_optics(made, radiance)
+    components += optics.components(recipe, models, radiance, nominal, convention)
+    components += _of_the_optics(models, radiance)
     per_degree = budget.per_degree / radiance
     return Expectation(
-        made.name,
+        models.name,
         poses,
         radiance,
         tuple(components),
         per_degree,
-        made.surface,
+        models.surface,
         convention,
         response,
-        made.optics,
+        models.optics,
         optics.states(recipe, light_angle_deg),
     )
 
@@ -229,14 +229,14 @@ def nominal_shape(recipe: SurfaceRecipe) -> Shape:
     return Shape() if design is None else Shape(ridge_angle_deg=design.ridge_angle_deg)
 
 
-def _of_the_optics(made: Models, radiance: FloatArray) -> list[Component]:
+def _of_the_optics(models: Models, radiance: FloatArray) -> list[Component]:
     """Uncertainty from the numerics of wave optics, or from its neglect."""
     found = []
-    if made.numerical > 0.0:
-        share = np.full(len(radiance), made.numerical)
+    if models.numerical > 0.0:
+        share = np.full(len(radiance), models.numerical)
         found.append(Component("numerical error of the wave model", "prediction", share, shared=False))
-    if made.neglected_per_sr is not None:
-        share = made.neglected_per_sr / np.sqrt(3.0) / radiance  # a bound, rectangular
+    if models.neglected_per_sr is not None:
+        share = models.neglected_per_sr / np.sqrt(3.0) / radiance  # a bound, rectangular
         found.append(Component("waves, neglected by rays", "prediction", share, shared=False))
     return found
 

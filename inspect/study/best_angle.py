@@ -213,8 +213,8 @@ def _seated(task: _Task, to_light: FloatArray, to_camera: FloatArray) -> FloatAr
     for about_x, weight_x in zip(tilts, share, strict=True):
         for about_y, weight_y in zip(tilts, share, strict=True):
             seat = seating_rotation(float(about_x), float(about_y))
-            seen = signed_contrasts(radiance(to_light @ seat, to_camera @ seat))
-            total += weight_x * weight_y * np.abs(seen)
+            measured = signed_contrasts(radiance(to_light @ seat, to_camera @ seat))
+            total += weight_x * weight_y * np.abs(measured)
     return total
 
 
@@ -226,8 +226,8 @@ def _with_burrs(task: _Task, to_light: FloatArray, to_camera: FloatArray) -> Flo
     for piece in range(task.sampling.seeds if task.severity else 1):
         rng = np.random.default_rng(1000 * task.seed + piece)
         spoiled = burrs(surface, task.severity, pitch_um=PITCH_UM, rng=rng).map
-        seen = relief_radiance(Relief(spoiled, PITCH_UM), to_light, to_camera, task.material)
-        found.append(np.abs(signed_contrasts(seen)))
+        measured = relief_radiance(Relief(spoiled, PITCH_UM), to_light, to_camera, task.material)
+        found.append(np.abs(signed_contrasts(measured)))
     return np.array(found)
 
 

@@ -142,7 +142,9 @@ def sampling_for(defect: Defect | None, sampling: Sampling) -> Sampling:
     return Sampling(2, FINE_PIXEL_UM, FINE_PIXEL_UM, 1)
 
 
-def spoil(surface: HeightMap, defect: Defect, size: float, design: RidgeDesign, seed: int) -> list[HeightMap]:
+def with_defect(
+    surface: HeightMap, defect: Defect, size: float, design: RidgeDesign, seed: int
+) -> list[HeightMap]:
     """The surface with a defect of a given size in the unit of ``LARGEST``.
 
     One seed means one piece of surface at every size: roughness is one field scaled, and comes as a pair of
@@ -178,7 +180,7 @@ def _contrasts(task: _Task) -> FloatArray:
     surface = ideal_map(task.design, task.sampling)
     spoiled = [surface]
     if task.severity > 0.0 and task.defect is not None:
-        spoiled = spoil(surface, task.defect, task.severity, task.design, task.seed)
+        spoiled = with_defect(surface, task.defect, task.severity, task.design, task.seed)
     to_light, to_camera = directions(pose_grid(STAGE_DEG, TILTS_DEG), Convention())
     return np.stack(
         [

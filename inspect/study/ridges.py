@@ -1,6 +1,6 @@
 """Direct light from ridges whose crests are rounded: the corrected model on a polyline.
 
-A ball of the edge radius rolls inside the material along the profile, and what it never reaches is missing: melt
+A ball of the edge radius rolls inside the material along the profile, and material beyond its reach is missing: melt
 does not fill the sharp bottom of a groove of the tool, where the crest of the part forms; the feet of the part are
 copied from cut edges and stay sharp. Height loss cuts that profile at its height. Visibility of every segment is
 exact (`sim.light.corrected`). With a radius of 0 this is the corrected model.
@@ -132,9 +132,9 @@ def _lighting(to_light: FloatArray, to_camera: FloatArray, x: FloatArray, z: Flo
     light, camera = local(to_light), local(to_camera)
     light_tangent, camera_tangent = to_light[:, 0] / to_light[:, 2], to_camera[:, 0] / to_camera[:, 2]
     lit = np.stack([visible_shares(x, z, t)[nonzero] for t in light_tangent], axis=-1)
-    seen = np.stack([visible_shares(x, z, t)[nonzero] for t in camera_tangent], axis=-1)
+    visible = np.stack([visible_shares(x, z, t)[nonzero] for t in camera_tangent], axis=-1)
     same = (light_tangent >= 0) == (camera_tangent >= 0)
-    share = np.where(same, np.minimum(lit, seen), np.maximum(0.0, lit + seen - 1.0))
+    share = np.where(same, np.minimum(lit, visible), np.maximum(0.0, lit + visible - 1.0))
     cosines = np.maximum(light[..., 2], 0.0) * np.maximum(camera[..., 2], 0.0)
     return _Lighting(light, camera, share * cosines * size / ((x[-1] - x[0]) * to_camera[:, 2]))
 

@@ -95,8 +95,8 @@ def _detect(image: Image, fixture: Fixture, top: float, factor: int) -> list[tup
             break
         squeezed = np.asarray(255.0 * calm**power, dtype=np.uint8)
         # OpenCV misses labels that nearly touch the edge of the picture
-        seen = cv2.copyMakeBorder(squeezed, _PADDING, _PADDING, _PADDING, _PADDING, cv2.BORDER_REPLICATE)
-        corners, ids, _ = detector.detectMarkers(seen)
+        padded = cv2.copyMakeBorder(squeezed, _PADDING, _PADDING, _PADDING, _PADDING, cv2.BORDER_REPLICATE)
+        corners, ids, _ = detector.detectMarkers(padded)
         numbers = [int(number) for number in ids.ravel()] if corners else []
         found += [
             (number, (one.reshape(4, 2).astype(np.float64) - _PADDING + 0.5) * factor - 0.5)
@@ -170,8 +170,8 @@ def _lit_along(image: Image, base: FloatArray, away: FloatArray) -> FloatArray:
         (base[:, :, None, axis] + away[:, None, :, axis]).astype(np.float32).reshape(-1, away.shape[1])
         for axis in (0, 1)
     )
-    seen = cv2.remap(image, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(seen, dtype=np.float64).reshape(*base.shape[:2], -1)
+    sampled = cv2.remap(image, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(sampled, dtype=np.float64).reshape(*base.shape[:2], -1)
 
 
 def _steps(lit: FloatArray, across: FloatArray) -> tuple[FloatArray, Mask]:
@@ -259,8 +259,8 @@ class Fit:
 
     def to_pixels(self, points_mm: FloatArray) -> FloatArray:
         """(N, 2) column and row of points (N, 2)."""
-        seen = np.column_stack([points_mm, np.ones(len(points_mm))]) @ self.homography.T
-        return np.asarray(seen[:, :2] / seen[:, 2:])
+        projected = np.column_stack([points_mm, np.ones(len(points_mm))]) @ self.homography.T
+        return np.asarray(projected[:, :2] / projected[:, 2:])
 
 
 @dataclass(frozen=True, eq=False)
@@ -319,13 +319,13 @@ def agree(
         dropped = (used[order[0]].id,)
         used = (*used[: order[0]], *used[order[0] + 1 :])
         whole = best
-    seen, u_squeeze, rest_px = _measured_squeeze(
+    measured, u_squeeze, rest_px = _measured_squeeze(
         np.concatenate([known_mm[m.id] for m in used]), np.concatenate([m.corners for m in used])
     )
     # markers that agree on another foreshortening indicate a wrong tilt, which the tilt gate decides on
     if whole.residual_px > OFF_PX and rest_px > OFF_PX:
         raise RegistrationError(_contradiction(used, [off(m, whole) for m in used]))
-    return Agreed(whole, used, dropped, seen / squeeze, u_squeeze / squeeze)
+    return Agreed(whole, used, dropped, measured / squeeze, u_squeeze / squeeze)
 
 
 def _allowed(fit: Fit) -> float:

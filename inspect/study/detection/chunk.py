@@ -95,14 +95,18 @@ def profile_radiance(specimen: Specimen, world: World, *, stage_errors: bool = T
         for pose, error in zip(views_of_series(), errors, strict=True)
     )
     seat = seating_rotation(*specimen.seating_deg)
-    seen = [side @ seat for side in directions(poses, Convention(specimen.light_deg))]
+    sides = [side @ seat for side in directions(poses, Convention(specimen.light_deg))]
     material = specimen.plastic(lobes_of(world).smooth)
     material = replace(material, albedo=min(material.albedo, 0.99))
-    shines = [quick_shine(light, camera, material) for light, camera in zip(*seen, strict=True)]
-    shown = lobe_maps(Relief(_profile(specimen), PITCH_UM), shines, "beckmann" if world == "same" else "ggx")
+    shines = [quick_shine(light, camera, material) for light, camera in zip(*sides, strict=True)]
+    radiance = lobe_maps(
+        Relief(_profile(specimen), PITCH_UM), shines, "beckmann" if world == "same" else "ggx"
+    )
     middle = slice(POINTS_A_PITCH, 2 * POINTS_A_PITCH)  # the crests to both sides stand
-    row = len(shown[0]) // 2
-    return np.array([view[row, middle].reshape(POINTS, -1).mean(axis=1) for view in shown], dtype=np.float64)
+    row = len(radiance[0]) // 2
+    return np.array(
+        [view[row, middle].reshape(POINTS, -1).mean(axis=1) for view in radiance], dtype=np.float64
+    )
 
 
 def nominal(views: int | None = None) -> Specimen:
@@ -232,16 +236,16 @@ def radiance_of_part(
     inner_rows, inner_cols = slice(POINTS // 2, -(POINTS // 2) or None), slice(POINTS // 2, None)
     for view in range(len(base)):
         pose = view if view < len(cut_out) else 0
-        shown = cut_out[pose].astype(np.float32)
-        repeats = shown.shape[1] // POINTS
-        columns = shown[inner_rows].mean(axis=0, dtype=np.float64).reshape(repeats, POINTS) * ideal[view]
+        radiance = cut_out[pose].astype(np.float32)
+        repeats = radiance.shape[1] // POINTS
+        columns = radiance[inner_rows].mean(axis=0, dtype=np.float64).reshape(repeats, POINTS) * ideal[view]
         whole = columns.ravel()[inner_cols][: (repeats - 1) * POINTS]
         truth.append(float(whole.mean()) + bounces[pose])
-        shown *= np.tile(ratio[view].astype(np.float32), repeats)
-        shown += np.float32(bounces[pose])
+        radiance *= np.tile(ratio[view].astype(np.float32), repeats)
+        radiance += np.float32(bounces[pose])
         if world == "other":
-            shown *= _near_led(view, shown.shape, world)
-        views.append(shown)
+            radiance *= _near_led(view, radiance.shape, world)
+        views.append(radiance)
     return views, np.array(truth)
 
 
@@ -261,7 +265,7 @@ def _near_led(view: int, shape: tuple[int, int], world: World) -> Image:
 
 
 def photograph(
-    shown: list[Image],
+    radiance: list[Image],
     specimen: Specimen,
     cameras: dict[tuple[int, int], Camera],
     size: Size,
@@ -270,7 +274,7 @@ def photograph(
     """All views of a part, linearised, with their placement: the true one, off by the error of the markers' fit.
 
     Args:
-        shown: radiance of the part in every view.
+        radiance: radiance of the part in every view.
         specimen: the part and the rig it lies on.
         cameras: the camera, by window.
         size: of the study.
@@ -286,7 +290,7 @@ def photograph(
         camera = cameras[size.window(pose.stage_deg)]
         part = camera.sensor.part
         angle = pose.stage_deg + float(specimen.stage_deg[view])
-        picture, _ = image_of_surface(shown[view], (step_um, step_um), optics, part, angle, pose.tilt_deg)
+        picture, _ = image_of_surface(radiance[view], (step_um, step_um), optics, part, angle, pose.tilt_deg)
         light = (picture.astype(np.float64) + specimen.stray) * camera.shade * specimen.gain[view]
         light *= optics.electrons * acquisition.exposure_s
         frames = stack(
@@ -408,10 +412,13 @@ def _inspected(task: ChunkTask) -> list[Row]:
         rng = np.random.default_rng(child)
         specimen, extent = draw(kind, len(views_of_series()), rng)
         where = cut(sheet, task.kind, task.size, rng)
-        shown, truth = radiance_of_part(
-            sheet.shown[:, *where], specimen, task.world, np.array(task.bounces or np.zeros(len(sheet.shown)))
+        radiance, truth = radiance_of_part(
+            sheet.radiance[:, *where],
+            specimen,
+            task.world,
+            np.array(task.bounces or np.zeros(len(sheet.radiance))),
         )
-        views = photograph(shown, specimen, cameras, task.size, rng)
+        views = photograph(radiance, specimen, cameras, task.size, rng)
         row: Row = {
             "extent": extent,
             "ridge_angle_deg": specimen.ridge_angle_deg,

@@ -61,16 +61,16 @@ def separability_of(name: RecipeName, size: Size) -> dict[str, Separability]:
     return {row.cause: row for row in rows}
 
 
-def components_of(seen: Columns, name: RecipeName, number: int) -> tuple[Component, ...]:
+def components_of(data: Columns, name: RecipeName, number: int) -> tuple[Component, ...]:
     """Components of the measurement of one part."""
     return tuple(
         Component(source, "measurement", relative, source in SHARED_SOURCES)
-        for source, relative in zip(MEASURED_SOURCES, seen[f"{name}/own"][number], strict=True)
+        for source, relative in zip(MEASURED_SOURCES, data[f"{name}/own"][number], strict=True)
     )
 
 
 def evidence(
-    seen: Columns,
+    data: Columns,
     name: RecipeName,
     size: Size,
     number: int,
@@ -81,7 +81,7 @@ def evidence(
     """Evidence for the diagnosis of one part, as in ``inspect``.
 
     Args:
-        seen: columns of a class.
+        data: columns of a class.
         name: of the recipe.
         size: of the study.
         number: of the part.
@@ -90,20 +90,20 @@ def evidence(
         stated: the recipe states how much the ridge angle of good parts spreads.
     """
     recipe, expected = recipe_of(name, size, stated=stated), expected_of(name, size, stated=stated)
-    components = components_of(seen, name, number)
-    deviation = np.asarray(seen[f"{name}/deviation"][number], dtype=np.float64)
+    components = components_of(data, name, number)
+    deviation = np.asarray(data[f"{name}/deviation"][number], dtype=np.float64)
     scale_share = recipe.uncertainty.scale_share
     covariance = covariance_of(expected.components + components, scale_share, len(deviation))
     assert recipe.area is not None
     background = background_of(recipe.area.max_share)
     inputs = inputs_of(recipe, expected, components)
-    share, u_share = float(seen[f"{name}/share"][number]), float(seen[f"{name}/u_share"][number])
+    share, u_share = float(data[f"{name}/share"][number]), float(data[f"{name}/u_share"][number])
     found = Evidence(deviation, covariance, share, u_share, *background, inputs)
     return found if golden is None else against(found, golden, scale_share)
 
 
 def diagnosed(
-    kind: str, seen: Columns, name: RecipeName, size: Size, count: int, golden: FloatArray | None = None
+    kind: str, data: Columns, name: RecipeName, size: Size, count: int, golden: FloatArray | None = None
 ) -> Columns:
     """First causes of the first parts of a class, what ties with them, and the extent of the true cause.
 
@@ -112,8 +112,8 @@ def diagnosed(
     known, cause = signatures_of(name, size), BY_NAME[kind].cause
     alpha = recipe_of(name, size).decision.alpha
     rows = []
-    for number in range(min(count, len(seen["extent"]))):
-        diagnosis = diagnose(known, evidence(seen, name, size, number, golden))
+    for number in range(min(count, len(data["extent"]))):
+        diagnosis = diagnose(known, evidence(data, name, size, number, golden))
         ties = {one.cause for one in diagnosis.ties}
         first = diagnosis.causes[0].cause
         right = next((one for one in diagnosis.causes if one.cause == cause), None)
@@ -131,32 +131,32 @@ def _fit_of(found: CauseRecord | None) -> tuple[float, float, float, float]:
     return found.severity, np.inf if found.u is None else found.u, low, high
 
 
-def true_extents(kind: str, seen: Columns, size: Size) -> FloatArray:
+def true_extents(kind: str, data: Columns, size: Size) -> FloatArray:
     """Extents as they truly are: the scatter of good parts adds to some; ridges may be missing in part."""
     if kind == "ridge-angle":
-        return np.asarray(seen["ridge_angle_deg"] - RIDGE_ANGLE_DEG)
+        return np.asarray(data["ridge_angle_deg"] - RIDGE_ANGLE_DEG)
     if kind == "roughness":
-        return np.asarray(np.exp(seen["across"]) - 1.0)
+        return np.asarray(np.exp(data["across"]) - 1.0)
     if kind == "missing-ridges":  # of the area that is cut out, half a pitch wider on both sides
-        return np.asarray(seen["spoiled"] * (size.ridges + 1) / size.ridges)
-    return np.asarray(seen["extent"], dtype=np.float64)
+        return np.asarray(data["spoiled"] * (size.ridges + 1) / size.ridges)
+    return np.asarray(data["extent"], dtype=np.float64)
 
 
-def fitted_shapes(seen: Columns, name: RecipeName, size: Size) -> dict[str, npt.NDArray[np.bool_]]:
+def fitted_shapes(data: Columns, name: RecipeName, size: Size) -> dict[str, npt.NDArray[np.bool_]]:
     """Whether the 95 % interval of every shape parameter that was determined holds the truth, by its name."""
     recipe, expected = recipe_of(name, size), expected_of(name, size)
     nowhere = Grid((0.0, 0.0), 1.0, (1, 1))
     held: dict[str, list[bool]] = {}
-    for number in range(min(FITTED, len(seen["extent"]))):
-        radiance = expected.radiance * np.exp(seen[f"{name}/deviation"][number])
+    for number in range(min(FITTED, len(data["extent"]))):
+        radiance = expected.radiance * np.exp(data[f"{name}/deviation"][number])
         cells = np.zeros((len(radiance), 1, 1))
-        components = components_of(seen, name, number)
+        components = components_of(data, name, number)
         measured = Measured(radiance, components, (), cells, np.zeros(len(radiance)), nowhere, None)
         shape, _ = fit_shape(recipe, expected, measured)
         truth = {
-            "ridge_angle_deg": seen["ridge_angle_deg"][number],
-            "alpha_along": WHOLE.alpha_along * np.exp(seen["along"][number]),
-            "alpha_across": WHOLE.alpha_across * np.exp(seen["across"][number]),
+            "ridge_angle_deg": data["ridge_angle_deg"][number],
+            "alpha_along": WHOLE.alpha_along * np.exp(data["along"][number]),
+            "alpha_across": WHOLE.alpha_across * np.exp(data["across"][number]),
         }
         for one in () if shape is None else shape.estimates:
             if one.value is not None and one.u is not None and not one.at_bound and one.name in truth:

@@ -1,4 +1,4 @@
-"""How facets of the two worlds shine, quickly for many materials; and the lobe whose Beckmann fit is the recipe's."""
+"""Reflectance of facets in the two worlds, fast for many materials; GGX lobe whose Beckmann fit is the recipe's."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -74,7 +74,7 @@ def lobes_of(world: World) -> Lobes:
     """Nominal materials of a world.
 
     Facets of the other world have GGX lobes. Their widths and the albedo are such that the Beckmann lobe that fits
-    their nine ln radiances best is the recipe's: what a user finds who fits the recipe's material to the real one.
+    their nine ln radiances best is the recipe's: the result of a user who fits the recipe's material to the real one.
     """
     return Lobes(LOBE, WHOLE) if world == "same" else _matched()
 
@@ -86,9 +86,9 @@ def _matched() -> Lobes:
     from anisoscope.sim.light.ggx import lobe_maps  # noqa: PLC0415 - numba when first needed
 
     poses = expected_of("tilted", Size()).poses
-    seen = directions(poses, Convention(LIGHT_DEG))
+    sides = directions(poses, Convention(LIGHT_DEG))
     design = RidgeDesign(PITCH_UM, RIDGE_ANGLE_DEG)
-    target = np.log(corrected.radiance(*seen, design, WHOLE))
+    target = np.log(corrected.radiance(*sides, design, WHOLE))
     surface = ridges(design, (2, 3 * POINTS_A_PITCH + 1), (PITCH_UM, PITCH_UM / POINTS_A_PITCH))
     relief = Relief(surface, PITCH_UM)
 
@@ -99,8 +99,8 @@ def _matched() -> Lobes:
         )
 
     def off(change: FloatArray) -> FloatArray:
-        shines = [quick_shine(light, camera, material(change)) for light, camera in zip(*seen, strict=True)]
-        found = [float(shown.mean(dtype=np.float64)) for shown in lobe_maps(relief, shines, "ggx")]
+        shines = [quick_shine(light, camera, material(change)) for light, camera in zip(*sides, strict=True)]
+        found = [float(radiance.mean(dtype=np.float64)) for radiance in lobe_maps(relief, shines, "ggx")]
         return np.asarray(np.log(found) - target)
 
     fit = least_squares(off, np.array([-0.2, -0.2, -0.1]), bounds=(-1.0, 1.0), diff_step=[1e-3])

@@ -106,18 +106,18 @@ def bench_of(name: RecipeName, size: Size, golden: FloatArray, own: FloatArray) 
     return Bench(expected, expected_of(name, size, stated=True), golden, size, name, drawn)
 
 
-def p_values(rule: Rule, seen: Columns, kind: str, bench: Bench) -> FloatArray:
+def p_values(rule: Rule, data: Columns, kind: str, bench: Bench) -> FloatArray:
     """P value of the means of every part under a rule; NaN for an INVALID part.
 
     Args:
         rule: the rule.
-        seen: columns of one class.
+        data: columns of one class.
         kind: the class.
         bench: recipe and golden parts.
     """
     name = bench.name
-    deviation = np.asarray(seen[f"{name}/deviation"], dtype=np.float64)
-    own = covariance_of_measurement(seen[f"{name}/own"])
+    deviation = np.asarray(data[f"{name}/deviation"], dtype=np.float64)
+    own = covariance_of_measurement(data[f"{name}/own"])
     if rule in ("golden", "normal"):
         basis = log_basis(deviation.shape[1])
         normal = _against_golden(deviation @ basis.T, bench.golden @ basis.T)
@@ -125,7 +125,7 @@ def p_values(rule: Rule, seen: Columns, kind: str, bench: Bench) -> FloatArray:
     response = bench.response(spread=rule != "shipped", better=BETTER if rule == "known" else 1.0)
     alone = own + np.sum([component.covariance() for component in bench.expected.alone], axis=0)
     if rule == "known":
-        deviation = deviation - _known(seen, kind, bench)
+        deviation = deviation - _known(data, kind, bench)
     if rule == "taught":
         count = len(bench.golden)
         deviation = deviation - bench.golden.mean(axis=0)
@@ -179,19 +179,19 @@ def _chi2(deviation: FloatArray, alone: FloatArray, response: Response) -> Float
     return np.asarray(chi2.sf(d2, len(basis)))
 
 
-def _known(seen: Columns, kind: str, bench: Bench) -> FloatArray:
-    """(N, P) change of ln L that is known of every part's batch: true up to a third of the recipe's uncertainty.
+def _known(data: Columns, kind: str, bench: Bench) -> FloatArray:
+    """(N, P) known change of ln L of every part's batch, to a third of the recipe's uncertainty.
 
-    What makes a part defective is not known.
+    Defects are not known.
     """
     part = recipe_of(bench.name, bench.size).material
-    across = np.asarray(seen["across"], dtype=np.float64)
+    across = np.asarray(data["across"], dtype=np.float64)
     if kind == "roughness":
         across = across - np.log1p(BY_NAME[kind].extent)
     truth = (
-        (ALONG, seen["along"], part.u_alpha_share),
+        (ALONG, data["along"], part.u_alpha_share),
         (ACROSS, across, part.u_alpha_share),
-        (ALBEDO, seen["albedo"] - part.albedo, part.u_albedo),
+        (ALBEDO, data["albedo"] - part.albedo, part.u_albedo),
     )
     rng = np.random.default_rng(11)  # the same error of the batch's calibration every time
     response = bench.expected.response
@@ -203,12 +203,12 @@ def _known(seen: Columns, kind: str, bench: Bench) -> FloatArray:
     return response.change(z)
 
 
-def limits(shift: FloatArray, seen: Columns, bench: Bench) -> tuple[float, list[tuple[str, float]]]:
+def limits(shift: FloatArray, data: Columns, bench: Bench) -> tuple[float, list[tuple[str, float]]]:
     """Size of a mean shift (P,) of ln L in σ, and the sources of σ with their shares of its square.
 
     The shift is weighed along V⁻¹δ, where it shows most; V is the mean over the parts, with the ridge angle.
     """
-    own = np.asarray(seen[f"{bench.name}/own"], dtype=np.float64).mean(axis=0)
+    own = np.asarray(data[f"{bench.name}/own"], dtype=np.float64).mean(axis=0)
     measured = [
         Component(source, "measurement", relative, source in SHARED_SOURCES)
         for source, relative in zip(MEASURED_SOURCES, own, strict=True)
@@ -232,33 +232,33 @@ DRAWN = ("shipped+area", "known+area", "golden+area")
 _TINY = 1e-300
 
 
-def results_of(world: World, seen: dict[str, Columns], name: RecipeName, size: Size) -> Results:
+def results_of(world: World, data: dict[str, Columns], name: RecipeName, size: Size) -> Results:
     """Results of one recipe in one world.
 
     Args:
         world: the world.
-        seen: columns of every class, good parts among them.
+        data: columns of every class, good parts among them.
         name: of the recipe.
         size: of the study.
     """
-    valid = {kind: _valid(columns, name) for kind, columns in seen.items()}
+    valid = {kind: _valid(columns, name) for kind, columns in data.items()}
     good = valid[GOOD]
     pool = golden_pool(len(good["extent"]))
     own = covariance_of_measurement(good[f"{name}/own"]).mean(axis=0)
     first = bench_of(name, size, good[f"{name}/deviation"][pool[0]], own)
     benches = [replace(first, golden=good[f"{name}/deviation"][part]) for part in pool]
-    met = {
+    compared = {
         kind: compared_sets(len(columns["extent"]), pool, of_good=kind == GOOD)
         for kind, columns in valid.items()
     }
-    scores = {kind: _scores(columns, kind, name, benches, met[kind]) for kind, columns in valid.items()}
+    scores = {kind: _scores(columns, kind, name, benches, compared[kind]) for kind, columns in valid.items()}
     with_area(scores)
     good_scores = scores[GOOD]
     apart = separability_of(name, size)
     return {
         "good": {
             "parts": len(good["extent"]),
-            "invalid": int(len(seen[GOOD]["extent"]) - len(good["extent"])),
+            "invalid": int(len(data[GOOD]["extent"]) - len(good["extent"])),
             "golden_sets": len(pool),
             "false_alarms": _false_alarms(good, name, good_scores),
             "p_values": {rule: _of_p(good_scores[rule]) for rule in RULES},
@@ -274,9 +274,9 @@ def results_of(world: World, seen: dict[str, Columns], name: RecipeName, size: S
     }
 
 
-def _intervals(kind: str, seen: dict[str, Columns], name: RecipeName, size: Size) -> Results | None:
+def _intervals(kind: str, data: dict[str, Columns], name: RecipeName, size: Size) -> Results | None:
     """Intervals of extents where everything that varies is stated: only the world of the predictor is known so well."""
-    held = intervals_held(kind, seen, name, size)
+    held = intervals_held(kind, data, name, size)
     if held is None:
         return None
     return {
@@ -312,24 +312,24 @@ def _valid(columns: Columns, name: RecipeName) -> Columns:
 
 
 def _scores(
-    seen: Columns, kind: str, name: RecipeName, benches: list[Bench], met: npt.NDArray[np.int_]
+    data: Columns, kind: str, name: RecipeName, benches: list[Bench], compared: npt.NDArray[np.int_]
 ) -> dict[str, FloatArray]:
     """Scores (high is bad) of every part: −lg p of the means by every rule and of the marks, and the share."""
     found: dict[str, FloatArray] = {}
     for rule in RULES:
         if rule in OF_GOLDEN:
-            p = np.full(len(seen["extent"]), np.nan)
+            p = np.full(len(data["extent"]), np.nan)
             for number, bench in enumerate(benches):
-                mine = met == number
+                mine = compared == number
                 if not mine.any():
                     continue
-                p[mine] = p_values(rule, {key: values[mine] for key, values in seen.items()}, kind, bench)
+                p[mine] = p_values(rule, {key: values[mine] for key, values in data.items()}, kind, bench)
         else:
-            p = p_values(rule, seen, kind, benches[0])
+            p = p_values(rule, data, kind, benches[0])
         found[rule] = -np.log10(np.maximum(p, _TINY))
     # groups whose chance is nil in floating point are told apart by their size
-    found["marks"] = -np.log10(np.maximum(seen[f"{name}/p_marks"], _TINY)) + 1e-3 * seen[f"{name}/mark_cells"]
-    found["share"] = np.asarray(seen[f"{name}/share"], dtype=np.float64)
+    found["marks"] = -np.log10(np.maximum(data[f"{name}/p_marks"], _TINY)) + 1e-3 * data[f"{name}/mark_cells"]
+    found["share"] = np.asarray(data[f"{name}/share"], dtype=np.float64)
     return found
 
 
@@ -341,8 +341,8 @@ def with_area(scores: dict[str, dict[str, FloatArray]]) -> None:
     """
     from scipy.stats import norm  # noqa: PLC0415 - 1 s
 
-    shown = scores[GOOD]["share"][::2]
-    middle, spread = float(np.mean(shown)), max(float(np.std(shown, ddof=1)), 1e-6)
+    good_shares = scores[GOOD]["share"][::2]
+    middle, spread = float(np.mean(good_shares)), max(float(np.std(good_shares, ddof=1)), 1e-6)
     for found in scores.values():
         found["area"] = np.asarray(-norm.logsf((found["share"] - middle) / spread) / np.log(10.0))
         for rule in RULES:
@@ -360,9 +360,9 @@ def _false_alarms(good: Columns, name: RecipeName, scores: dict[str, FloatArray]
     return found
 
 
-def _fails(seen: Columns, name: RecipeName, scores: dict[str, FloatArray]) -> npt.NDArray[np.bool_]:
+def _fails(data: Columns, name: RecipeName, scores: dict[str, FloatArray]) -> npt.NDArray[np.bool_]:
     """Whether the verdict is FAIL as shipped: by the means or by the share of the area."""
-    return np.asarray((scores["shipped"] > -np.log10(LEVEL)) | seen[f"{name}/share_fails"].astype(bool))
+    return np.asarray((scores["shipped"] > -np.log10(LEVEL)) | data[f"{name}/share_fails"].astype(bool))
 
 
 def _of_p(scores: FloatArray) -> Results:
@@ -410,17 +410,17 @@ def _coverage_of_good(good: Columns, name: RecipeName, bench: Bench) -> Results:
 
 def _class(
     kind: str,
-    seen: dict[str, Columns],
+    data: dict[str, Columns],
     scores: dict[str, dict[str, FloatArray]],
     good: dict[str, FloatArray],
     name: RecipeName,
     bench: Bench,
     apart: Separability | None,
 ) -> Results:
-    columns, own = seen[kind], scores[kind]
+    columns, own = data[kind], scores[kind]
     way = np.where(columns["extent"] < 0.0, -1.0, 1.0)[:, None]  # deviations of opposite sign must not cancel
     shift = np.mean(
-        way * (columns[f"{name}/deviation"] - seen[GOOD][f"{name}/deviation"].mean(axis=0)), axis=0
+        way * (columns[f"{name}/deviation"] - data[GOOD][f"{name}/deviation"].mean(axis=0)), axis=0
     )
     sigmas, sources = limits(shift, columns, bench)
     keys = ("area", "marks", *RULES, *(f"{rule}+area" for rule in RULES))
@@ -449,17 +449,17 @@ def _detection(bad: FloatArray, good: FloatArray) -> Results:
 
 
 def _diagnosis(
-    kind: str, seen: Columns, name: RecipeName, bench: Bench, apart: Separability | None
+    kind: str, data: Columns, name: RecipeName, bench: Bench, apart: Separability | None
 ) -> Results:
     cause, extent, size = BY_NAME[kind].cause, BY_NAME[kind].extent, bench.size
-    diagnoses = diagnosed(kind, seen, name, size, len(seen["extent"]))
-    taught = diagnosed(kind, seen, name, size, TAUGHT_DIAGNOSES, bench.golden)
+    diagnoses = diagnosed(kind, data, name, size, len(data["extent"]))
+    taught = diagnosed(kind, data, name, size, TAUGHT_DIAGNOSES, bench.golden)
     named, counts = np.unique(diagnoses["first"], return_counts=True)
     order = np.argsort(-counts)
     needed = None if apart is None else apart.separation_extent
     right, u, low, high = (diagnoses[name] for name in ("extent", "u", "low", "high"))
     inside = np.isfinite(right)
-    truth = true_extents(kind, seen, size)
+    truth = true_extents(kind, data, size)
     # an open end holds everything beyond
     held = ~(truth < low) & ~(truth > high)
     closed = inside & np.isfinite(low) & np.isfinite(high)

@@ -138,14 +138,14 @@ def _good(recipe: RidgeRecipe, expected: Expectation, better: tuple[str, ...]) -
 
 
 def _sigmas(shift: FloatArray, good: tuple[Response, FloatArray]) -> float:
-    """Distance of a shifted part from all that good parts may be, in σ."""
+    """Distance of a shifted part from the set of good parts, in σ."""
     response, alone = good
     off = log_basis(len(shift)) @ shift
     return float(np.sqrt(nearest(response, off[None], alone[None])[0]))
 
 
 def area_of(sigmas: float, contrasts: int) -> float:
-    """Chance that D² of a part that is shifted by some σ exceeds that of a good one."""
+    """Probability that D² of a part shifted by some σ exceeds that of a good one."""
     from scipy.stats import chi2, ncx2  # noqa: PLC0415 - 1 s
 
     levels = (np.arange(2000) + 0.5) / 2000

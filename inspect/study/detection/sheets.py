@@ -59,11 +59,11 @@ class Sheet:
     """One rendered surface.
 
     Attributes:
-        shown: (P, rows, cols) radiance in 1/sr, single precision halved; row index rises with +y.
+        radiance: (P, rows, cols) radiance in 1/sr, single precision halved; row index rises with +y.
         spoiled: (rows, cols) True where a local defect changed the height.
     """
 
-    shown: npt.NDArray[np.float16]
+    radiance: npt.NDArray[np.float16]
     spoiled: npt.NDArray[np.bool_]
 
 
@@ -114,19 +114,19 @@ def prepare_sheet(task: SheetTask) -> None:
 
 def _rendered_sheet(task: SheetTask) -> Sheet:
     surface, spoiled = sheet_surface(task)
-    shown = np.stack([_reduced(view, 2) for view in _rendered(surface, task.world)])
-    return Sheet(shown.astype(np.float16), spoiled)
+    radiance = np.stack([_reduced(view, 2) for view in _rendered(surface, task.world)])
+    return Sheet(radiance.astype(np.float16), spoiled)
 
 
 def _packed(sheet: Sheet) -> bytes:
     stream = io.BytesIO()
-    np.savez(stream, shown=sheet.shown, spoiled=sheet.spoiled)
+    np.savez(stream, radiance=sheet.radiance, spoiled=sheet.spoiled)
     return stream.getvalue()
 
 
 def _unpacked(content: bytes) -> Sheet:
     with np.load(io.BytesIO(content), allow_pickle=False) as stored:
-        return Sheet(stored["shown"], stored["spoiled"])
+        return Sheet(stored["radiance"], stored["spoiled"])
 
 
 def sheet_surface(task: SheetTask) -> tuple[HeightMap, npt.NDArray[np.bool_]]:
@@ -166,9 +166,9 @@ def _spoiled(surface: HeightMap, task: SheetTask, rng: np.random.Generator) -> H
 
 def _rendered(surface: HeightMap, world: World) -> list[npt.NDArray[np.float32]]:
     expected = expected_of("tilted", Size())
-    seen = directions(expected.poses, Convention(LIGHT_DEG))
+    sides = directions(expected.poses, Convention(LIGHT_DEG))
     material = lobes_of(world).textured
-    shines = [quick_shine(light, camera, material) for light, camera in zip(*seen, strict=True)]
+    shines = [quick_shine(light, camera, material) for light, camera in zip(*sides, strict=True)]
     return lobe_maps(Relief(surface, PITCH_UM), shines, "beckmann" if world == "same" else "ggx")
 
 
@@ -180,7 +180,7 @@ def _reduced(values: npt.NDArray[np.float32], by: int) -> npt.NDArray[np.float32
 def cut(sheet: Sheet, kind: str, size: Size, rng: np.random.Generator) -> tuple[slice, slice]:
     """Rows and columns of a part on its sheet: anywhere along the ridges, whole pitches across them."""
     rows, cols = (size.pitches + 1) * POINTS, (size.ridges + 1) * POINTS
-    _, high, wide = sheet.shown.shape
+    _, high, wide = sheet.radiance.shape
     row = int(rng.integers(high - rows + 1))
     step = cols if kind == "missing-ridges" else POINTS
     col = step * int(rng.integers((wide - cols) // step + 1))
@@ -193,7 +193,7 @@ def bounces_of(kind: str) -> FloatArray:
     Smooth over the picture: traced on a few ridges of the class (Beckmann lobes, all reflections).
     """
     expected = expected_of("tilted", Size())
-    seen = directions(expected.poses, Convention(LIGHT_DEG))
+    sides = directions(expected.poses, Convention(LIGHT_DEG))
     # the same piece of surface and the same paths for all, so that classes differ by their defect alone
     surface, _ = sheet_surface(SheetTask("other", GOOD, 0, Size(ridges=24, pitches=4, sheets=1), 1))
     material = WHOLE
@@ -203,4 +203,4 @@ def bounces_of(kind: str) -> FloatArray:
         name, setting = _SETTINGS[kind]
         values = {**BY_NAME[kind].values, setting: BY_NAME[kind].extent}
         surface = inject_defect(surface, name, np.random.default_rng(0), values=values)
-    return interreflection(Relief(surface, PITCH_UM), *seen, material, paths=_PATHS).radiance
+    return interreflection(Relief(surface, PITCH_UM), *sides, material, paths=_PATHS).radiance

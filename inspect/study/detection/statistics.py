@@ -56,7 +56,7 @@ def rate(hits: npt.NDArray[np.bool_]) -> Rate:
 
 @dataclass(frozen=True)
 class Area:
-    """Area under the ROC curve: the chance that a bad part scores above a good one; ties count half.
+    """Area under the ROC curve: probability that a bad part scores above a good one; ties count half.
 
     Attributes:
         value: the area.
@@ -155,7 +155,7 @@ class Doubt:
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """One part: what its diagnosis rests on, and how much of the defect it truly has."""
+    """One part: evidence of its diagnosis, and the true extent of its defect."""
 
     evidence: Evidence
     truth: float
@@ -176,17 +176,17 @@ class Held:
     doubts: tuple[Doubt, ...]
 
 
-def intervals_held(kind: str, seen: dict[str, Columns], name: RecipeName, size: Size) -> Held | None:
+def intervals_held(kind: str, data: dict[str, Columns], name: RecipeName, size: Size) -> Held | None:
     """Coverage of the intervals of a class; None for fewer than two parts or a cause without a signature.
 
     Args:
         kind: the class.
-        seen: columns of the class and of good parts, valid ones only.
+        data: columns of the class and of good parts, valid ones only.
         name: of the recipe.
         size: of the study.
     """
     known = {one.cause.name: one for one in signatures_of(name, size, stated=True).found}
-    signature, columns = known.get(BY_NAME[kind].cause), seen[kind]
+    signature, columns = known.get(BY_NAME[kind].cause), data[kind]
     count = len(columns["extent"])
     if signature is None or count < 2:
         return None
@@ -194,7 +194,7 @@ def intervals_held(kind: str, seen: dict[str, Columns], name: RecipeName, size: 
     parts = [Part(evidence(columns, name, size, n, None, stated=True), float(truth[n])) for n in range(count)]
     halves = parts[::2], parts[1::2]
     doubts = tuple(
-        doubt_of(signature, half, *background_of_good(seen["good"], name, first))
+        doubt_of(signature, half, *background_of_good(data["good"], name, first))
         for first, half in enumerate(halves)
     )
     doubted = [
@@ -214,14 +214,14 @@ def background_of_good(good: Columns, name: RecipeName, first: int) -> tuple[flo
 
 
 def doubt_of(signature: Signature, parts: list[Part], background: float, u_background: float) -> Doubt:
-    """The doubts that make parts most likely at their true extents."""
+    """Maximum-likelihood doubts of parts at their true extents."""
     means = [replace(part.evidence, share=None) for part in parts]
 
     def of_change(doubt: float) -> float:
         one = replace(signature, cause=replace(signature.cause, doubt=doubt))
         return sum(
-            float(costs(one, seen, np.array([part.truth]), as_input=True)[1][0])
-            for seen, part in zip(means, parts, strict=True)
+            float(costs(one, mean, np.array([part.truth]), as_input=True)[1][0])
+            for mean, part in zip(means, parts, strict=True)
         )
 
     shares = signature.at(np.array([part.truth for part in parts]))[1]
@@ -236,7 +236,7 @@ def doubt_of(signature: Signature, parts: list[Part], background: float, u_backg
 
 
 def _least(cost: Callable[[float], float]) -> float:
-    """Where a cost is least between 0 and `MOST`; 0 where no doubt makes it less."""
+    """Minimum of a cost between 0 and `MOST`; 0 if no doubt reduces it."""
     from scipy.optimize import minimize_scalar  # noqa: PLC0415 - 0.3 s
 
     found = minimize_scalar(cost, bounds=(0.0, MOST), method="bounded", options={"xatol": 1e-3})
@@ -245,7 +245,7 @@ def _least(cost: Callable[[float], float]) -> float:
 
 def doubting(signature: Signature, part: Part, doubt: Doubt) -> tuple[Signature, Part]:
     """Signature and part with the doubts of the study's world in place of those of real parts."""
-    seen = replace(
+    doubted = replace(
         part.evidence,
         background=doubt.background,
         u_background=doubt.u_background,
@@ -253,7 +253,7 @@ def doubting(signature: Signature, part: Part, doubt: Doubt) -> tuple[Signature,
         share_floor=0.0,
     )
     return replace(signature, cause=replace(signature.cause, doubt=doubt.change)), replace(
-        part, evidence=seen
+        part, evidence=doubted
     )
 
 

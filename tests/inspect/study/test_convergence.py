@@ -15,7 +15,7 @@ from anisoscope.study.convergence import (
     convergence,
     ideal_map,
     signed_contrasts,
-    spoil,
+    with_defect,
 )
 from anisoscope.study.sweep import Workers
 
@@ -78,13 +78,13 @@ def test_sampling_is_finer_than_what_it_shows(study):
 def test_one_seed_is_one_piece_of_surface(defect):
     surface = ideal_map(DESIGN, SMALL)
     size = 0.5 * LARGEST[defect][0]
-    one, two = (spoil(surface, defect, size, DESIGN, 3) for _ in range(2))
+    one, two = (with_defect(surface, defect, size, DESIGN, 3) for _ in range(2))
     assert all((a.height_um == b.height_um).all() for a, b in zip(one, two, strict=True))
 
 
 def test_opposite_fields_cancel():
     surface = ideal_map(DESIGN, SMALL)
-    up, down = spoil(surface, "roughness", 0.05, DESIGN, 3)
+    up, down = with_defect(surface, "roughness", 0.05, DESIGN, 3)
     assert 0.5 * (up.height_um + down.height_um) == pytest.approx(surface.height_um)
 
 

@@ -146,7 +146,7 @@ def test_the_lobes_are_those_of_their_distributions():
     own = list(radiance_maps(plane, light, camera, WHOLE))
     for one, other in zip(own, lobe_maps(plane, shines, "beckmann"), strict=True):
         assert np.array_equal(one, other)
-    for i, o, shine, shown in zip(light, camera, shines, lobe_maps(plane, shines, "ggx"), strict=True):
+    for i, o, shine, radiance in zip(light, camera, shines, lobe_maps(plane, shines, "ggx"), strict=True):
         half = (i + o) / np.linalg.norm(i + o)
         wide = np.array([WHOLE.alpha_across, WHOLE.alpha_along])
         lobe = 1.0 / (np.pi * wide.prod() * (np.sum((half[:2] / wide) ** 2) + half[2] ** 2) ** 2)
@@ -154,7 +154,7 @@ def test_the_lobes_are_those_of_their_distributions():
         fresnel = shine.mirror * 4.0 * np.pi * wide.prod()
         glossy = fresnel * lobe / ((1.0 + sum(far)) * 4.0 * i[2] * o[2])
         base = shine.diffuse * transmittance(i[2], WHOLE) * transmittance(o[2], WHOLE)
-        assert shown == pytest.approx((glossy + base) * i[2], rel=1e-4)
+        assert radiance == pytest.approx((glossy + base) * i[2], rel=1e-4)
 
 
 def test_the_other_lobe_fits_the_recipe_as_well_as_it_can():
@@ -164,8 +164,10 @@ def test_the_other_lobe_fits_the_recipe_as_well_as_it_can():
     for across in (0.9, 1.0, 1.1):
         material = replace(lobes.smooth, alpha_across=across * lobes.smooth.alpha_across)
         surface = Relief(ridges(RidgeDesign(PITCH_UM, 10.0), (2, 601), (4.0, 0.5)), PITCH_UM)
-        shown = lobe_maps(surface, [quick_shine(*pair, material) for pair in zip(*SEEN, strict=True)], "ggx")
-        found = np.log([view.mean(dtype=float) for view in shown]) - np.log(
+        radiance = lobe_maps(
+            surface, [quick_shine(*pair, material) for pair in zip(*SEEN, strict=True)], "ggx"
+        )
+        found = np.log([view.mean(dtype=float) for view in radiance]) - np.log(
             expected_of("tilted", SMALL).radiance
         )
         off.append(np.sum(found**2))
@@ -206,8 +208,8 @@ def direct(state, world):
     seat = seating_rotation(*state.seating_deg)
     seen = [side @ seat for side in directions(POSES, Convention(state.light_deg))]
     shines = [quick_shine(*pair, lobes_in(state, world)) for pair in zip(*seen, strict=True)]
-    shown = lobe_maps(rough(state), shines, "beckmann" if world == "same" else "ggx")
-    return np.log([view.mean(dtype=float) for view in shown])
+    radiance = lobe_maps(rough(state), shines, "beckmann" if world == "same" else "ggx")
+    return np.log([view.mean(dtype=float) for view in radiance])
 
 
 @pytest.mark.parametrize("world", ["same", "other"])
@@ -259,8 +261,8 @@ def test_the_short_route_measures_what_the_bench_and_inspect_measure(virtual_rig
     task = SheetTask("same", GOOD, 0, size, 5, tmp_path)
     sheet = sheet_of(task)
     rows, cols = cut(sheet, GOOD, size, rng)
-    shown, _ = radiance_of_part(sheet.shown[:, rows, cols], state, "same", NO_BOUNCES)
-    views = photograph(shown, state, new_cameras(size, "same", rng), size, rng)
+    radiance, _ = radiance_of_part(sheet.radiance[:, rows, cols], state, "same", NO_BOUNCES)
+    views = photograph(radiance, state, new_cameras(size, "same", rng), size, rng)
     expected = expected_of("standard", size)
     short = np.log(
         measure(views[:3], views[-1], recipe_of("standard", size), expected, size.pixel_um).radiance
