@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from anisoscope.calibration.pictures import take_flat
-from anisoscope.inspection.run import inspect_part
+from anisoscope.inspection.run import Methods, inspect_part
+from anisoscope.kinds.kind import Explanation
 from anisoscope.kinds.registry import read_recipe
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
@@ -44,6 +45,17 @@ def copied(tmp_path, rng):
 
 
 def test_recipe_rig_and_bench_of_the_docs_inspect_a_part(copied):
+    # diagnosis and report have tests of their own, and take longer than this one
+    methods = Methods(
+        diagnose=lambda *_: Explanation(),
+        start_renderer=lambda _: None,
+        write_report=lambda _record, _pictures, folder, *_: folder / "report.html",
+    )
+
+    def inspect(serial):
+        files = copied / "recipe.toml", copied / "rig.toml"
+        return inspect_part(*files, serial, copied / "out", methods=methods).record
+
     for name, shown, quick in (
         ("bench.toml", "time_scale = 0.1", "time_scale = 0.0"),
         ("recipe.toml", "frames_per_pose = 4\ndark_frames = 8", "frames_per_pose = 2\ndark_frames = 2"),
@@ -55,11 +67,11 @@ def test_recipe_rig_and_bench_of_the_docs_inspect_a_part(copied):
     (copied / "bench.toml").write_text(bench.replace('kind = "ridges"', 'kind = "white-tile"'))
     take_flat(copied / "rig.toml", copied / "flat.tif", exposure_s=0.006, frames=4)
     (copied / "bench.toml").write_text(bench)
-    record = inspect_part(copied / "recipe.toml", copied / "rig.toml", "DOC-1", copied / "out").record
+    record = inspect("DOC-1")
     assert record.verdict == "FAIL"  # the bench of the docs has burrs on a tenth of its area
     assert "area" in record.reasons[0]
     (copied / "bench.toml").write_text(bench.replace("burr_coverage = 0.1", "burr_coverage = 0.0"))
-    record = inspect_part(copied / "recipe.toml", copied / "rig.toml", "DOC-2", copied / "out").record
+    record = inspect("DOC-2")
     assert record.verdict == "PASS", record.reasons
 
 

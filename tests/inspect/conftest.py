@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,7 @@ from anisoscope.base.errors import CameraError
 from anisoscope.calibration.pictures import take_flat
 from anisoscope.cli.demo.folder import FIXTURE
 from anisoscope.inspection.run import Inspected, Methods, inspect_part
+from anisoscope.kinds.kind import Explanation
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
 from anisoscope.report.inspection_page import REPORT_NAME
 from anisoscope.rig.frame import Frame
@@ -198,6 +199,12 @@ def pictures_without_noise():
 def plain() -> Methods:
     """What varies in an inspection: a report of one line, all else as shipped, with its diagnosis."""
     return PLAIN
+
+
+@pytest.fixture(scope="session")
+def undiagnosed() -> Methods:
+    """What varies where nothing is asked but the verdict: no diagnosis, and a report of one line."""
+    return replace(PLAIN, diagnose=lambda *_: Explanation())
 
 
 @pytest.fixture

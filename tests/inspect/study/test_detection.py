@@ -229,7 +229,7 @@ def test_a_ratio_of_smooth_profiles_is_what_a_rough_surface_changes(world, name)
         assert distances(off[None], total[None])[0] < 2.5
 
 
-def test_the_short_route_measures_what_the_bench_and_inspect_measure(virtual_rig, tmp_path, rng):
+def test_the_short_route_measures_what_the_bench_and_inspect_measure(virtual_rig, undiagnosed, tmp_path, rng):
     """One part through devices, markers and the whole of ``inspect``; and through the study."""
     size = Size(ridges=10, pitches=10, pixel_um=8.0, sheets=1)
     state = replace(
@@ -255,7 +255,7 @@ def test_the_short_route_measures_what_the_bench_and_inspect_measure(virtual_rig
     told = recipe_of("standard", size).material
     material = {"alpha_along": told.alpha_along, "alpha_across": told.alpha_across}
     rig = virtual_rig(recipe={"material": material, "decision": {"tolerance": 5.0}}, bench={"sample": sample})
-    inspected = rig.inspect()
+    inspected = rig.inspect(methods=undiagnosed)
     assert inspected.record.verdict != "INVALID", inspected.record.reasons
     full = np.log([pose.measured for pose in inspected.record.poses])
     task = SheetTask("same", GOOD, 0, size, 5, tmp_path)

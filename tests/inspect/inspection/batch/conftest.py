@@ -1,14 +1,11 @@
 """Trays on the virtual rig."""
 
-from dataclasses import replace
-
 import pytest
 
 from anisoscope.inspection.batch.operator import Answer, Unattended
 from anisoscope.inspection.batch.run import run_batch
 from anisoscope.inspection.batch.start import Order
 from anisoscope.inspection.batch.tray import read_tray
-from anisoscope.kinds.kind import Explanation
 
 TILE = {"sample": {"kind": "white-tile"}}
 TWO_POSES = {"poses": {"angles_deg": [0.0, 90.0]}}
@@ -46,12 +43,6 @@ class Scripted(Unattended):
         self.done.append(batch.slots[number].word)
 
 
-@pytest.fixture(scope="session")
-def quick(plain):
-    """What varies in an inspection: no diagnosis, which is tested elsewhere, and a report of one line."""
-    return replace(plain, diagnose=lambda *_: Explanation())
-
-
 @pytest.fixture
 def scripted():
     return Scripted
@@ -80,11 +71,11 @@ def remembered():
 
 
 @pytest.fixture
-def run(remembered, quick):
+def run(remembered, undiagnosed):
     """Runs a batch."""
 
     def start(order, operator=None, **options):
-        options = {"methods": quick, **options}
+        options = {"methods": undiagnosed, **options}
         return run_batch(
             order, operator or Unattended(), lambda found: remembered.append(found.record.serial), **options
         )

@@ -211,14 +211,14 @@ def test_a_code_that_cannot_be_read_is_asked_for_or_makes_the_part_invalid(tray_
     assert [slot for slot, why in who.asked if why is not False] == ["1", "3"]
 
 
-def test_every_part_is_shown_beside_those_of_its_lot(tray_of, quick, tmp_path):
-    lots, write = [], quick.write_report
+def test_every_part_is_shown_beside_those_of_its_lot(tray_of, undiagnosed, tmp_path):
+    lots, write = [], undiagnosed.write_report
 
     def look(record, pictures, *others):
         lots.append((record.serial, pictures.lot and [part.serial for part in pictures.lot.parts]))
         return write(record, pictures, *others)
 
-    methods = replace(quick, write_report=look)
+    methods = replace(undiagnosed, write_report=look)
     place = tmp_path / "history.sqlite"
     order = tray_of("slot,serial,lot\n1,A17,L7\n2,A18,L8\n3,A19,L7\n")
     order = replace(order, lot_mates=lambda lot: lot_mates(place, lot))
@@ -226,14 +226,14 @@ def test_every_part_is_shown_beside_those_of_its_lot(tray_of, quick, tmp_path):
     assert lots == [("A17", None), ("A18", None), ("A19", ["A17"])]
 
 
-def test_a_part_that_is_taken_up_is_shown_beside_its_lot_as_well(tray_of, failing, quick, tmp_path):
-    lots, write = [], quick.write_report
+def test_a_part_that_is_taken_up_is_shown_beside_its_lot_as_well(tray_of, failing, undiagnosed, tmp_path):
+    lots, write = [], undiagnosed.write_report
 
     def look(record, pictures, *others):
         lots.append((record.serial, pictures.lot and [part.serial for part in pictures.lot.parts]))
         return write(record, pictures, *others)
 
-    methods = replace(quick, write_report=look)
+    methods = replace(undiagnosed, write_report=look)
     failing(2)
     place = tmp_path / "history.sqlite"
     order = replace(

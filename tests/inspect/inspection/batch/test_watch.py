@@ -95,9 +95,9 @@ class Heard:
 
 
 @pytest.fixture
-def start(quick):
+def start(undiagnosed):
     """``start(place, heard, remember)`` is a watch whose parts are inspected without diagnosis and drawing."""
-    return partial(Watch, methods=quick)
+    return partial(Watch, methods=undiagnosed)
 
 
 @pytest.fixture
@@ -393,8 +393,8 @@ def test_of_several_exposures_the_one_that_shows_the_code_is_read(place, look):
     assert [read_record(path).serial for path in inspections(place)] == ["A17"]
 
 
-def test_every_part_is_shown_beside_those_of_its_lot(place, quick, tmp_path, start):
-    lots, write = [], quick.write_report
+def test_every_part_is_shown_beside_those_of_its_lot(place, undiagnosed, tmp_path, start):
+    lots, write = [], undiagnosed.write_report
 
     def note(record, pictures, *others):
         lots.append((record.serial, pictures.lot and [part.serial for part in pictures.lot.parts]))
@@ -407,7 +407,7 @@ def test_every_part_is_shown_beside_those_of_its_lot(place, quick, tmp_path, sta
         replace(place, lot_mates=lambda lot: lot_mates(history, lot)),
         Heard(),
         lambda found: remember(found, history),
-        methods=replace(quick, write_report=note),
+        methods=replace(undiagnosed, write_report=note),
     )
     with watch.open():
         watch.run_once(threading.Event())
