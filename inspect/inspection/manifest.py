@@ -115,7 +115,7 @@ def _write(manifest: Manifest, folder: Path) -> None:
 
 
 def _copy(source: Source, folder: Path) -> InputCopy:
-    # The table of a replay describes the frames beside it.
+    # The table of a replay describes the frames of its own folder.
     target = folder / (FRAMES if source.role == "frame table" else INPUTS) / source.path.name
     in_place = source.path == target
     if target.exists() and not in_place:

@@ -58,38 +58,38 @@ def recompute(folder: Path, on_progress: Advance = silent) -> Recomputed:
         )
     manifest, job = reopen(folder)
     on_progress("prediction", 0, 1)
-    # the prediction is made anew: a cached one would not tell whether the numbers follow from the folder
+    # the prediction is made anew: a cached one would not prove that the numbers follow from the folder
     expected = job.kind.predict(job.recipe, job.rig, cached=False)
     on_progress("measurement", 0, 1)
     record, _ = judge(manifest, job, expected, read_frames(folder, manifest), on_progress)
-    # what an earlier version did not tell is not there to be compared
+    # fields that an earlier version lacked cannot be compared
     old = recorded.model_dump(mode="json", exclude=set(NOT_COMPARED), exclude_unset=True)
     job.kind.rename_in(old)
-    untold: set[str] = set()
-    new = _recorded_fields(old, record.model_dump(mode="json", exclude=set(NOT_COMPARED)), untold)
+    unrecorded: set[str] = set()
+    new = _recorded_fields(old, record.model_dump(mode="json", exclude=set(NOT_COMPARED)), unrecorded)
     notes: tuple[str, ...] = ()
     if recorded.software != record.software:
         notes = (f"recorded by {recorded.software}, recomputed by {record.software}",)
-    if untold:
+    if unrecorded:
         notes += (
-            f"not compared, because the version that recorded did not tell it: {', '.join(sorted(untold))}",
+            f"not compared, because the version that recorded did not tell it: {', '.join(sorted(unrecorded))}",
         )
     return Recomputed(folder, recorded, record.verdict, tuple(differences(old, new)), notes)
 
 
-def _recorded_fields(old: Any, new: Any, untold: set[str], name: str = "") -> Any:  # noqa: ANN401
-    """The new document without keys that the old one does not have; their names are added to ``untold``."""
+def _recorded_fields(old: Any, new: Any, unrecorded: set[str], name: str = "") -> Any:  # noqa: ANN401
+    """The new document without keys that the old one does not have; their names are added to ``unrecorded``."""
     if isinstance(old, dict) and isinstance(new, dict):
         inner = f"{name}." if name else ""
-        untold |= {f"{inner}{key}" for key in new.keys() - old.keys()}
+        unrecorded |= {f"{inner}{key}" for key in new.keys() - old.keys()}
         return {
-            key: _recorded_fields(old[key], value, untold, f"{inner}{key}")
+            key: _recorded_fields(old[key], value, unrecorded, f"{inner}{key}")
             for key, value in new.items()
             if key in old
         }
     if isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
         return [
-            _recorded_fields(before, after, untold, f"{name}[]")
+            _recorded_fields(before, after, unrecorded, f"{name}[]")
             for before, after in zip(old, new, strict=True)
         ]
     return new

@@ -57,7 +57,7 @@ def inspect_frames(
         serial: serial number of the part.
         out: folder that receives the inspection folder.
         on_progress: called with what is being done, steps done and steps in all.
-        rig_path: rig file, for its geometry; by default ``rig.toml`` beside the frames.
+        rig_path: rig file, for its geometry; by default ``rig.toml`` next to the frames.
         reflectance: reflectance of the tile in the flat frames, if there are any.
         particulars: operator, lot, cavity, station.
         lot_mates: inspections of the same lot, for the report.

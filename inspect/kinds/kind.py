@@ -389,7 +389,7 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
             The tables that are to be adapted, in words.
 
         Raises:
-            UsageError: what was asked for does not fit together.
+            UsageError: the options contradict each other.
         """
         del out, requested
         raise UsageError(f"there is no recipe of {self.one} to begin with")

@@ -74,7 +74,7 @@ class RecipeCheck:
         advice: what further tilts would add, the best first; only those that add something.
         complaints: one line each, what should be changed.
         lamps: second lamps that would add something, the nearest wavelength first, where they are tried.
-        never: causes and others that neither these poses tell them from, nor any tilt or lamp that was tried.
+        never: pairs of causes that neither these poses separate, nor any tilt or lamp that was tried.
     """
 
     pairs: tuple[PlannedPair, ...]
@@ -123,11 +123,13 @@ def check_recipe(
     )
     new = [tilt for tilt in tries if tilt not in recipe.poses.tilts_deg]
     advice = _advice(recipe, light_angle_deg, new, advance, optics, model) if new and _lacking(causes) else ()
-    untold = [(cause.cause, other) for cause in causes for other in cause.inseparable_causes]
-    lamps = second_lamps_for(recipe, light_angle_deg, untold, advance, model) if new and untold else ()
-    told = {pair for one in advice for pair in one.tells_apart}
-    told |= {pair for one in lamps for pair in one.tells_apart}
-    never = tuple(pair for pair in untold if pair not in told) if new else ()
+    unresolved = [(cause.cause, other) for cause in causes for other in cause.inseparable_causes]
+    lamps = (
+        second_lamps_for(recipe, light_angle_deg, unresolved, advance, model) if new and unresolved else ()
+    )
+    resolved = {pair for one in advice for pair in one.tells_apart}
+    resolved |= {pair for one in lamps for pair in one.tells_apart}
+    never = tuple(pair for pair in unresolved if pair not in resolved) if new else ()
     return RecipeCheck(
         pairs, budget, causes, known.left_out, advice, _complaints(recipe, pairs), lamps, never
     )
@@ -136,7 +138,7 @@ def check_recipe(
 def second_lamps_for(
     recipe: SurfaceRecipe,
     light_angle_deg: float,
-    untold: Sequence[tuple[str, str]],
+    unresolved: Sequence[tuple[str, str]],
     advance: Advance,
     model: CauseModel,
 ) -> tuple[LampAdvice, ...]:
@@ -145,12 +147,12 @@ def second_lamps_for(
     Args:
         recipe: the recipe.
         light_angle_deg: of the rig.
-        untold: causes and others that the recipe's poses never tell them from.
+        unresolved: pairs of causes that the recipe's poses never separate.
         advance: progress.
         model: causes of the kind of surface; one that tries no lamps finds none.
     """
-    names = sorted({name for pair in untold for name in pair})
-    left, found = list(untold), []
+    names = sorted({name for pair in unresolved for name in pair})
+    left, found = list(unresolved), []
     for option in cached_options(recipe, light_angle_deg, names, advance, model):
         apart = tuple(pair for pair in left if option.separation_extents[pair[0]][pair[1]] is not None)
         if option.kind == "lamp" and apart:
@@ -240,7 +242,7 @@ def _advice(
     inputs = planned_inputs(wide, expected)
     u_background = 0.0 if recipe.area is None else background_of(recipe.area.max_share)[1]
 
-    def told(chosen: Sequence[float]) -> tuple[Separability, ...]:
+    def separability_with(chosen: Sequence[float]) -> tuple[Separability, ...]:
         kept = [k for k, pose in enumerate(known.poses) if pose.tilt_deg in chosen]
         return separability(
             known.of(kept),
@@ -250,8 +252,8 @@ def _advice(
             inputs=None if inputs is None else inputs.of(kept),
         )
 
-    before = told(recipe.poses.tilts_deg)
-    found = [_added(tilt, before, told((*recipe.poses.tilts_deg, tilt))) for tilt in tries]
+    before = separability_with(recipe.poses.tilts_deg)
+    found = [_added(tilt, before, separability_with((*recipe.poses.tilts_deg, tilt))) for tilt in tries]
     useful = [one for one in found if one.shows or one.tells_apart]
     return tuple(sorted(useful, key=lambda one: -(len(one.shows) + len(one.tells_apart))))
 
@@ -306,9 +308,9 @@ def checked_recipe(
     )
     lines = [f"not looked at: {cause}: {reason}" for cause, reason in found.left_out]
     for one in found.advice:
-        told = [f"show {', '.join(one.shows)}"] if one.shows else []
-        told += [f"tell {_apart(one.tells_apart)}"] if one.tells_apart else []
-        lines.append(f"a tilt of {one.tilt_deg:g}° besides would {' and '.join(told)}")
+        benefits = [f"show {', '.join(one.shows)}"] if one.shows else []
+        benefits += [f"tell {_apart(one.tells_apart)}"] if one.tells_apart else []
+        lines.append(f"a tilt of {one.tilt_deg:g}° besides would {' and '.join(benefits)}")
     lines += [f"{one.says} would tell {_apart(one.tells_apart)}" for one in found.lamps]
     if found.never:
         lines.append(f"nothing that was tried would tell {_apart(found.never)}")

@@ -3,7 +3,7 @@
 Schema 2 has the fields of all kinds of parts side by side, the name of the ``kind``, and ``details``: what is of that
 kind alone. Schema 1 had the details of all kinds among the fields; `upgrade.upgraded` reads it. A schema only grows:
 this version reads every record of schema 1 and 2, whichever version wrote it, and an earlier version refuses, by name,
-what it does not know. Fields that came later are optional, and their defaults stand for "not told".
+what it does not know. Fields that came later are optional, and their defaults stand for "not recorded".
 """
 
 import json

@@ -176,7 +176,7 @@ class CauseRecord(_Part):
     ``u`` is the standard uncertainty of the severity, null where the data do not determine it. ``interval`` holds the
     severity with 95 %; null for an end that lies beyond what was looked at. ``weight`` is the share of the belief,
     exp(−BIC/2) over all causes, ``chi2`` what remains unexplained; ``at_bound`` if the fit ended at the end of what was
-    looked at, ``tie`` if no data tell the cause from the best one.
+    looked at, ``tie`` if no data separate the cause from the best one.
     """
 
     cause: str
@@ -194,7 +194,7 @@ class CauseRecord(_Part):
 class DiagnosisRecord(_Part):
     """What is wrong: one line, and the causes, the best first; none where nothing was to be explained.
 
-    ``tells`` says what would tell the tied causes apart, where that was computed.
+    ``tells`` names what would separate the tied causes, where that was computed.
     """
 
     says: str
@@ -288,7 +288,7 @@ class Record(_Part):
     """An inspection, complete; ``recipe`` and ``rig`` hold the files as they were.
 
     ``details`` holds what is of its ``kind`` of part alone; None where that could not be judged. The schema only grows:
-    fields that came later have defaults, which stand for "not told" (`json_schema`).
+    fields that came later have defaults, which stand for "not recorded" (`json_schema`).
 
     ``files`` lists everything else in the folder. ``record.json`` is written last, so that where it is, all of
     them are.

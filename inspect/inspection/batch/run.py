@@ -63,7 +63,7 @@ def refuse_part(
         reason: in one line.
         on_progress: progress.
         particulars: operator, lot, cavity, station.
-        picture: what the code was read from; kept beside the record.
+        picture: the picture of the code; stored next to the record.
         methods: what varies in an inspection, for tests.
 
     Raises:
@@ -111,7 +111,7 @@ def run_batch(
         What has become of every slot, as ``batch.json`` says it.
 
     Raises:
-        UsageError: a batch began there already, or another one; or a serial number is missing that nobody can say.
+        UsageError: a batch began there already, or another one; or a serial number is missing and cannot be entered.
         RecipeError, RigFileError, HeightMapError, CalibrationError: a file, before anything moves.
         RecordError: the folder cannot be written, or another process works in it.
     """
@@ -255,7 +255,7 @@ class _Run:
                 scan = one_code(read_codes(picture.grey, kind), kind, "the picture at the first pose").scan
             except (MeasurementError, UsageError) as error:
                 trouble = str(error)
-        # A part whose code cannot be read is asked for even if the list names it: the slot may hold another part.
+        # The serial number of an unreadable code is requested even if the list names it: the slot may hold another part.
         if scan is None and (trouble is not None or slot.serial is None):
             scan = self.operator.serial_of(self.batch.slots[number], trouble or "it has no serial number yet")
         # A part without any number is inspected all the same, as INVALID, so that its folder needs a name.

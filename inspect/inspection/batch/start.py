@@ -58,7 +58,7 @@ def check_order(order: Order, operator: Operator) -> None:
     """Check that the batch can be done. Nothing moves and nothing is written.
 
     Raises:
-        UsageError: a serial number is missing that nobody can say.
+        UsageError: a serial number is missing and cannot be entered.
         RecipeError, RigFileError, HeightMapError, CalibrationError: a file.
     """
     for slot in order.tray.slots:

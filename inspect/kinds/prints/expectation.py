@@ -29,7 +29,7 @@ class PrintExpectation:
 
     Attributes:
         scene: the good print before the rig.
-        eye: how colours are told.
+        eye: conversion of channels to colours.
         poses: P poses.
         channels: (P, 3) radiance in 1/sr that red, green and blue see.
         xyz: (P, 3) XYZ from the spectra, Y = 1 for the perfect diffuser.

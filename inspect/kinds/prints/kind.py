@@ -44,7 +44,7 @@ from anisoscope.record.schema import DiagnosisRecord, Record
 from anisoscope.report.inspection_page import Pictures, Sections
 from anisoscope.rig.rigfile import RigFile
 
-# matplotlib comes with the report's sections, which are imported where they are asked for
+# matplotlib comes with the report's sections, which are imported on demand
 
 
 class Prints(Kind[PrintRecipe, PrintExpectation, MeasuredPrint, PrintDecision]):

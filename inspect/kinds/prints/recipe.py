@@ -307,7 +307,7 @@ def write_new_recipe(out: Path, requested: NewRecipe) -> None:
     """Write the recipe of a print, valid as written; a file of an ink is named as seen from the recipe.
 
     Raises:
-        UsageError: ridges were asked for as well, or there is no such ink.
+        UsageError: options of ridges were given as well, or there is no such ink.
     """
     if (requested.ridge_angle_deg, requested.u_ridge_angle_deg, requested.height_map) != (None, None, None):
         raise UsageError(

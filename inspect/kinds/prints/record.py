@@ -191,7 +191,7 @@ class PrintDetails(Details):
         """The quantities, such as ``print alpha x``, and the share of the area that deviates."""
         numbers: dict[str, float] = {}
         for one in self.quantities:
-            # what is told relative to its nominal value has everything in units of the value here
+            # deviation, u and limit of a relative quantity are converted to the unit of its value
             label, unit = f"print {one.name}", one.nominal if one.name in RELATIVE else 1.0
             numbers |= {
                 label: one.value,

@@ -30,7 +30,7 @@ def spot_shares(
         off: (P, cell rows, cell cols) CIEDE2000 of the cells.
         pictures: of the P poses.
         grid: raster of the cells.
-        eye: how colours are told.
+        eye: conversion of channels to colours.
         usual: (P, 3) channels of the region, from which pixels are off.
         limit: CIEDE2000.
     """

@@ -46,7 +46,7 @@ def check_print_dirt(
         views: P poses.
         recipe: region, and from which CIEDE2000 on a cell deviates: half of it is dirt.
         filters: of the camera.
-        eye: how colours are told.
+        eye: conversion of channels to colours.
         channels: (P, 3) of the region.
 
     Raises:

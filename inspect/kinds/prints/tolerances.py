@@ -1,6 +1,6 @@
 """Limits of a print's recipe as good prints suggest them.
 
-One good print tells only itself; its limits come from the uncertainty of the inspection. Golden prints tell how good
+One good print is a single sample; its limits come from the uncertainty of the inspection. Golden prints show how good
 prints vary. A limit is then made of two parts: what one more good print reaches, and the guard band of the rule, so
 that a named share of good prints lies below limit − guard band in all quantities at once (Bonferroni: what is left of
 one is shared among the quantities alike). What one more good print reaches is the upper prediction limit of a normal

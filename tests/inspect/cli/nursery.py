@@ -17,7 +17,7 @@ from pathlib import Path
 NURSERY = """
 import gc, json, os, sys
 import matplotlib.figure, matplotlib.backends.backend_svg, scipy.special, scipy.stats, cv2
-import anisoscope.cli.inspect.folder, anisoscope.cli.inspect.inspection
+import anisoscope.cli.inspect.inspection
 import anisoscope.inspection.replay, anisoscope.sim.bench.camera
 from pathlib import Path
 from anisoscope.cli import main
