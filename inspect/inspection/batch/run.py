@@ -255,7 +255,7 @@ class _Run:
                 scan = one_code(read_codes(picture.grey, kind), kind, "the picture at the first pose").scan
             except (MeasurementError, UsageError) as error:
                 trouble = str(error)
-        # The serial number of an unreadable code is requested even if the list names it: the slot may hold another part.
+        # An unreadable code: the serial number is requested even if listed, as the slot may hold another part.
         if scan is None and (trouble is not None or slot.serial is None):
             scan = self.operator.serial_of(self.batch.slots[number], trouble or "it has no serial number yet")
         # A part without any number is inspected all the same, as INVALID, so that its folder needs a name.

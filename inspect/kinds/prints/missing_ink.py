@@ -1,9 +1,10 @@
 """Sheets without a lobe: is the ink missing, or is this no print at all?
 
-Where no lobe fits, one hypothesis can still be tested: that the channels of all poses are those of the recipe's print with
-a share of its ink missing, up to the bare substrate. The share is the only free number; everything that is uncertain of
-rig, ink and substrate is weighed as it acts there, and how far substrates are not grey and dull. Pictures that this
-explains no better than chance (level `decision.alpha`) show no such sheet: the inspection stays INVALID.
+Where no lobe fits, one hypothesis can still be tested: that the channels of all poses are those of the recipe's print
+with a share of its ink missing, up to the bare substrate. The share is the only free number; everything that is
+uncertain of rig, ink and substrate is weighed as it acts there, and how far substrates are not grey and dull.
+Pictures that this explains no better than chance (level `decision.alpha`) show no such sheet: the inspection stays
+INVALID.
 """
 
 from dataclasses import dataclass
