@@ -10,7 +10,7 @@ The module behind a name is imported when the name is first used.
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from anisoscope.sim.materials.inks import find_ink
     from anisoscope.sim.materials.spectra import find_illuminant
 
+DriverGroup = Literal["stages", "cameras", "lights"]
 # What the block above imports for type checkers: name -> module, or module:name where it has another name there.
 _HOME = {
     "AnisoscopeError": "anisoscope.base.errors",
@@ -270,17 +271,22 @@ def predict(
         inputs: standard uncertainties of the inputs; those of a recipe where they are not given.
 
     Raises:
+        UsageError: the surface is neither a height map nor a design.
         HeightMapError: the map cannot be used: too much is missing, or too coarse for waves.
         ModelError: a pose that sees the surface from below, or a number outside its range.
     """
+    from anisoscope.base.errors import UsageError
     from anisoscope.prediction.optics_selection import OpticsRequest, Rig, predict_with_optics
     from anisoscope.prediction.predict import predict_design, predict_height_map
     from anisoscope.prediction.sensitivity import InputUncertainty
     from anisoscope.profiles.heightmap import HeightMap
+    from anisoscope.profiles.ideal import RidgeDesign
     from anisoscope.sim.light.geometry import Convention, pose_grid
     from anisoscope.sim.light.material import Material
     from anisoscope.sim.light.optics import POINT_LIKE
 
+    if not isinstance(surface, HeightMap | RidgeDesign):
+        raise UsageError(f"predict takes a HeightMap or a RidgeDesign, not {type(surface).__name__}")
     poses = pose_grid(tuple(angles_deg), tuple(tilts_deg))
     rig = Rig(
         Material() if material is None else material,
@@ -618,8 +624,15 @@ def control_chart(
     return control_study(name, series, names, Settings(baseline=baseline), specification)
 
 
-def drivers(group: Literal["stages", "cameras", "lights"]) -> tuple[str, ...]:
-    """Names of the installed drivers, those of other distributions included; `open_stage` and the like take them."""
+def drivers(group: DriverGroup) -> tuple[str, ...]:
+    """Names of the installed drivers, those of other distributions included; `open_stage` and the like take them.
+
+    Raises:
+        UsageError: there is no such group.
+    """
+    from anisoscope.base.errors import UsageError
     from anisoscope.base.plugins import installed
 
+    if group not in (groups := get_args(DriverGroup)):
+        raise UsageError(f"no group of drivers is called {group!r}; there are {', '.join(groups)}")
     return tuple(sorted(installed(f"anisoscope.{group}")))

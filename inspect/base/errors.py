@@ -9,7 +9,7 @@ The tree, with the exit code of the command line in brackets::
     ├── ConfigError [78]           a file of ours (recipe, rig, bench, calibration) that is wrong
     │   ├── RecipeError
     │   ├── RigFileError
-    │   └── InkFileError            (in `inkfile`)
+    │   └── InkFileError            (in `sim.materials.inks`)
     ├── SweepError [69]            a sweep that cannot be run to its end (in `study.sweep`)
     ├── RecordError [74]           an inspection folder that cannot be written or read
     ├── HistoryError [74]          a history that cannot be reached, read or written (in `history.problems`)

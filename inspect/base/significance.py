@@ -79,7 +79,7 @@ def holm(p_values: FloatArray) -> FloatArray:
 
 def two_sided(z: FloatArray) -> FloatArray:
     """Two-sided p values of standard normal scores."""
-    from scipy.special import erfc  # noqa: PLC0415
+    from scipy.special import erfc  # noqa: PLC0415 - start-up time
 
     return np.asarray(erfc(np.abs(z) / np.sqrt(2.0)))
 

@@ -222,7 +222,7 @@ def read_picture(path: Path, kind: Kind) -> npt.NDArray[np.float32]:
     Raises:
         CalibrationError: it cannot be read.
     """
-    import tifffile  # noqa: PLC0415
+    import tifffile  # noqa: PLC0415 - start-up time
 
     try:
         return np.asarray(tifffile.imread(path), dtype=np.float32)

@@ -155,9 +155,9 @@ def write_picture(path: Path, picture: Image) -> None:
     Raises:
         RecordError: it cannot be written.
     """
-    import io  # noqa: PLC0415
+    import io  # noqa: PLC0415 - start-up time
 
-    import tifffile  # noqa: PLC0415
+    import tifffile  # noqa: PLC0415 - start-up time
 
     buffer = io.BytesIO()
     tifffile.imwrite(buffer, np.asarray(picture, dtype=np.float32), photometric="minisblack", metadata=None)

@@ -96,7 +96,7 @@ def write_reference(path: Path, reference: dict[str, Any]) -> None:
     Raises:
         RecordError: the folder cannot be made or written.
     """
-    import tifffile  # noqa: PLC0415
+    import tifffile  # noqa: PLC0415 - start-up time
 
     buffer = io.BytesIO()
     tifffile.imwrite(buffer, reference["signal"], description=json.dumps(reference["meta"]), metadata=None)
@@ -113,7 +113,7 @@ def read_reference(path: Path) -> WhiteReference:
     Raises:
         CalibrationError: missing, damaged, or not a white reference.
     """
-    import tifffile  # noqa: PLC0415
+    import tifffile  # noqa: PLC0415 - start-up time
 
     advice = "take one with `anisoscope calibrate flat`"
     if not path.is_file():

@@ -80,7 +80,7 @@ def update_rig_file(path: Path, changes: Changes) -> Written:
 
 
 def _dumped(tables: dict[str, Any]) -> str:
-    import tomli_w  # noqa: PLC0415
+    import tomli_w  # noqa: PLC0415 - start-up time
 
     return tomli_w.dumps(tables)
 

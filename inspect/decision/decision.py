@@ -176,7 +176,7 @@ def guarded(deviation: float, u: float, tolerance: float, coverage: float) -> tu
     Returns:
         Verdict, guard band g = coverage·u, and the conformance probability of JCGM 106.
     """
-    from scipy.special import ndtr  # noqa: PLC0415
+    from scipy.special import ndtr  # noqa: PLC0415 - start-up time
 
     guard = coverage * u
     if u > 0.0:

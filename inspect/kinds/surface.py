@@ -351,7 +351,7 @@ def _contrast_table(record: Record, found: SurfaceDetails) -> Table:
 def _tilt_table(record: Record) -> Table:
     """The contrasts between tilts; of many the least likely ones, in their order."""
     from anisoscope.report.tilt_sections import listed_tilt_contrasts, tilt_row  # noqa: PLC0415 - draws
-    from anisoscope.report.wording import U_LEGEND  # noqa: PLC0415
+    from anisoscope.report.wording import U_LEGEND  # noqa: PLC0415 - start-up time
 
     listed, folded = listed_tilt_contrasts(record)
     return Table(

@@ -58,7 +58,7 @@ class Expectation:
         surface: the height map, levelled, or None for a design.
         convention: how the angles are counted.
         response: second-order response of ln L to the inputs shared by all poses, or None where unknown.
-        optics: rays or waves, and why (`models.Models.optics`).
+        optics: rays or waves, and why (`anisoscope.prediction.recipe_models.Models.optics`).
         states: ln L in any state of the uncertain inputs, where the model itself is evaluated; else None.
     """
 

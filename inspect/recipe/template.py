@@ -172,7 +172,7 @@ def _end(lines: list[str], first: int) -> int:
 
 def _literal(value: object) -> str:
     """A value in TOML syntax."""
-    import tomli_w  # noqa: PLC0415
+    import tomli_w  # noqa: PLC0415 - start-up time
 
     if isinstance(value, list | tuple):
         return "[" + ", ".join(_literal(item) for item in value) + "]"

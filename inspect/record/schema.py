@@ -339,6 +339,10 @@ class Record(_Part):
         """One line: serial number, product, verdict, the first reason."""
         return f"Record({record_line(self)})"
 
+    def __str__(self) -> str:
+        """The same line: what ``print`` shows."""
+        return repr(self)
+
     def _repr_html_(self) -> str:
         return record_html(self)
 

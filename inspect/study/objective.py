@@ -214,7 +214,7 @@ def errors_sample(tolerances: Tolerances, poses: int, samples: int, seed: int) -
     Tolerances of 0 take no dimension. The scrambled points keep away from 0 and 1, so that the errors are finite.
     """
     from scipy.special import ndtri  # noqa: PLC0415 - slow to import
-    from scipy.stats import qmc  # noqa: PLC0415
+    from scipy.stats import qmc  # noqa: PLC0415 - start-up time
 
     width = {"alpha": 2, "seating": 2, "stage": poses}
     used = [(one.name, width.get(one.name, 1)) for one in fields(tolerances) if getattr(tolerances, one.name)]

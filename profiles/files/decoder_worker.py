@@ -25,22 +25,22 @@ class Unsuitable(Exception):
 def _prepare(kind: str) -> str:
     """Import the decoder of a kind and return its name."""
     if kind == "library":
-        import SurfaceTopography  # type: ignore[import-untyped]  # noqa: PLC0415
-        import SurfaceTopography.IO  # type: ignore[import-untyped]  # noqa: PLC0415
+        import SurfaceTopography  # type: ignore[import-untyped]  # noqa: PLC0415 - only what the format needs
+        import SurfaceTopography.IO  # type: ignore[import-untyped]  # noqa: PLC0415 - only what the format needs
 
         return f"SurfaceTopography {SurfaceTopography.__version__}"
     if kind == "tiff":
-        import tifffile  # noqa: PLC0415
+        import tifffile  # noqa: PLC0415 - only what the format needs
 
         return f"tifffile {tifffile.__version__}"
-    import cv2  # noqa: PLC0415
+    import cv2  # noqa: PLC0415 - only what the format needs
 
     return f"OpenCV {cv2.__version__}"
 
 
 def _open_library(path: str, format_: str | None) -> Any:  # noqa: ANN401 - the library has no types
     """A reader of the library; without a format, of those that know the first bytes of the file."""
-    from SurfaceTopography.IO import MAGIC_BUFFER_SIZE, MagicMatch, lookup_reader_by_format  # noqa: PLC0415
+    from SurfaceTopography.IO import MAGIC_BUFFER_SIZE, MagicMatch, lookup_reader_by_format  # noqa: PLC0415 - only what the format needs
 
     if format_ is not None:
         return lookup_reader_by_format[format_](path)
@@ -95,7 +95,7 @@ def _library(request: dict[str, Any]) -> tuple[dict[str, Any], np.ndarray[Any, A
 
 
 def _tiff(request: dict[str, Any]) -> tuple[dict[str, Any], np.ndarray[Any, Any]]:
-    import tifffile  # noqa: PLC0415
+    import tifffile  # noqa: PLC0415 - only what the format needs
 
     size = Path(request["path"]).stat().st_size
     with tifffile.TiffFile(request["path"]) as file:
@@ -120,7 +120,7 @@ def _check_page(page: Any, size: int) -> None:  # noqa: ANN401 - tifffile's own 
 
 
 def _png(request: dict[str, Any]) -> tuple[dict[str, Any], np.ndarray[Any, Any]]:
-    import cv2  # noqa: PLC0415
+    import cv2  # noqa: PLC0415 - only what the format needs
 
     raw = cv2.imdecode(np.fromfile(request["path"], np.uint8), cv2.IMREAD_UNCHANGED)
     if raw is None or raw.ndim != 2 or raw.dtype != np.uint16:
@@ -135,8 +135,8 @@ def _limit(request: dict[str, Any]) -> None:
     """Memory above what is in use now, and seconds of processor time, after which the kernel stops this process."""
     if sys.platform != "linux":
         return
-    import resource  # noqa: PLC0415
-    import signal  # noqa: PLC0415
+    import resource  # noqa: PLC0415 - not on Windows
+    import signal  # noqa: PLC0415 - with resource
 
     pages = int(Path("/proc/self/statm").read_text().split()[0])
     limit = pages * resource.getpagesize() + int(request["memory_bytes"])
@@ -150,8 +150,8 @@ def _limit(request: dict[str, Any]) -> None:
 def _unlimit() -> None:
     if sys.platform != "linux":
         return
-    import resource  # noqa: PLC0415
-    import signal  # noqa: PLC0415
+    import resource  # noqa: PLC0415 - not on Windows
+    import signal  # noqa: PLC0415 - with resource
 
     signal.setitimer(signal.ITIMER_PROF, 0.0)
     hard = resource.getrlimit(resource.RLIMIT_AS)[1]

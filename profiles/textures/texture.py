@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.base.errors import HeightMapError
+from anisoscope.base.errors import HeightMapError, UsageError
 from anisoscope.profiles.files.checks import check_heights
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.textures.bearing import Core, Volumes, bearing, core, volumes
@@ -143,8 +143,11 @@ def texture(
         l_filter_um: nesting index in µm of the Gaussian L-filter; None for none.
 
     Raises:
+        UsageError: the surface is no height map.
         HeightMapError: a nesting index that the map cannot hold, or too little was measured.
     """
+    if not isinstance(surface, HeightMap):
+        raise UsageError(f"texture takes a HeightMap, not {type(surface).__name__}")
     limited = scale_limited(surface, form=form, s_filter_um=s_filter_um, l_filter_um=l_filter_um)
     curve = bearing(limited.map)
     return Texture(

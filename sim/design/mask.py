@@ -128,7 +128,7 @@ def write_png(shades: npt.NDArray[np.floating], path: Path) -> None:
     """
     import cv2  # noqa: PLC0415 - slow to import
 
-    from anisoscope.base.atomic_write import write_bytes  # noqa: PLC0415
+    from anisoscope.base.atomic_write import write_bytes  # noqa: PLC0415 - start-up time
 
     done, data = cv2.imencode(".png", np.asarray(np.rint(shades), dtype=np.uint8))
     assert done

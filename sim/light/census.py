@@ -148,7 +148,7 @@ def _around(cells: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
 
 def mean_radiance(census: Census, shine: Shine, horizon: Horizon) -> float:
     """Mean radiance [1/sr] of the surface in one pose, whose shadows ``horizon`` knows."""
-    from anisoscope.sim.light import census_kernels as kernels  # noqa: PLC0415
+    from anisoscope.sim.light import census_kernels as kernels  # noqa: PLC0415 - start-up time
 
     light, camera = np.array(shine.light), np.array(shine.camera)
     at_nodes = np.empty(len(census.nodes))

@@ -170,7 +170,7 @@ def radiance_maps(
     Raises:
         ModelError: light or camera stands at or below the horizon of the sample.
     """
-    from anisoscope.sim.light.kernels import facet_radiance  # noqa: PLC0415
+    from anisoscope.sim.light.kernels import facet_radiance  # noqa: PLC0415 - start-up time
 
     z = np.ascontiguousarray(relief.surface.height_um, dtype=np.float64)
     horizon = Horizon(relief)

@@ -82,7 +82,7 @@ def _known_share(relief: Relief, span: float) -> float:
 
 def _terrain(relief: Relief) -> "Terrain":
     from anisoscope.sim.light.relief_blocks import ceilings  # noqa: PLC0415 - numba when first needed
-    from anisoscope.sim.light.relief_rays import Terrain, bends  # noqa: PLC0415
+    from anisoscope.sim.light.relief_rays import Terrain, bends  # noqa: PLC0415 - start-up time
 
     heights, period, facets = relief.rows_first, relief.wrap_columns(), FACETS.index(relief.facets)
     pixel_x, pixel_y = relief.pixels_um
@@ -106,7 +106,7 @@ def _terrain(relief: Relief) -> "Terrain":
 
 
 def _plastic(material: Material) -> "Plastic":
-    from anisoscope.sim.light.relief_scatter import Plastic  # noqa: PLC0415
+    from anisoscope.sim.light.relief_scatter import Plastic  # noqa: PLC0415 - start-up time
 
     return Plastic(
         material.alpha_along,

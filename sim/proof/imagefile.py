@@ -43,7 +43,7 @@ def read_image(path: Path) -> Image:
             pixels than twice Pillow's guard against decompression bombs (179 million).
     """
     import PIL.Image  # noqa: PLC0415 - only who reads a picture needs it
-    import PIL.ImageOps  # noqa: PLC0415
+    import PIL.ImageOps  # noqa: PLC0415 - start-up time
 
     try:
         with warnings.catch_warnings():
@@ -62,7 +62,7 @@ def read_image(path: Path) -> Image:
 
 
 def _as_srgb(opened: "PIL.Image.Image", path: Path) -> Image:
-    import PIL.Image  # noqa: PLC0415
+    import PIL.Image  # noqa: PLC0415 - start-up time
 
     notes = []
     if opened.mode.startswith("F"):
@@ -89,7 +89,7 @@ def _as_srgb(opened: "PIL.Image.Image", path: Path) -> Image:
 
 
 def _eight_bits(opened: "PIL.Image.Image") -> tuple["PIL.Image.Image", str]:
-    import PIL.Image  # noqa: PLC0415
+    import PIL.Image  # noqa: PLC0415 - start-up time
 
     values = np.asarray(opened, dtype=np.float64)
     top = 65535.0 if opened.mode.startswith("I;16") or values.max() > 255.0 else 255.0
@@ -99,8 +99,8 @@ def _eight_bits(opened: "PIL.Image.Image") -> tuple["PIL.Image.Image", str]:
 
 
 def _from_profile(opened: "PIL.Image.Image", profile: bytes, path: Path) -> tuple["PIL.Image.Image", str]:
-    import PIL.Image  # noqa: PLC0415
-    import PIL.ImageCms  # noqa: PLC0415
+    import PIL.Image  # noqa: PLC0415 - start-up time
+    import PIL.ImageCms  # noqa: PLC0415 - start-up time
 
     plain = opened if opened.mode in ("RGB", "L", "CMYK", "LAB") else opened.convert("RGB")
     try:
@@ -144,7 +144,7 @@ def dots_png(dots: Bytes8, colours: npt.NDArray[np.uint8], dpi: float) -> bytes:
         colours: (4, 3) 8-bit sRGB of paper and inks.
         dpi: dots per inch.
     """
-    import PIL.Image  # noqa: PLC0415
+    import PIL.Image  # noqa: PLC0415 - start-up time
 
     picture = PIL.Image.fromarray(dots, mode=None)
     picture.putpalette(colours.astype(np.uint8).tobytes(), rawmode="RGB")
@@ -161,7 +161,7 @@ def film_png(mask: npt.NDArray[np.bool_], dpi: float, *, positive: bool = True) 
         dpi: dots per inch.
         positive: black where the ink goes, as films for screens are; else white there.
     """
-    import PIL.Image  # noqa: PLC0415
+    import PIL.Image  # noqa: PLC0415 - start-up time
 
     stream = io.BytesIO()
     PIL.Image.fromarray(mask ^ positive).save(stream, "PNG", compress_level=3, dpi=(dpi, dpi))
@@ -170,7 +170,7 @@ def film_png(mask: npt.NDArray[np.bool_], dpi: float, *, positive: bool = True) 
 
 def picture_png(srgb: Bytes8) -> bytes:
     """A PNG of (rows, cols, 3) 8-bit sRGB."""
-    import PIL.Image  # noqa: PLC0415
+    import PIL.Image  # noqa: PLC0415 - start-up time
 
     stream = io.BytesIO()
     PIL.Image.fromarray(srgb).save(stream, "PNG")
@@ -179,9 +179,9 @@ def picture_png(srgb: Bytes8) -> bytes:
 
 def photo_uri(image: Image, longest: int = 1600) -> str:
     """A picture as a data URI (JPEG), reduced where a side exceeds ``longest`` pixels."""
-    import base64  # noqa: PLC0415
+    import base64  # noqa: PLC0415 - start-up time
 
-    import PIL.Image  # noqa: PLC0415
+    import PIL.Image  # noqa: PLC0415 - start-up time
 
     picture = PIL.Image.fromarray(image.srgb)
     picture.thumbnail((longest, longest))

@@ -129,3 +129,20 @@ def test_importing_the_names_loads_nothing_heavy():
         [sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=60
     )
     assert done.stdout.strip() == "set()"
+
+
+@pytest.mark.parametrize(
+    ("call", "why"),
+    [
+        (
+            lambda: an.drivers("nonsense"),
+            "no group of drivers is called 'nonsense'; there are stages, cameras, lights",
+        ),
+        (lambda: an.predict(3), "predict takes a HeightMap or a RidgeDesign, not int"),
+        (lambda: an.texture(3), "texture takes a HeightMap, not int"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_in_one_line(call, why):
+    with pytest.raises(an.UsageError) as refused:
+        call()
+    assert str(refused.value) == why

@@ -166,7 +166,7 @@ def _curl(lean: FloatArray) -> tuple[FloatArray, float]:
 
 def _labels(deviating: npt.NDArray[np.bool_]) -> npt.NDArray[np.int32]:
     """Number of the spot of every cell, from 1 on; cells that touch each other are one, 0 does not deviate."""
-    import cv2  # noqa: PLC0415
+    import cv2  # noqa: PLC0415 - start-up time
 
     return np.asarray(cv2.connectedComponents(deviating.astype(np.uint8), connectivity=8)[1], dtype=np.int32)
 

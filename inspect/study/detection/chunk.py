@@ -379,8 +379,8 @@ def _unpacked(content: bytes) -> Columns:
 
 def _one_thread() -> None:
     """Chunks share the machine, not their kernels."""
-    import cv2  # noqa: PLC0415
-    import numba  # noqa: PLC0415
+    import cv2  # noqa: PLC0415 - start-up time
+    import numba  # noqa: PLC0415 - start-up time
 
     cv2.setNumThreads(1)
     numba.set_num_threads(1)

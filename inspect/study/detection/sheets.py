@@ -2,7 +2,7 @@
 
 A sheet holds the radiance of the nominal part in every view, its own roughness and local marks resolved; where it is
 cut, a part gets another piece of surface. What is the same all along a ridge (angle, worn or missing crests,
-roughness of the lobe, seating, lamp) is put in afterwards (`detection_pictures`).
+roughness of the lobe, seating, lamp) is put in afterwards (`anisoscope.study.detection.chunk`).
 """
 
 import io
