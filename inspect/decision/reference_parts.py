@@ -210,11 +210,13 @@ def add_part(known: GoldenSet | None, recipe: SurfaceRecipe, record: Record) -> 
     if record.verdict == "INVALID" or not record.poses:
         raise CalibrationError(f"{record.serial}: an INVALID inspection says nothing about a good part")
     recorded = tuple((pose.stage_deg, pose.tilt_deg) for pose in record.poses)
-    key, recipe_then = recipe_key(recipe), type(recipe).model_validate(record.recipe, extra="ignore")
+    another = f"{record.serial} was inspected with another recipe (poses, region or exposure differ): inspect it again"
+    try:
+        key, recipe_then = recipe_key(recipe), type(recipe).model_validate(record.recipe, extra="ignore")
+    except ValidationError as problem:  # such as the recipe of another kind of part
+        raise CalibrationError(another) from problem
     if recorded != poses or recipe_key(recipe_then) != key:
-        raise CalibrationError(
-            f"{record.serial} was inspected with another recipe (poses, region or exposure differ): inspect it again"
-        )
+        raise CalibrationError(another)
     base = known or GoldenSet(product=recipe.product, recipe_key=key, poses=poses)
     check_new(base.parts, record)
     rule, area = recipe_then.area, surface_of(record).area

@@ -6,7 +6,7 @@ from pathlib import Path
 from anisoscope.base.errors import RecordError
 from anisoscope.inspection.folder import JOB, files_in
 from anisoscope.inspection.manifest import read_job_file
-from anisoscope.record.schema import RECORD_NAME, InputFile, read_record, sha256_of
+from anisoscope.record.schema import RECORD_NAME, InputFile, recorded_files, sha256_of
 from anisoscope.report.inspection_page import REPORT_NAME
 from anisoscope.rig.acquisition.journal import JOURNAL, read_journal
 
@@ -47,19 +47,19 @@ def verify(folder: Path) -> Verified:
     present = files_in(folder)
     if not present & {RECORD_NAME, JOB}:
         raise RecordError(f"{folder}: is no inspection folder: it holds neither {RECORD_NAME} nor {JOB}")
-    record, changed = None, []
+    listed, changed = None, []
     if RECORD_NAME in present:
         try:
-            record = read_record(folder)
+            listed = recorded_files(folder)
         except RecordError:
             changed.append(RECORD_NAME)
-    if record is not None and not record.files:
+    if listed is not None and not listed:
         raise RecordError(f"{folder}: its record is of an earlier version, which listed no files")
-    known, damaged = _begun(folder) if record is None else (list(record.files), [])
+    known, damaged = _begun(folder) if listed is None else (list(listed), [])
     expected = {file.name: file.sha256 for file in known}
     changed += damaged
     changed += [name for name in expected.keys() & present if _hash(folder / name) != expected[name]]
-    own = {RECORD_NAME} if record is not None else {RECORD_NAME, JOB, JOURNAL, REPORT_NAME}
+    own = {RECORD_NAME} if listed is not None else {RECORD_NAME, JOB, JOURNAL, REPORT_NAME}
     return Verified(
         RECORD_NAME in present,
         len(expected) + 1,

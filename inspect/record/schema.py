@@ -388,24 +388,54 @@ def read_record(folder: Path) -> Record:
         RecordError: there is none, it is damaged or was changed, or a later version wrote it.
     """
     path = folder / RECORD_NAME
+    content, _ = _content_of(path)
+    try:
+        if isinstance(content, dict):
+            content = upgraded(content)
+    except RecordError as problem:
+        raise RecordError(f"{path}: {problem}") from problem
+    later = _later(content)
+    if later is not None:
+        raise RecordError(f"{path} was written by a later version of anisoscope ({later}): update anisoscope")
+    try:
+        if isinstance(content, dict) and isinstance(content.get("kind"), str):
+            recorded_kind(content["kind"])  # also where there are no details
+        return Record.model_validate_json(json.dumps(content))
+    except RecordError as problem:
+        raise RecordError(f"{path}: {problem}") from problem
+    except ValueError as error:
+        raise RecordError(f"{path} is damaged: {str(error).splitlines()[0]}") from error
+
+
+def recorded_files(folder: Path) -> tuple[InputFile, ...]:
+    """Files that the record of an inspection folder lists; its kind of part need not be installed.
+
+    Raises:
+        RecordError: there is no record, or it is damaged or was changed.
+    """
+    path = folder / RECORD_NAME
+    content, sealed = _content_of(path)
+    if not sealed:  # then only its fields show whether it is whole
+        return read_record(folder).files
+    try:
+        return tuple(InputFile.model_validate(file) for file in content.get("files", ()))
+    except (TypeError, ValueError) as error:
+        raise RecordError(f"{path} is damaged: {str(error).splitlines()[0]}") from error
+
+
+def _content_of(path: Path) -> tuple[Any, bool]:
+    """What is in the file of a record, without its seal, and whether it bears one."""
     try:
         text = path.read_bytes().decode()
         content = json.loads(text)
-        seal = content.pop("seal", None) if isinstance(content, dict) else None
-        if seal is not None and seal != _seal_of(text, str(seal)):
-            raise RecordError(f"{path} is damaged: it was changed after it had been written")
-        if isinstance(content, dict):
-            content = upgraded(content)
-        later = _later(content)
-        if later is not None:
-            raise RecordError(
-                f"{path} was written by a later version of anisoscope ({later}): update anisoscope"
-            )
-        return Record.model_validate_json(json.dumps(content))
     except OSError as error:
         raise RecordError(f"cannot read {path}: {error.strerror}: was this inspection finished?") from error
     except ValueError as error:
         raise RecordError(f"{path} is damaged: {str(error).splitlines()[0]}") from error
+    seal = content.pop("seal", None) if isinstance(content, dict) else None
+    if seal is not None and seal != _seal_of(text, str(seal)):
+        raise RecordError(f"{path} is damaged: it was changed after it had been written")
+    return content, seal is not None
 
 
 def _later(content: object) -> str | None:

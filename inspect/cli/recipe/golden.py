@@ -48,7 +48,13 @@ def add(
     with _as_usage():
         known: Any = kind.read_reference(path, rules)
         for folder in folders:
-            known = kind.add_reference(known, rules, read_record(folder))
+            record = read_record(folder)
+            if record.kind != kind.name:
+                raise CalibrationError(
+                    f"{record.serial} was inspected as a part of the kind '{record.kind}', and {recipe} is a recipe of "
+                    f"the kind '{kind.name}': add it with the recipe by which it was inspected"
+                )
+            known = kind.add_reference(known, rules, record)
     assert known is not None
     write_golden(path, known)
     return _print_change(path, len(folders), "added", known, kind.reference_noun, json_=json_)

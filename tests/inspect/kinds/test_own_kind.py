@@ -73,7 +73,32 @@ def test_a_card_goes_from_recipe_to_report(virtual_rig, installed):
     shown = run("show", folder, "--history", history, "--json", path=installed)
     assert shown.returncode == 0, shown.stdout + shown.stderr
     assert '"card radiance"' in shown.stdout
-    without = run("recompute", folder)  # the package is not installed any more
+    # the package is not installed any more
+    assert run("verify", folder).returncode == 0
+    refused = run("history", "add", folder, "--history", f"{history}.new")
+    assert refused.returncode == 1, refused.stdout + refused.stderr
+    assert "record.json: there is no kind of part 'cards'" in " ".join(
+        (refused.stdout + refused.stderr).split()
+    )
+    whole = (folder / "record.json").read_text(encoding="utf-8")
+    invalid = {key: value for key, value in record.items() if key != "seal"}
+    invalid |= {"verdict": "INVALID", "details": None}
+    (folder / "record.json").write_text(json.dumps(invalid), encoding="utf-8")
+    refused = run("history", "add", folder, "--history", f"{history}.new")
+    assert refused.returncode == 1
+    assert "record.json: there is no kind of part 'cards'" in " ".join(
+        (refused.stdout + refused.stderr).split()
+    )
+    (folder / "record.json").write_text(whole.replace('"C-1"', '"C-2"', 1), encoding="utf-8")
+    assert "changed: record.json" in run("verify", folder).stdout
+    (folder / "record.json").write_text(whole, encoding="utf-8")
+    good = virtual_rig("good")
+    other = run("golden", "add", folder, "-r", good.recipe, path=installed)
+    line = " ".join((other.stdout + other.stderr).split())
+    assert other.returncode == 64
+    assert "C-1 was inspected as a part of the kind 'cards'" in line
+    assert "is a recipe of the kind 'ridges'" in line
+    without = run("recompute", folder)
     assert without.returncode >= 64
     assert (
         "there is no kind of part 'cards'; installed: prints, ridges, wafers"
