@@ -19,6 +19,15 @@ def _installed(group: str, _path: tuple[str, ...]) -> Mapping[str, EntryPoint]:
     return {entry.name: entry for entry in sorted(entry_points(group=group))}
 
 
+@functools.cache
+def _rivals(group: str, name: str, _path: tuple[str, ...]) -> tuple[str, ...]:
+    """Packages that install different plug-ins under one name; empty where there is one plug-in."""
+    found = entry_points(group=group, name=name)
+    if len({entry.value for entry in found}) < 2:
+        return ()
+    return tuple(sorted({"an unnamed package" if entry.dist is None else entry.dist.name for entry in found}))
+
+
 def load(group: str, name: str, what: str, error: type[AnisoscopeError]) -> object:
     """The plug-in of a name.
 
@@ -29,11 +38,14 @@ def load(group: str, name: str, what: str, error: type[AnisoscopeError]) -> obje
         error: what is raised.
 
     Raises:
-        error: none is installed under this name, or it does not load; the message has one line.
+        error: none or more than one is installed under this name, or it does not load; the message has one line.
     """
     found = installed(group)
     if name not in found:
         raise error(f"there is no {what} '{name}'; installed: {', '.join(found) or 'none'}")
+    rivals = _rivals(group, name, tuple(sys.path))
+    if rivals:
+        raise error(f"several packages install a {what} '{name}': {', '.join(rivals)}: uninstall all but one")
     try:
         return found[name].load()
     except Exception as problem:

@@ -2,14 +2,14 @@
 
 import tomllib
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from anisoscope.base.errors import RecipeError, RecordError
-from anisoscope.base.plugins import installed, load
-from anisoscope.kinds.kind import AnyKind, NewRecipe
+from anisoscope.base.plugins import installed
+from anisoscope.kinds.kind import AnyKind, Kind, NewRecipe
 from anisoscope.recipe.base import RecipeBase
 from anisoscope.recipe.surface import SurfaceRecipe
-from anisoscope.record.details import GROUP, kind_of_recipe
+from anisoscope.record.details import GROUP, kind_of_recipe, recorded_kind
 
 
 def kind_names() -> tuple[str, ...]:
@@ -23,7 +23,15 @@ def kind_named(name: str) -> AnyKind:
     Raises:
         RecipeError: none is installed under this name, or it does not load.
     """
-    return cast("AnyKind", load(GROUP, name, "kind of part", RecipeError))
+    try:
+        found = recorded_kind(name)
+    except RecordError as problem:
+        raise RecipeError(str(problem)) from problem
+    if not isinstance(found, Kind):
+        raise RecipeError(
+            f"the kind of part '{name}' does not load: {found!r} is not an object of a class of Kind"
+        )
+    return found
 
 
 def kind_of(path: Path) -> AnyKind:
@@ -59,9 +67,20 @@ def read_recipe(path: Path) -> SurfaceRecipe:
 
 
 def kind_of_new(requested: NewRecipe) -> AnyKind:
-    """The kind whose recipe is to be written."""
-    kinds = [kind_named(name) for name in kind_names()]
+    """The kind whose recipe is to be written; kinds that do not load are left out.
+
+    Raises:
+        RecipeError: none of those that load takes these options.
+    """
+    kinds, problems = [], []
+    for name in kind_names():
+        try:
+            kinds.append(kind_named(name))
+        except RecipeError as problem:
+            problems.append(str(problem))
     chosen = [kind for kind in kinds if kind.makes(requested)] or [kind for kind in kinds if kind.fallback]
+    if not chosen:
+        raise RecipeError("; ".join(["no kind of part is installed that writes this recipe", *problems]))
     return chosen[0]
 
 

@@ -64,7 +64,15 @@ def recorded_kind(name: str) -> RecordedKind:
     Raises:
         RecordError: none is installed under this name, or it does not load.
     """
-    return cast("RecordedKind", load(GROUP, name, "kind of part", RecordError))
+    found = load(GROUP, name, "kind of part", RecordError)
+    if isinstance(found, type) or any(not hasattr(found, needed) for needed in _NEEDED):
+        raise RecordError(
+            f"the kind of part '{name}' does not load: {found!r} is not an object of a class of Kind"
+        )
+    return cast("RecordedKind", found)
+
+
+_NEEDED = ("name", "fallback", "details", "recognises")
 
 
 def kind_of_recipe(table: Mapping[str, Any]) -> str:
@@ -74,11 +82,13 @@ def kind_of_recipe(table: Mapping[str, Any]) -> str:
         table: the recipe as it is read from its file or stands in a record.
 
     Raises:
-        RecordError: no kind of part is installed that would take it.
+        RecordError: what it states is no text, or no kind of part is installed that would take it.
     """
     named = table.get("kind")
+    if isinstance(named, str):
+        return named
     if named is not None:
-        return str(named)
+        raise RecordError(f'expected text, such as "ridges", found {named!r}')
     fallback, problems = None, []
     for name in installed(GROUP):
         try:

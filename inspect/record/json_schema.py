@@ -7,8 +7,10 @@ what it does not know. Fields that came later are optional, and their defaults s
 """
 
 import json
+from contextlib import suppress
 from typing import Any
 
+from anisoscope.base.errors import RecordError
 from anisoscope.base.plugins import installed
 from anisoscope.record.details import GROUP, Details, recorded_kind
 from anisoscope.record.schema import SCHEMA, Record
@@ -23,7 +25,8 @@ def record_schema() -> dict[str, Any]:
     schema["$defs"].pop(Details.__name__)
     kinds: dict[type[Details], list[str]] = {}
     for name in installed(GROUP):
-        kinds.setdefault(recorded_kind(name).details, []).append(name)
+        with suppress(RecordError):  # a kind that does not load is an error of what names it
+            kinds.setdefault(recorded_kind(name).details, []).append(name)
     for details in kinds:
         own = details.model_json_schema(by_alias=True, mode="validation")
         schema["$defs"] |= own.pop("$defs", {}) | {details.__name__: own}

@@ -133,6 +133,48 @@ def test_a_broken_plug_in_is_one_line_and_does_not_spoil_other_recipes(virtual_r
     assert "there are no golden parts of this recipe" in " ".join((done.stdout + done.stderr).split())
 
 
+def test_an_object_that_is_no_kind_is_one_line_of_the_recipe_that_names_it(virtual_rig, tmp_path):
+    points = "[anisoscope.kinds]\nthree = three_kind:KIND\nlike = three_kind:LIKE\n"
+    source = (
+        "KIND = 3\n\n\nclass Like:\n    name, fallback, details = 'like', False, None\n\n"
+        "    def recognises(self, table):\n        return False\n\n\nLIKE = Like()\n"
+    )
+    path = install(tmp_path / "site", "three_kind", points, {"three_kind.py": source})
+    for name in ("three", "like"):
+        done = run("recipe", "check", virtual_rig(name, recipe=CARD | {"kind": name}).recipe, path=path)
+        said = " ".join((done.stdout + done.stderr).split())
+        assert done.returncode >= 64
+        assert "Traceback" not in said
+        assert f"kind: the kind of part '{name}' does not load" in said
+        assert "is not an object of a class of Kind" in said
+    good = virtual_rig("good")
+    done = run("golden", "show", "-r", good.recipe, path=path)
+    assert "there are no golden parts of this recipe" in " ".join((done.stdout + done.stderr).split())
+    done = run("recipe", "new", "--out", tmp_path / "new.toml", path=path)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_two_packages_with_one_name_are_an_error_that_names_them(virtual_rig, tmp_path):
+    points = "[anisoscope.kinds]\nridges = my_ridges:KIND\n"
+    path = install(tmp_path / "site", "my_ridges", points, {"my_ridges.py": "KIND = 3\n"})
+    for recipe in ({}, {"kind": "ridges"}):
+        done = run("golden", "show", "-r", virtual_rig(str(len(recipe)), recipe=recipe).recipe, path=path)
+        said = " ".join((done.stdout + done.stderr).split())
+        assert done.returncode >= 64
+        assert "Traceback" not in said
+        assert (
+            "several packages install a kind of part 'ridges': anisoscope, my_ridges: uninstall all but one"
+            in said
+        )
+
+
+@pytest.mark.parametrize("kind", [3, ["ridges"]])
+def test_a_kind_that_is_no_text(virtual_rig, anisoscope, kind):
+    done = anisoscope("recipe", "check", virtual_rig(recipe={"kind": kind}).recipe)
+    assert done.code >= 64
+    assert "kind: expected text" in " ".join(done.err.split())
+
+
 def test_a_recipe_may_name_its_kind(virtual_rig):
     from anisoscope.kinds.registry import kind_of
 
