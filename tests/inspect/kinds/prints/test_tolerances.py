@@ -17,7 +17,7 @@ from anisoscope.kinds.prints.tolerances import (
     KEYS,
     _measured,
     _reached,
-    _Seen,
+    _Spread,
     golden_tolerances,
     taught_tolerances,
 )
@@ -73,13 +73,13 @@ def test_one_more_good_print_exceeds_what_golden_prints_reach_as_rarely_as_said(
     off = mean + rng.standard_normal((trials, count + 1)) + u * rng.standard_normal((trials, 1))
     later = off[:, -1] + u * rng.standard_normal(trials)  # after the next calibration
     over = [
-        abs(own) > _reached("gain", _Seen(known, 0.0, 2.0**0.5 * u), alpha)
+        abs(own) > _reached("gain", _Spread(known, 0.0, 2.0**0.5 * u), alpha)
         for known, own in zip(off[:, :-1], later, strict=True)
     ]
     # of a mean that is far off only one side can be exceeded
     assert 0.2 * alpha < np.mean(over) < 1.25 * alpha
     lengths = np.hypot(*rng.standard_normal((2, trials, count + 1)))
-    over = [row[-1] > _reached("tilt", _Seen(row[:-1], 0.0, 0.0), alpha) for row in lengths]
+    over = [row[-1] > _reached("tilt", _Spread(row[:-1], 0.0, 0.0), alpha) for row in lengths]
     assert 0.5 * alpha < np.mean(over) < 1.5 * alpha
 
 
