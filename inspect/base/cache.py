@@ -5,7 +5,7 @@ file in a folder of its kind, named by the hash of its key: the values that the 
 a rig, hashes of files), the sources of the computing module and of its transitive imports
 (`anisoscope.base.source_digest`), and the versions of the libraries that compute. A file that was cut off, altered, or
 put there by somebody else is not an entry: its result is computed again. Where nothing can be written, nothing is
-cached.
+cached; nor is anything while a source is newer than the process: the loaded code is not what the digest is of.
 
 Above the limit (``$ANISOSCOPE_CACHE_LIMIT_MB``, 512 MB) the entries that were not used for longest are removed. Any
 number of processes may share the folder: entries appear whole, under names that say what they hold.
@@ -86,13 +86,22 @@ class Stored:
 
 @dataclass(frozen=True)
 class Entry:
-    """Place of one result in a cache."""
+    """Place of one result in a cache.
+
+    Attributes:
+        cache: the folder.
+        path: the file.
+        modules: what computes it.
+    """
 
     cache: "Cache"
     path: Path
+    modules: tuple[str, ...] = ()
 
     def read(self) -> bytes | None:
         """The stored content; None where there is none, or where it is not what was written."""
+        if not sources_loaded(*self.modules):
+            return None
         try:
             packed = self.path.read_bytes()
         except OSError:
@@ -112,6 +121,8 @@ class Entry:
         Raises:
             RecordError: a folder of somebody's choice cannot be written.
         """
+        if not sources_loaded(*self.modules):  # edited while it was computed
+            return
         packed = _MAGIC + self._checksum(content) + content
         limit = self.cache.limit()
         if limit is not None and len(packed) > limit:
@@ -175,7 +186,7 @@ class Cache:
         place = self._place()
         software = [source_digest(*modules), [_version(name) for name in libraries]]
         key = json.dumps([kind, software, given], sort_keys=True)
-        return Entry(self, place / kind / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.entry")
+        return Entry(self, place / kind / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.entry", modules)
 
     def stored(self) -> list[Stored]:
         """All entries, those that were not used for longest first."""
@@ -243,6 +254,11 @@ def _digests() -> SourceDigests:
 def source_digest(*modules: str) -> str:
     """Hash of the sources of modules and of all that they import; see `SourceDigests.of`."""
     return _digests().of(*modules)
+
+
+def sources_loaded(*modules: str) -> bool:
+    """Whether the sources on disk are those that this process has loaded; see `SourceDigests.loaded`."""
+    return _digests().loaded(*modules)
 
 
 @cache

@@ -2,7 +2,8 @@
 
 A cached result is as good as the code that computed it. Which code that is follows from the import statements, those
 inside functions included; no list of modules is kept by hand. Modules of other distributions count by their version
-(`anisoscope.base.cache`), not by their source.
+(`anisoscope.base.cache`), not by their source. A source that was written after this process began to load code may be
+another one than what is loaded: then no digest says which code computes (`SourceDigests.loaded`).
 """
 
 import ast
@@ -13,6 +14,7 @@ import json
 import os
 import sys
 import threading
+import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,6 +23,8 @@ OWN = "anisoscope"
 DATA_FOLDERS = ("data", "templates")
 """Folders beside a module whose files it may read: they count like its source."""
 _FORMAT = 1
+_LOADED_AT = time.time()
+"""When this process began to load code that is cached: modules that cache import this one before they compute."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +44,7 @@ class SourceDigests:
     """
 
     memo: Path | None = None
-    _digests: dict[tuple[str, ...], str] = field(default_factory=dict)
+    _digests: dict[tuple[str, ...], tuple[str, tuple[Path, ...]]] = field(default_factory=dict)
     _listings: dict[Path, frozenset[str]] = field(default_factory=dict)
     _packages: dict[str, tuple[Path, ...]] = field(default_factory=dict)
     _parsed: dict[str, tuple[list[int], _Source]] = field(default_factory=dict)
@@ -64,8 +68,21 @@ class SourceDigests:
                 digest = hashlib.sha256()
                 for name in sorted(files):
                     digest.update(f"{name}\0{self._source(files[name]).digest}\n".encode())
-                self._digests[modules] = digest.hexdigest()
-            return self._digests[modules]
+                self._digests[modules] = digest.hexdigest(), tuple(files.values())
+            return self._digests[modules][0]
+
+    def loaded(self, *modules: str) -> bool:
+        """Whether all these sources are older than what this process has loaded, so that the digest is of that code.
+
+        Raises:
+            LookupError: one of the modules has no source file.
+        """
+        self.of(*modules)
+        files = self._digests[modules][1]
+        try:
+            return all(max(state.st_mtime, state.st_ctime) <= _LOADED_AT for state in map(os.stat, files))
+        except OSError:  # removed since
+            return False
 
     def modules(self, *modules: str) -> tuple[str, ...]:
         """Names of the modules, and of the data files, that the digest is computed from."""

@@ -41,6 +41,9 @@ class Recomputed:
 def recompute(folder: Path, on_progress: Advance = silent) -> Recomputed:
     """Judge the frames of a finished inspection again and compare; nothing is written.
 
+    The prediction is computed anew. Signatures of causes, which only rank them, may come from the cache: its key holds
+    all that they are computed from, the source included.
+
     Args:
         folder: the inspection folder.
         on_progress: called with what is being done, steps done and steps in all.

@@ -1,4 +1,4 @@
-"""Cache of predictions, keyed by recipe, rig geometry and code version.
+"""Cache of predictions, keyed by recipe, rig geometry, optics and code version.
 
 All parts of one recipe on one rig share a prediction. The last few predictions are held in memory, which serves a
 batch. Those from a height map take longer than an inspection and are cached on disk as well. Recomputing an inspection
@@ -33,7 +33,7 @@ def cached_expectation(
     """Cached prediction of a recipe; arguments and errors as for `expectation.expectation`."""
     recipe = recipe.deciding()
     try:
-        key_fields = _key_fields(recipe, light_angle_deg)
+        key_fields = _key_fields(recipe, light_angle_deg, optics)
     except OSError:  # the height map cannot be read: the prediction raises the proper error
         return expectation(recipe, light_angle_deg, optics)
     key = json.dumps(key_fields, sort_keys=True)
@@ -71,7 +71,7 @@ def _by_disk(
     )
 
 
-def _key_fields(recipe: SurfaceRecipe, light_angle_deg: float) -> dict[str, Any]:
+def _key_fields(recipe: SurfaceRecipe, light_angle_deg: float, optics: SurfaceOptics) -> dict[str, Any]:
     """Every input of a prediction, for the cache key."""
     surface = recipe.surface.height_map
     return {
@@ -82,6 +82,7 @@ def _key_fields(recipe: SurfaceRecipe, light_angle_deg: float) -> dict[str, Any]
         "uncertainty": recipe.uncertainty.model_dump(mode="json"),
         "light": recipe.light and recipe.light.model_dump(mode="json"),
         "light_angle_deg": light_angle_deg,
+        "optics": [type(optics).__module__, type(optics).__qualname__, repr(getattr(optics, "__dict__", {}))],
     }
 
 

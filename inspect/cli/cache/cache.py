@@ -29,6 +29,8 @@ def info(*, json_: Json = False) -> int:
         print_json({"folder": str(folder), "limit_bytes": limit, **_numbers(entries), "kinds": kinds})
         return 0
     _write_line(f"{folder}: {len(entries)} entries, {_megabytes(size)} of {_megabytes(limit)}")
+    if folder.exists() and not folder.is_dir():
+        _write_line(f"{folder} is not a folder: nothing is cached")
     if entries:
         rows = [[kind, *_cells(rows)] for kind, rows in _by_kind(entries)]
         print_table("cached results", ["kind", "entries", "size", "last used", "longest unused"], rows)

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from anisoscope.base import cache as cache_module
+from anisoscope.base import source_digest as source_digest_module
 from anisoscope.base.cache import Cache, cache_folder, limit_bytes, source_digest
 from anisoscope.base.errors import RecordError, UsageError
 from anisoscope.base.source_digest import SourceDigests
@@ -292,3 +293,27 @@ def test_processes_that_write_and_remove_at_the_same_time_read_whole_entries(fol
         assert one.returncode == 0
     assert sum(one.size for one in Cache().stored()) <= 0.2e6
     assert not list(cache_folder().rglob("*.partial"))
+
+
+def test_code_that_was_edited_after_it_was_loaded_is_neither_served_nor_stored(folder, monkeypatch, tmp_path):
+    package = tmp_path / "edited_kind"
+    package.mkdir()
+    source = package / "__init__.py"
+    source.write_text("A = 1\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(source_digest_module, "_LOADED_AT", time.time() + 60.0)
+    place = Cache().entry("numbers", 1, "edited_kind")
+    place.write(b"of the loaded code")
+    assert place.read() == b"of the loaded code"
+    edited = time.time() + 120.0
+    os.utime(source, (edited, edited))
+    assert place.read() is None
+    other = Cache().entry("numbers", 2, "edited_kind")
+    other.write(b"of which code?")
+    assert not other.path.exists()
+    source.unlink()
+    assert place.read() is None
+
+
+def test_the_sources_of_this_process_are_loaded():
+    assert SourceDigests().loaded(HERE)

@@ -61,3 +61,8 @@ def test_a_limit_that_is_no_number_is_told(anisoscope, folder, monkeypatch):
     assert (done.code, done.out) == (64, "")
     assert "ANISOSCOPE_CACHE_LIMIT_MB" in done.err
     assert "'plenty'" in done.err
+
+
+def test_a_file_in_place_of_the_folder_is_said(anisoscope, folder):
+    folder.write_text("")
+    assert f"{folder} is not a folder: nothing is cached" in anisoscope("cache", "info").out.splitlines()

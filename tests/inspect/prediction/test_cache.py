@@ -8,7 +8,7 @@ import pytest
 from anisoscope.diagnosis import signature_cache as remembering
 from anisoscope.prediction import cache as keptprediction
 from anisoscope.prediction.cache import cached_expectation, forget, packed
-from anisoscope.prediction.expectation import expectation
+from anisoscope.prediction.expectation import PLASTIC, expectation
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.ideal import RidgeDesign, ridges
 
@@ -121,3 +121,13 @@ def test_signatures_know_a_copy_of_a_map_as_well(of_a_map):
         remembering.signature_key(of_a_map(*given), 10.0) for given in (("one",), ("other",), ("third", 9.0))
     ]
     assert keys[0] == keys[1] != keys[2]
+
+
+def test_other_optics_are_another_prediction(made, make_recipe):
+    class OtherOptics(type(PLASTIC)):
+        pass
+
+    first = cached_expectation(make_recipe(), 10.0)
+    assert cached_expectation(make_recipe(), 10.0, OtherOptics()) is not first
+    assert cached_expectation(make_recipe(), 10.0) is first
+    assert len(made) == 2
