@@ -3,7 +3,7 @@
 Every defect takes its dimensions in µm and a :class:`numpy.random.Generator` where it is random, so that a
 spoiled surface can be made again.
 
-Defects of the shape of ridges: incomplete filling, wrong pitch, missing ridges, chatter of the cutter.
+Among them are defects of the shape of ridges: incomplete filling, wrong pitch, missing ridges, chatter of the cutter.
 """
 
 from dataclasses import dataclass, replace

@@ -3,9 +3,7 @@
 A pattern is sampled at points, heights in µm above its lowest level. Directions of lines count counter-clockwise
 from +y as seen from +z; turned ridges lean toward +x turned by the same angle.
 
-Staircases of a few levels, as wave optics wants them (Levin et al. 2013): regular, or random rectangles.
-
-Heights are in µm above the lowest level.
+Wave optics has staircases of a few levels (Levin et al. 2013), regular or of random rectangles.
 """
 
 from collections.abc import Sequence

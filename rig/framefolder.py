@@ -12,10 +12,9 @@ sample frames at the end of the table that stand at the pose of the first sample
 sample frames at another pose lie between; angles that differ by full turns are the same pose. The format is
 described in docs/cameras.md.
 
-Raw counts from a TIFF or PNG that any program wrote: the stored numbers, untouched, or an error.
-
-Viewers scale, invert, rotate and gamma-correct; here nothing of that is done. What would need it to be
-understood (palettes, inverted grey, packed bits) is refused.
+Of a TIFF or PNG that any program wrote, the raw counts are read: the stored numbers, untouched, or an error. Viewers
+scale, invert, rotate and gamma-correct; here nothing of that is done. What would need it to be understood (palettes,
+inverted grey, packed bits) is refused.
 """
 
 import csv

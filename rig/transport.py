@@ -1,11 +1,7 @@
 """Bytes to and from a port, with a deadline on everything.
 
-One class serves a COM port, a pseudo terminal, ``socket://host:port`` and ``sim://…``. Within `shared_ports`,
-devices on one cable share one connection.
-
-An open port, and the devices that share it.
-
-A port is what ``serial.serial_for_url`` opens: a COM port, a pseudo terminal, ``socket://host:port``, ``sim://…``.
+One class serves all ports; within `shared_ports`, devices on one cable share one connection. A port is what
+``serial.serial_for_url`` opens: a COM port, a pseudo terminal, ``socket://host:port``, ``sim://…``.
 Further URL schemes come from packages named by the entry-point group ``anisoscope.serial_handlers``.
 """
 

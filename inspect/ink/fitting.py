@@ -1,19 +1,17 @@
 """Fit of an ink to goniometer readings: parameters, uncertainties, and warnings.
 
-The joint fit: α, ρ(λ) and c(λ) at once, from the logarithms of all readings.
-
-ln f = ln(D(α, θh)/4) + ln ρ(λ) + c(λ)·x. For one α the rest is linear, wavelength by wavelength; what is left is a
-search along α alone (variable projection: Golub and Pereyra 1973). Because the linear part does not depend on α, the
-Gauss-Newton step of the projected residuals is exact in its Jacobian.
+The joint fit takes α, ρ(λ) and c(λ) at once from the logarithms of all readings: ln f = ln(D(α, θh)/4) + ln ρ(λ) +
+c(λ)·x. For one α the rest is linear, wavelength by wavelength; what is left is a search along α alone (variable
+projection: Golub and Pereyra 1973). Because the linear part does not depend on α, the Gauss-Newton step of the
+projected residuals is exact in its Jacobian.
 
 All wavelengths of one place share the errors of its angles and of its level, and α is what these shift. So u(α) is the
 larger one of two: from the scatter of single readings, and from sums over places (Liang and Zeger 1986), which
 hold whatever the readings of one place share.
 
-The two-step fit of Pranovich 2024, as published, to compare with: it is biased, also without noise.
-
-Step 1: spectrum-averaged readings of each angle of the light are fitted by a GGX lobe of any height; α is the mean.
-The rise of exp(c·x) across the lobe is taken for a part of its width. Step 2: ρ and c of every wavelength in the mirror
+The two-step fit of Pranovich 2024, as published, serves for comparison; it is biased, also without noise. Step 1:
+spectrum-averaged readings of each angle of the light are fitted by a GGX lobe of any height; α is the mean. The rise
+of exp(c·x) across the lobe is taken for a part of its width. Step 2: ρ and c of every wavelength in the mirror
 direction (Eq. 7), α held. Light at 70° is left out.
 """
 

@@ -1,14 +1,12 @@
 """Statistical control of one number: chart, EWMA, patterns, capability and normality, and a verdict in words.
 
-Exponentially weighted moving average: slow drifts that no single value shows.
+The exponentially weighted moving average (EWMA) shows slow drifts that no single value shows. Source: S. W. Roberts,
+Technometrics 1 (1959) 239; NIST/SEMATECH e-Handbook 6.3.2.4. The limits are the exact ones, which are narrower for
+the first values.
 
-Source: S. W. Roberts, Technometrics 1 (1959) 239; NIST/SEMATECH e-Handbook 6.3.2.4. The limits are the exact ones,
-which are narrower for the first values.
-
-Are values normal? Anderson-Darling, with what to do if not.
-
-Source: R. B. D'Agostino and M. A. Stephens (ed.), Goodness-of-Fit Techniques (1986), table 4.9: the statistic for a
-mean and a standard deviation that are estimated, and its p-value.
+Normality is tested after Anderson and Darling; where values are not normal, the result says what to do. Source: R. B.
+D'Agostino and M. A. Stephens (ed.), Goodness-of-Fit Techniques (1986), table 4.9: the statistic for a mean and a
+standard deviation that are estimated, and its p-value.
 """
 
 import math

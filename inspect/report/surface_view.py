@@ -1,13 +1,11 @@
 """All drawings of a height map, begun while the part is still being photographed.
 
-A height map in 3-D, as a still picture and as a scene to turn, drawn in the background in a process of its own.
+They are a still picture in 3-D and a scene to turn, drawn in the background in a process of their own. What was drawn
+is cached by the heights and by what draws them.
 
-What was drawn is cached by the heights and by what draws them.
-
-The interactive 3-D view of a height map: one document that stands in a sandboxed frame and asks nobody for anything.
-
-The viewer is the offline page of trame-vtk. Its scripts, and the few lines here, are the only ones that the policy of
-the page names, by their hashes; the map itself is a block of text that is never run.
+The scene is one document that stands in a sandboxed frame and asks nobody for anything. The viewer is the offline
+page of trame-vtk. Its scripts, and the few lines here, are the only ones that the policy of the page names, by their
+hashes; the map itself is a block of text that is never run.
 """
 
 import base64

@@ -4,9 +4,7 @@ Heights are metres in the file and µm here, rows in the order of the file, y ri
 missing where the validity mask says so (one bit a point, least significant bit first), where a float is not
 finite, and where a text ``Datum`` is empty. Every size is checked against the file before it is allocated.
 
-What the ``main.xml`` of an x3p file says.
-
-ISO 25178-72 (formerly ISO 5436-2): Record1 describes the axes, Record2 the measurement, Record3 the size
+In ``main.xml`` Record1 describes the axes, Record2 the measurement, Record3 the size
 and the place of the data, Record4 the checksum of this document. Lengths are metres.
 
 The document is read as a stream, so that a list of millions of ``Datum`` elements costs its text only.

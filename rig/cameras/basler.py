@@ -5,9 +5,8 @@ Every frame is an acquisition of its own: started, triggered by software and sto
 for, so that a frame from before the last change of exposure, gain or pose cannot come. Automatic functions are
 off, gamma is 1, and what is set is read back.
 
-The settings of a Basler camera, by name in its node map (GenICam SFNC, with the older GigE names).
-
-What a camera does not have is passed over; what it has is set and read back.
+Settings go by their names in the node map (GenICam SFNC, with the older GigE names). What a camera does not have is
+passed over; what it has is set and read back.
 """
 
 import contextlib

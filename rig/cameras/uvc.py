@@ -4,16 +4,13 @@ Such a camera adjusts itself wherever it can. Here everything automatic is switc
 back, frames that waited in the driver's queue are thrown away, and `UvcCamera.prove_exposure` measures whether
 brightness obeys the exposure.
 
-From what a UVC camera delivers to grey counts of 8 bits.
+What the camera delivers becomes grey counts of 8 bits. The Y plane is taken as it is where the camera gives it (YUYV,
+UYVY, GREY). From colour pictures it is computed: 0.299 R + 0.587 G + 0.114 B (ITU-R BT.601, OpenCV's weights), of
+values that are not linear.
 
-The Y plane is taken as it is where the camera gives it (YUYV, UYVY, GREY). From colour pictures it is computed:
-0.299 R + 0.587 G + 0.114 B (ITU-R BT.601, OpenCV's weights), of values that are not linear.
-
-What OpenCV's camera backends call things: the same property has other units and other values in each.
-
-V4L2 counts exposure in steps of 100 µs (the control of the UVC driver); DirectShow and Media Foundation count
-in powers of two of a second. Auto exposure is off at 1 in V4L2 (manual mode) and at 0 in the others.
-AVFoundation sets no exposure at all.
+The same property has other units and other values in each of OpenCV's camera backends. V4L2 counts exposure in steps
+of 100 µs (the control of the UVC driver); DirectShow and Media Foundation count in powers of two of a second. Auto
+exposure is off at 1 in V4L2 (manual mode) and at 0 in the others. AVFoundation sets no exposure at all.
 """
 
 import contextlib

@@ -4,10 +4,9 @@ The controller reports its model, which determines the scale; it answers queries
 motion, and knows whether it was homed since power-up, so that a new connection may find the stage homed. One
 controller is one port. Source: Thorlabs APT communications protocol.
 
-How Thorlabs APT controllers count: steps and speeds, by model and actuator.
-
-A stepper counts microsteps; a servo counts what the encoder of its actuator counts. Velocities come in counts per
-period of the controller's clock, times 65536. Source: Thorlabs APT communications protocol, conversion tables.
+Steps and speeds are counted by model and actuator. A stepper counts microsteps; a servo counts what the encoder of
+its actuator counts. Velocities come in counts per period of the controller's clock, times 65536. Source: Thorlabs APT
+communications protocol, conversion tables.
 """
 
 import logging

@@ -4,11 +4,9 @@ Scale, travel and serial number are read from the device. A move is answered onc
 the device is silent, or says that it is busy. The device does not say whether it was homed: the driver keeps
 that, and forgets it when the connection ends. Source: Thorlabs ELLx protocol manual.
 
-The bytes of the Thorlabs Elliptec protocol: positions, answers, device information, status codes.
-
-A command is ``<address><two lower-case letters><hex arguments>`` without terminator; an answer is
-``<address><two upper-case letters><hex data>`` and CR LF. Source: Thorlabs ELLx protocol manual, and the
-answers of real devices.
+Positions, device information and status codes are read from lines of ASCII. A command is ``<address><two lower-case
+letters><hex arguments>`` without terminator; an answer is ``<address><two upper-case letters><hex data>`` and CR LF.
+Source: Thorlabs ELLx protocol manual, and the answers of real devices.
 """
 
 import logging

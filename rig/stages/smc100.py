@@ -4,10 +4,8 @@ The controller works in degrees, and reports limits, speed and resolution. Comma
 for the error after each. A new home search needs a restart of the controller, because a referenced one refuses
 it. The reference survives a new connection. Source: Newport SMC100CC/PP user's manual.
 
-The lines of Newport SMC100 and CONEX controllers: answers, states, and the errors that their codes stand for.
-
-A command is ``<address><two letters><value>`` and CR LF; the answer to a question repeats address and letters.
-Source: Newport SMC100CC/PP user's manual.
+States and errors come as codes in lines of ASCII. A command is ``<address><two letters><value>`` and CR LF; the
+answer to a question repeats address and letters. Source: Newport SMC100CC/PP user's manual.
 """
 
 import contextlib

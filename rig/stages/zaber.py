@@ -4,16 +4,12 @@ Scale, speed, acceleration and limits are read from the device, and so is whethe
 stage that was homed since it was switched on need not be homed again. Every command bears a number and a checksum,
 and an answer counts only if both are right. Source: Zaber ASCII protocol manual.
 
-The bytes of the Zaber ASCII protocol: commands, replies, checksums, units, warning flags, reasons of rejection.
+A command is ``/<device> <axis> <id> <words>:<LRC>`` and a line feed, a reply ``@<device> <axis> <id>
+OK|RJ IDLE|BUSY <flag> <data>:<LRC>`` and CR LF; lines that begin with ``#`` (information) or ``!`` (alert) come
+besides. Sources: Zaber ASCII protocol manual; names and meanings of flags and reasons also as the maker's client
+`zaber-motion` has them.
 
-A command is ``/<device> <axis> <id> <words>:<LRC>`` and a line feed, a reply ``@<device> <axis> <id> OK|RJ IDLE|BUSY
-<flag> <data>:<LRC>`` and CR LF; lines that begin with ``#`` (information) or ``!`` (alert) come besides. Sources:
-Zaber ASCII protocol manual; names and meanings of flags and reasons also as the maker's client `zaber-motion` has
-them.
-
-What a Zaber stage says about itself: who it is, its scale, limits and speed, and its warning flags.
-
-Whoever asks holds the lock of the transport.
+Queries of identity, scale, limits, speed and warning flags are made under the lock of the transport.
 """
 
 import contextlib

@@ -4,10 +4,9 @@ The genetic search resamples a share of a dot's parameters and keeps the best of
 the polish every child is first brought to where single changes of levels help little: the genetic search then leads
 from one such dot to a better one, and out of what the polish alone gets stuck in.
 
-Greedy polish of a dot: one rectangle after the other gets another level, wherever that lowers the error.
-
-Which rectangles to try comes from the gradient of the error with respect to the power spectrum: one matrix product
-ranks all changes at once to first order; each is then tried exactly, by an update of rank 1.
+In the greedy polish one rectangle after the other gets another level, wherever that lowers the error. Which
+rectangles to try comes from the gradient of the error with respect to the power spectrum: one matrix product ranks
+all changes at once to first order; each is then tried exactly, by an update of rank 1.
 """
 
 import time

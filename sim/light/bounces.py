@@ -7,11 +7,10 @@ from which a ray leaves a lit point and meets a seen point in closed form, for t
 both reflections (glossy and diffuse in all four combinations). It is evaluated by Gauss-Legendre panels laid
 around the lobes. From three reflections on, the field within the groove is followed on a grid.
 
-Three and more reflections within a groove: a Neumann series on a grid of places and directions.
-
-The field that arrives at a side is binned by distance from the foot (cells), by the angle χ in the xz plane and
-by the elevation φ. Travel from side to side maps cells onto cells exactly (overlap of intervals, so light is
-conserved); reflection is one matrix product over all directions, the same at every place.
+Three and more reflections are a Neumann series on this grid of places and directions. The field that arrives at a
+side is binned by distance from the foot (cells), by the angle χ in the xz plane and by the elevation φ. Travel from
+side to side maps cells onto cells exactly (overlap of intervals, so light is conserved); reflection is one matrix
+product over all directions, the same at every place.
 """
 
 from dataclasses import dataclass, replace

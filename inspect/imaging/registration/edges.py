@@ -1,17 +1,16 @@
 """Registration of the turned pictures without markers, by the edges of the part.
 
 Every picture is turned back about the rotation axis by the stage angle; the remaining small shift and rotation are
-fitted to the directions of edges. Ridges are periodic, so that a picture fits equally well one pitch further: they are
-damped in the search, and outline and single marks resolve the ambiguity. Pictures whose position stays ambiguous are
-refused.
+fitted to the directions of edges. Ridges are periodic, so that a picture fits equally well one pitch further; outline
+and single marks resolve the ambiguity. Pictures whose position stays ambiguous are refused.
 
 Turning the part inverts contrasts, and with them the sign of every gradient; its direction modulo 180° is invariant,
 and so is its square as a complex number (orientation correlation of Fitch et al., BMVC 2002, squared to be independent
 of the sign of contrast). A strong edge counts hardly more than a weak one above the noise.
 
-All shifts are correlated at once by Fourier transform. Periodic structure stands out in the spectrum and is damped
-there, so that the ridges do not mask the outline and the marks that distinguish one pitch from the next. The best
-position is refined by least squares in shift and rotation over all edges.
+All shifts are correlated at once by Fourier transform. The ridges stand out in the spectrum and are damped there, so
+that they do not mask what distinguishes one pitch from the next. The best position is refined by least squares in shift
+and rotation over all edges.
 """
 
 from collections.abc import Sequence

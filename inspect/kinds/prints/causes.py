@@ -4,10 +4,8 @@ The signatures come from the ink model for the recipe's poses; causes are weighe
 (`anisoscope.diagnosis.ranking`). Beside ln of the channels two numbers of the map are data: how the tilt
 changes across the region, and the share of the area that deviates from the rest.
 
-What may be wrong with the ink of a print: causes with the extents that are looked at, and the state each makes.
-
-Each is a change of the ink model's state (`anisoscope.kinds.prints.model.State`); what is wrong with the sheet (curl,
-spots) is not among them.
+The causes are those of the ink, each with the extents that are looked at. Each is a change of the ink model's state
+(`anisoscope.kinds.prints.model.State`); what is wrong with the sheet (curl, spots) is not among them.
 """
 
 from collections.abc import Callable

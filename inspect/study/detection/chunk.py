@@ -4,8 +4,7 @@ Quantities that follow from radiances alone (significance, diagnosis) are comput
 A chunk depends on the seed, the world, the class and its number alone; it is cached, so that a study that was
 interrupted resumes where it stopped, and a larger one reuses the chunks of a smaller one.
 
-A part photographed: cut from its sheet, given its own shape, lobe, seating and lamp, through lens and sensor.
-
+A part is cut from its sheet, given its own shape, lobe, seating and lamp, and photographed through lens and sensor.
 Everything that is the same all along the ridges changes the radiance as on smooth ridges with the whole roughness in
 the lobe: one profile in this state over the nominal one, column by column, exact for every part. That this product is
 the radiance of the rough surface in that state is checked against the full route in the tests.

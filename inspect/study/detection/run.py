@@ -3,11 +3,10 @@
 The same world renders with the predictor's own lobe and direct light; the other one with GGX lobes, light that reflects
 more than once, a camera that is not quite linear and a near lamp. Claims come from the other one.
 
-What would find a shape defect that the means find too rarely: other poses, or less uncertainty.
-
-A class shifts ln L by δ, and D² of δ alone is how far it lies from all that good parts may be (its Fisher information,
-along the curves that uncertain inputs make). D² of parts is a noncentral χ² with it, so that the area under its curve
-follows without making a single part.
+For a shape defect that the means find too rarely, the study says what would find it: other poses, or less
+uncertainty. A class shifts ln L by δ, and D² of δ alone is how far it lies from all that good parts may be (its
+Fisher information, along the curves that uncertain inputs make). D² of parts is a noncentral χ² with it, so that the
+area under its curve follows without making a single part.
 """
 
 import json

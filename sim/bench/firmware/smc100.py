@@ -5,9 +5,8 @@ until TE or TB asks for it. A home search is only taken while nothing is referen
 controller has to be restarted, and answers nothing meanwhile. A stage with an encoder notices an obstacle: the
 motor is disabled with a following error. Source: Newport SMC100CC/PP user's manual.
 
-What a simulated SMC100 controller knows by heart: its models, its error texts, and what is allowed in which state.
-
-Source: Newport SMC100CC/PP user's manual.
+Tables hold the models, the error texts, and what is allowed in which state. Source: Newport SMC100CC/PP user's
+manual.
 """
 
 import re

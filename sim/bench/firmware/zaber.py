@@ -8,13 +8,11 @@ Sources: Zaber ASCII protocol manual, and what the maker's client `zaber-motion`
 settings that need a restart, streams, triggers, lockstep, parking, ``tools``, ``io``; they are BADCOMMAND. Assumed:
 ``move rel`` and ``move vel`` work without a reference, and every fault and NI stand until ``warnings clear``.
 
-Models and settings of simulated Zaber stages, in the device's own units.
-
-Sources: names, scopes and units of the settings from the Zaber ASCII protocol manual and the setting names of the
-maker's client `zaber-motion`. Microsteps per turn of the X-RSW60 (384 000) and its top speed (115°/s) are as users
-of that stage give them; those of the others follow from their gears (180:1 and 3:1, 200 steps of 64 microsteps) and
-are unverified, and so are all accelerations. The device ids are placeholders that the maker did not give to a
-product that we know of: no table of his was at hand.
+Models and settings are in the device's own units. Sources: names, scopes and units of the settings from the Zaber
+ASCII protocol manual and the setting names of the maker's client `zaber-motion`. Microsteps per turn of the X-RSW60
+(384 000) and its top speed (115°/s) are as users of that stage give them; those of the others follow from their gears
+(180:1 and 3:1, 200 steps of 64 microsteps) and are unverified, and so are all accelerations. The device ids are
+placeholders that the maker did not give to a product that we know of: no table of his was at hand.
 """
 
 import re

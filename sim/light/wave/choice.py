@@ -4,7 +4,7 @@ The measure is f/Δc: the width of the mirrors (flat facets, or the pitch of wha
 light is coherent. All that spreads directions shortens that length: the source, the camera's aperture, and roughness
 below the pixels, which counts as a source of the width √(2π)·2h_z·σ of the same peak.
 
-How wide the mirrors of a surface are: flat facets between edges, the pitch of what is curved, levels of steps.
+Of steps, the mirrors are the levels.
 """
 
 from dataclasses import dataclass

@@ -4,11 +4,9 @@ Where unresolved roughness leaves light coherent over a few µm only, pairs of p
 correlation of the wave at the distances that do is taken once for each h_z and wavelength, from overlapping tiles, and
 then serves every direction and every roughness.
 
-Reflectance in many directions that share h_z and wavelength: one zero-padded FFT.
-
-The power spectrum of the whole dot is blurred by the window exactly: its transform, the correlation of the wave, is
-multiplied with the coherence at every distance. Without the padding the far edges of the dot would interfere, which
-spoils weak directions.
+Many directions that share h_z and wavelength take one zero-padded FFT. The power spectrum of the whole dot is blurred
+by the window exactly: its transform, the correlation of the wave, is multiplied with the coherence at every distance.
+Without the padding the far edges of the dot would interfere, which spoils weak directions.
 """
 
 from dataclasses import dataclass

@@ -4,10 +4,9 @@ The wave is turned so that the wanted direction lies at frequency 0, low-passed 
 decimated, a strip of columns at a time. What is left is small; its quadratic form with the coherence of the window is
 taken by a zero-padded FFT, whose weights are the transform of the coherence at the distances that occur: that is exact.
 
-The low-pass of the fused reflectance: a Kaiser window whose droop is undone after decimation.
-
-Only what would fold into the pass band must be stopped, so that the filter may droop within it; the droop is divided
-out where only few numbers are left. That halves the taps of a filter that is flat by itself.
+The low-pass is a Kaiser window whose droop is undone after decimation. Only what would fold into the pass band must
+be stopped, so that the filter may droop within it; the droop is divided out where only few numbers are left. That
+halves the taps of a filter that is flat by itself.
 """
 
 from dataclasses import dataclass

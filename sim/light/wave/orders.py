@@ -6,12 +6,11 @@ and every further direction, wavelength or depth costs a few multiplications. An
 shines into the directions that source and aperture allow, so that the blurred power spectrum is Σ|â_q|²·W(ω − ω_q).
 For tiles that repeat this is exact; of a tile that is a window of something larger, the seams count as steps.
 
-Orders of a tile whose features are a little wider or narrower, without drawing them anew.
-
-Where an edge moves by δ, the Fourier coefficients of its level's area change by the integral of exp(−2πi·f·x) over δ:
-smooth, and next to a parabola as long as 2π·f·δ is small. Corners that touch or part make it another parabola for wider
-features than for narrower ones. Of three widths each parabola is known, and a direction costs as little as at the
-width of the design.
+The orders of a tile whose features are a little wider or narrower follow without drawing them anew. Where an edge
+moves by δ, the Fourier coefficients of its level's area change by the integral of exp(−2πi·f·x) over δ: smooth, and
+next to a parabola as long as 2π·f·δ is small. Corners that touch or part make it another parabola for wider features
+than for narrower ones. Of three widths each parabola is known, and a direction costs as little as at the width of the
+design.
 """
 
 from collections.abc import Callable
