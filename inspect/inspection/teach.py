@@ -19,8 +19,8 @@ from anisoscope.inspection.job import check_serial, prepare
 from anisoscope.inspection.run import Methods, inspect_part
 from anisoscope.kinds.registry import read_any_recipe
 from anisoscope.recipe.base import RecipeBase
+from anisoscope.recipe.file_edits import with_values
 from anisoscope.recipe.teaching import Change, Taught, previous_version_path
-from anisoscope.recipe.template import with_values
 from anisoscope.record.schema import Record
 from anisoscope.rig.acquisition.journal import read_journal
 from anisoscope.rig.acquisition.plan import Plan, Pose

@@ -4,7 +4,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from anisoscope.base.errors import RecipeError, RecordError
+from anisoscope.base.errors import RecipeError, RecordError, UsageError
 from anisoscope.base.plugins import installed
 from anisoscope.kinds.kind import AnyKind, Kind, NewRecipe
 from anisoscope.recipe.base import RecipeBase
@@ -66,19 +66,30 @@ def read_recipe(path: Path) -> SurfaceRecipe:
     return recipe
 
 
-def kind_of_new(requested: NewRecipe) -> AnyKind:
-    """The kind whose recipe is to be written; kinds that do not load are left out.
+def kind_of_new(requested: NewRecipe, name: str | None = None) -> AnyKind:
+    """The kind whose recipe is to be written: the named one, or else the one that claims the options.
+
+    Kinds that do not load are left out, unless one of them is named.
 
     Raises:
-        RecipeError: none of those that load takes these options.
+        UsageError: no kind has this name, or the options are for another kind.
+        RecipeError: none of those that load takes these options, or the named one does not load.
     """
+    if name is not None and name not in kind_names():
+        raise UsageError(f"there is no kind of part '{name}'; installed: {', '.join(kind_names())}")
+    named = None if name is None else kind_named(name)
     kinds, problems = [], []
-    for name in kind_names():
+    for each in kind_names():
         try:
-            kinds.append(kind_named(name))
+            kinds.append(kind_named(each))
         except RecipeError as problem:
             problems.append(str(problem))
-    chosen = [kind for kind in kinds if kind.makes(requested)] or [kind for kind in kinds if kind.fallback]
+    claiming = [kind for kind in kinds if kind.makes(requested)]
+    if named is not None:
+        if claiming and named not in claiming:
+            raise UsageError(f"--kind {name}: the other options are for the recipe of {claiming[0].one}")
+        return named
+    chosen = claiming or [kind for kind in kinds if kind.fallback]
     if not chosen:
         raise RecipeError("; ".join(["no kind of part is installed that writes this recipe", *problems]))
     return chosen[0]

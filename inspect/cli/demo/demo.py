@@ -17,8 +17,14 @@ if TYPE_CHECKING:
     from anisoscope.inspection.run import Inspected
 
 
-Kind = Literal["ridges", "print", "wafer"]
-SCENES: dict[Kind, str] = {"ridges": "ridges", "print": "prints", "wafer": "wafers"}
+Kind = Literal["ridges", "wafers", "prints", "wafer", "print"]
+SCENES: dict[Kind, str] = {
+    "ridges": "ridges",
+    "wafers": "wafers",
+    "prints": "prints",
+    "wafer": "wafers",
+    "print": "prints",
+}
 
 
 class _Scene(Protocol):
@@ -37,7 +43,8 @@ def demo(
     kind: Annotated[
         Kind,
         Parameter(
-            help="What is inspected: plastic with ridges, prints with a structural-colour ink, or etched wafers."
+            help="What is inspected, by the name of its kind: plastic with ridges, etched wafers (also: wafer), or "
+            "prints with a structural-colour ink (also: print)."
         ),
     ] = "ridges",
     out: Annotated[Path, Parameter(help="Folder for recipe, rig files, frames and reports.")] = Path(

@@ -24,6 +24,12 @@ File = Annotated[Path, Parameter(help="Recipe file (TOML).")]
 def new(
     *,
     out: Annotated[Path, Parameter(help="Recipe file to write; must not exist.")],
+    kind: Annotated[
+        str | None,
+        Parameter(
+            help="Kind of part by name, such as ridges or prints; without it the other options decide."
+        ),
+    ] = None,
     product: Annotated[str, Parameter(help="Name of the product.")] = PRODUCT,
     pitch: Annotated[float, Parameter(help="Pitch of the ridges in µm.")] = 100.0,
     ridge_angle: Annotated[
@@ -51,7 +57,7 @@ def new(
         raise UsageError(f"{out} exists already: name another file, or change it with an editor")
     named = None if product == PRODUCT else product
     requested = NewRecipe(named, pitch, ridge_angle, u_ridge_angle, height_map, ink)
-    tables = kind_of_new(requested).new_recipe(out, requested)
+    tables = kind_of_new(requested, kind).new_recipe(out, requested)
     console().print(
         f"{out}: written; adapt {tables}, then: anisoscope recipe check {out}",
         markup=False,

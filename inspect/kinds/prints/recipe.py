@@ -307,14 +307,15 @@ def write_new_recipe(out: Path, requested: NewRecipe) -> None:
     """Write the recipe of a print, valid as written; a file of an ink is named as seen from the recipe.
 
     Raises:
-        UsageError: options of ridges were given as well, or there is no such ink.
+        UsageError: options of ridges were given as well, no ink was named, or there is no such ink.
     """
     if (requested.ridge_angle_deg, requested.u_ridge_angle_deg, requested.height_map) != (None, None, None):
         raise UsageError(
             "--ink makes the recipe of a print: leave --ridge-angle, --u-ridge-angle and --height-map out"
         )
-    assert requested.ink is not None
     ink = requested.ink
+    if ink is None:
+        raise UsageError("the recipe of a print needs its ink: give --ink")
     find_ink(ink)
     if ink not in SYNTHETIC:
         ink = Path(os.path.relpath(Path(ink).resolve(), out.resolve().parent)).as_posix()

@@ -13,8 +13,8 @@ from anisoscope.kinds.prints.lighting import check_print_rig, expectation_of_pri
 from anisoscope.kinds.prints.recipe import PrintRecipe, read_print_recipe
 from anisoscope.kinds.prints.reference_prints import GoldenPrints, read_golden_prints
 from anisoscope.kinds.prints.tolerances import PASSING, golden_tolerances
+from anisoscope.recipe.file_edits import with_values
 from anisoscope.recipe.teaching import Change, Taught, previous_version_path
-from anisoscope.recipe.template import with_values
 from anisoscope.rig.rigfile import read_rig
 
 

@@ -9,8 +9,8 @@ from pydantic import model_validator
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import UsageError
 from anisoscope.kinds.kind import NewRecipe
+from anisoscope.kinds.ridges.template import new_recipe
 from anisoscope.recipe.surface import AreaPart, SurfaceRecipe, read_surface_recipe
-from anisoscope.recipe.template import new_recipe
 
 
 class RidgeRecipe(SurfaceRecipe):

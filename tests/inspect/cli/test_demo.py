@@ -1,9 +1,11 @@
 import json
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
 from anisoscope.base.progress import silent
+from anisoscope.cli.demo.demo import SCENES, Kind
 from anisoscope.cli.demo.ridges import PARTS, lay_out
 from anisoscope.inspection.run import inspect_part
 
@@ -56,3 +58,8 @@ def test_demo_in_json_and_again_into_the_same_folder(anisoscope, demo_folder):
     ]
     assert all(Path(part["report"]).is_file() for part in parts)
     assert len(list((demo_folder / "inspections").glob("*/record.json"))) == 6
+
+
+def test_every_built_in_kind_has_a_demo_under_its_name():
+    assert {"ridges", "wafers", "prints"} <= set(SCENES) <= set(get_args(Kind))
+    assert (SCENES["wafer"], SCENES["print"]) == (SCENES["wafers"], SCENES["prints"])

@@ -2,7 +2,7 @@
 
 import pytest
 
-from anisoscope.kinds.registry import read_recipe
+from anisoscope.kinds.registry import kind_of, read_recipe
 
 
 def test_a_spread_of_the_ridge_angle_goes_into_the_design(anisoscope, tmp_path):
@@ -46,3 +46,27 @@ def test_a_pose_below_the_horizon_names_recipe_and_key(anisoscope, tmp_path):
     assert done.code == 78
     assert f"{path}: poses.tilts_deg: at tilt 95° the light stands" in done.err
     assert done.err.count("\n") == 1
+
+
+def test_a_kind_is_picked_by_its_name(anisoscope, tmp_path):
+    for name, options in (("ridges", ()), ("prints", ("--ink", "synthetic-red"))):
+        path = tmp_path / f"{name}.toml"
+        done = anisoscope("recipe", "new", "--kind", name, "--out", path, *options)
+        assert done.code == 0, done.err
+        assert kind_of(path).name == name
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (("--kind", "cards"), "there is no kind of part 'cards'; installed: prints, ridges, wafers"),
+        (("--kind", "ridges", "--ink", "synthetic-red"), "the other options are for the recipe of a print"),
+        (("--kind", "prints"), "needs its ink: give --ink"),
+        (("--kind", "wafers"), "there is no recipe of a wafer to begin with"),
+    ],
+)
+def test_a_kind_that_is_not_there_or_does_not_fit_the_options_is_refused(anisoscope, tmp_path, options, says):
+    done = anisoscope("recipe", "new", "--out", tmp_path / "a.toml", *options)
+    assert (done.code, done.err.count("\n")) == (64, 1)
+    assert says in done.err
+    assert not (tmp_path / "a.toml").exists()

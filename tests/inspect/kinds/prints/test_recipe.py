@@ -21,7 +21,7 @@ from anisoscope.kinds.prints.recipe_check import as_predicted, check_print_recip
 from anisoscope.kinds.prints.sources import of_poses
 from anisoscope.kinds.registry import kind_of, read_any_recipe, read_recipe
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
-from anisoscope.recipe.template import new_recipe
+from anisoscope.kinds.ridges.template import new_recipe
 from anisoscope.rig.rigfile import RigFile
 from anisoscope.sim.materials.inks import InkFileError, synthetic_ink, write_ink
 

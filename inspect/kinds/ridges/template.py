@@ -1,11 +1,6 @@
-"""Text of a recipe file: a new one with comments, and edits of values that leave the rest unchanged."""
+"""Text of a new recipe of ridges, with comments."""
 
-import re
-import tomllib
-from collections.abc import Mapping
-from typing import Any
-
-from anisoscope.base.errors import RecipeError
+from anisoscope.recipe.file_edits import toml_literal
 
 _TEMPLATE = """\
 # What a part should look like, how it is photographed, and how it is judged. Angles in degrees.
@@ -85,13 +80,13 @@ def new_recipe(
     """
     lines = []
     if height_map is not None:
-        lines.append(f"height_map = {_literal(height_map)}  # measured on a good part, or on the tool")
+        lines.append(f"height_map = {toml_literal(height_map)}  # measured on a good part, or on the tool")
         lines.append('role = "part"  # or "tool": the map is turned over')
     if ridge_angle_deg is not None:
-        angle = f'ridge_angle_deg = {_literal(float(ridge_angle_deg))}, wall = "perpendicular"'
+        angle = f'ridge_angle_deg = {toml_literal(float(ridge_angle_deg))}, wall = "perpendicular"'
         decides = "height_map" if u_ridge_angle_deg is None else "design"
         if height_map is None or decides == "design":
-            spread = f"u_ridge_angle_deg = {_literal(float(u_ridge_angle_deg or 0.0))}"
+            spread = f"u_ridge_angle_deg = {toml_literal(float(u_ridge_angle_deg or 0.0))}"
             lines.append(f"design = {{ {angle}, {spread} }}  # u_...: how much good parts spread")
         else:
             lines.append(f"design = {{ {angle} }}")
@@ -101,79 +96,8 @@ def new_recipe(
             )
     side = max(1.0, round(20.0 * pitch_um / 1000.0, 3))
     return _TEMPLATE.format(
-        product=_literal(product),
-        pitch=_literal(float(pitch_um)),
+        product=toml_literal(product),
+        pitch=toml_literal(float(pitch_um)),
         surface="".join(f"{line}\n" for line in lines),
-        side=_literal(side),
+        side=toml_literal(side),
     )
-
-
-def with_values(text: str, changes: Mapping[tuple[str, ...], Any]) -> str:
-    """The text with some values changed; comments and everything else are preserved.
-
-    Args:
-        text: of a recipe.
-        changes: new values by (key,) at the top or (table, key).
-
-    Raises:
-        RecipeError: the layout of the file does not allow the change.
-    """
-    expected = tomllib.loads(text)
-    for place, value in changes.items():
-        table = expected
-        for name in place[:-1]:
-            table = table.setdefault(name, {})
-        table[place[-1]] = value
-        text = _changed(text, place, value)
-    try:
-        found = tomllib.loads(text)
-    except tomllib.TOMLDecodeError:
-        found = {}
-    if found != expected:
-        keys = ", ".join(".".join(place) for place in changes)
-        raise RecipeError(
-            f"{keys} cannot be changed in this recipe: write each on a line of its own, in its [table]"
-        )
-    return text
-
-
-def _changed(text: str, place: tuple[str, ...], value: object) -> str:
-    lines = text.splitlines()
-    start, stop = 0, len(lines)
-    headers = [k for k, line in enumerate(lines) if re.match(r"\s*\[", line)]
-    if len(place) == 1:
-        stop = headers[0] if headers else stop
-    else:
-        named = [k for k in headers if re.match(rf"\s*\[\s*{re.escape(place[0])}\s*\]", lines[k])]
-        if not named:
-            return "\n".join([*lines, "", f"[{place[0]}]", f"{place[-1]} = {_literal(value)}", ""])
-        start = named[0] + 1
-        stop = next((k for k in headers if k >= start), stop)
-    key = re.compile(rf"(\s*{re.escape(place[-1])}\s*=\s*)([^#]*?)(\s*#.*)?$")
-    for k in range(start, stop):
-        match = key.match(lines[k])
-        if match:
-            lines[k : _end(lines, k)] = [f"{match[1]}{_literal(value)}{match[3] or ''}"]
-            return "\n".join([*lines, ""])
-    lines.insert(start, f"{place[-1]} = {_literal(value)}")
-    return "\n".join([*lines, ""])
-
-
-def _end(lines: list[str], first: int) -> int:
-    """First line after a value, which may be an array over several lines."""
-    depth = 0
-    for k in range(first, len(lines)):
-        code = lines[k].partition("#")[0]
-        depth += code.count("[") - code.count("]")
-        if depth <= 0:
-            return k + 1
-    return first + 1
-
-
-def _literal(value: object) -> str:
-    """A value in TOML syntax."""
-    import tomli_w  # noqa: PLC0415 - start-up time
-
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(_literal(item) for item in value) + "]"
-    return tomli_w.dumps({"x": value}).removeprefix("x = ").strip()
