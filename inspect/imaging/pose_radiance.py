@@ -153,9 +153,8 @@ def measure(
     )
 
 
-def drift_error(measured: Measured, recipe: SurfaceRecipe) -> str | None:
+def drift_error(drift: float | None, limit: float) -> str | None:
     """Reason why the drift invalidates the measurement, or None: first pose against its repetition at the end."""
-    drift, limit = measured.drift, recipe.limits.drift
     if drift is None or abs(drift) <= limit:
         return None
     return (

@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import CalibrationError, MeasurementError, RegistrationError, Saturated
 from anisoscope.base.parallel import for_each
 from anisoscope.imaging.exposure_fusion import Exposed, radiance_of
@@ -19,7 +18,6 @@ from anisoscope.imaging.linearisation import RadianceImage, Stack, WhiteReferenc
 from anisoscope.imaging.pose_radiance import Limited, check_light, check_view
 from anisoscope.imaging.registration.edges import TurnedPicture, place_by_edges
 from anisoscope.imaging.registration.placement import Placement, View, locate
-from anisoscope.record.schema import PoseRecord
 from anisoscope.rig.acquisition.plan import Pose
 from anisoscope.rig.fixture import Fixture
 from anisoscope.rig.frame import Frame, FrameKind
@@ -358,22 +356,4 @@ def resuming_error(change: float, limit: float) -> str | None:
     return (
         f"when the inspection was resumed, the first pose had changed by {change:+.1%} (limit {limit:.1%}): lamp or "
         "part are not as they were; inspect the part anew"
-    )
-
-
-def pose_records(views: list[View], measured: FloatArray, predicted: FloatArray) -> tuple[PoseRecord, ...]:
-    """Records of the poses: (P,) measured and predicted radiances in 1/sr, and the placement by the markers."""
-    return tuple(
-        PoseRecord(
-            stage_deg=view.stage_deg,
-            tilt_deg=view.tilt_deg,
-            measured=radiance,
-            predicted=expected,
-            marker_angle_deg=view.placement.angle_deg,
-            pixel_um=view.placement.pixel_um,
-            residual_px=view.placement.residual_px,
-            markers=view.placement.markers,
-            dropped=view.placement.dropped,
-        )
-        for view, radiance, expected in zip(views, measured, predicted, strict=True)
     )

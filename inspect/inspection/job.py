@@ -66,12 +66,10 @@ class Job:
         """The recipe of a part with a surface.
 
         Raises:
-            UsageError: it is that of a print.
+            UsageError: it is that of a part without one.
         """
         if not isinstance(self.recipe, SurfaceRecipe):
-            raise UsageError(
-                f"{self.recipe.product}: this works with recipes of surfaces, not with those of prints"
-            )
+            raise UsageError(f"{self.recipe.product}: this works with recipes of surfaces only")
         return self.recipe
 
     def viewing(self) -> Viewing:

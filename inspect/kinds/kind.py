@@ -17,6 +17,7 @@ from anisoscope.base.progress import Advance, silent
 from anisoscope.base.toml_file import read_toml_model
 from anisoscope.calibration.corrections import Calibrations
 from anisoscope.imaging.frames import AcquiredFrames
+from anisoscope.imaging.pose_radiance import drift_error
 from anisoscope.imaging.views import Guide, Views
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.recipe.base import RecipeBase
@@ -279,13 +280,7 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
 
     def drift_error(self, measured: MeasuredT, recipe: RecipeT) -> str | None:
         """Why the measurement is invalid, if the repeated first pose differs too much at the end."""
-        drift, limit = measured.drift, recipe.limits.drift
-        if drift is None or abs(drift) <= limit:
-            return None
-        return (
-            f"at the end the first pose is {abs(drift):.1%} {'brighter' if drift > 0 else 'darker'} than at the start "
-            f"(limit {limit:.1%}): let the lamp warm up, and check that the part sits tight"
-        )
+        return drift_error(measured.drift, recipe.limits.drift)
 
     @abstractmethod
     def decide(
@@ -375,6 +370,14 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
         del known
         raise UsageError(f"{recipe.product}: good parts are not collected of this kind of part")
 
+    def tolerances(self, recipe: RecipeT) -> dict[str, float]:
+        """Tolerances of the recipe by the labels of `Details.numbers`, for capability and control charts.
+
+        Raises:
+            UsageError: the recipe gives none.
+        """
+        raise UsageError(f"the recipe of {recipe.product} gives no tolerances: give --lower and --upper")
+
     # ---- what the commands of recipes ask ---------------------------------------------------------------------
 
     def makes(self, requested: NewRecipe) -> bool:
@@ -413,8 +416,8 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
         """
         del rig_path, share
         raise UsageError(
-            f"{recipe_path} is no recipe of a print: golden parts teach tolerances beside a part that is inspected, "
-            "with --serial"
+            f"{recipe_path} is the recipe of {self.one}: good parts alone do not teach it, only beside "
+            "a part that is inspected, with --serial"
         )
 
     def check_recipe(

@@ -25,6 +25,7 @@ from anisoscope.kinds.golden_limit import area_limit_text
 from anisoscope.kinds.kind import CommandOutput, Explanation, Kind, Reference, Results, Sitting, Table, usable
 from anisoscope.prediction.cache import cached_expectation
 from anisoscope.prediction.expectation import PLASTIC, Expectation, SurfaceOptics, expectation
+from anisoscope.quality.capability import recipe_tolerances
 from anisoscope.recipe.poses import check_poses
 from anisoscope.recipe.surface import SurfaceRecipe, check_lamp, read_surface_recipe
 from anisoscope.record.schema import GoldenRecord, MapPlaceRecord, Record, ShapeRecord
@@ -217,6 +218,10 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
     def show_reference(self, known: Any, recipe: RecipeT) -> CommandOutput:  # noqa: ANN401
         """The golden parts, and how much they vary."""
         return reference_table(known, recipe)
+
+    def tolerances(self, recipe: RecipeT) -> dict[str, float]:
+        """One tolerance a contrast."""
+        return recipe_tolerances(recipe)
 
     def taught_limits(
         self, record: Record, recipe: RecipeT, reference: Reference | None, rig: RigFile

@@ -67,7 +67,7 @@ class Sections:
     """What the report shows of one kind of part; sources are Jinja templates, which may use ``content``.
 
     Attributes:
-        rule: the rule that decided, in one sentence.
+        rule: the rule that decided, in one sentence; without one the page names none, except of an INVALID part.
         reasons: further lines below the verdict: name and text.
         before, after: sources of the sections before and after the diagnosis.
         budget: source of the uncertainty budget.
@@ -130,7 +130,7 @@ def _content(
     return {
         "record": record,
         "meaning": MEANING[record.verdict],
-        "rule_text": sections.rule or INVALID_RULE,
+        "rule_text": sections.rule or (INVALID_RULE if record.verdict == "INVALID" else ""),
         "reasons": sections.reasons,
         "precedence": PRECEDENCE,
         "rule": record.recipe["decision"],

@@ -98,7 +98,7 @@ def _as_json(inspected: "Inspected") -> dict[str, Any]:
 
     record = inspected.record
     diagnosis = record.diagnosis
-    return {
+    common = {
         "kind": record.kind,
         "verdict": record.verdict,
         "reasons": list(record.reasons),
@@ -111,7 +111,8 @@ def _as_json(inspected: "Inspected") -> dict[str, Any]:
         "says": None if diagnosis is None else diagnosis.says,
         "tells": None if diagnosis is None else diagnosis.tells,
         "unexplained_p": None if diagnosis is None else diagnosis.unexplained_p,
-        **kind_named(record.kind).summary(record).content,
+    }
+    last = {
         "rounds": record.rounds,
         "dropped_markers": [list(pose.dropped) for pose in record.poses],
         "calibrations": [one.model_dump() for one in record.calibrations],
@@ -119,6 +120,8 @@ def _as_json(inspected: "Inspected") -> dict[str, Any]:
         "report": str(inspected.report),
         "notes": list(inspected.notes),
     }
+    own = kind_named(record.kind).summary(record).content
+    return common | own | common | last  # a kind adds keys, and overwrites none
 
 
 def explained(record: "Record") -> list[str]:

@@ -144,10 +144,10 @@ def _tolerances(recipe: str | None) -> dict[str, float] | None:
         if recipe is not None and recipe.endswith(".toml"):
             raise UsageError(f"--recipe: there is no file {recipe}")
         return None
-    from anisoscope.kinds.registry import read_recipe
-    from anisoscope.quality.capability import recipe_tolerances
+    from anisoscope.kinds.registry import kind_of
 
-    return recipe_tolerances(read_recipe(Path(recipe)))
+    kind = kind_of(Path(recipe))
+    return kind.tolerances(kind.read_recipe(Path(recipe)))
 
 
 def _all(

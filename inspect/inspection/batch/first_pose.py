@@ -78,17 +78,6 @@ def _go(rig: Rig, pose: Pose) -> float:
     return stage.angle_deg(rig.stage.move_to(stage.reading_deg(pose.stage_deg)))
 
 
-def code_on_part(recipe_path: Path, rig_path: Path, look: Look) -> tuple[Code, Frame]:
-    """The only code in a picture at the first pose, and the picture.
-
-    Raises:
-        MeasurementError: there is none that can be read, or there are several.
-        RecipeError, RigFileError, RigError: as for `photograph_first_pose`.
-    """
-    frame = photograph_first_pose(recipe_path, rig_path, look.exposure_s)
-    return one_code(read_codes(frame.grey, look.kind), look.kind, "the picture at the first pose"), frame
-
-
 def scan_of(replay: Replay, recipe: RecipeBase, kind: Kind) -> Scan:
     """Text of the only code in the frames at the first pose; of several exposures, the first that shows one.
 

@@ -1,13 +1,12 @@
 """The recipe of an etched wafer: a mirror with steps, and the lamp and lens that decide what it shows."""
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
 
 from anisoscope.base.toml_file import NotNegative, Positive, Share
-from anisoscope.recipe.surface import MaterialPart, RigUncertainty, SurfaceRecipe, read_surface_recipe
+from anisoscope.recipe.surface import MaterialPart, RigUncertainty, SurfaceRecipe
 
 
 class WaferMaterial(MaterialPart):
@@ -80,8 +79,3 @@ def recognises(table: Mapping[str, Any]) -> bool:
     """Is this the table of a wafer's recipe? What is reflected, whatever the angle, only a mirror states."""
     material = table.get("material")
     return isinstance(material, Mapping) and material.get("reflectance") is not None
-
-
-def read_wafer_recipe(path: Path) -> WaferRecipe:
-    """Read the recipe of a wafer; errors as for `read_surface_recipe`."""
-    return read_surface_recipe(path, WaferRecipe)

@@ -445,7 +445,7 @@ def judge(views: list[View], truth: FloatArray, name: RecipeName, size: Size) ->
     poses = len(expected.poses)
     try:
         measured = measure(views[:poses], views[-1], recipe, expected, size.pixel_um)
-        invalid = drift_error(measured, recipe) is not None
+        invalid = drift_error(measured.drift, recipe.limits.drift) is not None
         decision = decide(expected, measured, recipe)
     except MeasurementError as error:
         return {**_invalid_row(poses), "reason": str(error)}

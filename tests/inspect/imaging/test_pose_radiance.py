@@ -183,7 +183,8 @@ def test_a_fixture_turned_on_the_stage_is_noticed(recipe, expected, turned):
 
 @pytest.mark.parametrize(("again", "words"), [(0.28, "6.7% darker"), (0.32, "6.7% brighter"), (0.301, None)])
 def test_drift_is_noticed(views, recipe, expected, again, words):
-    complaint = drift_error(measure(views, view(0.0, again), recipe, expected, 8.0), recipe)
+    drift = measure(views, view(0.0, again), recipe, expected, 8.0).drift
+    complaint = drift_error(drift, recipe.limits.drift)
     assert complaint is None if words is None else words in complaint
 
 

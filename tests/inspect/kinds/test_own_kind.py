@@ -133,6 +133,63 @@ def test_a_broken_plug_in_is_one_line_and_does_not_spoil_other_recipes(virtual_r
     assert "there are no golden parts of this recipe" in " ".join((done.stdout + done.stderr).split())
 
 
+PLAIN = """
+from cards import Cards, Decided, Expected, Measured
+from anisoscope.kinds.kind import CommandOutput, Kind, Results
+from anisoscope.recipe.base import RecipeBase
+from anisoscope.record.details import Details
+from anisoscope.record.verdict import Verdict
+from anisoscope.sim.light.geometry import Convention
+import numpy as np
+
+
+class Plain(Kind):
+    name, one, recipe, details = "plain", "a plain part", RecipeBase, Details
+    measure = Cards.measure
+
+    def predict(self, recipe, rig, *, cached):
+        return Expected(recipe.poses.poses(), Convention(rig.light.angle_deg), 0.05)
+
+    def decide(self, sitting, recipe, expected, measured, reference):
+        return Decided(Verdict.PASS, ("nothing is judged",))
+
+    def results(self, sitting, recipe, expected, measured, decided, reference):
+        return Results(measured.radiance, np.full(len(expected.poses), 0.05), Details())
+
+
+class Loud(Plain):
+    name = "loud"
+
+    def summary(self, record):
+        return CommandOutput({"kind": 7, "verdict": "FAIL", "reasons": [], "notes": None, "own": 1})
+
+
+PLAIN, LOUD = Plain(), Loud()
+"""
+
+
+def test_a_kind_with_nothing_but_what_it_must_give(virtual_rig, installed, tmp_path):
+    points = "[anisoscope.kinds]\nplain = plain:PLAIN\nloud = plain:LOUD\n"
+    install(tmp_path / "site", "plain_kind", points, {"plain.py": PLAIN})
+    path = f"{tmp_path / 'site'}{os.pathsep}{installed}"
+    history = f"sqlite:///{tmp_path / 'history.sqlite'}"
+    for name in ("plain", "loud"):
+        recipe = dict.fromkeys(CARD) | {"kind": name}
+        part = virtual_rig(name, recipe=recipe)
+        options = ("-r", part.recipe, "-g", part.rig, "-s", "P-1", "--out", part.out, "--history", history)
+        done = run("inspect", *options, "--json", path=path)
+        assert done.returncode == 0, done.stdout + done.stderr
+        found = json.loads(done.stdout)
+        assert (found["kind"], found["verdict"], found["reasons"]) == (name, "PASS", ["nothing is judged"])
+        assert isinstance(found["notes"], list)
+        assert found.get("own") == (1 if name == "loud" else None)
+    page = (Path(found["folder"]) / "report.html").read_text(encoding="utf-8")
+    assert "never fails a part" not in page
+    assert 'id="rule"' not in page
+    shown = run("show", found["folder"], "--history", history, "--json", path=path)
+    assert shown.returncode == 0, shown.stdout + shown.stderr
+
+
 def test_an_object_that_is_no_kind_is_one_line_of_the_recipe_that_names_it(virtual_rig, tmp_path):
     points = "[anisoscope.kinds]\nthree = three_kind:KIND\nlike = three_kind:LIKE\n"
     source = (

@@ -13,8 +13,9 @@ from anisoscope.diagnosis.signature_cache import cached_signatures
 from anisoscope.kinds.wafers.causes import wafer_causes, wafer_signatures
 from anisoscope.kinds.wafers.discriminating_poses import WAFER_CAUSES
 from anisoscope.kinds.wafers.optics import WAFERS
-from anisoscope.kinds.wafers.recipe import read_wafer_recipe
+from anisoscope.kinds.wafers.recipe import WaferRecipe
 from anisoscope.prediction.expectation import expectation
+from anisoscope.recipe.surface import read_surface_recipe
 
 TILE_UM = 256.0
 
@@ -28,7 +29,7 @@ def recipe(tmp_path_factory):
             patch.setattr(demo_wafer, name, value)
         demo_wafer.write_tile(folder, np.random.default_rng(2))
         (folder / "recipe.toml").write_text(tomli_w.dumps(demo_wafer.recipe()))
-    return read_wafer_recipe(folder / "recipe.toml")
+    return read_surface_recipe(folder / "recipe.toml", WaferRecipe)
 
 
 @pytest.fixture(scope="module")

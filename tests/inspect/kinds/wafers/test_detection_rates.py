@@ -17,8 +17,9 @@ import tomli_w
 from anisoscope.cli.demo import wafers as demo_wafer
 from anisoscope.decision.consistency_test import from_prediction
 from anisoscope.kinds.wafers.optics import WAFERS
-from anisoscope.kinds.wafers.recipe import read_wafer_recipe
+from anisoscope.kinds.wafers.recipe import WaferRecipe
 from anisoscope.prediction.expectation import Component, expectation
+from anisoscope.recipe.surface import read_surface_recipe
 from anisoscope.sim.bench.wafer import build_wafer
 from anisoscope.sim.bench.waferpart import WaferPart
 from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_rotation
@@ -68,7 +69,7 @@ class World:
         demo_wafer.write_tile(folder, self.rng)
         (folder / "recipe.toml").write_text(tomli_w.dumps(demo_wafer.recipe()))
         self.file = folder / "wafer.npz"
-        self.recipe = read_wafer_recipe(folder / "recipe.toml")
+        self.recipe = read_surface_recipe(folder / "recipe.toml", WaferRecipe)
         self.expected = expectation(self.recipe, 0.0, WAFERS)
 
     def p_value(self, **wrong):

@@ -18,8 +18,9 @@ from anisoscope.kinds.wafers import discriminating_poses as discriminating_optio
 from anisoscope.kinds.wafers.causes import wafer_signatures
 from anisoscope.kinds.wafers.discriminating_poses import WAFER_CAUSES, second_lamps, wafer_options
 from anisoscope.kinds.wafers.optics import WAFERS
-from anisoscope.kinds.wafers.recipe import read_wafer_recipe
+from anisoscope.kinds.wafers.recipe import WaferRecipe
 from anisoscope.prediction.expectation import expectation
+from anisoscope.recipe.surface import read_surface_recipe
 from anisoscope.record.schema import CauseRecord
 
 DEPTHS = ("over-etch", "under-etch")
@@ -34,7 +35,7 @@ def recipe(tmp_path_factory):
             patch.setattr(demo_wafer, name, value)
         demo_wafer.write_tile(folder, np.random.default_rng(2))
         (folder / "recipe.toml").write_text(tomli_w.dumps(demo_wafer.recipe()))
-    return read_wafer_recipe(folder / "recipe.toml")
+    return read_surface_recipe(folder / "recipe.toml", WaferRecipe)
 
 
 @pytest.fixture(scope="module")
