@@ -188,6 +188,13 @@ def test_a_kind_with_nothing_but_what_it_must_give(virtual_rig, installed, tmp_p
     assert 'id="rule"' not in page
     shown = run("show", found["folder"], "--history", history, "--json", path=path)
     assert shown.returncode == 0, shown.stdout + shown.stderr
+    exported = run("export", "--csv", tmp_path / "all.csv", "--history", history, path=path)
+    assert exported.returncode == 0, exported.stdout + exported.stderr
+    assert "P-1" in (tmp_path / "all.csv").read_text(encoding="utf-8")
+    refused = run("spc", "--recipe", part.recipe, "--history", history, path=path)
+    line = " ".join((refused.stdout + refused.stderr).split())
+    assert refused.returncode == 64
+    assert "gives no tolerances: give --lower and --upper" in line
 
 
 def test_an_object_that_is_no_kind_is_one_line_of_the_recipe_that_names_it(virtual_rig, tmp_path):
