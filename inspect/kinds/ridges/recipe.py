@@ -9,7 +9,7 @@ from pydantic import model_validator
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import UsageError
 from anisoscope.kinds.kind import NewRecipe
-from anisoscope.kinds.ridges.template import new_recipe
+from anisoscope.recipe.file_edits import toml_literal
 from anisoscope.recipe.surface import AreaPart, SurfaceRecipe, read_surface_recipe
 
 
@@ -26,6 +26,105 @@ class RidgeRecipe(SurfaceRecipe):
 
 PRODUCT = "ridged part"
 RIDGE_ANGLE_DEG = 10.0
+_TEMPLATE = """\
+# What a part should look like, how it is photographed, and how it is judged. Angles in degrees.
+# `anisoscope recipe check` says what this recipe can tell; `anisoscope recipe teach` sets exposure, region, tolerances.
+schema = 1
+product = {product}
+version = 1
+
+[surface]
+pitch_um = {pitch}  # of the ridges
+{surface}
+[material]  # of the plastic; `anisoscope fit` finds it from measured contrasts
+alpha_along = 0.06  # roughness of the facets along the ridges
+alpha_across = 0.10  # and across them
+albedo = 0.2  # share of the light that the plastic below the surface sends back
+index = 1.5  # refractive index
+u_alpha_share = 0.05  # standard uncertainties: relative of the roughness,
+u_albedo = 0.01  # absolute of the others
+u_index = 0.01
+
+[poses]
+angles_deg = [0.0, 90.0, 180.0]  # in the order in which they are photographed
+tilts_deg = [0.0]  # several need a tilt axis; they tell more causes apart
+facet_azimuth_deg = 0.0  # direction toward which the facets face at stage angle 0
+
+[acquisition]
+exposure_s = 0.005
+# brackets = [4.0]  # every pose also with so many times the exposure: for dark poses beside bright ones
+gain = 1.0
+frames_per_pose = 4
+dark_frames = 8
+settle_s = 0.1
+
+[region]  # what is judged, in mm: across the ridges, along them
+center_mm = [0.0, 0.0]  # from the rotation axis
+size_mm = [{side}, {side}]
+
+[decision]
+contrast = "log_ratio"
+# tolerance = 0.25  # largest deviation of a good part, one number or one a pair; without it any significant one fails
+alpha = 0.01  # level of significance
+deviation = "warn"  # "fail": a significant deviation within the tolerance fails the part
+remeasure = 1  # how often an INCONCLUSIVE part is photographed again
+
+[area]
+cell_deviation = 0.3  # a cell of the contrast map deviates beyond this ln ratio
+# max_share = 0.03  # share of the area that may deviate; left out it is learnt from golden parts, 0.03 without
+
+[uncertainty]  # standard uncertainties of the rig that one inspection cannot see
+light_angle_deg = 0.1
+stage_deg = 0.05
+seating_tilt_deg = 0.1
+flat_share = 0.002
+scale_share = 0.02
+linearity_share = 0.001
+stray_radiance = 0.0003
+"""
+
+
+def new_recipe(
+    product: str,
+    pitch_um: float,
+    *,
+    ridge_angle_deg: float | None,
+    height_map: str | None,
+    u_ridge_angle_deg: float | None = None,
+) -> str:
+    """Text of a new recipe with comments; of two surfaces the height map decides, unless a spread is given.
+
+    Args:
+        product: name of the product.
+        pitch_um: pitch of the ridges.
+        ridge_angle_deg: of the ideal design, or None.
+        height_map: path of a height map as written into the recipe, or None.
+        u_ridge_angle_deg: spread of the ridge angle of good parts; with a height map None, unless the design is to
+            decide.
+    """
+    lines = []
+    if height_map is not None:
+        lines.append(f"height_map = {toml_literal(height_map)}  # measured on a good part, or on the tool")
+        lines.append('role = "part"  # or "tool": the map is turned over')
+    if ridge_angle_deg is not None:
+        angle = f'ridge_angle_deg = {toml_literal(float(ridge_angle_deg))}, wall = "perpendicular"'
+        decides = "height_map" if u_ridge_angle_deg is None else "design"
+        if height_map is None or decides == "design":
+            spread = f"u_ridge_angle_deg = {toml_literal(float(u_ridge_angle_deg or 0.0))}"
+            lines.append(f"design = {{ {angle}, {spread} }}  # u_...: how much good parts spread")
+        else:
+            lines.append(f"design = {{ {angle} }}")
+        if height_map is not None:
+            lines.append(
+                f'compare = "{decides}"  # which of the two decides; the other one is compared with as well'
+            )
+    side = max(1.0, round(20.0 * pitch_um / 1000.0, 3))
+    return _TEMPLATE.format(
+        product=toml_literal(product),
+        pitch=toml_literal(float(pitch_um)),
+        surface="".join(f"{line}\n" for line in lines),
+        side=toml_literal(side),
+    )
 
 
 def write_new_recipe(out: Path, requested: NewRecipe) -> None:

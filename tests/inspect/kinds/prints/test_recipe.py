@@ -20,8 +20,7 @@ from anisoscope.kinds.prints.recipe import (
 from anisoscope.kinds.prints.recipe_check import as_predicted, check_print_recipe, planned_quantities
 from anisoscope.kinds.prints.sources import of_poses
 from anisoscope.kinds.registry import kind_of, read_any_recipe, read_recipe
-from anisoscope.kinds.ridges.recipe import RidgeRecipe
-from anisoscope.kinds.ridges.template import new_recipe
+from anisoscope.kinds.ridges.recipe import RidgeRecipe, new_recipe
 from anisoscope.rig.rigfile import RigFile
 from anisoscope.sim.materials.inks import InkFileError, synthetic_ink, write_ink
 

@@ -6,8 +6,7 @@ import pytest
 
 from anisoscope.base.errors import RecipeError
 from anisoscope.kinds.registry import read_recipe
-from anisoscope.kinds.ridges.recipe import RidgeRecipe
-from anisoscope.kinds.ridges.template import new_recipe
+from anisoscope.kinds.ridges.recipe import RidgeRecipe, new_recipe
 from anisoscope.recipe.file_edits import with_values
 
 
