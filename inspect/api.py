@@ -2,7 +2,8 @@
 
 These names are what scripts and notebooks may rely on; defaults are those of the command line, lengths are in µm and
 angles in degrees. **Everything else in this distribution is internal** and may change without notice, but for what a
-device driver needs of `anisoscope.rig` (docs/own-driver.md). Every name has an example in docs/api.md.
+device driver needs of `anisoscope.rig` (docs/own-driver.md) and a kind of part of `anisoscope.kinds.plugin`
+(docs/own-kind.md). Every name has an example in docs/api.md.
 
 The module behind a name is imported when the name is first used.
 """
@@ -29,9 +30,12 @@ if TYPE_CHECKING:
     from anisoscope.inspection.run import Inspected
     from anisoscope.prediction.predict import Predicted
     from anisoscope.prediction.sensitivity import InputUncertainty
+    from anisoscope.profiles.comparison import Comparison, compare_maps
+    from anisoscope.profiles.editing.steps import edit_map
     from anisoscope.profiles.files.load import read_height_map, write_height_map
     from anisoscope.profiles.heightmap import HeightMap
     from anisoscope.profiles.ideal import RidgeDesign
+    from anisoscope.profiles.lines import line_parameters
     from anisoscope.profiles.metrology.ridgemeasurement import RidgeMeasurement
     from anisoscope.profiles.metrology.ridges import measure_ridges
     from anisoscope.profiles.textures.texture import texture
@@ -72,10 +76,13 @@ _HOME = {
     "Inspected": "anisoscope.inspection.run",
     "Predicted": "anisoscope.prediction.predict",
     "InputUncertainty": "anisoscope.prediction.sensitivity",
+    "compare_maps": "anisoscope.profiles.comparison",
+    "edit_map": "anisoscope.profiles.editing.steps",
     "read_height_map": "anisoscope.profiles.files.load",
     "write_height_map": "anisoscope.profiles.files.load",
     "HeightMap": "anisoscope.profiles.heightmap",
     "RidgeDesign": "anisoscope.profiles.ideal",
+    "line_parameters": "anisoscope.profiles.lines",
     "RidgeMeasurement": "anisoscope.profiles.metrology.ridgemeasurement",
     "measure_ridges": "anisoscope.profiles.metrology.ridges",
     "texture": "anisoscope.profiles.textures.texture",
@@ -131,10 +138,12 @@ __all__ = [
     "add_to_history",
     "commission",
     "compare",
+    "compare_maps",
     "contrasts",
     "control_chart",
     "design_lobe",
     "drivers",
+    "edit_map",
     "find_illuminant",
     "find_ink",
     "find_ports",
@@ -143,6 +152,7 @@ __all__ = [
     "ink_brdf",
     "ink_picture",
     "inspect",
+    "line_parameters",
     "measure_ridges",
     "open_camera",
     "open_history",
@@ -258,6 +268,8 @@ def predict(
     inputs: "InputUncertainty | None" = None,
 ) -> "Predicted":
     """Radiances and contrasts of a height map or of a design, as ``anisoscope predict`` computes them.
+
+    Light is followed from facet to wall and back until nothing is left.
 
     Args:
         surface: measured heights, or ideal ridges.
@@ -522,20 +534,30 @@ def add_to_history(history: "History", folders: Sequence[Path | str]) -> "Added"
     return add_folders(history, [Path(folder) for folder in folders])
 
 
-def write_height_map_report(surface: "HeightMap", name: str, path: Path | str) -> None:
-    """Write the HTML page of a height map: how it looks, what its ridges measure, where it comes from.
+def write_height_map_report(surface: "HeightMap | Comparison", name: str, path: Path | str) -> None:
+    """Write the HTML page of a height map, or of two that were compared.
+
+    A map's page shows how it looks, what its ridges measure and where it comes from; that of a comparison both maps,
+    their difference and its uncertainty, wear, and the ridges one by one.
 
     Args:
-        surface: the map.
-        name: title of the page.
+        surface: the map, or what `compare_maps` gave.
+        name: title of the page; of a comparison, what it calls the second map.
         path: file to write.
 
     Raises:
         HeightMapError: the file cannot be written.
     """
-    from anisoscope.report.profile_page import write_profile_page
+    from anisoscope.profiles.heightmap import HeightMap
 
-    write_profile_page(surface, name, Path(path))
+    if isinstance(surface, HeightMap):
+        from anisoscope.report.profile_page import write_profile_page
+
+        write_profile_page(surface, name, Path(path))
+        return
+    from anisoscope.report.comparison_page import write_comparison_page
+
+    write_comparison_page(surface, (str(surface.first.origin.get("file", "first map")), name), Path(path))
 
 
 def commission(
@@ -565,7 +587,6 @@ def commission(
         AnisoscopeError: rig file, recipe or hardware, or pictures that do not carry it.
     """
     from anisoscope.base.progress import silent
-    from anisoscope.commissioning.angles import Assumed
     from anisoscope.commissioning.commissioning import commission as find
     from anisoscope.commissioning.commissioning import part_of_recipe
     from anisoscope.commissioning.series import Series
@@ -585,7 +606,6 @@ def commission(
         Path(rig),
         part_of_recipe(recipe, None, 0.1),
         series,
-        Assumed(bounces=1),
         frames=None if keep_frames is None else Path(keep_frames),
         on_progress=silent if on_progress is None else on_progress,
     )

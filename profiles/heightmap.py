@@ -1,5 +1,6 @@
 """The height map: a sampled surface with its scale."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Self
 
@@ -13,6 +14,36 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 PICTURE_POINTS = 600  # along the longer side, in a notebook
+
+
+BLOCK_POINTS = 2**18  # two megabytes, which stay in the cache
+
+
+def row_blocks(shape: tuple[int, ...]) -> Iterator[slice]:
+    """Slices of rows that together are the map, each small enough for the cache.
+
+    Work on whole maps makes a new array, and its memory, at every step; on blocks it does not.
+    """
+    rows = max(1, BLOCK_POINTS // max(1, shape[1]))
+    for start in range(0, shape[0], rows):
+        yield slice(start, min(start + rows, shape[0]))
+
+
+def known_mean(height_um: FloatArray) -> float:
+    """Mean of the measured heights of (rows, cols); NaN where nothing was measured."""
+    total, count = 0.0, 0
+    for block in row_blocks(height_um.shape):
+        part = height_um[block]
+        known = np.isfinite(part)
+        total += float(np.sum(part, where=known))
+        count += int(np.count_nonzero(known))
+    return total / count if count else float("nan")
+
+
+def sealed(height_um: FloatArray) -> FloatArray:
+    """The array, read-only, so that a map takes it over instead of copying it."""
+    height_um.flags.writeable = False
+    return height_um
 
 
 def _owned(height_um: FloatArray) -> FloatArray:

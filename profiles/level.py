@@ -16,6 +16,13 @@ from anisoscope.profiles.period import Period, find_period
 
 MIN_PAIRS = 100
 MAX_SAMPLES = 400_000
+FORM_SAMPLES = 40_000
+FORM_BINS = 128
+FORM_ORDERS = (2, 4, 6, 9, 12)
+FORM_REWEIGHED = (4, 9)
+FORM_CLIP = 4.0
+FORM_GAIN = 0.995
+TILES = 12
 
 
 @dataclass(frozen=True)
@@ -89,6 +96,142 @@ def periodic_tilt(surface: HeightMap, period: Period) -> tuple[float, float]:
     a = 0.0 if rise_across is None else rise_across / far
     b = 0.0 if rise_along is None else rise_along / long
     return a * across[0] + b * along[0], a * across[1] + b * along[1]
+
+
+@dataclass(frozen=True, eq=False)
+class PeriodicForm:
+    """Form beneath ridges: a polynomial without its level and tilt.
+
+    Attributes:
+        order: of the polynomial; 1 where there is no form that counts.
+        factors: of the products of Legendre polynomials, in the order of ``_powers``.
+    """
+
+    order: int
+    factors: FloatArray
+
+    def height_um(self, shape: tuple[int, int]) -> FloatArray:
+        """(rows, cols) form in µm over the whole field."""
+        rows, cols = shape
+        up = np.stack([_legendre(np.linspace(-1.0, 1.0, rows), n) for n in range(self.order + 1)], axis=1)
+        right = np.stack([_legendre(np.linspace(-1.0, 1.0, cols), n) for n in range(self.order + 1)])
+        products = np.zeros((self.order + 1, self.order + 1))
+        for (a, b), factor in zip(_powers(self.order), self.factors, strict=True):
+            if a + b >= 2:
+                products[b, a] = factor
+        found: FloatArray = up @ products @ right
+        return found
+
+
+def _legendre(x: FloatArray, order: int) -> FloatArray:
+    return np.asarray(np.polynomial.legendre.legval(x, np.eye(order + 1)[order]), dtype=np.float64)
+
+
+def _powers(order: int) -> list[tuple[int, int]]:
+    """Orders (along x, along y) of the products, by their sum from 1 on."""
+    return [(a, total - a) for total in range(1, order + 1) for a in range(total, -1, -1)]
+
+
+class _Folded:
+    """A sample of points of a ridged map: height = profile of the place on the ridge + form."""
+
+    def __init__(self, surface: HeightMap, period: Period) -> None:
+        rows, cols = surface.shape
+        known = np.flatnonzero(np.isfinite(surface.height_um))
+        known = known[:: max(1, known.size // FORM_SAMPLES)]
+        i, j = np.divmod(known, cols)
+        x, y = j * surface.pixel_x_um, i * surface.pixel_y_um
+        (ex, ey), (ux, uy) = period.across(), period.along()
+        phase = (ex * x + ey * y) / period.pitch_um
+        ridge = np.floor(phase)
+        self.bin = ((phase - ridge) * FORM_BINS).astype(np.intp) % FORM_BINS
+        along = ux * x + uy * y
+        tile = np.floor((along - along.min()) / max(float(np.ptp(along)), 1e-9) * TILES)
+        self.half = (ridge + tile) % 2 == 0
+        self.z = surface.height_um.ravel()[known]
+        at = np.linspace(-1.0, 1.0, cols)[j], np.linspace(-1.0, 1.0, rows)[i]
+        up, right = ([_legendre(one, n) for n in range(FORM_ORDERS[-1] + 1)] for one in at)
+        self.terms = np.stack([up[a] * right[b] for a, b in _powers(FORM_ORDERS[-1])], axis=1)
+        self.weight = np.ones(self.z.size)
+
+    def normal(self, order: int, use: FloatArray) -> "_Normal":
+        """Normal equations up to an order, of the points that ``use`` weighs."""
+        count = len(_powers(order))
+        chosen = use > 0.0
+        part = np.column_stack([self.terms[chosen, :count], self.z[chosen]])
+        weight, bins = use[chosen], self.bin[chosen]
+        total = np.maximum(np.bincount(bins, weight, minlength=FORM_BINS), 1e-300)
+        sums = np.stack(
+            [np.bincount(bins, weight * column, minlength=FORM_BINS) for column in part.T], axis=1
+        )
+        gram = (part * weight[:, None]).T @ part - sums.T @ (sums / total[:, None])
+        return _Normal(gram, float(weight.sum()))
+
+    def residual(self, factors: FloatArray) -> FloatArray:
+        """Heights of all points over the form and the weighted mean of their bin."""
+        left = self.z - self.terms[:, : factors.size] @ factors
+        total = np.maximum(np.bincount(self.bin, self.weight, minlength=FORM_BINS), 1e-300)
+        mean = np.bincount(self.bin, self.weight * left, minlength=FORM_BINS) / total
+        return np.asarray(left - mean[self.bin])
+
+    def reweigh(self, residual: FloatArray) -> None:
+        """Points of bins that scatter (walls) weigh little, those that stand out (burrs) nothing."""
+        order = np.argsort(self.bin, kind="stable")
+        starts = np.searchsorted(self.bin[order], np.arange(FORM_BINS + 1))
+        size = np.abs(residual)
+        spread = np.full(FORM_BINS, np.inf)
+        for k in range(FORM_BINS):
+            inside = order[starts[k] : starts[k + 1]]
+            if inside.size:
+                spread[k] = 1.4826 * float(np.median(size[inside]))
+        floor = 0.1 * float(np.median(spread[np.isfinite(spread)])) + 1e-9
+        spread = np.maximum(spread, floor)
+        self.weight = np.where(size <= FORM_CLIP * spread[self.bin], 1.0 / spread[self.bin] ** 2, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Normal:
+    """Weighted products of the terms and the heights, each less its mean in the same bin."""
+
+    gram: FloatArray
+    weight: float
+
+    def factors(self, order: int) -> FloatArray:
+        """Least-squares factors up to an order."""
+        count = len(_powers(order))
+        found = np.linalg.lstsq(self.gram[:count, :count], self.gram[:count, -1], rcond=1e-10)[0]
+        return np.asarray(found, dtype=np.float64)
+
+    def left(self, factors: FloatArray) -> float:
+        """Sum of squares that a form leaves."""
+        n = factors.size
+        gram = self.gram
+        return float(gram[-1, -1] - 2.0 * factors @ gram[:n, -1] + factors @ gram[:n, :n] @ factors)
+
+
+def periodic_form(surface: HeightMap, period: Period) -> PeriodicForm:
+    """Form of a ridged map, from points at equal places of different ridges: waviness, curvature, warp.
+
+    Heights are modelled as a profile that repeats and a polynomial of order 2 to 12, fitted together; the shape
+    of the ridges does not pull at the form. The order counts whose form, fitted to every second piece of ridge,
+    predicts the others best, if it leaves 0.5 % less than a tilt.
+    """
+    folded = _Folded(surface, period)
+    if folded.z.size < 4 * folded.terms.shape[1]:
+        return PeriodicForm(1, np.zeros(2))
+    for order in FORM_REWEIGHED:
+        folded.reweigh(folded.residual(folded.normal(order, folded.weight).factors(order)))
+    halves = [folded.normal(FORM_ORDERS[-1], folded.weight * half) for half in (folded.half, ~folded.half)]
+
+    def missed(order: int) -> float:
+        return sum(one.left(other.factors(order)) for one, other in (halves, halves[::-1]))
+
+    best, least = 1, FORM_GAIN * missed(1)
+    for order in FORM_ORDERS:
+        left = missed(order)
+        if left < least:
+            best, least = order, FORM_GAIN * left
+    return PeriodicForm(best, folded.normal(best, folded.weight).factors(best))
 
 
 def _plane_tilt(surface: HeightMap) -> tuple[float, float]:

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
@@ -157,7 +158,7 @@ def checkerboard(
     if not field_um > max(pixel_y, pixel_x):
         raise HeightMapError(f"a field must be larger than a pixel, not {field_um:g} µm")
     x, y = np.arange(shape[1]) * pixel_x, np.arange(shape[0]) * pixel_y
-    second = np.add.outer(np.floor(y / field_um), np.floor(x / field_um)) % 2 == 1
+    second = second_fields(shape, pixel_um, field_um)
     turns = [_sine_cosine(direction) for direction in directions_deg]
     profiles = [
         design.profile(np.add.outer((y % field_um) * sine, (x % field_um) * cosine)) for sine, cosine in turns
@@ -170,6 +171,13 @@ def checkerboard(
         field_um=field_um,
         directions_deg=list(directions_deg),
     )
+
+
+def second_fields(shape: tuple[int, int], pixel_um: Pixel, field_um: float) -> npt.NDArray[np.bool_]:
+    """(rows, cols) where a checkerboard has its second direction."""
+    pixel_y, pixel_x = pixels(pixel_um)
+    x, y = np.arange(shape[1]) * pixel_x, np.arange(shape[0]) * pixel_y
+    return np.asarray(np.add.outer(np.floor(y / field_um), np.floor(x / field_um)) % 2 == 1)
 
 
 def flat(shape: tuple[int, int], pixel_um: Pixel) -> HeightMap:

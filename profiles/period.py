@@ -6,6 +6,7 @@ bins on the exact Fourier sums, where a harmonic of order k counts with k times 
 points weigh nothing.
 """
 
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +14,7 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.profiles.files.checks import check_heights
-from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.heightmap import HeightMap, row_blocks
 
 HARMONICS = 8
 MIN_CYCLES = 4.0
@@ -27,6 +28,9 @@ CANDIDATES = 6
 STENCIL_BINS = 0.2
 NEWTON_STEPS = 6
 PHASE_BINS = 64
+COLUMNS = 32
+COARSE_POINTS = 1000
+COARSE_SHARE = 0.25
 FIT_SAMPLES = 60_000
 
 
@@ -64,16 +68,54 @@ def remove_form(surface: HeightMap) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
     known = np.isfinite(height)
     rows, cols = surface.shape
     y, x = np.linspace(-1.0, 1.0, rows)[:, None], np.linspace(-1.0, 1.0, cols)[None, :]
-    i, j = np.nonzero(known)
-    step = max(1, i.size // FIT_SAMPLES)
-    i, j = i[::step], j[::step]
+    places = np.flatnonzero(known)
+    i, j = np.divmod(places[:: max(1, places.size // FIT_SAMPLES)], cols)
+    del places
     ys, xs = y[i, 0], x[0, j]
     design = np.stack([np.ones_like(xs), xs, ys, xs * xs, xs * ys, ys * ys], axis=1)
     c = np.linalg.lstsq(design, height[i, j], rcond=None)[0]
-    residual = height - (c[0] + x * (c[1] + c[3] * x) + y * (c[2] + c[5] * y) + c[4] * x * y)
+    residual = np.empty((rows, cols))
+    for block in row_blocks(height.shape):
+        up = y[block]
+        np.subtract(
+            height[block],
+            c[0] + c[2] * up + c[5] * up * up + x * (c[1] + c[3] * x + c[4] * up),
+            out=residual[block],
+        )
     low, high = np.quantile(residual[i, j], (0.005, 0.995))
     margin = 0.5 * (high - low)
-    return np.where(known, np.clip(residual, low - margin, high + margin), 0.0), known
+    np.clip(residual, low - margin, high + margin, out=residual)
+    residual[~known] = 0.0
+    return residual, known
+
+
+def _windowed(residual: FloatArray, known: npt.NDArray[np.bool_]) -> FloatArray:
+    """Heights about their weighted mean under a Hann window, 0 where missing."""
+    rows, cols = residual.shape
+    up, right = np.hanning(rows + 2)[1:-1, None], np.hanning(cols + 2)[None, 1:-1]
+    data = np.empty(residual.shape)
+    total = weight = 0.0
+    for block in row_blocks(residual.shape):
+        part = up[block] * right * known[block]
+        weight += float(part.sum())
+        data[block] = part * residual[block]
+        total += float(data[block].sum())
+    for block in row_blocks(residual.shape):
+        data[block] -= (total / weight) * up[block] * right * known[block]
+    return data
+
+
+def _power(data: FloatArray) -> FloatArray:
+    """Power of the real two-dimensional spectrum."""
+    rows, cols = data.shape
+    spectrum = np.empty((rows, cols // 2 + 1), dtype=np.complex128)
+    for block in row_blocks(data.shape):
+        spectrum[block] = np.fft.rfft(data[block], axis=1)
+    power = np.empty(spectrum.shape)
+    for start in range(0, spectrum.shape[1], COLUMNS):
+        part = np.fft.fft(np.ascontiguousarray(spectrum[:, start : start + COLUMNS].T), axis=1)
+        power[:, start : start + COLUMNS] = (part.real**2 + part.imag**2).T
+    return power
 
 
 class _Spectrum:
@@ -83,13 +125,11 @@ class _Spectrum:
         self, residual: FloatArray, known: npt.NDArray[np.bool_], pixel_y: float, pixel_x: float
     ) -> None:
         rows, cols = residual.shape
-        window = np.hanning(rows + 2)[1:-1, None] * np.hanning(cols + 2)[None, 1:-1]
-        weight = window * known
-        self.data = weight * (residual - float(np.sum(weight * residual) / np.sum(weight)))
+        self.data = _windowed(residual, known)
         self.y, self.x = np.arange(rows) * pixel_y, np.arange(cols) * pixel_x
         self.step = np.array([1.0 / (cols * pixel_x), 1.0 / (rows * pixel_y)])
         self.nyquist = np.array([0.5 / pixel_x, 0.5 / pixel_y])
-        half = np.abs(np.fft.rfft2(self.data)) ** 2
+        half = _power(self.data)
         mirrored = half[-np.arange(rows), LOBE_BINS:0:-1]
         self.power = np.fft.fftshift(np.concatenate([mirrored, half], axis=1), axes=0)
         self.middle = rows // 2
@@ -126,22 +166,36 @@ class _Spectrum:
         return [self.lobe(k * frequency) for k in range(1, 1 + self.orders(frequency))]
 
     def sums(self, fx: FloatArray, fy: FloatArray) -> FloatArray:
-        """(n, m) exact power at n frequencies along y and m along x."""
-        ey = np.exp(-2j * np.pi * np.outer(fy, self.y))
-        ex = np.exp(-2j * np.pi * np.outer(self.x, fx))
-        half = ey.real @ self.data + 1j * (ey.imag @ self.data)
+        """(k, n, m) exact power at n frequencies along y and m along x, for k pairs of them; one pass over the map."""
+        ey = np.exp(-2j * np.pi * np.multiply.outer(fy, self.y)).reshape(-1, self.y.size)
+        rows = np.concatenate([ey.real, ey.imag]) @ self.data
+        half = (rows[: len(ey)] + 1j * rows[len(ey) :]).reshape(*fy.shape, -1)
+        ex = np.exp(-2j * np.pi * np.einsum("j,km->kjm", self.x, fx))
         power: FloatArray = np.abs(half @ ex) ** 2
         return power
+
+    def coarse(self) -> "_Spectrum":
+        """The same spectrum from means over squares of pixels, for low frequencies of large maps."""
+        factor = min(self.data.shape) // COARSE_POINTS
+        if factor < 2:
+            return self
+        found = copy(self)
+        rows, cols = (n // factor for n in self.data.shape)
+        part = self.data[: rows * factor, : cols * factor].reshape(rows, factor, cols, factor)
+        found.data = part.mean(axis=3).mean(axis=1)
+        found.y, found.x = (
+            one[: n * factor].reshape(n, factor).mean(axis=1) for one, n in ((self.y, rows), (self.x, cols))
+        )
+        found.nyquist = self.nyquist / factor
+        return found
 
     def refine(self, frequency: FloatArray, orders: int) -> FloatArray:
         """The maximum of the harmonic sum near a frequency, by Newton steps on 3 × 3 stencils."""
         h = STENCIL_BINS / orders * self.step
-        offsets = np.arange(-1, 2)
+        offsets, order = np.arange(-1, 2), np.arange(1, orders + 1)
         for _ in range(NEWTON_STEPS):
-            total = np.zeros((3, 3))
-            for k in range(1, orders + 1):
-                total += self.sums(k * (frequency[0] + h[0] * offsets), k * (frequency[1] + h[1] * offsets))
-            move = _vertex(total)
+            fx, fy = (np.outer(order, frequency[n] + h[n] * offsets) for n in (0, 1))
+            move = _vertex(self.sums(fx, fy).sum(axis=0))
             frequency = frequency + h * move
             if float(np.abs(move).max()) < 1e-3:
                 break
@@ -164,15 +218,19 @@ def _vertex(p: FloatArray) -> FloatArray:
 
 def _strongest(spectrum: _Spectrum) -> FloatArray:
     """The refined frequency with the largest power in its harmonics."""
-    best, best_power = spectrum.candidates()[0], -1.0
-    for candidate in spectrum.candidates():
-        refined = spectrum.refine(candidate, 1)
+    candidates, coarse = spectrum.candidates(), spectrum.coarse()
+    best, best_power = candidates[0], -1.0
+    for candidate in candidates:
+        low = bool((np.abs(candidate) < COARSE_SHARE * coarse.nyquist).all())
+        refined = (coarse if low else spectrum).refine(candidate, 1)
         powers = spectrum.harmonics(refined)
         if powers[0] >= MIN_FUNDAMENTAL * max(powers) and sum(powers) > best_power:
             best, best_power = refined, sum(powers)
     limit = spectrum.orders(best)
     for orders in (2, 4, HARMONICS):
-        best = spectrum.refine(best, min(orders, limit))
+        used = min(orders, limit)
+        low = orders < HARMONICS and bool((used * np.abs(best) < 0.5 * coarse.nyquist).all())
+        best = (coarse if low else spectrum).refine(best, used)
     tiny = 1e-9 * abs(float(best[1]))
     return best if best[0] > tiny or (best[0] >= -tiny and best[1] > 0) else -best
 
@@ -188,14 +246,18 @@ def _predicted_share(
     cycles = float(np.abs(f) @ np.array([spectrum.x[-1], spectrum.y[-1]]))
     if cycles < MIN_CYCLES - 0.5:
         return 0.0
-    phase = np.add.outer(f[1] * spectrum.y, f[0] * spectrum.x)[known]
-    z = residual[known]
     bins = min(PHASE_BINS, max(4, round(1.0 / float(np.max(np.abs(f) / (2.0 * spectrum.nyquist))))))
-    index = ((phase - np.floor(phase)) * bins).astype(np.intp) % bins
-    count = np.maximum(np.bincount(index, minlength=bins), 1)
-    mean = np.bincount(index, z, minlength=bins) / count
-    total = float(np.var(z)) * z.size
-    unexplained = 1.0 - float(np.sum(count * (mean - z.mean()) ** 2)) / total
+    count, sums, square = np.zeros(bins), np.zeros(bins), 0.0
+    for block in row_blocks(residual.shape):
+        phase = np.add.outer(f[1] * spectrum.y[block], f[0] * spectrum.x)
+        index = ((phase - np.floor(phase)) * bins).astype(np.intp) % bins
+        # missing points have a residual of 0
+        count += np.bincount(index.ravel(), known[block].ravel(), minlength=bins)
+        sums += np.bincount(index.ravel(), residual[block].ravel(), minlength=bins)
+        square += float(np.vdot(residual[block], residual[block]))
+    points, mean = float(count.sum()), float(sums.sum() / count.sum())
+    total = square - points * mean**2
+    unexplained = 1.0 - float(np.sum(sums**2 / np.maximum(count, 1.0)) - points * mean**2) / total
     return 1.0 - (cycles / (cycles - 2.0)) ** 2 * unexplained
 
 

@@ -1,20 +1,19 @@
-"""A folder of frames with a table: how pictures that any program took get in, and how ours get out.
+"""A folder of frames with a table: import of pictures from any program, and export of our own.
 
-``frames.csv`` has a header and one line a frame, in the order in which they were taken::
+``frames.csv`` has a header and one line a frame, in the order of recording::
 
     file,kind,stage_deg,tilt_deg,exposure_s,gain,bit_depth,black_level
 
-An optional column ``filters`` names the colour filters on the camera's pixels (`anisoscope.rig.bayer`); without it,
-they are what a picture of ours says of itself, and ``mono`` otherwise.
+An optional column ``filters`` names the colour filters on the camera's pixels (`anisoscope.rig.bayer`). Without it they
+come from the metadata of our own pictures, and are ``mono`` otherwise.
 
-An optional column ``again`` (0 or 1) marks the frames after the return to the first pose. Without it, the
-sample frames at the end of the table that stand at the pose of the first sample frame are such, provided that
-sample frames at another pose lie between; angles that differ by full turns are the same pose. The format is
-described in docs/cameras.md.
+An optional column ``again`` (0 or 1) marks the frames after the return to the first pose. Without it, these are the
+sample frames at the end of the table at the pose of the first sample frame, provided that there are sample frames at
+another pose in between; angles that differ by full turns are the same pose. The format is described in docs/cameras.md.
 
-Of a TIFF or PNG that any program wrote, the raw counts are read: the stored numbers, untouched, or an error. Viewers
-scale, invert, rotate and gamma-correct; here nothing of that is done. What would need it to be understood (palettes,
-inverted grey, packed bits) is refused.
+From a TIFF or PNG of any program the raw counts are read: the stored numbers, unchanged, or an error. Viewers scale,
+invert, rotate and gamma-correct; the reader does none of this. A format that would need it (palettes, inverted grey,
+packed bits) is refused.
 """
 
 import csv
@@ -159,7 +158,7 @@ def _check_page(path: Path, pages: Sequence[object]) -> None:
 
 TABLE = "frames.csv"
 POSE_TOLERANCE_DEG = 0.5
-"""Poses that differ by less are the same: a stage reads back what it reached, not what was asked for."""
+"""Poses that differ by less are the same: a stage reads back the reached position, not the requested one."""
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ class Light(Protocol):
     """A light that can be switched. Every method may raise `RigError`."""
 
     def on(self) -> None:
-        """Switch on; return when the light is there."""
+        """Switch on; return when it is lit."""
         ...
 
     def off(self) -> None:

@@ -42,6 +42,7 @@ def pytest_configure(config):
     # a shell ignores Ctrl-C for what runs in the background, and all that the tests start and interrupt would, too
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    gc.disable()  # until all tests are collected: what they import stays, and is looked through again and again
     if hasattr(config, "workerinput"):
         return
     config.stash[OWN_RUN] = Path(tempfile.mkdtemp(prefix="anisoscope-run-"))
@@ -82,6 +83,7 @@ def pytest_collection_modifyitems(config, items):
 
 def pytest_collection_finish(session):
     """What the collected tests imported is set up for workers side by side."""
+    gc.enable()
     gc.collect()
     gc.freeze()  # thousands of tests and all that they imported stay: looking through them takes a twentieth of the run
     if SIDE_BY_SIDE and "numba" in sys.modules:

@@ -16,7 +16,7 @@ import sys
 import tempfile
 import tokenize
 import tomllib
-from collections.abc import Hashable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +26,12 @@ ROOT = Path(__file__).resolve().parents[1]
 KIND_NAME = re.compile(
     r"wafer|Wafer|WAFER|Prints?(?=[A-Z]|$)|PRINTS?(?=_|$)|(?:^|_)prints?_|_prints?$|^prints$"
 )
+KIND_IN_TEXT = re.compile(r"wafer|print", re.IGNORECASE)
 VERB_NAME = re.compile(r"^_?print(_(?!causes|recipe|expectation|record|model|prints|kind)|$)|_and_print$")
 OF_LIBRARIES = {"print_svg"}  # matplotlib's
+FRAGMENT_LINES = 120
+TABLES = {"anisoscope.profiles.files.formats"}  # modules that list plug-ins, each in a module of its own
+KERNELS = re.compile(r"kernels$")
 _LAYOUT = {
     tokenize.COMMENT,
     tokenize.NL,
@@ -174,6 +178,60 @@ def upward_imports(graph: Mapping[str, Iterable[str]], layers: list[list[str]]) 
     return found
 
 
+def modules_with_one_importer(graph: Mapping[str, Iterable[str]]) -> dict[str, str]:
+    """Module -> its only importer; packages do not count."""
+    importers: dict[str, list[str]] = {}
+    for module, imported in graph.items():
+        for other in imported:
+            importers.setdefault(other, []).append(module)
+    packages = {_package(name) for name in graph}
+    return {name: found[0] for name, found in importers.items() if len(found) == 1 and name not in packages}
+
+
+def of_tables(single: Mapping[str, str]) -> list[str]:
+    """Modules whose only importer is a table of plug-ins (`TABLES`): a module each is the point of the table."""
+    return sorted(module for module, importer in single.items() if importer in TABLES)
+
+
+def fragments(single: Mapping[str, str], graph: Iterable[str], lines: Mapping[str, int]) -> list[str]:
+    """Modules that are part of their only importer rather than an idea of their own.
+
+    A fragment has its only importer in its own package and fewer than `FRAGMENT_LINES` lines. A module whose only
+    importer is in another package is a library of a lower floor that one command uses (a page of one report, a
+    calibration of one procedure); a larger one is an idea of its own. Compiled kernels stay apart from what calls
+    them, because importing them loads the compiler, and a plug-in stays apart from its table.
+    """
+    compiled = {name for name in graph if KERNELS.search(name)}
+    return sorted(
+        module
+        for module, importer in single.items()
+        if _package(module) == _package(importer)
+        and lines[module] < FRAGMENT_LINES
+        and module not in compiled
+        and importer not in TABLES
+    )
+
+
+def module_lines(checkout: Path) -> dict[str, int]:
+    """Module -> lines of its file."""
+    return {
+        _module(path, checkout): path.read_text(encoding="utf-8").count("\n")
+        for path in source_files(checkout)
+    }
+
+
+def _package(module: str) -> str:
+    return module.rpartition(".")[0]
+
+
+def _module(path: Path, checkout: Path) -> str:
+    """Dotted name of a source file."""
+    folders = package_folders(checkout)
+    package = max((name for name, folder in folders.items() if folder in path.parents), key=len)
+    inside = path.relative_to(folders[package]).with_suffix("")
+    return ".".join([package, *(part for part in inside.parts if part != "__init__")])
+
+
 def code_lines(text: str) -> int:
     """Lines with code: neither blank nor only a comment nor part of a docstring."""
     lines: set[int] = set()
@@ -196,7 +254,9 @@ def kind_lines(text: str, *, verbs: bool = False) -> list[int]:
         text: source of a module.
         verbs: whether `print_table` and the like print a table, as in the command line.
     """
-    lines = set()
+    lines: set[int] = set()
+    if not KIND_IN_TEXT.search(text):  # telling words apart takes long
+        return []
     tokens = list(tokenize.generate_tokens(io.StringIO(text).readline))
     for before, token, after in zip(tokens, tokens[1:], tokens[2:], strict=False):
         if token.type != tokenize.NAME:
@@ -215,6 +275,8 @@ def kind_lines(text: str, *, verbs: bool = False) -> list[int]:
 def float_arrays(text: str) -> int:
     """Declarations of a type named FloatArray."""
     count = 0
+    if not re.search(r"^(?:type +)?FloatArray\b", text, re.MULTILINE):
+        return count
     for node in ast.parse(text).body:
         targets: list[ast.expr] = []
         if isinstance(node, ast.Assign):
@@ -227,11 +289,20 @@ def float_arrays(text: str) -> int:
     return count
 
 
-def numbers(checkout: Path) -> dict[str, Any]:
-    """All figures of a checkout."""
+def sizes(checkout: Path) -> dict[str, Any]:
+    """How much there is of a checkout."""
+    texts = [path.read_text(encoding="utf-8") for path in source_files(checkout)]
+    return {
+        "files": len(texts),
+        "lines": sum(text.count("\n") for text in texts),
+        "code_lines": sum(map(code_lines, texts)),
+    }
+
+
+def numbers(checkout: Path, graph: Mapping[str, set[str]]) -> dict[str, Any]:
+    """Figures of the imports of a checkout and of what its sources name; ``graph`` as of `import_graph`."""
     texts = {path: path.read_text(encoding="utf-8") for path in source_files(checkout)}
     inspect = package_folders(checkout)["anisoscope"]
-    graph = import_graph(checkout)
     first = packages_of(graph)
     layers = contract_layers(checkout)
     contracts = _pyproject(checkout)["tool"]["importlinter"]["contracts"]
@@ -240,16 +311,9 @@ def numbers(checkout: Path) -> dict[str, Any]:
         for path, text in texts.items()
         if _shared(path.relative_to(checkout))
     }
-    importers: dict[Hashable, int] = dict.fromkeys(graph, 0)
-    for imported in graph.values():
-        for other in imported:
-            importers[other] += 1
-    initial = {".".join(name.split(".")[:-1]) for name in graph}  # packages: found by their __init__
+    single = modules_with_one_importer(graph)
     first_circles, module_circles = circles(first), circles(graph)
     return {
-        "files": len(texts),
-        "lines": sum(text.count("\n") for text in texts.values()),
-        "code_lines": sum(code_lines(text) for text in texts.values()),
         "first_level_packages": len(first),
         "first_level_floors": max(floors(first).values()),
         "first_level_arrows": sum(map(len, first.values())),
@@ -263,9 +327,9 @@ def numbers(checkout: Path) -> dict[str, Any]:
         "ignored_imports": sum(len(contract.get("ignore_imports", [])) for contract in contracts),
         "kind_lines": sum(map(len, lines.values())),
         "kind_files": sum(map(bool, lines.values())),
-        "modules_with_one_importer": sum(
-            count == 1 for module, count in importers.items() if module not in initial
-        ),
+        "modules_with_one_importer": len(single),
+        "modules_of_tables": len(of_tables(single)),
+        "fragments": len(fragments(single, graph, module_lines(checkout))),
         "float_array_declarations": sum(float_arrays(text) for text in texts.values()),
         "root_modules": len(list(inspect.glob("*.py"))),
     }
@@ -289,6 +353,8 @@ MEANING = {
     "kind_lines": "lines of inspect/ outside its kinds with an identifier that names a kind (print, wafer)",
     "kind_files": "files with such a line",
     "modules_with_one_importer": "modules with exactly one importer",
+    "modules_of_tables": "of these plug-ins of a table, such as a reader of one file format",
+    "fragments": "of the others small, not compiled, and in the package of their importer",
     "float_array_declarations": "declarations of FloatArray",
     "root_modules": "modules in the root of inspect/",
 }
@@ -309,7 +375,8 @@ def main() -> None:
     parser.add_argument("checkout", nargs="?", type=Path, default=ROOT)
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    found = numbers(options.checkout.resolve())
+    checkout = options.checkout.resolve()
+    found = sizes(checkout) | numbers(checkout, import_graph(checkout))
     if options.json:
         sys.stdout.write(json.dumps(found, indent=2) + "\n")
         return

@@ -35,7 +35,7 @@ class SystemClock:
 
 
 class VirtualClock:
-    """A clock that advances where somebody waits, and by a little where somebody looks at it: no wait takes time.
+    """A virtual clock: waiting advances it at once, and every reading by a little.
 
     The little keeps those apart from standing still who ask a device again and again until their time is over.
     For one thread that waits; with several, each one's waits pass for all of them.

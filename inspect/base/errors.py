@@ -9,12 +9,13 @@ The tree, with the exit code of the command line in brackets::
     ├── ConfigError [78]           a file of ours (recipe, rig, bench, calibration) that is wrong
     │   ├── RecipeError
     │   ├── RigFileError
+    │   ├── LimitsError             (in `profiles.limits`)
     │   └── InkFileError            (in `sim.materials.inks`)
     ├── SweepError [69]            a sweep that cannot be run to its end (in `study.sweep`)
     ├── RecordError [74]           an inspection folder that cannot be written or read
     ├── HistoryError [74]          a history that cannot be reached, read or written (in `history.problems`)
     ├── RigError [69]              hardware
-    │   ├── NotConnected           no such port, unplugged, silent, or somebody else's
+    │   ├── NotConnected           no such port, unplugged, silent, or in use
     │   ├── ProtocolError          the device answers, but not what its protocol says
     │   ├── MotionTimeout          the stage did not arrive in the time the move needs
     │   ├── Stalled                the stage reports a mechanical fault

@@ -106,3 +106,25 @@ def joint_conformance(deviation: FloatArray, covariance: FloatArray, tolerances:
 def p_value_text(p_value: float) -> str:
     """A probability after the word p, such as ``= 0.012``; one too small for a double is no certainty: ``< 1e-300``."""
     return f"= {p_value:.2g}" if p_value >= 1e-300 else "< 1e-300"
+
+
+LEVELS = np.array([0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0])
+"""Probabilities at which p values are counted."""
+
+
+def calibrated(p_values: FloatArray, drawn: FloatArray) -> FloatArray:
+    """Calibrated p values: the share of good parts whose normal-theory p value is as small.
+
+    Between and below the counted levels ln p is interpolated and extrapolated linearly in ln p.
+
+    Args:
+        p_values: p values by the normal theory.
+        drawn: those of drawn good parts, ascending.
+    """
+    at = np.append(np.quantile(drawn, LEVELS[:-1]), 1.0)
+    small = np.log(np.maximum(p_values, 1e-300))
+    found = np.interp(small, np.log(at), np.log(LEVELS))
+    low, high = 0, int(np.flatnonzero(LEVELS == 0.1)[0])
+    slope = np.log(LEVELS[high] / LEVELS[low]) / np.log(at[high] / at[low])
+    beyond = np.log(LEVELS[low]) + slope * (small - np.log(at[low]))
+    return np.asarray(np.exp(np.where(p_values < at[low], beyond, found)))

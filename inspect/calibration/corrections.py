@@ -5,10 +5,10 @@ has expired, or was out of its limits, gives an INVALID record with the reason.
 """
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -30,14 +30,13 @@ from anisoscope.recipe.base import RecipeBase
 from anisoscope.rig.rigfile import CalibrationPart, read_rig
 
 RecipeT = TypeVar("RecipeT", bound=RecipeBase)
-CENTRE_PX = 5.0
 TURN_DEG = 0.2
 DARK_LEVEL_SHARE = 0.005
 
 
 @dataclass(frozen=True, eq=False)
 class Calibrations:
-    """The calibrations of a rig that have records, as an inspection uses them.
+    """Calibrations of a rig with records, as used by an inspection.
 
     Attributes:
         records: by kind; a flat of an earlier version has none.
@@ -98,10 +97,10 @@ class Calibrations:
         return recipe.model_copy(update={"uncertainty": recipe.uncertainty.model_copy(update=found)})
 
     def corrected(self, sample: Stack, dark: Stack) -> Stack:
-        """A sample as a linear camera would have counted it, without stray light.
+        """Counts of a sample corrected for linearity and stray light.
 
         Raises:
-            CalibrationError: the dark frames are not those of this camera any more.
+            CalibrationError: the dark frames differ from the calibrated dark picture of this camera.
         """
         self._check_dark(dark)
         if self.stray is None and self._response(sample.gain) == 0.0:
@@ -125,10 +124,13 @@ class Calibrations:
             return image
         return replace(image, value=np.where(self.hot, np.float32(np.nan), image.value))
 
-    def check_place(self, stage_deg: float, place: Placement) -> None:
-        """Check that the fixture is where the calibrated rotation puts it.
+    def check_place(self, stage_deg: float, place: Placement, limit_um: float) -> None:
+        """Check the position of the fixture against the calibrated rotation.
 
-        The axis must lie within 5 px, and the fixture within 0.2°, of what was calibrated.
+        Args:
+            stage_deg: angle of the stage, degrees.
+            place: of the fixture in the picture.
+            limit_um: largest distance of the axis from the calibrated one, µm on the sample; of the angle it is 0.2°.
 
         Raises:
             RegistrationError: it is not.
@@ -139,12 +141,12 @@ class Calibrations:
         eccentricity = np.array([record.number("eccentricity_x"), record.number("eccentricity_y")])
         axis = place.homography @ np.append(-eccentricity, 1.0)
         centre = record.number("centre_column"), record.number("centre_row")
-        off = float(np.hypot(*(axis[:2] / axis[2] - centre)))
-        if off > CENTRE_PX:
+        off_px = float(np.hypot(*(axis[:2] / axis[2] - centre)))
+        if off_px * place.pixel_um > limit_um:
             raise RegistrationError(
-                f"at {stage_deg:g}° the fixture turns about a point {off:.1f} px from the calibrated rotation centre "
-                f"(limit {CENTRE_PX:g} px): seat the fixture as it was, check that the camera was not moved, or "
-                + advice("rotation")
+                f"at {stage_deg:g}° the fixture turns about a point {off_px * place.pixel_um:.0f} µm ({off_px:.1f} px) "
+                f"from the calibrated rotation centre (limit {limit_um:g} µm, limits.fixture_um): seat the fixture as "
+                "it was, check that the camera was not moved, or " + advice("rotation")
             )
         turned = angle_between(stage_deg + record.number("fixture_angle"), place.angle_deg)
         if abs(turned) > TURN_DEG:
@@ -246,7 +248,7 @@ class Listed:
         id: of its record.
         taken_at, valid_until: UTC times.
         needed: whether inspections require one.
-        advice: what to do, "" where nothing.
+        advice: what to do, or "".
     """
 
     kind: Kind
@@ -258,17 +260,13 @@ class Listed:
     needed: bool
     advice: str
 
-    def to_json(self) -> dict[str, Any]:
-        """All of it, for JSON."""
-        return asdict(self)
-
 
 def list_calibrations(rig_path: Path, at: datetime | None = None) -> tuple[Listed, ...]:
     """All kinds of calibrations of a rig, with their states.
 
     Args:
         rig_path: rig file.
-        at: time at which they are to hold; now by default.
+        at: time of use; now by default.
 
     Raises:
         RigFileError: the rig file.

@@ -66,8 +66,8 @@ def calibrate_flat(
 
     Args:
         rig_path: rig file.
-        out: file to write (TIFF); the record goes beside it.
-        taking: exposure, gain, frames; as many frames again are taken with the light off.
+        out: file to write (TIFF); the record is written next to it.
+        taking: exposure, gain, frames; the same number of frames is recorded with the light off.
         reflectance: reflectance of the tile, 0 to 1.
         on_progress: called with what is being done, steps done and steps in all.
 
@@ -124,7 +124,7 @@ def calibrate_dark(
     Args:
         rig_path: rig file.
         out: file to write; picture and record share its name.
-        taking: exposure and gain of the inspections that shall use it.
+        taking: exposure and gain of the inspections that will use it.
         on_progress: called with what is being done, steps done and steps in all.
 
     Raises:
@@ -174,13 +174,13 @@ def calibrate_stray(
     """Photograph black glass or a light trap under the lit lamp: the remaining signal is stray light.
 
     The picture holds counts per second at gain 1. The uncertainty of the stray radiance is that of its mean, of the
-    flat's scale, and of the light that the target itself may send back: anything up to its reflectance.
+    flat's scale, and of the light reflected by the target itself: anything up to its reflectance.
 
     Args:
         rig_path: rig file; its flat gives the scale.
         out: file to write; picture and record share its name.
         taking: a long exposure is best.
-        target_reflectance: largest diffuse reflectance that the target may have.
+        target_reflectance: upper limit of the diffuse reflectance of the target.
         on_progress: called with what is being done, steps done and steps in all.
 
     Raises:

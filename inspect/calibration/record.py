@@ -1,6 +1,6 @@
 """Record of a calibration: JSON next to its picture, sealed, with values, uncertainties and validity.
 
-A calibration is one or two files of one name: ``stray.json`` with what was found, and ``stray.tif`` where there is a
+A calibration is one or two files of one name: ``stray.json`` with the results, and ``stray.tif`` if there is a
 picture. The record holds the hash of the picture and ends with a seal, the hash of itself.
 """
 
@@ -57,24 +57,24 @@ class CalibrationRecord(_Part):
 
     Attributes:
         kind: what was calibrated.
-        id: kind, day and a short hash of what was found; no two calibrations share one.
+        id: kind, day and a short hash of the results; unique.
         taken_at: UTC time.
-        valid_for_days: how long it holds.
-        valid_until: UTC time at which it ends.
-        software: what wrote it.
+        valid_for_days: validity in days.
+        valid_until: UTC time at which the validity ends.
+        software: program and version that wrote it.
         rig: name of the rig.
         camera: the camera.
         stage: the stage, as far as it was used.
         exposure_s, gain: settings of the frames; of a series the longest exposure.
-        frames: how many frames it rests on.
-        operator: who took it.
-        temperature_c: temperature of the day, as far as it was said.
-        values: what was found, by name.
-        residuals: what is left between measurement and fit, one number a step.
-        details: what else belongs to this kind, such as settings and a fitted response.
-        in_limits: False if what was found says that the rig is not fit.
-        remarks: what the operator should know.
-        picture: the file of pixels beside the record.
+        frames: number of frames.
+        operator: name of the operator.
+        temperature_c: ambient temperature, if stated.
+        values: results, by name.
+        residuals: measurement minus fit, one number a step.
+        details: further results of this kind, such as settings and a fitted response.
+        in_limits: False if a result is outside its limits, so that the rig must not inspect.
+        remarks: notes for the operator.
+        picture: the file of pixels next to the record.
     """
 
     kind: Kind
@@ -156,8 +156,8 @@ def dated(kind: Kind, content: dict[str, Any], *, valid_days: float | None) -> C
 
     Args:
         kind: kind of calibration.
-        content: the fields that only the caller knows.
-        valid_days: how long it holds; None for what is usual.
+        content: the fields that the caller supplies.
+        valid_days: validity in days; None for the default.
     """
     now, days = datetime.now(UTC), days_of(kind, valid_days)
     found = content | {"kind": kind, "taken_at": now, "valid_for_days": days}
@@ -200,8 +200,8 @@ def read_calibration(path: Path, kind: Kind, picture: Path | None = None) -> Cal
 
     Args:
         path: either file of the calibration.
-        kind: what it has to be.
-        picture: its picture, where that lies elsewhere than beside it.
+        kind: the required kind.
+        picture: its picture, if it is not next to the record.
 
     Raises:
         CalibrationError: missing, damaged, changed, or of another kind.

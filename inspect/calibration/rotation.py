@@ -42,21 +42,21 @@ def calibrate_rotation(
     angles: int = 12,
     on_progress: Advance = silent,
 ) -> CalibrationRecord:
-    """Turn the fixture all round and find the rotation centre in the picture, the size of a pixel, and the runout.
+    """Turn the fixture once and determine the rotation centre in the picture, the pixel size, and the runout.
 
-    The tilt axis, where there is one, stands at 0°; a fixed arm where it stands. Two frames a pose are enough.
+    A tilt axis is set to 0°; a fixed arm stays at its tilt. Two frames per pose suffice.
 
     Args:
         rig_path: rig file with a fixture.
         out: record to write (JSON).
         taking: exposure, gain and frames of every angle.
-        angles: stage angles over one turn; those out of the stage's reach are left out.
+        angles: stage angles over one turn; those beyond the limits of the stage are left out.
         on_progress: called with what is being done, steps done and steps in all.
 
     Raises:
         UsageError: too few angles.
         RigFileError, RigError: the rig, or it has no fixture.
-        RegistrationError: markers are not seen.
+        RegistrationError: markers are not detected.
         RecordError: a file cannot be written.
     """
     if angles < MIN_ANGLES:

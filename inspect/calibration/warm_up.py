@@ -1,7 +1,7 @@
-"""Whether a lamp is warm: its brightness over time as an exponential approach plus a steady drift.
+"""Warm-up of a lamp: its brightness over time as an exponential approach plus a steady drift.
 
-A lamp that was just switched on changes quickly, then slower; what remains is its drift. Contrasts compare frames
-taken minutes apart, so what matters is the drift per minute, and how sure it is.
+The brightness of a lamp changes quickly after switching on, then more slowly; the remainder is its drift. Contrasts
+compare frames minutes apart, so that the drift per minute and its uncertainty are the relevant numbers.
 """
 
 import math
@@ -33,13 +33,13 @@ class WarmUp:
     Attributes:
         frames: number of frames.
         duration_s: time from the first to the last.
-        change_share: by how much the fit changes from the first frame to the last.
+        change_share: change of the fit from the first frame to the last.
         change_uncertainty: its standard uncertainty.
-        drift_per_minute: share per minute by which the brightness changes at the end of the series.
+        drift_per_minute: change of brightness per minute at the end of the series.
         drift_uncertainty: its standard uncertainty.
         steady_per_minute: the part of the drift that does not come from warming up.
-        warmup_share: by how much brighter the lamp was at the begin because it was cold; 0 if that does not show.
-        time_constant_s: time in which the warm-up fades to 1/e; None if there is none, or the series is too short.
+        warmup_share: excess brightness of the cold lamp at the beginning; 0 if it is not significant.
+        time_constant_s: time in which the warm-up fades to 1/e; None without a warm-up, or if the series is too short.
         noise_share: scatter of the single frames around the fit.
         allowed_per_minute: drift that counts as warm.
         wait_s: recommended further waiting; None if waiting does not help, because the drift is steady.

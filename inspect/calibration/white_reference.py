@@ -36,7 +36,7 @@ def make_reference(
 
     Args:
         flat: frames of the white tile, light on.
-        dark: frames with the light off, taken alike.
+        dark: frames with the light off, same exposure and gain.
         reflectance: reflectance of the tile, 0 to 1.
         light_cosine: cosine of the angle between the light and the normal of the tile.
         camera: serial number of the camera.
@@ -148,9 +148,9 @@ class Tile:
     Attributes:
         gradient: brightness at the edges of the picture along its steepest direction, bright by dark side, minus 1;
             a vignette is even and does not count.
-        structure: robust relative scatter of 3 × 3 pixels about their surroundings, without what noise makes.
+        structure: robust relative scatter of 3 × 3 pixels about their surroundings, minus the contribution of noise.
         spots: share of the picture that differs from its surroundings by more than 2 % and five times the scatter.
-        remarks: what the operator should know.
+        remarks: notes for the operator.
     """
 
     gradient: float
@@ -164,8 +164,8 @@ def inspect_tile(signal: npt.NDArray[np.float32], noise: float, filters: str = "
 
     Args:
         signal: (rows, cols) of the white reference.
-        noise: relative standard deviation of a pixel that noise alone makes.
-        filters: the colour filters on the pixels; what they make of white is no structure of the tile.
+        noise: relative standard deviation of a pixel due to noise alone.
+        filters: the colour filters on the pixels; the mosaic of a white tile is not counted as structure.
     """
     if filters != "mono":
         signal = signal / usual_of_filters(signal, filters)

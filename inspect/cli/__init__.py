@@ -99,8 +99,30 @@ def _listen(debug: bool) -> None:
         everything.addHandler(logging.NullHandler())
 
 
+def _crash(error: Exception, arguments: list[str]) -> str:
+    """Write the traceback of an error that no command foresaw to a file, and name both in one line."""
+    import tempfile
+    import traceback
+
+    lines = ["anisoscope " + " ".join(map(str, arguments)), f"version {_version()}", ""]
+    content = "\n".join([*lines, "".join(traceback.format_exception(error))])
+    try:
+        with tempfile.NamedTemporaryFile(
+            "w", encoding="utf-8", prefix="anisoscope-crash-", suffix=".log", delete=False
+        ) as file:
+            file.write(content)
+        where = f"the details are in {file.name}; report it with that file"
+    except OSError:
+        where = "run the command again with --debug, and report it with what that prints"
+    kind = type(error).__name__
+    return "; ".join([f"internal error ({kind}: {error}): this is no verdict; {where}", *_notes(error)])
+
+
 def run(arguments: list[str]) -> int:
-    """Run one command line and return its exit code; errors raised on purpose become one line on stderr."""
+    """Run one command line and return its exit code; every error becomes one line on stderr.
+
+    An error that no command foresaw ends with 70, never with the code of a verdict.
+    """
     debug = "--debug" in arguments
     _listen(debug)
     arguments = [token for token in arguments if token != "--debug"]
@@ -116,6 +138,12 @@ def run(arguments: list[str]) -> int:
         if debug:
             raise
         return _report("; ".join([str(error), *_notes(error)]), error.exit_code)
+    except BrokenPipeError:  # no fault: the reader of the output has ended
+        raise
+    except Exception as error:
+        if debug:
+            raise
+        return _report(_crash(error, arguments), AnisoscopeError.exit_code)
     return result if isinstance(result, int) else 0
 
 

@@ -24,3 +24,19 @@ def parse_numbers(text: str, option: str, example: str = "0,90,180") -> tuple[fl
     if not all(abs(number) < float("inf") for number in numbers):
         raise UsageError(f"{option} takes finite numbers, not {text!r}")
     return numbers
+
+
+def parse_range(text: str, option: str) -> tuple[float, ...]:
+    """Numbers of an option: ``from:to:step`` with both ends, or a comma-separated list.
+
+    Raises:
+        UsageError: the text is neither, or the range has no end.
+    """
+    if ":" not in text:
+        return parse_numbers(text, option)
+    parts = text.split(":")
+    numbers = parse_numbers(",".join(parts), option)
+    if len(parts) != 3 or not numbers[2] > 0.0 or not numbers[1] >= numbers[0]:
+        raise UsageError(f"{option} takes from:to:step with a step above 0, such as -20:20:5, not {text!r}")
+    first, last, step = numbers
+    return tuple(first + step * k for k in range(int((last - first) / step + 1e-9) + 1))

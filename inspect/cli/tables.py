@@ -8,7 +8,7 @@ from anisoscope.cli.json_output import print_json
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from anisoscope.kinds.kind import CommandOutput
+    from anisoscope.kinds.command_output import CommandOutput
 
 
 def console(*, stderr: bool = False) -> "Console":

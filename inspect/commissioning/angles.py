@@ -40,7 +40,7 @@ class Assumed:
     model_share: float = 0.005
     scale_share: float = 0.02
     fixture_share: float = 0.001
-    bounces: int | None = 1
+    bounces: int | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,8 +1,9 @@
-"""Commissioning of a rig: determine rotation sense, zero, centre, tilt and light angle, and write them to its file."""
+"""Commissioning of a rig: findings on rotation sense, zero, centre, tilt and light angle, written to its file.
 
-import copy
+Every finding is a value with its uncertainty, or the reason why it is undetermined.
+"""
+
 import json
-import re
 import tempfile
 import threading
 import tomllib
@@ -20,27 +21,342 @@ import numpy as np
 from anisoscope.base.atomic_write import write_bytes, write_text
 from anisoscope.base.errors import RecordError, RigFileError, UsageError
 from anisoscope.base.progress import Advance, silent
+from anisoscope.base.toml_edits import with_values
 from anisoscope.calibration.white_reference import read_reference
 from anisoscope.commissioning.angles import Angles, Assumed, evaluate
-from anisoscope.commissioning.findings import findings_of
-from anisoscope.commissioning.light import LightFit
+from anisoscope.commissioning.light import SURE, LightFit
 from anisoscope.commissioning.observation import Observed, Picture, observe
 from anisoscope.commissioning.part import RidgedPart
-from anisoscope.commissioning.record import Commissioning, Finding, FitRecord, ParameterRecord, PoseRecord
+from anisoscope.commissioning.record import (
+    Commissioning,
+    Finding,
+    FitRecord,
+    ParameterRecord,
+    PoseRecord,
+    missing,
+    status_of,
+)
 from anisoscope.commissioning.series import PictureSet, Series, take
+from anisoscope.commissioning.turning import Turning, wrapped
 from anisoscope.imaging.linearisation import WhiteReference
 from anisoscope.imaging.registration.placement import check_fixture
 from anisoscope.profiles.files.load import read_height_map
 from anisoscope.profiles.metrology.ridges import measure_ridges
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.schema import sha256_of
-from anisoscope.rig.rigfile import RigFile, read_rig
+from anisoscope.rig.rigfile import AxisPart, RigFile, read_rig
+
+MAX_U_LIGHT_DEG = 0.5
+MAX_U_AZIMUTH_DEG = 2.0
+
+
+def tilt_findings(angles: Angles, file: RigFile) -> tuple[Finding, ...]:
+    """Sign and zero of the tilt axis: the sign by the radiances alone, which the markers cannot see."""
+    sign = ("tilt.sign", "sense of the tilt axis", "")
+    zero = ("tilt.zero_deg", "reading of the tilt axis at an upright camera", "°")
+    if file.tilt is None:
+        why = "no axis tilts the arm"
+        return missing(*sign, why), missing(*zero, why)
+    fit = angles.light
+    if fit.sign is None or fit.sign_chi2 is None:
+        return missing(*sign, "no second tilt can be reached"), missing(
+            *zero, "no second tilt can be reached"
+        )
+    sure = fit.sign_chi2 > SURE and angles.side_known
+    base = angles.tilt.zero_deg if angles.tilt is not None else file.tilt.zero_deg
+    rest = fit["tilt_zero_deg"]
+    axis = angles.tilt
+    remark = (
+        "from the foreshortening of the markers and the radiances"
+        if axis is not None
+        else "from the radiances"
+    )
+    if axis is not None and axis.axis_deg is not None:
+        remark += f"; in the picture the axis stands {axis.axis_deg:+.2f}° from the horizontal"
+    return (
+        Finding(
+            key=sign[0],
+            words=sign[1],
+            old=file.tilt.sign,
+            value=fit.sign,
+            status=status_of(sure),
+            remark=f"markers look alike under +tilt and -tilt; by the radiances (χ² {fit.sign_chi2:.0f} for the other)",
+            goes_to_rig_file=True,
+        ),
+        Finding(
+            key=zero[0],
+            words=zero[1],
+            unit="°",
+            old=file.tilt.zero_deg,
+            value=base - fit.sign * rest.value,
+            u=rest.u,
+            remark=remark,
+            goes_to_rig_file=True,
+        ),
+    )
+
+
+def light_finding(angles: Angles, file: RigFile) -> Finding:
+    """Light angle, and the data that determine it."""
+    found = angles.light["light_deg"]
+    good = found.u <= MAX_U_LIGHT_DEG
+    if found.u_alone <= MAX_U_LIGHT_DEG:
+        remark = f"from the pictures alone: u = {found.u_alone:.2g}°"
+    else:
+        remark = (
+            "the pictures alone do not say it: it rests on what is known of the part (ridge angle, roughness)"
+        )
+    names = [one.name for one in angles.light.parameters]
+    row = np.abs(angles.light.correlation[names.index("light_deg")])
+    row[names.index("light_deg")] = 0.0
+    partner = angles.light.parameters[int(np.argmax(row))]
+    remark += f"; goes most with {partner.words.split(' [')[0]} (correlation {float(np.max(row)):.2f})"
+    if not good:
+        remark += (
+            f"; u is above {MAX_U_LIGHT_DEG:g}°: give what is known of the part more exactly, or tilt the arm"
+        )
+    return Finding(
+        key="light.angle_deg",
+        words="angle between light and camera",
+        unit="°",
+        old=file.light.angle_deg,
+        value=found.value,
+        u=found.u,
+        status=status_of(good),
+        remark=remark,
+        goes_to_rig_file=True,
+    )
+
+
+def azimuth_finding(angles: Angles) -> Finding:
+    """Azimuth of the light out of the plane of the model."""
+    found = angles.light["azimuth_deg"]
+    zero = angles.light["tilt_zero_deg"]
+    remark = (
+        "from the picture's +x axis, counter-clockwise; a tilt of the arm shows alike, its zero is known to "
+    )
+    remark += f"{zero.u:.2g}°"
+    if found.u <= MAX_U_AZIMUTH_DEG and abs(found.value) > 3.0 * found.u:
+        remark += ": light and camera do not share the plane of the model; turn the camera about its axis"
+    return Finding(
+        key="light.azimuth_deg",
+        words="azimuth of the light",
+        unit="°",
+        old=0.0,
+        value=found.value,
+        u=found.u,
+        status=status_of(found.u <= MAX_U_AZIMUTH_DEG),
+        remark=remark,
+    )
+
+
+SENSES = {1: "ccw", -1: "cw"}
+USUAL_ANGLES = (0.0, 90.0, 180.0, 270.0)
+MAX_SEAT_DEG = 0.5  # what an inspection bears between fixture and stage
+
+
+def findings_of(
+    angles: Angles, file: RigFile, picture_set: PictureSet, facet_azimuth_deg: float
+) -> tuple[Finding, ...]:
+    """All findings in the order of the page.
+
+    Args:
+        angles: the fits.
+        file: the rig file as it stands.
+        picture_set: the pictures, for limits of the stage and size of the picture.
+        facet_azimuth_deg: azimuth in the fixture toward which the facets are said to lean.
+    """
+    return (
+        _sense(angles, file),
+        _zero(angles, file, picture_set, facet_azimuth_deg),
+        _fixture_zero(angles, file),
+        _lean_zero(angles),
+        _seat(angles, facet_azimuth_deg),
+        _steps(angles),
+        *_centre(angles, picture_set),
+        _pixel(angles, file),
+        *tilt_findings(angles, file),
+        light_finding(angles, file),
+        azimuth_finding(angles),
+    )
+
+
+def _sense(angles: Angles, file: RigFile) -> Finding:
+    by = "markers" if angles.markers is not None else "ridges; it holds as long as a step is less than 90°"
+    return Finding(
+        key="stage.turns",
+        words="sense in which a growing reading turns the sample, seen from the camera",
+        old=file.stage.turns,
+        value=SENSES[angles.sense],
+        remark=f"by the {by}",
+        goes_to_rig_file=True,
+    )
+
+
+def _zero(angles: Angles, file: RigFile, picture_set: PictureSet, facet_azimuth_deg: float) -> Finding:
+    """Zero of the fixture, or without one of the part: the meaning of `stage.zero_deg` in an inspection."""
+    known, remark = True, "where the fixture stands at 0°"
+    if angles.markers is not None:
+        zero, u = angles.markers.zero_deg, angles.markers.u_zero_deg
+    else:
+        zero, u = angles.lean_zero_deg + angles.sense * facet_azimuth_deg, angles.u_lean_zero_deg
+        known, remark = angles.side_known, "where the part stands at 0°: no markers are seen"
+        if not known:
+            remark += f"; brightness does not tell it from {zero + 180.0:.2f}°"
+    zero = _reachable_zero(zero, angles.sense, file.stage, picture_set.limits_deg)
+    beyond = [
+        a for a in USUAL_ANGLES if not _reached(zero + angles.sense * a, file.stage, picture_set.limits_deg)
+    ]
+    if beyond:
+        listed = ", ".join(f"{a:g}°" for a in beyond)
+        remark += f"; the stage does not reach {listed} of the sample: turn the fixture on it"
+    return Finding(
+        key="stage.zero_deg",
+        words="stage reading at 0°",
+        unit="°",
+        old=file.stage.zero_deg,
+        value=zero,
+        u=u,
+        status=status_of(known),
+        remark=remark,
+        goes_to_rig_file=True,
+    )
+
+
+def _reached(reading_deg: float, part: AxisPart, limits_deg: tuple[float, float]) -> bool:
+    """Whether a reading can be approached from below."""
+    return limits_deg[0] + part.approach_deg <= reading_deg <= limits_deg[1]
+
+
+def _reachable_zero(zero_deg: float, sense: int, part: AxisPart, limits_deg: tuple[float, float]) -> float:
+    """The zero among those a turn apart from which most of the usual angles are reached, the nearest to the old one."""
+
+    def merit(zero: float) -> tuple[int, float]:
+        readings = [zero + sense * angle for angle in USUAL_ANGLES]
+        within = sum(_reached(reading, part, limits_deg) for reading in readings)
+        return within, -abs(zero - part.zero_deg)
+
+    first = part.zero_deg + float(wrapped(zero_deg - part.zero_deg))
+    return max((first + 360.0 * turns for turns in (-1, 0, 1)), key=merit)
+
+
+def _fixture_zero(angles: Angles, file: RigFile) -> Finding:
+    words = "angle of the fixture where the rig file says 0°"
+    if angles.markers is None:
+        return missing("fixture.angle_deg", words, "°", "no markers are seen")
+    turning: Turning = angles.markers
+    return Finding(
+        key="fixture.angle_deg",
+        words=words,
+        unit="°",
+        value=float(wrapped(turning.sense * (file.stage.zero_deg - turning.zero_deg))),
+        u=turning.u_zero_deg,
+        remark=f"markers follow the stage within {turning.residual_deg:.3f}° rms, the other sense within "
+        f"{turning.other_deg:.0f}°",
+    )
+
+
+def _lean_zero(angles: Angles) -> Finding:
+    words = "stage reading at which the facets lean toward the light's side (+x)"
+    side = "the side is decided by brightness"
+    if not angles.side_known:
+        other = float(np.mod(angles.lean_zero_deg + 180.0, 360.0))
+        side = f"or {other:.2f}°: brightness does not tell the two sides apart"
+    if angles.ridges is None:
+        side += "; the camera does not resolve the ridges: seen by brightness alone, with the light's azimuth"
+    return Finding(
+        key="ridges.zero_deg",
+        words=words,
+        unit="°",
+        value=float(np.mod(angles.lean_zero_deg, 360.0)),
+        u=angles.u_lean_zero_deg,
+        status=status_of(angles.side_known),
+        remark=f"{side} (χ² {angles.light.side_chi2:.0f} for the other)",
+    )
+
+
+def _seat(angles: Angles, facet_azimuth_deg: float) -> Finding:
+    words = "azimuth in the fixture toward which the facets lean"
+    if angles.seat_deg is None:
+        return missing("part.facet_azimuth_deg", words, "°", "no markers are seen")
+    off = float(wrapped(angles.seat_deg - facet_azimuth_deg))
+    remark = f"{off:+.2f}° from what was said"
+    if abs(off) > 90.0:
+        remark += (
+            ": the part lies the other way round, or the light stands on the other side; the pictures cannot tell "
+            "which. Turn the part, or give poses.facet_azimuth_deg in its recipe"
+        )
+    elif abs(off) > MAX_SEAT_DEG:
+        remark += ": seat the part straight in its fixture, or give poses.facet_azimuth_deg in its recipe"
+    return Finding(
+        key="part.facet_azimuth_deg",
+        words=words,
+        unit="°",
+        old=facet_azimuth_deg,
+        value=float(wrapped(angles.seat_deg)),
+        u=angles.u_seat_deg,
+        status=status_of(angles.side_known),
+        remark=remark,
+    )
+
+
+def _steps(angles: Angles) -> Finding:
+    turning = angles.markers or angles.ridges
+    assert turning is not None
+    slope, u = abs(turning.slope), turning.u_slope
+    wrong = abs(slope - 1.0) > max(3.0 * u, 1e-3)
+    return Finding(
+        key="stage.scale",
+        words="turn of the sample per degree of reading",
+        unit="1",
+        old=1.0,
+        value=slope,
+        u=u,
+        remark="the stage does not count true: check its steps per degree" if wrong else "",
+    )
+
+
+def _centre(angles: Angles, picture_set: PictureSet) -> tuple[Finding, ...]:
+    named = (
+        ("camera.axis_column_px", "rotation centre: column", "px"),
+        ("camera.axis_row_px", "rotation centre: row", "px"),
+        ("fixture.eccentricity_um", "fixture's origin off the axis", "µm"),
+    )
+    centre = angles.centre
+    if centre is None:
+        return tuple(missing(*one, "no markers are seen") for one in named)
+    rows, cols = picture_set.shape
+    off = np.hypot(centre.column_px - (cols - 1) / 2, centre.row_px - (rows - 1) / 2)
+    eccentric = 1000.0 * float(np.hypot(*centre.eccentricity_mm))
+    values = (
+        (centre.column_px, centre.u_px, f"{off:.1f} px from the middle of the picture"),
+        (centre.row_px, centre.u_px, f"circle fits within {centre.residual_px:.3f} px rms"),
+        (eccentric, 1000.0 * centre.u_eccentricity_mm, ""),
+    )
+    return tuple(
+        Finding(key=key, words=words, unit=unit, value=value, u=u, remark=remark)
+        for (key, words, unit), (value, u, remark) in zip(named, values, strict=True)
+    )
+
+
+def _pixel(angles: Angles, file: RigFile) -> Finding:
+    words = "size of a pixel on the sample"
+    if angles.pixel_um is None:
+        return missing("camera.pixel_um", words, "µm", "no markers are seen")
+    return Finding(
+        key="camera.pixel_um",
+        words=words,
+        unit="µm",
+        old=file.camera.pixel_um,
+        value=angles.pixel_um,
+        u=angles.u_pixel_um,
+        remark="as large as the fixture's measures are true",
+        goes_to_rig_file=True,
+    )
+
 
 Value = str | int | float
 Changes = Mapping[tuple[str, str], Value]
-
-_HEADER = re.compile(r"^\s*\[(?P<name>[^\[\]]+)\]\s*(#.*)?$")
-_ANY_HEADER = re.compile(r"^\s*\[")
 
 
 @dataclass(frozen=True)
@@ -65,12 +381,13 @@ def update_rig_file(path: Path, changes: Changes) -> Written:
     read_rig(path)
     before = path.read_bytes()
     text = before.decode("utf-8-sig")
-    target_table = _changed(tomllib.loads(text), changes)
-    edited = _edited(text, changes)
-    preserved = edited is not None and tomllib.loads(edited) == target_table
+    try:
+        edited, preserved = with_values(text, changes, RigFileError, "rig file"), True
+    except RigFileError:  # such as tables in one line
+        edited, preserved = _dumped(text, changes), False
     backup = path.with_name(f"{path.name}.{datetime.now(UTC):%Y%m%dT%H%M%S%f}.bak")
     write_bytes(backup, before)
-    write_text(path, edited if edited is not None and preserved else _dumped(target_table))
+    write_text(path, edited)
     try:
         read_rig(path)
     except RigFileError:
@@ -79,59 +396,14 @@ def update_rig_file(path: Path, changes: Changes) -> Written:
     return Written(backup, preserved)
 
 
-def _dumped(tables: dict[str, Any]) -> str:
+def _dumped(text: str, changes: Changes) -> str:
+    """The changed file written anew, without its comments."""
     import tomli_w  # noqa: PLC0415 - start-up time
 
+    tables = tomllib.loads(text)
+    for (table, key), value in changes.items():
+        tables.setdefault(table, {})[key] = value
     return tomli_w.dumps(tables)
-
-
-def _changed(tables: dict[str, Any], changes: Changes) -> dict[str, Any]:
-    found = copy.deepcopy(tables)
-    for (table, key), value in changes.items():
-        found.setdefault(table, {})[key] = value
-    return found
-
-
-def _edited(text: str, changes: Changes) -> str | None:
-    """Text with the values changed in place; None if its layout is not understood."""
-    lines = text.splitlines(keepends=True)
-    for (table, key), value in changes.items():
-        block = _block(lines, table)
-        if block is None:
-            return None
-        text = _toml_text(value)
-        pattern = re.compile(rf"^(\s*{re.escape(key)}\s*=\s*)([^#\n\r]*?)(\s*(#[^\n\r]*)?)(\r?\n|$)")
-        for number in block:
-            if match := pattern.match(lines[number]):
-                lines[number] = f"{match[1]}{text}{match[3]}{match[5]}"
-                break
-        else:
-            end = "\r\n" if "\r\n" in text else "\n"
-            lines.insert(block.start, f"{key} = {text}{end}")
-    try:
-        edited = "".join(lines)
-        tomllib.loads(edited)
-    except tomllib.TOMLDecodeError:
-        return None
-    return edited
-
-
-def _block(lines: list[str], table: str) -> range | None:
-    """The lines of a table without its header."""
-    starts = [
-        n for n, line in enumerate(lines) if (match := _HEADER.match(line)) and match["name"].strip() == table
-    ]
-    if len(starts) != 1 or not lines[starts[0]].endswith(("\n", "\r\n")):
-        return None
-    first = starts[0] + 1
-    end = next((n for n in range(first, len(lines)) if _ANY_HEADER.match(lines[n])), len(lines))
-    return range(first, end)
-
-
-def _toml_text(value: Value) -> str:
-    if isinstance(value, str):
-        return f'"{value}"'
-    return repr(value)
 
 
 MAX_DRIFT = 0.02
@@ -193,6 +465,7 @@ def part_of_recipe(
         u_index=max(material.u_index, 1e-5),
         u_seating_deg=max(recipe.uncertainty.seating_tilt_deg, 1e-3),
         wall="perpendicular" if design is None else design.wall,
+        edge_radius_um=0.0 if design is None else design.edge_radius_um,
         facet_azimuth_deg=recipe.poses.facet_azimuth_deg,
         center_mm=recipe.region.center_mm,
         spot_mm=min(recipe.region.size_mm),

@@ -6,6 +6,10 @@ exp(−((h_x − θr)/α_v)² − (h_y/α_u)²). So one turn without tilt gives 
 light angle follows from what is known of part and scale. Tilts are angles known from the axis: under them ridge angle
 and roughness, and with them the light angle, are measured. A light beside the plane (azimuth β) acts as a tilt of −a·β
 does, so that β is worth what is known of the zero of the tilt. What is known beforehand stands as an observation.
+
+Light that reflects between facet and wall is part of all this; a fit of direct light takes it for another light angle.
+Its amplitude is a parameter with the prior that predictions give it, and its model error widens the uncertainty of
+every pose (`prediction.reflections`).
 """
 
 from collections.abc import Callable
@@ -18,10 +22,11 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import MeasurementError
 from anisoscope.commissioning.model import RigModel
 from anisoscope.commissioning.part import RidgedPart
+from anisoscope.prediction.reflections import AMPLITUDE_U, OF_INDIRECT
 
 Model = Callable[[dict[str, float]], FloatArray]
 
-_HELD = frozenset({"log_mean", "log_ratio", "index", "albedo", "tilt_zero_deg", "seat_x_deg"})
+_HELD = frozenset({"log_mean", "log_ratio", "index", "albedo", "tilt_zero_deg", "seat_x_deg", "reflections"})
 _SLOW = ("log_mean", "index")  # every new value makes a table of the interface: their slopes are taken once
 
 
@@ -226,11 +231,11 @@ class LightFit:
         return next(parameter for parameter in self.parameters if parameter.name == name)
 
 
-def _known(part: RidgedPart, radiances: Radiances, light_deg: float) -> list[Known]:
+def _known(part: RidgedPart, radiances: Radiances, light_deg: float, bounces: int | None) -> list[Known]:
     log_scale = 0.0 if radiances.absolute else float("nan")
     mean = float(0.5 * np.log(part.alpha_across * part.alpha_along))
     ratio = float(np.log(part.alpha_across / part.alpha_along))
-    return [
+    known = [
         Known("log_scale", "ln k", log_scale, radiances.u_scale if radiances.absolute else None),
         Known("light_deg", "light angle [°]", light_deg, None, 1.0, LIGHT_RANGE_DEG),
         Known("azimuth_deg", "light azimuth [°]", 0.0, None, 1.0, (-60.0, 60.0)),
@@ -243,10 +248,13 @@ def _known(part: RidgedPart, radiances: Radiances, light_deg: float) -> list[Kno
         Known("seat_x_deg", "seating about x [°]", 0.0, part.u_seating_deg, 0.1, (-5.0, 5.0)),
         Known("seat_y_deg", "seating about y [°]", 0.0, part.u_seating_deg, 0.1, (-5.0, 5.0)),
     ]  # fmt: skip
+    if bounces == 1:
+        return known
+    return [*known, Known("reflections", "amplitude of the reflections", 1.0, AMPLITUDE_U, 0.1, (0.0, 5.0))]
 
 
 def fit_light(
-    part: RidgedPart, radiances: Radiances, light_deg: float = 10.0, *, bounces: int | None = 1
+    part: RidgedPart, radiances: Radiances, light_deg: float = 10.0, *, bounces: int | None = None
 ) -> LightFit:
     """Fit light angle, light azimuth, sides and signs to the radiances of a ridged part.
 
@@ -263,20 +271,25 @@ def fit_light(
         raise MeasurementError(
             f"the light angle needs radiances of at least 6 poses, not {len(radiances.radiance)}"
         )
-    known = _known(part, radiances, light_deg)
+    known = _known(part, radiances, light_deg, bounces)
     measured = np.log(radiances.radiance)
+    begin = {one.name: light_deg if one.name == "light_deg" else one.value for one in known}
 
-    def solved(key: _Branch, near: Solved | None) -> Solved:
+    def solved(key: _Branch, u: FloatArray, near: Solved | None) -> Solved:
         start = None if near is None else near.x
         model = _model(part, radiances, *key, bounces)
-        return solve(model, known, measured, radiances.u_relative, light_deg, quick=near is None, start=start)
+        close = model.anchored(begin if near is None else near.named(known))
+        return solve(close, known, measured, u, light_deg, quick=near is None, start=start)
 
     branches: list[_Branch] = list(product((False, True), (1, -1) if radiances.free_sign else (1,)))
-    trials = {key: solved(key, None) for key in branches}
-    first = min(trials.values(), key=lambda trial: trial.chi2)
+    trials = {key: solved(key, radiances.u_relative, None) for key in branches}
+    nearest = min(trials, key=lambda key: trials[key].chi2)
+    first = trials[nearest]
+    indirect = _model(part, radiances, *nearest, bounces).indirect_share(first.named(known))
+    u = np.hypot(radiances.u_relative, OF_INDIRECT * indirect)
     # what lies far behind needs no better look
     trials = {
-        key: solved(key, trial)
+        key: solved(key, u, trial)
         if trial.chi2 < first.chi2 + FAR_BEHIND * max(1.0, first.chi2 / first.dof)
         else trial
         for key, trial in trials.items()

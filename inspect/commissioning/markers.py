@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.imaging.registration.placement import MIN_MARKERS, Image, _detect, marker_corners_mm
+from anisoscope.imaging.registration.placement import MIN_MARKERS, Image, find_markers, marker_corners_mm
 from anisoscope.rig.fixture import Fixture
 
 FLIP = np.diag([1.0, -1.0])
@@ -46,14 +46,14 @@ class Fix:
 
 
 def find_fixture(image: Image, fixture: Fixture) -> Fix | None:
-    """The fixture in a picture, or None where fewer than three of its markers are seen.
+    """The fixture in a picture, or None where fewer than three of its markers are detected.
 
     Args:
         image: (rows, cols) linear picture.
         fixture: the markers.
     """
     known = marker_corners_mm(fixture)
-    found = [(number, corners) for number, corners in _detect(image, fixture) if number in known]
+    found = [(marker.id, marker.corners) for marker in find_markers(image, fixture) if marker.id in known]
     if len({number for number, _ in found}) < MIN_MARKERS:
         return None
     points = np.concatenate([known[number] for number, _ in found])

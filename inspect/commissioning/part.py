@@ -18,6 +18,7 @@ class RidgedPart:
         index, u_index: its refractive index.
         u_seating_deg: standard uncertainty of its seating about either axis.
         wall: shape of the wall.
+        edge_radius_um: radius of the crests, 0 for sharp ones.
         facet_azimuth_deg: azimuth in the fixture toward which the facets are said to lean.
         center_mm: middle of the ridged area in the fixture.
         spot_mm: diameter of the spot that is looked at.
@@ -35,6 +36,7 @@ class RidgedPart:
     u_index: float = 0.01
     u_seating_deg: float = 0.1
     wall: Wall = "perpendicular"
+    edge_radius_um: float = 0.0
     facet_azimuth_deg: float = 0.0
     center_mm: tuple[float, float] = (0.0, 0.0)
     spot_mm: float = 1.0

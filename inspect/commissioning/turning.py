@@ -51,7 +51,7 @@ def circular_mean(angle_deg: FloatArray, period_deg: float = 360.0) -> float:
 def fit_turning(
     reading_deg: FloatArray, angle_deg: FloatArray, period_deg: float = 360.0, *, floor_deg: float = 0.002
 ) -> Turning:
-    """Sense and zero of a stage from the angles seen at its readings.
+    """Sense and zero of a stage from the angles measured at its readings.
 
     Args:
         reading_deg: (N,) readings.

@@ -6,20 +6,25 @@ good parts is simulated by drawing golden sets and parts from the stated uncerta
 distribution.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.base.significance import hotelling, log_basis, mahalanobis
+from anisoscope.base.significance import calibrated, hotelling, log_basis, mahalanobis
+from anisoscope.decision.predictive_test import MAX_BIRGE, PredictiveTest, Scatter, predictive_test
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.prediction.expectation import Component, Expectation
+from anisoscope.prediction.part_scatter import PartScatter
 from anisoscope.prediction.profile_likelihood import Combined, nearest, nearest_anywhere
 from anisoscope.prediction.second_order import Response
 
 DRAWS = 10000
-LEVELS = np.array([0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0])
 _SEED = 11
 _BLOCK = 1000
 _SINGULAR = 1e-9
+OF_THE_RIG = ("stray light", "linearity of the camera")
+"""Sources of the measurement that all inspections on one rig share."""
 
 
 def from_prediction(expected: Expectation, measured: Measured) -> tuple[float, int, float]:
@@ -63,6 +68,60 @@ def from_golden(expected: Expectation, measured: Measured, golden: FloatArray) -
         return t2, len(basis), normal
     drawn = golden_chances(expected.response.within(basis), alone, len(golden))
     return t2, len(basis), float(calibrated(np.array([normal]), drawn)[0])
+
+
+def scatter_of(parts: PartScatter, measured: Measured) -> Scatter:
+    """Scatter of the contrasts of good parts on one rig, with the errors of this inspection.
+
+    Errors of the rig that all its inspections share cancel against golden parts, and are left out.
+    """
+    single = tuple(one for one in measured.components if one.source not in OF_THE_RIG)
+    return _contrast_scatter(parts, np.asarray(sum(one.covariance() for one in single)))
+
+
+def contrast_scatter(parts: PartScatter, share: float) -> Scatter:
+    """The same with errors of camera and lamp alone: ``share`` of every pose, independent."""
+    return _contrast_scatter(parts, share**2 * np.eye(len(parts.response.slope)))
+
+
+def _contrast_scatter(parts: PartScatter, errors: FloatArray) -> Scatter:
+    basis = log_basis(len(parts.response.slope))
+    return Scatter(
+        parts.response.within(basis),
+        parts.common,
+        parts.own,
+        basis @ errors @ basis.T,
+        {name: basis @ change for name, change in parts.defects.items()},
+    )
+
+
+def golden_test(
+    scatter: Scatter | None, expected: Expectation, measured: Measured, golden: FloatArray, alpha: float
+) -> tuple[float, int, float, PredictiveTest | None]:
+    """T² from the mean of golden parts, the number of contrasts, the p value, and the predictive test behind it.
+
+    Hotelling's test by the golden parts' own scatter is taken where no scatter is stated, or where many golden parts
+    contradict the stated one.
+
+    Args:
+        scatter: stated scatter of good parts, or None.
+        expected: the prediction.
+        measured: the part.
+        golden: (n, P − 1) contrasts of the golden parts in the basis of `log_basis`.
+        alpha: level of significance.
+
+    Raises:
+        MeasurementError: too few golden parts for the test, or nothing is stated as uncertain.
+    """
+    if scatter is None:
+        return *from_golden(expected, measured, golden), None
+    basis = log_basis(len(expected.poses))
+    value = basis @ np.log(measured.radiance)
+    found = predictive_test(scatter, golden, value, alpha)
+    if len(golden) >= 3 * len(basis) and found.birge is not None and found.birge > MAX_BIRGE:
+        t2, p_value = hotelling(value, golden)
+        return t2, len(basis), p_value, replace(found, decides=False)
+    return found.t2, found.dof, found.p_value, found
 
 
 def own_covariance(expected: Expectation, measured: Measured) -> FloatArray:
@@ -109,21 +168,3 @@ def golden_chances(response: Response, covariance: FloatArray, count: int) -> Fl
         t2[block] = np.einsum("ni,ni->n", off, np.linalg.solve(scatter, off[..., None])[..., 0])
     t2 *= count / (count + 1.0)
     return np.sort(f.sf(t2 * (count - m) / (m * (count - 1.0)), m, count - m))
-
-
-def calibrated(p_values: FloatArray, drawn: FloatArray) -> FloatArray:
-    """Calibrated p values: the share of good parts whose normal-theory p value is as small.
-
-    Between and below the counted levels ln p is interpolated and extrapolated linearly in ln p.
-
-    Args:
-        p_values: p values by the normal theory.
-        drawn: those of drawn good parts, ascending.
-    """
-    at = np.append(np.quantile(drawn, LEVELS[:-1]), 1.0)
-    small = np.log(np.maximum(p_values, 1e-300))
-    found = np.interp(small, np.log(at), np.log(LEVELS))
-    low, high = 0, int(np.flatnonzero(LEVELS == 0.1)[0])
-    slope = np.log(LEVELS[high] / LEVELS[low]) / np.log(at[high] / at[low])
-    beyond = np.log(LEVELS[low]) + slope * (small - np.log(at[low]))
-    return np.asarray(np.exp(np.where(p_values < at[low], beyond, found)))

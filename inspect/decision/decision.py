@@ -5,6 +5,7 @@ JCGM 106:2012, §7. Whether the part deviates at all is decided by the means of 
 the share of the area that they cover, because no two maps have the same scatter.
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,14 +13,14 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.significance import holm, joint_conformance, p_value_text, two_sided
-from anisoscope.decision.consistency_test import from_golden, from_prediction
-from anisoscope.decision.cross_tilt_contrasts import between_tilts, pair_gradient
-from anisoscope.decision.cross_tilt_contrasts import deviating as deviating_between_tilts
-from anisoscope.decision.reference_parts import GoldenSet
+from anisoscope.decision.consistency_test import from_prediction, golden_test, scatter_of
+from anisoscope.decision.predictive_test import PredictiveTest
+from anisoscope.decision.reference_parts import GoldenSet, counted
 from anisoscope.imaging.defect_regions import deviation_map, find_regions
 from anisoscope.imaging.deviation_map import CellMap, cell_map, judge_area
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.prediction.expectation import Component, Expectation
+from anisoscope.prediction.part_scatter import PartScatter
 from anisoscope.recipe.surface import ContrastKind, DecisionPart, SurfaceRecipe
 from anisoscope.record.schema import (
     AreaRecord,
@@ -32,6 +33,8 @@ from anisoscope.record.verdict import Verdict
 from anisoscope.sim.light.contrasts import Contrast, consecutive_pairs, contrasts
 from anisoscope.sim.light.geometry import Pose
 
+Pairs = Sequence[tuple[int, int]]
+
 
 @dataclass(frozen=True)
 class Decision:
@@ -41,8 +44,7 @@ class Decision:
         verdict: of the part.
         reasons: one line each, most important first.
         contrasts: the contrasts of consecutive stage angles.
-        d2: squared Mahalanobis distance of all deviations from the prediction; with golden parts Hotelling's T² from
-            their mean.
+        d2: squared Mahalanobis distance of all deviations from the prediction; with golden parts T² from their mean.
         dof: number of independent contrasts.
         p_value: probability of a larger distance for a part as predicted (or as the golden parts); where golden parts
             limit the area too, both tests share one level (Holm 1979).
@@ -54,6 +56,7 @@ class Decision:
         cells: the contrast map, or None without a limit of the area.
         deviating: (cell rows, cell cols) True where a cell deviates.
         between_tilts: the contrasts between tilts, informative: the joint test already includes them.
+        predictive: the test against golden parts by the stated scatter, or None.
     """
 
     verdict: Verdict
@@ -70,6 +73,7 @@ class Decision:
     cells: CellMap | None
     deviating: npt.NDArray[np.bool_] | None
     between_tilts: tuple[TiltContrastRecord, ...]
+    predictive: PredictiveTest | None = None
 
 
 def contrast_gradient(poses: tuple[Pose, ...], radiance: FloatArray, kind: ContrastKind) -> FloatArray:
@@ -82,7 +86,11 @@ def _values(found: tuple[Contrast, ...], kind: ContrastKind) -> FloatArray:
 
 
 def decide(
-    expected: Expectation, measured: Measured, recipe: SurfaceRecipe, golden: GoldenSet | None = None
+    expected: Expectation,
+    measured: Measured,
+    recipe: SurfaceRecipe,
+    golden: GoldenSet | None = None,
+    parts: PartScatter | None = None,
 ) -> Decision:
     """Decide on a part.
 
@@ -91,6 +99,7 @@ def decide(
         measured: measurement with its uncertainty components.
         recipe: the decision rule.
         golden: golden parts as the reference for the significance, instead of the prediction.
+        parts: how good parts scatter; without it their own scatter alone counts.
 
     Raises:
         MeasurementError: no uncertainty is stated, so that no distance is defined; or too few golden parts.
@@ -107,12 +116,14 @@ def decide(
     variances = [gradient[c.kind] @ c.covariance() @ gradient[c.kind].T for c in components]
     covariance = np.asarray(np.sum(variances, axis=0))
     u = np.sqrt(np.diag(covariance))
-    test_result = (
-        from_prediction(expected, measured)
-        if golden is None
-        else from_golden(expected, measured, golden.contrasts())
-    )
-    d2, dof, p_value = test_result
+    predictive: PredictiveTest | None = None
+    if golden is None:
+        d2, dof, p_value = from_prediction(expected, measured)
+    else:
+        scatter = None if parts is None else scatter_of(parts, measured)
+        d2, dof, p_value, predictive = golden_test(
+            scatter, expected, measured, golden.contrasts(), rule.alpha
+        )
     pairs = _judge_pairs(found, predicted, deviation, u, recipe)
     known = None if golden is None else golden.known_shares(recipe)
     cells = None if recipe.area is None else cell_map(measured, expected.poses, recipe.area)
@@ -129,7 +140,11 @@ def decide(
     regions = _regions(cells, measured, recipe)
     number = 0 if golden is None else len(golden.parts)
     where = _where(pairs, rule.alpha) or deviating_between_tilts(expected, measured, rule.alpha)
+    if predictive is not None and predictive.decides and (like := predictive.strongest) is not None:
+        where = (f"the kind that {like.defect} makes (score {like.score:.1f})",)
     verdict, reasons = _combine(pairs, p_value, area, rule, number, where)
+    if verdict is Verdict.PASS and (blind := _blind(predictive, recipe, number)):
+        verdict, reasons = Verdict.INCONCLUSIVE, (blind, *reasons)
     tolerances = recipe.tolerances()
     conformance = (
         None if tolerances is None else joint_conformance(deviation, covariance, np.array(tolerances))
@@ -149,6 +164,27 @@ def decide(
         cells,
         deviating,
         between_tilts(expected, measured, rule.contrast),
+        predictive,
+    )
+
+
+def _blind(predictive: PredictiveTest | None, recipe: SurfaceRecipe, golden: int) -> str | None:
+    """Why a PASS would say too little: a defect that the recipe wants found is too likely to be missed."""
+    power = recipe.defects.power
+    if power is None:
+        return None
+    if predictive is None:
+        return (
+            f"defects.power = {power:g} is known only against golden parts by the stated scatter: add one, or "
+            "leave the key out"
+        )
+    missed = [one for one in predictive.directions if one.power < power]
+    if not missed:
+        return None
+    worst = min(missed, key=lambda one: one.power)
+    return (
+        f"{worst.defect} would be found in {worst.power:.0%} of parts only, {power:.0%} are required (defects.power): "
+        f"{counted(golden, 'golden part')} and these poses find {worst.detectable:.1f} times that size in 9 of 10 parts"
     )
 
 
@@ -249,7 +285,7 @@ def _combine(
     tests = [p_value] if area is None or area.p_value is None else [p_value, area.p_value]
     significant = bool(holm(np.array(tests))[0] < rule.alpha)
     fails = significant and (pairs[0].tolerance is None or rule.deviation == "fail")
-    alike = f"like the {golden} golden parts" if golden else "as predicted"
+    alike = f"like the {counted(golden, 'golden part')}" if golden else "as predicted"
     shared = ", shared with the area" if len(tests) > 1 else ""
     line = (
         f"all contrasts together: p {p_value_text(p_value)} for a part {alike} (level {rule.alpha:g}{shared})"
@@ -286,3 +322,123 @@ def _where(pairs: tuple[ContrastRecord, ...], alpha: float) -> tuple[str, ...]:
         for p in pairs
         if p.p_value is not None and p.p_value < alpha
     )
+
+
+def pair_values(pairs: Pairs, radiance: FloatArray, kind: ContrastKind) -> FloatArray:
+    """(N,) contrasts of N pairs of poses, first against second.
+
+    Args:
+        pairs: indices of the poses.
+        radiance: (P,) of all poses, above 0.
+        kind: ln ratio, Michelson contrast, or difference.
+    """
+    a, b = (radiance[list(side)] for side in zip(*pairs, strict=True))
+    if kind == "log_ratio":
+        return np.asarray(np.log(a / b))
+    return np.asarray(a - b if kind == "difference" else (a - b) / (a + b))
+
+
+def pair_gradient(pairs: Pairs, radiance: FloatArray, kind: ContrastKind) -> FloatArray:
+    """(N, P) derivative of N contrasts with respect to ln L of every pose; arguments as for `pair_values`."""
+    gradient = np.zeros((len(pairs), len(radiance)))
+    for row, (i, j) in enumerate(pairs):
+        a, b = radiance[i], radiance[j]
+        if kind == "log_ratio":
+            gradient[row, [i, j]] = 1.0, -1.0
+        elif kind == "difference":
+            gradient[row, [i, j]] = a, -b
+        else:
+            slope = 2.0 * a * b / (a + b) ** 2
+            gradient[row, [i, j]] = slope, -slope
+    return gradient
+
+
+def between_tilts(
+    expected: Expectation, measured: Measured, kind: ContrastKind
+) -> tuple[TiltContrastRecord, ...]:
+    """The contrasts of every stage angle between the first tilt and each other one, in the order of the poses.
+
+    Args:
+        expected: prediction with its uncertainty components.
+        measured: measurement with its uncertainty components.
+        kind: of contrast.
+    """
+    pairs = tuple(_tilted_pairs(expected.poses))
+    if not pairs:
+        return ()
+    measured_values, predicted_values = (
+        pair_values(pairs, side.radiance, kind) for side in (measured, expected)
+    )
+    components = expected.components + measured.components
+    u_contrast = _spread(pairs, measured.radiance, kind, [c for c in components if c.kind == "measurement"])
+    u_predicted = _spread(pairs, expected.radiance, kind, [c for c in components if c.kind != "measurement"])
+    u = np.hypot(u_contrast, u_predicted)
+    adjusted = holm(two_sided(_by_u(measured_values - predicted_values, u)))
+    poses = expected.poses
+    return tuple(
+        TiltContrastRecord(
+            stage_deg=poses[i].stage_deg,
+            from_tilt_deg=poses[i].tilt_deg,
+            to_tilt_deg=poses[j].tilt_deg,
+            kind=kind,
+            measured=measured_values[k],
+            predicted=predicted_values[k],
+            u_measured=u_contrast[k],
+            u_predicted=u_predicted[k],
+            u=u[k],
+            p_value=adjusted[k],
+        )
+        for k, (i, j) in enumerate(pairs)
+    )
+
+
+def deviating_between_tilts(expected: Expectation, measured: Measured, alpha: float) -> tuple[str, ...]:
+    """Names of the individually significant ln ratios between the first tilt and another one, at one level (Holm).
+
+    Args:
+        expected: prediction with its uncertainty components.
+        measured: measurement with its uncertainty components.
+        alpha: level of all together.
+    """
+    pairs = tuple(_tilted_pairs(expected.poses))
+    if not pairs:
+        return ()
+    off = np.log(measured.radiance / expected.radiance)
+    components = expected.components + measured.components
+    covariance = np.sum([component.covariance() for component in components], axis=0)
+    i, j = np.array(pairs).T
+    variance = covariance[i, i] + covariance[j, j] - 2.0 * covariance[i, j]
+    u, change = np.sqrt(np.maximum(variance, 0.0)), off[i] - off[j]
+    adjusted = holm(two_sided(_by_u(change, u)))
+    return tuple(
+        f"{expected.poses[a].stage_deg:g}° between tilt {expected.poses[a].tilt_deg:g}° and "
+        f"{expected.poses[b].tilt_deg:g}° (ln ratio off by {change[k]:+.3f}, u {u[k]:.3f})"
+        for k, (a, b) in enumerate(pairs)
+        if adjusted[k] < alpha
+    )
+
+
+def _spread(
+    pairs: tuple[tuple[int, int], ...], radiance: FloatArray, kind: ContrastKind, components: list[Component]
+) -> FloatArray:
+    """(N,) standard uncertainties of contrasts from components."""
+    gradient = pair_gradient(pairs, radiance, kind)
+    total = np.zeros((len(radiance), len(radiance)))
+    for component in components:
+        total += component.covariance()
+    return np.sqrt(np.maximum(np.diag(gradient @ total @ gradient.T), 0.0))
+
+
+def _by_u(change: FloatArray, u: FloatArray) -> FloatArray:
+    """Deviations in standard uncertainties; infinite where a deviating value has no uncertainty."""
+    return np.divide(change, u, out=np.where(change == 0.0, 0.0, np.inf), where=u > 0.0)
+
+
+def _tilted_pairs(poses: tuple[Pose, ...]) -> Iterator[tuple[int, int]]:
+    """Pairs of every pose with the first one at its stage angle."""
+    first: dict[float, int] = {}
+    for number, pose in enumerate(poses):
+        if pose.stage_deg in first:
+            yield first[pose.stage_deg], number
+        else:
+            first[pose.stage_deg] = number

@@ -1,14 +1,16 @@
-"""Golden parts: results of parts known to be good, stored next to their recipe.
+"""Reference parts: results of parts known to be good, stored next to their recipe; the command line calls them golden.
 
-The file (JSON, schema 1) holds one row per part: ln radiance of every pose, and the share of the area that deviates. It
-belongs to the poses, the region and the exposure of one recipe; rows of another one are refused.
+The file (JSON, schema 1) holds one row per part. It belongs to the poses, the region and the exposure of one recipe,
+and to the viewing conditions where the kind of part states them; other rows are refused. A kind supplies its rows and
+what is compared of them (`ReferenceSet`). `RadianceSet` compares the ratios of the poses' radiances, of any kind of
+part; `GoldenSet` adds the deviating area of surfaces.
 """
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, ClassVar, Generic, Literal, Self, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -16,101 +18,468 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import CalibrationError
-from anisoscope.base.significance import log_basis
-from anisoscope.imaging.area_limit import MIN_PARTS, KnownShares
-from anisoscope.recipe.base import AcquisitionPart
-from anisoscope.recipe.surface import AreaPart, SurfaceRecipe
+from anisoscope.base.significance import hotelling, log_basis
+from anisoscope.imaging.area_limit import LEAST_PARTS, MIN_PARTS, KnownShares
+from anisoscope.recipe.base import AcquisitionPart, RecipeBase
+from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.schema import Record
 from anisoscope.record.surface_details import surface_of
 
-ReferenceSet = TypeVar("ReferenceSet", bound=BaseModel)
-
-_MEASURED = ("surface", "poses", "region")
 _NO_MATTER = frozenset({"settle_s"})
 _EARLIER = ("exposure_s", "gain", "frames_per_pose", "dark_frames", "settle_s")
 
 
-class GoldenPart(BaseModel):
-    """One golden part: identity, time of inspection, and (P,) ln radiances.
-
-    ``area_share`` is the share of the ``cells`` that deviated by more than ``cell_deviation``; sets of earlier versions
-    do not record the threshold.
-    """
+class ReferenceRow(BaseModel):
+    """One reference part: serial number and time of inspection; a kind adds what it measures, in the file's order."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     serial: str
     inspected_at: str
-    log_radiance: tuple[float, ...]
-    area_share: float | None
-    cell_deviation: float | None = None
-    cells: int | None = None
-    verdict: str
+
+    def deviating_area(self, rule: Any) -> tuple[float, int | None] | None:  # noqa: ANN401 - of the kind
+        """Share of the area that deviated, and its number of cells; None unless it was judged by this rule."""
+        del rule
+        return None
 
 
-class GoldenSet(BaseModel):
+RowT = TypeVar("RowT", bound=ReferenceRow)
+RecipeT = TypeVar("RecipeT", bound=RecipeBase)
+
+
+class ReferenceSet(BaseModel, Generic[RowT, RecipeT]):
     """The good parts of one recipe.
 
+    A kind gives `row_of`, `values` and `directions`, and overrides what else differs.
+
     Attributes:
+        kind: name in files of kinds that state it, or None.
         product: of the recipe.
         recipe_key: hash of the recipe entries common to the parts.
+        seen: viewing conditions common to the parts, or None.
         poses: (stage angle, tilt) of every pose, degrees.
-        parts: the parts, in the order in which they were added.
+        parts: one row a part, in the order in which they were added.
+        thing: what is inspected, in messages.
+        tests: number of tests that share the level of the recipe, that of the area among them.
+        shares_level: the other ones, in words.
+        judges_area: whether recipes limit the deviating area.
+        area_parts: number of parts from which its limit is learnt; below `MIN_PARTS` where it is the narrower one.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
+    kind: str | None = None
     product: str
     recipe_key: str
+    seen: BaseModel | None = None
     poses: tuple[tuple[float, float], ...]
-    parts: tuple[GoldenPart, ...] = ()
+    parts: tuple[RowT, ...] = ()
 
-    def contrasts(self) -> FloatArray:
-        """(n, P − 1) differences of ln L from the first pose, of every part."""
-        values = np.array([part.log_radiance for part in self.parts]).reshape(-1, len(self.poses))
-        return np.asarray(values @ log_basis(len(self.poses)).T)
+    thing: ClassVar[str] = "part"
+    tests: ClassVar[int] = 2
+    shares_level: ClassVar[str] = "contrasts"
+    judges_area: ClassVar[bool] = False
+    area_parts: ClassVar[int] = MIN_PARTS
 
-    def area_shares(self, rule: AreaPart) -> tuple[float, ...]:
-        """Deviating shares of the area, of the parts inspected with this threshold."""
-        return tuple(
-            part.area_share
-            for part in self.parts
-            if part.area_share is not None and part.cell_deviation == rule.cell_deviation
-        )
+    # ---- what a kind supplies ---------------------------------------------------------------------------------
 
-    def known_shares(self, recipe: SurfaceRecipe) -> KnownShares | None:
-        """Shares that set the limit of the area; None where the recipe gives its own or the parts are too few."""
-        rule = recipe.area
-        if rule is None or limit_is_given(rule):
+    @classmethod
+    def row_of(cls, record: Record, recipe: RecipeT) -> RowT:
+        """Row of an inspected part.
+
+        Args:
+            record: of the inspection, which was not INVALID.
+            recipe: by which it was inspected.
+
+        Raises:
+            CalibrationError: the inspection says nothing about a good part.
+        """
+        raise NotImplementedError
+
+    def values(self) -> FloatArray:
+        """(n, k) values of every part, of which the scatter is the reference."""
+        raise NotImplementedError
+
+    @property
+    def directions(self) -> int:
+        """Number of directions in which the values must vary, at most k."""
+        raise NotImplementedError
+
+    @classmethod
+    def entries_of(cls, recipe: RecipeT) -> dict[str, Any]:
+        """Further recipe entries that must agree, besides poses, region and exposure."""
+        del recipe
+        return {}
+
+    @classmethod
+    def earlier_keys(cls, recipe: RecipeT) -> tuple[str, ...]:
+        """Keys that earlier versions gave to this recipe."""
+        del recipe
+        return ()
+
+    @classmethod
+    def conditions_of(cls, record: Record) -> BaseModel | None:
+        """Viewing conditions of an inspection, or None where the kind states none."""
+        del record
+        return None
+
+    def area_rule(self, recipe: RecipeT) -> Any:  # noqa: ANN401 - of the kind
+        """Rule of the deviating area in a recipe, with ``max_share``; None where the area is not judged."""
+        del recipe
+        return None
+
+    def judged_text(self, rule: Any) -> str:  # noqa: ANN401 - of the kind
+        """How parts must have been judged to count for the limit of the area."""
+        raise NotImplementedError
+
+    # ---- what all sets have in common -------------------------------------------------------------------------
+
+    @property
+    def noun(self) -> str:
+        """Word of the command line for one of them."""
+        return f"golden {self.thing}"
+
+    @classmethod
+    def key_of(cls, recipe: RecipeT) -> str:
+        """Hash of the recipe entries that must agree for values to be comparable.
+
+        Of the acquisition only entries that affect a measurement; entries at their default are omitted, so that a key
+        remains valid when fields are added.
+        """
+        return cls._hashed(recipe, same_exposure(recipe.acquisition))
+
+    @classmethod
+    def _hashed(cls, recipe: RecipeT, acquisition: dict[str, Any]) -> str:
+        stored = recipe.model_dump(mode="json", include={"poses", "region"})
+        content = stored | cls.entries_of(recipe) | {"acquisition": acquisition}
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+    @classmethod
+    def read(cls, path: Path, recipe: RecipeT) -> Self | None:
+        """The reference parts of a recipe, or None if none were added.
+
+        Raises:
+            CalibrationError: the file is damaged, or belongs to another recipe.
+        """
+        try:
+            found = cls.model_validate_json(path.read_bytes())
+        except FileNotFoundError:
             return None
-        cells, shares = [part.cells for part in self.parts if part.cells], self.area_shares(rule)
-        return KnownShares(tuple(shares), cells[-1]) if cells and len(shares) >= MIN_PARTS else None
+        except (OSError, ValidationError) as problem:
+            reason = str(problem).splitlines()[0]
+            raise CalibrationError(f"the golden {cls.thing}s in {path} cannot be read: {reason}") from problem
+        key = cls.key_of(recipe)
+        if found.recipe_key in cls.earlier_keys(recipe):
+            found = found.model_copy(update={"recipe_key": key})
+        if found.recipe_key != key:
+            raise CalibrationError(
+                f"the {found.noun}s in {path} were inspected with other poses, region or exposure than the recipe has "
+                f"now: {cls.anew()}"
+            )
+        return found
 
-    def area_limit(self, recipe: SurfaceRecipe) -> float | None:
-        """Limit of the area learnt from these parts, for a part whose contrasts are consistent."""
-        known = self.known_shares(recipe)
-        return None if known is None else known.limit(0.5 * recipe.decision.alpha)
+    def check_seen(self, path: Path, names: Mapping[str, str]) -> None:
+        """Check the viewing conditions of the next part.
+
+        Args:
+            path: file of the set.
+            names: viewing conditions, as far as they are known.
+
+        Raises:
+            CalibrationError: the parts of the set were seen otherwise.
+        """
+        for what, name in names.items():
+            then = getattr(self.seen, what)
+            if then != name:
+                raise CalibrationError(
+                    f"the {self.noun}s in {path} were seen with the {what} {then!r}, now it is {name!r}: {self.anew()}"
+                )
+
+    @classmethod
+    def anew(cls) -> str:
+        """What to do with a set that does not fit."""
+        return f"inspect good {cls.thing}s anew, add them to an empty set, and delete the old file"
+
+    @classmethod
+    def with_inspection(cls, known: Self | None, recipe: RecipeT, record: Record) -> Self:
+        """A set with one more part.
+
+        Args:
+            known: the set so far, or None.
+            recipe: the recipe of the set.
+            record: of the inspection of a good part.
+
+        Raises:
+            CalibrationError: the inspection was INVALID, was made with other poses, region, exposure or viewing
+                conditions, or is in the set already.
+        """
+        poses = tuple((pose.stage_deg, pose.tilt_deg) for pose in recipe.poses.poses())
+        if record.verdict == "INVALID" or not record.poses:
+            raise CalibrationError(
+                f"{record.serial}: an INVALID inspection says nothing about a good {cls.thing}"
+            )
+        another = (
+            f"{record.serial} was inspected with another recipe (poses, region or exposure differ): inspect it "
+            "again"
+        )
+        try:
+            key, recipe_then = cls.key_of(recipe), type(recipe).model_validate(record.recipe, extra="ignore")
+        except ValidationError as problem:  # such as the recipe of another kind of part
+            raise CalibrationError(another) from problem
+        if tuple((pose.stage_deg, pose.tilt_deg) for pose in record.poses) != poses:
+            raise CalibrationError(another)
+        if cls.key_of(recipe_then) != key:
+            raise CalibrationError(another)
+        row, seen = cls.row_of(record, recipe_then), cls.conditions_of(record)
+        header: dict[str, Any] = {} if seen is None else {"seen": seen}
+        base = known or cls(product=recipe.product, recipe_key=key, poses=poses, **header)
+        for what, common in base.seen or ():
+            if getattr(seen, what) != common:
+                raise CalibrationError(
+                    f"{record.serial} was seen with the {what} {getattr(seen, what)!r}, the others with {common!r}"
+                )
+        if any((part.serial, part.inspected_at) == (row.serial, row.inspected_at) for part in base.parts):
+            raise CalibrationError(
+                f"this inspection of {row.serial} ({row.inspected_at}) is in the set already"
+            )
+        return base.model_copy(update={"parts": (*base.parts, row)})
+
+    def without(self, serial: str) -> Self:
+        """A set without all rows of a serial number.
+
+        Raises:
+            CalibrationError: there is none.
+        """
+        others = tuple(part for part in self.parts if part.serial != serial)
+        if len(others) == len(self.parts):
+            raise CalibrationError(f"there is no {self.noun} {serial}")
+        return self.model_copy(update={"parts": others})
 
     @property
     def needed(self) -> int:
-        """Number of parts needed before they serve as the reference."""
-        return len(self.poses)
+        """Smallest number of parts for a covariance of all directions (Hotelling's T²)."""
+        return self.directions + 1
+
+    @property
+    def sensible(self) -> int:
+        """Number of parts of which the scatter is known well enough: three a direction."""
+        return 3 * self.directions
 
     @property
     def lacking(self) -> str | None:
         """Reason why the parts do not serve as the reference yet, or None."""
         count = len(self.parts)
         if count < self.needed:
-            sensible = 3 * (self.needed - 1)
             return (
-                f"{counted(count, 'golden part')}: from {self.needed} on they are compared with, {sensible} are "
-                "sensible"
+                f"{counted(count, self.noun)}: from {self.needed} on {self.thing}s are compared with them, "
+                f"{self.sensible} are sensible"
             )
-        scatter = np.atleast_2d(np.cov(self.contrasts(), rowvar=False))
-        if np.linalg.matrix_rank(scatter) < len(scatter):
-            return f"{count} golden parts: they do not vary independently, so that they are not compared with"
+        scatter = np.atleast_2d(np.cov(self.values(), rowvar=False))
+        if np.linalg.matrix_rank(scatter) < self.directions:
+            return f"{count} {self.noun}s: they do not vary independently, so that they are not compared with"
         return None
+
+    def _areas(self, rule: Any) -> list[tuple[float, int | None]]:  # noqa: ANN401 - of the kind
+        return [area for part in self.parts if (area := part.deviating_area(rule)) is not None]
+
+    def area_shares(self, rule: Any) -> tuple[float, ...]:  # noqa: ANN401 - of the kind
+        """Deviating shares of the area, of the parts judged by this rule."""
+        return tuple(share for share, _ in self._areas(rule))
+
+    def known_shares(self, recipe: RecipeT) -> KnownShares | None:
+        """Shares that set the limit of the area; None where the recipe gives its own or the parts are too few."""
+        rule = self.area_rule(recipe)
+        if rule is None or limit_is_given(rule):
+            return None
+        shares, cells = self.area_shares(rule), [count for _, count in self._areas(rule) if count]
+        if not cells or len(shares) < self.area_parts:
+            return None
+        known = KnownShares(shares, cells[-1])
+        few = len(shares) < MIN_PARTS
+        return None if few and known.limit(recipe.decision.alpha / self.tests) >= rule.max_share else known
+
+    def area_limit(self, recipe: RecipeT) -> float | None:
+        """Limit of the area learnt from these parts, for a part that is consistent in all else."""
+        known = self.known_shares(recipe)
+        return None if known is None else known.limit(recipe.decision.alpha / self.tests)
+
+    def area_limit_text(self, recipe: RecipeT) -> str:
+        """One line about the limit of the area and its origin."""
+        rule, alpha = self.area_rule(recipe), recipe.decision.alpha
+        if rule is None:
+            return "limit of the area: none, the recipe does not judge it"
+        learnt, count = self.area_limit(recipe), len(self.area_shares(rule))
+        if learnt is not None:
+            return (
+                f"limit of the area: {learnt:.2%}, learnt from {count} {self.noun}s (one good {self.thing} in "
+                f"{self.tests / alpha:.0f} exceeds it; {self.shares_level} and area share the level {alpha:g})"
+            )
+        if limit_is_given(rule):
+            return f"limit of the area: {rule.max_share:.2%}, as the recipe says in area.max_share"
+        return (
+            f"limit of the area: {rule.max_share:.2%}; from {MIN_PARTS} {self.noun}s judged {self.judged_text(rule)} "
+            f"on it is learnt from them{self._few_text()}, now there are {count}"
+        )
+
+    def _few_text(self) -> str:
+        if self.area_parts == MIN_PARTS:
+            return ""
+        return f" (from {self.area_parts} on where theirs is narrower)"
+
+    def area_content(self, recipe: RecipeT) -> dict[str, Any]:
+        """JSON keys about the limit of the area: the limit that applies, or None, and its origin."""
+        rule = self.area_rule(recipe)
+        limit = None if rule is None else self.area_limit(recipe) or rule.max_share
+        return {"area_limit": limit, "area_limit_says": self.area_limit_text(recipe)}
+
+
+AnyReferenceSet = ReferenceSet[Any, Any]
+Absent = Annotated[None, Field(exclude_if=lambda value: value is None)]
+"""A header entry that files of a kind do not have."""
+
+
+class GoldenPart(ReferenceRow):
+    """One golden part: identity, time of inspection, and (P,) ln radiances.
+
+    ``area_share`` is the share of the ``cells`` that deviated by more than ``cell_deviation``; sets of earlier versions
+    do not record the threshold.
+    """
+
+    log_radiance: tuple[float, ...]
+    area_share: float | None
+    cell_deviation: float | None = None
+    cells: int | None = None
+    verdict: str
+
+    def deviating_area(self, rule: Any) -> tuple[float, int | None] | None:  # noqa: ANN401 - of the kind
+        """Share and number of cells, if the part was inspected with this threshold."""
+        if self.area_share is None or self.cell_deviation != rule.cell_deviation:
+            return None
+        return self.area_share, self.cells
+
+
+class RadianceSet(ReferenceSet[GoldenPart, RecipeT], Generic[RecipeT]):
+    """Reference parts compared by the ratios of their poses' radiances; any kind of part records these."""
+
+    kind: Absent = None
+    seen: Absent = None
+
+    @classmethod
+    def row_of(cls, record: Record, recipe: RecipeT) -> GoldenPart:
+        """Row with ln of the recorded radiances."""
+        return GoldenPart(
+            serial=record.serial,
+            inspected_at=record.created_at,
+            log_radiance=tuple(float(np.log(pose.measured)) for pose in record.poses),
+            verdict=record.verdict,
+            **cls.area_of(record, recipe),
+        )
+
+    @classmethod
+    def area_of(cls, record: Record, recipe: RecipeT) -> dict[str, Any]:
+        """Fields of a row about the area."""
+        del record, recipe
+        return {"area_share": None}
+
+    def contrasts(self) -> FloatArray:
+        """(n, P − 1) differences of ln L from the first pose, of every part."""
+        values = np.array([part.log_radiance for part in self.parts]).reshape(-1, len(self.poses))
+        return np.asarray(values @ log_basis(len(self.poses)).T)
+
+    def values(self) -> FloatArray:
+        """(n, P − 1) contrasts."""
+        return self.contrasts()
+
+    @property
+    def directions(self) -> int:
+        """P − 1."""
+        return len(self.poses) - 1
+
+    def t_squared(self, radiance: FloatArray) -> tuple[float, int, float]:
+        """Hotelling's T² of one more part from these parts.
+
+        Args:
+            radiance: (P,) of the part, 1/sr.
+
+        Returns:
+            T², its degrees of freedom P − 1, and the probability of a larger one for a part like these.
+
+        Raises:
+            MeasurementError: the parts are too few, or do not vary in every direction (`lacking`).
+        """
+        t2, p_value = hotelling(log_basis(len(radiance)) @ np.log(radiance), self.contrasts())
+        return t2, self.directions, p_value
+
+
+class GoldenSet(RadianceSet[SurfaceRecipe]):
+    """The good parts of one recipe of a surface.
+
+    Attributes:
+        predictive: a part is compared with one golden part or more, by the scatter that the recipe states
+            (`anisoscope.decision.predictive_test`); otherwise with as many as their own scatter needs.
+    """
+
+    judges_area: ClassVar[bool] = True
+    area_parts: ClassVar[int] = LEAST_PARTS
+    predictive: ClassVar[bool] = True
+
+    @property
+    def needed(self) -> int:
+        """One, where the recipe states the scatter; otherwise one more than the contrasts."""
+        return 1 if self.predictive else super().needed
+
+    @property
+    def lacking(self) -> str | None:
+        """Reason why the parts do not serve as the reference yet, or None."""
+        return None if self.predictive and self.parts else super().lacking
+
+    @classmethod
+    def with_inspection(cls, known: Self | None, recipe: SurfaceRecipe, record: Record) -> Self:
+        """A set with one more part; arguments and errors as for `ReferenceSet.with_inspection`.
+
+        Raises:
+            CalibrationError: the radiances are those of another part to the last digit.
+        """
+        found = super().with_inspection(known, recipe, record)
+        *others, latest = found.parts
+        for part in others:
+            if part.log_radiance == latest.log_radiance:
+                raise CalibrationError(
+                    f"{latest.serial} has the radiances of {part.serial} to the last digit, so that the same pictures "
+                    "would count twice: inspect another good part, or take the pictures again"
+                )
+        return found
+
+    @classmethod
+    def entries_of(cls, recipe: SurfaceRecipe) -> dict[str, Any]:
+        """The pitch."""
+        return {"surface": {"pitch_um": recipe.surface.pitch_um}}
+
+    @classmethod
+    def earlier_keys(cls, recipe: SurfaceRecipe) -> tuple[str, ...]:
+        """Key of the whole acquisition, as far as there was one."""
+        exposed = recipe.acquisition.model_dump(mode="json")
+        known = {k: v for k, v in exposed.items() if k in _EARLIER or (k == "brackets" and v)}
+        return (cls._hashed(recipe, known),)
+
+    @classmethod
+    def area_of(cls, record: Record, recipe: SurfaceRecipe) -> dict[str, Any]:
+        """Share, cells and threshold."""
+        rule, area = recipe.area, surface_of(record).area
+        return {
+            "area_share": None if area is None else area.share,
+            "cell_deviation": None if rule is None or area is None else rule.cell_deviation,
+            "cells": None if area is None else area.cells,
+        }
+
+    def area_rule(self, recipe: SurfaceRecipe) -> Any:  # noqa: ANN401 - of the kind
+        """The recipe's table [area]."""
+        return recipe.area
+
+    def judged_text(self, rule: Any) -> str:  # noqa: ANN401 - of the kind
+        """With the threshold of the rule."""
+        return f"at cell_deviation {rule.cell_deviation:g}"
 
 
 def counted(count: int, what: str) -> str:
@@ -128,15 +497,6 @@ def limit_is_given(rule: BaseModel) -> bool:
     return "max_share" in rule.model_fields_set
 
 
-def recipe_key(recipe: SurfaceRecipe) -> str:
-    """Hash of the recipe entries that must agree for contrasts to be comparable.
-
-    Of the acquisition only entries that affect a measurement; entries at their default are omitted, so that a key
-    remains valid when fields are added.
-    """
-    return _hashed(recipe, same_exposure(recipe.acquisition))
-
-
 def same_exposure(acquisition: AcquisitionPart) -> dict[str, Any]:
     """Entries of an acquisition that must agree, without those at their default."""
     exposed = acquisition.model_dump(mode="json", exclude=set(_NO_MATTER))
@@ -144,92 +504,8 @@ def same_exposure(acquisition: AcquisitionPart) -> dict[str, Any]:
     return {name: value for name, value in exposed.items() if value != _plain(usual[name])}
 
 
-def _earlier_key(recipe: SurfaceRecipe) -> str:
-    """Key of earlier versions: of the whole acquisition, as far as there was one."""
-    exposed = recipe.acquisition.model_dump(mode="json")
-    return _hashed(recipe, {k: v for k, v in exposed.items() if k in _EARLIER or (k == "brackets" and v)})
-
-
 def _plain(value: object) -> object:
     return list(value) if isinstance(value, tuple) else value
-
-
-def _hashed(recipe: SurfaceRecipe, acquisition: dict[str, Any]) -> str:
-    stored = recipe.model_dump(mode="json")
-    stored["surface"] = {"pitch_um": stored["surface"]["pitch_um"]}
-    content = {name: stored[name] for name in _MEASURED} | {"acquisition": acquisition}
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
-
-
-def reference_set_in(path: Path, model: type[ReferenceSet], what: str) -> ReferenceSet | None:
-    """Read a file of golden parts; None if there is none.
-
-    Raises:
-        CalibrationError: the file is damaged.
-    """
-    try:
-        return model.model_validate_json(path.read_bytes())
-    except FileNotFoundError:
-        return None
-    except (OSError, ValidationError) as problem:
-        reason = str(problem).splitlines()[0]
-        raise CalibrationError(f"the {what} in {path} cannot be read: {reason}") from problem
-
-
-def read_golden(path: Path, recipe: SurfaceRecipe) -> GoldenSet | None:
-    """The golden parts of a recipe, or None if none were added.
-
-    Raises:
-        CalibrationError: the file is damaged, or belongs to another recipe.
-    """
-    found = reference_set_in(path, GoldenSet, "golden parts")
-    if found is None:
-        return None
-    if found.recipe_key == _earlier_key(recipe):
-        found = found.model_copy(update={"recipe_key": recipe_key(recipe)})
-    if found.recipe_key != recipe_key(recipe):
-        raise CalibrationError(
-            f"the golden parts in {path} were inspected with other poses, region or exposure than the recipe has now: "
-            "inspect good parts anew, add them to an empty set, and delete the old file"
-        )
-    return found
-
-
-def add_part(known: GoldenSet | None, recipe: SurfaceRecipe, record: Record) -> GoldenSet:
-    """A set with one more part.
-
-    Args:
-        known: the set so far, or None.
-        recipe: the recipe of the set.
-        record: of the inspection of a good part.
-
-    Raises:
-        CalibrationError: the inspection was INVALID, was made with other poses, or is in the set already.
-    """
-    poses = tuple((pose.stage_deg, pose.tilt_deg) for pose in recipe.poses.poses())
-    if record.verdict == "INVALID" or not record.poses:
-        raise CalibrationError(f"{record.serial}: an INVALID inspection says nothing about a good part")
-    recorded = tuple((pose.stage_deg, pose.tilt_deg) for pose in record.poses)
-    another = f"{record.serial} was inspected with another recipe (poses, region or exposure differ): inspect it again"
-    try:
-        key, recipe_then = recipe_key(recipe), type(recipe).model_validate(record.recipe, extra="ignore")
-    except ValidationError as problem:  # such as the recipe of another kind of part
-        raise CalibrationError(another) from problem
-    if recorded != poses or recipe_key(recipe_then) != key:
-        raise CalibrationError(another)
-    base = known or GoldenSet(product=recipe.product, recipe_key=key, poses=poses)
-    check_new(base.parts, record)
-    rule, area = recipe_then.area, surface_of(record).area
-    part = GoldenPart(
-        serial=record.serial,
-        inspected_at=record.created_at,
-        log_radiance=tuple(float(np.log(pose.measured)) for pose in record.poses),
-        area_share=None if area is None else area.share,
-        cell_deviation=None if rule is None or area is None else rule.cell_deviation,
-        cells=None if area is None else area.cells,
-        verdict=record.verdict,
-    )
-    return base.model_copy(update={"parts": (*base.parts, part)})
 
 
 def write_golden(path: Path, golden: BaseModel) -> None:
@@ -239,28 +515,3 @@ def write_golden(path: Path, golden: BaseModel) -> None:
         RecordError: the folder cannot be written.
     """
     write_text(path, json.dumps(golden.model_dump(mode="json", by_alias=True), indent=2, allow_nan=False))
-
-
-def without_part(known: ReferenceSet, serial: str, noun: str = "golden part") -> ReferenceSet:
-    """A set, of parts or of prints, without all rows of a serial number.
-
-    Raises:
-        CalibrationError: there is none.
-    """
-    parts: tuple[Any, ...] = known.parts  # type: ignore[attr-defined]
-    others = tuple(part for part in parts if part.serial != serial)
-    if len(others) == len(parts):
-        raise CalibrationError(f"there is no {noun} {serial}")
-    return known.model_copy(update={"parts": others})
-
-
-def check_new(parts: Sequence[Any], record: Record) -> None:
-    """Check that an inspection is not in the set yet.
-
-    Raises:
-        CalibrationError: it is.
-    """
-    if any((part.serial, part.inspected_at) == (record.serial, record.created_at) for part in parts):
-        raise CalibrationError(
-            f"this inspection of {record.serial} ({record.created_at}) is in the set already"
-        )

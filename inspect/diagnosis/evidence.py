@@ -94,16 +94,17 @@ def against(evidence: Evidence, golden: FloatArray, scale_share: float) -> Evide
 
     Args:
         evidence: against the prediction.
-        golden: (n, P) ln L of golden parts over the predicted ones, n > 1.
+        golden: (n, P) ln L of golden parts over the predicted ones, n ≥ 1.
         scale_share: relative standard uncertainty of a scale that all poses share: golden parts need not show it.
     """
     count, poses = golden.shape
     mean, stated = golden.mean(axis=0), evidence.stated()
     root = root_of(stated)
-    own = np.cov(golden, rowvar=False) + scale_share**2
+    own = (np.cov(golden, rowvar=False) if count > 1 else np.zeros_like(root)) + scale_share**2
     whitened = np.linalg.solve(root, np.linalg.solve(root, own).T)
-    freedom = float(poses + count - 1)
-    scatter = (poses * np.eye(poses) + (count - 1) * whitened) / freedom * (1.0 + 1.0 / count)
+    known = float(poses + count - 1)
+    scatter = (poses * np.eye(poses) + (count - 1) * whitened) / known * (1.0 + 1.0 / count)
+    freedom = max(known, poses + 1.0)  # a share of the area is one value more than there are poses
     off = mean - np.median(mean)
     learnt = Learnt(scatter, freedom, np.hypot(off, np.sqrt(np.mean(off**2))))
     return replace(evidence, deviation=evidence.deviation - mean, learnt=learnt)

@@ -48,6 +48,24 @@ def nothing(evidence: Evidence) -> Fitted:
     return Fitted(0.0, 0.0, float(chi2[0]), float(cost[0]))
 
 
+def unspecific(evidence: Evidence, spread: float) -> Fitted:
+    """Fit of a cause that changes every pose by itself, and the share of deviating cells, by an unknown amount.
+
+    Args:
+        evidence: what was measured.
+        spread: standard deviation of ln L of each pose by it; of the share a third of that.
+    """
+    poses = len(evidence.deviation)
+    covariance = evidence.good + spread**2 * np.eye(poses)
+    chi2, size = _quadratic(covariance[None], evidence.deviation[None])
+    cost = _minus_two_ln(chi2, evidence) + size
+    if evidence.share is not None:
+        variance = evidence.share_variance(np.zeros(1)) + (spread / 3.0) ** 2
+        off = (evidence.share - evidence.background) ** 2 / variance
+        chi2, cost = chi2 + off, cost + off + np.log(variance)
+    return Fitted(0.0, float("inf"), float(chi2[0]), float(cost[0]))
+
+
 def fit_extent(signature: Signature, evidence: Evidence, *, as_input: bool = False) -> Fitted:
     """Best extent of a cause.
 

@@ -1,12 +1,17 @@
 """Ranking of the causes of a deviation by the maximum likelihood along every signature.
 
 d = ln L measured − predicted has the covariance V of measurement and prediction together, with the scale of the white
-reference as one more shared term, and the doubt of the signature, independent in every pose. Along each signature g(e)
-the extent e of maximum likelihood is found (`anisoscope.diagnosis.likelihood`), to which the share of deviating cells
-adds one more datum. Causes are ranked by the Bayesian information criterion (Schwarz 1978). Causes within 3σ of the
-best are reported as ties. An extent that is an input of the prediction too, such as a roughness, is then fitted again
-without the uncertainty of that input in V. With golden parts d is the distance from their mean, and V combines their
-scatter with the budget (`anisoscope.diagnosis.evidence.Learnt`).
+reference as one more shared term, and the error of the signature, independent in every pose. Along each signature g(e)
+the extent e of maximum likelihood is found (`anisoscope.diagnosis.likelihood`); the share of deviating cells adds one
+more datum. Causes are ranked by the Bayesian information criterion (Schwarz 1978). Causes within 3σ of the best are
+reported as ties. An extent that is also an input of the prediction, such as a roughness, is then fitted again without
+the uncertainty of that input in V. With golden parts d is the distance from their mean, and V combines their scatter
+with the budget (`anisoscope.diagnosis.evidence.Learnt`).
+
+A position of part or lamp that the recipe bounds by a standard uncertainty u has a prior: Cauchy's distribution of
+scale u, whose tails allow a part that is not pressed home, but rank it behind a defect that explains the poses as
+well. Ties are by the likelihood alone. One more hypothesis, "something else", changes every pose by itself, normally
+with `SOMETHING_ELSE` in ln L: where it is likelier than all causes, none of them has a large weight.
 """
 
 from dataclasses import dataclass, replace
@@ -14,11 +19,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from anisoscope.diagnosis.evidence import Evidence
-from anisoscope.diagnosis.likelihood import Fitted, fit_extent, interval, nothing
+from anisoscope.diagnosis.likelihood import Fitted, fit_extent, interval, nothing, unspecific
 from anisoscope.diagnosis.signatures import Signature, Signatures
 from anisoscope.record.schema import CauseRecord
 
 NOTHING = "nothing"
+OTHER = "something-else"
+SOMETHING_ELSE = 0.3
+"""Standard deviation of ln L in each pose by an unknown cause; of the share of deviating cells a third of it."""
 TIE = 9.0  # 3σ in χ² for one parameter
 _SAME = 1e-9
 
@@ -54,14 +62,44 @@ def diagnose(known: Signatures, evidence: Evidence) -> Diagnosis:
     data = len(evidence.deviation) + (evidence.share is not None)
     rows: list[tuple[Signature | None, Fitted]] = [(None, nothing(evidence))]
     rows += [(signature, _fitted(signature, evidence)) for signature in known.found]
-    bic = np.array([fit.cost + (one is not None) * np.log(data) for one, fit in rows])
-    weight = np.exp(-0.5 * (bic - bic.min()))
+    bic = np.array([fit.cost + _penalty(one, fit, evidence, data) for one, fit in rows])
+    other = unspecific(evidence, SOMETHING_ELSE)
+    weight = np.exp(-0.5 * (np.append(bic, other.cost) - min(bic.min(), other.cost)))
     weight /= weight.sum()
     order = np.argsort(bic, kind="stable")
     best, good = rows[order[0]], rows[0][1]
-    causes = tuple(_cause(rows[k], weight[k], best[1], good, evidence) for k in order)
+    nearest = min((rows[k][1] for k in order), key=lambda fit: fit.cost)
+    causes = [_cause(rows[k], weight[k], best[1], nearest, good, evidence) for k in order]
+    place = int(np.count_nonzero(bic <= other.cost))
+    causes.insert(max(place, 1), _something_else(other, weight[-1]))
     dof = max(data - (best[0] is not None), 1)
-    return Diagnosis(causes, _chance(best[1].chi2, dof, evidence))
+    return Diagnosis(tuple(causes), _chance(best[1].chi2, dof, evidence))
+
+
+def _penalty(signature: Signature | None, fit: Fitted, evidence: Evidence, data: int) -> float:
+    """Penalty of a free extent by BIC, and −2 ln of the prior of a position that the recipe bounds."""
+    if signature is None:
+        return 0.0
+    penalty = float(np.log(data))
+    if signature.cause.group == "rig" and evidence.inputs is not None:
+        u = evidence.inputs.u.get(signature.cause.source, 0.0)
+        penalty += 2.0 * float(np.log1p((fit.extent / u) ** 2)) if u > 0.0 else 0.0
+    return penalty
+
+
+def _something_else(fit: Fitted, weight: float) -> CauseRecord:
+    return CauseRecord(
+        cause=OTHER,
+        title="something else: none of these causes",
+        unit="",
+        severity=0.0,
+        u=None,
+        interval=None,
+        weight=weight,
+        chi2=fit.chi2,
+        at_bound=False,
+        tie=False,
+    )
 
 
 def _chance(left: float, dof: int, evidence: Evidence) -> float:
@@ -75,12 +113,17 @@ def _chance(left: float, dof: int, evidence: Evidence) -> float:
 
 
 def _cause(
-    row: tuple[Signature | None, Fitted], weight: float, best: Fitted, good: Fitted, evidence: Evidence
+    row: tuple[Signature | None, Fitted],
+    weight: float,
+    first: Fitted,
+    nearest: Fitted,
+    good: Fitted,
+    evidence: Evidence,
 ) -> CauseRecord:
     signature, fit = row
     # a cause that fits no better than "nothing" is excluded, however little the best one explains
     explains = signature is None or good.cost - fit.cost > _SAME
-    tie = fit is best or (fit.cost - best.cost < TIE and explains)
+    tie = fit is first or (fit.cost - nearest.cost < TIE and explains)
     if signature is None:
         return CauseRecord(
             cause=NOTHING,

@@ -5,11 +5,12 @@ the Fisher information of the poses along the curved signatures instead of their
 signatures.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.json_fields import in_json, json_field
 from anisoscope.diagnosis.evidence import Inputs, covariance_of, inputs_of, share_variance, whitening
 from anisoscope.diagnosis.signatures import Signature, Signatures
 from anisoscope.prediction.expectation import Component, Expectation
@@ -37,16 +38,18 @@ class Separability:
     title: str
     unit: str
     group: str
-    detection_extent: float | None
-    separation_extents: dict[str, float | None]
+    detection_extent: float | None = field(metadata=json_field("shows_from"))
+    separation_extents: dict[str, float | None] = field(metadata=json_field("told_from"))
     greatest: float
 
     @property
+    @in_json("never_told_from")
     def inseparable_causes(self) -> tuple[str, ...]:
         """Causes that cannot be separated from this one at any extent computed."""
         return tuple(name for name, extent in self.separation_extents.items() if extent is None)
 
     @property
+    @in_json("told_apart_from")
     def separation_extent(self) -> float | None:
         """Least extent at which the cause is separated from all others, or None if there is none."""
         extents = [abs(extent) for extent in self.separation_extents.values() if extent is not None]

@@ -11,7 +11,7 @@ from anisoscope.base.significance import log_basis
 from anisoscope.fit.fitting import Fit, fit
 from anisoscope.fit.identifiability import information
 from anisoscope.fit.parameters import PARAMETERS, checked_values
-from anisoscope.fit.problem import Problem, Readings, Scene
+from anisoscope.fit.problem import Problem, Readings, Scene, interface_alpha
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.prediction.expectation import Expectation
 from anisoscope.recipe.surface import SurfaceRecipe
@@ -71,11 +71,13 @@ def _problem(
         to_light,
         to_camera,
         wall="perpendicular" if design is None else design.wall,
+        bounces=recipe.surface.bounces,
         internal_reflection=material.internal_reflection,
         poses=expected.poses,
         convention=expected.convention,
     )
     values = checked_values(nominal)
+    scene = scene.anchored(values, interface_alpha(values))
     readings = Readings(
         kind="log_ratio",
         first=np.arange(1, poses),

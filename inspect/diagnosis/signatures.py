@@ -3,6 +3,9 @@
 Each defect is applied to the recipe's surface in steps of its extent and predicted like the good surface
 (`anisoscope.sim.light`); the difference of the two is its signature. Random defects have the same places in every step.
 Defects that are uniform along the ridges of a design are computed on a profile fine enough for rounded edges.
+
+Light that reflects more than once is that of the groove that the cause leaves: turned with the ridge angle, shortened
+by wear and by incomplete filling, rougher with its facets; unchanged by local defects.
 """
 
 import contextlib
@@ -23,8 +26,19 @@ from anisoscope.imaging.deviation_map import cell_deviations
 from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH
 from anisoscope.prediction.expectation import nominal_shape, recipe_uncertainty
 from anisoscope.prediction.height_map_uncertainty import best_band, relief_model
+from anisoscope.prediction.reflections import (
+    LARGEST_ANGLE_DEG,
+    LEAST_ANGLE_DEG,
+    Followed,
+    Groove,
+    StandIn,
+    added,
+    groove_of_design,
+    reflections_of_map,
+)
 from anisoscope.prediction.relief_preparation import prepare_relief
 from anisoscope.prediction.sensitivity import Model, Shape, State, Surface, evaluate, fixed
+from anisoscope.profiles.defect_injection import DEFECTS
 from anisoscope.profiles.files.load import read_height_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign, ridges
@@ -45,6 +59,7 @@ TABLE = 193
 PROFILE_PITCHES = 6
 PROFILE_PIXEL_UM = 0.34  # the largest ball that rolls along edges may have 60 points in its radius
 PROFILE_POINTS = (50, 1500)  # a pitch, at least and at most
+MOST_SHORTENED = 0.9  # share of the height of a groove that wear takes at most
 DOUBT_ON_MAPS = 0.3  # of changes at edges that lie between the points of a map
 DOUBTFUL = 0.2
 """Doubt of a signature from which on it hides how differently the inputs act on the spoiled surface."""
@@ -149,7 +164,7 @@ def signatures(
     """
     recipe = recipe.deciding()
     scene = _Scene(recipe, light_angle_deg)
-    good, good_share = scene.look(scene.surface, scene.state, with_map=True)
+    good, good_share = scene.look(scene.surface, scene.state, scene.groove, with_map=True)
     if np.isnan(good_share):  # a recipe without limit of the area has no map
         good_share = 0.0
     design = recipe.surface.design
@@ -174,16 +189,20 @@ def _signature(scene: "_Scene", cause: Cause, good: FloatArray, good_share: floa
     profile = scene.profile if cause.name in EXTRUDED else None
     if profile is None and cause.name in EXTRUDED and cause.name != "ridge-angle":
         cause = replace(cause, doubt=DOUBT_ON_MAPS)
-    base = good if profile is None else scene.look_along(profile)
+    base = good if profile is None else scene.look_along(profile, scene.groove)
     for extent in cause.extents:
         share = good_share
         if extent == 0.0:
             radiance = base
         elif profile is not None:
-            radiance = scene.look_along(cause.change(profile, scene.state, extent)[0])
+            radiance = scene.look_along(
+                cause.change(profile, scene.state, extent)[0], scene.groove_with(cause, extent)
+            )
         else:
             surface, state = cause.change(scene.surface, scene.state, extent)
-            radiance, share = scene.look(surface, state, with_map=cause.group in ("shape", "area"))
+            radiance, share = scene.look(
+                surface, state, scene.groove_with(cause, extent), with_map=cause.group in ("shape", "area")
+            )
             share = good_share if np.isnan(share) else share
         if np.any(radiance <= 0.0):
             continue
@@ -209,11 +228,51 @@ class _Scene:
         self.turning = recipe_uncertainty(recipe).ridge_angle_deg > 0.0
         self.surface = _measured(recipe) if self.design is None else _ideal(self.design)
         self.profile = None if self.design is None else _profile(self.design)
+        self.groove, self._followed = self._reflections(recipe.surface.bounces)
+        sides = directions(self.poses, Convention(light_angle_deg, facet_azimuth_deg=self.azimuth_deg))
+        nominal = *sides, self.state.material
+        self._stand_in = None if self.groove is None else StandIn(self.groove, *nominal)
+        self._constant = None if self._followed is None else self._followed.light(*nominal)
 
-    def look_along(self, profile: HeightMap) -> FloatArray:
+    def _reflections(self, bounces: int | None) -> tuple[Groove | None, Followed | None]:
+        """The groove of the good surface, or paths on it where there is none."""
+        if self.design is not None:
+            return groove_of_design(self.design, bounces), None
+        found = reflections_of_map(Relief(self.surface, self.pitch_um, max_missing_share=1.0), bounces)
+        return (None, found) if isinstance(found, Followed) else (found, None)
+
+    def groove_with(self, cause: Cause, extent: float) -> Groove | None:
+        """The groove that a cause leaves; local defects leave it as it is."""
+        groove = self.groove
+        if groove is None or extent == 0.0:
+            return groove
+        angle_deg = groove.design.ridge_angle_deg
+        if cause.name == "ridge-angle":
+            return groove.turned(float(np.clip(angle_deg + extent, LEAST_ANGLE_DEG, LARGEST_ANGLE_DEG)))
+        if cause.name == "wear":
+            side_um = self.pitch_um * np.sin(np.radians(angle_deg))
+            return groove.shortened(float(min(MOST_SHORTENED, extent / side_um)))
+        if cause.name == "incomplete-filling":
+            return groove.shortened(extent)
+        if cause.name == "rough-facets":
+            along = next(s.default for s in DEFECTS[cause.name].settings if s.name == "along_share")
+            resolved = groove.resolved
+            rougher = np.hypot(resolved[0], along * extent), np.hypot(resolved[1], extent)
+            return replace(groove, resolved=(float(rougher[0]), float(rougher[1])))
+        return groove
+
+    def _with_reflections(self, direct: Model, groove: Groove | None) -> Model:
+        """Predictor of the light that a surface and its groove reflect."""
+        if groove is not None:
+            assert self._stand_in is not None
+            return added(direct, self._stand_in.of(groove))
+        return direct
+
+    def look_along(self, profile: HeightMap, groove: Groove | None) -> FloatArray:
         """(P,) radiances of ridges that are uniform along their length."""
         convention = Convention(self.state.light_angle_deg, facet_azimuth_deg=self.azimuth_deg)
-        return self._along(profile)(*directions(self.poses, convention), self.state.material)
+        model = self._with_reflections(self._along(profile), groove)
+        return model(*directions(self.poses, convention), self.state.material)
 
     def _along(self, profile: HeightMap) -> Model:
         """Predictor of ridges that are uniform along their length, from the inner ones."""
@@ -252,32 +311,43 @@ class _Scene:
         base = self.profile if along else self.surface
         assert base is not None
         surface, state = cause.change(base, self.state, extent)
-        nominal = predictor(surface)
+        groove = self.groove_with(cause, extent)
+        nominal = self._with_reflections(predictor(surface), groove)
 
         def shaped(shape: Shape) -> Model:
             if self.design is None or shape == self.state.shape:
                 return nominal
             turned = replace(self.design, ridge_angle_deg=shape.ridge_angle_deg)
             good = _profile(turned) if along else _ideal(turned)
-            return predictor(cause.change(good, self.state, extent)[0])
+            step = shape.ridge_angle_deg - self.state.shape.ridge_angle_deg
+            steeper = groove and groove.turned(max(groove.design.ridge_angle_deg + step, LEAST_ANGLE_DEG))
+            return self._with_reflections(predictor(cause.change(good, self.state, extent)[0]), steeper)
 
         return shaped, state
 
-    def look(self, surface: HeightMap, state: State, *, with_map: bool) -> tuple[FloatArray, float]:
+    def look(
+        self, surface: HeightMap, state: State, groove: Groove | None, *, with_map: bool
+    ) -> tuple[FloatArray, float]:
         """(P,) radiances, and the share of deviating cells (NaN without map)."""
         relief = Relief(surface, self.pitch_um, max_missing_share=1.0)
         convention = Convention(state.light_angle_deg, facet_azimuth_deg=self.azimuth_deg)
         if not with_map or self.cell_deviation is None:
-            model = fixed(relief_model(relief))
-            return evaluate(model, [state], self.poses, convention)[0], float("nan")
+            model = fixed(self._with_reflections(relief_model(relief), groove))
+            found = evaluate(model, [state], self.poses, convention)[0]
+            return found if self._constant is None else found + self._constant, float("nan")
         seat = seating_rotation(*state.seating_deg)
         to_light, to_camera = (side @ seat for side in directions(self.poses, convention))
+        indirect = np.zeros(len(self.poses)) if self._constant is None else self._constant
+        if groove is not None:
+            assert self._stand_in is not None
+            indirect = self._stand_in.of(groove)(to_light, to_camera, state.material)
         weights = relief.column_weights()
         means, cells = [], []
-        for radiance in radiance_maps(relief, to_light, to_camera, state.material):
+        maps = radiance_maps(relief, to_light, to_camera, state.material)
+        for radiance, reflected in zip(maps, indirect, strict=True):
             column = np.nanmean(radiance, axis=0, dtype=np.float64)
-            means.append(float(np.sum(column * weights) / np.sum(weights)))
-            cells.append(self._cells(radiance, surface))
+            means.append(float(np.sum(column * weights) / np.sum(weights)) + float(reflected))
+            cells.append(self._cells(radiance, surface) + reflected)
         return np.array(means), self._deviating(np.array(cells))
 
     def _cells(self, radiance: npt.NDArray[np.float32], surface: HeightMap) -> FloatArray:

@@ -76,7 +76,7 @@ class _SharedTables(Material):
 
 
 def findings_share(setup: Setup, alpha_along: FloatArray, alpha_across: FloatArray) -> FindingsMap:
-    """Ask for the three findings at every pair of roughnesses.
+    """Evaluate the three findings at every pair of roughnesses.
 
     The share depends on the grid: it is a measure of how far the findings carry, not a probability. Each
     roughness is computed for all poses at once; equal √(α_u·α_v), as of grids even in the logarithm, share the

@@ -1,7 +1,7 @@
 """Weighted nonlinear least squares of the reflectance models; reports only parameters determined by the data.
 
 Starts are the best of a fixed grid of ridge angles and roughnesses, so that the same data always give the same
-fit. The search runs in direct light and ends with the reflections asked for.
+fit. The search counts two reflections, coarsely integrated, and ends with the reflections asked for.
 """
 
 from collections.abc import Mapping
@@ -209,6 +209,7 @@ def _apart(names: tuple[str, ...], one: Mapping[str, float], other: Mapping[str,
 
 
 STARTS = 3
+ANCHORINGS = 2  # of the third and further reflections to the values found
 HOPELESS = 10.0  # limits of uncertainty from which on index or albedo are not tried
 _AT_BOUND = 1e-6
 
@@ -338,16 +339,19 @@ def fit(problem: Problem, advance: Advance = silent, starts: int = STARTS) -> Fi
     weight = whitening(problem.readings.covariance)
     if not problem.free:
         return _result(problem, dict(problem.values), weight, ())
-    quick = replace(problem, scene=problem.scene.direct())
+    quick = replace(problem, scene=problem.scene.coarse())
     searched = tuple(name for name in problem.free if name not in OPTICS) or problem.free
     found = search(replace(quick, free=searched), weight, starts, advance)
     if any(name in problem.free for name in OPTICS):
         found = _with_optics(quick, found, weight, advance)
     rivals = rivals_of(quick, found)
     values = found[0][0]
-    if problem.scene.bounces != 1:
-        advance("all reflections asked for", 1, 2)
-        values = minimise(problem, values, weight)[0]
+    if problem.scene.follows:
+        for _ in range(ANCHORINGS):
+            advance("all reflections", 1, 2)
+            scene = problem.scene.anchored(values, interface_alpha(values))
+            problem = replace(problem, scene=scene)
+            values = minimise(problem, values, weight)[0]
     return _result(problem, values, weight, rivals)
 
 

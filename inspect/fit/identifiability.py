@@ -167,7 +167,15 @@ def helping_measurement(problem: Problem, values: Mapping[str, float], noise: Fl
     here = _sensitivity(problem, values, noise)
     for words, poses in _candidates(scene.poses):
         to_light, to_camera = directions(poses, scene.convention)
-        extra = replace(scene, to_light=to_light, to_camera=to_camera, poses=poses, ridge_angles_deg=None)
+        extra = replace(
+            scene,
+            to_light=to_light,
+            to_camera=to_camera,
+            poses=poses,
+            ridge_angles_deg=None,
+            bounces=2 if scene.follows else scene.bounces,  # a sensitivity needs no more
+            higher=None,
+        )
         readings = _imagined(problem.readings, poses)
         trial = replace(problem, scene=extra, readings=readings)
         light = extra.radiance(values, interface_alpha(values))

@@ -60,9 +60,10 @@ PARAMETERS = {
         Parameter("k", "scale k", "value·sr", 1e-30, 1e30, 1.0, 1e-3, 0.5, True),
         Parameter("albedo", "albedo", "", 0.0, 1.0, 0.2, 1e-3, 0.15),
         Parameter("index", "refractive index", "", 1.05, 3.5, 1.5, 1e-3, 0.15),
+        Parameter("tail", "tail of the lobe", "", 0.0, 1.6, 0.0, 1e-2, 0.3),
     )
 }
-GEOMETRY = tuple(name for name in PARAMETERS if name not in ("albedo", "index"))
+GEOMETRY = tuple(name for name in PARAMETERS if name not in ("albedo", "index", "tail"))
 OPTICS = ("albedo", "index")
 USUAL = ("ridge_angle_deg", "alpha_along", "alpha_across", "k")
 
@@ -70,7 +71,7 @@ USUAL = ("ridge_angle_deg", "alpha_along", "alpha_across", "k")
 def parse_free(text: str) -> tuple[str, ...]:
     """Names of a comma-separated list, in the order of `PARAMETERS`; the unit may be left out.
 
-    "all" stands for everything but albedo and index, "none" for nothing.
+    "all" stands for everything but albedo, index and tail, "none" for nothing.
 
     Raises:
         UsageError: an unknown name.

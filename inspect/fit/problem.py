@@ -11,6 +11,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
 from anisoscope.profiles.ideal import RidgeDesign, Wall
 from anisoscope.sim.light import corrected, printed
+from anisoscope.sim.light.bounces import NODES, interreflection
 from anisoscope.sim.light.geometry import Convention, Pose, seating_rotation
 from anisoscope.sim.light.material import InternalReflection, Material
 
@@ -22,6 +23,7 @@ SCALED: tuple[Kind, ...] = ("exposure", "brdf", "difference", "absolute")
 RATIOS: tuple[Kind, ...] = ("michelson", "log_ratio")
 HORIZON = 1e-3
 DARK = 1e-300  # keeps logarithms finite where the printed model is black
+COARSE_NODES = 3  # per panel, for a search
 _ALPHA_GRID = 0.01
 _INDEX_STEP = 0.05
 
@@ -60,6 +62,9 @@ class Scene:
         to_camera: (P, 3) unit vectors.
         model: "printed" or "corrected".
         bounces: reflections counted by the corrected model; None is all.
+        nodes: Gauss-Legendre nodes per panel for two reflections.
+        higher: (P,) ratio of all reflections to two, which stands for the third and further ones; None: they are
+            followed.
         wall: of the ridges.
         internal_reflection: as in `Material`.
         ridge_angles_deg: (P,) ridge angles where several parts were measured; None: the parameter is used.
@@ -70,7 +75,9 @@ class Scene:
     to_light: FloatArray
     to_camera: FloatArray
     model: Model = "corrected"
-    bounces: int | None = 1
+    bounces: int | None = None
+    nodes: int = NODES
+    higher: FloatArray | None = None
     wall: Wall = "perpendicular"
     internal_reflection: InternalReflection = "nonlinear"
     ridge_angles_deg: FloatArray | None = None
@@ -92,7 +99,8 @@ class Scene:
             values["albedo"],
             values["index"],
             self.internal_reflection,
-            interface,
+            tail=values.get("tail", 0.0),
+            interface_alpha=interface,
         )
         above = (light[:, 2] > HORIZON) & (camera[:, 2] > HORIZON)
         angles = self.ridge_angles_deg
@@ -103,18 +111,44 @@ class Scene:
             here = above & (angles == angle)
             design = RidgeDesign(100.0, float(angle), self.wall, values["height_loss"])
             found[here] = self._one_part(light[here], camera[here], design, material)
+            if self.follows:
+                indirect = self._indirect(light[here], camera[here], design, material)
+                found[here] += indirect if self.higher is None else indirect * self.higher[here]
         return found
+
+    @property
+    def follows(self) -> bool:
+        """Whether light that reflects more than once counts."""
+        return self.model == "corrected" and self.bounces != 1
 
     def _one_part(
         self, light: FloatArray, camera: FloatArray, design: RidgeDesign, material: Material
     ) -> FloatArray:
         if self.model == "printed":
             return printed.radiance(light, camera, design, material)
-        return corrected.radiance(light, camera, design, material, bounces=self.bounces)
+        return corrected.radiance(light, camera, design, material)
 
-    def direct(self) -> "Scene":
-        """The same with direct light only."""
-        return self if self.bounces == 1 else replace(self, bounces=1)
+    def _indirect(
+        self, light: FloatArray, camera: FloatArray, design: RidgeDesign, material: Material
+    ) -> FloatArray:
+        bounces = self.bounces if self.higher is None else 2
+        return interreflection(light, camera, design, material, bounces, self.nodes)
+
+    def coarse(self) -> "Scene":
+        """The same with two reflections at most, coarsely integrated: for a search."""
+        return replace(self, bounces=2, nodes=COARSE_NODES, higher=None) if self.follows else self
+
+    def anchored(self, values: Mapping[str, float], interface: float) -> "Scene":
+        """The same with third and further reflections as a share of two, as it is at the given values."""
+        if not self.follows or self.bounces == 2:
+            return self
+        direct, two, found = (
+            replace(self, bounces=count, higher=None).radiance(values, interface)
+            for count in (1, 2, self.bounces)
+        )
+        lit = two - direct > DARK
+        ratio = np.where(lit, found - direct, 1.0) / np.where(lit, two - direct, 1.0)
+        return replace(self, higher=ratio)
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,6 +241,10 @@ class Problem:
             )
         if self.scene.model == "printed" and "height_loss" in self.free:
             raise UsageError("the printed model knows no height loss: leave it out of --free")
+        if self.scene.model == "printed" and self.values.get("tail", 0.0) + ("tail" in self.free) > 0.0:
+            raise UsageError(
+                "the printed model has Beckmann's lobe: leave the tail out, or take --model corrected"
+            )
         if "k" in self.free and not self.readings.scaled:
             raise UsageError("k cancels in ratio contrasts: leave it out of --free")
         if self.scene.ridge_angles_deg is not None and "ridge_angle_deg" in self.free:

@@ -182,7 +182,8 @@ def experiment_problem(
     Args:
         measured: (ridge angle, tilt, pair) contrasts, NaN where not measured (`measured_table.read_measured`).
         convention: how the angles are counted.
-        optics: keywords of `Scene`: model, bounces, wall, internal_reflection.
+        optics: keywords of `Scene`: model, bounces (1 by default, as `experiment.Setup` predicts), wall,
+            internal_reflection.
         values: all parameters.
         free: the free ones.
 
@@ -193,7 +194,8 @@ def experiment_problem(
     poses = grid * len(RIDGE_ANGLES_DEG)
     to_light, to_camera = directions(poses, convention)
     angles = np.repeat(RIDGE_ANGLES_DEG, len(grid))
-    scene = Scene(to_light, to_camera, ridge_angles_deg=angles, poses=poses, convention=convention, **optics)
+    light = {"bounces": 1} | dict(optics)
+    scene = Scene(to_light, to_camera, ridge_angles_deg=angles, poses=poses, convention=convention, **light)
     first, labels, value = [], [], []
     for (a, t, p), (angle, tilt, start, end) in combinations():
         if np.isfinite(measured[a, t, p]):

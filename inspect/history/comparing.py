@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from anisoscope.base.errors import RecordError
+from anisoscope.base.json_fields import in_json
 from anisoscope.history.rows import Row, seal_of
 from anisoscope.record.schema import Record, read_record
 
@@ -34,6 +35,7 @@ class Compared:
     u: float | None
 
     @property
+    @in_json()
     def ratio(self) -> float | None:
         """The difference in units of its uncertainty."""
         return None if self.difference is None or not self.u else self.difference / self.u

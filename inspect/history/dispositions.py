@@ -1,11 +1,12 @@
 """Dispositions: decisions of a reviewer about an inspection, as rows of their own; the verdict is unchanged."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Literal, get_args
 
 from anisoscope.base.errors import UsageError
-from anisoscope.history.rows import storable
+from anisoscope.base.json_fields import LEFT_OUT, json_field
+from anisoscope.history.rows import storable, utc_text
 
 Decision = Literal["accept", "reject", "rework", "remeasure", "hold"]
 DECISIONS: tuple[str, ...] = get_args(Decision)
@@ -27,8 +28,8 @@ class Disposition:
     """
 
     id: int
-    inspection: int
-    created_at: datetime
+    inspection: int = field(metadata=LEFT_OUT)
+    created_at: datetime = field(metadata=json_field(by=utc_text))
     reviewer: str
     decision: str
     comment: str

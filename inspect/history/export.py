@@ -5,12 +5,12 @@ import io
 import json
 import re
 from collections.abc import Mapping, Sequence
-from datetime import UTC
 from typing import Any
 from xml.etree import ElementTree as ET
 
+from anisoscope.base.json_fields import as_json, fields_of
 from anisoscope.history.dispositions import Disposition
-from anisoscope.history.rows import Row
+from anisoscope.history.rows import Row, utc_text
 
 Dispositions = Mapping[int, Sequence[Disposition]]
 _TEXTS = ("serial", "product", "recipe", "lot", "cavity", "station", "operator", "verdict")
@@ -20,32 +20,14 @@ _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
-def as_json(row: Row, dispositions: Sequence[Disposition] = ()) -> dict[str, Any]:
-    """One inspection as a table that JSON can hold; times are UTC in ISO 8601."""
-    texts = {name: getattr(row, name) for name in _TEXTS}
-    return {
-        "id": row.id,
-        "created_at": _iso(row.created_at),
-        **texts,
-        "reasons": list(row.reasons),
-        **{name: getattr(row, name) for name in _LATER},
-        "numbers": dict(row.numbers),
-        "dispositions": [_disposition(one) for one in dispositions],
-    }
-
-
-def _disposition(one: Disposition) -> dict[str, Any]:
-    names = ("id", "reviewer", "decision", "comment", "hash")
-    return {"created_at": _iso(one.created_at), **{name: getattr(one, name) for name in names}}
-
-
-def _iso(moment: Any) -> str:  # noqa: ANN401
-    return str(moment.astimezone(UTC).isoformat(timespec="microseconds"))
+def with_dispositions(row: Row, dispositions: Sequence[Disposition] = ()) -> dict[str, Any]:
+    """One inspection with what was decided about it, for JSON."""
+    return {"id": row.id} | fields_of(row) | {"dispositions": list(dispositions)}
 
 
 def to_json(rows: Sequence[Row], dispositions: Dispositions) -> str:
     """All inspections as a JSON list."""
-    listed = [as_json(row, dispositions.get(row.id, ())) for row in rows]
+    listed = as_json([with_dispositions(row, dispositions.get(row.id, ())) for row in rows])
     return json.dumps(listed, indent=1, allow_nan=False) + "\n"
 
 
@@ -65,7 +47,7 @@ def to_csv(rows: Sequence[Row], dispositions: Dispositions) -> str:
         texts = [getattr(row, name) or "" for name in _TEXTS]
         texts += ["; ".join(row.reasons), *(getattr(row, name) for name in _LATER), *decided]
         numbers = [repr(row.numbers[label]) if label in row.numbers else "" for label in labels]
-        table.writerow([row.id, _iso(row.created_at), *map(_cell, texts), *numbers])
+        table.writerow([row.id, utc_text(row.created_at), *map(_cell, texts), *numbers])
     return text.getvalue()
 
 
@@ -95,7 +77,7 @@ _TOTALS = {"failures": "FAIL", "errors": "INVALID", "skipped": "INCONCLUSIVE"}
 
 
 def _suite(product: str, rows: Sequence[Row]) -> dict[str, str]:
-    return {"name": _xml(product), "timestamp": _iso(rows[0].created_at)}
+    return {"name": _xml(product), "timestamp": utc_text(rows[0].created_at)}
 
 
 def _count(root: ET.Element, rows: Sequence[Row]) -> None:
@@ -117,7 +99,7 @@ def _case(suite: ET.Element, row: Row, dispositions: Sequence[Disposition]) -> N
         if row.verdict != "INCONCLUSIVE":
             outcome.set("type", row.verdict)
             outcome.text = "\n".join(f"{label} = {value:g}" for label, value in row.numbers.items())
-    lines = [f"folder: {row.folder}", f"created at: {_iso(row.created_at)}"]
+    lines = [f"folder: {row.folder}", f"created at: {utc_text(row.created_at)}"]
     lines += [
         f"{name}: {getattr(row, name)}"
         for name in ("lot", "cavity", "station", "operator")

@@ -3,16 +3,22 @@
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
 from anisoscope.base.errors import RecordError
+from anisoscope.base.json_fields import json_field
 from anisoscope.record.schema import RECORD_NAME, Record, sha256_of
 
 RECIPE_DIGITS = 12
 MAX_TEXT = 200
 MAX_REASONS = 240
+
+
+def utc_text(moment: datetime) -> str:
+    """A moment in UTC as ISO 8601, to the microsecond."""
+    return moment.astimezone(UTC).isoformat(timespec="microseconds")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +39,7 @@ class NewRow:
         numbers: what was measured, by label: see :func:`numbers_of`.
     """
 
-    created_at: datetime
+    created_at: datetime = field(metadata=json_field(by=utc_text))
     serial: str
     product: str
     recipe: str

@@ -16,6 +16,9 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 
 MIN_PARTS = 10
+"""Number of parts from which their limit replaces the usual one."""
+LEAST_PARTS = 3
+"""Number of parts from which a limit is defined; of a few it counts where it is the narrower one."""
 
 
 def learnt_limit(shares: Sequence[float], cells: int, alpha: float) -> float | None:
@@ -27,9 +30,9 @@ def learnt_limit(shares: Sequence[float], cells: int, alpha: float) -> float | N
         alpha: chance that a good part exceeds the limit.
 
     Returns:
-        The limit; None for fewer than `MIN_PARTS` parts. Never less than the largest share of a golden part.
+        The limit; None for fewer than `LEAST_PARTS` parts. Never less than the largest share of a golden part.
     """
-    if len(shares) < MIN_PARTS:
+    if len(shares) < LEAST_PARTS:
         return None
     found = np.asarray(shares, dtype=np.float64)
     limit = max(_gamma_limit(found, alpha), _counting_limit(found, cells, alpha), float(found.max()))
@@ -41,7 +44,7 @@ class KnownShares:
     """Shares of deviating cells of the golden parts.
 
     Attributes:
-        shares: one a part, 0 to 1; at least `MIN_PARTS`.
+        shares: one a part, 0 to 1; at least `LEAST_PARTS`.
         cells: how many cells the contrast map has.
     """
 

@@ -20,7 +20,6 @@ import numpy.typing as npt
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import AnisoscopeError, RegistrationError
 from anisoscope.imaging.pose_radiance import Measured
-from anisoscope.imaging.registration.placement import Grid
 from anisoscope.prediction.expectation import Expectation
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.recipe.surface import SurfaceRecipe
@@ -35,6 +34,8 @@ Spectrum = npt.NDArray[np.complex128]
 MIN_RATIO = 1.5
 MIN_CORRELATION = 0.2
 MIN_OVERLAP = 0.3
+PHASE_TOLERANCE = 0.25
+"""In pitches; reflections, which the rendered map lacks, brighten one side of each groove and so shift the phase."""
 
 
 @dataclass(frozen=True)
@@ -70,38 +71,6 @@ class MapPlace:
             f"is which cannot be told (correlation {self.correlation:.2f}, {self.ratio:.1f} times the next best place; "
             f"at least {MIN_CORRELATION:g} and {MIN_RATIO:g} times needed)"
         )
-
-
-def place_map(
-    aligned: Sequence[Image],
-    grid: Grid,
-    surface: HeightMap,
-    poses: Sequence[Pose],
-    material: Material,
-    convention: Convention,
-    pitch_um: float,
-) -> MapPlace:
-    """Match the height map to the aligned pictures, all poses together.
-
-    Args:
-        aligned: P pictures on the raster, the first row farthest along the ridges.
-        grid: their raster.
-        surface: the height map, levelled, its ridges along y.
-        poses: P poses.
-        material: the plastic.
-        convention: how the angles are counted.
-        pitch_um: pitch of the ridges.
-
-    Raises:
-        RegistrationError: the map holds no whole pitch, or its ridges are not visible.
-    """
-    pixel_um = grid.pixel_mm * 1000.0
-    if min((n - 1) * size for n, size in zip(surface.shape, surface_pixels(surface), strict=True)) < pitch_um:
-        raise RegistrationError(
-            "the height map is smaller than one pitch: it cannot be matched to the pictures"
-        )
-    rendered = render(surface, poses, material, convention, pixel_um, pitch_um)
-    return place_rendered(aligned, rendered, pixel_um, pitch_um)
 
 
 def place_rendered(
@@ -169,18 +138,21 @@ def render(
 
 
 def _wave(picture: Image, pitch: float) -> complex:
-    """Pattern of the ridges: complex amplitude of the first harmonic across, relative to the picture's centre."""
+    """Pattern of the ridges: complex amplitude of the first harmonic across, its phase from the picture's centre."""
     cols = picture.shape[1]
     across = np.arange(cols) - (cols - 1) / 2.0
     whole = int(cols / pitch) * pitch
     inside = np.abs(across) <= whole / 2.0
     profile = np.nanmean(picture, axis=0)[inside]
-    profile = profile / profile.mean() - 1.0
+    profile = profile - profile.mean()
     return complex(np.mean(profile * np.exp(-2j * np.pi * across[inside] / pitch)))
 
 
 def _phase(aligned: Sequence[Image], rendered: Sequence[Image], pitch: float) -> float:
-    """Shift of the map's centre within ± half a pitch, in pixels; poses weighted by the amplitude of their ridges."""
+    """Shift of the map's centre within ± half a pitch, in pixels; poses weighted by the amplitude of their ridges.
+
+    The amplitude is that of the radiance: poses near the mirror direction lead, where reflections add little.
+    """
     together = sum(
         (
             np.conj(_wave(measured, pitch)) * _wave(rendered_map, pitch)
@@ -188,7 +160,7 @@ def _phase(aligned: Sequence[Image], rendered: Sequence[Image], pitch: float) ->
         ),
         0j,
     )
-    if abs(together) < 1e-9:
+    if abs(together) < 1e-9 * max(float(np.nanmean(one)) for one in aligned) ** 2:
         raise RegistrationError(
             "the pictures show nothing of the height map's ridges: the map cannot be matched"
         )
@@ -212,7 +184,7 @@ def _features(
     rows, cols = np.indices(surface.shape)
     across = cols - centre[1]
     off = (across - phase + pitch / 2.0) % pitch - pitch / 2.0
-    allowed = np.where(np.abs(off) <= max(1.5, 0.1 * pitch), surface, -np.inf)
+    allowed = np.where(np.abs(off) <= max(1.5, PHASE_TOLERANCE * pitch), surface, -np.inf)
     row, col = (int(i) for i in np.unravel_index(allowed.argmax(), surface.shape))
     elsewhere = np.hypot(rows - row, cols - col) > max(3.0, 0.25 * pitch)
     second = float(allowed[elsewhere].max(initial=0.0))

@@ -1,12 +1,15 @@
 """Colour of inks against angle under one illuminant, for the standard observer."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from operator import attrgetter
+from typing import Any
 
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
+from anisoscope.base.json_fields import LEFT_OUT, json_field
 from anisoscope.sim.light.colour.illuminant import Illuminant
 from anisoscope.sim.light.colour.observer import white_point, xyz_weights
 from anisoscope.sim.light.colour.spaces import (
@@ -24,6 +27,10 @@ from anisoscope.sim.light.ink.model import Model, brdf_at_angles
 ANGLES_DEG = tuple(float(angle) for angle in range(0, 81, 10))
 
 
+def _identity(ink: Ink) -> dict[str, Any]:
+    return {"name": ink.name, "alpha": [ink.alpha, ink.across], "source": ink.source}
+
+
 @dataclass(frozen=True, eq=False)
 class Appearance:
     """Colours of one ink in the mirror direction, N angles.
@@ -39,14 +46,14 @@ class Appearance:
         difference: (N,) CIEDE2000 from the first angle, at the exposure.
     """
 
-    ink: Ink
+    ink: Ink = field(metadata=json_field(by=_identity, merged=True))
     theta_deg: FloatArray
     off_mirror_deg: float
     xyz: FloatArray
-    srgb: FloatArray
-    hexes: tuple[str, ...]
+    srgb: FloatArray = field(metadata=LEFT_OUT)
+    hexes: tuple[str, ...] = field(metadata=json_field("srgb"))
     clipped: int
-    difference: FloatArray
+    difference: FloatArray = field(metadata=json_field("delta_e2000"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +68,7 @@ class Show:
         inks: their colours.
     """
 
-    illuminant: Illuminant
+    illuminant: Illuminant = field(metadata=json_field(by=attrgetter("name")))
     model: Model
     exposure: float
     adapted: bool

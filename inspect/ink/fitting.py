@@ -1,18 +1,18 @@
 """Fit of an ink to goniometer readings: parameters, uncertainties, and warnings.
 
-The joint fit takes α, ρ(λ) and c(λ) at once from the logarithms of all readings: ln f = ln(D(α, θh)/4) + ln ρ(λ) +
-c(λ)·x. For one α the rest is linear, wavelength by wavelength; what is left is a search along α alone (variable
-projection: Golub and Pereyra 1973). Because the linear part does not depend on α, the Gauss-Newton step of the
-projected residuals is exact in its Jacobian.
+The joint fit determines α, ρ(λ) and c(λ) together from the logarithms of all readings: ln f = ln(D(α, θh)/4) + ln ρ(λ)
++ c(λ)·x. For a given α the problem is linear, wavelength by wavelength; the remaining search is in α alone (variable
+projection: Golub and Pereyra 1973). Because the linear part does not depend on α, the Jacobian of the projected
+residuals, and with it the Gauss-Newton step, is exact.
 
-All wavelengths of one place share the errors of its angles and of its level, and α is what these shift. So u(α) is the
-larger one of two: from the scatter of single readings, and from sums over places (Liang and Zeger 1986), which
-hold whatever the readings of one place share.
+All wavelengths of one place share the errors of its angles and of its level, and these errors shift α. Therefore u(α)
+is the larger of two estimates: from the scatter of single readings, and from sums over places (Liang and Zeger 1986),
+which are valid for any correlation within a place.
 
-The two-step fit of Pranovich 2024, as published, serves for comparison; it is biased, also without noise. Step 1:
-spectrum-averaged readings of each angle of the light are fitted by a GGX lobe of any height; α is the mean. The rise
-of exp(c·x) across the lobe is taken for a part of its width. Step 2: ρ and c of every wavelength in the mirror
-direction (Eq. 7), α held. Light at 70° is left out.
+The two-step fit of Pranovich 2024, as published, serves for comparison; it is biased even without noise. Step 1: a GGX
+lobe of any height is fitted to the spectrum-averaged readings of each angle of the light, and α is the mean. The rise
+of exp(c·x) across the lobe is attributed to its width. Step 2: ρ and c of every wavelength follow from the mirror
+direction (Eq. 7) with α fixed. Light at 70° is left out.
 """
 
 from dataclasses import dataclass, replace
@@ -68,7 +68,7 @@ class Grid:
         theta_i_deg: (G,).
         theta_o_deg: (G,) with its sign.
         nm: (W,) rising.
-        value: (G, W) BRDF, NaN where there is no reading that can be used.
+        value: (G, W) BRDF, NaN without a usable reading.
         floor: noise floor of the readings, 1/sr.
         dropped: readings that are left out.
     """
@@ -97,7 +97,7 @@ class Grid:
 
 
 def grid_of(readings: Readings, floor: float | None = None, below_deg: float | None = None) -> Grid:
-    """Sort readings by place and wavelength; a place that is read twice has two rows.
+    """Sort readings by place and wavelength; a place with two readings has two rows.
 
     Args:
         readings: BRDF values.
@@ -184,7 +184,7 @@ class Solution:
         u_log_rho: (W,).
         c: (W,).
         u_c: (W,).
-        residual: (G, W) ln measured − ln fitted, NaN where there is no reading.
+        residual: (G, W) ln measured − ln fitted, NaN without a reading.
     """
 
     alpha: float
@@ -232,8 +232,8 @@ def solve_jointly(grid: Grid, noise: float) -> Solution:
 
     Args:
         grid: the readings.
-        noise: relative standard deviation of a reading, in addition to the floor of the grid; for the weights only, the
-            uncertainties come from the scatter about the fit.
+        noise: relative standard deviation of a reading, in addition to the floor of the grid. It sets the weights only;
+            the uncertainties come from the scatter about the fit.
 
     Raises:
         UsageError: readings that do not separate ρ from c, or do not determine the width of the lobe.
@@ -331,7 +331,7 @@ _STEPS_paperfit = 20
 
 
 def solve_as_published(grid: Grid) -> Solution:
-    """Fit a grid in two steps; uncertainties of ρ and c hold for the α found, and do not carry its own.
+    """Fit a grid in two steps; the uncertainties of ρ and c are conditional on the fitted α.
 
     Raises:
         UsageError: too few angles for one of the steps.
@@ -422,12 +422,12 @@ class InkFit:
         u_alpha: its standard uncertainty.
         nm: (W,) wavelengths.
         rho: (W,).
-        u_rho: (W,) with the share of α for the joint fit.
+        u_rho: (W,) with the contribution of α for the joint fit.
         c: (W,).
         u_c: (W,) likewise.
-        residual: (G, W) ln measured − ln fitted at the places of the grid, NaN where there is no reading.
+        residual: (G, W) ln measured − ln fitted at the places of the grid, NaN without a reading.
         grid: the readings as they were fitted.
-        scale: how the readings became a BRDF.
+        scale: conversion of the readings to a BRDF.
         warnings: reasons to doubt the result.
     """
 

@@ -57,30 +57,6 @@ def signed(value: float) -> str:
     return f"{value:+.3f}".replace("-", "−")
 
 
-def show_as_json(appearance: Show) -> dict[str, Any]:
-    """Colours as plain data."""
-    return {
-        "illuminant": appearance.illuminant.name,
-        "model": appearance.model,
-        "exposure": appearance.exposure,
-        "adapted": appearance.adapted,
-        "inks": [
-            {
-                "name": one.ink.name,
-                "alpha": [one.ink.alpha, one.ink.across],
-                "source": one.ink.source,
-                "theta_deg": one.theta_deg.tolist(),
-                "off_mirror_deg": one.off_mirror_deg,
-                "xyz": one.xyz.tolist(),
-                "srgb": list(one.hexes),
-                "clipped": one.clipped,
-                "delta_e2000": one.difference.tolist(),
-            }
-            for one in appearance.inks
-        ],
-    }
-
-
 SHOW_COLUMNS = ("θ [°]", "X [1]", "Y [1]", "Z [1]", "x [1]", "y [1]", "sRGB", "ΔE2000 from the first [1]")
 
 

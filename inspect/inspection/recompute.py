@@ -2,19 +2,22 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from anisoscope.base.errors import RecordError
 from anisoscope.base.progress import Advance, silent
+from anisoscope.diagnosis.ranking import OTHER
 from anisoscope.inspection.folder import JOB
 from anisoscope.inspection.frames import read_frames
 from anisoscope.inspection.manifest import reopen
 from anisoscope.inspection.pipeline import judge
 from anisoscope.record.schema import Record, read_record
 
-TOLERANCE = 1e-9
+TOLERANCE = 1e-8
+LEAST = 1e-9
+"""Largest relative and absolute difference of equal numbers: a library picks its kernels by the processor."""
 NOT_COMPARED = frozenset({"software", "created_at", "files", "recipe", "rig"})
 """Fields on the origin of a record and the paths of its files; their hashes are checked instead."""
 
@@ -60,6 +63,7 @@ def recompute(folder: Path, on_progress: Advance = silent) -> Recomputed:
             "the record can be read, but not computed again"
         )
     manifest, job = reopen(folder)
+    job = replace(job, recipe=job.kind.as_recorded(job.recipe, recorded.recipe))
     on_progress("prediction", 0, 1)
     # the prediction is made anew: a cached one would not prove that the numbers follow from the folder
     expected = job.kind.predict(job.recipe, job.rig, cached=False)
@@ -69,7 +73,11 @@ def recompute(folder: Path, on_progress: Advance = silent) -> Recomputed:
     old = recorded.model_dump(mode="json", exclude=set(NOT_COMPARED), exclude_unset=True)
     job.kind.rename_in(old)
     unrecorded: set[str] = set()
-    new = _recorded_fields(old, record.model_dump(mode="json", exclude=set(NOT_COMPARED)), unrecorded)
+    now = record.model_dump(mode="json", exclude=set(NOT_COMPARED))
+    new = _recorded_fields(old, now, unrecorded)
+    if OTHER in _causes(now) and OTHER not in _causes(old):
+        unrecorded.add("diagnosis, which ranks another set of hypotheses now")
+        new["diagnosis"] = old["diagnosis"]
     notes: tuple[str, ...] = ()
     if recorded.software != record.software:
         notes = (f"recorded by {recorded.software}, recomputed by {record.software}",)
@@ -78,6 +86,11 @@ def recompute(folder: Path, on_progress: Advance = silent) -> Recomputed:
             f"not compared, because the version that recorded did not tell it: {', '.join(sorted(unrecorded))}",
         )
     return Recomputed(folder, recorded, record.verdict, tuple(differences(old, new)), notes)
+
+
+def _causes(document: dict[str, Any]) -> set[str]:
+    """Names of the hypotheses of a diagnosis; "something else" is not among those of earlier versions."""
+    return {cause["cause"] for cause in (document.get("diagnosis") or {}).get("causes") or ()}
 
 
 def _recorded_fields(old: Any, new: Any, unrecorded: set[str], name: str = "") -> Any:  # noqa: ANN401
@@ -99,7 +112,7 @@ def _recorded_fields(old: Any, new: Any, unrecorded: set[str], name: str = "") -
 
 
 def differences(old: Any, new: Any, name: str = "") -> Iterator[str]:  # noqa: ANN401 - what JSON can hold
-    """One line for every value of two JSON documents that differs; numbers within 1e-9 are the same."""
+    """One line for every value of two JSON documents that differs; numbers within `TOLERANCE` are the same."""
     if isinstance(old, dict) and isinstance(new, dict):
         for key in sorted(old.keys() | new.keys()):
             yield from differences(old.get(key), new.get(key), f"{name}.{key}".removeprefix("."))
@@ -113,5 +126,5 @@ def differences(old: Any, new: Any, name: str = "") -> Iterator[str]:  # noqa: A
 def _same(old: object, new: object) -> bool:
     numbers = isinstance(old, int | float) and isinstance(new, int | float)
     if numbers and not (isinstance(old, bool) or isinstance(new, bool)):
-        return math.isclose(float(old), float(new), rel_tol=TOLERANCE, abs_tol=TOLERANCE)  # type: ignore[arg-type]
+        return math.isclose(float(old), float(new), rel_tol=TOLERANCE, abs_tol=LEAST)  # type: ignore[arg-type]
     return old == new

@@ -18,7 +18,7 @@ from anisoscope.inspection.integrity import listed_files
 from anisoscope.inspection.job import Job, prepare
 from anisoscope.inspection.manifest import Manifest, begin, one_round_more, reopen
 from anisoscope.inspection.pipeline import Case, Diagnose, Judged, diagnose_by_kind, judge, utc_now
-from anisoscope.kinds.kind import Expected, Explanation
+from anisoscope.kinds.kind import AnyKind, Expected, Explanation
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.record.display import record_html, record_line
 from anisoscope.record.schema import RECORD_NAME, Particulars, Record, write_record
@@ -45,6 +45,11 @@ def diagnose_cached(case: Case, advance: Advance) -> Explanation:
     return diagnose_by_kind(case, advance, cached=True)
 
 
+def sections_by_kind(kind: AnyKind, record: Record, pictures: Pictures) -> Sections:
+    """The sections that the kind of part adds to the report."""
+    return kind.sections(record, pictures)
+
+
 @dataclass(frozen=True)
 class Methods:
     """Exchangeable methods of an inspection; tests hand in quicker ones.
@@ -53,6 +58,7 @@ class Methods:
         predict: what the part should show.
         diagnose: explains a verdict.
         start_renderer: begins to draw a height map for the report.
+        sections: what the kind of part shows of it in the report.
         write_report: writes the report; arguments as of `anisoscope.report.inspection_page.write_report`.
         now: the time.
     """
@@ -60,6 +66,7 @@ class Methods:
     predict: Callable[[Job], Expected] = predict_cached
     diagnose: Diagnose = diagnose_cached
     start_renderer: Callable[[HeightMap | None], SurfaceView | None] = start_renderer
+    sections: Callable[[AnyKind, Record, Pictures], Sections] = sections_by_kind
     write_report: Callable[[Record, Pictures, Path, Picture3D | None, Sections], Path] = write_report
     now: Callable[[], datetime] = utc_now
 
@@ -368,7 +375,7 @@ def conclude(
     view = ready.renderer.result() if ready.renderer is not None else None
     lot = lot_of(record, ready.lot_mates)
     pictures = replace(pictures, calibrations=job.calibrations.records, lot=lot)
-    sections = job.kind.sections(record, pictures)
+    sections = ready.methods.sections(job.kind, record, pictures)
     report = ready.methods.write_report(record, pictures, folder, view, sections)
     record = record.model_copy(update={"files": listed_files(folder)})
     write_record(record, folder)

@@ -13,13 +13,13 @@ from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import MeasurementError, RigFileError, Saturated
 from anisoscope.base.progress import Advance, silent
 from anisoscope.base.significance import p_value_text
+from anisoscope.base.toml_edits import with_values
 from anisoscope.decision.reference_parts import golden_path
 from anisoscope.imaging.registration.placement import Grid, Placement, locate, resample
 from anisoscope.inspection.job import check_serial, prepare
 from anisoscope.inspection.run import Methods, inspect_part
 from anisoscope.kinds.registry import read_any_recipe
 from anisoscope.recipe.base import RecipeBase
-from anisoscope.recipe.file_edits import with_values
 from anisoscope.recipe.teaching import Change, Taught, previous_version_path
 from anisoscope.record.schema import Record
 from anisoscope.rig.acquisition.journal import read_journal

@@ -9,16 +9,21 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, Self, TypeVar
+
+import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import RecipeError, UsageError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.base.toml_file import read_toml_model
 from anisoscope.calibration.corrections import Calibrations
+from anisoscope.decision.reference_parts import AnyReferenceSet, RadianceSet
 from anisoscope.imaging.frames import AcquiredFrames
 from anisoscope.imaging.pose_radiance import drift_error
 from anisoscope.imaging.views import Guide, Views
+from anisoscope.kinds.command_output import CommandOutput, Table
+from anisoscope.kinds.recipe_check import RecipeCheck
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.recipe.base import RecipeBase
 from anisoscope.recipe.poses import check_poses
@@ -27,7 +32,7 @@ from anisoscope.record.details import Details
 from anisoscope.record.schema import BudgetRecord, DiagnosisRecord, Record
 from anisoscope.record.verdict import Verdict
 from anisoscope.report.inspection_page import Pictures, Sections
-from anisoscope.rig.rigfile import RigFile
+from anisoscope.rig.rigfile import RigFile, read_rig
 from anisoscope.sim.light.geometry import Convention, Pose
 
 
@@ -96,6 +101,19 @@ class Reference(Protocol):
         """Why they cannot serve as a reference yet, or None if they can."""
         ...
 
+    @property
+    def noun(self) -> str:
+        """Word for one of them, such as "golden part"."""
+        ...
+
+    def without(self, serial: str) -> Self:
+        """The set without the rows of a serial number.
+
+        Raises:
+            CalibrationError: there is none.
+        """
+        ...
+
 
 RecipeT = TypeVar("RecipeT", bound=RecipeBase)
 ExpectedT = TypeVar("ExpectedT", bound=Expected)
@@ -157,25 +175,6 @@ class Explanation:
     diagnosis: DiagnosisRecord | None = None
     details: Mapping[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Table:
-    """A table on the terminal."""
-
-    title: str
-    columns: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    caption: str | None = None
-
-
-@dataclass(frozen=True)
-class CommandOutput:
-    """An answer of a command: as JSON, and as tables and lines for people."""
-
-    content: dict[str, Any]
-    tables: tuple[Table, ...] = ()
-    lines: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -340,12 +339,29 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
         del sitting, recipe, expected, measured, decided, reference, advance, cached
         return Explanation()
 
+    def as_recorded(self, recipe: RecipeT, recorded: Mapping[str, Any]) -> RecipeT:
+        """The recipe with the defaults of the version that recorded, where these have changed.
+
+        Args:
+            recipe: as read now from the inspection folder.
+            recorded: the recipe in the record, with every default of its version.
+        """
+        del recorded
+        return recipe
+
     def rename_in(self, record: dict[str, Any]) -> None:
         """Rename entries of a dumped record of an earlier version of this kind to the present names."""
 
     # ---- good parts -------------------------------------------------------------------------------------------
 
-    reference_noun: str = "golden part"
+    reference_set: type[AnyReferenceSet] | None = None
+    """The set of its good parts: `anisoscope.decision.reference_parts.RadianceSet`, or one of its own; None: they are
+    not collected."""
+
+    def _set_of(self, recipe: RecipeT) -> type[AnyReferenceSet]:
+        if self.reference_set is None:
+            raise UsageError(f"{recipe.product}: good parts are not collected of this kind of part")
+        return self.reference_set
 
     def read_reference(self, path: Path, recipe: RecipeT, rig: RigFile | None = None) -> Reference | None:
         """The good parts in a file, or None where there is none.
@@ -353,22 +369,34 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
         Raises:
             CalibrationError: the file is damaged, or belongs to another recipe or rig.
         """
-        del path, recipe, rig
-        return None
+        del rig
+        return None if self.reference_set is None else self.reference_set.read(path, recipe)
 
-    def add_reference(self, known: Any, recipe: RecipeT, record: Record) -> Any:  # noqa: ANN401
+    def add_reference(self, known: Any, recipe: RecipeT, record: Record) -> Reference:  # noqa: ANN401
         """A set with one good part more.
 
         Raises:
             CalibrationError: the inspection cannot teach this set.
+            UsageError: good parts are not collected of this kind.
         """
-        del known, record
-        raise UsageError(f"{recipe.product}: good parts are not collected of this kind of part")
+        return self._set_of(recipe).with_inspection(known, recipe, record)
 
-    def show_reference(self, known: Any, recipe: RecipeT) -> CommandOutput:  # noqa: ANN401
-        """The good parts for ``anisoscope golden show``."""
-        del known
-        raise UsageError(f"{recipe.product}: good parts are not collected of this kind of part")
+    def show_reference(
+        self,
+        known: Any,  # noqa: ANN401
+        recipe: RecipeT,
+        light_angle_deg: float = 10.0,
+    ) -> CommandOutput:
+        """The good parts for ``anisoscope golden show``: by default those of a `RadianceSet`.
+
+        Args:
+            known: the set.
+            recipe: the recipe.
+            light_angle_deg: the rig's angle between light and camera.
+        """
+        del light_angle_deg
+        self._set_of(recipe)
+        return radiance_table(known, recipe)
 
     def tolerances(self, recipe: RecipeT) -> dict[str, float]:
         """Tolerances of the recipe by the labels of `Details.numbers`, for capability and control charts.
@@ -427,11 +455,38 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
         light_angle_deg: float,
         tries: Sequence[float] = (),
         advance: Advance = silent,
-    ) -> CommandOutput:
-        """Check of a recipe before inspection; without a rig file for the given angle of the light."""
-        del rig_path, light_angle_deg, tries, advance
+    ) -> RecipeCheck:
+        """Check of a recipe before inspection; nothing moves.
+
+        Args:
+            path: the recipe.
+            rig_path: rig file; without one the light is at the given angle.
+            light_angle_deg: between light and camera, where there is no rig file.
+            tries: tilts that might be added, degrees.
+            advance: progress.
+
+        Raises:
+            RecipeError, RigFileError: recipe and rig do not fit each other, or nothing can be predicted.
+        """
         recipe = self.read_recipe(path)
-        return CommandOutput({"product": recipe.product}, lines=(f"{path}: the recipe can be read",))
+        if rig_path is None:
+            check_poses(recipe.poses, light_angle_deg, path)
+            return self.capability(recipe, None, light_angle_deg, tries, advance)
+        rig = read_rig(rig_path)
+        self.check(recipe, rig, path, rig_path)
+        return self.capability(recipe, rig, rig.light.angle_deg, tries, advance)
+
+    def capability(
+        self,
+        recipe: RecipeT,
+        rig: RigFile | None,
+        light_angle_deg: float,
+        tries: Sequence[float],
+        advance: Advance,
+    ) -> RecipeCheck:
+        """Capability of a recipe: its poses, and the causes that it separates; arguments as of `check_recipe`."""
+        del rig, light_angle_deg, tries, advance
+        return RecipeCheck(product=recipe.product)
 
     # ---- report and terminal ----------------------------------------------------------------------------------
 
@@ -455,3 +510,37 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
 
 
 AnyKind = Kind[Any, Any, Any, Any]
+
+
+def radiance_table(known: RadianceSet[Any], recipe: RecipeBase) -> CommandOutput:
+    """Reference parts that are compared by their radiances, and how much they vary."""
+    contrasts = known.contrasts()
+    scatter = contrasts.std(axis=0, ddof=1) if len(contrasts) > 1 else np.full(contrasts.shape[1], np.nan)
+    content: dict[str, Any] = {}
+    content["parts"] = [part.model_dump() for part in known.parts]
+    content["mean"] = [float(value) for value in contrasts.mean(axis=0)]
+    content["scatter"] = [float(value) if np.isfinite(value) else None for value in scatter]
+    first, *others = known.poses
+    names = [f"ln L{_at(pose)} − ln L{_at(first)}" for pose in others]
+    rows = [
+        [part.serial, part.inspected_at, part.verdict, *(f"{value:+.4f}" for value in row)]
+        for part, row in zip(known.parts, contrasts, strict=True)
+    ]
+    rows.append(["mean", "", "", *(f"{value:+.4f}" for value in contrasts.mean(axis=0))])
+    rows.append(["scatter", "", "", *(f"{value:.4f}" if np.isfinite(value) else "–" for value in scatter)])
+    columns = ["part", "inspected", "verdict", *names]
+    lines: tuple[str, ...] = ()
+    if known.judges_area:
+        columns.insert(3, "area")
+        shares = [part.area_share for part in known.parts]
+        shown = ["–" if share is None else f"{share:.2%}" for share in shares]
+        for row, share in zip(rows, [*shown, "", ""], strict=True):
+            row.insert(3, share)
+        content |= known.area_content(recipe)
+        lines = (known.area_limit_text(recipe),)
+    table = Table(f"{known.noun}s: {known.product}", columns, rows, known.lacking)
+    return CommandOutput(content, (table,), lines)
+
+
+def _at(pose: tuple[float, float]) -> str:
+    return f"({pose[0]:g}°" + (f", tilt {pose[1]:g}°)" if pose[1] else ")")

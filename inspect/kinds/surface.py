@@ -1,6 +1,7 @@
 """Parts with a surface that reflects: what ridges and wafers have in common as kinds."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -10,31 +11,37 @@ import numpy as np
 from anisoscope.base.errors import HeightMapError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.base.significance import log_basis
+from anisoscope.decision.consistency_test import contrast_scatter
 from anisoscope.decision.decision import Decision, decide
 from anisoscope.decision.design_vs_map import Predict, compare
-from anisoscope.decision.reference_parts import GoldenSet, add_part, limit_is_given, read_golden
+from anisoscope.decision.predictive_test import MAX_BIRGE
+from anisoscope.decision.reference_parts import GoldenSet
 from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, CauseModel
 from anisoscope.diagnosis.part_diagnosis import explain
+from anisoscope.imaging.area_limit import LEAST_PARTS
 from anisoscope.imaging.defect_regions import deviation_map
 from anisoscope.imaging.deviation_map import cell_log_ratios
 from anisoscope.imaging.pose_radiance import Measured, mean_of, measure, region_grid
 from anisoscope.imaging.quality_gates import check_views
 from anisoscope.imaging.registration.placement import View, resample
 from anisoscope.imaging.views import most_changed
-from anisoscope.kinds.golden_limit import area_limit_text
-from anisoscope.kinds.kind import CommandOutput, Explanation, Kind, Reference, Results, Sitting, Table, usable
+from anisoscope.kinds.command_output import CommandOutput, Table
+from anisoscope.kinds.kind import Explanation, Kind, Reference, Results, Sitting, usable
+from anisoscope.kinds.recipe_check import RecipeCheck
 from anisoscope.prediction.cache import cached_expectation
 from anisoscope.prediction.expectation import PLASTIC, Expectation, SurfaceOptics, expectation
+from anisoscope.prediction.part_scatter import NamedDefect, PartScatter, named_defects, part_scatter
+from anisoscope.prediction.propagation import RIDGE_ANGLE
 from anisoscope.quality.capability import recipe_tolerances
-from anisoscope.recipe.poses import check_poses
-from anisoscope.recipe.surface import SurfaceRecipe, check_lamp, read_surface_recipe
-from anisoscope.record.schema import GoldenRecord, MapPlaceRecord, Record, ShapeRecord
+from anisoscope.recipe.surface import SurfaceRecipe, check_lamp, check_material, read_surface_recipe
+from anisoscope.record.schema import DirectionRecord, GoldenRecord, MapPlaceRecord, Record, ShapeRecord
 from anisoscope.record.surface_details import SurfaceDetails, surface_of
 from anisoscope.report.inspection_page import Pictures, Sections
-from anisoscope.rig.rigfile import RigFile, read_rig
+from anisoscope.rig.rigfile import RigFile
 
 RecipeT = TypeVar("RecipeT", bound=SurfaceRecipe)
 HEIGHT_MAP = "height map"
+MATERIAL = "material"
 
 
 class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
@@ -55,23 +62,25 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
         return read_surface_recipe(path, self.recipe)
 
     def check(self, recipe: RecipeT, rig: RigFile, recipe_path: Path, rig_path: Path) -> None:
-        """Check that lamp and lens are those of the recipe's prediction."""
+        """Check that lamp and lens are those of the recipe's prediction and of its material."""
         check_lamp(recipe, rig, rig_path)
+        check_material(recipe, rig, recipe_path)
         super().check(recipe, rig, recipe_path, rig_path)
 
     def sources(self, recipe: RecipeT, rig: RigFile) -> Mapping[str, Path]:
-        """The height map.
+        """Height map and material file.
 
         Raises:
-            HeightMapError: it is missing.
+            HeightMapError: the height map is missing.
         """
         del rig
-        path = recipe.surface.height_map
+        file, path = recipe.material.file, recipe.surface.height_map
+        found = {} if file is None else {MATERIAL: file}
         if path is None:
-            return {}
+            return found
         if not path.is_file():
             raise HeightMapError(f"{path}: there is no such file")
-        return {HEIGHT_MAP: path}
+        return {**found, HEIGHT_MAP: path}
 
     def from_copies(
         self, recipe: RecipeT, rig: RigFile, copies: Mapping[str, Path]
@@ -118,7 +127,7 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
             views, recipe, pixel_um, lambda view: mean_of(resample(view.image.value, view.placement, grid))
         )
         for view in views.poses:
-            sitting.calibrations.check_place(view.stage_deg, view.placement)
+            sitting.calibrations.check_place(view.stage_deg, view.placement, recipe.limits.fixture_um)
         check_views(views.poses, recipe)
         calibrated = sitting.calibrations.applied_to(recipe)
         measured = measure(views.poses, closing, calibrated, expected, pixel_um)
@@ -135,7 +144,17 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
     ) -> Decision:
         """Contrasts against their tolerances, all of them together, and the area that deviates."""
         del sitting
-        return decide(expected, measured, recipe, cast("GoldenSet | None", usable(reference)))
+        golden = cast("GoldenSet | None", usable(reference))
+        parts = None if golden is None else self.part_scatter(recipe, expected.convention.light_angle_deg)
+        if golden is not None and parts is None and len(golden.parts) <= golden.directions:
+            golden = None
+        return decide(expected, measured, recipe, golden, parts)
+
+    def part_scatter(self, recipe: SurfaceRecipe, light_angle_deg: float) -> PartScatter | None:
+        """How good parts scatter; None where only their own scatter counts."""
+        if recipe.scatter is None or not self.reference_set.predictive:
+            return None
+        return part_scatter(recipe, light_angle_deg, self.optics)
 
     def results(
         self,
@@ -183,12 +202,13 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
     ) -> Explanation:
         """Causes, both comparisons, the fit over tilts, the place on the height map, and the golden parts."""
         del sitting
-        golden = cast("GoldenSet | None", usable(reference))
+        golden = cast("GoldenSet | None", usable(reference)) if decided.golden else None
         diagnosis, unexplained = explain(recipe, expected, measured, decided, advance, golden, self.causes)
         comparisons, reading, lost = compare(recipe, expected, measured, self._predict(cached=cached))
         shape, unfitted = self.fit_shape(recipe, expected, measured)
         placed, unplaced = self.match_map(recipe, expected, measured)
         lacking = reference and reference.lacking
+        unlike = unlike_text(decided)
         return Explanation(
             diagnosis,
             {
@@ -196,28 +216,37 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
                 "reading": reading,
                 "shape": shape,
                 "map_place": placed,
-                "golden": None if golden is None else golden_record(golden, measured),
+                "golden": None if golden is None else golden_record(golden, measured, decided),
             },
-            tuple(note for note in (lacking, unexplained, lost, unfitted, unplaced) if note),
+            tuple(note for note in (lacking, unlike, unexplained, lost, unfitted, unplaced) if note),
         )
+
+    def as_recorded(self, recipe: RecipeT, recorded: Mapping[str, Any]) -> RecipeT:
+        """Direct light, and golden parts by their own scatter, of versions that knew nothing else."""
+        changes: dict[str, Any] = {}
+        if "reflections" not in recorded.get("surface", {}):
+            changes["surface"] = recipe.surface.model_copy(update={"reflections": "direct"})
+        if "scatter" not in recorded:
+            changes["scatter"] = None
+        return recipe.model_copy(update=changes)
 
     def rename_in(self, record: dict[str, Any]) -> None:
         """Rename the sources of the budget of an earlier version."""
         for row in record["budget"]:
             row["source"] = self.optics.source_name(row["source"])
 
-    def read_reference(self, path: Path, recipe: RecipeT, rig: RigFile | None = None) -> GoldenSet | None:
-        """The golden parts."""
-        del rig
-        return read_golden(path, recipe)
+    reference_set: type[GoldenSet] = GoldenSet
 
-    def add_reference(self, known: Any, recipe: RecipeT, record: Record) -> GoldenSet:  # noqa: ANN401
-        """Golden parts with one more."""
-        return add_part(known, recipe, record)
-
-    def show_reference(self, known: Any, recipe: RecipeT) -> CommandOutput:  # noqa: ANN401
-        """The golden parts, and how much they vary."""
-        return reference_table(known, recipe)
+    def show_reference(
+        self,
+        known: Any,  # noqa: ANN401
+        recipe: RecipeT,
+        light_angle_deg: float = 10.0,
+    ) -> CommandOutput:
+        """The golden parts, how much they vary, and which defects they can show."""
+        shown = super().show_reference(known, recipe, light_angle_deg)
+        parts = self.part_scatter(recipe, light_angle_deg)
+        return shown if parts is None else with_power(shown, known, recipe, parts)
 
     def tolerances(self, recipe: RecipeT) -> dict[str, float]:
         """One tolerance a contrast."""
@@ -230,21 +259,19 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
         del rig
         return {("decision", "tolerance"): _tolerances(record, recipe, cast("GoldenSet | None", reference))}
 
-    def check_recipe(
+    def capability(
         self,
-        path: Path,
-        rig_path: Path | None,
+        recipe: RecipeT,
+        rig: RigFile | None,
         light_angle_deg: float,
-        tries: Sequence[float] = (),
-        advance: Advance = silent,
-    ) -> CommandOutput:
+        tries: Sequence[float],
+        advance: Advance,
+    ) -> RecipeCheck:
         """Contrasts, budget, causes, and tilts that would help."""
-        from anisoscope.kinds.surface_check import checked_recipe  # noqa: PLC0415 - heavy
+        from anisoscope.kinds.surface_check import check_recipe  # noqa: PLC0415 - heavy
 
-        recipe = self.read_recipe(path)
-        angle = read_rig(rig_path).light.angle_deg if rig_path is not None else light_angle_deg
-        check_poses(recipe.poses, angle, path)
-        return checked_recipe(recipe, angle, tries, advance, self.optics, self.causes)
+        del rig
+        return check_recipe(recipe, light_angle_deg, tries, advance, self.optics, self.causes)
 
     def pictures(
         self, recipe: RecipeT, expected: Expectation, measured: Measured, decided: Decision
@@ -311,8 +338,88 @@ def _tolerances(record: Record, recipe: SurfaceRecipe, golden: GoldenSet | None)
     return [float(f"{value:.2g}") for value in np.maximum(by_u, spread)], why
 
 
-def golden_record(golden: GoldenSet, measured: Measured) -> GoldenRecord:
+MORE_PARTS = (1, 3, 10, 25)
+CAMERA_SHARE = 0.003
+"""Relative standard uncertainty of a pose by camera and lamp, where no inspection states it."""
+
+
+def with_power(
+    shown: CommandOutput, known: GoldenSet, recipe: SurfaceRecipe, parts: PartScatter
+) -> CommandOutput:
+    """Output with the golden parts' scatter against the stated one, and the defects that they can show."""
+    from anisoscope.decision.predictive_test import birge_ratio, detectable, suggested_scatter  # noqa: PLC0415 - scipy
+
+    scatter = contrast_scatter(parts, CAMERA_SHARE)
+    golden, count = known.contrasts(), len(known.parts)
+    birge = birge_ratio(golden, scatter.covariance)
+    numbers = sorted({count, *MORE_PARTS})
+    power = {n: detectable(scatter, n, recipe.decision.alpha) for n in numbers}
+    content: dict[str, Any] = {"birge": birge, "detectable": {str(n): power[n] for n in numbers}}
+    rows = [
+        [one.name, *(_size(one, power[n][one.name]) for n in numbers)]
+        for one in named_defects(recipe)
+        if one.name in scatter.defects
+    ]
+    columns = [
+        "defect, at its smallest interesting size",
+        *(f"{n} golden parts" if n > 1 else "1 golden part" for n in numbers),
+    ]
+    legend = "size that is found in 9 of 10 parts, now and with other numbers of golden parts"
+    tables = [*shown.tables, Table("what golden parts can show", columns, rows, legend)]
+    lines = list(shown.lines)
+    if count >= LEAST_PARTS:
+        found = suggested_scatter(scatter, golden)
+        stated = scatter_texts(recipe)
+        content["scatter_of_inputs"] = [asdict(one) for one in found]
+        scattered = [
+            [
+                one.source,
+                *(f"{stated[one.source][0] * value:.3g}" for value in (1.0, one.ratio, one.low)),
+                "not determined" if np.isinf(one.high) else f"{stated[one.source][0] * one.high:.3g}",
+                stated[one.source][1],
+            ]
+            for one in found
+        ]
+        names = ["input", "stated", "of the golden parts", "95 % from", "to", "unit, key of [scatter]"]
+        tables.append(Table("scatter between parts", names, scattered, "standard deviations"))
+    if birge is not None:
+        lines.append(
+            f"variance among the golden parts over the stated one: {birge:.1f} (up to {MAX_BIRGE:g} is usual)"
+        )
+    return CommandOutput(shown.content | content, tuple(tables), tuple(lines))
+
+
+def _size(defect: NamedDefect, multiple: float) -> str:
+    return f"{multiple * defect.size:.2g}{defect.unit}" if np.isfinite(multiple) else "–"
+
+
+def scatter_texts(recipe: SurfaceRecipe) -> dict[str, tuple[float, str]]:
+    """Stated standard deviation of each input between parts, with its unit and its key in the recipe."""
+    part, seat = recipe.stated_scatter, (recipe.scattered_seating_deg, "°, seating_tilt_deg")
+    return {
+        "roughness along the ridges": (100.0 * part.alpha_share, "%, alpha_share"),
+        "roughness across the ridges": (100.0 * part.alpha_share, "%, alpha_share"),
+        "albedo of the plastic": (100.0 * part.albedo_share, "%, albedo_share"),
+        "seating tilt about x": seat,
+        "seating tilt about y": seat,
+        RIDGE_ANGLE: (recipe.scattered_ridge_angle_deg, "°, ridge_angle_deg"),
+    }
+
+
+def unlike_text(decided: Decision) -> str | None:
+    """Note where golden parts contradict the scatter that the recipe states, or None."""
+    found = decided.predictive
+    if found is None or found.birge is None or found.birge <= MAX_BIRGE:
+        return None
+    return (
+        f"the golden parts scatter {found.birge:.1f} times as much as [scatter] and the measurement state (variance, "
+        f"usually up to {MAX_BIRGE:g}): state theirs (anisoscope golden show), or the plastic is not the recipe's"
+    )
+
+
+def golden_record(golden: GoldenSet, measured: Measured, decided: Decision) -> GoldenRecord:
     """The golden parts behind the verdict, and this part among them."""
+    found = decided.predictive
     contrasts = golden.contrasts()
     mine = log_basis(len(measured.radiance)) @ np.log(measured.radiance)
     return GoldenRecord(
@@ -320,6 +427,22 @@ def golden_record(golden: GoldenSet, measured: Measured) -> GoldenRecord:
         mean=tuple(contrasts.mean(axis=0)),
         contrasts=tuple(tuple(row) for row in contrasts),
         measured=tuple(mine),
+        test="hotelling" if found is None or not found.decides else "predictive",
+        birge=None if found is None else found.birge,
+        p_distance=None if found is None else found.p_distance,
+        p_direction=None if found is None else found.p_direction,
+        directions=()
+        if found is None
+        else tuple(
+            DirectionRecord(
+                defect=one.defect,
+                score=one.score,
+                separation=one.separation,
+                power=one.power,
+                detectable=one.detectable if np.isfinite(one.detectable) else None,
+            )
+            for one in found.directions
+        ),
     )
 
 
@@ -366,59 +489,3 @@ def _tilt_table(record: Record) -> Table:
         f"{U_LEGEND}; for information"
         + (f"; {len(folded)} more, all likelier, in record.json" if folded else ""),
     )
-
-
-def reference_table(known: GoldenSet, recipe: SurfaceRecipe) -> CommandOutput:
-    """The golden parts, and how much they vary."""
-    contrasts = known.contrasts()
-    scatter = contrasts.std(axis=0, ddof=1) if len(contrasts) > 1 else np.full(contrasts.shape[1], np.nan)
-    content: dict[str, Any] = {}
-    content["parts"] = [part.model_dump() for part in known.parts]
-    content["mean"] = [float(value) for value in contrasts.mean(axis=0)]
-    content["scatter"] = [float(value) if np.isfinite(value) else None for value in scatter]
-    content["area_limit"] = None if recipe.area is None else known.area_limit(recipe) or recipe.area.max_share
-    content["area_limit_says"] = _area_limit_text(known, recipe)
-    first, *others = known.poses
-    names = [f"ln L{_at(pose)} − ln L{_at(first)}" for pose in others]
-    rows = [
-        [
-            part.serial,
-            part.inspected_at,
-            part.verdict,
-            _share(part.area_share),
-            *(f"{value:+.4f}" for value in row),
-        ]
-        for part, row in zip(known.parts, contrasts, strict=True)
-    ]
-    rows.append(["mean", "", "", "", *(f"{value:+.4f}" for value in contrasts.mean(axis=0))])
-    rows.append(
-        ["scatter", "", "", "", *(f"{value:.4f}" if np.isfinite(value) else "–" for value in scatter)]
-    )
-    table = Table(
-        f"golden parts: {known.product}",
-        ["part", "inspected", "verdict", "area", *names],
-        rows,
-        known.lacking,
-    )
-    return CommandOutput(content, (table,), (_area_limit_text(known, recipe),))
-
-
-def _share(share: float | None) -> str:
-    return "–" if share is None else f"{share:.2%}"
-
-
-def _area_limit_text(known: GoldenSet, recipe: SurfaceRecipe) -> str:
-    rule, alpha = recipe.area, recipe.decision.alpha
-    return area_limit_text(
-        None if rule is None else rule.max_share,
-        None if rule is None else known.area_limit(recipe),
-        0 if rule is None else len(known.area_shares(rule)),
-        given=rule is not None and limit_is_given(rule),
-        things="parts",
-        exceeds=f"one good part in {2.0 / alpha:.0f} exceeds it; contrasts and area share the level {alpha:g}",
-        judged="" if rule is None else f"at cell_deviation {rule.cell_deviation:g}",
-    )
-
-
-def _at(pose: tuple[float, float]) -> str:
-    return f"({pose[0]:g}°" + (f", tilt {pose[1]:g}°)" if pose[1] else ")")

@@ -1,7 +1,7 @@
 """Check of a recipe before inspection: contrasts with u, T/U, budget, separability of causes, helpful tilts."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,8 +12,8 @@ from anisoscope.diagnosis.discriminating_poses import cached_options
 from anisoscope.diagnosis.evidence import background_of
 from anisoscope.diagnosis.separability import Separability, planned_covariance, planned_inputs, separability
 from anisoscope.diagnosis.signature_cache import cached_signatures
-from anisoscope.kinds.causes_table import causes_content, causes_table
-from anisoscope.kinds.kind import CommandOutput, Table
+from anisoscope.kinds.command_output import Table
+from anisoscope.kinds.recipe_check import RecipeCheck
 from anisoscope.prediction.expectation import PLASTIC, Expectation, SurfaceOptics, expectation
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.schema import BudgetRecord
@@ -62,29 +62,63 @@ class LampAdvice:
     tells_apart: tuple[tuple[str, str], ...]
 
 
-@dataclass(frozen=True)
-class RecipeCheck:
-    """Capability of a recipe.
+@dataclass(frozen=True, kw_only=True)
+class SurfaceCheck(RecipeCheck):
+    """Capability of the recipe of a surface.
 
     Attributes:
+        contrast: which contrast is judged.
         pairs: the contrasts.
         budget: sources of uncertainty of the contrasts, the largest first; the measurement's in one row.
-        causes: separability of every cause.
         left_out: causes that this surface cannot have, with the reason.
         advice: what further tilts would add, the best first; only those that add something.
-        complaints: one line each, what should be changed.
         lamps: second lamps that would add something, the nearest wavelength first, where they are tried.
         never: pairs of causes that neither these poses separate, nor any tilt or lamp that was tried.
     """
 
+    contrast: str
     pairs: tuple[PlannedPair, ...]
     budget: tuple[BudgetRecord, ...]
-    causes: tuple[Separability, ...]
     left_out: tuple[tuple[str, str], ...]
     advice: tuple[TiltAdvice, ...]
-    complaints: tuple[str, ...]
     lamps: tuple[LampAdvice, ...] = ()
     never: tuple[tuple[str, str], ...] = ()
+
+    def tables(self) -> tuple[Table, ...]:
+        """Contrasts, and their budget."""
+        names = [f"{p.from_deg:g}°/{p.to_deg:g}° @ {p.tilt_deg:g}°" for p in self.pairs]
+        pairs = Table(
+            self.product,
+            ["pair", "predicted", "u", "tolerance", "T/U"],
+            [
+                [
+                    name,
+                    f"{pair.predicted:+.4f}",
+                    f"{pair.u:.4f}",
+                    "–" if pair.tolerance is None else f"±{pair.tolerance:g}",
+                    "–" if pair.ratio is None else f"{pair.ratio:.1f}",
+                ]
+                for name, pair in zip(names, self.pairs, strict=True)
+            ],
+        )
+        budget = Table(
+            "uncertainty budget",
+            ["source", *(f"u({name})" for name in names)],
+            [[row.source, *(f"{value:.4f}" for value in row.contributions)] for row in self.budget],
+        )
+        return pairs, budget
+
+    def notes(self) -> tuple[str, ...]:
+        """Causes left out, and what further tilts or lamps would separate."""
+        lines = [f"not looked at: {cause}: {reason}" for cause, reason in self.left_out]
+        for one in self.advice:
+            benefits = [f"show {', '.join(one.shows)}"] if one.shows else []
+            benefits += [f"tell {_apart(one.tells_apart)}"] if one.tells_apart else []
+            lines.append(f"a tilt of {one.tilt_deg:g}° besides would {' and '.join(benefits)}")
+        lines += [f"{one.says} would tell {_apart(one.tells_apart)}" for one in self.lamps]
+        if self.never:
+            lines.append(f"nothing that was tried would tell {_apart(self.never)}")
+        return tuple(lines)
 
 
 def check_recipe(
@@ -94,8 +128,8 @@ def check_recipe(
     advance: Advance = silent,
     optics: SurfaceOptics = PLASTIC,
     model: CauseModel = PLASTIC_CAUSES,
-) -> RecipeCheck:
-    """Check a recipe; nothing moves.
+) -> SurfaceCheck:
+    """Check the recipe of a surface; nothing moves.
 
     Args:
         recipe: the recipe.
@@ -121,7 +155,8 @@ def check_recipe(
         u_background=u_background,
         inputs=planned_inputs(recipe, expected),
     )
-    new = [tilt for tilt in tries if tilt not in recipe.poses.tilts_deg]
+    single = recipe.poses.stage_and_tilt_deg is not None  # chosen as a whole: `recipe suggest` chooses others
+    new = [] if single else [tilt for tilt in tries if tilt not in recipe.poses.tilts_deg]
     advice = _advice(recipe, light_angle_deg, new, advance, optics, model) if new and _lacking(causes) else ()
     unresolved = [(cause.cause, other) for cause in causes for other in cause.inseparable_causes]
     lamps = (
@@ -130,8 +165,17 @@ def check_recipe(
     resolved = {pair for one in advice for pair in one.tells_apart}
     resolved |= {pair for one in lamps for pair in one.tells_apart}
     never = tuple(pair for pair in unresolved if pair not in resolved) if new else ()
-    return RecipeCheck(
-        pairs, budget, causes, known.left_out, advice, _complaints(recipe, pairs), lamps, never
+    return SurfaceCheck(
+        product=recipe.product,
+        contrast=recipe.decision.contrast,
+        pairs=pairs,
+        budget=budget,
+        causes=causes,
+        left_out=known.left_out,
+        advice=advice,
+        complaints=_complaints(recipe, pairs),
+        lamps=lamps,
+        never=never,
     )
 
 
@@ -271,50 +315,6 @@ def _added(tilt_deg: float, before: tuple[Separability, ...], after: tuple[Separ
         if other not in new.inseparable_causes
     )
     return TiltAdvice(tilt_deg, shows, apart)
-
-
-def checked_recipe(
-    recipe: SurfaceRecipe,
-    light_angle_deg: float,
-    tries: Sequence[float],
-    advance: Advance,
-    optics: SurfaceOptics,
-    model: CauseModel,
-) -> CommandOutput:
-    """What ``anisoscope recipe check`` prints; arguments as of `check_recipe`."""
-    found = check_recipe(recipe, light_angle_deg, tries, advance, optics, model)
-    content = asdict(found) | {"budget": [row.model_dump() for row in found.budget]}
-    causes_content(content["causes"], found.causes)
-    content["contrast"] = recipe.decision.contrast
-    names = [f"{p.from_deg:g}°/{p.to_deg:g}° @ {p.tilt_deg:g}°" for p in found.pairs]
-    pairs = Table(
-        recipe.product,
-        ["pair", "predicted", "u", "tolerance", "T/U"],
-        [
-            [
-                name,
-                f"{pair.predicted:+.4f}",
-                f"{pair.u:.4f}",
-                "–" if pair.tolerance is None else f"±{pair.tolerance:g}",
-                "–" if pair.ratio is None else f"{pair.ratio:.1f}",
-            ]
-            for name, pair in zip(names, found.pairs, strict=True)
-        ],
-    )
-    budget = Table(
-        "uncertainty budget",
-        ["source", *(f"u({name})" for name in names)],
-        [[row.source, *(f"{value:.4f}" for value in row.contributions)] for row in found.budget],
-    )
-    lines = [f"not looked at: {cause}: {reason}" for cause, reason in found.left_out]
-    for one in found.advice:
-        benefits = [f"show {', '.join(one.shows)}"] if one.shows else []
-        benefits += [f"tell {_apart(one.tells_apart)}"] if one.tells_apart else []
-        lines.append(f"a tilt of {one.tilt_deg:g}° besides would {' and '.join(benefits)}")
-    lines += [f"{one.says} would tell {_apart(one.tells_apart)}" for one in found.lamps]
-    if found.never:
-        lines.append(f"nothing that was tried would tell {_apart(found.never)}")
-    return CommandOutput(content, (pairs, budget, causes_table(found.causes)), (*lines, *found.complaints))
 
 
 MOST_PAIRS = 6

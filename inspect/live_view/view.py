@@ -55,7 +55,7 @@ class View:
 
 @dataclass(frozen=True)
 class Reading:
-    """A view among those before it: focus over the best focus seen (NaN if too dark), and frames per second."""
+    """A view in its sequence: focus over the best focus so far (NaN if too dark), and frames per second."""
 
     frame: int
     view: View

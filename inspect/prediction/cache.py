@@ -33,7 +33,7 @@ def cached_expectation(
     """Cached prediction of a recipe; arguments and errors as for `expectation.expectation`."""
     recipe = recipe.deciding()
     try:
-        key_fields = _key_fields(recipe, light_angle_deg, optics)
+        key_fields = prediction_key(recipe, light_angle_deg, optics)
     except OSError:  # the height map cannot be read: the prediction raises the proper error
         return expectation(recipe, light_angle_deg, optics)
     key = json.dumps(key_fields, sort_keys=True)
@@ -71,7 +71,7 @@ def _by_disk(
     )
 
 
-def _key_fields(recipe: SurfaceRecipe, light_angle_deg: float, optics: SurfaceOptics) -> dict[str, Any]:
+def prediction_key(recipe: SurfaceRecipe, light_angle_deg: float, optics: SurfaceOptics) -> dict[str, Any]:
     """Every input of a prediction, for the cache key."""
     surface = recipe.surface.height_map
     return {

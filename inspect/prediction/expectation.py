@@ -7,18 +7,38 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import RecipeError
+from anisoscope.prediction.height_map_uncertainty import pixel_error
+from anisoscope.prediction.predict import Predicted
 from anisoscope.prediction.profile_likelihood import States
-from anisoscope.prediction.propagation import PLASTIC_AND_SEAT, RIDGE_ANGLE, propagate
-from anisoscope.prediction.recipe_models import Models, models_of
+from anisoscope.prediction.propagation import (
+    PLASTIC_AND_SEAT,
+    RIDGE_ANGLE,
+    TAIL,
+    calibrated_material,
+    propagate,
+)
+from anisoscope.prediction.recipe_models import Models, edge_radius_model, models_of, rig_of
+from anisoscope.prediction.reflections import reflections_contributions
 from anisoscope.prediction.second_order import Response, known_inputs, response_of
-from anisoscope.prediction.sensitivity import DARK, InputUncertainty, Shape, State, evaluate, fixed
+from anisoscope.prediction.sensitivity import (
+    DARK,
+    Budget,
+    Contribution,
+    InputUncertainty,
+    Shape,
+    State,
+    evaluate,
+    fixed,
+)
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.recipe.poses import check_poses
 from anisoscope.recipe.surface import SurfaceRecipe
-from anisoscope.sim.light.geometry import Convention, Pose
+from anisoscope.sim.light.contrasts import contrasts
+from anisoscope.sim.light.geometry import Convention, Pose, directions
 
-_OF_THE_RECIPE = (*PLASTIC_AND_SEAT, "zero of the tilt", RIDGE_ANGLE)
+_OF_THE_RECIPE = (*PLASTIC_AND_SEAT, TAIL, "zero of the tilt", RIDGE_ANGLE)
 SECOND_ORDER = ", second order"
+EDGE_RADIUS = "edge radius"
 NEGLIGIBLE = 5e-4  # of ln L: a quarter of what cameras and lamps leave in a pose at best
 
 
@@ -139,23 +159,33 @@ class PlasticOptics:
         recipe: SurfaceRecipe,
         models: Models,
         radiance: FloatArray,
-        _nominal: State,
-        _convention: Convention,
+        nominal: State,
+        convention: Convention,
     ) -> list[Component]:
-        """Noise and pixel size of a height map."""
-        if models.surface is None:
-            return []
-        # about one pixel of facet is lost per pitch where a wall is narrower than a pixel; rectangular
-        pixel = models.surface.pixel_x_um / recipe.surface.pitch_um / np.sqrt(3.0)
-        share = np.full(len(radiance), np.hypot(recipe.uncertainty.height_map_share, pixel))
-        return [Component("height map (noise, pixel size)", "prediction", share, shared=False)]
+        """Amplitude and model of the reflections; edge radius of a design; noise and pixel size of a height map."""
+        found, indirect = [], None
+        if models.indirect is not None:
+            sides = directions(recipe.poses.poses(), convention)
+            indirect = models.indirect(*sides, nominal.material)
+            own = reflections_contributions(radiance, indirect, recipe.uncertainty.reflections_share)
+            found = [
+                Component(c.source, c.kind, c.absolute / radiance, shared=c.correlation == "shared")
+                for c in own
+                if np.any(c.absolute)
+            ]
+        found += _of_the_edges(recipe, nominal, convention)
+        if models.surface is not None:
+            pixel = pixel_error(models.surface.pixel_x_um, recipe.surface.pitch_um, radiance, indirect)
+            share = np.hypot(recipe.uncertainty.height_map_share, pixel / radiance)
+            found.append(Component("height map (noise, pixel size)", "prediction", share, shared=False))
+        return found
 
     def states(self, _recipe: SurfaceRecipe, _light_angle_deg: float) -> None:
         """None: ln L is known to second order."""
 
     def omitted_if_zero(self, source: str) -> bool:
-        """A rig without tilt axis has no zero of the tilt."""
-        return source == "zero of the tilt"
+        """A rig without tilt axis has no zero of the tilt, and a known lobe no doubt about its tail."""
+        return source in ("zero of the tilt", TAIL)
 
     def source_name(self, source: str) -> str:
         """The name unchanged."""
@@ -208,6 +238,7 @@ def expectation(
     components += _second_order(response)
     components += optics.components(recipe, models, radiance, nominal, convention)
     components += _of_the_optics(models, radiance)
+    components += _of_the_calibration(recipe, models, nominal, convention)
     per_degree = budget.per_degree / radiance
     return Expectation(
         models.name,
@@ -223,10 +254,42 @@ def expectation(
     )
 
 
+def predicted(expected: Expectation) -> Predicted:
+    """The expectation of a recipe as a prediction with its budget, for tables and JSON."""
+    contributions = tuple(
+        Contribution(
+            c.source, c.relative * expected.radiance, "shared" if c.shared else "independent", kind=c.kind
+        )
+        for c in expected.components
+    )
+    return Predicted(
+        expected.model,
+        expected.convention,
+        expected.poses,
+        expected.radiance,
+        contrasts(expected.poses, expected.radiance),
+        notes={} if expected.optics is None else {"optics": expected.optics},
+        budget=Budget(expected.radiance, contributions, expected.per_degree * expected.radiance),
+    )
+
+
 def nominal_shape(recipe: SurfaceRecipe) -> Shape:
     """The nominal shape of the design; a height map has none to vary."""
     design = recipe.surface.design
     return Shape() if design is None else Shape(ridge_angle_deg=design.ridge_angle_deg)
+
+
+def _of_the_edges(recipe: SurfaceRecipe, nominal: State, convention: Convention) -> list[Component]:
+    """Uncertainty from the edge radius of a design: half the change of ln L from r − u to r + u, by rays."""
+    design, poses = recipe.surface.design, recipe.poses.poses()
+    if design is None or design.edge_radius_um * design.u_edge_radius_share == 0.0:
+        return []
+    rig, sides = rig_of(recipe, poses, convention), directions(poses, convention)
+    low, high = (
+        np.log(edge_radius_model(recipe, design.edge_radius_um * factor, rig)(*sides, nominal.material))
+        for factor in (1.0 - design.u_edge_radius_share, 1.0 + design.u_edge_radius_share)
+    )
+    return [Component(EDGE_RADIUS, "prediction", 0.5 * (high - low), shared=True)]
 
 
 def _of_the_optics(models: Models, radiance: FloatArray) -> list[Component]:
@@ -238,6 +301,25 @@ def _of_the_optics(models: Models, radiance: FloatArray) -> list[Component]:
     if models.neglected_per_sr is not None:
         share = models.neglected_per_sr / np.sqrt(3.0) / radiance  # a bound, rectangular
         found.append(Component("waves, neglected by rays", "prediction", share, shared=False))
+    return found
+
+
+def _of_the_calibration(
+    recipe: SurfaceRecipe, models: Models, nominal: State, convention: Convention
+) -> list[Component]:
+    """Uncertainty of a calibrated material: directions of its covariance, and what its family of lobes leaves."""
+    file, poses = recipe.material.calibrated, recipe.poses.poses()
+    if file is None:
+        return []
+    changes = calibrated_material(models.sampled, nominal, poses, convention, file)
+    found = [
+        Component(f"calibrated material, direction {number + 1}", "prediction", change, shared=True)
+        for number, change in enumerate(sorted(changes, key=lambda change: -float(np.ptp(change))))
+        if np.any(change)
+    ]
+    if file.test is not None:
+        share = np.full(len(poses), file.test.discrepancy_share)
+        found.append(Component("family of the lobe", "prediction", share, shared=False))
     return found
 
 
@@ -268,6 +350,7 @@ def recipe_uncertainty(recipe: SurfaceRecipe) -> InputUncertainty:
         alpha_share=part.u_alpha_share,
         albedo=part.u_albedo,
         index=part.u_index,
+        tail=part.u_tail,
         light_angle_deg=rig.light_angle_deg,
         seating_tilt_deg=rig.seating_tilt_deg,
         tilt_zero_deg=rig.tilt_deg,

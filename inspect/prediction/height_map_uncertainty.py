@@ -55,6 +55,7 @@ def map_contributions(
     radiance: FloatArray,
     inputs: InputUncertainty | None,
     on_progress: Advance = silent,
+    indirect: FloatArray | None = None,
 ) -> tuple[Contribution, ...]:
     """Contributions of the map itself, except those of its scale; none without ``inputs``.
 
@@ -65,13 +66,14 @@ def map_contributions(
         radiance: (P,) nominal radiances of the whole map in 1/sr.
         inputs: standard uncertainties.
         on_progress: called at every step.
+        indirect: (P,) of the radiances what reflects twice and more; None for direct light alone.
     """
     if inputs is None:
         return ()
     steps = REALISATIONS if inputs.height_noise_um > 0.0 else 0
     found = [Contribution("height map, overall", inputs.height_map_share * radiance, "independent")]
     if relief.pitch_um is not None:
-        found.append(pixel_bias(relief.surface.pixel_x_um, relief.pitch_um, radiance))
+        found.append(pixel_bias(relief.surface.pixel_x_um, relief.pitch_um, radiance, indirect))
     if steps:
         rng = np.random.default_rng(0)  # fixed seed: the same map always has the same uncertainty
         found += height_noise(
@@ -81,10 +83,35 @@ def map_contributions(
     return (*found, *(() if scatter is None else (scatter,)))
 
 
-def pixel_bias(pixel_um: float, pitch_um: float, radiance: FloatArray) -> Contribution:
-    """Bias of walls narrower than a pixel: up to one pixel of facet per pitch, rectangular, so divided by √3."""
-    share = pixel_um / pitch_um / np.sqrt(3.0)
-    return Contribution("pixel size against the walls", share * radiance, "independent", rectangular=True)
+OF_PIXELS = 7.5
+"""Error of the indirect part on a height map, over its size and pixel/pitch: what a wall of one pixel does not show."""
+
+
+def pixel_error(
+    pixel_um: float, pitch_um: float, radiance: FloatArray, indirect: FloatArray | None = None
+) -> FloatArray:
+    """(P,) standard uncertainty in 1/sr from walls narrower than a pixel.
+
+    Of the light of the facets up to one pixel per pitch is lost, rectangular. A wall of one pixel reflects other light
+    between facet and wall than that of the part: 7.5 pixel/pitch of the indirect part, which is 4 % of the radiance at
+    180° and 2.5 % at 90° for ridges of 10° of smooth dark plastic (α 0.08, ρ 0.1) under pixels of 1/50 of the pitch.
+
+    Args:
+        pixel_um: size across the ridges.
+        pitch_um: of the ridges.
+        radiance: (P,) all light in 1/sr.
+        indirect: (P,) of it what reflects twice and more; None for direct light alone.
+    """
+    share, within = pixel_um / pitch_um, np.zeros_like(radiance) if indirect is None else indirect
+    return np.asarray(share * np.hypot((radiance - within) / np.sqrt(3.0), OF_PIXELS * within))
+
+
+def pixel_bias(
+    pixel_um: float, pitch_um: float, radiance: FloatArray, indirect: FloatArray | None = None
+) -> Contribution:
+    """Contribution of walls narrower than a pixel (`pixel_error`)."""
+    error = pixel_error(pixel_um, pitch_um, radiance, indirect)
+    return Contribution("pixel size against the walls", error, "independent", rectangular=True)
 
 
 def height_noise(

@@ -22,7 +22,7 @@ from anisoscope.prediction.sensitivity import (
     evaluate,
 )
 from anisoscope.sim.light.geometry import Convention, Pose
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.material import LONGEST_TAIL, Material
 
 MIN_DRAWS = 10
 _NODES = ((-0.774596669241, 5.0 / 18.0), (0.0, 8.0 / 18.0), (0.774596669241, 5.0 / 18.0))  # Gauss-Legendre
@@ -142,6 +142,8 @@ def _drawn_states(
         near(plastic.albedo, inputs.albedo, (0.0, 1.0)),
         near(plastic.index, inputs.index, (1.0 + 1e-6, 4.0)),
         plastic.internal_reflection,
+        near(plastic.tail, inputs.tail, (0.0, LONGEST_TAIL)),
+        plastic.second_lobe,
     )
     factor = near(shape.height_factor, inputs.height_scale_share, SHAPE_RANGE["height_factor"])
     drawn = Shape(

@@ -11,7 +11,15 @@ from anisoscope.base.errors import HeightMapError, ModelError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.prediction.height_map_uncertainty import relief_model
 from anisoscope.prediction.monte_carlo import MonteCarlo
-from anisoscope.prediction.predict import Predicted, with_uncertainty
+from anisoscope.prediction.predict import Predicted, with_indirect, with_uncertainty
+from anisoscope.prediction.reflections import (
+    Followed,
+    Groove,
+    groove_of_design,
+    reflections_note,
+    reflections_of_map,
+    sampled_with,
+)
 from anisoscope.prediction.relief_preparation import Levelling, prepare_relief
 from anisoscope.prediction.sensitivity import (
     Contribution,
@@ -43,7 +51,7 @@ from anisoscope.sim.light.wave.surface import WaveSurface, sampling_of
 from anisoscope.sim.light.wave.windows import Window
 
 MOST_TIMES = 24
-"""Points in the place of one that are put without being asked for."""
+"""Largest number of points that replace one without an option."""
 
 OpticsModel = Literal["auto", "geometric", "wave", "both"]
 
@@ -56,11 +64,13 @@ class OpticsRequest:
         model: "auto": what the surface needs; "geometric", "wave", or "both".
         light: the wavelengths, for the choice and for waves.
         interpolate: factor by which heights are interpolated for wave optics.
+        bounces: reflections added to waves, by rays; None for all, 1 for direct light.
     """
 
     model: OpticsModel = "auto"
     light: LightSpectrum = field(default_factory=LightSpectrum)
     interpolate: int = 1
+    bounces: int | None = None
 
 
 @dataclass(frozen=True)
@@ -216,21 +226,38 @@ def _by_waves(
     if rig.optics.light_distance_mm is not None:
         raise ModelError("waves need a lamp far away: leave --lamp-distance out, or take --model geometric")
     on_progress("waves", 0, 1)
-    if isinstance(surface, RidgeDesign):
-        of, shape = _of_design(surface, rig, request), Shape(surface.ridge_angle_deg, surface.height_loss)
-    else:
-        of, shape = fixed(_of_map(surface, rig, request, stepped, pitch_um, levelling)), None
+    source: Groove | Followed | None
     nominal = State(rig.material, rig.convention.light_angle_deg)
-    if shape is not None:
-        nominal = replace(nominal, shape=shape)
-    radiance = of(nominal.shape)(*directions(rig.poses, rig.convention), rig.material)
-    notes: dict[str, Any] = {"bounces": 1}
+    if isinstance(surface, RidgeDesign):
+        of, source = _of_design(surface, rig, request), groove_of_design(surface, request.bounces)
+        nominal = replace(nominal, shape=Shape(surface.ridge_angle_deg, surface.height_loss))
+    else:
+        of = fixed(_of_map(surface, rig, request, stepped, pitch_um, levelling))
+        source = reflections_of_map(prepare_relief(surface, pitch_um, levelling)[0], request.bounces)
+    sides = *directions(rig.poses, rig.convention), rig.material
+    direct = of(nominal.shape)(*sides)
+    radiance, additional = with_indirect(direct, source, sides, rig.inputs, rig.optics)
+    notes = reflections_note(source)
+
+    def groove_of(shape: Shape) -> Groove:
+        assert isinstance(source, Groove)
+        if not isinstance(surface, RidgeDesign):
+            return source
+        return source.turned(shape.ridge_angle_deg).shortened(shape.height_loss)
+
+    of = sampled_with(of, source, sides, rig.optics, groove_of)
     found = Predicted(
         "wave", rig.convention, rig.poses, radiance, contrasts(rig.poses, radiance), notes=notes
     )
     on_progress("waves", 1, 1)
     return with_uncertainty(
-        found, of, nominal, rig.inputs, rig.monte_carlo, _contributions(surface, rig, radiance), on_progress
+        found,
+        of,
+        nominal,
+        rig.inputs,
+        rig.monte_carlo,
+        (*_contributions(surface, rig, direct), *additional),
+        on_progress,
     )
 
 

@@ -17,6 +17,16 @@ from anisoscope.prediction.height_map_uncertainty import (
 )
 from anisoscope.prediction.monte_carlo import Drawn, MonteCarlo, draw
 from anisoscope.prediction.propagation import propagate
+from anisoscope.prediction.reflections import (
+    LARGEST_ANGLE_DEG,
+    Followed,
+    Groove,
+    groove_of_design,
+    reflections_contributions,
+    reflections_note,
+    reflections_of_map,
+    sampled_with,
+)
 from anisoscope.prediction.relief_preparation import Levelling, map_notes, prepare_relief
 from anisoscope.prediction.sensitivity import (
     Budget,
@@ -65,7 +75,7 @@ def roughness_note(material: Material, steepest_deg: float) -> dict[str, Any]:
     return {"lost_in_roughness": lost} if lost > NOTE_THRESHOLD else {}
 
 
-def reflections_note(direct: FloatArray, twice: FloatArray) -> dict[str, Any]:
+def neglected_note(direct: FloatArray, twice: FloatArray) -> dict[str, Any]:
     """Note on neglected reflections: the largest share that a second one would add.
 
     Args:
@@ -91,11 +101,12 @@ def design_notes(
     if bounces == 1:
         from anisoscope.sim.light.bounces import interreflection  # noqa: PLC0415 - numba when first needed
 
-        notes |= reflections_note(direct, interreflection(to_light, to_camera, design, material, 2))
+        notes |= neglected_note(direct, interreflection(to_light, to_camera, design, material, 2))
     return notes
 
 
 Roughness = Literal["lobe", "plastic"]
+Reflect = Literal["groove", "paths"]
 
 
 @dataclass(frozen=True)
@@ -210,7 +221,7 @@ def predict_design(
     poses: tuple[Pose, ...],
     convention: Convention,
     model: Literal["printed", "corrected"] = "corrected",
-    bounces: int | None = 1,
+    bounces: int | None = None,
     inputs: InputUncertainty | None = None,
     monte_carlo: MonteCarlo | None = None,
     on_progress: Advance = silent,
@@ -218,28 +229,58 @@ def predict_design(
 ) -> Predicted:
     """Prediction for ideal ridges by the corrected model, or by the published one for fidelity.
 
-    ``bounces`` is for the corrected model: 1 is direct light, None follows all reflections. With ``inputs`` the
-    prediction carries its uncertainty, with ``monte_carlo`` that of draws besides; ``optics``: sizes of lamp and lens.
+    ``bounces`` is for the corrected model: None follows all reflections, 1 is direct light, as is the published model.
+    With ``inputs`` the prediction carries its uncertainty, with ``monte_carlo`` that of draws besides; ``optics``:
+    sizes of lamp and lens.
     """
 
-    def shaped(shape: Shape) -> Model:
-        ridges = replace(design, ridge_angle_deg=shape.ridge_angle_deg, height_loss=shape.height_loss)
+    def ridges_of(shape: Shape) -> RidgeDesign:
+        return replace(design, ridge_angle_deg=shape.ridge_angle_deg, height_loss=shape.height_loss)
+
+    def direct(shape: Shape) -> Model:
+        ridges = ridges_of(shape)
 
         def predict(to_light: FloatArray, to_camera: FloatArray, plastic: Material) -> FloatArray:
             if model == "printed":
                 return printed.radiance(to_light, to_camera, ridges, plastic)
-            return corrected.radiance(to_light, to_camera, ridges, plastic, bounces=bounces)
+            return corrected.radiance(to_light, to_camera, ridges, plastic)
 
         return through(predict, optics)
 
-    shape = Shape(design.ridge_angle_deg, design.height_loss)
+    shape, sides = Shape(design.ridge_angle_deg, design.height_loss), directions(poses, convention)
     nominal = State(material, convention.light_angle_deg, shape=shape)
-    radiance = shaped(shape)(*directions(poses, convention), material)
-    notes: dict[str, Any] = {} if model == "printed" else {"bounces": "all" if bounces is None else bounces}
-    if model == "corrected" and inputs is not None:
-        notes |= design_notes(*directions(poses, convention), design, material, radiance, bounces)
+    radiance = direct(shape)(*sides, material)
+    notes: dict[str, Any] = {}
+    source: Groove | None = None
+    additional: tuple[Contribution, ...] = ()
+    if model == "corrected":
+        source = groove_of_design(design, bounces)
+        notes = reflections_note(source)
+        radiance, additional = with_indirect(radiance, source, (*sides, material), inputs, optics)
+        if inputs is not None:
+            notes |= design_notes(*sides, design, material, radiance, bounces)
     found = Predicted(model, convention, poses, radiance, contrasts(poses, radiance), notes=notes)
-    return with_uncertainty(found, shaped, nominal, inputs, monte_carlo, (), on_progress)
+    shaped = sampled_with(
+        direct, source, (*sides, material), optics, lambda turned: Groove(ridges_of(turned), bounces)
+    )
+    return with_uncertainty(found, shaped, nominal, inputs, monte_carlo, additional, on_progress)
+
+
+def with_indirect(
+    direct: FloatArray,
+    source: Groove | Followed | None,
+    nominal: tuple[FloatArray, FloatArray, Material],
+    inputs: InputUncertainty | None,
+    optics: Optics,
+) -> tuple[FloatArray, tuple[Contribution, ...]]:
+    """(P,) radiance of all light in 1/sr, and the uncertainty of the reflections; none without ``inputs``."""
+    if source is None:
+        return direct, ()
+    indirect = through(source.light, optics)(*nominal)
+    radiance = direct + indirect
+    if inputs is None:
+        return radiance, ()
+    return radiance, reflections_contributions(radiance, indirect, inputs.reflections_share)
 
 
 def with_uncertainty(
@@ -293,10 +334,11 @@ def predict_height_map(
     inputs: InputUncertainty | None = None,
     monte_carlo: MonteCarlo | None = None,
     on_progress: Advance = silent,
-    bounces: int | None = 1,
+    bounces: int | None = None,
     optics: Optics = POINT_LIKE,
     facets: Facets = "symmetric",
     roughness: Roughness = "lobe",
+    reflect: Reflect = "groove",
 ) -> Predicted:
     """Prediction for a measured height map, its x axis at the convention's facet azimuth.
 
@@ -308,15 +350,17 @@ def predict_height_map(
         pitch_um: as in `relief_preparation.prepare_relief`, as are the next two, and the errors.
         levelling: how the map is levelled.
         max_missing_share: share of missing facets above which the map is refused.
-        inputs: uncertainties of everything; with them the prediction carries its own. Sensitivities are those of direct
-            light on the best 160 rows of the map, relative to L.
+        inputs: uncertainties of everything; with them the prediction carries its own. Sensitivities are those on the
+            best 160 rows of the map, relative to L.
         monte_carlo: draws in addition, on the same rows.
         on_progress: called at every step.
-        bounces: largest number of reflections; None follows all. Reflections see point-like lamp and lens.
+        bounces: largest number of reflections; None follows all.
         optics: sizes of lamp and lens.
         facets: how four points become facets.
         roughness: "lobe": the material's roughness is the part that the map does not resolve. "plastic": it is that at
             all scales, and the lobe carries what the map does not resolve (`sim.light.unresolved`).
+        reflect: "groove": reflections are those of the groove fitted to the map, and of paths on the map where there
+            is none; "paths": of paths on the map.
     """
     relief, period = prepare_relief(surface, pitch_um, levelling, max_missing_share, facets)
     on_progress("prediction", 0, 1)
@@ -332,20 +376,36 @@ def predict_height_map(
                 "the map is rougher than the plastic is said to be: its noise, or alpha is too small"
             )
     to_light, to_camera = directions(poses, convention)
-    radiance = relief_model(relief, optics, on_progress)(to_light, to_camera, lobe)
-    additional = map_contributions(relief, (to_light, to_camera), lobe, radiance, inputs, on_progress)
-    notes["bounces"] = "all" if bounces is None else bounces
+    sides = to_light, to_camera, lobe
+    direct = relief_model(relief, optics, on_progress)(*sides)
+    source: Groove | Followed | None
+    if bounces is None or bounces > 1:
+        source = (
+            reflections_of_map(relief, bounces)
+            if reflect == "groove"
+            else Followed(relief, bounces, "paths are asked for")
+        )
+    else:
+        source = None
+    radiance, of_reflections = with_indirect(direct, source, sides, inputs, optics)
+    indirect = None if source is None else radiance - direct
+    additional = map_contributions(
+        relief, (to_light, to_camera), lobe, radiance, inputs, on_progress, indirect
+    )
+    additional = (*additional, *of_reflections)
+    notes |= reflections_note(source)
     if inputs is not None:
         notes |= roughness_note(lobe, float(np.degrees(np.arccos(np.min(to_light[:, 2])))))
         if bounces == 1:
             twice = interreflection(relief, to_light, to_camera, lobe, 2, COARSE_PATHS)
-            notes |= reflections_note(radiance, twice.radiance)
-    if bounces != 1:
-        indirect = interreflection(relief, to_light, to_camera, lobe, bounces, progress=on_progress)
-        radiance = radiance + indirect.radiance
-        paths = Contribution("paths of the reflections", indirect.standard_error, "independent")
-        additional = (*additional, paths)
+            notes |= neglected_note(radiance, twice.radiance)
     found = Predicted("relief", convention, poses, radiance, contrasts(poses, radiance), notes=notes)
     nominal = State(lobe, convention.light_angle_deg)
-    sampled = relief_surface(best_band(relief), optics)
+
+    def groove_of(shape: Shape) -> Groove:
+        assert isinstance(source, Groove)
+        steeper = np.arctan(shape.height_factor * np.tan(np.radians(source.design.ridge_angle_deg)))
+        return source.turned(min(float(np.degrees(steeper)), LARGEST_ANGLE_DEG))
+
+    sampled = sampled_with(relief_surface(best_band(relief), optics), source, sides, optics, groove_of)
     return with_uncertainty(found, sampled, nominal, inputs, monte_carlo, additional, on_progress)

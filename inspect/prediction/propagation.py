@@ -20,7 +20,9 @@ from anisoscope.prediction.sensitivity import (
     Surface,
     evaluate,
 )
+from anisoscope.recipe.material_file import MaterialFile, material_at
 from anisoscope.sim.light.geometry import Convention, Pose
+from anisoscope.sim.light.material import LONGEST_TAIL
 
 PLASTIC_AND_SEAT = (
     "roughness along the ridges",
@@ -32,11 +34,17 @@ PLASTIC_AND_SEAT = (
     "seating tilt about y",
 )
 """Names of the sources that a recipe states of plastic, lamp and seat."""
+TAIL = "tail of the lobe"
+"""Name of the source that a recipe states for a lobe without measurement."""
 RIDGE_ANGLE = "ridge angle of the design"
 """Name of the source that a recipe states of the shape: how much good parts spread."""
 _ANGLE_STEP = 0.1  # degrees
+_TAIL_STEP = (
+    0.5  # a lobe of no tail gains one; the change is nearly as large per unit over this step as it ever is
+)
 _FIELD_NODE = np.sqrt(0.6)  # three-point Gauss-Legendre rule on −1…1, weights 5/18, 8/18, 5/18
 _STAGE = "stage"
+_MATERIAL_SHARE = 0.1  # of the standard uncertainty
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +74,7 @@ def _sources(nominal: State, inputs: InputUncertainty) -> list[_Source]:
         _Source("roughness across the ridges", "alpha_across", inputs.alpha_share * material.alpha_across),
         _Source("albedo of the plastic", "albedo", inputs.albedo),
         _Source("refractive index", "index", inputs.index),
+        _Source(TAIL, "tail", inputs.tail),
         _Source("light angle", "light", inputs.light_angle_deg),
         _Source("seating tilt about x", "seating_x", inputs.seating_tilt_deg),
         _Source("seating tilt about y", "seating_y", inputs.seating_tilt_deg),
@@ -90,6 +99,8 @@ def _probe(nominal: State, name: str) -> _Probe:
         return _material_probe(nominal, name, 0.01, (0.0, 1.0))
     if name == "index":
         return _material_probe(nominal, name, min(0.005, 0.5 * (material.index - 1.0)), (1.0, 4.0))
+    if name == "tail":
+        return _material_probe(nominal, name, _TAIL_STEP, (0.0, LONGEST_TAIL))
     if name in SHAPE_RANGE:
         value = getattr(nominal.shape, name)
         step = 0.05 if name == "ridge_angle_deg" else 0.005
@@ -202,6 +213,45 @@ def propagate(
         contributions.append(Contribution("light angle over the field", shift))
     per_degree = _slope(probes[_STAGE], found[_STAGE], middle, meant)
     return Budget(meant, (*contributions, *additional), per_degree)
+
+
+def calibrated_material(
+    surface: Surface,
+    nominal: State,
+    poses: tuple[Pose, ...],
+    convention: Convention,
+    file: MaterialFile,
+) -> FloatArray:
+    """(K, P) changes of ln L, independent of each other, that the covariance of a calibrated material leaves.
+
+    Its parameters are correlated, so that one source for each would state too much. The covariance is C = Σ_k v_k v_kᵀ
+    with K orthogonal vectors; the covariance of ln L is J C Jᵀ = Σ_k (J v_k)(J v_k)ᵀ (JCGM 102:2011, 6.2), and every
+    J v_k is a central difference over v_k, which may be large, of a tenth of it.
+
+    Args:
+        surface: the predictor of a shape.
+        nominal: the state in which the prediction is made.
+        poses: P poses.
+        convention: how the angles are counted.
+        file: the material with its covariance.
+    """
+    names, values = file.covariance.parameters, file.values()
+    size, vectors = np.linalg.eigh(file.covariance.array())
+    moves = (np.sqrt(np.maximum(size, 0.0)) * vectors).T
+    tail = names.index("tail") if "tail" in names else None
+
+    def ends(move: FloatArray) -> list[State]:
+        found = []
+        for side in (-_MATERIAL_SHARE, _MATERIAL_SHARE):
+            moved = values + side * move
+            if tail is not None:
+                moved[tail] = np.clip(moved[tail], 0.0, LONGEST_TAIL)
+            found.append(replace(nominal, material=material_at(nominal.material, names, moved)))
+        return found
+
+    light = evaluate(surface, [state for move in moves for state in ends(move)], poses, convention)
+    change = np.diff(np.log(np.maximum(light, DARK)).reshape(len(moves), 2, -1), axis=1)[:, 0]
+    return np.asarray(change / (2.0 * _MATERIAL_SHARE))
 
 
 def _over_the_field(nominal: State, half_width_deg: float) -> list[State]:

@@ -19,6 +19,15 @@ from anisoscope.prediction.optics_selection import (
     optics_note,
     wave_model,
 )
+from anisoscope.prediction.reflections import (
+    Followed,
+    Groove,
+    added,
+    groove_of_design,
+    reflections_note,
+    reflections_of_map,
+    sampled_with,
+)
 from anisoscope.prediction.relief_preparation import AXIS_TOLERANCE_DEG, prepare_relief
 from anisoscope.prediction.sensitivity import Model, Shape, Surface, fixed
 from anisoscope.profiles.files.load import read_height_map
@@ -45,6 +54,7 @@ class Models:
         optics: asked, model, reason, stated_error and the like, from `optics_selection.optics_note` and `error_note`.
         neglected_per_sr: error of rays where waves apply, in 1/sr; None where rays are adequate.
         numerical: relative error of the waves; 0 of rays.
+        indirect: the part of the predictor that reflects twice and more, always by rays; None for direct light alone.
     """
 
     model: Model
@@ -54,6 +64,7 @@ class Models:
     optics: dict[str, Any]
     neglected_per_sr: float | None = None
     numerical: float = 0.0
+    indirect: Model | None = None
 
 
 def models_of(recipe: SurfaceRecipe, poses: tuple[Pose, ...], convention: Convention) -> Models:
@@ -68,7 +79,7 @@ def models_of(recipe: SurfaceRecipe, poses: tuple[Pose, ...], convention: Conven
         design = recipe.surface.ridge_design()
 
         def ideal(shape: Shape) -> Model:
-            ridges = replace(design, ridge_angle_deg=shape.ridge_angle_deg)
+            ridges = replace(design, ridge_angle_deg=shape.ridge_angle_deg, height_loss=shape.height_loss)
 
             def predict(to_light: FloatArray, to_camera: FloatArray, material: Material) -> FloatArray:
                 return corrected.radiance(to_light, to_camera, ridges, material)
@@ -76,7 +87,8 @@ def models_of(recipe: SurfaceRecipe, poses: tuple[Pose, ...], convention: Conven
             return through(predict, rig.optics)
 
         predictor = ideal(Shape(design.ridge_angle_deg))
-        return _chosen(recipe, design, rig, lambda: (predictor, ideal, None, "corrected"))
+        direct = _chosen(recipe, design, rig, lambda: (predictor, ideal, None, "corrected"))
+        return with_reflections(direct, groove_of_design(design, recipe.surface.bounces), rig)
     surface = read_surface(recipe)
 
     def by_rays() -> tuple[Model, Surface, HeightMap | None, str]:
@@ -90,7 +102,46 @@ def models_of(recipe: SurfaceRecipe, poses: tuple[Pose, ...], convention: Conven
         sampled = fixed(relief_model(best_band(relief), rig.optics))
         return relief_model(relief, rig.optics), sampled, relief.surface, "relief"
 
-    return _chosen(recipe, surface, rig, by_rays)
+    direct = _chosen(recipe, surface, rig, by_rays)
+    if recipe.surface.bounces == 1:
+        return direct
+    relief, _ = prepare_relief(surface, recipe.surface.pitch_um)
+    return with_reflections(direct, reflections_of_map(relief, recipe.surface.bounces), rig)
+
+
+def edge_radius_model(recipe: SurfaceRecipe, edge_radius_um: float, rig: Rig) -> Model:
+    """Predictor of a design whose crests have another radius: by rays, with two reflections at most.
+
+    Raises:
+        HeightMapError: the radius leaves no facet.
+    """
+    design = recipe.surface.ridge_design(edge_radius_um)
+    groove = groove_of_design(design, 1 if recipe.surface.bounces == 1 else 2)
+
+    def direct(to_light: FloatArray, to_camera: FloatArray, material: Material) -> FloatArray:
+        return corrected.radiance(to_light, to_camera, design, material)
+
+    return through(added(direct, None if groove is None else groove.light), rig.optics)
+
+
+def with_reflections(direct: Models, source: Groove | Followed | None, rig: Rig) -> Models:
+    """Predictors with the light that reflects twice and more, added to direct light.
+
+    The ridge angle of a design is also that of its groove.
+    """
+    optics = direct.optics | reflections_note(source)
+    if source is None:
+        return replace(direct, optics=optics)
+    indirect = through(source.light, rig.optics)
+    model = added(direct.model, indirect)
+
+    def groove_of(shape: Shape) -> Groove:
+        assert isinstance(source, Groove)
+        return source if direct.surface is not None else source.turned(shape.ridge_angle_deg)
+
+    nominal = *directions(rig.poses, rig.convention), rig.material
+    sampled = sampled_with(direct.sampled, source, nominal, rig.optics, groove_of)
+    return replace(direct, model=model, sampled=sampled, optics=optics, indirect=indirect)
 
 
 def read_surface(recipe: SurfaceRecipe) -> HeightMap:

@@ -36,8 +36,8 @@ def prepare_relief(
         facets: how four points become facets (`sim.light.relief.Relief`).
 
     Returns:
-        The relief and the period. Means run over whole pitches where the ridges run along y within 1°;
-        otherwise over the whole map.
+        The relief and the period. Means run over whole pitches along x, unless the ridges run nearly along x; then over
+        the whole map. The lobe's frame follows the ridges where they run more than 1° from y.
 
     Raises:
         HeightMapError: too much of the map is missing, it is narrower than ``pitch_um``, or the ridges found are
@@ -65,10 +65,13 @@ def prepare_relief(
             f"the height map is {width:g} µm wide, less than one pitch of {pitch_um:g} µm: "
             "a prediction needs at least one whole ridge"
         )
-    straight = period.is_periodic and abs(period.direction_deg) <= AXIS_TOLERANCE_DEG
-    whole = straight and period.pitch_um <= width * (1.0 + 1e-6)
-    pitch = min(period.pitch_um, width) if whole else None
-    return Relief(prepared, pitch, max_missing_share, facets), period
+    if not period.is_periodic:
+        return Relief(prepared, None, max_missing_share, facets), period
+    direction = period.direction_deg if abs(period.direction_deg) > AXIS_TOLERANCE_DEG else 0.0
+    stretch = float(np.cos(np.radians(direction)))  # along x ridges repeat after the pitch over this
+    repeat = period.pitch_um / stretch if stretch > 0.1 else float("inf")
+    pitch = min(repeat, width) if repeat <= width * (1.0 + 1e-6) else None
+    return Relief(prepared, pitch, max_missing_share, facets, direction), period
 
 
 def map_notes(relief: Relief, period: Period) -> dict[str, Any]:
@@ -87,7 +90,7 @@ def map_notes(relief: Relief, period: Period) -> dict[str, Any]:
         if abs(period.direction_deg) > AXIS_TOLERANCE_DEG:
             notes["warning"] = (
                 f"the ridges run {period.direction_deg:+.1f}° from the map's y axis: alpha along and across are taken "
-                "along y and x of the map"
+                "along and across the ridges, but the facet azimuth is that of the map's x axis"
             )
     else:
         notes["warning"] = (

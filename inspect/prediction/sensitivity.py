@@ -41,6 +41,7 @@ class InputUncertainty:
         alpha_share: relative, of both roughnesses independently.
         albedo: of the diffuse albedo.
         index: of the refractive index.
+        tail: of the tail of the lobe.
         light_angle_deg: of the angle between light and camera.
         light_field_deg: half-width by which the light angle varies over the field of view.
         stage_deg: of the stage angle, independent in every pose.
@@ -54,6 +55,7 @@ class InputUncertainty:
         height_scale_share: relative, of the amplification of the heights of a map.
         pixel_size_share: relative, of the pixel size of a map, both axes together.
         height_map_share: relative, of the radiance of a pose, for all other errors of a map.
+        reflections_share: relative, of the amplitude of the light that reflects more than once.
         ridges_seen: number of ridges in the camera's field of view; None counts no scatter for them.
 
     Raises:
@@ -63,6 +65,7 @@ class InputUncertainty:
     alpha_share: float = 0.05
     albedo: float = 0.01
     index: float = 0.01
+    tail: float = 0.0
     light_angle_deg: float = 0.1
     light_field_deg: float = 0.0
     stage_deg: float = 0.05
@@ -76,6 +79,7 @@ class InputUncertainty:
     height_scale_share: float = 0.0
     pixel_size_share: float = 0.0
     height_map_share: float = 0.01
+    reflections_share: float = 0.1
     ridges_seen: int | None = None
 
     def __post_init__(self) -> None:

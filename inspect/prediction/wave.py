@@ -54,8 +54,8 @@ def design_surface(design: RidgeDesign, light: LightSpectrum) -> WaveSurface:
         ModelError: too many points would be needed.
     """
     steepest = np.tan(np.radians(design.ridge_angle_deg))
-    if design.wall == "perpendicular" and design.ridge_angle_deg > 0.0:
-        steepest = max(steepest, 1.0 / steepest)
+    if design.draft_rad > 0.0:
+        steepest = max(steepest, 1.0 / np.tan(design.draft_rad))
     limit = 0.25 * light.shortest_um / max(float(steepest), 1e-9)
     a_pitch = int(np.ceil(design.pitch_um / min(0.8 * limit, 0.1 * light.shortest_um)))
     if a_pitch * _DESIGN_PITCHES > _DESIGN_POINTS:

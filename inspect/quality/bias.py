@@ -2,12 +2,12 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
+from anisoscope.base.json_fields import in_json
 
 ALPHA = 0.05
 MIN_COUNT = 3
@@ -44,21 +44,19 @@ class Bias:
     alpha: float
 
     @property
+    @in_json()
     def significant(self) -> bool:
         """Whether 0 is outside the interval."""
         return not self.low <= 0.0 <= self.high
 
     @property
+    @in_json()
     def verdict(self) -> str:
         """The outcome in plain words."""
         where = f"{self.bias:+.3g}, {1 - self.alpha:.0%} between {self.low:+.3g} and {self.high:+.3g}"
         if self.significant:
             return f"biased: {where}; calibrate, or correct for it"
         return f"no bias is seen: {where}"
-
-    def to_json(self) -> dict[str, Any]:
-        """All of it, for JSON."""
-        return vars(self) | {"significant": self.significant, "verdict": self.verdict}
 
 
 def bias_study(values: FloatArray, reference: float, alpha: float = ALPHA) -> Bias:

@@ -1,6 +1,6 @@
 """A camera as EMVA 1288 (release 4, linear) describes it, from the record of its linearity calibration."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +8,8 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import CalibrationError
-from anisoscope.calibration.photon_transfer import LINEARITY_RANGE, TransferCurve, linearity_deviations
+from anisoscope.base.json_fields import in_json, json_field
+from anisoscope.calibration.linearity import LINEARITY_RANGE, TransferCurve, linearity_deviations
 from anisoscope.calibration.record import CalibrationRecord, Value, advice, read_calibration
 from anisoscope.rig.rigfile import read_rig
 
@@ -28,6 +29,12 @@ NAMES = {
 COLUMNS = ("exposure_s", "amount", "light", "dark", "light_variance", "dark_variance")
 
 
+def _described(record: CalibrationRecord) -> dict[str, Any]:
+    """What the sheet says of its calibration."""
+    names = ("id", "camera", "taken_at", "valid_until", "in_limits", "values")
+    return {"gain_setting": record.gain} | {name: getattr(record, name) for name in names}
+
+
 @dataclass(frozen=True, eq=False)
 class CameraSheet:
     """Data sheet of a camera.
@@ -38,8 +45,8 @@ class CameraSheet:
         curve: means and variances over exposure; None in records of earlier versions.
     """
 
-    record: CalibrationRecord
-    path: Path
+    record: CalibrationRecord = field(metadata=json_field(by=_described, merged=True))
+    path: Path = field(metadata=json_field("file"))
     curve: TransferCurve | None
 
     @property
@@ -72,6 +79,7 @@ class CameraSheet:
         return tuple((NAMES[name], values[name]) for name in NAMES if name in values)
 
     @property
+    @in_json()
     def verdict(self) -> str:
         """The outcome in plain words."""
         record = self.record
@@ -83,6 +91,7 @@ class CameraSheet:
         )
 
     @property
+    @in_json()
     def notes(self) -> tuple[str, ...]:
         """Notes for the reader."""
         found = list(self.record.remarks)
@@ -95,23 +104,6 @@ class CameraSheet:
                 f"this record holds no transfer curve, so that there is nothing to draw: {advice('linearity')}"
             )
         return tuple(found)
-
-    def to_json(self) -> dict[str, Any]:
-        """All of it, for JSON."""
-        curve = self.curve
-        return {
-            "file": str(self.path),
-            "id": self.record.id,
-            "camera": self.record.camera.model_dump(),
-            "gain_setting": self.record.gain,
-            "taken_at": self.record.taken_at.isoformat(),
-            "valid_until": self.record.valid_until.isoformat(),
-            "in_limits": self.record.in_limits,
-            "values": {name: one.model_dump() for name, one in self.record.values.items()},
-            "curve": None if curve is None else curve.content(),
-            "verdict": self.verdict,
-            "notes": list(self.notes),
-        }
 
 
 def read_camera(path: Path) -> CameraSheet:

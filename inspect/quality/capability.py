@@ -5,12 +5,13 @@ and Ppk the approximation of A. F. Bissell, Applied Statistics 39 (1990) 331. Bo
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
+from anisoscope.base.json_fields import json_field
 from anisoscope.history.chain import PRECISION
 from anisoscope.quality.individuals import Limits, sigma_freedom
 from anisoscope.quality.readings import Readings
@@ -68,7 +69,7 @@ class Capability:
         confidence: of the intervals.
     """
 
-    specification: Specification
+    specification: Specification = field(metadata=json_field(merged=True))
     count: int
     mean: float
     sigma_short: float

@@ -10,13 +10,14 @@ standard deviation that are estimated, and its p-value.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
+from anisoscope.base.json_fields import LEFT_OUT, in_json, json_field
 from anisoscope.base.notebook import axes_or_new, data_frame, html_table
 from anisoscope.quality.capability import GOOD, POOR, Capability, Specification, capability
 from anisoscope.quality.individuals import BoolArray, Limits, given_limits, limits_of, moving_range
@@ -39,10 +40,10 @@ class Ewma:
         width: L, in standard deviations of the average.
     """
 
-    average: FloatArray
-    lower: FloatArray
-    upper: FloatArray
-    weight: float
+    average: FloatArray = field(metadata=LEFT_OUT)
+    lower: FloatArray = field(metadata=LEFT_OUT)
+    upper: FloatArray = field(metadata=LEFT_OUT)
+    weight: float = field(metadata=json_field("lambda"))
     width: float
 
     @property
@@ -192,6 +193,26 @@ class Settings:
         return limits_of(values, self.baseline)
 
 
+@dataclass(frozen=True)
+class Pattern:
+    """A pattern of a chart for its reader.
+
+    Attributes:
+        rule: number of the rule.
+        text: the rule in words.
+        first, last: places of its first and last value, from 1.
+        seen_at: place of the value at which it became complete, from 1.
+        labels: of its values.
+    """
+
+    rule: int
+    text: str
+    first: int
+    last: int
+    seen_at: int
+    labels: tuple[str, ...]
+
+
 @dataclass(frozen=True, eq=False)
 class ControlStudy:
     """Control chart of one series: limits, rule violations, normality and capability.
@@ -211,28 +232,65 @@ class ControlStudy:
     """
 
     name: str
-    values: FloatArray
-    labels: tuple[str, ...]
+    values: FloatArray = field(metadata=LEFT_OUT)
+    labels: tuple[str, ...] = field(metadata=LEFT_OUT)
     limits: Limits
-    ranges: FloatArray
-    average: Ewma
-    flags: tuple[Flag, ...]
-    wide: BoolArray
+    ranges: FloatArray = field(metadata=LEFT_OUT)
+    average: Ewma = field(metadata=json_field("ewma"))
+    flags: tuple[Flag, ...] = field(metadata=LEFT_OUT)
+    wide: BoolArray = field(metadata=LEFT_OUT)
     capability: Capability | None
     normality: Normality | None
     notes: tuple[str, ...]
 
     @property
+    @in_json("measured")
     def count(self) -> int:
         """Measured values."""
         return int(np.count_nonzero(~np.isnan(self.values)))
 
     @property
+    @in_json()
+    def missing(self) -> int:
+        """Values that were not measured."""
+        return len(self.values) - self.count
+
+    @property
+    @in_json("flags")
+    def patterns(self) -> tuple[Pattern, ...]:
+        """The flags with their places and labels."""
+        return tuple(
+            Pattern(
+                one.rule,
+                one.text,
+                one.first + 1,
+                one.last + 1,
+                one.seen_at + 1,
+                self.labels[one.first : one.last + 1],
+            )
+            for one in self.flags
+        )
+
+    @property
+    @in_json()
+    def wide_ranges(self) -> tuple[str, ...]:
+        """Labels of the moving ranges above their limit."""
+        return tuple(self.labels[k] for k in np.flatnonzero(self.wide))
+
+    @property
+    @in_json()
+    def ewma_outside(self) -> tuple[str, ...]:
+        """Labels of the averages beyond their limits."""
+        return tuple(self.labels[k] for k in np.flatnonzero(self.average.outside))
+
+    @property
+    @in_json()
     def stable(self) -> bool:
         """No pattern, no wide range, no average outside."""
         return not (self.flags or self.wide.any() or self.average.outside.any())
 
     @property
+    @in_json()
     def verdict(self) -> str:
         """The outcome in plain words."""
         words = [f"stable: nothing unusual among {self.count} values" if self.stable else self._trouble()]
@@ -303,54 +361,9 @@ class ControlStudy:
             {"label": self.labels, "value": self.values, "range": self.ranges, "in_pattern": patterns}
         )
 
-    def to_json(self) -> dict[str, Any]:
-        """All of it but the values, for JSON."""
-        return {
-            "name": self.name,
-            "measured": self.count,
-            "missing": len(self.values) - self.count,
-            "stable": self.stable,
-            "verdict": self.verdict,
-            "limits": {
-                "center": self.limits.center,
-                "sigma": self.limits.sigma,
-                "lower": self.limits.lower,
-                "upper": self.limits.upper,
-                "range_center": self.limits.range_center,
-                "range_upper": self.limits.range_upper,
-                "baseline": self.limits.baseline,
-            },
-            "ewma": {"lambda": self.average.weight, "width": self.average.width},
-            "flags": [_flag_json(flag, self.labels) for flag in self.flags],
-            "wide_ranges": [self.labels[k] for k in np.flatnonzero(self.wide)],
-            "ewma_outside": [self.labels[k] for k in np.flatnonzero(self.average.outside)],
-            "capability": None if self.capability is None else _capability_json(self.capability),
-            "normality": None if self.normality is None else vars(self.normality),
-            "notes": list(self.notes),
-        }
-
 
 def _times(count: int, word: str) -> str:
     return f"{count} {word}" + ("" if count == 1 else "s")
-
-
-def _flag_json(flag: Flag, labels: tuple[str, ...]) -> dict[str, Any]:
-    return {
-        "rule": flag.rule,
-        "text": flag.text,
-        "first": flag.first + 1,
-        "last": flag.last + 1,
-        "seen_at": flag.seen_at + 1,
-        "labels": list(labels[flag.first : flag.last + 1]),
-    }
-
-
-def _capability_json(found: Capability) -> dict[str, Any]:
-    plain = {name: value for name, value in vars(found).items() if name != "specification"}
-    indices = {
-        name: None if plain[name] is None else vars(plain[name]) for name in ("cp", "cpk", "pp", "ppk")
-    }
-    return plain | indices | vars(found.specification)
 
 
 def capable_words(found: Capability, stable: bool) -> str:

@@ -18,15 +18,15 @@ intraclass correlation.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import combinations, product
-from typing import Any
 
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
+from anisoscope.base.json_fields import LEFT_OUT, in_json, json_field
 from anisoscope.quality.readings import Readings
 
 CONFIDENCE = 0.95
@@ -51,6 +51,7 @@ class MeanSquare:
     p: float | None = None
 
     @property
+    @in_json("mean_square")
     def value(self) -> float:
         """Sum of squares over degrees of freedom."""
         return self.sum_squares / self.freedom
@@ -107,11 +108,13 @@ class Component:
     high: float
 
     @property
+    @in_json()
     def variance(self) -> float:
         """The estimate; 0 where it came out negative."""
         return max(self.raw, 0.0)
 
     @property
+    @in_json()
     def sigma(self) -> float:
         """Standard deviation."""
         return math.sqrt(self.variance)
@@ -120,6 +123,14 @@ class Component:
     def negative(self) -> bool:
         """The estimate was negative, and counts as 0."""
         return self.raw < 0.0
+
+
+@dataclass(frozen=True)
+class ComponentOfStudy(Component):
+    """A component of a study, its standard deviation over the total one, and six of them over the tolerance."""
+
+    of_study: float
+    of_tolerance: float | None
 
 
 Terms = Sequence[tuple[float, MeanSquare]]
@@ -263,20 +274,20 @@ class GaugeStudy:
         share: interval of the gauge's share of the study variation (%GRR as a share).
     """
 
-    data: GaugeData
-    table: tuple[MeanSquare, ...]
+    data: GaugeData = field(metadata=LEFT_OUT)
+    table: tuple[MeanSquare, ...] = field(metadata=json_field("anova"))
     pooled: bool
-    repeatability: Component
-    reproducibility: Component | None
-    appraiser: Component | None
-    interaction: Component | None
-    gauge: Component
-    part: Component
-    total: Component
+    repeatability: Component = field(metadata=LEFT_OUT)
+    reproducibility: Component | None = field(metadata=LEFT_OUT)
+    appraiser: Component | None = field(metadata=LEFT_OUT)
+    interaction: Component | None = field(metadata=LEFT_OUT)
+    gauge: Component = field(metadata=LEFT_OUT)
+    part: Component = field(metadata=LEFT_OUT)
+    total: Component = field(metadata=LEFT_OUT)
     tolerance: float | None
     notes: tuple[str, ...]
     confidence: float
-    share: tuple[float, float]
+    share: tuple[float, float] = field(metadata=json_field("of_study_interval"))
 
     @property
     def components(self) -> tuple[Component, ...]:
@@ -287,6 +298,35 @@ class GaugeStudy:
         )  # fmt: skip
         return tuple(one for one in some if one is not None)
 
+    @property
+    @in_json()
+    def parts(self) -> int:
+        """Measured parts."""
+        return len(self.data.parts)
+
+    @property
+    @in_json()
+    def appraisers(self) -> int:
+        """Those who measured."""
+        return len(self.data.appraisers)
+
+    @property
+    @in_json()
+    def trials(self) -> int:
+        """Measurements of every part by every appraiser."""
+        return int(self.data.values.shape[2])
+
+    @property
+    @in_json("components")
+    def shares(self) -> dict[str, ComponentOfStudy]:
+        """All estimated components by name, with their shares."""
+        return {
+            one.name: ComponentOfStudy(
+                one.name, one.raw, one.low, one.high, self.share_of_study(one), self.share_of_tolerance(one)
+            )
+            for one in self.components
+        }
+
     def share_of_study(self, one: Component) -> float:
         """Standard deviation over the total one (%GRR as a share)."""
         return one.sigma / self.total.sigma
@@ -296,17 +336,20 @@ class GaugeStudy:
         return None if self.tolerance is None else 6.0 * one.sigma / self.tolerance
 
     @property
+    @in_json("ndc")
     def categories(self) -> int | None:
         """Number of distinct categories (ndc): 1.41 part over gauge, cut to a whole number; None without noise."""
         return None if self.gauge.sigma == 0.0 else int(CATEGORIES * self.part.sigma / self.gauge.sigma)
 
     @property
+    @in_json("ndc_interval")
     def categories_interval(self) -> tuple[int | None, int | None]:
         """Interval of ndc; None at an end where the noise may be zero."""
         low, high = self.share
         return categories_of(high), categories_of(low)
 
     @property
+    @in_json("of_tolerance_interval")
     def tolerance_interval(self) -> tuple[float, float] | None:
         """The interval of the gauge's share of the tolerance, from that of its variance; None without a tolerance."""
         if self.tolerance is None:
@@ -316,6 +359,7 @@ class GaugeStudy:
         ) / self.tolerance
 
     @property
+    @in_json()
     def verdict(self) -> str:
         """The outcome in plain words, by the rules of the AIAG manual."""
         share, of = self.share_of_study(self.gauge), "of the study variation"
@@ -335,34 +379,6 @@ class GaugeStudy:
             if few
             else ""
         )
-
-    def to_json(self) -> dict[str, Any]:
-        """All of it but the measurements, for JSON."""
-        return {
-            "parts": len(self.data.parts),
-            "appraisers": len(self.data.appraisers),
-            "trials": self.data.values.shape[2],
-            "anova": [vars(line) | {"mean_square": line.value} for line in self.table],
-            "pooled": self.pooled,
-            "components": {
-                one.name: vars(one)
-                | {
-                    "variance": one.variance,
-                    "sigma": one.sigma,
-                    "of_study": self.share_of_study(one),
-                    "of_tolerance": self.share_of_tolerance(one),
-                }
-                for one in self.components
-            },
-            "of_study_interval": list(self.share),
-            "of_tolerance_interval": self.tolerance_interval and list(self.tolerance_interval),
-            "ndc": self.categories,
-            "ndc_interval": list(self.categories_interval),
-            "tolerance": self.tolerance,
-            "confidence": self.confidence,
-            "verdict": self.verdict,
-            "notes": list(self.notes),
-        }
 
 
 POOLING_ALPHA = 0.25

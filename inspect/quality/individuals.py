@@ -5,13 +5,14 @@ over d2. A missing value has no moving range, and neither has the value after it
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
+from anisoscope.base.json_fields import LEFT_OUT, in_json
 
 BoolArray = npt.NDArray[np.bool_]
 
@@ -37,19 +38,22 @@ class Limits:
     sigma: float
     range_center: float
     baseline: int
-    ranges: int
+    ranges: int = field(metadata=LEFT_OUT)
 
     @property
+    @in_json()
     def upper(self) -> float:
         """Upper limit of the values."""
         return self.center + WIDTH * self.sigma
 
     @property
+    @in_json()
     def lower(self) -> float:
         """Lower limit of the values."""
         return self.center - WIDTH * self.sigma
 
     @property
+    @in_json()
     def range_upper(self) -> float:
         """Upper limit of the moving range (D4 = 3.27 times its mean); the lower one is 0."""
         return self.range_center * (1.0 + WIDTH * D3 / D2)

@@ -5,13 +5,13 @@ within the confidence band of the fitted one.
 """
 
 import math
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
+from anisoscope.base.json_fields import LEFT_OUT, in_json
 from anisoscope.quality.bias import ALPHA, MIN_COUNT, Bias, bias_study
 
 MIN_LEVELS = 3
@@ -42,8 +42,8 @@ class GaugeLinearity:
         alpha: of tests and band.
     """
 
-    references: FloatArray
-    biases: FloatArray
+    references: FloatArray = field(metadata=LEFT_OUT)
+    biases: FloatArray = field(metadata=LEFT_OUT)
     slope: Coefficient
     intercept: Coefficient
     sigma: float
@@ -51,6 +51,12 @@ class GaugeLinearity:
     levels: tuple[Bias, ...]
     t_limit: float
     alpha: float
+
+    @property
+    @in_json()
+    def measured(self) -> int:
+        """How many values were measured."""
+        return len(self.references)
 
     def band(self, reference: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """The line and the confidence band of the mean bias, low and high, at some reference values."""
@@ -65,12 +71,14 @@ class GaugeLinearity:
         return line, line - reach, line + reach
 
     @property
+    @in_json()
     def fit(self) -> bool:
         """Whether zero bias is within the band over the whole range."""
         _, low, high = self.band(np.linspace(self.references.min(), self.references.max(), 201))
         return bool(np.all((low <= 0.0) & (high >= 0.0)))
 
     @property
+    @in_json()
     def verdict(self) -> str:
         """The outcome in plain words."""
         if self.fit:
@@ -78,21 +86,6 @@ class GaugeLinearity:
         if self.slope.p < self.alpha:
             return f"not linear: the bias changes by {self.slope.value:+.3g} for every unit (p {self.slope.p:.2g})"
         return "linear but biased: zero bias leaves the band, and its slope is not significant; correct the offset"
-
-    def to_json(self) -> dict[str, Any]:
-        """All of it but the measurements, for JSON."""
-        return {
-            "measured": len(self.references),
-            "slope": vars(self.slope),
-            "intercept": vars(self.intercept),
-            "sigma": self.sigma,
-            "r2": self.r2,
-            "t_limit": self.t_limit,
-            "alpha": self.alpha,
-            "fit": self.fit,
-            "levels": [level.to_json() for level in self.levels],
-            "verdict": self.verdict,
-        }
 
 
 def gauge_linearity(references: FloatArray, values: FloatArray, alpha: float = ALPHA) -> GaugeLinearity:

@@ -114,7 +114,7 @@ def _most_of(z: FloatArray, far: float, least: int, span: int) -> BoolArray:
 
 
 def flags(values: FloatArray, center: float, sigma: float) -> tuple[Flag, ...]:
-    """All patterns of a series, in the order in which they were seen; overlapping ones of a rule are one.
+    """All patterns of a series, in order of occurrence; overlapping ones of a rule are one.
 
     Args:
         values: (N,), NaN is missing.

@@ -1,9 +1,9 @@
 """Stability: a check standard measured repeatedly over time, on a control chart, with its bias."""
 
 from dataclasses import dataclass
-from typing import Any
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.json_fields import in_json
 from anisoscope.quality.bias import ALPHA, Bias, bias_study
 from anisoscope.quality.control import ControlStudy, Settings, control_study
 
@@ -16,6 +16,7 @@ class Stability:
     bias: Bias | None
 
     @property
+    @in_json()
     def verdict(self) -> str:
         """The outcome in plain words."""
         if self.bias is None:
@@ -23,14 +24,6 @@ class Stability:
         if not self.chart.stable:
             return f"{self.chart.verdict}; a bias of what is not stable says little"
         return f"{self.chart.verdict}; {self.bias.verdict}"
-
-    def to_json(self) -> dict[str, Any]:
-        """All of it but the values, for JSON."""
-        return {
-            "verdict": self.verdict,
-            "chart": self.chart.to_json(),
-            "bias": None if self.bias is None else self.bias.to_json(),
-        }
 
 
 def stability_study(

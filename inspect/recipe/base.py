@@ -60,7 +60,11 @@ class DecisionBase(Part):
 
 
 class LimitsPart(Part):
-    """Limits beyond which a measurement is INVALID."""
+    """Limits beyond which a measurement is INVALID.
+
+    ``fixture_um`` is the distance of the point about which the fixture turns from the calibrated rotation centre: the
+    fixture's markers place every picture, so that only a moved camera or stage is to be noticed.
+    """
 
     saturated_share: Share = 0.001
     registration_px: Positive = 0.5
@@ -68,6 +72,7 @@ class LimitsPart(Part):
     scale_share: Share = 0.02
     drift: Positive = 0.02
     min_signal_share: Share = 0.01
+    fixture_um: Positive = 250.0
 
 
 class CommonUncertainty(Part):

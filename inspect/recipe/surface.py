@@ -1,16 +1,19 @@
 """Recipe of a part with a surface: reference surface, material, light, and decision rule."""
 
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal, Self, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
 
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationInfo, model_validator
 
-from anisoscope.base.errors import ModelError, RecipeError, RigFileError
+from anisoscope.base.errors import HeightMapError, ModelError, RecipeError, RigFileError
 from anisoscope.base.toml_file import LocalPath, NotNegative, Part, Positive, Share, read_toml_model
-from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.profiles.ideal import STEEPEST_DRAFT_DEG, RidgeDesign
 from anisoscope.recipe.base import CommonUncertainty, DecisionBase, RecipeBase
+from anisoscope.recipe.material_file import MaterialFile, MaterialLightPart, read_material_file
 from anisoscope.rig.rigfile import RigFile
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.contrasts import consecutive_pairs
+from anisoscope.sim.light.geometry import Convention
+from anisoscope.sim.light.material import LONGEST_TAIL, Material
 
 WIDEST = 0.4
 """Largest full width of a lamp's spectrum, by its wavelength: the bench's lamps are no wider."""
@@ -45,14 +48,23 @@ class LightPart(Part):
 ContrastKind = Literal["log_ratio", "michelson", "difference"]
 Surface = Literal["height_map", "design"]
 AskedOptics = Literal["auto", "geometric", "wave"]
+Reflections = Literal["all", "direct"] | Annotated[int, Field(strict=True, ge=2, le=30)]
 
 
 class DesignPart(Part):
-    """Ideal ridges; ``u_ridge_angle_deg`` is the standard deviation of the angle of good parts."""
+    """Ideal ridges; ``u_ridge_angle_deg`` is the standard deviation of the angle of good parts.
+
+    ``edge_radius_um`` is the radius of the crests, 0 for sharp ones, known by ``u_edge_radius_share`` of it. ``wall``
+    may be the draft of the wall in degrees from the vertical.
+    """
 
     ridge_angle_deg: Annotated[float, Field(ge=0.0, lt=45.0)]
     u_ridge_angle_deg: NotNegative = 0.0
-    wall: Literal["perpendicular", "vertical"] = "perpendicular"
+    edge_radius_um: NotNegative = 0.0
+    u_edge_radius_share: Share = 0.4
+    wall: Literal["perpendicular", "vertical"] | Annotated[float, Field(ge=0.0, le=STEEPEST_DRAFT_DEG)] = (
+        "perpendicular"
+    )
 
 
 class SurfacePart(Part):
@@ -60,7 +72,8 @@ class SurfacePart(Part):
 
     ``pitch_um`` is needed in all cases: means and the contrast map are taken over whole pitches. Of both surfaces,
     ``compare`` says which one decides; the other is compared with as well. ``optics`` says how light is predicted:
-    "auto" takes rays or waves, whichever is right, "geometric" and "wave" insist.
+    "auto" takes rays or waves, whichever is right, "geometric" and "wave" insist. ``reflections`` says how often light
+    is followed from facet to wall and back: "all", a number, or "direct" for light that reflects once.
     """
 
     pitch_um: Positive
@@ -70,6 +83,7 @@ class SurfacePart(Part):
     design: DesignPart | None = None
     compare: Surface | None = None
     optics: AskedOptics = "auto"
+    reflections: Reflections = "all"
 
     @model_validator(mode="after")
     def _something_decides(self) -> Self:
@@ -86,6 +100,12 @@ class SurfacePart(Part):
                 "design.u_ridge_angle_deg is the spread of ideal ridges, and cannot be given to those of a height_map "
                 'that decides: leave it out, or let the design decide (compare = "design")'
             )
+        if self.design is not None and self.design.edge_radius_um > 0.0:
+            part = self.design
+            try:
+                self.ridge_design(part.edge_radius_um * (1.0 + part.u_edge_radius_share))
+            except HeightMapError as problem:
+                raise ValueError(f"design.edge_radius_um with its uncertainty: {problem}") from None
         return self
 
     @property
@@ -94,34 +114,90 @@ class SurfacePart(Part):
         return self.compare or ("height_map" if self.design is None else "design")
 
     @property
+    def bounces(self) -> int | None:
+        """Largest number of reflections that is followed; None follows all."""
+        return (
+            {"all": None, "direct": 1}[self.reflections]
+            if isinstance(self.reflections, str)
+            else self.reflections
+        )
+
+    @property
     def both(self) -> bool:
         """Whether there is a second surface to compare with."""
         return self.height_map is not None and self.design is not None
 
-    def ridge_design(self) -> RidgeDesign:
-        """The ideal design of this table; only where ``design`` is given."""
-        assert self.design is not None
+    def ridge_design(self, edge_radius_um: float | None = None) -> RidgeDesign:
+        """The ideal design of this table; only where ``design`` is given.
+
+        Args:
+            edge_radius_um: radius of the crests; that of the table by default.
+
+        Raises:
+            HeightMapError: the radius leaves no facet.
+        """
+        part = self.design
+        assert part is not None
         return RidgeDesign(
-            pitch_um=self.pitch_um, ridge_angle_deg=self.design.ridge_angle_deg, wall=self.design.wall
+            pitch_um=self.pitch_um,
+            ridge_angle_deg=part.ridge_angle_deg,
+            wall=part.wall,
+            edge_radius_um=part.edge_radius_um if edge_radius_um is None else edge_radius_um,
         )
 
 
 class MaterialPart(Part):
-    """The plastic, with standard uncertainties: relative for the roughness, absolute for the rest."""
+    """The plastic, with standard uncertainties: relative for the roughness, absolute for the rest.
 
+    ``tail`` is that of the lobe, 0 for Beckmann's to 1.6, ``second_lobe`` weight and width of a Beckmann lobe mixed in
+    (`sim.light.material.Material`). Where nobody has measured the lobe of a plastic, ``u_tail`` = 0.5 covers what
+    plastics show; 0 says that it is known.
+
+    ``file`` names a material file in place of the values and of their uncertainties, but for that of the index:
+    ``material = "abs.toml"`` is short for it. ``calibrated`` is then its content.
+    """
+
+    file: LocalPath | None = None
+    calibrated: MaterialFile | None = None
     alpha_along: Positive
     alpha_across: Positive
     albedo: Share
     index: Annotated[float, Field(gt=1.0, le=4.0)] = 1.5
     internal_reflection: Literal["nonlinear", "linear"] = "nonlinear"
+    tail: Annotated[float, Field(ge=0.0, le=LONGEST_TAIL)] = 0.0
+    second_lobe: tuple[Annotated[float, Field(gt=0.0, lt=1.0)], Positive] | None = None
+    u_tail: NotNegative = 0.0
     u_alpha_share: Share = 0.05
     u_albedo: NotNegative = 0.01
     u_index: NotNegative = 0.01
 
+    @model_validator(mode="before")
+    @classmethod
+    def _from_its_file(cls, table: Any, info: ValidationInfo) -> Any:  # noqa: ANN401
+        found: Any = {"file": table} if isinstance(table, str) else table
+        if not isinstance(found, dict) or found.get("file") is None or found.get("calibrated") is not None:
+            return table
+        own = set(found) - {"file", "u_index", "calibrated"}
+        if own:
+            raise ValueError(f"file holds the material: leave {', '.join(sorted(own))} out")
+        folder = Path((info.context or {}).get("folder", "."))
+        path = folder / str(found["file"])
+        if not path.is_file() and (folder / path.name).is_file():
+            path = folder / path.name  # the copy in an inspection folder
+        file = read_material_file(path)
+        known = {"u_alpha_share": 0.0, "u_albedo": 0.0, "u_tail": 0.0}
+        return {**found, **dict(file.material), **known, "file": str(path), "calibrated": file}
+
     def material(self) -> Material:
         """The material of the reflectance model."""
         return Material(
-            self.alpha_along, self.alpha_across, self.albedo, self.index, self.internal_reflection
+            self.alpha_along,
+            self.alpha_across,
+            self.albedo,
+            self.index,
+            self.internal_reflection,
+            self.tail,
+            self.second_lobe,
         )
 
 
@@ -152,11 +228,44 @@ class AreaPart(Part):
 class RigUncertainty(CommonUncertainty):
     """Standard uncertainties of the rig that a single inspection cannot determine.
 
-    ``tilt_deg`` is of the zero of the tilt.
+    ``tilt_deg`` is of the zero of the tilt; ``reflections_share`` is relative, of the amplitude of the light that
+    reflects more than once.
     """
 
     height_map_share: NotNegative = 0.01
+    reflections_share: NotNegative = 0.1
     tilt_deg: NotNegative = 0.0
+
+
+class ScatterPart(Part):
+    """How good parts differ from each other, as standard deviations.
+
+    ``ridge_angle_deg`` is that of the design (``surface.design.u_ridge_angle_deg``) where it is not given, 0.1 without
+    one; ``seating_tilt_deg`` that of ``[uncertainty]``. Relative: ``alpha_share`` of both roughnesses, ``albedo_share``
+    of the albedo.
+    """
+
+    ridge_angle_deg: NotNegative | None = None
+    alpha_share: Share = 0.05
+    albedo_share: Share = 0.03
+    seating_tilt_deg: NotNegative | None = None
+
+
+class DefectsPart(Part):
+    """Smallest interesting size of the defects for which a part is tested separately.
+
+    ``power``: probability with which they must be found. Where it is given and the poses and golden parts do not reach
+    it, a part that would pass is INCONCLUSIVE.
+    """
+
+    ridge_angle_deg: Positive = 0.5
+    roughness_share: Annotated[float, Field(gt=0.0, le=2.0)] = 0.2
+    height_loss: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.1
+    power: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
+
+
+SCATTER_DEG = 0.1
+"""Usual standard deviation of the ridge angle of good parts."""
 
 
 class SurfaceRecipe(RecipeBase):
@@ -167,11 +276,34 @@ class SurfaceRecipe(RecipeBase):
     decision: DecisionPart = DecisionPart()
     area: AreaPart | None = None
     uncertainty: RigUncertainty = RigUncertainty()
+    scatter: ScatterPart | None = ScatterPart()
+    defects: DefectsPart = DefectsPart()
     light: LightPart | None = None
+
+    @property
+    def stated_scatter(self) -> ScatterPart:
+        """Scatter between good parts; the usual one where golden parts alone are to show it."""
+        return self.scatter or ScatterPart()
+
+    @property
+    def scattered_ridge_angle_deg(self) -> float:
+        """Standard deviation of the ridge angle of good parts."""
+        if self.stated_scatter.ridge_angle_deg is not None:
+            return self.stated_scatter.ridge_angle_deg
+        design = self.surface.design
+        return (
+            design.u_ridge_angle_deg if design is not None and design.u_ridge_angle_deg > 0.0 else SCATTER_DEG
+        )
+
+    @property
+    def scattered_seating_deg(self) -> float:
+        """Standard deviation of the seating of parts about each axis."""
+        given = self.stated_scatter.seating_tilt_deg
+        return self.uncertainty.seating_tilt_deg if given is None else given
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
-        pairs = len(self.poses.tilts_deg) * (len(self.poses.angles_deg) - 1)
+        pairs = len(consecutive_pairs(self.poses.poses()))
         tolerance = self.decision.tolerance
         if isinstance(tolerance, tuple) and len(tolerance) != pairs:
             raise ValueError(f"decision.tolerance lists {len(tolerance)} values for {pairs} pairs of angles")
@@ -196,7 +328,7 @@ class SurfaceRecipe(RecipeBase):
         tolerance = self.decision.tolerance
         if tolerance is None or isinstance(tolerance, tuple):
             return tolerance
-        return (tolerance,) * (len(self.poses.tilts_deg) * (len(self.poses.angles_deg) - 1))
+        return (tolerance,) * len(consecutive_pairs(self.poses.poses()))
 
     def against(self, surface: Surface) -> Self:
         """The recipe reduced to one of its surfaces."""
@@ -226,6 +358,38 @@ def read_surface_recipe(path: Path, model: type[RecipeT]) -> RecipeT:
     except ModelError as error:
         raise RecipeError(f"{path}: material: {error}") from None
     return recipe
+
+
+def check_material(recipe: SurfaceRecipe, rig: RigFile, path: Path) -> None:
+    """Compare the material file of a recipe with lamp, lens and half angles of its poses.
+
+    Args:
+        recipe: with a material file or without; facets of a height map alone have no known angle, so that half angles
+            are compared where there is a design.
+        rig: the rig.
+        path: of the recipe file, for the message.
+
+    Raises:
+        RecipeError: the material was measured with another lamp or lens, or not at such half angles.
+    """
+    file = recipe.material.calibrated
+    if file is None:
+        return
+    lamp = recipe.light or LightPart()
+    stated = recipe.light is not None
+    light = MaterialLightPart(
+        wavelength_nm=lamp.wavelength_nm if stated else rig.light.wavelength_nm,
+        bandwidth_nm=lamp.bandwidth_nm if stated else rig.light.bandwidth_nm,
+        lamp_half_angle_deg=lamp.lamp_half_angle_deg if stated else rig.light.half_angle_deg,
+        aperture_half_angle_deg=lamp.aperture_half_angle_deg if stated else rig.camera.half_angle_deg,
+    )
+    reason = file.other_light(light)
+    design = recipe.surface.design
+    if reason is None and design is not None:
+        convention = Convention(rig.light.angle_deg, facet_azimuth_deg=recipe.poses.facet_azimuth_deg)
+        reason = file.uncovered(recipe.poses.poses(), convention, (design.ridge_angle_deg,))
+    if reason is not None:
+        raise RecipeError(f"{path}: {reason}")
 
 
 MAX_Z = 3.0

@@ -1,6 +1,6 @@
 """Result of teaching a recipe from good parts: the changes, and the path of the previous version."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -34,11 +34,6 @@ class Taught:
     folder: Path | None
     changes: tuple[Change, ...]
     notes: tuple[str, ...]
-
-    def as_json(self) -> dict[str, Any]:
-        """For `json.dump`."""
-        folder = None if self.folder is None else str(self.folder)
-        return asdict(self) | {"kept": str(self.kept), "folder": folder}
 
 
 def previous_version_path(recipe_path: Path, version: int) -> Path:

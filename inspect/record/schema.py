@@ -231,7 +231,9 @@ class OpticsRecord(_Part):
     """By rays or by waves, and why.
 
     ``stated_error`` is that of the model that was taken, as a share of the middle of the brightest lobe; ``asked`` is
-    what the recipe says. None stands for what has no end, or was not known: a map with missing points.
+    what the recipe says. None stands for what has no end, or was not known: a map with missing points. ``bounces`` is
+    the largest number of reflections that was followed, ``reflections_from`` whether on a "groove" of ideal facet and
+    wall, of which angle, or on "paths on the height map", and for what reason.
     """
 
     asked: str
@@ -242,6 +244,11 @@ class OpticsRecord(_Part):
     f_um: float | None
     coherence_um: float | None
     wavelengths_nm: tuple[float, ...] = ()
+    bounces: int | Literal["all"] | None = None
+    reflections_from: str | None = None
+    reflections_reason: str | None = None
+    groove_angle_deg: float | None = None
+    groove_wall: str | float | None = None
 
 
 class ShapeRecord(_Part):
@@ -255,13 +262,38 @@ class ShapeRecord(_Part):
     advice: str | None
 
 
+class DirectionRecord(_Part):
+    """Test of the part for one named defect against golden parts.
+
+    ``score`` in standard deviations of good parts, ``separation`` its mean for a part with the smallest interesting
+    defect, ``power`` the probability of finding that one, ``detectable`` the multiple of its size that is found in 9 of
+    10 parts, null where none is.
+    """
+
+    defect: str
+    score: float
+    separation: float
+    power: float
+    detectable: float | None
+
+
 class GoldenRecord(_Part):
-    """The golden parts that decided what deviates: ln ratios to the first pose, one row a part."""
+    """The golden parts that decided what deviates: ln ratios to the first pose, one row a part.
+
+    ``birge`` is the variance among the golden parts over the stated one; ``p_distance`` and ``p_direction`` are the
+    p values of the squared distance and of the largest score of ``directions``; ``test`` is the one that decided,
+    "predictive" by the stated scatter or "hotelling" by that of the golden parts.
+    """
 
     parts: int
     mean: tuple[float, ...]
     contrasts: tuple[tuple[float, ...], ...]
     measured: tuple[float, ...]
+    birge: float | None = None
+    p_distance: float | None = None
+    p_direction: float | None = None
+    directions: tuple[DirectionRecord, ...] = ()
+    test: Literal["predictive", "hotelling"] = "hotelling"
 
 
 class MapPlaceRecord(_Part):

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.calibration.photon_transfer import GAIN_RANGE
+from anisoscope.calibration.linearity import GAIN_RANGE
 from anisoscope.calibration.record import Value
 from anisoscope.quality.camera import NAMES, CameraSheet
 from anisoscope.report.figures import BLUE, GREEN, INK, MUTED, ORANGE, new_figure, svg_uri

@@ -93,7 +93,7 @@ def _curve(done: Commissioned, pose: int, lean_deg: FloatArray) -> FloatArray:
     light, known = done.angles.light, {one.name: one.value for one in done.angles.light.parameters}
     tilt = np.full_like(lean_deg, (light.sign or 1) * done.angles.tilts_deg[pose])
     model = RigModel(done.part, lean_deg, tilt, done.record.series["bounces"])
-    return np.asarray(np.exp(model(known)), dtype=np.float64)
+    return np.asarray(np.exp(model.anchored(known, every=6)(known)), dtype=np.float64)
 
 
 def radiance_chart(done: Commissioned) -> str:

@@ -275,7 +275,7 @@ def contrast_chart(
 
 
 def height_picture(height_um: FloatArray, pixel_um: tuple[float, float]) -> str:
-    """A height map seen from above, in false colours.
+    """A height map from above, in false colours.
 
     Args:
         height_um: (rows, cols), row index rising with +y.

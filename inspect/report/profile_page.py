@@ -195,6 +195,7 @@ def _origin_lines(origin: dict[str, Any], prefix: str = "") -> list[tuple[str, s
 def _ridge_part(found: RidgeMeasurement) -> dict[str, Any]:
     return {
         "numbers": [(text, *as_text(getattr(found, key)), unit) for text, key, unit in NUMBERS],
+        "remarks": found.remarks(),
         "ridge_chart": ridge_chart(found.mean_ridge),
         "slope_chart": slope_chart(found),
         "angle_chart": angle_chart(found),

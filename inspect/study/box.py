@@ -39,7 +39,7 @@ class Box:
     def at(self, unit: Sequence[float] | FloatArray) -> Part:
         """The part at a point in unit coordinates."""
         values = {name: self.value(k, float(unit[k])) for k, name in enumerate(self.names)}
-        return replace(self.part, **values)  # type: ignore[arg-type]
+        return replace(self.part, **values)
 
 
 def check_bounds(bounds: Bounds, part: Part, scoring: Scoring) -> None:

@@ -173,7 +173,9 @@ def ridge_radiance(
             material.albedo,
             material.index,
             material.internal_reflection,
-            float(np.exp(number / TABLES_PER_E_FOLD)),
+            material.tail,
+            material.second_lobe,
+            interface_alpha=float(np.exp(number / TABLES_PER_E_FOLD)),
         )
         if weight > 0.0:
             total += weight * lighting.radiance(plastic)

@@ -15,7 +15,7 @@ from numpy.lib import format as npy_format
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
-from anisoscope.profiles.files.checks import DEFLATE_LIMIT, check_claim, checked_map, refuse
+from anisoscope.profiles.files.checks import DEFLATE_LIMIT, check_claim, check_packing, checked_map, refuse
 from anisoscope.profiles.files.content import scaled
 from anisoscope.profiles.files.units import micrometres_per, require_pixel
 from anisoscope.profiles.files.x3p import DAMAGED, ZIP_TROUBLE
@@ -50,16 +50,19 @@ def _read_array(name: str, stream: BinaryIO, size: int, factor: float) -> FloatA
     return scaled(raw.reshape(shape, order="F" if fortran else "C"), factor)
 
 
-def _npy(path: Path, factor: float) -> tuple[FloatArray, None]:
+def _npy(path: Path, factor: float) -> tuple[FloatArray, None, str]:
     with path.open("rb") as stream:
-        return _read_array(path.name, stream, path.stat().st_size, factor), None
+        return _read_array(path.name, stream, path.stat().st_size, factor), None, ""
 
 
-def _npz(path: Path, factor: float) -> tuple[FloatArray, tuple[float, float] | None]:
-    """The only two-dimensional array of an archive, and ``pixel_um`` (y, x) where the archive has one."""
+def _npz(path: Path, factor: float) -> tuple[FloatArray, tuple[float, float] | None, str]:
+    """The only two-dimensional array of an archive, ``pixel_um`` (y, x) where it has one, and its comment."""
     found: dict[str, FloatArray] = {}
     pixel: tuple[float, float] | None = None
     with zipfile.ZipFile(path) as archive:
+        whole = sum(info.file_size for info in archive.infolist())
+        check_packing(path.name, "all arrays", whole, path.stat().st_size)
+        comment = archive.comment.decode("utf-8", "replace")
         for info in archive.infolist():
             limit = min(info.compress_size, path.stat().st_size) * DEFLATE_LIMIT
             if info.file_size > min(limit, MAX_ENTRY_BYTES):
@@ -75,7 +78,7 @@ def _npz(path: Path, factor: float) -> tuple[FloatArray, tuple[float, float] | N
                 )
     if len(found) != 1:
         refuse(path.name, "arrays", ", ".join(found)[:80] or "none", "one array of heights is expected")
-    return next(iter(found.values())), pixel
+    return next(iter(found.values())), pixel, comment
 
 
 def read_array(
@@ -95,13 +98,15 @@ def read_array(
     factor = micrometres_per(z_unit)
     packed = _starts_with_zip(path)
     try:
-        height, noted = _npz(path, factor) if packed else _npy(path, factor)
+        height, noted, comment = _npz(path, factor) if packed else _npy(path, factor)
     except HeightMapError:
         raise
     except HEADER_TROUBLE as error:
         refuse(path.name, "numpy file", f"cannot be read ({error or type(error).__name__})", DAMAGED)
     pixel = require_pixel(path.name, pixel_um or noted)
     origin = {"format": "npz" if packed else "npy", "z_unit": z_unit}
+    if comment:
+        origin["comment"] = comment
     return checked_map(path.name, height, pixel, origin)
 
 
@@ -110,18 +115,27 @@ def _starts_with_zip(path: Path) -> bool:
         return stream.read(2) == b"PK"
 
 
+def _add_comment(stream: BinaryIO, comment: str) -> None:
+    if comment:
+        with zipfile.ZipFile(stream, "a") as archive:
+            archive.comment = comment.encode()
+
+
 def write_array(surface: HeightMap, path: Path | str) -> None:
     """Write the heights in µm: npz with ``height_um`` and ``pixel_um`` (y, x), or npy without a pixel size.
+
+    ``comment`` of the origin becomes the comment of the npz archive.
 
     Raises:
         HeightMapError: the file cannot be written.
     """
     path = Path(path)
     try:
-        with path.open("wb") as stream:
+        with path.open("w+b") as stream:
             if path.suffix.lower() == ".npz":
                 pixel_um = np.array([surface.pixel_y_um, surface.pixel_x_um])
                 np.savez_compressed(stream, height_um=surface.height_um, pixel_um=pixel_um)
+                _add_comment(stream, str(surface.origin.get("comment", "")))
             else:
                 np.save(stream, surface.height_um, allow_pickle=False)
     except OSError as error:

@@ -6,8 +6,11 @@ than the factors of 1000 or 10⁶ by which unit mistakes go wrong. Nothing is co
 or it raises one line that names the file, the check, the value and the way out.
 """
 
-from collections.abc import Sequence
-from typing import Any, NoReturn
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, field
+from typing import Any, Literal, NoReturn
 
 import numpy as np
 import numpy.typing as npt
@@ -19,9 +22,50 @@ from anisoscope.profiles.heightmap import HeightMap
 PIXEL_LIMITS_UM = (0.01, 1000.0)
 MAX_FIELD_UM = 0.5e6
 MAX_HEIGHT_UM = 10_000.0
+MIN_RANGE_UM = 1e-4
 MAX_POINTS = 250_000_000
 DEFLATE_LIMIT = 1032
+PACKED_FREELY_BYTES = 2**26
+PACKED_RATIO = 200
 AXIS_TOLERANCE = 0.05
+
+Trust = Literal["checksum", "pixel-size", "heights"]
+
+
+@dataclass
+class Trusted:
+    """Checks that the user overrides, and what each of them then let pass.
+
+    Attributes:
+        checks: names of the checks.
+        passed: one text for each time that one of them would have refused the file.
+    """
+
+    checks: frozenset[str] = frozenset()
+    passed: list[str] = field(default_factory=list)
+
+
+_trusted: ContextVar[Trusted | None] = ContextVar("trusted", default=None)
+
+
+@contextmanager
+def trusting(checks: Sequence[Trust]) -> Iterator[Trusted]:
+    """While a file is read, let the named checks pass it; what they let pass is listed in the value."""
+    trusted = Trusted(frozenset(checks))
+    token = _trusted.set(trusted)
+    try:
+        yield trusted
+    finally:
+        _trusted.reset(token)
+
+
+def passes(check: Trust, text: str) -> bool:
+    """Whether the user overrides a check; then the text is noted."""
+    trusted = _trusted.get()
+    if trusted is None or check not in trusted.checks:
+        return False
+    trusted.passed.append(text)
+    return True
 
 
 def refuse(name: str, check: str, value: object, advice: str) -> NoReturn:
@@ -74,19 +118,23 @@ def check_pixel(name: str, pixel_um: Sequence[float], shape: tuple[int, int]) ->
     """
     low, high = PIXEL_LIMITS_UM
     for axis, pixel, count in zip("yx", pixel_um, shape, strict=True):
-        if not low <= pixel <= high:
+        found = f"pixel size along {axis} {pixel:.6g} µm, beyond {low:g} to {high:g} µm"
+        if not low <= pixel <= high and not (0.0 < pixel < np.inf and passes("pixel-size", found)):
             refuse(
                 name,
                 f"pixel size along {axis}",
                 f"{pixel:.6g} µm",
-                f"plausible are {low:g} to {high:g} µm; check the unit in which the pixel size was given",
+                f"plausible are {low:g} to {high:g} µm; check the unit in which the pixel size was given, or take it "
+                "as it is with --trust pixel-size",
             )
-        if pixel * count > MAX_FIELD_UM:
+        field_mm = f"field along {axis} {pixel * count * 1e-3:.6g} mm"
+        if pixel * count > MAX_FIELD_UM and not passes("pixel-size", field_mm):
             refuse(
                 name,
                 f"field along {axis}",
                 f"{pixel * count * 1e-3:.6g} mm",
-                f"plausible are up to {MAX_FIELD_UM * 1e-3:g} mm; check the pixel size",
+                f"plausible are up to {MAX_FIELD_UM * 1e-3:g} mm; check the pixel size, or take it as it is with "
+                "--trust pixel-size",
             )
 
 
@@ -108,6 +156,45 @@ def _check_range(name: str, lowest: float, highest: float) -> None:
         )
 
 
+def check_spread(name: str, lowest: float, highest: float) -> None:
+    """Refuse heights of an imported map that differ, but by less than 0.1 nm from the lowest to the highest.
+
+    No instrument sees so little over a whole map; heights in m taken for µm do. A flat map is none of these: what
+    differs by less than that were it in m, such as the rounding of a levelled plane.
+
+    Raises:
+        HeightMapError: such heights, and the user does not trust them.
+    """
+    spread = highest - lowest
+    if 1e-6 * MIN_RANGE_UM < spread < MIN_RANGE_UM and not passes(
+        "heights", f"heights that differ by {spread:.3g} µm at most"
+    ):
+        refuse(
+            name,
+            "range of the heights",
+            f"{spread:.3g} µm",
+            f"plausible are {MIN_RANGE_UM:g} µm or more; check the unit of the heights, or take them as they are with "
+            "--trust heights",
+        )
+
+
+def check_packing(name: str, entry: str, plain: float, packed: float) -> None:
+    """Refuse an entry of an archive that unpacks to more than 64 MiB and 200 times its packed size.
+
+    Measured heights pack to a half or a tenth; what packs to a thousandth is a bomb, or holds nothing.
+
+    Raises:
+        HeightMapError: such an entry.
+    """
+    if plain > PACKED_FREELY_BYTES and plain > PACKED_RATIO * packed:
+        refuse(
+            name,
+            f"size of {entry}",
+            f"{packed:.0f} bytes unpack to {plain:.0f}",
+            f"more than {PACKED_RATIO} times is not read; the file is damaged, or crop the map",
+        )
+
+
 def check_heights(name: str, height_um: npt.NDArray[np.floating]) -> None:
     """Check the heights, (rows, cols) in µm, NaN where missing.
 
@@ -126,6 +213,10 @@ def check_map(surface: HeightMap, name: str) -> HeightMap:
     check_pixel(name, (surface.pixel_y_um, surface.pixel_x_um), surface.shape)
     check_heights(name, surface.height_um)
     return surface
+
+
+def _corrected(origin: dict[str, Any], text: str) -> dict[str, Any]:
+    return {**origin, "corrected": [*origin.get("corrected", []), text]}
 
 
 def checked_map(
@@ -159,18 +250,18 @@ def checked_map(
     check_pixel(name, pixel_um, (rows, cols))
     lowest, highest = _range(height_um)
     if max(-lowest, highest) >= beyond_um:
+        if np.isinf(max(-lowest, highest)):
+            endless = int(np.count_nonzero(np.isinf(height_um)))
+            origin = _corrected(origin, f"{endless} infinite heights are missing points")
         height_um[np.abs(height_um) >= beyond_um] = np.nan
         lowest, highest = _range(height_um)
     if stage_height and max(-lowest, highest) > MAX_HEIGHT_UM and highest - lowest <= MAX_HEIGHT_UM:
         middle = 0.5 * (lowest + highest)
         height_um -= middle
-        done = [
-            *origin.get("corrected", []),
-            f"heights counted from {middle:.6g} µm, the middle of their range",
-        ]
-        origin = {**origin, "corrected": done}
+        origin = _corrected(origin, f"heights counted from {middle:.6g} µm, the middle of their range")
         lowest, highest = lowest - middle, highest - middle
     _check_range(name, lowest, highest)
+    check_spread(name, lowest, highest)
     height_um.flags.writeable = False
     return HeightMap(height_um, float(pixel_um[1]), float(pixel_um[0]), origin)
 

@@ -11,16 +11,21 @@ from anisoscope.profiles.files.arrays import read_array
 from anisoscope.profiles.files.checks import refuse
 from anisoscope.profiles.files.gsf import MAGIC as GSF_MAGIC
 from anisoscope.profiles.files.gsf import read_gsf
+from anisoscope.profiles.files.gwy import MAGIC as GWY_MAGIC
+from anisoscope.profiles.files.gwy import read_gwy
 from anisoscope.profiles.files.images import PNG_MAGIC, read_image
 from anisoscope.profiles.files.library import LIBRARY_FORMATS, read_library
 from anisoscope.profiles.files.metropro import MAGICS as METROPRO_MAGICS
 from anisoscope.profiles.files.metropro import read_metropro
-from anisoscope.profiles.files.nms import VERSION as NMS_VERSION
-from anisoscope.profiles.files.nms import read_nms
 from anisoscope.profiles.files.opd import read_opd
+from anisoscope.profiles.files.plain_grids import TMD_MAGIC, read_nms, read_tmd
+from anisoscope.profiles.files.plain_grids import VERSION as NMS_VERSION
 from anisoscope.profiles.files.plu import read_plu
 from anisoscope.profiles.files.sdf import VERSIONS as SDF_VERSIONS
 from anisoscope.profiles.files.sdf import read_sdf
+from anisoscope.profiles.files.sur import PACKED as PACKED_SUR
+from anisoscope.profiles.files.sur import PLAIN as PLAIN_SUR
+from anisoscope.profiles.files.sur import read_sur
 from anisoscope.profiles.files.text import read_text
 from anisoscope.profiles.files.units import Given
 from anisoscope.profiles.files.x3p import ZIP_TROUBLE, read_x3p
@@ -43,7 +48,7 @@ def _text(path: Path, given: Given) -> HeightMap:
     return read_text(
         path,
         pixel_um=given.pixel_um,
-        z_unit=given.z_unit or "um",
+        z_unit=given.z_unit,
         xy_unit=given.xy_unit,
         layout=given.layout,
     )
@@ -78,6 +83,9 @@ OWN_FORMATS = (
     Format("ISO 25178-71 sdf", (".sdf",), read_sdf,
            tuple((0, f"{kind}{version}".encode()) for version in SDF_VERSIONS for kind in "ab")),
     Format("Gwyddion simple field", (".gsf",), read_gsf, ((0, GSF_MAGIC),)),
+    Format("Gwyddion gwy", (".gwy",), read_gwy, ((0, GWY_MAGIC),)),
+    Format("Digital Surf sur", (".sur",), read_sur, ((0, PLAIN_SUR), (0, PACKED_SUR))),
+    Format("TrueMap tmd", (".tmd",), read_tmd, ((0, TMD_MAGIC),)),
     Format("Sensofar plu", (".plu", ".apx"), read_plu),
     Format("Wyko opd", (".opd",), read_opd, ((2, b"Directory\0"),)),
     Format("Zygo MetroPro", (".dat",), read_metropro, tuple((0, magic) for magic in METROPRO_MAGICS)),

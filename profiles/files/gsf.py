@@ -66,22 +66,27 @@ def read_gsf(path: Path | str, given: Given | None = None) -> HeightMap:
     stated = None if real_x is None or real_y is None else (real_y / rows, real_x / cols)
     pixel = stated_or_given_pixel(name, stated, given.pixel_um if given else None)
     origin: dict[str, Any] = {"format": "gsf", "first_row": "top"}
-    if title := fields.get("Title"):
-        origin["comment"] = title[:200]
+    if comment := fields.get("Comment", fields.get("Title", "")[:200]):
+        origin["comment"] = comment
     return checked_map(name, scaled(raw, factor), pixel, origin)
+
+
+def _line(text: object) -> str:
+    return "".join(letter for letter in str(text) if letter.isprintable())
 
 
 def write_gsf(surface: HeightMap, path: Path | str) -> None:
     """Write a map as gsf: float32 metres, so that heights keep 24 bits; the pixel keeps all of them.
+
+    ``comment`` of the origin stands in the field ``Comment``.
 
     Raises:
         HeightMapError: the file cannot be written.
     """
     rows, cols = surface.shape
     field_y, field_x = surface.extent_um
-    title = "".join(
-        letter for letter in str(surface.origin.get("file", "height map")) if letter.isprintable()
-    )
+    title = _line(surface.origin.get("file", "height map"))
+    comment = _line(surface.origin.get("comment", ""))
     lines = (
         f"XRes = {cols}",
         f"YRes = {rows}",
@@ -90,6 +95,7 @@ def write_gsf(surface: HeightMap, path: Path | str) -> None:
         "XYUnits = m",
         "ZUnits = m",
         f"Title = {title}",
+        *([f"Comment = {comment}"] if comment else []),
     )
     head = MAGIC + "\n".join(lines).encode() + b"\n"
     numbers = (surface.height_um[::-1] * 1e-6).astype("<f4").tobytes()

@@ -1,11 +1,15 @@
-"""Height maps as pictures: TIFF and PNG with one channel of 16 bits or more.
+"""Height maps for programs that know no heights: pictures (TIFF, PNG), and meshes that are written only (STL, PLY).
 
 A picture knows no heights: the pixel size, and the height of one count of an integer picture, are asked for.
-Resolution tags are made for printers and are never used. TIFF files that :func:`write_tiff` wrote note pixel
-and unit in their description, and only those need no options. The first row is the top of the picture.
+Resolution tags are made for printers and are never used. TIFF and PNG files that we wrote note pixel and heights in
+their description or text, and only those need no options. The first row is the top of the picture.
 
 Decoding is done by tifffile and OpenCV in the guarded process; before that, every chunk checksum of a PNG is
 compared and its data inflated to the length that its header claims, because decoders fill what is missing.
+
+In a mesh every square of four measured points is two triangles, seen counter-clockwise from +z; squares with a missing
+point are left out. STL has no unit: millimetres are what programs take its numbers for, and its header says so, as
+the comment of the PLY does. x and y begin at 0, z is the height.
 """
 
 import re
@@ -16,7 +20,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.files.checks import DEFLATE_LIMIT, check_claim, checked_map, refuse
 from anisoscope.profiles.files.content import DAMAGED, Content, load_content, scaled
@@ -26,12 +32,18 @@ from anisoscope.profiles.heightmap import HeightMap
 
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 GREY = 0
+PNG_NOTE = re.compile(
+    r"height_um = count \* ([0-9.eE+-]+) \+ ([0-9.eE+-]+), 0 is missing; "
+    r"pixel_um \(y, x\): ([0-9.eE+-]+), ([0-9.eE+-]+)"
+)
+PNG_KEYWORD = b"Height map\0"
+MOST_COUNTS = 65535
 NOTE = re.compile(r"heights in um; pixel_um \(y, x\): ([0-9.eE+-]+), ([0-9.eE+-]+)")
 
 
-def _chunks(content: Content) -> tuple[bytes, bytes]:
-    """Header and joined image data of a PNG whose every chunk has the right checksum."""
-    header, data, position = b"", [], len(PNG_MAGIC)
+def _chunks(content: Content) -> tuple[bytes, bytes, str]:
+    """Header, joined image data and our note of a PNG whose every chunk has the right checksum."""
+    header, note, data, position = b"", "", [], len(PNG_MAGIC)
     while True:
         length, kind = content.numbers(">I4s", position)
         body = content.data[position + 8 : position + 8 + length]
@@ -42,13 +54,15 @@ def _chunks(content: Content) -> tuple[bytes, bytes]:
             header = body
         elif kind == b"IDAT":
             data.append(body)
+        elif kind == b"tEXt" and body.startswith(PNG_KEYWORD):
+            note = body[len(PNG_KEYWORD) :].decode("latin-1")
         elif kind == b"IEND":
-            return header, b"".join(data)
+            return header, b"".join(data), note
         position += 12 + length
 
 
-def check_png(content: Content) -> None:
-    """Compare checksums and size of a PNG before it is decoded.
+def check_png(content: Content) -> str:
+    """Compare checksums and size of a PNG before it is decoded; return what our own writer noted in it, if anything.
 
     Raises:
         HeightMapError: no PNG, truncated, damaged, interlaced, coloured, or of 8 bits and less.
@@ -56,7 +70,7 @@ def check_png(content: Content) -> None:
     name = content.name
     if not content.data.startswith(PNG_MAGIC):
         refuse(name, "content", "is no PNG", DAMAGED)
-    header, packed = _chunks(content)
+    header, packed, note = _chunks(content)
     if len(header) != 13:
         refuse(name, "header", f"of {len(header)} bytes", DAMAGED)
     cols, rows, bits, colour, _, _, interlaced = struct.unpack(">IIBBBBB", header)
@@ -71,6 +85,7 @@ def check_png(content: Content) -> None:
         refuse(name, "image data", str(error), DAMAGED)
     if unpacked != due:
         refuse(name, "image data", f"{unpacked} bytes instead of {due}", DAMAGED)
+    return note
 
 
 def _factor(name: str, kind: str, given: Given) -> float:
@@ -118,12 +133,11 @@ def read_image(path: Path | str, given: Given | None = None) -> HeightMap:
     path = Path(path)
     given = given or Given()
     content = load_content(path)
-    if content.data.startswith(PNG_MAGIC):
-        check_png(content)
-        kind = "png"
-    else:
-        kind = "tiff"
+    png_note = check_png(content) if content.data.startswith(PNG_MAGIC) else None
+    kind = "tiff" if png_note is None else "png"
     answer, raw = decode(kind, path)
+    if png_note and given == Given() and (scales := PNG_NOTE.fullmatch(png_note)):
+        return _counted(path.name, raw, [_real(path.name, text) for text in scales.groups()])
     noted = _noted_pixel(str(answer.get("description", "")))
     if noted and raw.dtype.kind == "f" and given == Given():
         given = replace(given, pixel_um=noted, z_unit="um")
@@ -131,6 +145,56 @@ def read_image(path: Path | str, given: Given | None = None) -> HeightMap:
     factor = _factor(path.name, raw.dtype.kind, given)
     origin: dict[str, Any] = {"format": kind, "first_row": "top", "um_per_count": factor}
     return checked_map(path.name, scaled(raw, factor), pixel, origin)
+
+
+def _real(name: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return refuse(name, "note", repr(text[:40]), DAMAGED)
+
+
+def _counted(name: str, raw: npt.NDArray[Any], scales: list[float]) -> HeightMap:
+    """The map of a PNG that we wrote: step and zero of the heights, pixel (y, x) in µm."""
+    step, zero, pixel_y, pixel_x = scales
+    height = scaled(raw, step, raw == 0)
+    height += zero
+    origin = {"format": "png", "first_row": "top", "um_per_count": step}
+    return checked_map(name, height, (pixel_y, pixel_x), origin)
+
+
+def write_png(surface: HeightMap, path: Path | str) -> None:
+    """Write a map as a grey PNG of 16 bits, first row at the top; 0 is missing, 1 the lowest, 65535 the highest point.
+
+    Step and zero of the heights and the pixel stand in a text chunk, in words and numbers; :func:`read_image` finds
+    them there.
+
+    Raises:
+        HeightMapError: the file cannot be written.
+    """
+    height = surface.height_um[::-1]
+    known = np.isfinite(height)
+    low, high = float(height[known].min(initial=np.inf)), float(height[known].max(initial=-np.inf))
+    step = (high - low) / (MOST_COUNTS - 1) if high > low else 1.0
+    zero = (low if known.any() else 0.0) - step
+    counts = np.where(known, np.rint((np.where(known, height, zero) - zero) / step), 0.0).astype(">u2")
+    rows, cols = counts.shape
+    lines = np.zeros((rows, 1 + 2 * cols), dtype=np.uint8)  # each begins with 0: no filter
+    lines[:, 1:] = counts.view(np.uint8).reshape(rows, 2 * cols)
+    note = f"height_um = count * {step!r} + {zero!r}, 0 is missing; pixel_um (y, x): "
+    note += f"{surface.pixel_y_um!r}, {surface.pixel_x_um!r}"
+    chunks = (
+        (b"IHDR", struct.pack(">IIBBBBB", cols, rows, 16, GREY, 0, 0, 0)),
+        (b"tEXt", PNG_KEYWORD + note.encode("latin-1")),
+        (b"IDAT", zlib.compress(lines.tobytes(), 6)),
+        (b"IEND", b""),
+    )
+    parts = (struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+             for kind, body in chunks)  # fmt: skip
+    try:
+        Path(path).write_bytes(PNG_MAGIC + b"".join(parts))
+    except OSError as error:
+        raise HeightMapError(f"{path}: cannot be written ({error.strerror})") from None
 
 
 def write_tiff(surface: HeightMap, path: Path | str) -> None:
@@ -146,5 +210,74 @@ def write_tiff(surface: HeightMap, path: Path | str) -> None:
         tifffile.imwrite(
             path, surface.height_um[::-1].astype(np.float32), description=note, metadata=None, software=""
         )
+    except OSError as error:
+        raise HeightMapError(f"{path}: cannot be written ({error.strerror})") from None
+
+
+MOST_POINTS = 5_000_000
+MILLIMETRES = 1e-3
+STL_HEADER_BYTES = 80
+TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
+
+
+def _mesh(surface: HeightMap, path: Path) -> tuple[FloatArray, npt.NDArray[np.int64]]:
+    """Points (n, 3) in mm, and triangles (m, 3) of their numbers."""
+    rows, cols = surface.shape
+    if rows * cols > MOST_POINTS:
+        raise HeightMapError(
+            f"{path}: a mesh of {rows} × {cols} points would be of little use to other programs; at most "
+            f"{MOST_POINTS // 10**6} million are written: crop the map, or write it as sur or x3p"
+        )
+    known = np.isfinite(surface.height_um)
+    number = np.cumsum(known.ravel()).reshape(known.shape) - 1
+    i, j = np.nonzero(known)
+    x, y, z = j * surface.pixel_x_um, i * surface.pixel_y_um, surface.height_um[known]
+    whole = known[:-1, :-1] & known[:-1, 1:] & known[1:, :-1] & known[1:, 1:]
+    if not whole.any():
+        raise HeightMapError(f"{path}: no four neighbouring points were measured; there is nothing to mesh")
+    a, b, c, d = (one[whole] for one in (number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]))
+    triangles = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    return np.stack([x, y, z], axis=1) * MILLIMETRES, triangles
+
+
+def write_stl(surface: HeightMap, path: Path | str) -> None:
+    """Write a map as a binary STL in mm, float32.
+
+    Raises:
+        HeightMapError: more than five million points, nothing to mesh, or the file cannot be written.
+    """
+    path = Path(path)
+    points, triangles = _mesh(surface, path)
+    corners = points[triangles]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    records = np.zeros(len(triangles), TRIANGLE)
+    records["normal"] = normal / np.linalg.norm(normal, axis=1, keepdims=True)
+    records["corners"] = corners
+    head = b"height map, unit mm".ljust(STL_HEADER_BYTES)
+    _write(path, head + np.uint32(len(triangles)).astype("<u4").tobytes() + records.tobytes())
+
+
+def write_ply(surface: HeightMap, path: Path | str) -> None:
+    """Write a map as a binary PLY in mm, float64 points.
+
+    Raises:
+        HeightMapError: more than five million points, nothing to mesh, or the file cannot be written.
+    """
+    path = Path(path)
+    points, triangles = _mesh(surface, path)
+    faces = np.empty(len(triangles), FACE)
+    faces["count"], faces["corners"] = 3, triangles
+    head = (
+        "ply\nformat binary_little_endian 1.0\ncomment height map, unit mm\n"
+        f"element vertex {len(points)}\nproperty double x\nproperty double y\nproperty double z\n"
+        f"element face {len(triangles)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    _write(path, head.encode() + points.astype("<f8").tobytes() + faces.tobytes())
+
+
+def _write(path: Path, content: bytes) -> None:
+    try:
+        path.write_bytes(content)
     except OSError as error:
         raise HeightMapError(f"{path}: cannot be written ({error.strerror})") from None

@@ -25,13 +25,11 @@ class LibraryFormat:
 
 
 LIBRARY_FORMATS = (
-    LibraryFormat("sur", "Digital Surf sur", (".sur",)),
     LibraryFormat("mnt", "Digital Surf mnt", (".mnt",)),
     LibraryFormat("al3d", "Alicona al3d", (".al3d",)),
     LibraryFormat("plux", "Sensofar plux", (".plux",)),
     LibraryFormat("opdx", "Bruker opdx", (".opdx",)),
     LibraryFormat("datx", "Zygo datx", (".datx",)),
-    LibraryFormat("gwy", "Gwyddion gwy", (".gwy",)),
     LibraryFormat("frt", "FRT MicroProf frt", (".frt",)),
     LibraryFormat("vk", "Keyence vk3/4/6/7", (".vk3", ".vk4", ".vk6", ".vk7")),
     LibraryFormat("zon", "Keyence zon", (".zon",)),
@@ -40,7 +38,6 @@ LIBRARY_FORMATS = (
     LibraryFormat("oir", "Olympus oir", (".oir",)),
     LibraryFormat("poir", "Olympus poir", (".poir",)),
     LibraryFormat("os3d", "OmniSurf3D os3d", (".os3d",)),
-    LibraryFormat("tmd", "TrueMap tmd", (".tmd",)),
     LibraryFormat("bcr", "BCR-STM bcr/bcrf", (".bcr", ".bcrf")),
     LibraryFormat("di", "Nanoscope spm", (".spm",)),
     LibraryFormat("ezd", "Nanosurf ezd/nid", (".ezd", ".nid")),

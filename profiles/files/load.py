@@ -1,6 +1,8 @@
 """Read and write height maps of every supported format, checked and with their provenance."""
 
 import hashlib
+import stat
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -8,37 +10,47 @@ import numpy as np
 
 from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.files.arrays import write_array
-from anisoscope.profiles.files.checks import refuse
+from anisoscope.profiles.files.checks import Trust, refuse, trusting
 from anisoscope.profiles.files.formats import Format, find_format
 from anisoscope.profiles.files.gsf import write_gsf
-from anisoscope.profiles.files.images import write_tiff
+from anisoscope.profiles.files.gwy import write_gwy
+from anisoscope.profiles.files.images import write_ply, write_png, write_stl, write_tiff
+from anisoscope.profiles.files.sur import write_sur
 from anisoscope.profiles.files.text import write_text
 from anisoscope.profiles.files.units import Given, Layout, micrometres_per
 from anisoscope.profiles.files.x3p_write import write_x3p
 from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.provenance import provenance_of, with_comment
 
 Rows = Literal["auto", "up", "down"]
 HEAD_BYTES = 64
 WRITERS = {
     ".x3p": write_x3p,
     ".gsf": write_gsf,
+    ".gwy": write_gwy,
+    ".sur": write_sur,
     ".npz": write_array,
     ".npy": write_array,
     ".csv": write_text,
     ".txt": write_text,
     ".tif": write_tiff,
     ".tiff": write_tiff,
+    ".png": write_png,
 }
+MESH_WRITERS = {".stl": write_stl, ".ply": write_ply}
 
 
 def _fingerprint(path: Path) -> tuple[str, bytes]:
     """sha256 of a file, and its first bytes.
 
     Raises:
-        HeightMapError: no such file, a folder, not readable, or empty.
+        HeightMapError: no such file, not a regular file, not readable, or empty.
     """
     head = b""
     try:
+        mode = path.stat().st_mode
+        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):  # a pipe or a device may never end
+            refuse(path.name, "file", "is a pipe, a device or a socket", "give a regular file")
         with path.open("rb") as stream:
             head = stream.read(HEAD_BYTES)
             stream.seek(0)
@@ -70,6 +82,7 @@ def read_height_map(
     layout: Layout = "auto",
     height_per_count: float | None = None,
     rows: Rows = "auto",
+    trust: Sequence[Trust] = (),
 ) -> HeightMap:
     """Read a height map, by content and extension, and check that it is plausible.
 
@@ -86,11 +99,14 @@ def read_height_map(
         rows: whether y rises ("up") or falls ("down") with the rows of the file. "auto": up for x3p and sdf,
             as their standards define it, for opd, text and numpy; down for all others, whose first row
             is the top of the picture.
+        trust: checks that must not refuse the file: "checksum" (that of main.xml of an x3p file whose heights have a
+            right one), "pixel-size" (its limits and that of the field), "heights" (their least range). What was let
+            pass is listed as ``trusted`` in the origin.
 
     Returns:
         The map; its origin holds ``file``, ``sha256``, ``format``, ``reader``, ``pixel_um`` [y, x],
-        ``missing_share``, ``role``, ``corrected`` (what was changed on the way, if anything), and instrument
-        and date as far as the file gives them.
+        ``missing_share``, ``role``, ``corrected`` (what was changed on the way, if anything), instrument and date
+        as far as the file gives them, and ``made``, ``defects`` and ``history`` of a map that we wrote.
 
     Raises:
         HeightMapError: unreadable, damaged, ambiguous or implausible; one line that says what to do.
@@ -104,7 +120,9 @@ def read_height_map(
     sha256, head = _fingerprint(path)
     found = find_format(path, head)
     _check_given(path.name, found, given)
-    surface = _oriented(found.read(path, given), role, rows)
+    with trusting(trust) as trusted:
+        surface = _oriented(found.read(path, given), role, rows)
+    passed = {"trusted": trusted.passed} if trusted.passed else {}
     return surface.with_height(
         surface.height_um,
         file=path.name,
@@ -113,12 +131,13 @@ def read_height_map(
         pixel_um=[surface.pixel_y_um, surface.pixel_x_um],
         missing_share=surface.missing_share,
         role=role,
+        **passed,
     )
 
 
 def _oriented(surface: HeightMap, role: str, rows: Rows) -> HeightMap:
     """The map of the part with y rising; ``corrected`` names what was flipped."""
-    origin = dict(surface.origin)
+    origin = provenance_of(dict(surface.origin))
     top_first = origin.pop("first_row", None) == "top"
     done = list(origin.pop("corrected", []))
     height = surface.height_um
@@ -138,15 +157,18 @@ def _oriented(surface: HeightMap, role: str, rows: Rows) -> HeightMap:
 
 
 def write_height_map(surface: HeightMap, path: Path | str) -> None:
-    """Write a map in the format of the extension: x3p, gsf, npz, npy, csv or txt (matrix), tif.
+    """Write a map in the format of the extension: x3p, sur, gwy, gsf, npz, npy, csv or txt, tif, png, stl, ply.
 
-    x3p, npz and csv keep every float64 height, npy too but no pixel size; gsf and tif keep 24 bits.
+    x3p, npz and csv (a matrix) keep every float64 height, npy too but no pixel size; gwy keeps metres, sur 31 bits of
+    the largest height, gsf and tif 24 bits, png 16 bits of the range. stl and ply are meshes for other programs, and
+    not read again. x3p, npz and gsf keep the provenance: ``made``, ``defects`` and ``history`` of the origin.
 
     Raises:
-        HeightMapError: unknown extension, or the file cannot be written.
+        HeightMapError: unknown extension, the file cannot be written, or the provenance is too long.
     """
     path = Path(path)
-    writer = WRITERS.get(path.suffix.lower())
+    writers = WRITERS | MESH_WRITERS
+    writer = writers.get(path.suffix.lower())
     if writer is None:
-        refuse(path.name, "format", f"unknown extension {path.suffix!r}", f"written are {', '.join(WRITERS)}")
-    writer(surface, path)
+        refuse(path.name, "format", f"unknown extension {path.suffix!r}", f"written are {', '.join(writers)}")
+    writer(with_comment(surface, path), path)

@@ -15,7 +15,12 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.files.checks import AXIS_TOLERANCE, check_claim, checked_map, refuse
 from anisoscope.profiles.files.content import scaled
-from anisoscope.profiles.files.units import Layout, micrometres_per, require_pixel
+from anisoscope.profiles.files.units import (
+    Layout,
+    micrometres_per,
+    require_pixel,
+    stated_micrometres_per,
+)
 from anisoscope.profiles.heightmap import HeightMap
 
 MIN_FILLED = 0.05
@@ -89,6 +94,11 @@ class Table:
     decimal: str
     names: tuple[str, ...]
     comments: tuple[str, ...]
+    endless: int = 0
+
+    def corrected(self) -> dict[str, list[str]]:
+        """What was changed on the way, for the origin."""
+        return {"corrected": [f"{self.endless} infinite heights are missing points"]} if self.endless else {}
 
 
 def _content_lines(name: str, path: Path) -> tuple[list[tuple[int, str]], tuple[str, ...]]:
@@ -207,8 +217,9 @@ def read_table(path: Path) -> Table:
     if not rows:
         refuse(name, "text", "holds no numbers", "a matrix of heights or a list of points x y z is expected")
     numbers = np.array(rows, dtype=np.float64)
+    endless = int(np.count_nonzero(np.isinf(numbers)))
     numbers[~np.isfinite(numbers)] = np.nan
-    return Table(numbers, separator, decimal, names, comments)
+    return Table(numbers, separator, decimal, names, comments, endless)
 
 
 def _is_point_list(name: str, table: Table, layout: Layout, pixel_um: tuple[float, float] | None) -> bool:
@@ -244,20 +255,94 @@ def _check_noted_size(name: str, table: Table) -> None:
         refuse(name, "size", f"{found} where {noted[1]} × {noted[2]} are noted", "the file is truncated")
 
 
+GWYDDION_NOTE = re.compile(r"#\s*(Channel|Width|Height|Value units):\s*(.*)", re.IGNORECASE)
+LENGTH = re.compile(r"([0-9.eE+-]+)\s*(\S+)")
+ROUNDED = 0.02
+
+
+@dataclass(frozen=True)
+class _Stated:
+    """The header of a text that Gwyddion exported: field (y, x) in µm and µm per value."""
+
+    field_um: tuple[float, float]
+    factor: float
+    unit: str
+    channel: str
+
+
+def _gwyddion_header(name: str, table: Table) -> _Stated | None:
+    """Width, height and unit of the values that Gwyddion's text export notes; None where there is none of them."""
+    found = (GWYDDION_NOTE.match(comment) for comment in table.comments)
+    notes = {note[1].lower(): note[2].strip() for note in found if note}
+    if not {"width", "height", "value units"} & notes.keys():
+        return None
+    lengths = []
+    for key in ("height", "width"):
+        match = LENGTH.fullmatch(notes.get(key, ""))
+        try:
+            length = float(match[1]) if match else float("nan")
+        except ValueError:
+            length = float("nan")
+        if match is None or not length > 0.0:
+            refuse(
+                name,
+                f"header, {key}",
+                repr(notes.get(key, "none"))[:40],
+                "a length with its unit is expected",
+            )
+        lengths.append(length * stated_micrometres_per(name, key, match[2]))
+    unit = notes.get("value units", "")
+    factor = stated_micrometres_per(name, "heights (Value units)", unit)
+    return _Stated((lengths[0], lengths[1]), factor, unit, notes.get("channel", ""))
+
+
+def _gwyddion_map(
+    name: str, table: Table, stated: _Stated, pixel_um: tuple[float, float] | None, z_unit: str | None
+) -> HeightMap:
+    """The map of such a text. A pixel size given with it may say more digits than the header, not something else."""
+    rows, cols = table.numbers.shape
+    check_claim(name, rows, cols, 0, 0)
+    if z_unit is not None and micrometres_per(z_unit) != stated.factor:
+        refuse(
+            name,
+            "units",
+            f"the header states heights in {stated.unit}, not in {z_unit}",
+            "leave --z-unit out",
+        )
+    pixel = stated.field_um[0] / rows, stated.field_um[1] / cols
+    if pixel_um is not None:
+        if any(abs(given / own - 1.0) > ROUNDED for given, own in zip(pixel_um, pixel, strict=True)):
+            given = f"{pixel[0]:.6g} × {pixel[1]:.6g} µm (y, x) by its header, not {pixel_um[0]:g} × {pixel_um[1]:g}"
+            refuse(name, "pixel size", given, "leave the pixel size out, or remove the header")
+        pixel = pixel_um
+    origin = {
+        "format": "text matrix of Gwyddion",
+        "z_unit": stated.unit,
+        "first_row": "top",
+        **table.corrected(),
+    }
+    if stated.channel:
+        origin["channel"] = stated.channel[:100]
+    return checked_map(name, scaled(table.numbers, stated.factor), pixel, origin)
+
+
 def read_text(
     path: Path | str,
     *,
     pixel_um: tuple[float, float] | None = None,
-    z_unit: str = "um",
+    z_unit: str | None = None,
     xy_unit: str | None = None,
     layout: Layout = "auto",
 ) -> HeightMap:
     """Read a matrix of heights (rows along y, as in the file), or a list of points x y z.
 
+    The header that Gwyddion writes (width, height, unit of the values) is read; the first row then is the top of the
+    picture.
+
     Args:
         path: text file; numbers separated by white space, semicolons or commas.
         pixel_um: (y, x) pixel size in µm; needed for a matrix.
-        z_unit: unit of the heights: um, nm, mm or m.
+        z_unit: unit of the heights: um, nm, mm or m; µm where it is not given.
         xy_unit: unit of x and y of a list of points; the unit of the heights where it is not given.
         layout: "matrix", "xyz", or "auto", which refuses a file that could be either.
 
@@ -266,20 +351,29 @@ def read_text(
     """
     path = Path(path)
     name = path.name
-    factor = micrometres_per(z_unit)
     table = read_table(path)
+    stated = _gwyddion_header(name, table)
+    if stated is not None:
+        return _gwyddion_map(name, table, stated, pixel_um, z_unit)
+    z_unit = z_unit or "um"
+    factor = micrometres_per(z_unit)
     if layout == "auto" and path.suffix.lower() == ".xyz":
         layout = "xyz"
     if _is_point_list(name, table, layout, pixel_um):
         if pixel_um is not None:
             refuse(name, "pixel size", pixel_um, "a list of points brings its own; leave the pixel size out")
         lateral = micrometres_per(xy_unit or z_unit)
-        origin = {"format": "text points", "z_unit": z_unit, "xy_unit": xy_unit or z_unit}
+        origin = {
+            "format": "text points",
+            "z_unit": z_unit,
+            "xy_unit": xy_unit or z_unit,
+            **table.corrected(),
+        }
         return points_to_map(name, table.numbers * [lateral, lateral, factor], origin)
     check_claim(name, table.numbers.shape[0], table.numbers.shape[1], 0, 0)
     _check_noted_size(name, table)
     pixel = require_pixel(name, pixel_um or _noted_pixel(table))
-    origin = {"format": "text matrix", "z_unit": z_unit}
+    origin = {"format": "text matrix", "z_unit": z_unit, **table.corrected()}
     return checked_map(name, scaled(table.numbers, factor), pixel, origin)
 
 

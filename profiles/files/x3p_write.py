@@ -6,10 +6,11 @@ back 1 unit in the last place off; those units go into an entry of our own, ``an
 other programs ignore and :func:`~anisoscope.profiles.files.x3p.read_x3p` adds. Pixel sizes are decimal text.
 """
 
+import contextlib
 import hashlib
-import io
 import zipfile
-from datetime import UTC, datetime
+import zlib
+from datetime import datetime
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
@@ -19,20 +20,30 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
-from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.heightmap import HeightMap, row_blocks
 
 NAMESPACE = "http://www.opengps.eu/2008/ISO5436_2"
 ULPS = "anisoscope/ulps.bin"
+PACKING_LEVEL = 1
+SAMPLE_BYTES = 2**18
+SAMPLED = (0.1, 0.3, 0.5, 0.7, 0.9)
+WORTH = 0.7
+UNKNOWN = "not available"
+INSTRUMENT = ("manufacturer", "model", "serial", "version")
+MAX_DOCUMENT_BYTES = 2**24
 ENTRY_DATE = (1980, 1, 1, 0, 0, 0)
 
 
 def to_metres(height_um: FloatArray) -> FloatArray:
     """Metres that read back (times 10⁶) as the given µm, bit for bit where float64 allows it."""
-    metres: FloatArray = height_um / 1e6
-    for toward in (np.inf, -np.inf):
-        wrong = metres * 1e6 != height_um
-        neighbour = np.nextafter(metres[wrong], toward)
-        metres[wrong] = np.where(neighbour * 1e6 == height_um[wrong], neighbour, metres[wrong])
+    metres = np.empty(height_um.shape)
+    for block in row_blocks(height_um.shape):
+        given, part = height_um[block], metres[block]
+        np.divide(given, 1e6, out=part)
+        for toward in (np.inf, -np.inf):
+            wrong = part * 1e6 != given
+            neighbour = np.nextafter(part[wrong], toward)
+            part[wrong] = np.where(neighbour * 1e6 == given[wrong], neighbour, part[wrong])
     return metres
 
 
@@ -42,10 +53,13 @@ def _known(metres: FloatArray) -> FloatArray:
 
 def ulps_entry(height_um: FloatArray, metres: FloatArray, digest: bytes) -> dict[str, bytes]:
     """Archive entry for :func:`add_ulps`: checksum of the data, and for each height int8 units in the last place."""
-    read_back, target = _known(metres) * 1e6, _known(height_um)
-    ulps = target.view(np.int64) - read_back.view(np.int64)
-    ulps[np.abs(ulps) > 127] = 0
-    return {ULPS: digest + ulps.astype(np.int8).tobytes()} if ulps.any() else {}
+    found = np.empty(height_um.shape, dtype=np.int8)
+    for block in row_blocks(height_um.shape):
+        read_back, target = _known(metres[block]) * 1e6, _known(height_um[block])
+        ulps = target.view(np.int64) - read_back.view(np.int64)
+        ulps[np.abs(ulps) > 127] = 0
+        found[block] = ulps
+    return {ULPS: digest + found.tobytes()} if found.any() else {}
 
 
 def add_ulps(height_um: FloatArray, entry: bytes, digest: bytes) -> None:
@@ -86,29 +100,28 @@ def _axes(surface: HeightMap) -> str:
     )
 
 
-def _date(text: object) -> str:
+def _dates(origin: dict[str, Any], key: str, tag: str) -> str:
     try:
-        return datetime.fromisoformat(str(text)).isoformat()
+        return _text(tag, datetime.fromisoformat(str(origin.get(key))).isoformat())
     except ValueError:
-        return datetime.now(UTC).replace(microsecond=0).isoformat()
+        return ""
 
 
 def _record2(origin: dict[str, Any]) -> str:
+    """What is known of the measurement; what is not is left out, or says so, and is never made up."""
     given = origin.get("instrument")
     instrument = given if isinstance(given, dict) else {}
-    date = _date(origin.get("date"))
+    probing = origin.get("probing")
+    known = [_text(key.capitalize(), instrument.get(key, UNKNOWN)) for key in INSTRUMENT]
     return _element(
         "Record2",
-        _text("Date", date),
-        _element(
-            "Instrument",
-            _text("Manufacturer", instrument.get("manufacturer", "anisoscope")),
-            _text("Model", instrument.get("model", "not available")),
-            _text("Serial", instrument.get("serial", "not available")),
-            _text("Version", instrument.get("version", "not available")),
-        ),
-        _text("CalibrationDate", date),
-        _element("ProbingSystem", _text("Type", "Software"), _text("Identification", "not available")),
+        _dates(origin, "date", "Date"),
+        _text("Creator", origin["creator"]) if origin.get("creator") else "",
+        _element("Instrument", *known),
+        _dates(origin, "calibration_date", "CalibrationDate"),
+        _element("ProbingSystem", _text("Type", probing), _text("Identification", UNKNOWN))
+        if probing
+        else "",
         _text("Comment", origin.get("comment", "")),
     )
 
@@ -180,12 +193,31 @@ def write_x3p(surface: HeightMap, path: Path | str, *, text: bool = False) -> No
         )
         + "\n</p:ISO5436_2>\n"
     ).encode()
+    if len(document) > MAX_DOCUMENT_BYTES:
+        raise HeightMapError(
+            f"{path}: main.xml with all heights as text takes {len(document)} bytes, and more than "
+            f"{MAX_DOCUMENT_BYTES} are not read again; write them as binary data"
+        )
     entries = {"main.xml": document, "md5checksum.hex": f"{_md5(document)} *main.xml\n".encode(), **entries}
-    packed = io.BytesIO()
-    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, content in entries.items():
-            archive.writestr(zipfile.ZipInfo(name, ENTRY_DATE), content, zipfile.ZIP_DEFLATED)
+    path = Path(path)
+    partial = path.with_name(f".{path.name}.partial")
     try:
-        Path(path).write_bytes(packed.getvalue())
+        with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED) as archive:
+            for name, content in entries.items():
+                kind = zipfile.ZIP_DEFLATED if _worth_packing(content) else zipfile.ZIP_STORED
+                archive.writestr(zipfile.ZipInfo(name, ENTRY_DATE), content, kind, PACKING_LEVEL)
+        partial.replace(path)
     except OSError as error:
         raise HeightMapError(f"{path}: cannot be written ({error.strerror})") from None
+    finally:
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
+
+
+def _worth_packing(content: bytes) -> bool:
+    """Whether pieces of a long content pack to less than 70 %; the last places of measured heights do not."""
+    if len(content) <= len(SAMPLED) * SAMPLE_BYTES:
+        return True
+    starts = (int(share * (len(content) - SAMPLE_BYTES)) for share in SAMPLED)
+    sample = b"".join(content[start : start + SAMPLE_BYTES] for start in starts)
+    return len(zlib.compress(sample, PACKING_LEVEL)) < WORTH * len(sample)

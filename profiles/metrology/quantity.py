@@ -73,7 +73,7 @@ def jackknife(
     """An estimate from the sum of parts, and its standard uncertainty from leaving out one part after the other.
 
     Args:
-        parts: (n, ...) sums over each part, n ≥ 2.
+        parts: (n, ...) sums over each part; a single one leaves every uncertainty infinite.
         estimate: turns the sum over parts into (m,) numbers.
         weights: (n,) size of every part.
         fitted: numbers that the parts determine together; n − ``fitted`` degrees of freedom are left.
@@ -86,6 +86,8 @@ def jackknife(
     total = parts.sum(axis=0)
     whole = estimate(total)
     count = parts.shape[0]
+    if count < 2:
+        return whole, np.full(whole.shape, np.inf)
     without = np.stack([estimate(total - part) for part in parts])
     share = weights.sum() / weights
     pseudo = share[:, None] * whole - (share[:, None] - 1.0) * without

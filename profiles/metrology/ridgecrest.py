@@ -8,6 +8,8 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.profiles.metrology.quantity import Quantity, jackknife
 
 CORE = (0.2, 0.8)
+MAX_BEND_DEG = 2.0
+CREST_PIXELS = 4.0
 RESOLVED_PIXELS = 2.0
 REACH = 0.4
 SEARCH = 25
@@ -15,6 +17,8 @@ LEAST_FILL = 0.05
 POSITION_PIXELS = 0.03
 CLEARLY = 0.8
 LEAST_WEIGHT = 0.15
+SPREAD_OF_PLACES = 0.5  # of that of places evenly over the wall; two places a gap apart reach 0.58 and more
+FEWEST_PLACES = 3
 
 
 @dataclass(frozen=True)
@@ -61,18 +65,34 @@ def mean_profile(parts: FloatArray, pitch_um: float) -> tuple[FloatArray, FloatA
 
 def core_of_wall(x: FloatArray, height: FloatArray) -> tuple[float, float]:
     """Positions at which the wall has risen by 20 % and by 80 %."""
+    low, high = _risen(x, height, CORE)
+    return low, high
+
+
+def _bend(x: FloatArray, height: FloatArray) -> float:
+    """Half of how much the inclinations of the lower and the upper half of the core differ, in degrees.
+
+    Where a crest is rounded so far down that no straight wall is left, or a wall is curved, that is large.
+    """
+    low, middle, high = _risen(x, height, (CORE[0], 0.5 * sum(CORE), CORE[1]))
+    rise = 0.5 * (CORE[1] - CORE[0]) * float(np.ptp(height))
+    return 0.5 * abs(float(np.degrees(np.arctan2(rise, high - middle) - np.arctan2(rise, middle - low))))
+
+
+def _risen(x: FloatArray, height: FloatArray, shares: tuple[float, ...]) -> list[float]:
+    """Positions at which the wall has risen by shares of its height."""
     top = int(np.argmax(height))
     foot = int(np.argmin(height[: top + 1]))
     low, high = float(height[foot]), float(height[top])
     found = []
-    for share in CORE:
+    for share in shares:
         level = low + share * (high - low)
         at = foot + int(np.argmax(height[foot : top + 1] >= level))
         before = max(at - 1, foot)
         rise = height[at] - height[before]
         part = (level - height[before]) / rise if rise > 0 else 0.0
         found.append(float(x[before] + part * (x[at] - x[before])))
-    return found[0], found[1]
+    return found
 
 
 def _wall_slope(sums: FloatArray) -> tuple[float, float, float]:
@@ -82,6 +102,19 @@ def _wall_slope(sums: FloatArray) -> tuple[float, float, float]:
         return np.nan, np.nan, np.nan
     spread = tt - t * t / n
     return (tz - t * z / n) / spread if spread > 0 else np.nan, t / n, z / n
+
+
+def _carries_slope(sums: FloatArray, width: float) -> bool:
+    """Whether the points between the positions of the core, ``width`` µm apart, stand at more than one place.
+
+    Walls along the grid, whole pixels apart, may all be sampled at a single one: then no regression is possible,
+    and rounding errors would make a slope.
+    """
+    n, t, tt = sums[:3]
+    if n < 2 or not np.isfinite(_wall_slope(sums)[0]):
+        return False
+    deviation = float(np.sqrt(max(tt / n - (t / n) ** 2, 0.0)))
+    return deviation > SPREAD_OF_PLACES * width / float(np.sqrt(12.0))
 
 
 def _plateau(
@@ -135,27 +168,46 @@ def _arc(
 
 @dataclass(frozen=True)
 class _Wall:
-    """The wall as first seen: where it has risen by 20 % and 80 %, and whether its slope can be measured."""
+    """The wall as first seen.
+
+    Attributes:
+        low: where it has risen by 20 %.
+        high: where it has risen by 80 %.
+        rise: from foot to crest.
+        gap: largest distance of neighbouring places of the profile about it.
+        resolved: whether its slope can be measured.
+    """
 
     low: float
     high: float
     rise: float
+    gap: float
     resolved: bool
 
     @property
     def width(self) -> float:
         return (self.high - self.low) / (CORE[1] - CORE[0])
 
+    @property
+    def seen(self) -> float:
+        """Inclination in radians as if it were as wide as it looks: at least that."""
+        return float(np.arctan2(self.rise, self.width))
 
-def _estimate(total: FloatArray, line: Line, wall: _Wall, pitch: float, step: float) -> FloatArray:
-    """(5,) inclination of the wall in degrees, full height, height loss, radius, 1 for a plateau; from joined sums."""
+
+def _estimate(
+    total: FloatArray, line: Line, wall: _Wall, pitch: float, step: float, upright: float = 0.5 * np.pi
+) -> FloatArray:
+    """(5,) inclination of the wall in degrees, full height, height loss, radius, 1 for a plateau; from joined sums.
+
+    A wall that is not resolved is taken to stand at ``upright`` (radians).
+    """
     x, height, count = mean_profile(total[:-5].reshape(-1, 3), pitch)
     straight = (x > 0.5 * REACH * pitch) & (x < REACH * pitch)
     # all points count here, in the line of the folded medians only the middle ones
     offset = float(np.average(height[straight] - line.at(x[straight]), weights=count[straight]))
     slope, at, z = _wall_slope(total[-5:])
     height, z = height - offset, z - offset
-    vertex, inclination = 0.5 * (wall.low + wall.high) + 0.25 * wall.width, 0.5 * np.pi
+    vertex, inclination = 0.5 * (wall.low + wall.high) + 0.25 * wall.width, upright
     full = -pitch * line.slope * (1.0 - 0.5 * wall.width / pitch)
     if wall.resolved and np.isfinite(slope) and slope > 0:
         vertex, inclination = (
@@ -164,6 +216,8 @@ def _estimate(total: FloatArray, line: Line, wall: _Wall, pitch: float, step: fl
         )
         full = pitch / (1.0 / np.tan(inclination) - 1.0 / line.slope)
     near = (x > (vertex + 0.3 * step if wall.resolved else wall.high + 0.5 * step)) & (x < REACH * pitch)
+    if np.count_nonzero(near) < FEWEST_PLACES:
+        return np.array([np.degrees(inclination), full, 0.0, 0.0, 0.0])
     data = x[near], height[near], count[near]
     sharp = float(np.square(data[1] - line.at(data[0])) @ data[2])
     top, left = _plateau(*data, line, vertex)
@@ -197,18 +251,23 @@ def measure_crest(
     x, height, _ = mean_profile(parts.sum(axis=0), pitch.value)
     low, high = core_of_wall(x, height)
     resolved = (high - low) / (CORE[1] - CORE[0]) > RESOLVED_PIXELS * step_um
-    resolved = bool(resolved and np.isfinite(_wall_slope(walls.sum(axis=0))[0]))
-    wall = _Wall(low, high, float(height.max() - height.min()), resolved)
+    bend = _bend(x, height)
+    resolved = bool(resolved and bend < MAX_BEND_DEG and _carries_slope(walls.sum(axis=0), high - low))
+    gap = float(np.diff(x[np.abs(x) < max(CREST_PIXELS * step_um, high)]).max(initial=0.0))
+    wall = _Wall(low, high, float(height.max() - height.min()), gap, resolved)
     joined = np.concatenate([parts.reshape(parts.shape[0], -1), walls], axis=1)
     weight = parts[..., 0].sum(axis=1)
     use = weight > LEAST_WEIGHT * weight.max()
     p = pitch.value
     value, u = jackknife(joined[use], lambda total: _estimate(total, line, wall, p, step_um), weight[use])
-    return _crest(value, u, wall, angle, pitch, step_um)
+    if not wall.resolved:  # the radius depends on how upright the wall is
+        seen = _estimate(joined[use].sum(axis=0), line, wall, p, step_um, wall.seen)
+        u[3] = float(np.hypot(u[3], (seen[3] - value[3]) / np.sqrt(3.0)))
+    return _crest(value, u, wall, angle, pitch, step_um, bend)
 
 
 def _crest(
-    value: FloatArray, u: FloatArray, wall: _Wall, angle: Quantity, pitch: Quantity, step: float
+    value: FloatArray, u: FloatArray, wall: _Wall, angle: Quantity, pitch: Quantity, step: float, bend: float
 ) -> Crest:
     """The crest with the uncertainties that the ridges do not show between them."""
     assert angle.value is not None
@@ -217,17 +276,21 @@ def _crest(
     assert pitch.u is not None
     p, theta, psi = pitch.value, np.radians(angle.value), np.radians(value[0])
     # what the positions of the walls, known to some hundredths of a pixel, leave open of their width
-    blur = np.degrees(0.5 * np.sin(2.0 * psi)) * POSITION_PIXELS * step / max(wall.width, step)
-    u_wall = float(np.hypot(u[0], blur))
+    apparent = psi if wall.resolved else wall.seen
+    narrow = np.sqrt(1.0 + 3.0 * (RESOLVED_PIXELS * step / max(wall.width, step)) ** 4)
+    blur = np.degrees(0.5 * np.sin(2.0 * apparent)) * POSITION_PIXELS * narrow * step / max(wall.width, step)
+    u_wall = float(np.sqrt(u[0] ** 2 + blur**2 + bend**2))
     inclination = Quantity(float(value[0]), u_wall)
     hidden = 0.0 if wall.resolved else wall.width / np.sqrt(12.0)
     full, loss = float(value[1]), float(value[2])
     by_angle = full * np.radians(angle.u) / (np.sin(theta) * np.cos(theta))
     by_wall = full**2 / p / np.sin(psi) ** 2 * np.radians(u_wall) if wall.resolved else hidden * np.tan(theta)
     u_full = float(np.sqrt(by_angle**2 + by_wall**2 + (full * pitch.u / p) ** 2))
-    u_loss = float(np.hypot(u[2], np.hypot(step / np.sqrt(12.0 if loss > 0 else 3.0), 0.5 * hidden) / p))
+    # the crest is somewhere between two places, or bins of half a pixel; nearly sharp ones within the pixel beside it
+    place = max(wall.gap, 0.5 * step if loss > 0 else step) / np.sqrt(3.0)
+    u_loss = float(np.hypot(u[2], np.hypot(place, 0.5 * hidden) / p))
     if not wall.resolved:
-        inclination = Quantity(None, at_least=float(np.degrees(np.arctan2(wall.rise, wall.width))))
+        inclination = Quantity(None, at_least=float(np.degrees(wall.seen)) - 2.0 * float(blur))
     flat = bool(value[4] > 0.5) and loss > 2.0 * u_loss
     actual = Quantity((1.0 - loss) * full, float(np.hypot((1.0 - loss) * u_full, full * u_loss)))
     radius = _radius(float(value[3]), float(u[3]), step, plateau=flat)

@@ -23,6 +23,9 @@ PASSES = 3
 LEAST_WEIGHT = 0.15
 LEAST_POINTS = 50
 MIN_RIDGES = 3
+ENDS = 0.1
+EIGHTHS = 8
+LEAST_TILE = 0.3
 
 
 @dataclass(frozen=True)
@@ -192,11 +195,49 @@ def _angle_and_tilt(total: FloatArray) -> FloatArray:
     return np.array([a / w - tilt, tilt])
 
 
-def ridge_angle(planes: Planes, course: Course, removed: float) -> Quantity:
+def slope_of_ends(folded: Folded, facet: Facet, pitch_um: float) -> float:
+    """How much steeper the median facet is without a tenth of its width at either end: 0 for a straight one."""
+    cut = ENDS * (facet.end - facet.begin)
+    inner = facet_line(folded, Facet(facet.begin + cut, facet.end - cut), pitch_um)[1]
+    return inner - facet_line(folded, facet, pitch_um)[1]
+
+
+def facet_bow(folded: Folded, facet: Facet, pitch_um: float) -> float:
+    """How far the median facet is from straight: rms distance of its eighths from its line, as a share of its rise."""
+    place = (np.arange(folded.height_um.size) + folded.shift) / folded.height_um.size
+    on = (place >= facet.begin) & (place <= facet.end)
+    height, slope = facet_line(folded, facet, pitch_um)
+    left = folded.height_um[on] - height - slope * (place[on] - facet.middle) * pitch_um
+    parts = np.array([float(np.mean(part)) for part in np.array_split(left, EIGHTHS) if part.size])
+    return float(np.sqrt(np.mean(parts**2))) / (abs(slope) * (facet.end - facet.begin) * pitch_um)
+
+
+def slow_slopes(planes: Planes) -> tuple[float, float]:
+    """Variances (along, across) of the slopes of whole tiles: what waves longer than a facet add to the roughness."""
+    tiles, information = _solve(planes.sums)
+    use = (information > LEAST_TILE * information.max()) & planes.fitted[:, None]
+    if int(use.sum()) < MIN_RIDGES:
+        return 0.0, 0.0
+    weight = information[use] / float(information[use].sum())
+    slopes = tiles[use][:, 1:]
+    across, along = (weight @ (slopes - weight @ slopes) ** 2).tolist()
+    return along, across
+
+
+def ridge_angle(planes: Planes, course: Course, removed: float, u_pitch: float, ends: float) -> Quantity:
     """Mean ridge angle in degrees: between facets and the plane through equal places of the ridges.
 
     Slopes are turned into angles before they are subtracted, with the slope ``removed`` across by levelling put back.
-    Uncertainty: leaving out one ridge after the other, tilt and facets together.
+    Uncertainty: leaving out one ridge after the other, tilt and facets together; equal places are only as equal as
+    the pitch is known, and with a relative error of the pitch the slope of the plane through them changes by as much of
+    that of the facets; and what the ends of the facets change of their slope.
+
+    Args:
+        planes: of the facets.
+        course: how they run.
+        removed: slope across that levelling took off.
+        u_pitch: standard uncertainty of the pitch in µm.
+        ends: change of slope by the ends, from ``slope_of_ends``.
     """
     good = planes.fitted
     parts = _across_parts(planes.planes, planes.weight, course.pitch_um)[good]
@@ -206,7 +247,9 @@ def ridge_angle(planes: Planes, course: Course, removed: float) -> Quantity:
         return np.array([_between(slope + tilt, tilt, removed)])
 
     value, u = jackknife(parts, angle, planes.weight[good], fitted=2)
-    return Quantity(float(value[0]), float(u[0]))
+    slope = float(np.tan(np.radians(value[0])))
+    others = np.degrees(np.hypot(slope * u_pitch / course.pitch_um, ends) / (1.0 + slope * slope))
+    return Quantity(float(value[0]), float(np.hypot(u[0], others)))
 
 
 def _between(slope: float, tilt: float, removed: float) -> float:
@@ -319,7 +362,12 @@ def _interpolation(pixel: tuple[float, float], directions: list[tuple[float, flo
 
 
 def measure_slopes(
-    above: FloatArray, owner: npt.NDArray[np.int16], pixel: tuple[float, float], course: Course, ridges: int
+    above: FloatArray,
+    owner: npt.NDArray[np.int16],
+    pixel: tuple[float, float],
+    course: Course,
+    ridges: int,
+    slow: tuple[float, float] = (0.0, 0.0),
 ) -> Slopes:
     """Roughness of the facets from height differences over one or two pixels.
 
@@ -327,7 +375,7 @@ def measure_slopes(
     ridges that do not run along the grid D is interpolated. Differences beyond four standard deviations are left out.
     White noise of standard deviation σ adds 2σ² to every D. σ comes from the third difference along both axes
     of 4 × 4 points, whose variance is 400 σ²; a surface that is smooth over two or three pixels hardly adds to
-    it. Uncertainties: leaving out one ridge after the other.
+    it. Uncertainties: leaving out one ridge after the other, and the slopes of waves longer than a facet.
 
     Args:
         above: (rows, cols) heights over the planes of the facets in µm, NaN where missing or spoiled.
@@ -335,6 +383,7 @@ def measure_slopes(
         pixel: (y, x) in µm.
         course: how the ridges run.
         ridges: their number.
+        slow: variances (along, across) of the slopes of whole pieces of facets, from ``slow_slopes``.
     """
     limit, third = _first_limits(above, owner)
     every = 2 if above.size > MANY_POINTS else 1
@@ -364,7 +413,10 @@ def measure_slopes(
     found = (
         Quantity(float(np.sqrt(own)), float(u[2] / (2.0 * np.sqrt(own)))) if own > 0 else Quantity(0.0, 0.0)
     )
-    return Slopes(_alpha(along, u[0], heard), _alpha(across, u[1], heard), found if heard else Quantity(None))
+    u_along, u_across = np.hypot(u[:2], slow).tolist()
+    return Slopes(
+        _alpha(along, u_along, heard), _alpha(across, u_across, heard), found if heard else Quantity(None)
+    )
 
 
 def _alpha(variance: float, u: float, heard: bool) -> Quantity:

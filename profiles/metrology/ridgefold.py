@@ -205,6 +205,9 @@ def orient(grid: Grid, course: Course) -> tuple[Course, Facet, Folded]:
 
 LEAST_INFORMATION = 0.05
 WALL_ROWS = 64
+INTERPOLATED = 0.1
+GAP_PASSES = 3
+FINEST = 0.01
 CLIP = 4.0
 
 
@@ -289,7 +292,9 @@ def refine(grid: Grid, course: Course, folded: Folded, wall_um: float) -> Positi
     left = shift - design[..., :3] @ _solve(parts.sum(axis=0))
     used = parts[:, 0, 0] > LEAST_INFORMATION * parts[:, 0, 0].max()
     (start, by_r, by_v), u = jackknife(parts[used], _solve, parts[used, 0, 0], fitted=2)
-    dead = max(0.0, _gap(grid, course) - wall_um) / np.sqrt(6.0)
+    gap = _hidden_gap(grid, course, int(used.sum()))
+    # lines between places that far apart are not quite the wall, even where several of them lie on it
+    dead = max(gap - wall_um, INTERPOLATED * gap, FINEST * step) / np.sqrt(6.0)
     turn = np.hypot(u[2], dead / (frame.tile * frame.tiles))
     stretch = np.hypot(u[1] * course.pitch_um, dead / max(int(used.sum()) - 1, 1))
     corrected = _corrected(
@@ -323,6 +328,19 @@ def _corrected(course: Course, start: float, by_r: float, by_v: float) -> Course
     if not -90.0 < angle <= 90.0:
         angle, lean = angle - np.copysign(180.0, angle), -lean
     return replace(course, pitch_um=1.0 / size, direction_deg=angle, offset=offset, lean=lean)
+
+
+def _hidden_gap(grid: Grid, course: Course, walls: int) -> float:
+    """The largest gap of all courses that the gap itself leaves open.
+
+    Few walls along the grid are sampled at few places, which a slightly wrong pitch spreads too widely.
+    """
+    gap = _gap(grid, course)
+    for _ in range(GAP_PASSES):
+        open_um = gap / max(walls - 1, 1)
+        near = [_gap(grid, replace(course, pitch_um=course.pitch_um + way * open_um)) for way in (-1.0, 1.0)]
+        gap = max(gap, *near)
+    return gap
 
 
 def _gap(grid: Grid, course: Course) -> float:

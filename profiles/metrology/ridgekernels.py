@@ -75,6 +75,18 @@ def shape_at(profile: FloatArray, t: float, shift: float) -> tuple[float, float]
 
 
 @njit(cache=True)
+def above_profile(z: FloatArray, frame: Frame, profile: FloatArray) -> FloatArray:
+    """(rows, cols) heights over the folded profile."""
+    rows, cols = z.shape
+    above = np.empty((rows, cols))
+    for i in range(rows):
+        for j in range(cols):
+            q = i * frame.qi + j * frame.qj - frame.q0
+            above[i, j] = z[i, j] - shape_at(profile, q - math.floor(q), frame.shift)[0]
+    return above
+
+
+@njit(cache=True)
 def phase_sums(z: FloatArray, out: Mask, frame: Frame, profile: FloatArray, spread: FloatArray) -> FloatArray:
     """(ridges, tiles, 7) sums for the shift of each tile against the profile, tiles half a pitch about the walls.
 

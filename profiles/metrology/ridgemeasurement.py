@@ -12,6 +12,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
+MOST_BOW = 0.01
+
+
 @dataclass(frozen=True)
 class Ridge:
     """One ridge: a large facet and the wall before it.
@@ -81,6 +84,9 @@ class RidgeMeasurement:
         plateau: whether the crest ends in a level top rather than an edge or an arc.
         score: share of the variance that the other ridges predict.
         mean_ridge: the mean ridge.
+        form_um: rms of the form (waviness, curvature) that was removed before; 0 where there was none that counts.
+        facet_bow: rms distance of the mean facet from a straight line, as a share of its rise.
+        second_direction_deg: direction of other ridges that cross these; None where there are none.
     """
 
     pitch_um: Quantity
@@ -105,6 +111,32 @@ class RidgeMeasurement:
     plateau: bool
     score: float
     mean_ridge: MeanRidge
+    form_um: float = 0.0
+    facet_bow: float = 0.0
+    second_direction_deg: float | None = None
+
+    @property
+    def straight(self) -> bool:
+        """Whether the facets are straight, within 1 % of their rise; else a ridge angle describes no facet."""
+        return self.facet_bow <= MOST_BOW
+
+    def remarks(self) -> tuple[str, ...]:
+        """What a reader of the numbers must know: round flanks, ridges of another direction, form that was removed."""
+        found = []
+        if not self.straight:
+            found.append(
+                f"the flanks are not straight: they leave a line by {self.facet_bow:.1%} of their rise (rms); "
+                "ridge angle, height and crest describe straight facets that are not there"
+            )
+        if self.second_direction_deg is not None:
+            found.append(
+                f"other ridges run at {self.second_direction_deg:.1f}°; the numbers are of those listed only"
+            )
+        if self.form_um > 0.0:
+            found.append(
+                f"form of {self.form_um:.3g} µm (rms) was removed: waviness or curvature beneath the ridges"
+            )
+        return tuple(found)
 
     def quantities(self) -> dict[str, Quantity]:
         """All numbers that have an uncertainty, by name."""

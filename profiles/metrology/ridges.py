@@ -14,8 +14,8 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
-from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.level import periodic_tilt
+from anisoscope.profiles.heightmap import HeightMap, known_mean, row_blocks
+from anisoscope.profiles.level import periodic_form, periodic_tilt
 from anisoscope.profiles.metrology import ridgekernels as kernels
 from anisoscope.profiles.metrology.burrlist import Outlier, find_outliers, limits
 from anisoscope.profiles.metrology.quantity import Quantity, variation
@@ -23,11 +23,14 @@ from anisoscope.profiles.metrology.ridgecrest import Crest, Line, core_of_wall, 
 from anisoscope.profiles.metrology.ridgefit import (
     Planes,
     Single,
+    facet_bow,
     facet_line,
     fit_planes,
     measure_slopes,
     ridge_angle,
     single_ridges,
+    slope_of_ends,
+    slow_slopes,
 )
 from anisoscope.profiles.metrology.ridgefold import (
     Course,
@@ -47,6 +50,11 @@ BINS_A_PIXEL = 2
 SLOPE_ROWS = 200
 COURSE_PASSES = 4
 SETTLED = 0.03
+FORM_PASSES = 2
+SECOND_POINTS = 400
+SECOND_DEG = 5.0
+MIN_QUARTER = 16
+SECOND_SHARE = 0.03
 
 
 def measure_ridges(surface: HeightMap) -> RidgeMeasurement:
@@ -58,7 +66,8 @@ def measure_ridges(surface: HeightMap) -> RidgeMeasurement:
     Raises:
         HeightMapError: no ridges are found, fewer than four of them, or fewer than eight pixels a pitch.
     """
-    period = _checked(find_period(surface))
+    period = _checked(find_period(surface), surface)
+    surface, period, form_um = _without_form(surface, period)
     tilt = periodic_tilt(surface, period)
     grid = _levelled(surface, tilt)
     course, facet, folded = orient(grid, Course(period.pitch_um, period.direction_deg))
@@ -73,8 +82,56 @@ def measure_ridges(surface: HeightMap) -> RidgeMeasurement:
     planes = fit_planes(clean, course, facet, folded, planes)
     positions = refine(clean, course, folded, _resolved_wall(folded, course, grid))
     above[out] = np.nan
-    fit = _Fit(surface, period, tilt, clean, course, facet, folded, planes, positions, above, owner, burrs)
+    second = _second_direction(surface, grid, course, folded)
+    fit = _Fit(
+        surface,
+        period,
+        tilt,
+        clean,
+        course,
+        facet,
+        folded,
+        planes,
+        positions,
+        above,
+        owner,
+        burrs,
+        form_um,
+        second,
+    )
     return fit.measured()
+
+
+def _second_direction(surface: HeightMap, grid: Grid, course: Course, folded: Folded) -> float | None:
+    """Direction of other ridges in what the ridges found leave of the map; None where there are none.
+
+    Looked for on a map thinned to at most 400 rows and columns.
+    """
+    thin = max(1, -(-max(grid.z.shape) // SECOND_POINTS))
+    frame, part_z = course.frame(grid, folded.shift), np.ascontiguousarray(grid.z[::thin, ::thin])
+    frame = frame._replace(qi=thin * frame.qi, qj=thin * frame.qj)
+    left = kernels.above_profile(part_z, frame, folded.height_um)
+    part = HeightMap(left, surface.pixel_x_um * thin, surface.pixel_y_um * thin)
+    other = find_period(part)
+    away = (
+        abs((other.direction_deg - course.direction_deg + 90.0) % 180.0 - 90.0) if other.is_periodic else 0.0
+    )
+    share = float(np.nanvar(left) / np.nanvar(part_z))
+    return other.direction_deg if away > SECOND_DEG and share > SECOND_SHARE else None
+
+
+def _without_form(surface: HeightMap, period: Period) -> tuple[HeightMap, Period, float]:
+    """The map without form (waviness, curvature), its period, and the rms of the form in µm."""
+    rms = 0.0
+    for _ in range(FORM_PASSES):
+        form = periodic_form(surface, period)
+        if form.order == 1:
+            break
+        height = form.height_um(surface.shape)
+        rms = float(np.hypot(rms, np.std(height)))
+        surface = surface.with_height(surface.height_um - height)
+        period = _checked(find_period(surface))
+    return surface, period, rms
 
 
 def _moved(before: Course, after: Course, grid: Grid) -> float:
@@ -87,9 +144,14 @@ def _moved(before: Course, after: Course, grid: Grid) -> float:
     )
 
 
-def _checked(period: Period) -> Period:
+def _checked(period: Period, surface: HeightMap | None = None) -> Period:
     if period.is_periodic:
         return period
+    if surface is not None and len(parts := _directions_of_parts(surface)) > 1:
+        raise HeightMapError(
+            f"ridges of more than one direction: {', '.join(f'{one:.1f}°' for one in parts)} in different parts of "
+            "the map; crop it to one of them"
+        )
     raise HeightMapError(
         f"no ridges found: each ridge would have to predict at least {MIN_SCORE:g} of the variance of the "
         f"others, here the periodicity score is {period.score:.2f}; at least four ridges must lie in the map (measure "
@@ -97,11 +159,31 @@ def _checked(period: Period) -> Period:
     )
 
 
+def _directions_of_parts(surface: HeightMap) -> list[float]:
+    """Directions of the ridges in the quarters of a map, those that differ by more than 5°."""
+    rows, cols = (n // 2 for n in surface.shape)
+    found: list[float] = []
+    for i in (0, rows):
+        for j in (0, cols):
+            height = surface.height_um[i : i + rows, j : j + cols]
+            if min(height.shape) < MIN_QUARTER or not np.isfinite(height).any():
+                continue
+            period = find_period(HeightMap(height, surface.pixel_x_um, surface.pixel_y_um))
+            known = [abs((period.direction_deg - one + 90.0) % 180.0 - 90.0) for one in found]
+            if period.is_periodic and min(known, default=90.0) > SECOND_DEG:
+                found.append(period.direction_deg)
+    return found
+
+
 def _levelled(surface: HeightMap, tilt: tuple[float, float]) -> Grid:
     rows, cols = surface.shape
     x, y = np.arange(cols) * surface.pixel_x_um, np.arange(rows) * surface.pixel_y_um
-    z = surface.height_um - np.add.outer(tilt[1] * y, tilt[0] * x)
-    z -= np.nanmean(z)
+    z = np.empty(surface.shape)
+    for block in row_blocks(surface.shape):
+        np.subtract(surface.height_um[block], np.add.outer(tilt[1] * y[block], tilt[0] * x), out=z[block])
+    mean = known_mean(z)
+    for block in row_blocks(surface.shape):
+        z[block] -= mean
     return Grid(z, np.zeros(surface.shape, dtype=bool), (surface.pixel_y_um, surface.pixel_x_um))
 
 
@@ -149,15 +231,22 @@ class _Fit:
     above: FloatArray
     owner: npt.NDArray[np.int16]
     burrs: tuple[Outlier, ...]
+    form_um: float
+    second_deg: float | None
 
     def measured(self) -> RidgeMeasurement:
         """The measurement."""
         course, pitch = self.positions.course, self.positions.pitch_um
         ex, ey = self.course.downhill()
         removed = self.tilt[0] * ex + self.tilt[1] * ey
-        angle = ridge_angle(self.planes, self.course, removed)
+        assert pitch.u is not None
+        ends = slope_of_ends(self.folded, self.facet, self.course.pitch_um)
+        angle = ridge_angle(self.planes, self.course, removed, pitch.u, ends)
         crest, x_um, height_um = self._crest(angle)
-        slopes = measure_slopes(self.above, self.owner, self.grid.pixel, self.course, self.planes.weight.size)
+        slow = slow_slopes(self.planes)
+        slopes = measure_slopes(
+            self.above, self.owner, self.grid.pixel, self.course, self.planes.weight.size, slow
+        )
         singles = single_ridges(self.planes, self.course, self.facet, removed)
         ridges = self._ridges(singles, crest)
         span = (self.facet.begin * self.course.pitch_um, self.facet.end * self.course.pitch_um)
@@ -169,7 +258,8 @@ class _Fit:
             variation([r.angle_deg for r in ridges]), variation([r.height_um for r in ridges]),
             variation([r.shift_um for r in ridges]), tuple(ridges), self.burrs, self.surface.missing_share,
             (span[1] - span[0]) / self.course.pitch_um, crest.plateau, self.period.score,
-            self._mean_ridge(x_um, height_um, span),
+            self._mean_ridge(x_um, height_um, span), self.form_um,
+            facet_bow(self.folded, self.facet, self.course.pitch_um), self.second_deg,
         )  # fmt: skip
 
     def _line(self) -> tuple[float, float]:

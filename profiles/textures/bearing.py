@@ -100,11 +100,15 @@ def bearing(surface: HeightMap) -> Bearing:
     """
     check_heights("height map", surface.height_um)
     height = surface.height_um[np.isfinite(surface.height_um)]
-    height = np.sort(height - float(np.mean(height)))[::-1]
-    # each point is a plateau of 1/n: the curve passes through its middle
-    middle = (np.arange(height.size) + 0.5) / height.size
+    height -= float(np.mean(height))
+    height.sort()
     ratio = np.linspace(0.0, 1.0, min(height.size, CURVE_POINTS) + 1)
-    return Bearing(ratio, np.interp(ratio, middle, height))
+    # each point is a plateau of 1/n: the curve passes through its middle
+    place = np.clip(ratio * height.size - 0.5, 0.0, height.size - 1.0)
+    before = np.minimum(place.astype(np.intp), max(height.size - 2, 0))
+    after = np.minimum(before + 1, height.size - 1)
+    upper, lower = height[height.size - 1 - before], height[height.size - 1 - after]
+    return Bearing(ratio, upper + (place - before) * (lower - upper))
 
 
 def core(curve: Bearing) -> Core:

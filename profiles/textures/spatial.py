@@ -3,15 +3,19 @@
 Heights count from their mean. The field is not taken as periodic: only pairs of measured points count.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.textures.spectra import known_heights, lay
+from anisoscope.profiles.files.checks import check_heights
+from anisoscope.profiles.heightmap import HeightMap, known_mean, row_blocks
+from anisoscope.profiles.textures.spectra import lay
 
 THRESHOLD = 0.2
+COLUMNS = 32
+NO_LAY = 0.5
 LEAST_PAIRS = 0.1
 
 
@@ -58,7 +62,8 @@ class Spatial:
         str_: texture aspect ratio Str: Sal over the longest such lag around the central lobe, 0 to 1.
         str_is_bound: the lobe reaches the end of the lags (half the field), so that Str is at most this number.
         std_deg: texture direction Std: direction of the lay, counter-clockwise from +y, within (−90, 90]; at
-            right angles to it lies the maximum of the angular spectrum. NaN without any texture.
+            right angles to it lies the maximum of the angular spectrum. NaN without any texture, and on a surface
+            without lay (Str of 0.5 or more), where the maximum is chance.
     """
 
     sal_um: float
@@ -73,34 +78,85 @@ def autocorrelation(surface: HeightMap) -> Autocorrelation:
     Raises:
         HeightMapError: nothing was measured.
     """
+    check_heights("height map", surface.height_um)
+    mean, (rows, cols) = known_mean(surface.height_um), surface.shape
+    half = rows // 2, cols // 2
+
+    def heights(block: slice) -> FloatArray:
+        part = surface.height_um[block]
+        return np.where(np.isfinite(part), part - mean, 0.0)
+
+    def known(block: slice) -> FloatArray:
+        return np.isfinite(surface.height_um[block]).astype(np.float64)
+
+    value = _half_correlation(heights, surface.shape, half)
+    square = float(value[0, half[1]])
+    every = np.multiply.outer(
+        rows - np.arange(half[0] + 1.0), cols - np.abs(np.arange(-half[1], half[1] + 1.0))
+    )
+    count = sum(
+        int(np.count_nonzero(np.isfinite(surface.height_um[one]))) for one in row_blocks(surface.shape)
+    )
+    if count == rows * cols:
+        value /= every
+    else:
+        pairs = np.rint(_half_correlation(known, surface.shape, half))
+        value /= np.maximum(pairs, 1.0)
+        value[pairs < np.maximum(1.0, LEAST_PAIRS * every)] = np.nan
+        del pairs
+    del every
+    if square > 0.0:
+        value *= count / square
+    else:
+        value[np.isfinite(value)] = 1.0
+    # f_ACF of a lag and of the opposite one are the same
+    whole = np.concatenate([value[:0:-1, ::-1], value])
+    return Autocorrelation(whole, surface.pixel_y_um, surface.pixel_x_um)
+
+
+def _half_correlation(
+    rows_of: Callable[[slice], FloatArray], shape: tuple[int, int], half: tuple[int, int]
+) -> FloatArray:
+    """(m + 1, 2n + 1) sums of the products of all pairs at lags of 0 to m rows and −n to n columns.
+
+    Along x and y one after the other, in blocks, so that the zeros beyond the field take no memory along y.
+
+    Args:
+        rows_of: gives a block of rows of the field.
+        shape: (rows, cols) of the field.
+        half: (m, n) largest lags.
+    """
     from scipy import fft  # noqa: PLC0415 - slow to import
 
-    height, known = known_heights(surface)
-    half = tuple(n // 2 for n in surface.shape)
-    size = [fft.next_fast_len(n + m, real=True) for n, m in zip(surface.shape, half, strict=True)]
-
-    def correlated(field: FloatArray) -> FloatArray:
-        full = fft.irfft2(np.abs(fft.rfft2(field, size)) ** 2, size)
-        rows, cols = (np.arange(-m, m + 1) for m in half)
-        return np.asarray(full[np.ix_(rows, cols)])
-
-    products = correlated(height)
-    pairs = np.rint(correlated(known.astype(np.float64)))
-    rows, cols = (n - np.abs(np.arange(-m, m + 1)) for n, m in zip(surface.shape, half, strict=True))
-    enough = pairs >= np.maximum(1.0, LEAST_PAIRS * np.multiply.outer(rows, cols))
-    square = float(np.sum(height**2)) / float(np.count_nonzero(known))
-    value = products / np.maximum(pairs, 1.0) / square if square > 0.0 else np.ones_like(products)
-    return Autocorrelation(np.where(enough, value, np.nan), surface.pixel_y_um, surface.pixel_x_um)
+    (rows, cols), (m, n) = shape, half
+    long = fft.next_fast_len(rows + m), fft.next_fast_len(cols + n, real=True)
+    spectrum = np.empty((rows, long[1] // 2 + 1), dtype=np.complex128)
+    for block in row_blocks((rows, long[1])):
+        spectrum[block] = fft.rfft(rows_of(block), long[1], axis=1)
+    for start in range(0, spectrum.shape[1], COLUMNS):
+        columns = slice(start, start + COLUMNS)
+        part = fft.fft(np.ascontiguousarray(spectrum[:, columns].T), long[0], axis=1)
+        power = (part.real**2 + part.imag**2).astype(np.complex128)
+        spectrum[: m + 1, columns] = fft.ifft(power, axis=1, overwrite_x=True)[:, : m + 1].T
+    found = np.empty((m + 1, 2 * n + 1))
+    for block in row_blocks((m + 1, long[1])):
+        full = fft.irfft(spectrum[block], long[1], axis=1)
+        found[block, :n], found[block, n:] = full[:, long[1] - n :], full[:, : n + 1]
+    return found
 
 
 def _crossings(found: Autocorrelation) -> tuple[FloatArray, bool]:
     """Lags in µm at which the central lobe of f_ACF falls to 0.2 on the lines of the grid; does it touch the end."""
     from scipy.ndimage import label  # noqa: PLC0415 - slow to import
 
-    value = found.value
-    parts, _ = label(value >= THRESHOLD)
-    lobe = parts == parts[found.centre]
-    touches = bool(lobe[0].any() or lobe[-1].any() or lobe[:, 0].any() or lobe[:, -1].any())
+    parts, _ = label(found.value >= THRESHOLD)
+    own = parts == parts[found.centre]
+    touches = bool(own[0].any() or own[-1].any() or own[:, 0].any() or own[:, -1].any())
+    # a window one point wider than the lobe
+    spans = [np.flatnonzero(own.any(axis=1 - axis)) for axis in (0, 1)]
+    low = [max(int(span[0]) - 1, 0) for span in spans]
+    window = tuple(slice(start, int(span[-1]) + 2) for start, span in zip(low, spans, strict=True))
+    value, lobe = found.value[window], own[window]
     touches |= bool((lobe & np.isnan(_grown(value))).any())
     lags: list[FloatArray] = []
     for step_i, step_j in ((0, 1), (0, -1), (1, 0), (-1, 0)):
@@ -108,6 +164,7 @@ def _crossings(found: Autocorrelation) -> tuple[FloatArray, bool]:
         inner = lobe & (outer < THRESHOLD)
         i, j = np.nonzero(inner)
         share = (value[inner] - THRESHOLD) / (value[inner] - outer[inner])
+        i, j = i + low[0], j + low[1]
         y = (i - found.centre[0] + step_i * share) * found.pixel_y_um
         x = (j - found.centre[1] + step_j * share) * found.pixel_x_um
         inside = (np.abs(i - found.centre[0] + step_i) <= found.centre[0]) & (
@@ -136,4 +193,6 @@ def spatial(surface: HeightMap) -> Spatial:
         return Spatial(float("nan"), float("nan"), True, lay(surface))
     height, width = (found.centre[0] * found.pixel_y_um, found.centre[1] * found.pixel_x_um)
     longest = max(float(lags.max()), min(height, width)) if touches else float(lags.max())
-    return Spatial(float(lags.min()), float(lags.min()) / longest, touches, lay(surface))
+    ratio = float(lags.min()) / longest
+    direction = lay(surface) if touches or ratio < NO_LAY else float("nan")
+    return Spatial(float(lags.min()), ratio, touches, direction)

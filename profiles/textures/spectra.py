@@ -12,11 +12,12 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.profiles.files.checks import check_heights
-from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.heightmap import HeightMap, known_mean, row_blocks
 
 Window = Literal["hann", "none"]
 
 DIRECTIONS = 720
+COLUMNS = 32
 FEWEST_CYCLES = 2.0
 
 
@@ -75,6 +76,29 @@ def areal_density(surface: HeightMap, window: Window = "hann") -> tuple[FloatArr
     return _frequencies(rows, py), _frequencies(cols, px), density
 
 
+def half_plane_power(surface: HeightMap) -> FloatArray:
+    """(rows, cols // 2 + 1) power under a Hann window at the frequencies of :func:`numpy.fft.rfft2`, no scale.
+
+    Raises:
+        HeightMapError: nothing was measured.
+    """
+    from scipy import fft  # noqa: PLC0415 - slow to import
+
+    check_heights("height map", surface.height_um)
+    mean = known_mean(surface.height_um)
+    up, right = (_taper(surface.shape, "hann", (axis,)) for axis in (0, 1))
+    rows, cols = surface.shape
+    spectrum = np.empty((rows, cols // 2 + 1), dtype=np.complex128)
+    for block in row_blocks(surface.shape):
+        part = surface.height_um[block]
+        spectrum[block] = fft.rfft(np.where(np.isfinite(part), part - mean, 0.0) * up[block] * right, axis=1)
+    power = np.empty(spectrum.shape)
+    for start in range(0, spectrum.shape[1], COLUMNS):
+        both = fft.fft(np.ascontiguousarray(spectrum[:, start : start + COLUMNS].T), axis=1)
+        power[:, start : start + COLUMNS] = (both.real**2 + both.imag**2).T
+    return power
+
+
 def line_density(surface: HeightMap, axis: Literal["x", "y"], window: Window = "hann") -> Spectrum:
     """One-dimensional, one-sided density of the profiles along an axis, averaged over all of them.
 
@@ -126,16 +150,17 @@ def angular_spectrum(surface: HeightMap) -> tuple[FloatArray, FloatArray]:
 
     Returns:
         Directions of the wave vectors in degrees counter-clockwise from +x, within [−90, 90), and the integral of
-        R·density over the frequencies R along each, from two cycles a field to the end of the coarser sampling.
+        R·power over the frequencies R along each, from two cycles a field to the end of the coarser sampling.
 
     Raises:
         HeightMapError: nothing was measured.
     """
     from scipy.ndimage import map_coordinates  # noqa: PLC0415 - slow to import
 
-    fy, fx, density = areal_density(surface)
-    shifted = np.fft.fftshift(density)
-    middle = shifted.shape[0] // 2, shifted.shape[1] // 2
+    (rows, cols), density = surface.shape, half_plane_power(surface)
+    fy, fx = _frequencies(rows, surface.pixel_y_um), _frequencies(cols, surface.pixel_x_um)
+    shifted = np.fft.fftshift(density, axes=0)
+    del density
     low = FEWEST_CYCLES * max(fy[1], fx[1])
     high = min(np.abs(fy).max(), np.abs(fx).max()) - min(fy[1], fx[1])
     direction = -90.0 + 180.0 * np.arange(DIRECTIONS) / DIRECTIONS
@@ -143,8 +168,9 @@ def angular_spectrum(surface: HeightMap) -> tuple[FloatArray, FloatArray]:
         return direction, np.zeros(DIRECTIONS)
     radius = np.arange(low, high, 0.5 * min(fy[1], fx[1]))
     angle = np.radians(direction)[:, None]
-    i = middle[0] + radius * np.sin(angle) / fy[1]
-    j = middle[1] + radius * np.cos(angle) / fx[1]
+    # directions within ±90° lie in the half plane of positive frequencies along x
+    i = rows // 2 + radius * np.sin(angle) / fy[1]
+    j = radius * np.cos(angle) / fx[1]
     power = map_coordinates(shifted, [i, j], order=1, mode="nearest")
     return direction, np.asarray((power * radius).sum(axis=1))
 
@@ -162,3 +188,31 @@ def lay(surface: HeightMap) -> float:
     angle = direction[peak] + step * float(np.sum(weight * (near - peak)) / np.sum(weight))
     # a wave vector at angle a from +x belongs to ridges at angle a from +y
     return float(90.0 - (90.0 - angle) % 180.0)
+
+
+def dominant_wavelength(surface: HeightMap) -> float:
+    """Ssw: wavelength in µm of the largest amplitude of the windowed heights; NaN on a flat surface.
+
+    Between the frequencies of the transform the maximum is that of a parabola through the logarithms. Waves of less
+    than two cycles a field are form. Source: ISO 25178-2:2021, dominant spatial wavelength.
+
+    Raises:
+        HeightMapError: nothing was measured.
+    """
+    fy, fx, density = areal_density(surface)
+    cycles = np.hypot(fy[:, None] / fy[1], fx[None, :] / fx[1])
+    power = np.where(cycles < FEWEST_CYCLES, 0.0, density)
+    i, j = np.unravel_index(int(np.argmax(power)), power.shape)
+    if power[i, j] <= 0.0:
+        return float("nan")
+    rows, cols = power.shape
+    found = []
+    for number, count, at in ((0, rows, int(i)), (1, cols, int(j))):
+        near = np.take(density[:, j] if number == 0 else density[i], [at - 1, at, at + 1], mode="wrap")
+        log = np.log(np.maximum(near, 1e-12 * float(near[1])))
+        bend = log[0] - 2.0 * log[1] + log[2]
+        shift = 0.5 * (log[0] - log[2]) / bend if bend < 0.0 else 0.0
+        step = (fy, fx)[number][1]
+        place = at if at <= (count - 1) // 2 else at - count
+        found.append((place + float(np.clip(shift, -0.5, 0.5))) * step)
+    return float(1.0 / np.hypot(*found))

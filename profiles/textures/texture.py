@@ -7,10 +7,12 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError, UsageError
 from anisoscope.profiles.files.checks import check_heights
-from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.heightmap import HeightMap, known_mean, row_blocks
 from anisoscope.profiles.textures.bearing import Core, Volumes, bearing, core, volumes
-from anisoscope.profiles.textures.filters import Form, ScaleLimited, scale_limited
+from anisoscope.profiles.textures.features import Features, features
+from anisoscope.profiles.textures.filters import ScaleLimited, scale_limited
 from anisoscope.profiles.textures.spatial import Spatial, spatial
+from anisoscope.profiles.textures.spectra import dominant_wavelength
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,9 @@ class Texture:
         smr_mean: material ratio of the mean height, Smr(0 µm), 0 to 1.
         smc_10_um: height in µm above which 10 % stands, Smc(10 %).
         smc_80_um: height in µm above which 80 % stands, Smc(80 %).
+        sxp_um: extreme peak height Sxp: Smc(2.5 %) − Smc(50 %).
+        ssw_um: dominant spatial wavelength Ssw: that of the largest amplitude; NaN on a flat surface.
+        features: feature parameters, where they were wanted.
     """
 
     surface: ScaleLimited
@@ -74,6 +79,9 @@ class Texture:
     smr_mean: float
     smc_10_um: float
     smc_80_um: float
+    sxp_um: float
+    ssw_um: float
+    features: Features | None = None
 
 
 def heights(surface: HeightMap) -> Heights:
@@ -83,21 +91,31 @@ def heights(surface: HeightMap) -> Heights:
         HeightMapError: nothing was measured.
     """
     check_heights("height map", surface.height_um)
-    height = surface.height_um[np.isfinite(surface.height_um)]
-    height = height - float(np.mean(height))
-    square = height * height
-    sq = float(np.sqrt(np.mean(square)))
-    peak, pit = float(height.max()), float(-height.min())
+    mean, count = known_mean(surface.height_um), 0
+    sums = np.zeros(4)
+    peak, pit, largest = -np.inf, -np.inf, 0.0
+    for block in row_blocks(surface.shape):
+        part = surface.height_um[block]
+        height = part[np.isfinite(part)]
+        if height.size == 0:
+            continue
+        largest = max(largest, float(np.abs(height).max()))
+        height = height - mean
+        square = height * height
+        sums += [np.abs(height).sum(), square.sum(), (square * height).sum(), (square * square).sum()]
+        peak, pit, count = max(peak, float(height.max())), max(pit, float(-height.min())), count + height.size
+    sa, variance, third, fourth = (sums / count).tolist()
+    sq = float(np.sqrt(variance))
     # heights that differ by rounding alone have no shape
-    flat = sq <= 1e-12 * float(np.nanmax(np.abs(surface.height_um)))
+    flat = sq <= 1e-12 * largest
     return Heights(
-        sa_um=float(np.mean(np.abs(height))),
+        sa_um=sa,
         sq_um=sq,
         sz_um=peak + pit,
         sp_um=peak,
         sv_um=pit,
-        ssk=float("nan") if flat else float(np.mean(square * height)) / sq**3,
-        sku=float("nan") if flat else float(np.mean(square * square)) / sq**4,
+        ssk=float("nan") if flat else third / sq**3,
+        sku=float("nan") if flat else fourth / sq**4,
     )
 
 
@@ -112,35 +130,46 @@ def hybrid(surface: HeightMap) -> Hybrid:
         HeightMapError: no two neighbours were measured along x or along y.
     """
     height, py, px = surface.height_um, surface.pixel_y_um, surface.pixel_x_um
-    slope_y, slope_x = np.diff(height, axis=0) / py, np.diff(height, axis=1) / px
-    if np.isnan(slope_y).all() or np.isnan(slope_x).all():
+    along_y, along_x, area = (np.zeros(2) for _ in range(3))  # sum and number
+    for block in row_blocks(height.shape):
+        part = height[block.start : block.stop + 1]  # and the first row of the next block
+        slope_y, slope_x = np.diff(part, axis=0) / py, np.diff(part, axis=1) / px
+        own = slope_x[: block.stop - block.start]
+        along_y += _sum(slope_y * slope_y)
+        along_x += _sum(own * own)
+        cells = np.zeros((slope_x.shape[0] - 1, slope_x.shape[1]))
+        for across in (slope_x[:-1], slope_x[1:]):
+            for along in (slope_y[:, :-1], slope_y[:, 1:]):
+                cells += np.sqrt(1.0 + across * across + along * along)
+        area += _sum(cells)
+    if along_y[1] == 0.0 or along_x[1] == 0.0:
         raise HeightMapError("slopes need measured points side by side along x and along y; there are none")
-    sdq = float(np.sqrt(np.nanmean(slope_y**2) + np.nanmean(slope_x**2)))
-    top, bottom, left, right = slope_x[:-1], slope_x[1:], slope_y[:, :-1], slope_y[:, 1:]
-    areas: list[FloatArray] = [
-        np.sqrt(1.0 + across**2 + along**2)
-        for across, along in ((top, left), (bottom, right), (top, right), (bottom, left))
-    ]
-    cells = 0.25 * sum(areas[1:], areas[0])
-    if np.isnan(cells).all():
-        return Hybrid(sdq, float("nan"))
-    return Hybrid(sdq, float(np.nanmean(cells)) - 1.0)
+    sdq = float(np.sqrt(along_y[0] / along_y[1] + along_x[0] / along_x[1]))
+    return Hybrid(sdq, 0.25 * float(area[0] / area[1]) - 1.0 if area[1] else float("nan"))
+
+
+def _sum(values: FloatArray) -> FloatArray:
+    """(2,) sum and number of the values that are not NaN."""
+    known = ~np.isnan(values)
+    return np.array([np.sum(values, where=known), np.count_nonzero(known)], dtype=np.float64)
 
 
 def texture(
     surface: HeightMap,
     *,
-    form: Form = "plane",
+    form: str = "plane",
     s_filter_um: float | None = None,
     l_filter_um: float | None = None,
+    pruning: float | None = None,
 ) -> Texture:
     """Filter a map and take all parameters.
 
     Args:
         surface: the map, (rows, cols) in µm; missing points stay out of everything.
-        form: least-squares form to remove.
+        form: form to remove: "none", "plane", "poly1" … "poly10", "sphere", "cylinder".
         s_filter_um: nesting index in µm of the Gaussian S-filter; None for none.
         l_filter_um: nesting index in µm of the Gaussian L-filter; None for none.
+        pruning: Wolf pruning of hills and dales, as a share of Sz, such as 0.05; None for no feature parameters.
 
     Raises:
         UsageError: the surface is no height map.
@@ -160,4 +189,7 @@ def texture(
         smr_mean=curve.smr(0.0),
         smc_10_um=curve.smc(0.1),
         smc_80_um=curve.smc(0.8),
+        sxp_um=curve.smc(0.025) - curve.smc(0.5),
+        ssw_um=dominant_wavelength(limited.map),
+        features=None if pruning is None else features(limited.map, pruning),
     )

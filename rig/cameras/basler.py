@@ -78,15 +78,15 @@ def _create(factory: Any, serial: str, name: str) -> Any:
     requested = " and ".join(
         f"{what} '{value}'" for what, value in (("serial number", serial), ("name", name)) if value
     )
-    there = ", ".join(_called(device) for device in devices) or "none"
+    connected = ", ".join(_called(device) for device in devices) or "none"
     if not fitting:
         raise NotConnected(
-            f"there is no Basler camera{f' with {requested}' if requested else ''}; found: {there}"
+            f"there is no Basler camera{f' with {requested}' if requested else ''}; found: {connected}"
         )
     if len(fitting) > 1:
         raise NotConnected(
             f"there are {len(fitting)} Basler cameras{f' with {requested}' if requested else ''}; name one by "
-            f"camera.options.serial: {there}"
+            f"camera.options.serial: {connected}"
         )
     if not factory.IsDeviceAccessible(fitting[0]):
         raise NotConnected(f"{_called(fitting[0])} is in use by another program")

@@ -19,7 +19,7 @@ from anisoscope.rig.frame import FrameKind
 from anisoscope.rig.framefolder import FrameEntry, read_frame_folder
 
 SAME_SETTING = 1e-3
-"""Relative difference up to which an exposure or gain that is asked for is that of a frame."""
+"""Relative difference up to which a requested exposure or gain is that of a frame."""
 
 
 class FolderCamera:

@@ -1,16 +1,16 @@
 """UVC cameras (webcams, USB microscopes) by OpenCV: 8 bits, and not linear until a response curve is given.
 
-Such a camera adjusts itself wherever it can. Here everything automatic is switched off, every property is read
-back, frames that waited in the driver's queue are thrown away, and `UvcCamera.prove_exposure` measures whether
-brightness obeys the exposure.
+Such a camera adjusts itself wherever it can. The driver switches all automatic functions off, reads every property
+back, discards the frames in the driver's queue, and `UvcCamera.prove_exposure` measures whether brightness follows the
+exposure.
 
-What the camera delivers becomes grey counts of 8 bits. The Y plane is taken as it is where the camera gives it (YUYV,
-UYVY, GREY). From colour pictures it is computed: 0.299 R + 0.587 G + 0.114 B (ITU-R BT.601, OpenCV's weights), of
-values that are not linear.
+Frames become grey counts of 8 bits. The Y plane is used directly if the camera delivers it (YUYV, UYVY, GREY). From
+colour pictures it is computed: 0.299 R + 0.587 G + 0.114 B (ITU-R BT.601, OpenCV's weights), of values that are not
+linear.
 
-The same property has other units and other values in each of OpenCV's camera backends. V4L2 counts exposure in steps
-of 100 µs (the control of the UVC driver); DirectShow and Media Foundation count in powers of two of a second. Auto
-exposure is off at 1 in V4L2 (manual mode) and at 0 in the others. AVFoundation sets no exposure at all.
+Units and values of a property differ between OpenCV's camera backends. V4L2 counts exposure in steps of 100 µs (the
+control of the UVC driver); DirectShow and Media Foundation count in powers of two of a second. Auto exposure is off at
+1 in V4L2 (manual mode) and at 0 in the others. AVFoundation cannot set the exposure.
 """
 
 import contextlib
@@ -189,9 +189,9 @@ def cv2_capture(backend: Backend) -> Callable[[int | str, int], Capture]:
     """
     import cv2  # noqa: PLC0415 - slow to import
 
-    there = set(cv2.videoio_registry.getCameraBackends())
-    if api(backend) not in there:
-        names = ", ".join(name for name, other in BACKENDS.items() if api(other) in there) or "none"
+    available = set(cv2.videoio_registry.getCameraBackends())
+    if api(backend) not in available:
+        names = ", ".join(name for name, other in BACKENDS.items() if api(other) in available) or "none"
         raise RigFileError(
             f"camera.options.backend: {backend.name} is not on this computer; there is: {names}"
         )

@@ -1,12 +1,12 @@
 """Driver for Thorlabs APT rotation stages: K10CR1, and KDC101 with a PRM1-Z8; binary at 115200 baud with RTS/CTS.
 
-The controller reports its model, which determines the scale; it answers queries while it moves, reports the end of a
-motion, and knows whether it was homed since power-up, so that a new connection may find the stage homed. One
-controller is one port. Source: Thorlabs APT communications protocol.
+The controller reports its model, which determines the scale. It answers queries while it moves, reports the end of a
+motion, and knows whether it was homed since power-up, so that a new connection may find the stage homed. One controller
+is one port.
 
-Steps and speeds are counted by model and actuator. A stepper counts microsteps; a servo counts what the encoder of
-its actuator counts. Velocities come in counts per period of the controller's clock, times 65536. Source: Thorlabs APT
-communications protocol, conversion tables.
+Scales of position and speed depend on model and actuator: microsteps of a stepper, encoder counts of a servo.
+Velocities are counts per period of the controller's clock, times 65536. Source: Thorlabs APT communications protocol,
+conversion tables.
 """
 
 import logging

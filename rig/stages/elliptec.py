@@ -1,12 +1,12 @@
 """Driver for Thorlabs Elliptec rotation stages (ELL14, ELL18, ELL8, …): ASCII at 9600 baud, several on a bus.
 
-Scale, travel and serial number are read from the device. A move is answered once, when it is over; meanwhile
-the device is silent, or says that it is busy. The device does not say whether it was homed: the driver keeps
-that, and forgets it when the connection ends. Source: Thorlabs ELLx protocol manual.
+Scale, travel and serial number are read from the device. A move is answered once, at its end; meanwhile the device is
+silent, or reports that it is busy. The device does not report whether it was homed: the driver stores this for the
+duration of the connection.
 
 Positions, device information and status codes are read from lines of ASCII. A command is ``<address><two lower-case
 letters><hex arguments>`` without terminator; an answer is ``<address><two upper-case letters><hex data>`` and CR LF.
-Source: Thorlabs ELLx protocol manual, and the answers of real devices.
+Sources: Thorlabs ELLx protocol manual, and the answers of real devices.
 """
 
 import logging

@@ -1,15 +1,14 @@
 """Driver for Zaber rotary stages (X-RSW, X-RST, X-RSB, …): ASCII protocol at 115200 baud or over TCP.
 
-Scale, speed, acceleration and limits are read from the device, and so is whether it has its reference position: a
-stage that was homed since it was switched on need not be homed again. Every command bears a number and a checksum,
-and an answer counts only if both are right. Source: Zaber ASCII protocol manual.
+Scale, speed, acceleration, limits and the state of the reference are read from the device: a stage that was homed since
+power-up need not be homed again. Every command has a number and a checksum, and an answer is accepted only if both are
+right.
 
 A command is ``/<device> <axis> <id> <words>:<LRC>`` and a line feed, a reply ``@<device> <axis> <id>
-OK|RJ IDLE|BUSY <flag> <data>:<LRC>`` and CR LF; lines that begin with ``#`` (information) or ``!`` (alert) come
-besides. Sources: Zaber ASCII protocol manual; names and meanings of flags and reasons also as the maker's client
-`zaber-motion` has them.
-
-Queries of identity, scale, limits, speed and warning flags are made under the lock of the transport.
+OK|RJ IDLE|BUSY <flag> <data>:<LRC>`` and CR LF. Lines that begin with ``#`` (information) or ``!`` (alert) may arrive
+in between. Queries of identity, scale, limits, speed and warning flags are made under the lock of the transport.
+Sources: Zaber ASCII protocol manual; names and meanings of flags and reasons also from the maker's client
+`zaber-motion`.
 """
 
 import contextlib

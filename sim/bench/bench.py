@@ -1,31 +1,198 @@
-"""The virtual rig as a whole: one stage, one light, one sample, one sensor, that all see each other."""
+"""The virtual rig as a whole: one stage, one light, one sample, one sensor, that all act on each other.
+
+A new kind of sample is a class with the two members of `Sample` in a module of its own, a table of its own in the bench
+file (`SamplePart`), a word for it in ``SamplePart.kind``, and a line in `build_sample`. Poses, seating, lens, lamp
+level and noise belong to the bench; a sample does not know them.
+"""
 
 import importlib
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, Protocol
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.base.errors import RigFileError, UsageError
-from anisoscope.sim.bench.benchfile import BenchFile, CodePart, OpticsPart, SensorPart, read_bench
+from anisoscope.base.errors import HeightMapError, RigFileError, UsageError
+from anisoscope.profiles.defects import burrs
+from anisoscope.profiles.files.load import read_height_map
+from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.sim.bench.benchfile import (
+    BenchFile,
+    CodePart,
+    MaterialPart,
+    OpticsPart,
+    SamplePart,
+    SensorPart,
+    read_bench,
+)
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
 from anisoscope.sim.bench.firmware.catalogue import LIGHT, Mount, build
 from anisoscope.sim.bench.firmware.device import Firmware
 from anisoscope.sim.bench.firmware.light import LightFirmware
 from anisoscope.sim.bench.lamp import Lamp
 from anisoscope.sim.bench.optics import PLATE, image_of_fixture, image_of_surface, pixel_from_mm, vignette
-from anisoscope.sim.bench.samples import Sample, build_sample
+from anisoscope.sim.bench.printpart import PrintPart
+from anisoscope.sim.bench.prints import PrintSample
 from anisoscope.sim.bench.sensor import Mosaic, Sensor
 from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_rotation
+from anisoscope.sim.pathtracer.plastic import Plastic
 
 Image = npt.NDArray[np.float32]
+
+PIXEL_X_UM = 1.0
+PIXEL_Y_UM = 2.0
+MOST_REFLECTIONS = 6
+MOST_MISSING = 0.25
+POSES_REMEMBERED = 4
+SAME_DIRECTION = 9  # decimals of the directions of one pose
+
+
+class Sample(Protocol):
+    """A sample on the stage, centred on its axis.
+
+    A perfect white diffuser that faces the lamp has the radiance 1/π, in every channel alike. So a grey sample is
+    equally bright in all channels; how much less light one colour filter passes than another is not the sample's
+    affair (`anisoscope.sim.bench.sensor`).
+    """
+
+    @property
+    def pixel_um(self) -> tuple[float, float]:
+        """Size (y, x) of the pixels of `radiance`."""
+        ...
+
+    def radiance(self, to_light: FloatArray, to_camera: FloatArray) -> Image:
+        """(channels, rows, cols) radiance in the sample's own frame; row index rises with +y, NaN is not known.
+
+        One channel for a sample that is grey, or a camera without colour filters; otherwise three: red, green, blue,
+        each the mean over wavelengths under the bench's lamp as the filter of that colour weighs them
+        (`anisoscope.sim.light.colour.vision.Vision.weights`).
+
+        Args:
+            to_light: (3,) unit vector in the frame of the sample as it is seated.
+            to_camera: (3,) likewise.
+        """
+        ...
+
+
+class RidgedSurface(NamedTuple):
+    """A height map, and the pitch after which it repeats across, if it does."""
+
+    surface: HeightMap
+    pitch_um: float | None
+
+
+class ReliefSample:
+    """A height map of plastic: grey. Pictures of the last poses are remembered.
+
+    It is rendered by the path tracer, which shares nothing with the prediction (`anisoscope.sim.pathtracer.tracer`).
+    """
+
+    def __init__(self, made: RidgedSurface, file: BenchFile) -> None:
+        self.surface = made.surface
+        self._pitch_um, self._file = made.pitch_um, file
+
+    @property
+    def pixel_um(self) -> tuple[float, float]:
+        """Size (y, x) of a facet."""
+        return self.surface.pixel_y_um, self.surface.pixel_x_um
+
+    def radiance(self, to_light: FloatArray, to_camera: FloatArray) -> Image:
+        """(1, rows, cols) radiance of every facet."""
+        seen = tuple(float(one) for side in (to_light, to_camera) for one in np.round(side, SAME_DIRECTION))
+        return self._shown(seen)
+
+    @cached_property
+    def _shown(self) -> Callable[[tuple[float, ...]], Image]:
+        from anisoscope.sim.pathtracer.tracer import PathTracer  # noqa: PLC0415 - numba when first needed
+
+        part, distance = self._file.sample, self._file.optics.lamp_distance_mm
+        tracer = PathTracer(
+            self.surface,
+            plastic(part.material),
+            pitch_um=self._pitch_um,
+            reflections=MOST_REFLECTIONS if part.reflections else 1,
+            lamp_distance_um=None if distance is None else 1000.0 * distance,
+            seed=self._file.seed,
+        )
+
+        @lru_cache(maxsize=POSES_REMEMBERED)
+        def shown(seen: tuple[float, ...]) -> Image:
+            found = tracer.radiance(np.array(seen[:3]), np.array(seen[3:]))[None]
+            found.flags.writeable = False
+            return found
+
+        return shown
+
+
+def build_sample(file: BenchFile, rng: np.random.Generator) -> Sample:
+    """The sample of a bench, but for a white tile, which has no edges and fills the picture.
+
+    Raises:
+        HeightMapError: the file of a height map cannot be read.
+        RigFileError: what the bench file names cannot be used.
+    """
+    part = file.sample
+    if part.kind == "print":
+        return PrintSample(part.print or PrintPart(), part.size_mm, file.optics.pixel_um, file.vision(), rng)
+    if part.kind == "wafer":
+        from anisoscope.sim.bench.wafer import build_wafer  # noqa: PLC0415 - of one kind of sample only
+
+        assert part.wafer is not None  # the bench file's own check
+        return build_wafer(part.wafer, part.size_mm, rng)
+    return ReliefSample(build_surface(part, rng), file)
+
+
+def plastic(part: MaterialPart) -> Plastic:
+    """The material that a bench file describes."""
+    return Plastic(part.alpha_along, part.alpha_across, part.albedo, part.index, part.lobe)
+
+
+def build_surface(part: SamplePart, rng: np.random.Generator) -> RidgedSurface:
+    """The surface of a sample, as large as the sample, in whole pitches.
+
+    Raises:
+        HeightMapError: the file cannot be read, or too much of the map is missing.
+    """
+    if part.kind == "height-map":
+        assert part.file is not None  # the bench file's own check
+        found = read_height_map(part.file)
+        if found.missing_share > MOST_MISSING:
+            raise HeightMapError(
+                f"{part.file}: {found.missing_share:.1%} of the heights are missing (limit {MOST_MISSING:.0%}): "
+                "fill the gaps in the instrument's software"
+            )
+        return RidgedSurface(_repeat(found, part), None)
+    pitches = max(1, int(part.size_mm * 1000.0 // part.pitch_um))
+    cols = round(pitches * part.pitch_um / PIXEL_X_UM) + 1
+    rows = round(part.size_mm * 1000.0 / PIXEL_Y_UM) + 1
+    design = RidgeDesign(pitch_um=part.pitch_um, ridge_angle_deg=part.ridge_angle_deg)
+    surface = ridges(design, (rows, cols), (PIXEL_Y_UM, PIXEL_X_UM))
+    if part.resolved_alpha > 0:
+        alpha = part.resolved_alpha
+        surface = add_facet_roughness(
+            surface, alpha_along=alpha, alpha_across=alpha, correlation_um=part.correlation_um, rng=rng
+        )
+    if part.burr_coverage > 0:
+        surface = burrs(surface, part.burr_coverage, pitch_um=part.pitch_um, rng=rng).map
+    return RidgedSurface(surface, part.pitch_um)
+
+
+def _repeat(surface: HeightMap, part: SamplePart) -> HeightMap:
+    """Lay copies of a map side by side, every other one mirrored so that heights meet, up to the sample's size."""
+    tile = surface.height_um
+    tall = np.concatenate([tile, tile[::-1]])
+    size_um = part.size_mm * 1000.0
+    rows, cols = (round(size_um / pixel) + 1 for pixel in (surface.pixel_y_um, surface.pixel_x_um))
+    repeats = -(-rows // tall.shape[0]), -(-cols // tall.shape[1])
+    return surface.with_height(np.tile(tall, repeats)[:rows, :cols])
+
 
 _FORMATS = {"datamatrix": "DataMatrix", "code128": "Code128", "qr": "QRCode"}
 _DOTS_PER_MODULE = 16
@@ -98,7 +265,7 @@ class Scenes:
         self._lock = threading.Lock()
 
     def get(self, key: Hashable, render: Callable[[], FloatArray]) -> FloatArray:
-        """The picture of a key, rendered where it is not kept; not to be written to."""
+        """The picture of a key, rendered unless stored; read-only."""
         with self._lock:
             found = self._kept.get(key)
         if found is None:

@@ -24,15 +24,21 @@ from anisoscope.sim.bench.prints import check_print
 from anisoscope.sim.bench.waferpart import WaferPart
 from anisoscope.sim.light.colour.vision import Vision
 from anisoscope.sim.materials.spectra import find_illuminant, find_sensitivities
+from anisoscope.sim.pathtracer.plastic import LobeName
 
 
 class MaterialPart(Part):
-    """The plastic of the sample; roughness is what the height map does not hold."""
+    """The plastic of the sample; roughness is what the height map does not hold.
 
-    alpha_along: Positive = 0.06
-    alpha_across: Positive = 0.10
+    ``lobe`` is the distribution of slopes of the microfacets: ``beckmann``; ``ggx`` and ``student`` (γ = 3) have longer
+    tails; ``two-scale`` and ``wide-base`` are mixtures of two Beckmann lobes (`anisoscope.sim.pathtracer.plastic`).
+    """
+
+    alpha_along: Annotated[float, Field(gt=0.0, lt=2.0)] = 0.06
+    alpha_across: Annotated[float, Field(gt=0.0, lt=2.0)] = 0.10
     albedo: Share = 0.2
     index: Annotated[float, Field(gt=1.0, le=4.0)] = 1.5
+    lobe: LobeName = "beckmann"
 
 
 class CodePart(Part):
@@ -56,7 +62,8 @@ class SamplePart(Part):
     """The sample: synthetic ridges, a height map from a file, a print, a wafer, or a white tile.
 
     ``ridges`` are made from the fields below; ``height-map`` reads ``file`` and repeats it over the sample; ``print``
-    is a sheet as the table ``print`` describes it, ``wafer`` an etched pattern as the table ``wafer`` does.
+    is a sheet as the table ``print`` describes it, ``wafer`` an etched pattern as the table ``wafer`` does. With
+    ``reflections`` light on ridges and height maps is reflected several times, else once.
     """
 
     kind: Literal["ridges", "height-map", "print", "wafer", "white-tile"] = "ridges"
@@ -67,6 +74,7 @@ class SamplePart(Part):
     resolved_alpha: NotNegative = 0.03
     correlation_um: Positive = 8.0
     burr_coverage: Share = 0.0
+    reflections: bool = True
     reflectance: Share = 0.99
     seating_tilt_deg: tuple[float, float] = (0.0, 0.0)
     material: MaterialPart = MaterialPart()
@@ -131,7 +139,8 @@ class OpticsPart(Part):
     ``electrons`` is what one second of exposure at unit gain collects per pixel from a radiance of 1/sr; behind
     colour filters, per pixel of the strongest colour. A cold lamp is brighter by ``lamp_warmup_share`` (darker, if
     negative), and loses it over ``lamp_warmup_frames`` lit frames. ``spectrum`` is the lamp's: ``led-white`` (made
-    up), a CIE illuminant such as ``d65`` or ``a``, or a file *.csv.
+    up), a CIE illuminant such as ``d65`` or ``a``, or a file *.csv. A lamp at ``lamp_distance_mm`` shines on
+    every place of ridges and height maps from another direction; without it, it is far away.
     """
 
     pixel_um: Positive = 4.0
@@ -144,6 +153,7 @@ class OpticsPart(Part):
     lamp_drift_per_frame: float = 0.0
     lamp_warmup_share: Annotated[float, Field(gt=-1.0, le=1.0)] = 0.0
     lamp_warmup_frames: Positive = 50.0
+    lamp_distance_mm: Positive | None = None
     stray_radiance: NotNegative = 0.0002
     lens_cap: bool = False
 

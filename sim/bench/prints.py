@@ -244,7 +244,7 @@ class PrintSample:
         ]
 
     def radiance(self, to_light: FloatArray, to_camera: FloatArray) -> Image:
-        """(channels, rows, cols) radiance; see `anisoscope.sim.bench.samples.Sample`."""
+        """(channels, rows, cols) radiance; see `anisoscope.sim.bench.bench.Sample`."""
         facing = self._normal @ to_light.astype(np.float32)
         seen = np.maximum(facing, np.float32(0.0)) * (self._normal @ to_camera.astype(np.float32) > 0.0)
         shine = np.moveaxis(self._shine(to_light, to_camera), -1, 0)[: self._channels]

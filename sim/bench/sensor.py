@@ -45,21 +45,33 @@ class Sensor:
         Returns:
             (rows, cols) counts, right-justified.
         """
-        expected = np.maximum(signal_e * self._response + self._dark_e_s * exposure_s, 0.0)
-        collected = np.minimum(self._arrivals(expected), self.part.full_well_e)
+        expected = signal_e * self._response
+        noise = self._dark_e_s * exposure_s
+        expected += noise
+        np.maximum(expected, 0.0, out=expected)
+        collected = self._arrivals(expected)
+        np.minimum(collected, self.part.full_well_e, out=collected)
         if self.part.nonlinearity:
             collected *= 1.0 - self.part.nonlinearity * collected / self.part.full_well_e
-        collected += self._offset_e + self.part.read_noise_e * self._rng.standard_normal(expected.shape)
-        counts = np.rint(self.part.black_level + self._bent(collected * gain / self.part.gain_e_per_dn))
-        return np.clip(counts, 0, self.full_scale).astype(np.uint16)
+        self._rng.standard_normal(out=noise)
+        noise *= self.part.read_noise_e
+        noise += self._offset_e
+        collected += noise
+        collected *= gain
+        collected /= self.part.gain_e_per_dn
+        counts = self._bent(collected)
+        counts += self.part.black_level
+        np.rint(counts, out=counts)
+        np.clip(counts, 0, self.full_scale, out=counts)
+        return counts.astype(np.uint16)
 
     def _arrivals(self, expected: FloatArray) -> FloatArray:
         """Poisson numbers about ``expected``; from MANY on, the normal distribution stands for them."""
         few = expected < MANY
         if few.all():
             return self._rng.poisson(expected).astype(np.float64)
-        arrivals = self._rng.standard_normal(expected.shape)
-        arrivals *= np.sqrt(expected)
+        arrivals: FloatArray = np.sqrt(expected)
+        arrivals *= self._rng.standard_normal(expected.shape)
         arrivals += expected
         if few.any():
             arrivals[few] = self._rng.poisson(expected[few])

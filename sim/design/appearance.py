@@ -67,7 +67,7 @@ def screen(design: DesignFile, *, white: bool) -> Picture:
 
 
 def mirrored_dots(design: DesignFile, *, white: bool) -> Picture:
-    """A plane with dots, seen in the design: every dot is blurred by the lobe (Levin et al. 2013, Fig. 10)."""
+    """A plane with dots reflected in the design: every dot is blurred by the lobe (Levin et al. 2013, Fig. 10)."""
     h = np.linspace(-2.0 * REACH, 2.0 * REACH, 2 * POINTS - 1)
     one = spectral_density(design, _lines(white), h)
     step = POINTS // 3

@@ -54,7 +54,7 @@ def windows_along_x(
 def squared_error(
     along_x: Floats, target: Floats, wide: int, scale: float, column: Floats, rest: Floats
 ) -> float:
-    """Sum of squares of scale·(windows along y too) − wanted; ``rest`` (windows, windows) receives the differences."""
+    """Sum of squares of scale·(windows along y too) − target; ``rest`` (windows, windows) receives the differences."""
     many = target.shape[0]
     column[:] = np.float32(0.0)
     for b in range(wide):

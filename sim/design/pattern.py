@@ -25,7 +25,7 @@ MOST_MM = 100.0
 """Side of the largest wafer that is laid out."""
 
 MOST_TILES = 2**16
-"""As many as the index of a layout can tell apart."""
+"""Largest number that the index of a layout can distinguish."""
 
 MOST_POINTS = 2**29
 """Grid points of all tiles together: 1 GB."""

@@ -1,12 +1,12 @@
 """Refinement of one dot: a genetic search (Levin et al. 2013, Appendix B), a greedy polish, or both.
 
-The genetic search resamples a share of a dot's parameters and keeps the best of parents and children. Together with
-the polish every child is first brought to where single changes of levels help little: the genetic search then leads
-from one such dot to a better one, and out of what the polish alone gets stuck in.
+The genetic search resamples a share of a dot's parameters and selects the best of parents and children. In combination
+with the polish, every child is first polished until single changes of levels give little improvement. The genetic
+search then proceeds between such dots, and leaves local minima of the polish.
 
-In the greedy polish one rectangle after the other gets another level, wherever that lowers the error. Which
-rectangles to try comes from the gradient of the error with respect to the power spectrum: one matrix product ranks
-all changes at once to first order; each is then tried exactly, by an update of rank 1.
+The greedy polish changes the level of one rectangle after the other if that reduces the error. The order follows the
+gradient of the error with respect to the power spectrum: one matrix product ranks all changes at once to first order;
+each is then evaluated exactly, by an update of rank 1.
 """
 
 import time

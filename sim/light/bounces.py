@@ -22,8 +22,9 @@ import numpy.typing as npt
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import ModelError
 from anisoscope.profiles.ideal import RidgeDesign
-from anisoscope.sim.light.material import Material, diffuse_scale, transmittance_table
-from anisoscope.sim.light.ridge_profile import ridge_polyline, visible_shares
+from anisoscope.sim.light.material import SHORTEST_TAIL, Material
+from anisoscope.sim.light.ridge_profile import ridge_polyline, sharp_groove, visible_shares
+from anisoscope.sim.light.shine import plastic_of
 
 FieldArray = npt.NDArray[np.float32]
 
@@ -34,12 +35,6 @@ DIRECTIONS = ANGLES * ELEVATIONS
 NARROWEST = 0.05  # roughness below which the grid would miss a lobe; such lobes are widened to this
 DEEPEST = 30  # reflections followed at most; the rest is closed as a geometric series
 NEGLIGIBLE = 1e-3  # share of the series at which the rest may be closed
-
-
-def plastic_numbers(material: Material) -> tuple[FloatArray, FloatArray]:
-    """(4,) alpha along, alpha across, index and scale of the base; and the transmittance table."""
-    numbers = [material.alpha_along, material.alpha_across, material.index, diffuse_scale(material)]
-    return np.array(numbers), transmittance_table(material)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,8 +73,7 @@ def direction_grid(opening: float, material: Material) -> DirectionGrid:
     weight = np.outer(chi_weight, phi_weight).ravel()
     from anisoscope.sim.light.bounces_kernels import brdf_square  # noqa: PLC0415 - numba when first needed
 
-    plastic, table = plastic_numbers(material)
-    first = brdf_square(sides[0], plastic, table)
+    first = brdf_square(sides[0], plastic_of(material))
     # the second side's fan is the first one's, mirrored and with its angles in reverse
     second = first.reshape(ANGLES, ELEVATIONS, ANGLES, ELEVATIONS)[::-1, :, ::-1].reshape(first.shape)
     scatter = tuple(
@@ -135,8 +129,7 @@ class Groove:
         """
         from anisoscope.sim.light.bounces_kernels import brdf_table  # noqa: PLC0415 - numba when first needed
 
-        plastic, table = plastic_numbers(self.material)
-        sent = brdf_table(light, self.grid.sides[1 - side], plastic, table) * light[:, 2:]
+        sent = brdf_table(light, self.grid.sides[1 - side], plastic_of(self.material)) * light[:, 2:]
         edges, growth = self.edges[side], self.growth[1 - side]
         shot = growth[:, None, None, None] * lit  # (angles, 1, P, 2)
         common = overlap(edges[:-1, None], edges[1:, None], shot[..., 0], shot[..., 1])
@@ -170,9 +163,10 @@ class Groove:
         """
         from anisoscope.sim.light.bounces_kernels import brdf_table  # noqa: PLC0415 - numba when first needed
 
-        plastic, table = plastic_numbers(self.material)
         directions = self.grid.sides[side]
-        weight = brdf_table(camera, directions, plastic, table) * (directions[:, 2] * self.grid.weight)
+        weight = brdf_table(camera, directions, plastic_of(self.material)) * (
+            directions[:, 2] * self.grid.weight
+        )
         shot = self.growth[1 - side][:, None, None] * self.edges[1 - side]  # (angles, 1, edges)
         length = overlap(shot[..., :-1], shot[..., 1:], seen[:, :1], seen[:, 1:])  # (angles, P, cells)
         shape = (len(field), CELLS, ANGLES, ELEVATIONS)
@@ -221,6 +215,7 @@ def higher_reflections(
 
 
 NODES = 6  # of the Gauss-Legendre rule in each panel
+_STEPS, _LONG_STEPS = (1.7, 3.4), (0.8, 1.7, 3.4, 7.0, 15.0)
 BATCH = 64  # poses followed together, for the sake of memory
 
 
@@ -264,18 +259,26 @@ def _sides(directions: FloatArray, design: RidgeDesign) -> _Sides:
     return _Sides((local[0], local[1]), (visible[0], visible[1]))
 
 
+def panel_steps(material: Material) -> FloatArray:
+    """Ends of the panels on one side of a lobe's centre, in multiples of its width."""
+    steps = np.array(_STEPS if material.tail < SHORTEST_TAIL else _LONG_STEPS)
+    if material.second_lobe is not None:
+        steps = np.union1d(steps, np.array(_STEPS) * material.second_lobe[1])
+    return steps
+
+
 def _twice(light: _Sides, camera: _Sides, opening: float, material: Material, nodes: int) -> FloatArray:
     """(P,) light after exactly two reflections, in µm/sr; ``opening`` between the sides in radians."""
     from anisoscope.sim.light.bounces_kernels import two_reflections  # noqa: PLC0415 - numba when first needed
 
-    numbers = plastic_numbers(material)
+    plastic, steps = plastic_of(material), panel_steps(material)
     rule = np.stack(np.polynomial.legendre.leggauss(nodes))
     total = np.zeros(len(light.local[0]))
     for pose in range(len(total)):
         for first in (0, 1):
             views = light.local[first][pose], camera.local[1 - first][pose]
             parts = light.visible[first][pose], camera.visible[1 - first][pose]
-            total[pose] += two_reflections(*views, *parts, opening, *numbers, rule)
+            total[pose] += two_reflections(*views, *parts, opening, plastic, steps, rule)
     return total
 
 
@@ -311,7 +314,7 @@ def interreflection(
     Args:
         to_light: (P, 3) unit vectors in the sample frame, above the horizon.
         to_camera: (P, 3) unit vectors in the sample frame, above the horizon.
-        design: the ridges.
+        design: the ridges; of rounded crests the sharp groove counts (`ridge_profile.sharp_groove`).
         material: the plastic.
         bounces: largest number of reflections; None follows all.
         nodes: Gauss-Legendre nodes per panel for two reflections.
@@ -324,6 +327,8 @@ def interreflection(
     """
     if bounces is not None and bounces < 1:
         raise ModelError(f"light reflects at least once, not {bounces} times")
+    if design.edge_radius_um > 0.0:
+        design = sharp_groove(design)
     if bounces == 1 or design.height_um == 0.0 or len(to_light) == 0:
         return np.zeros(len(to_light))
     light, camera = _sides(to_light, design), _sides(to_camera, design)

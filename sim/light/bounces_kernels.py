@@ -11,60 +11,59 @@ import numpy as np
 from numba import njit
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.sim.light.kernels import _fresnel, _lambda, _table
+from anisoscope.sim.light.kernels import _fresnel, _table, density, shadowing
+from anisoscope.sim.light.relief_scatter import FAINT
+from anisoscope.sim.light.shine import Plastic
 
 
 @njit(cache=True)
-def _brdf(first: FloatArray, second: FloatArray, plastic: FloatArray, table: FloatArray) -> float:
-    """BRDF [1/sr] of rough plastic between two directions (3,) in the frame of the side, as `facet_brdf`.
-
-    ``plastic`` holds alpha along, alpha across, index and the scale of the base.
-    """
+def _brdf(first: FloatArray, second: FloatArray, plastic: Plastic) -> float:
+    """BRDF [1/sr] of rough plastic between two directions (3,) in the frame of the side, as `facet_brdf`."""
     if first[2] <= 0.0 or second[2] <= 0.0:
         return 0.0
-    alpha_u, alpha_v = plastic[0], plastic[1]
-    value = plastic[3] * _table(table, first[2]) * _table(table, second[2])
+    alpha_u, alpha_v = plastic.alpha_u, plastic.alpha_v
+    value = plastic.diffuse * _table(plastic.table, first[2]) * _table(plastic.table, second[2])
     hu, hv, hn = first[0] + second[0], first[1] + second[1], first[2] + second[2]
     exponent = ((hu / alpha_u) ** 2 + (hv / alpha_v) ** 2) / (hn * hn)
-    if exponent < 50.0:
+    if exponent < FAINT * plastic.lobe.reach:
         size = hu * hu + hv * hv + hn * hn
         cos_d = min(1.0, (first[0] * hu + first[1] * hv + first[2] * hn) / math.sqrt(size))
-        lobe = _fresnel(cos_d, plastic[2]) * math.exp(-exponent) * (size / (hn * hn)) ** 2
+        lobe = _fresnel(cos_d, plastic.refraction) * density(exponent, plastic.lobe) * (size / (hn * hn)) ** 2
         tan_1 = math.sqrt((alpha_u * first[0]) ** 2 + (alpha_v * first[1]) ** 2) / first[2]
         tan_2 = math.sqrt((alpha_u * second[0]) ** 2 + (alpha_v * second[1]) ** 2) / second[2]
         lobe /= 4.0 * math.pi * alpha_u * alpha_v * first[2] * second[2]
-        value += lobe / (1.0 + _lambda(tan_1) + _lambda(tan_2))
+        value += lobe / (1.0 + shadowing(tan_1, plastic.lobe) + shadowing(tan_2, plastic.lobe))
     return float(value)
 
 
 @njit(cache=True)
-def brdf_table(first: FloatArray, second: FloatArray, plastic: FloatArray, table: FloatArray) -> FloatArray:
+def brdf_table(first: FloatArray, second: FloatArray, plastic: Plastic) -> FloatArray:
     """(N, M) BRDF [1/sr] between directions (N, 3) and (M, 3) in the frame of the side."""
     result = np.empty((len(first), len(second)))
     for n in range(len(first)):
         for m in range(len(second)):
-            result[n, m] = _brdf(first[n], second[m], plastic, table)
+            result[n, m] = _brdf(first[n], second[m], plastic)
     return result
 
 
 @njit(cache=True)
-def brdf_square(directions: FloatArray, plastic: FloatArray, table: FloatArray) -> FloatArray:
+def brdf_square(directions: FloatArray, plastic: Plastic) -> FloatArray:
     """(N, N) BRDF [1/sr] among directions (N, 3) in the frame of the side; light and camera may change places."""
     result = np.empty((len(directions), len(directions)))
     for n in range(len(directions)):
         for m in range(n + 1):
-            result[n, m] = result[m, n] = _brdf(directions[n], directions[m], plastic, table)
+            result[n, m] = result[m, n] = _brdf(directions[n], directions[m], plastic)
     return result
 
 
 @njit(cache=True)
-def _lay_panels(breaks: FloatArray, start: int, centre: float, width: float) -> None:
-    """Breakpoints around a Gaussian bump exp(−((x − centre)/width)²)."""
-    breaks[start] = centre - 3.4 * width
-    breaks[start + 1] = centre - 1.7 * width
-    breaks[start + 2] = centre
-    breaks[start + 3] = centre + 1.7 * width
-    breaks[start + 4] = centre + 3.4 * width
+def _lay_panels(breaks: FloatArray, start: int, centre: float, width: float, steps: FloatArray) -> int:
+    """Breakpoints at a centre and at steps of a width on both sides of it; returns the place after them."""
+    breaks[start] = centre
+    for n in range(steps.size):
+        breaks[start + 1 + 2 * n] = centre - steps[n] * width
+        breaks[start + 2 + 2 * n] = centre + steps[n] * width
+    return start + 1 + 2 * int(steps.size)
 
 
 @njit(cache=True)
@@ -75,17 +74,23 @@ def _ratio_angle(ratio: float, opening: float) -> float:
 
 @njit(cache=True)
 def _angle_breaks(
-    light: FloatArray, camera: FloatArray, lit: FloatArray, seen: FloatArray, opening: float, width: float
+    light: FloatArray,
+    camera: FloatArray,
+    lit: FloatArray,
+    seen: FloatArray,
+    opening: float,
+    width: float,
+    steps: FloatArray,
 ) -> FloatArray:
     """Sorted breakpoints of χ: the mirror directions of both sides, and the kinks of the common length."""
     end = math.pi - opening
-    breaks = np.empty(16)
+    breaks = np.empty(8 + 4 * steps.size)
     breaks[0], breaks[1] = 0.0, end
-    _lay_panels(breaks, 2, math.atan2(light[2], light[1]), width)
-    _lay_panels(breaks, 7, end - math.atan2(camera[2], camera[1]), width)
+    place = _lay_panels(breaks, 2, math.atan2(light[2], light[1]), width, steps)
+    place = _lay_panels(breaks, place, end - math.atan2(camera[2], camera[1]), width, steps)
     for n in range(4):
         own, other = lit[n % 2], seen[n // 2]
-        breaks[12 + n] = _ratio_angle(other / own, opening) if own > 0.0 else end
+        breaks[place + n] = _ratio_angle(other / own, opening) if own > 0.0 else end
     return np.sort(np.minimum(np.maximum(breaks, 0.0), end))
 
 
@@ -94,23 +99,24 @@ def _elevation_integral(
     light: FloatArray,
     camera: FloatArray,
     angles: tuple[float, float],
-    plastic: FloatArray,
-    table: FloatArray,
+    plastic: Plastic,
+    steps: FloatArray,
     rule: FloatArray,
 ) -> float:
     """∫ f_1·f_2·cos²φ dφ for the angles (χ at the first side, at the second side) in the xz plane."""
-    breaks = np.empty(12)
+    breaks = np.empty(4 + 4 * steps.size)
     breaks[0], breaks[1] = -0.5 * math.pi, 0.5 * math.pi
+    place = 2
     for side in range(2):
         centre = math.asin(-light[0]) if side == 0 else math.asin(camera[0])
         cosine = max(0.02, math.cos(centre))
         normal = light[2] if side == 0 else camera[2]
-        spread = plastic[0] * (normal + cosine * math.sin(angles[side])) / cosine
-        _lay_panels(breaks, 2 + 5 * side, centre, spread)
+        spread = plastic.alpha_u * (normal + cosine * math.sin(angles[side])) / cosine
+        place = _lay_panels(breaks, place, centre, spread, steps)
     breaks = np.sort(np.minimum(np.maximum(breaks, breaks[0]), breaks[1]))
     out, back = np.empty(3), np.empty(3)
     total = 0.0
-    for panel in range(11):
+    for panel in range(len(breaks) - 1):
         half = 0.5 * (breaks[panel + 1] - breaks[panel])
         if half < 1e-10:
             continue
@@ -119,7 +125,7 @@ def _elevation_integral(
             flat, rise = math.cos(phi), math.sin(phi)
             out[0], out[1], out[2] = rise, -flat * math.cos(angles[0]), flat * math.sin(angles[0])
             back[0], back[1], back[2] = -rise, -flat * math.cos(angles[1]), flat * math.sin(angles[1])
-            pair = _brdf(light, out, plastic, table) * _brdf(back, camera, plastic, table)
+            pair = _brdf(light, out, plastic) * _brdf(back, camera, plastic)
             total += half * rule[1, node] * flat * flat * pair
     return total
 
@@ -131,8 +137,8 @@ def two_reflections(
     lit: FloatArray,
     seen: FloatArray,
     opening: float,
-    plastic: FloatArray,
-    table: FloatArray,
+    plastic: Plastic,
+    steps: FloatArray,
     rule: FloatArray,
 ) -> float:
     """Light that reflects on a first side and then, once, on the second side of the groove.
@@ -146,8 +152,8 @@ def two_reflections(
         lit: (2,) lit interval of the first side, distances from the foot.
         seen: (2,) seen interval of the second side.
         opening: angle between the sides, radians.
-        plastic: alpha along, alpha across, index, scale of the base.
-        table: transmittance of the interface on uniform cosines.
+        plastic: the material of both sides.
+        steps: ends of the panels on one side of a lobe's centre, in multiples of its width.
         rule: (2, Q) nodes and weights of a Gauss-Legendre rule, used in every panel.
 
     Returns:
@@ -155,7 +161,7 @@ def two_reflections(
     """
     if light[2] <= 0.0 or camera[2] <= 0.0 or lit[1] <= lit[0] or seen[1] <= seen[0]:
         return 0.0
-    breaks = _angle_breaks(light, camera, lit, seen, opening, 2.0 * plastic[1])
+    breaks = _angle_breaks(light, camera, lit, seen, opening, 2.0 * plastic.alpha_v, steps)
     total = 0.0
     for panel in range(len(breaks) - 1):
         half = 0.5 * (breaks[panel + 1] - breaks[panel])
@@ -167,6 +173,6 @@ def two_reflections(
             ratio = math.sin(chi) / math.sin(other)
             common = min(lit[1], seen[1] / ratio) - max(lit[0], seen[0] / ratio)
             if common > 0.0:
-                inner = _elevation_integral(light, camera, (chi, other), plastic, table, rule)
+                inner = _elevation_integral(light, camera, (chi, other), plastic, steps, rule)
                 total += half * rule[1, node] * math.sin(chi) * common * inner
     return float(total * light[2] * camera[2])

@@ -102,16 +102,19 @@ def directions(poses: tuple[Pose, ...], convention: Convention) -> tuple[FloatAr
     return _turn_about_z(to_light, turn), _turn_about_z(to_camera, turn)
 
 
-def seating_rotation(about_x_deg: float, about_y_deg: float) -> FloatArray:
-    """(3, 3) rotation of a sample seated askew by small turns about its x and y axes.
+def seating_rotation(about_x_deg: float | FloatArray, about_y_deg: float | FloatArray) -> FloatArray:
+    """(…, 3, 3) rotation of a sample seated askew by small turns about its x and, before that, its y axis.
 
     ``to_light @ rotation`` and ``to_camera @ rotation`` are the directions that such a sample sees.
+
+    Args:
+        about_x_deg: (…) turns about x.
+        about_y_deg: (…) turns about y.
     """
-    about_x, about_y = np.radians(about_x_deg), np.radians(about_y_deg)
-    turn_x = np.array(
-        [[1, 0, 0], [0, np.cos(about_x), -np.sin(about_x)], [0, np.sin(about_x), np.cos(about_x)]]
-    )
-    turn_y = np.array(
-        [[np.cos(about_y), 0, np.sin(about_y)], [0, 1, 0], [-np.sin(about_y), 0, np.cos(about_y)]]
-    )
-    return np.asarray(turn_x @ turn_y, dtype=np.float64)
+    about_x, about_y = np.broadcast_arrays(np.radians(about_x_deg), np.radians(about_y_deg))
+    cos_x, sin_x, cos_y, sin_y = np.cos(about_x), np.sin(about_x), np.cos(about_y), np.sin(about_y)
+    rotation = np.zeros((*about_x.shape, 3, 3))
+    rotation[..., 0, 0], rotation[..., 0, 2] = cos_y, sin_y
+    rotation[..., 1, 0], rotation[..., 1, 1], rotation[..., 1, 2] = sin_x * sin_y, cos_x, -sin_x * cos_y
+    rotation[..., 2, 0], rotation[..., 2, 1], rotation[..., 2, 2] = -cos_x * sin_y, sin_x, cos_x * cos_y
+    return rotation

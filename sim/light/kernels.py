@@ -11,7 +11,8 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.sim.light.kernel_compilation import jit_kernel, log_compilation
-from anisoscope.sim.light.shine import Shine, Vector
+from anisoscope.sim.light.material import SHADOWING_ENDS, SHADOWING_SIZE
+from anisoscope.sim.light.shine import LobeShape, Shine, Vector
 
 log_compilation()
 
@@ -19,6 +20,9 @@ ShareArray = npt.NDArray[np.float32]
 
 FAINT = 45.0
 """Exponent of the lobe from which it counts as nothing: e⁻⁴⁵."""
+
+FIRST_SLANT = math.log(SHADOWING_ENDS[0])
+SLANTS_PER_E_FOLD = (SHADOWING_SIZE - 1) / math.log(SHADOWING_ENDS[1] / SHADOWING_ENDS[0])
 
 EDGE = 1.5
 """Difference of the neighbours' slopes from which a facet between them straddles an edge."""
@@ -31,6 +35,32 @@ def _lambda(alpha_tan: float) -> float:
         return 0.0
     a = 1.0 / alpha_tan
     return max(0.0, 0.5 * (math.exp(-a * a) / (a * math.sqrt(math.pi)) - math.erfc(a)))
+
+
+@jit_kernel(inline="always")
+def shadowing(alpha_tan: float, lobe: LobeShape) -> float:
+    """Smith's Λ of a lobe: for any but Beckmann's from its table, where ln Λ is nearly straight over ln(α·tan θ)."""
+    if lobe.tail == 0.0 and lobe.weight == 0.0:
+        return _lambda(alpha_tan)
+    if alpha_tan < 1e-9:
+        return 0.0
+    table = lobe.shadowing
+    place = (math.log(alpha_tan) - FIRST_SLANT) * SLANTS_PER_E_FOLD
+    index = min(max(int(place), 0), table.size - 2)
+    return math.exp(table[index] + (place - index) * (table[index + 1] - table[index]))
+
+
+@jit_kernel(inline="always")
+def density(square: float, lobe: LobeShape) -> float:
+    """π·P(r²), as `material.slope_density`."""
+    if lobe.tail == 0.0:
+        value = math.exp(-square)
+    else:
+        value = math.exp(-(1.0 + 1.0 / lobe.tail) * math.log1p(lobe.tail * square))
+    if lobe.weight > 0.0:
+        wide = lobe.width * lobe.width
+        value = (1.0 - lobe.weight) * value + lobe.weight / wide * math.exp(-square / wide)
+    return value
 
 
 @jit_kernel(inline="always")
@@ -65,12 +95,13 @@ def _squares(d: Vector, gx: float, gy: float, steep: float, square: float) -> tu
 def shine_of(gx: float, gy: float, shine: Shine) -> float:
     """f·cosθ_i·cosθ_o per macroscopic area of a fully visible facet with slopes (gx, gy).
 
-    f = F·D/(4·cosθ_i·cosθ_o·(1 + Λ_i + Λ_o)) + Lambertian base, with Beckmann's D and Smith's Λ.
+    f = F·D/(4·cosθ_i·cosθ_o·(1 + Λ_i + Λ_o)) + Lambertian base, with D and Smith's Λ of the lobe's shape.
 
     Components of directions are taken in multiples of the lengths of normal (−gx, −gy, 1) and tangent (0, 1, gy),
     which spares roots and divisions.
     """
-    light, camera, half = shine.light, shine.camera, shine.half
+    light, camera, half = shine.from_light, shine.from_camera, shine.half
+    gx, gy = shine.turn[0] * gx + shine.turn[1] * gy, shine.turn[0] * gy - shine.turn[1] * gx
     steep = 1.0 + gy * gy
     square = steep + gx * gx
     size = math.sqrt(square)
@@ -86,14 +117,14 @@ def shine_of(gx: float, gy: float, shine: Shine) -> float:
     wide_along, wide_across = shine.alpha_along * shine.alpha_along, shine.alpha_across * shine.alpha_across
     spread = along / wide_along + across / wide_across
     reach = steep * up_h * up_h
-    if up_h > 0.0 and spread < FAINT * reach:
+    if up_h > 0.0 and spread < FAINT * shine.lobe.reach * reach:
         along, across = _squares(light, gx, gy, steep, square)
         slant_i = (wide_along * along + wide_across * across) / (steep * up_i * up_i)
         along, across = _squares(camera, gx, gy, steep, square)
         slant_o = (wide_along * along + wide_across * across) / (steep * up_o * up_o)
-        shadow = 1.0 + _lambda(math.sqrt(slant_i)) + _lambda(math.sqrt(slant_o))
+        shadow = 1.0 + shadowing(math.sqrt(slant_i), shine.lobe) + shadowing(math.sqrt(slant_o), shine.lobe)
         tall = square / (up_h * up_h)
-        value += shine.mirror * math.exp(-spread / reach) * tall * tall * size / shadow
+        value += shine.mirror * density(spread / reach, shine.lobe) * tall * tall * size / shadow
     return float(value / camera[2])
 
 

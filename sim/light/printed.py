@@ -11,8 +11,9 @@ from typing import Literal
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import ModelError
 from anisoscope.profiles.ideal import RidgeDesign
-from anisoscope.sim.light.material import Material, beckmann, fresnel
+from anisoscope.sim.light.material import Material, distribution, fresnel
 
 ShadowFrame = Literal["pitch-normal", "half-vector"]
 
@@ -47,7 +48,14 @@ def ridge_brdf(
 
     Returns:
         (…) values.
+
+    Raises:
+        ModelError: the lobe is not Beckmann's.
     """
+    if not material.is_beckmann:
+        raise ModelError(
+            "the printed model has Beckmann's lobe: take the corrected model for one with a tail"
+        )
     theta = np.radians(design.ridge_angle_deg)
     normal = np.array([np.sin(theta), 0.0, np.cos(theta)])
     along = np.array([0.0, 1.0, 0.0])
@@ -57,7 +65,7 @@ def ridge_brdf(
     axis = np.broadcast_to(normal, half.shape) if shadow_frame == "pitch-normal" else half
     shadowing = _g1(to_light, axis, theta) * _g1(to_camera, axis, theta)
     mirror = fresnel(np.sum(to_light * half, axis=-1), material.index)
-    glossy = shadowing * beckmann(half, along, across, normal, material)
+    glossy = shadowing * distribution(half, along, across, normal, material)
     glossy = glossy / (4.0 * np.abs(to_light[..., 2]) * np.abs(to_camera[..., 2]))
     return np.asarray(glossy * (mirror + material.albedo / np.pi * (1.0 - mirror) ** 2), dtype=np.float64)
 

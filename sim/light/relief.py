@@ -5,7 +5,7 @@ of its *unresolved* roughness, and a Lambertian base. Which part of it is both l
 along the azimuths of light and camera (`horizon_kernels`). The map is never rotated: the directions are.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from threading import Lock
@@ -28,7 +28,7 @@ from anisoscope.sim.light.census import (
 )
 from anisoscope.sim.light.horizon import Horizon
 from anisoscope.sim.light.material import Material
-from anisoscope.sim.light.shine import shine_in
+from anisoscope.sim.light.shine import Shine, shine_in
 
 ShareArray = npt.NDArray[np.float32]
 
@@ -47,6 +47,8 @@ class Relief:
         facets: "symmetric": four points form one facet with the symmetric gradients; facets that straddle an edge
             across x are split. "diagonal": each cell is two triangles, split along the diagonal from (row, col) to
             (row + 1, col + 1); "antidiagonal": along the other. A mesh of these triangles is the same surface.
+        direction_deg: direction of the ridges, counter-clockwise from +y: the lobe's frame on the map. Directions to
+            light and camera are those of the map, whatever the direction of the ridges.
 
     Raises:
         ModelError: no such kind of facets.
@@ -57,6 +59,7 @@ class Relief:
     pitch_um: float | None = None
     max_missing_share: float = MAX_MISSING_SHARE
     facets: Facets = "symmetric"
+    direction_deg: float = 0.0
 
     def __post_init__(self) -> None:
         if self.facets not in FACETS:
@@ -126,7 +129,7 @@ class Relief:
 
     def census(self, material: Material) -> Census:
         """The facets counted by slope, on a grid fine enough for the roughness of a material."""
-        spacing = node_spacing(material)
+        spacing = node_spacing(material, self.direction_deg)
         cached = self.__dict__.get("_census")
         if cached is None or cached[0] != spacing:
             cached = (
@@ -170,13 +173,20 @@ def radiance_maps(
     Raises:
         ModelError: light or camera stands at or below the horizon of the sample.
     """
+    return shine_maps(
+        relief,
+        (shine_in(*pose, material, relief.direction_deg) for pose in zip(to_light, to_camera, strict=True)),
+    )
+
+
+def shine_maps(relief: Relief, shines: Iterable[Shine]) -> Iterator[ShareArray]:
+    """As `radiance_maps`, for poses and materials together, as kernels take them."""
     from anisoscope.sim.light.kernels import facet_radiance  # noqa: PLC0415 - start-up time
 
     z = np.ascontiguousarray(relief.surface.height_um, dtype=np.float64)
     horizon = Horizon(relief)
-    for light, camera in zip(to_light, to_camera, strict=True):
-        shine = shine_in(light, camera, material)
-        lit, seen = horizon.shares(light), horizon.shares(camera)
+    for shine in shines:
+        lit, seen = horizon.shares(np.array(shine.light)), horizon.shares(np.array(shine.camera))
         shown = np.empty(lit.shape, dtype=np.float32)
 
         def fill(run: tuple[int, int]) -> None:
@@ -230,7 +240,7 @@ def radiance(
     def predict(pose: tuple[FloatArray, FloatArray]) -> float:
         nonlocal done
         horizon = idle.pop()
-        value = mean_radiance(census, shine_in(*pose, material), horizon)
+        value = mean_radiance(census, shine_in(*pose, material, relief.direction_deg), horizon)
         with lock:
             idle.append(horizon)
             done += 1

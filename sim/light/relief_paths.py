@@ -20,13 +20,12 @@ from anisoscope.base.progress import Advance, silent
 from anisoscope.sim.light import threads
 from anisoscope.sim.light.census import FACETS
 from anisoscope.sim.light.horizon import Horizon
-from anisoscope.sim.light.material import Material, diffuse_scale, transmittance_table
+from anisoscope.sim.light.material import Material
 from anisoscope.sim.light.relief import Relief
-from anisoscope.sim.light.shine import vector
+from anisoscope.sim.light.shine import plastic_of, turn_of, vector
 
 if TYPE_CHECKING:
     from anisoscope.sim.light.relief_rays import Terrain
-    from anisoscope.sim.light.relief_scatter import Plastic
 
 
 PATHS = 32768
@@ -101,19 +100,8 @@ def _terrain(relief: Relief) -> "Terrain":
         bulge=bulge,
         part=part,
         facets=facets,
+        turn=turn_of(relief.direction_deg),
         ceiling=ceilings(heights, bulge, period),
-    )
-
-
-def _plastic(material: Material) -> "Plastic":
-    from anisoscope.sim.light.relief_scatter import Plastic  # noqa: PLC0415 - start-up time
-
-    return Plastic(
-        material.alpha_along,
-        material.alpha_across,
-        material.index,
-        diffuse_scale(material),
-        transmittance_table(material),
     )
 
 
@@ -161,7 +149,7 @@ def interreflection(
         follow_paths,
     )
 
-    terrain, plastic = _terrain(relief), _plastic(material)
+    terrain, plastic = _terrain(relief), plastic_of(material)
     count = 1 << max(0, int(np.ceil(np.log2(paths / REPLICATES))))
     shifts = np.random.default_rng(SCRAMBLE).random((REPLICATES, GENERATOR.size))
     depth = LONGEST if bounces is None else min(bounces, LONGEST)

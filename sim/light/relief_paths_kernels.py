@@ -18,7 +18,6 @@ from anisoscope.sim.light.relief_rays import Terrain, height, meet, slopes
 from anisoscope.sim.light.relief_scatter import (
     GLOSSY,
     Frame,
-    Plastic,
     Vector,
     drawn_density,
     facet_frame,
@@ -26,6 +25,7 @@ from anisoscope.sim.light.relief_scatter import (
     reflectance,
     to_facet,
 )
+from anisoscope.sim.light.shine import Plastic
 
 Facet = tuple[Frame, Vector, tuple[int, int]]
 
@@ -86,7 +86,13 @@ def _leave(view: Vector, plastic: Plastic, draws: Draws, dimension: int) -> Vect
     if choice >= GLOSSY:
         radius = math.sqrt(share)
         return radius * math.cos(turn), radius * math.sin(turn), math.sqrt(1.0 - share)
-    steep = math.sqrt(-math.log(1.0 - share))
+    lobe = plastic.lobe
+    if choice < GLOSSY * lobe.weight:
+        steep = lobe.width * math.sqrt(-math.log(1.0 - share))
+    elif lobe.tail == 0.0:
+        steep = math.sqrt(-math.log(1.0 - share))
+    else:  # the inverse of 1 − (1 + τ r²)^(−1/τ)
+        steep = math.sqrt(math.expm1(-lobe.tail * math.log1p(-share)) / lobe.tail)
     hu, hv = plastic.alpha_u * steep * math.cos(turn), plastic.alpha_v * steep * math.sin(turn)
     size = 1.0 + hu * hu + hv * hv
     twice = 2.0 * (view[0] * hu + view[1] * hv + view[2]) / size
@@ -122,7 +128,7 @@ def _begin(terrain: Terrain, draws: Draws, course: Course) -> tuple[bool, Facet,
     x = _draw(draws, 1) * (terrain.span + 2.0 * beyond_x) - beyond_x
     row, col = math.floor(y), math.floor(x)
     gx, gy = slopes(terrain, row, col, x - col, y - row)
-    frame, cell = facet_frame(gx, gy), (row, col)
+    frame, cell = facet_frame(gx, gy, terrain.turn), (row, col)
     place = x, y, height(terrain, row, col, x - col, y - row)
     view = to_facet(frame, course.origin)
     reached = view[2] > 0.0  # false where NaN
@@ -201,7 +207,7 @@ def _follow(
         if not met:
             return
         gx, gy = slopes(terrain, row, col, hit_x - col, hit_y - row)
-        frame = facet_frame(gx, gy)
+        frame = facet_frame(gx, gy, terrain.turn)
         facet = frame, (hit_x, hit_y, hit_z), (row, col)
         view = to_facet(frame, (-ray[0], -ray[1], -ray[2]))
         if view[2] <= 0.0:

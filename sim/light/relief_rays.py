@@ -43,6 +43,7 @@ class Terrain(NamedTuple):
         part: (rows − 1, cells) share of such a facet before the edge.
         facets: 0: four points a facet, symmetric gradients; 1, 2: two triangles, cut by the diagonal that
             begins at (row, col) or at (row, col + 1).
+        turn: cosine and sine of the direction of the ridges, counter-clockwise from y.
         ceiling: heights over which rays leap over blocks, from `relief_blocks.ceilings`.
     """
 
@@ -57,6 +58,7 @@ class Terrain(NamedTuple):
     bulge: HeightArray
     part: HeightArray
     facets: int
+    turn: tuple[float, float]
     ceiling: HeightArray
 
 

@@ -1,5 +1,6 @@
-"""Spectra of lamps, sensitivities of cameras and reflectances in CSV files, and those that have names."""
+"""Spectra in CSV files (lamps, sensitivities of cameras, reflectances, constants of plastics), and those with names."""
 
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from anisoscope.base.errors import ModelError, UsageError
 from anisoscope.sim.light.colour.illuminant import NEEDED_NM, Illuminant, standard, standard_names
 from anisoscope.sim.light.colour.lamps import LED_WHITE, synthetic_white_led
 from anisoscope.sim.light.colour.vision import Sensitivities, synthetic_bayer, synthetic_silicon
+from anisoscope.sim.light.material import Material
 
 COLUMNS = ("wavelength_nm", "power")
 FILTER_COLUMNS = ("wavelength_nm", "red", "green", "blue")
@@ -112,3 +114,58 @@ def read_reflectance(path: Path) -> tuple[FloatArray, FloatArray]:
     if share.max() > 1.0:
         raise UsageError(f"{path}: a reflectance lies in 0 to 1, not at {share.max():g}: write shares, not %")
     return nm, share
+
+
+@dataclass(frozen=True)
+class PlasticSpectrum:
+    """Optical constants at W wavelengths; the roughness does not depend on them.
+
+    Attributes:
+        wavelengths_nm: rising, in nm of vacuum.
+        index: refractive index at each of them.
+        albedo: diffuse albedo at each of them, 0 to 1.
+
+    Raises:
+        ModelError: no wavelength, lengths that differ, or wavelengths that are not positive and rising.
+    """
+
+    wavelengths_nm: tuple[float, ...]
+    index: tuple[float, ...]
+    albedo: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        if not len(self.wavelengths_nm) == len(self.index) == len(self.albedo):
+            raise ModelError("a spectrum needs one index and one albedo for every wavelength")
+        steps = np.diff((0.0, *self.wavelengths_nm))
+        if steps.size == 0 or not np.all((steps > 0.0) & np.isfinite(steps)):
+            raise ModelError("the wavelengths of a spectrum must be positive, in nm, and rise")
+
+    def materials(self, base: Material) -> tuple[Material, ...]:
+        """(W,) materials: ``base`` with the index and albedo of each wavelength.
+
+        Raises:
+            ModelError: an index or albedo outside the range of the model; the message names the wavelength.
+        """
+        found = []
+        for wavelength, index, albedo in zip(self.wavelengths_nm, self.index, self.albedo, strict=True):
+            try:
+                found.append(replace(base, index=index, albedo=albedo))
+            except ModelError as error:
+                raise ModelError(f"at {wavelength:g} nm: {error}") from None
+        return tuple(found)
+
+
+PLASTIC_COLUMNS = ("wavelength_nm", "index", "albedo")
+
+
+def read_plastic_spectrum(path: Path) -> PlasticSpectrum:
+    """Read a CSV file with the columns wavelength_nm, index and albedo, UTF-8, wavelengths rising.
+
+    Raises:
+        UsageError: the file cannot be read, or a line of it cannot be used; the message names the line.
+    """
+    table = read_table(path, (PLASTIC_COLUMNS,), what="wavelengths")
+    try:
+        return PlasticSpectrum(*(tuple(table.column(name).tolist()) for name in PLASTIC_COLUMNS))
+    except ModelError as error:
+        raise UsageError(f"{path}: {error}") from None

@@ -8,7 +8,7 @@ of 11 × 11 pixels, σ = 1.5 pixels, data range 1, and is averaged over channels
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import ModelError
+from anisoscope.base.json_fields import LEFT_OUT, json_field
 from anisoscope.sim.light.colour.illuminant import Illuminant, standard
 from anisoscope.sim.light.colour.spaces import encode
 from anisoscope.sim.light.ink.ink import Ink
@@ -47,11 +48,11 @@ class Row:
         srgb: (rows, cols, 3) the picture, encoded.
     """
 
-    model: Model
+    model: Model = field(metadata=LEFT_OUT)
     rmse: float
     ssim: float
-    frame_s: float
-    srgb: FloatArray
+    frame_s: float = field(metadata=json_field("frame_ms", by=lambda seconds: 1e3 * seconds))
+    srgb: FloatArray = field(metadata=LEFT_OUT)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,10 +67,12 @@ class Comparison:
         exposure: factor on linear light before encoding.
     """
 
-    ink: Ink
-    rows: tuple[Row, ...]
-    reference: FloatArray
-    mask: BoolArray
+    ink: Ink = field(metadata=json_field(by=lambda ink: {"ink": ink.name, "alpha": ink.alpha}, merged=True))
+    rows: tuple[Row, ...] = field(
+        metadata=json_field("models", by=lambda rows: {row.model: row for row in rows})
+    )
+    reference: FloatArray = field(metadata=LEFT_OUT)
+    mask: BoolArray = field(metadata=LEFT_OUT)
     exposure: float
 
 
@@ -118,17 +121,17 @@ def compare(
     reference = encode(exposure * linear).srgb
     rows = []
     for model in models:
-        shown = encode(exposure * picture(where, [ink], lights, model=model).astype(np.float64)).srgb
+        rendered = encode(exposure * picture(where, [ink], lights, model=model).astype(np.float64)).srgb
         timings = [
             _timed(lambda model=model: picture(where, [ink], lights, model=model)) for _ in range(repeats)
         ]
         rows.append(
             Row(
                 model,
-                rmse(shown, reference, mask),
-                ssim(shown, reference, mask),
+                rmse(rendered, reference, mask),
+                ssim(rendered, reference, mask),
                 min(timings, default=np.nan),
-                shown,
+                rendered,
             )
         )
     return Comparison(ink, tuple(rows), reference, mask, exposure)
@@ -185,12 +188,12 @@ def synthetic_readings(
     from anisoscope.sim.light.ink.model import brdf_at_angles  # noqa: PLC0415 - only who makes readings up
 
     light = np.array([20.0, 30.0, 40.0, 50.0, 60.0, 65.0, 70.0])
-    seen = np.arange(-80.0, 80.1, 2.5)
-    theta_i, theta_o = (part.ravel() for part in np.meshgrid(light, seen, indexing="ij"))
-    there = (np.abs(theta_i + theta_o) > 10.0) & (
+    camera = np.arange(-80.0, 80.1, 2.5)
+    theta_i, theta_o = (part.ravel() for part in np.meshgrid(light, camera, indexing="ij"))
+    measurable = (np.abs(theta_i + theta_o) > 10.0) & (
         (theta_i > 30.0) | (theta_o > 0.0)
     )  # light and detector collide
-    theta_i, theta_o = theta_i[there], theta_o[there]
+    theta_i, theta_o = theta_i[measurable], theta_o[measurable]
     off_i, off_o = rng.normal(0.0, angle_error_deg, (2, theta_i.size))
     value = brdf_at_angles(ink, np.clip(theta_i + off_i, 0.0, 89.0), np.clip(theta_o + off_o, -89.0, 89.0))
     peak = float(ink.rho_brdf.mean()) / (4.0 * np.pi * ink.alpha**2)

@@ -51,7 +51,7 @@ class Measured:
 
     @property
     def spacing(self) -> FloatArray:
-        """(2,) usual distance between neighbours along both coordinates; where there is but one place, 1."""
+        """(2,) median distance of neighbouring readings along both coordinates; 1 along a coordinate with one value."""
         light, length = self.coordinates.T
         steps = [np.diff(np.unique(light.round(6)))]
         steps.append(
@@ -62,8 +62,8 @@ class Measured:
     @property
     def coordinates(self) -> FloatArray:
         """(G, 2) sine of the light's inclination, and length of the projected deviation vector."""
-        light, seen = np.sin(np.radians(self.theta_i_deg)), np.sin(np.radians(self.theta_o_deg))
-        return np.stack([light, np.abs(seen - light)], axis=-1)
+        light, camera = np.sin(np.radians(self.theta_i_deg)), np.sin(np.radians(self.theta_o_deg))
+        return np.stack([light, np.abs(camera - light)], axis=-1)
 
 
 def deviation(normal: FloatArray, to_light: FloatArray, to_camera: FloatArray) -> FloatArray:
@@ -94,6 +94,6 @@ def measured_picture(where: Surface, measured: Measured, lights: tuple[Light, ..
         weight = 1.0 / (np.asarray(distance) ** 2 + _NEAR**2)
         weight /= weight.sum(axis=1, keepdims=True)
         colours = linear_srgb(measured.value @ xyz_weights(light.illuminant, measured.wavelengths_nm))
-        shown = np.sum(weight[..., None] * colours[index], axis=1)
-        result[lit] += light.irradiance * cos_i[lit, None] * shown
+        colour = np.sum(weight[..., None] * colours[index], axis=1)
+        result[lit] += light.irradiance * cos_i[lit, None] * colour
     return result

@@ -38,7 +38,7 @@ ROUGHNESS = {"brushed": 0.19, "binder-mixed": 0.30}
 
 @dataclass(frozen=True)
 class Extras:
-    """Photographic effects besides the inks; 0 switches each off.
+    """Photographic effects in addition to the inks; 0 switches each off.
 
     Attributes:
         phong: share of the light that a broad highlight of the paper sends back.

@@ -1,7 +1,7 @@
 """Printed shapes, turned before the eye, as the surfaces that a picture needs.
 
 The eye looks along −z in parallel rays; x runs right, y up. A print is turned by ``yaw_deg`` about y, then by
-``pitch_deg`` about x. Its inner side, or back, is bare paper: there ``uv`` is NaN. Sphere and cylinder bear the
+``pitch_deg`` about x. Its inner side, or back, is bare paper, with ``uv`` NaN. Sphere and cylinder bear the
 print twice, once on each half.
 """
 
@@ -85,34 +85,34 @@ def surface(scene: Scene, rows: int, cols: int) -> Surface:
     x = np.broadcast_to((np.arange(cols) + 0.5 - 0.5 * cols) * step, (rows, cols))
     y = np.broadcast_to(((0.5 * rows - 0.5 - np.arange(rows)) * step)[:, None], (rows, cols))
     with np.errstate(divide="ignore", invalid="ignore"):
-        seen, normal, tangent, uv, outer = _SHAPES[scene.shape](scene, x, y)
-    return _finished(scene, seen, normal, tangent, np.where(outer[..., None], uv, np.nan))
+        visible, normal, tangent, uv, outer = _SHAPES[scene.shape](scene, x, y)
+    return _finished(scene, visible, normal, tangent, np.where(outer[..., None], uv, np.nan))
 
 
 _Found = tuple[npt.NDArray[np.bool_], FloatArray, FloatArray, FloatArray, npt.NDArray[np.bool_]]
 
 
 def _finished(
-    scene: Scene, seen: npt.NDArray[np.bool_], normal: FloatArray, tangent: FloatArray, uv: FloatArray
+    scene: Scene, visible: npt.NDArray[np.bool_], normal: FloatArray, tangent: FloatArray, uv: FloatArray
 ) -> Surface:
     turn = scene.turn
-    shown = seen[..., None]
+    mask = visible[..., None]
     return Surface(
-        np.where(shown, normal @ turn.T, 0.0).astype(np.float32),
-        np.where(shown, tangent @ turn.T, 0.0).astype(np.float32),
-        np.where(shown, uv, np.nan).astype(np.float32),
+        np.where(mask, normal @ turn.T, 0.0).astype(np.float32),
+        np.where(mask, tangent @ turn.T, 0.0).astype(np.float32),
+        np.where(mask, uv, np.nan).astype(np.float32),
     )
 
 
 def _sphere(scene: Scene, x: FloatArray, y: FloatArray) -> _Found:
-    seen = x**2 + y**2 < 1.0
+    visible = x**2 + y**2 < 1.0
     eye = np.stack([x, y, np.sqrt(np.maximum(1.0 - x**2 - y**2, 0.0))], axis=-1)
     normal = eye @ scene.turn
     px, py, pz = np.moveaxis(normal, -1, 0)
     ring = np.maximum(np.hypot(px, pz), 1e-12)
     tangent = np.stack([pz / ring, np.zeros_like(px), -px / ring], axis=-1)
     uv = np.stack([_around(px, pz), 0.5 + np.arcsin(np.clip(py, -1.0, 1.0)) / np.pi], axis=-1)
-    return seen, normal, tangent, uv, seen
+    return visible, normal, tangent, uv, visible
 
 
 def _around(x: FloatArray, z: FloatArray) -> FloatArray:
@@ -136,30 +136,36 @@ def _cylinder(scene: Scene, x: FloatArray, y: FloatArray) -> _Found:
     far = (-b - np.sqrt(np.maximum(root, 0.0))) / a
     outer = np.abs(start[..., 1] + near * eye[1]) <= half
     point = start + np.where(outer, near, far)[..., None] * eye
-    seen = (root > 0.0) & (a > 1e-12) & (np.abs(point[..., 1]) <= half)
+    visible = (root > 0.0) & (a > 1e-12) & (np.abs(point[..., 1]) <= half)
     px, pz = point[..., 0] / radius, point[..., 2] / radius
     nothing = np.zeros_like(px)
     normal = np.stack([px, nothing, pz], axis=-1) * np.where(outer, 1.0, -1.0)[..., None]
     uv = np.stack([_around(px, pz), 0.5 + 0.5 * point[..., 1] / half], axis=-1)
-    return seen, normal, np.stack([pz, nothing, -px], axis=-1), uv, outer
+    return visible, normal, np.stack([pz, nothing, -px], axis=-1), uv, outer
 
 
 def _plane(scene: Scene, x: FloatArray, y: FloatArray) -> _Found:
     wide, high = plane_size(scene.aspect)
     start, eye = _rays(scene, x, y)
     point = start - (start[..., 2] / eye[2])[..., None] * eye
-    seen = (np.abs(point[..., 0]) <= wide) & (np.abs(point[..., 1]) <= high) & (abs(eye[2]) > 1e-6)
+    visible = (np.abs(point[..., 0]) <= wide) & (np.abs(point[..., 1]) <= high) & (abs(eye[2]) > 1e-6)
     uv = np.stack([0.5 + 0.5 * point[..., 0] / wide, 0.5 + 0.5 * point[..., 1] / high], axis=-1)
     side = 1.0 if eye[2] > 0.0 else -1.0
     normal = np.broadcast_to([0.0, 0.0, side], point.shape)
-    return seen, normal, np.broadcast_to([1.0, 0.0, 0.0], point.shape), uv, np.full(seen.shape, side > 0.0)
+    return (
+        visible,
+        normal,
+        np.broadcast_to([1.0, 0.0, 0.0], point.shape),
+        uv,
+        np.full(visible.shape, side > 0.0),
+    )
 
 
 _SHAPES = {"sphere": _sphere, "cylinder": _cylinder, "plane": _plane}
 
 
 def _of_mesh(scene: Scene, mesh: Mesh, rows: int, cols: int) -> Surface:
-    from anisoscope.sim.proof.raster_kernels import draw  # noqa: PLC0415 - loads the compiler
+    from anisoscope.sim.proof.kernels import draw  # noqa: PLC0415 - loads the compiler
 
     eye = mesh.position @ scene.turn.T
     scale = 0.5 * scene.fill * min(rows, cols)
@@ -185,7 +191,7 @@ def printed(where: Surface, print_: npt.NDArray[np.generic]) -> Float32:
     """
     rows, cols = print_.shape[:2]
     u, v = np.moveaxis(where.uv, -1, 0)
-    there = np.isfinite(u) & np.isfinite(v)
-    c = np.clip(np.where(there, u, 0.0) * cols, 0, cols - 1).astype(np.intp)
-    r = np.clip((1.0 - np.where(there, v, 0.0)) * rows, 0, rows - 1).astype(np.intp)
-    return np.asarray(np.where(there[..., None], print_[r, c], 0.0), dtype=np.float32)
+    known = np.isfinite(u) & np.isfinite(v)
+    c = np.clip(np.where(known, u, 0.0) * cols, 0, cols - 1).astype(np.intp)
+    r = np.clip((1.0 - np.where(known, v, 0.0)) * rows, 0, rows - 1).astype(np.intp)
+    return np.asarray(np.where(known[..., None], print_[r, c], 0.0), dtype=np.float32)

@@ -20,6 +20,7 @@ TABLES = {
     "area",
     "camera",
     "decision",
+    "defects",
     "diagnosis",
     "light",
     "limits",

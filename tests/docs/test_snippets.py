@@ -12,6 +12,7 @@ from anisoscope.kinds.kind import Explanation
 from anisoscope.kinds.registry import read_recipe
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.report.inspection_page import Sections
 from anisoscope.rig.acquisition.opening import open_rig
 from anisoscope.rig.bayer import channel_of_pixels
 from anisoscope.rig.rigfile import read_rig
@@ -49,6 +50,7 @@ def test_recipe_rig_and_bench_of_the_docs_inspect_a_part(copied):
     methods = Methods(
         diagnose=lambda *_: Explanation(),
         start_renderer=lambda _: None,
+        sections=lambda *_: Sections(),
         write_report=lambda _record, _pictures, folder, *_: folder / "report.html",
     )
 

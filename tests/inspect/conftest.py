@@ -1,12 +1,12 @@
 """A small, fast virtual rig: 512 × 512 pixels of 8 µm, a part of 1.2 mm, and a recipe with an ideal design."""
 
+import fcntl
 import importlib.util
 import json
 import os
 import shutil
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,7 +21,8 @@ from anisoscope.cli.demo.folder import FIXTURE
 from anisoscope.inspection.run import Inspected, Methods, inspect_part
 from anisoscope.kinds.kind import Explanation
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
-from anisoscope.report.inspection_page import REPORT_NAME
+from anisoscope.record.schema import read_record
+from anisoscope.report.inspection_page import REPORT_NAME, Sections
 from anisoscope.rig.frame import Frame
 from anisoscope.sim.bench.bench import SCENES, Bench, shared_bench
 from anisoscope.sim.bench.camera import SimulatedCamera
@@ -101,7 +102,7 @@ def one_line(record, _pictures, folder, *_):
     return folder / REPORT_NAME
 
 
-PLAIN = Methods(start_renderer=lambda _: None, write_report=one_line)
+PLAIN = Methods(start_renderer=lambda _: None, sections=lambda *_: Sections(), write_report=one_line)
 
 
 @dataclass(frozen=True)
@@ -144,31 +145,71 @@ class VirtualRig:
         return folder
 
 
-@pytest.fixture(scope="session")
-def flat(tmp_path_factory) -> Path:
+def made_once(name: str, make: Callable[[Path], None]) -> Path:
+    """A folder that all workers of this run share, filled by the first that needs it; the others wait for it.
+
+    Args:
+        name: of the folder.
+        make: fills it; where it fails, the next one tries again.
+    """
+    folder = Path(os.environ["ANISOSCOPE_TEST_RUN"]) / name
+    done = folder.with_name(f"{name}.done")
+    with folder.with_name(f"{name}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not done.exists():
+            shutil.rmtree(folder, ignore_errors=True)
+            folder.mkdir(parents=True)
+            make(folder)
+            done.touch()
+    return folder
+
+
+@pytest.fixture(scope="session", name="made_once")
+def made_once_fixture() -> Callable[[str, Callable[[Path], None]], Path]:
+    """``made_once(name, make)``: the folder that ``make(folder)`` fills once for all workers of a run."""
+    return made_once
+
+
+def small_white_reference(folder: Path) -> None:
     """White reference of the small rig."""
-    folder = tmp_path_factory.mktemp("flat")
     write(folder / "bench.toml", merged(BENCH, {"sample": {"kind": "white-tile"}}))
     rig = write(folder / "rig.toml", RIG)
     take_flat(rig, folder / "flat.tif", exposure_s=EXPOSURE_S, frames=8)
-    return folder / "flat.tif"
+
+
+@pytest.fixture(scope="session")
+def flat() -> Path:
+    """White reference of the small rig; not to be written to."""
+    return made_once("flat", small_white_reference) / "flat.tif"
+
+
+def lay_out_rig(folder: Path, flat: Path, *, recipe=None, bench=None, rig=None) -> VirtualRig:
+    """Write the files of a part on the small rig, with changes to its files."""
+    calibrated = merged(RIG, {"calibration": {"flat": str(flat)}})
+    write(folder / "bench.toml", merged(BENCH, bench or {}))
+    return VirtualRig(
+        write(folder / "recipe.toml", merged(RECIPE, recipe or {})),
+        write(folder / "rig.toml", merged(calibrated, rig or {})),
+        folder / "inspections",
+    )
+
+
+@pytest.fixture
+def inspected_part(flat, tmp_path) -> tuple[VirtualRig, Inspected]:
+    """The part as it is without changes, and its finished inspection: a copy of one that is made once for a run."""
+    kept = made_once("inspected part", lambda folder: lay_out_rig(folder, flat).inspect() and None)
+    folder = tmp_path / "part"
+    shutil.copytree(kept, folder)
+    rig = VirtualRig(folder / "recipe.toml", folder / "rig.toml", folder / "inspections")
+    (finished,) = rig.folders
+    return rig, Inspected(read_record(finished), finished, finished / REPORT_NAME)
 
 
 @pytest.fixture
 def virtual_rig(tmp_path, flat) -> Callable[..., VirtualRig]:
     """``virtual_rig(recipe={...}, bench={...}, rig={...})`` lays out a rig with changes to its files."""
 
-    def lay_out(name="part", *, recipe=None, bench=None, rig=None):
-        folder = tmp_path / name
-        calibrated = merged(RIG, {"calibration": {"flat": str(flat)}})
-        write(folder / "bench.toml", merged(BENCH, bench or {}))
-        return VirtualRig(
-            write(folder / "recipe.toml", merged(RECIPE, recipe or {})),
-            write(folder / "rig.toml", merged(calibrated, rig or {})),
-            folder / "inspections",
-        )
-
-    return lay_out
+    return lambda name="part", **changes: lay_out_rig(tmp_path / name, flat, **changes)
 
 
 @pytest.fixture(scope="session")
@@ -234,9 +275,12 @@ class Done:
 
 @pytest.fixture(scope="session")
 def anisoscope():
-    """Runs the real command line in a process of its own, which begins with everything imported."""
+    """Runs the real command line in a process of its own, which begins with everything imported.
+
+    ``path`` are folders in which other packages are installed.
+    """
     server = ForkServer()
-    yield lambda *arguments, cwd=None, timeout=400: Done(*server.run(arguments, cwd, timeout))
+    yield lambda *arguments, cwd=None, timeout=400, path=(): Done(*server.run(arguments, cwd, timeout, path))
     server.close()
 
 
@@ -256,19 +300,13 @@ def anisoscope_afresh():
 @pytest.fixture(scope="session")
 def demo(anisoscope):
     """A finished demo, made by one worker for all of them: folder, and what the command said."""
-    shared = Path(os.environ["ANISOSCOPE_CACHE"]) / "demo"
-    try:
-        shared.mkdir(parents=True)
-    except FileExistsError:
-        deadline = time.monotonic() + 600
-        while not (shared / "made").exists():
-            assert time.monotonic() < deadline, "the worker that makes the demo has failed"
-            time.sleep(0.2)
-    else:
-        done = anisoscope("demo", "--out", shared / "demo", "--seed", 5, "--json", timeout=550)
+
+    def make(folder):
+        done = anisoscope("demo", "--out", folder / "demo", "--seed", 5, "--json", timeout=550)
         assert done.code == 0, done.err
-        (shared / "said.json").write_text(done.out)
-        (shared / "made").touch()
+        (folder / "said.json").write_text(done.out)
+
+    shared = made_once("demo", make)
     return shared / "demo", json.loads((shared / "said.json").read_text())
 
 

@@ -13,6 +13,7 @@ import importlib
 import importlib.util
 import json
 import os
+import pkgutil
 import select
 import signal
 import subprocess
@@ -36,32 +37,42 @@ HEAVY = (
     "sqlalchemy",
     "rich.table",
     "rich.progress",
-    "anisoscope.inspection.run",
-    "anisoscope.inspection.batch.run",
-    "anisoscope.diagnosis.part_diagnosis",
-    "anisoscope.inspection.recompute",
-    "anisoscope.fit.fitting",
-    "anisoscope.fit.table",
-    "anisoscope.sim.bench.camera",
-    "anisoscope.sim.bench.serialports.protocol_sim",
 )
-CLI = "anisoscope.cli"
+PACKAGES = (
+    "anisoscope",
+    "anisoscope.rig",
+    "anisoscope.profiles",
+    "anisoscope.sim",
+)  # each a folder of its own
 # threads and forks do not mix; and there are as many test workers as cores
 ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 SIDE_BY_SIDE = Path(__file__).parents[1] / "sidebyside.py"
 
 
-def _module(folder: Path, path: Path) -> str:
-    return ".".join([CLI, *path.relative_to(folder).with_suffix("").parts])
+def _load() -> None:
+    """Import everything, and prepare what every process with kernels or rough surfaces would prepare for itself."""
+    for package in PACKAGES:
+        folders = importlib.import_module(package).__path__
+        for module in pkgutil.walk_packages(folders, f"{package}."):
+            if not module.name.endswith("__main__"):
+                importlib.import_module(module.name)
+    for name in HEAVY:
+        importlib.import_module(name)
+    from numba.core.registry import cpu_target
+
+    from anisoscope.sim.light import material
+
+    cpu_target.typing_context.refresh()
+    cpu_target.target_context.refresh()
+    for nodes in (16, 32, 256):
+        material._gauss_legendre(nodes)
 
 
 def serve() -> None:
     """Answer every line on standard input with the child's number and, at its end, with its exit code."""
     from anisoscope.cli import main
 
-    folder = Path(importlib.import_module(CLI).__file__).parent
-    for name in (*HEAVY, *(_module(folder, path) for path in sorted(folder.rglob("[a-z]*.py")))):
-        importlib.import_module(name)
+    _load()
     if "PYTEST_XDIST_TESTRUNUID" in os.environ:
         spec = importlib.util.spec_from_file_location("sidebyside", SIDE_BY_SIDE)
         sidebyside = importlib.util.module_from_spec(spec)
@@ -92,6 +103,7 @@ def _become(order: dict) -> None:
     os.environ.clear()
     os.environ.update(order["environment"] | ONE_THREAD)
     os.chdir(order["folder"])
+    sys.path[:0] = order["path"]  # where PYTHONPATH would stand
     sys.argv = ["anisoscope", *order["arguments"]]
 
 
@@ -128,8 +140,14 @@ class ForkServer:
         command = [sys.executable, "-I", __file__]
         self._process = subprocess.Popen(command, env=environment, bufsize=0, **pipes)
 
-    def run(self, arguments, cwd=None, timeout=400.0) -> tuple[int, str, str]:
+    def run(self, arguments, cwd=None, timeout=400.0, path=()) -> tuple[int, str, str]:
         """Run ``anisoscope`` with arguments: exit code, what it printed, what it printed on standard error.
+
+        Args:
+            arguments: of the command line.
+            cwd: the folder it runs in.
+            timeout: in seconds.
+            path: folders in which other packages are installed.
 
         Raises:
             subprocess.TimeoutExpired: it ran longer than ``timeout`` seconds, and was killed.
@@ -140,7 +158,7 @@ class ForkServer:
             err.touch()
             words = [str(argument) for argument in arguments]
             order = {"arguments": words, "out": str(out), "err": str(err), "environment": dict(os.environ)}
-            order["folder"] = str(cwd or Path.cwd())
+            order |= {"folder": str(cwd or Path.cwd()), "path": [str(one) for one in path]}
             self._process.stdin.write(json.dumps(order).encode() + b"\n")
             child = int(self._process.stdout.readline())
             if not select.select([self._process.stdout], [], [], timeout)[0]:

@@ -3,6 +3,7 @@
 import os
 import struct
 import zipfile
+import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -144,6 +145,17 @@ def sur(path, height):
     path.write_bytes(head + units + tail + counts(height, "<i4", -602).tobytes())
 
 
+def sur_packed(path, height):
+    """The same with its heights in three zlib blocks of unequal size."""
+    sur(path, height)
+    plain = bytearray(path.read_bytes())
+    plain[:12] = b"DSCOMPRESSED"
+    parts = [bytes(plain[a:b]) for a, b in ((512, 700), (700, 1000), (1000, len(plain)))]
+    packed = [zlib.compress(part) for part in parts]
+    directory = b"".join(struct.pack("<II", len(a), len(b)) for a, b in zip(parts, packed, strict=True))
+    path.write_bytes(bytes(plain[:512]) + struct.pack("<I", 3) + directory + b"".join(packed))
+
+
 def al3d(path, height):
     padded = (COLS * 4 + 7) // 8 * 2
     tags = {"Cols": COLS, "Rows": ROWS, "PixelSizeXMeter": PIXEL[1] * 1e-6, "PixelSizeYMeter": PIXEL[0] * 1e-6,
@@ -168,6 +180,20 @@ def tmd(path, height):
     head = struct.pack("<32s24sIIffff", b"Binary TrueMap Data File v2.0\r\n", b"Created by TrueMap v6\r\n",
                        COLS, ROWS, COLS * PIXEL[1] * 1e-3, ROWS * PIXEL[0] * 1e-3, 0, 0)  # fmt: skip
     path.write_bytes(head + (np.nan_to_num(height) * 1e-3).astype("<f4").tobytes())
+
+
+def gelsight(path, height):
+    head = struct.pack("<32sBIIffff", b"Binary TrueMap Data File v2.0\r\n", 0, COLS, ROWS, COLS * PIXEL[1] * 1e-3,
+                       ROWS * PIXEL[0] * 1e-3, 0, 0)  # fmt: skip
+    path.write_bytes(head + (np.nan_to_num(height) * 1e-3).astype("<f4").tobytes())
+
+
+def gwyddion_text(path, height):
+    """As Gwyddion's text export with its header writes it, tabs between heights in metres."""
+    head = (f"# Channel: Height\n# Width: {COLS * PIXEL[1]:.2f} µm\n# Height: {ROWS * PIXEL[0]:.2f} µm\n"
+            "# Value units: m\n")  # fmt: skip
+    rows = ("\t".join(f"{z:.9e}" for z in row) for row in (np.nan_to_num(height) * 1e-6).tolist())
+    path.write_text(head + "\n".join(rows) + "\n", encoding="utf-8")
 
 
 def bcr(path, height):
@@ -283,15 +309,18 @@ MADE = {
                        options={"pixel_um": PIXEL, "height_per_count": COUNT}),
     "png": own(".png", png, 60, missing=False, first_row="top",
                options={"pixel_um": PIXEL, "height_per_count": COUNT}),
-    "sur": library(".sur", sur, 512),
+    "sur": own(".sur", sur, 512, first_row="top"),
+    "sur-packed": own(".sur", sur_packed, 560, first_row="top"),
+    "gwy": own(".gwy", gwy, 180, missing=False, first_row="top"),
+    "tmd": own(".tmd", tmd, 80, missing=False, first_row="top"),
+    "tmd-gelsight": own(".tmd", gelsight, 57, missing=False, first_row="top"),
+    "gwyddion-text": own(".txt", gwyddion_text, 90, missing=False, first_row="top"),
     "al3d": library(".al3d", al3d, 450),
     "os3d": library(".os3d", os3d, 80),
-    "tmd": library(".tmd", tmd, 80, missing=False),
     "bcr": library(".bcrf", bcr, 200),
     "plux": library(".plux", plux, 500),
     "datx": library(".datx", datx, 2408),
     "vk4": library(".vk4", vk4, 440, missing=False),
-    "gwy": library(".gwy", gwy, 180, missing=False),
     "zmg": library(".zmg", zmg, 205, missing=False),
 }  # fmt: skip
 

@@ -124,3 +124,62 @@ def test_amplitude_of_a_known_profile_ignores_gaps():
     assert (found.sa_um, found.sq_um, found.sz_um) == pytest.approx((1.0, 1.0, 2.0))
     with pytest.raises(HeightMapError, match="missing"):
         amplitude(HeightMap(np.full((3, 3), np.nan), 1.0, 1.0))
+
+
+@pytest.mark.parametrize("angle", [5.0, 20.0])
+def test_a_draft_angle_is_that_of_the_wall(angle):
+    for draft, named in ((angle, "perpendicular"), (0.0, "vertical")):
+        one, other = RidgeDesign(100.0, angle, draft), RidgeDesign(100.0, angle, named)
+        assert one.facet_width_um == pytest.approx(other.facet_width_um, rel=1e-12)
+        assert one.full_height_um == pytest.approx(other.full_height_um, rel=1e-12)
+    steep = RidgeDesign(100.0, angle, 30.0)
+    assert steep.wall_width_um / steep.full_height_um == pytest.approx(np.tan(np.radians(30.0)))
+    assert steep.full_height_um / steep.facet_width_um == pytest.approx(np.tan(np.radians(angle)))
+    assert steep.wall_length_um == pytest.approx(np.hypot(steep.wall_width_um, steep.full_height_um))
+
+
+@pytest.mark.parametrize("wall", ["perpendicular", "vertical", 25.0])
+def test_a_rounded_crest_is_what_a_ball_reaches(wall):
+    """The opening of the sharp profile by a disc, point by point."""
+    design, radius = RidgeDesign(100.0, 15.0, wall, edge_radius_um=6.0), 6.0
+    x = np.arange(-100.0, 100.0, 0.05)
+    sharp = RidgeDesign(100.0, 15.0, wall).profile(x)
+    offset = np.arange(-radius, radius + 0.01, 0.05)
+    rim = np.sqrt(np.maximum(radius**2 - offset**2, 0.0))
+    wide = [np.interp(x + d, x, sharp) - h for d, h in zip(offset, rim, strict=True)]
+    centre = np.min(wide, axis=0)
+    opened = np.max([np.interp(x - d, x, centre) + h for d, h in zip(offset, rim, strict=True)], axis=0)
+    middle = (np.abs(x) < 60.0) & (np.abs(x) > 1.0)  # a vertical wall, and what rises steeply beside it
+    off = np.abs(np.minimum(opened, sharp) - design.profile(x))[middle]
+    assert np.max(off) < 0.1
+    assert np.max(sharp - design.profile(x)) > 1.0
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"wall": -1.0},
+        {"wall": 80.0},
+        {"wall": "slanting"},
+        {"edge_radius_um": -1.0},
+        {"edge_radius_um": 1000.0},
+    ],
+)
+def test_impossible_walls_and_edges_are_refused(wrong):
+    with pytest.raises(HeightMapError):
+        RidgeDesign(100.0, 10.0, **wrong)
+
+
+@pytest.mark.parametrize("direction", [0.0, 90.0, 30.0, -50.0])
+@pytest.mark.parametrize("alphas", [(0.05, 0.15), (0.1, 0.0), (0.0, 0.1)])
+def test_roughness_follows_the_direction(direction, alphas):
+    """Rms slopes along and across, from the gradient of a field that is smooth over the pixels."""
+    flat = HeightMap(np.zeros((500, 600)), 1.0, 1.0)
+    rough = add_facet_roughness(flat, *alphas, 10.0, np.random.default_rng(4), direction_deg=direction)
+    slope_y, slope_x = np.gradient(rough.height_um)
+    a = np.radians(direction)
+    along = np.sqrt(2.0) * np.std(slope_y * np.cos(a) - slope_x * np.sin(a))
+    across = np.sqrt(2.0) * np.std(slope_x * np.cos(a) + slope_y * np.sin(a))
+    spread = 0.08 if min(alphas) > 0.0 else 0.3  # a profile of some forty correlation lengths
+    assert along == pytest.approx(alphas[0], rel=spread, abs=1e-3)
+    assert across == pytest.approx(alphas[1], rel=spread, abs=1e-3)

@@ -4,18 +4,34 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from anisoscope.base.toml_file import Part, Positive
-from anisoscope.imaging.pose_radiance import check_light, check_view, mean_of
-from anisoscope.imaging.registration.placement import Grid, View, resample
-from anisoscope.imaging.views import most_changed
-from anisoscope.kinds.kind import CommandOutput, Kind, Reference, Results, Sitting, Table
-from anisoscope.recipe.base import RecipeBase
-from anisoscope.record.details import Details
-from anisoscope.record.schema import Record
-from anisoscope.record.verdict import Verdict
-from anisoscope.report.inspection_page import Pictures, Sections
-from anisoscope.rig.rigfile import RigFile
-from anisoscope.sim.light.geometry import Convention, Pose
+from anisoscope.kinds.plugin import (
+    CommandOutput,
+    Convention,
+    Details,
+    Grid,
+    Kind,
+    Part,
+    Pictures,
+    Pose,
+    Positive,
+    RadianceSet,
+    RecipeBase,
+    Record,
+    Reference,
+    Results,
+    RigFile,
+    Sections,
+    Sitting,
+    Table,
+    Verdict,
+    View,
+    check_light,
+    check_view,
+    mean_of,
+    most_changed,
+    resample,
+    usable,
+)
 
 
 class CardPart(Part):
@@ -77,6 +93,7 @@ class Cards(Kind[CardRecipe, Expected, Measured, Decided]):
     one = "a card"
     recipe = CardRecipe
     details = CardDetails
+    reference_set = RadianceSet
 
     def predict(self, recipe: CardRecipe, rig: RigFile, *, cached: bool) -> Expected:  # noqa: ARG002
         """The same radiance in all poses."""
@@ -106,12 +123,17 @@ class Cards(Kind[CardRecipe, Expected, Measured, Decided]):
         recipe: CardRecipe,
         expected: Expected,  # noqa: ARG002
         measured: Measured,
-        reference: Reference | None,  # noqa: ARG002
+        reference: Reference | None,
     ) -> Decided:
-        """One threshold on the mean."""
+        """One threshold on the mean, and the ratios of the poses as on good cards, if there are enough of them."""
         off = float(measured.radiance.mean()) - recipe.card.radiance
-        verdict = Verdict.PASS if abs(off) <= recipe.card.limit else Verdict.FAIL
-        return Decided(verdict, (f"the card is off by {off:+.3f} 1/sr (limit {recipe.card.limit:g})",))
+        reasons = (f"the card is off by {off:+.3f} 1/sr (limit {recipe.card.limit:g})",)
+        good = usable(reference)
+        if isinstance(good, RadianceSet):
+            _, _, p_value = good.t_squared(measured.radiance)
+            if p_value < recipe.decision.alpha:
+                return Decided(Verdict.FAIL, (f"not like the good cards (p = {p_value:.2g})", *reasons))
+        return Decided(Verdict.PASS if abs(off) <= recipe.card.limit else Verdict.FAIL, reasons)
 
     def results(
         self,

@@ -19,7 +19,7 @@ app = App(name="cache", help="Results on disk that can be computed again.")
 
 @app.command
 def info(*, json_: Json = False) -> int:
-    """Show where the cache lies, how large it is and may be, and what it holds."""
+    """Show folder, size, limit and content of the cache."""
     from anisoscope.base.cache import LIMIT_VARIABLE, VARIABLE, Cache, cache_folder, limit_bytes
 
     limit, entries, folder = limit_bytes(), Cache().stored(), cache_folder()

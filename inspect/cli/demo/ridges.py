@@ -17,6 +17,7 @@ PARTS = {"good": "PASS", "burrs": "FAIL", "angle": "FAIL"}
 PITCH_UM = 100.0
 RIDGE_ANGLE_DEG = 10.0
 LOBE = {"alpha_along": 0.055, "alpha_across": 0.095, "albedo": 0.2, "index": 1.5}
+TAIL = 0.5  # of Student's distribution with γ = 3, which the bench's path tracer has
 RESOLVED_ALPHA = 0.03
 
 
@@ -70,7 +71,7 @@ def _recipe() -> dict[str, Any]:
         "schema": 1,
         "product": "ridged demo plate, pitch 100 µm, ridge angle 10°",
         "surface": {"height_map": "reference.x3p", "pitch_um": PITCH_UM},
-        "material": {**LOBE, "u_alpha_share": 0.03, "u_albedo": 0.006, "u_index": 0.005},
+        "material": {**LOBE, "tail": TAIL, "u_alpha_share": 0.03, "u_albedo": 0.006, "u_index": 0.005},
         "poses": {"angles_deg": [0.0, 90.0, 180.0]},
         "acquisition": {"exposure_s": 0.006, "frames_per_pose": 4, "dark_frames": 8, "settle_s": 0.0},
         "region": {"size_mm": [2.0, 2.0]},
@@ -100,6 +101,7 @@ def _sample(name: str, rng: np.random.Generator) -> dict[str, Any]:
             "alpha_across": spread(LOBE["alpha_across"], 0.03),
             "albedo": spread(LOBE["albedo"], 0.03),
             "index": LOBE["index"],
+            "lobe": "student",
         },
     }
 

@@ -1,4 +1,4 @@
-"""``anisoscope design``: surfaces of steps that reflect light as wanted."""
+"""``anisoscope design``: stepped surfaces with a given reflectance lobe."""
 
 import sys
 from collections.abc import Sequence

@@ -15,9 +15,9 @@ from anisoscope.report.design_page import (
     write_design_page,
 )
 from anisoscope.sim.design.appearance import Picture, mirrored_dots, pattern_under, screen
+from anisoscope.sim.design.depths import tolerances
 from anisoscope.sim.design.models import LobeModel, MixtureModel, model_density
 from anisoscope.sim.design.pattern import PatternOptions, make_layout
-from anisoscope.sim.design.tolerances import tolerances
 
 if TYPE_CHECKING:
     from anisoscope.sim.design.designfile import DesignFile

@@ -149,7 +149,7 @@ FreeOption = Annotated[
     str,
     Parameter(
         help="Free parameters, comma-separated: ridge_angle, alpha_along, alpha_across, height_loss, seating_x, "
-        "seating_y, k, albedo, index; all: everything but albedo and index."
+        "seating_y, k, albedo, index, tail; all: everything but albedo, index and tail."
     ),
 ]
 
@@ -179,8 +179,12 @@ class ModelOptions:
         Literal["nonlinear", "linear"], Parameter(help="Colour of light sent back inside the plastic.")
     ] = "nonlinear"
     bounces: Annotated[
-        int | Literal["all"], Parameter(help="Reflections of the corrected model; 'all' takes minutes.")
-    ] = 1
+        int | Literal["all"] | None,
+        Parameter(
+            help="Reflections of the corrected model: 1 is direct light; a larger number, or all. All by default; of "
+            "the published experiment 1."
+        ),
+    ] = None
 
     def values(self, ridge_angle: float) -> dict[str, float]:
         """All parameters by name, checked."""
@@ -200,17 +204,18 @@ class ModelOptions:
             }
         )
 
-    def optics(self) -> dict[str, Any]:
-        """The keywords of a scene."""
-        if self.bounces != "all" and self.bounces < 1:
+    def optics(self, bounces: int | None = None) -> dict[str, Any]:
+        """The keywords of a scene; ``bounces`` are those by default, None for all."""
+        if isinstance(self.bounces, int) and self.bounces < 1:
             raise UsageError(f"--bounces must be 1 or more, or all, not {self.bounces}")
-        if self.model == "printed" and self.bounces != 1:
+        if self.model == "printed" and self.bounces not in (None, 1):
             raise UsageError(
                 f"--bounces {self.bounces} needs --model corrected; printed knows direct light only"
             )
+        counted = bounces if self.bounces is None else None if self.bounces == "all" else self.bounces
         return {
             "model": self.model,
-            "bounces": None if self.bounces == "all" else self.bounces,
+            "bounces": 1 if self.model == "printed" else counted,
             "wall": self.wall,
             "internal_reflection": self.internal_reflection,
         }
@@ -300,7 +305,7 @@ def experiment(
     problem = experiment_problem(
         read_measured(table),
         Convention(angles.light_angle, angles.tilt_plane, angles.facet_azimuth),
-        options.optics(),
+        options.optics(bounces=1),
         options.values(10.0),
         tuple(n for n in chosen if not (n == "height_loss" and options.model == "printed" and free == "all")),
     )

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from anisoscope.cli.json_output import print_json
+from anisoscope.cli.json_output import fields_of, print_json
 from anisoscope.cli.options import Json
 from anisoscope.cli.tables import console, print_table
 
@@ -54,10 +54,10 @@ def print_history(
     rows: "Sequence[Row]", decided: "Mapping[int, Sequence[Disposition]]", total: int, *, json_: bool
 ) -> None:
     """A table of inspections, or JSON with ``total``: how many the filters let through."""
-    from anisoscope.history.export import as_json
+    from anisoscope.history.export import with_dispositions
 
     if json_:
-        listed = [as_json(row, decided.get(row.id, ())) for row in rows]
+        listed = [with_dispositions(row, decided.get(row.id, ())) for row in rows]
         print_json({"total": total, "inspections": listed})
         return
     if not rows:
@@ -132,11 +132,11 @@ def print_verified(damage: Sequence[str], count: int, head: str, *, json_: bool)
 
 def print_inspection(row: "Row", decided: "Sequence[Disposition]", *, json_: bool) -> None:
     """Print one inspection with all its data in the history."""
-    from anisoscope.history.export import as_json
+    from anisoscope.history.export import with_dispositions
 
     folder = _folder_state(row)
     if json_:
-        print_json({**as_json(row, decided), "folder_state": folder})
+        print_json({**with_dispositions(row, decided), "folder_state": folder})
         return
     console().print(f"[bold {COLORS.get(row.verdict, '')}]{plain(row.verdict)}[/]")
     for reason in row.reasons:
@@ -215,19 +215,10 @@ def print_comparison(found: "Comparison", *, json_: bool) -> None:
 
 
 def _comparison_json(found: "Comparison") -> dict[str, Any]:
-    from anisoscope.history.export import as_json
+    from anisoscope.history.export import with_dispositions
 
-    def numbers(some: "Sequence[Compared]") -> list[dict[str, Any]]:
-        return [{**asdict(one), "ratio": one.ratio} for one in some]
-
-    return {
-        "first": as_json(found.first),
-        "second": as_json(found.second),
-        "contrasts": numbers(found.contrasts),
-        "numbers": numbers(found.numbers),
-        "changes": [asdict(change) for change in found.changes],
-        "notes": list(found.notes),
-    }
+    rows = {"first": with_dispositions(found.first), "second": with_dispositions(found.second)}
+    return fields_of(found) | rows
 
 
 def _compared_row(one: "Compared") -> list[str]:

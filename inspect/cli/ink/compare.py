@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -82,8 +82,7 @@ def compare(
     if png is not None:
         _write_png(found, png)
     if json_:
-        inks = [_as_json(one) for one in found]
-        print_json({"synthetic": synthetic, "convention": CONVENTION, "inks": inks, "warnings": warnings})
+        print_json({"synthetic": synthetic, "convention": CONVENTION, "inks": found, "warnings": warnings})
         return 0
     _print(found, synthetic, size)
     for warning in warnings:
@@ -177,17 +176,6 @@ def _print(found: "list[Comparison]", synthetic: bool, size: int) -> None:
         print_line(
             "The readings are synthetic: they show that the comparison works, and nothing about real inks."
         )
-
-
-def _as_json(one: "Comparison") -> dict[str, Any]:
-    return {
-        "ink": one.ink.name,
-        "alpha": one.ink.alpha,
-        "exposure": one.exposure,
-        "models": {
-            row.model: {"rmse": row.rmse, "ssim": row.ssim, "frame_ms": 1e3 * row.frame_s} for row in one.rows
-        },
-    }
 
 
 def _write_png(found: "list[Comparison]", path: Path) -> None:

@@ -138,7 +138,6 @@ def show(
         inks: Ink files *.toml, or synthetic-red, synthetic-green, synthetic-blue.
     """
     from anisoscope.ink.appearance import ANGLES_DEG, show_inks
-    from anisoscope.ink.text import show_as_json
     from anisoscope.sim.materials.inks import SYNTHETIC, find_ink
     from anisoscope.sim.materials.spectra import find_illuminant
 
@@ -168,7 +167,7 @@ def show(
         if png is not None:
             write_ink_picture(shown, png)
     if json_:
-        print_json(show_as_json(shown))
+        print_json(shown)
     else:
         print_show(shown)
         for path in (html, png):

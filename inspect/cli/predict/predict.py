@@ -32,7 +32,7 @@ from typing import TYPE_CHECKING
 from anisoscope.cli.progress import progress
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from anisoscope.base.progress import Advance
     from anisoscope.prediction.predict import Predicted
@@ -85,6 +85,9 @@ class UncertaintyOptions:
     u_pixel_size: Annotated[
         float, Parameter("--u-pixel-size", help="Map: of the pixel size, relative, both axes together.")
     ] = 0.0
+    u_reflections: Annotated[
+        float, Parameter("--u-reflections", help="Of the amplitude of all further reflections, relative.")
+    ] = 0.1
     ridges_seen: Annotated[
         int | None,
         Parameter("--ridges-seen", help="Map: ridges in the camera's field, whose scatter then counts too."),
@@ -184,6 +187,7 @@ def input_uncertainty(options: UncertaintyOptions) -> "InputUncertainty | None":
         height_scale_share=options.u_height_scale,
         pixel_size_share=options.u_pixel_size,
         height_map_share=options.u_height_map,
+        reflections_share=options.u_reflections,
         ridges_seen=options.ridges_seen,
     )
 
@@ -243,14 +247,16 @@ def optics_request(
     optics: OpticsModel = "auto"
     if model == "geometric" or model == "wave" or model == "both":  # noqa: PLR1714 - narrows the type
         optics = model
-    if optics in ("wave", "both") and (bounces != 1 or roughness != "lobe"):
-        which = "--bounces" if bounces != 1 else "--roughness plastic"
-        raise UsageError(f"{which} belongs to rays: --model {optics} follows waves, which reflect once")
+    if optics in ("wave", "both") and roughness != "lobe":
+        raise UsageError(
+            f"--roughness plastic belongs to rays: --model {optics} takes the roughness of a lobe"
+        )
     from anisoscope.prediction.optics_selection import OpticsRequest
 
-    if optics == "auto" and (bounces != 1 or roughness != "lobe"):
+    if optics == "auto" and roughness != "lobe":
         optics = "geometric"
-    return OpticsRequest(optics, light_of(options.wavelengths), options.interpolate)
+    count = None if bounces == "all" else bounces
+    return OpticsRequest(optics, light_of(options.wavelengths), options.interpolate, count)
 
 
 def light_of(text: str | None) -> Any:  # noqa: ANN401 - a LightSpectrum, imported when it runs
@@ -368,6 +374,12 @@ def predict(
     height_map: Path | None = None,
     /,
     *,
+    recipe: Annotated[
+        Path | None,
+        Parameter(
+            help="Recipe file: predict what an inspection expects; surface, plastic and poses are its."
+        ),
+    ] = None,
     ridge_angle: Annotated[float | None, Parameter(help="Ridge angle of an ideal design in degrees.")] = None,
     pitch: Annotated[
         float | None, Parameter(help="Pitch in µm; of a height map it is found where four ridges lie in it.")
@@ -391,8 +403,14 @@ def predict(
     ] = "nonlinear",
     bounces: Annotated[
         int | Literal["all"],
-        Parameter(help="Reflections followed: 1 is direct light; a larger number, or 'all'."),
-    ] = 1,
+        Parameter(help="Reflections followed, by rays: 1 is direct light; a larger number, or 'all'."),
+    ] = "all",
+    reflect: Annotated[
+        Literal["groove", "paths"],
+        Parameter(
+            help="Reflections of a map: of the groove fitted to its ridges, or of paths followed on the map."
+        ),
+    ] = "groove",
     light_angle: Annotated[float, Parameter(help="Angle between light and camera in degrees.")] = 10.0,
     tilt_plane: Annotated[
         Literal["perpendicular", "in-plane"], Parameter(help="Plane in which camera and light tilt.")
@@ -437,6 +455,10 @@ def predict(
     Args:
         height_map: File with a measured height map; leave it out and give --ridge-angle for an ideal design.
     """
+    if recipe is not None:
+        given = locals()
+        _check_recipe_alone({name: given[name] for name in _defaults()})
+        return _predict_recipe(recipe, light_angle, as_json=json_, covariance=uncertainties.covariance)
     from anisoscope.prediction.optics_selection import Rig, predict_with_optics
     from anisoscope.prediction.predict import predict_design, predict_height_map
     from anisoscope.profiles.heightmap import HeightMap
@@ -450,7 +472,7 @@ def predict(
         raise UsageError("--spectrum names the wavelengths itself: leave --wavelengths out")
     _check_bounces(bounces, model)
     _check_surface(height_map, model, height_loss, role, max_missing)
-    _check_map_options(height_map, facets, roughness)
+    _check_map_options(height_map, facets, roughness, reflect)
     if spectrum is not None:
         _check_spectrum(model, albedo, index)
     check_options(
@@ -485,6 +507,7 @@ def predict(
                 optics=optics,
                 facets=facets,
                 roughness=roughness,
+                reflect=reflect,
             )
     else:
         assert ridge_angle is not None
@@ -508,6 +531,50 @@ def predict(
         return predict_with_optics(subject, partial(of, plastic), rig, requested, pitch, level, advance)
 
     _predict_and_print(under, material, spectrum, as_json=json_, covariance=uncertainties.covariance)
+    return 0
+
+
+_WITH_A_RECIPE = ("recipe", "light_angle", "json_")
+
+
+def _defaults() -> dict[str, object]:
+    return {"height_map": None, **(predict.__kwdefaults__ or {})}
+
+
+def _check_recipe_alone(given: "Mapping[str, object]") -> None:
+    """Refuse options besides --recipe that the recipe itself decides.
+
+    Raises:
+        UsageError: one of them is given.
+    """
+    defaults = _defaults()
+    for name, value in given.items():
+        default = defaults[name]
+        if name == "uncertainties" and isinstance(value, UncertaintyOptions):
+            value = replace(value, covariance=False)  # noqa: PLW2901
+        if name not in _WITH_A_RECIPE and value != default:
+            what = "a height map" if name == "height_map" else f"--{name.replace('_', '-')}"
+            raise UsageError(
+                f"--recipe decides surface, plastic, poses, optics and uncertainties: leave {what} out, or the recipe"
+            )
+
+
+def _predict_recipe(path: Path, light_angle: float, *, as_json: bool, covariance: bool) -> int:
+    from anisoscope.cli.predict import output
+    from anisoscope.kinds.registry import kind_of
+    from anisoscope.kinds.surface import SurfaceKind
+    from anisoscope.prediction.expectation import expectation, predicted
+
+    if covariance and not as_json:
+        raise UsageError("--covariance is written as JSON only: add --json")
+    kind = kind_of(path)
+    if not isinstance(kind, SurfaceKind):
+        raise UsageError(f"{path}: the recipe of {kind.one}; --recipe takes those of surfaces")
+    result = predicted(expectation(kind.read_recipe(path), light_angle, kind.optics))
+    if as_json:
+        print_json(output.as_json(result, covariance=covariance))
+    else:
+        output.print_prediction(result)
     return 0
 
 
@@ -538,9 +605,9 @@ def _predict_and_print(
             found = {"geometric": geometric, "wave": wave, "difference": differences(*results)}
             found["optics"] = geometric["optics"]
     else:
-        from anisoscope.sim.materials.lamp_spectrum import read_spectrum
+        from anisoscope.sim.materials.spectra import read_plastic_spectrum
 
-        colours = read_spectrum(spectrum)
+        colours = read_plastic_spectrum(spectrum)
         lines: list[Predicted] = []
         for wavelength, plastic in zip(colours.wavelengths_nm, colours.materials(material), strict=True):
             with progress(f"{wavelength:g} nm") as advance:
@@ -593,7 +660,7 @@ def _check_choice(height_map: Path | None, ridge_angle: float | None, model: Mod
 
 
 def _check_bounces(bounces: int | Literal["all"], model: Model | None) -> None:
-    if bounces == 1:
+    if bounces in (1, "all"):
         return
     if bounces != "all" and bounces < 1:
         raise UsageError(f"--bounces must be 1 or more, or all, not {bounces}")
@@ -603,7 +670,7 @@ def _check_bounces(bounces: int | Literal["all"], model: Model | None) -> None:
         )
 
 
-def _check_map_options(height_map: Path | None, facets: str, roughness: str) -> None:
-    if height_map is None and (facets != "symmetric" or roughness != "lobe"):
-        which = "--facets" if facets != "symmetric" else "--roughness"
+def _check_map_options(height_map: Path | None, facets: str, roughness: str, reflect: str) -> None:
+    if height_map is None and (facets != "symmetric" or roughness != "lobe" or reflect != "groove"):
+        which = "--facets" if facets != "symmetric" else "--roughness" if roughness != "lobe" else "--reflect"
         raise UsageError(f"{which} belongs to a height map; a design has no facets of its own")

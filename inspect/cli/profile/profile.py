@@ -10,6 +10,15 @@ from cyclopts import App, Parameter
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import parse_numbers
+from anisoscope.cli.profile.many import (
+    NONE,
+    ManyOptions,
+    Values,
+    check_table,
+    expanded,
+    measure_each,
+    print_sheet,
+)
 from anisoscope.cli.tables import print_table
 
 if TYPE_CHECKING:
@@ -19,13 +28,31 @@ from anisoscope.cli.progress import progress
 app = App(name="profile", help="Read, measure, convert, make and spoil height maps.")
 app.command("anisoscope.cli.profile.ridges:ridges")
 app.command("anisoscope.cli.profile.texture:texture")
+app.command("anisoscope.cli.profile.lines:lines")
 app.command("anisoscope.cli.profile.surfaces:make")
 app.command("anisoscope.cli.profile.surfaces:spoil")
+app.command("anisoscope.cli.profile.editing:edit")
+app.command("anisoscope.cli.profile.comparison:compare")
+for _step in (
+    "level",
+    "form",
+    "filter",
+    "crop",
+    "rotate",
+    "mask",
+    "fill",
+    "outliers",
+    "resample",
+    "subtract",
+    "stitch",
+):
+    app.command(f"anisoscope.cli.profile.editing:{_step.replace('filter', 'filter_')}", name=_step)
 
 Unit = Literal["um", "nm", "mm", "m"]
 Layout = Literal["auto", "matrix", "xyz"]
 Role = Literal["part", "tool"]
 Rows = Literal["auto", "up", "down"]
+Trust = Literal["checksum", "pixel-size", "heights"]
 
 
 def parse_pixel(text: str | None) -> tuple[float, float] | None:
@@ -61,6 +88,15 @@ class Scales:
         Rows,
         Parameter(help="Whether y goes up or down with the rows of the file; auto: see docs/height-maps.md."),
     ] = "auto"
+    trust: Annotated[
+        tuple[Trust, ...],
+        Parameter(
+            help="Check that must not refuse the file: checksum (of main.xml of an x3p), pixel-size, heights; may be "
+            "given several times, and is noted in the origin.",
+            negative="",
+            consume_multiple=False,
+        ),
+    ] = ()
     role: Annotated[
         Role, Parameter(help="Map of the part, or of the tool (mould), whose negative the part is.")
     ] = "part"
@@ -78,6 +114,7 @@ class Scales:
             layout=self.layout,
             height_per_count=self.height_per_count,
             rows=self.rows,
+            trust=self.trust,
         )
 
 
@@ -86,23 +123,28 @@ AS_STATED = Scales()
 
 @app.command
 def info(
-    file: Path,
-    /,
-    *,
+    *files: Path,
     json_: Annotated[bool, Parameter(name="--json", negative="")] = False,
+    many: Annotated[ManyOptions, Parameter(name="*", group="Several files")] = NONE,
     scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
 ) -> int:
-    """Size, missing share and height parameters (ISO 25178-2, mean removed, not levelled) of a height map.
+    """Size, missing share and height parameters (ISO 25178-2, mean removed, not levelled) of height maps.
 
     Args:
-        file: Height map in a format of docs/height-maps.md.
+        files: Height maps in a format of docs/height-maps.md, or patterns.
         json_: Print JSON.
     """
+    from anisoscope.profiles.limits import sheet_of
     from anisoscope.profiles.textures.amplitude import amplitude
 
-    surface = scales.read(file)
+    chosen = expanded(files)
+    if len(chosen) > 1 or many.table is not None:
+        return measure_each(chosen, lambda path: _info_values(scales.read(path)), many, to_json=json_)
+    check_table(many)
+    surface = scales.read(chosen[0])
     rows, cols = surface.shape
     found = amplitude(surface)
+    sheet = sheet_of(many.limits, _info_values(surface))
     if json_:
         result = {
             "rows": rows,
@@ -115,11 +157,11 @@ def info(
             "field_um": list(surface.extent_um),
             "origin": surface.origin,
         }
-        print_json(result)
-        return 0
+        print_json(result | ({"sheet": sheet} if sheet else {}))
+        return print_sheet(sheet, silent=True)
     field_y, field_x = surface.extent_um
     print_table(
-        file.name,
+        chosen[0].name,
         ["quantity", "value", "unit"],
         [
             ["rows", str(rows), ""],
@@ -133,7 +175,23 @@ def info(
         ],
         caption=_caption(surface.origin),
     )
-    return 0
+    return print_sheet(sheet)
+
+
+def _info_values(surface: "HeightMap") -> Values:
+    from anisoscope.profiles.textures.amplitude import amplitude
+
+    found = amplitude(surface)
+    return {
+        "rows": (surface.shape[0], ""),
+        "columns": (surface.shape[1], ""),
+        "pixel y": (surface.pixel_y_um, "µm"),
+        "pixel x": (surface.pixel_x_um, "µm"),
+        "missing": (100.0 * surface.missing_share, "%"),
+        "Sa": (found.sa_um, "µm"),
+        "Sq": (found.sq_um, "µm"),
+        "Sz": (found.sz_um, "µm"),
+    }
 
 
 def _caption(origin: dict[str, Any]) -> str:
@@ -142,7 +200,9 @@ def _caption(origin: dict[str, Any]) -> str:
     instrument = " ".join(str(part) for part in origin.get("instrument", {}).values())
     lines += [f"measured {' '.join((instrument, str(origin.get('date', '')))).strip()}"] if instrument else []
     lines += [f"other channels: {', '.join(origin['other_channels'])}"] if "other_channels" in origin else []
-    return "\n".join(lines + list(origin.get("corrected", [])))
+    lines += [f"mask: {origin['mask']}"] if "mask" in origin else []
+    lines += list(origin.get("corrected", []))
+    return "\n".join(lines + [f"trusted by --trust: {text}" for text in origin.get("trusted", [])])
 
 
 @app.command
@@ -156,11 +216,12 @@ def convert(
 ) -> int:
     """Read a height map and write it in the format of another extension.
 
-    x3p, npz and csv keep every bit of the heights, gsf and tif 24 bits.
+    x3p, npz and csv keep every bit of the heights, gwy those of metres, sur 31 bits of the largest height, gsf and tif
+    24 bits, png 16 bits of the range. stl and ply are meshes in mm for other programs.
 
     Args:
         source: Height map in a format of docs/height-maps.md.
-        target: File to write: x3p, gsf, npz, npy, csv, txt or tif.
+        target: File to write: x3p, sur, gwy, gsf, npz, npy, csv, txt, tif, png, stl or ply.
         overwrite: Replace the target if it exists.
     """
     from anisoscope.profiles.files.load import write_height_map

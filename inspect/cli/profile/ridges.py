@@ -6,6 +6,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from anisoscope.cli.json_output import fields_of, print_json
+from anisoscope.cli.profile.many import (
+    NONE,
+    ManyOptions,
+    Values,
+    check_table,
+    expanded,
+    measure_each,
+    print_sheet,
+)
 from anisoscope.cli.profile.profile import AS_STATED, Scales
 from anisoscope.cli.tables import print_table
 
@@ -53,33 +62,54 @@ def measurement_as_json(found: "RidgeMeasurement") -> dict[str, Any]:
         "plateau": found.plateau,
         "periodicity": found.score,
         "missing_share": found.missing_share,
+        "form_um": found.form_um,
+        "facet_bow": found.facet_bow,
+        "straight": found.straight,
+        "second_direction_deg": found.second_direction_deg,
+        "remarks": found.remarks(),
         "ridges": ridges,
         "burrs": found.burrs,
     }
 
 
 def ridges(
-    file: Path,
-    /,
-    *,
+    *files: Path,
     json_: Annotated[bool, Parameter(name="--json", negative="")] = False,
+    many: Annotated[ManyOptions, Parameter(name="*", group="Several files")] = NONE,
     scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
 ) -> int:
-    """Measure pitch, direction, angles, heights, roughness and burrs of a ridged height map, with uncertainties.
+    """Measure pitch, direction, angles, heights, roughness and burrs of ridged height maps, with uncertainties.
 
     Args:
-        file: Height map of at least four ridges, in any direction.
+        files: Height maps of at least four ridges, in any direction, or patterns.
         json_: Print JSON.
     """
+    from anisoscope.profiles.limits import sheet_of
     from anisoscope.profiles.metrology.ridges import measure_ridges
 
-    surface = scales.read(file)
-    found = measure_ridges(surface)
+    chosen = expanded(files)
+    if len(chosen) > 1 or many.table is not None:
+        return measure_each(
+            chosen, lambda path: _values(measure_ridges(scales.read(path))), many, to_json=json_
+        )
+    check_table(many)
+    found = measure_ridges(scales.read(chosen[0]))
+    sheet = sheet_of(many.limits, _values(found))
     if json_:
-        print_json(measurement_as_json(found))
-        return 0
-    _print(file.name, found)
-    return 0
+        print_json(measurement_as_json(found) | ({"sheet": sheet} if sheet else {}))
+    else:
+        _print(chosen[0].name, found)
+    return print_sheet(sheet, silent=json_)
+
+
+def _values(found: "RidgeMeasurement") -> Values:
+    """Values by the names of the JSON, u(...) their standard uncertainties; NaN where only a bound is known."""
+    values: dict[str, tuple[float, str]] = {}
+    for key, _, unit in NAMES:
+        one = getattr(found, key)
+        values[key] = (float("nan") if one.value is None else one.value, unit)
+        values[f"u({key})"] = (float("nan") if one.u is None else one.u, unit)
+    return values
 
 
 def _print(name: str, found: "RidgeMeasurement") -> None:
@@ -91,7 +121,8 @@ def _print(name: str, found: "RidgeMeasurement") -> None:
         ["quantity", "value", "u (k = 1)", "unit"],
         [[text, *as_text(getattr(found, key)), unit] for key, text, unit in NAMES],
         caption=f"facets fall toward {found.lean_deg:.1f}° from +x and take {found.facet_share:.0%} of the pitch; "
-        f"roughness from {low:.3g} to {high:.3g} µm; {found.missing_share:.2%} missing; periodicity {found.score:.2f}",
+        f"roughness from {low:.3g} to {high:.3g} µm; {found.missing_share:.2%} missing; periodicity {found.score:.2f}"
+        + "".join(f"\n{remark}" for remark in found.remarks()),
     )
     ridge_rows = []
     for one in found.ridges:

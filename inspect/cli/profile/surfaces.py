@@ -66,8 +66,11 @@ class StairOptions:
 class RoughOptions:
     """Gaussian roughness added along z."""
 
-    alpha_along: Annotated[float, Parameter(help="Beckmann roughness along +y.")] = 0.0
-    alpha_across: Annotated[float, Parameter(help="Beckmann roughness along +x.")] = 0.0
+    alpha_along: Annotated[
+        float,
+        Parameter(help="Beckmann roughness along the ridges or grooves (along +y where there are none)."),
+    ] = 0.0
+    alpha_across: Annotated[float, Parameter(help="Beckmann roughness across them.")] = 0.0
     correlation: Annotated[float, Parameter(help="Mean correlation length in µm.")] = 8.0
 
 
@@ -98,12 +101,19 @@ def make(
     import numpy as np
 
     from anisoscope.profiles.ideal import add_facet_roughness
+    from anisoscope.profiles.patterns import second_fields
 
     _check_target(out, overwrite)
     _check_seed(seed)
     rng = np.random.default_rng(seed)
     surface = _pattern(pattern, *_grid(size, pixel), lines, stairs, rng)
-    surface = add_facet_roughness(surface, rough.alpha_along, rough.alpha_across, rough.correlation, rng)
+    roughness = rough.alpha_along, rough.alpha_across, rough.correlation, rng
+    first = add_facet_roughness(surface, *roughness, 0.0 if pattern == "flat" else lines.direction)
+    if pattern == "checkerboard":  # each field along its own ridges
+        second = add_facet_roughness(surface, *roughness, lines.second_direction)
+        fields = second_fields(surface.shape, (surface.pixel_y_um, surface.pixel_x_um), lines.field)
+        first = first.with_height(np.where(fields, second.height_um, first.height_um))
+    surface = first
     origin = {**surface.origin, "seed": seed}
     return deliver(surface.with_height(surface.height_um, made=origin), out, as_json=json_)
 
@@ -191,7 +201,6 @@ def spoil(
     import numpy as np
 
     from anisoscope.profiles import defect_injection
-    from anisoscope.profiles.provenance import with_provenance
 
     if list_:
         return list_defects(as_json=json_)
@@ -199,7 +208,7 @@ def spoil(
         raise UsageError("spoil needs a height map, a defect and --out FILE; --list shows the defects")
     _check_target(out, overwrite)
     _check_seed(seed)
-    surface = with_provenance(scales.read(file), file)
+    surface = scales.read(file)
     given = {name.replace("-", "_"): value for name, value in parameters.items()}
     spoiled = defect_injection.inject_defect(
         surface, defect, np.random.default_rng(seed), severity=severity, values=given, seed=seed

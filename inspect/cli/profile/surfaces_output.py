@@ -53,10 +53,12 @@ def deliver(
 ) -> int:
     """Write the map and print its size and origin."""
     from anisoscope.profiles.files.checks import check_map
-    from anisoscope.profiles.provenance import write_with_provenance
+    from anisoscope.profiles.files.load import write_height_map
+    from anisoscope.profiles.provenance import keeps_provenance
     from anisoscope.profiles.textures.amplitude import amplitude
 
-    written = write_with_provenance(check_map(surface, out.name), out)
+    write_height_map(check_map(surface, out.name), out)
+    written = keeps_provenance(out)
     found = amplitude(surface)
     rows, cols = surface.shape
     result = {
@@ -88,7 +90,7 @@ def deliver(
         ]
     lines = [f"made: {_words(surface.origin['made'])}"] if "made" in surface.origin else []
     lines += [f"defect: {_words(entry)}" for entry in surface.origin.get("defects", [])]
-    lines += [] if written else [f"{out.suffix} has no place for this history; x3p and npz keep it"]
+    lines += [] if written else [f"{out.suffix} has no place for this history; x3p, npz and gsf keep it"]
     print_table(out.name, ["quantity", "value", "unit"], table)
     sys.stdout.write("".join(f"{line}\n" for line in lines))
     return 0

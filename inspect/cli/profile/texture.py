@@ -2,23 +2,35 @@
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+from anisoscope.base.errors import UsageError
 from anisoscope.cli.json_output import fields_of, print_json
-from anisoscope.cli.options import Json
+from anisoscope.cli.options import Json, parse_numbers
+from anisoscope.cli.profile.many import (
+    NONE,
+    ManyOptions,
+    Values,
+    check_table,
+    expanded,
+    measure_each,
+    print_sheet,
+)
 from anisoscope.cli.profile.profile import AS_STATED, Scales
 from anisoscope.cli.tables import print_table
 
 if TYPE_CHECKING:
+    from anisoscope.profiles.textures.features import Features
     from anisoscope.profiles.textures.texture import Texture
+
+ParameterRow = tuple[str, float, str, str]
+"""Name, value, unit and meaning of a parameter."""
 
 
 def texture(
-    file: Path,
-    /,
-    *,
+    *files: Path,
     s_filter: Annotated[
         float | None, Parameter(help="Nesting index of the Gaussian S-filter in µm; removes shorter waves.")
     ] = None,
@@ -26,36 +38,125 @@ def texture(
         float | None, Parameter(help="Nesting index of the Gaussian L-filter in µm; removes longer waves.")
     ] = None,
     form: Annotated[
-        Literal["plane", "none", "poly2"], Parameter(help="Least-squares form that is removed.")
+        str, Parameter(help="Form that is removed: none, plane, poly1 … poly10, sphere or cylinder.")
     ] = "plane",
     plot: Annotated[
         Path | None, Parameter(help="Picture of spectra, autocorrelation and bearing curve: *.png or *.svg.")
     ] = None,
+    features: Annotated[
+        bool,
+        Parameter(negative="", help="Hills and dales too: Spd, Spc, S5p, S5v, S10z, Sha, Sda, Shv, Sdv."),
+    ] = False,
+    pruning: Annotated[float, Parameter(help="Wolf pruning of hills and dales in % of Sz.")] = 5.0,
+    ratios: Annotated[
+        str | None,
+        Parameter(help="Material ratios in %, such as 2,50: Smc, Vm and Vv there, and Sxp of the first two."),
+    ] = None,
+    heights: Annotated[
+        str | None, Parameter(help="Heights in µm from the mean, such as -0.5,0.5: Smr there.")
+    ] = None,
     json_: Json = False,
+    many: Annotated[ManyOptions, Parameter(name="*", group="Several files")] = NONE,
     scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
 ) -> int:
-    """Height, spatial, hybrid and functional parameters (ISO 25178-2) of a height map.
+    """Height, spatial, hybrid, functional and feature parameters (ISO 25178-2) of height maps.
 
     Args:
-        file: Height map in a format of docs/height-maps.md.
+        files: Height maps in a format of docs/height-maps.md, or patterns.
     """
+    from anisoscope.profiles.limits import sheet_of
     from anisoscope.profiles.textures.texture import texture as measure
     from anisoscope.report.study_page import check_picture
 
     check_picture(plot)
-    found = measure(scales.read(file), form=form, s_filter_um=s_filter, l_filter_um=l_filter)
+    free = _free(ratios, heights)
+
+    def measured(path: Path) -> "Texture":
+        return measure(
+            scales.read(path),
+            form=form,
+            s_filter_um=s_filter,
+            l_filter_um=l_filter,
+            pruning=0.01 * pruning if features else None,
+        )
+
+    chosen = expanded(files)
+    if len(chosen) > 1 or many.table is not None:
+        if plot is not None:
+            raise UsageError("--plot draws one map; give one file and no --table")
+        return measure_each(chosen, lambda path: _values(measured(path), free), many, to_json=json_)
+    check_table(many)
+    found = measured(chosen[0])
     if plot is not None:
         _draw(found, plot)
+    sheet = sheet_of(many.limits, _values(found, free))
     if json_:
-        print_json(_as_json(found))
+        print_json(_as_json(found, free) | ({"sheet": sheet} if sheet else {}))
     else:
-        print_table(
-            file.name, ["parameter", "value", "unit", "meaning"], _rows(found), caption=_caption(found)
+        rows = [
+            [name, (_bound(found) if name == "Str" else "") + _number(value), unit, meaning]
+            for name, value, unit, meaning in _rows(found, free)
+        ]
+        print_table(chosen[0].name, ["parameter", "value", "unit", "meaning"], rows, caption=_caption(found))
+    return print_sheet(sheet, silent=json_)
+
+
+Free = tuple[tuple[float, ...], tuple[float, ...]]
+"""Material ratios in %, and heights in µm, at which the bearing curve is read."""
+NO_FREE: Free = ((), ())
+
+
+def _free(ratios: str | None, heights: str | None) -> Free:
+    shares = () if ratios is None else parse_numbers(ratios, "--ratios", "2,50")
+    if any(not 0.0 <= share <= 100.0 for share in shares):
+        raise UsageError(f"--ratios takes material ratios from 0 to 100 %, not {ratios!r}")
+    return shares, () if heights is None else parse_numbers(heights, "--heights", "-0.5,0.5")
+
+
+def _free_rows(found: "Texture", free: Free) -> "list[ParameterRow]":
+    from anisoscope.profiles.textures.bearing import bearing
+
+    if not any(free):
+        return []
+    curve, (shares, heights) = bearing(found.surface.map), free
+    rows: list[ParameterRow] = []
+    for share in shares:
+        ratio = 0.01 * share
+        rows += [
+            (f"Smc({share:g} %)", curve.smc(ratio), "µm", "height of this material ratio, from the mean"),
+            (f"Vm({share:g} %)", curve.above(ratio), "µm³/µm²", "material volume above it"),
+            (f"Vv({share:g} %)", curve.below(ratio), "µm³/µm²", "void volume below it"),
+        ]
+    if len(shares) > 1:
+        low, high = shares[:2]
+        value = curve.smc(0.01 * low) - curve.smc(0.01 * high)
+        rows.append((f"Sxp({low:g} %, {high:g} %)", value, "µm", "difference of their heights"))
+    rows += [
+        (
+            f"Smr({height:g} µm)",
+            100.0 * curve.smr(height),
+            "%",
+            "material ratio of this height, from the mean",
         )
-    return 0
+        for height in heights
+    ]
+    known = {row[0] for row in _rows(found, NO_FREE)}
+    return [row for row in rows if row[0] not in known]
 
 
-def _as_json(found: "Texture") -> dict[str, Any]:
+def _values(found: "Texture", free: Free) -> Values:
+    return {name: (value, unit) for name, value, unit, _ in _rows(found, free)}
+
+
+def _bound(found: "Texture") -> str:
+    return "≤ " if found.spatial.str_is_bound else ""
+
+
+def _number(value: float) -> str:
+    return f"{value:.5g}" if math.isfinite(value) else "–"
+
+
+def _as_json(found: "Texture", free: Free) -> dict[str, Any]:
     limited = found.surface
     parts = {
         name: {key.rstrip("_"): value for key, value in fields_of(getattr(found, name)).items()}
@@ -70,13 +171,16 @@ def _as_json(found: "Texture") -> dict[str, Any]:
         "missing_share": limited.map.missing_share,
         **parts,
         "bearing": bearing,
+        "sxp_um": found.sxp_um,
+        "ssw_um": found.ssw_um,
+        "features": found.features,
+        "free": {name: {"value": value, "unit": unit} for name, value, unit, _ in _free_rows(found, free)},
     }
 
 
-def _rows(found: "Texture") -> list[list[str]]:
+def _rows(found: "Texture", free: Free) -> "list[ParameterRow]":
     h, s, y, c, v = found.heights, found.spatial, found.hybrid, found.core, found.volumes
-    bound = "≤ " if s.str_is_bound else ""
-    rows: list[tuple[str, float, str, str]] = [
+    rows: list[ParameterRow] = [
         ("Sa", h.sa_um, "µm", "arithmetic mean height"),
         ("Sq", h.sq_um, "µm", "root mean square height"),
         ("Sz", h.sz_um, "µm", "maximum height"),
@@ -102,14 +206,26 @@ def _rows(found: "Texture") -> list[list[str]]:
         ("Vvc", v.vvc_um, "µm³/µm²", "void volume of the core, 10–80 %"),
         ("Vvv", v.vvv_um, "µm³/µm²", "void volume of the dales, 80 %"),
     ]
+    rows += [
+        ("Sxp", found.sxp_um, "µm", "extreme peak height, Smc(2.5 %) − Smc(50 %)"),
+        ("Ssw", found.ssw_um, "µm", "dominant spatial wavelength"),
+    ]
+    if found.features is not None:
+        rows += _feature_rows(found.features)
+    return rows + _free_rows(found, free) if any(free) else rows
+
+
+def _feature_rows(f: "Features") -> "list[ParameterRow]":
     return [
-        [
-            name,
-            (bound if name == "Str" else "") + (f"{value:.5g}" if math.isfinite(value) else "–"),
-            unit,
-            meaning,
-        ]
-        for name, value, unit, meaning in rows
+        ("Spd", 1e6 * f.spd_per_um2, "1/mm²", "density of peaks"),
+        ("Spc", 1e3 * f.spc_per_um, "1/mm", "arithmetic mean peak curvature"),
+        ("S5p", f.s5p_um, "µm", "mean height of the five highest peaks"),
+        ("S5v", f.s5v_um, "µm", "mean depth of the five deepest pits"),
+        ("S10z", f.s10z_um, "µm", "ten-point height"),
+        ("Sha", f.sha_um2, "µm²", "mean area of closed hills"),
+        ("Sda", f.sda_um2, "µm²", "mean area of closed dales"),
+        ("Shv", f.shv_um3, "µm³", "mean volume of closed hills above their saddle"),
+        ("Sdv", f.sdv_um3, "µm³", "mean volume of closed dales below their saddle"),
     ]
 
 
@@ -136,6 +252,8 @@ def _caption(found: "Texture") -> str:
             )
     if found.spatial.str_is_bound:
         lines.append("Str is an upper bound: along the lay f_ACF stays above 0.2 for half the field")
+    if math.isnan(found.spatial.std_deg) and found.spatial.str_ > 0.0:
+        lines.append("no Std: a surface of Str 0.5 or more has no lay, and the strongest direction is chance")
     return "\n".join(lines)
 
 

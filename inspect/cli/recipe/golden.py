@@ -45,10 +45,13 @@ def add(
         raise UsageError("name the folders of one or more finished inspections")
     kind, path = kind_of(recipe), golden_path(recipe)
     rules = kind.read_recipe(recipe)
+    failed = []
     with _as_usage():
         known: Any = kind.read_reference(path, rules)
         for folder in folders:
             record = read_record(folder)
+            if record.verdict == "FAIL":
+                failed.append(record.serial)
             if record.kind != kind.name:
                 raise CalibrationError(
                     f"{record.serial} was inspected as a part of the kind '{record.kind}', and {recipe} is a recipe of "
@@ -57,13 +60,21 @@ def add(
             known = kind.add_reference(known, rules, record)
     assert known is not None
     write_golden(path, known)
-    return _print_change(path, len(folders), "added", known, kind.reference_noun, json_=json_)
+    if failed:
+        console(stderr=True).print(
+            f"note: the verdict of {', '.join(failed)} was FAIL: make sure that these parts are good, or take them out "
+            "with `anisoscope golden remove`",
+            markup=False,
+            highlight=False,
+            soft_wrap=True,
+        )
+    return _print_change(path, len(folders), "added", known, json_=json_)
 
 
 @app.command
 def remove(*serials: str, recipe: RecipeFile, json_: Json = False) -> int:
     """Take parts out of the set, by serial number; an empty set is deleted."""
-    from anisoscope.decision.reference_parts import golden_path, without_part, write_golden
+    from anisoscope.decision.reference_parts import golden_path, write_golden
     from anisoscope.kinds.registry import kind_of
 
     if not serials:
@@ -75,19 +86,28 @@ def remove(*serials: str, recipe: RecipeFile, json_: Json = False) -> int:
             raise CalibrationError(f"{path}: there are no golden parts of this recipe")
         before = len(known.parts)
         for serial in serials:
-            known = without_part(known, serial, kind.reference_noun)
+            known = known.without(serial)
     if known.parts:
         write_golden(path, known)
     else:
         path.unlink()
-    return _print_change(path, before - len(known.parts), "removed", known, kind.reference_noun, json_=json_)
+    return _print_change(path, before - len(known.parts), "removed", known, json_=json_)
 
 
 @app.command
-def show(*, recipe: RecipeFile, json_: Json = False) -> int:
-    """List the golden parts, and how much they vary."""
+def show(
+    *,
+    recipe: RecipeFile,
+    rig: Annotated[
+        Path | None, Parameter(name=["--rig", "-g"], help="Rig file, for its light angle.")
+    ] = None,
+    light_angle: Annotated[float, Parameter(help="Without --rig: angle of the light, degrees.")] = 10.0,
+    json_: Json = False,
+) -> int:
+    """List the golden parts, how much they vary, and which defects they can show."""
     from anisoscope.decision.reference_parts import golden_path
     from anisoscope.kinds.registry import kind_of
+    from anisoscope.rig.rigfile import read_rig
 
     path, kind = golden_path(recipe), kind_of(recipe)
     rules = kind.read_recipe(recipe)
@@ -97,7 +117,8 @@ def show(*, recipe: RecipeFile, json_: Json = False) -> int:
             raise CalibrationError(
                 f"{path}: there are no golden parts of this recipe: add some with `anisoscope golden add`"
             )
-    output = kind.show_reference(known, rules)
+    angle = light_angle if rig is None else read_rig(rig).light.angle_deg
+    output = kind.show_reference(known, rules, angle)
     content = _content(path, known.lacking, len(known.parts)) | output.content
     print_output(replace(output, content=content), json_=json_)
     return 0
@@ -112,7 +133,7 @@ def _content(path: Path, lacking: str | None, count: int) -> dict[str, Any]:
     }
 
 
-def _print_change(path: Path, number: int, what: str, known: "Reference", noun: str, *, json_: bool) -> int:
+def _print_change(path: Path, number: int, what: str, known: "Reference", *, json_: bool) -> int:
     from anisoscope.decision.reference_parts import counted
 
     lacking, count = known.lacking, len(known.parts)
@@ -121,7 +142,10 @@ def _print_change(path: Path, number: int, what: str, known: "Reference", noun: 
         return 0
     out = console()
     out.print(
-        f"{path}: {number} {what}, {counted(count, noun)}", markup=False, highlight=False, soft_wrap=True
+        f"{path}: {number} {what}, {counted(count, known.noun)}",
+        markup=False,
+        highlight=False,
+        soft_wrap=True,
     )
     if lacking and count:
         out.print(lacking, markup=False, highlight=False, soft_wrap=True)

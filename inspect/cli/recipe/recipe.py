@@ -1,4 +1,4 @@
-"""``anisoscope recipe``: begin a recipe, see what it can tell, and teach it a good part."""
+"""``anisoscope recipe``: new recipes, check of their capability, and teaching from a good part."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -7,7 +7,7 @@ from cyclopts import App, Parameter
 
 from anisoscope.base.errors import CalibrationError, UsageError
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import Json, parse_numbers
+from anisoscope.cli.options import Json, parse_numbers, parse_range
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import console, print_output, print_table
 
@@ -79,14 +79,87 @@ def check(
     try_tilts: Annotated[str, Parameter(help="Tilts that might be added, degrees; none: ''.")] = "10,20",
     json_: Json = False,
 ) -> int:
-    """Predict what a recipe's poses show, and say what it can and cannot tell apart; nothing moves."""
+    """Predict the poses of a recipe, their uncertainties, and which causes it can separate; nothing moves."""
     from anisoscope.kinds.registry import kind_of
 
     tries = parse_numbers(try_tilts, "--try-tilts") if try_tilts.strip() else ()
     kind = kind_of(file)
     with progress(file.name, quiet=json_) as advance:
-        output = kind.check_recipe(file, rig, light_angle, tries, advance)
-    print_output(output, json_=json_)
+        found = kind.check_recipe(file, rig, light_angle, tries, advance)
+    print_output(found.output(), json_=json_)
+    return 0
+
+
+@app.command
+def suggest(
+    file: File,
+    /,
+    *,
+    poses: Annotated[int, Parameter(help="Number of poses.")] = 6,
+    angles: Annotated[
+        str, Parameter(help="Allowed stage angles: from:to:step, or a list; degrees.")
+    ] = "0:345:15",
+    tilts: Annotated[str, Parameter(help="Allowed tilts: from:to:step, or a list; degrees.")] = "-20:20:5",
+    ignore: Annotated[
+        tuple[str, ...],
+        Parameter(help="First words of a defect that need not be found; repeat the option for several."),
+    ] = ("roughness along",),
+    noise: Annotated[
+        float, Parameter(help="Relative standard uncertainty of a pose by camera and lamp.")
+    ] = 0.003,
+    power: Annotated[float, Parameter(help="Required probability of finding each defect.")] = 0.9,
+    rig: Annotated[
+        Path | None, Parameter(name=["--rig", "-g"], help="Rig file, for its light angle.")
+    ] = None,
+    light_angle: Annotated[float, Parameter(help="Without --rig: angle of the light, degrees.")] = 10.0,
+    json_: Json = False,
+) -> int:
+    """Choose poses that show the defects of a recipe ([defects]) best among good parts that differ ([scatter])."""
+    from anisoscope.kinds.registry import kind_of
+    from anisoscope.rig.rigfile import read_rig
+    from anisoscope.study.best_poses import best_poses
+
+    kind = kind_of(file)
+    recipe = kind.read_recipe(file)
+    if not getattr(kind.reference_set, "predictive", False):
+        raise UsageError(
+            f"{file}: poses are chosen where a recipe states how good parts differ ([scatter]), not for {kind.one}"
+        )
+    angle = light_angle if rig is None else read_rig(rig).light.angle_deg
+    allowed = parse_range(angles, "--angles"), parse_range(tilts, "--tilts")
+    with progress(file.name, quiet=json_) as advance:
+        found = best_poses(recipe, angle, poses, *allowed, noise, power, ignore, advance)
+    if json_:
+        print_json(found)
+        return 0
+    counts = sorted(found.shown[0].power)
+    columns = [
+        "defect",
+        "d' [σ]",
+        "AUC",
+        *(f"found, {n} golden" for n in counts),
+        f"found in 90 %, {counts[-1]} golden",
+    ]
+    rows = [
+        [
+            one.defect,
+            f"{one.distance:.1f}",
+            f"{one.area:.3f}",
+            *(f"{one.power[n]:.0%}" for n in counts),
+            f"{one.detectable[counts[-1]]:.2f} × the size",
+        ]
+        for one in found.shown
+    ]
+    print_table(f"{file.name}: {poses} poses", columns, rows)
+    listed = ", ".join(f"[{stage:g}, {tilt:g}]" for stage, tilt in found.poses)
+    enough = (
+        f"every defect is found in {power:.0%} of parts from {found.golden} golden parts on"
+        if found.golden is not None
+        else f"some defect is found in fewer than {power:.0%} of parts with up to {counts[-1]} golden parts: allow "
+        "more poses, seat the parts better ([scatter] seating_tilt_deg), or accept a larger size ([defects])"
+    )
+    for line in (enough, "in the recipe:", "[poses]", f"stage_and_tilt_deg = [{listed}]"):
+        console().print(line, markup=False, highlight=False, soft_wrap=True)
     return 0
 
 
@@ -120,7 +193,7 @@ def teach(
         )
     found = _by_golden(file, rig, share) if serial is None else _by_part(file, rig, serial, out, json_=json_)
     if json_:
-        print_json(found.as_json())
+        print_json(found)
         return 0
     print_table(
         f"{file}: version {found.version}",

@@ -429,8 +429,11 @@ def checkerboard(
         float | None, Parameter(help="Distance of the light in mm; default: parallel light.")
     ] = None,
     bounces: Annotated[
-        int | Literal["all"], Parameter(help="Reflections followed: 1 is direct light, or 'all'.")
-    ] = 1,
+        int | Literal["all"] | None,
+        Parameter(
+            help="Reflections followed: 1 is direct light, or 'all'. All by default, under a near light 1."
+        ),
+    ] = None,
     plastic: PlasticOptions | None = None,
     rig: RigOptions | None = None,
 ) -> int:
@@ -447,6 +450,8 @@ def checkerboard(
     plate = Plate(second, 1000.0 * cell_mm, design, plastic.material(), two_directions(ridge_directions))
     if near_light is not None and not 0.0 < near_light < float("inf"):
         raise UsageError(f"--near-light takes a positive distance in mm, not {near_light:g}")
+    if bounces is None:
+        bounces = "all" if near_light is None else 1
     if bounces != "all" and bounces < 1:
         raise UsageError(f"--bounces must be 1 or more, or all, not {bounces}")
     convention = rig.convention()

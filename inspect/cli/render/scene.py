@@ -289,7 +289,7 @@ class SurfaceOptions:
         if note:
             width = (cut.shape[1] - 1) * cut.pixel_x_um
             pitch = relief.pitch_um if relief.pitch_um is not None and relief.pitch_um <= width else None
-            relief = Relief(cut, pitch, 1.0)
+            relief = Relief(cut, pitch, 1.0, direction_deg=relief.direction_deg)
         return Scene(relief, name, note)
 
     def _design(self) -> "tuple[HeightMap, str]":

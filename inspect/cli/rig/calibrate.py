@@ -1,7 +1,7 @@
 """``anisoscope calibrate``: calibrations of the rig."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import App, Parameter
 
@@ -13,6 +13,8 @@ from anisoscope.cli.tables import console, print_table
 
 if TYPE_CHECKING:
     from anisoscope.calibration.record import CalibrationRecord
+    from anisoscope.inspection.material_calibration import ScanPlan
+    from anisoscope.recipe.material_file import MaterialFile
 
 app = App(name="calibrate", help="Calibrate the rig.")
 
@@ -229,7 +231,7 @@ def check(
     operator: _Operator = None,
     json_: Json = False,
 ) -> int:
-    """Photograph a part that is kept for this, and compare it with what it showed when it was taught.
+    """Measure a check standard, and compare it with its first measurement.
 
     Exit code 0: in limits; 3: out of limits, so that inspections are INVALID until the rig is put right.
     """
@@ -255,9 +257,162 @@ def check(
     return _show(record, out, json_=json_)
 
 
+@app.command
+def material(
+    *,
+    rig: _Rig,
+    out: Annotated[Path | None, Parameter(help="Material file to write, such as abs.toml.")] = None,
+    coupon: Annotated[bool, Parameter(negative="", help="A flat piece of the plastic is scanned.")] = False,
+    part: Annotated[bool, Parameter(negative="", help="The ridged part of the recipe is scanned.")] = False,
+    recipe: Annotated[
+        Path | None,
+        Parameter(
+            name=["--recipe", "-r"], help="Recipe with exposure and region, and with the part's surface."
+        ),
+    ] = None,
+    readings: Annotated[
+        Path | None, Parameter(help="Instead of a scan: CSV stage_deg,tilt_deg,value[,u].")
+    ] = None,
+    tilt: Annotated[float, Parameter(help="Largest tilt of the scan in degrees.")] = 20.0,
+    step: Annotated[
+        float | None, Parameter(help="Step of the tilt in degrees; 2.5 for a coupon, 10 for a part.")
+    ] = None,
+    lobe: Annotated[
+        Literal["auto", "tail", "second-lobe"], Parameter(help="Family of lobes; auto: what fits better.")
+    ] = "auto",
+    name: Annotated[str | None, Parameter(help="Name of the plastic; else that of the file.")] = None,
+    dry_run: Annotated[bool, Parameter(negative="", help="Only print the plan; nothing moves.")] = False,
+    valid_days: _Days = None,
+    operator: _Operator = None,
+    json_: Json = False,
+) -> int:
+    """Scan a coupon or a part over stage and tilt: lobe and albedo of the plastic, with their covariance.
+
+    Prints how long it takes and what uncertainty follows, then scans. The stage homes and turns: nothing may stand in
+    its way. Exit code 0: the lobe fits; 3: it does not, or the specimen cannot be used.
+    """
+    from anisoscope.fit.lobe import Scan
+    from anisoscope.inspection.material_calibration import (
+        calibrate_material,
+        plan_scan,
+        read_scan,
+        scan_setup,
+        scan_specimen,
+    )
+
+    if coupon == part:
+        raise UsageError("say what is scanned: --coupon, a flat piece of the plastic, or --part")
+    if out is None and not dry_run:
+        raise UsageError("--out FILE.toml says where the material goes; --dry-run prints the plan only")
+    if readings is None and recipe is None:
+        raise UsageError(
+            "--recipe FILE says how the specimen is photographed; --readings FILE.csv needs none"
+        )
+    read = None if readings is None else read_scan(readings)
+    specimen: Literal["coupon", "part"] = "coupon" if coupon else "part"
+    setup = scan_setup(
+        rig, recipe, specimen, tilt_deg=tilt, step_deg=step, poses=None if read is None else read[0]
+    )
+    if dry_run or not json_:
+        plan = plan_scan(setup)
+        if json_:
+            print_json(_plan_as_json(plan))
+        else:
+            _show_plan(plan)
+    if dry_run:
+        return 0
+    assert out is not None
+    with progress("material", quiet=json_) as advance:
+        camera = ""
+        if read is not None:
+            scan = Scan(setup.poses, setup.convention, read[1], read[2])
+        else:
+            assert recipe is not None
+            scan, camera = scan_specimen(setup, rig, recipe, advance)
+        file, found = calibrate_material(
+            setup,
+            scan,
+            out,
+            name=name or out.stem,
+            lobe=lobe,
+            camera=camera,
+            valid_days=valid_days,
+            operator=operator,
+            on_progress=advance,
+        )
+    if json_:
+        print_json({"file": str(out), **file.model_dump(mode="json", by_alias=True)})
+    else:
+        _show_material(file, out)
+    return 0 if found.fits else 3
+
+
+def _plan_as_json(plan: "ScanPlan") -> dict[str, object]:
+    return {
+        "poses": [[pose.stage_deg, pose.tilt_deg] for pose in plan.setup.poses],
+        "seconds": plan.seconds,
+        "u": plan.information.u,
+        "ridge_angle_deg": plan.ridge_angle_deg,
+        "ratios_between": [[pose.stage_deg, pose.tilt_deg] for pose in plan.judged],
+        "u_log_ratios": plan.u_log_ratios.tolist(),
+        "remarks": list(plan.information.not_identified()),
+    }
+
+
+def _show_plan(plan: "ScanPlan") -> None:
+    """Print what a scan takes and what it would say."""
+    from anisoscope.fit.lobe import POSE_NOISE
+
+    poses, u = plan.setup.poses, plan.u_log_ratios
+    stage, tilts = {pose.stage_deg for pose in poses}, {pose.tilt_deg for pose in poses}
+    minutes = "" if plan.seconds is None else f", about {plan.seconds / 60.0:.1f} min"
+    extent = (
+        f"{len(poses)} poses: {len(stage)} stage angles, {len(tilts)} tilts from {min(tilts):g}° to {max(tilts):g}°"
+        f"{minutes}"
+    )
+    ratios = (
+        f"with {100.0 * POSE_NOISE:g} % a pose, u of ln ratios of {plan.ridge_angle_deg:g}° ridges from the material: "
+        f"0/90 {100.0 * u[0, 1]:.2f} %, 0/180 {100.0 * u[0, 2]:.2f} %, 90/180 {100.0 * u[1, 2]:.2f} %, over tilts of "
+        f"±10° at most {100.0 * u.max():.2f} %"
+    )
+    lines = [extent, ratios, *plan.information.not_identified()]
+    for line in lines:
+        console().print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def _show_material(file: "MaterialFile", out: Path) -> None:
+    """Print a calibrated material."""
+    one, u, test = file.material, file.covariance.u(), file.test
+    rows = [
+        ["roughness along", f"{one.alpha_along:.5f}", f"{one.alpha_along * u['ln_alpha_along']:.2g}"],
+        ["roughness across", f"{one.alpha_across:.5f}", f"{one.alpha_across * u['ln_alpha_across']:.2g}"],
+        ["albedo", f"{one.albedo:.4f}", f"{one.albedo * u['ln_albedo']:.2g}"],
+    ]
+    if "tail" in u:
+        rows.insert(2, ["tail", f"{one.tail:.3f}", f"{u['tail']:.2g}"])
+    if one.second_lobe is not None:
+        weight, width = one.second_lobe
+        rows.insert(
+            2, ["weight of the second lobe", f"{weight:.3f}", f"{weight * u['ln_second_weight']:.2g}"]
+        )
+        rows.insert(3, ["width of the second lobe", f"{width:.3f}", f"{width * u['ln_second_width']:.2g}"])
+    print_table(f"{file.id}: {file.name} (index {one.index:g}, stated)", ["what [1]", "value", "u"], rows)
+    lines = list(file.remarks)
+    if test is not None:
+        lines.append(
+            f"residuals of {100.0 * test.rms_share:.2f} %, {test.residual_over_noise:.2f} times their noise, "
+            f"{test.degrees_of_freedom} degrees of freedom"
+        )
+    low, high = file.validity.half_angle_deg
+    until = "" if file.validity.until is None else f", until {file.validity.until:%Y-%m-%d}"
+    lines.append(f"{out}: holds for half angles of {low:.1f}° to {high:.1f}°{until}")
+    for line in lines:
+        console().print(line, markup=False, highlight=False, soft_wrap=True)
+
+
 @app.command(name="list")
 def list_(*, rig: _Rig, json_: Json = False) -> int:
-    """List the calibrations of a rig: what there is, until when it holds, and what is missing.
+    """List the calibrations of a rig: which exist, until when they are valid, and which are missing.
 
     Exit code 0: inspections can use them; 3: one that the rig file names does not hold, or the flat is missing.
     """
@@ -265,7 +420,7 @@ def list_(*, rig: _Rig, json_: Json = False) -> int:
 
     found = list_calibrations(rig)
     if json_:
-        print_json([one.to_json() for one in found])
+        print_json(found)
     else:
         rows = [[one.kind, one.state, one.id or "", one.valid_until or "", one.file or ""] for one in found]
         print_table(f"Calibrations of {rig}", ["kind", "state", "id", "valid until", "file"], rows)

@@ -2,7 +2,7 @@
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -43,9 +43,11 @@ def commission(
     ] = "-20,-10,10,20",
     frames: Annotated[int, Parameter(help="Frames a pose.")] = 2,
     settle: Annotated[float, Parameter(help="Seconds to wait after every move.")] = 0.1,
-    all_reflections: Annotated[
-        bool, Parameter(negative="", help="Fit with light that reflects more than once.")
-    ] = False,
+    bounces: Annotated[
+        int | Literal["all"],
+        Parameter(help="Reflections that the model counts: 1 is direct light, or 'all'."),
+    ] = "all",
+    all_reflections: Annotated[bool, Parameter(negative="", show=False)] = False,
     keep_frames: Annotated[Path | None, Parameter(help="Empty folder that keeps the frames.")] = None,
     out: Annotated[
         Path | None, Parameter(help="Record to write; else RIG.commissioning.json beside the rig file.")
@@ -66,6 +68,10 @@ def commission(
     from anisoscope.commissioning.series import Series
     from anisoscope.kinds.registry import read_recipe
 
+    if bounces != "all" and bounces < 1:
+        raise UsageError(f"--bounces must be 1 or more, or all, not {bounces}")
+    if bounces != "all" and all_reflections:
+        raise UsageError(f"--all-reflections is --bounces all: leave it out with --bounces {bounces}")
     recipe = None if part is None else read_recipe(part)
     if exposure is None:
         if recipe is None:
@@ -80,7 +86,7 @@ def commission(
             rig,
             known,
             series,
-            Assumed(bounces=None if all_reflections else 1),
+            Assumed(bounces=None if bounces == "all" else bounces),
             frames=keep_frames,
             on_progress=advance,
         )

@@ -14,8 +14,7 @@ from cyclopts import Parameter
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.json_output import print_json_line
 from anisoscope.cli.options import Json
-from anisoscope.cli.rig.options import RigPath, write_line
-from anisoscope.cli.rig.snap import Exposure, Gain, LightState
+from anisoscope.cli.rig.options import Exposure, Gain, LightState, RigPath, write_line
 
 if TYPE_CHECKING:
     from anisoscope.live_view.page import LivePage

@@ -38,7 +38,7 @@ class _Moved:
 def home(
     *, which: Devices = NOTHING_NAMED, axis: Axis = "stage", yes: Yes = False, json_: Json = False
 ) -> int:
-    """Search the reference of an axis. It may turn a full turn: this asks first, unless --yes."""
+    """Search the reference of an axis. It may turn a full turn: confirm, or give --yes."""
     from anisoscope.rig.acquisition.opening import open_devices
 
     file, part = which.axis(axis)
@@ -69,7 +69,7 @@ def move(
     yes: Yes = False,
     json_: Json = False,
 ) -> int:
-    """Move an axis to an angle. An axis that was not homed is homed first, which this asks for, unless --yes."""
+    """Move an axis to an angle. An axis that was not homed is homed first: confirm, or give --yes."""
     from anisoscope.base.errors import UsageError
     from anisoscope.rig.stage import check_limits
 
@@ -100,7 +100,7 @@ def jog(
     yes: Yes = False,
     json_: Json = False,
 ) -> int:
-    """Move an axis by an angle. An axis that was not homed is homed first, which this asks for, unless --yes."""
+    """Move an axis by an angle. An axis that was not homed is homed first: confirm, or give --yes."""
 
     def go(stage: "RotationStage", _part: "AxisPart") -> None:
         stage.move_by(delta_deg)

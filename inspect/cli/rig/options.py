@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from anisoscope.rig.rigfile import AxisPart, RigFile
 
 AxisName = Literal["stage", "tilt"]
+Exposure = Annotated[float, Parameter(help="Exposure in seconds.")]
+Gain = Annotated[float, Parameter(help="Gain as a factor.")]
+LightState = Annotated[Literal["on", "off"], Parameter(help="Light while the picture is taken.")]
 RigPath = Annotated[Path, Parameter(name=["--rig", "-g"], help="Rig file (TOML).")]
 Yes = Annotated[bool, Parameter(name=["--yes", "-y"], negative="", help="Home without asking.")]
 
@@ -95,7 +98,7 @@ def write_line(text: str) -> None:
 
 
 def confirm(what: str, *, yes: bool) -> None:
-    """Announce the motion, and ask for permission.
+    """Announce the motion, and ask for confirmation.
 
     Raises:
         UsageError: nobody said yes, or there is no terminal to ask in.

@@ -29,7 +29,7 @@ def device(
     time_scale: float = 1.0,
     fault: Annotated[tuple[str, ...], Parameter(negative="")] = (),
 ) -> int:
-    """Serve a simulated stage or light until Ctrl-C; the first line says where.
+    """Serve a simulated stage or light until Ctrl-C; the first line gives its port.
 
     Args:
         pty: serve on a new pseudo terminal.
@@ -79,7 +79,7 @@ def bench(
     ] = False,
     write_rig: Annotated[Path | None, Parameter(help="Write a rig file that uses them.")] = None,
 ) -> int:
-    """Serve a whole virtual rig until Ctrl-C: what its stage does, its camera sees, whoever asks.
+    """Serve a whole virtual rig until Ctrl-C: its camera shows every motion of its stage, to all clients.
 
     The first line says where: serving bench on stage 127.0.0.1:4001, light 127.0.0.1:4002, camera 127.0.0.1:4003.
     A tilt axis is on the line of the stage. Only programs of this machine can connect.

@@ -2,23 +2,20 @@
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
-from anisoscope.cli.rig.options import RigPath, write_line
+from anisoscope.cli.rig.options import Exposure, Gain, LightState, RigPath, write_line
 
 if TYPE_CHECKING:
     from anisoscope.rig.acquisition.opening import Devices
     from anisoscope.rig.frame import Frame
     from anisoscope.rig.rigfile import RigFile
 
-Exposure = Annotated[float, Parameter(help="Exposure in seconds.")]
-Gain = Annotated[float, Parameter(help="Gain as a factor.")]
-LightState = Annotated[Literal["on", "off"], Parameter(help="Light while the picture is taken.")]
 SATURATED_SHARE = 0.001
 
 

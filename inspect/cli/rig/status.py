@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def status(*, which: Annotated[Which, Parameter(name="*")] = NOTHING_NAMED, json_: Json = False) -> int:
-    """Ask every device of the rig who it is and how it stands. Nothing moves.
+    """Query identity and state of every device of the rig. Nothing moves.
 
     A device that does not answer does not hide the others; the exit code is then that of a hardware error.
     """
@@ -41,9 +41,9 @@ def status(*, which: Annotated[Which, Parameter(name="*")] = NOTHING_NAMED, json
     return RigError.exit_code if failed else 0
 
 
-def _of(ask: "Callable[..., dict[str, Any]]", part: Any, *rest: Any) -> dict[str, Any]:  # noqa: ANN401
+def _of(query: "Callable[..., dict[str, Any]]", part: Any, *rest: Any) -> dict[str, Any]:  # noqa: ANN401
     try:
-        return {"driver": part.driver, **ask(part, *rest)}
+        return {"driver": part.driver, **query(part, *rest)}
     except AnisoscopeError as problem:
         return {"driver": part.driver, "error": " ".join(str(problem).split())}
 

@@ -32,7 +32,7 @@ def camera(
     if html is not None:
         write_camera_page(html, sheet)
     if json_:
-        print_json(sheet.to_json())
+        print_json(sheet)
     else:
         record = sheet.record
         until = f"valid until {record.valid_until:%Y-%m-%d}"

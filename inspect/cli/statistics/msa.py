@@ -1,7 +1,7 @@
 """``anisoscope msa``: measurement systems analysis."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, Parameter
 
@@ -24,7 +24,11 @@ from anisoscope.cli.statistics.source import (
 
 if TYPE_CHECKING:
     from anisoscope.base.arrays import FloatArray
+    from anisoscope.quality.bias import Bias
+    from anisoscope.quality.gauge import GaugeStudy
+    from anisoscope.quality.linearity import GaugeLinearity
     from anisoscope.quality.readings import Readings
+    from anisoscope.quality.stability import Stability
     from anisoscope.report.statistics_sections import Grid
 
 app = App(name="msa", help="How good is the measuring? Gauge R&R, bias, linearity, stability.")
@@ -62,7 +66,7 @@ def gauge(
     study = gauge_study(gauge_data(readings, name), tolerance)
     if html is not None:
         write_gauge_page(html, f"Gauge R&R: {name}", readings.source, study)
-    _show(study.to_json(), (components(study), anova(study)), study.notes, html, json_=json_)
+    _show(study, (components(study), anova(study)), study.notes, html, json_=json_)
     shares = (study.share_of_study(study.gauge), study.share_of_tolerance(study.gauge) or 0.0)
     return 0 if max(shares) <= POOR_SHARE else 1
 
@@ -96,7 +100,7 @@ def bias(
     study = bias_study(values, known, alpha)
     if html is not None:
         write_bias_page(html, f"Bias: {name}", readings.source, study, values)
-    _show(study.to_json(), (biases((study,)),), (), html, json_=json_)
+    _show(study, (biases((study,)),), (), html, json_=json_)
     return 1 if study.significant else 0
 
 
@@ -122,7 +126,7 @@ def linearity(
     study = gauge_linearity(readings.numbers[REFERENCE], values, alpha)
     if html is not None:
         write_linearity_page(html, f"Linearity: {name}", readings.source, study)
-    _show(study.to_json(), (biases(study.levels), line_table(study)), (), html, json_=json_)
+    _show(study, (biases(study.levels), line_table(study)), (), html, json_=json_)
     return 0 if study.fit else 1
 
 
@@ -159,7 +163,7 @@ def stability(
     if html is not None:
         write_stability_page(html, f"Stability: {name}", readings.source, study)
     grids = (*tables(study.chart, 20), *(() if study.bias is None else (biases((study.bias,)),)))
-    _show(study.to_json(), grids, study.chart.notes, html, json_=json_)
+    _show(study, grids, study.chart.notes, html, json_=json_)
     return 1 if not study.chart.stable or (study.bias is not None and study.bias.significant) else 0
 
 
@@ -188,7 +192,7 @@ def _reference(readings: "Readings", given: float | None) -> float | None:
 
 
 def _show(
-    content: dict[str, Any],
+    study: "GaugeStudy | Bias | GaugeLinearity | Stability",
     grids: "tuple[Grid, ...]",
     notes: tuple[str, ...],
     html: Path | None,
@@ -196,10 +200,10 @@ def _show(
     json_: bool,
 ) -> None:
     if json_:
-        print_json(content)
+        print_json(study)
         return
     for grid in grids:
         print_grid(grid)
-    write_lines(*notes, str(content["verdict"]))
+    write_lines(*notes, study.verdict)
     if html is not None:
         write_lines(f"{html}: the page")

@@ -128,7 +128,7 @@ def _deliver(
     if json_:
         content = {
             "source": readings.source,
-            "studies": [study.to_json() for study in found],
+            "studies": found,
             "skipped": skipped,
         }
         print_json(content)

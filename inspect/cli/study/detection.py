@@ -1,7 +1,7 @@
 """``anisoscope study detection``: how often good parts fail and bad ones pass, on the virtual rig."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 from cyclopts import Parameter
 
@@ -18,9 +18,18 @@ if TYPE_CHECKING:
 def detection_command(
     *,
     world: Annotated[
-        Literal["same", "other", "both"],
-        Parameter(help="Rendered as the predictor does, in another way, or both side by side."),
-    ] = "both",
+        tuple[
+            Literal["same", "ggx", "student", "two-scale", "reflections", "camera", "lamp", "other", "both"],
+            ...,
+        ],
+        Parameter(
+            help="How parts are rendered, repeatable: as the predictor does (same); by a path tracer that shares "
+            "nothing with it, with other lobes and reflections (ggx, student, two-scale), with the predictor's lobe "
+            "and reflections, a non-linear camera or a near lamp (reflections, camera, lamp), or with GGX lobes and "
+            "all of these (other); both is same and other.",
+            negative=(),
+        ),
+    ] = ("both",),
     parts: Annotated[int, Parameter(help="Good parts; 100 gives a quick look.")] = 2000,
     defective: Annotated[
         int | None, Parameter(help="Parts of every class of defects; 300, or 3 in 20 of fewer good parts.")
@@ -51,7 +60,8 @@ def detection_command(
     from anisoscope.study.detection.run import Plan, study_results
     from anisoscope.study.sweep import Workers
 
-    worlds: tuple[World, ...] = ("same", "other") if world == "both" else (world,)
+    named = [name for one in world for name in (("same", "other") if one == "both" else (one,))]
+    worlds = cast("tuple[World, ...]", tuple(dict.fromkeys(named)))
     recipes: tuple[RecipeName, ...] = ("standard", "tilted") if recipe == "both" else (recipe,)
     count = defective if defective is not None else min(300, max(1, 3 * parts // 20))
     folder_option: dict[str, Any] = {} if folder is None else {"folder": folder.resolve()}

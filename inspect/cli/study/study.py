@@ -326,7 +326,7 @@ def best_angle_command(
     html: HtmlOption = None,
     plot: PlotOption = None,
 ) -> int:
-    """Ask whether an imperfection moves the best ridge angle of the published experiment from 5° to 10°."""
+    """Test whether an imperfection moves the best ridge angle of the published experiment from 5° to 10°."""
     from anisoscope.report.study_page import check_picture
     from anisoscope.sim.light.material import Material
     from anisoscope.study.best_angle import IMPERFECTIONS, best_angle

@@ -4,13 +4,13 @@ Every picture is turned back about the rotation axis by the stage angle; the rem
 fitted to the directions of edges. Ridges are periodic, so that a picture fits equally well one pitch further; outline
 and single marks resolve the ambiguity. Pictures whose position stays ambiguous are refused.
 
-Turning the part inverts contrasts, and with them the sign of every gradient; its direction modulo 180° is invariant,
-and so is its square as a complex number (orientation correlation of Fitch et al., BMVC 2002, squared to be independent
-of the sign of contrast). A strong edge counts hardly more than a weak one above the noise.
+Turning the part inverts contrasts, and with them the sign of every gradient. The direction modulo 180° is invariant,
+and so is the square of the gradient as a complex number (orientation correlation of Fitch et al., BMVC 2002, squared to
+be independent of the sign of contrast). The weight of an edge saturates above the noise.
 
-All shifts are correlated at once by Fourier transform. The ridges stand out in the spectrum and are damped there, so
-that they do not mask what distinguishes one pitch from the next. The best position is refined by least squares in shift
-and rotation over all edges.
+All shifts are correlated at once by Fourier transform. The harmonics of the ridges are damped in the spectrum, so that
+they do not mask the features that distinguish one pitch from the next. The best position is refined by least squares in
+shift and rotation over all edges.
 """
 
 from collections.abc import Sequence

@@ -24,7 +24,7 @@ class Operator(Protocol):
 
     @property
     def interactive(self) -> bool:
-        """Whether anybody answers."""
+        """Whether an operator is present to answer."""
         ...
 
     def place(self, slot: SlotResult, *, again: bool, needs_serial: bool) -> Answer:

@@ -12,17 +12,8 @@ from anisoscope.diagnosis.part_diagnosis import diagnosis_record
 from anisoscope.imaging.pose_radiance import check_light, check_view
 from anisoscope.imaging.quality_gates import check_views
 from anisoscope.imaging.views import most_changed
-from anisoscope.kinds.kind import (
-    CommandOutput,
-    Explanation,
-    Kind,
-    NewRecipe,
-    Reference,
-    Results,
-    Sitting,
-    Table,
-    usable,
-)
+from anisoscope.kinds.command_output import CommandOutput, Table
+from anisoscope.kinds.kind import Explanation, Kind, NewRecipe, Reference, Results, Sitting, usable
 from anisoscope.kinds.prints.causes import explain_print
 from anisoscope.kinds.prints.decision import PrintDecision, decide_print, nothing_wrong, print_results
 from anisoscope.kinds.prints.expectation import PrintExpectation
@@ -34,11 +25,11 @@ from anisoscope.kinds.prints.lighting import (
     lamp_and_sensitivities,
     print_files,
 )
-from anisoscope.kinds.prints.measurement import MeasuredPrint, measure_print, region_mean
+from anisoscope.kinds.prints.measurement import MeasuredPrint, check_print_dirt, measure_print, region_mean
 from anisoscope.kinds.prints.recipe import PrintRecipe, read_print_recipe
 from anisoscope.kinds.prints.record import PrintDetails, print_of
-from anisoscope.kinds.prints.reference_prints import GoldenPrints, add_print, read_golden_prints
-from anisoscope.kinds.prints.stationary_artifacts import check_print_dirt
+from anisoscope.kinds.prints.reference_prints import GoldenPrints, read_golden_prints
+from anisoscope.kinds.recipe_check import RecipeCheck
 from anisoscope.recipe.teaching import Taught
 from anisoscope.record.schema import DiagnosisRecord, Record
 from anisoscope.report.inspection_page import Pictures, Sections
@@ -52,7 +43,7 @@ class Prints(Kind[PrintRecipe, PrintExpectation, MeasuredPrint, PrintDecision]):
 
     name = "prints"
     one = "a print"
-    reference_noun = "golden print"
+    reference_set = GoldenPrints
 
     @property
     def recipe(self) -> type[PrintRecipe]:
@@ -74,7 +65,7 @@ class Prints(Kind[PrintRecipe, PrintExpectation, MeasuredPrint, PrintDecision]):
 
     def check(self, recipe: PrintRecipe, rig: RigFile, recipe_path: Path, rig_path: Path) -> None:
         """Check that the rig file states lamp spectrum and sensitivities."""
-        del recipe, recipe_path
+        super().check(recipe, rig, recipe_path, rig_path)
         check_print_rig(rig, rig_path)
 
     def sources(self, recipe: PrintRecipe, rig: RigFile) -> Mapping[str, Path]:
@@ -110,7 +101,7 @@ class Prints(Kind[PrintRecipe, PrintExpectation, MeasuredPrint, PrintDecision]):
             # a tilted arm looks from elsewhere: within a tilt only must the centre stay where it is
             alike = next(first for first in views.poses if first.tilt_deg == view.tilt_deg)
             check_view(view, alike, recipe, pixel_um)
-            sitting.calibrations.check_place(view.stage_deg, view.placement)
+            sitting.calibrations.check_place(view.stage_deg, view.placement, recipe.limits.fixture_um)
         check_views(views.poses)
         measured = measure_print(views.poses, closing, recipe, filters)
         check_print_dirt(views.poses, recipe, filters, expected.eye, measured.channels)
@@ -179,12 +170,14 @@ class Prints(Kind[PrintRecipe, PrintExpectation, MeasuredPrint, PrintDecision]):
         """The golden prints."""
         return read_golden_prints(path, recipe, rig)
 
-    def add_reference(self, known: Any, recipe: PrintRecipe, record: Record) -> GoldenPrints:  # noqa: ANN401
-        """Golden prints with one more."""
-        return add_print(known, recipe, record)
-
-    def show_reference(self, known: Any, recipe: PrintRecipe) -> CommandOutput:  # noqa: ANN401
+    def show_reference(
+        self,
+        known: Any,  # noqa: ANN401
+        recipe: PrintRecipe,
+        light_angle_deg: float = 10.0,
+    ) -> CommandOutput:
         """Golden prints, and how much they vary."""
+        del light_angle_deg
         from anisoscope.kinds.prints.reference_prints import reference_table
 
         return reference_table(known, recipe)
@@ -218,23 +211,23 @@ class Prints(Kind[PrintRecipe, PrintExpectation, MeasuredPrint, PrintDecision]):
 
     def teach_by_reference(self, recipe_path: Path, rig_path: Path, share: float) -> Taught:
         """Write a new version of the recipe with the tolerances that its golden prints teach."""
-        from anisoscope.kinds.prints.teach import teach_by_golden
+        from anisoscope.kinds.prints.tolerances import teach_by_golden
 
         return teach_by_golden(recipe_path, rig_path, share)
 
-    def check_recipe(
+    def capability(
         self,
-        path: Path,
-        rig_path: Path | None,
+        recipe: PrintRecipe,
+        rig: RigFile | None,
         light_angle_deg: float,
-        tries: Sequence[float] = (),
-        advance: Advance = silent,
-    ) -> CommandOutput:
+        tries: Sequence[float],
+        advance: Advance,
+    ) -> RecipeCheck:
         """Poses, quantities with u, and separability of causes; without a rig file for a synthetic lamp and camera."""
         from anisoscope.kinds.prints.recipe_check import checked_print
 
         del tries
-        return checked_print(path, rig_path, light_angle_deg, advance)
+        return checked_print(recipe, rig, light_angle_deg, advance)
 
     def pictures(
         self,

@@ -164,7 +164,7 @@ def _reflectances(expected: PrintExpectation, measured: MeasuredPrint) -> FloatA
 def _weighed(
     expected: PrintExpectation, measured: MeasuredPrint, recipe: PrintRecipe, logs: FloatArray, missing: float
 ) -> tuple[float, float]:
-    """χ² and −2 ln of the likelihood of a share of missing ink; infinite where nothing at all would be seen."""
+    """χ² and −2 ln of the likelihood of a share of missing ink; infinite where a predicted radiance is zero."""
     state = State(missing=missing)
     if expected.scene.channels(state).min() <= 0.0:
         return np.inf, np.inf

@@ -119,7 +119,8 @@ class Scene:
         """
         to_light, to_camera = directions(self.poses, Convention(self.light_angle_deg))
         half, good = half_vector(to_light, to_camera), State()
-        leans = np.stack([seating_rotation(-y, x) for x, y in np.asarray(tilts_deg)])
+        x_deg, y_deg = np.asarray(tilts_deg).T
+        leans = seating_rotation(-y_deg, x_deg)
         shares = _density(self.ink, half @ leans, good, self.lobe) / _density(self.ink, half, good, self.lobe)
         paper = to_light[:, 2:] * (1.0 - self.coverage) * self.substrate / np.pi
         return np.asarray(paper + shares[..., None] * (self.channels() - paper))

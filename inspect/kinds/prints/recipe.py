@@ -94,6 +94,10 @@ class PrintPoses(PosesPart):
     def _reaches_across_the_lobe(self) -> Self:
         if self.facet_azimuth_deg != 0.0:
             raise ValueError("facet_azimuth_deg belongs to ridges: leave it out for a print")
+        if self.stage_and_tilt_deg is not None:
+            raise ValueError(
+                "stage_and_tilt_deg belongs to ridges: give angles_deg and tilts_deg for a print"
+            )
         if len({abs(tilt) for tilt in self.tilts_deg}) < 3:
             raise ValueError(
                 "tilts_deg needs three different tilts or more, such as [0.0, 10.0, 20.0], so that the width of the "
@@ -304,7 +308,7 @@ def new_print_recipe(product: str, ink: str, wrong_inks: tuple[str, ...] = ()) -
 
 
 def write_new_recipe(out: Path, requested: NewRecipe) -> None:
-    """Write the recipe of a print, valid as written; a file of an ink is named as seen from the recipe.
+    """Write the recipe of a print, valid as written; the path of an ink file is relative to the recipe.
 
     Raises:
         UsageError: options of ridges were given as well, no ink was named, or there is no such ink.

@@ -1,25 +1,25 @@
 """Check of a print's recipe before anything moves: uncertainties of the judged quantities, separability of causes."""
 
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from anisoscope.base.errors import MeasurementError, RecipeError
+from anisoscope.base.json_fields import in_json
 from anisoscope.base.progress import Advance
-from anisoscope.diagnosis.separability import Separability, separability
-from anisoscope.kinds.causes_table import causes_content, causes_table
-from anisoscope.kinds.kind import CommandOutput, Table
+from anisoscope.diagnosis.separability import separability
+from anisoscope.kinds.command_output import Table
 from anisoscope.kinds.prints.causes import U_BACKGROUND, known_causes
 from anisoscope.kinds.prints.decision import PrintDecision, decide_print
 from anisoscope.kinds.prints.expectation import PrintExpectation, expect_print, rig_sources
-from anisoscope.kinds.prints.lighting import SYNTHETIC, check_print_rig, expectation_of_print
+from anisoscope.kinds.prints.lighting import SYNTHETIC, expectation_of_print
 from anisoscope.kinds.prints.measurement import MeasuredPrint, cell_grid
 from anisoscope.kinds.prints.pose_colours import without_lean
 from anisoscope.kinds.prints.quantities import Quantity
-from anisoscope.kinds.prints.recipe import PrintRecipe, read_print_recipe
+from anisoscope.kinds.prints.recipe import PrintRecipe
 from anisoscope.kinds.prints.sources import Source, of_poses, total
-from anisoscope.rig.rigfile import read_rig
+from anisoscope.kinds.recipe_check import RecipeCheck
+from anisoscope.rig.rigfile import RigFile
 from anisoscope.sim.materials.spectra import find_illuminant, find_sensitivities
 
 TARGET_SHARE = 0.9
@@ -46,6 +46,7 @@ class PlannedQuantity:
     passing: float
 
     @property
+    @in_json()
     def ratio(self) -> float | None:
         """T/U."""
         return None if self.u == 0.0 else self.limit / (2.0 * self.u)
@@ -61,15 +62,54 @@ class PlannedPose:
     brightness: float
 
 
-@dataclass(frozen=True)
-class PrintRecipeCheck:
-    """Capability of a print's recipe: poses, judged quantities, and separability of causes."""
+@dataclass(frozen=True, kw_only=True)
+class PrintRecipeCheck(RecipeCheck):
+    """Capability of a print's recipe: poses, judged quantities, and separability of causes.
+
+    ``synthetic_rig``: without a rig file lamp and camera are synthetic.
+    """
 
     poses: tuple[PlannedPose, ...]
     quantities: tuple[PlannedQuantity, ...]
-    causes: tuple[Separability, ...]
     matrix_residual: float
-    complaints: tuple[str, ...]
+    synthetic_rig: bool = False
+
+    def tables(self) -> tuple[Table, ...]:
+        """Poses, and what is judged."""
+        poses = Table(
+            self.product,
+            ["stage [°]", "tilt [°]", "red [1/sr]", "green [1/sr]", "blue [1/sr]", "by the brightest"],
+            [
+                [
+                    f"{pose.stage_deg:g}",
+                    f"{pose.tilt_deg:g}",
+                    *(f"{value:.4f}" for value in pose.channels),
+                    f"{pose.brightness:.1%}",
+                ]
+                for pose in self.poses
+            ],
+        )
+        quantities = Table(
+            "what is judged",
+            ["quantity", "limit", "u", "T/U"],
+            [
+                [
+                    one.title,
+                    f"{one.limit:g} {one.unit}".strip(),
+                    f"{one.u:.2g}",
+                    "–" if one.ratio is None else f"{one.ratio:.1f}",
+                ]
+                for one in self.quantities
+            ],
+        )
+        return poses, quantities
+
+    def notes(self) -> tuple[str, ...]:
+        """The colour matrix, and whose lamp and camera were taken."""
+        matrix = f"the matrix from the camera's channels to XYZ leaves ΔE {self.matrix_residual:.2f} on a good print"
+        if not self.synthetic_rig:
+            return (matrix,)
+        return matrix, "lamp and camera are made-up ones: name a rig file with --rig for its own"
 
 
 def check_print_recipe(recipe: PrintRecipe, expected: PrintExpectation) -> PrintRecipeCheck:
@@ -102,7 +142,12 @@ def check_print_recipe(recipe: PrintRecipe, expected: PrintExpectation) -> Print
     quantities = planned_quantities(recipe, expected, decision)
     planned = _poses(expected)
     return PrintRecipeCheck(
-        planned, quantities, causes, expected.eye.residual, _complaints(recipe, planned, quantities)
+        product=recipe.product,
+        poses=planned,
+        quantities=quantities,
+        causes=causes,
+        matrix_residual=expected.eye.residual,
+        complaints=_complaints(recipe, planned, quantities),
     )
 
 
@@ -204,54 +249,14 @@ LAMP = "led-white"
 
 
 def checked_print(
-    file: Path, rig_path: Path | None, light_angle_deg: float, advance: Advance
-) -> CommandOutput:
-    """Check of a print's recipe for the command line; without a rig file lamp and camera are synthetic."""
-    recipe = read_print_recipe(file)
+    recipe: PrintRecipe, rig: RigFile | None, light_angle_deg: float, advance: Advance
+) -> PrintRecipeCheck:
+    """Check of a print's recipe; without a rig lamp and camera are synthetic."""
     advance("prediction", 0, 1)
-    if rig_path is not None:
-        rig = read_rig(rig_path)
-        check_print_rig(rig, rig_path)
+    if rig is not None:
         expected = expectation_of_print(recipe, rig)
     else:
         lamp, camera = find_illuminant(LAMP), find_sensitivities(SYNTHETIC, "rggb")
         expected = expect_print(recipe, light_angle_deg, lamp, camera)
     advance("causes", 0, 1)
-    found = check_print_recipe(recipe, expected)
-    content = asdict(found)
-    for row, one in zip(content["quantities"], found.quantities, strict=True):
-        row["ratio"] = one.ratio
-    causes_content(content["causes"], found.causes)
-    first = Table(
-        recipe.product,
-        ["stage [°]", "tilt [°]", "red [1/sr]", "green [1/sr]", "blue [1/sr]", "by the brightest"],
-        [
-            [
-                f"{pose.stage_deg:g}",
-                f"{pose.tilt_deg:g}",
-                *(f"{value:.4f}" for value in pose.channels),
-                f"{pose.brightness:.1%}",
-            ]
-            for pose in found.poses
-        ],
-    )
-    second = Table(
-        "what is judged",
-        ["quantity", "limit", "u", "T/U"],
-        [
-            [
-                one.title,
-                f"{one.limit:g} {one.unit}".strip(),
-                f"{one.u:.2g}",
-                "–" if one.ratio is None else f"{one.ratio:.1f}",
-            ]
-            for one in found.quantities
-        ],
-    )
-    lines = [
-        f"the matrix from the camera's channels to XYZ leaves ΔE {found.matrix_residual:.2f} on a good print"
-    ]
-    if rig_path is None:
-        lines.append("lamp and camera are made-up ones: name a rig file with --rig for its own")
-    tables = (first, second, causes_table(found.causes))
-    return CommandOutput(content, tables, (*lines, *found.complaints))
+    return replace(check_print_recipe(recipe, expected), synthetic_rig=rig is None)

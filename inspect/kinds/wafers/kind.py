@@ -1,13 +1,106 @@
-"""Etched wafers as a kind of part."""
+"""Etched wafers as a kind of part: their prediction from the diffraction orders of the tile, with its uncertainty."""
 
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
+from anisoscope.base.arrays import FloatArray
+from anisoscope.decision.reference_parts import GoldenSet
+from anisoscope.imaging.area_limit import MIN_PARTS
 from anisoscope.imaging.views import clipped_at_white
 from anisoscope.kinds.surface import SurfaceKind
-from anisoscope.kinds.wafers.discriminating_poses import WAFER_CAUSES
-from anisoscope.kinds.wafers.optics import WAFERS as OPTICS
-from anisoscope.kinds.wafers.recipe import WaferRecipe, recognises
+from anisoscope.kinds.wafers.causes import WAFER_CAUSES
+from anisoscope.kinds.wafers.etched import EtchedPredictor
+from anisoscope.kinds.wafers.lighting import moved_light, recipe_wafer
+from anisoscope.kinds.wafers.recipe import WaferRecipe, of_wafer, recognises
+from anisoscope.kinds.wafers.states import BEYOND, DEPTH, SCATTER, WIDTH, WaferStates
+from anisoscope.prediction.expectation import NEGLIGIBLE, Component
+from anisoscope.prediction.optics_selection import optics_for
+from anisoscope.prediction.recipe_models import Models, optics_notes, optics_request_of, rig_of
+from anisoscope.prediction.sensitivity import State, evaluate, fixed
+from anisoscope.recipe.surface import SurfaceRecipe
+from anisoscope.sim.light.geometry import Convention, Pose
+from anisoscope.sim.light.wave.choice import NUMERICAL_ERROR
+
+DRAWN_UM = 64.0
+"""Side of the drawn part of a wafer, µm."""
+
+
+class WaferOptics:
+    """The optics of etched wafers; a `prediction.expectation.SurfaceOptics`."""
+
+    def models(self, recipe: SurfaceRecipe, poses: tuple[Pose, ...], convention: Convention) -> Models:
+        """The diffraction orders of the tile.
+
+        Raises:
+            HeightMapError: the height map cannot be read, or is no surface of level steps.
+            RecipeError: it is not the tile that repeats.
+        """
+        found, surface = recipe_wafer(of_wafer(recipe), convention.light_angle_deg)
+        rig, request = rig_of(recipe, poses, convention), optics_request_of(recipe)
+        notes = optics_notes(optics_for(surface, rig, request), rig, request)
+        notes |= {
+            "model": "wave",
+            "stated_error": NUMERICAL_ERROR,
+            "reason": f"{notes['reason']} (a mirror with steps: diffraction orders of the tile)",
+        }
+        points = int(DRAWN_UM / surface.pixel_x_um)
+        drawn = surface.with_height(surface.height_um[:points, :points])
+        return Models(found, fixed(found), drawn, "wave", notes, numerical=NUMERICAL_ERROR)
+
+    def components(
+        self,
+        recipe: SurfaceRecipe,
+        models: Models,
+        radiance: FloatArray,
+        nominal: State,
+        convention: Convention,
+    ) -> list[Component]:
+        """What good etching and the stated lamp and lens leave open; every source shared by all poses."""
+        wafer, predictor = of_wafer(recipe), models.model
+        assert isinstance(predictor, EtchedPredictor)
+        assert wafer.light is not None
+        poses, stated = wafer.poses.poses(), wafer.uncertainty
+        cases = moved_light(wafer.light, predictor.light)
+        pairs = [(name, predictor.under(low), predictor.under(high)) for name, low, high in cases]
+        if (deep := stated.etch_depth_nm) > 0.0:
+            pairs.append((DEPTH, predictor.with_depths(-deep), predictor.with_depths(deep)))
+        if (wide := stated.etch_width_nm) > 0.0:
+            pairs.append((WIDTH, predictor.with_widths(-wide), predictor.with_widths(wide)))
+        found = []
+        for name, below, above in pairs:
+            low, high = (
+                np.log(evaluate(fixed(end), [nominal], poses, convention)[0] / radiance)
+                for end in (below, above)
+            )
+            found.append(Component(name, "prediction", 0.5 * (high - low), shared=True))
+            bend = np.sqrt(3.0) * 0.5 * (high + low)  # root mean square of z² for a normal z
+            if np.abs(bend).max() > NEGLIGIBLE:
+                found.append(Component(f"{name}{BEYOND}", "prediction", bend, shared=True))
+        return found
+
+    def states(self, recipe: SurfaceRecipe, light_angle_deg: float) -> WaferStates:
+        """The states of a wafer's recipe; they are computed on demand."""
+        return WaferStates(of_wafer(recipe).deciding(), light_angle_deg)
+
+    def omitted_if_zero(self, _source: str) -> bool:
+        """All sources of plastics: a mirror has few of them."""
+        return True
+
+    def source_name(self, source: str) -> str:
+        """A mirror scatters where a plastic has an albedo."""
+        return source.replace("albedo of the plastic", SCATTER)
+
+
+OPTICS = WaferOptics()
+
+
+class WaferSet(GoldenSet):
+    """The good wafers of one recipe: compared by their own scatter, because recipes state none between them."""
+
+    predictive = False
+    area_parts = MIN_PARTS
 
 
 class Wafers(SurfaceKind[WaferRecipe]):
@@ -21,6 +114,7 @@ class Wafers(SurfaceKind[WaferRecipe]):
     guides = (clipped_at_white,)
     optics = OPTICS
     causes = WAFER_CAUSES
+    reference_set = WaferSet
 
     @property
     def recipe(self) -> type[WaferRecipe]:

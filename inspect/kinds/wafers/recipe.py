@@ -6,7 +6,7 @@ from typing import Annotated, Any, Self
 from pydantic import Field, model_validator
 
 from anisoscope.base.toml_file import NotNegative, Positive, Share
-from anisoscope.recipe.surface import MaterialPart, RigUncertainty, SurfaceRecipe
+from anisoscope.recipe.surface import DefectsPart, MaterialPart, RigUncertainty, ScatterPart, SurfaceRecipe
 
 
 class WaferMaterial(MaterialPart):
@@ -54,6 +54,16 @@ class WaferRecipe(SurfaceRecipe):
                 "surface: a wafer (material.reflectance) is compared with a height_map of the tile that repeats on it; "
                 "`anisoscope design height` makes one of a design, a layout or a mask"
             )
+        for table, given, usual in (
+            ("scatter", self.scatter, ScatterPart()),
+            ("defects", self.defects, DefectsPart()),
+            ("surface.reflections", self.surface.reflections, "all"),
+            ("poses.stage_and_tilt_deg", self.poses.stage_and_tilt_deg, None),
+        ):
+            if given not in (usual, None):
+                raise ValueError(
+                    f"{table} belongs to ridges: leave it out for a wafer (material.reflectance)"
+                )
         if self.surface.optics == "geometric":
             raise ValueError(
                 'surface.optics: rays know nothing of level steps; take "auto" or "wave" for a wafer'

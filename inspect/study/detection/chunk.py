@@ -1,13 +1,13 @@
 """Chunk of the study: parts that share one camera, photographed, measured and decided as by ``inspect``.
 
-Quantities that follow from radiances alone (significance, diagnosis) are computed from the cache at evaluation.
-A chunk depends on the seed, the world, the class and its number alone; it is cached, so that a study that was
-interrupted resumes where it stopped, and a larger one reuses the chunks of a smaller one.
+Quantities that follow from radiances alone (significance, diagnosis) are computed at evaluation, from the stored
+radiances. A chunk depends only on the seed, the world, the class and its number. It is cached: an interrupted study
+resumes, and a larger one reuses the chunks of a smaller one.
 
-A part is cut from its sheet, given its own shape, lobe, seating and lamp, and photographed through lens and sensor.
-Everything that is the same all along the ridges changes the radiance as on smooth ridges with the whole roughness in
-the lobe: one profile in this state over the nominal one, column by column, exact for every part. That this product is
-the radiance of the rough surface in that state is checked against the full route in the tests.
+A part is cut from its sheet, gets its own shape, lobe, seating and lamp, and is photographed through lens and sensor.
+A change that is uniform along the ridges acts on the radiance as on smooth ridges with the whole roughness in the lobe.
+It is applied as the ratio of one profile in this state to the nominal one, column by column, exactly for every part. A
+test compares this product with the radiance of the rough surface in that state.
 """
 
 import io
@@ -36,9 +36,9 @@ from anisoscope.sim.bench.lamp import Lamp
 from anisoscope.sim.bench.optics import image_of_surface, pixel_from_mm, vignette
 from anisoscope.sim.bench.sensor import Sensor
 from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_rotation
-from anisoscope.sim.light.ggx import lobe_maps
-from anisoscope.sim.light.relief import Relief
-from anisoscope.study.detection.lobes import POINTS_A_PITCH, lobes_of, quick_shine
+from anisoscope.sim.light.relief import Relief, shine_maps
+from anisoscope.sim.pathtracer.tracer import PathTracer
+from anisoscope.study.detection.lobes import POINTS_A_PITCH, lobes_of, plastic_of, quick_shine
 from anisoscope.study.detection.product import (
     BY_NAME,
     GOOD,
@@ -49,6 +49,7 @@ from anisoscope.study.detection.product import (
     PITCH_UM,
     RECIPES,
     RIDGE_ANGLE_DEG,
+    WORLDS,
     RecipeName,
     Size,
     Specimen,
@@ -68,6 +69,7 @@ from anisoscope.study.detection.sheets import (
 Image = npt.NDArray[np.float32]
 
 TILE = 0.99
+TRACED_ROWS = 33
 _FLAT_FRAMES = 16
 
 
@@ -97,15 +99,19 @@ def profile_radiance(specimen: Specimen, world: World, *, stage_errors: bool = T
     sides = [side @ seat for side in directions(poses, Convention(specimen.light_deg))]
     material = specimen.plastic(lobes_of(world).smooth)
     material = replace(material, albedo=min(material.albedo, 0.99))
-    shines = [quick_shine(light, camera, material) for light, camera in zip(*sides, strict=True)]
-    radiance = lobe_maps(
-        Relief(_profile(specimen), PITCH_UM), shines, "beckmann" if world == "same" else "ggx"
-    )
     middle = slice(POINTS_A_PITCH, 2 * POINTS_A_PITCH)  # the crests to both sides stand
-    row = len(radiance[0]) // 2
-    return np.array(
-        [view[row, middle].reshape(POINTS, -1).mean(axis=1) for view in radiance], dtype=np.float64
-    )
+    if WORLDS[world].traced:
+        profile = _profile(specimen)
+        # many equal rows: whether a cell is lit and seen says a random point of it
+        middle_row = profile.height_um[len(profile.height_um) // 2]
+        profile = profile.with_height(np.tile(middle_row, (TRACED_ROWS, 1)))
+        tracer = PathTracer(profile, plastic_of(world, material), pitch_um=PITCH_UM, reflections=1)
+        lines = [tracer.direct(light, camera).mean(axis=0) for light, camera in zip(*sides, strict=True)]
+    else:
+        shines = [quick_shine(light, camera, material) for light, camera in zip(*sides, strict=True)]
+        radiance = list(shine_maps(Relief(_profile(specimen), PITCH_UM), shines))
+        lines = [view[len(view) // 2] for view in radiance]
+    return np.array([line[middle].reshape(POINTS, -1).mean(axis=1) for line in lines], dtype=np.float64)
 
 
 def nominal(views: int | None = None) -> Specimen:
@@ -119,12 +125,12 @@ def nominal(views: int | None = None) -> Specimen:
     )  # fmt: skip
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=8)
 def _nominal_profile(world: World) -> FloatArray:
     return profile_radiance(nominal(), world)
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=8)
 def _per_light_degree(world: World) -> FloatArray:
     """(V, POINTS) change of ln L per degree of light angle."""
     low, high = (
@@ -172,9 +178,9 @@ def _whole(size: Size) -> tuple[int, int]:
 
 
 def new_cameras(size: Size, world: World, rng: np.random.Generator) -> dict[tuple[int, int], Camera]:
-    """One camera, by the shape of the window that it reads out; in the other world it is not quite linear."""
+    """One camera, by the shape of the window that it reads out; in some worlds it is not quite linear."""
     part = size.sensor
-    if world == "other":
+    if WORLDS[world].nonlinear:
         part = part.model_copy(update={"nonlinearity": NONLINEARITY})
     whole = Sensor(part, rng)
     shapes = {size.window(pose.stage_deg) for pose in views_of_series()}
@@ -220,11 +226,11 @@ def _frame(
 def radiance_of_part(
     cut_out: npt.NDArray[np.float16], specimen: Specimen, world: World, bounces: FloatArray
 ) -> tuple[list[Image], FloatArray]:
-    """The part's radiance in every view, and (V,) its mean without errors of the stage: what should be measured.
+    """The part's radiance in every view, and (V,) its mean without errors of the stage: the true value.
 
     Args:
         cut_out: (P, rows, cols) piece of a sheet.
-        specimen: the part and the rig it lies on.
+        specimen: the part and its rig.
         world: which world.
         bounces: (P,) radiance of light that reflects more than once.
     """
@@ -242,7 +248,7 @@ def radiance_of_part(
         truth.append(float(whole.mean()) + bounces[pose])
         radiance *= np.tile(ratio[view].astype(np.float32), repeats)
         radiance += np.float32(bounces[pose])
-        if world == "other":
+        if WORLDS[world].near_lamp:
             radiance *= _near_led(view, radiance.shape, world)
         views.append(radiance)
     return views, np.array(truth)
@@ -270,11 +276,11 @@ def photograph(
     size: Size,
     rng: np.random.Generator,
 ) -> list[View]:
-    """All views of a part, linearised, with their placement: the true one, off by the error of the markers' fit.
+    """All views of a part, linearised, with their placement: the true one plus the error of the marker fit.
 
     Args:
         radiance: radiance of the part in every view.
-        specimen: the part and the rig it lies on.
+        specimen: the part and its rig.
         cameras: the camera, by window.
         size: of the study.
         rng: scatter of the lamp.
@@ -401,7 +407,7 @@ def _flat(row: Mapping[str, Any], before: str = "") -> dict[str, Any]:
 
 def _inspected(task: ChunkTask) -> list[Row]:
     sheet = sheet_of(task.sheet)
-    worlds, kinds = ("same", "other"), (GOOD, *BY_NAME)
+    worlds, kinds = list(WORLDS), (GOOD, *BY_NAME)
     entropy = [task.seed, worlds.index(task.world), kinds.index(task.kind), task.number]
     camera_rng, *parts = np.random.SeedSequence([7, *entropy]).spawn(1 + task.size.chunk)
     cameras = new_cameras(task.size, task.world, np.random.default_rng(camera_rng))
@@ -437,7 +443,7 @@ def judge(views: list[View], truth: FloatArray, name: RecipeName, size: Size) ->
 
     Args:
         views: of the whole series.
-        truth: (V,) radiances that an ideal measurement finds.
+        truth: (V,) radiances of an ideal measurement.
         name: of the recipe.
         size: of the study.
     """

@@ -1,6 +1,6 @@
-"""Reflectance of facets in the two worlds, fast for many materials; GGX lobe whose Beckmann fit is the recipe's."""
+"""Reflectance of facets in every world, fast for many materials; lobes whose Beckmann fit is the recipe's."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -10,14 +10,16 @@ from anisoscope.profiles.ideal import RidgeDesign, ridges
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import Convention, directions
 from anisoscope.sim.light.material import Material, diffuse_scale, fresnel, transmittance_table
-from anisoscope.sim.light.relief import Relief
-from anisoscope.sim.light.shine import Shine, vector
+from anisoscope.sim.light.shine import Shine, lobe_shape, vector
+from anisoscope.sim.pathtracer.plastic import LobeName, Plastic
+from anisoscope.sim.pathtracer.tracer import PathTracer
 from anisoscope.study.detection.product import (
     LIGHT_DEG,
     LOBE,
     PITCH_UM,
     RIDGE_ANGLE_DEG,
     WHOLE,
+    WORLDS,
     Size,
     World,
     expected_of,
@@ -25,6 +27,7 @@ from anisoscope.study.detection.product import (
 
 _NODES = (0.8, 1.0, 1.3)
 POINTS_A_PITCH = 200
+FIT_ROWS = 41  # of the ridges to which a lobe is fitted
 
 
 @lru_cache(maxsize=16)
@@ -36,7 +39,7 @@ def _interface(alpha: float, index: float) -> tuple[FloatArray, float]:
 
 
 def quick_shine(to_light: FloatArray, to_camera: FloatArray, material: Material) -> Shine:
-    """As `shine.shine_in`, the interface interpolated between three roughnesses: it hardly depends on them.
+    """As `shine.shine_in`, with the interface interpolated between three roughnesses, on which it hardly depends.
 
     The interface is that of index 1.5; its change with the index, of a few thousandths, is in the lobe alone.
     """
@@ -52,12 +55,16 @@ def quick_shine(to_light: FloatArray, to_camera: FloatArray, material: Material)
     return Shine(
         vector(to_light),
         vector(to_camera),
+        (1.0, 0.0),
+        vector(to_light),
+        vector(to_camera),
         vector(half),
         mirrored / (4.0 * np.pi * material.alpha_along * material.alpha_across),
         material.alpha_along,
         material.alpha_across,
         material.albedo / (1.0 - material.albedo * returned) / (np.pi * material.index**2),
         table,
+        lobe_shape(material),
     )
 
 
@@ -73,38 +80,48 @@ class Lobes:
 def lobes_of(world: World) -> Lobes:
     """Nominal materials of a world.
 
-    Facets of the other world have GGX lobes. Their widths and the albedo are such that the Beckmann lobe that fits
-    their nine ln radiances best is the recipe's: the result of a user who fits the recipe's material to the real one.
+    Widths and albedo of a foreign lobe are chosen so that the best Beckmann fit to the nine ln radiances is the
+    recipe's material, as if a user had fitted the recipe's material to the real one.
     """
-    return Lobes(LOBE, WHOLE) if world == "same" else _matched()
+    lobe = WORLDS[world].lobe
+    return Lobes(LOBE, WHOLE) if lobe == "beckmann" else _matched(lobe)
 
 
-@lru_cache(maxsize=1)
-def _matched() -> Lobes:
+def plastic_of(world: World, material: Material) -> Plastic:
+    """The material as the path tracer has it; the lobe is that of the world, whatever the material says of it."""
+    return Plastic(
+        material.alpha_along, material.alpha_across, material.albedo, material.index, WORLDS[world].lobe
+    )
+
+
+@lru_cache(maxsize=4)
+def _matched(lobe: LobeName) -> Lobes:
     from scipy.optimize import least_squares  # noqa: PLC0415 - 0.3 s
-
-    from anisoscope.sim.light.ggx import lobe_maps  # noqa: PLC0415 - numba when first needed
 
     poses = expected_of("tilted", Size()).poses
     sides = directions(poses, Convention(LIGHT_DEG))
     design = RidgeDesign(PITCH_UM, RIDGE_ANGLE_DEG)
     target = np.log(corrected.radiance(*sides, design, WHOLE))
-    surface = ridges(design, (2, 3 * POINTS_A_PITCH + 1), (PITCH_UM, PITCH_UM / POINTS_A_PITCH))
-    relief = Relief(surface, PITCH_UM)
-
-    def material(change: FloatArray) -> Material:
-        a, b, c = (float(factor) for factor in np.exp(change))
-        return Material(
-            WHOLE.alpha_along * a, WHOLE.alpha_across * b, min(WHOLE.albedo * c, 0.99), WHOLE.index
-        )
+    surface = ridges(design, (FIT_ROWS, POINTS_A_PITCH + 1), (PITCH_UM, PITCH_UM / POINTS_A_PITCH))
 
     def off(change: FloatArray) -> FloatArray:
-        shines = [quick_shine(light, camera, material(change)) for light, camera in zip(*sides, strict=True)]
-        found = [float(radiance.mean(dtype=np.float64)) for radiance in lobe_maps(relief, shines, "ggx")]
+        own = _changed(WHOLE, change)
+        plastic = Plastic(own.alpha_along, own.alpha_across, own.albedo, own.index, lobe)
+        tracer = PathTracer(surface, plastic, pitch_um=PITCH_UM, reflections=1)
+        found = [float(tracer.direct(*pair).mean(dtype=np.float64)) for pair in zip(*sides, strict=True)]
         return np.asarray(np.log(found) - target)
 
     fit = least_squares(off, np.array([-0.2, -0.2, -0.1]), bounds=(-1.0, 1.0), diff_step=[1e-3])
-    a, b, c = (float(factor) for factor in np.exp(fit.x))
-    smooth = material(fit.x)
-    textured = Material(LOBE.alpha_along * a, LOBE.alpha_across * b, min(LOBE.albedo * c, 0.99), LOBE.index)
-    return Lobes(textured, smooth, float(np.sqrt(np.mean(fit.fun**2))))
+    misfit = float(np.sqrt(np.mean(fit.fun**2)))
+    return Lobes(_changed(LOBE, fit.x), _changed(WHOLE, fit.x), misfit)
+
+
+def _changed(material: Material, change: FloatArray) -> Material:
+    """A material with factors exp(change) on its two roughnesses and its albedo."""
+    a, b, c = (float(factor) for factor in np.exp(change))
+    return replace(
+        material,
+        alpha_along=material.alpha_along * a,
+        alpha_across=material.alpha_across * b,
+        albedo=min(material.albedo * c, 0.99),
+    )

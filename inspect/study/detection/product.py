@@ -1,10 +1,10 @@
 """Product of the detection study: recipes, variation of good parts, defect classes, and the two worlds.
 
-Every part meets a rig of its own, drawn from what the recipe states of rigs, so that rates are means over parts and
-rigs alike.
+Every part is inspected on its own rig, drawn from the uncertainties that the recipe states. Rates are means over parts
+and rigs.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any, Literal
 
@@ -16,11 +16,41 @@ from anisoscope.prediction.expectation import Expectation, expectation
 from anisoscope.sim.bench.benchfile import OpticsPart, SensorPart
 from anisoscope.sim.light.material import Material
 
-World = Literal["same", "other"]
+World = Literal["same", "ggx", "student", "two-scale", "reflections", "camera", "lamp", "other"]
 RecipeName = Literal["standard", "tilted"]
 
-WORLDS: tuple[World, ...] = ("same", "other")
 RECIPES: tuple[RecipeName, ...] = ("standard", "tilted")
+
+
+@dataclass(frozen=True)
+class WorldPart:
+    """What a world has that the prediction may not know.
+
+    Attributes:
+        lobe: of the facets; its widths and albedo are those whose best Beckmann fit is the recipe's material.
+        traced: rendered by the path tracer, which shares nothing with the prediction.
+        reflections: light is reflected more than once.
+        nonlinear: the camera is not quite linear.
+        near_lamp: the lamp stands near.
+    """
+
+    lobe: Literal["beckmann", "ggx", "student", "two-scale"] = "beckmann"
+    traced: bool = True
+    reflections: bool = False
+    nonlinear: bool = False
+    near_lamp: bool = False
+
+
+WORLDS: dict[World, WorldPart] = {
+    "same": WorldPart(traced=False),
+    "other": WorldPart("ggx", reflections=True, nonlinear=True, near_lamp=True),
+    "ggx": WorldPart("ggx", reflections=True),
+    "student": WorldPart("student", reflections=True),
+    "two-scale": WorldPart("two-scale", reflections=True),
+    "reflections": WorldPart(reflections=True),
+    "camera": WorldPart(nonlinear=True),
+    "lamp": WorldPart(near_lamp=True),
+}
 TILTS_DEG: dict[RecipeName, tuple[float, ...]] = {"standard": (0.0,), "tilted": (0.0, -10.0, 10.0)}
 LIGHT_DEG = 10.0
 PITCH_UM = 100.0
@@ -50,7 +80,7 @@ class Size:
         ridges: ridges across the judged region.
         pitches: its length along the ridges, in pitches.
         pixel_um: of the camera on the part.
-        sheets: rendered surfaces of good parts; of every area defect a quarter as many.
+        sheets: rendered surfaces of good parts; a quarter as many of every area defect.
         chunk: parts that share a camera, a flat and dark frames.
         causes: causes that the diagnosis looks for, all if None.
     """
@@ -92,10 +122,10 @@ class DefectClass:
         name: short name.
         title: what is wrong, with its size.
         cause: the cause that the diagnosis should name.
-        extent: its extent as the diagnosis counts it; the sign is drawn where `signed`.
-        signed: half of the parts have it the other way.
-        local: seen in the map; else the whole surface is alike.
-        values: settings of `profiles.defect_injection` beside the extent, for local ones.
+        extent: its extent in the unit of the diagnosis; the sign is random if `signed`.
+        signed: half of the parts have the opposite sign.
+        local: visible in the map; otherwise uniform over the surface.
+        values: further settings of `profiles.defect_injection`, for local ones.
     """
 
     name: str
@@ -127,7 +157,7 @@ def recipe_of(name: RecipeName, size: Size, *, stated: bool = False) -> RidgeRec
     Args:
         name: of the recipe.
         size: of the study.
-        stated: the recipe states how much the ridge angle of good parts spreads, too.
+        stated: the recipe also states the spread of the ridge angle of good parts.
     """
     design = {
         "ridge_angle_deg": RIDGE_ANGLE_DEG,
@@ -136,7 +166,7 @@ def recipe_of(name: RecipeName, size: Size, *, stated: bool = False) -> RidgeRec
     table: dict[str, Any] = {
         "schema": 1,
         "product": "ridged plate of the detection study",
-        "surface": {"pitch_um": PITCH_UM, "design": design},
+        "surface": {"pitch_um": PITCH_UM, "design": design, "reflections": "direct"},
         "material": {
             "alpha_along": WHOLE.alpha_along,
             "alpha_across": WHOLE.alpha_across,
@@ -176,9 +206,9 @@ class Specimen:
         light_deg: true light angle.
         stage_deg: (V,) error of the stage angle in every view; the last view closes the series.
         gain: (V,) factor on the light in every view: flat field and linearity.
-        stray: stray light that no dark frame shows, 1/sr.
-        drift: of the lamp, a frame.
-        shift_px: (V, 2) error of the markers' fit.
+        stray: stray light, 1/sr; dark frames do not contain it.
+        drift: of the lamp, per frame.
+        shift_px: (V, 2) error of the marker fit.
     """
 
     ridge_angle_deg: float
@@ -198,11 +228,12 @@ class Specimen:
 
     def plastic(self, base: Material) -> Material:
         """Material of the part, where that of a nominal one is ``base``."""
-        return Material(
-            base.alpha_along * self.along,
-            base.alpha_across * self.across,
-            base.albedo * self.albedo / LOBE.albedo,
-            self.index,
+        return replace(
+            base,
+            alpha_along=base.alpha_along * self.along,
+            alpha_across=base.alpha_across * self.across,
+            albedo=base.albedo * self.albedo / LOBE.albedo,
+            index=self.index,
         )
 
 

@@ -1,10 +1,13 @@
 """Results of a detection study by world and recipe, as plain numbers, under several decision rules.
 
-`shipped` is what ``inspect`` decides. The others answer what a better recipe or calibration would give, from the same
-measured radiances: `spread` is that of a recipe that states the spread of the ridge angle of good parts; `known` knows
-roughness and albedo of every part's batch three times better; `golden` is T² against golden parts with the chance that
-good parts drawn from the budget have (the rule of ``inspect`` where there are such), `normal` the same with the chance
-of the normal distribution; `taught` shifts the prediction to their mean and keeps the budget.
+`shipped` is the rule of ``inspect``. The other rules show the effect of a better recipe or calibration on the same
+measured radiances:
+
+- `spread`: the recipe states the spread of the ridge angle of good parts.
+- `known`: roughness and albedo of every part's batch have a third of the uncertainty.
+- `golden`: T² against golden parts, with p from good parts drawn from the budget (as in ``inspect`` with golden parts).
+- `normal`: as `golden`, with p from the normal distribution.
+- `taught`: the prediction is shifted to the mean of the golden parts; the budget is unchanged.
 """
 
 from dataclasses import asdict, dataclass, replace
@@ -14,21 +17,30 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.base.significance import hotelling, log_basis
-from anisoscope.decision.consistency_test import calibrated, golden_chances
+from anisoscope.base.significance import calibrated, hotelling, log_basis
+from anisoscope.decision.consistency_test import golden_chances
 from anisoscope.diagnosis.separability import Separability
 from anisoscope.prediction.expectation import Component, Expectation
 from anisoscope.prediction.profile_likelihood import nearest
 from anisoscope.prediction.second_order import Response
 from anisoscope.sim.light.contrasts import consecutive_pairs
 from anisoscope.study.detection.chunk import MEASURED_SOURCES
-from anisoscope.study.detection.diagnosis import (
+from anisoscope.study.detection.evaluation import (
     COVERAGE,
     SHARED_SOURCES,
+    Area,
+    Rate,
+    area_under_curve,
+    curve,
     diagnosed,
     fitted_shapes,
+    histogram,
+    intervals_held,
+    rate,
     separability_of,
+    threshold,
     true_extents,
+    uniformity,
 )
 from anisoscope.study.detection.product import (
     BY_NAME,
@@ -39,17 +51,6 @@ from anisoscope.study.detection.product import (
     World,
     expected_of,
     recipe_of,
-)
-from anisoscope.study.detection.statistics import (
-    Area,
-    Rate,
-    area_under_curve,
-    curve,
-    histogram,
-    intervals_held,
-    rate,
-    threshold,
-    uniformity,
 )
 
 Columns = dict[str, npt.NDArray[Any]]
@@ -68,11 +69,11 @@ class Bench:
 
     Attributes:
         expected: of the recipe.
-        stated: of the recipe that states the spread of the ridge angle too.
+        stated: of the recipe that also states the spread of the ridge angle.
         golden: (n, P) ln L over the prediction of the golden parts.
         size: of the study.
         name: of the recipe.
-        drawn: p values that T² of good parts gets by the normal theory, drawn as ``inspect`` does.
+        drawn: p values of T² of good parts under the normal theory, drawn as in ``inspect``.
     """
 
     expected: Expectation
@@ -180,9 +181,9 @@ def _chi2(deviation: FloatArray, alone: FloatArray, response: Response) -> Float
 
 
 def _known(data: Columns, kind: str, bench: Bench) -> FloatArray:
-    """(N, P) known change of ln L of every part's batch, to a third of the recipe's uncertainty.
+    """(N, P) change of ln L of every part's batch, known to a third of the recipe's uncertainty.
 
-    Defects are not known.
+    Defects remain unknown.
     """
     part = recipe_of(bench.name, bench.size).material
     across = np.asarray(data["across"], dtype=np.float64)
@@ -206,7 +207,8 @@ def _known(data: Columns, kind: str, bench: Bench) -> FloatArray:
 def limits(shift: FloatArray, data: Columns, bench: Bench) -> tuple[float, list[tuple[str, float]]]:
     """Size of a mean shift (P,) of ln L in σ, and the sources of σ with their shares of its square.
 
-    The shift is weighed along V⁻¹δ, where it shows most; V is the mean over the parts, with the ridge angle.
+    The shift is projected on V⁻¹δ, the direction of its largest significance; V is the mean over the parts and includes
+    the ridge angle.
     """
     own = np.asarray(data[f"{bench.name}/own"], dtype=np.float64).mean(axis=0)
     measured = [
@@ -287,9 +289,9 @@ def _intervals(kind: str, data: dict[str, Columns], name: RecipeName, size: Size
 
 
 def golden_pool(parts: int) -> list[npt.NDArray[np.int_]]:
-    """Numbers of the good parts that serve as golden ones: sets of 25, at most half of all parts, drawn at random.
+    """Numbers of the good parts that serve as golden parts: sets of 25, at most half of all parts, drawn at random.
 
-    Many of them, because what one set gives differs widely from what another gives.
+    Many sets are drawn, because results differ widely between sets.
     """
     count = min(GOLDEN_PARTS, parts // 2)
     rng = np.random.default_rng(_SEED)
@@ -334,10 +336,10 @@ def _scores(
 
 
 def with_area(scores: dict[str, dict[str, FloatArray]]) -> None:
-    """Add the scores of the area that deviates, and of means and area together, to those of every class.
+    """Add to the scores of every class those of the deviating area, and of means and area combined.
 
-    The area counts as −lg of the normal tail beyond what half of the good parts show; of two criteria each has half
-    of the level.
+    The score of the area is −lg of the normal tail, with location and scale from half of the good parts. Of two
+    criteria, each has half of the level.
     """
     from scipy.stats import norm  # noqa: PLC0415 - 1 s
 

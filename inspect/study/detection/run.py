@@ -1,12 +1,13 @@
-"""Detection study: rates of false alarms and misses of thousands of parts on the virtual rig, in two worlds.
+"""Detection study: rates of false alarms and misses of thousands of parts on the virtual rig, in several worlds.
 
-The same world renders with the predictor's own lobe and direct light; the other one with GGX lobes, light that reflects
-more than once, a camera that is not quite linear and a near lamp. Claims come from the other one.
+The same world renders with the predictor's own lobe and direct light. All others are rendered by a path tracer that
+shares nothing with the prediction: with other lobes, reflections, a slightly non-linear camera or a near lamp, or all
+of these (`other`). Claims rest on them.
 
-For a shape defect that the means find too rarely, the study says what would find it: other poses, or less
-uncertainty. A class shifts ln L by δ, and D² of δ alone is how far it lies from all that good parts may be (its
-Fisher information, along the curves that uncertain inputs make). D² of parts is a noncentral χ² with it, so that the
-area under its curve follows without making a single part.
+For shape defects that the means rarely detect, the study evaluates remedies: other poses, or smaller uncertainties. A
+class shifts ln L by δ. The D² of δ alone is its distance from the set of good parts (its Fisher information, along the
+curves of the uncertain inputs). D² of the parts is a noncentral χ² with this noncentrality, so that the area under the
+ROC curve follows without simulating a part.
 """
 
 import json
@@ -31,7 +32,7 @@ from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import directions
 from anisoscope.study.detection.chunk import ChunkTask, Columns, inspect_chunk
-from anisoscope.study.detection.diagnosis import signatures_of
+from anisoscope.study.detection.evaluation import signatures_of
 from anisoscope.study.detection.lobes import lobes_of
 from anisoscope.study.detection.product import (
     BY_NAME,
@@ -45,6 +46,7 @@ from anisoscope.study.detection.product import (
     RECIPES,
     RIDGE_ANGLE_DEG,
     WHOLE,
+    WORLDS,
     RecipeName,
     Size,
     World,
@@ -120,7 +122,7 @@ def _shifts(name: str, expected: Expectation) -> list[FloatArray]:
 
 
 def _good(recipe: RidgeRecipe, expected: Expectation, better: tuple[str, ...]) -> tuple[Response, FloatArray]:
-    """Scatter of good parts with some sources `BETTER` times smaller, in the basis of ln ratios.
+    """Scatter of good parts with some sources reduced by `BETTER`, in the basis of ln ratios.
 
     Returns:
         Response to the inputs, the ridge angle of good parts among them, and (P − 1, P − 1) covariance of the rest.
@@ -159,13 +161,13 @@ class Plan:
     """Plan of a study.
 
     Attributes:
-        worlds: in which the parts are rendered.
-        recipes: by which they are judged; all are photographed for the tilted one.
-        parts: good parts.
-        defective: parts of every class of defects.
+        worlds: rendered worlds.
+        recipes: applied to every part; all poses of the tilted recipe are photographed.
+        parts: number of good parts.
+        defective: number of parts of every class of defects.
         seed: of everything random.
         size: of parts and frames.
-        folder: where sheets and chunks are cached without a limit; None is the user's cache.
+        folder: of cached sheets and chunks, without a limit of size; None is the user's cache.
     """
 
     worlds: tuple[World, ...]
@@ -219,16 +221,18 @@ def collect(plan: Plan, workers: Workers, advance: Advance = silent) -> dict[Wor
 
 def _bounces(plan: Plan, world: World, workers: Workers, advance: Advance) -> dict[str, tuple[float, ...]]:
     kinds = [GOOD, *(kind.name for kind in CLASSES)]
-    if world == "same":
+    if not WORLDS[world].reflections:
         return dict.fromkeys(kinds, ())
 
     def traced() -> dict[str, tuple[float, ...]]:
-        values = sweep(bounces_of, kinds, workers, advance=advance, doing="reflections")
+        values = sweep(
+            bounces_of, [(world, kind) for kind in kinds], workers, advance=advance, doing="reflections"
+        )
         return {kind: tuple(float(one) for one in value) for kind, value in zip(kinds, values, strict=True)}
 
     return (
         Cache(plan.folder)
-        .entry("detection-reflections", kinds, bounces_of.__module__)
+        .entry("detection-reflections", [world, *kinds], bounces_of.__module__)
         .result(
             traced,
             lambda found: json.dumps(found).encode(),

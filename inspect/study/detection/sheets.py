@@ -1,8 +1,8 @@
-"""Sheets: large rough surfaces of every kind of local defect, rendered once a pose, from which parts are cut.
+"""Sheets: large rough surfaces of every kind of local defect, rendered once per pose, from which parts are cut.
 
-A sheet holds the radiance of the nominal part in every view, its own roughness and local marks resolved; where it is
-cut, a part gets another piece of surface. What is the same all along a ridge (angle, worn or missing crests,
-roughness of the lobe, seating, lamp) is put in afterwards (`anisoscope.study.detection.chunk`).
+A sheet holds the radiance of the nominal part in every view, with its roughness and local marks resolved. Cuts at
+different positions give parts with different surfaces. Changes that are uniform along a ridge (angle, worn or missing
+crests, roughness of the lobe, seating, lamp) are applied afterwards (`anisoscope.study.detection.chunk`).
 """
 
 import io
@@ -19,10 +19,9 @@ from anisoscope.profiles.defects import burrs
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
 from anisoscope.sim.light.geometry import Convention, directions
-from anisoscope.sim.light.ggx import lobe_maps
-from anisoscope.sim.light.relief import Relief
-from anisoscope.sim.light.relief_paths import interreflection
-from anisoscope.study.detection.lobes import lobes_of, quick_shine
+from anisoscope.sim.light.relief import Relief, shine_maps
+from anisoscope.sim.pathtracer.tracer import PathTracer
+from anisoscope.study.detection.lobes import lobes_of, plastic_of, quick_shine
 from anisoscope.study.detection.product import (
     BURRS_ON_GOOD,
     BY_NAME,
@@ -32,7 +31,7 @@ from anisoscope.study.detection.product import (
     PITCH_UM,
     RESOLVED_ALPHA,
     RIDGE_ANGLE_DEG,
-    WHOLE,
+    WORLDS,
     Size,
     World,
     expected_of,
@@ -42,7 +41,7 @@ POINTS = 25  # a pitch, each way, of what is kept; facets are half as wide
 CORRELATION_UM = 8.0
 CHANGED_UM = 0.05
 PARTS_ACROSS, PARTS_ALONG = 2, 2
-_PATHS = 16384
+_PATHS = 1 << 19
 _SETTINGS = {
     "ridge-angle": ("ridge-angle", "delta_deg"),
     "height-loss": ("incomplete-filling", "loss"),
@@ -165,11 +164,15 @@ def _spoiled(surface: HeightMap, task: SheetTask, rng: np.random.Generator) -> H
 
 
 def _rendered(surface: HeightMap, world: World) -> list[npt.NDArray[np.float32]]:
+    """Direct light of a surface in every pose: by the predictor's facets, or by the path tracer."""
     expected = expected_of("tilted", Size())
     sides = directions(expected.poses, Convention(LIGHT_DEG))
     material = lobes_of(world).textured
+    if WORLDS[world].traced:
+        tracer = PathTracer(surface, plastic_of(world, material), pitch_um=PITCH_UM, reflections=1)
+        return [tracer.direct(light, camera) for light, camera in zip(*sides, strict=True)]
     shines = [quick_shine(light, camera, material) for light, camera in zip(*sides, strict=True)]
-    return lobe_maps(Relief(surface, PITCH_UM), shines, "beckmann" if world == "same" else "ggx")
+    return list(shine_maps(Relief(surface, PITCH_UM), shines))
 
 
 def _reduced(values: npt.NDArray[np.float32], by: int) -> npt.NDArray[np.float32]:
@@ -187,20 +190,22 @@ def cut(sheet: Sheet, kind: str, size: Size, rng: np.random.Generator) -> tuple[
     return slice(row, row + rows), slice(col, col + cols)
 
 
-def bounces_of(kind: str) -> FloatArray:
-    """(P,) radiance of light that reflects more than once on a class, nominal material, 1/sr.
+def bounces_of(which: tuple[World, str]) -> FloatArray:
+    """(P,) radiance of light that reflects more than once on a class in a world, nominal material, 1/sr.
 
-    Smooth over the picture: traced on a few ridges of the class (Beckmann lobes, all reflections).
+    Smooth over the picture: traced on a few ridges of the class.
     """
+    world, kind = which
     expected = expected_of("tilted", Size())
     sides = directions(expected.poses, Convention(LIGHT_DEG))
     # the same piece of surface and the same paths for all, so that classes differ by their defect alone
     surface, _ = sheet_surface(SheetTask("other", GOOD, 0, Size(ridges=24, pitches=4, sheets=1), 1))
-    material = WHOLE
+    material = lobes_of(world).textured
     if kind == "roughness":
-        material = replace(WHOLE, alpha_across=WHOLE.alpha_across * (1.0 + BY_NAME[kind].extent))
+        material = replace(material, alpha_across=material.alpha_across * (1.0 + BY_NAME[kind].extent))
     elif kind != GOOD:
         name, setting = _SETTINGS[kind]
         values = {**BY_NAME[kind].values, setting: BY_NAME[kind].extent}
         surface = inject_defect(surface, name, np.random.default_rng(0), values=values)
-    return interreflection(Relief(surface, PITCH_UM), *sides, material, paths=_PATHS).radiance
+    tracer = PathTracer(surface, plastic_of(world, material), pitch_um=PITCH_UM, paths=_PATHS)
+    return np.array([tracer.indirect(light, camera).mean for light, camera in zip(*sides, strict=True)])

@@ -78,7 +78,7 @@ class Motor:
         self._go(self._zero_deg + (target_counts + beyond) / self.counts_per_deg, speed_factor)
 
     def home(self, home_counts: int = 0, speed_factor: float = 1.0) -> None:
-        """Start the reference search: it ends ``home_counts`` from the mark, and counts from there afterwards."""
+        """Start the reference search: it ends ``home_counts`` from the mark; that position is the new zero."""
         self.motion = Motion.HOME
         self.referenced = False
         self._home_counts = home_counts

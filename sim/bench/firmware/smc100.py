@@ -1,12 +1,10 @@
 """Firmware of a Newport SMC100 or CONEX controller with a rotation stage, byte by byte.
 
-Questions are answered with address, letters and value; commands are not answered. An error is kept as a letter
-until TE or TB asks for it. A home search is only taken while nothing is referenced: for a second one the
-controller has to be restarted, and answers nothing meanwhile. A stage with an encoder notices an obstacle: the
-motor is disabled with a following error. Source: Newport SMC100CC/PP user's manual.
-
-Tables hold the models, the error texts, and what is allowed in which state. Source: Newport SMC100CC/PP user's
-manual.
+A query is answered with address, letters and value; a command is not answered. An error is stored as a letter until it
+is read by TE or TB. A home search is accepted only without a reference: for a second one the controller must be
+restarted, and does not answer meanwhile. A stage with an encoder detects an obstacle: the motor is disabled with a
+following error. Tables hold the models, the error texts, and the commands allowed in each state. Source: Newport
+SMC100CC/PP user's manual.
 """
 
 import re

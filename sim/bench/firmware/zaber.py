@@ -1,18 +1,18 @@
 """Firmware of a Zaber rotary stage with its own controller, byte by byte (ASCII protocol, firmware 7).
 
-Commands end with CR, LF or both; one with a wrong checksum is ignored. A reply bears number and checksum only if
-its command did. Motions are answered at once and followed by asking for the state. Before the reference search the
-device counts from where it stood at power-up, shows WR, and rejects absolute moves. Several on a line answer a
-command to everybody one after the other. The simulated stages have motor encoders: an obstacle shows as FS.
-Sources: Zaber ASCII protocol manual, and what the maker's client `zaber-motion` asks and understands. Not simulated:
-settings that need a restart, streams, triggers, lockstep, parking, ``tools``, ``io``; they are BADCOMMAND. Assumed:
-``move rel`` and ``move vel`` work without a reference, and every fault and NI stand until ``warnings clear``.
+Commands end with CR, LF or both; one with a wrong checksum is ignored. A reply has number and checksum only if its
+command did. Motions are answered at once; their end is found by polling the state. Before the reference search the
+device counts from its position at power-up, reports WR, and rejects absolute moves. Several devices on a line answer a
+broadcast one after the other. The simulated stages have motor encoders: an obstacle is reported as FS. Sources: Zaber
+ASCII protocol manual; queries and replies of the maker's client `zaber-motion`. Not simulated: settings that need a
+restart, streams, triggers, lockstep, parking, ``tools``, ``io``; they are BADCOMMAND. Assumed: ``move rel`` and ``move
+vel`` work without a reference, and every fault and NI persist until ``warnings clear``.
 
 Models and settings are in the device's own units. Sources: names, scopes and units of the settings from the Zaber
 ASCII protocol manual and the setting names of the maker's client `zaber-motion`. Microsteps per turn of the X-RSW60
-(384 000) and its top speed (115°/s) are as users of that stage give them; those of the others follow from their gears
-(180:1 and 3:1, 200 steps of 64 microsteps) and are unverified, and so are all accelerations. The device ids are
-placeholders that the maker did not give to a product that we know of: no table of his was at hand.
+(384 000) and its top speed (115°/s) are as published by users of that stage; those of the others follow from their
+gears (180:1 and 3:1, 200 steps of 64 microsteps). These and all accelerations are unverified. The device ids are
+placeholders that belong to no known product, because the maker's table was not available.
 """
 
 import re
@@ -141,7 +141,7 @@ class Settings:
         self._by_name[name].value = value
 
     def get(self, name: str, axis: int) -> tuple[bool, str]:
-        """Answer a question: whether there is an answer, and the answer or the reason why there is none."""
+        """Answer a query: whether it succeeds, and the answer or the reason of the failure."""
         setting = self._by_name.get(name)
         if setting is None:
             return False, "BADCOMMAND"

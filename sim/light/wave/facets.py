@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import ModelError
 from anisoscope.sim.light.material import Material, fresnel, smith
 from anisoscope.sim.light.wave.halfvectors import HalfVector
 from anisoscope.sim.light.wave.surface import WaveSurface
@@ -52,7 +53,16 @@ def facet_slopes(surface: WaveSurface, limit_um: float, *, along_y: bool = True)
 def lobe_of(
     half: HalfVector, to_light: FloatArray, to_camera: FloatArray, slopes: FloatArray, material: Material
 ) -> Lobe:
-    """The lobe about the facets (F, 2) that shine most into a direction."""
+    """The lobe about the facets (F, 2) that shine most into a direction.
+
+    Raises:
+        ModelError: the roughness is not Gaussian, so that waves do not know its spectrum.
+    """
+    if not material.is_beckmann:
+        raise ModelError(
+            "the wave model knows Gaussian roughness only: take the tail and the second lobe of the material away, "
+            "or predict by rays (geometric)"
+        )
     target = np.array(half.slopes)
     apart = (target - slopes) / (material.alpha_across, material.alpha_along)
     spread = np.sum((apart / (1.0 + slopes @ target)[:, None]) ** 2, axis=1)

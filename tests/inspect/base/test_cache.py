@@ -11,10 +11,8 @@ from pathlib import Path
 import pytest
 
 from anisoscope.base import cache as cache_module
-from anisoscope.base import source_digest as source_digest_module
-from anisoscope.base.cache import Cache, cache_folder, limit_bytes, source_digest
+from anisoscope.base.cache import Cache, SourceDigests, cache_folder, limit_bytes, source_digest
 from anisoscope.base.errors import RecordError, UsageError
-from anisoscope.base.source_digest import SourceDigests
 
 ROOT = Path(__file__).parents[3]
 HERE = "anisoscope.prediction.cache"
@@ -43,7 +41,7 @@ def copied(tmp_path):
         shutil.copytree(ROOT / name, package / name)
     code = (
         "import sys; sys.path.insert(0, sys.argv[1])\n"
-        "from anisoscope.base.source_digest import SourceDigests\n"
+        "from anisoscope.base.cache import SourceDigests\n"
         "from pathlib import Path\n"
         "print(SourceDigests(Path(sys.argv[1], 'memo.json')).of(sys.argv[2]))"
     )
@@ -130,8 +128,8 @@ def test_the_memo_saves_parsing_and_never_hides_an_edit(monkeypatch, tmp_path):
     )
     monkeypatch.syspath_prepend(tmp_path)
     parsed = []
-    parse = "anisoscope.base.source_digest._parse"
-    original = sys.modules["anisoscope.base.source_digest"]._parse
+    parse = "anisoscope.base.cache._parse"
+    original = sys.modules["anisoscope.base.cache"]._parse
     monkeypatch.setattr(parse, lambda file: parsed.append(file.name) or original(file))
 
     def digest():
@@ -301,7 +299,7 @@ def test_code_that_was_edited_after_it_was_loaded_is_neither_served_nor_stored(f
     source = package / "__init__.py"
     source.write_text("A = 1\n")
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(source_digest_module, "_LOADED_AT", time.time() + 60.0)
+    monkeypatch.setattr(cache_module, "_LOADED_AT", time.time() + 60.0)
     place = Cache().entry("numbers", 1, "edited_kind")
     place.write(b"of the loaded code")
     assert place.read() == b"of the loaded code"

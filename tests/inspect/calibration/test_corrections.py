@@ -113,9 +113,9 @@ def test_a_file_that_cannot_be_used_is_told_before_anything_moves(virtual_rig, f
 
 
 def test_all_calibrations_together_serve_an_inspection_that_can_be_recomputed(
-    virtual_rig, flat, dark, tmp_path
+    virtual_rig, inspected_part, flat, dark, tmp_path
 ):
-    plain = virtual_rig("plain").inspect().record
+    plain = inspected_part[1].record
     stray, rotation = tmp_path / "stray.tif", tmp_path / "rotation.json"
     glass = {"sample": {"kind": "white-tile", "reflectance": 0.0}}
     calibrate_stray(virtual_rig("glass", bench=glass).rig, stray, Taking(0.01, frames=8))
@@ -138,9 +138,10 @@ def test_all_calibrations_together_serve_an_inspection_that_can_be_recomputed(
         "moved",
         rig={"calibration": {kind: str(path) for kind, path in named.items()}},
         bench={"optics": {"axis_px": [10.0, -2.2]}},
+        recipe={"limits": {"fixture_um": 50.0}},
     ).inspect()
     assert moved.record.verdict == "INVALID"
-    assert "px from the calibrated rotation centre" in moved.record.reasons[0]
+    assert "from the calibrated rotation centre" in moved.record.reasons[0]
     assert "anisoscope calibrate rotation" in moved.record.reasons[0]
 
 
@@ -268,9 +269,9 @@ def test_dark_frames_that_moved_since_the_calibration_are_told():
 
 @pytest.mark.parametrize(
     ("axis_px", "turn_deg", "message"),
-    [((3.0, 3.0), 0.1, None), ((4.0, 4.0), 0.0, "5.7 px from"), ((0.0, 0.0), 0.3, r"stands \+0.30° from")],
+    [((3.0, 3.0), 0.1, None), ((4.0, 4.0), 0.0, r"5.7 px\) from"), ((0.0, 0.0), 0.3, r"stands \+0.30° from")],
 )
-def test_the_rotation_gate_is_five_pixels_and_a_fifth_of_a_degree(axis_px, turn_deg, message):
+def test_the_rotation_gate_is_the_recipes_limit_and_a_fifth_of_a_degree(axis_px, turn_deg, message):
     e = np.array([0.02, -0.01])
     record = made("rotation", centre_column=100.0, centre_row=90.0, eccentricity_x=e[0], eccentricity_y=e[1])
     record = record.model_copy(
@@ -284,10 +285,10 @@ def test_the_rotation_gate_is_five_pixels_and_a_fifth_of_a_degree(axis_px, turn_
         matrix = np.column_stack([a, origin])
         place = Placement(matrix, float(np.degrees(angle) % 360.0), 10.0, (origin[0], origin[1]), 0.01, 4)
         if message is None:
-            used.check_place(stage_deg, place)
+            used.check_place(stage_deg, place, 50.0)
         else:
             with pytest.raises(RegistrationError, match=message):
-                used.check_place(stage_deg, place)
+                used.check_place(stage_deg, place, 50.0)
 
 
 def test_what_was_calibrated_replaces_what_the_recipe_states(make_recipe):

@@ -27,8 +27,11 @@ def lay_out(virtual_rig, name, **camera):
     take_flat(tile.rig, flat, exposure_s=0.0015, frames=16)
     return virtual_rig(
         name,
-        recipe={"acquisition": {"exposure_s": 0.003, "frames_per_pose": 8}},
-        bench={"sensor": WEBCAM},
+        recipe={
+            "acquisition": {"exposure_s": 0.003, "frames_per_pose": 8},
+            "surface": {"reflections": "direct"},
+        },
+        bench={"sensor": WEBCAM, "sample": {"reflections": False}},  # direct light is predicted to 1 %
         rig={**options, "calibration": {"flat": str(flat)}},
     )
 

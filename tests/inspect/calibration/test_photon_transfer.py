@@ -1,13 +1,12 @@
 """What was set in the virtual sensor comes back within 2 %, from its frames alone (EMVA 1288)."""
 
-import json
 import math
 
 import numpy as np
 import pytest
 
 from anisoscope.base.errors import CalibrationError, UsageError
-from anisoscope.calibration.photon_transfer import ExposureStep, photo_transfer
+from anisoscope.calibration.linearity import ExposureStep, photo_transfer
 from anisoscope.sim.bench.benchfile import SensorPart
 from anisoscope.sim.bench.sensor import Sensor
 
@@ -121,16 +120,6 @@ def test_uneven_light_is_no_prnu_after_a_high_pass():
     assert passed.prnu.value == pytest.approx(0.01 * math.sqrt(np.mean(ramp**2)), rel=0.03)
 
 
-def test_it_goes_into_a_json_file():
-    found = analysed(8, rows=64, cols=64, exposures=EXPOSURES[::2])
-    table = json.loads(json.dumps(found.to_json()))
-    assert table["gain_dn_per_e"] == {
-        "value": found.gain_dn_per_e.value,
-        "uncertainty": found.gain_dn_per_e.uncertainty,
-    }
-    assert table["snr_max"] == found.snr_max
-
-
 def test_one_exposure_and_several_lamps_know_no_dark_current():
     device = sensor(rows=64, cols=64)
     steps = []
@@ -142,7 +131,6 @@ def test_one_exposure_and_several_lamps_know_no_dark_current():
     found = photo_transfer(steps, stack, dark)
     assert found.dark_current_e_s is None
     assert 1.0 / found.gain_dn_per_e.value == pytest.approx(2.5, rel=0.05)
-    assert found.to_json()["dark_current_e_s"] is None
 
 
 def test_a_series_that_does_not_saturate_is_refused():

@@ -1,10 +1,13 @@
 """Whatever is wrong: one clear line, the right exit code, no traceback, no half-written record."""
 
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
+from cyclopts import App
 
+from anisoscope import cli
 from anisoscope.base.progress import silent
 from anisoscope.cli.demo.ridges import lay_out
 from anisoscope.profiles.files.load import write_height_map
@@ -243,3 +246,23 @@ def test_numbers_that_are_none(anisoscope, tmp_path, arguments, code, words):
     done = anisoscope(*[places.get(argument, argument) for argument in arguments])
     assert_one_line(done, code, words)
     assert done.err.count("\n") == 1
+
+
+def test_an_error_that_no_command_foresaw_is_never_the_code_of_a_verdict(monkeypatch, capsys):
+    def unforeseen():
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    broken = App(name="anisoscope", result_action="return_value")
+    broken.command(unforeseen, name="inspect")
+    monkeypatch.setattr(cli, "app", broken)
+    assert cli.run(["inspect"]) == 70
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1
+    assert "LinAlgError: Singular matrix" in message
+    log = Path(message.split("details are in ")[1].split(";")[0])
+    try:
+        assert "in unforeseen" in log.read_text(encoding="utf-8")
+    finally:
+        log.unlink()
+    with pytest.raises(np.linalg.LinAlgError):
+        cli.run(["inspect", "--debug"])

@@ -68,6 +68,12 @@ def test_its_files_are_read_by_those_who_need_them(folder):
     ("change", "match"),
     [
         ({"area": {"max_share": 0.03}}, r"leave \[area\] out"),
+        ({"scatter": {"alpha_share": 0.02}}, "scatter belongs to ridges"),
+        ({"defects": {"power": 0.9}}, "defects belongs to ridges"),
+        (
+            {"poses": {"stage_and_tilt_deg": [[0.0, 3.0], [90.0, 3.0]]}},
+            "poses.stage_and_tilt_deg belongs to ridges",
+        ),
         ({"light": None}, "depends on lamp and lens"),
         ({"light": {"wavelength_nm": 520.0}}, "depends on lamp and lens"),
         ({"surface": {"pitch_um": 512.0, "design": {"ridge_angle_deg": 1.0}}}, "height_map of the tile"),

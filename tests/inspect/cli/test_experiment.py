@@ -63,7 +63,8 @@ def test_options_reach_the_model(anisoscope):
     assert found["material"]["albedo"] == 0.5
     assert found["convention"]["light_angle_deg"] == 12.0
     single = anisoscope(
-        *["predict", "--ridge-angle", 15, "--tilts=-10", "--json", "--light-angle", 12], *arguments[2:]
+        *["predict", "--ridge-angle", 15, "--tilts=-10", "--json", "--light-angle", 12, "--bounces", 1],
+        *arguments[2:],
     ).json["contrasts"]
     rows = [r for r in found["rows"] if (r["ridge_angle_deg"], r["tilt_deg"]) == (15, -10)]
     assert [r["contrast"] for r in rows] == pytest.approx([abs(c["difference"]) for c in single])

@@ -116,7 +116,9 @@ def test_a_brdf_compared_and_fitted(anisoscope, tmp_path):
         [rng.uniform(0, 40, 30), np.full(30, 90.0), rng.uniform(0, 40, 30), np.full(30, 270.0)], axis=1
     )
     light, camera = unit_vectors(angles[:, 0], angles[:, 1]), unit_vectors(angles[:, 2], angles[:, 3])
-    value = corrected.radiance(light, camera, RidgeDesign(100.0, 5.0), Material(0.08, 0.1)) / light[:, 2]
+    value = (
+        corrected.radiance(light, camera, RidgeDesign(100.0, 5.0), Material(0.08, 0.1), None) / light[:, 2]
+    )
     value[7] *= 1.5
     path = tmp_path / "brdf.csv"
     rows = [",".join(map(repr, map(float, (*row, v)))) for row, v in zip(angles, value, strict=True)]

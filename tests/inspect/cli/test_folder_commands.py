@@ -10,9 +10,9 @@ from anisoscope.rig.framefolder import write_frame_folder
 
 
 @pytest.fixture
-def inspected(virtual_rig):
+def inspected(inspected_part):
     """The folder of a finished inspection."""
-    return virtual_rig().inspect().folder
+    return inspected_part[1].folder
 
 
 def test_an_untouched_folder(anisoscope, inspected):

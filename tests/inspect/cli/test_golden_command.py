@@ -18,11 +18,15 @@ def test_golden_parts_are_added_shown_and_removed(anisoscope, virtual_rig):
     assert "2 added, 2 golden parts" in done.out
     found = anisoscope("golden", "show", *at, "--json").json
     assert [part["serial"] for part in found["parts"]] == ["A", "B"]
-    assert (found["compared_with"], len(found["mean"])) == (False, 2)
+    assert (found["compared_with"], len(found["mean"])) == (True, 2)
+    loss = {count: sizes["height loss 10%"] for count, sizes in found["detectable"].items()}
+    assert loss["1"] > loss["2"] > loss["25"] > 0.0
+    assert found["birge"] > 0.0
     assert found["area_limit"] == 0.03
     assert "limit of the area: 3.00%; from 10 golden parts" in found["area_limit_says"]
     shown = anisoscope("golden", "show", *at).out
     assert "golden parts: ridged test plate" in shown
+    assert "what golden parts can show" in shown
     assert "now there are 2" in shown
     again = anisoscope("golden", "add", *at, folders[0])
     assert again.code >= 64

@@ -45,7 +45,11 @@ FRAMES = 2 + 4 * 2
 BENCH = {
     "schema": 1,
     "seed": 11,
-    "sample": {"kind": "ridges", "size_mm": 1.2},
+    "sample": {
+        "kind": "ridges",
+        "size_mm": 1.2,
+        "resolved_alpha": 0.0,
+    },  # all roughness is in the lobe, as predicted
     "sensor": {"rows": 512, "cols": 512},
     "optics": {"pixel_um": 8.0, "blur_um": 5.0, "electrons": 2.4e7},
     "stage": {"time_scale": 0.3},

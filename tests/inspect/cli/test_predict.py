@@ -108,7 +108,7 @@ def test_a_dark_pose_gives_null_not_infinity(anisoscope):
         (["MAP", "--ridge-angle", 10], "either a height map file or --ridge-angle"),
         ([], "either a height map file or --ridge-angle"),
         (["--ridge-angle", 10, "--model", "relief"], "needs a height map file"),
-        (["--ridge-angle", 10, "--model", "printed", "--bounces", "all"], "direct light only"),
+        (["--ridge-angle", 10, "--model", "printed", "--bounces", 2], "direct light only"),
         (["--ridge-angle", 10, "--bounces", 0], "1 or more"),
         (["--ridge-angle", 50], "ridge angle"),
         (["--ridge-angle", 10, "--alpha-along", 0], "alpha along"),

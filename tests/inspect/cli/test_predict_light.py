@@ -28,14 +28,19 @@ def radiances(found):
     return np.array([pose["radiance"] for pose in found["poses"]])
 
 
-def test_reflections_brighten_a_height_map(capsys, rough_map):
-    direct = predicted(capsys, rough_map)
-    several = predicted(capsys, rough_map, "--bounces", "all")
-    added = radiances(several) / radiances(direct) - 1.0
-    assert np.all(added > 0.0)
-    assert np.all(added < 0.4)
-    assert several["bounces"] == "all"
-    assert "paths of the reflections" in [row["source"] for row in several["budget"]]
+def test_reflections_brighten_a_height_map_alike_by_its_groove_and_by_paths(capsys, rough_map):
+    direct = predicted(capsys, rough_map, "--bounces", "1")
+    groove = predicted(capsys, rough_map)
+    paths = predicted(capsys, rough_map, "--reflect", "paths")
+    assert direct["second_reflection_would_add"] > 0.05
+    assert (groove["bounces"], paths["bounces"]) == ("all", "all")
+    assert (groove["reflections_from"], paths["reflections_from"]) == ("groove", "paths on the height map")
+    assert groove["groove_angle_deg"] == pytest.approx(10.0, abs=0.1)
+    added = [radiances(one) - radiances(direct) for one in (groove, paths)]
+    assert np.all(added[0] > 0.0)
+    np.testing.assert_allclose(added[0], added[1], atol=0.03 * radiances(paths).min())
+    for one in (groove, paths):
+        assert "amplitude of the reflections" in [row["source"] for row in one["budget"]]
 
 
 def test_roughness_of_the_plastic_is_counted_once(capsys, rough_map):

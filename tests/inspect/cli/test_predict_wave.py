@@ -135,7 +135,7 @@ def test_wavelengths_change_the_prediction(capsys, maps):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--model", "wave", "--bounces", "all"), "reflect once"),
+        (("--model", "wave", "--roughness", "plastic"), "a design has no facets of its own"),
         (("--model", "corrected", "--wavelengths", "500"), "rays only"),
         (("--model", "geometric", "--interpolate", "0"), "1 or more"),
         (("--model", "wave", "--wavelengths", "5"), "100 to 20000 nm"),

@@ -90,7 +90,7 @@ def test_a_flat_map_is_no_accident(anisoscope, tmp_path):
         (("--l-filter", 1000), "beyond the field"),
         (("--s-filter", 50, "--l-filter", 20), "below the L-filter"),
         (("--plot", "t.txt"), "*.png"),
-        (("--form", "sphere"), "sphere"),
+        (("--form", "torus"), "torus"),
     ],
 )
 def test_bad_options_give_one_line(anisoscope, rough, options, word):

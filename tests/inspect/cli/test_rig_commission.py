@@ -91,6 +91,8 @@ def test_commission_finds_and_writes_and_check_agrees(anisoscope, rig, tmp_path)
         (("--ridge-angle", "10", "--pitch", "100", "--spot-mm", "1"), "give --exposure"),
         ((*COMMON, "--alpha", "0.1,0.2,0.3"), "--alpha takes"),
         ((*COMMON, "--step", "90"), "step must lie"),
+        ((*COMMON, "--bounces", "0"), "--bounces must be 1 or more"),
+        ((*COMMON, "--bounces", "1", "--all-reflections"), "is --bounces all"),
     ],
 )
 def test_what_is_missing_is_named(rig, options, message):

@@ -3,26 +3,43 @@
 import json
 
 import pytest
+from serial.tools.list_ports_common import ListPortInfo
 
 from anisoscope.cli import run
-from anisoscope.rig.discovery import FoundPort
 from anisoscope.sim.bench.firmware.axis import RotaryAxis
 from anisoscope.sim.bench.firmware.catalogue import Mount, build
 from anisoscope.sim.bench.serve import PtyServer
 
-USB = FoundPort("COM7", "USB Serial Port", "0403:faf0", "Thorlabs", "Kinesis K10CR1", "55000001", ("apt",))
-PLAIN = FoundPort("COM1", "", "", "", "", "", ())
+
+def system_port(device, **told):
+    """A port as the operating system lists it."""
+    port = ListPortInfo(device)
+    vars(port).update(told)
+    return port
+
+
+USB = system_port(
+    "COM7",
+    description="USB Serial Port",
+    vid=0x0403,
+    pid=0xFAF0,
+    manufacturer="Thorlabs",
+    product="Kinesis K10CR1",
+    serial_number="55000001",
+)
+PLAIN = system_port("COM1")
 
 
 @pytest.fixture(autouse=True)
 def two_ports(monkeypatch):
-    monkeypatch.setattr("anisoscope.rig.discovery.find_ports", lambda: (PLAIN, USB))
+    """The operating system lists two ports."""
+    monkeypatch.setattr("serial.tools.list_ports.comports", lambda: [USB, PLAIN])
 
 
 def test_lines_for_people(capsys):
     assert run(["rig", "ports"]) == 0
     assert capsys.readouterr().out == (
-        "COM1\nCOM7  0403:faf0  Thorlabs  Kinesis K10CR1  serial 55000001  may be apt\n"
+        "COM1\nCOM7  0403:faf0  Thorlabs  Kinesis K10CR1  serial 55000001  may be apt or elliptec\n"
     )
 
 
@@ -31,7 +48,7 @@ def test_nothing_is_opened_without_probe(capsys, monkeypatch):
     assert run(["rig", "ports", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert [row["port"] for row in found] == ["COM1", "COM7"]
-    assert found[1]["may_be"] == ["apt"]
+    assert found[1]["may_be"] == ["apt", "elliptec"]
     assert all("probe" not in row for row in found)
 
 

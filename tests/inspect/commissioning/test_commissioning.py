@@ -222,7 +222,7 @@ def test_markers_cannot_tell_the_sign_of_a_tilt_and_radiances_can(lay_out):
     assert abs(np.log(middle[0] / middle[1])) > 0.3
 
 
-def truth(rng, *, half, sign, poses, part=PART, noise=0.002):
+def truth(rng, *, half, sign, poses, part=PART, noise=0.002, bounces=None):
     """Radiances of a random rig and part, as the fit gets them, and what is true."""
     lean, tilt = poses
     light, azimuth, zero = rng.uniform(8, 12), 0.3 * rng.standard_normal(), 0.02 * rng.standard_normal()
@@ -234,7 +234,7 @@ def truth(rng, *, half, sign, poses, part=PART, noise=0.002):
         part.alpha_across,
     )
     material = Material(along, across, part.albedo + part.u_albedo * rng.standard_normal(), part.index)
-    value = 500.0 * radiance(to_light @ seat, to_camera @ seat, design, material)
+    value = 500.0 * radiance(to_light @ seat, to_camera @ seat, design, material, bounces)
     value *= np.exp(noise * rng.standard_normal(len(lean)))
     seen = Radiances(
         lean, tilt, value, np.full(len(lean), noise), u_tilt_deg=0.02, free_sign=bool(np.ptp(tilt))
@@ -271,6 +271,19 @@ def test_one_turn_leaves_the_light_to_what_is_known_of_the_part():
     names = [parameter.name for parameter in found.parameters]
     row = np.abs(found.correlation[names.index("light_deg")])
     assert max(row[names.index("log_mean")], row[names.index("ridge_deg")]) > 0.5
+
+
+def test_a_fit_of_direct_light_takes_reflections_for_another_light_angle():
+    """A fit of direct light is right where light reflects once, and 1.4° off where it reflects several times."""
+    found = {}
+    for counted in (1, None):
+        rng = np.random.default_rng(106)
+        seen, light = truth(rng, half=False, sign=1, poses=(TURN, np.zeros(len(TURN))), bounces=counted)
+        found[counted] = fit_light(PART, seen, bounces=1)
+    once, several = (one["light_deg"] for one in found.values())
+    assert abs(once.value - light) < 3.0 * once.u < 1.2
+    assert abs(several.value - light) > 1.2
+    assert found[None].widened > 10.0  # and its residuals say so
 
 
 def test_a_dull_flat_part_does_not_tell_its_sides_apart():

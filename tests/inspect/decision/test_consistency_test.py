@@ -5,8 +5,8 @@ import pytest
 from scipy.stats import chi2
 
 from anisoscope.base.errors import MeasurementError
-from anisoscope.base.significance import hotelling, log_basis, mahalanobis
-from anisoscope.decision.consistency_test import calibrated, from_golden, from_prediction, golden_chances
+from anisoscope.base.significance import calibrated, hotelling, log_basis, mahalanobis
+from anisoscope.decision.consistency_test import from_golden, from_prediction, golden_chances
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.registration.placement import Grid
 from anisoscope.prediction.expectation import Component, Expectation

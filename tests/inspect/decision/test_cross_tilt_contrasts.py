@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from anisoscope.decision.cross_tilt_contrasts import between_tilts, deviating
+from anisoscope.decision.decision import between_tilts, deviating_between_tilts
 from anisoscope.prediction.expectation import Component
 from anisoscope.sim.light.geometry import pose_grid
 
@@ -21,18 +21,18 @@ def parts(off, poses=POSES):
 
 def test_a_spike_is_named_between_tilts_with_its_uncertainty():
     spike = np.array([0.1 if pose.tilt_deg == 0.0 and pose.stage_deg == 90.0 else 0.0 for pose in POSES])
-    (found,) = deviating(*parts(spike), 0.001)
+    (found,) = deviating_between_tilts(*parts(spike), 0.001)
     assert found == "90° between tilt 0° and 3° (ln ratio off by +0.100, u 0.014)"  # what all share cancels
 
 
 def test_chance_is_not_named_nor_what_all_poses_share():
-    assert deviating(*parts(np.array([0.02, -0.01, 0.01, 0.0])), 0.001) == ()
-    assert deviating(*parts(np.full(4, 0.5)), 0.001) == ()
+    assert deviating_between_tilts(*parts(np.array([0.02, -0.01, 0.01, 0.0])), 0.001) == ()
+    assert deviating_between_tilts(*parts(np.full(4, 0.5)), 0.001) == ()
 
 
 def test_one_tilt_has_nothing_between():
     poses = pose_grid((0.0, 90.0, 180.0), (0.0,))
-    assert deviating(*parts(np.array([0.5, 0.0, 0.0]), poses), 0.001) == ()
+    assert deviating_between_tilts(*parts(np.array([0.5, 0.0, 0.0]), poses), 0.001) == ()
 
 
 @pytest.mark.parametrize("kind", ["log_ratio", "michelson", "difference"])

@@ -1,13 +1,16 @@
 """What golden parts teach a diagnosis: its covariance, its chances, and how far signatures can be believed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from anisoscope.diagnosis.causes import Cause
-from anisoscope.diagnosis.evidence import Evidence, against, root_of
+from anisoscope.diagnosis.evidence import Evidence, Inputs, against, root_of
 from anisoscope.diagnosis.likelihood import fit_extent
-from anisoscope.diagnosis.ranking import NOTHING, diagnose
+from anisoscope.diagnosis.ranking import NOTHING, OTHER, diagnose
 from anisoscope.diagnosis.signatures import Signature, Signatures
+from anisoscope.prediction.second_order import Response
 from anisoscope.sim.light.geometry import Pose
 
 POSES = tuple(Pose(45.0 * k) for k in range(6))
@@ -109,3 +112,35 @@ def test_roots_of_singular_covariances():
     np.testing.assert_allclose(root @ root.T, half @ half.T, atol=1e-12)
     stack = root_of(np.stack([np.eye(3), 4.0 * np.eye(3)]))
     assert stack[1, 2, 2] == pytest.approx(2.0)
+
+
+def test_a_position_far_beyond_its_stated_uncertainty_ranks_behind_a_defect_that_explains_as_well():
+    rng = np.random.default_rng(11)
+    slope, stated = 0.3 * rng.normal(size=P), 0.01**2 * np.eye(P)
+    defect = line(slope)
+    seat = replace(
+        defect, cause=replace(defect.cause, name="seat", group="rig", source="seating tilt about x")
+    )
+    response = Response(("seating tilt about x",), 0.01 * slope[:, None], np.zeros((P, 1, 1)))
+    inputs = Inputs(response, {"seating tilt about x": 0.01}, stated, np.ones(1))
+    part = Evidence(0.5 * slope, stated, inputs=inputs)  # 50 standard uncertainties of the seat
+    found = diagnose(known(seat, defect), part)
+    assert [one.cause for one in found.causes[:2]] == ["a", "seat"]
+    assert {one.cause for one in found.ties} == {"a", "seat"}  # the poses cannot tell them apart
+    assert found.causes[0].weight > 0.95
+    near = diagnose(known(seat, defect), replace(part, deviation=0.01 * slope))
+    weights = {one.cause: one.weight for one in near.causes}
+    assert weights["seat"] == pytest.approx(weights["a"], rel=1.5)
+
+
+def test_where_no_cause_explains_the_part_none_has_a_large_weight():
+    rng = np.random.default_rng(12)
+    slope, stated = 0.3 * rng.normal(size=P), 0.01**2 * np.eye(P)
+    explained = diagnose(known(line(slope)), Evidence(0.5 * slope, stated))
+    weights = {one.cause: one.weight for one in explained.causes}
+    assert 0.0 < weights[OTHER] < 0.01
+    strange = diagnose(known(line(slope)), Evidence(0.5 * slope + 0.2 * rng.normal(size=P), stated))
+    weights = {one.cause: one.weight for one in strange.causes}
+    assert weights[OTHER] > 0.99
+    assert strange.unexplained_p < 1e-6
+    assert sum(weights.values()) == pytest.approx(1.0)

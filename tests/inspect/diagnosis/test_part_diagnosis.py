@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from anisoscope.decision.decision import decide
-from anisoscope.decision.reference_parts import GoldenPart, GoldenSet, recipe_key
+from anisoscope.decision.reference_parts import GoldenPart, GoldenSet
 from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES
 from anisoscope.diagnosis.part_diagnosis import evidence_of, explain
 from anisoscope.diagnosis.signatures import signatures
@@ -67,7 +67,7 @@ def golden(recipe, expected):
         )
         for number, row in enumerate(shown(None, GOLDEN, 1, len(poses)))
     )
-    return GoldenSet(product=recipe.product, recipe_key=recipe_key(recipe), poses=poses, parts=parts)
+    return GoldenSet(product=recipe.product, recipe_key=GoldenSet.key_of(recipe), poses=poses, parts=parts)
 
 
 def measured(log_radiance, recipe, expected):
@@ -97,13 +97,19 @@ def test_golden_parts_of_another_world_name_what_the_prediction_cannot(recipe, e
             recipe, expected, seen, decide(expected, seen, recipe, golden), golden=golden, causes=few
         )
         assert note is None
+        if (
+            told.unexplained_p is None
+        ):  # a part like the golden ones, at this level: nothing is to be explained
+            continue
+        said["diagnosed"] += 1
         said["explained"] += told.unexplained_p > recipe.decision.alpha
         ties = {cause.cause for cause in told.causes if cause.tie}
         said["tied"] += BY_NAME[kind].cause in ties
         said["first"] += told.causes[0].cause == BY_NAME[kind].cause
-    assert said["explained"] >= PARTS - 1
-    assert said["tied"] >= PARTS - 1
-    assert said["first"] > PARTS / 2
+    assert said["diagnosed"] >= PARTS - 1  # of a weak defect one part may pass
+    assert said["explained"] >= said["diagnosed"] - 1
+    assert said["tied"] >= said["diagnosed"] - 1
+    assert said["first"] > said["diagnosed"] / 2
 
 
 def test_the_reference_is_the_mean_of_the_golden_parts(recipe, expected, golden):

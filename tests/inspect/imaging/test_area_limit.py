@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from anisoscope.decision.reference_parts import GoldenPart, GoldenSet, recipe_key
-from anisoscope.imaging.area_limit import MIN_PARTS, KnownShares, learnt_limit
+from anisoscope.decision.reference_parts import GoldenPart, GoldenSet
+from anisoscope.imaging.area_limit import LEAST_PARTS, MIN_PARTS, KnownShares, learnt_limit
 
 CELLS, ALPHA = 2800, 0.01
 
@@ -44,7 +44,7 @@ def test_the_excess_of_nothing_seen_is_that_of_its_prior():
 def test_no_golden_part_exceeds_its_own_limit_and_few_parts_teach_nothing(rng):
     shares = np.append(rng.gamma(20.0, 1e-3, 24), 0.2)
     assert learnt_limit(shares, CELLS, ALPHA) >= 0.2
-    assert learnt_limit(shares[: MIN_PARTS - 1], CELLS, ALPHA) is None
+    assert learnt_limit(shares[: LEAST_PARTS - 1], CELLS, ALPHA) is None
 
 
 @pytest.mark.parametrize("shape", [0.3, 2.0])
@@ -77,7 +77,7 @@ def test_the_recipes_own_limit_wins_and_other_thresholds_do_not_count(make_recip
     shares = rng.gamma(2.0, 2e-3, 25)
     known = GoldenSet(
         product="x",
-        recipe_key=recipe_key(recipe),
+        recipe_key=GoldenSet.key_of(recipe),
         poses=((0.0, 0.0), (90.0, 0.0), (180.0, 0.0)),
         parts=parts(shares),
     )

@@ -79,7 +79,8 @@ def test_without_a_map_nothing_is_said_and_a_small_one_is_not_matched(recipe):
     assert match_map(recipe, replace(expected, surface=None), measured) == (None, None)
 
 
-def test_a_whole_inspection_tells_where_the_recipes_map_lies(virtual_rig, tmp_path):
+@pytest.mark.parametrize("reflections", [True, False])
+def test_a_whole_inspection_tells_where_the_recipes_map_lies(virtual_rig, tmp_path, reflections):
     plain = ridges(RidgeDesign(PITCH_UM, 10.0), (301, 601), (4.0, 2.0))
     part = add_facet_roughness(plain, 0.08, 0.08, 20.0, np.random.default_rng(6))
     write_height_map(part, tmp_path / "part.x3p")
@@ -94,6 +95,7 @@ def test_a_whole_inspection_tells_where_the_recipes_map_lies(virtual_rig, tmp_pa
                 "pitch_um": None,
                 "ridge_angle_deg": None,
                 "resolved_alpha": None,
+                "reflections": reflections,
             }
         },
     )
@@ -102,5 +104,6 @@ def test_a_whole_inspection_tells_where_the_recipes_map_lies(virtual_rig, tmp_pa
     assert (found.resolved, found.ratio > 2.0) == (True, True)
     np.testing.assert_allclose([found.x_um, found.y_um], [(280 - 300) * 2.0, (159 - 150) * 4.0], atol=2.0)
     assert abs(found.phase_um + 40.0) < 2.0
-    np.testing.assert_allclose(found.measured, found.predicted, rtol=0.05)
+    # the rendered map lacks the reflections, an eighth of the light in the darkest pose
+    np.testing.assert_allclose(found.measured, found.predicted, rtol=0.15 if reflections else 0.05)
     assert not any("height map" in note for note in record.notes)

@@ -192,8 +192,8 @@ def test_an_unfit_rig_is_invalid_and_says_what_to_do(case, virtual_rig):
     assert re.search(words, record.reasons[0]), record.reasons
 
 
-def test_without_a_fixture_the_edges_of_the_part_align_the_pictures(virtual_rig):
-    with_markers = virtual_rig("markers").inspect().record
+def test_without_a_fixture_the_edges_of_the_part_align_the_pictures(virtual_rig, inspected_part):
+    with_markers = inspected_part[1].record
     record = virtual_rig("edges", rig={"fixture": None}).inspect().record
     assert record.verdict in {"PASS", "INVALID"}
     if record.verdict == "PASS":

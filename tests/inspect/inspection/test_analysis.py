@@ -8,7 +8,7 @@ import pytest
 
 from anisoscope.base.errors import ModelError
 from anisoscope.decision.design_vs_map import READINGS, compare
-from anisoscope.decision.reference_parts import add_part, golden_path, write_golden
+from anisoscope.decision.reference_parts import GoldenSet, golden_path, write_golden
 from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES
 from anisoscope.diagnosis.shape_fit import fit_shape
 from anisoscope.imaging.pose_radiance import Measured
@@ -99,7 +99,9 @@ def test_golden_parts_decide_what_deviates_and_are_kept_in_the_folder(virtual_ri
             pose.model_copy(update={"measured": pose.measured * float(np.exp(0.02 * rng.standard_normal()))})
             for pose in first.poses
         )
-        golden = add_part(golden, recipe, first.model_copy(update={"serial": f"G{number}", "poses": poses}))
+        golden = GoldenSet.with_inspection(
+            golden, recipe, first.model_copy(update={"serial": f"G{number}", "poses": poses})
+        )
         write_golden(golden_path(rig.recipe), golden)
     record = (found := rig.inspect("T-2")).record
     assert record.details.golden.parts == 8
@@ -110,13 +112,18 @@ def test_golden_parts_decide_what_deviates_and_are_kept_in_the_folder(virtual_ri
     assert recompute(found.folder).differences == ()
 
 
-def test_too_few_golden_parts_are_said_to_be_too_few(virtual_rig):
-    rig = virtual_rig()
+def test_one_golden_part_serves_and_what_it_cannot_show_leaves_a_part_undecided(virtual_rig):
+    rig = virtual_rig(recipe={"defects": {"power": 0.9}, "decision": {"remeasure": 0}})
     record = rig.inspect().record
-    write_golden(golden_path(rig.recipe), add_part(None, read_recipe(rig.recipe), record))
-    found = rig.inspect("T-2")
-    assert (found.record.verdict, found.record.details.golden) == ("PASS", None)
-    assert "1 golden part: from 3 on they are compared with, 6 are sensible" in found.notes
+    assert record.verdict == "INCONCLUSIVE"
+    assert "add one" in record.reasons[0]  # against the prediction alone no power is known
+    write_golden(golden_path(rig.recipe), GoldenSet.with_inspection(None, read_recipe(rig.recipe), record))
+    found = rig.inspect("T-2").record
+    golden = found.details.golden
+    assert (found.verdict, golden.parts, golden.birge) == ("INCONCLUSIVE", 1, None)
+    powers = {one.defect: one.power for one in golden.directions}
+    assert powers["height loss 10%"] > 0.99
+    assert min(powers, key=lambda name: powers[name]) in found.reasons[0]
 
 
 def test_what_is_undecided_is_measured_again_and_recomputed(virtual_rig):
@@ -132,8 +139,8 @@ def test_what_is_undecided_is_measured_again_and_recomputed(virtual_rig):
     assert recompute(found.folder).differences == ()
 
 
-def test_records_of_before_stay_readable(virtual_rig):
-    content = json.loads((virtual_rig().inspect().folder / "record.json").read_text())
+def test_records_of_before_stay_readable(inspected_part):
+    content = json.loads((inspected_part[1].folder / "record.json").read_text())
     content.pop("seal")
     new = (
         "conformance_probability",
@@ -223,3 +230,12 @@ def test_the_fit_over_tilts_finds_the_ridge_angle_and_refuses_what_it_cannot(mak
 def test_one_tilt_is_not_fitted(make_recipe):
     expected = expectation(make_recipe(), 10.0)
     assert fit_shape(make_recipe(), expected, seen(expected.radiance)) == (None, None)
+
+
+def test_rounded_crests_and_a_drafted_wall_are_inspected_and_recorded(virtual_rig):
+    design = {"edge_radius_um": 0.5, "wall": 8.0}
+    rig = virtual_rig(recipe={"surface": {"design": design}, "decision": {"remeasure": 0}})
+    record = rig.inspect().record
+    assert record.verdict == "PASS"
+    assert record.optics.groove_wall == 8.0
+    assert read_record(rig.folders[0]).optics.groove_wall == 8.0

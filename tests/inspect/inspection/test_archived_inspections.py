@@ -55,7 +55,11 @@ def test_verify_says_what_it_said(archive, anisoscope, kind):
 def test_recompute_finds_every_number_as_recorded(archive, anisoscope, kind):
     folder, _ = archive
     found = anisoscope("recompute", kind, "--json", cwd=folder).json
-    assert found == _then(f"recompute-{kind}.json", folder)
+    notes = found.pop("notes")  # on numbers that the version then did not record
+    then = _then(f"recompute-{kind}.json", folder)
+    del then["notes"]
+    assert found == then
+    assert any("not compared" in note for note in notes)
     assert found["same"]
     assert found["differences"] == []
 

@@ -14,9 +14,9 @@ from anisoscope.record.schema import RECORD_NAME, UNSEALED, read_record, write_r
 
 
 @pytest.fixture
-def finished(virtual_rig):
+def finished(inspected_part):
     """The folder of a finished inspection."""
-    return virtual_rig().inspect().folder
+    return inspected_part[1].folder
 
 
 def test_a_folder_explains_itself_anywhere(finished, tmp_path):

@@ -23,10 +23,9 @@ COLUMNS = ["file", "kind", "stage_deg", "tilt_deg", "exposure_s", "gain", "bit_d
 
 
 @pytest.fixture
-def taken(virtual_rig):
+def taken(inspected_part):
     """A finished inspection, and its frames as a folder of frames."""
-    rig = virtual_rig()
-    inspected = rig.inspect()
+    rig, inspected = inspected_part
     frames = [read_frame(inspected.folder / entry.name) for entry in inspected.record.frames]
     folder = rig.out.parent / "frames"
     write_frame_folder(folder, frames, [entry.again for entry in inspected.record.frames])

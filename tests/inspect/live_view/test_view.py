@@ -72,7 +72,7 @@ def test_direction_is_undefined_where_there_is_none(picture, rng):
 def test_direction_is_the_angle_of_the_sample_on_the_virtual_rig(virtual_rig, angle_deg):
     from anisoscope.sim.bench.camera import SimulatedCamera
 
-    bench = virtual_rig(bench={"sample": {"resolved_alpha": 0.03, "size_mm": 2.4}}).bench
+    bench = virtual_rig(bench={"sample": {"resolved_alpha": 0.01, "size_mm": 2.4}}).bench
     bench.axis.start_move(10.0 + angle_deg)
     bench.light_on = True
     camera = SimulatedCamera(bench)

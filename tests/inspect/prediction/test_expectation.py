@@ -23,7 +23,9 @@ def log_ratios(recipe, light_deg=10.0, seating=(0.0, 0.0), design=DESIGN, **mate
     to_light, to_camera = directions(recipe.poses.poses(), Convention(light_deg))
     seat = seating_rotation(*seating)
     plastic = replace(recipe.material.material(), **material)
-    return PAIRS @ np.log(corrected.radiance(to_light @ seat, to_camera @ seat, design, plastic))
+    return PAIRS @ np.log(
+        corrected.radiance(to_light @ seat, to_camera @ seat, design, plastic, bounces=None)
+    )
 
 
 CHANGES = {
@@ -47,6 +49,29 @@ def test_every_component_is_the_spread_that_its_cause_makes(make_recipe, source)
     stated = np.sqrt(np.diag(PAIRS @ part.covariance() @ PAIRS.T))
     spread = np.std([CHANGES[source](recipe, z) for z in ZS], axis=0) / np.std(ZS)
     np.testing.assert_allclose(stated, spread, rtol=0.03, atol=3e-4)
+
+
+@pytest.mark.parametrize("optics", [1, None])
+def test_the_edge_radius_of_a_design_counts_with_its_uncertainty(make_recipe, optics):
+    """Crests of 2 ± 0.5 µm, in direct light and with all reflections."""
+    stated = {"edge_radius_um": 2.0, "u_edge_radius_share": 0.25}
+    reflections = "all" if optics is None else "direct"
+    recipe = make_recipe(surface={"design": stated, "reflections": reflections})
+    expected = expectation(recipe, 10.0)
+
+    def radiance(radius):
+        design = RidgeDesign(100.0, 10.0, edge_radius_um=radius)
+        sides = directions(recipe.poses.poses(), Convention(10.0))
+        return corrected.radiance(*sides, design, recipe.material.material(), bounces=optics)
+
+    np.testing.assert_allclose(expected.radiance, radiance(2.0), rtol=1e-6)
+    (part,) = (c for c in expected.components if c.source == "edge radius")
+    slope = 0.5 * (np.log(radiance(2.05)) - np.log(radiance(1.95))) / 0.05
+    np.testing.assert_allclose(part.relative, 0.5 * slope, rtol=0.05, atol=2e-4)
+    assert np.abs(part.relative).max() > 2e-3
+    assert part.shared
+    sharp = expectation(make_recipe(), 10.0)
+    assert not any(c.source == "edge radius" for c in sharp.components)
 
 
 def test_a_spread_that_is_not_stated_is_in_nothing(make_recipe):
@@ -107,8 +132,13 @@ def test_a_height_map_is_one_more_source_of_uncertainty(make_recipe, measured_ma
     found, ideal = expectation(recipe, 10.0), expectation(make_recipe(), 10.0)
     assert (found.model, ideal.model) == ("relief", "corrected")
     (part,) = (c for c in found.components if c.source.startswith("height map"))
-    pixel_share = found.surface.pixel_x_um / 100.0 / np.sqrt(3.0)  # a pixel of facet lost a pitch
-    np.testing.assert_allclose(part.covariance(), (0.02**2 + pixel_share**2) * np.eye(3))
+    (amplitude,) = (c for c in found.components if c.source == "amplitude of the reflections")
+    within = (
+        amplitude.relative / recipe.uncertainty.reflections_share
+    )  # share of the light that reflects again
+    # of a pitch a pixel of facet is lost; a wall of a pixel reflects otherwise
+    pixel_share = 0.01 * np.hypot((1.0 - within) / np.sqrt(3.0), 7.5 * within)
+    np.testing.assert_allclose(part.covariance(), np.diag(0.02**2 + pixel_share**2))
     sources = [{c.source for c in one.components if "second order" not in c.source} for one in (found, ideal)]
     assert sources[0] - sources[1] == {part.source}
     names = {"roughness across the ridges", "seating tilt about y"}

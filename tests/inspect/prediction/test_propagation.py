@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import ModelError
-from anisoscope.prediction.propagation import propagate
+from anisoscope.prediction.monte_carlo import draw
+from anisoscope.prediction.propagation import TAIL, propagate
 from anisoscope.prediction.sensitivity import InputUncertainty, Shape, State, fixed
+from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import Convention, directions, pose_grid
 from anisoscope.sim.light.material import Material
@@ -190,3 +192,19 @@ def test_a_pose_at_the_horizon_is_refused_in_one_line():
 def test_impossible_uncertainties_are_refused(change):
     with pytest.raises(ModelError):
         InputUncertainty(**change)
+
+
+def test_a_lobe_that_nobody_measured_is_uncertain_where_its_tail_shows():
+    """The change between Beckmann's lobe and one whose tail is one standard uncertainty."""
+    design = RidgeDesign(100.0, 10.0)
+
+    def model(to_light, to_camera, material):
+        return corrected.radiance(to_light, to_camera, design, material)
+
+    inputs = replace(EXACT, tail=0.5)
+    found = part(of(model, inputs), TAIL)
+    bare, tailed = (model(*directions(POSES, Convention()), Material(tail=tail)) for tail in (0.0, 0.5))
+    np.testing.assert_allclose(found.absolute, bare * np.log(tailed / bare), rtol=1e-6)
+    drawn = draw(fixed(model), NOMINAL, POSES, Convention(), inputs, 64, np.random.default_rng(1))
+    ratio = drawn.u() / np.abs(found.absolute)  # half of the draws have no tail: it cannot be negative
+    assert np.all((ratio > 0.3) & (ratio < 1.2))

@@ -80,7 +80,8 @@ def test_sensitivities_turn_the_ridges_of_a_design_by_rays_and_by_waves(make_rec
         made, other = (models.models_of(one, one.poses.poses(), Convention(10.0)) for one in (recipe, turned))
         assert made.name == name
         found = made.sampled(Shape(4.2))(*seen, material)
-        np.testing.assert_array_equal(found, other.model(*seen, material))
+        # two reflections stand in for all of them: exact but for how their ratio changes with the angle
+        np.testing.assert_allclose(found, other.model(*seen, material), rtol=1e-4)
         assert np.abs(np.log(found / made.model(*seen, material))).max() > 0.01
 
 

@@ -1,6 +1,5 @@
 """The sheet of a camera, from a calibration taken on the virtual rig."""
 
-import json
 import tomllib
 
 import numpy as np
@@ -8,6 +7,7 @@ import pytest
 import tomli_w
 
 from anisoscope.base.errors import CalibrationError
+from anisoscope.base.json_fields import as_json
 from anisoscope.calibration.frames import Taking
 from anisoscope.calibration.linearity import calibrate_linearity
 from anisoscope.calibration.record import read_calibration, write_calibration
@@ -40,7 +40,10 @@ def test_the_sheet_holds_the_curve_and_agrees_with_the_record(taken):
     assert [name for name, _ in sheet.rows] == [NAMES[n] for n in NAMES if n in sheet.record.values]
     assert sheet.verdict.startswith("fit for measuring")
     assert any("quantum efficiency" in note for note in sheet.notes)
-    json.dumps(sheet.to_json(), allow_nan=False)
+    shown = as_json(sheet)
+    assert (shown["file"], shown["id"], shown["verdict"]) == (str(taken[1]), sheet.record.id, sheet.verdict)
+    assert shown["values"]["gain"]["value"] == gain
+    assert shown["curve"]["light"] == curve.light.tolist()
 
 
 def test_a_rig_file_leads_to_its_record(taken):

@@ -1,11 +1,10 @@
 """A whole control study: what it says, and that it says it honestly."""
 
-import json
-
 import numpy as np
 import pytest
 
 from anisoscope.base.errors import UsageError
+from anisoscope.base.json_fields import as_json
 from anisoscope.quality.capability import Specification
 from anisoscope.quality.control import Settings, control_study
 
@@ -56,7 +55,7 @@ def test_json_says_the_same_and_counts_from_one():
     values[19] = 9.0
     values[30] = np.nan
     found = study(values, limits=Specification(-50.0, None))
-    content = json.loads(json.dumps(found.to_json(), allow_nan=False))
+    content = as_json(found)
     assert (content["measured"], content["missing"], content["stable"]) == (39, 1, False)
     (first,) = [flag for flag in content["flags"] if flag["rule"] == 1]
     assert (first["rule"], first["first"], first["labels"]) == (1, 20, ["SN-20"])

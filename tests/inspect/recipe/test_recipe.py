@@ -51,6 +51,16 @@ def test_the_design_is_the_one_of_the_file(read):
     assert (design.pitch_um, design.ridge_angle_deg, design.wall) == (100.0, 12.0, "vertical")
 
 
+def test_crests_and_walls_of_the_design_are_those_of_the_file(read):
+    assert read(surface=DESIGN).surface.ridge_design().edge_radius_um == 0.0
+    table = {"ridge_angle_deg": 12.0, "wall": 4.5, "edge_radius_um": 1.5}
+    surface = read(surface={**DESIGN, "design": table}).surface
+    assert (surface.ridge_design().wall, surface.ridge_design().edge_radius_um) == (4.5, 1.5)
+    assert surface.design.u_edge_radius_share == 0.4
+    with pytest.raises(RecipeError, match=r"design\.edge_radius_um .* leaves no facet"):
+        read(surface={**DESIGN, "design": {**table, "edge_radius_um": 400.0}})
+
+
 def test_the_spread_of_the_ridge_angle_is_nil_unless_it_is_stated(read):
     assert read(surface=DESIGN).surface.design.u_ridge_angle_deg == 0.0
     stated = {**DESIGN, "design": {"ridge_angle_deg": 10.0, "u_ridge_angle_deg": 0.1}}
@@ -133,3 +143,32 @@ def test_a_pose_below_the_horizon_names_file_key_and_pose(read, tmp_path, tilt, 
 def test_a_recipe_that_is_not_there_is_named(tmp_path):
     with pytest.raises(RecipeError, match=r"none\.toml: there is no such file"):
         read_recipe(tmp_path / "none.toml")
+
+
+def test_single_poses_take_the_place_of_the_grid(make_recipe):
+    single = [[0, 0], [90, 0], [180, 0], [90, -15]]
+    found = make_recipe(poses={"stage_and_tilt_deg": single})
+    assert [(pose.stage_deg, pose.tilt_deg) for pose in found.poses.poses()] == [
+        tuple(map(float, p)) for p in single
+    ]
+    assert (found.poses.angles_deg, found.poses.tilts_deg) == ((0.0, 90.0, 180.0), (0.0, -15.0))
+    stored = found.model_dump(mode="json", by_alias=True)
+    assert type(found).model_validate(stored) == found  # as a record holds it
+    assert (
+        "stage_and_tilt_deg" not in make_recipe().model_dump(mode="json")["poses"]
+    )  # keys of golden parts stay
+    tolerant = make_recipe(poses={"stage_and_tilt_deg": single}, decision={"tolerance": 0.2})
+    assert tolerant.tolerances() == (0.2, 0.2)  # of 0/90 and 90/180, upright
+
+
+@pytest.mark.parametrize(
+    ("poses", "words"),
+    [
+        ({"stage_and_tilt_deg": [[0, 0], [0, 0]]}, "a pose twice"),
+        ({"stage_and_tilt_deg": [[0, 0], [90, 10]]}, "two poses of one tilt"),
+        ({"stage_and_tilt_deg": [[0, 0], [90, 0]], "angles_deg": [0, 180]}, "not both"),
+    ],
+)
+def test_single_poses_that_make_no_sense(make_recipe, poses, words):
+    with pytest.raises(ValueError, match=words):
+        make_recipe(poses=poses)

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from anisoscope.base.errors import RecordError
-from anisoscope.decision.reference_parts import read_golden, recipe_key, write_golden
+from anisoscope.decision.reference_parts import GoldenSet, write_golden
 from anisoscope.record.json_schema import record_schema, record_schema_text
 from anisoscope.record.schema import RECORD_NAME, read_record, write_record
 
@@ -107,8 +107,8 @@ def test_the_published_schema_is_that_of_the_code():
     assert FILE.read_text(encoding="utf-8") == record_schema_text()
 
 
-def test_a_real_record_keeps_the_schema_and_a_forged_one_does_not(virtual_rig):
-    content = json.loads((virtual_rig().inspect().folder / RECORD_NAME).read_text(encoding="utf-8"))
+def test_a_real_record_keeps_the_schema_and_a_forged_one_does_not(inspected_part):
+    content = json.loads((inspected_part[1].folder / RECORD_NAME).read_text(encoding="utf-8"))
     schema = record_schema()
     assert complaints(content, schema, schema) == []
     for change in ({"verdict": "GOOD"}, {"d2": "much"}, {"more": 1}, {"seal": "x"}, {"poses": [{}]}):
@@ -157,20 +157,24 @@ OLD_GOLDEN = {
 def test_golden_parts_of_before_are_read_and_get_the_key_of_now(make_recipe, tmp_path):
     recipe, path = make_recipe(), tmp_path / "r.golden.json"
     path.write_text(json.dumps(OLD_GOLDEN), encoding="utf-8")
-    found = read_golden(path, recipe)
-    assert (len(found.parts), found.recipe_key, found.area_limit(recipe)) == (1, recipe_key(recipe), None)
+    found = GoldenSet.read(path, recipe)
+    assert (len(found.parts), found.recipe_key, found.area_limit(recipe)) == (
+        1,
+        GoldenSet.key_of(recipe),
+        None,
+    )
     write_golden(path, found)
-    assert read_golden(path, recipe) == found
+    assert GoldenSet.read(path, recipe) == found
 
 
 def test_the_key_is_that_of_what_changes_a_measurement(make_recipe):
-    key = recipe_key(make_recipe())
+    key = GoldenSet.key_of(make_recipe())
     for same in (
         {"acquisition": {"settle_s": 3.0}},
         {"decision": {"alpha": 0.05}},
         {"acquisition": {"gain": 1.0}},
     ):
-        assert recipe_key(make_recipe(**same)) == key
+        assert GoldenSet.key_of(make_recipe(**same)) == key
     for other in (
         {"acquisition": {"exposure_s": 0.003}},
         {"acquisition": {"frames_per_pose": 3}},
@@ -178,4 +182,4 @@ def test_the_key_is_that_of_what_changes_a_measurement(make_recipe):
         {"poses": {"angles_deg": [0.0, 90.0]}},
         {"region": {"size_mm": [0.8, 0.8]}},
     ):
-        assert recipe_key(make_recipe(**other)) != key
+        assert GoldenSet.key_of(make_recipe(**other)) != key

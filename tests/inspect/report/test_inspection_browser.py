@@ -126,8 +126,12 @@ def test_the_wheel_scrolls_the_page_and_keys_turn_the_map(relief):
     page.evaluate("document.querySelector('.relief').scrollIntoView({block: 'center'})")
     assert poll(lambda: settled(page)) == before, "the wheel moves the map"
     page.drag((x, y), [])  # a click, which gives it the keys
-    page.call("Input.dispatchKeyEvent", type="keyDown", key="ArrowLeft", code="ArrowLeft")
-    assert poll(lambda: (after := settled(page)) and after != before), "it does not turn"
+
+    def turned():  # pressed again where a busy machine gave the first one to the page
+        page.call("Input.dispatchKeyEvent", type="keyDown", key="ArrowLeft", code="ArrowLeft")
+        return (after := settled(page)) and after != before
+
+    assert poll(turned), "it does not turn"
     assert page.complaints() == []
 
 
@@ -288,7 +292,7 @@ def spoiled(value, keep):
 
 
 def test_texts_stay_texts(page, tmp_path, make_report_record, report_pictures):
-    fixed = {"schema", "verdict", "kind", "surface", "deviation", "created_at", "taken_at", "cause"}
+    fixed = {"schema", "verdict", "kind", "surface", "deviation", "created_at", "taken_at", "cause", "test"}
     content = spoiled(json.loads(make_report_record().model_dump_json(by_alias=True)), fixed)
     record = type(make_report_record()).model_validate(content)
     raw = tuple((EVIL, picture) for picture in report_pictures.aligned[:1])

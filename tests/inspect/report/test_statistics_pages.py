@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import RecordError
-from anisoscope.calibration.photon_transfer import TransferCurve
+from anisoscope.calibration.linearity import TransferCurve
 from anisoscope.calibration.record import dated, write_calibration
 from anisoscope.quality.bias import bias_study
 from anisoscope.quality.camera import read_camera

@@ -1,8 +1,6 @@
 """The detection study: its short cuts against the full route, statistics against definitions, and going on."""
 
 import json
-import os
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,11 +19,10 @@ from anisoscope.report.detection_page import tables_of, write_detection_page
 from anisoscope.report.detection_text import BEGIN, END, INTERVALS, numbers_of, with_results, write_results
 from anisoscope.sim.bench.sensor import Sensor
 from anisoscope.sim.light.geometry import Convention, directions, seating_rotation
-from anisoscope.sim.light.ggx import lobe_maps
-from anisoscope.sim.light.material import Material, transmittance
-from anisoscope.sim.light.relief import Relief, radiance_maps
+from anisoscope.sim.light.relief import Relief, shine_maps
 from anisoscope.sim.light.shine import shine_in
-from anisoscope.study.detection import diagnosis as detection_diagnosis
+from anisoscope.sim.pathtracer.tracer import PathTracer
+from anisoscope.study.detection import evaluation as detection_evaluation
 from anisoscope.study.detection import sheets as detection_sheets
 from anisoscope.study.detection.chunk import (
     MEASURED_SOURCES,
@@ -39,8 +36,16 @@ from anisoscope.study.detection.chunk import (
     radiance_of_part,
     views_of_series,
 )
-from anisoscope.study.detection.diagnosis import true_extents
-from anisoscope.study.detection.lobes import lobes_of, quick_shine
+from anisoscope.study.detection.evaluation import (
+    area_under_curve,
+    curve,
+    histogram,
+    rate,
+    threshold,
+    true_extents,
+    uniformity,
+)
+from anisoscope.study.detection.lobes import lobes_of, plastic_of, quick_shine
 from anisoscope.study.detection.product import (
     BY_NAME,
     CLASSES,
@@ -49,6 +54,7 @@ from anisoscope.study.detection.product import (
     LOBE,
     PITCH_UM,
     WHOLE,
+    WORLDS,
     Size,
     draw,
     expected_of,
@@ -66,15 +72,7 @@ from anisoscope.study.detection.results import (
     with_area,
 )
 from anisoscope.study.detection.run import Plan, area_of, collect, study_results
-from anisoscope.study.detection.sheets import POINTS, SheetTask, cut, sheet_of, sheet_surface
-from anisoscope.study.detection.statistics import (
-    area_under_curve,
-    curve,
-    histogram,
-    rate,
-    threshold,
-    uniformity,
-)
+from anisoscope.study.detection.sheets import POINTS, SheetTask, bounces_of, cut, sheet_of, sheet_surface
 from anisoscope.study.sweep import Workers
 
 SMALL = Size(ridges=7, pitches=5, sheets=2, chunk=4, causes=("roughness-across", "seating-y"))
@@ -132,41 +130,27 @@ def test_a_quick_shine_is_the_exact_one():
     for material in (WHOLE, changed, replace(changed, albedo=0.25, index=1.505)):
         exact = [shine_in(*pair, material) for pair in zip(*SEEN, strict=True)]
         quick = [quick_shine(*pair, material) for pair in zip(*SEEN, strict=True)]
-        for one, other in zip(
-            lobe_maps(surface, exact, "beckmann"), lobe_maps(surface, quick, "beckmann"), strict=True
-        ):
+        for one, other in zip(shine_maps(surface, exact), shine_maps(surface, quick), strict=True):
             assert other.mean() == pytest.approx(one.mean(), rel=2e-3)
 
 
-def test_the_lobes_are_those_of_their_distributions():
-    """A level plane: the predictor's own map for Beckmann, the textbook's formula for GGX."""
-    plane = Relief(ridges(RidgeDesign(PITCH_UM, 0.0), (3, 201), (4.0, 1.0)), PITCH_UM)
-    light, camera = (side @ seating_rotation(3.0, 9.0) for side in SEEN)
-    shines = [shine_in(*pair, WHOLE) for pair in zip(light, camera, strict=True)]
-    own = list(radiance_maps(plane, light, camera, WHOLE))
-    for one, other in zip(own, lobe_maps(plane, shines, "beckmann"), strict=True):
-        assert np.array_equal(one, other)
-    for i, o, shine, radiance in zip(light, camera, shines, lobe_maps(plane, shines, "ggx"), strict=True):
-        half = (i + o) / np.linalg.norm(i + o)
-        wide = np.array([WHOLE.alpha_across, WHOLE.alpha_along])
-        lobe = 1.0 / (np.pi * wide.prod() * (np.sum((half[:2] / wide) ** 2) + half[2] ** 2) ** 2)
-        far = [0.5 * (np.sqrt(1.0 + np.sum((wide * d[:2]) ** 2) / d[2] ** 2) - 1.0) for d in (i, o)]
-        fresnel = shine.mirror * 4.0 * np.pi * wide.prod()
-        glossy = fresnel * lobe / ((1.0 + sum(far)) * 4.0 * i[2] * o[2])
-        base = shine.diffuse * transmittance(i[2], WHOLE) * transmittance(o[2], WHOLE)
-        assert radiance == pytest.approx((glossy + base) * i[2], rel=1e-4)
+def direct_light(surface, world, material, sides):
+    """Radiance maps of direct light in a world: by the predictor's facets, or by the path tracer."""
+    if WORLDS[world].traced:
+        tracer = PathTracer(surface, plastic_of(world, material), pitch_um=PITCH_UM, reflections=1)
+        return [tracer.direct(*pair) for pair in zip(*sides, strict=True)]
+    shines = [quick_shine(*pair, material) for pair in zip(*sides, strict=True)]
+    return list(shine_maps(Relief(surface, PITCH_UM), shines))
 
 
 def test_the_other_lobe_fits_the_recipe_as_well_as_it_can():
     lobes = lobes_of("other")
     assert 0.02 < lobes.misfit < 0.3  # no Beckmann lobe, but the nearest
+    surface = ridges(RidgeDesign(PITCH_UM, 10.0), (21, 601), (4.0, 0.5))
     off = []
     for across in (0.9, 1.0, 1.1):
         material = replace(lobes.smooth, alpha_across=across * lobes.smooth.alpha_across)
-        surface = Relief(ridges(RidgeDesign(PITCH_UM, 10.0), (2, 601), (4.0, 0.5)), PITCH_UM)
-        radiance = lobe_maps(
-            surface, [quick_shine(*pair, material) for pair in zip(*SEEN, strict=True)], "ggx"
-        )
+        radiance = direct_light(surface, "other", material, SEEN)
         found = np.log([view.mean(dtype=float) for view in radiance]) - np.log(
             expected_of("tilted", SMALL).radiance
         )
@@ -174,13 +158,29 @@ def test_the_other_lobe_fits_the_recipe_as_well_as_it_can():
     assert off[1] == min(off)
 
 
+def test_foreign_worlds_share_no_renderer_with_the_prediction():
+    assert [world for world, part in WORLDS.items() if not part.traced] == ["same"]
+    traced, same = (profile_radiance(nominal(), world).mean(axis=1) for world in ("camera", "same"))
+    assert not np.array_equal(traced, same)
+    # the same physics by another derivation; corners between two points of the mesh are cut, which shows at 180°
+    assert traced == pytest.approx(same, rel=0.06)
+
+
+@pytest.mark.soak
+def test_every_world_has_its_reflections():
+    good = bounces_of(("two-scale", GOOD))
+    seen = expected_of("tilted", SMALL).radiance
+    assert np.all(good > 0.0)
+    assert 0.08 < good[2] / seen[2] < 0.4  # 180° upright
+
+
 STATES = {
-    "finish": replace(nominal(), along=1.08, across=0.93, albedo=0.212, index=1.505),
-    "seat and lamp": replace(nominal(), seating_deg=np.array([0.25, -0.2]), light_deg=10.2),
-    "ridge angle": replace(nominal(), ridge_angle_deg=10.5),
-    "roughness": replace(nominal(), across=1.2),
-    "height loss": replace(nominal(), height_loss=0.1),
-    "wear": replace(nominal(), wear_um=5.0),
+    "finish": {"along": 1.08, "across": 0.93, "albedo": 0.212, "index": 1.505},
+    "seat and lamp": {"seating_deg": np.array([0.25, -0.2]), "light_deg": 10.2},
+    "ridge angle": {"ridge_angle_deg": 10.5},
+    "roughness": {"across": 1.2},
+    "height loss": {"height_loss": 0.1},
+    "wear": {"wear_um": 5.0},
 }
 
 
@@ -189,17 +189,18 @@ def rough(state):
     design = RidgeDesign(PITCH_UM, state.ridge_angle_deg, height_loss=state.height_loss)
     surface = ridges(design, (76, 8 * 200 + 1), (4.0, 0.5))
     surface = add_facet_roughness(surface, 0.03, 0.03, 8.0, np.random.default_rng(1))
-    return Relief(edge_wear(surface, state.wear_um) if state.wear_um else surface, PITCH_UM)
+    return edge_wear(surface, state.wear_um) if state.wear_um else surface
 
 
 def lobes_in(state, world):
     """Lobe of the facets of a rough surface whose whole roughness, grain and lobe, is that of a state."""
     textured, whole = lobes_of(world).textured, state.plastic(WHOLE)
-    return Material(
-        textured.alpha_along * np.sqrt(whole.alpha_along**2 - 0.03**2) / LOBE.alpha_along,
-        textured.alpha_across * np.sqrt(whole.alpha_across**2 - 0.03**2) / LOBE.alpha_across,
-        textured.albedo * state.albedo / LOBE.albedo,
-        state.index,
+    return replace(
+        textured,
+        alpha_along=textured.alpha_along * np.sqrt(whole.alpha_along**2 - 0.03**2) / LOBE.alpha_along,
+        alpha_across=textured.alpha_across * np.sqrt(whole.alpha_across**2 - 0.03**2) / LOBE.alpha_across,
+        albedo=textured.albedo * state.albedo / LOBE.albedo,
+        index=state.index,
     )
 
 
@@ -207,8 +208,7 @@ def direct(state, world):
     """(P,) ln radiance of the rough surface in a state, rendered facet by facet."""
     seat = seating_rotation(*state.seating_deg)
     seen = [side @ seat for side in directions(POSES, Convention(state.light_deg))]
-    shines = [quick_shine(*pair, lobes_in(state, world)) for pair in zip(*seen, strict=True)]
-    radiance = lobe_maps(rough(state), shines, "beckmann" if world == "same" else "ggx")
+    radiance = direct_light(rough(state), world, lobes_in(state, world), seen)
     return np.log([view.mean(dtype=float) for view in radiance])
 
 
@@ -216,12 +216,12 @@ def direct(state, world):
 @pytest.mark.parametrize("name", STATES)
 def test_a_ratio_of_smooth_profiles_is_what_a_rough_surface_changes(world, name):
     """The short cut of the study, against the rough surface itself rendered in either state."""
-    state = STATES[name]
+    state = replace(nominal(), **STATES[name])
     found = profile_radiance(state, world).mean(axis=1) / profile_radiance(nominal(), world).mean(axis=1)
     change = direct(state, world) - direct(nominal(), world)
     off = np.log(found[: len(POSES)]) - change
     edges = name in ("height loss", "wear")
-    assert np.abs(off).max() < (0.03 if world == "other" else 0.02 if edges else 0.006)
+    assert np.abs(off).max() < (0.035 if world == "other" else 0.02 if edges else 0.006)
     assert np.abs(off).max() < 0.3 * np.abs(change).max()
     if world == "same" and not edges:  # good parts must not look like bad ones
         total = np.sum([c.covariance() for c in expected_of("tilted", SMALL).components], axis=0)
@@ -249,6 +249,7 @@ def test_the_short_route_measures_what_the_bench_and_inspect_measure(virtual_rig
     sample = {
         "ridge_angle_deg": 10.4,
         "resolved_alpha": 0.03,
+        "reflections": False,
         "seating_tilt_deg": [0.2, -0.15],
         "material": lobe,
     }
@@ -398,25 +399,21 @@ def test_the_area_under_the_curve_of_a_shift_is_that_of_drawn_parts(rng):
 
 
 @pytest.fixture(scope="module")
-def studied():
+def studied(made_once):
     """A small study of both worlds, and what it tells; made by one worker for all of them."""
-    shared = Path(os.environ["ANISOSCOPE_CACHE"]) / "studied"
-    plan = Plan(("same", "other"), ("standard", "tilted"), 40, 2, 1, SMALL, shared / "kept")
-    try:
-        shared.mkdir(parents=True)
-    except FileExistsError:
-        deadline = time.monotonic() + 900
-        while not (shared / "made").exists():
-            assert time.monotonic() < deadline, "the worker that makes the study has failed"
-            time.sleep(0.2)
-        return plan, json.loads((shared / "told.json").read_text(encoding="utf-8"))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(detection_sheets, "_PATHS", 64)
-        patch.setattr(detection_diagnosis, "FITTED", 2)  # a second each
-        told = study_results(plan, Workers(1))
-    (shared / "told.json").write_text(json.dumps(told), encoding="utf-8")
-    (shared / "made").touch()
-    return plan, told
+
+    def planned(folder):
+        return Plan(("same", "other"), ("standard", "tilted"), 40, 2, 1, SMALL, folder / "kept")
+
+    def make(folder):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(detection_sheets, "_PATHS", 64)
+            patch.setattr(detection_evaluation, "FITTED", 2)  # a second each
+            told = study_results(planned(folder), Workers(1))
+        (folder / "told.json").write_text(json.dumps(told), encoding="utf-8")
+
+    shared = made_once("studied", make)
+    return planned(shared), json.loads((shared / "told.json").read_text(encoding="utf-8"))
 
 
 def test_the_numbers_of_a_study_fit_together(studied):

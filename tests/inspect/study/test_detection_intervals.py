@@ -6,9 +6,8 @@ import pytest
 from anisoscope.diagnosis.causes import Cause
 from anisoscope.diagnosis.evidence import Evidence, background_of
 from anisoscope.diagnosis.signatures import Signature, Signatures
-from anisoscope.study.detection import statistics as detection_statistics
-from anisoscope.study.detection.product import Size
-from anisoscope.study.detection.statistics import (
+from anisoscope.study.detection import evaluation as detection_evaluation
+from anisoscope.study.detection.evaluation import (
     Doubt,
     Part,
     background_of_good,
@@ -17,6 +16,7 @@ from anisoscope.study.detection.statistics import (
     holds,
     intervals_held,
 )
+from anisoscope.study.detection.product import Size
 
 DIRECTION = np.array([1.0, 0.4, -0.6, 0.2, 0.0])
 EXTENTS = np.linspace(0.0, 2.0, 9)
@@ -90,6 +90,6 @@ def test_the_background_is_what_good_parts_show_beyond_what_is_measured_badly(rn
 
 def test_a_cause_that_was_not_looked_for_has_no_intervals(monkeypatch):
     nothing = Signatures((), np.zeros(3), 0.0, (), ())
-    monkeypatch.setattr(detection_statistics, "signatures_of", lambda *_, **__: nothing)
+    monkeypatch.setattr(detection_evaluation, "signatures_of", lambda *_, **__: nothing)
     seen = {"burrs": {"extent": np.zeros(4)}, "good": {}}
     assert intervals_held("burrs", seen, "standard", Size()) is None

@@ -26,7 +26,7 @@ from anisoscope.study.objective import (
 def test_nominal_score_is_the_predicted_contrast(kind):
     part = Part(ridge_angle=7.0, alpha_across=0.12)
     poses = pose_grid((0.0, 90.0, 180.0), (-10.0, 0.0))
-    predicted = predict_design(RidgeDesign(100.0, 7.0), Material(0.06, 0.12), poses, Convention())
+    predicted = predict_design(RidgeDesign(100.0, 7.0), Material(0.06, 0.12), poses, Convention(), bounces=1)
     each = [abs(getattr(contrast, kind)) for contrast in predicted.contrasts]
     asked = Scoring(kind, ((0.0, 90.0), (90.0, 180.0)), (-10.0, 0.0))
     assert score(part, asked).score == pytest.approx(np.mean(each), rel=1e-3)

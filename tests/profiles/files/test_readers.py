@@ -11,7 +11,7 @@ import tifffile
 from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.files.formats import FORMATS
 from anisoscope.profiles.files.load import read_height_map, write_height_map
-from anisoscope.profiles.files.nms import read_nms
+from anisoscope.profiles.files.plain_grids import read_nms
 from anisoscope.profiles.heightmap import HeightMap
 
 
@@ -54,7 +54,7 @@ def test_rows_and_role_turn_the_map_and_say_so(made_own, tmp_path, heights):
 
 
 def test_a_file_that_states_its_pixel_takes_no_other(made, tmp_path, heights):
-    if made.options or made.suffix in (".npz", ".csv", ".tif"):
+    if made.options or made.suffix in (".npz", ".csv", ".txt", ".tif"):
         return  # these ask for scales, or let the user overrule a note
     path = write(made, tmp_path / f"a{made.suffix}", heights)
     with pytest.raises(HeightMapError, match="leave the pixel size"):
@@ -206,14 +206,22 @@ def test_text_cut_at_a_line_end_is_noticed_where_the_size_is_noted(tmp_path, hei
         read_height_map(tmp_path / "a.csv")
 
 
-def test_a_map_of_the_library_names_what_it_left_out(tmp_path, heights, made_files):
-    made_files["gwy"].write(tmp_path / "a.gwy", heights)
-    origin = read_height_map(tmp_path / "a.gwy").origin
-    assert origin["channel"] == "made"
+def test_a_map_of_the_library_names_channel_and_reader(tmp_path, heights, made_files):
+    made_files["al3d"].write(tmp_path / "a.al3d", heights)
+    origin = read_height_map(tmp_path / "a.al3d").origin
+    assert origin["channel"]
     assert origin["reader"].startswith("SurfaceTopography 1.")
+
+
+def test_a_gwy_file_without_a_channel_in_lengths_says_why(tmp_path, heights, made_files):
+    made_files["gwy"].write(tmp_path / "a.gwy", heights)
+    assert read_height_map(tmp_path / "a.gwy").origin["channel"] == "made"
     data = (tmp_path / "a.gwy").read_bytes()
     (tmp_path / "a.gwy").write_bytes(data.replace(b"unitstr\0sm\0", b"unitstr\0sV\0"))
-    with pytest.raises(HeightMapError, match=r"a\.gwy"):
+    with pytest.raises(HeightMapError, match=r"a\.gwy: content: channel 0 has 'V' as the unit of x and y"):
+        read_height_map(tmp_path / "a.gwy")
+    (tmp_path / "a.gwy").write_bytes(data.replace(b"si_unit_z", b"si_unit_q"))
+    with pytest.raises(HeightMapError, match="channel 0 has no unit of heights"):
         read_height_map(tmp_path / "a.gwy")
 
 

@@ -36,7 +36,7 @@ FILES = [
     ("alicona.al3d", (296, 200), (129.655992, 87.6054), 0, 7.688266, "SurfaceTopography"),
     ("wyko.opd", (480, 640), (94.431855, 125.909140), 116, 0.00835645116, "anisoscope"),
     ("iso25178-71_ascii.sdf", (4, 7), (4.0, 7.0), 0, 0.0136028973, "anisoscope"),
-    ("digitalsurf.sur", (484, 563), (484 * 3.484, 563 * 3.484), 117, 0.0175179, "SurfaceTopography"),
+    ("digitalsurf.sur", (484, 563), (484 * 3.484, 563 * 3.484), 117, 0.0175179, "anisoscope"),
     ("zygo_metropro.dat", (480, 640), (527.1610, 702.8813), 0, 0.07528822, "anisoscope"),
 ]
 CURVED = [("sensofar_ground.plu", 0.01818, 1e-4), ("zygo_metropro.dat", 0.003911386, 1e-5)]

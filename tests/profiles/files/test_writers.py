@@ -1,5 +1,6 @@
 """What is written comes back, and other programs can read it."""
 
+import struct
 import subprocess
 import sys
 
@@ -49,12 +50,82 @@ def test_every_format_comes_back(tmp_path, suffix):
     write_height_map(surface, tmp_path / f"a{suffix}")
     options = {"pixel_um": (0.731, 1.37)} if suffix == ".npy" else {}
     found = read_height_map(tmp_path / f"a{suffix}", **options)
-    assert (found.pixel_y_um, found.pixel_x_um) == pytest.approx((0.731, 1.37), rel=1e-14)
-    bits = {".gsf": 24, ".tif": 24, ".tiff": 24}.get(suffix, 53)
+    digits = 6e-8 if suffix == ".sur" else 1e-14
+    assert (found.pixel_y_um, found.pixel_x_um) == pytest.approx((0.731, 1.37), rel=digits)
+    bits = {".gsf": 24, ".tif": 24, ".tiff": 24, ".gwy": 51, ".sur": 0, ".png": 0}.get(suffix, 53)
     assert np.array_equal(np.isnan(found.height_um), np.isnan(surface.height_um))
     if bits == 53:
         assert np.array_equal(found.height_um, surface.height_um, equal_nan=True)
-    np.testing.assert_allclose(found.height_um, surface.height_um, rtol=2.0 ** (1 - bits))
+    if bits == 0:  # whole numbers of a step
+        step = {".sur": 20.0 * 2.0**-31, ".png": 31.0 * 2.0**-16}[suffix]
+        np.testing.assert_allclose(found.height_um, surface.height_um, atol=0.51 * step)
+    else:
+        np.testing.assert_allclose(found.height_um, surface.height_um, rtol=2.0 ** (1 - bits))
+
+
+@pytest.mark.parametrize("suffix", [".sur", ".gwy"])
+def test_an_independent_reader_reads_our_sur_and_gwy(tmp_path, suffix):
+    surface = some_map()
+    write_height_map(surface, tmp_path / f"a{suffix}")
+    found = read_library(tmp_path / f"a{suffix}", key=suffix[1:])
+    assert found.origin["reader"].startswith("SurfaceTopography")
+    assert (found.pixel_y_um, found.pixel_x_um) == pytest.approx((0.731, 1.37), rel=6e-8)
+    from_top = surface.height_um[::-1]
+    assert np.array_equal(np.isnan(found.height_um), np.isnan(from_top))
+    np.testing.assert_allclose(found.height_um, from_top, atol=2e-8)
+
+
+@pytest.mark.parametrize("suffix", [".stl", ".ply"])
+def test_meshes_are_the_surface_in_mm_for_an_independent_reader(tmp_path, suffix):
+    pyvista = pytest.importorskip("pyvista")
+    surface = some_map()
+    write_height_map(surface, tmp_path / f"a{suffix}")
+    mesh = pyvista.read(tmp_path / f"a{suffix}")
+    known = np.isfinite(surface.height_um)
+    squares = known[:-1, :-1] & known[:-1, 1:] & known[1:, :-1] & known[1:, 1:]
+    assert mesh.n_cells == 2 * np.count_nonzero(squares)
+    projected = mesh.points[mesh.faces.reshape(-1, 4)[:, 1:]]
+    (ax, ay), (bx, by) = ((projected[:, k, :2] - projected[:, 0, :2]).T.astype(float) for k in (1, 2))
+    area = 0.5 * (ax * by - ay * bx)
+    assert area.min() > 0.0  # all seen from above
+    assert area.sum() == pytest.approx(np.count_nonzero(squares) * 1.37 * 0.731 * 1e-6, rel=1e-5)
+    i, j = np.nonzero(known)
+    expected = np.stack([j * 1.37, i * 0.731, surface.height_um[known]], axis=1) * 1e-3
+    for point in np.asarray(mesh.points, dtype=float)[::17]:
+        assert np.abs(expected - point).max(axis=1).min() < 1e-8
+
+
+def test_a_mesh_of_too_many_points_or_of_none_is_refused(tmp_path):
+    large = HeightMap(np.broadcast_to(np.zeros(3000), (2000, 3000)), 1.0, 1.0)
+    with pytest.raises(HeightMapError, match="at most 5 million"):
+        write_height_map(large, tmp_path / "a.stl")
+    holes = np.zeros((4, 4))
+    holes[::2] = np.nan
+    with pytest.raises(HeightMapError, match="nothing to mesh"):
+        write_height_map(HeightMap(holes, 1.0, 1.0), tmp_path / "a.ply")
+
+
+def test_bytes_of_a_sur_file(tmp_path):
+    """Positions of the fields as Digital Surf's format has them."""
+    surface = HeightMap(
+        np.array([[0.0, 1.0, 2.0], [3.0, np.nan, -5.0]]), 0.25, 0.5, {"date": "2024-02-03T04:05:06"}
+    )
+    write_height_map(surface, tmp_path / "a.sur")
+    data = (tmp_path / "a.sur").read_bytes()
+    assert data[:12] == b"DIGITAL SURF"
+    objects, version, kind = struct.unpack_from("<HHH", data, 14)
+    assert (objects, version, kind) == (1, 1, 2)
+    special, bits = struct.unpack_from("<H", data, 86)[0], struct.unpack_from("<H", data, 98)[0]
+    low, high, cols, rows, points = struct.unpack_from("<iiiiI", data, 100)
+    assert (special, bits, cols, rows, points) == (1, 32, 3, 2, 6)
+    step_x, step_y, step_z = struct.unpack_from("<fff", data, 120)
+    assert (step_x, step_y) == (0.25, 0.5)
+    assert data[180:196].rstrip(b"\0") == "µm".encode("latin-1")
+    raw = np.frombuffer(data, "<i4", 6, 512).reshape(2, 3)[::-1]
+    assert raw[1, 1] == low - 2
+    assert high == raw.max()
+    np.testing.assert_allclose(raw[0] * step_z, [0.0, 1.0, 2.0], atol=1e-8)
+    assert struct.unpack_from("<HHHHHH", data, 306) == (6, 5, 4, 3, 2, 2024)
 
 
 def test_an_independent_reader_reads_our_x3p(tmp_path):
@@ -112,18 +183,18 @@ def test_convert_overwrites_only_on_purpose(tmp_path):
     found = read_height_map(tmp_path / "b.npz").height_um
     assert np.array_equal(found, -some_map().height_um[:, ::-1], equal_nan=True)
     with pytest.raises(HeightMapError, match="written are"):
-        run("convert", tmp_path / "a.x3p", tmp_path / "b.sur")
+        run("convert", tmp_path / "a.x3p", tmp_path / "b.plu")
 
 
 def test_the_library_is_never_imported_here(tmp_path, made_files, heights):
     """A process of its own: another test may have loaded the library as its reference."""
-    made_files["sur"].write(tmp_path / "a.sur", heights)
+    made_files["al3d"].write(tmp_path / "a.al3d", heights)
     script = (
         "import sys; from anisoscope.profiles.files.load import read_height_map; "
         "read_height_map(sys.argv[1]); sys.exit('SurfaceTopography' in sys.modules)"
     )
     done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", script, str(tmp_path / "a.sur")],
+        [sys.executable, "-W", "error", "-c", script, str(tmp_path / "a.al3d")],
         check=False,
         capture_output=True,
         text=True,

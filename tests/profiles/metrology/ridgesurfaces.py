@@ -40,6 +40,16 @@ class Truth:
         theta, psi = np.radians([self.angle, self.wall_deg])
         return self.pitch / (1 / np.tan(theta) + 1 / np.tan(psi))
 
+    @property
+    def whole_loss(self):
+        """What is missing at the crest, cut level or rounded, as a share of the full height."""
+        if not self.radius:
+            return self.loss
+        theta, psi = np.radians([self.angle, self.wall_deg])
+        half = 0.5 * (np.pi - theta - psi)
+        # crest to vertex of an arc that touches both flanks: its centre is r/sin(half) below, on the bisector
+        return self.radius * (np.cos(0.5 * (theta - psi)) / np.sin(half) - 1.0) / self.full_height
+
     def profile(self, r):
         """Height at r µm across, the crest (uncut) at 0, the facet falling toward +r."""
         theta, psi = np.radians([self.angle, self.wall_deg])
@@ -61,6 +71,8 @@ class Truth:
     def roughness(self, rng):
         """Gaussian heights with Gaussian correlation whose axes lie along and across the ridges."""
         rows, cols = self.shape
+        if self.slope_across == 0.0:
+            return np.zeros(self.shape)
         py, px = self.pixel
         lu = self.length * np.sqrt(self.slope_across / self.slope_along)
         lv = self.length * np.sqrt(self.slope_along / self.slope_across)

@@ -117,7 +117,7 @@ def test_filters_only_take_away():
         ({"s_filter_um": float("nan")}, "two pixels"),
         ({"l_filter_um": 51.0}, "field"),
         ({"s_filter_um": 20.0, "l_filter_um": 10.0}, "below the L-filter"),
-        ({"form": "sphere"}, "form"),
+        ({"form": "cone"}, "form"),
     ],
 )
 def test_filters_that_cannot_be(arguments, message):

@@ -139,3 +139,34 @@ def test_a_hole_in_the_map_does_not_invent_texture():
     found, full = spatial(surface.with_height(z)), spatial(surface)
     assert found.sal_um == pytest.approx(full.sal_um, rel=0.07)
     assert found.str_ > 0.85
+
+
+def test_a_surface_without_lay_has_no_direction():
+    rng = np.random.default_rng(3)
+    fy, fx = np.fft.fftfreq(256)[:, None], np.fft.fftfreq(256)[None, :]
+
+    def rough(along, across):
+        gain = np.exp(-0.5 * np.pi**2 * ((across * fx) ** 2 + (along * fy) ** 2))
+        return HeightMap(np.fft.ifft2(np.fft.fft2(rng.standard_normal((256, 256))) * gain).real, 1.0, 1.0)
+
+    even = spatial(rough(6.0, 6.0))
+    assert even.str_ > 0.5
+    assert np.isnan(even.std_deg)
+    lay = spatial(rough(30.0, 6.0))
+    assert lay.str_ < 0.5
+    assert abs(lay.std_deg) < 10.0
+
+
+def test_lags_of_a_map_with_gaps_are_means_over_pairs():
+    """f_ACF against sums over all pairs, one lag after the other."""
+    rng = np.random.default_rng(5)
+    height = rng.normal(size=(15, 21))
+    height[rng.random(height.shape) < 0.2] = np.nan
+    found = autocorrelation(HeightMap(height, 1.0, 1.0))
+    zero = height - np.nanmean(height)
+    for i in range(-7, 8):
+        for j in range(-10, 11):
+            first = zero[max(0, -i) : 15 - max(0, i), max(0, -j) : 21 - max(0, j)]
+            second = zero[max(0, i) : 15 - max(0, -i), max(0, j) : 21 - max(0, -j)]
+            expected = np.nanmean(first * second) / np.nanmean(zero**2)
+            assert found.value[i + 7, j + 10] == pytest.approx(expected, abs=1e-12)

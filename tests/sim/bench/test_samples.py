@@ -4,8 +4,9 @@ import pytest
 from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.sim.bench.benchfile import MaterialPart, SamplePart
-from anisoscope.sim.bench.samples import build_surface, plastic
+from anisoscope.sim.bench.bench import ReliefSample, build_surface, plastic
+from anisoscope.sim.bench.benchfile import BenchFile, MaterialPart, SamplePart
+from anisoscope.sim.light.geometry import Convention, Pose, directions
 
 
 def build(**fields):
@@ -61,3 +62,46 @@ def test_plastic_is_the_material_of_the_file():
     material = plastic(MaterialPart(alpha_along=0.11, alpha_across=0.07, albedo=0.4, index=1.6))
     found = material.alpha_along, material.alpha_across, material.albedo, material.index
     assert found == (0.11, 0.07, 0.4, 1.6)
+
+
+def shown(stage_deg, *, optics=None, **sample):
+    """Radiance of smooth ridges on a bench, (rows, cols)."""
+    table = {"schema": 1, "sample": {"size_mm": 0.8, "resolved_alpha": 0.0} | sample, "optics": optics or {}}
+    file = BenchFile.model_validate(table)
+    bare = ReliefSample(build_surface(file.sample, np.random.default_rng(1)), file)
+    sides = directions((Pose(stage_deg),), Convention(10.0))
+    return bare.radiance(*(side[0] for side in sides))[0]
+
+
+def test_reflections_brighten_what_the_light_leaves_dark():
+    once, often = (shown(180.0, reflections=on).mean(dtype=float) for on in (False, True))
+    assert 1.12 < often / once < 1.3
+
+
+def test_a_lobe_with_a_longer_tail_is_dimmer_in_the_middle_and_brighter_beside():
+    gaussian, student = (
+        [shown(angle, material={"lobe": lobe}).mean(dtype=float) for angle in (0.0, 90.0, 180.0)]
+        for lobe in ("beckmann", "student")
+    )
+    assert student[0] < 0.9 * gaussian[0]
+    assert student[1] > 1.2 * gaussian[1]
+    assert student[2] > 1.1 * gaussian[2]
+
+
+def test_a_near_lamp_stands_elsewhere_for_every_ridge():
+    far, near = (
+        shown(0.0, optics=optics).mean(axis=0, dtype=float) for optics in ({}, {"lamp_distance_mm": 20})
+    )
+    left, right = slice(0, 100), slice(-100, None)
+    assert far[left].mean() == pytest.approx(far[right].mean(), rel=0.01)
+    # 0.35 mm aside are 1° of the lamp; toward the mirror direction of the facets it is brighter
+    assert near[left].mean() != pytest.approx(near[right].mean(), rel=0.1)
+    assert near[len(near) // 2 - 50 : len(near) // 2 + 50].mean() == pytest.approx(far.mean(), rel=0.02)
+
+
+def test_a_map_with_many_gaps_is_refused(tmp_path):
+    height = np.zeros((40, 40))
+    height[:, ::3] = np.nan
+    write_height_map(HeightMap(height, 2.0, 2.0), tmp_path / "map.npz")
+    with pytest.raises(HeightMapError, match="missing"):
+        build(kind="height-map", file=tmp_path / "map.npz")

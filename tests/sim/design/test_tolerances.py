@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from anisoscope.sim.design.depths import Depths
-from anisoscope.sim.design.tolerances import edge_length, lobe_change, mean_phase_of, tolerances
+from anisoscope.sim.design.depths import Depths, edge_length, lobe_change, mean_phase_of, tolerances
 
 GRID = 0.25
 

@@ -17,6 +17,7 @@ PITCH, RAYS = 100.0, 6_007
 ANGLES, TILTS = (5.0, 10.0, 15.0, 20.0), (-20.0, -10.0, 0.0, 10.0, 20.0)
 STAGES = (0.0, 90.0, 180.0, 33.0, 127.0, 251.0)
 PLASTICS = [Material(0.06, 0.10, 0.2), Material(0.15, 0.05, 0.5), Material(0.05, 0.05, 0.05, 1.58, "linear")]
+PLASTICS += [Material(0.06, 0.10, 0.2, tail=1.0)]
 
 
 def rig(stage_deg, tilt_deg, apart_deg=10.0):
@@ -72,10 +73,13 @@ def fresnel(cosine, index):
     return np.where(square < 0.0, 1.0, 0.5 * ((g - cosine) / (g + cosine)) ** 2 * (1.0 + ratio**2))
 
 
-def shadowing(alpha_tangents):
-    """Height-correlated Smith, Heitz 2014, Eqs. 66 and 99."""
+def shadowing(alpha_tangents, tail=0.0):
+    """Height-correlated Smith, Heitz 2014, Eqs. 66, 72 and 99."""
     total = 1.0
     for alpha_tangent in alpha_tangents:
+        if tail == 1.0:
+            total = total + 0.5 * (np.sqrt(1.0 + alpha_tangent**2) - 1.0)
+            continue
         a = 1.0 / np.maximum(alpha_tangent, 1e-12)
         total = total + 0.5 * (erf(a) - 1.0) + np.exp(-(a**2)) / (2.0 * a * np.sqrt(np.pi))
     return 1.0 / total
@@ -122,9 +126,10 @@ class Plastic:
             return 0.0
         h = (i + o) / np.linalg.norm(i + o)
         slopes = (h[0] / h[2] / m.alpha_along) ** 2 + (h[1] / h[2] / m.alpha_across) ** 2
-        density = np.exp(-slopes) / (np.pi * m.alpha_along * m.alpha_across * h[2] ** 4)
+        peak = np.exp(-slopes) if m.tail == 0.0 else 1.0 / (1.0 + slopes) ** 2
+        density = peak / (np.pi * m.alpha_along * m.alpha_across * h[2] ** 4)
         spread = [np.hypot(m.alpha_along * w[0], m.alpha_across * w[1]) / w[2] for w in (i, o)]
-        lobe = fresnel(i @ h, m.index) * density * shadowing(spread) / (4.0 * i[2] * o[2])
+        lobe = fresnel(i @ h, m.index) * density * shadowing(spread, m.tail) / (4.0 * i[2] * o[2])
         passed = [1.0 - reflected_share(w[2], self.alpha, m.index) for w in (i, o)]
         return float(lobe + self.body * passed[0] * passed[1])
 
@@ -170,7 +175,7 @@ def test_every_pose_of_the_table_and_between(wall, loss):
     assert compare(PLASTICS[0], wall, loss, poses) < 1e-3
 
 
-@pytest.mark.parametrize("material", PLASTICS[1:], ids=["rough along", "smooth and dark"])
+@pytest.mark.parametrize("material", PLASTICS[1:], ids=["rough along", "smooth and dark", "with a tail"])
 @pytest.mark.parametrize("wall", ["perpendicular", "vertical"])
 def test_other_plastics(wall, material):
     poses = [rig(stage, tilt) for stage in STAGES[::2] + STAGES[1:2] for tilt in TILTS[::2]]

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from anisoscope.base.errors import ModelError
 from anisoscope.sim.light.geometry import Convention, Pose, directions, pose_grid, seating_rotation
@@ -49,3 +50,11 @@ def test_seating_about_y_moves_the_normal_toward_x():
         np.array([0, 0, 1.0]) @ seat.T, [np.sin(np.radians(5)), 0, np.cos(np.radians(5))], atol=1e-15
     )
     np.testing.assert_allclose(seat @ seat.T, np.eye(3), atol=1e-15)
+
+
+def test_seatings_are_turns_about_y_and_then_x_each_or_many_at_once():
+    about_x, about_y = np.array([0.0, 3.0, -20.0]), np.array([1.0, -4.0, 0.0])
+    found = seating_rotation(about_x, about_y)
+    turns = Rotation.from_euler("XY", np.stack([about_x, about_y], axis=-1), degrees=True)
+    np.testing.assert_allclose(found, turns.as_matrix(), atol=1e-15)
+    np.testing.assert_array_equal(found[1], seating_rotation(3.0, -4.0))

@@ -11,7 +11,6 @@ MODULES = (
     "light.relief_paths",
     "light.optics",
     "light.unresolved",
-    "materials.lamp_spectrum",
     "light.picture",
 )
 HEAVY = ("numba", "scipy", "cv2", "matplotlib", "pyvista", "skimage", "pydantic")

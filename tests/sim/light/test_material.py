@@ -4,11 +4,12 @@ import pytest
 from anisoscope.base.errors import ModelError
 from anisoscope.sim.light.material import (
     Material,
-    beckmann,
     diffuse_scale,
+    distribution,
     facet_brdf,
     fresnel,
     lobe_albedo,
+    slope_density,
     smith_lambda,
     transmittance,
 )
@@ -24,11 +25,75 @@ def test_fresnel_reference_values():
     assert fresnel(np.array(0.2), 1 / 1.5) == 1.0  # beyond total reflection
 
 
-@pytest.mark.parametrize(("along", "across"), [(0.06, 0.10), (0.2, 0.1), (0.5, 0.5)])
-def test_beckmann_covers_the_macro_surface_exactly_once(along, across, hemisphere):
+@pytest.mark.parametrize(
+    "material",
+    [
+        Material(0.06, 0.10),
+        Material(0.2, 0.1),
+        Material(0.5, 0.5),
+        Material(0.06, 0.1, tail=0.5),
+        Material(0.2, 0.1, tail=1.0),
+        Material(0.1, 0.1, tail=1.6),
+        Material(0.06, 0.10, second_lobe=(0.15, 2.5)),
+        Material(0.2, 0.1, tail=1.0, second_lobe=(0.3, 0.5)),
+    ],
+)
+def test_microfacets_cover_the_macro_surface_exactly_once(material, hemisphere):
     directions, solid_angle = hemisphere(600, 720)
-    density = beckmann(directions, Y, X, Z, Material(along, across))
+    density = distribution(directions, Y, X, Z, material)
     assert np.sum(density * directions[:, 2] * solid_angle) == pytest.approx(1.0, rel=1e-4)
+
+
+def test_density_of_slopes_with_a_tail():
+    r = np.array([0.0, 1.0, 2.0, 4.0])
+    heavy = slope_density(r**2, Material(tail=1.0)) / np.pi
+    np.testing.assert_allclose(heavy, 1.0 / (np.pi * (1.0 + r**2) ** 2), rtol=1e-12)
+    np.testing.assert_allclose(heavy, [0.31831, 0.079577, 0.012732, 0.0011014], rtol=5e-5)
+    middle = slope_density(r**2, Material(tail=0.5)) / np.pi
+    np.testing.assert_allclose(middle, [0.31831, 0.094314, 0.011789, 0.00043664], rtol=5e-5)
+    short = slope_density(r**2, Material(tail=2e-4))
+    np.testing.assert_allclose(short, np.exp(-(r**2)), rtol=0.05)
+    assert np.array_equal(slope_density(r**2, Material(tail=5e-5)), np.exp(-(r**2)))
+
+
+@pytest.mark.parametrize("tail", [0.1, 0.5, 1.0, 1.6])
+def test_a_tail_is_a_mixture_of_beckmann_lobes(tail):
+    """P = ∫ λ/π·exp(−λ r²) over the gamma distribution of λ with shape and rate 1/τ; so is the shadowing."""
+    from scipy.stats import gamma
+
+    node, weight = np.polynomial.legendre.leggauss(400)
+    root = 1.1 * (node + 1.0)  # λ is its eighth power: the density may be infinite at 0
+    width = root**8
+    share = gamma(1.0 / tail, scale=tail).pdf(width) * 8.0 * root**7 * 1.1 * weight
+    for r in (0.0, 0.7, 3.0):
+        mixed = np.sum(share * width * np.exp(-width * r**2))
+        assert slope_density(np.array(r**2), Material(tail=tail)) == pytest.approx(mixed, rel=1e-6)
+    for slant in (0.2, 1.0, 4.0):
+        mixed = np.sum(share * smith_lambda(slant / np.sqrt(width)))
+        assert float(smith_lambda(np.array(slant), tail)) == pytest.approx(mixed, rel=1e-4)
+
+
+def test_shadowing_of_known_lobes():
+    slant = np.geomspace(1e-3, 30.0, 50)
+    np.testing.assert_allclose(
+        smith_lambda(slant, 1.0), 0.5 * (np.sqrt(1.0 + slant**2) - 1.0), rtol=1e-8, atol=1e-12
+    )
+    few = np.array([0.1, 0.3, 1.0])
+    np.testing.assert_allclose(smith_lambda(few, 1.0), [0.0024938, 0.022015, 0.20711], rtol=5e-5)
+    np.testing.assert_allclose(smith_lambda(few, 0.5), [2.451e-5, 0.0017130, 0.077341], rtol=5e-4)
+    np.testing.assert_allclose(smith_lambda(few, 1e-3), smith_lambda(few), rtol=0.01, atol=1e-4)
+    two = 0.7 * smith_lambda(few, 0.5) + 0.3 * smith_lambda(2.0 * few)
+    np.testing.assert_allclose(smith_lambda(few, 0.5, (0.3, 2.0)), two, rtol=1e-12)
+
+
+@pytest.mark.parametrize("tail", [2e-4, 0.02, 0.5, 1.6])
+def test_the_table_of_shadowing_is_the_closed_form(tail):
+    from anisoscope.sim.light.kernels import shadowing
+    from anisoscope.sim.light.shine import lobe_shape
+
+    lobe, slant = lobe_shape(Material(tail=tail)), np.geomspace(1e-4, 100.0, 400)
+    seen = 1.0 / (1.0 + np.array([shadowing(float(s), lobe) for s in slant]))
+    np.testing.assert_allclose(seen, 1.0 / (1.0 + smith_lambda(slant, tail)), rtol=3e-4)
 
 
 def test_smith_lambda_is_the_shadowing_of_gaussian_slopes():
@@ -66,7 +131,7 @@ def test_brdf_is_reciprocal():
     first, second = (
         v / np.linalg.norm(v, axis=1, keepdims=True) for v in np.abs(rng.normal(size=(2, 200, 3))) + 0.05
     )
-    material = Material(0.2, 0.4, 0.5)
+    material = Material(0.2, 0.4, 0.5, tail=0.7, second_lobe=(0.2, 0.6))
     there = facet_brdf(first, second, Y, X, Z, material)
     np.testing.assert_allclose(there, facet_brdf(second, first, Y, X, Z, material), rtol=1e-12)
 
@@ -94,6 +159,10 @@ def test_transmittance_of_a_smooth_interface_is_one_minus_fresnel():
         {"albedo": 1.5},
         {"index": 1.0},
         {"internal_reflection": "x"},
+        {"tail": -0.1},
+        {"tail": 1.7},
+        {"second_lobe": (1.0, 2.0)},
+        {"second_lobe": (0.2, 20.0)},
     ],
 )
 def test_impossible_materials_are_refused(field):

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from anisoscope.base.errors import ModelError
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light import corrected, printed
 from anisoscope.sim.light.geometry import Convention, directions, pose_grid
@@ -79,3 +80,9 @@ def test_michelson_contrast_needs_the_corrected_model(angle):
         first, second = model.radiance(to_light, to_camera, design, Material())
         michelson.append((first - second) / (first + second))
     assert michelson[0] > michelson[1]
+
+
+def test_a_lobe_with_a_tail_is_refused():
+    to_light, to_camera = directions(POSES, Convention())
+    with pytest.raises(ModelError, match="corrected"):
+        printed.radiance(to_light, to_camera, RidgeDesign(100.0, 10.0), Material(tail=0.5))

@@ -4,10 +4,11 @@ import pytest
 from anisoscope.base.errors import HeightMapError, ModelError
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.profiles.patterns import turned_ridges
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import Convention, directions, pose_grid
 from anisoscope.sim.light.horizon import Horizon
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.material import Material, diffuse_scale, facet_brdf, fresnel, transmittance
 from anisoscope.sim.light.relief import Relief, radiance, radiance_maps
 from anisoscope.sim.light.ridge_profile import ridge_polyline
 
@@ -179,11 +180,21 @@ def rough_ridges(rows=90, cols=301, missing=0.0):
 
 
 @pytest.mark.parametrize("facets", ["symmetric", "diagonal", "antidiagonal"])
-@pytest.mark.parametrize("alpha", [0.002, 0.06, 0.3])
-def test_counting_by_slope_equals_facet_by_facet(facets, alpha):
+@pytest.mark.parametrize(
+    ("alpha", "tail", "second_lobe"),
+    [
+        (0.002, 0.0, None),
+        (0.06, 0.0, None),
+        (0.3, 0.0, None),
+        (0.06, 1.0, None),
+        (0.3, 1.6, None),
+        (0.06, 0.0, (0.2, 3.0)),
+    ],
+)
+def test_counting_by_slope_equals_facet_by_facet(facets, alpha, tail, second_lobe):
     """The mean over the census against the mean of the maps, which know nothing of it."""
     relief = Relief(rough_ridges(missing=0.02), 100.0, facets=facets)
-    material = Material(alpha, 1.5 * alpha)
+    material = Material(alpha, 1.5 * alpha, tail=tail, second_lobe=second_lobe)
     to_light, to_camera = directions(pose_grid((0, 40, 90, 180), (-20, 10)), Convention())
     found = radiance(relief, to_light, to_camera, material)
     weights = relief.column_weights()
@@ -191,6 +202,28 @@ def test_counting_by_slope_equals_facet_by_facet(facets, alpha):
         known = np.isfinite(shown)
         mean = np.nansum(shown, axis=0, dtype=float) @ weights / (known.sum(axis=0) @ weights)
         assert value == pytest.approx(mean, rel=2e-4)
+
+
+@pytest.mark.parametrize("second_lobe", [None, (0.3, 2.0)])
+@pytest.mark.parametrize("tail", [0.0, 1.0])
+def test_a_level_plane_shows_the_lobe(tail, second_lobe):
+    """The textbook's formulae: Beckmann, and Trowbridge-Reitz (Heitz 2014) for a tail of 1."""
+    material = Material(0.06, 0.1, 0.2, tail=tail, second_lobe=second_lobe)
+    plane = Relief(HeightMap(np.zeros((3, 5)), 1.0, 1.0))
+    to_light, to_camera = directions(pose_grid((0, 37, 90), (-40, 7)), Convention(30.0))
+    along, across, up = np.eye(3)[[1, 0, 2]]
+    expected = facet_brdf(to_light, to_camera, along, across, up, material) * to_light[:, 2]
+    for value, shown in zip(expected, radiance_maps(plane, to_light, to_camera, material), strict=True):
+        np.testing.assert_allclose(shown, value, rtol=1e-4)
+    if tail == 1.0 and second_lobe is None:
+        wide = np.array([0.1, 0.06])
+        for i, o, value in zip(to_light, to_camera, expected, strict=True):
+            half = (i + o) / np.linalg.norm(i + o)
+            lobe = 1.0 / (np.pi * wide.prod() * (np.sum((half[:2] / wide) ** 2) + half[2] ** 2) ** 2)
+            far = [0.5 * (np.sqrt(1.0 + np.sum((wide * d[:2]) ** 2) / d[2] ** 2) - 1.0) for d in (i, o)]
+            glossy = fresnel(i @ half, 1.5) * lobe / ((1.0 + sum(far)) * 4.0 * i[2] * o[2])
+            base = diffuse_scale(material) * transmittance(i[2], material) * transmittance(o[2], material)
+            assert value == pytest.approx((glossy + base) * i[2], rel=1e-9)
 
 
 def test_diagonals_mirror_each_other():
@@ -251,3 +284,24 @@ def test_a_wall_at_right_angles_to_the_half_vector_is_no_trouble():
     found = radiance(Relief(sampled(design, 5.0, periods=10), 100.0), to_light, to_camera, Material())
     assert np.all(np.isfinite(found))
     np.testing.assert_allclose(found, corrected.radiance(to_light, to_camera, design, Material()), rtol=0.06)
+
+
+@pytest.mark.parametrize("direction", [5.0, 37.0, -52.0])
+def test_the_lobe_follows_the_ridges_and_not_the_axes_of_the_map(direction):
+    """The same ridges at another direction on the map, light and camera turned with them."""
+    design, material, pixel = RidgeDesign(100.0, 10.0), Material(), 0.5
+    surface = turned_ridges(design, (701, 701), pixel, direction_deg=direction)
+    repeat = 100.0 / np.cos(np.radians(direction))
+    relief = Relief(surface, repeat, direction_deg=direction)
+    poses = pose_grid((0, 90, 180), (0, -10))
+    turned = directions(poses, Convention(facet_azimuth_deg=-direction))
+    expected = corrected.radiance(*directions(poses, Convention()), design, material)
+    np.testing.assert_allclose(radiance(relief, *turned, material), expected, rtol=0.01)
+    shown = [
+        float(np.average(found.mean(axis=0), weights=relief.column_weights()))
+        for found in radiance_maps(relief, *turned, material)
+    ]
+    np.testing.assert_allclose(shown, expected, rtol=0.01)
+    if direction == 37.0:  # along the axes of the map it would be another light altogether
+        axes = radiance(Relief(surface, repeat), *turned, material)
+        assert np.max(np.abs(axes / expected - 1.0)) > 0.3

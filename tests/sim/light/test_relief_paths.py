@@ -58,6 +58,16 @@ def test_ideal_ridges_reflect_as_the_groove_does(angle, alpha, albedo, pixel_um)
     assert np.all(found.standard_error < 0.01 * total)
 
 
+@pytest.mark.parametrize("lobe", [{"tail": 1.0}, {"tail": 1.6}, {"second_lobe": (0.3, 2.5)}])
+def test_lobes_of_any_shape_reflect_as_in_the_groove(lobe):
+    design, material = RidgeDesign(100.0, 10.0), Material(0.06, 0.10, 0.2, **lobe)
+    expected = bounces.interreflection(*POSES, design, material)
+    found = interreflection(ridged(10.0, 0.5), *POSES, material, paths=32768)
+    total = expected + corrected.radiance(*POSES, design, material)
+    assert np.all(np.abs(found.radiance - expected) < 5.0 * found.standard_error + 0.02 * expected)
+    assert np.all(found.standard_error < 0.005 * total)
+
+
 @pytest.mark.parametrize("shown", [POSES, OBLIQUE])
 def test_exactly_two_reflections_are_those_of_the_groove(shown):
     """Oblique light and view leave parts of both sides of the groove in shadow and out of sight."""

@@ -2,12 +2,12 @@ import pytest
 
 from anisoscope.base.errors import ModelError
 from anisoscope.sim.light.material import Material
-from anisoscope.sim.materials.lamp_spectrum import Spectrum
+from anisoscope.sim.materials.spectra import PlasticSpectrum
 
 
 def test_every_wavelength_has_its_material():
     base = Material(0.04, 0.07, internal_reflection="linear")
-    found = Spectrum((450.0, 650.0), (1.51, 1.49), (0.1, 0.3)).materials(base)
+    found = PlasticSpectrum((450.0, 650.0), (1.51, 1.49), (0.1, 0.3)).materials(base)
     assert found == (Material(0.04, 0.07, 0.1, 1.51, "linear"), Material(0.04, 0.07, 0.3, 1.49, "linear"))
 
 
@@ -25,9 +25,9 @@ def test_every_wavelength_has_its_material():
 )
 def test_wavelengths_are_positive_and_rise(values):
     with pytest.raises(ModelError):
-        Spectrum(*values)
+        PlasticSpectrum(*values)
 
 
 def test_an_impossible_constant_is_told_with_its_wavelength():
     with pytest.raises(ModelError, match=r"at 450 nm: the albedo"):
-        Spectrum((450.0,), (1.5,), (1.2,)).materials(Material())
+        PlasticSpectrum((450.0,), (1.5,), (1.2,)).materials(Material())

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import ModelError
-from anisoscope.sim.proof.mask import SEED, SIZE, thresholds, void_and_cluster
+from anisoscope.sim.proof.halftone import SEED, SIZE, thresholds, void_and_cluster
 
 
 def test_the_mask_of_the_package_holds_every_threshold_once():
@@ -14,7 +14,7 @@ def test_the_mask_of_the_package_holds_every_threshold_once():
 
 
 def test_it_is_what_the_generating_command_makes(tmp_path):
-    from anisoscope.sim.proof.mask import main
+    from anisoscope.sim.proof.halftone import main
 
     assert SEED == 1993
     written = np.load(main(tmp_path))

@@ -14,7 +14,7 @@ from anisoscope.kinds.prints.expectation import expect_print
 from anisoscope.kinds.prints.measurement import MeasuredPrint, cell_grid
 from anisoscope.kinds.prints.model import State
 from anisoscope.kinds.prints.recipe import PrintRecipe
-from anisoscope.kinds.prints.reference_prints import GoldenPrint, GoldenPrints, ViewingConditions, print_key
+from anisoscope.kinds.prints.reference_prints import GoldenPrint, GoldenPrints, ViewingConditions
 from anisoscope.kinds.prints.sources import of_each
 from anisoscope.sim.materials.spectra import find_illuminant, find_sensitivities
 
@@ -76,7 +76,7 @@ def golden_prints(recipe, expected, rows):
     )
     poses = tuple((pose.stage_deg, pose.tilt_deg) for pose in expected.poses)
     return GoldenPrints(
-        product="test print", recipe_key=print_key(recipe), seen=seen, poses=poses, parts=parts
+        product="test print", recipe_key=GoldenPrints.key_of(recipe), seen=seen, poses=poses, parts=parts
     )
 
 

@@ -116,7 +116,7 @@ def test_all_defects_are_found(print_rig, world):
         first = inspected(print_rig, good, world, 5)
         assert first.verdict != "PASS"
         assert named(first).cause == "lobe-form"
-        lobe = first.print.lobe.form
+        lobe = first.details.lobe.form
         assert lobe == pytest.approx(1.0, abs=0.1)
     wrong = []
     for case in CASES:

@@ -13,7 +13,7 @@ from anisoscope.kinds.prints.decision import decide_print
 from anisoscope.kinds.prints.missing_ink import without_ink
 from anisoscope.kinds.prints.model import State
 from anisoscope.kinds.prints.recipe import read_print_recipe
-from anisoscope.kinds.prints.reference_prints import add_print
+from anisoscope.kinds.prints.reference_prints import GoldenPrints
 from anisoscope.record.verdict import Verdict
 from anisoscope.sim.light.geometry import Convention, directions
 
@@ -100,7 +100,7 @@ def test_an_unprinted_sheet_on_the_rig(print_rig):
     assert (again.differences, again.notes) == ((), ())
     recipe_path = print_rig.folder / "print" / "recipe.toml"
     with pytest.raises(CalibrationError, match="hardly anything is printed there"):
-        add_print(None, read_print_recipe(recipe_path), record)
+        GoldenPrints.with_inspection(None, read_print_recipe(recipe_path), record)
     assert not golden_path(recipe_path).exists()
 
 

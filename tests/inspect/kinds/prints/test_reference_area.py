@@ -11,11 +11,9 @@ from anisoscope.kinds.prints.expectation import rig_sources
 from anisoscope.kinds.prints.lobe_fit import PARAMETERS
 from anisoscope.kinds.prints.model import State
 from anisoscope.kinds.prints.reference_prints import (
-    TESTS,
     GoldenPrint,
     GoldenPrints,
     ViewingConditions,
-    print_key,
 )
 from anisoscope.kinds.prints.reference_test import compare_with_golden, linear_fit
 from anisoscope.record.verdict import Verdict
@@ -57,7 +55,11 @@ def golden_of(few, shares, cell_mm=0.2):
     )
     poses = tuple((pose.stage_deg, pose.tilt_deg) for pose in expected.poses)
     return GoldenPrints(
-        product="test print", recipe_key=print_key(recipe), seen=seen, poses=poses, parts=tuple(parts)
+        product="test print",
+        recipe_key=GoldenPrints.key_of(recipe),
+        seen=seen,
+        poses=poses,
+        parts=tuple(parts),
     )
 
 
@@ -82,7 +84,7 @@ def test_clean_prints_leave_one_cell(few):
     recipe, _ = few
     known = golden_of(few, [0.0] * 15).known_shares(recipe)
     assert golden_of(few, [0.0] * 15).area_limit(recipe) == pytest.approx(0.01)
-    assert known.chance(0.01) > recipe.decision.alpha / TESTS > known.chance(0.0105)
+    assert known.chance(0.01) > recipe.decision.alpha / GoldenPrints.tests > known.chance(0.0105)
 
 
 def test_what_the_recipe_says_goes_before_and_too_few_tell_nothing(few, make_recipe):

@@ -18,7 +18,7 @@ from anisoscope.kinds.prints.lighting import expectation_of_print
 from anisoscope.kinds.prints.lobe_fit import PARAMETERS
 from anisoscope.kinds.prints.model import State
 from anisoscope.kinds.prints.recipe import read_print_recipe
-from anisoscope.kinds.prints.reference_prints import add_print, read_golden_prints
+from anisoscope.kinds.prints.reference_prints import GoldenPrints, read_golden_prints
 from anisoscope.rig.rigfile import read_rig
 
 GOOD = {"alpha": 0.01, "ratio": 0.01, "skew": 0.01, "tilt_x_deg": 0.1, "tilt_y_deg": 0.1, "red": 0.01,
@@ -103,10 +103,10 @@ def test_golden_prints_are_kept_and_decide_what_deviates(print_rig, capsys):
     ):
         read_golden_prints(path, recipe.model_copy(update={"print": blue}))
     with pytest.raises(CalibrationError, match="an INVALID inspection says nothing"):
-        add_print(None, recipe, done.record.model_copy(update={"verdict": "INVALID"}))
+        GoldenPrints.with_inspection(None, recipe, done.record.model_copy(update={"verdict": "INVALID"}))
     darker = recipe.acquisition.model_copy(update={"exposure_s": 0.003})
     with pytest.raises(CalibrationError, match="inspected with another recipe"):
-        add_print(None, recipe.model_copy(update={"acquisition": darker}), done.record)
+        GoldenPrints.with_inspection(None, recipe.model_copy(update={"acquisition": darker}), done.record)
 
     write_golden(path, filled(recipe_path, rig_path, 24))
     other, _ = print_rig.lay_out({"wrong_ink": "synthetic-red", "wrong_share": 0.05}, name="other")

@@ -10,7 +10,7 @@ from anisoscope.kinds.prints.decision import decide_print
 from anisoscope.kinds.prints.expectation import rig_sources
 from anisoscope.kinds.prints.lobe_fit import PARAMETERS
 from anisoscope.kinds.prints.model import State
-from anisoscope.kinds.prints.reference_prints import NEEDED, print_key
+from anisoscope.kinds.prints.reference_prints import GoldenPrints
 from anisoscope.kinds.prints.reference_test import compare_with_golden, linear_fit
 from anisoscope.record.verdict import Verdict
 from anisoscope.sim.materials.inks import synthetic_ink
@@ -152,7 +152,7 @@ def test_differences_of_colour_are_those_of_the_eye(house, beside):
 
 def test_too_few_and_copied_prints_decide_nothing(house):
     _, _, golden = house
-    few = golden.model_copy(update={"parts": golden.parts[: NEEDED - 1]})
+    few = golden.model_copy(update={"parts": golden.parts[: golden.needed - 1]})
     assert few.lacking == "9 golden prints: from 10 on prints are compared with them, 27 are sensible"
     assert golden.lacking is None
     copied = golden.model_copy(update={"parts": golden.parts[:5] * 4})
@@ -160,12 +160,12 @@ def test_too_few_and_copied_prints_decide_nothing(house):
 
 
 def test_the_key_is_of_what_changes_a_measurement(make_recipe):
-    key = print_key(make_recipe())
+    key = GoldenPrints.key_of(make_recipe())
     for same in (
         {"print": {"u_c": 0.2}},
         {"tolerances": {"delta_e": 3.0}},
         {"acquisition": {"settle_s": 2.0}},
     ):
-        assert print_key(make_recipe(**same)) == key
+        assert GoldenPrints.key_of(make_recipe(**same)) == key
     for other in ({"acquisition": {"exposure_s": 0.006}}, {"region": {"size_mm": [1.0, 1.0]}}):
-        assert print_key(make_recipe(**other)) != key
+        assert GoldenPrints.key_of(make_recipe(**other)) != key

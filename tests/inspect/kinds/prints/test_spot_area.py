@@ -11,9 +11,9 @@ from anisoscope.imaging.registration.placement import Grid, Placement, View
 from anisoscope.inspection.frames import read_frames
 from anisoscope.inspection.manifest import reopen
 from anisoscope.inspection.pipeline import judge
+from anisoscope.kinds.prints.colour_map import spot_shares
 from anisoscope.kinds.prints.lighting import expectation_of_print
 from anisoscope.kinds.prints.measurement import Mosaics
-from anisoscope.kinds.prints.spot_area import spot_shares
 from anisoscope.rig.bayer import channel_of_pixels
 
 

@@ -9,7 +9,7 @@ import pytest
 from anisoscope.base.errors import CalibrationError
 from anisoscope.imaging.linearisation import RadianceImage
 from anisoscope.imaging.registration.placement import Placement, View
-from anisoscope.kinds.prints.stationary_artifacts import check_print_dirt
+from anisoscope.kinds.prints.measurement import check_print_dirt
 from anisoscope.rig.bayer import channel_of_pixels
 
 SIZE, PIXEL_MM = 320, 0.008

@@ -17,14 +17,15 @@ import pytest
 from anisoscope.decision.reference_parts import golden_path, write_golden
 from anisoscope.inspection.run import inspect_part
 from anisoscope.kinds.prints.lighting import expectation_of_print
+from anisoscope.kinds.prints.lobe_fit import PARAMETERS
 from anisoscope.kinds.prints.recipe import read_print_recipe
-from anisoscope.kinds.prints.reference_prints import SENSIBLE, add_print
+from anisoscope.kinds.prints.reference_prints import GoldenPrints
 from anisoscope.kinds.prints.tolerances import golden_tolerances
 from anisoscope.rig.rigfile import read_rig
 
 PAGE = Path(__file__).parents[4] / "docs" / "prints.md"
 BEGIN, END = "<!-- taught limits: begin -->", "<!-- taught limits: end -->"
-FURTHER = 30
+GOLDEN, FURTHER = 3 * len(PARAMETERS), 30
 RIG = {
     "geometry": {"light_angle_deg": 10.05},
     "sensor": {"nonlinearity": 0.004},
@@ -65,9 +66,9 @@ def inspected(rig, name, defects, rng, *, recipe, golden=None):
 @pytest.mark.statistics
 def test_limits_that_golden_prints_teach(print_rig):
     rng, golden, before = np.random.default_rng(31), None, []
-    for number in range(SENSIBLE):
+    for number in range(GOLDEN):
         record, recipe, rig = inspected(print_rig, f"G-{number}", {}, rng, recipe=TOLD)
-        golden = add_print(golden, recipe, record)
+        golden = GoldenPrints.with_inspection(golden, recipe, record)
         before.append(record.verdict)
     limits = golden_tolerances(golden, recipe, expectation_of_print(recipe, rig))
     taught = TOLD | {"tolerances": {key: one.value for key, one in limits.items()}}
@@ -81,9 +82,9 @@ def test_limits_that_golden_prints_teach(print_rig):
     }
     failed = sum(record.verdict == "FAIL" for record in bad.values())
     line = (
-        f"On the virtual rig {SENSIBLE} golden prints of one house teach "
+        f"On the virtual rig {GOLDEN} golden prints of one house teach "
         f"{', '.join(f'{key} {one.value:g}' for key, one in limits.items())}. With the starting limits "
-        f"{before.count('INCONCLUSIVE')} of these {SENSIBLE} ended undecided; with the taught ones "
+        f"{before.count('INCONCLUSIVE')} of these {GOLDEN} ended undecided; with the taught ones "
         f"{after.count('INCONCLUSIVE')} of {FURTHER} further good prints do, {after.count('FAIL')} fail, and "
         f"{failed} of the {len(DEFECTS)} defects of the table above are FAIL."
     )

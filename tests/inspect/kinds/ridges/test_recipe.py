@@ -5,9 +5,9 @@ import tomllib
 import pytest
 
 from anisoscope.base.errors import RecipeError
+from anisoscope.base.toml_edits import with_values
 from anisoscope.kinds.registry import read_recipe
 from anisoscope.kinds.ridges.recipe import RidgeRecipe, new_recipe
-from anisoscope.recipe.file_edits import with_values
 
 
 @pytest.mark.parametrize(

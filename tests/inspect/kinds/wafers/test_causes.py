@@ -10,9 +10,8 @@ from anisoscope.base.cache import VARIABLE
 from anisoscope.cli.demo import wafers as demo_wafer
 from anisoscope.diagnosis.separability import planned_covariance, separability
 from anisoscope.diagnosis.signature_cache import cached_signatures
-from anisoscope.kinds.wafers.causes import wafer_causes, wafer_signatures
-from anisoscope.kinds.wafers.discriminating_poses import WAFER_CAUSES
-from anisoscope.kinds.wafers.optics import WAFERS
+from anisoscope.kinds.wafers.causes import WAFER_CAUSES, wafer_causes, wafer_signatures
+from anisoscope.kinds.wafers.kind import OPTICS
 from anisoscope.kinds.wafers.recipe import WaferRecipe
 from anisoscope.prediction.expectation import expectation
 from anisoscope.recipe.surface import read_surface_recipe
@@ -72,7 +71,7 @@ def test_too_wide_turns_the_contrast_as_too_deep_does_not(known):
 
 
 def test_what_shows_and_what_is_told_apart(recipe, known):
-    expected = expectation(recipe, 0.0, WAFERS)
+    expected = expectation(recipe, 0.0, OPTICS)
     rows = {
         row.cause: row for row in separability(known, planned_covariance(recipe, expected), with_map=False)
     }

@@ -16,7 +16,7 @@ import tomli_w
 
 from anisoscope.cli.demo import wafers as demo_wafer
 from anisoscope.decision.consistency_test import from_prediction
-from anisoscope.kinds.wafers.optics import WAFERS
+from anisoscope.kinds.wafers.kind import OPTICS
 from anisoscope.kinds.wafers.recipe import WaferRecipe
 from anisoscope.prediction.expectation import Component, expectation
 from anisoscope.recipe.surface import read_surface_recipe
@@ -70,7 +70,7 @@ class World:
         (folder / "recipe.toml").write_text(tomli_w.dumps(demo_wafer.recipe()))
         self.file = folder / "wafer.npz"
         self.recipe = read_surface_recipe(folder / "recipe.toml", WaferRecipe)
-        self.expected = expectation(self.recipe, 0.0, WAFERS)
+        self.expected = expectation(self.recipe, 0.0, OPTICS)
 
     def p_value(self, **wrong):
         """Of one part."""

@@ -14,10 +14,14 @@ from anisoscope.diagnosis.cause_model import Option
 from anisoscope.diagnosis.discriminating_poses import advice_for, cached_options
 from anisoscope.diagnosis.ranking import Diagnosis
 from anisoscope.diagnosis.separability import planned_covariance, separability
-from anisoscope.kinds.wafers import discriminating_poses as discriminating_options
-from anisoscope.kinds.wafers.causes import wafer_signatures
-from anisoscope.kinds.wafers.discriminating_poses import WAFER_CAUSES, second_lamps, wafer_options
-from anisoscope.kinds.wafers.optics import WAFERS
+from anisoscope.kinds.wafers import causes
+from anisoscope.kinds.wafers.causes import (
+    WAFER_CAUSES,
+    second_lamps,
+    wafer_options,
+    wafer_signatures,
+)
+from anisoscope.kinds.wafers.kind import OPTICS
 from anisoscope.kinds.wafers.recipe import WaferRecipe
 from anisoscope.prediction.expectation import expectation
 from anisoscope.recipe.surface import read_surface_recipe
@@ -65,7 +69,7 @@ def test_a_tilt_tells_as_the_recipe_with_that_tilt_does(recipe, options):
         update={"poses": recipe.poses.model_copy(update={"tilts_deg": (0.0, 3.0, 20.0)})}
     )
     known = wafer_signatures(tilted, 0.0, names=DEPTHS)
-    covariance = planned_covariance(tilted, expectation(tilted, 0.0, WAFERS))
+    covariance = planned_covariance(tilted, expectation(tilted, 0.0, OPTICS))
     rows = {row.cause: row for row in separability(known, covariance, with_map=False)}
     (option,) = (one for one in of_kind(options, "tilt") if "20°" in one.says)
     for cause, other in (DEPTHS, DEPTHS[::-1]):
@@ -161,8 +165,8 @@ def test_options_are_kept_and_belong_to_their_recipe(recipe, options, tmp_path, 
 
 
 def test_every_cause_of_a_wafer_can_be_asked_for(recipe, monkeypatch):
-    monkeypatch.setattr(discriminating_options, "TILTS_DEG", ())
-    monkeypatch.setattr(discriminating_options, "LAMPS_NM", ())
+    monkeypatch.setattr(causes, "FURTHER_TILTS_DEG", ())
+    monkeypatch.setattr(causes, "LAMPS_NM", ())
     (angles,) = wafer_options(recipe, 0.0, ("width-bias", "scatter", "seating-x"))
     assert set(angles.separation_extents) == {"width-bias", "scatter", "seating-x"}
     assert angles.separation_extents["width-bias"]["scatter"] is not None

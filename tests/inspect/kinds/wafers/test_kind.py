@@ -3,7 +3,6 @@
 import hashlib
 import json
 import shutil
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,12 +12,11 @@ from anisoscope.calibration.pictures import take_flat
 from anisoscope.cli.demo import wafers as demo_wafer
 from anisoscope.inspection.integrity import verify
 from anisoscope.inspection.recompute import recompute
-from anisoscope.inspection.run import inspect_part
+from anisoscope.inspection.run import Methods, inspect_part
 from anisoscope.kinds.registry import read_recipe
-from anisoscope.kinds.wafers.optics import WAFERS
+from anisoscope.kinds.wafers.kind import OPTICS
 from anisoscope.prediction.cache import cached_expectation
 from anisoscope.record.schema import RECORD_NAME, UNSEALED
-from anisoscope.report.inspection_page import write_report
 
 TILE_UM = 128.0
 WRONG = {"good": {}, "deep": {"over_etch_nm": 20.0}, "wide": {"width_bias_nm": 320.0}}
@@ -60,7 +58,7 @@ def inspected(wafers, plain):
         if name not in kept:
             rig = wafers / "bench" / name / "rig.toml"
             # one report is looked at
-            methods = replace(plain, write_report=write_report) if name == "good" else plain
+            methods = Methods(start_renderer=plain.start_renderer) if name == "good" else plain
             kept[name] = inspect_part(
                 wafers / "recipe.toml", rig, f"W-{name}", wafers / "inspections", methods=methods
             )
@@ -176,6 +174,6 @@ def test_a_wafer_computes_again_to_the_same_numbers_and_every_change_shows(inspe
 
 def test_the_prediction_of_a_wafer_is_kept(wafers, monkeypatch):
     recipe = read_recipe(wafers / "recipe.toml")
-    first = cached_expectation(recipe, 0.0, WAFERS)
+    first = cached_expectation(recipe, 0.0, OPTICS)
     monkeypatch.setattr("anisoscope.prediction.cache.expectation", lambda *_: pytest.fail("predicted again"))
-    assert cached_expectation(recipe, 0.0, WAFERS) is first
+    assert cached_expectation(recipe, 0.0, OPTICS) is first

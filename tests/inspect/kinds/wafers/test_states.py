@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from anisoscope.kinds.wafers.etched import WaferLight
+from anisoscope.kinds.wafers.kind import OPTICS
 from anisoscope.kinds.wafers.lighting import recipe_wafer, wafer_light
-from anisoscope.kinds.wafers.optics import WAFERS
 from anisoscope.kinds.wafers.recipe import WaferRecipe
 from anisoscope.prediction.expectation import SECOND_ORDER, expectation
 from anisoscope.prediction.profile_likelihood import FARTHEST, nearest_anywhere
@@ -44,7 +44,7 @@ def recipe(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def expected(recipe):
-    return expectation(recipe, 0.0, WAFERS)
+    return expectation(recipe, 0.0, OPTICS)
 
 
 def moved(states, **z):

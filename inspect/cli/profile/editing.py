@@ -1,0 +1,176 @@
+"""``anisoscope profile edit`` and a command for every single step: height maps in, height map out."""
+
+import sys
+from collections.abc import Callable
+from inspect import Parameter as Argument
+from inspect import Signature
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+from anisoscope.base.errors import UsageError
+from anisoscope.cli.json_output import print_json
+from anisoscope.cli.options import Json
+from anisoscope.cli.profile.profile import AS_STATED, Scales
+from anisoscope.cli.tables import print_table
+from anisoscope.profiles.editing import operations
+
+if TYPE_CHECKING:
+    from anisoscope.profiles.heightmap import HeightMap
+
+Out = Annotated[
+    Path, Parameter(help="File to write: x3p, npz or gsf (they keep the history), or another format.")
+]
+Overwrite = Annotated[bool, Parameter(negative="", help="Replace the file if it exists.")]
+
+
+def edit(
+    file: Path,
+    /,
+    *steps: str,
+    out: Out,
+    overwrite: Overwrite = False,
+    json_: Json = False,
+    scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
+) -> int:
+    """Edit a height map step by step; every step is written into the history of the new file.
+
+    Args:
+        file: Height map in a format of docs/height-maps.md.
+        steps: Steps such as level, form=poly2, crop=0,0,500,300, filter=gaussian,25,keep:short; parameters stand in the
+            help of the command of the same name.
+    """
+    from anisoscope.profiles.editing.steps import Step
+
+    if not steps:
+        raise UsageError(
+            f"profile edit needs at least one step after the file: {', '.join(operations.OPERATIONS)}"
+        )
+    return _run(file, [Step.parse(text) for text in steps], out, scales, overwrite=overwrite, as_json=json_)
+
+
+def _check_target(out: Path, sources: list[Path], *, overwrite: bool) -> None:
+    from anisoscope.profiles.files.load import WRITERS
+
+    if out.suffix.lower() not in WRITERS:
+        raise UsageError(f"--out {out}: unknown extension; written are {', '.join(WRITERS)}")
+    if any(out.resolve() == source.resolve() for source in sources):
+        raise UsageError(f"--out {out} is a file that is read; a map is never edited in place")
+    if out.exists() and not overwrite:
+        raise UsageError(f"{out} exists; give another name, or --overwrite")
+
+
+def _run(file: Path, steps: list[Any], out: Path, scales: Scales, *, overwrite: bool, as_json: bool) -> int:
+    from anisoscope.profiles.editing.steps import edit_map
+    from anisoscope.profiles.files.load import write_height_map
+
+    others = [Path(str(step.values["map"])) for step in steps if "map" in step.values]
+    _check_target(out, [file, *others], overwrite=overwrite)
+    edited = edit_map(scales.read(file), steps, read=scales.read)
+    write_height_map(edited, out)
+    _show(edited, out, as_json=as_json)
+    return 0
+
+
+def _show(edited: "HeightMap", out: Path, *, as_json: bool) -> None:
+    from anisoscope.profiles.editing.steps import described
+    from anisoscope.profiles.provenance import keeps_provenance
+
+    history, kept = edited.origin["history"], keeps_provenance(out)
+    rows, cols = edited.shape
+    if as_json:
+        print_json(
+            {
+                "file": str(out),
+                "rows": rows,
+                "cols": cols,
+                "pixel_um": [edited.pixel_y_um, edited.pixel_x_um],
+                "missing_share": edited.missing_share,
+                "history": history,
+                "history_kept_in_file": kept,
+            }
+        )
+        return
+    lines = [described(entry) for entry in history]
+    lines += [] if kept else [f"{out.suffix} has no place for this history; x3p, npz and gsf keep it"]
+    print_table(
+        out.name,
+        ["quantity", "value", "unit"],
+        [
+            ["rows, columns", f"{rows}, {cols}", ""],
+            ["pixel along y, x", f"{edited.pixel_y_um:.6g}, {edited.pixel_x_um:.6g}", "µm"],
+            ["missing", f"{100 * edited.missing_share:.3g}", "%"],
+        ],
+    )
+    sys.stdout.write("".join(f"{line}\n" for line in lines))
+
+
+TYPES = {"number": float, "count": int, "flag": bool, "text": str, "map": Path}
+
+
+def _argument(one: operations.Parameter, *, first: bool) -> Argument:
+    """A parameter of an operation as an argument of its command: the first in its place, the others as options."""
+    kind: Any = Literal[one.choices] if one.choices else TYPES[one.kind]
+    if one.default is None and not one.required:
+        kind = kind | None
+    unit = f" [{one.unit}]" if one.unit else ""
+    note = Parameter(
+        help=f"{one.meaning[0].upper()}{one.meaning[1:]}{unit}.",
+        negative="" if one.kind == "flag" and not one.default else None,
+    )
+    return Argument(
+        one.name,
+        Argument.POSITIONAL_ONLY if first else Argument.KEYWORD_ONLY,
+        default=Argument.empty if one.required else one.default,
+        annotation=Annotated[kind, note],
+    )
+
+
+def command(name: str) -> Callable[..., int]:
+    """The command of one operation: file, values, --out."""
+    operation = operations.OPERATIONS[name]
+
+    def run(file: Path, /, *values: object, **options: Any) -> int:  # noqa: ANN401
+        from anisoscope.profiles.editing.steps import Step
+
+        out, scales = options.pop("out"), options.pop("scales", AS_STATED)
+        overwrite, as_json = options.pop("overwrite", False), options.pop("json_", False)
+        names = [one.name for one in operation.parameters]
+        step = Step.of(name, **dict(zip(names, values, strict=False)), **options)
+        return _run(file, [step], out, scales, overwrite=overwrite, as_json=as_json)
+
+    own = [_argument(one, first=place == 0) for place, one in enumerate(operation.parameters)]
+    needed = [one for one in own if one.kind is Argument.KEYWORD_ONLY and one.default is Argument.empty]
+    other = [one for one in own if one.kind is Argument.KEYWORD_ONLY and one not in needed]
+    shared = [
+        Argument("overwrite", Argument.KEYWORD_ONLY, default=False, annotation=Overwrite),
+        Argument("json_", Argument.KEYWORD_ONLY, default=False, annotation=Json),
+        Argument(
+            "scales",
+            Argument.KEYWORD_ONLY,
+            default=AS_STATED,
+            annotation=Annotated[Scales, Parameter(name="*")],
+        ),
+    ]
+    arguments = [
+        Argument(
+            "file",
+            Argument.POSITIONAL_ONLY,
+            annotation=Annotated[Path, Parameter(help="Height map in a format of docs/height-maps.md.")],
+        ),
+        *(one for one in own if one.kind is Argument.POSITIONAL_ONLY),
+        *needed,
+        Argument("out", Argument.KEYWORD_ONLY, annotation=Out),
+        *other,
+        *shared,
+    ]
+    run.__name__, run.__doc__ = name, operation.meaning
+    run.__signature__ = Signature(arguments)  # type: ignore[attr-defined]
+    run.__annotations__ = {one.name: one.annotation for one in arguments}
+    return run
+
+
+level, form, filter_, crop, rotate = (command(name) for name in ("level", "form", "filter", "crop", "rotate"))
+mask, fill, outliers, resample = (command(name) for name in ("mask", "fill", "outliers", "resample"))
+subtract, stitch = command("subtract"), command("stitch")

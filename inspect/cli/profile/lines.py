@@ -1,0 +1,109 @@
+"""``anisoscope profile lines``: profile parameters of ISO 21920 on lines of a height map."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Parameter
+
+from anisoscope.cli.json_output import fields_of, print_json
+from anisoscope.cli.options import Json
+from anisoscope.cli.profile.many import (
+    NONE,
+    ManyOptions,
+    Values,
+    check_table,
+    expanded,
+    measure_each,
+    print_sheet,
+)
+from anisoscope.cli.profile.profile import AS_STATED, Scales
+from anisoscope.cli.tables import print_table
+
+if TYPE_CHECKING:
+    from anisoscope.profiles.lines import LineParameters
+
+MEANINGS = {
+    "Ra": ("µm", "arithmetic mean height"),
+    "Rq": ("µm", "root mean square height"),
+    "Rz": ("µm", "maximum height, mean over sections"),
+    "Rp": ("µm", "maximum peak height, mean over sections"),
+    "Rv": ("µm", "maximum pit depth, mean over sections"),
+    "Rt": ("µm", "total height of a line"),
+    "Rsk": ("", "skewness"),
+    "Rku": ("", "kurtosis"),
+    "Rdq": ("", "root mean square gradient"),
+    "Rsm": ("µm", "mean profile element spacing, 10 % of Rz"),
+}
+
+
+def lines(
+    *files: Path,
+    direction: Annotated[
+        Literal["across", "along", "x", "y"],
+        Parameter(help="Direction: across or along the ridges, or x or y."),
+    ] = "across",
+    s_filter: Annotated[
+        float | None,
+        Parameter(help="Nesting index λs of the Gaussian S-filter in µm; removes shorter waves."),
+    ] = None,
+    l_filter: Annotated[
+        float | None, Parameter(help="Nesting index λc of the Gaussian L-filter in µm; removes longer waves.")
+    ] = None,
+    form: Annotated[
+        str, Parameter(help="Form that is removed: none, plane, poly1 … poly10, sphere or cylinder.")
+    ] = "plane",
+    json_: Json = False,
+    many: Annotated[ManyOptions, Parameter(name="*", group="Several files")] = NONE,
+    scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
+) -> int:
+    """Profile parameters (ISO 21920-2) on parallel lines of height maps: Ra, Rq, Rz, Rp, Rv, Rt, Rsm, Rsk, Rku, Rdq.
+
+    Args:
+        files: Height maps in a format of docs/height-maps.md, or patterns.
+    """
+    from anisoscope.profiles.limits import sheet_of
+    from anisoscope.profiles.lines import line_parameters
+
+    def measure(path: Path) -> "LineParameters":
+        return line_parameters(
+            scales.read(path), direction, form=form, s_filter_um=s_filter, l_filter_um=l_filter
+        )
+
+    chosen = expanded(files)
+    if len(chosen) > 1 or many.table is not None:
+        return measure_each(chosen, lambda path: _values(measure(path)), many, to_json=json_)
+    check_table(many)
+    found = measure(chosen[0])
+    sheet = sheet_of(many.limits, _values(found))
+    if json_:
+        print_json({**fields_of(found), "sheet": sheet} if sheet else found)
+    else:
+        print_table(
+            chosen[0].name,
+            ["parameter", "mean", "between lines (s)", "unit", "meaning"],
+            [
+                [name, _cell(found.values[name]), _cell(found.spread[name]), unit, meaning]
+                for name, (unit, meaning) in MEANINGS.items()
+            ],
+            caption=_caption(found),
+        )
+    return print_sheet(sheet, silent=json_)
+
+
+def _values(found: "LineParameters") -> Values:
+    return {name: (found.values[name], unit) for name, (unit, _) in MEANINGS.items()}
+
+
+def _cell(value: float) -> str:
+    return f"{value:.5g}" if abs(value) < float("inf") else "–"
+
+
+def _caption(found: "LineParameters") -> str:
+    filters = [
+        f"{name} {'none' if cutoff is None else f'{cutoff:g} µm'}"
+        for name, cutoff in (("λs", found.s_filter_um), ("λc", found.l_filter_um))
+    ]
+    return (
+        f"{found.lines} lines {found.direction}, {found.angle_deg:.2f}° counter-clockwise from +x, "
+        f"{found.length_um:.5g} µm long, {found.sections} sections; {', '.join(filters)}"
+    )

@@ -1,0 +1,250 @@
+"""Several files in one command: one table, in which a file that cannot be measured is a row too."""
+
+import csv
+import io
+import json
+import math
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from anisoscope.base.atomic_write import write_text
+from anisoscope.base.errors import AnisoscopeError, UsageError
+from anisoscope.cli.json_output import as_json, print_json
+from anisoscope.cli.progress import progress
+from anisoscope.cli.tables import print_table
+
+if TYPE_CHECKING:
+    from anisoscope.profiles.limits import Judged, Limit
+
+Values = Mapping[str, tuple[float, str]]
+FAILED, BROKEN = 1, 65
+SHOWN_COLUMNS = 8
+FORMATS = (".csv", ".json", ".html", ".htm")
+
+
+@dataclass(frozen=True)
+class ManyOptions:
+    """Several files."""
+
+    table: Annotated[
+        Path | None, Parameter(help="File for one table of all maps: *.csv, *.json or *.html.")
+    ] = None
+    jobs: Annotated[int, Parameter(help="Maps that are measured at a time.")] = 2
+    limits: Annotated[
+        Path | None,
+        Parameter(
+            help="TOML file of limits, such as [Sa] max = 0.4: a PASS/FAIL sheet; exit code 1 for FAIL."
+        ),
+    ] = None
+    overwrite: Annotated[bool, Parameter(negative="", help="Replace the table if it exists.")] = False
+
+
+NONE = ManyOptions()
+
+
+@dataclass(frozen=True)
+class Row:
+    """One file: what was measured, or why not."""
+
+    file: Path
+    values: Values = field(default_factory=dict)
+    error: str = ""
+    sheet: "tuple[Judged, ...]" = ()
+
+    @property
+    def verdict(self) -> str:
+        """PASS or FAIL by the limits; ERROR where it was not measured, empty without limits."""
+        if self.error:
+            return "ERROR"
+        return (
+            "" if not self.sheet else "FAIL" if any(one.verdict == "FAIL" for one in self.sheet) else "PASS"
+        )
+
+
+def expanded(files: Sequence[Path]) -> list[Path]:
+    """Files, patterns such as ``parts/*.x3p`` replaced by what they match, sorted.
+
+    Raises:
+        UsageError: no file, or a pattern that matches none.
+    """
+    found: list[Path] = []
+    for path in files:
+        if path.exists() or not any(letter in str(path) for letter in "*?["):
+            found.append(path)
+            continue
+        base = Path(path.anchor) if path.anchor else Path()
+        matches = sorted(base.glob(str(path.relative_to(path.anchor) if path.anchor else path)))
+        if not matches:
+            raise UsageError(f"{path} matches no file")
+        found += matches
+    if not found:
+        raise UsageError("give at least one height map")
+    return list(dict.fromkeys(found))
+
+
+def measure_each(
+    files: Sequence[Path], measure: Callable[[Path], Values], options: ManyOptions, *, to_json: bool
+) -> int:
+    """Measure every file, print one table and write it; a file that cannot be measured is a row with its reason.
+
+    Args:
+        files: at least one.
+        measure: values and units by name.
+        options: table, jobs, limits.
+        to_json: print JSON instead of a table.
+
+    Returns:
+        1 where a limit is not kept, else 65 where a file could not be measured, else 0.
+
+    Raises:
+        UsageError: a table that exists or of an unknown format, or fewer than one job.
+    """
+    check_table(options)
+    limits = _limits(options)
+    rows: dict[Path, Row] = {}
+    with progress(f"{len(files)} maps") as advance, ThreadPoolExecutor(options.jobs) as pool:
+        waiting = {pool.submit(_row, path, measure, limits): path for path in files}
+        for done, future in enumerate(as_completed(waiting), start=1):
+            rows[waiting[future]] = future.result()
+            advance(waiting[future].name, done, len(files))
+    ordered = [rows[path] for path in files]
+    if options.table is not None:
+        write_table(ordered, options.table)
+    if to_json:
+        print_json([_plain(row) for row in ordered])
+    else:
+        _print(ordered, options.table)
+    if any(row.verdict == "FAIL" for row in ordered):
+        return FAILED
+    return BROKEN if any(row.error for row in ordered) else 0
+
+
+def check_table(options: ManyOptions) -> None:
+    """Refuse a table that cannot be written.
+
+    Raises:
+        UsageError: it exists, has an unknown format, or there is less than one job.
+    """
+    if options.jobs < 1:
+        raise UsageError(f"--jobs takes a whole number from 1, not {options.jobs}")
+    if options.table is None:
+        return
+    if options.table.suffix.lower() not in FORMATS:
+        raise UsageError(f"--table {options.table}: a table is {', '.join(FORMATS)}")
+    if options.table.exists() and not options.overwrite:
+        raise UsageError(f"{options.table} exists; give another name, or --overwrite")
+
+
+def _limits(options: ManyOptions) -> "dict[str, Limit] | None":
+    from anisoscope.profiles.limits import read_limits
+
+    return None if options.limits is None else read_limits(options.limits)
+
+
+def _row(path: Path, measure: Callable[[Path], Values], limits: "dict[str, Limit] | None") -> Row:
+    from anisoscope.profiles.limits import judge
+
+    try:
+        values = measure(path)
+        return Row(path, values, "", () if limits is None else judge(limits, values))
+    except AnisoscopeError as error:
+        return Row(path, error=str(error))
+
+
+def _plain(row: Row) -> dict[str, Any]:
+    found: dict[str, Any] = {"file": str(row.file)}
+    if row.error:
+        return found | {"error": row.error}
+    found |= {name: {"value": value, "unit": unit} for name, (value, unit) in row.values.items()}
+    return found | ({"verdict": row.verdict, "sheet": row.sheet} if row.sheet else {})
+
+
+def _columns(rows: Sequence[Row]) -> list[tuple[str, str]]:
+    """Names and units of all values, in the order in which they come."""
+    return list(dict.fromkeys((name, unit) for row in rows for name, (_, unit) in row.values.items()))
+
+
+def _cells(row: Row, columns: Sequence[tuple[str, str]], places: int) -> list[str]:
+    values = (row.values.get(name, (math.nan, ""))[0] for name, _ in columns)
+    return ["" if math.isnan(value) else f"{value:.{places}g}" for value in values]
+
+
+def write_table(rows: Sequence[Row], path: Path) -> None:
+    """Write the table as CSV, JSON or HTML, by the extension.
+
+    Raises:
+        RecordError: the file cannot be written.
+    """
+    columns = _columns(rows)
+    heads = [f"{name} [{unit}]" if unit else name for name, unit in columns]
+    if path.suffix.lower() == ".json":
+        write_text(path, json.dumps(as_json([_plain(row) for row in rows]), indent=2, allow_nan=False) + "\n")
+        return
+    if path.suffix.lower() == ".csv":
+        stream = io.StringIO()
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(["file", "verdict", "error", *heads])
+        writer.writerows([str(row.file), row.verdict, row.error, *_cells(row, columns, 12)] for row in rows)
+        write_text(path, stream.getvalue())
+        return
+    from anisoscope.report.page import write_page
+
+    body = [(row.file.name, row.verdict, row.error, _cells(row, columns, 5), row.sheet) for row in rows]
+    write_page(path, "table.html", {"heads": heads, "rows": body})
+
+
+def _print(rows: Sequence[Row], table: Path | None) -> None:
+    columns = _columns(rows)[:SHOWN_COLUMNS]
+    heads = [f"{name} [{unit}]" if unit else name for name, unit in columns]
+    limited = any(row.sheet for row in rows)
+    body = [
+        [row.file.name, *([row.verdict] if limited else []), *_cells(row, columns, 5)]
+        for row in rows
+        if not row.error
+    ]
+    if body:
+        more = len(_columns(rows)) - len(columns)
+        caption = f"{more} further columns with --table or --json" if more > 0 else None
+        print_table(f"{len(rows)} maps", ["file", *(["verdict"] if limited else []), *heads], body, caption)
+    for row in rows:
+        if row.error:
+            sys.stdout.write(f"{row.file}: not measured: {row.error}\n")
+    for row in rows:
+        for one in row.sheet:
+            if one.verdict == "FAIL":
+                sys.stdout.write(f"{row.file}: FAIL {sheet_line(one)}\n")
+    if table is not None:
+        sys.stdout.write(f"{table}\n")
+
+
+def sheet_line(one: "Judged") -> str:
+    """A line of the sheet: the parameter, its value and its limits."""
+    bounds = [f"min {one.low:g}"] if one.low is not None else []
+    bounds += [f"max {one.high:g}"] if one.high is not None else []
+    return f"{one.name} = {one.value:.6g} {one.unit}".rstrip() + f" ({', '.join(bounds)})"
+
+
+def print_sheet(sheet: "tuple[Judged, ...]", *, silent: bool = False) -> int:
+    """Print the PASS/FAIL sheet of one map, unless silent or empty; 1 for FAIL."""
+    if not sheet:
+        return 0
+    rows = [
+        [
+            one.name,
+            f"{one.value:.6g}",
+            one.unit,
+            *("–" if bound is None else f"{bound:g}" for bound in (one.low, one.high)),
+            one.verdict,
+        ]
+        for one in sheet
+    ]
+    verdict = "FAIL" if any(one.verdict == "FAIL" for one in sheet) else "PASS"
+    if not silent:
+        print_table(f"limits: {verdict}", ["parameter", "value", "unit", "min", "max", "verdict"], rows)
+    return FAILED if verdict == "FAIL" else 0

@@ -1,0 +1,381 @@
+"""Predictive test: is a part like n golden parts of its rig, for any n from one on?
+
+A part's contrasts are y = f(θ) + b + G s + e: b is common to all parts of a rig (material, light angle, error of the
+model), s differs from part to part, e from inspection to inspection. The mean of golden parts replaces f + b. The
+scatter W of a part about it is known beforehand from the recipe ([scatter]) and the measurement, so that one golden
+part serves: W is the covariance of y for a given material, averaged over what the material may be, through the
+response to second order. Golden parts replace it gradually (inverse Wishart prior worth 30 parts; Gelman et al.,
+Bayesian Data Analysis, 3.6).
+
+Two statistics share the level: T² of all contrasts, and the largest score of the deviation in the direction of a named
+defect, sᵀV⁻¹d/√(sᵀV⁻¹s), which is the likelihood ratio of this defect against a good part (Neyman and Pearson 1933).
+The distribution of T² and of each score is simulated: golden sets and parts drawn from the same model; of the scores
+the least probable counts, at a level shared by all of them.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import MeasurementError
+from anisoscope.base.significance import calibrated
+from anisoscope.prediction.second_order import Response
+
+PRIOR_PARTS = 30
+"""Number of golden parts that the scatter stated by recipe and measurement is worth."""
+MAX_BIRGE = 3.0
+"""Ratio of the scatter among golden parts to the stated one beyond which the stated one is not theirs."""
+_MATERIALS, _PARTS = 60, 300  # draws of what all parts share, and parts for each
+_SETS, _NEW = 150, 60  # golden sets, and new parts for each
+_SEED = 11
+_SMALLEST = 1e-300
+_SCORES = np.linspace(0.0, 15.0, 301)
+_STEPS = 300  # of the estimate of variance components
+_DETERMINED = 0.5  # degrees of freedom below which an input is not determined
+
+
+@dataclass(frozen=True, eq=False)
+class Scatter:
+    """How contrasts of good parts scatter on one rig.
+
+    Attributes:
+        response: change of the m contrasts with K inputs, to second order.
+        common: (K,) standard deviations of what all parts share, in the response's units.
+        own: (K,) standard deviations of what differs from part to part, likewise.
+        errors: (m, m) covariance of the errors of one inspection.
+        defects: (m,) change of the contrasts by every named defect at its smallest interesting size.
+    """
+
+    response: Response
+    common: FloatArray
+    own: FloatArray
+    errors: FloatArray
+    defects: Mapping[str, FloatArray]
+
+    def drawn(self, shared: FloatArray, parts: int, rng: np.random.Generator) -> FloatArray:
+        """(N, parts, m) contrasts of good parts, for (N, K) states of what all parts share."""
+        count, k = shared.shape
+        states = shared[:, None] + self.own * rng.standard_normal((count, parts, k))
+        errors = rng.standard_normal((count, parts, len(self.errors))) @ _root(self.errors).T
+        return np.asarray(self.response.change(states) + errors)
+
+    def shared(self, count: int, rng: np.random.Generator) -> FloatArray:
+        """(N, K) states of what all parts share."""
+        return np.asarray(self.common * rng.standard_normal((count, len(self.common))))
+
+    @cached_property
+    def covariance(self) -> FloatArray:
+        """(m, m) W: covariance of the parts of one rig, averaged over what the material may be."""
+        rng = np.random.default_rng(_SEED)
+        parts = self.drawn(self.shared(_MATERIALS, rng), _PARTS, rng)
+        off = parts - parts.mean(axis=1, keepdims=True)
+        return np.asarray(np.einsum("npi,npj->ij", off, off) / (_MATERIALS * (_PARTS - 1.0)))
+
+
+@dataclass(frozen=True)
+class Direction:
+    """Test for one named defect.
+
+    Attributes:
+        defect: its name.
+        score: of the part in its direction, in standard deviations of good parts.
+        separation: mean score of a part with this defect at its smallest interesting size.
+        power: probability that a part with this defect is significant.
+        detectable: multiple of the smallest interesting size that is significant in 9 of 10 parts.
+    """
+
+    defect: str
+    score: float
+    separation: float
+    power: float
+    detectable: float
+
+
+@dataclass(frozen=True)
+class PredictiveTest:
+    """Result of the predictive test.
+
+    Attributes:
+        t2: squared distance from the mean of the golden parts.
+        dof: number of contrasts.
+        p_value: of both statistics together, for a good part.
+        p_distance: of the squared distance alone.
+        p_direction: of the largest score alone; None without named defects.
+        directions: one a named defect.
+        birge: ratio of the golden parts' scatter to the stated one; None for a single golden part.
+        decides: whether this test decides; not where many golden parts contradict the stated scatter.
+    """
+
+    t2: float
+    dof: int
+    p_value: float
+    p_distance: float
+    p_direction: float | None
+    directions: tuple[Direction, ...]
+    birge: float | None
+    decides: bool = True
+
+    @property
+    def strongest(self) -> Direction | None:
+        """The named defect that the part is most like, where its score is less probable than the distance."""
+        if not self.directions or self.p_direction is None or self.p_direction > self.p_distance:
+            return None
+        return max(self.directions, key=lambda one: one.score)
+
+
+def birge_ratio(golden: FloatArray, covariance: FloatArray) -> float | None:
+    """Scatter among (n, m) golden contrasts over the stated (m, m) one: about 1 where it is theirs; None for n = 1.
+
+    Σ (g − ḡ)ᵀ W⁻¹ (g − ḡ) / (m (n − 1)); Birge 1932.
+    """
+    count, m = golden.shape
+    if count < 2:
+        return None
+    off = golden - golden.mean(axis=0)
+    return float(np.einsum("ni,ij,nj->", off, np.linalg.inv(covariance), off) / (m * (count - 1.0)))
+
+
+def predictive_test(scatter: Scatter, golden: FloatArray, value: FloatArray, alpha: float) -> PredictiveTest:
+    """Test a part against golden parts.
+
+    Args:
+        scatter: of good parts on this rig.
+        golden: (n, m) contrasts of the golden parts, n ≥ 1.
+        value: (m,) of the part.
+        alpha: level of significance, of which powers are computed.
+
+    Raises:
+        MeasurementError: there is no golden part, or the stated scatter is zero in some direction.
+    """
+    stated, count = _checked(scatter, golden), len(golden)
+    null = _null_of(scatter, count)
+    mean = golden.mean(axis=0)
+    off = golden - mean
+    covariance = _predictive(stated, np.einsum("ni,nj->ij", off, off), count)
+    inverse = np.linalg.inv(covariance)
+    d = value - mean
+    t2 = float(d @ inverse @ d)
+    p_distance = float(calibrated(null.distance_theory(np.array([t2])), null.distances)[0])
+    names = tuple(scatter.defects)
+    if not names:
+        return PredictiveTest(t2, len(d), p_distance, p_distance, None, (), birge_ratio(golden, stated))
+    shifts = np.array([scatter.defects[name] for name in names])
+    separation = np.sqrt(np.einsum("ci,ij,cj->c", shifts, inverse, shifts))
+    scores = shifts @ inverse @ d / np.maximum(separation, 1e-12)
+    p_direction = min(1.0, len(names) * float(null.score_chances(scores).min()))
+    limits = null.score_limits(0.5 * alpha)
+    return PredictiveTest(
+        t2,
+        len(d),
+        min(1.0, 2.0 * min(p_distance, p_direction)),
+        p_distance,
+        p_direction,
+        _directions(names, scores, separation, limits),
+        birge_ratio(golden, stated),
+    )
+
+
+def separations(scatter: Scatter, count: int, alpha: float) -> tuple[Direction, ...]:
+    """How well ``count`` golden parts show each named defect; scores are zero.
+
+    Args:
+        scatter: of good parts on this rig.
+        count: golden parts, 1 or more.
+        alpha: level of significance of the verdict.
+    """
+    inverse = np.linalg.inv(scatter.covariance * (1.0 + 1.0 / count))
+    shifts = np.array([scatter.defects[name] for name in scatter.defects])
+    separation = np.sqrt(np.einsum("ci,ij,cj->c", shifts, inverse, shifts))
+    limits = _null_of(scatter, count).score_limits(0.5 * alpha)
+    return _directions(tuple(scatter.defects), np.zeros(len(shifts)), separation, limits)
+
+
+def detectable(scatter: Scatter, count: int, alpha: float) -> dict[str, float]:
+    """Multiple of each named defect's smallest size that ``count`` golden parts show in 9 of 10 parts."""
+    return {one.defect: one.detectable for one in separations(scatter, count, alpha)}
+
+
+def separating_areas(scatter: Scatter) -> dict[str, float]:
+    """Area under the curve of the directed test of each defect, its scatter known: by simulation.
+
+    The probability that the score of a part with the defect at its smallest interesting size exceeds that of a good
+    part; both scatter alike, and the defect adds its change.
+    """
+    rng = np.random.default_rng(_SEED)
+    parts = scatter.drawn(scatter.shared(_MATERIALS, rng), _PARTS, rng)
+    off = (parts - parts.mean(axis=1, keepdims=True)).reshape(-1, parts.shape[-1])
+    inverse = np.linalg.inv(scatter.covariance)
+    found = {}
+    for name, shift in scatter.defects.items():
+        good = np.sort(off @ inverse @ shift)
+        bad = good + shift @ inverse @ shift
+        found[name] = float(np.mean(np.searchsorted(good, bad) / len(good)))
+    return found
+
+
+@dataclass(frozen=True)
+class SuggestedScatter:
+    """Scatter of an input between the golden parts, as a multiple of the stated one.
+
+    Attributes:
+        source: the input.
+        ratio: estimate.
+        low: lower end of its 95 % interval.
+        high: upper end; infinite where the golden parts do not determine it.
+    """
+
+    source: str
+    ratio: float
+    low: float
+    high: float
+
+
+def suggested_scatter(scatter: Scatter, golden: FloatArray) -> tuple[SuggestedScatter, ...]:
+    """Scatter of each input that differs between parts, estimated from golden parts.
+
+    Maximum likelihood of the variance components of the linear response by expectation and maximisation (Dempster,
+    Laird and Rubin 1977). Intervals by χ² with the degrees of freedom that the parts determine of each input: n − 1
+    times the share by which they narrow it.
+
+    Args:
+        scatter: stated scatter.
+        golden: (n, m) contrasts of golden parts, n ≥ 3.
+
+    Raises:
+        MeasurementError: fewer than three golden parts.
+    """
+    from scipy.stats import chi2  # noqa: PLC0415 - 1 s
+
+    count = len(golden)
+    if count < 3:
+        raise MeasurementError(f"{count} golden parts do not show how parts scatter: at least 3 are needed")
+    varies = np.flatnonzero(scatter.own > 0.0)
+    slope = scatter.response.slope[:, varies] * scatter.own[varies]
+    off = golden - golden.mean(axis=0)
+    variance, rest = np.ones(len(varies)), np.ones(len(varies))
+    for _ in range(_STEPS):
+        gain = (slope * variance).T @ np.linalg.inv((slope * variance) @ slope.T + scatter.errors)
+        rest = variance * (1.0 - np.einsum("km,mk->k", gain, slope))
+        variance = np.sum((off @ gain.T) ** 2, axis=0) / (count - 1.0) + rest
+    known = (count - 1.0) * np.clip(1.0 - rest / np.maximum(variance, 1e-300), 0.0, 1.0)
+    found = []
+    for k, place in enumerate(varies):
+        ratio, freedom = float(np.sqrt(variance[k])), float(known[k])
+        low, high = 0.0, float("inf")
+        if freedom > _DETERMINED:
+            low, high = (ratio * float(np.sqrt(freedom / chi2.ppf(tail, freedom))) for tail in (0.975, 0.025))
+        found.append(SuggestedScatter(scatter.response.sources[place], ratio, low, high))
+    return tuple(found)
+
+
+def _directions(
+    names: tuple[str, ...], scores: FloatArray, separation: FloatArray, limits: FloatArray
+) -> tuple[Direction, ...]:
+    from scipy.special import ndtr, ndtri  # noqa: PLC0415 - start-up time
+
+    return tuple(
+        Direction(
+            name,
+            float(score),
+            float(mean),
+            float(ndtr(mean - limit)),
+            float((limit + ndtri(0.9)) / mean) if mean > 0.0 else float("inf"),
+        )
+        for name, score, mean, limit in zip(names, scores, separation, limits, strict=True)
+    )
+
+
+def _checked(scatter: Scatter, golden: FloatArray) -> FloatArray:
+    if len(golden) == 0:
+        raise MeasurementError(
+            "there is no golden part to compare with: add one with `anisoscope golden add`"
+        )
+    stated = scatter.covariance
+    values = np.linalg.eigvalsh(stated)
+    if not values[0] > 1e-12 * max(values[-1], 1e-300):
+        raise MeasurementError(
+            "some contrast of good parts is stated without any uncertainty or scatter: state some under [uncertainty] "
+            "or [scatter] in the recipe"
+        )
+    return stated
+
+
+def _predictive(stated: FloatArray, squares: FloatArray, count: int) -> FloatArray:
+    """(…, m, m) covariance of a part about the mean of ``count`` golden ones with (…, m, m) sums of squares."""
+    freedom = PRIOR_PARTS + count - 1.0
+    return np.asarray((PRIOR_PARTS * stated + squares) / freedom * (1.0 + 1.0 / count))
+
+
+@dataclass(frozen=True, eq=False)
+class _Null:
+    """Distribution of both statistics for good parts, as p values of a simple theory, ascending.
+
+    Attributes:
+        m: number of contrasts.
+        freedom: degrees of freedom of the scatter.
+        distances: (N,) p values of T² of drawn good parts by the F distribution.
+        scores: for each named defect (N,) p values of the score of drawn good parts by Student's distribution.
+    """
+
+    m: int
+    freedom: float
+    distances: FloatArray
+    scores: tuple[FloatArray, ...]
+
+    def distance_theory(self, t2: FloatArray) -> FloatArray:
+        """P values by the F distribution with m and freedom − m + 1 degrees of freedom."""
+        from scipy.special import fdtrc  # noqa: PLC0415 - start-up time
+
+        rest = self.freedom - self.m + 1.0
+        return np.maximum(fdtrc(self.m, rest, t2 * rest / (self.freedom * self.m)), _SMALLEST)
+
+    def score_theory(self, scores: FloatArray) -> FloatArray:
+        """P values of scores by Student's distribution, one-sided."""
+        from scipy.special import stdtr  # noqa: PLC0415 - start-up time
+
+        return np.clip(stdtr(self.freedom, -scores), _SMALLEST, 1.0)
+
+    def score_chances(self, scores: FloatArray) -> FloatArray:
+        """(C,) p values of the (C,) scores of a part, each by the drawn good parts' scores in its direction."""
+        theory = self.score_theory(scores)
+        return np.array([float(calibrated(theory[[k]], drawn)[0]) for k, drawn in enumerate(self.scores)])
+
+    def score_limits(self, alpha: float) -> FloatArray:
+        """(C,) scores beyond which a direction is significant, all of them at the level alpha together (Bonferroni)."""
+        theory = self.score_theory(_SCORES)
+        level = alpha / max(len(self.scores), 1)
+        return np.array(
+            [float(np.interp(-level, -calibrated(theory, drawn), _SCORES)) for drawn in self.scores]
+        )
+
+
+def _null_of(scatter: Scatter, count: int) -> _Null:
+    """Draw golden sets and new parts from the stated scatter."""
+    rng = np.random.default_rng(_SEED + count)
+    m, stated = len(scatter.errors), scatter.covariance
+    drawn = scatter.drawn(scatter.shared(_SETS, rng), count + _NEW, rng)
+    golden, parts = drawn[:, :count], drawn[:, count:]
+    mean = golden.mean(axis=1, keepdims=True)
+    off = golden - mean
+    inverse = np.linalg.inv(_predictive(stated, np.einsum("sni,snj->sij", off, off), count))
+    d = parts - mean
+    t2 = np.einsum("spi,sij,spj->sp", d, inverse, d).ravel()
+    freedom = PRIOR_PARTS + count - 1.0
+    bare = _Null(m, freedom, np.empty(0), ())
+    distances = np.sort(bare.distance_theory(t2))
+    if not scatter.defects:
+        return _Null(m, freedom, distances, ())
+    shifts = np.array([scatter.defects[name] for name in scatter.defects])
+    weighed = np.einsum("ci,sij->scj", shifts, inverse)
+    norm = np.sqrt(np.einsum("scj,cj->sc", weighed, shifts))
+    scores = np.einsum("scj,spj->csp", weighed, d) / norm.T[:, :, None]
+    drawn_scores = tuple(np.sort(bare.score_theory(found.ravel())) for found in scores)
+    return _Null(m, freedom, distances, drawn_scores)
+
+
+def _root(covariance: FloatArray) -> FloatArray:
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))

@@ -1,0 +1,391 @@
+"""Calibration of a material: a coupon or a part is scanned over stage and tilt, and its lobe fitted.
+
+The scan is photographed and measured as an inspection is (`inspection.pipeline`), with the poses of the scan in place
+of the recipe's; the fit is that of `fit.lobe`. Readings that were taken otherwise come from a table.
+"""
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
+from importlib.metadata import version
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import CalibrationError, UsageError
+from anisoscope.base.progress import Advance, silent
+from anisoscope.calibration.record import MAX_DAYS
+from anisoscope.fit.lobe import (
+    Family,
+    LobeFit,
+    LobeInformation,
+    Scan,
+    Specimen,
+    check_poses_suffice,
+    coupon,
+    coupon_poses,
+    fit_lobe,
+    part_poses,
+    planned,
+    ridged,
+)
+from anisoscope.fit.table import read_readings
+from anisoscope.imaging.pose_radiance import Measured
+from anisoscope.inspection.frames import read_frames
+from anisoscope.inspection.job import Job, prepare
+from anisoscope.inspection.manifest import begin
+from anisoscope.inspection.pipeline import measure_frames
+from anisoscope.kinds.registry import kind_of
+from anisoscope.prediction.expectation import Expectation
+from anisoscope.prediction.height_map_uncertainty import best_band, relief_model
+from anisoscope.prediction.recipe_models import read_surface
+from anisoscope.prediction.relief_preparation import prepare_relief
+from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.recipe.material_file import (
+    CovariancePart,
+    LobePart,
+    MaterialFile,
+    MaterialLightPart,
+    ResidualPart,
+    ScanPart,
+    ValidityPart,
+    write_material_file,
+)
+from anisoscope.recipe.surface import DesignPart, SurfacePart, SurfaceRecipe
+from anisoscope.record.schema import Particulars
+from anisoscope.rig.acquisition.runner import Progress, check_plan, open_rig, run_plan
+from anisoscope.rig.rigfile import RigFile, read_rig
+from anisoscope.sim.light import corrected
+from anisoscope.sim.light.geometry import Convention, Pose, directions, pose_grid
+from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.optics import Optics
+
+SERIAL = "material"
+VALID_DAYS = 365.0
+MOVE_S = 2.0
+"""Usual time of a move of the stage, for the time that a scan is said to take."""
+_STAGE_STEP_DEG = 0.1
+JUDGED_POSES = pose_grid((0.0, 90.0, 180.0), (0.0, -10.0, 10.0))
+JUDGED_DESIGN = RidgeDesign(100.0, 10.0)
+"""Part and poses for which a plan says the uncertainty of ln ratios where the recipe has no ridges."""
+
+SpecimenName = Literal["coupon", "part"]
+Lobe = Literal["auto", "tail", "second-lobe"]
+_FAMILIES: dict[Lobe, tuple[Family, ...]] = {
+    "auto": ("tail", "second lobe"),
+    "tail": ("tail",),
+    "second-lobe": ("second lobe",),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """What is scanned, and how.
+
+    Attributes:
+        specimen: its model.
+        material: about what it is made of: that of the recipe, or a usual one.
+        poses: P poses of the scan.
+        convention: how their angles are counted.
+        rig: the rig file.
+        recipe: with the surface and the poses of the scan; None where readings of a coupon come from a table.
+    """
+
+    specimen: Specimen
+    material: Material
+    poses: tuple[Pose, ...]
+    convention: Convention
+    rig: RigFile
+    recipe: SurfaceRecipe | None
+
+
+@dataclass(frozen=True, eq=False)
+class ScanPlan:
+    """A scan before it is taken.
+
+    Attributes:
+        setup: what is scanned.
+        information: what it would say, with the noise of `fit.lobe.POSE_NOISE`.
+        seconds: about how long it takes; None where nothing is photographed.
+        u_log_ratios: (Q, Q) standard uncertainty of ln(L_i/L_j) that the material would leave.
+        judged: Q poses of these ratios.
+        ridge_angle_deg: of the part that they belong to.
+    """
+
+    setup: Setup
+    information: LobeInformation
+    seconds: float | None
+    u_log_ratios: FloatArray
+    judged: tuple[Pose, ...]
+    ridge_angle_deg: float
+
+
+def scan_setup(
+    rig_path: Path,
+    recipe_path: Path | None,
+    name: SpecimenName,
+    *,
+    tilt_deg: float = 20.0,
+    step_deg: float | None = None,
+    poses: tuple[Pose, ...] | None = None,
+) -> Setup:
+    """Read what a scan needs; nothing moves.
+
+    Args:
+        rig_path: rig file.
+        recipe_path: recipe with exposure and region; of a part also with its surface. None for readings of a coupon.
+        name: "coupon" or "part".
+        tilt_deg: largest tilt of the scan.
+        step_deg: of the tilt; 2.5° for a coupon, 10° for a part.
+        poses: those of readings, in place of a scan.
+
+    Raises:
+        UsageError: a tilt or a step that is none, too few poses, or a part without a recipe.
+        RecipeError, RigFileError, HeightMapError: a file.
+    """
+    rig = read_rig(rig_path)
+    optics = Optics(rig.light.half_angle_deg or 0.0, rig.camera.half_angle_deg or 0.0)
+    step = step_deg if step_deg is not None else (2.5 if name == "coupon" else 10.0)
+    if not (0.0 < tilt_deg <= 60.0 and 0.5 <= step <= tilt_deg):
+        raise UsageError(
+            f"--tilt {tilt_deg:g} and --step {step:g}: a tilt of up to 60° and steps from 0.5° to it"
+        )
+    scanned = poses or (coupon_poses if name == "coupon" else part_poses)(tilt_deg, step)
+    check_poses_suffice(scanned)
+    if recipe_path is None:
+        if name == "part":
+            raise UsageError("--part needs --recipe FILE with its design or height map")
+        return Setup(coupon(optics), Material(), scanned, Convention(rig.light.angle_deg), rig, None)
+    recipe = kind_of(recipe_path).read_recipe(recipe_path)
+    if not isinstance(recipe, SurfaceRecipe):
+        raise UsageError(f"{recipe_path}: a material is calibrated with the recipe of a plastic surface")
+    convention = Convention(rig.light.angle_deg, facet_azimuth_deg=recipe.poses.facet_azimuth_deg)
+    material = recipe.material.material()
+    recipe = _scanning(recipe.deciding(), scanned, name)
+    specimen = coupon(optics) if name == "coupon" else _part(recipe, optics)
+    return Setup(specimen, material, scanned, convention, rig, recipe)
+
+
+def _scanning(recipe: SurfaceRecipe, poses: Sequence[Pose], name: SpecimenName) -> SurfaceRecipe:
+    """The recipe with the poses of the scan, and without ridges for a coupon."""
+    angles = tuple(dict.fromkeys(pose.stage_deg for pose in poses))
+    tilts = tuple(dict.fromkeys(pose.tilt_deg for pose in poses))
+    changes: dict[str, object] = {
+        "poses": recipe.poses.model_copy(update={"angles_deg": angles, "tilts_deg": tilts}),
+        "decision": recipe.decision.model_copy(update={"tolerance": None}),
+    }
+    if name == "coupon":
+        changes["surface"] = SurfacePart(
+            pitch_um=recipe.surface.pitch_um, design=DesignPart(ridge_angle_deg=0.0)
+        )
+    return recipe.model_copy(update=changes)
+
+
+def _part(recipe: SurfaceRecipe, optics: Optics) -> Specimen:
+    """A ridged part by its design, or by its height map."""
+    if recipe.surface.design is not None:
+        return ridged(recipe.surface.ridge_design(), optics, recipe.surface.bounces)
+    surface = read_surface(recipe)
+    relief, _ = prepare_relief(surface, recipe.surface.pitch_um)
+    rays = relief_model(best_band(relief), optics)
+    slope = -np.diff(relief.surface.height_um, axis=1) / relief.surface.pixel_x_um
+    falling = slope[np.isfinite(slope) & (slope > 0.0)]
+    angle = float(np.degrees(np.arctan(np.median(falling)))) if falling.size else 0.0
+    groove = RidgeDesign(recipe.surface.pitch_um, min(angle, 44.0))
+
+    def direct(
+        to_light: FloatArray, to_camera: FloatArray, _design: RidgeDesign, material: Material
+    ) -> FloatArray:
+        return rays(to_light, to_camera, material)
+
+    def indirect(
+        to_light: FloatArray, to_camera: FloatArray, design: RidgeDesign, material: Material
+    ) -> FloatArray:
+        return corrected.indirect_radiance(to_light, to_camera, design, material)
+
+    return Specimen(groove, direct, indirect, shape_known=True, name="part")
+
+
+def plan_scan(setup: Setup) -> ScanPlan:
+    """What a scan takes and what it would say."""
+    information = planned(setup.specimen, setup.material, setup.poses, setup.convention)
+    judged, design = JUDGED_POSES, JUDGED_DESIGN
+    seconds = None
+    if setup.recipe is not None:
+        acquisition = setup.recipe.acquisition
+        one = acquisition.exposure_s * (1.0 + sum(acquisition.brackets)) * acquisition.frames_per_pose
+        seconds = len(setup.poses) * (MOVE_S + acquisition.settle_s + one)
+        if setup.specimen.name == "part":
+            design = setup.specimen.design
+    convention = Convention(setup.convention.light_angle_deg)
+    u = information.u_log_ratios(design, judged, convention)
+    return ScanPlan(setup, information, seconds, u, judged, design.ridge_angle_deg)
+
+
+def scan_specimen(
+    setup: Setup, rig_path: Path, recipe_path: Path, on_progress: Advance = silent
+) -> tuple[Scan, str]:
+    """Photograph a scan on a rig.
+
+    Returns:
+        The radiances, and the serial number of the camera.
+
+    Raises:
+        RigFileError, RigError: the rig.
+        MeasurementError: the pictures cannot be used, or a calibration does not hold.
+    """
+
+    def report(now: Progress) -> None:
+        on_progress(now.text, now.done, now.total)
+
+    assert setup.recipe is not None
+    job = replace(prepare(recipe_path, rig_path, SERIAL), recipe=setup.recipe, reference=None)
+    plan = job.plan()
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        with open_rig(job.rig) as rig:
+            check_plan(plan, rig)
+            serial = rig.camera.info.serial
+            if job.white.camera != serial:
+                raise CalibrationError(
+                    f"the flat was taken with camera {job.white.camera}, this is {serial}: take a new one with "
+                    "`anisoscope calibrate flat`"
+                )
+            here = rig_path.resolve().parent
+            manifest = begin(folder, job, Particulars(), plan=plan, frames=plan.frame_count, rig_folder=here)
+            run_plan(plan, rig, folder, on_progress=report)
+        on_progress("measurement", 0, 1)
+        expected = _expected(setup)
+        _, measured, _ = measure_frames(manifest, job, expected, read_frames(folder, manifest))
+    return _scan_of(setup, job, measured), serial
+
+
+def _expected(setup: Setup) -> Expectation:
+    """Poses of the scan with the change of ln L with the stage angle, of direct light."""
+    assert setup.recipe is not None
+
+    def log_light(step_deg: float) -> FloatArray:
+        moved = tuple(Pose(pose.stage_deg + step_deg, pose.tilt_deg) for pose in setup.poses)
+        to_light, to_camera = directions(moved, setup.convention)
+        light = corrected.radiance(to_light, to_camera, setup.specimen.design, setup.material)
+        return np.log(np.maximum(light, 1e-12))
+
+    per_degree = (log_light(_STAGE_STEP_DEG) - log_light(-_STAGE_STEP_DEG)) / (2.0 * _STAGE_STEP_DEG)
+    return Expectation(
+        "corrected",
+        setup.recipe.poses.poses(),
+        np.exp(log_light(0.0)),
+        (),
+        per_degree,
+        None,
+        setup.convention,
+    )
+
+
+def _scan_of(setup: Setup, job: Job, measured: Measured) -> Scan:
+    reason = job.kind.drift_error(measured, job.recipe)
+    if reason:
+        raise CalibrationError(reason)
+    own = [one.relative**2 for one in measured.components if not one.shared]
+    noise = np.sqrt(np.sum(own, axis=0))
+    return Scan(setup.poses, setup.convention, measured.radiance, noise)
+
+
+def read_scan(path: Path) -> tuple[tuple[Pose, ...], FloatArray, FloatArray]:
+    """Poses, radiances in any unit and their relative noise from a table ``stage_deg,tilt_deg,value[,u]``.
+
+    Raises:
+        UsageError: the file cannot be read or used.
+    """
+    poses, readings = read_readings(path, "exposure")
+    if readings.kind != "exposure":
+        raise UsageError(f"{path} holds contrasts: a material needs exposures (stage_deg,tilt_deg,value[,u])")
+    noise = np.zeros(len(poses))
+    if readings.noise_known:
+        noise = np.sqrt(np.diag(readings.covariance)) / np.maximum(np.abs(readings.value), 1e-300)
+    return poses, readings.value, noise
+
+
+def calibrate_material(
+    setup: Setup,
+    scan: Scan,
+    out: Path,
+    *,
+    name: str,
+    lobe: Lobe = "auto",
+    camera: str = "",
+    valid_days: float | None = None,
+    operator: str | None = None,
+    on_progress: Advance = silent,
+) -> tuple[MaterialFile, LobeFit]:
+    """Fit the material of a scan and write its file.
+
+    Args:
+        setup: what was scanned.
+        scan: its radiances.
+        out: file to write (TOML).
+        name: of the material.
+        lobe: family of lobes; "auto" takes the one with the smaller information criterion.
+        camera: serial number of the camera.
+        valid_days: how long it holds.
+        operator: who takes it.
+        on_progress: called with what is being done, steps done and steps in all.
+
+    Raises:
+        UsageError: a validity that is none.
+        CalibrationError: a coupon that is not flat.
+        RecordError: the file cannot be written.
+    """
+    days = VALID_DAYS if valid_days is None else valid_days
+    if not 0.0 < days <= MAX_DAYS:
+        raise UsageError(
+            f"a material holds for more than 0 and at most {MAX_DAYS:g} days, not {days:g}: correct --valid-days"
+        )
+    found = fit_lobe(scan, setup.specimen, setup.material, _FAMILIES[lobe], on_progress)
+    now = datetime.now(UTC).replace(microsecond=0)
+    light = setup.rig.light
+    content = MaterialFile(
+        id="material",
+        name=name,
+        taken_at=now,
+        software=f"anisoscope {version('anisoscope')}",
+        material=LobePart(**vars(found.material)),
+        covariance=CovariancePart(
+            parameters=found.information.lobe,
+            matrix=tuple(map(tuple, found.information.material_covariance.tolist())),
+        ),
+        validity=ValidityPart(half_angle_deg=found.half_angle_deg, until=now + timedelta(days=days)),
+        light=MaterialLightPart(
+            wavelength_nm=light.wavelength_nm,
+            bandwidth_nm=light.bandwidth_nm,
+            lamp_half_angle_deg=light.half_angle_deg,
+            aperture_half_angle_deg=setup.rig.camera.half_angle_deg,
+        ),
+        scan=ScanPart(
+            specimen=setup.specimen.name,
+            rig=setup.rig.name,
+            camera=camera,
+            operator=operator,
+            light_angle_deg=setup.convention.light_angle_deg,
+            poses=tuple((pose.stage_deg, pose.tilt_deg) for pose in scan.poses),
+        ),
+        test=_test_of(found),
+        remarks=(*found.warnings(), *found.information.not_identified()),
+    )
+    named = content.model_copy(update={"id": f"material-{now:%Y%m%d}-{content.digest()[:8]}"})
+    return write_material_file(named, out), found
+
+
+def _test_of(found: LobeFit) -> ResidualPart:
+    return ResidualPart(
+        residual_over_noise=found.residual_over_noise,
+        birge_ratio=found.birge_ratio,
+        degrees_of_freedom=round(found.degrees_of_freedom),
+        rms_share=found.rms_share,
+        discrepancy_share=found.discrepancy_share,
+        family=found.family,
+        bic_advantage=None if found.other_bic is None else found.other_bic - found.bic,
+    )

@@ -1,0 +1,24 @@
+"""Output of a command as a kind of part gives it: as JSON, and as tables and lines for people."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table on the terminal."""
+
+    title: str
+    columns: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    caption: str | None = None
+
+
+@dataclass(frozen=True)
+class CommandOutput:
+    """An answer of a command: as JSON, and as tables and lines for people."""
+
+    content: dict[str, Any]
+    tables: tuple[Table, ...] = ()
+    lines: tuple[str, ...] = ()

@@ -1,0 +1,88 @@
+"""Public names for a kind of part from another distribution: ``from anisoscope.kinds.plugin import Kind, …``.
+
+A kind subclasses `Kind` and is registered under the entry point group ``anisoscope.kinds`` (docs/own-kind.md). These
+names are as stable as those of `anisoscope.api`: what a kind subclasses, receives and returns, the bases of its recipe
+and record, the measuring steps of the kinds of this distribution, and the errors that make a part INVALID.
+"""
+
+from anisoscope.base.errors import CalibrationError, MeasurementError, RecipeError, RigFileError, UsageError
+from anisoscope.base.progress import Advance, silent
+from anisoscope.base.toml_file import LocalPath, NotNegative, Part, Positive, Share
+from anisoscope.decision.reference_parts import RadianceSet, ReferenceRow, ReferenceSet
+from anisoscope.imaging.pose_radiance import check_light, check_view, mean_of
+from anisoscope.imaging.registration.placement import Grid, View, resample
+from anisoscope.imaging.views import Views, most_changed
+from anisoscope.kinds.command_output import CommandOutput, Table
+from anisoscope.kinds.kind import (
+    Decided,
+    Expected,
+    Explanation,
+    Kind,
+    Measured,
+    NewRecipe,
+    Reference,
+    Results,
+    Sitting,
+    usable,
+)
+from anisoscope.kinds.recipe_check import RecipeCheck
+from anisoscope.recipe.base import RecipeBase
+from anisoscope.recipe.teaching import Taught
+from anisoscope.record.details import Details
+from anisoscope.record.schema import BudgetRecord, CauseRecord, DiagnosisRecord, Record
+from anisoscope.record.verdict import Verdict
+from anisoscope.report.inspection_page import Pictures, Sections
+from anisoscope.rig.rigfile import RigFile
+from anisoscope.sim.light.geometry import Convention, Pose
+
+__all__ = [
+    "Advance",
+    "BudgetRecord",
+    "CalibrationError",
+    "CauseRecord",
+    "CommandOutput",
+    "Convention",
+    "Decided",
+    "Details",
+    "DiagnosisRecord",
+    "Expected",
+    "Explanation",
+    "Grid",
+    "Kind",
+    "LocalPath",
+    "Measured",
+    "MeasurementError",
+    "NewRecipe",
+    "NotNegative",
+    "Part",
+    "Pictures",
+    "Pose",
+    "Positive",
+    "RadianceSet",
+    "RecipeBase",
+    "RecipeCheck",
+    "RecipeError",
+    "Record",
+    "Reference",
+    "ReferenceRow",
+    "ReferenceSet",
+    "Results",
+    "RigFile",
+    "RigFileError",
+    "Sections",
+    "Share",
+    "Sitting",
+    "Table",
+    "Taught",
+    "UsageError",
+    "Verdict",
+    "View",
+    "Views",
+    "check_light",
+    "check_view",
+    "mean_of",
+    "most_changed",
+    "resample",
+    "silent",
+    "usable",
+]

@@ -1,0 +1,83 @@
+"""Check of a recipe before inspection: what it has in common for all kinds of parts.
+
+A kind subclasses `RecipeCheck` with what it plans, and gives tables and notes of its own; the findings, the table of
+causes and the output of ``anisoscope recipe check`` are the same for all.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+from anisoscope.base.json_fields import as_json, in_json
+from anisoscope.diagnosis.separability import Separability
+from anisoscope.kinds.command_output import CommandOutput, Table
+
+Level = Literal["note", "warning"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line: a note says what is so, a warning what should be changed."""
+
+    level: Level
+    text: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecipeCheck:
+    """Capability of a recipe.
+
+    Attributes:
+        product: of the recipe.
+        causes: separability of every cause.
+        complaints: one line each, what should be changed.
+    """
+
+    product: str
+    causes: tuple[Separability, ...] = ()
+    complaints: tuple[str, ...] = ()
+
+    def tables(self) -> tuple[Table, ...]:
+        """Tables of the kind, which go before that of the causes."""
+        return ()
+
+    def notes(self) -> tuple[str, ...]:
+        """One line each, what is so."""
+        return (f"{self.product}: the recipe can be read",)
+
+    @property
+    @in_json()
+    def findings(self) -> tuple[Finding, ...]:
+        """The notes, then the complaints."""
+        notes = [Finding("note", text) for text in self.notes()]
+        return (*notes, *(Finding("warning", text) for text in self.complaints))
+
+    def output(self) -> CommandOutput:
+        """What ``anisoscope recipe check`` prints."""
+        causes = (causes_table(self.causes),) if self.causes else ()
+        lines = tuple(one.text for one in self.findings)
+        return CommandOutput(as_json(self), (*self.tables(), *causes), lines)
+
+
+def causes_table(causes: Iterable[Separability]) -> Table:
+    """From which extent on every cause shows, and from which on no other looks the same."""
+    causes = list(causes)
+    titles = {cause.cause: cause.title for cause in causes}
+    return Table(
+        "causes",
+        ["cause", "shows from", "told apart from", "never told from"],
+        [
+            [
+                cause.title,
+                _extent(cause.detection_extent, cause.unit),
+                _extent(cause.separation_extent, cause.unit),
+                "; ".join(titles.get(name, name) for name in cause.inseparable_causes),
+            ]
+            for cause in causes
+        ],
+        "from which extent on a cause shows (3 standard uncertainties) and no other looks the same",
+    )
+
+
+def _extent(value: float | None, unit: str) -> str:
+    return "–" if value is None else f"{abs(value):.3g} {unit}".strip()

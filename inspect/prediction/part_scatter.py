@@ -1,0 +1,278 @@
+"""How ln L of good parts scatters on one rig, and what the smallest interesting defects change of it.
+
+What is not known of rig and material ([uncertainty], [material]) is common to all parts of a rig; what differs from
+part to part ([scatter]) is not. Both act through the same inputs, so one response to second order serves for both.
+"""
+
+import io
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.cache import Cache
+from anisoscope.base.errors import HeightMapError
+from anisoscope.prediction.cache import prediction_key
+from anisoscope.prediction.expectation import PLASTIC, SurfaceOptics, nominal_shape, recipe_uncertainty
+from anisoscope.prediction.propagation import RIDGE_ANGLE, propagate
+from anisoscope.prediction.recipe_models import read_surface
+from anisoscope.prediction.reflections import fitted_groove
+from anisoscope.prediction.relief_preparation import prepare_relief
+from anisoscope.prediction.second_order import Response, known_inputs, response_of
+from anisoscope.prediction.sensitivity import DARK, InputUncertainty, State, Surface, evaluate
+from anisoscope.recipe.surface import DesignPart, SurfaceRecipe
+from anisoscope.sim.light.geometry import Convention, Pose
+
+
+@dataclass(frozen=True, eq=False)
+class PartScatter:
+    """Response of ln L of P poses to what differs between good parts, and to what is common to them.
+
+    Attributes:
+        response: to K inputs, each in the unit √(u² + s²) of its uncertainty and its scatter between parts.
+        common: (K,) u in that unit.
+        own: (K,) s in that unit.
+        defects: (P,) change of ln L by every named defect at its smallest interesting size.
+    """
+
+    response: Response
+    common: FloatArray
+    own: FloatArray
+    defects: Mapping[str, FloatArray]
+
+
+def part_scatter(
+    recipe: SurfaceRecipe, light_angle_deg: float, optics: SurfaceOptics = PLASTIC
+) -> PartScatter | None:
+    """Scatter of good parts of a recipe on one rig, from the cache where it is known.
+
+    Args:
+        recipe: the recipe.
+        light_angle_deg: the rig's angle between light and camera.
+        optics: of its kind of surface.
+
+    Returns:
+        The scatter; None where ln L has no response to second order (a kind with states of its own, or no light in a
+        state nearby).
+
+    Raises:
+        HeightMapError, RecipeError: as for `expectation.expectation`.
+    """
+    recipe = recipe.deciding()
+    if optics.states(recipe, light_angle_deg) is not None:
+        return None
+    key = prediction_key(recipe, light_angle_deg, optics) | {
+        "scatter": recipe.stated_scatter.model_dump(mode="json"),
+        "defects": recipe.defects.model_dump(mode="json"),
+    }
+    return (
+        Cache()
+        .entry("part-scatter", key, __name__, type(optics).__module__)
+        .result(lambda: _computed(recipe, light_angle_deg, optics), _packed, _unpacked)
+    )
+
+
+def _computed(recipe: SurfaceRecipe, light_angle_deg: float, optics: SurfaceOptics) -> PartScatter | None:
+    try:
+        recipe = with_design(recipe)
+    except HeightMapError:  # no ridges of which an angle could scatter
+        return None
+    poses = recipe.poses.poses()
+    convention = Convention(light_angle_deg, facet_azimuth_deg=recipe.poses.facet_azimuth_deg)
+    models = optics.models(recipe, poses, convention)
+    nominal = State(recipe.material.material(), light_angle_deg, shape=nominal_shape(recipe))
+    common, own = recipe_uncertainty(recipe), scatter_of_inputs(recipe)
+    both = replace(
+        common,
+        alpha_share=float(np.hypot(common.alpha_share, own.alpha_share)),
+        albedo=float(np.hypot(common.albedo, own.albedo)),
+        seating_tilt_deg=own.seating_tilt_deg,
+        ridge_angle_deg=own.ridge_angle_deg,
+    )
+    radiance = evaluate(models.sampled, [nominal], poses, convention)[0]
+    if np.any(radiance <= DARK):
+        return None
+    budget = propagate(models.sampled, nominal, poses, convention, both, radiance=radiance)
+    per_unit = {c.source: c.absolute / radiance for c in budget.contributions if np.any(c.absolute)}
+    straight = {source: per_unit[source] for source in known_inputs(tuple(per_unit))}
+    response = response_of(models.sampled, nominal, poses, convention, both, straight) if straight else None
+    if response is None:
+        return None
+    shares = np.array([_shares(source, common, own) for source in response.sources])
+    defects = defect_changes(models.sampled, recipe, nominal, poses, convention, radiance)
+    return PartScatter(response, shares[:, 0], shares[:, 1], defects)
+
+
+def with_design(recipe: SurfaceRecipe) -> SurfaceRecipe:
+    """The recipe with ideal ridges in place of a height map: of the measured angle, as rough as map and lobe together.
+
+    A map cannot be turned to another ridge angle; what parts differ by is taken from ideal ridges like it.
+
+    Raises:
+        HeightMapError: the map cannot be read, or has no ridges.
+    """
+    if recipe.surface.design is not None:
+        return recipe
+    relief, _ = prepare_relief(read_surface(recipe), recipe.surface.pitch_um)
+    groove = fitted_groove(relief)
+    design = DesignPart(ridge_angle_deg=groove.design.ridge_angle_deg, wall=groove.design.wall)
+    surface = recipe.surface.model_copy(update={"height_map": None, "compare": None, "design": design})
+    material = recipe.material.model_copy(
+        update={
+            "alpha_along": float(np.hypot(recipe.material.alpha_along, groove.resolved[0])),
+            "alpha_across": float(np.hypot(recipe.material.alpha_across, groove.resolved[1])),
+        }
+    )
+    return recipe.model_copy(update={"surface": surface, "material": material})
+
+
+def scatter_of_inputs(recipe: SurfaceRecipe) -> InputUncertainty:
+    """Standard deviations of what differs from part to part; zero for what all parts share."""
+    part = recipe.stated_scatter
+    return InputUncertainty(
+        alpha_share=part.alpha_share,
+        albedo=part.albedo_share * recipe.material.albedo,
+        index=0.0,
+        light_angle_deg=0.0,
+        stage_deg=0.0,
+        stage_zero_deg=0.0,
+        tilt_deg=0.0,
+        tilt_zero_deg=0.0,
+        seating_tilt_deg=recipe.scattered_seating_deg,
+        ridge_angle_deg=recipe.scattered_ridge_angle_deg,
+    )
+
+
+def _shares(source: str, common: InputUncertainty, own: InputUncertainty) -> tuple[float, float]:
+    """Uncertainty and scatter of an input, in the unit of the response."""
+    if source in (RIDGE_ANGLE, "seating tilt about x", "seating tilt about y"):
+        return 0.0, 1.0  # every part is seated, and has its own angle
+    pairs = {
+        "roughness along the ridges": (common.alpha_share, own.alpha_share),
+        "roughness across the ridges": (common.alpha_share, own.alpha_share),
+        "albedo of the plastic": (common.albedo, own.albedo),
+    }
+    u, s = pairs.get(source, (1.0, 0.0))
+    unit = float(np.hypot(u, s))
+    return (u / unit, s / unit) if unit > 0.0 else (0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class NamedDefect:
+    """A defect with its smallest interesting size.
+
+    Attributes:
+        words: what it is, up to its size.
+        size: in its unit.
+        unit: "°" or "%".
+    """
+
+    words: str
+    size: float
+    unit: str
+
+    @property
+    def name(self) -> str:
+        """Its name with the smallest interesting size."""
+        return self.of_size(1.0)
+
+    def of_size(self, multiple: float) -> str:
+        """The defect at a multiple of that size."""
+        return f"{self.words}{multiple * self.size:.2g}{self.unit}"
+
+
+def named_defects(recipe: SurfaceRecipe) -> tuple[NamedDefect, ...]:
+    """The defects for which a part is tested separately, at the sizes of the recipe."""
+    size = recipe.defects
+    share = 100.0 * size.roughness_share
+    return (
+        NamedDefect("ridge angle +", size.ridge_angle_deg, "°"),
+        NamedDefect("ridge angle −", size.ridge_angle_deg, "°"),
+        NamedDefect("height loss ", 100.0 * size.height_loss, "%"),
+        NamedDefect("roughness along the ridges +", share, "%"),
+        NamedDefect("roughness across the ridges +", share, "%"),
+    )
+
+
+def defect_changes(
+    surface: Surface,
+    recipe: SurfaceRecipe,
+    nominal: State,
+    poses: tuple[Pose, ...],
+    convention: Convention,
+    radiance: FloatArray,
+) -> dict[str, FloatArray]:
+    """Change of ln L by each named defect at its smallest interesting size, as far as the surface can show it.
+
+    Args:
+        surface: predictor of a shape.
+        recipe: with the sizes.
+        nominal: state of a good part.
+        poses: P poses.
+        convention: how the angles are counted.
+        radiance: (P,) of a good part in 1/sr.
+
+    Returns:
+        (P,) changes by the name of the defect.
+    """
+    size, material, shape = recipe.defects, nominal.material, nominal.shape
+    grown = 1.0 + size.roughness_share
+
+    def turned(by_deg: float) -> State:
+        return replace(nominal, shape=replace(shape, ridge_angle_deg=shape.ridge_angle_deg + by_deg))
+
+    def rougher(field: str) -> State:
+        value = min(getattr(material, field) * grown, 1.0)
+        return replace(nominal, material=replace(material, **{field: value}))
+
+    step = size.ridge_angle_deg
+    cut = replace(nominal, shape=replace(shape, height_loss=size.height_loss))
+    made = (turned(step), turned(-step), cut, rougher("alpha_along"), rougher("alpha_across"))
+    states = dict(zip((one.name for one in named_defects(recipe)), made, strict=True))
+    if recipe.surface.design is None:
+        states = {name: state for name, state in states.items() if state.shape == shape}
+    found = evaluate(surface, list(states.values()), poses, convention)
+    changes = np.log(np.maximum(found, DARK) / radiance)
+    return {
+        name: change
+        for name, change in zip(states, changes, strict=True)
+        if np.ptp(change) > 1e-6  # a shape that this model cannot vary
+    }
+
+
+def _packed(found: PartScatter | None) -> bytes:
+    header = (
+        {"sources": None}
+        if found is None
+        else {
+            "sources": found.response.sources,
+            "defects": list(found.defects),
+        }
+    )
+    arrays: dict[str, np.ndarray[Any, Any]] = {
+        "header": np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
+    }
+    if found is not None:
+        arrays |= {
+            "slope": found.response.slope,
+            "bend": found.response.bend,
+            "common": found.common,
+            "own": found.own,
+            "changes": np.array(list(found.defects.values())),
+        }
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays)  # type: ignore[arg-type]
+    return buffer.getvalue()
+
+
+def _unpacked(content: bytes) -> PartScatter | None:
+    with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+        header = json.loads(bytes(arrays["header"]))
+        if header["sources"] is None:
+            return None
+        response = Response(tuple(header["sources"]), arrays["slope"], arrays["bend"])
+        defects = dict(zip(header["defects"], arrays["changes"], strict=True))
+        return PartScatter(response, arrays["common"], arrays["own"], defects)

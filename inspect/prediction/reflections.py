@@ -1,0 +1,312 @@
+"""Interreflection in predictions: indirect light of the groove between two ridges, added to direct light.
+
+L = L_direct(surface) + [L_all − L_direct](groove), where the groove is the sharp one of the design, or that of the
+ridge angle fitted to a height map. It is added, not multiplied: a worn or rounded crest takes direct light away on
+which the reflections between facet and wall do not depend. Pixels of a map hold no wall, so that paths followed on the
+map are in another groove than that of the part; they are followed where no groove can be fitted.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import HeightMapError
+from anisoscope.base.progress import Advance, silent
+from anisoscope.prediction.relief_preparation import AXIS_TOLERANCE_DEG
+from anisoscope.prediction.sensitivity import ALPHA_RANGE, DARK, Contribution, Model, Shape, Surface
+from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.profiles.metrology.ridgemeasurement import RidgeMeasurement
+from anisoscope.profiles.metrology.ridges import measure_ridges
+from anisoscope.sim.light.bounces import NODES, interreflection
+from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.optics import Optics, through
+from anisoscope.sim.light.relief import Relief
+from anisoscope.sim.light.relief_paths import interreflection as followed_paths
+from anisoscope.sim.light.ridge_profile import sharp_groove
+
+AMPLITUDE_U = 0.1
+"""Relative standard uncertainty of the amplitude of all reflections together, the same in all poses."""
+OF_RADIANCE, OF_INDIRECT = 0.005, 0.05
+"""Model error of a pose, independent of the others: shares of the radiance and of its indirect part."""
+AMPLITUDE = "amplitude of the reflections"
+MODEL_ERROR = "model of the reflections"
+UNIT_PITCH_UM = 100.0  # radiance does not depend on the size of a groove
+STAND_IN_NODES = 4  # off by less than 0.1 % of the indirect part
+LEAST_ANGLE_DEG, LARGEST_ANGLE_DEG = 0.2, 44.0
+STRAIGHT_SHARE = 0.6  # of the columns of a map that a facet takes at least
+STRAIGHT_SLOPE = 0.05
+WALL_MARGIN_DEG = 1.0
+MEASURABLE_POINTS = 16  # of a map, along and across
+
+
+@lru_cache(maxsize=512)
+def _indirect(
+    to_light: bytes,
+    to_camera: bytes,
+    design: RidgeDesign,
+    material: Material,
+    bounces: int | None,
+    nodes: int,
+) -> FloatArray:
+    light, camera = (np.frombuffer(side, dtype=np.float64).reshape(-1, 3) for side in (to_light, to_camera))
+    found = interreflection(light, camera, design, material, bounces, nodes)
+    found.flags.writeable = False
+    return found
+
+
+@dataclass(frozen=True)
+class Groove:
+    """Groove between two ridges, facet and wall, whose indirect light is added to direct light.
+
+    Attributes:
+        design: the ridges that form it.
+        bounces: largest number of reflections; None follows all.
+        lean_deg: azimuth toward which the facets lean in the frame of the surface.
+        resolved: roughness along and across that a map resolves, and the lobe of its material therefore lacks; in the
+            groove it is added in quadrature.
+        nodes: of the quadrature of two reflections, as for `bounces.interreflection`.
+    """
+
+    design: RidgeDesign
+    bounces: int | None = None
+    lean_deg: float = 0.0
+    resolved: tuple[float, float] = (0.0, 0.0)
+    nodes: int = NODES
+
+    def light(self, to_light: FloatArray, to_camera: FloatArray, material: Material) -> FloatArray:
+        """(P,) radiance in 1/sr of light that reflects twice and more, for (P, 3) unit vectors; cached."""
+        turn = np.radians(self.lean_deg)
+        back = np.array(
+            [[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]]
+        )
+        if self.lean_deg == 0.0:
+            back = np.eye(3)
+        sides = (
+            np.ascontiguousarray(side @ back, dtype=np.float64).tobytes() for side in (to_light, to_camera)
+        )
+        whole = replace(
+            material,
+            alpha_along=min(float(np.hypot(material.alpha_along, self.resolved[0])), ALPHA_RANGE[1]),
+            alpha_across=min(float(np.hypot(material.alpha_across, self.resolved[1])), ALPHA_RANGE[1]),
+        )
+        return _indirect(
+            *sides,
+            replace(sharp_groove(self.design), pitch_um=UNIT_PITCH_UM),
+            whole,
+            self.bounces,
+            self.nodes,
+        )
+
+    def turned(self, ridge_angle_deg: float) -> "Groove":
+        """The groove of another ridge angle."""
+        return replace(self, design=replace(self.design, ridge_angle_deg=ridge_angle_deg))
+
+    def shortened(self, height_loss: float) -> "Groove":
+        """The groove whose facet and wall end below a crest that is cut or rounded."""
+        return replace(self, design=replace(self.design, height_loss=height_loss))
+
+
+def groove_of_design(design: RidgeDesign, bounces: int | None) -> Groove | None:
+    """The groove of ideal ridges; None for direct light alone."""
+    return None if bounces == 1 else Groove(design, bounces)
+
+
+def fitted_groove(relief: Relief, bounces: int | None = None) -> Groove:
+    """The groove of the ridges of a height map: ridge angle as measured, wall perpendicular where it is not resolved.
+
+    Args:
+        relief: the map, prepared.
+        bounces: largest number of reflections; None follows all.
+
+    Raises:
+        HeightMapError: no ridges that run along y and have straight facets.
+    """
+    measured = _measured(relief)
+    steepest, resolved, angle, lean = None, (0.0, 0.0), None, 0.0
+    if measured is not None:
+        angle, lean = measured.ridge_angle_deg.value, measured.lean_deg
+        steepest = measured.wall_angle_deg.value or measured.wall_angle_deg.at_least
+        resolved = measured.alpha_along.value or 0.0, measured.alpha_across.value or 0.0
+    if angle is None:
+        angle, lean = _median_facet(relief)
+    aside = abs((lean + 90.0) % 180.0 - 90.0)
+    if aside > AXIS_TOLERANCE_DEG or not LEAST_ANGLE_DEG <= angle <= LARGEST_ANGLE_DEG:
+        raise HeightMapError(
+            f"no groove can be fitted: facets of {angle:.2f}° that lean toward {lean:.1f}°; facets of "
+            f"{LEAST_ANGLE_DEG:g}° to {LARGEST_ANGLE_DEG:g}° across the map's y axis are needed"
+        )
+    upright = steepest is not None and steepest > 90.0 - angle + WALL_MARGIN_DEG
+    design = RidgeDesign(UNIT_PITCH_UM, float(angle), "vertical" if upright else "perpendicular")
+    return Groove(design, bounces, 0.0 if abs(lean) < 90.0 else 180.0, resolved)
+
+
+def _measured(relief: Relief) -> RidgeMeasurement | None:
+    """The ridges of a map; None where it holds too little of them."""
+    if min(relief.surface.shape) < MEASURABLE_POINTS:
+        return None
+    try:
+        with np.errstate(divide="ignore", invalid="ignore"):  # maps without noise have no limit of outliers
+            return measure_ridges(relief.surface)
+    except HeightMapError:
+        return None
+
+
+def _median_facet(relief: Relief) -> tuple[float, float]:
+    """Angle of the facets of a map of few ridges, from the median slope of its mean profile, and where they lean."""
+    surface = relief.surface
+    known = np.isfinite(surface.height_um)
+    count = known.sum(axis=0)
+    profile = np.where(known, surface.height_um, 0.0).sum(axis=0) / np.maximum(count, 1)
+    slope = np.diff(np.where(count > 0, profile, np.nan)) / surface.pixel_x_um
+    slope = slope[np.isfinite(slope)]
+    middle = float(np.median(slope)) if slope.size else 0.0
+    straight = float(np.mean(np.abs(slope - middle) < STRAIGHT_SLOPE)) if slope.size else 0.0
+    if straight < STRAIGHT_SHARE:
+        raise HeightMapError(
+            f"no groove can be fitted: {straight:.0%} of the map's columns have the slope of a facet, "
+            f"{STRAIGHT_SHARE:.0%} are needed"
+        )
+    return float(np.degrees(np.arctan(abs(middle)))), 0.0 if middle <= 0.0 else 180.0
+
+
+def added(direct: Model, indirect: Model | None) -> Model:
+    """Predictor of direct and indirect light."""
+    if indirect is None:
+        return direct
+
+    def predict(to_light: FloatArray, to_camera: FloatArray, material: Material) -> FloatArray:
+        return np.asarray(direct(to_light, to_camera, material) + indirect(to_light, to_camera, material))
+
+    return predict
+
+
+def _twice(groove: Groove) -> Groove:
+    return replace(groove, bounces=2, nodes=STAND_IN_NODES)
+
+
+@dataclass(frozen=True, eq=False)
+class StandIn:
+    """Cheap indirect light near given directions: two reflections, times the nominal ratio of all to two.
+
+    Attributes:
+        groove: the nominal groove.
+        to_light: (P, 3) nominal unit vectors.
+        to_camera: (P, 3) nominal unit vectors.
+        material: the nominal material.
+    """
+
+    groove: Groove
+    to_light: FloatArray
+    to_camera: FloatArray
+    material: Material
+
+    @cached_property
+    def _ratio(self) -> tuple[FloatArray, FloatArray]:
+        """(P,) ratio of all to two reflections, and (P,) light of all where two do not reach the camera."""
+        sides = self.to_light, self.to_camera, self.material
+        two, found = _twice(self.groove).light(*sides), self.groove.light(*sides)
+        lit = two > DARK
+        return np.where(lit, found, 1.0) / np.where(lit, two, 1.0), np.where(lit, 0.0, found)
+
+    def of(self, groove: Groove) -> Model:
+        """Predictor of a groove of similar shape."""
+        twice = _twice(groove)
+
+        def predict(to_light: FloatArray, to_camera: FloatArray, material: Material) -> FloatArray:
+            ratio, rest = self._ratio
+            nominal, looked = (
+                np.hstack(sides) for sides in ((self.to_light, self.to_camera), (to_light, to_camera))
+            )
+            nearest = np.argmin(((looked[:, None] - nominal) ** 2).sum(axis=-1), axis=1)
+            return np.asarray(twice.light(to_light, to_camera, material) * ratio[nearest] + rest[nearest])
+
+        return predict
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """Indirect light of a map in which no groove can be fitted, by paths followed on it.
+
+    Attributes:
+        relief: the map.
+        bounces: largest number of reflections; None follows all.
+        reason: why there is no groove.
+    """
+
+    relief: Relief
+    bounces: int | None
+    reason: str
+
+    def light(
+        self, to_light: FloatArray, to_camera: FloatArray, material: Material, progress: Advance = silent
+    ) -> FloatArray:
+        """(P,) radiance in 1/sr of light that reflects twice and more, for (P, 3) unit vectors."""
+        return followed_paths(
+            self.relief, to_light, to_camera, material, self.bounces, progress=progress
+        ).radiance
+
+
+def reflections_of_map(relief: Relief, bounces: int | None) -> Groove | Followed | None:
+    """Where the indirect light of a map comes from; None for direct light alone."""
+    if bounces == 1:
+        return None
+    try:
+        return fitted_groove(relief, bounces)
+    except HeightMapError as problem:
+        return Followed(relief, bounces, str(problem))
+
+
+def sampled_with(
+    direct: Surface,
+    source: Groove | Followed | None,
+    nominal: tuple[FloatArray, FloatArray, Material],
+    optics: Optics,
+    groove_of: Callable[[Shape], Groove],
+) -> Surface:
+    """Cheap predictor of a shape for sensitivities: direct light, and the light of the groove of that shape.
+
+    Paths that are followed on a map are left out: their light changes in proportion to direct light.
+
+    Args:
+        direct: predictor of direct light.
+        source: where indirect light comes from.
+        nominal: (P, 3) directions to the light and to the camera, and the material.
+        optics: lamp and lens.
+        groove_of: the groove of a shape.
+    """
+    if not isinstance(source, Groove):
+        return direct
+    stand_in = StandIn(source, *nominal)
+    return lambda shape: added(direct(shape), through(stand_in.of(groove_of(shape)), optics))
+
+
+def reflections_note(source: Groove | Followed | None) -> dict[str, Any]:
+    """Notes on the reflections of a prediction."""
+    if source is None:
+        return {"bounces": 1}
+    note: dict[str, Any] = {"bounces": "all" if source.bounces is None else source.bounces}
+    if isinstance(source, Followed):
+        return note | {"reflections_from": "paths on the height map", "reflections_reason": source.reason}
+    angle, wall = source.design.ridge_angle_deg, source.design.wall
+    return note | {"reflections_from": "groove", "groove_angle_deg": angle, "groove_wall": wall}
+
+
+def reflections_contributions(
+    radiance: FloatArray, indirect: FloatArray, amplitude_share: float = AMPLITUDE_U
+) -> tuple[Contribution, Contribution]:
+    """Uncertainty of the reflections: of their amplitude, shared by the poses, and of their model, in each pose.
+
+    Args:
+        radiance: (P,) all light in 1/sr.
+        indirect: (P,) of it what reflects twice and more.
+        amplitude_share: relative standard uncertainty of the amplitude.
+    """
+    own = np.hypot(OF_RADIANCE * radiance, OF_INDIRECT * indirect)
+    return (
+        Contribution(AMPLITUDE, amplitude_share * indirect),
+        Contribution(MODEL_ERROR, own, "independent"),
+    )

@@ -1,0 +1,198 @@
+"""Page of two registered height maps: both maps, their difference, its uncertainty, wear, ridges, a line."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from anisoscope.base.arrays import FloatArray
+from anisoscope.profiles.comparison import Comparison
+from anisoscope.profiles.editing.interpolation import Interpolated
+from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.level import level
+from anisoscope.profiles.metrology.quantity import Quantity, as_text
+from anisoscope.report.figures import BLUE, ORANGE, RED, new_figure, new_map_figure, svg_uri
+from anisoscope.report.page import write_page
+from anisoscope.report.profile_page import map_picture
+
+PICTURE_POINTS = 900
+LINE_POINTS = 2000
+RIDGE_COLUMNS = (
+    ("height A [µm]", "height_a_um"),
+    ("height B [µm]", "height_b_um"),
+    ("crest, change [µm]", "crest_change_um"),
+    ("height, change [µm]", "height_change_um"),
+    ("edge radius A [µm]", "radius_a_um"),
+    ("edge radius B [µm]", "radius_b_um"),
+    ("edge radius, change [µm]", "radius_change_um"),
+    ("section lost [µm²]", "lost_area_um2"),
+)
+Line = tuple[float, float, float, float]
+
+
+def difference_picture(
+    heights: FloatArray, surface: HeightMap, label: str, *, signed: bool, line: Line
+) -> str:
+    """A map in false colours, 0 in the middle where signed, missing points grey, the line drawn; as a data URI."""
+    height, width = (n * 1e-3 for n in surface.extent_um)
+    step = max(1, -(-max(surface.shape) // PICTURE_POINTS))
+    shown = heights[::step, ::step]
+    with new_map_figure((height, width)) as (figure, axes, bar):
+        axes.set_facecolor("#9aa5ae")
+        reach = max(float(np.nanpercentile(np.abs(shown), 99.5)), 1e-6)
+        image = axes.imshow(
+            np.ma.masked_invalid(shown), origin="lower", cmap="PuOr" if signed else "viridis",
+            extent=(0.0, width, 0.0, height), vmin=-reach if signed else 0.0, vmax=reach, interpolation="nearest",
+        )  # fmt: skip
+        axes.plot(
+            [1e-3 * line[0], 1e-3 * line[2]], [1e-3 * line[1], 1e-3 * line[3]], color=RED, linewidth=1.0
+        )
+        axes.set_xlim(0.0, width)
+        axes.set_ylim(0.0, height)
+        figure.colorbar(image, cax=bar, label=label)
+        return svg_uri(figure)
+
+
+def default_line(surface: HeightMap) -> Line:
+    """A line along x through the middle of the field."""
+    rows, cols = surface.shape
+    middle = 0.5 * (rows - 1) * surface.pixel_y_um
+    return 0.0, middle, (cols - 1) * surface.pixel_x_um, middle
+
+
+def _along(surface: HeightMap, line: Line) -> tuple[FloatArray, FloatArray]:
+    length = float(np.hypot(line[2] - line[0], line[3] - line[1]))
+    pixel = min(surface.pixel_x_um, surface.pixel_y_um)
+    share = np.linspace(0.0, 1.0, min(LINE_POINTS, max(2, int(length / pixel) + 1)))
+    heights = Interpolated(surface).at(
+        line[1] + share * (line[3] - line[1]), line[0] + share * (line[2] - line[0])
+    )
+    return share * length, heights
+
+
+def line_chart(found: Comparison, line: Line) -> str:
+    """Both maps and, below, their difference with the interval of 95 %, along a line; as a data URI."""
+    from matplotlib.gridspec import GridSpec
+
+    with new_figure(9.0, 4.4) as (figure, axes):
+        axes.remove()
+        grid = GridSpec(2, 1, figure=figure, height_ratios=(3, 2))
+        upper = figure.add_subplot(grid[0])
+        lower = figure.add_subplot(grid[1], sharex=upper)
+        tilt = found.first.with_height(found.first.height_um - level(found.first).map.height_um)
+        for surface, colour, name in ((found.first, BLUE, "A"), (found.second, ORANGE, "B, registered")):
+            x, z = _along(surface.with_height(surface.height_um - tilt.height_um), line)
+            upper.plot(x, z, color=colour, linewidth=1.1, label=name)
+        x, z = _along(found.difference, line)
+        _, u = _along(found.difference.with_height(found.u_um), line)
+        lower.fill_between(x, z - 1.96 * u, z + 1.96 * u, color=BLUE, alpha=0.25, linewidth=0)
+        lower.plot(x, z, color=BLUE, linewidth=1.0)
+        upper.set_ylabel("height [µm]")
+        upper.legend(frameon=False, fontsize=8)
+        lower.set_ylabel("B − A [µm]")
+        lower.set_xlabel(
+            f"along the line from ({line[0]:.4g}, {line[1]:.4g}) to ({line[2]:.4g}, {line[3]:.4g}) µm [µm]"
+        )
+        for one in (upper, lower):
+            one.grid()
+            one.set_xlim(0.0, float(x[-1]))
+        return svg_uri(figure)
+
+
+def comparison_numbers(found: Comparison) -> list[tuple[str, str, str, str]]:
+    """Name, value, standard uncertainty and unit of everything that is measured once."""
+
+    def row(name: str, quantity: Quantity, unit: str) -> tuple[str, str, str, str]:
+        value, u = as_text(quantity)
+        return name, value, u, unit
+
+    placed, lost, gained = found.placed, found.lost, found.gained
+    return [
+        row("shift along x", Quantity(placed.x_um, placed.u_x_um), "µm"),
+        row("shift along y", Quantity(placed.y_um, placed.u_y_um), "µm"),
+        row("turned counter-clockwise", Quantity(placed.angle_deg, placed.u_angle_deg), "°"),
+        row("scale B/A (check)", Quantity(placed.scale, placed.u_scale), "1"),
+        ("overlap", f"{100.0 * placed.overlap:.3g}", "–", "%"),
+        ("residual of the registration", f"{placed.residual_um:.3g}", "–", "µm"),
+        row("volume lost", lost.volume_um3, "µm³"),
+        ("area of the loss", f"{lost.area_um2:.5g}", "–", "µm²"),
+        ("greatest loss", f"{lost.depth_um:.4g}", "–", "µm"),
+        row("volume gained", gained.volume_um3, "µm³"),
+        row("sum of all differences", found.net_um3, "µm³"),
+        row("relief of A that B has", found.replication.relief, "1"),
+        row("ridge height B/A", found.replication.height, "1"),
+    ]
+
+
+def comparison_notes(found: Comparison) -> list[str]:
+    """What a reader has to know about the registration."""
+    placed, notes = found.placed, []
+    if found.mirrored:
+        notes.append("B was negated and mirrored along x first")
+    if placed.u_x_um is None or placed.u_y_um is None:
+        notes.append("the shift along the ridges is not determined: they carry nothing to tell it by")
+    if placed.ambiguity > 0.9:
+        notes.append(
+            "the maps agree almost as well at another place, such as whole pitches away; the largest overlap was taken"
+        )
+    if not placed.scale_agrees:
+        notes.append(
+            f"the scales differ by {100.0 * (placed.scale - 1.0):.3g} %: check the pixel sizes; B was not stretched"
+        )
+    for name, volume in (("lost", found.lost), ("gained", found.gained)):
+        if volume.filled_share > 0.01:
+            notes.append(
+                f"{100.0 * volume.filled_share:.2g} % of the volume {name} lies in gaps filled from around"
+            )
+    return notes
+
+
+def write_comparison_page(
+    found: Comparison, names: tuple[str, str], path: Path, line: Line | None = None
+) -> None:
+    """Write the page, atomically.
+
+    Args:
+        found: the comparison.
+        names: how the page calls the maps A and B.
+        path: file to write.
+        line: x0, y0, x1, y1 in µm from the first point of A; a row through the middle where it is not given.
+
+    Raises:
+        RecordError: the file cannot be written.
+    """
+    chosen = default_line(found.first) if line is None else line
+    tilt = found.first.height_um - level(found.first).map.height_um
+    content: dict[str, Any] = {
+        "names": names,
+        "found": found,
+        "pictures": [
+            (map_picture(one.with_height(one.height_um - tilt)), text)
+            for one, text in (
+                (found.first, f"A: {names[0]}, levelled"),
+                (found.second, f"B: {names[1]}, registered"),
+            )
+        ],
+        "difference": difference_picture(
+            found.difference.height_um, found.first, "B − A [µm]", signed=True, line=chosen
+        ),
+        "uncertainty": difference_picture(
+            found.u_um, found.first, "standard uncertainty [µm]", signed=False, line=chosen
+        ),
+        "line_chart": line_chart(found, chosen),
+        "numbers": comparison_numbers(found),
+        "notes": comparison_notes(found),
+        "columns": [text for text, _ in RIDGE_COLUMNS],
+        "ridge_rows": [
+            (
+                one.number,
+                f"{one.position_um:.1f}",
+                *(
+                    " ± ".join(cell for cell in as_text(getattr(one, key)) if cell != "–") or "–"
+                    for _, key in RIDGE_COLUMNS
+                ),
+            )
+            for one in found.ridges
+        ],
+    }
+    write_page(path, "comparison.html", content)

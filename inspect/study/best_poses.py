@@ -1,0 +1,257 @@
+"""Poses that show named defects best: chosen by the distance of the ideal observer between good and defective parts.
+
+Of all allowed poses the change of ln L by each defect, by what differs between good parts, and by errors of camera and
+stage are known to first order. The distance of a defect is d' = √(Δᵀ V⁻¹ Δ), with V the covariance of ln L of good
+parts and a free level. Poses are chosen so that the smallest d' is largest: the best pair, then one pose after the
+other, then exchanges until none helps. The chosen poses are judged to second order by simulation.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import ModelError, UsageError
+from anisoscope.base.progress import Advance, silent
+from anisoscope.decision.consistency_test import contrast_scatter
+from anisoscope.decision.predictive_test import separating_areas, separations
+from anisoscope.prediction.expectation import PLASTIC, nominal_shape
+from anisoscope.prediction.part_scatter import defect_changes, part_scatter, scatter_of_inputs, with_design
+from anisoscope.prediction.propagation import propagate
+from anisoscope.prediction.sensitivity import DARK, State, evaluate
+from anisoscope.recipe.surface import SurfaceRecipe
+from anisoscope.sim.light.geometry import Convention, Pose, directions, pose_grid
+
+FREE_LEVEL = 25.0
+"""Variance of ln L of a level that all poses share: the scale is never used."""
+REPEATED_DEG = 0.03
+"""Standard uncertainty of stage and tilt between two parts, degrees."""
+MORE_PARTS = (1, 3, 10, 25)
+_ROUNDS = 6
+
+
+@dataclass(frozen=True)
+class Shown:
+    """How well poses show one defect.
+
+    Attributes:
+        defect: its name, with its smallest interesting size.
+        distance: d' of the ideal observer, to first order.
+        area: under the curve of the directed test, by simulation to second order.
+        power: probability of finding it, by number of golden parts.
+        detectable: multiple of its size that is found in 9 of 10 parts, by number of golden parts.
+    """
+
+    defect: str
+    distance: float
+    area: float
+    power: dict[int, float]
+    detectable: dict[int, float]
+
+
+@dataclass(frozen=True)
+class Suggestion:
+    """Chosen poses.
+
+    Attributes:
+        poses: (stage angle, tilt) in degrees, in the order in which they are photographed.
+        shown: one a defect, the one that is shown worst first.
+        camera_share: relative standard uncertainty of a pose by camera and lamp that was assumed.
+        power: required.
+        golden: golden parts with which every defect is found with that power, or None where these poses never do.
+    """
+
+    poses: tuple[tuple[float, float], ...]
+    shown: tuple[Shown, ...]
+    camera_share: float
+    power: float
+    golden: int | None
+
+
+def best_poses(
+    recipe: SurfaceRecipe,
+    light_angle_deg: float,
+    count: int,
+    angles_deg: Sequence[float],
+    tilts_deg: Sequence[float],
+    camera_share: float = 0.003,
+    power: float = 0.9,
+    ignored: Sequence[str] = (),
+    advance: Advance = silent,
+) -> Suggestion:
+    """Choose poses for the defects of a recipe.
+
+    Args:
+        recipe: with the scatter of good parts and the sizes of the defects.
+        light_angle_deg: the rig's angle between light and camera.
+        count: number of poses, 3 or more.
+        angles_deg: allowed stage angles.
+        tilts_deg: allowed tilts.
+        camera_share: relative standard uncertainty of a pose by camera and lamp.
+        power: required probability of finding each defect.
+        ignored: first words of names of defects that need not be shown, such as "roughness along".
+        advance: called at every step.
+
+    Raises:
+        UsageError: too few poses are allowed, or no defect can be shown.
+        HeightMapError: the height map has no ridges.
+        RecipeError: as for a prediction.
+    """
+    ideal = with_design(recipe.deciding())
+    convention = Convention(light_angle_deg, facet_azimuth_deg=recipe.poses.facet_azimuth_deg)
+    allowed = _above_horizon(pose_grid(tuple(angles_deg), tuple(tilts_deg)), convention)
+    if not 0.0 < camera_share < 1.0:
+        raise UsageError(
+            f"the uncertainty of a pose by camera and lamp is a share between 0 and 1, not {camera_share:g}"
+        )
+    if not 0.0 < power < 1.0:
+        raise UsageError(f"the required probability lies between 0 and 1, not at {power:g}")
+    if not 3 <= count <= len(allowed):
+        raise UsageError(
+            f"{count} poses of {len(allowed)} that are allowed: choose 3 or more, and allow more than that"
+        )
+    advance("responses", 0, 2)
+    allowed, scatter, changes = _first_order(ideal, allowed, convention, camera_share)
+    for words in ignored:
+        if not any(name.startswith(words) for name in changes):
+            raise UsageError(f"no defect begins with {words!r}; there are {', '.join(changes)}")
+    wanted = {
+        name: change for name, change in changes.items() if not name.startswith(tuple(ignored) or ("\0",))
+    }
+    if not wanted:
+        raise UsageError("no defect is left that poses could show")
+    advance("choice of poses", 1, 2)
+    chosen = _chosen(allowed, scatter, np.array(list(wanted.values())), count)
+    poses = _in_order([allowed[k] for k in chosen])
+    return _judged(
+        recipe, light_angle_deg, poses, scatter, changes, chosen, camera_share, power, tuple(wanted)
+    )
+
+
+def ideal_distances(
+    recipe: SurfaceRecipe, light_angle_deg: float, camera_share: float = 0.003
+) -> dict[str, float]:
+    """Distance d' of each defect in the poses of a recipe, to first order.
+
+    Args:
+        recipe: with the scatter of good parts and the sizes of the defects.
+        light_angle_deg: the rig's angle between light and camera.
+        camera_share: relative standard uncertainty of a pose by camera and lamp.
+
+    Raises:
+        HeightMapError, RecipeError: as for a prediction.
+    """
+    ideal = with_design(recipe.deciding())
+    convention = Convention(light_angle_deg, facet_azimuth_deg=recipe.poses.facet_azimuth_deg)
+    poses, scatter, changes = _first_order(ideal, recipe.poses.poses(), convention, camera_share)
+    found = _distances(scatter, np.array(list(changes.values())), range(len(poses)))
+    return dict(zip(changes, found.tolist(), strict=True))
+
+
+def _above_horizon(poses: tuple[Pose, ...], convention: Convention) -> tuple[Pose, ...]:
+    found = []
+    for pose in poses:
+        try:
+            to_light, to_camera = directions((pose,), convention)
+        except ModelError:
+            continue
+        if min(to_light[0, 2], to_camera[0, 2]) > np.sin(np.radians(5.0)):
+            found.append(pose)
+    return tuple(found)
+
+
+def _first_order(
+    recipe: SurfaceRecipe, poses: tuple[Pose, ...], convention: Convention, camera_share: float
+) -> tuple[tuple[Pose, ...], FloatArray, dict[str, FloatArray]]:
+    """The poses with light, (P, P) covariance of ln L of good parts, and (P,) changes by the defects."""
+    models = PLASTIC.models(recipe, poses, convention)
+    nominal = State(recipe.material.material(), convention.light_angle_deg, shape=nominal_shape(recipe))
+    radiance = evaluate(models.sampled, [nominal], poses, convention)[0]
+    lit = np.flatnonzero(radiance > max(DARK, 1e-4 * radiance.max()))
+    poses, radiance = tuple(poses[k] for k in lit), radiance[lit]
+    models = PLASTIC.models(recipe, poses, convention)
+    inputs = replace(scatter_of_inputs(recipe), stage_deg=REPEATED_DEG, tilt_deg=REPEATED_DEG)
+    budget = propagate(models.sampled, nominal, poses, convention, inputs, radiance=radiance)
+    covariance = budget.covariance() / np.outer(radiance, radiance)
+    covariance += FREE_LEVEL + camera_share**2 * np.eye(len(poses))
+    return poses, covariance, defect_changes(models.sampled, recipe, nominal, poses, convention, radiance)
+
+
+def _distances(scatter: FloatArray, changes: FloatArray, chosen: Sequence[int]) -> FloatArray:
+    """(C,) d' of (C, P) changes in the chosen poses."""
+    part = changes[:, list(chosen)]
+    inverse = np.linalg.inv(scatter[np.ix_(list(chosen), list(chosen))])
+    return np.asarray(np.sqrt(np.einsum("ci,ij,cj->c", part, inverse, part)))
+
+
+def _chosen(poses: tuple[Pose, ...], scatter: FloatArray, changes: FloatArray, count: int) -> list[int]:
+    def worth(chosen: Sequence[int]) -> float:
+        found = _distances(scatter, changes, chosen)
+        return float(found.min() + 1e-3 * found.mean())  # of equal ones the better for the others
+
+    pairs = [(i, j) for i, j in combinations(range(len(poses)), 2) if poses[i].tilt_deg == poses[j].tilt_deg]
+    best = max(([i, j] for i, j in pairs), key=worth)  # a contrast needs two poses of one tilt
+    while len(best) < count:
+        best.append(max((k for k in range(len(poses)) if k not in best), key=lambda k: worth([*best, k])))
+    for _ in range(_ROUNDS):
+        before = worth(best)
+        for place in range(count):
+            others = [k for n, k in enumerate(best) if n != place]
+            options = [k for k in range(len(poses)) if k not in others and _paired(poses, [*others, k])]
+            best[place] = max(options, key=lambda k: worth([*others[:place], k, *others[place:]]))
+        if worth(best) <= before * (1.0 + 1e-9):
+            break
+    return best
+
+
+def _paired(poses: tuple[Pose, ...], chosen: Sequence[int]) -> bool:
+    tilts = [poses[k].tilt_deg for k in chosen]
+    return len(set(tilts)) < len(tilts)
+
+
+def _in_order(poses: list[Pose]) -> tuple[tuple[float, float], ...]:
+    """By tilt, the smallest first, then by stage angle: the stage moves little, and contrasts are within a tilt."""
+    ordered = sorted(poses, key=lambda pose: (abs(pose.tilt_deg), pose.tilt_deg, pose.stage_deg))
+    return tuple((pose.stage_deg, pose.tilt_deg) for pose in ordered)
+
+
+def _judged(
+    recipe: SurfaceRecipe,
+    light_angle_deg: float,
+    poses: tuple[tuple[float, float], ...],
+    scatter: FloatArray,
+    changes: dict[str, FloatArray],
+    chosen: list[int],
+    camera_share: float,
+    power: float,
+    wanted: tuple[str, ...],
+) -> Suggestion:
+    """The chosen poses with the power to second order."""
+    distances = dict(zip(changes, _distances(scatter, np.array(list(changes.values())), chosen), strict=True))
+    table = recipe.poses.model_dump(exclude={"angles_deg", "tilts_deg", "stage_and_tilt_deg"})
+    only = type(recipe.poses).model_validate({**table, "stage_and_tilt_deg": poses})
+    decision = recipe.decision.model_copy(update={"tolerance": None})
+    parts = part_scatter(recipe.model_copy(update={"poses": only, "decision": decision}), light_angle_deg)
+    if parts is None:
+        raise UsageError("ln L of the chosen poses has no response to second order: allow smaller tilts")
+    simulated = contrast_scatter(parts, camera_share)
+    areas = separating_areas(simulated)
+    found = {
+        n: {one.defect: one for one in separations(simulated, n, recipe.decision.alpha)} for n in MORE_PARTS
+    }
+    shown = [
+        Shown(
+            name,
+            float(distances[name]),
+            areas[name],
+            {n: found[n][name].power for n in MORE_PARTS},
+            {n: found[n][name].detectable for n in MORE_PARTS},
+        )
+        for name in changes
+        if name in areas
+    ]
+    enough = [n for n in MORE_PARTS if all(one.power[n] >= power for one in shown if one.defect in wanted)]
+    shown.sort(key=lambda one: one.distance)
+    return Suggestion(poses, tuple(shown), camera_share, power, enough[0] if enough else None)

@@ -1,0 +1,62 @@
+"""``anisoscope profile compare`` as a user calls it."""
+
+import numpy as np
+import pytest
+
+from anisoscope.profiles.files.load import read_height_map, write_height_map
+from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+
+
+@pytest.fixture(scope="module")
+def maps(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("compare")
+    rng = np.random.default_rng(0)
+    first = add_facet_roughness(ridges(RidgeDesign(40.0, 10.0), (90, 200), 1.0), 0.05, 0.05, 8.0, rng)
+    worn = first.height_um.copy()
+    worn[30:60, 80:110] -= 0.5
+    write_height_map(first, folder / "new.x3p")
+    write_height_map(HeightMap(worn[4:, 3:], 1.0, 1.0), folder / "worn.x3p")
+    write_height_map(HeightMap(-first.height_um[:, ::-1], 1.0, 1.0), folder / "tool.x3p")
+    return folder
+
+
+def test_difference_page_and_numbers(anisoscope, maps, tmp_path):
+    page, difference = tmp_path / "wear.html", tmp_path / "difference.x3p"
+    done = anisoscope(
+        *("profile", "compare", maps / "new.x3p", maps / "worn.x3p", "--out", page),
+        *("--difference", difference, "--line", "10,10,150,60", "--json"),
+    )
+    assert done.code == 0, done.err
+    assert done.json["lost"]["volume_um3"]["value"] == pytest.approx(450.0, rel=0.02)
+    assert done.json["placed"]["scale_agrees"]
+    assert len(done.json["ridges"]) >= 4
+    text = page.read_text(encoding="utf-8")
+    for mark in ('id="difference"', 'id="uncertainty"', 'id="line"', 'id="ridges"', "volume lost"):
+        assert mark in text
+    taken = read_height_map(difference)
+    assert np.nanmedian(taken.height_um[35:55, 85:105]) == pytest.approx(-0.5, abs=0.01)
+
+
+def test_tool_and_part_as_a_table(anisoscope, maps):
+    done = anisoscope("profile", "compare", maps / "new.x3p", maps / "tool.x3p", "--mirrored")
+    assert done.code == 0, done.err
+    for words in ("relief of A that B has", "volume lost", "negated and mirrored", "section"):
+        assert words in done.out
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--out", "wear.pdf"), "*.html"),
+        (("--line", "1,2,3"), "X0,Y0,X1,Y1"),
+        (("--difference", "d.stl"), "unknown extension"),
+        (("--out", "{here}/new.html"), "exists"),
+    ],
+)
+def test_one_line_says_what_is_wrong(anisoscope, maps, options, message):
+    (maps / "new.html").touch()
+    words = [word.format(here=maps) for word in options]
+    done = anisoscope("profile", "compare", maps / "new.x3p", maps / "worn.x3p", *words)
+    assert done.code == 64
+    assert message in done.err

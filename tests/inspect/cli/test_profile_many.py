@@ -1,0 +1,131 @@
+"""Several maps in one command, limits, and profile parameters, as a user calls them."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from anisoscope.base.errors import HeightMapError
+from anisoscope.profiles.files.load import write_height_map
+from anisoscope.profiles.ideal import RidgeDesign, ridges
+from anisoscope.profiles.limits import Limit, LimitsError, judge, read_limits
+
+
+@pytest.fixture(scope="module")
+def lot(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("lot")
+    for number, angle in enumerate((8.0, 10.0, 12.0)):
+        write_height_map(ridges(RidgeDesign(50.0, angle), (40, 300), 1.0), folder / f"part{number}.x3p")
+    (folder / "part3.x3p").write_bytes(b"not a height map")
+    (folder / "limits.toml").write_text("[Sa]\nmax = 2.5\n[Sq]\nmin = 0.1\n")
+    return folder
+
+
+def test_a_broken_file_is_a_row(anisoscope, lot, tmp_path):
+    table = tmp_path / "lot.csv"
+    done = anisoscope("profile", "info", f"{lot}/part*.x3p", "--table", table, "--jobs", 3)
+    assert done.code == 65
+    assert "part3.x3p: not measured" in done.out
+    with table.open(encoding="utf-8", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert [row["file"].rpartition("/")[2] for row in rows] == [f"part{k}.x3p" for k in range(4)]
+    assert [bool(row["error"]) for row in rows] == [False, False, False, True]
+    heights = [float(row["Sz [µm]"]) for row in rows[:3]]
+    assert heights == sorted(heights)
+
+
+def test_limits_judge_every_map(anisoscope, lot, tmp_path):
+    table = tmp_path / "lot.html"
+    files = [lot / f"part{k}.x3p" for k in range(3)]
+    done = anisoscope(
+        "profile", "texture", *files, "--limits", lot / "limits.toml", "--table", table, "--json"
+    )
+    assert done.code == 1
+    assert [one["verdict"] for one in done.json] == ["PASS", "PASS", "FAIL"]
+    assert done.json[2]["sheet"][0]["name"] == "Sa"
+    text = table.read_text(encoding="utf-8")
+    assert "part2.x3p: FAIL" in text
+    good = anisoscope("profile", "texture", files[0], "--limits", lot / "limits.toml")
+    assert good.code == 0
+    assert "limits: PASS" in good.out
+    for command, limit, code in (
+        ("lines", "[Ra]\nmax = 0.1\n", 1),
+        ("ridges", "[ridge_angle_deg]\nmin = 7\n", 0),
+    ):
+        (tmp_path / "limits.toml").write_text(limit)
+        done = anisoscope("profile", command, files[0], "--limits", tmp_path / "limits.toml", "--json")
+        assert (done.code, len(done.json["sheet"])) == (code, 1)
+
+
+def test_ridges_and_lines_of_several_maps(anisoscope, lot, tmp_path):
+    for command, name in (("ridges", "ridge_angle_deg"), ("lines", "Ra")):
+        table = tmp_path / f"{command}.json"
+        done = anisoscope("profile", command, lot / "part0.x3p", lot / "part1.x3p", "--table", table)
+        assert done.code == 0, done.err
+        values = [row[name]["value"] for row in json.loads(table.read_text(encoding="utf-8"))]
+        assert values[1] / values[0] == pytest.approx(10.0 / 8.0, rel=0.03)
+
+
+def test_one_map_on_lines_and_with_features(anisoscope, lot):
+    done = anisoscope("profile", "lines", lot / "part1.x3p", "--direction", "x")
+    assert done.code == 0, done.err
+    for word in ("Rsm", "Rdq", "between lines", "λc none"):
+        assert word in done.out
+    done = anisoscope(
+        *("profile", "texture", lot / "part1.x3p", "--features", "--ratios", "5,60", "--heights=-0.5"),
+        "--json",
+    )
+    assert done.json["features"]["peaks"] >= 5
+    assert set(done.json["free"]) >= {"Smc(5 %)", "Vm(60 %)", "Vv(5 %)", "Sxp(5 %, 60 %)", "Smr(-0.5 µm)"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (("info",), 64, "at least one height map"),
+        (("info", "{lot}/none*.x3p"), 64, "matches no file"),
+        (("info", "{lot}/part0.x3p", "--table", "t.pdf"), 64, "a table is"),
+        (("info", "{lot}/part0.x3p", "--table", "{lot}/limits.toml"), 64, "a table is"),
+        (("info", "{lot}/part0.x3p", "{lot}/part1.x3p", "--jobs", "0"), 64, "--jobs"),
+        (("texture", "{lot}/part0.x3p", "--ratios", "120"), 64, "0 to 100 %"),
+        (("texture", "{lot}/part0.x3p", "{lot}/part1.x3p", "--plot", "p.png"), 64, "one map"),
+        (("texture", "{lot}/part0.x3p", "--limits", "{lot}/none.toml"), 78, "cannot be read as TOML"),
+        (("lines", "{lot}/part0.x3p", "--limits", "{lot}/limits.toml"), 65, "Sa was not measured"),
+    ],
+)
+def test_one_line_says_what_is_wrong(anisoscope, lot, arguments, code, message):
+    done = anisoscope("profile", *(word.format(lot=lot) for word in arguments))
+    assert done.code == code
+    assert message in done.err
+    assert len(done.err.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "no limits"),
+        ("Sa = 3", "takes min, max"),
+        ("[Sa]", "takes min, max"),
+        ("[Sa]\nmaximum = 1", "takes min, max"),
+        ("[Sa]\nmax = 'x'", "finite numbers"),
+        ("[Sa]\nmax = inf", "finite numbers"),
+        ("[Sa]\nmax = true", "finite numbers"),
+        ("[Sa]\nmin = 2\nmax = 1", "above max"),
+        ("[Sa", "cannot be read as TOML"),
+    ],
+)
+def test_limits_that_cannot_be(tmp_path, text, message):
+    (tmp_path / "limits.toml").write_text(text)
+    with pytest.raises(LimitsError, match=message):
+        read_limits(tmp_path / "limits.toml")
+
+
+def test_ends_are_within_and_no_value_is_not():
+    limits = {"A": Limit(1.0, 2.0), "B": Limit(None, 3.0)}
+    cases = [((1.0, 3.0), "PASS PASS"), ((2.0, np.nan), "PASS FAIL"), ((0.999, 3.001), "FAIL FAIL")]
+    for (a, b), expected in cases:
+        sheet = judge(limits, {"A": (a, "µm"), "B": (b, "µm"), "C": (1.0, "")})
+        assert " ".join(one.verdict for one in sheet) == expected
+    with pytest.raises(HeightMapError, match="D was not measured"):
+        judge({"D": Limit(0.0, None)}, {"A": (1.0, "µm")})

@@ -1,0 +1,183 @@
+"""The predictive test: its level and power for any number of golden parts, judged by parts of another model."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from anisoscope.base.errors import MeasurementError
+from anisoscope.base.significance import log_basis
+from anisoscope.decision.consistency_test import contrast_scatter
+from anisoscope.decision.predictive_test import (
+    Scatter,
+    birge_ratio,
+    detectable,
+    predictive_test,
+    suggested_scatter,
+)
+from anisoscope.kinds.ridges.recipe import RidgeRecipe
+from anisoscope.prediction.part_scatter import part_scatter
+from anisoscope.prediction.second_order import Response
+from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.sim.light import corrected
+from anisoscope.sim.light.geometry import Convention, directions, seating_rotation
+from anisoscope.sim.light.material import Material
+
+M = 3
+LINEAR = Scatter(
+    Response(("a", "b"), 0.02 * np.random.default_rng(1).normal(size=(M, 2)), np.zeros((M, 2, 2))),
+    np.array([1.0, 1.0]),
+    np.array([1.0, 0.5]),
+    0.005**2 * np.eye(M),
+    {"step": np.array([0.03, 0.0, -0.02])},
+)
+NOISE = 0.003
+
+
+def recipe(tilts=(0.0, -10.0, 10.0), reflections=2):
+    return RidgeRecipe.model_validate(
+        {
+            "schema": 1,
+            "product": "plate",
+            "poses": {"angles_deg": [0, 90, 180], "tilts_deg": list(tilts)},
+            "acquisition": {"exposure_s": 0.01},
+            "region": {"size_mm": [2.0, 2.0]},
+            "surface": {
+                "pitch_um": 100.0,
+                "design": {"ridge_angle_deg": 10.0},
+                "reflections": reflections,
+            },
+            "material": {"alpha_along": 0.06, "alpha_across": 0.1, "albedo": 0.2, "u_alpha_share": 0.1},
+            "area": None,
+        }
+    )
+
+
+@pytest.fixture(scope="module")
+def tilted():
+    """Scatter of ridges at nine poses, and the recipe."""
+    rules = recipe()
+    return contrast_scatter(part_scatter(rules, 10.0), NOISE), rules
+
+
+def made(count, rules, rng, rig=(0.0, 0.0), turned=0.0, lost=0.0, rougher=1.0):
+    """(count, P − 1) contrasts of parts of one rig, each from its own exact model: no surrogate, no propagation."""
+    basis, poses = log_basis(len(rules.poses.poses())), rules.poses.poses()
+    found = []
+    for _ in range(count):
+        z = rng.normal(size=6)
+        material = Material(
+            0.06 * (1 + rig[0] + 0.05 * z[0]),
+            0.1 * rougher * (1 + rig[1] + 0.05 * z[1]),
+            0.2 * (1 + 0.03 * z[2]),
+        )
+        seat = seating_rotation(0.1 * z[3], 0.1 * z[4])
+        light, camera = (side @ seat for side in directions(poses, Convention(10.0)))
+        design = RidgeDesign(100.0, 10.0 + 0.1 * z[5] + turned, height_loss=lost)
+        found.append(np.log(corrected.radiance(light, camera, design, material, bounces=2)))
+    logs = np.array(found)
+    return (logs + NOISE * rng.normal(size=logs.shape)) @ basis.T
+
+
+def p_values(scatter, rules, rng, count, sets, parts, **defect):
+    found = []
+    for _ in range(sets):
+        rig = 0.1 * rng.normal(size=2)
+        golden = made(count, rules, rng, rig)
+        found += [
+            predictive_test(scatter, golden, value, 0.01).p_value
+            for value in made(parts, rules, rng, rig, **defect)
+        ]
+    return np.array(found)
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_few_golden_parts_keep_the_level_and_find_lost_height(tilted, count):
+    scatter, rules = tilted
+    rng = np.random.default_rng(count)
+    good = p_values(scatter, rules, rng, count, sets=4, parts=3)
+    assert np.mean(good < 0.1) <= 0.34
+    assert np.mean(good < 0.01) <= 0.17
+    bad = p_values(scatter, rules, rng, count, sets=2, parts=2, lost=0.1)
+    assert np.all(bad < 0.01)
+
+
+@pytest.mark.statistics
+@pytest.mark.parametrize("count", [1, 2, 3, 5, 10, 25])
+@pytest.mark.parametrize("tilts", [(0.0,), (0.0, -10.0, 10.0)])
+def test_level_and_power_over_many_golden_sets(count, tilts):
+    rules = recipe(tilts)
+    scatter = contrast_scatter(part_scatter(rules, 10.0), NOISE)
+    rng = np.random.default_rng(count)
+    good = p_values(scatter, rules, rng, count, sets=60, parts=30)
+    assert 0.001 <= np.mean(good < 0.01) <= 0.03
+    bad = p_values(scatter, rules, rng, count, sets=20, parts=5, lost=0.1)
+    assert np.mean(bad < 0.01) >= 0.97
+
+
+def test_many_golden_parts_of_a_linear_model_give_the_mahalanobis_distance():
+    rng = np.random.default_rng(5)
+    exact = replace(LINEAR, defects={})
+    golden = exact.drawn(np.zeros((1, 2)), 3000, rng)[0]
+    value = golden.mean(axis=0) + np.array([0.03, -0.01, 0.02])
+    found = predictive_test(exact, golden, value, 0.01)
+    slope = exact.response.slope * exact.own
+    covariance = slope @ slope.T + exact.errors
+    d = np.array([0.03, -0.01, 0.02])
+    assert found.t2 == pytest.approx(d @ np.linalg.solve(covariance, d), rel=0.1)
+    assert np.log(found.p_value) == pytest.approx(np.log(chi2.sf(found.t2, M)), rel=0.25)
+    assert found.p_direction is None
+
+
+def test_the_direction_of_a_defect_separates_by_its_own_distance():
+    rng = np.random.default_rng(2)
+    golden = LINEAR.drawn(np.zeros((1, 2)), 200, rng)[0]
+    shift = LINEAR.defects["step"]
+    found = predictive_test(LINEAR, golden, golden.mean(axis=0) + shift, 0.01)
+    (direction,) = found.directions
+    assert direction.score == pytest.approx(direction.separation)  # a part with exactly this defect
+    assert direction.separation**2 == pytest.approx(found.t2)
+    twice = replace(LINEAR, defects={"step": 2.0 * shift})
+    (double,) = predictive_test(twice, golden, golden.mean(axis=0), 0.01).directions
+    assert double.separation == pytest.approx(2.0 * direction.separation)
+    assert double.detectable == pytest.approx(0.5 * direction.detectable)
+    assert double.score == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_directed_test_finds_small_turns_that_the_distance_alone_misses(tilted):
+    scatter, rules = tilted
+    rng = np.random.default_rng(8)
+    golden = made(6, rules, rng)
+    found = [predictive_test(scatter, golden, value, 0.01) for value in made(8, rules, rng, turned=1.0)]
+    directed = np.mean([one.p_direction < 0.01 for one in found])
+    assert directed > np.mean([one.p_distance < 0.01 for one in found])
+
+
+def test_more_golden_parts_show_smaller_defects(tilted):
+    scatter, _ = tilted
+    one, three, many = (detectable(scatter, count, 0.01) for count in (1, 3, 25))
+    assert all(one[name] > three[name] > many[name] for name in one)
+    assert set(one) >= {"ridge angle +0.5°", "roughness across the ridges +20%", "height loss 10%"}
+
+
+def test_scatter_between_golden_parts_is_estimated():
+    rng = np.random.default_rng(3)
+    wider = replace(LINEAR, own=LINEAR.own * np.array([3.0, 1.0]))
+    golden = wider.drawn(np.zeros((1, 2)), 60, rng)[0]
+    first, _second = suggested_scatter(LINEAR, golden)
+    assert first.low < 3.0 < first.high
+    assert birge_ratio(golden, LINEAR.covariance) > 3.0
+    assert birge_ratio(LINEAR.drawn(np.zeros((1, 2)), 60, rng)[0], LINEAR.covariance) == pytest.approx(
+        1.0, abs=0.3
+    )
+    with pytest.raises(MeasurementError, match="at least 3"):
+        suggested_scatter(LINEAR, golden[:2])
+
+
+def test_nothing_to_compare_with_is_one_clear_line():
+    with pytest.raises(MeasurementError, match="no golden part"):
+        predictive_test(LINEAR, np.empty((0, M)), np.zeros(M), 0.01)
+    exact = replace(LINEAR, errors=np.zeros((M, M)))
+    with pytest.raises(MeasurementError, match="without any uncertainty or scatter"):
+        predictive_test(exact, np.zeros((1, M)), np.zeros(M), 0.01)

@@ -1,0 +1,105 @@
+"""Sets of reference parts: their files, which rows count, and when they serve as the reference."""
+
+import json
+
+import numpy as np
+import pytest
+
+from anisoscope.base.errors import CalibrationError
+from anisoscope.base.significance import hotelling
+from anisoscope.decision.reference_parts import GoldenPart, GoldenSet, RadianceSet, counted, write_golden
+from anisoscope.imaging.area_limit import KnownShares
+
+POSES = ((0.0, 0.0), (90.0, 0.0), (180.0, 0.0))
+
+
+def part(number, log_radiance, share=None, threshold=None, cells=None):
+    return GoldenPart(
+        serial=f"G{number}",
+        inspected_at="2026-01-02T03:04:05+00:00",
+        log_radiance=tuple(log_radiance),
+        area_share=share,
+        cell_deviation=threshold,
+        cells=cells,
+        verdict="PASS",
+    )
+
+
+def golden(parts, recipe=None):
+    key = "0" * 64 if recipe is None else GoldenSet.key_of(recipe)
+    return GoldenSet(product="plate", recipe_key=key, poses=POSES, parts=tuple(parts))
+
+
+def by_their_own(parts):
+    """A set of a kind that states no scatter between its parts."""
+    return RadianceSet(product="card", recipe_key="0" * 64, poses=POSES, parts=tuple(parts))
+
+
+def test_the_order_of_the_entries_in_a_file_is_that_of_earlier_versions(tmp_path):
+    path = tmp_path / "plate.golden.json"
+    write_golden(path, golden([part(1, (-1.0, -2.0, -3.0), 0.01, 0.3, 100)]))
+    found = json.loads(path.read_text())
+    assert list(found) == ["schema", "product", "recipe_key", "poses", "parts"]
+    assert list(found["parts"][0]) == [
+        "serial",
+        "inspected_at",
+        "log_radiance",
+        "area_share",
+        "cell_deviation",
+        "cells",
+        "verdict",
+    ]
+
+
+def test_the_set_of_a_kind_that_states_viewing_conditions_is_refused(make_recipe, tmp_path):
+    path, recipe = tmp_path / "plate.golden.json", make_recipe()
+    for more in ({"kind": "print"}, {"seen": {"lamp": "D65"}}):
+        content = golden([], recipe).model_dump(mode="json", by_alias=True) | more
+        path.write_text(json.dumps(content))
+        with pytest.raises(CalibrationError, match=r"the golden parts in .* cannot be read"):
+            GoldenSet.read(path, recipe)
+
+
+def test_cells_are_those_of_the_rows_that_count(make_recipe, rng):
+    recipe = make_recipe()
+    shares = rng.gamma(2.0, 2e-3, 12)
+    rows = [part(k, (0.0, 0.0, 0.0), share, 0.3, 400) for k, share in enumerate(shares)]
+    others = [part(k, (0.0, 0.0, 0.0), 0.5, 0.2, 25) for k in range(20, 23)]
+    assert golden([*rows, *others]).known_shares(recipe) == KnownShares(tuple(shares), 400)
+
+
+def test_parts_serve_from_one_more_than_directions_on_and_only_if_they_vary(rng):
+    logs = rng.normal(size=(3, 3))
+    few, enough = (by_their_own([part(k, row) for k, row in enumerate(logs[:n])]) for n in (2, 3))
+    assert (few.needed, few.sensible) == (3, 6)
+    assert few.lacking.startswith(counted(2, "golden part"))
+    assert enough.lacking is None
+    levels = by_their_own([part(k, (level, level, level)) for k, level in enumerate(logs[0])])
+    assert "do not vary independently" in levels.lacking
+
+
+def test_where_the_recipe_states_the_scatter_one_part_serves():
+    one = golden([part(1, (-1.0, -2.0, -3.0))])
+    assert (one.needed, one.lacking, golden([]).lacking is None) == (1, None, False)
+
+
+@pytest.mark.parametrize(("shares", "learnt"), [((0.009, 0.01, 0.011), True), ((0.001, 0.01, 0.02), False)])
+def test_three_parts_narrow_the_limit_of_the_area_and_never_widen_it(make_recipe, shares, learnt):
+    rows = [part(k, (0.0, 0.0, 0.0), share, 0.3, 4000) for k, share in enumerate(shares)]
+    limit = golden(rows).area_limit(make_recipe())
+    assert (limit is not None) is learnt
+    assert limit is None or max(shares) < limit < 0.03
+    assert golden(rows[:2]).area_limit(make_recipe()) is None
+
+
+def test_t_squared_is_hotellings_of_the_ratios(rng):
+    logs, own = rng.normal(size=(9, 3)), rng.normal(size=3)
+    known = RadianceSet(
+        product="card", recipe_key="0", poses=POSES, parts=tuple(part(k, row) for k, row in enumerate(logs))
+    )
+    t2, dof, p_value = known.t_squared(np.exp(own))
+    ratios = logs[:, 1:] - logs[:, :1]
+    assert (t2, p_value) == pytest.approx(hotelling(own[1:] - own[0], ratios))
+    assert dof == 2
+    brighter, _, _ = known.t_squared(2.0 * np.exp(own))
+    assert brighter == pytest.approx(t2)

@@ -1,0 +1,232 @@
+"""Material files: written, read, refused; where a material holds."""
+
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+
+from anisoscope.base.errors import RecipeError
+from anisoscope.recipe.material_file import (
+    MaterialFile,
+    MaterialLightPart,
+    half_angles_deg,
+    material_at,
+    parameter_values,
+    read_material_file,
+    write_material_file,
+)
+from anisoscope.sim.light.geometry import Convention, Pose, pose_grid
+from anisoscope.sim.light.material import Material
+
+NAMES = ("ln_alpha_along", "ln_alpha_across", "tail", "ln_albedo")
+COVARIANCE = np.diag([0.01, 0.02, 0.03, 0.04]) ** 2
+CONTENT = {
+    "id": "material-20261123-01234567",
+    "name": "ABS, eroded",
+    "material": {"alpha_along": 0.06, "alpha_across": 0.1, "albedo": 0.2, "tail": 0.7},
+    "covariance": {"parameters": NAMES, "matrix": COVARIANCE.tolist()},
+    "validity": {"half_angle_deg": (5.0, 20.6), "until": datetime(2027, 1, 1, tzinfo=UTC)},
+    "light": {"wavelength_nm": 525.0, "aperture_half_angle_deg": 1.0},
+    "scan": {"specimen": "coupon", "light_angle_deg": 10.0, "poses": [(0.0, 0.0), (90.0, -20.0)]},
+}
+UPRIGHT = pose_grid((0.0, 90.0, 180.0))
+
+
+def file(**changes):
+    return MaterialFile.model_validate(CONTENT | changes)
+
+
+def covariance(matrix, names=NAMES):
+    return {"covariance": {"parameters": names, "matrix": np.asarray(matrix).tolist()}}
+
+
+def test_what_is_written_is_read(tmp_path):
+    path = tmp_path / "abs.toml"
+    written = write_material_file(file(), path)
+    assert read_material_file(path) == written
+    assert written.material.material() == Material(0.06, 0.1, 0.2, tail=0.7)
+    assert written.covariance.u()["tail"] == pytest.approx(0.03)
+
+
+def test_a_changed_file_is_refused_until_its_seal_is_taken_out(tmp_path):
+    path = tmp_path / "abs.toml"
+    write_material_file(file(), path)
+    text = path.read_text().replace("tail = 0.7", "tail = 0.6")
+    path.write_text(text)
+    with pytest.raises(RecipeError, match=r"abs\.toml: changed after"):
+        read_material_file(path)
+    path.write_text("".join(line for line in text.splitlines(keepends=True) if not line.startswith("seal")))
+    assert read_material_file(path).material.tail == 0.6
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        (covariance(COVARIANCE - 0.05 * np.eye(4)), "negative eigenvalue"),
+        (covariance(COVARIANCE + np.triu(0.01 * np.ones((4, 4)), 1)), "not symmetric"),
+        (covariance(COVARIANCE[:3]), "4 rows of 4"),
+        (covariance(COVARIANCE, ("tail", *NAMES[:3])), "twice"),
+        (covariance(COVARIANCE, (*NAMES[:3], "ln_second_width")), "no second_lobe"),
+        ({"material": CONTENT["material"] | {"tail": 2.0}}, "tail"),
+        ({"validity": {"half_angle_deg": (20.0, 5.0)}}, "must rise"),
+        ({"colour": "red"}, "unknown key"),
+    ],
+)
+def test_what_is_no_material_is_one_line_that_names_file_and_key(tmp_path, changes, words):
+    import tomli_w
+
+    path = tmp_path / "abs.toml"
+    path.write_text(tomli_w.dumps({"schema": 1} | CONTENT | changes))
+    with pytest.raises(RecipeError, match=words) as found:
+        read_material_file(path)
+    assert "\n" not in str(found.value)
+    assert str(path) in str(found.value)
+
+
+def test_values_in_the_scales_of_the_covariance_and_back():
+    one = Material(0.06, 0.1, 0.2, second_lobe=(0.15, 2.5))
+    names = ("ln_alpha_along", "ln_alpha_across", "ln_albedo", "ln_second_weight", "ln_second_width")
+    moved = material_at(one, names, parameter_values(one, names) + np.log([1.1, 1.2, 1.3, 1.4, 1.5]))
+    found = [moved.alpha_along, moved.alpha_across, moved.albedo, *moved.second_lobe]
+    np.testing.assert_allclose(found, np.array([0.06, 0.1, 0.2, 0.15, 2.5]) * [1.1, 1.2, 1.3, 1.4, 1.5])
+
+
+@pytest.mark.parametrize(
+    ("angle_deg", "expected"),
+    [
+        (5.0, (0.0, 7.1, 10.0)),
+        (10.0, (5.0, 11.2, 15.0)),
+        (15.0, (10.0, 15.8, 20.0)),
+        (20.0, (15.0, 20.6, 25.0)),
+    ],
+)
+def test_half_angles_of_facets_in_the_upright_poses(angle_deg, expected):
+    """Light 10° from the camera: θ − 5°, arccos(cos θ·cos 5°), θ + 5°."""
+    found = half_angles_deg(UPRIGHT, Convention(), (angle_deg,))
+    np.testing.assert_allclose(found[0], expected, atol=0.05)
+
+
+def test_a_coupon_serves_ridges_whose_half_angles_it_shows():
+    one, convention = file(), Convention()
+    assert one.uncovered(UPRIGHT, convention, (10.0,)) is None
+    assert one.uncovered(UPRIGHT, convention, (15.0,)) is None
+    assert "facets of 20° are seen at 15.0° to 25.0°" in one.uncovered(UPRIGHT, convention, (20.0,))
+    assert "0.0° to 10.0°" in one.uncovered(
+        UPRIGHT, convention, (5.0,)
+    )  # the core, which a coupon does not show
+    assert one.uncovered((Pose(0.0, 30.0),), convention, (0.0,))
+
+
+def test_another_lamp_or_lens_is_named_and_what_is_not_stated_is_not_compared():
+    one = file()
+    assert one.other_light(MaterialLightPart()) is None
+    assert one.other_light(MaterialLightPart(wavelength_nm=530.0, bandwidth_nm=30.0)) is None
+    assert "another lamp: wavelength_nm 525 nm, here 630 nm" in one.other_light(
+        MaterialLightPart(wavelength_nm=630.0)
+    )
+    assert "another lens" in one.other_light(MaterialLightPart(aperture_half_angle_deg=4.0))
+
+
+def test_a_material_expires():
+    assert file().expired(datetime(2026, 12, 31, tzinfo=UTC)) is None
+    assert "expired at 2027-01-01" in file().expired(datetime(2027, 1, 1, tzinfo=UTC))
+
+
+@pytest.fixture
+def recipe_with(make_recipe, tmp_path):
+    """``recipe_with(**changes)``: a recipe whose material is a file with these changes."""
+    import tomli_w
+
+    from anisoscope.kinds.ridges.recipe import RidgeRecipe
+    from anisoscope.recipe.surface import read_surface_recipe
+
+    def build(name="abs.toml", table=None, **changes):
+        write_material_file(file(**changes), tmp_path / "abs.toml")
+        content = make_recipe().model_dump(mode="json", by_alias=True, exclude_none=True)
+        content["material"] = name if table is None else table
+        path = tmp_path / "recipe.toml"
+        path.write_text(tomli_w.dumps(content))
+        return read_surface_recipe(path, RidgeRecipe)
+
+    return build
+
+
+def test_a_recipe_takes_its_material_from_a_file(recipe_with):
+    for table in (None, {"file": "abs.toml", "u_index": 0.02}):
+        part = recipe_with(table=table).material
+        assert part.material() == Material(0.06, 0.1, 0.2, tail=0.7)
+        assert (part.u_alpha_share, part.u_albedo, part.u_tail) == (0.0, 0.0, 0.0)
+        assert part.calibrated.covariance.u()["tail"] == pytest.approx(0.03)
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ({"file": "abs.toml", "alpha_along": 0.1}, "leave alpha_along out"),
+        ({"file": "none.toml"}, r"none\.toml: there is no such file"),
+    ],
+)
+def test_a_recipe_with_a_wrong_material_file_is_one_line(recipe_with, table, words):
+    with pytest.raises(RecipeError, match=words) as found:
+        recipe_with(table=table)
+    assert "\n" not in str(found.value)
+
+
+def test_a_recipe_is_refused_whose_material_was_measured_elsewhere(recipe_with, virtual_rig):
+    from anisoscope.recipe.surface import check_material
+    from anisoscope.rig.rigfile import read_rig
+
+    rig = read_rig(virtual_rig(rig={"light": {"wavelength_nm": 630.0}}).rig)
+    same = read_rig(virtual_rig().rig)
+    one = recipe_with()
+    check_material(one, same, "recipe.toml")
+    with pytest.raises(RecipeError, match=r"recipe\.toml: the material .* another lamp"):
+        check_material(one, rig, "recipe.toml")
+    narrow = recipe_with(validity={"half_angle_deg": (5.0, 12.0)})
+    with pytest.raises(RecipeError, match=r"5\.0° to 15\.0° in these poses"):
+        check_material(narrow, same, "recipe.toml")
+
+
+def test_the_budget_of_a_prediction_is_that_of_the_correlated_material(recipe_with):
+    """J C Jᵀ by components equals that by an independent Jacobian; correlation cancels what the diagonal states."""
+    from anisoscope.prediction.expectation import expectation
+    from anisoscope.sim.light import corrected
+    from anisoscope.sim.light.geometry import directions
+
+    spread = np.diag([0.02, 0.02, 0.05, 0.02])
+    correlation = np.full((4, 4), 0.9) + 0.1 * np.eye(4)
+    matrix = spread @ correlation @ spread
+    recipe = recipe_with(**covariance(matrix), test=TEST)
+    recipe = recipe.model_copy(
+        update={"surface": recipe.surface.model_copy(update={"reflections": "direct"})}
+    )
+    found = expectation(recipe, 10.0)
+    own = [one for one in found.components if one.source.startswith("calibrated material")]
+    assert len(own) == 4
+    total = np.sum([one.covariance() for one in own], axis=0)
+    nominal, design = recipe.material.material(), recipe.surface.ridge_design()
+    values = parameter_values(nominal, NAMES)
+
+    def log_light(at):
+        return np.log(
+            corrected.radiance(*directions(UPRIGHT, Convention()), design, material_at(nominal, NAMES, at))
+        )
+
+    slopes = np.stack(
+        [(log_light(values + h) - log_light(values - h)) / 2e-4 for h in 1e-4 * np.eye(4)], axis=1
+    )
+    np.testing.assert_allclose(total, slopes @ matrix @ slopes.T, rtol=0.02, atol=1e-7)
+    (family,) = [one for one in found.components if one.source == "family of the lobe"]
+    np.testing.assert_allclose(family.relative, 0.005)
+    assert not family.shared
+    assert "tail of the lobe" not in [one.source for one in found.components]
+
+
+TEST = {
+    "residual_over_noise": 1.0,
+    "birge_ratio": 1.0,
+    "degrees_of_freedom": 27,
+    "rms_share": 0.003,
+    "discrepancy_share": 0.005,
+    "family": "tail",
+}

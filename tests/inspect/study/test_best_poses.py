@@ -1,0 +1,71 @@
+"""Poses for named defects: distances against reference numbers of another model, and what the choice gains."""
+
+import pytest
+
+from anisoscope.base.errors import UsageError
+from anisoscope.kinds.ridges.recipe import RidgeRecipe
+from anisoscope.study.best_poses import best_poses, ideal_distances
+
+TABLE = {
+    "schema": 1,
+    "product": "plate",
+    "acquisition": {"exposure_s": 0.01},
+    "region": {"size_mm": [2.0, 2.0]},
+    "surface": {"pitch_um": 100.0, "design": {"ridge_angle_deg": 10.0}},
+    "material": {"alpha_along": 0.06, "alpha_across": 0.1, "albedo": 0.2},
+    "area": None,
+}
+PLUS, MINUS, ROUGHER = "ridge angle +0.5°", "ridge angle −0.5°", "roughness across the ridges +20%"
+QUARTERS = [[0, 0], [90, 0], [180, 0], [90, -15], [90, -5], [0, -10]]
+
+
+def recipe(poses=None, reflections="all"):
+    surface = TABLE["surface"] | {"reflections": reflections}
+    return RidgeRecipe.model_validate(TABLE | {"surface": surface, "poses": poses or {}})
+
+
+# an independent prototype, two reflections by quadrature, Beckmann lobe, noise 0.3 %
+@pytest.mark.parametrize(
+    ("poses", "plus", "minus", "rougher"),
+    [
+        ({}, 2.5, 2.4, 1.0),
+        ({"tilts_deg": [0, -10, 10]}, 3.7, 3.1, 9.7),
+        ({"stage_and_tilt_deg": QUARTERS}, 3.7, 3.5, 13.0),
+    ],
+)
+def test_distances_are_those_of_an_independent_model(poses, plus, minus, rougher):
+    found = ideal_distances(recipe(poses), 10.0)
+    assert [found[PLUS], found[MINUS]] == pytest.approx([plus, minus], rel=0.2)
+    assert found[ROUGHER] == pytest.approx(rougher, rel=0.35, abs=0.5)
+
+
+def test_chosen_poses_show_all_defects_better_than_as_many_upright_ones():
+    rules = recipe(reflections="direct")
+    upright = ideal_distances(recipe({"angles_deg": [0, 90, 180, 270]}, "direct"), 10.0)
+    found = best_poses(
+        rules, 10.0, 4, (0.0, 90.0, 180.0, 270.0), (-15.0, 0.0, 15.0), ignored=("roughness along",)
+    )
+    wanted = [one for one in found.shown if not one.defect.startswith("roughness along")]
+    assert min(one.distance for one in wanted) > min(upright[one.defect] for one in wanted)
+    assert len(found.poses) == len(set(found.poses)) == 4
+    again = recipe({"stage_and_tilt_deg": [list(pose) for pose in found.poses]}, "direct")
+    assert again.poses.poses()[0].tilt_deg == found.poses[0][1]
+    for one in found.shown:
+        assert one.power[1] <= one.power[25] + 0.02
+        assert one.area == pytest.approx(1.0, abs=0.5)
+    loss = next(one for one in found.shown if one.defect.startswith("height loss"))
+    assert (loss.area, loss.power[1]) == (pytest.approx(1.0, abs=1e-3), pytest.approx(1.0, abs=0.01))
+
+
+def test_what_cannot_be_chosen_is_one_clear_line():
+    rules = recipe(reflections="direct")
+    with pytest.raises(UsageError, match="poses of 4 that are allowed"):
+        best_poses(rules, 10.0, 5, (0.0, 90.0), (0.0, 10.0))
+    with pytest.raises(UsageError, match="no defect is left"):
+        best_poses(rules, 10.0, 3, (0.0, 90.0), (0.0, 10.0), ignored=("r", "h"))
+    with pytest.raises(UsageError, match="no defect begins with"):
+        best_poses(rules, 10.0, 3, (0.0, 90.0), (0.0, 10.0), ignored=("zzz",))
+    with pytest.raises(UsageError, match="between 0 and 1"):
+        best_poses(rules, 10.0, 3, (0.0, 90.0), (0.0, 10.0), camera_share=-1.0)
+    with pytest.raises(UsageError, match="between 0 and 1"):
+        best_poses(rules, 10.0, 3, (0.0, 90.0), (0.0, 10.0), power=2.0)

@@ -1,0 +1,126 @@
+"""Wear of closed form: worn round crests of ridges, shallow pits, and tools with their parts."""
+
+import numpy as np
+import pytest
+
+from anisoscope.base.errors import RegistrationError, UsageError
+from anisoscope.profiles.comparison import compare_maps, turned_over
+from anisoscope.profiles.heightmap import HeightMap
+
+PITCH, FACET = 50.0, np.radians(10.0)
+RIDGE = PITCH * np.sin(FACET) * np.cos(FACET)
+INSIDE = 1.0 - np.pi / 4.0
+"""Area that an arc of radius 1 misses at an edge of 90°."""
+PARTS = 16
+
+
+def profile(t, radius=0.0, scale=1.0):
+    """Ridges with perpendicular walls whose crests at multiples of the pitch are round; closed form."""
+    wall = RIDGE * np.tan(FACET)
+    t = (t + wall) % PITCH - wall
+    z = np.where(t < 0.0, RIDGE + t / np.tan(FACET), RIDGE - t * np.tan(FACET))
+    if radius:
+        middle = radius * (np.cos(FACET) - np.sin(FACET)), RIDGE - radius * (np.cos(FACET) + np.sin(FACET))
+        arc = (t > -radius * np.sin(FACET)) & (t < radius * np.cos(FACET))
+        z = np.where(arc, middle[1] + np.sqrt(np.maximum(radius**2 - (t - middle[0]) ** 2, 0.0)), z)
+    return scale * z
+
+
+def texture(y, x, seed=5, count=60):
+    rng = np.random.default_rng(seed)
+    length, angle = rng.uniform(12.0, 60.0, count), rng.uniform(0.0, np.pi, count)
+    phase = rng.uniform(0.0, 2 * np.pi, count)
+    kx, ky = 2 * np.pi / length * np.cos(angle), 2 * np.pi / length * np.sin(angle)
+    return 0.02 * sum(np.cos(a * x + b * y + c) for a, b, c in zip(kx, ky, phase, strict=True))
+
+
+def ridged(shape, moved=(0.0, 0.0), radius=0.0, seed=1, noise=0.03, missing=0.02, scale=1.0):
+    """Means over pixels of 1 µm of a ridged, textured surface moved by (x, y)."""
+    rng = np.random.default_rng(seed)
+    places = (np.arange(shape[1] * PARTS) + 0.5) / PARTS - 0.5 - moved[0]
+    line = profile(places, radius, scale).reshape(-1, PARTS).mean(axis=1)
+    y, x = np.mgrid[: shape[0], : shape[1]] * 1.0
+    z = line + texture(y - moved[1], x - moved[0]) + noise * rng.standard_normal(shape)
+    z[rng.random(shape) < missing] = np.nan
+    return HeightMap(z, 1.0, 1.0)
+
+
+def lost_over(comparison, radius):
+    """Volume that round crests miss over the rows and columns that both maps have."""
+    common = np.isfinite(comparison.difference.height_um)
+    rows, cols = np.flatnonzero(common.any(axis=1)), np.flatnonzero(common.any(axis=0))
+    places = (np.arange(cols[0] * PARTS, (cols[-1] + 1) * PARTS) + 0.5) / PARTS - 0.5
+    return rows.size * float(np.sum(profile(places) - profile(places, radius))) / PARTS
+
+
+def test_the_reference_is_the_closed_form():
+    t = np.arange(0.0, 500.0, 1e-3)
+    lost = float(np.sum(profile(t) - profile(t, 4.0))) * 1e-3 / 10.0
+    assert lost == pytest.approx(INSIDE * 16.0, rel=1e-4)
+
+
+@pytest.mark.parametrize(("radius", "moved"), [(4.0, (7.3, 3.6)), (6.0, (-11.75, 2.2))])
+def test_worn_crests(radius, moved):
+    shape = (160, 330)
+    found = compare_maps(ridged(shape), ridged(shape, moved, radius, 2))
+    assert found.placed.x_um == pytest.approx(moved[0], abs=0.05)
+    assert found.placed.y_um == pytest.approx(moved[1], abs=0.05)
+    expected = lost_over(found, radius)
+    assert found.lost.volume_um3.value == pytest.approx(expected, rel=0.02)
+    assert abs(found.lost.volume_um3.value - expected) < 4.0 * found.lost.volume_um3.u + 0.01 * expected
+    assert found.gained.volume_um3.value < 0.01 * expected
+    assert len(found.ridges) >= 4
+    for ridge in found.ridges:
+        assert ridge.lost_area_um2.value == pytest.approx(INSIDE * radius**2, rel=0.06)
+        assert ridge.height_change_um.value < -0.3
+        assert ridge.radius_b_um.value == pytest.approx(radius, abs=4.0 * ridge.radius_b_um.u)
+    mean = np.mean([ridge.radius_b_um.value for ridge in found.ridges])
+    assert mean == pytest.approx(radius, rel=0.2)
+    assert "lost" in repr(found)
+
+
+def test_nothing_has_changed():
+    shape = (150, 260)
+    found = compare_maps(ridged(shape), ridged(shape, (3.4, -2.7), seed=2))
+    field = np.count_nonzero(np.isfinite(found.difference.height_um))
+    assert found.lost.volume_um3.value + found.gained.volume_um3.value < 0.003 * field
+    assert abs(found.net_um3.value) < 4.0 * found.net_um3.u
+    ratio = found.difference.height_um / found.u_um
+    assert 0.7 < np.nanstd(ratio) < 1.1
+    assert found.replication.relief.value == pytest.approx(1.0, abs=4.0 * found.replication.relief.u + 0.003)
+
+
+def test_a_shallow_pit_in_a_rough_surface():
+    """A Gaussian pit of 0.3 µm, ten times the noise: 2π σ² d lost, and no ridges."""
+    y, x = np.mgrid[:140, :150] * 1.0
+    rng = np.random.default_rng(3)
+    base = 6.0 * texture(y, x)
+    moved = 6.0 * texture(y - 1.6, x + 4.3)
+    pit = 0.3 * np.exp(-((x - 70.0) ** 2 + (y - 60.0) ** 2) / (2.0 * 8.0**2))
+    first = HeightMap(base + 0.03 * rng.standard_normal(base.shape), 1.0, 1.0)
+    worn = moved - pit + 0.03 * rng.standard_normal(base.shape)
+    worn[rng.random(base.shape) < 0.02] = np.nan
+    found = compare_maps(first, HeightMap(worn + 5.0 - 0.01 * x, 1.0, 1.0))
+    expected = 2.0 * np.pi * 8.0**2 * 0.3
+    assert found.lost.volume_um3.value == pytest.approx(expected, rel=0.04)
+    assert found.lost.depth_um == pytest.approx(0.3, abs=0.05)
+    assert found.placed.x_um == pytest.approx(-4.3, abs=0.02)
+    assert found.ridges == ()
+    assert "no ridges found" in found.ridges_note
+
+
+def test_a_part_has_the_relief_of_its_tool_as_far_as_it_was_filled():
+    shape = (150, 260)
+    tool = ridged(shape, seed=1)
+    part = turned_over(ridged(shape, (5.2, 1.1), seed=2, scale=0.9))
+    found = compare_maps(tool, part, mirrored=True)
+    assert found.mirrored
+    assert found.replication.relief.value == pytest.approx(0.9, abs=0.01)
+    assert found.replication.height.value == pytest.approx(0.9, abs=0.02)
+
+
+def test_maps_of_other_surfaces_are_refused():
+    with pytest.raises(RegistrationError, match="too little in common"):
+        compare_maps(ridged((150, 260)), HeightMap(np.random.default_rng(0).random((150, 260)), 1.0, 1.0))
+    with pytest.raises(UsageError, match="two HeightMaps"):
+        compare_maps(ridged((150, 260)), np.eye(10))
