@@ -125,6 +125,10 @@ TROUBLES: dict[int, tuple[type[RigError], str]] = {
 }
 
 
+def _in_trouble(status: Status) -> bool:
+    return any(status.has(bit) for bit in TROUBLES)
+
+
 def trouble_of(name: str, status: Status, at_deg: float, *, moved: bool) -> RigError | None:
     """The error that explains it, or None.
 
@@ -285,6 +289,8 @@ STOPS = {"profiled": STOP_PROFILED, "immediate": STOP_IMMEDIATE}
 FIRST_PAUSE_S = 0.002
 # A controller may take so long to report that its reference search has begun.
 HOMING_BEGINS_S = 0.5
+# A channel may take so long to have current, and to report it; a command that comes earlier is ignored.
+ENABLING_S = 0.5
 
 
 class Apt(PortStage):
@@ -406,17 +412,33 @@ class Apt(PortStage):
         self._begin(Message(MOVE_ABSOLUTE, data=position_data(self._target_counts)))
 
     def _begin(self, command: Message) -> None:
-        before = self._line.status()
-        switched = [Message(SET_ENABLED, (CHANNEL, ENABLE))]
-        if any(before.has(bit) for bit in TROUBLES):
-            # A controller keeps an error until its channel is switched off and on.
-            _log.warning("%s: status %08X before a motion", self.name, before.bits)
-            switched.insert(0, Message(SET_ENABLED, (CHANNEL, DISABLE)))
+        self._enable()
         self._line.ended = None
         self._begun = self._clock()
         self._seen_moving = self._seen_homing = False
         self._pause_s = FIRST_PAUSE_S
-        self._line.send(*switched, command)
+        self._line.send(command)
+
+    def _enable(self) -> None:
+        """Switch the channel on, and wait until its status reports it without an earlier error.
+
+        All messages come in their order: none that arrives after that one is older than the switching. A controller
+        that never reports it gets its command all the same; whether the motor follows shows afterwards.
+        """
+        before = self._line.status()
+        if before.enabled and not _in_trouble(before):
+            return
+        switched = [Message(SET_ENABLED, (CHANNEL, ENABLE))]
+        if _in_trouble(before):
+            # A controller keeps an error until its channel is switched off and on.
+            _log.warning("%s: status %08X before a motion", self.name, before.bits)
+            switched.insert(0, Message(SET_ENABLED, (CHANNEL, DISABLE)))
+        self._line.send(*switched)
+        deadline = self._clock() + ENABLING_S
+        while not (status := self._line.status()).enabled or _in_trouble(status):
+            if self._clock() >= deadline:
+                return
+            self._clock.sleep(FIRST_PAUSE_S)
 
     def _is_busy(self, wait_s: float) -> bool:
         status = self._line.status(fresh=False)

@@ -1,12 +1,13 @@
 """Firmware of Thorlabs APT rotation stages, byte by byte: K10CR1, and KDC101 with a PRM1-Z8.
 
 Questions are answered at any time, also during a motion; a motion is answered once, when it is over; a motor without
-current does not move, and does not say so. A K10CR1 is a stepper without encoder: at an obstacle it loses steps and
-notices nothing. A KDC101 reads an encoder and reports a motion error; it falls silent if it sends updates and the
-host does not acknowledge them. Backlash and jog parameters are kept, and have no effect. A stop is instant, on a ramp
-or not. Source: Thorlabs APT communications protocol.
+current does not move, and does not say so; a channel may have current only some time after it was switched on. A K10CR1
+is a stepper without encoder: at an obstacle it loses steps and notices nothing. A KDC101 reads an encoder and reports a
+motion error; it falls silent if it sends updates and the host does not acknowledge them. Backlash and jog parameters
+are kept, and have no effect. A stop is instant, on a ramp or not. Source: Thorlabs APT communications protocol.
 """
 
+import math
 import struct
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -147,6 +148,7 @@ class AptFirmware(SimulatedDevice):
         axis: the axis it turns; by default one that stands at 0° and moves in real time.
         address: destination to which it listens.
         model: controller and motor.
+        enabling_s: time in seconds from the command that switches the channel on until the motor has current.
         faults: what is wrong with it; as text, ``name`` or ``name:number``. The number of a latched error is the bit
             of the status; that of a motion error too, if there is such an error bit, or else the code of a complaint.
 
@@ -162,12 +164,14 @@ class AptFirmware(SimulatedDevice):
         *,
         address: int = 0x50,
         model: AptModel = MODELS["K10CR1"],
+        enabling_s: float = 0.0,
         faults: Iterable[Fault | str] = (),
     ) -> None:
         self.axis = axis or RotaryAxis()
         super().__init__(faults, self.axis.clock)
         self.model = model
         self.address = address
+        self.enabling_s = enabling_s
         self.identified = 0
         self.motor = Motor(self.axis, model.counts_per_deg, self.faults)
         self._handlers = self._all_handlers()
@@ -180,9 +184,15 @@ class AptFirmware(SimulatedDevice):
         """Position in counts, as the controller believes it to be."""
         return self.motor.counts + self._slipped
 
+    @property
+    def _enabled(self) -> bool:
+        """Whether the motor has current."""
+        return self._clock() >= self._enabled_at
+
     def _power_up(self) -> None:
         self.motor.power_up()
-        self._enabled = self._updates = self._forward = False
+        self._updates = self._forward = False
+        self._enabled_at = math.inf
         self._errors = self._slipped = self._target = 0
         self._doing: Motion | None = None
         self._next_update, self._unacknowledged = 0.0, 0
@@ -310,8 +320,10 @@ class AptFirmware(SimulatedDevice):
         self._errors = 0
 
     def _set_enabled(self, packet: Packet) -> None:
-        self._enabled = packet.parameters[1] == 1
-        if not self._enabled:
+        if packet.parameters[1] == 1:
+            self._enabled_at = min(self._enabled_at, self._clock() + self.enabling_s)
+        else:
+            self._enabled_at = math.inf
             self._errors = 0
             self._halt()
 

@@ -5,6 +5,7 @@ import time
 
 import pytest
 
+from anisoscope.base.clock import VirtualClock
 from anisoscope.base.errors import LimitExceeded, MotionTimeout, NotHomed, ProtocolError, RigError, Stalled
 from anisoscope.rig.stages.apt import Apt, scale_of
 from anisoscope.rig.stages.apt_wire import (
@@ -222,6 +223,58 @@ def test_a_disabled_motor_is_enabled_before_a_motion(in_process):
         assert stage.status().enabled
         stage.identify()
     assert firmware.identified == 1
+
+
+def late(*faults, enabling_s, model="K10CR1"):
+    axis = RotaryAxis(time_scale=0.0, clock=VirtualClock())
+    return AptFirmware(axis, model=MODELS[model], enabling_s=enabling_s, faults=faults)
+
+
+@pytest.mark.parametrize("faults", [(), ("split", "unsolicited", "garbage"), ("latched-error:14",)])
+def test_a_motion_waits_until_the_motor_has_current(in_process, faults):
+    firmware = late(*faults, enabling_s=0.4)
+    with Apt.open(in_process(firmware)) as stage:
+        assert stage.home() == pytest.approx(0.0, abs=stage.resolution_deg)
+        assert stage.move_to(90.0) == pytest.approx(90.0, abs=stage.resolution_deg)
+        assert not stage.status().has(14)
+    assert [command[:2] for command in firmware.commands].count(b"\x43\x04") == 1
+
+
+def test_a_motor_that_gets_no_current_is_named(in_process):
+    firmware = late(enabling_s=1e6)
+    with (
+        Apt.open(in_process(firmware)) as stage,
+        pytest.raises(RigError, match="does not switch its motor on"),
+    ):
+        stage.home()
+    assert not firmware.motor.referenced
+
+
+class SlowLine(AptFirmware):
+    """Its line passes one message in 20 ms, and some of before are on it when the channel is switched on."""
+
+    _passes_at = 0.0
+
+    def _set_enabled(self, packet):
+        for _ in range(3):
+            self._report_status(0x0481, servo=False)
+        super()._set_enabled(packet)
+
+    def read(self):
+        if not self._outbox or self._clock() < self._passes_at:
+            return b""
+        self._passes_at = self._clock() + 0.02
+        end = self._outbox.find(b"\x81\x04", 1)
+        ready = bytes(self._outbox if end < 0 else self._outbox[:end])
+        del self._outbox[: len(ready)]
+        return ready
+
+
+def test_a_status_of_before_that_comes_late_is_not_believed(in_process):
+    firmware = SlowLine(RotaryAxis(time_scale=0.0, clock=VirtualClock()))
+    with Apt.open(in_process(firmware)) as stage:
+        assert stage.home() == pytest.approx(0.0, abs=stage.resolution_deg)
+        assert stage.status().enabled
 
 
 # The bytes.
