@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
+import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
@@ -27,6 +28,20 @@ def row_blocks(shape: tuple[int, ...]) -> Iterator[slice]:
     rows = max(1, BLOCK_POINTS // max(1, shape[1]))
     for start in range(0, shape[0], rows):
         yield slice(start, min(start + rows, shape[0]))
+
+
+def sampled(chosen: npt.NDArray[np.bool_], most: int) -> npt.NDArray[np.intp]:
+    """Flat places of every n-th of the chosen points of (rows, cols), n the whole number that leaves ``most`` or more.
+
+    All of them where they are fewer.
+    """
+    step = max(1, int(np.count_nonzero(chosen)) // most)
+    found, before = [], 0
+    for block in row_blocks(chosen.shape):
+        here = np.flatnonzero(chosen[block])
+        found.append(here[-before % step :: step] + block.start * chosen.shape[1])
+        before += here.size
+    return np.concatenate(found)
 
 
 def known_mean(height_um: FloatArray) -> float:

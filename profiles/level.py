@@ -11,7 +11,7 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.profiles.files.checks import check_heights
-from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.heightmap import HeightMap, sampled
 from anisoscope.profiles.period import Period, find_period
 
 MIN_PAIRS = 100
@@ -137,8 +137,7 @@ class _Folded:
 
     def __init__(self, surface: HeightMap, period: Period) -> None:
         rows, cols = surface.shape
-        known = np.flatnonzero(np.isfinite(surface.height_um))
-        known = known[:: max(1, known.size // FORM_SAMPLES)]
+        known = sampled(np.isfinite(surface.height_um), FORM_SAMPLES)
         i, j = np.divmod(known, cols)
         x, y = j * surface.pixel_x_um, i * surface.pixel_y_um
         (ex, ey), (ux, uy) = period.across(), period.along()

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.profiles.files.checks import check_heights
-from anisoscope.profiles.heightmap import HeightMap, row_blocks
+from anisoscope.profiles.heightmap import HeightMap, row_blocks, sampled
 
 HARMONICS = 8
 MIN_CYCLES = 4.0
@@ -28,7 +28,6 @@ CANDIDATES = 6
 STENCIL_BINS = 0.2
 NEWTON_STEPS = 6
 PHASE_BINS = 64
-COLUMNS = 32
 COARSE_POINTS = 1000
 COARSE_SHARE = 0.25
 FIT_SAMPLES = 60_000
@@ -68,9 +67,7 @@ def remove_form(surface: HeightMap) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
     known = np.isfinite(height)
     rows, cols = surface.shape
     y, x = np.linspace(-1.0, 1.0, rows)[:, None], np.linspace(-1.0, 1.0, cols)[None, :]
-    places = np.flatnonzero(known)
-    i, j = np.divmod(places[:: max(1, places.size // FIT_SAMPLES)], cols)
-    del places
+    i, j = np.divmod(sampled(known, FIT_SAMPLES), cols)
     ys, xs = y[i, 0], x[0, j]
     design = np.stack([np.ones_like(xs), xs, ys, xs * xs, xs * ys, ys * ys], axis=1)
     c = np.linalg.lstsq(design, height[i, j], rcond=None)[0]
@@ -106,15 +103,22 @@ def _windowed(residual: FloatArray, known: npt.NDArray[np.bool_]) -> FloatArray:
 
 
 def _power(data: FloatArray) -> FloatArray:
-    """Power of the real two-dimensional spectrum."""
+    """Power of the real two-dimensional spectrum about frequency 0 along y, from −``LOBE_BINS`` on along x."""
+    from scipy import fft  # noqa: PLC0415 - slow to import
+
     rows, cols = data.shape
-    spectrum = np.empty((rows, cols // 2 + 1), dtype=np.complex128)
-    for block in row_blocks(data.shape):
-        spectrum[block] = np.fft.rfft(data[block], axis=1)
-    power = np.empty(spectrum.shape)
-    for start in range(0, spectrum.shape[1], COLUMNS):
-        part = np.fft.fft(np.ascontiguousarray(spectrum[:, start : start + COLUMNS].T), axis=1)
-        power[:, start : start + COLUMNS] = (part.real**2 + part.imag**2).T
+    spectrum = fft.rfft2(data)
+    power = np.empty((rows, LOBE_BINS + cols // 2 + 1))
+    negative = (rows + 1) // 2  # number of frequencies from 0 on; the others are negative
+    for there, here in (
+        (slice(rows - negative, None), slice(negative)),
+        (slice(rows // 2), slice(negative, None)),
+    ):
+        part = power[there, LOBE_BINS:]
+        np.square(spectrum.real[here], out=part)
+        part += spectrum.imag[here] ** 2
+    mirrored = (2 * (rows // 2) - np.arange(rows)) % rows
+    power[:, :LOBE_BINS] = power[mirrored, 2 * LOBE_BINS : LOBE_BINS : -1]
     return power
 
 
@@ -129,9 +133,7 @@ class _Spectrum:
         self.y, self.x = np.arange(rows) * pixel_y, np.arange(cols) * pixel_x
         self.step = np.array([1.0 / (cols * pixel_x), 1.0 / (rows * pixel_y)])
         self.nyquist = np.array([0.5 / pixel_x, 0.5 / pixel_y])
-        half = _power(self.data)
-        mirrored = half[-np.arange(rows), LOBE_BINS:0:-1]
-        self.power = np.fft.fftshift(np.concatenate([mirrored, half], axis=1), axes=0)
+        self.power = _power(self.data)
         self.middle = rows // 2
 
     def candidates(self) -> list[FloatArray]:

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
+from anisoscope.profiles.heightmap import sampled
 from anisoscope.profiles.metrology import ridgekernels as kernels
 from anisoscope.profiles.metrology.quantity import Quantity, jackknife, weighted_mean
 from anisoscope.profiles.metrology.ridgefold import Course, Facet, Folded, Grid
@@ -90,8 +91,7 @@ def _start(
     grid: Grid, frame: Frame, facet: Facet, line: tuple[float, float]
 ) -> tuple[FloatArray, FloatArray]:
     """Planes as steep as the median facet, each at the median height of its ridge; and (ridges,) spread about it."""
-    known = np.flatnonzero(np.isfinite(grid.z) & ~grid.out)
-    known = known[:: max(1, known.size // SAMPLES)]
+    known = sampled(np.isfinite(grid.z) & ~grid.out, SAMPLES)
     i, j = np.divmod(known, grid.z.shape[1])
     q = i * frame.qi + j * frame.qj - frame.q0
     whole = np.floor(q)

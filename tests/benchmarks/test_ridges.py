@@ -1,6 +1,7 @@
 """Measuring the ridges of a map against finding its period and one FFT, in one run: `make benchmark` prints it."""
 
 import importlib.util
+import resource
 import time
 from pathlib import Path
 
@@ -41,3 +42,14 @@ def test_measuring_a_million_points(direction):
         f"\n1000 × 1000 points, ridges at {direction:g}°: {whole:.3f} s, of which the period {period:.3f} s"
     )
     print(f"one FFT of the map: {fft:.3f} s; ratio {whole / fft:.1f}")
+
+
+def test_processor_time_and_memory_of_sixteen_million_points():
+    surface = truth(direction=12.0, shape=(4000, 4000)).surface(1)
+    measure_ridges(surface)  # compile
+    start = time.process_time()
+    measure_ridges(surface)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    print(
+        f"\n4000 × 4000 points: {time.process_time() - start:.1f} s of processor time; peak {peak / 1e6:.1f} GB"
+    )

@@ -3,10 +3,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.files.load import read_height_map
-from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.heightmap import HeightMap, sampled
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
 from anisoscope.profiles.level import level
 from anisoscope.profiles.period import find_period
@@ -107,3 +108,11 @@ def test_real_surfaces(name, pitch):
     if pitch is not None:
         assert period.pitch_um == pytest.approx(pitch, abs=4.0)
         assert 50.0 < abs(period.direction_deg) < 70.0
+
+
+@pytest.mark.parametrize("most", [7, 1000, 60_000])
+def test_a_sample_is_every_nth_of_the_chosen_points(most):
+    chosen = np.random.default_rng(0).random((3, 100_000)) < 0.7
+    places = np.flatnonzero(chosen)
+    assert_array_equal(sampled(chosen, most), places[:: max(1, places.size // most)])
+    assert sampled(np.zeros((10, 10), dtype=bool), most).size == 0
