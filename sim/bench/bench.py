@@ -5,10 +5,11 @@ file (`SamplePart`), a word for it in ``SamplePart.kind``, and a line in `build_
 level and noise belong to the bench; a sample does not know them.
 """
 
+import hashlib
 import importlib
+import io
 import threading
-from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -18,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.cache import Cache
 from anisoscope.base.errors import HeightMapError, RigFileError, UsageError
 from anisoscope.profiles.defects import burrs
 from anisoscope.profiles.files.load import read_height_map
@@ -252,36 +254,6 @@ def printed(code: CodePart) -> Image:
 Counts = npt.NDArray[np.uint16]
 
 
-class Scenes:
-    """Pictures without noise that benches of one process share: equal parts in equal poses look alike.
-
-    Attributes:
-        most: how many are kept; none by default, and every bench keeps the last one of its own.
-    """
-
-    def __init__(self, most: int = 0) -> None:
-        self.most = most
-        self._kept: OrderedDict[Hashable, FloatArray] = OrderedDict()
-        self._lock = threading.Lock()
-
-    def get(self, key: Hashable, render: Callable[[], FloatArray]) -> FloatArray:
-        """The picture of a key, rendered unless stored; read-only."""
-        with self._lock:
-            found = self._kept.get(key)
-        if found is None:
-            found = render()
-            found.flags.writeable = False
-        with self._lock:
-            self._kept[key] = found
-            self._kept.move_to_end(key)
-            while len(self._kept) > self.most:
-                self._kept.popitem(last=False)
-        return found
-
-
-SCENES = Scenes()
-
-
 class Bench:
     """A virtual rig built from a bench file.
 
@@ -311,7 +283,7 @@ class Bench:
         self._sample_rng = sample_rng
         self._sample: Sample | None = None
         self._mosaic = Mosaic(file.sensor, file.vision().strengths())
-        self._scene: tuple[tuple[float, float], FloatArray] | None = None
+        self._scene: tuple[tuple[float, float], Image] | None = None
         self._lock = threading.Lock()
 
     @property
@@ -356,28 +328,27 @@ class Bench:
             signal = np.zeros((self.file.sensor.rows, self.file.sensor.cols))
             lamp = 0.0 if optics.lens_cap else self.lamp.brightness()
             if lamp > 0.0:
-                per_second = self._radiance_on_sensor() * (lamp * optics.electrons)
+                per_second = self._radiance_on_sensor() * np.float64(lamp * optics.electrons)
                 if self.file.sensor.auto_exposure == "on":
                     exposure_s = self.sensor.automatic_exposure_s(per_second)
                 signal = per_second * exposure_s
             return self.sensor.expose(signal, exposure_s, gain)
 
-    def _radiance_on_sensor(self) -> FloatArray:
+    def _radiance_on_sensor(self) -> Image:
         pose = self.sample_angle_deg, self.tilt_deg
         if self._scene is None or self._scene[0] != pose:
-            found = (
-                SCENES.get((self._scene_key(), pose), lambda: self._render(*pose)) if SCENES.most else None
-            )
-            self._scene = (pose, self._render(*pose) if found is None else found)
+            turning = any(axis is not None and axis.busy() for axis in (self.axis, self.tilt_axis))
+            # what a live view shows on the way is of no use to another process
+            self._scene = pose, self._render(*pose) if turning else self._cached_scene(pose)
         return self._scene[1]
 
-    def _scene_key(self) -> Hashable:
-        """All but the pose that a picture without noise depends on."""
-        sample = self.file.sample.file
-        changed = None if sample is None else Path(sample).stat().st_mtime_ns
-        return self.file.model_dump_json(exclude={"stage", "tilt"}), changed
+    def _cached_scene(self, pose: tuple[float, float]) -> Image:
+        """The scene of a pose, from the cache of all processes."""
+        table = self.file.model_dump(mode="json", exclude={"stage", "tilt"})
+        entry = Cache().entry("scenes", {"bench": _with_content(table), "pose": pose}, __name__)
+        return entry.result(lambda: self._render(*pose), _packed, _unpacked)
 
-    def _render(self, angle_deg: float, tilt_deg: float) -> FloatArray:
+    def _render(self, angle_deg: float, tilt_deg: float) -> Image:
         file = self.file
         convention = Convention(light_angle_deg=file.geometry.light_angle_deg)
         to_light, to_camera = directions((Pose(angle_deg, tilt_deg),), convention)
@@ -393,7 +364,8 @@ class Bench:
                 if (code := file.sample.code) is not None:
                     around += image_of_code(code, file.optics, file.sensor, angle_deg, tilt_deg, PLATE)
                 image = image + (1.0 - cover) * around / np.pi * cos_light
-        return np.asarray((image + file.optics.stray_radiance) * shade * self._mosaic.passed)
+        scene = (image + file.optics.stray_radiance) * shade * self._mosaic.passed
+        return np.asarray(scene, dtype=np.float32)
 
     def _image_of_sample(
         self, angle_deg: float, tilt_deg: float, to_light: FloatArray, to_camera: FloatArray
@@ -411,6 +383,25 @@ class Bench:
             for channel in sample.radiance((to_light @ seat)[0], (to_camera @ seat)[0])
         ]
         return np.stack([image for image, _ in shown]), shown[0][1]
+
+
+def _with_content(value: object) -> object:
+    """A table with the hash of the content of a file in place of its path."""
+    if isinstance(value, dict):
+        return {name: _with_content(one) for name, one in value.items()}
+    if isinstance(value, str) and Path(value).is_file():
+        return hashlib.sha256(Path(value).read_bytes()).hexdigest()
+    return value
+
+
+def _packed(scene: Image) -> bytes:
+    buffer = io.BytesIO()
+    np.save(buffer, scene)
+    return buffer.getvalue()
+
+
+def _unpacked(content: bytes) -> Image:
+    return np.asarray(np.load(io.BytesIO(content)))
 
 
 @lru_cache(maxsize=4)

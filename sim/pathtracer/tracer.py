@@ -516,6 +516,8 @@ Image = npt.NDArray[np.float32]
 
 BIN_UM = 4.0
 _BATCHES = 16
+EQUAL_ROWS = 48
+"""Rows whose random points are drawn where all rows of a map are equal; the others repeat them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -581,6 +583,10 @@ class PathTracer:
         height = self.surface.height_um
         return bool(np.std(np.nanmean(height, axis=0)) >= np.std(np.nanmean(height, axis=1)))
 
+    @cached_property
+    def _rows_are_equal(self) -> bool:
+        return bool(np.all(self._z == self._z[:1]))
+
     @property
     def _period(self) -> int:
         """Columns after which the surface repeats, 0 if it does not repeat on the grid."""
@@ -610,11 +616,14 @@ class PathTracer:
         rows, cols = self.surface.shape
         out = np.empty((rows - 1, cols - 1), dtype=np.float32)
         given = self._given(to_light, to_camera)
+        rendered = min(rows - 1, EQUAL_ROWS) if self._rows_are_equal and self._near == 0.0 else rows - 1
 
         def render(band: tuple[int, int]) -> None:
             direct(*given, self._near, self.seed, *band, out)
 
-        _in_threads(render, _runs(rows - 1, 4 * _threads()))
+        _in_threads(render, _runs(rendered, 4 * _threads()))
+        for first in range(rendered, rows - 1, rendered):
+            out[first : first + rendered] = out[: min(rendered, rows - 1 - first)]
         return out
 
     def indirect(self, to_light: FloatArray, to_camera: FloatArray) -> Indirect:

@@ -24,7 +24,7 @@ from anisoscope.kinds.ridges.recipe import RidgeRecipe
 from anisoscope.record.schema import read_record
 from anisoscope.report.inspection_page import REPORT_NAME, Sections
 from anisoscope.rig.frame import Frame
-from anisoscope.sim.bench.bench import SCENES, Bench, shared_bench
+from anisoscope.sim.bench.bench import Bench, shared_bench
 from anisoscope.sim.bench.camera import SimulatedCamera
 
 SPEC = importlib.util.spec_from_file_location("forkserver", Path(__file__).with_name("forkserver.py"))
@@ -226,14 +226,6 @@ def small_wafer_rig() -> Callable[[dict], dict]:
         return table
 
     return small
-
-
-@pytest.fixture(scope="session", autouse=True)
-def pictures_without_noise():
-    """Equal parts in equal poses are rendered once; half of all inspections here are of one and the same part."""
-    SCENES.most = 40
-    yield
-    SCENES.most = 0
 
 
 @pytest.fixture(scope="session")

@@ -10,7 +10,8 @@ from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign, ridges
 from anisoscope.rig.lights.serial import SerialLight
 from anisoscope.rig.stages.elliptec import Elliptec
-from anisoscope.sim.bench.bench import shared_bench
+from anisoscope.sim.bench.bench import Bench, shared_bench
+from anisoscope.sim.bench.benchfile import read_bench
 from anisoscope.sim.bench.camera import open_camera, open_light
 
 EXPOSURE_S = 0.008
@@ -42,6 +43,41 @@ def open_stage(bench_path):
     yield open_
     for stage in opened:
         stage.close()
+
+
+@pytest.fixture
+def scenes(monkeypatch, tmp_path):
+    """``scenes()`` counts the scenes in a cache of the test's own."""
+    monkeypatch.setenv("ANISOSCOPE_CACHE", str(tmp_path / "cache"))
+    return lambda: len(list((tmp_path / "cache" / "scenes").glob("*.entry")))
+
+
+def test_a_scene_is_rendered_once_for_all_benches_of_one_file(bench_path, scenes):
+    """The second bench takes it from the cache; it has no renderer that it could call."""
+    first, again = (Bench(read_bench(bench_path())) for _ in range(2))
+    for bench in (first, again):
+        bench.light_on = True
+    again._image_of_sample = None  # it must not be called
+    assert np.array_equal(photograph(first), photograph(again))
+    assert scenes() == 1
+
+
+def test_a_scene_is_that_of_the_content_of_the_height_map(bench_path, scenes, tmp_path):
+    surface = tmp_path / "map.npz"
+    for angle in (10.0, 12.0):
+        write_height_map(ridges(RidgeDesign(100.0, angle), (101, 401), (2.0, 1.0)), surface)
+        bench = Bench(read_bench(bench_path(sample={"kind": "height-map", "file": str(surface)})))
+        bench.light_on = True
+        photograph(bench)
+    assert scenes() == 2
+
+
+def test_what_is_seen_while_the_stage_turns_is_not_cached(bench_path, scenes):
+    bench = Bench(read_bench(bench_path(stage={"time_scale": 1e6})))
+    bench.light_on = True
+    bench.axis.start_move(90.0)
+    photograph(bench)
+    assert scenes() == 0
 
 
 @pytest.mark.parametrize("turns", ["ccw", "cw"])

@@ -44,7 +44,7 @@ def test_read_noise_is_what_remains_in_the_dark(noise):
 
 @pytest.mark.parametrize("level", [0.4, 20.0, 0.9 * MANY, 1.1 * MANY])
 def test_light_arrives_as_poisson_says(level):
-    """Shares of pixels up to three standard deviations about the mean; above MANY the normal distribution may show."""
+    """Shares of pixels up to three standard deviations about the mean."""
     device = sensor(
         prnu=0.0, dsnu_e=0.0, dark_current_e_s=0.0, read_noise_e=0.0, gain_e_per_dn=1.0, bit_depth=16
     )
@@ -55,6 +55,8 @@ def test_light_arrives_as_poisson_says(level):
     assert np.all(np.abs(shares - expected) <= 4.5 * noise + (0.004 if level > MANY else 0.0))
     assert np.mean(found) == pytest.approx(level, abs=4.5 * np.sqrt(level / found.size))
     assert np.var(found) == pytest.approx(level + (QUANTISATION if level > MANY else 0.0), rel=0.015)
+    centred = found - np.mean(found)
+    assert np.mean(centred**3) == pytest.approx(level, abs=4.5 * np.sqrt(15.0 * level**3 / found.size) + 0.5)
 
 
 def test_bright_and_dark_pixels_of_one_frame_have_their_own_noise():

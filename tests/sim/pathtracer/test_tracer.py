@@ -8,7 +8,7 @@ from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import Convention, directions, pose_grid
 from anisoscope.sim.light.material import Material
 from anisoscope.sim.pathtracer.plastic import LOBES, Plastic, brdf
-from anisoscope.sim.pathtracer.tracer import PathTracer
+from anisoscope.sim.pathtracer.tracer import EQUAL_ROWS, PathTracer
 
 POSES = pose_grid((0.0, 90.0, 180.0), (0.0, -10.0, 10.0))
 TO_LIGHT, TO_CAMERA = directions(POSES, Convention(10.0))
@@ -172,6 +172,22 @@ def test_equal_seeds_make_equal_pictures():
     )
     assert np.array_equal(first, again)
     assert not np.array_equal(first, other)
+
+
+def test_equal_rows_are_rendered_once_and_repeated():
+    """Alike all along, so the mean over rows is the same as where every row is rendered."""
+    surface = sharp(rows=200)
+    unequal = surface.with_height(surface.height_um + 1e-9 * (np.arange(200)[:, None] == 7))
+    once, each = (
+        PathTracer(made, Plastic(0.06, 0.1, 0.2), pitch_um=100.0, reflections=1).radiance(
+            TO_LIGHT[2], TO_CAMERA[2]
+        )
+        for made in (surface, unequal)
+    )
+    assert np.array_equal(once[EQUAL_ROWS : 2 * EQUAL_ROWS], once[:EQUAL_ROWS])
+    assert np.array_equal(once[:7], each[:7])
+    assert once.shape == each.shape
+    assert once.mean(dtype=float) == pytest.approx(each.mean(dtype=float), rel=2e-3)
 
 
 def test_unknown_heights_stay_unknown():
