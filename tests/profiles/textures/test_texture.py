@@ -36,6 +36,17 @@ def test_heights_of_a_sinusoid(gaps):
     assert found.sp_um == pytest.approx(2.0, rel=tolerance)
 
 
+@pytest.mark.parametrize("share", [0.2, 0.5, -0.8])
+def test_skewness_and_kurtosis_of_two_harmonics(share):
+    """cos u + b cos 2u: mean square (1 + b²)/2, mean cube 3b/4, mean fourth power 3/8 + 3b²/2 + 3b⁴/8."""
+    u = 2 * np.pi * np.arange(600) / 200
+    z = np.broadcast_to(np.cos(u) + share * np.cos(2 * u), (5, 600))
+    found, square = heights(HeightMap(z, 1.0, 1.0)), 0.5 * (1 + share**2)
+    assert found.sq_um == pytest.approx(np.sqrt(square))
+    assert found.ssk == pytest.approx(0.75 * share / square**1.5)
+    assert found.sku == pytest.approx((0.375 + 1.5 * share**2 + 0.375 * share**4) / square**2)
+
+
 def test_heights_of_gaussian_noise_with_a_tail():
     z = np.random.default_rng(1).standard_normal((500, 500))
     assert heights(HeightMap(z, 1.0, 1.0)).sku == pytest.approx(3.0, abs=0.03)
