@@ -226,7 +226,12 @@ class _Scene:
         self.cell_deviation = None if recipe.area is None else recipe.area.cell_deviation
         self.design = None if recipe.surface.design is None else recipe.surface.ridge_design()
         self.turning = recipe_uncertainty(recipe).ridge_angle_deg > 0.0
-        self.surface = _measured(recipe) if self.design is None else _ideal(self.design)
+        self.relief = (
+            _measured(recipe)
+            if self.design is None
+            else Relief(_ideal(self.design), self.pitch_um, max_missing_share=1.0)
+        )
+        self.surface = self.relief.surface
         self.profile = None if self.design is None else _profile(self.design)
         self.groove, self._followed = self._reflections(recipe.surface.bounces)
         sides = directions(self.poses, Convention(light_angle_deg, facet_azimuth_deg=self.azimuth_deg))
@@ -238,7 +243,7 @@ class _Scene:
         """The groove of the good surface, or paths on it where there is none."""
         if self.design is not None:
             return groove_of_design(self.design, bounces), None
-        found = reflections_of_map(Relief(self.surface, self.pitch_um, max_missing_share=1.0), bounces)
+        found = reflections_of_map(self.relief, bounces)
         return (None, found) if isinstance(found, Followed) else (found, None)
 
     def groove_with(self, cause: Cause, extent: float) -> Groove | None:
@@ -288,7 +293,7 @@ class _Scene:
 
     def _band(self, surface: HeightMap) -> Model:
         """Predictor of the band of a surface that sensitivities need."""
-        return relief_model(best_band(Relief(surface, self.pitch_um, max_missing_share=1.0)))
+        return relief_model(best_band(replace(self.relief, surface=surface)))
 
     def tangents(self, cause: Cause, extents: Sequence[float]) -> Tangents | None:
         """Response to the inputs along a cause; None where they cannot be varied on the good part."""
@@ -329,7 +334,7 @@ class _Scene:
         self, surface: HeightMap, state: State, groove: Groove | None, *, with_map: bool
     ) -> tuple[FloatArray, float]:
         """(P,) radiances, and the share of deviating cells (NaN without map)."""
-        relief = Relief(surface, self.pitch_um, max_missing_share=1.0)
+        relief = replace(self.relief, surface=surface)
         convention = Convention(state.light_angle_deg, facet_azimuth_deg=self.azimuth_deg)
         if not with_map or self.cell_deviation is None:
             model = fixed(self._with_reflections(relief_model(relief), groove))
@@ -386,11 +391,11 @@ def _ideal(design: RidgeDesign) -> HeightMap:
     return ridges(design, shape, (pitch / POINTS_ALONG, pitch / POINTS_ACROSS))
 
 
-def _measured(recipe: SurfaceRecipe) -> HeightMap:
+def _measured(recipe: SurfaceRecipe) -> Relief:
     assert recipe.surface.height_map is not None
     measured = read_height_map(
         recipe.surface.height_map, pixel_um=recipe.surface.pixel_um, role=recipe.surface.role
     )
     relief, _ = prepare_relief(measured, recipe.surface.pitch_um)
-    height = relief.surface.height_um
-    return relief.surface.with_height(height[:MAX_ROWS, :MAX_COLS])
+    cut = relief.surface.with_height(relief.surface.height_um[:MAX_ROWS, :MAX_COLS])
+    return replace(relief, surface=cut, max_missing_share=1.0)

@@ -103,8 +103,11 @@ def render(
     convention: Convention,
     pixel_um: float,
     pitch_um: float | None = None,
+    turn_deg: float = 0.0,
 ) -> list[Image]:
     """Render the height map in each pose on square pixels, the first row farthest along the ridges.
+
+    Of a map on which the ridges run askew, the largest rectangle about its middle with sides along and across them.
 
     Args:
         surface: the height map.
@@ -113,25 +116,32 @@ def render(
         convention: how the angles are counted.
         pixel_um: size of the pixels.
         pitch_um: after which the surface repeats.
+        turn_deg: azimuth on the map of the direction across the ridges.
 
     Returns:
         P pictures, centred on the map.
     """
     to_light, to_camera = directions(tuple(poses), convention)
-    rows, cols = (
-        max(1, int((size - 1) * pixel / pixel_um))
-        for size, pixel in zip(surface.shape, surface_pixels(surface), strict=True)
+    cos, sin = float(np.cos(np.radians(turn_deg))), float(np.sin(np.radians(turn_deg)))
+    sides = [(size - 1) * pixel for size, pixel in zip(surface.shape, surface_pixels(surface), strict=True)]
+    inside = min(
+        one / (one * abs(cos) + other * abs(sin)) for one, other in (tuple(sides), tuple(reversed(sides)))
     )
+    rows, cols = (max(1, int(inside * side / pixel_um + 1e-9)) for side in sides)
+    repeat = None if pitch_um is None else pitch_um / cos
+    relief = Relief(surface, repeat, direction_deg=turn_deg, turn_deg=turn_deg)
     found = []
-    for radiance in radiance_maps(Relief(surface, pitch_um), to_light, to_camera, material):
+    for radiance in radiance_maps(relief, to_light, to_camera, material):
         filled = np.nan_to_num(radiance, nan=float(np.nanmean(radiance)))
         steps = (pixel_um / surface.pixel_x_um, pixel_um / surface.pixel_y_um)
         calm = cv2.GaussianBlur(
             filled, (0, 0), sigmaX=max(0.29 * steps[0], 1e-3), sigmaY=max(0.29 * steps[1], 1e-3)
         )
         column, row = np.meshgrid(np.arange(cols) - (cols - 1) / 2.0, np.arange(rows) - (rows - 1) / 2.0)
-        at_column = column * steps[0] + (filled.shape[1] - 1) / 2.0
-        at_row = (filled.shape[0] - 1) / 2.0 - row * steps[1]  # rows of a map rise with +y
+        at_column = (cos * column + sin * row) * steps[0] + (filled.shape[1] - 1) / 2.0
+        at_row = (filled.shape[0] - 1) / 2.0 + (sin * column - cos * row) * steps[
+            1
+        ]  # rows of a map rise with +y
         measured = cv2.remap(calm, at_column.astype(np.float32), at_row.astype(np.float32), cv2.INTER_LINEAR)
         found.append(np.asarray(measured, dtype=np.float32))
     return found
@@ -284,6 +294,7 @@ def _matched(
         expected.convention,
         pixel_um * factor,
         pitch_um,
+        expected.turn_deg,
     )
     place = place_rendered(pictures, rendered, pixel_um * factor, pitch_um)
     record = MapPlaceRecord(

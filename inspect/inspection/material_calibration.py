@@ -42,6 +42,7 @@ from anisoscope.kinds.registry import kind_of
 from anisoscope.prediction.expectation import Expectation
 from anisoscope.prediction.height_map_uncertainty import best_band, relief_model
 from anisoscope.prediction.recipe_models import read_surface
+from anisoscope.prediction.reflections import fitted_groove
 from anisoscope.prediction.relief_preparation import prepare_relief
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.recipe.material_file import (
@@ -191,10 +192,7 @@ def _part(recipe: SurfaceRecipe, optics: Optics) -> Specimen:
     surface = read_surface(recipe)
     relief, _ = prepare_relief(surface, recipe.surface.pitch_um)
     rays = relief_model(best_band(relief), optics)
-    slope = -np.diff(relief.surface.height_um, axis=1) / relief.surface.pixel_x_um
-    falling = slope[np.isfinite(slope) & (slope > 0.0)]
-    angle = float(np.degrees(np.arctan(np.median(falling)))) if falling.size else 0.0
-    groove = RidgeDesign(recipe.surface.pitch_um, min(angle, 44.0))
+    groove = replace(fitted_groove(relief).design, pitch_um=recipe.surface.pitch_um)
 
     def direct(
         to_light: FloatArray, to_camera: FloatArray, _design: RidgeDesign, material: Material

@@ -94,6 +94,7 @@ def packed(found: Expectation) -> bytes:
         "sources": None if found.response is None else found.response.sources,
         "origin": None if found.surface is None else found.surface.origin,
         "optics": found.optics,
+        "turn_deg": found.turn_deg,
     }
     arrays = {
         "header": np.frombuffer(json.dumps(header).encode(), dtype=np.uint8),
@@ -137,4 +138,5 @@ def _unpacked(
             response,
             header["optics"],
             optics.states(recipe, light_angle_deg),
+            header["turn_deg"],
         )

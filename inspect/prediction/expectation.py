@@ -80,6 +80,7 @@ class Expectation:
         response: second-order response of ln L to the inputs shared by all poses, or None where unknown.
         optics: rays or waves, and why (`anisoscope.prediction.recipe_models.Models.optics`).
         states: ln L in any state of the uncertain inputs, where the model itself is evaluated; else None.
+        turn_deg: azimuth on ``surface`` of the sample frame's x axis.
     """
 
     model: str
@@ -92,6 +93,7 @@ class Expectation:
     response: Response | None = None
     optics: dict[str, Any] | None = None
     states: States | None = None
+    turn_deg: float = 0.0
 
     @property
     def outside_states(self) -> tuple[Component, ...]:
@@ -251,6 +253,7 @@ def expectation(
         response,
         models.optics,
         optics.states(recipe, light_angle_deg),
+        models.turn_deg,
     )
 
 

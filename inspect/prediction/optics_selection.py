@@ -316,6 +316,11 @@ def _of_map(
 ) -> Model:
     wave_surface(surface)  # missing points are refused before levelling
     relief, _ = prepare_relief(surface, pitch_um, levelling)
+    if relief.turn_deg != 0.0 and rig.material.alpha_along != rig.material.alpha_across:
+        raise HeightMapError(
+            f"waves on ridges that run {relief.turn_deg:+.1f}° from the axes of the map's grid need a lobe as wide "
+            "along as across: turn the map by `profile edit`, or take the geometric model"
+        )
     level = relief.surface
     if relief.pitch_um is not None:
         width = int(level.shape[1] * level.pixel_x_um / relief.pitch_um) * relief.pitch_um
@@ -325,7 +330,15 @@ def _of_map(
     halves = _halves(rig)
     sampling_of(heights, request.light.shortest_um, max(half.z for half in halves)).check()
     fine = fine_enough(heights, _window(rig), request.light, halves)
-    return WavePredictor(fine, relief_model(relief, rig.optics), rig.optics, request.light)
+    on_grid = relief_model(replace(relief, turn_deg=0.0), rig.optics)
+    predictor = WavePredictor(fine, on_grid, rig.optics, request.light)
+    if relief.turn_deg == 0.0:
+        return predictor
+
+    def placed(to_light: FloatArray, to_camera: FloatArray, material: Material) -> FloatArray:
+        return predictor(relief.on_map(to_light), relief.on_map(to_camera), material)
+
+    return placed
 
 
 def fine_enough(

@@ -28,7 +28,7 @@ from anisoscope.prediction.reflections import (
     reflections_of_map,
     sampled_with,
 )
-from anisoscope.prediction.relief_preparation import AXIS_TOLERANCE_DEG, prepare_relief
+from anisoscope.prediction.relief_preparation import prepare_relief
 from anisoscope.prediction.sensitivity import Model, Shape, Surface, fixed
 from anisoscope.profiles.files.load import read_height_map
 from anisoscope.profiles.heightmap import HeightMap
@@ -55,6 +55,7 @@ class Models:
         neglected_per_sr: error of rays where waves apply, in 1/sr; None where rays are adequate.
         numerical: relative error of the waves; 0 of rays.
         indirect: the part of the predictor that reflects twice and more, always by rays; None for direct light alone.
+        turn_deg: azimuth on ``surface`` of the sample frame's x axis.
     """
 
     model: Model
@@ -65,6 +66,7 @@ class Models:
     neglected_per_sr: float | None = None
     numerical: float = 0.0
     indirect: Model | None = None
+    turn_deg: float = 0.0
 
 
 def models_of(recipe: SurfaceRecipe, poses: tuple[Pose, ...], convention: Convention) -> Models:
@@ -91,21 +93,15 @@ def models_of(recipe: SurfaceRecipe, poses: tuple[Pose, ...], convention: Conven
         return with_reflections(direct, groove_of_design(design, recipe.surface.bounces), rig)
     surface = read_surface(recipe)
 
+    relief, _ = prepare_relief(surface, recipe.surface.pitch_um)
+
     def by_rays() -> tuple[Model, Surface, HeightMap | None, str]:
-        relief, period = prepare_relief(surface, recipe.surface.pitch_um)
-        if abs(period.direction_deg) > AXIS_TOLERANCE_DEG:
-            raise HeightMapError(
-                f"{recipe.surface.height_map}: the ridges run {period.direction_deg:+.1f}° from the map's y axis "
-                f"(limit {AXIS_TOLERANCE_DEG:g}°): turn the part on the profilometer and measure again, or turn the "
-                "map there"
-            )
         sampled = fixed(relief_model(best_band(relief), rig.optics))
         return relief_model(relief, rig.optics), sampled, relief.surface, "relief"
 
-    direct = _chosen(recipe, surface, rig, by_rays)
+    direct = replace(_chosen(recipe, surface, rig, by_rays), turn_deg=relief.turn_deg)
     if recipe.surface.bounces == 1:
         return direct
-    relief, _ = prepare_relief(surface, recipe.surface.pitch_um)
     return with_reflections(direct, reflections_of_map(relief, recipe.surface.bounces), rig)
 
 

@@ -16,7 +16,6 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
 from anisoscope.base.progress import Advance, silent
-from anisoscope.prediction.relief_preparation import AXIS_TOLERANCE_DEG
 from anisoscope.prediction.sensitivity import ALPHA_RANGE, DARK, Contribution, Model, Shape, Surface
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.profiles.metrology.ridgemeasurement import RidgeMeasurement
@@ -123,25 +122,24 @@ def fitted_groove(relief: Relief, bounces: int | None = None) -> Groove:
         bounces: largest number of reflections; None follows all.
 
     Raises:
-        HeightMapError: no ridges that run along y and have straight facets.
+        HeightMapError: no ridges with straight facets.
     """
     measured = _measured(relief)
     steepest, resolved, angle, lean = None, (0.0, 0.0), None, 0.0
     if measured is not None:
-        angle, lean = measured.ridge_angle_deg.value, measured.lean_deg
+        angle, lean = measured.ridge_angle_deg.value, measured.lean_deg - relief.turn_deg
         steepest = measured.wall_angle_deg.value or measured.wall_angle_deg.at_least
         resolved = measured.alpha_along.value or 0.0, measured.alpha_across.value or 0.0
     if angle is None:
         angle, lean = _median_facet(relief)
-    aside = abs((lean + 90.0) % 180.0 - 90.0)
-    if aside > AXIS_TOLERANCE_DEG or not LEAST_ANGLE_DEG <= angle <= LARGEST_ANGLE_DEG:
+    if not LEAST_ANGLE_DEG <= angle <= LARGEST_ANGLE_DEG:
         raise HeightMapError(
-            f"no groove can be fitted: facets of {angle:.2f}° that lean toward {lean:.1f}°; facets of "
-            f"{LEAST_ANGLE_DEG:g}° to {LARGEST_ANGLE_DEG:g}° across the map's y axis are needed"
+            f"no groove can be fitted: facets of {angle:.2f}°, between {LEAST_ANGLE_DEG:g}° and "
+            f"{LARGEST_ANGLE_DEG:g}° are needed"
         )
     upright = steepest is not None and steepest > 90.0 - angle + WALL_MARGIN_DEG
     design = RidgeDesign(UNIT_PITCH_UM, float(angle), "vertical" if upright else "perpendicular")
-    return Groove(design, bounces, 0.0 if abs(lean) < 90.0 else 180.0, resolved)
+    return Groove(design, bounces, 0.0 if np.cos(np.radians(lean)) > 0.0 else 180.0, resolved)
 
 
 def _measured(relief: Relief) -> RidgeMeasurement | None:

@@ -28,7 +28,7 @@ from anisoscope.sim.light.census import (
 )
 from anisoscope.sim.light.horizon import Horizon
 from anisoscope.sim.light.material import Material
-from anisoscope.sim.light.shine import Shine, shine_in
+from anisoscope.sim.light.shine import Shine, shine_in, turn_of
 
 ShareArray = npt.NDArray[np.float32]
 
@@ -47,8 +47,9 @@ class Relief:
         facets: "symmetric": four points form one facet with the symmetric gradients; facets that straddle an edge
             across x are split. "diagonal": each cell is two triangles, split along the diagonal from (row, col) to
             (row + 1, col + 1); "antidiagonal": along the other. A mesh of these triangles is the same surface.
-        direction_deg: direction of the ridges, counter-clockwise from +y: the lobe's frame on the map. Directions to
-            light and camera are those of the map, whatever the direction of the ridges.
+        direction_deg: direction of the ridges, counter-clockwise from +y: the lobe's frame on the map.
+        turn_deg: azimuth on the map of the sample frame's x axis, in which directions to light and camera are given.
+            0: they are those of the map, whatever the direction of the ridges.
 
     Raises:
         ModelError: no such kind of facets.
@@ -60,6 +61,7 @@ class Relief:
     max_missing_share: float = MAX_MISSING_SHARE
     facets: Facets = "symmetric"
     direction_deg: float = 0.0
+    turn_deg: float = 0.0
 
     def __post_init__(self) -> None:
         if self.facets not in FACETS:
@@ -88,6 +90,14 @@ class Relief:
         known = np.isfinite(self.surface.height_um)
         whole = known[:-1, :-1] & known[1:, :-1] & known[:-1, 1:] & known[1:, 1:]
         return float(1.0 - whole.mean())
+
+    def on_map(self, directions: FloatArray) -> FloatArray:
+        """(P, 3) directions in the sample frame, on the axes of the map."""
+        if self.turn_deg == 0.0:
+            return directions
+        cos, sin = turn_of(self.turn_deg)
+        x, y, z = np.asarray(directions).T
+        return np.stack([cos * x - sin * y, sin * x + cos * y, z], axis=-1)
 
     @property
     def pixels_um(self) -> tuple[float, float]:
@@ -175,7 +185,10 @@ def radiance_maps(
     """
     return shine_maps(
         relief,
-        (shine_in(*pose, material, relief.direction_deg) for pose in zip(to_light, to_camera, strict=True)),
+        (
+            shine_in(*pose, material, relief.direction_deg)
+            for pose in zip(relief.on_map(to_light), relief.on_map(to_camera), strict=True)
+        ),
     )
 
 
@@ -247,4 +260,5 @@ def radiance(
             progress("predicting poses", done, len(to_light))
         return value
 
-    return np.array(threads.each(predict, zip(to_light, to_camera, strict=True)))
+    sides = relief.on_map(to_light), relief.on_map(to_camera)
+    return np.array(threads.each(predict, zip(*sides, strict=True)))

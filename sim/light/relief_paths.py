@@ -139,6 +139,7 @@ def interreflection(
     """
     to_light, to_camera = np.asarray(to_light, dtype=np.float64), np.asarray(to_camera, dtype=np.float64)
     _check(to_light, to_camera, bounces, paths)
+    to_light, to_camera = relief.on_map(to_light), relief.on_map(to_camera)
     poses = len(to_light)
     if bounces == 1 or poses == 0:
         return Indirect(np.zeros(poses), np.zeros(poses))

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from anisoscope.base.arrays import FloatArray
 from anisoscope.sim.light.material import Material
 from anisoscope.sim.light.relief import Relief
+from anisoscope.sim.light.shine import turn_of
 
 SMOOTHEST = 0.001  # the smallest roughness that a material can have
 _CLIP = 3.0
@@ -25,8 +26,8 @@ class Resolved:
     """Roughness that a map shows.
 
     Attributes:
-        along: Beckmann α of the facets' slopes along y, √2 · standard deviation.
-        across: the same along x, within the most frequent facet.
+        along: Beckmann α of the facets' slopes along the ridges, √2 · standard deviation.
+        across: the same across them, within the most frequent facet.
         bandwidth_um: shortest wavelengths that the map can show along x and y: two pixels.
     """
 
@@ -61,9 +62,14 @@ def resolve(relief: Relief, height_noise_um: float = 0.0) -> Resolved:
     step_x, step_y = np.diff(z, axis=1), np.diff(z, axis=0)
     slopes_x = 0.5 * (step_x[1:] + step_x[:-1]) / px
     slopes_y = 0.5 * (step_y[:, 1:] + step_y[:, :-1]) / py
+    noise_x, noise_y = height_noise_um / px, height_noise_um / py
+    if relief.direction_deg != 0.0:
+        cos, sin = turn_of(relief.direction_deg)
+        slopes_x, slopes_y = cos * slopes_x + sin * slopes_y, cos * slopes_y - sin * slopes_x
+        noise_x, noise_y = np.hypot(cos * noise_x, sin * noise_y), np.hypot(cos * noise_y, sin * noise_x)
     inside = _main_mode(slopes_x)
-    across = _alpha(slopes_x[inside], height_noise_um / px)
-    along = _alpha(slopes_y[inside], height_noise_um / py)
+    across = _alpha(slopes_x[inside], float(noise_x))
+    along = _alpha(slopes_y[inside], float(noise_y))
     return Resolved(along, across, (2.0 * px, 2.0 * py))
 
 

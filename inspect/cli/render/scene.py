@@ -278,13 +278,15 @@ class SurfaceOptions:
             )
         if height_map is None:
             surface, name = self._design()
-            relief, _ = prepare_relief(surface, 100.0 if self.pitch is None else self.pitch, "none")
+            relief, _ = prepare_relief(
+                surface, 100.0 if self.pitch is None else self.pitch, "none", placed=False
+            )
         else:
             from anisoscope.cli.profile.profile import parse_pixel
             from anisoscope.profiles.files.load import read_height_map
 
             surface, name = read_height_map(height_map, pixel_um=parse_pixel(self.pixel)), height_map.name
-            relief, _ = prepare_relief(surface, self.pitch, self.level)
+            relief, _ = prepare_relief(surface, self.pitch, self.level, placed=False)
         cut, note = _cut(relief.surface, self.region)
         if note:
             width = (cut.shape[1] - 1) * cut.pixel_x_um

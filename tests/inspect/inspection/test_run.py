@@ -192,7 +192,10 @@ def test_a_part_that_lies_turned_in_the_fixture_passes_where_the_recipe_says_so(
     virtual_rig, undiagnosed, tmp_path, azimuth
 ):
     write_height_map(lying(azimuth), tmp_path / "part.x3p")
-    lobe = {"alpha_along": 0.08, "alpha_across": 0.08}  # a map's roughness is counted along its own axes
+    lobe = {
+        "alpha_along": 0.08,
+        "alpha_across": 0.08,
+    }  # the bench counts a map's roughness along the map's axes
     sample = {"kind": "height-map", "file": str(tmp_path / "part.x3p"), "material": lobe}
     region = {"size_mm": [1.0, 0.8]}
     verdicts = {}
@@ -207,10 +210,13 @@ def test_a_part_that_lies_turned_in_the_fixture_passes_where_the_recipe_says_so(
     assert verdicts == {"right": "PASS", "wrong": "INVALID", "opposite": "FAIL"}
 
 
-def test_the_height_map_of_the_part_itself_is_a_match_whichever_way_it_leans(virtual_rig, tmp_path):
+def test_the_height_map_of_the_part_itself_is_a_match_whichever_way_it_was_measured(virtual_rig, tmp_path):
+    """The part leans toward 180° in the fixture; its map was measured with the part turned by a quarter."""
     write_height_map(lying(180), tmp_path / "part.x3p")
+    write_height_map(lying(270), tmp_path / "measured.x3p")
     sample = {"kind": "height-map", "file": str(tmp_path / "part.x3p")}
-    rig = virtual_rig(recipe=from_map(tmp_path / "part.x3p"), bench={"sample": sample})
+    recipe = from_map(tmp_path / "measured.x3p") | {"poses": {"facet_azimuth_deg": 180.0}}
+    rig = virtual_rig(recipe=recipe, bench={"sample": sample})
     assert rig.inspect().record.verdict == "PASS"
 
 

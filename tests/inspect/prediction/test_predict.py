@@ -6,6 +6,7 @@ from anisoscope.prediction.predict import predict_design, predict_height_map
 from anisoscope.prediction.sensitivity import InputUncertainty
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign, ridges
+from anisoscope.profiles.patterns import GrooveDesign, turned_ridges, v_grooves
 from anisoscope.sim.light.geometry import Convention, pose_grid
 from anisoscope.sim.light.material import Material
 
@@ -23,13 +24,23 @@ def test_design_and_height_map_agree_on_ideal_ridges(angle):
     assert "warning" not in relief.notes
 
 
-def test_a_mirrored_map_is_a_design_turned_by_half():
+@pytest.mark.parametrize("direction", [90.0, 180.0, -90.0])
+def test_quarter_turns_of_a_map_change_nothing(direction):
     design = RidgeDesign(100.0, 10.0)
-    surface = ridges(design, (6, 1601), (1.0, 0.25))
-    mirrored = surface.with_height(surface.height_um[:, ::-1])
-    relief = predict_height_map(mirrored, MATERIAL, POSES, Convention())
-    ideal = predict_design(design, MATERIAL, POSES, Convention(facet_azimuth_deg=180.0))
-    np.testing.assert_allclose(relief.radiance, ideal.radiance, rtol=0.02)
+    turned = turned_ridges(design, (401, 401), 1.0, direction_deg=direction)
+    found = predict_height_map(turned, MATERIAL, POSES, Convention(facet_azimuth_deg=30.0))
+    ideal = predict_design(design, MATERIAL, POSES, Convention(facet_azimuth_deg=30.0))
+    np.testing.assert_allclose(found.radiance, ideal.radiance, rtol=0.002)
+    assert found.notes["facet_azimuth_on_map_deg"] == pytest.approx(direction, abs=0.01)
+
+
+def test_symmetric_ridges_are_placed_by_the_direction_of_their_lines():
+    grooves = GrooveDesign(100.0, 12.0)
+    upright, turned = (v_grooves(grooves, (401, 401), 1.0, direction_deg=d) for d in (0.0, 90.0))
+    found = [
+        predict_height_map(s, MATERIAL, POSES, Convention(), bounces=1).radiance for s in (upright, turned)
+    ]
+    np.testing.assert_allclose(found[1], found[0], rtol=0.01)
 
 
 def test_a_seated_askew_map_is_levelled():

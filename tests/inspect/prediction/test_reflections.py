@@ -17,6 +17,7 @@ from anisoscope.prediction.reflections import (
     fitted_groove,
     reflections_of_map,
 )
+from anisoscope.prediction.relief_preparation import prepare_relief
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
@@ -107,6 +108,8 @@ def test_the_groove_of_a_map_is_that_of_its_ridges(angle, wall, rough):
     np.testing.assert_allclose(found.resolved, rough, atol=0.006)
     mirrored = fitted_groove(Relief(surface.with_height(surface.height_um[:, ::-1]), 100.0))
     assert mirrored.lean_deg == 180.0
+    placed = fitted_groove(prepare_relief(surface.with_height(surface.height_um[:, ::-1]))[0])
+    assert placed.lean_deg == 0.0
 
 
 def test_a_single_ridge_has_a_groove_and_a_rough_plane_has_paths():
