@@ -1,11 +1,12 @@
 """The rig file: which devices stand on the rig, where, and how they are oriented. TOML, schema 1."""
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from anisoscope.base.errors import RigFileError
+from anisoscope.base.errors import RigError, RigFileError
 from anisoscope.base.toml_file import LocalPath, NameOrFile, Part, Positive, read_toml_model
 from anisoscope.rig.camera import CameraInfo
 from anisoscope.rig.fixture import Fixture
@@ -160,6 +161,11 @@ class RigFile(Part):
     fixture: Fixture | None = None
     calibration: CalibrationPart | None = None
 
+    @property
+    def without_devices(self) -> bool:
+        """Whether it describes geometry and calibrations alone, so that nothing can be photographed with it."""
+        return NO_DEVICE in {self.stage.driver, self.camera.driver}
+
     def uncalibrated(self, info: CameraInfo) -> bool:
         """Whether contrasts of its camera are: it is not linear, and no calibration knows how it is bent."""
         return not info.linear and (self.calibration is None or self.calibration.linearity is None)
@@ -173,17 +179,39 @@ class RigFile(Part):
         return self
 
 
+TILT_TOLERANCE_DEG = 0.01
+
+
+def check_arm(rig: RigFile, tilts_deg: Iterable[float]) -> None:
+    """Check that a camera arm without an axis stands at all of these tilts, in degrees.
+
+    Raises:
+        RigError: it does not.
+    """
+    arm_deg = rig.geometry.tilt_deg
+    for tilt_deg in tilts_deg:
+        if rig.tilt is None and abs(tilt_deg - arm_deg) > TILT_TOLERANCE_DEG:
+            raise RigError(
+                f"a tilt of {tilt_deg:g}° was asked for, but the camera arm of '{rig.name}' "
+                f"is fixed at {arm_deg:g}°; ask for that, correct geometry.tilt_deg in the rig file, or "
+                "describe the axis that tilts it under [tilt]"
+            )
+
+
+NO_DEVICE = "replay"
+
+
 class ReplayCameraPart(CameraPart):
     """A camera of which only the size of its pixels matters."""
 
-    driver: str = "replay"
+    driver: str = NO_DEVICE
 
 
 class ReplayRigFile(RigFile):
     """A rig file read for pictures that exist already: geometry is needed, devices are not."""
 
     name: str = "frames from a folder"
-    stage: StagePart = StagePart(driver="replay")
+    stage: StagePart = StagePart(driver=NO_DEVICE)
     camera: ReplayCameraPart
 
 

@@ -211,7 +211,7 @@ def _measure(
             manifest = begin(folder, job, Particulars(), plan=plan, frames=plan.frame_count, rig_folder=here)
             run_plan(plan, rig, folder, on_progress=report_progress)
         advance("measurement", 0, 1)
-        _, measured, _ = measure_frames(manifest, job, expected, read_frames(folder, manifest))
+        _, measured, _ = measure_frames(manifest.began, job, expected, read_frames(folder, manifest))
     content = {
         "rig": job.rig.name,
         "camera": CameraRecord(

@@ -60,6 +60,11 @@ class Manifest(BaseModel):
     inputs: tuple[InputCopy, ...]
     refused: str | None = None
 
+    @property
+    def began(self) -> datetime:
+        """When the inspection began, UTC."""
+        return datetime.fromisoformat(self.created_at)
+
     def input(self, role: Role) -> InputCopy | None:
         """The copy of the file of a role, or None."""
         return next((copy for copy in self.inputs if copy.role == role), None)

@@ -257,7 +257,7 @@ def scan_specimen(
             run_plan(plan, rig, folder, on_progress=report)
         on_progress("measurement", 0, 1)
         expected = _expected(setup)
-        _, measured, _ = measure_frames(manifest, job, expected, read_frames(folder, manifest))
+        _, measured, _ = measure_frames(manifest.began, job, expected, read_frames(folder, manifest))
     return _scan_of(setup, job, measured), serial
 
 

@@ -91,7 +91,7 @@ def judge(
         record = make_record(manifest, job, expected, frames, now(), (manifest.refused,))
         return record, Pictures(surface=expected.surface)
     try:
-        sitting, measured, change = measure_frames(manifest, job, expected, frames)
+        sitting, measured, change = measure_frames(manifest.began, job, expected, frames)
         decided = kind.decide(sitting, recipe, expected, measured, reference)
     except (MeasurementError, CameraError) as error:
         record = make_record(manifest, job, expected, frames, now(), (str(error),))
@@ -118,9 +118,15 @@ def judge(
 
 
 def measure_frames(
-    manifest: Manifest, job: Job, expected: Expected, frames: AcquiredFrames
+    when: datetime, job: Job, expected: Expected, frames: AcquiredFrames
 ) -> tuple[Sitting, Any, float]:
     """Measurement of an inspection's frames, through all quality gates.
+
+    Args:
+        when: the inspection began; calibrations must be valid then.
+        job: its recipe, rig and white reference.
+        expected: the prediction.
+        frames: of the inspection.
 
     Returns:
         The photographs, the measurement, and the change of the first pose on resuming.
@@ -128,7 +134,7 @@ def measure_frames(
     Raises:
         MeasurementError, CameraError: INVALID, with the reason.
     """
-    job.calibrations.check_valid(datetime.fromisoformat(manifest.created_at))
+    job.calibrations.check_valid(when)
     job.kind.check_filters(frames.filters, frames.camera, job.white.filters)
     views = views_of(job.viewing(), expected.poses, frames)
     sitting = Sitting(views, frames, job.calibrations, job.rig)

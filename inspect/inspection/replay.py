@@ -1,18 +1,22 @@
-"""Inspect a folder of frames that exist already, without any device."""
+"""Inspect a folder of frames that exist already, or check a recipe with it, without any device."""
 
 import contextlib
 import shutil
+import tempfile
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
-from anisoscope.base.errors import CalibrationError, RecordError, UsageError
+from anisoscope.base.errors import CalibrationError, CameraError, MeasurementError, RecordError, UsageError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.calibration.white_reference import read_reference, write_reference
 from anisoscope.decision.reference_parts import golden_path
+from anisoscope.imaging.frames import AcquiredFrames, Shot
 from anisoscope.imaging.linearisation import WhiteReference, check_size
 from anisoscope.inspection.folder import INPUTS, new_folder
-from anisoscope.inspection.frame_table import Replay, arrange, camera_of, white_of
+from anisoscope.inspection.frame_table import UNKNOWN, Replay, arrange, camera_of, white_of
 from anisoscope.inspection.frames import REPLAYED
 from anisoscope.inspection.job import (
     Job,
@@ -23,12 +27,17 @@ from anisoscope.inspection.job import (
     sources_of,
 )
 from anisoscope.inspection.manifest import begin
+from anisoscope.inspection.pipeline import measure_frames
 from anisoscope.inspection.run import Inspected, Methods, conclude, expecting
+from anisoscope.kinds.kind import AnyKind, Reference
+from anisoscope.kinds.recipe_check import RecipeCheck
 from anisoscope.kinds.registry import kind_of
+from anisoscope.recipe.base import RecipeBase
 from anisoscope.record.schema import Particulars, sha256_of
 from anisoscope.report.peers import LotMate
 from anisoscope.rig.acquisition.journal import FrameLine, JournalFile, RunLine
 from anisoscope.rig.acquisition.writer import FRAMES
+from anisoscope.rig.fixture import Fixture
 from anisoscope.rig.framefolder import TABLE, read_frame_folder
 from anisoscope.rig.rigfile import RigFile, read_replay_rig
 
@@ -69,6 +78,69 @@ def inspect_frames(
         RecordError: the frames are incomplete or do not fit together, or the inspection folder cannot be written.
         CalibrationError: there is no flat, or one of another camera.
     """
+    given = read_given(frames, recipe_path, serial, rig_path, reflectance)
+    with contextlib.ExitStack() as cleanup:
+        folder = cleanup.enter_context(new_folder(out, serial))
+        job = given.job(folder / INPUTS / WHITE_NAME)
+        ready = cleanup.enter_context(expecting(job, on_progress, lot_mates, methods))
+        manifest = begin(
+            folder,
+            job,
+            particulars or Particulars(),
+            plan=None,
+            frames=len(given.replay.entries),
+            rig_folder=given.rig_path.resolve().parent,
+        )
+        _copy(given.replay, frames, folder, on_progress)
+        inspected = conclude(folder, manifest, job, ready, on_progress)
+    return Inspected(inspected.record, folder, inspected.report, (*given.replay.notes, *inspected.notes))
+
+
+@dataclass(frozen=True, eq=False)
+class Given:
+    """All that is read of a folder of frames, recipe and rig before anything is written.
+
+    Attributes:
+        serial: serial number of the part.
+        kind: which kind of part it is.
+        recipe: what the part should look like.
+        rig: the rig file, with or without devices.
+        rig_path: where it is.
+        fixture: its markers, or None.
+        reference: parts that are known to be good, or None.
+        replay: the frames by the poses of the recipe.
+    """
+
+    serial: str
+    kind: AnyKind
+    recipe: RecipeBase
+    rig: RigFile
+    rig_path: Path
+    fixture: Fixture | None
+    reference: Reference | None
+    replay: Replay
+    _white_of_frames: dict[str, Any] | None
+    _white_of_rig: WhiteReference | None
+    _sources: tuple[Source, ...]
+
+    def job(self, white_path: Path) -> Job:
+        """The inspection of these frames; a white reference of their flat frames is written to a path."""
+        white, path = self._white_of_rig, white_path
+        if self._white_of_frames is not None:
+            write_reference(path, self._white_of_frames)
+        elif self.rig.calibration is not None:
+            path = self.rig.calibration.flat
+        white = white or read_reference(path)
+        sources = (*self._sources, Source("white reference", path, white.sha256))
+        return Job(
+            self.serial, self.kind, self.recipe, self.rig, self.fixture, white, sources, self.reference
+        )
+
+
+def read_given(
+    frames: Path, recipe_path: Path, serial: str, rig_path: Path | None, reflectance: float
+) -> Given:
+    """Read everything that the inspection of a folder of frames needs; arguments and errors as of `inspect_frames`."""
     check_serial(serial)
     if not 0.0 < reflectance <= 1.0:
         raise UsageError(f"the reflectance of the tile must lie between 0 and 1, not {reflectance}")
@@ -84,36 +156,67 @@ def inspect_frames(
         *sources_of(recipe_path, rig_path, kind, recipe, rig),
         Source("frame table", frames / TABLE, sha256_of(frames / TABLE)),
     )
-    with contextlib.ExitStack() as cleanup:
-        folder = cleanup.enter_context(new_folder(out, serial))
-        path = folder / INPUTS / WHITE_NAME
-        if white_of_frames is not None:
-            write_reference(path, white_of_frames)
-        elif rig.calibration is not None:
-            path = rig.calibration.flat
-        white = white or read_reference(path)
-        job = Job(
-            serial,
-            kind,
-            recipe,
-            rig,
-            fixture,
-            white,
-            (*sources, Source("white reference", path, white.sha256)),
-            reference,
-        )
-        ready = cleanup.enter_context(expecting(job, on_progress, lot_mates, methods))
-        manifest = begin(
-            folder,
-            job,
-            particulars or Particulars(),
-            plan=None,
-            frames=len(replay.entries),
-            rig_folder=rig_path.resolve().parent,
-        )
-        _copy(replay, frames, folder, on_progress)
-        inspected = conclude(folder, manifest, job, ready, on_progress)
-    return Inspected(inspected.record, folder, inspected.report, (*replay.notes, *inspected.notes))
+    return Given(
+        serial, kind, recipe, rig, rig_path, fixture, reference, replay, white_of_frames, white, sources
+    )
+
+
+FROM_FRAMES = (
+    "whether another exposure would show more, and what a second round of photographs would decide; of the rig's "
+    "calibrations frames use the flat alone"
+)
+
+
+def check_with_frames(
+    recipe_path: Path,
+    frames: Path,
+    rig_path: Path | None,
+    *,
+    reflectance: float = 0.99,
+    tries: Sequence[float] = (),
+    advance: Advance = silent,
+) -> RecipeCheck:
+    """Check a recipe as without frames, and whether a part could be measured by these; nothing is written.
+
+    Args:
+        recipe_path: recipe file.
+        frames: folder with ``frames.csv``.
+        rig_path: rig file, for its geometry; by default ``rig.toml`` next to the frames.
+        reflectance: reflectance of the tile in the flat frames, if there are any.
+        tries: tilts that might be added, degrees.
+        advance: progress.
+
+    Raises:
+        As `inspect_frames`, but for the inspection folder.
+    """
+    given = read_given(frames, recipe_path, "recipe-check", rig_path, reflectance)
+    found: RecipeCheck = given.kind.check_recipe(
+        recipe_path, given.rig_path, given.rig.light.angle_deg, tries, advance
+    )
+    advance("frames", 0, 1)
+    acquired = AcquiredFrames(
+        tuple(
+            Shot(entry.path.name, "", entry.load(), pose, entry.again, run=0, check=False)
+            for entry, pose in given.replay.entries
+        ),
+        camera_of(given.replay) or UNKNOWN,
+        REPLAYED,
+    )
+    shows, complaints = [*given.replay.notes], [*found.complaints]
+    with tempfile.TemporaryDirectory(prefix="anisoscope-check-") as name:
+        job = given.job(Path(name) / WHITE_NAME)
+        try:
+            expected = job.kind.predict(job.recipe, job.rig, cached=True)
+            _, measured, _ = measure_frames(datetime.now(UTC), job, expected, acquired)
+            wrong: str | None = job.kind.drift_error(measured, job.recipe)
+        except (MeasurementError, CameraError) as error:
+            wrong = str(error)
+    if wrong is None:
+        count = len(job.recipe.poses.poses())
+        shows.insert(0, f"{frames}: the part can be measured by these frames, at all {count} poses")
+    else:
+        complaints.append(f"{frames}: an inspection by these frames would be INVALID: {wrong}")
+    return replace(found, complaints=tuple(complaints), frames=tuple(shows), unchecked=FROM_FRAMES)
 
 
 def _rig_in(frames: Path) -> Path:

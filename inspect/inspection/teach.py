@@ -1,7 +1,7 @@
 """Teach a recipe by a good part: exposure, region and tolerances as the pictures of the part suggest them."""
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,8 +16,11 @@ from anisoscope.base.significance import p_value_text
 from anisoscope.base.toml_edits import with_values
 from anisoscope.decision.reference_parts import golden_path
 from anisoscope.imaging.registration.placement import Grid, Placement, locate, resample
+from anisoscope.inspection.frame_table import Replay
 from anisoscope.inspection.job import check_serial, prepare
-from anisoscope.inspection.run import Methods, inspect_part
+from anisoscope.inspection.replay import inspect_frames, read_given
+from anisoscope.inspection.run import Inspected, Methods, inspect_part
+from anisoscope.kinds.kind import AnyKind, Reference
 from anisoscope.kinds.registry import read_any_recipe
 from anisoscope.recipe.base import RecipeBase
 from anisoscope.recipe.teaching import Change, Taught, previous_version_path
@@ -28,6 +31,7 @@ from anisoscope.rig.acquisition.runner import Rig, open_rig, run_plan
 from anisoscope.rig.bayer import grey_of
 from anisoscope.rig.fixture import Fixture
 from anisoscope.rig.frame import Frame, read_frame
+from anisoscope.rig.rigfile import RigFile, read_replay_rig
 
 UNLIKE = 2.0  # factor in brightness from which on a stretch along the border is not the part
 POINTS_A_PITCH = 4
@@ -120,9 +124,19 @@ MAX_TRIES = 8
 
 @dataclass(frozen=True, eq=False)
 class _Probe:
-    """One picture a pose, exposed well: the exposure, pictures above black, and where the part stands in them."""
+    """One picture a pose: the exposure, pictures above black, and where the part stands in them.
+
+    Attributes:
+        exposure_s: exposure; the shortest one of brackets.
+        brackets: further exposures, as multiples of it; None where they stay as the recipe has them.
+        level: brightness of the brightest pose, as a share of full scale.
+        pictures: counts above black.
+        places: where the part stands in them.
+    """
 
     exposure_s: float
+    brackets: tuple[float, ...] | None
+    level: float
     pictures: tuple[FloatArray, ...]
     places: tuple[Placement, ...]
 
@@ -158,26 +172,117 @@ def teach(
         RecordError: a file cannot be written.
     """
     check_serial(serial)
+    if read_replay_rig(rig_path).without_devices:
+        raise RigFileError(
+            f"{rig_path} describes no devices, so that no part can be photographed: teach by frames that exist, with "
+            "--frames"
+        )
     job = prepare(recipe_path, rig_path, serial)
-    fixture = job.fixture
-    if fixture is None:
-        raise RigFileError(f"{rig_path} describes no [fixture]: teaching finds the part between its markers")
-    recipe, text = job.recipe, recipe_path.read_text(encoding="utf-8")
-    previous = previous_version_path(recipe_path, recipe.version)
+    fixture = _fixture(job.fixture, rig_path)
+    previous_version_path(recipe_path, job.recipe.version)
     with open_rig(job.rig) as rig:
         info = rig.camera.info
         job.kind.check_filters(info.filters, f"camera {info.serial}", job.white.filters)
-        probe = _probe(rig, recipe, fixture, advance)
-    size = largest_region(probe.pictures, probe.places, fixture, recipe)
+        probe = _probe(rig, job.recipe, fixture, advance)
+
+    def inspect(candidate: Path) -> Inspected:
+        return inspect_part(candidate, rig_path, serial, out, advance, methods=methods)
+
+    part = _GoodPart(job.kind, job.recipe, job.rig, fixture, job.reference)
+    return _taught(recipe_path, part, probe, inspect, ())
+
+
+def teach_by_frames(
+    recipe_path: Path,
+    frames: Path,
+    serial: str,
+    out: Path,
+    advance: Advance = silent,
+    *,
+    rig_path: Path | None = None,
+    reflectance: float = 0.99,
+    methods: Methods | None = None,
+) -> Taught:
+    """Teach a recipe by frames of a good part, as `teach` does; the exposure is that of the frames.
+
+    Args:
+        recipe_path: recipe file.
+        frames: folder with ``frames.csv``.
+        serial: of the good part.
+        out: folder that receives the inspection folder.
+        advance: progress.
+        rig_path: rig file, for its geometry; by default ``rig.toml`` next to the frames.
+        reflectance: reflectance of the tile in the flat frames, if there are any.
+        methods: what varies in an inspection, for tests.
+
+    Raises:
+        UsageError, RecipeError, RigFileError, HeightMapError, CalibrationError, MeasurementError, RecordError: as for
+            `teach` and `anisoscope.inspection.replay.inspect_frames`.
+    """
+    given = read_given(frames, recipe_path, serial, rig_path, reflectance)
+    fixture = _fixture(given.fixture, given.rig_path)
+    previous_version_path(recipe_path, given.recipe.version)
+    probe = _probe_of(given.replay, given.recipe, fixture)
+
+    def inspect(candidate: Path) -> Inspected:
+        return inspect_frames(
+            frames,
+            candidate,
+            serial,
+            out,
+            advance,
+            rig_path=given.rig_path,
+            reflectance=reflectance,
+            methods=methods,
+        )
+
+    part = _GoodPart(given.kind, given.recipe, given.rig, fixture, given.reference)
+    note = (
+        f"the exposure is that of the frames, whose brightest pose reaches {probe.level:.0%} of full scale "
+        f"({LEVEL:.0%} is sought on a rig); not checked: whether another one would show more"
+    )
+    return _taught(recipe_path, part, probe, inspect, (note,))
+
+
+def _fixture(fixture: Fixture | None, rig_path: Path) -> Fixture:
+    if fixture is None:
+        raise RigFileError(f"{rig_path} describes no [fixture]: teaching finds the part between its markers")
+    return fixture
+
+
+@dataclass(frozen=True, eq=False)
+class _GoodPart:
+    """The kind of part that teaches, by recipe and rig, and the golden parts."""
+
+    kind: AnyKind
+    recipe: RecipeBase
+    rig: RigFile
+    fixture: Fixture
+    reference: Reference | None
+
+
+def _taught(
+    recipe_path: Path,
+    part: _GoodPart,
+    probe: _Probe,
+    inspect: Callable[[Path], Inspected],
+    notes: tuple[str, ...],
+) -> Taught:
+    """Write the new version of a recipe by a first look at a good part, and by its inspection."""
+    recipe, text = part.recipe, recipe_path.read_text(encoding="utf-8")
+    previous = previous_version_path(recipe_path, recipe.version)
+    size = largest_region(probe.pictures, probe.places, part.fixture, recipe)
     values: dict[tuple[str, ...], Any] = {
         ("version",): recipe.version + 1,
         ("acquisition", "exposure_s"): probe.exposure_s,
         ("region", "size_mm"): [size, size],
     }
+    if probe.brackets is not None and probe.brackets != recipe.acquisition.brackets:
+        values["acquisition", "brackets"] = list(probe.brackets)
     candidate = recipe_path.with_name(f".{recipe_path.stem}-taught.toml")
     try:
         write_text(candidate, with_values(text, values))
-        inspected = inspect_part(candidate, rig_path, serial, out, advance, methods=methods)
+        inspected = inspect(candidate)
     finally:
         candidate.unlink(missing_ok=True)
     record = inspected.record
@@ -185,30 +290,24 @@ def teach(
         raise MeasurementError(
             f"the part cannot teach the recipe, which stays as it is: {'; '.join(record.reasons)} ({inspected.folder})"
         )
-    limits = job.kind.taught_limits(record, recipe, job.reference, job.rig)
+    limits = part.kind.taught_limits(record, recipe, part.reference, part.rig)
+    why = {
+        "exposure_s": f"the brightest pose reaches {probe.level:.0%} of full scale",
+        "brackets": "the exposures of the frames",
+        "size_mm": "the part shows in all poses and between the markers",
+    }
+    reasons = {key: why[key[-1]] for key in values if key[-1] in why}
+    reasons |= {key: reason for key, (_, reason) in limits.items()}
     values |= {key: value for key, (value, _) in limits.items()}
     write_text(previous, text)
     write_text(recipe_path, with_values(text, values))
     taught = read_any_recipe(recipe_path)
-    changes = (
-        Change(
-            "acquisition.exposure_s",
-            recipe.acquisition.exposure_s,
-            taught.acquisition.exposure_s,
-            f"the brightest pose reaches {LEVEL:.0%} of full scale",
-        ),
-        Change(
-            "region.size_mm",
-            recipe.region.size_mm,
-            taught.region.size_mm,
-            "the part shows in all poses and between the markers",
-        ),
-        *(
-            Change(".".join(key), _value(recipe, key), _value(taught, key), why)
-            for key, (_, why) in limits.items()
-        ),
+    changes = tuple(
+        Change(".".join(key), _value(recipe, key), _value(taught, key), reason)
+        for key, reason in reasons.items()
     )
-    return Taught(taught.version, previous, inspected.folder, changes, _notes(record, recipe_path, recipe))
+    notes = (*_notes(record, recipe_path, recipe), *notes)
+    return Taught(taught.version, previous, inspected.folder, changes, notes)
 
 
 def _value(recipe: RecipeBase, key: tuple[str, ...]) -> Any:  # noqa: ANN401 - of any type
@@ -226,24 +325,45 @@ def _probe(rig: Rig, recipe: RecipeBase, fixture: Fixture, advance: Advance) -> 
     for attempt in range(MAX_TRIES):
         advance(f"exposure of {exposure_s:.3g} s", attempt, MAX_TRIES)
         frames = _photograph(rig, Plan(poses, exposure_s, recipe.acquisition.gain, return_to_first=False))
-        pictures = tuple(np.asarray(f.counts, dtype=np.float64) - f.black_level for f in frames)
-        full = frames[0].full_scale - frames[0].black_level
-        level = max(float(np.percentile(picture, BRIGHT_PERCENTILE)) for picture in pictures) / full
+        level = _level(frames)
         if level < 0.99 and abs(level / LEVEL - 1.0) < 0.1:
-            grey = [
-                grey_of(p.astype(np.float32), frame.filters)
-                for p, frame in zip(pictures, frames, strict=True)
-            ]
-            places = tuple(
-                locate(picture, fixture, frame.tilt_deg) for picture, frame in zip(grey, frames, strict=True)
-            )
-            pictures = tuple(picture.astype(np.float64) for picture in grey)
-            return _Probe(float(f"{frames[0].exposure_s:.3g}"), pictures, places)
+            return _seen(frames, fixture, level, None)
         exposure_s = float(f"{exposure_s * (0.25 if level >= 0.99 else LEVEL / max(level, 0.01)):.3g}")
     raise Saturated(
         f"no exposure brings the brightest pose to {LEVEL:.0%} of full scale (last tried: {exposure_s:g} s): "
         "is the light on, and is it steady?"
     )
+
+
+def _probe_of(replay: Replay, recipe: RecipeBase, fixture: Fixture) -> _Probe:
+    """The first frame of every pose of a folder, at its shortest exposure."""
+    required = [Pose(pose.stage_deg, pose.tilt_deg) for pose in recipe.poses.poses()]
+    samples = [(one, pose) for one, pose in replay.entries if one.kind == "sample" and not one.again]
+    of_pose = [[entry for entry, pose in samples if pose == wanted] for wanted in required]
+    frames = [min(entries, key=lambda entry: entry.exposure_s).load() for entries in of_pose]
+    longer = sorted({entry.exposure_s / frames[0].exposure_s for entry in of_pose[0]})[1:]
+    return _seen(frames, fixture, _level(frames), tuple(float(f"{ratio:.4g}") for ratio in longer))
+
+
+def _above_black(frame: Frame) -> FloatArray:
+    return np.asarray(frame.counts, dtype=np.float64) - frame.black_level
+
+
+def _level(frames: Sequence[Frame]) -> float:
+    """Brightness of the brightest frame, as a share of full scale."""
+    full = frames[0].full_scale - frames[0].black_level
+    return max(float(np.percentile(_above_black(frame), BRIGHT_PERCENTILE)) for frame in frames) / full
+
+
+def _seen(
+    frames: Sequence[Frame], fixture: Fixture, level: float, brackets: tuple[float, ...] | None
+) -> _Probe:
+    grey = [grey_of(_above_black(frame).astype(np.float32), frame.filters) for frame in frames]
+    places = tuple(
+        locate(picture, fixture, frame.tilt_deg) for picture, frame in zip(grey, frames, strict=True)
+    )
+    pictures = tuple(picture.astype(np.float64) for picture in grey)
+    return _Probe(float(f"{frames[0].exposure_s:.3g}"), brackets, level, pictures, places)
 
 
 def _photograph(rig: Rig, plan: Plan) -> list[Frame]:

@@ -7,7 +7,7 @@ docs/own-kind.md.
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Generic, Protocol, Self, TypeVar
 
@@ -32,7 +32,7 @@ from anisoscope.record.details import Details
 from anisoscope.record.schema import BudgetRecord, DiagnosisRecord, Record
 from anisoscope.record.verdict import Verdict
 from anisoscope.report.inspection_page import Pictures, Sections
-from anisoscope.rig.rigfile import RigFile, read_rig
+from anisoscope.rig.rigfile import RigFile, check_arm, read_replay_rig
 from anisoscope.sim.light.geometry import Convention, Pose
 
 
@@ -114,6 +114,11 @@ class Reference(Protocol):
         """
         ...
 
+
+WITHOUT_DEVICES = (
+    "the rig file describes no devices: whether stage and camera arm reach the poses, and whether the flat is that of "
+    "the camera"
+)
 
 RecipeT = TypeVar("RecipeT", bound=RecipeBase)
 ExpectedT = TypeVar("ExpectedT", bound=Expected)
@@ -460,7 +465,7 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
 
         Args:
             path: the recipe.
-            rig_path: rig file; without one the light is at the given angle.
+            rig_path: rig file, for its geometry; without one the light is at the given angle.
             light_angle_deg: between light and camera, where there is no rig file.
             tries: tilts that might be added, degrees.
             advance: progress.
@@ -472,9 +477,12 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
         if rig_path is None:
             check_poses(recipe.poses, light_angle_deg, path)
             return self.capability(recipe, None, light_angle_deg, tries, advance)
-        rig = read_rig(rig_path)
+        rig = read_replay_rig(rig_path)
         self.check(recipe, rig, path, rig_path)
-        return self.capability(recipe, rig, rig.light.angle_deg, tries, advance)
+        if not rig.without_devices:
+            check_arm(rig, [pose.tilt_deg for pose in recipe.poses.poses()])
+        found = self.capability(recipe, rig, rig.light.angle_deg, tries, advance)
+        return replace(found, unchecked=WITHOUT_DEVICES) if rig.without_devices else found
 
     def capability(
         self,

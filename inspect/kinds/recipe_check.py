@@ -31,11 +31,15 @@ class RecipeCheck:
         product: of the recipe.
         causes: separability of every cause.
         complaints: one line each, what should be changed.
+        frames: one line each, what frames of a part show of the recipe, where it was checked with some.
+        unchecked: what could not be checked without devices, in one line, or None.
     """
 
     product: str
     causes: tuple[Separability, ...] = ()
     complaints: tuple[str, ...] = ()
+    frames: tuple[str, ...] = ()
+    unchecked: str | None = None
 
     def tables(self) -> tuple[Table, ...]:
         """Tables of the kind, which go before that of the causes."""
@@ -49,7 +53,8 @@ class RecipeCheck:
     @in_json()
     def findings(self) -> tuple[Finding, ...]:
         """The notes, then the complaints."""
-        notes = [Finding("note", text) for text in self.notes()]
+        unchecked = () if self.unchecked is None else (f"not checked: {self.unchecked}",)
+        notes = [Finding("note", text) for text in (*self.notes(), *self.frames, *unchecked)]
         return (*notes, *(Finding("warning", text) for text in self.complaints))
 
     def output(self) -> CommandOutput:

@@ -29,10 +29,8 @@ from anisoscope.rig.acquisition.writer import FRAMES, FrameRecord, FrameWriter, 
 from anisoscope.rig.camera import CameraSettings
 from anisoscope.rig.frame import Frame, FrameKind
 from anisoscope.rig.light import rest
-from anisoscope.rig.rigfile import AxisPart
+from anisoscope.rig.rigfile import AxisPart, check_arm
 from anisoscope.rig.stage import RotationStage
-
-TILT_TOLERANCE_DEG = 0.01
 
 
 def check_plan(plan: Plan, rig: Rig) -> None:
@@ -47,13 +45,7 @@ def check_plan(plan: Plan, rig: Rig) -> None:
         if rig.tilt is not None and rig.file.tilt is not None:
             _check_reach(rig.file.tilt, rig.tilt, pose.tilt_deg, "tilt")
             continue
-        arm_deg = rig.file.geometry.tilt_deg
-        if abs(pose.tilt_deg - arm_deg) > TILT_TOLERANCE_DEG:
-            raise RigError(
-                f"a tilt of {pose.tilt_deg:g}° was asked for, but the camera arm of '{rig.file.name}' "
-                f"is fixed at {arm_deg:g}°; ask for that, correct geometry.tilt_deg in the rig file, or "
-                "describe the axis that tilts it under [tilt]"
-            )
+        check_arm(rig.file, [pose.tilt_deg])
 
 
 def _check_reach(part: AxisPart, axis: RotationStage, angle_deg: float, table: str) -> None:

@@ -174,7 +174,7 @@ def judged(acquired, flat, expected):
     for name in ("unlit", "radiance_per_signal"):
         flat.__dict__.pop(name, None)  # every inspection starts with a flat just read
     job = Job("B", recipe, RigFile.model_validate(RIG), MARKERS, flat, ())
-    _, measured, _ = measure_frames(MADE, job, expected, acquired)
+    _, measured, _ = measure_frames(MADE.began, job, expected, acquired)
     return measured, decide(expected, measured, recipe)
 
 

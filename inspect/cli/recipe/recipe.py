@@ -18,6 +18,15 @@ app = App(name="recipe", help="Recipes: what a part should look like, how it is 
 
 PRODUCT = "ridged part"
 File = Annotated[Path, Parameter(help="Recipe file (TOML).")]
+FramesOption = Annotated[
+    Path | None,
+    Parameter(
+        help="Frames of a part in this folder (frames.csv) instead of devices; rig.toml beside them by default."
+    ),
+]
+ReflectanceOption = Annotated[
+    float, Parameter(help="With --frames: reflectance of the white tile in its flat frames.")
+]
 
 
 @app.command
@@ -73,19 +82,31 @@ def check(
     /,
     *,
     rig: Annotated[
-        Path | None, Parameter(name=["--rig", "-g"], help="Rig file, for its light angle.")
+        Path | None,
+        Parameter(name=["--rig", "-g"], help="Rig file, for its geometry; its devices may be missing."),
     ] = None,
+    frames: FramesOption = None,
+    reflectance: ReflectanceOption = 0.99,
     light_angle: Annotated[float, Parameter(help="Without --rig: angle of the light, degrees.")] = 10.0,
     try_tilts: Annotated[str, Parameter(help="Tilts that might be added, degrees; none: ''.")] = "10,20",
     json_: Json = False,
 ) -> int:
-    """Predict the poses of a recipe, their uncertainties, and which causes it can separate; nothing moves."""
+    """Predict the poses of a recipe, their uncertainties, and which causes it can separate; nothing moves.
+
+    With --frames also whether a part can be measured by these frames. One line says what is not checked then.
+    """
     from anisoscope.kinds.registry import kind_of
 
     tries = parse_numbers(try_tilts, "--try-tilts") if try_tilts.strip() else ()
-    kind = kind_of(file)
     with progress(file.name, quiet=json_) as advance:
-        found = kind.check_recipe(file, rig, light_angle, tries, advance)
+        if frames is None:
+            found = kind_of(file).check_recipe(file, rig, light_angle, tries, advance)
+        else:
+            from anisoscope.inspection.replay import check_with_frames
+
+            found = check_with_frames(
+                file, frames, rig, reflectance=reflectance, tries=tries, advance=advance
+            )
     print_output(found.output(), json_=json_)
     return 0
 
@@ -168,10 +189,17 @@ def teach(
     file: File,
     /,
     *,
-    rig: Annotated[Path, Parameter(name=["--rig", "-g"], help="Rig file (TOML).")],
+    rig: Annotated[
+        Path | None,
+        Parameter(
+            name=["--rig", "-g"], help="Rig file (TOML); with --golden or --frames without devices, too."
+        ),
+    ] = None,
     serial: Annotated[
         str | None, Parameter(name=["--serial", "-s"], help="Serial number of the good part.")
     ] = None,
+    frames: FramesOption = None,
+    reflectance: ReflectanceOption = 0.99,
     golden: Annotated[
         bool,
         Parameter(negative="", help="Of a print: tolerances by its golden prints; nothing is photographed."),
@@ -184,14 +212,22 @@ def teach(
 ) -> int:
     """Photograph a good part; set exposure, region and tolerances of a recipe by it.
 
-    With --golden the tolerances of a print alone, by its golden prints. The recipe becomes a new version; the old one
-    is kept beside it as NAME.v1.toml and so on.
+    With --frames by frames that exist already; the exposure is theirs then. With --golden the tolerances of a print
+    alone, by its golden prints. The recipe becomes a new version; the old one is saved as NAME.v1.toml and so on.
     """
     if golden == (serial is not None):
         raise UsageError(
             "name either a good part with --serial, or --golden for the golden prints of a recipe"
         )
-    found = _by_golden(file, rig, share) if serial is None else _by_part(file, rig, serial, out, json_=json_)
+    if golden and frames is not None:
+        raise UsageError("--golden teaches by golden prints, and --frames by a good part: leave one out")
+    if rig is None and frames is None:
+        raise UsageError("name a rig file with --rig, or a folder of frames with --frames")
+    if serial is not None:
+        found = _by_part(file, rig, serial, out, frames, reflectance, json_=json_)
+    else:
+        assert rig is not None
+        found = _by_golden(file, rig, share)
     if json_:
         print_json(found)
         return 0
@@ -207,11 +243,24 @@ def teach(
     return 0
 
 
-def _by_part(file: Path, rig: Path, serial: str, out: Path, *, json_: bool) -> "Taught":
+def _by_part(
+    file: Path,
+    rig: Path | None,
+    serial: str,
+    out: Path,
+    frames: Path | None,
+    reflectance: float,
+    *,
+    json_: bool,
+) -> "Taught":
     from anisoscope.inspection.teach import teach as by_part
+    from anisoscope.inspection.teach import teach_by_frames
 
     with progress(serial, quiet=json_) as advance:
-        return by_part(file, rig, serial, out, advance)
+        if frames is None:
+            assert rig is not None
+            return by_part(file, rig, serial, out, advance)
+        return teach_by_frames(file, frames, serial, out, advance, rig_path=rig, reflectance=reflectance)
 
 
 def _by_golden(file: Path, rig: Path, share: float) -> "Taught":

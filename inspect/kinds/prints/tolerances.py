@@ -37,7 +37,7 @@ from anisoscope.kinds.prints.reference_prints import GoldenPrints, read_golden_p
 from anisoscope.kinds.prints.sources import of_poses, total
 from anisoscope.recipe.teaching import Change, Taught, previous_version_path
 from anisoscope.record.schema import Record
-from anisoscope.rig.rigfile import read_rig
+from anisoscope.rig.rigfile import read_replay_rig
 
 TARGET_RATIO = 4.0  # T/U, U = 2 u
 SIGMAS = 3.0
@@ -214,7 +214,7 @@ def teach_by_golden(recipe_path: Path, rig_path: Path, share: float = PASSING) -
     if not 0.5 <= share < 1.0:
         raise UsageError(f"--share must lie between 0.5 and 1, not {share:g}")
     recipe = read_print_recipe(recipe_path)
-    rig = read_rig(rig_path)
+    rig = read_replay_rig(rig_path)
     check_print_rig(rig, rig_path)
     golden = read_golden_prints(golden_path(recipe_path), recipe, rig)
     if golden is None or golden.lacking is not None:

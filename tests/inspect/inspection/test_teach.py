@@ -1,12 +1,20 @@
 """A good part teaches exposure, region and tolerances."""
 
+import tomllib
+
 import numpy as np
 import pytest
+import tomli_w
 
-from anisoscope.base.errors import MeasurementError, RecordError
-from anisoscope.inspection.teach import teach
-from anisoscope.kinds.registry import read_recipe
+from anisoscope.base.errors import MeasurementError, RecordError, RigError, RigFileError
+from anisoscope.inspection.replay import check_with_frames
+from anisoscope.inspection.teach import teach, teach_by_frames
+from anisoscope.kinds.recipe_check import RecipeCheck
+from anisoscope.kinds.registry import kind_of, read_recipe
+from anisoscope.kinds.ridges.kind import Ridges
 from anisoscope.record.schema import read_record
+from anisoscope.rig.frame import read_frame
+from anisoscope.rig.framefolder import write_frame_folder
 
 UNTAUGHT = {
     "acquisition": {"exposure_s": 0.0001},
@@ -42,6 +50,68 @@ def test_a_good_part_teaches_the_recipe(flat_at_any_exposure, plain):
     frame = max(np.max(seen) for seen in (record.poses[k].measured for k in range(len(record.poses))))
     assert frame > 0.0
     assert not list(rig.recipe.parent.glob(".*.toml"))
+
+
+@pytest.fixture
+def photographed(inspected_part, flat):
+    """A part's frames in a folder, with a rig file of geometry and calibrations alone; (recipe, frames, rig file)."""
+    rig, inspected = inspected_part
+    frames = [read_frame(inspected.folder / entry.name) for entry in inspected.record.frames]
+    folder = rig.out.parent / "frames"
+    write_frame_folder(folder, frames, [entry.again for entry in inspected.record.frames])
+    table = tomllib.loads(rig.rig.read_text())
+    alone = {key: table[key] for key in ("schema", "fixture")}
+    alone |= {"camera": {"pixel_um": 8.0}, "light": {"angle_deg": 10.0}, "calibration": {"flat": str(flat)}}
+    path = folder / "rig.toml"
+    path.write_text(tomli_w.dumps(alone))
+    rig.rig.with_name("bench.toml").unlink()
+    recipe = tomllib.loads(rig.recipe.read_text())
+    recipe["region"]["size_mm"], recipe["acquisition"]["exposure_s"] = [0.3, 0.3], 0.1
+    rig.recipe.write_text(tomli_w.dumps(recipe))
+    return rig.recipe, folder, path
+
+
+def test_frames_teach_the_recipe_without_devices(photographed, plain, tmp_path):
+    recipe_path, frames, _ = photographed
+    found = teach_by_frames(recipe_path, frames, "GOOD-1", tmp_path / "out", methods=plain)
+    recipe, record = read_recipe(recipe_path), read_record(found.folder)
+    assert (found.version, recipe.acquisition.exposure_s, record.verdict) == (2, 0.0015, "PASS")
+    assert 0.8 <= recipe.region.size_mm[0] <= 1.2
+    wanted = [8.0 * contrast.u for contrast in record.details.contrasts]
+    assert recipe.decision.tolerance == pytest.approx(wanted, rel=0.06)
+    assert "not checked: whether another" in found.notes[-1]
+
+
+def test_photographs_cannot_be_taken_without_devices(photographed, plain, tmp_path):
+    recipe, _, rig = photographed
+    with pytest.raises(RigFileError, match="describes no devices"):
+        teach(recipe, rig, "GOOD-1", tmp_path / "out", methods=plain)
+
+
+@pytest.fixture
+def quick_capability(monkeypatch):
+    """Causes are not looked at: their signatures are not what is tested."""
+    monkeypatch.setattr(Ridges, "capability", lambda *_: RecipeCheck(product="plate"))
+
+
+def test_a_recipe_is_checked_without_devices(photographed, quick_capability):
+    recipe, frames, rig = photographed
+    found = kind_of(recipe).check_recipe(recipe, rig, 10.0)
+    assert "the rig file describes no devices" in found.findings[-1].text
+    found = check_with_frames(recipe, frames, None)
+    assert found.complaints == ()
+    assert "can be measured by these frames, at all 3 poses" in found.frames[0]
+    assert found.findings[-1].text.startswith("not checked: whether another exposure")
+    text = recipe.read_text().replace("[region]", "[limits]\nregistration_px = 0.0001\n[region]")
+    recipe.write_text(text)
+    (line,) = check_with_frames(recipe, frames, rig).complaints
+    assert "would be INVALID: at 0° the fixture markers fit with" in line
+
+
+def test_a_tilt_that_a_fixed_arm_does_not_have_shows_in_the_check(virtual_rig, quick_capability):
+    rig = virtual_rig(recipe={"poses": {"tilts_deg": [0.0, 10.0]}})
+    with pytest.raises(RigError, match="a tilt of 10° was asked for, but the camera arm"):
+        kind_of(rig.recipe).check_recipe(rig.recipe, rig.rig, 10.0)
 
 
 def test_a_part_that_cannot_be_measured_leaves_the_recipe(virtual_rig, plain):
