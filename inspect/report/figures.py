@@ -5,6 +5,7 @@ import io
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from threading import RLock
 from typing import TYPE_CHECKING, Any
 
 import cv2
@@ -65,6 +66,9 @@ def page_style() -> Any:  # noqa: ANN401 - keys of matplotlib's own closed type
     }
 
 
+_DRAWING = RLock()  # the style is one for the whole process: several threads draw one after the other
+
+
 @contextmanager
 def new_figure(width: float, height: float) -> Iterator[tuple["Figure", "Axes"]]:
     """A figure of a page, (width, height) in inches, with one pair of axes, in the style that all pages share."""
@@ -72,7 +76,7 @@ def new_figure(width: float, height: float) -> Iterator[tuple["Figure", "Axes"]]
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
-    with mpl.rc_context(page_style()):
+    with _DRAWING, mpl.rc_context(page_style()):
         figure = Figure(figsize=(width, height), layout="constrained")
         FigureCanvasSVG(figure)
         yield figure, figure.subplots()

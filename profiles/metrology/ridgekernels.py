@@ -34,7 +34,7 @@ class Frame(NamedTuple):
     shift: float
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def histogram(
     z: FloatArray,
     out: Mask,
@@ -74,7 +74,7 @@ def shape_at(profile: FloatArray, t: float, shift: float) -> tuple[float, float]
     return left + part * (right - left), (right - left) * bins
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def above_profile(z: FloatArray, frame: Frame, profile: FloatArray) -> FloatArray:
     """(rows, cols) heights over the folded profile."""
     rows, cols = z.shape
@@ -86,7 +86,7 @@ def above_profile(z: FloatArray, frame: Frame, profile: FloatArray) -> FloatArra
     return above
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def phase_sums(z: FloatArray, out: Mask, frame: Frame, profile: FloatArray, spread: FloatArray) -> FloatArray:
     """(ridges, tiles, 7) sums for the shift of each tile against the profile, tiles half a pitch about the walls.
 
@@ -126,7 +126,7 @@ def phase_sums(z: FloatArray, out: Mask, frame: Frame, profile: FloatArray, spre
     return sums
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def facet_sums(
     z: FloatArray, out: Mask, frame: Frame, facet: tuple[float, float], planes: FloatArray, clip: FloatArray
 ) -> FloatArray:
@@ -170,7 +170,7 @@ def facet_sums(
     return sums
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def residuals(
     z: FloatArray,
     frame: Frame,

@@ -10,7 +10,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.profiles.metrology.ridgekernels import Frame, Mask, shape_at
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def structure_sums(
     above: FloatArray,
     owner: npt.NDArray[np.int16],
@@ -44,7 +44,7 @@ def structure_sums(
     return sums
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def noise_sums(above: FloatArray, owner: npt.NDArray[np.int16], limit: float, ridges: int) -> FloatArray:
     """(ridges, 2) count and Σ squares of the third difference along both axes, 4 × 4 points on the same facet."""
     sums = np.zeros((ridges, 2))
@@ -68,7 +68,7 @@ def noise_sums(above: FloatArray, owner: npt.NDArray[np.int16], limit: float, ri
     return sums
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def profile_sums(
     above: FloatArray,
     out: Mask,
@@ -108,7 +108,7 @@ def profile_sums(
     return sums
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def wall_sums(
     above: FloatArray, frame: Frame, profile: FloatArray, zone: tuple[float, float], limit: float
 ) -> FloatArray:

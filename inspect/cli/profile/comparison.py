@@ -1,6 +1,7 @@
-"""``anisoscope profile compare``: two maps of one part, or a tool and its part."""
+"""``anisoscope profile compare``: maps of one part, or a tool and its parts."""
 
 import sys
+from math import nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -9,6 +10,15 @@ from cyclopts import Parameter
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.json_output import fields_of, print_json
 from anisoscope.cli.options import Json, parse_numbers
+from anisoscope.cli.profile.many import (
+    NO_TABLE,
+    OutOptions,
+    Values,
+    check_table,
+    expanded,
+    measure_each,
+    write_each,
+)
 from anisoscope.cli.profile.profile import AS_STATED, Scales
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_table
@@ -19,16 +29,15 @@ if TYPE_CHECKING:
 
 def compare(
     first: Path,
-    second: Path,
     /,
-    *,
+    *others: Path,
     mirrored: Annotated[
         bool,
         Parameter(
             negative="", help="A tool and its part: negate the second map and mirror it along x first."
         ),
     ] = False,
-    out: Annotated[Path | None, Parameter(help="HTML page to write.")] = None,
+    out: Annotated[Path | None, Parameter(help="HTML page to write, of one second map.")] = None,
     difference: Annotated[
         Path | None, Parameter(help="File for the difference map B − A, such as *.x3p.")
     ] = None,
@@ -36,30 +45,44 @@ def compare(
         str | None,
         Parameter(help="Line of the page: X0,Y0,X1,Y1 in µm from the first point of the first map."),
     ] = None,
-    overwrite: Annotated[bool, Parameter(negative="", help="Replace files that exist.")] = False,
+    several: Annotated[OutOptions, Parameter(name="*", group="Several files")] = NO_TABLE,
     json_: Json = False,
     scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
 ) -> int:
-    """Register the second map on the first: difference, wear volume, ridges, degree of replication.
+    """Register other maps on the first: difference, wear volume, ridges, degree of replication.
 
     Args:
         first: Map A: before wear, or the tool.
-        second: Map B: after wear, or the part.
+        others: Map B: after wear, or the part. Several maps or patterns make a table, with --out-dir a page each.
     """
     from anisoscope.profiles.comparison import compare_maps
-    from anisoscope.profiles.files.load import WRITERS, write_height_map
+    from anisoscope.profiles.files.load import write_height_map
     from anisoscope.report.comparison_page import write_comparison_page
 
     ends = None if line is None else parse_numbers(line, "--line", "0,50,400,50")
     if ends is not None and len(ends) != 4:
         raise UsageError(f"--line takes X0,Y0,X1,Y1 in µm, not {line!r}")
-    if out is not None and out.suffix.lower() not in (".html", ".htm"):
-        raise UsageError(f"--out {out}: a page is named *.html")
-    if difference is not None and difference.suffix.lower() not in WRITERS:
-        raise UsageError(f"--difference {difference}: unknown extension; written are {', '.join(WRITERS)}")
-    for target in (out, difference):
-        if target is not None and target.exists() and not overwrite:
-            raise UsageError(f"{target} exists; give another name, or --overwrite")
+    shown = None if ends is None else (ends[0], ends[1], ends[2], ends[3])
+    seconds = expanded(others)
+    if len(seconds) > 1 or several.table is not None or several.out_dir is not None:
+        if out is not None or difference is not None:
+            raise UsageError(
+                "--out and --difference are of one second map; several take --out-dir and --table"
+            )
+        reference = scales.read(first)
+
+        def work(path: Path, target: Path | None = None) -> Values:
+            found = compare_maps(reference, scales.read(path), mirrored=mirrored)
+            if target is not None:
+                write_comparison_page(found, (first.name, path.name), target, shown)
+            return _values(found)
+
+        if several.out_dir is not None:
+            return write_each(seconds, work, several, ".html", to_json=json_)
+        return measure_each(seconds, work, several, to_json=json_)
+    second = seconds[0]
+    check_table(several)
+    _check_targets(out, difference, overwrite=several.overwrite)
     with progress(f"{first.name}, {second.name}") as advance:
         advance("reading", 0, 3)
         maps = scales.read(first), scales.read(second)
@@ -69,13 +92,51 @@ def compare(
         if difference is not None:
             write_height_map(found.difference, difference)
         if out is not None:
-            shown = None if ends is None else (ends[0], ends[1], ends[2], ends[3])
             write_comparison_page(found, (first.name, second.name), out, shown)
     if json_:
         print_json(_as_json(found, first, second))
     else:
         _print(found, first, second, out)
     return 0
+
+
+def _check_targets(out: Path | None, difference: Path | None, *, overwrite: bool) -> None:
+    from anisoscope.profiles.files.load import WRITERS
+
+    if out is not None and out.suffix.lower() not in (".html", ".htm"):
+        raise UsageError(f"--out {out}: a page is named *.html")
+    if difference is not None and difference.suffix.lower() not in WRITERS:
+        raise UsageError(f"--difference {difference}: unknown extension; written are {', '.join(WRITERS)}")
+    for target in (out, difference):
+        if target is not None and target.exists() and not overwrite:
+            raise UsageError(f"{target} exists; give another name, or --overwrite")
+
+
+def _values(found: "Comparison") -> Values:
+    """Values by name, u(...) their standard uncertainties; NaN where there is none."""
+    from anisoscope.profiles.metrology.quantity import Quantity
+
+    placed, lost, gained = found.placed, found.lost, found.gained
+    quantities = {
+        "volume lost": (lost.volume_um3, "µm³"),
+        "volume gained": (gained.volume_um3, "µm³"),
+        "sum of all differences": (found.net_um3, "µm³"),
+        "relief B/A": (found.replication.relief, ""),
+        "ridge height B/A": (found.replication.height, ""),
+        "shift along x": (Quantity(placed.x_um, placed.u_x_um), "µm"),
+        "shift along y": (Quantity(placed.y_um, placed.u_y_um), "µm"),
+        "turned": (Quantity(placed.angle_deg, placed.u_angle_deg), "°"),
+        "scale B/A": (Quantity(placed.scale, placed.u_scale), ""),
+    }
+    values: dict[str, tuple[float, str]] = {}
+    for name, (one, unit) in quantities.items():
+        values[name] = (nan if one.value is None else one.value, unit)
+        values[f"u({name})"] = (nan if one.u is None else one.u, unit)
+    return values | {
+        "greatest loss": (lost.depth_um, "µm"),
+        "overlap": (100.0 * placed.overlap, "%"),
+        "ambiguity": (placed.ambiguity, ""),
+    }
 
 
 def _as_json(found: "Comparison", first: Path, second: Path) -> dict[str, Any]:

@@ -1,7 +1,7 @@
-"""``anisoscope profile edit`` and a command for every single step: height maps in, height map out."""
+"""``anisoscope profile edit`` and a command for every single step: height maps in, height maps out."""
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from inspect import Parameter as Argument
 from inspect import Signature
 from pathlib import Path
@@ -12,7 +12,16 @@ from cyclopts import Parameter
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
-from anisoscope.cli.profile.profile import AS_STATED, Scales
+from anisoscope.cli.profile.many import (
+    NO_TABLE,
+    OutOptions,
+    Values,
+    check_table,
+    expanded,
+    write_each,
+    written_suffix,
+)
+from anisoscope.cli.profile.profile import AS_STATED, Scales, info_values
 from anisoscope.cli.tables import print_table
 from anisoscope.profiles.editing import operations
 
@@ -20,34 +29,52 @@ if TYPE_CHECKING:
     from anisoscope.profiles.heightmap import HeightMap
 
 Out = Annotated[
-    Path, Parameter(help="File to write: x3p, npz or gsf (they keep the history), or another format.")
+    Path | None,
+    Parameter(help="File to write: x3p, npz or gsf (they keep the history), or another format."),
 ]
-Overwrite = Annotated[bool, Parameter(negative="", help="Replace the file if it exists.")]
+Format = Annotated[
+    str, Parameter(name="--format", help="Format of the new files in --out-dir: an extension such as x3p.")
+]
+Several = Annotated[OutOptions, Parameter(name="*", group="Several files")]
 
 
 def edit(
-    file: Path,
-    /,
-    *steps: str,
-    out: Out,
-    overwrite: Overwrite = False,
+    *words: str,
+    out: Out = None,
+    format_: Format = "x3p",
+    several: Several = NO_TABLE,
     json_: Json = False,
     scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
 ) -> int:
-    """Edit a height map step by step; every step is written into the history of the new file.
+    """Edit height maps step by step; every step is written into the history of the new file.
 
     Args:
-        file: Height map in a format of docs/height-maps.md.
-        steps: Steps such as level, form=poly2, crop=0,0,500,300, filter=gaussian,25,keep:short; parameters stand in the
-            help of the command of the same name.
+        words: A height map in a format of docs/height-maps.md, several or patterns with --out-dir; then steps such as
+            level, form=poly2, crop=0,0,500,300, filter=gaussian,25,keep:short; parameters stand in the help of the
+            command of the same name.
     """
     from anisoscope.profiles.editing.steps import Step
 
+    files, steps = _files_and_steps(words)
     if not steps:
         raise UsageError(
             f"profile edit needs at least one step after the file: {', '.join(operations.OPERATIONS)}"
         )
-    return _run(file, [Step.parse(text) for text in steps], out, scales, overwrite=overwrite, as_json=json_)
+    chain = [Step.parse(text) for text in steps]
+    return _run(files, chain, out, scales, format_=format_, several=several, as_json=json_)
+
+
+def _files_and_steps(words: Sequence[str]) -> tuple[list[Path], Sequence[str]]:
+    """Files come first: what has an extension, is a pattern or exists, and names no step; then the steps."""
+    count = min(len(words), 1)
+    while count < len(words):
+        word = words[count]
+        step = word.partition("=")[0] in operations.OPERATIONS
+        named = "=" not in word and (Path(word).suffix or "*" in word or "?" in word)
+        if step or not (named or Path(word).exists()):
+            break
+        count += 1
+    return [Path(word) for word in words[:count]], words[count:]
 
 
 def _check_target(out: Path, sources: list[Path], *, overwrite: bool) -> None:
@@ -61,13 +88,40 @@ def _check_target(out: Path, sources: list[Path], *, overwrite: bool) -> None:
         raise UsageError(f"{out} exists; give another name, or --overwrite")
 
 
-def _run(file: Path, steps: list[Any], out: Path, scales: Scales, *, overwrite: bool, as_json: bool) -> int:
+def _run(
+    given: list[Path],
+    steps: list[Any],
+    out: Path | None,
+    scales: Scales,
+    *,
+    format_: str,
+    several: OutOptions,
+    as_json: bool,
+) -> int:
     from anisoscope.profiles.editing.steps import edit_map
-    from anisoscope.profiles.files.load import write_height_map
+    from anisoscope.profiles.files.load import WRITERS, write_height_map
 
     others = [Path(str(step.values["map"])) for step in steps if "map" in step.values]
-    _check_target(out, [file, *others], overwrite=overwrite)
-    edited = edit_map(scales.read(file), steps, read=scales.read)
+    files = expanded(given)
+    if several.out_dir is not None:
+        if out is not None:
+            raise UsageError("--out is one map, --out-dir one for each map; give one of them")
+        suffix = written_suffix(format_, tuple(WRITERS))
+        for other in others:
+            if other.resolve().parent == several.out_dir.resolve() and other.suffix.lower() == suffix:
+                raise UsageError(f"{other}, which a step reads, lies in --out-dir; give another one")
+
+        def work(path: Path, target: Path) -> Values:
+            edited = edit_map(scales.read(path), steps, read=scales.read)
+            write_height_map(edited, target)
+            return info_values(edited)
+
+        return write_each(files, work, several, suffix, to_json=as_json)
+    if out is None or len(files) != 1:
+        raise UsageError("one map takes --out FILE, several take --out-dir FOLDER")
+    check_table(several, alone="--out-dir")
+    _check_target(out, [files[0], *others], overwrite=several.overwrite)
+    edited = edit_map(scales.read(files[0]), steps, read=scales.read)
     write_height_map(edited, out)
     _show(edited, out, as_json=as_json)
     return 0
@@ -134,17 +188,22 @@ def command(name: str) -> Callable[..., int]:
     def run(file: Path, /, *values: object, **options: Any) -> int:  # noqa: ANN401
         from anisoscope.profiles.editing.steps import Step
 
-        out, scales = options.pop("out"), options.pop("scales", AS_STATED)
-        overwrite, as_json = options.pop("overwrite", False), options.pop("json_", False)
+        out, scales = options.pop("out", None), options.pop("scales", AS_STATED)
+        shared = {
+            "format_": options.pop("format_", "x3p"),
+            "several": options.pop("several", NO_TABLE),
+            "as_json": options.pop("json_", False),
+        }
         names = [one.name for one in operation.parameters]
         step = Step.of(name, **dict(zip(names, values, strict=False)), **options)
-        return _run(file, [step], out, scales, overwrite=overwrite, as_json=as_json)
+        return _run([file], [step], out, scales, **shared)
 
     own = [_argument(one, first=place == 0) for place, one in enumerate(operation.parameters)]
     needed = [one for one in own if one.kind is Argument.KEYWORD_ONLY and one.default is Argument.empty]
     other = [one for one in own if one.kind is Argument.KEYWORD_ONLY and one not in needed]
     shared = [
-        Argument("overwrite", Argument.KEYWORD_ONLY, default=False, annotation=Overwrite),
+        Argument("format_", Argument.KEYWORD_ONLY, default="x3p", annotation=Format),
+        Argument("several", Argument.KEYWORD_ONLY, default=NO_TABLE, annotation=Several),
         Argument("json_", Argument.KEYWORD_ONLY, default=False, annotation=Json),
         Argument(
             "scales",
@@ -157,11 +216,14 @@ def command(name: str) -> Callable[..., int]:
         Argument(
             "file",
             Argument.POSITIONAL_ONLY,
-            annotation=Annotated[Path, Parameter(help="Height map in a format of docs/height-maps.md.")],
+            annotation=Annotated[
+                Path,
+                Parameter(help="Height map in a format of docs/height-maps.md; a pattern with --out-dir."),
+            ],
         ),
         *(one for one in own if one.kind is Argument.POSITIONAL_ONLY),
         *needed,
-        Argument("out", Argument.KEYWORD_ONLY, annotation=Out),
+        Argument("out", Argument.KEYWORD_ONLY, default=None, annotation=Out),
         *other,
         *shared,
     ]

@@ -1,9 +1,10 @@
-"""Several files in one command: one table, in which a file that cannot be measured is a row too."""
+"""Several files in one command: one table, in which a file that cannot be read, measured or written is a row too."""
 
 import csv
 import io
 import json
 import math
+import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
@@ -29,23 +30,76 @@ FORMATS = (".csv", ".json", ".html", ".htm")
 
 
 @dataclass(frozen=True)
-class ManyOptions:
-    """Several files."""
+class TableOptions:
+    """Several files and their table."""
 
     table: Annotated[
         Path | None, Parameter(help="File for one table of all maps: *.csv, *.json or *.html.")
     ] = None
-    jobs: Annotated[int, Parameter(help="Maps that are measured at a time.")] = 2
+    jobs: Annotated[int, Parameter(help="Maps that are worked on at a time.")] = 2
+    overwrite: Annotated[bool, Parameter(negative="", help="Replace files that exist.")] = False
+
+    def read_limits(self) -> "dict[str, Limit] | None":
+        """Limits by which every map is judged, if there are some."""
+        return None
+
+
+@dataclass(frozen=True)
+class ManyOptions(TableOptions):
+    """Several files that are measured."""
+
     limits: Annotated[
         Path | None,
         Parameter(
             help="TOML file of limits, such as [Sa] max = 0.4: a PASS/FAIL sheet; exit code 1 for FAIL."
         ),
     ] = None
-    overwrite: Annotated[bool, Parameter(negative="", help="Replace the table if it exists.")] = False
+
+    def read_limits(self) -> "dict[str, Limit] | None":
+        """The limits of the file."""
+        from anisoscope.profiles.limits import read_limits
+
+        return None if self.limits is None else read_limits(self.limits)
+
+
+@dataclass(frozen=True)
+class OutOptions(TableOptions):
+    """Several files, each of which gives a new one."""
+
+    out_dir: Annotated[
+        Path | None,
+        Parameter(
+            help="Folder for the new files, each named like the map that it is made of; made if missing."
+        ),
+    ] = None
+
+    def targets(self, files: Sequence[Path], suffix: str) -> dict[Path, Path]:
+        """The new file of every map: the name of the map with another extension, in the folder.
+
+        Raises:
+            UsageError: two maps would give one file, a map would be replaced, or a file exists.
+        """
+        assert self.out_dir is not None
+        found: dict[Path, Path] = {}
+        sources = {path.resolve() for path in files}
+        for path in files:
+            target = self.out_dir / (path.stem + suffix)
+            if target in found.values():
+                other = next(one for one, its in found.items() if its == target)
+                raise UsageError(
+                    f"{other} and {path} would both become {target}; rename one, or run them apart"
+                )
+            if target.resolve() in sources:
+                raise UsageError(f"{target} is a file that is read; give another --out-dir")
+            if target.exists() and not self.overwrite:
+                raise UsageError(f"{target} exists; give another --out-dir, or --overwrite")
+            found[path] = target
+        self.out_dir.mkdir(parents=True, exist_ok=True)
+        return found
 
 
 NONE = ManyOptions()
+NO_TABLE = OutOptions()
 
 
 @dataclass(frozen=True)
@@ -56,6 +110,7 @@ class Row:
     values: Values = field(default_factory=dict)
     error: str = ""
     sheet: "tuple[Judged, ...]" = ()
+    written: Path | None = None
 
     @property
     def verdict(self) -> str:
@@ -89,27 +144,33 @@ def expanded(files: Sequence[Path]) -> list[Path]:
 
 
 def measure_each(
-    files: Sequence[Path], measure: Callable[[Path], Values], options: ManyOptions, *, to_json: bool
+    files: Sequence[Path],
+    measure: Callable[[Path], Values],
+    options: TableOptions,
+    *,
+    to_json: bool,
+    targets: Mapping[Path, Path] | None = None,
 ) -> int:
     """Measure every file, print one table and write it; a file that cannot be measured is a row with its reason.
 
     Args:
         files: at least one.
-        measure: values and units by name.
+        measure: values and units by name; it writes the new file of the map, where there is one.
         options: table, jobs, limits.
         to_json: print JSON instead of a table.
+        targets: the new file of every map, where one is written.
 
     Returns:
-        1 where a limit is not kept, else 65 where a file could not be measured, else 0.
+        1 where a limit is not kept, else 65 where a file could not be measured or written, else 0.
 
     Raises:
         UsageError: a table that exists or of an unknown format, or fewer than one job.
     """
     check_table(options)
-    limits = _limits(options)
+    limits, written = options.read_limits(), targets or {}
     rows: dict[Path, Row] = {}
     with progress(f"{len(files)} maps") as advance, ThreadPoolExecutor(options.jobs) as pool:
-        waiting = {pool.submit(_row, path, measure, limits): path for path in files}
+        waiting = {pool.submit(_row, path, measure, limits, written.get(path)): path for path in files}
         for done, future in enumerate(as_completed(waiting), start=1):
             rows[waiting[future]] = future.result()
             advance(waiting[future].name, done, len(files))
@@ -125,12 +186,60 @@ def measure_each(
     return BROKEN if any(row.error for row in ordered) else 0
 
 
-def check_table(options: ManyOptions) -> None:
-    """Refuse a table that cannot be written.
+def write_each(
+    files: Sequence[Path],
+    work: Callable[[Path, Path], Values],
+    options: OutOptions,
+    suffix: str,
+    *,
+    to_json: bool,
+) -> int:
+    """Make a new file of every map in the folder of the options, with one table of them all.
+
+    Args:
+        files: at least one.
+        work: makes the second file of the first; what it returns are the columns of the table.
+        options: folder, table, jobs.
+        suffix: extension of the new files.
+        to_json: print JSON instead of a table.
+
+    Returns:
+        65 where a file could not be read or written, else 0.
 
     Raises:
-        UsageError: it exists, has an unknown format, or there is less than one job.
+        UsageError: the table or one of the new files cannot be written (see ``OutOptions.targets``).
     """
+    check_table(options)
+    targets = options.targets(files, suffix)
+    return measure_each(
+        files, lambda path: work(path, targets[path]), options, to_json=to_json, targets=targets
+    )
+
+
+def written_suffix(name: str, known: Sequence[str]) -> str:
+    """The extension of a format of an option.
+
+    Raises:
+        UsageError: maps are not written in this format.
+    """
+    suffix = "." + name.lower().removeprefix(".")
+    if suffix not in known:
+        raise UsageError(f"--format {name}: written are {', '.join(one[1:] for one in known)}")
+    return suffix
+
+
+def check_table(options: TableOptions, alone: str = "") -> None:
+    """Refuse a table that cannot be written.
+
+    Args:
+        options: of the command.
+        alone: option without which there is no table.
+
+    Raises:
+        UsageError: it exists, has an unknown format, there is less than one job, or it needs another option.
+    """
+    if alone and options.table is not None:
+        raise UsageError(f"--table lists the files of {alone}; give that too")
     if options.jobs < 1:
         raise UsageError(f"--jobs takes a whole number from 1, not {options.jobs}")
     if options.table is None:
@@ -141,20 +250,18 @@ def check_table(options: ManyOptions) -> None:
         raise UsageError(f"{options.table} exists; give another name, or --overwrite")
 
 
-def _limits(options: ManyOptions) -> "dict[str, Limit] | None":
-    from anisoscope.profiles.limits import read_limits
-
-    return None if options.limits is None else read_limits(options.limits)
-
-
-def _row(path: Path, measure: Callable[[Path], Values], limits: "dict[str, Limit] | None") -> Row:
+def _row(
+    path: Path, measure: Callable[[Path], Values], limits: "dict[str, Limit] | None", target: Path | None
+) -> Row:
     from anisoscope.profiles.limits import judge
 
     try:
         values = measure(path)
-        return Row(path, values, "", () if limits is None else judge(limits, values))
+        return Row(path, values, "", () if limits is None else judge(limits, values), target)
     except AnisoscopeError as error:
         return Row(path, error=str(error))
+    except OSError as error:  # a folder that takes no files
+        return Row(path, error=f"{error.filename or path}: {error.strerror or error}")
 
 
 def _plain(row: Row) -> dict[str, Any]:
@@ -162,6 +269,7 @@ def _plain(row: Row) -> dict[str, Any]:
     if row.error:
         return found | {"error": row.error}
     found |= {name: {"value": value, "unit": unit} for name, (value, unit) in row.values.items()}
+    found |= {} if row.written is None else {"written": str(row.written)}
     return found | ({"verdict": row.verdict, "sheet": row.sheet} if row.sheet else {})
 
 
@@ -189,13 +297,30 @@ def write_table(rows: Sequence[Row], path: Path) -> None:
     if path.suffix.lower() == ".csv":
         stream = io.StringIO()
         writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(["file", "verdict", "error", *heads])
-        writer.writerows([str(row.file), row.verdict, row.error, *_cells(row, columns, 12)] for row in rows)
+        # "written" only where files are
+        new = ["written"] if any(row.written for row in rows) else []
+        writer.writerow(["file", "verdict", "error", *new, *heads])
+        writer.writerows(
+            [
+                str(row.file),
+                row.verdict,
+                row.error,
+                *[str(row.written or "")][: len(new)],
+                *_cells(row, columns, 12),
+            ]
+            for row in rows
+        )
         write_text(path, stream.getvalue())
         return
     from anisoscope.report.page import write_page
 
-    body = [(row.file.name, row.verdict, row.error, _cells(row, columns, 5), row.sheet) for row in rows]
+    def link(target: Path | None) -> str:
+        return "" if target is None else Path(os.path.relpath(target, path.parent)).as_posix()
+
+    body = [
+        (row.file.name, row.verdict, row.error, _cells(row, columns, 5), row.sheet, link(row.written))
+        for row in rows
+    ]
     write_page(path, "table.html", {"heads": heads, "rows": body})
 
 

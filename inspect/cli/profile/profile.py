@@ -11,13 +11,17 @@ from anisoscope.base.errors import UsageError
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import parse_numbers
 from anisoscope.cli.profile.many import (
+    NO_TABLE,
     NONE,
     ManyOptions,
+    OutOptions,
     Values,
     check_table,
     expanded,
     measure_each,
     print_sheet,
+    write_each,
+    written_suffix,
 )
 from anisoscope.cli.tables import print_table
 
@@ -139,12 +143,12 @@ def info(
 
     chosen = expanded(files)
     if len(chosen) > 1 or many.table is not None:
-        return measure_each(chosen, lambda path: _info_values(scales.read(path)), many, to_json=json_)
+        return measure_each(chosen, lambda path: info_values(scales.read(path)), many, to_json=json_)
     check_table(many)
     surface = scales.read(chosen[0])
     rows, cols = surface.shape
     found = amplitude(surface)
-    sheet = sheet_of(many.limits, _info_values(surface))
+    sheet = sheet_of(many.limits, info_values(surface))
     if json_:
         result = {
             "rows": rows,
@@ -178,7 +182,8 @@ def info(
     return print_sheet(sheet)
 
 
-def _info_values(surface: "HeightMap") -> Values:
+def info_values(surface: "HeightMap") -> Values:
+    """Size, pixel, missing share and height parameters of a map by name, as ``profile info`` prints them."""
     from anisoscope.profiles.textures.amplitude import amplitude
 
     found = amplitude(surface)
@@ -207,26 +212,40 @@ def _caption(origin: dict[str, Any]) -> str:
 
 @app.command
 def convert(
-    source: Path,
-    target: Path,
-    /,
-    *,
-    overwrite: Annotated[bool, Parameter(negative="")] = False,
+    *files: Path,
+    format_: Annotated[
+        str,
+        Parameter(name="--format", help="Format of the new files in --out-dir: an extension such as x3p."),
+    ] = "x3p",
+    several: Annotated[OutOptions, Parameter(name="*", group="Several files")] = NO_TABLE,
+    json_: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON, with --out-dir.")] = False,
     scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
 ) -> int:
-    """Read a height map and write it in the format of another extension.
+    """Write height maps in another format: SOURCE TARGET by the extension, or any number of maps with --out-dir.
 
     x3p, npz and csv keep every bit of the heights, gwy those of metres, sur 31 bits of the largest height, gsf and tif
     24 bits, png 16 bits of the range. stl and ply are meshes in mm for other programs.
 
     Args:
-        source: Height map in a format of docs/height-maps.md.
-        target: File to write: x3p, sur, gwy, gsf, npz, npy, csv, txt, tif, png, stl or ply.
-        overwrite: Replace the target if it exists.
+        files: Source and target: x3p, sur, gwy, gsf, npz, npy, csv, txt, tif, png, stl or ply. With --out-dir: height
+            maps, or patterns.
     """
-    from anisoscope.profiles.files.load import write_height_map
+    from anisoscope.profiles.files.load import MESH_WRITERS, WRITERS, write_height_map
 
-    if target.exists() and not overwrite:
+    if several.out_dir is not None:
+        suffix = written_suffix(format_, (*WRITERS, *MESH_WRITERS))
+
+        def run(path: Path, target: Path) -> Values:
+            surface = scales.read(path)
+            write_height_map(surface, target)
+            return info_values(surface)
+
+        return write_each(expanded(files), run, several, suffix, to_json=json_)
+    if len(files) != 2:
+        raise UsageError("profile convert takes SOURCE and TARGET, or any number of maps and --out-dir")
+    check_table(several, alone="--out-dir")
+    source, target = files
+    if target.exists() and not several.overwrite:
         raise UsageError(f"{target} exists; give another name, or --overwrite")
     write_height_map(scales.read(source), target)
     return 0
@@ -234,29 +253,40 @@ def convert(
 
 @app.command
 def report(
-    file: Path,
-    /,
-    *,
-    out: Path,
-    force: Annotated[bool, Parameter(negative="")] = False,
+    *files: Path,
+    out: Annotated[Path | None, Parameter(help="HTML file to write, of one map.")] = None,
+    several: Annotated[OutOptions, Parameter(name="*", group="Several files")] = NO_TABLE,
+    json_: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON, with --out-dir.")] = False,
     scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
 ) -> int:
-    """Write one HTML page about a height map: pictures, ridges, roughness, burrs, height parameters, origin.
+    """Write one HTML page about each height map: pictures, ridges, roughness, burrs, height parameters, origin.
 
     Args:
-        file: Height map; one without ridges gets a page without them.
-        out: HTML file to write.
-        force: Overwrite a file that exists.
+        files: Height maps, or patterns; one without ridges gets a page without them.
     """
     from anisoscope.report.profile_page import write_profile_page
 
+    chosen = expanded(files)
+    if several.out_dir is not None:
+        if out is not None:
+            raise UsageError("--out is one page, --out-dir a page for each map; give one of them")
+
+        def run(path: Path, target: Path) -> Values:
+            surface = scales.read(path)
+            write_profile_page(surface, path.name, target)
+            return info_values(surface)
+
+        return write_each(chosen, run, several, ".html", to_json=json_)
+    if out is None or len(chosen) != 1:
+        raise UsageError("profile report takes one map and --out PAGE.html, or several and --out-dir")
+    check_table(several, alone="--out-dir")
     if out.suffix.lower() not in (".html", ".htm"):
         raise UsageError(f"--out {out}: a page is named *.html")
-    if out.exists() and not force:
-        raise UsageError(f"--out {out} exists already; choose another name, or say --force")
-    with progress(file.name) as advance:
+    if out.exists() and not several.overwrite:
+        raise UsageError(f"--out {out} exists already; choose another name, or say --overwrite")
+    with progress(chosen[0].name) as advance:
         advance("reading", 0, 3)
-        surface = scales.read(file)
-        write_profile_page(surface, file.name, out, advance)
+        surface = scales.read(chosen[0])
+        write_profile_page(surface, chosen[0].name, out, advance)
     sys.stdout.write(f"{out}\n")
     return 0

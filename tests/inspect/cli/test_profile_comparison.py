@@ -1,5 +1,7 @@
 """``anisoscope profile compare`` as a user calls it."""
 
+import csv
+
 import numpy as np
 import pytest
 
@@ -43,6 +45,29 @@ def test_tool_and_part_as_a_table(anisoscope, maps):
     assert done.code == 0, done.err
     for words in ("relief of A that B has", "volume lost", "negated and mirrored", "section"):
         assert words in done.out
+
+
+def test_several_maps_against_one(anisoscope, maps, tmp_path):
+    (tmp_path / "broken.x3p").write_bytes(b"nothing")
+    table, pages = tmp_path / "wear.csv", tmp_path / "pages"
+    done = anisoscope(
+        *(
+            "profile",
+            "compare",
+            maps / "new.x3p",
+            maps / "worn.x3p",
+            maps / "new.x3p",
+            tmp_path / "broken.x3p",
+        ),
+        *("--out-dir", pages, "--table", table, "--jobs", "2"),
+    )
+    assert done.code == 65, done.err
+    with table.open(encoding="utf-8", newline="") as stream:
+        worn, same, broken = csv.DictReader(stream)
+    assert float(worn["volume lost [µm³]"]) == pytest.approx(450.0, rel=0.02)
+    assert float(same["volume lost [µm³]"]) == pytest.approx(0.0, abs=1.0)
+    assert broken["error"]
+    assert sorted(page.name for page in pages.iterdir()) == ["new.html", "worn.html"]
 
 
 @pytest.mark.parametrize(

@@ -2,12 +2,13 @@
 
 import csv
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from anisoscope.base.errors import HeightMapError
-from anisoscope.profiles.files.load import write_height_map
+from anisoscope.profiles.files.load import read_height_map, write_height_map
 from anisoscope.profiles.ideal import RidgeDesign, ridges
 from anisoscope.profiles.limits import Limit, LimitsError, judge, read_limits
 
@@ -80,6 +81,49 @@ def test_one_map_on_lines_and_with_features(anisoscope, lot):
     assert set(done.json["free"]) >= {"Smc(5 %)", "Vm(60 %)", "Vv(5 %)", "Sxp(5 %, 60 %)", "Smr(-0.5 µm)"}
 
 
+def test_every_map_becomes_a_file_and_a_broken_one_a_row(anisoscope, lot, tmp_path):
+    """convert, edit and a single step: the folder holds what the same command writes one by one."""
+    alone = tmp_path / "alone.gsf"
+    assert anisoscope("profile", "convert", lot / "part1.x3p", alone).code == 0
+    for words, folder in (
+        (("convert", f"{lot}/part*.x3p", "--format", "gsf"), "converted"),
+        (("edit", f"{lot}/part*.x3p", "level=plane", "crop=x1:100", "--format", ".npz"), "edited"),
+        (("edit", lot / "part0.x3p", lot / "part1.x3p", lot / "part3.x3p", "level"), "listed"),
+        (("crop", f"{lot}/part*.x3p", "--x1", 100), "single"),
+    ):
+        table = tmp_path / f"{folder}.csv"
+        out = tmp_path / "new" / folder
+        done = anisoscope("profile", *words, "--out-dir", out, "--table", table)
+        assert done.code == 65, done.err
+        assert "part3.x3p: not measured" in done.out
+        with table.open(encoding="utf-8", newline="") as stream:
+            rows = list(csv.DictReader(stream))
+        written = [Path(row["written"]) for row in rows if not row["error"]]
+        assert sorted(written) == sorted(out.iterdir())
+        assert {float(row["columns"]) for row in rows[:2]} == {101.0 if "100" in str(words) else 300.0}
+    same = [read_height_map(path).height_um for path in (alone, tmp_path / "new" / "converted" / "part1.gsf")]
+    np.testing.assert_array_equal(*same)
+    history = read_height_map(tmp_path / "new" / "edited" / "part0.npz").origin["history"]
+    assert [one["step"] for one in history] == ["read", "level", "crop"]
+    again = anisoscope(
+        "profile", "convert", lot / "part0.x3p", "--format", "gsf", "--out-dir", out.parent / "converted"
+    )
+    assert again.code == 64
+    assert "--overwrite" in again.err
+
+
+def test_a_page_for_every_map(anisoscope, lot, tmp_path):
+    table = tmp_path / "lot.html"
+    files = [lot / "part0.x3p", lot / "part3.x3p"]
+    done = anisoscope(
+        "profile", "report", *files, "--out-dir", tmp_path / "pages", "--table", table, "--json"
+    )
+    assert done.code == 65, done.err
+    assert [set(row) & {"error", "written"} for row in done.json] == [{"written"}, {"error"}]
+    assert "Ridge angle" in (tmp_path / "pages" / "part0.html").read_text(encoding="utf-8")
+    assert 'href="pages/part0.html"' in table.read_text(encoding="utf-8")
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
@@ -92,10 +136,33 @@ def test_one_map_on_lines_and_with_features(anisoscope, lot):
         (("texture", "{lot}/part0.x3p", "{lot}/part1.x3p", "--plot", "p.png"), 64, "one map"),
         (("texture", "{lot}/part0.x3p", "--limits", "{lot}/none.toml"), 78, "cannot be read as TOML"),
         (("lines", "{lot}/part0.x3p", "--limits", "{lot}/limits.toml"), 65, "Sa was not measured"),
+        (("convert", "{lot}/part0.x3p"), 64, "SOURCE and TARGET"),
+        (("convert", "{lot}/part0.x3p", "--out-dir", "{lot}"), 64, "a file that is read"),
+        (("convert", "{lot}/part0.x3p", "--out-dir", "{lot}/new", "--format", "doc"), 64, "written are x3p"),
+        (("convert", "{lot}/part0.x3p", "b.gsf", "--table", "t.csv"), 64, "--out-dir"),
+        (("report", "{lot}/part0.x3p"), 64, "--out PAGE.html"),
+        (("report", "{lot}/part0.x3p", "--out", "a.html", "--out-dir", "{lot}/new"), 64, "one of them"),
+        (
+            ("edit", "{lot}/part0.x3p", "{lot}/part1.x3p", "level", "--out", "a.x3p"),
+            64,
+            "several take --out-dir",
+        ),
+        (("edit", "{lot}/part0.x3p", "level", "--out", "a.x3p", "--out-dir", "{lot}/new"), 64, "one of them"),
+        (
+            ("edit", "{lot}/part0.x3p", "subtract={lot}/new/z.x3p", "--out-dir", "{lot}/new"),
+            64,
+            "a step reads",
+        ),
+        (
+            ("edit", "{lot}/part0.x3p", "{lot}/../{name}/part0.x3p", "level", "--out-dir", "o"),
+            64,
+            "both become",
+        ),
+        (("compare", "{lot}/part0.x3p", "{lot}/part*.x3p", "--out", "a.html"), 64, "one second map"),
     ],
 )
 def test_one_line_says_what_is_wrong(anisoscope, lot, arguments, code, message):
-    done = anisoscope("profile", *(word.format(lot=lot) for word in arguments))
+    done = anisoscope("profile", *(word.format(lot=lot, name=lot.name) for word in arguments))
     assert done.code == code
     assert message in done.err
     assert len(done.err.strip().splitlines()) == 1

@@ -90,7 +90,7 @@ def test_report_of_a_ridged_map(anisoscope, folder):
     assert 'src="data:image' in text
     again = anisoscope("profile", "report", folder / "ridged.x3p", "--out", page)
     assert again.code == 64
-    assert "--force" in again.err
+    assert "--overwrite" in again.err
 
 
 def test_report_of_a_map_without_ridges_says_why(anisoscope, folder):
