@@ -1,7 +1,7 @@
 """Profile parameters of ISO 21920-2 on lines of a height map: along x or y, across or along its ridges.
 
-F-operation on the map, then S- and L-filter along every line (ISO 16610-21), zero-order at ends and gaps. Parameters of
-the evaluation length (Ra, Rq, Rt, Rsk, Rku, Rdq, Rsm) use a line as a whole, Rz, Rp and Rv are means over sections of
+F-operation on the map, then S- and L-filter along every line (ISO 16610-21 of order 0, -31 or -22). Parameters of the
+evaluation length (Ra, Rq, Rt, Rsk, Rku, Rdq, Rsm) use a line as a whole, Rz, Rp and Rv are means over sections of
 λc, or over five sections without an L-filter.
 """
 
@@ -15,7 +15,7 @@ from anisoscope.base.errors import HeightMapError, UsageError
 from anisoscope.profiles.editing.steps import edit_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.period import find_period
-from anisoscope.profiles.textures.filters import gaussian_mean, without_form
+from anisoscope.profiles.textures.filters import Smoothing, mean_surface, without_form
 
 Direction = Literal["across", "along", "x", "y"]
 
@@ -40,6 +40,8 @@ class LineParameters:
         sections: sections of a line for Rz, Rp and Rv.
         s_filter_um: nesting index λs; None where not applied.
         l_filter_um: nesting index λc; None where not applied.
+        s_filter: kind of the S-filter.
+        l_filter: kind of the L-filter.
         values: Ra, Rq, Rz, Rp, Rv, Rt, Rsm in µm, Rsk, Rku, Rdq.
         spread: standard deviation of each between the lines.
     """
@@ -51,6 +53,8 @@ class LineParameters:
     sections: int
     s_filter_um: float | None
     l_filter_um: float | None
+    s_filter: Smoothing
+    l_filter: Smoothing
     values: dict[str, float]
     spread: dict[str, float]
 
@@ -62,6 +66,8 @@ def line_parameters(
     form: str = "plane",
     s_filter_um: float | None = None,
     l_filter_um: float | None = None,
+    s_filter: Smoothing = "gaussian",
+    l_filter: Smoothing = "gaussian",
 ) -> LineParameters:
     """Profile parameters on parallel lines of a map, at most 256 of them, evenly spread.
 
@@ -71,10 +77,12 @@ def line_parameters(
         form: F-operation (:func:`.forms.fit_form`).
         s_filter_um: nesting index λs in µm.
         l_filter_um: nesting index λc in µm.
+        s_filter: kind of the S-filter along the lines: "gaussian" (ISO 16610-21), "robust" (-31) or "spline" (-22).
+        l_filter: kind of the L-filter.
 
     Raises:
         HeightMapError: no ridges for "across" or "along", a nesting index that a line cannot hold, or too few points.
-        UsageError: an unknown direction.
+        UsageError: an unknown direction or kind of filter.
     """
     if direction not in ("across", "along", "x", "y"):
         raise UsageError(f"lines run across, along, x or y, not {direction!r}")
@@ -83,13 +91,13 @@ def line_parameters(
     if abs(turn) > STRAIGHT_DEG:
         flat = edit_map(flat, [{"step": "rotate", "angle": -turn}])
     if s_filter_um is not None:
-        flat = flat.with_height(gaussian_mean(flat, s_filter_um, direction="x"))
+        flat = flat.with_height(mean_surface(flat, s_filter_um, s_filter, direction="x"))
     if l_filter_um is not None:
         if s_filter_um is not None and s_filter_um >= l_filter_um:
             raise HeightMapError(
                 f"the S-filter ({s_filter_um:g} µm) must be below the L-filter ({l_filter_um:g} µm)"
             )
-        flat = flat.with_height(flat.height_um - gaussian_mean(flat, l_filter_um, direction="x"))
+        flat = flat.with_height(flat.height_um - mean_surface(flat, l_filter_um, l_filter, direction="x"))
     rows = np.unique(
         np.linspace(0, flat.shape[0] - 1, min(flat.shape[0], MOST_LINES)).round().astype(np.intp)
     )
@@ -108,8 +116,8 @@ def line_parameters(
         values[name] = float(known.mean()) if known.size else float("nan")
         spread[name] = float(known.std(ddof=1)) if known.size > 1 else float("nan")
     return LineParameters(
-        direction, turn, len(found), length, sections, s_filter_um, l_filter_um, values, spread
-    )
+        direction, turn, len(found), length, sections, s_filter_um, l_filter_um, s_filter, l_filter, values, spread
+    )  # fmt: skip
 
 
 def _turn(surface: HeightMap, direction: Direction) -> float:

@@ -153,22 +153,11 @@ def _form(surface: HeightMap, values: Values, _read: Read) -> Result:
 def _filter(surface: HeightMap, values: Values, _read: Read) -> Result:
     kind, cutoff, direction = values["filter"], values["cutoff"], values["direction"]
     order = values["order"]
-    standards = {"xy": "ISO 16610-61", "x": "ISO 16610-21", "y": "ISO 16610-21"}
-    if kind == "gaussian":
-        mean = filters.gaussian_mean(
-            surface, cutoff, direction=direction, order=0 if order is None else order
-        )
-        standard = standards[direction]
-    elif kind == "robust":
-        order = 2 if order is None else order
-        mean = filters.robust_gaussian_mean(surface, cutoff, direction=direction, order=order)
-        standard = "ISO 16610-71" if direction == "xy" else "ISO 16610-31"
-    elif order is not None or (kind != "spline" and direction != "xy"):
-        raise UsageError(
-            f"filter: a {kind} filter has no order" + ("" if kind == "spline" else " and no direction")
-        )
-    elif kind == "spline":
-        mean, standard = filters.spline_mean(surface, cutoff, direction=direction), "ISO 16610-22"
+    if kind in ("gaussian", "robust", "spline"):
+        mean = filters.mean_surface(surface, cutoff, kind, direction=direction, order=order)
+        standard = filters.standard_of(kind, direction)
+    elif order is not None or direction != "xy":
+        raise UsageError(f"filter: a {kind} filter has no order and no direction")
     else:
         element: filters.Element = "disk" if values["flat"] else "ball"
         mean = filters.morphological(surface, cutoff, closing=kind == "closing", element=element)

@@ -20,13 +20,14 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.base.errors import HeightMapError
+from anisoscope.base.errors import HeightMapError, UsageError
 from anisoscope.profiles.files.checks import check_heights
 from anisoscope.profiles.heightmap import HeightMap, known_mean, row_blocks, sealed
 from anisoscope.profiles.textures.forms import fit_form
 
 Direction = Literal["xy", "x", "y"]
 Element = Literal["ball", "disk"]
+Smoothing = Literal["gaussian", "robust", "spline"]
 Mask = npt.NDArray[np.bool_]
 
 ALPHA = float(np.sqrt(np.log(2.0) / np.pi))
@@ -49,12 +50,16 @@ class ScaleLimited:
         form: the F-operation.
         s_filter_um: nesting index of the S-filter in µm; None where it was not applied.
         l_filter_um: nesting index of the L-filter in µm; None where it was not applied.
+        s_filter: kind of the S-filter: "gaussian", "robust" or "spline".
+        l_filter: kind of the L-filter.
     """
 
     map: HeightMap
     form: str
     s_filter_um: float | None
     l_filter_um: float | None
+    s_filter: Smoothing = "gaussian"
+    l_filter: Smoothing = "gaussian"
 
     @property
     def name(self) -> str:
@@ -261,6 +266,47 @@ def _splines(height: FloatArray, known: Mask, cutoff_um: float, pixel_um: float)
     return out
 
 
+def mean_surface(
+    surface: HeightMap,
+    cutoff_um: float,
+    kind: Smoothing,
+    *,
+    direction: Direction = "xy",
+    order: int | None = None,
+) -> FloatArray:
+    """Mean surface (the long waves) of a filter, (rows, cols) in µm; NaN where missing.
+
+    Args:
+        surface: the map.
+        cutoff_um: nesting index λ in µm.
+        kind: "gaussian" (:func:`gaussian_mean`), "robust" (:func:`robust_gaussian_mean`) or "spline"
+            (:func:`spline_mean`).
+        direction: "xy", "x" or "y".
+        order: of the Gaussian regressions; 0 for "gaussian" and 2 for "robust" where it is not given.
+
+    Raises:
+        UsageError: no such kind, or an order of a spline.
+        HeightMapError: as the filters do.
+    """
+    if kind == "gaussian":
+        return gaussian_mean(surface, cutoff_um, direction=direction, order=0 if order is None else order)
+    if kind == "robust":
+        return robust_gaussian_mean(
+            surface, cutoff_um, direction=direction, order=2 if order is None else order
+        )
+    if kind != "spline":
+        raise UsageError(f"a filter is gaussian, robust or spline, not {kind!r}")
+    if order is not None:
+        raise UsageError("filter: a spline filter has no order")
+    return spline_mean(surface, cutoff_um, direction=direction)
+
+
+def standard_of(kind: Smoothing, direction: Direction = "xy") -> str:
+    """The part of ISO 16610 that defines a filter."""
+    areal, profile = {"gaussian": ("61", "21"), "robust": ("71", "31"), "spline": ("22", "22")}[kind]
+    return f"ISO 16610-{areal if direction == 'xy' else profile}"
+
+
 def morphological(
     surface: HeightMap, radius_um: float, *, closing: bool = True, element: Element = "ball"
 ) -> FloatArray:
@@ -351,6 +397,8 @@ def scale_limited(
     form: str = "plane",
     s_filter_um: float | None = None,
     l_filter_um: float | None = None,
+    s_filter: Smoothing = "gaussian",
+    l_filter: Smoothing = "gaussian",
 ) -> ScaleLimited:
     """The S-F or S-L surface of a map.
 
@@ -361,8 +409,11 @@ def scale_limited(
         form: form to remove (:func:`.forms.fit_form`).
         s_filter_um: nesting index in µm below which waves are removed.
         l_filter_um: nesting index in µm above which waves are removed.
+        s_filter: kind of the S-filter (:func:`mean_surface`).
+        l_filter: kind of the L-filter.
 
     Raises:
+        UsageError: no such kind of filter.
         HeightMapError: a nesting index that the map cannot hold, or an S-filter that is not below the L-filter.
     """
     for name, cutoff in (("S-filter", s_filter_um), ("L-filter", l_filter_um)):
@@ -375,14 +426,19 @@ def scale_limited(
         )
     found = surface.with_height(sealed(without_form(surface, form)))
     if s_filter_um is not None:
-        found = found.with_height(sealed(gaussian_mean(found, s_filter_um)))
+        found = found.with_height(sealed(mean_surface(found, s_filter_um, s_filter)))
         found = found.with_height(sealed(without_form(found, form)))
     if l_filter_um is not None:
-        found = found.with_height(sealed(found.height_um - gaussian_mean(found, l_filter_um)))
-    note = {"form": form, "s_filter_um": s_filter_um, "l_filter_um": l_filter_um}
-    if l_filter_um is None:  # about its mean already
-        return ScaleLimited(
-            surface.with_height(found.height_um, filtering=note), form, s_filter_um, l_filter_um
-        )
-    height = found.height_um - known_mean(found.height_um)
-    return ScaleLimited(surface.with_height(sealed(height), filtering=note), form, s_filter_um, l_filter_um)
+        found = found.with_height(sealed(found.height_um - mean_surface(found, l_filter_um, l_filter)))
+    note = {
+        "form": form,
+        "s_filter_um": s_filter_um,
+        "l_filter_um": l_filter_um,
+        "s_filter": s_filter,
+        "l_filter": l_filter,
+    }
+    height = found.height_um
+    if l_filter_um is not None:  # else about its mean already
+        height = sealed(height - known_mean(height))
+    limited = surface.with_height(height, filtering=note)
+    return ScaleLimited(limited, form, s_filter_um, l_filter_um, s_filter, l_filter)

@@ -10,7 +10,7 @@ from anisoscope.profiles.files.checks import check_heights
 from anisoscope.profiles.heightmap import HeightMap, known_mean, row_blocks
 from anisoscope.profiles.textures.bearing import Core, Volumes, bearing, core, volumes
 from anisoscope.profiles.textures.features import Features, features
-from anisoscope.profiles.textures.filters import ScaleLimited, scale_limited
+from anisoscope.profiles.textures.filters import ScaleLimited, Smoothing, scale_limited
 from anisoscope.profiles.textures.spatial import Spatial, spatial
 from anisoscope.profiles.textures.spectra import dominant_wavelength
 
@@ -160,6 +160,8 @@ def texture(
     form: str = "plane",
     s_filter_um: float | None = None,
     l_filter_um: float | None = None,
+    s_filter: Smoothing = "gaussian",
+    l_filter: Smoothing = "gaussian",
     pruning: float | None = None,
 ) -> Texture:
     """Filter a map and take all parameters.
@@ -167,17 +169,26 @@ def texture(
     Args:
         surface: the map, (rows, cols) in µm; missing points stay out of everything.
         form: form to remove: "none", "plane", "poly1" … "poly10", "sphere", "cylinder".
-        s_filter_um: nesting index in µm of the Gaussian S-filter; None for none.
-        l_filter_um: nesting index in µm of the Gaussian L-filter; None for none.
+        s_filter_um: nesting index in µm of the S-filter; None for none.
+        l_filter_um: nesting index in µm of the L-filter; None for none.
+        s_filter: kind of the S-filter: "gaussian" (ISO 16610-61), "robust" (-71, order 2) or "spline" (-22).
+        l_filter: kind of the L-filter.
         pruning: Wolf pruning of hills and dales, as a share of Sz, such as 0.05; None for no feature parameters.
 
     Raises:
-        UsageError: the surface is no height map.
+        UsageError: the surface is no height map, or there is no such kind of filter.
         HeightMapError: a nesting index that the map cannot hold, or too little was measured.
     """
     if not isinstance(surface, HeightMap):
         raise UsageError(f"texture takes a HeightMap, not {type(surface).__name__}")
-    limited = scale_limited(surface, form=form, s_filter_um=s_filter_um, l_filter_um=l_filter_um)
+    limited = scale_limited(
+        surface,
+        form=form,
+        s_filter_um=s_filter_um,
+        l_filter_um=l_filter_um,
+        s_filter=s_filter,
+        l_filter=l_filter,
+    )
     curve = bearing(limited.map)
     return Texture(
         surface=limited,

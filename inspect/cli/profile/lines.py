@@ -16,7 +16,7 @@ from anisoscope.cli.profile.many import (
     measure_each,
     print_sheet,
 )
-from anisoscope.cli.profile.profile import AS_STATED, Scales
+from anisoscope.cli.profile.profile import AS_STATED, FilterType, Scales
 from anisoscope.cli.tables import print_table
 
 if TYPE_CHECKING:
@@ -44,11 +44,15 @@ def lines(
     ] = "across",
     s_filter: Annotated[
         float | None,
-        Parameter(help="Nesting index λs of the Gaussian S-filter in µm; removes shorter waves."),
+        Parameter(help="Nesting index λs of the S-filter in µm; removes shorter waves."),
     ] = None,
     l_filter: Annotated[
-        float | None, Parameter(help="Nesting index λc of the Gaussian L-filter in µm; removes longer waves.")
+        float | None, Parameter(help="Nesting index λc of the L-filter in µm; removes longer waves.")
     ] = None,
+    s_filter_type: Annotated[
+        FilterType, Parameter(help="S-filter of ISO 16610: gaussian (-21), robust (-31) or spline (-22).")
+    ] = "gaussian",
+    l_filter_type: Annotated[FilterType, Parameter(help="The same for the L-filter.")] = "gaussian",
     form: Annotated[
         str, Parameter(help="Form that is removed: none, plane, poly1 … poly10, sphere or cylinder.")
     ] = "plane",
@@ -66,7 +70,13 @@ def lines(
 
     def measure(path: Path) -> "LineParameters":
         return line_parameters(
-            scales.read(path), direction, form=form, s_filter_um=s_filter, l_filter_um=l_filter
+            scales.read(path),
+            direction,
+            form=form,
+            s_filter_um=s_filter,
+            l_filter_um=l_filter,
+            s_filter=s_filter_type,
+            l_filter=l_filter_type,
         )
 
     chosen = expanded(files)
@@ -100,8 +110,11 @@ def _cell(value: float) -> str:
 
 def _caption(found: "LineParameters") -> str:
     filters = [
-        f"{name} {'none' if cutoff is None else f'{cutoff:g} µm'}"
-        for name, cutoff in (("λs", found.s_filter_um), ("λc", found.l_filter_um))
+        f"{name} {'none' if cutoff is None else f'{cutoff:g} µm ({kind})'}"
+        for name, cutoff, kind in (
+            ("λs", found.s_filter_um, found.s_filter),
+            ("λc", found.l_filter_um, found.l_filter),
+        )
     ]
     return (
         f"{found.lines} lines {found.direction}, {found.angle_deg:.2f}° counter-clockwise from +x, "

@@ -56,6 +56,7 @@ Unit = Literal["um", "nm", "mm", "m"]
 Layout = Literal["auto", "matrix", "xyz"]
 Role = Literal["part", "tool"]
 Rows = Literal["auto", "up", "down"]
+FilterType = Literal["gaussian", "robust", "spline"]
 Trust = Literal["checksum", "pixel-size", "heights"]
 
 

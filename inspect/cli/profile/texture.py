@@ -18,7 +18,7 @@ from anisoscope.cli.profile.many import (
     measure_each,
     print_sheet,
 )
-from anisoscope.cli.profile.profile import AS_STATED, Scales
+from anisoscope.cli.profile.profile import AS_STATED, FilterType, Scales
 from anisoscope.cli.tables import print_table
 
 if TYPE_CHECKING:
@@ -32,11 +32,15 @@ ParameterRow = tuple[str, float, str, str]
 def texture(
     *files: Path,
     s_filter: Annotated[
-        float | None, Parameter(help="Nesting index of the Gaussian S-filter in µm; removes shorter waves.")
+        float | None, Parameter(help="Nesting index of the S-filter in µm; removes shorter waves.")
     ] = None,
     l_filter: Annotated[
-        float | None, Parameter(help="Nesting index of the Gaussian L-filter in µm; removes longer waves.")
+        float | None, Parameter(help="Nesting index of the L-filter in µm; removes longer waves.")
     ] = None,
+    s_filter_type: Annotated[
+        FilterType, Parameter(help="S-filter of ISO 16610: gaussian (-61), robust (-71) or spline (-22).")
+    ] = "gaussian",
+    l_filter_type: Annotated[FilterType, Parameter(help="The same for the L-filter.")] = "gaussian",
     form: Annotated[
         str, Parameter(help="Form that is removed: none, plane, poly1 … poly10, sphere or cylinder.")
     ] = "plane",
@@ -77,6 +81,8 @@ def texture(
             form=form,
             s_filter_um=s_filter,
             l_filter_um=l_filter,
+            s_filter=s_filter_type,
+            l_filter=l_filter_type,
             pruning=0.01 * pruning if features else None,
         )
 
@@ -168,6 +174,8 @@ def _as_json(found: "Texture", free: Free) -> dict[str, Any]:
         "form": limited.form,
         "s_filter_um": limited.s_filter_um,
         "l_filter_um": limited.l_filter_um,
+        "s_filter": limited.s_filter,
+        "l_filter": limited.l_filter,
         "missing_share": limited.map.missing_share,
         **parts,
         "bearing": bearing,
@@ -230,22 +238,31 @@ def _feature_rows(f: "Features") -> "list[ParameterRow]":
 
 
 def _caption(found: "Texture") -> str:
-    from anisoscope.profiles.textures.filters import transmission
+    from anisoscope.profiles.textures.filters import Smoothing, standard_of, transmission
 
     limited = found.surface
+    named = {"gaussian": "Gaussian", "robust": "robust Gaussian", "spline": "spline"}
 
-    def words(name: str, cutoff: float | None) -> str:
+    def words(name: str, cutoff: float | None, kind: Smoothing) -> str:
         if cutoff is None:
             return f"{name} none"
-        return f"{name} Gaussian (ISO 16610-61), nesting index {cutoff:g} µm"
+        return f"{name} {named[kind]} ({standard_of(kind)}), nesting index {cutoff:g} µm"
 
     lines = [
         f"{limited.name}; missing {100.0 * limited.map.missing_share:.3g} %",
-        f"{words('S-filter', limited.s_filter_um)}; {words('L-filter', limited.l_filter_um)}",
+        "; ".join(
+            (
+                words("S-filter", limited.s_filter_um, limited.s_filter),
+                words("L-filter", limited.l_filter_um, limited.l_filter),
+            )
+        ),
     ]
     pixel = max(limited.map.pixel_x_um, limited.map.pixel_y_um)
-    for cutoff in (limited.s_filter_um, limited.l_filter_um):
-        if cutoff is not None and cutoff < 4.0 * pixel:
+    for cutoff, kind in (
+        (limited.s_filter_um, limited.s_filter),
+        (limited.l_filter_um, limited.l_filter),
+    ):
+        if kind != "spline" and cutoff is not None and cutoff < 4.0 * pixel:
             share = 100.0 * transmission(cutoff, pixel, cutoff)
             lines.append(
                 f"few pixels in {cutoff:g} µm: the filter passes {share:.0f} % there instead of 50 %"

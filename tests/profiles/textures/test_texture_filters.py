@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from anisoscope.base.errors import HeightMapError
+from anisoscope.base.errors import HeightMapError, UsageError
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.textures.filters import (
     gaussian_mean,
@@ -74,7 +74,13 @@ def test_low_and_high_waves_go_to_their_filters():
     left = limited.map.height_um[inner] - middle[inner]
     assert np.sqrt(np.mean(left**2)) < 0.1
     assert "S-L" in limited.name
-    assert limited.map.origin["filtering"] == {"form": "none", "s_filter_um": 15.0, "l_filter_um": 180.0}
+    assert limited.map.origin["filtering"] == {
+        "form": "none",
+        "s_filter_um": 15.0,
+        "l_filter_um": 180.0,
+        "s_filter": "gaussian",
+        "l_filter": "gaussian",
+    }
 
 
 def test_forms_are_removed_exactly_with_gaps_and_oblong_pixels():
@@ -131,3 +137,39 @@ def test_points_on_one_line_do_not_determine_a_plane():
     z[4] = 1.0
     with pytest.raises(HeightMapError, match="determine"):
         without_form(HeightMap(z, 1.0, 1.0), "plane")
+
+
+@pytest.mark.parametrize("kind", ["gaussian", "robust", "spline"])
+def test_every_kind_separates_short_from_long_waves(kind):
+    """Waves of 8 and 80 µm between filters of 25 and 240: each filter takes one of them away and leaves the other."""
+    y, x = np.mgrid[:160, :100] * 1.0
+    short, long = np.cos(2 * np.pi * x / 8.0), np.cos(2 * np.pi * y / 80.0)
+    surface = HeightMap(short + long + 1e-3 * x, 1.0, 1.0)
+    smooth = scale_limited(surface, s_filter_um=25.0, s_filter=kind)
+    rough = scale_limited(surface, l_filter_um=25.0, l_filter=kind)
+    inner = (slice(40, -40), slice(30, -30))
+    gain = 2.0 ** -((25.0 / 80.0) ** 2) if kind == "gaussian" else 1.0
+    np.testing.assert_allclose(smooth.map.height_um[inner], gain * long[inner], atol=0.06)
+    np.testing.assert_allclose(rough.map.height_um[inner], (short + (1.0 - gain) * long)[inner], atol=0.06)
+    assert (smooth.s_filter, rough.l_filter) == (kind, kind)
+    assert smooth.map.origin["filtering"]["s_filter"] == kind
+
+
+def test_a_robust_l_filter_leaves_deep_dales_their_depth():
+    """Grooves 3 µm deep over a tenth of a wavy surface pull at Gaussian and spline, not at the robust mean."""
+    x = np.arange(200.0)
+    z = 0.5 * np.cos(2 * np.pi * x / 200.0) + 0.02 * np.random.default_rng(0).standard_normal((55, 200))
+    groove = np.broadcast_to((x + 20.0) % 50.0 < 5.0, z.shape)
+    surface = HeightMap(np.where(groove, z - 3.0, z), 1.0, 1.0)
+    plateau, depth = {}, {}
+    for kind in ("gaussian", "robust", "spline"):
+        height = scale_limited(surface, form="none", l_filter_um=50.0, l_filter=kind).map.height_um
+        plateau[kind], depth[kind] = np.std(height[~groove]), -np.mean(height[groove])
+    assert plateau["robust"] < 0.03
+    assert min(plateau["gaussian"], plateau["spline"]) > 0.1
+    assert depth["robust"] == pytest.approx(2.7, abs=0.03)  # from the mean, which lies 0.1 of the depth down
+
+
+def test_filters_that_there_are_not():
+    with pytest.raises(UsageError, match="gaussian, robust or spline"):
+        scale_limited(wave(50.0, (40, 40)), s_filter_um=5.0, s_filter="median")
