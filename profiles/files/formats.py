@@ -37,7 +37,7 @@ ZIPPED = (".x3p", ".npz")
 def _x3p(path: Path, given: Given) -> HeightMap:
     if given.pixel_um is not None:
         refuse(path.name, "units", "an x3p file states its own", "leave the pixel size and the unit out")
-    return read_x3p(path)
+    return read_x3p(path, given.regions)
 
 
 def _array(path: Path, given: Given) -> HeightMap:

@@ -70,6 +70,8 @@ def _check_given(name: str, found: Format, given: Given) -> None:
         )
     if found.units_from_user != "counts" and given.height_per_count is not None:
         refuse(name, "height per count", "is for pictures", f"leave it out for {found.name}")
+    if given.regions and ".x3p" not in found.suffixes:
+        refuse(name, "mask", "only x3p files hold a mask.png", "leave --mask-from-x3p out")
 
 
 def read_height_map(
@@ -83,6 +85,7 @@ def read_height_map(
     height_per_count: float | None = None,
     rows: Rows = "auto",
     trust: Sequence[Trust] = (),
+    mask_regions: Sequence[str] = (),
 ) -> HeightMap:
     """Read a height map, by content and extension, and check that it is plausible.
 
@@ -102,6 +105,8 @@ def read_height_map(
         trust: checks that must not refuse the file: "checksum" (that of main.xml of an x3p file whose heights have a
             right one), "pixel-size" (its limits and that of the field), "heights" (their least range). What was let
             pass is listed as ``trusted`` in the origin.
+        mask_regions: regions of the ``mask.png`` of an x3p file that become missing points, by name or colour, or
+            "all"; without them every point is read.
 
     Returns:
         The map; its origin holds ``file``, ``sha256``, ``format``, ``reader``, ``pixel_um`` [y, x],
@@ -116,7 +121,7 @@ def read_height_map(
         raise HeightMapError(f"unknown role {role!r}; a height map is of a part or of a tool")
     micrometres_per(z_unit or "um")
     micrometres_per(xy_unit or "um")
-    given = Given(pixel_um, z_unit, height_per_count, xy_unit, layout)
+    given = Given(pixel_um, z_unit, height_per_count, xy_unit, layout, tuple(mask_regions))
     sha256, head = _fingerprint(path)
     found = find_format(path, head)
     _check_given(path.name, found, given)

@@ -7,6 +7,9 @@ finite, and where a text ``Datum`` is empty. Every size is checked against the f
 In ``main.xml`` Record1 describes the axes, Record2 the measurement, Record3 the size
 and the place of the data, Record4 the checksum of this document. Lengths are metres.
 
+A ``mask.png`` beside the data is not of the standard: programs for forensic surfaces (x3ptools, x3p.js) name regions by
+its colours. It says nothing about validity, and only regions that the user names become missing points.
+
 The document is read as a stream, so that a list of millions of ``Datum`` elements costs its text only.
 A document type declaration is refused: it is the door to external entities and to entity bombs.
 """
@@ -14,9 +17,10 @@ A document type declaration is refused: it is the door to external entities and 
 import hashlib
 import re
 import struct
+import tempfile
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from pathlib import Path, PurePosixPath
@@ -24,6 +28,7 @@ from typing import Any
 from xml.parsers import expat
 
 import numpy as np
+import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
@@ -37,6 +42,7 @@ from anisoscope.profiles.files.checks import (
     passes,
     refuse,
 )
+from anisoscope.profiles.files.decoder_process import decode
 from anisoscope.profiles.files.x3p_write import MAX_DOCUMENT_BYTES, ULPS, add_ulps, listed_digest, write_x3p
 from anisoscope.profiles.heightmap import HeightMap
 
@@ -44,6 +50,7 @@ DATA_TYPES = {"I": "<i2", "L": "<i4", "F": "<f4", "D": "<f8"}
 EMPTY_TEXTS = {"", "n/a", "na", "none", "unknown", "not available", "nan"}
 MAX_DEPTH = 32
 MAX_FIELDS = 10_000
+MAX_REGIONS = 1000
 
 
 @dataclass(frozen=True)
@@ -71,6 +78,7 @@ class Header:
         z: the z axis, always absolute.
         fields: all texts by their path, such as ``Record2/Instrument/Model``.
         datums: texts of the ``Datum`` elements where the data are in the document itself.
+        annotations: (colour, name) of the regions of a ``mask.png``, as ``Record3/Mask/Annotations`` lists them.
     """
 
     rows: int
@@ -80,6 +88,7 @@ class Header:
     z: Axis
     fields: Mapping[str, str]
     datums: list[str]
+    annotations: Sequence[tuple[str, str]] = ()
 
     def metadata(self) -> dict[str, Any]:
         """Instrument, date and other metadata as far as the file has them."""
@@ -111,9 +120,12 @@ class _Collector:
         self.text: list[str] = []
         self.fields: dict[str, str] = {}
         self.datums: list[str] = []
+        self.colour = ""
+        self.annotations: list[tuple[str, str]] = []
 
-    def start(self, tag: str, _attributes: object) -> None:
+    def start(self, tag: str, attributes: Mapping[str, str]) -> None:
         self.path.append(tag.rpartition(":")[2])
+        self.colour = attributes.get("color", "")
         self.text.clear()
         if len(self.path) > MAX_DEPTH:
             refuse(self.name, "main.xml", f"nested deeper than {MAX_DEPTH} levels", "this is no x3p document")
@@ -130,6 +142,9 @@ class _Collector:
             self.datums.append(text)
             if len(self.datums) > MAX_POINTS:
                 refuse(self.name, "main.xml", "too many Datum elements", "crop the map")
+        elif path == "Record3/Mask/Annotations/Annotation":
+            if text and self.colour and len(self.annotations) < MAX_REGIONS:
+                self.annotations.append((self.colour, text))
         elif len(self.fields) < MAX_FIELDS:
             self.fields.setdefault(path, text)
 
@@ -268,8 +283,9 @@ def read_header(name: str, document: bytes) -> Header:
     if x.kind != y.kind:
         refuse(name, "axis types", f"{x.kind} for x and {y.kind} for y", "both must be I, or both A")
     return Header(
-        _size(name, fields, "SizeY"), _size(name, fields, "SizeX"), x, y, z, fields, collector.datums
-    )
+        _size(name, fields, "SizeY"), _size(name, fields, "SizeX"), x, y, z, fields, collector.datums,
+        collector.annotations,
+    )  # fmt: skip
 
 
 def micrometres(name: str, what: str, metres: Decimal) -> float:
@@ -366,6 +382,10 @@ def _is_md5(text: str) -> bool:
 
 
 MASK = "bindata/mask.png"
+EVERY_POINT = "every point is read"
+MASK_BACKGROUND = "#cd7f32"
+MASK_BYTES_PER_POINT = 8
+MASK_LEAST_BYTES = 2**20
 STALE = "differs; the heights have a right one of their own"
 
 
@@ -496,15 +516,64 @@ def _ulps(container: Container, count: int) -> bytes:
     return b"" if info is None or info.file_size != count + 16 else container.read(info, count + 16)
 
 
-def read_x3p(path: Path | str) -> HeightMap:
+def _colour(text: str) -> int | None:
+    """A colour such as ``#1f376c`` or ``red`` as a number; None where it is none."""
+    from PIL import ImageColor  # noqa: PLC0415 - slow to import
+
+    try:
+        red, green, blue = ImageColor.getrgb(text.strip())[:3]
+    except ValueError:
+        return None
+    return red << 16 | green << 8 | blue
+
+
+def _masked(
+    container: Container, header: Header, link: zipfile.ZipInfo, regions: Sequence[str]
+) -> tuple[npt.NDArray[np.bool_], str]:
+    """(rows, cols) points of the named regions of a ``mask.png``, and what is noted about them.
+
+    Its first row is the first row of the heights. ``all`` is whatever is neither background nor transparent.
+    """
+    name, count = container.name, header.rows * header.cols
+    content = container.read(link, MASK_LEAST_BYTES + MASK_BYTES_PER_POINT * count)
+    with tempfile.TemporaryDirectory() as folder:
+        picture = Path(folder) / "mask.png"
+        picture.write_bytes(content)
+        raw = decode("colours", picture)[1]
+    if raw.shape != (header.rows, header.cols):
+        found = f"{raw.shape[0]} × {raw.shape[1]} points for {header.rows} × {header.cols}"
+        refuse(name, link.filename, found, "leave --mask-from-x3p out, or write the mask anew")
+    seen, colours = (raw & 0xFF) > 0, raw >> 8
+    known = {text.casefold(): _colour(colour) for colour, text in header.annotations}
+    background = _colour(header.fields.get("Record3/Mask/Background", "") or MASK_BACKGROUND)
+    chosen = np.zeros(raw.shape, dtype=np.bool_)
+    for region in regions:
+        if region.casefold() == "all":
+            here = seen & (colours != background)
+        else:
+            wanted = known.get(region.casefold(), _colour(region))
+            here = seen & (colours == wanted) if wanted is not None else np.zeros_like(seen)
+        if not here.any():
+            listed = ", ".join(dict.fromkeys(text for _, text in header.annotations)) or "colours alone"
+            advice = f"the mask has {listed}; name one of them, a colour such as #1f376c, or all"
+            refuse(name, "mask", f"no point of a region {region!r}", advice)
+        chosen |= here
+    return chosen, f"{np.count_nonzero(chosen)} points of {', '.join(regions)} are missing points"
+
+
+def read_x3p(path: Path | str, regions: Sequence[str] = ()) -> HeightMap:
     """Read the surface of an x3p file.
+
+    Args:
+        path: the file.
+        regions: names or colours of regions of its ``mask.png`` that become missing points; "all" for every region.
 
     Returns:
         (rows, cols) heights in µm. ``origin`` holds instrument and date as far as given, and how the
         checksum of ``main.xml`` fared.
 
     Raises:
-        HeightMapError: not readable, damaged (MD5, truncation), no surface, or implausible.
+        HeightMapError: not readable, damaged (MD5, truncation), no surface, or implausible; no such region.
     """
     path = Path(path)
     name = path.name
@@ -518,7 +587,12 @@ def read_x3p(path: Path | str) -> HeightMap:
             check_claim(name, header.rows, header.cols, 0, 0)
             raw, valid = _listed(name, header) if header.datums else _binary(container, header)
             ulps = _ulps(container, raw["z"].size)
-            marked = container.find(header.fields.get("Record3/Mask/Link", "") or MASK) is not None
+            link = container.find(header.fields.get("Record3/Mask/Link", "") or MASK)
+            if regions and link is None:
+                refuse(name, "mask", "the file has no mask.png", "leave --mask-from-x3p out")
+            chosen, note = (
+                (None, "") if not regions or link is None else _masked(container, header, link, regions)
+            )
     except HeightMapError:
         raise
     except ZIP_TROUBLE as error:
@@ -530,11 +604,16 @@ def read_x3p(path: Path | str) -> HeightMap:
         add_ulps(height, ulps, bytes.fromhex(checksum) if linked else listed_digest(raw["z"]))
     if not valid.all():
         height[~valid] = np.nan
+    if chosen is not None:
+        height[chosen.ravel()] = np.nan
     pixel = _pixel_um(name, header, raw)
     origin = {"format": "x3p", "checksum": checked, **header.metadata()}
     if endless := int(np.count_nonzero(np.isinf(raw["z"]))):
         origin["corrected"] = [f"{endless} infinite heights are missing points"]
-    if marked:
-        origin["mask"] = "regions are marked in colours; every point is read"
+    if link is not None:
+        names = ", ".join(dict.fromkeys(text for _, text in header.annotations))
+        origin["mask"] = (
+            f"regions are marked in colours{f' ({names})' if names else ''}; {note or EVERY_POINT}"
+        )
     grid = height.reshape(header.rows, header.cols)
     return checked_map(name, grid, pixel, origin, stage_height=True)

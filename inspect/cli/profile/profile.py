@@ -102,6 +102,13 @@ class Scales:
             consume_multiple=False,
         ),
     ] = ()
+    mask_from_x3p: Annotated[
+        str | None,
+        Parameter(
+            help="Regions of the mask.png of an x3p file that become missing points: names or colours separated by "
+            "commas, or all."
+        ),
+    ] = None
     role: Annotated[
         Role, Parameter(help="Map of the part, or of the tool (mould), whose negative the part is.")
     ] = "part"
@@ -120,6 +127,7 @@ class Scales:
             height_per_count=self.height_per_count,
             rows=self.rows,
             trust=self.trust,
+            mask_regions=[part.strip() for part in (self.mask_from_x3p or "").split(",") if part.strip()],
         )
 
 

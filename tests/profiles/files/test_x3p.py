@@ -1,4 +1,5 @@
 import hashlib
+import io
 import os
 import tracemalloc
 import zipfile
@@ -6,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.files.load import read_height_map, write_height_map
@@ -247,3 +249,73 @@ def test_flipped_bytes_raise_height_map_errors_or_read(tmp_path, suffix):
             assert "\n" not in str(error)  # noqa: PT017 - both outcomes are right
         else:
             assert np.nanmax(np.abs(surface.height_um)) <= 10_000.0
+
+
+MARKED = (
+    b"<Mask><Background>#cd7f32</Background><Annotations><Annotation color='#1f376c'>break-off</Annotation>"
+    b"<Annotation color='purple'>left groove</Annotation></Annotations></Mask>"
+)
+
+
+@pytest.fixture
+def marked(tmp_path):
+    """A map of 12 × 16 points whose mask.png marks rows 0–2, and columns 12–15 of the other rows, in two colours."""
+    write_x3p(some_map(12, 16, missing=0.0), tmp_path / "plain.x3p")
+    content = entries(tmp_path / "plain.x3p")
+    content["main.xml"] = content["main.xml"].replace(b"</Record3>", MARKED + b"</Record3>")
+    content["md5checksum.hex"] = hashlib.md5(content["main.xml"], usedforsecurity=False).hexdigest().encode()
+    colours = np.full((12, 16, 3), (0xCD, 0x7F, 0x32), dtype=np.uint8)
+    colours[:, 12:], colours[:3] = (0x80, 0, 0x80), (0x1F, 0x37, 0x6C)
+    picture = io.BytesIO()
+    Image.fromarray(colours).save(picture, "PNG")
+    return pack(tmp_path / "marked.x3p", content | {"bindata/mask.png": picture.getvalue()})
+
+
+def test_regions_of_a_mask_are_missing_only_where_the_user_names_them(marked):
+    rows, cols = np.mgrid[:12, :16]
+    broken, groove = rows < 3, (cols >= 12) & (rows >= 3)
+    plain = read_height_map(marked)
+    assert not np.isnan(plain.height_um).any()
+    assert "break-off, left groove" in plain.origin["mask"]
+    assert "every point is read" in plain.origin["mask"]
+    for regions, gone in (
+        (["break-off"], broken),
+        (["LEFT groove"], groove),
+        (["#1F376C", "left groove"], broken | groove),
+        (["all"], broken | groove),
+        (["#cd7f32"], ~(broken | groove)),
+    ):
+        found = read_height_map(marked, mask_regions=regions)
+        np.testing.assert_array_equal(np.isnan(found.height_um), gone)
+        np.testing.assert_array_equal(found.height_um[~gone], plain.height_um[~gone])
+        assert f"{np.count_nonzero(gone)} points" in found.origin["mask"]
+
+
+def test_transparent_points_of_a_mask_are_no_region(marked):
+    content = entries(marked)
+    alpha = np.zeros((12, 16, 4), dtype=np.uint8)
+    alpha[4:6, :, :] = 255
+    picture = io.BytesIO()
+    Image.fromarray(alpha).save(picture, "PNG")
+    pack(marked, content | {"bindata/mask.png": picture.getvalue()})
+    found = read_height_map(marked, mask_regions=["all"])
+    np.testing.assert_array_equal(np.isnan(found.height_um), np.mgrid[:12, :16][0] // 2 == 2)
+
+
+def test_masks_that_cannot_be_used(marked, tmp_path):
+    with pytest.raises(
+        HeightMapError, match=r"no point of a region 'rust'; the mask has break-off, left groove"
+    ):
+        read_height_map(marked, mask_regions=["rust"])
+    with pytest.raises(HeightMapError, match=r"no mask\.png"):
+        read_height_map(tmp_path / "plain.x3p", mask_regions=["all"])
+    write_height_map(some_map(missing=0.0), tmp_path / "a.npz")
+    with pytest.raises(HeightMapError, match="only x3p files"):
+        read_height_map(tmp_path / "a.npz", mask_regions=["all"])
+    content, small = entries(marked), io.BytesIO()
+    Image.fromarray(np.zeros((5, 5, 3), dtype=np.uint8)).save(small, "PNG")
+    for picture, message in ((small.getvalue(), "5 × 5 points for 12 × 16"), (b"no picture", "mask.png")):
+        pack(marked, content | {"bindata/mask.png": picture})
+        with pytest.raises(HeightMapError, match=message):
+            read_height_map(marked, mask_regions=["all"])
+        assert not np.isnan(read_height_map(marked).height_um).any()
