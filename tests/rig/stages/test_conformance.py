@@ -136,7 +136,7 @@ def test_after_a_fault_the_next_connection_works(in_process, case, fault, clock)
 
 
 def test_stop_from_another_thread_ends_the_move(served, case, when_it_turns):
-    firmware = case.firmware(time_scale=20.0)
+    firmware = case.firmware(time_scale=case.stage.get("unhurried", 5.0))
     with case.open(served(firmware), margin_s=5.0) as stage:
         stage.home()
         stopper = when_it_turns(firmware, stage.stop)
@@ -148,7 +148,7 @@ def test_stop_from_another_thread_ends_the_move(served, case, when_it_turns):
 
 
 def test_a_second_move_at_the_same_time_is_refused(in_process, case):
-    slowed = case.firmware(time_scale=case.stage.get("unhurried", 5.0))
+    slowed = case.firmware(time_scale=case.stage.get("unhurried", 2.0))
     with case.open(in_process(slowed), margin_s=5.0) as stage:
         stage.home()
         mover = threading.Thread(target=stage.move_to, args=(20.0,))
