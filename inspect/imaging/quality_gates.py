@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import CalibrationError, MeasurementError, RegistrationError
-from anisoscope.imaging.pose_radiance import Measured
+from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH, Measured
 from anisoscope.imaging.registration.placement import Grid, View, angle_between
 from anisoscope.recipe.surface import SurfaceRecipe
 
@@ -31,6 +31,12 @@ POINTS_A_PITCH = 6.0
 MAX_WINDOW = 512
 STILL_CELLS = 8.0
 DEFAULT_CELL_DEVIATION = 0.3
+UNLIKE, LIKE = 1.6, 1.4  # factors in brightness: what is beyond the part, and what is the part
+THINNEST = 2.0  # cells
+SOLID_PART, MOST_LIKE = (
+    0.6,
+    0.1,
+)  # over this part of its depth so few cells of what an edge cuts off look like the part
 
 
 def check_views(views: list[View], recipe: SurfaceRecipe | None = None) -> None:
@@ -100,12 +106,103 @@ def check_part(views: list[View], measured: Measured, recipe: SurfaceRecipe) -> 
     """Gates of the aligned pictures of ridges.
 
     Raises:
-        MeasurementError: the ridges are not those of the recipe, or run elsewhere.
+        MeasurementError: the region reaches beyond the part; the ridges are not those of the recipe, or run elsewhere.
         CalibrationError: a deviation is stationary in the picture while the part turns.
     """
+    check_edges(measured, recipe)
     check_ridges(measured.aligned, measured.grid, recipe)
     rule = recipe.area.cell_deviation if recipe.area is not None else DEFAULT_CELL_DEVIATION
     check_dirt(views, measured, 0.5 * rule)
+
+
+@dataclass(frozen=True)
+class Overhang:
+    """A corner of the region beyond the part: (x, y) of the corner in sample millimetres, and how far in µm."""
+
+    at_mm: tuple[float, float]
+    beyond_um: float
+
+
+def overhangs(cells: FloatArray, grid: Grid) -> tuple[Overhang, ...]:
+    """Corners of the region that lie beyond the part.
+
+    What is not the part is brighter or darker than it in every pose, up to a straight edge that cuts the corner off or
+    runs along a side. Means of a whole pitch across the ridges show it; cells that look like the part, each compared
+    with the median of the cells at its place in the pitch, contradict it.
+
+    Args:
+        cells: (P, rows, cols) mean radiance of cells, four in a pitch.
+        grid: raster of the aligned pictures.
+    """
+    cell_um = 1000.0 * grid.pixel_mm * grid.shape[1] / cells.shape[2]
+    found = []
+    for down in (1, -1):
+        for across in (1, -1):
+            beyond = _cut_off(cells[:, ::down, ::across])
+            if beyond > 0.0:
+                row, col = (0 if down > 0 else grid.shape[0] - 1), (0 if across > 0 else grid.shape[1] - 1)
+                x, y, _ = grid.to_mm() @ [col, row, 1.0]
+                found.append(Overhang((float(x), float(y)), beyond * cell_um))
+    return tuple(found)
+
+
+def _cut_off(cells: FloatArray) -> float:
+    """Distance in cells from the corner at (P, 0, 0) to the edge of the part; 0 where the part covers the corner."""
+    ends = np.pad(np.cumsum(cells, axis=2), ((0, 0), (0, 0), (1, 0)))
+    pitches = ends[:, :, CELLS_PER_PITCH:] - ends[:, :, :-CELLS_PER_PITCH]
+    unlike = np.all(np.abs(_off_median(pitches)) > np.log(UNLIKE), axis=0)
+    # a pitch counts up to where half of it is the part
+    across = np.cumprod(unlike, axis=1).sum(axis=1)
+    across = np.where(across > 0, across + CELLS_PER_PITCH // 2 - 1, 0)
+    down = np.cumprod(unlike, axis=0).sum(axis=0)
+    like = np.empty(cells.shape[1:], dtype=bool)
+    for phase in range(CELLS_PER_PITCH):
+        own = np.s_[:, :, phase::CELLS_PER_PITCH]
+        like[own[1:]] = np.all(np.abs(_off_median(cells[own])) < np.log(LIKE), axis=0)
+    row, col = np.indices(like.shape) + 0.5
+    legs = float(across[:2].min()), float(down[0])
+    beyond = 0.0
+    if min(legs) >= THINNEST and max(legs) >= CELLS_PER_PITCH:
+        beyond = legs[0] * legs[1] / float(np.hypot(*legs))
+        if _is_part(like, row / legs[1] + col / legs[0]):
+            beyond = 0.0
+    # a strip along a whole side, whatever the next side shows
+    for depth, along in ((float(np.median(across)), col), (float(np.median(down)), row)):
+        if depth >= THINNEST and not _is_part(like, along / depth):
+            beyond = max(beyond, depth)
+    return beyond
+
+
+def _is_part(like: npt.NDArray[np.bool_], depth: FloatArray) -> bool:
+    """Whether more than a few cells near the border look like the part; the depth is 1 at the supposed edge."""
+    inner = depth < SOLID_PART
+    return not inner.any() or bool(like[inner].mean() > MOST_LIKE)
+
+
+def _off_median(values: FloatArray) -> FloatArray:
+    """Ln ratio of every value of a pose to the median of the pose."""
+    logs = np.log(np.maximum(values, 1e-6))
+    return np.asarray(logs - np.median(logs, axis=(1, 2), keepdims=True))
+
+
+def check_edges(measured: Measured, recipe: SurfaceRecipe) -> None:
+    """Check that no corner of the region lies beyond the part."""
+    beyond = [
+        one
+        for one in overhangs(measured.cells, measured.grid)
+        if one.beyond_um > recipe.limits.beyond_part_um
+    ]
+    if not beyond:
+        return
+    count = f"at {len(beyond)} corners" if len(beyond) > 1 else "at a corner"
+    places = ", ".join(
+        f"{one.beyond_um:.0f} µm at x {one.at_mm[0]:+.2f} mm, y {one.at_mm[1]:+.2f} mm" for one in beyond
+    )
+    raise MeasurementError(
+        f"the region reaches beyond the part {count}: {places} (limit {recipe.limits.beyond_part_um:g} µm, "
+        "limits.beyond_part_um): make region.size_mm smaller, correct region.center_mm, or seat the part properly; is "
+        "the part whole there?"
+    )
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from anisoscope.imaging.registration.placement import check_fixture
 from anisoscope.imaging.views import Viewing
 from anisoscope.kinds.kind import AnyKind, Reference
 from anisoscope.kinds.registry import kind_of
-from anisoscope.recipe.base import RecipeBase
+from anisoscope.recipe.base import RecipeBase, check_region
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.schema import sha256_of
 from anisoscope.rig.acquisition.plan import Plan, Pose
@@ -150,10 +150,11 @@ def sources_of(
 
     Raises:
         HeightMapError: the height map is missing.
-        RecipeError: light or camera would stand below the part's horizon.
+        RecipeError: light or camera would stand below the part's horizon, or the region covers a marker.
         RigFileError: the rig file lacks what the kind needs, or has another lamp than the recipe.
     """
     kind.check(recipe, rig, recipe_path, rig_path)
+    check_region(recipe, rig.fixture, recipe_path)
     files: list[tuple[Role, Path]] = [("recipe", recipe_path), ("rig", rig_path)]
     files += [*kind.sources(recipe, rig).items(), *_golden_file(recipe_path)]
     return tuple(Source(role, path, sha256_of(path)) for role, path in files)

@@ -25,7 +25,7 @@ from anisoscope.imaging.views import Guide, Views
 from anisoscope.kinds.command_output import CommandOutput, Table
 from anisoscope.kinds.recipe_check import RecipeCheck
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.recipe.base import RecipeBase
+from anisoscope.recipe.base import RecipeBase, check_region
 from anisoscope.recipe.poses import check_poses
 from anisoscope.recipe.teaching import Taught
 from anisoscope.record.details import Details
@@ -479,6 +479,7 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
             return self.capability(recipe, None, light_angle_deg, tries, advance)
         rig = read_replay_rig(rig_path)
         self.check(recipe, rig, path, rig_path)
+        check_region(recipe, rig.fixture, path)
         if not rig.without_devices:
             check_arm(rig, [pose.tilt_deg for pose in recipe.poses.poses()])
         found = self.capability(recipe, rig, rig.light.angle_deg, tries, advance)

@@ -1,13 +1,17 @@
 """Common part of the recipes of all kinds: name, poses, exposure, region, and limits of a measurement."""
 
 from itertools import pairwise
+from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
 
+import numpy as np
 from pydantic import Field, model_validator
 
+from anisoscope.base.errors import RecipeError
 from anisoscope.base.toml_file import NotNegative, Part, Positive, Share
 from anisoscope.recipe.poses import PosesPart
 from anisoscope.rig.acquisition.plan import LEAST_STEP
+from anisoscope.rig.fixture import Fixture
 
 
 class AcquisitionPart(Part):
@@ -63,7 +67,8 @@ class LimitsPart(Part):
     """Limits beyond which a measurement is INVALID.
 
     ``fixture_um`` is the distance of the point about which the fixture turns from the calibrated rotation centre: the
-    fixture's markers place every picture, so that only a moved camera or stage is to be noticed.
+    fixture's markers place every picture, so that only a moved camera or stage is to be noticed. ``beyond_part_um`` is
+    how far a corner of the region may reach beyond the part.
     """
 
     saturated_share: Share = 0.001
@@ -73,6 +78,7 @@ class LimitsPart(Part):
     drift: Positive = 0.02
     min_signal_share: Share = 0.01
     fixture_um: Positive = 250.0
+    beyond_part_um: NotNegative = 0.0
 
 
 class CommonUncertainty(Part):
@@ -112,3 +118,34 @@ class RecipeBase(Part):
     def step_mm(self) -> float:
         """Increment of the size of a region."""
         return 0.1
+
+
+def check_region(recipe: RecipeBase, fixture: Fixture | None, path: Path) -> None:
+    """Check that the region keeps off the markers of the fixture.
+
+    Args:
+        recipe: the recipe.
+        fixture: of the rig, or None.
+        path: of the recipe's file, for the message.
+
+    Raises:
+        RecipeError: it covers markers.
+    """
+    turn = np.radians(recipe.poses.facet_azimuth_deg)
+    axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    half = 0.5 * np.array(recipe.region.size_mm)
+    covered = []
+    for marker in () if fixture is None else fixture.markers:
+        apart = np.array([marker.x_mm, marker.y_mm]) - recipe.region.center_mm
+        side = 0.5 * fixture.marker_mm if fixture is not None else 0.0
+        reach = side * np.abs(axes).sum(axis=1)
+        # two rectangles are apart if they are so along a side of either
+        along_region = np.abs(axes @ apart) < half + reach
+        along_marker = np.abs(apart) < side + np.abs(axes.T) @ half
+        if along_region.all() and along_marker.all():
+            covered.append(str(marker.id))
+    if covered:
+        raise RecipeError(
+            f"{path}: the region covers {'markers' if len(covered) > 1 else 'marker'} {', '.join(covered)} of the "
+            "fixture: make region.size_mm smaller, or correct region.center_mm"
+        )

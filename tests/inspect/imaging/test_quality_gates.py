@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from anisoscope.base.errors import CalibrationError, MeasurementError, RegistrationError
+from anisoscope.base.errors import CalibrationError, MeasurementError, RecipeError, RegistrationError
 from anisoscope.imaging.linearisation import RadianceImage
 from anisoscope.imaging.quality_gates import (
     check_dirt,
@@ -17,6 +17,7 @@ from anisoscope.imaging.quality_gates import (
     check_tilt,
     check_views,
     find_ridges,
+    overhangs,
 )
 from anisoscope.imaging.registration.placement import Grid, Placement, View
 
@@ -182,6 +183,58 @@ BENCHES = {
         "the arm stands at 0.0° tilt, the markers say 12",
     ),
 }
+
+
+OVER = np.indices((40, 40))
+CUTS = {
+    "nothing": (np.zeros((40, 40), bool), []),
+    "a strip on the right": (OVER[1] >= 36, [100.0, 100.0]),
+    "a strip below, half a pitch": (OVER[0] >= 38, [50.0, 50.0]),
+    "a corner, by a turned edge": (OVER[0] + 2 * (39 - OVER[1]) < 20, [224.0]),
+    "all round": ((OVER < 4).any(axis=0) | (OVER >= 36).any(axis=0), [100.0] * 4),
+    "a strip of a quarter of a pitch": (OVER[1] >= 39, []),
+    "a scratch on the first row": (OVER[0] == 0, []),
+    "specks": (np.add(*OVER) % 7 == 0, []),
+    "a scratch along a side": ((OVER[1] == 38) | (OVER[1] == 37), []),
+    "a mark of a pitch off the corner": ((OVER >= 6).all(axis=0) & (OVER < 16).all(axis=0), []),
+}
+
+
+@pytest.mark.parametrize("case", CUTS)
+def test_corners_beyond_the_part_are_found(case):
+    foreign, distances = CUTS[case]
+    rng = np.random.default_rng(4)
+    pattern = np.tile([0.3, 1.0, 1.7, 1.0], 10) * np.array([0.28, 0.03, 0.035])[:, None, None]
+    cells = pattern * rng.lognormal(0.0, 0.1, (3, 40, 40))
+    cells[:, foreign] = 0.0127  # a dark plate
+    found = overhangs(cells, GRID)
+    assert [one.beyond_um for one in found] == pytest.approx(distances, rel=0.2, abs=30.0)
+    assert all(np.max(np.abs(one.at_mm)) == pytest.approx(0.5, abs=0.01) for one in found)
+
+
+def test_what_differs_in_one_pose_alone_is_a_defect():
+    cells = np.full((3, 40, 40), 0.1)
+    cells[:2, :, 30:] = 0.01
+    assert overhangs(cells, GRID) == ()
+
+
+@pytest.mark.parametrize("case", ["two corners", "allowed", "markers"])
+def test_a_region_that_leaves_the_part_is_invalid(virtual_rig, case):
+    region = {"size_mm": [1.0, 1.0], "center_mm": [0.2, 0.0]}
+    if case == "markers":
+        rig = virtual_rig(recipe={"region": {"size_mm": [3.2, 3.2]}})
+        with pytest.raises(RecipeError, match=r"recipe\.toml: the region covers markers \d.* of the fixture"):
+            rig.inspect()
+        return
+    limits = {"beyond_part_um": 150.0} if case == "allowed" else {}
+    record = virtual_rig(recipe={"region": region, "limits": limits}).inspect().record
+    if case == "allowed":
+        assert record.verdict == "FAIL"
+        return
+    assert record.verdict == "INVALID"
+    (reason,) = record.reasons
+    assert "beyond the part at 2 corners: " in reason
+    assert re.search(r"x \+0\.7\d? mm, y [+-]0\.\d+ mm", reason)
 
 
 @pytest.mark.parametrize("case", BENCHES)

@@ -143,7 +143,10 @@ INVALID = {
     "three degrees": ({"bench": {"stage": {"zero_deg": 13.0}}}, "stands -3.00° from.*stage.zero_deg"),
     "sense": ({"bench": {"stage": {"turns": "cw"}}}, "check the rotation sense"),
     "scale": ({"rig": {"camera": {"pixel_um": 8.3}}}, "8.0.. µm a pixel, the rig file 8.3 µm"),
-    "region": ({"recipe": {"region": {"size_mm": [4.5, 4.5]}}}, "outside the picture"),
+    "region": (
+        {"recipe": {"region": {"size_mm": [0.4, 4.4], "center_mm": [0.85, 0.0]}}},
+        "outside the picture",
+    ),
 }
 
 
