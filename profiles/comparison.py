@@ -112,6 +112,7 @@ class Comparison:
         ridges: the ridges one by one; empty where there are none.
         ridges_note: why there are none.
         replication: how much of the relief of A is in B.
+        changed: (rows, cols) −1 where material was lost, 1 where it was gained, 0 elsewhere.
     """
 
     first: HeightMap
@@ -126,6 +127,7 @@ class Comparison:
     ridges: tuple[RidgeChange, ...]
     ridges_note: str
     replication: Replication
+    changed: npt.NDArray[np.int8]
 
     def __repr__(self) -> str:
         """One line: place, volumes lost and gained."""
@@ -162,7 +164,7 @@ def compare_maps(first: HeightMap, second: HeightMap, *, mirrored: bool = False)
     on_grid = registered(first, other, placed)
     difference = first.with_height(on_grid.height_um - first.height_um)
     u_um, u_plane = _uncertainty(first, other, placed, on_grid)
-    lost, gained = _volumes(difference, u_um, u_plane)
+    lost, gained, changed = _volumes(difference, u_um, u_plane)
     area = first.pixel_x_um * first.pixel_y_um
     known = np.isfinite(difference.height_um)
     u_net = area * float(np.hypot(np.count_nonzero(known) * u_plane, np.sqrt(np.sum(u_um[known] ** 2))))
@@ -170,7 +172,7 @@ def compare_maps(first: HeightMap, second: HeightMap, *, mirrored: bool = False)
     ridges, note = _ridges(first, on_grid)
     return Comparison(
         first, on_grid, difference, u_um, placed, mirrored, lost, gained, net, ridges, note,
-        Replication(_relief(first, on_grid), _height_ratio(ridges)),
+        Replication(_relief(first, on_grid), _height_ratio(ridges)), changed,
     )  # fmt: skip
 
 
@@ -193,8 +195,10 @@ def _uncertainty(
     ), placed.u_offset_um
 
 
-def _volumes(difference: HeightMap, u_um: FloatArray, u_plane: float) -> tuple[Volume, Volume]:
-    """Volumes lost and gained where the change stands out of its uncertainty, and around it."""
+def _volumes(
+    difference: HeightMap, u_um: FloatArray, u_plane: float
+) -> tuple[Volume, Volume, npt.NDArray[np.int8]]:
+    """Volumes lost and gained where the change stands out of its uncertainty, and around it; and where that is."""
     from scipy import ndimage  # noqa: PLC0415 - slow to import
     from skimage.filters import apply_hysteresis_threshold  # noqa: PLC0415
 
@@ -236,7 +240,7 @@ def _volumes(difference: HeightMap, u_um: FloatArray, u_plane: float) -> tuple[V
                 in_gaps / volume if volume else 0.0,
             )
         )
-    return found[0], found[1]
+    return found[0], found[1], cores[1].astype(np.int8) - cores[0].astype(np.int8)
 
 
 def _relief(first: HeightMap, second: HeightMap) -> Quantity:

@@ -1,19 +1,24 @@
 """Page of two registered height maps: both maps, their difference, its uncertainty, wear, ridges, a line."""
 
+import io
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.atomic_write import write_bytes
 from anisoscope.profiles.comparison import Comparison
 from anisoscope.profiles.editing.interpolation import Interpolated
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.level import level
 from anisoscope.profiles.metrology.quantity import Quantity, as_text
-from anisoscope.report.figures import BLUE, ORANGE, RED, new_figure, new_map_figure, svg_uri
+from anisoscope.report.figures import BLUE, GREEN, INK, MARK, ORANGE, new_figure, new_map_figure, svg_uri
 from anisoscope.report.page import write_page
 from anisoscope.report.profile_page import map_picture
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 PICTURE_POINTS = 900
 LINE_POINTS = 2000
@@ -30,26 +35,40 @@ RIDGE_COLUMNS = (
 Line = tuple[float, float, float, float]
 
 
-def difference_picture(
-    heights: FloatArray, surface: HeightMap, label: str, *, signed: bool, line: Line
-) -> str:
-    """A map in false colours, 0 in the middle where signed, missing points grey, the line drawn; as a data URI."""
+def _draw_map(
+    axes: "Axes", bar: "Axes", heights: FloatArray, found: Comparison, label: str, line: Line, *, signed: bool
+) -> None:
+    """A map in false colours, missing points grey, and the line; where signed 0 in the middle, and outlines."""
+    surface = found.first
     height, width = (n * 1e-3 for n in surface.extent_um)
     step = max(1, -(-max(surface.shape) // PICTURE_POINTS))
     shown = heights[::step, ::step]
+    axes.set_facecolor("#9aa5ae")
+    reach = max(float(np.nanpercentile(np.abs(shown), 99.5)), 1e-6)
+    image = axes.imshow(
+        np.ma.masked_invalid(shown), origin="lower", cmap="PuOr" if signed else "viridis",
+        extent=(0.0, width, 0.0, height), vmin=-reach if signed else 0.0, vmax=reach, interpolation="nearest",
+    )  # fmt: skip
+    for sign, colour in ((-1, MARK), (1, GREEN)) if signed else ():
+        there = found.changed[::step, ::step] == sign
+        if there.any():
+            x, y = (np.arange(n) * step * pixel * 1e-3 for n, pixel in zip(
+                there.shape[::-1], (surface.pixel_x_um, surface.pixel_y_um), strict=True
+            ))  # fmt: skip
+            axes.contour(x, y, there.astype(np.float64), levels=[0.5], colors=[colour], linewidths=0.6)
+    axes.plot([1e-3 * line[0], 1e-3 * line[2]], [1e-3 * line[1], 1e-3 * line[3]], color=INK, linewidth=1.0)
+    axes.set_xlim(0.0, width)
+    axes.set_ylim(0.0, height)
+    axes.figure.colorbar(image, cax=bar, label=label)
+
+
+def difference_picture(
+    heights: FloatArray, found: Comparison, label: str, line: Line, *, signed: bool
+) -> str:
+    """The difference (signed) or its uncertainty, with the line and what was lost and gained; as a data URI."""
+    height, width = (n * 1e-3 for n in found.first.extent_um)
     with new_map_figure((height, width)) as (figure, axes, bar):
-        axes.set_facecolor("#9aa5ae")
-        reach = max(float(np.nanpercentile(np.abs(shown), 99.5)), 1e-6)
-        image = axes.imshow(
-            np.ma.masked_invalid(shown), origin="lower", cmap="PuOr" if signed else "viridis",
-            extent=(0.0, width, 0.0, height), vmin=-reach if signed else 0.0, vmax=reach, interpolation="nearest",
-        )  # fmt: skip
-        axes.plot(
-            [1e-3 * line[0], 1e-3 * line[2]], [1e-3 * line[1], 1e-3 * line[3]], color=RED, linewidth=1.0
-        )
-        axes.set_xlim(0.0, width)
-        axes.set_ylim(0.0, height)
-        figure.colorbar(image, cax=bar, label=label)
+        _draw_map(axes, bar, heights, found, label, line, signed=signed)
         return svg_uri(figure)
 
 
@@ -70,33 +89,65 @@ def _along(surface: HeightMap, line: Line) -> tuple[FloatArray, FloatArray]:
     return share * length, heights
 
 
+def _draw_line(upper: "Axes", lower: "Axes", found: Comparison, line: Line) -> None:
+    """Both maps along a line and, below, their difference with the interval of 95 %."""
+    tilt = found.first.with_height(found.first.height_um - level(found.first).map.height_um)
+    for surface, colour, name in ((found.first, BLUE, "A"), (found.second, ORANGE, "B, registered")):
+        x, z = _along(surface.with_height(surface.height_um - tilt.height_um), line)
+        upper.plot(x, z, color=colour, linewidth=1.1, label=name)
+    x, z = _along(found.difference, line)
+    _, u = _along(found.difference.with_height(found.u_um), line)
+    lower.fill_between(x, z - 1.96 * u, z + 1.96 * u, color=BLUE, alpha=0.25, linewidth=0)
+    lower.plot(x, z, color=BLUE, linewidth=1.0)
+    upper.set_ylabel("height [µm]")
+    upper.legend(frameon=False, fontsize=8)
+    lower.set_ylabel("B − A [µm]")
+    lower.set_xlabel(
+        f"along the line from ({line[0]:.4g}, {line[1]:.4g}) to ({line[2]:.4g}, {line[3]:.4g}) µm [µm]"
+    )
+    for one in (upper, lower):
+        one.grid()
+        one.set_xlim(0.0, float(x[-1]))
+
+
 def line_chart(found: Comparison, line: Line) -> str:
     """Both maps and, below, their difference with the interval of 95 %, along a line; as a data URI."""
-    from matplotlib.gridspec import GridSpec
-
     with new_figure(9.0, 4.4) as (figure, axes):
         axes.remove()
-        grid = GridSpec(2, 1, figure=figure, height_ratios=(3, 2))
+        grid = figure.add_gridspec(2, 1, height_ratios=(3, 2))
         upper = figure.add_subplot(grid[0])
-        lower = figure.add_subplot(grid[1], sharex=upper)
-        tilt = found.first.with_height(found.first.height_um - level(found.first).map.height_um)
-        for surface, colour, name in ((found.first, BLUE, "A"), (found.second, ORANGE, "B, registered")):
-            x, z = _along(surface.with_height(surface.height_um - tilt.height_um), line)
-            upper.plot(x, z, color=colour, linewidth=1.1, label=name)
-        x, z = _along(found.difference, line)
-        _, u = _along(found.difference.with_height(found.u_um), line)
-        lower.fill_between(x, z - 1.96 * u, z + 1.96 * u, color=BLUE, alpha=0.25, linewidth=0)
-        lower.plot(x, z, color=BLUE, linewidth=1.0)
-        upper.set_ylabel("height [µm]")
-        upper.legend(frameon=False, fontsize=8)
-        lower.set_ylabel("B − A [µm]")
-        lower.set_xlabel(
-            f"along the line from ({line[0]:.4g}, {line[1]:.4g}) to ({line[2]:.4g}, {line[3]:.4g}) µm [µm]"
-        )
-        for one in (upper, lower):
-            one.grid()
-            one.set_xlim(0.0, float(x[-1]))
+        _draw_line(upper, figure.add_subplot(grid[1], sharex=upper), found, line)
         return svg_uri(figure)
+
+
+def write_comparison_picture(found: Comparison, path: Path, line: Line | None = None) -> None:
+    """Write difference map and line as one picture, atomically.
+
+    Args:
+        found: the comparison.
+        path: *.png or *.svg.
+        line: as for :func:`write_comparison_page`.
+
+    Raises:
+        RecordError: the file cannot be written.
+    """
+    chosen = default_line(found.first) if line is None else line
+    high, wide = found.first.extent_um
+    side = 9.0 * min(1.0, max(0.25, high / wide))
+    with new_figure(9.0, side + 3.4) as (figure, axes):
+        axes.remove()
+        grid = figure.add_gridspec(3, 2, height_ratios=(side, 2.0, 1.4), width_ratios=(30, 1))
+        heights = found.difference.height_um
+        main = figure.add_subplot(grid[0, 0])
+        _draw_map(main, figure.add_subplot(grid[0, 1]), heights, found, "B − A [µm]", chosen, signed=True)
+        main.set(xlabel="x [mm]", ylabel="y [mm]")
+        upper = figure.add_subplot(grid[1, :])
+        _draw_line(upper, figure.add_subplot(grid[2, :], sharex=upper), found, chosen)
+        kind, buffer = path.suffix.lower()[1:], io.BytesIO()
+        figure.savefig(
+            buffer, format=kind, dpi=100, metadata={"Date": None} if kind == "svg" else {"Software": None}
+        )
+    write_bytes(path, buffer.getvalue())
 
 
 def comparison_numbers(found: Comparison) -> list[tuple[str, str, str, str]]:
@@ -174,10 +225,10 @@ def write_comparison_page(
             )
         ],
         "difference": difference_picture(
-            found.difference.height_um, found.first, "B − A [µm]", signed=True, line=chosen
+            found.difference.height_um, found, "B − A [µm]", chosen, signed=True
         ),
         "uncertainty": difference_picture(
-            found.u_um, found.first, "standard uncertainty [µm]", signed=False, line=chosen
+            found.u_um, found, "standard uncertainty [µm]", chosen, signed=False
         ),
         "line_chart": line_chart(found, chosen),
         "numbers": comparison_numbers(found),

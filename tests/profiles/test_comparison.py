@@ -105,6 +105,9 @@ def test_a_shallow_pit_in_a_rough_surface():
     assert found.lost.volume_um3.value == pytest.approx(expected, rel=0.04)
     assert found.lost.depth_um == pytest.approx(0.3, abs=0.05)
     assert found.placed.x_um == pytest.approx(-4.3, abs=0.02)
+    away = np.hypot(x - 70.0 + 4.3, y - 60.0 - 1.6)
+    assert (found.changed[away < 8.0] == -1).mean() > 0.9
+    assert (found.changed[away > 30.0] != 0).mean() < 0.005
     assert found.ridges == ()
     assert "no ridges found" in found.ridges_note
 

@@ -41,6 +41,9 @@ def compare(
     difference: Annotated[
         Path | None, Parameter(help="File for the difference map B − A, such as *.x3p.")
     ] = None,
+    plot: Annotated[
+        Path | None, Parameter(help="Picture of difference, outlines and line: *.png or *.svg.")
+    ] = None,
     line: Annotated[
         str | None,
         Parameter(help="Line of the page: X0,Y0,X1,Y1 in µm from the first point of the first map."),
@@ -57,18 +60,15 @@ def compare(
     """
     from anisoscope.profiles.comparison import compare_maps
     from anisoscope.profiles.files.load import write_height_map
-    from anisoscope.report.comparison_page import write_comparison_page
+    from anisoscope.report.comparison_page import write_comparison_page, write_comparison_picture
+    from anisoscope.report.study_page import check_picture
 
-    ends = None if line is None else parse_numbers(line, "--line", "0,50,400,50")
-    if ends is not None and len(ends) != 4:
-        raise UsageError(f"--line takes X0,Y0,X1,Y1 in µm, not {line!r}")
-    shown = None if ends is None else (ends[0], ends[1], ends[2], ends[3])
+    check_picture(plot)
+    shown = _line(line)
     seconds = expanded(others)
     if len(seconds) > 1 or several.table is not None or several.out_dir is not None:
-        if out is not None or difference is not None:
-            raise UsageError(
-                "--out and --difference are of one second map; several take --out-dir and --table"
-            )
+        if not out is difference is plot is None:
+            raise UsageError("--out, --plot and --difference are of one second map; several take --out-dir")
         reference = scales.read(first)
 
         def work(path: Path, target: Path | None = None) -> Values:
@@ -82,7 +82,7 @@ def compare(
         return measure_each(seconds, work, several, to_json=json_)
     second = seconds[0]
     check_table(several)
-    _check_targets(out, difference, overwrite=several.overwrite)
+    _check_targets(out, difference, plot, overwrite=several.overwrite)
     with progress(f"{first.name}, {second.name}") as advance:
         advance("reading", 0, 3)
         maps = scales.read(first), scales.read(second)
@@ -93,6 +93,8 @@ def compare(
             write_height_map(found.difference, difference)
         if out is not None:
             write_comparison_page(found, (first.name, second.name), out, shown)
+        if plot is not None:
+            write_comparison_picture(found, plot, shown)
     if json_:
         print_json(_as_json(found, first, second))
     else:
@@ -100,14 +102,23 @@ def compare(
     return 0
 
 
-def _check_targets(out: Path | None, difference: Path | None, *, overwrite: bool) -> None:
+def _line(text: str | None) -> tuple[float, float, float, float] | None:
+    if text is None:
+        return None
+    ends = parse_numbers(text, "--line", "0,50,400,50")
+    if len(ends) != 4:
+        raise UsageError(f"--line takes X0,Y0,X1,Y1 in µm, not {text!r}")
+    return ends[0], ends[1], ends[2], ends[3]
+
+
+def _check_targets(out: Path | None, difference: Path | None, plot: Path | None, *, overwrite: bool) -> None:
     from anisoscope.profiles.files.load import WRITERS
 
     if out is not None and out.suffix.lower() not in (".html", ".htm"):
         raise UsageError(f"--out {out}: a page is named *.html")
     if difference is not None and difference.suffix.lower() not in WRITERS:
         raise UsageError(f"--difference {difference}: unknown extension; written are {', '.join(WRITERS)}")
-    for target in (out, difference):
+    for target in (out, difference, plot):
         if target is not None and target.exists() and not overwrite:
             raise UsageError(f"{target} exists; give another name, or --overwrite")
 

@@ -4,6 +4,7 @@ import csv
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from anisoscope.profiles.files.load import read_height_map, write_height_map
 from anisoscope.profiles.heightmap import HeightMap
@@ -28,6 +29,7 @@ def test_difference_page_and_numbers(anisoscope, maps, tmp_path):
     done = anisoscope(
         *("profile", "compare", maps / "new.x3p", maps / "worn.x3p", "--out", page),
         *("--difference", difference, "--line", "10,10,150,60", "--json"),
+        *("--plot", tmp_path / "wear.png"),
     )
     assert done.code == 0, done.err
     assert done.json["lost"]["volume_um3"]["value"] == pytest.approx(450.0, rel=0.02)
@@ -36,6 +38,10 @@ def test_difference_page_and_numbers(anisoscope, maps, tmp_path):
     text = page.read_text(encoding="utf-8")
     for mark in ('id="difference"', 'id="uncertainty"', 'id="line"', 'id="ridges"', "volume lost"):
         assert mark in text
+    assert "outlined" in text
+    with Image.open(tmp_path / "wear.png") as picture:
+        red = np.asarray(picture.convert("RGB")).astype(int)
+    assert np.count_nonzero(np.abs(red - (0xC6, 0x2F, 0x30)).max(axis=2) < 40) > 50  # outline of the pit
     taken = read_height_map(difference)
     assert np.nanmedian(taken.height_um[35:55, 85:105]) == pytest.approx(-0.5, abs=0.01)
 
@@ -75,6 +81,7 @@ def test_several_maps_against_one(anisoscope, maps, tmp_path):
     [
         (("--out", "wear.pdf"), "*.html"),
         (("--line", "1,2,3"), "X0,Y0,X1,Y1"),
+        (("--plot", "wear.pdf"), "*.png or *.svg"),
         (("--difference", "d.stl"), "unknown extension"),
         (("--out", "{here}/new.html"), "exists"),
     ],
