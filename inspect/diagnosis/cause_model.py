@@ -51,7 +51,7 @@ class CauseModel:
 
 def _of_plastic(recipe: SurfaceRecipe) -> tuple[Cause, ...]:
     design = recipe.surface.design
-    return all_causes(None if design is None else design.ridge_angle_deg)
+    return all_causes(None if design is None else design.ridge_angle_deg, recipe.surface.pitch_um)
 
 
 PLASTIC_CAUSES = CauseModel(_of_plastic, signatures)

@@ -19,6 +19,7 @@ LOCAL = ("burrs", "scratches", "dust", "missing-ridges")
 SIGNED = ("ridge-angle", "pitch")
 EXTRUDED = ("ridge-angle", "wear", "incomplete-filling")
 """Defects that are the same all along a ridge."""
+ROUGHNESS_ALONG, ROUGHNESS_ACROSS = "roughness along the ridges", "roughness across the ridges"
 _STEPS = (0.05, 0.12, 0.25, 0.5, 1.0)
 _FINE_STEPS = (0.02, 0.05, 0.08, 0.12, 0.16, 0.2, 0.25, 0.32, 0.4, 0.5, 0.65, 0.8, 1.0)
 PITCHES = 24
@@ -31,6 +32,10 @@ _DOUBT = {
     "wear": 0.1, "incomplete-filling": 0.03, "ridge-angle": 0.03, "pitch": 1.0,
 }  # fmt: skip
 _DOUBT_OF_LOBES = 0.05
+_DOUBT_OF_TAIL = 0.1
+TAIL = "tail"
+TAILS = (0.0, 0.1, 0.25, 0.5, 0.75, 1.0, 1.4)
+"""Tails of the lobes of real plastics, from Beckmann's to somewhat beyond GGX."""
 _SEED = 7  # the same places at every extent, so that a signature varies smoothly
 
 
@@ -48,7 +53,9 @@ class Cause:
         extents: extents to compute, ascending, including 0.
         change: the surface and the state of material and rig at an extent.
         doubt: relative standard uncertainty of the change of ln L that is computed for it.
-        source: name of the identical source of uncertainty of the prediction, or "".
+        sources: names of the sources of uncertainty of the prediction that it is itself.
+        guessed: share of the area, per unit of extent, whose texture is a guess, and with it the share of cells that
+            deviate there; 0 where the share is predicted.
     """
 
     name: str
@@ -59,16 +66,35 @@ class Cause:
     extents: tuple[float, ...]
     change: Change
     doubt: float = 0.0
-    source: str = ""
+    sources: tuple[str, ...] = ()
+    guessed: float = 0.0
 
 
-def all_causes(ridge_angle_deg: float | None = None) -> tuple[Cause, ...]:
+def all_causes(ridge_angle_deg: float | None = None, pitch_um: float = 100.0) -> tuple[Cause, ...]:
     """All causes considered.
 
     Args:
         ridge_angle_deg: nominal ridge angle, so that no facet is turned beyond flat; None if unknown.
+        pitch_um: of the ridges.
     """
-    return (*_defects(ridge_angle_deg), *_finish(), *_rig())
+    return (*_defects(ridge_angle_deg, pitch_um), *_finish(), *_rig())
+
+
+def tail_cause(tail: float = 0.0) -> Cause:
+    """A lobe with another tail than the recipe's: no cause of its own, but a sign of another plastic.
+
+    Args:
+        tail: of the recipe's lobe.
+    """
+
+    def tailed(surface: HeightMap, state: State, extent: float) -> tuple[HeightMap, State]:
+        return surface, replace(state, material=replace(state.material, tail=max(tail + extent, 0.0)))
+
+    extents = tuple(sorted({0.0, *(round(one - tail, 6) for one in TAILS)}))
+    explains = "material: another plastic or finish than that of the recipe"
+    return Cause(
+        "tail", "tail of the lobe, longer by", "", "finish", explains, extents, tailed, _DOUBT_OF_TAIL
+    )
 
 
 def _both_ways(extent: float, low: float = -np.inf, steps: tuple[float, ...] = _STEPS) -> tuple[float, ...]:
@@ -76,7 +102,7 @@ def _both_ways(extent: float, low: float = -np.inf, steps: tuple[float, ...] = _
     return tuple(value for value in values if value > low)
 
 
-def _defects(ridge_angle_deg: float | None) -> list[Cause]:
+def _defects(ridge_angle_deg: float | None, pitch_um: float) -> list[Cause]:
     titles = {
         "burrs": "burrs, share of the area",
         "wear": "worn edges, radius",
@@ -89,6 +115,7 @@ def _defects(ridge_angle_deg: float | None) -> list[Cause]:
         "missing-ridges": "missing ridges, share",
         "chatter": "chatter marks, amplitude",
     }
+    guessed = {"wear": 2.0 / pitch_um, "incomplete-filling": 1.0, "rough-facets": 1.0}
     found = []
     for name, defect in DEFECTS.items():
         most = defect.extent.default
@@ -102,10 +129,18 @@ def _defects(ridge_angle_deg: float | None) -> list[Cause]:
             extents = (0.0, *(s * most for s in steps))
         group: Group = "area" if name in LOCAL else "shape"
         unit = defect.extent.unit
-        source = RIDGE_ANGLE if name == "ridge-angle" else ""
         found.append(
             Cause(
-                name, titles[name], unit, group, defect.cause, extents, _spoiled(name), _DOUBT[name], source
+                name,
+                titles[name],
+                unit,
+                group,
+                defect.cause,
+                extents,
+                _spoiled(name),
+                _DOUBT[name],
+                (RIDGE_ANGLE,) if name == "ridge-angle" else (),
+                guessed.get(name, 0.0),
             )
         )
     return found
@@ -130,6 +165,9 @@ def _finish() -> list[Cause]:
         alpha = float(np.clip(state.material.alpha_across * (1.0 + extent), 0.001, 1.0))
         return surface, replace(state, material=replace(state.material, alpha_across=alpha))
 
+    def both(surface: HeightMap, state: State, extent: float) -> tuple[HeightMap, State]:
+        return across(*along(surface, state, extent), extent)
+
     def colour(surface: HeightMap, state: State, extent: float) -> tuple[HeightMap, State]:
         albedo = float(np.clip(state.material.albedo * (1.0 + extent), 0.0, 1.0))
         return surface, replace(state, material=replace(state.material, albedo=albedo))
@@ -144,7 +182,7 @@ def _finish() -> list[Cause]:
             _both_ways(0.8),
             along,
             _DOUBT_OF_LOBES,
-            "roughness along the ridges",
+            (ROUGHNESS_ALONG,),
         ),
         Cause(
             "roughness-across",
@@ -155,7 +193,18 @@ def _finish() -> list[Cause]:
             _both_ways(0.8),
             across,
             _DOUBT_OF_LOBES,
-            "roughness across the ridges",
+            (ROUGHNESS_ACROSS,),
+        ),
+        Cause(
+            "roughness",
+            "roughness in both directions, relative change",
+            "",
+            "finish",
+            "moulding: other surface of the melt, cold tool; tooling: blasted or corroded tool",
+            _both_ways(0.8),
+            both,
+            _DOUBT_OF_LOBES,
+            (ROUGHNESS_ALONG, ROUGHNESS_ACROSS),
         ),
         Cause(
             "colour",
@@ -166,7 +215,7 @@ def _finish() -> list[Cause]:
             _both_ways(0.8),
             colour,
             _DOUBT_OF_LOBES,
-            "albedo of the plastic",
+            ("albedo of the plastic",),
         ),
     ]
 
@@ -192,7 +241,7 @@ def _rig() -> list[Cause]:
             "handling: dirt under the part, part not pressed home",
             _both_ways(3.0),
             tilted(axis),
-            source=f"seating tilt about {name}",
+            sources=(f"seating tilt about {name}",),
         )
         for axis, name in enumerate("xy")
     ] + [
@@ -204,6 +253,6 @@ def _rig() -> list[Cause]:
             "rig: lamp or camera was moved since it was commissioned",
             _both_ways(3.0, low=-9.0),
             lamp,
-            source="light angle",
+            sources=("light angle",),
         )
     ]

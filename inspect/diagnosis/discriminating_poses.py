@@ -11,7 +11,7 @@ from typing import Any
 from anisoscope.base.cache import Cache
 from anisoscope.base.progress import Advance, silent
 from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, CauseModel, Option
-from anisoscope.diagnosis.ranking import NOTHING, Diagnosis
+from anisoscope.diagnosis.ranking import NOTHING, Diagnosis, bare_title
 from anisoscope.recipe.surface import SurfaceRecipe
 
 KINDS = ("angles", "tilt", "lamp")
@@ -77,7 +77,7 @@ def advice_for(
     Raises:
         HeightMapError, RecipeError: the recipe's surface cannot be read or used.
     """
-    tied = [one for one in found.ties if one.cause != NOTHING]
+    tied = [one for one in found.ties if one.cause != NOTHING and not one.components]
     if causes.options is None or len(tied) < 2 or found.unexplained_p < recipe.decision.alpha:
         return None
     best, *others = tied
@@ -98,8 +98,3 @@ def discriminating_options(options: Sequence[Option]) -> str:
     """The first option of every kind in words; empty if there is none."""
     first = [next((one.says for one in options if one.kind == kind), None) for kind in KINDS]
     return ", or ".join(words for words in first if words is not None)
-
-
-def bare_title(title: str) -> str:
-    """Title of a cause without its severity."""
-    return title.removesuffix(" by").removesuffix(",")

@@ -1,6 +1,6 @@
 """Evidence of a diagnosis: deviation and covariance, share of deviating cells, and uncertain inputs."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +15,8 @@ from anisoscope.recipe.surface import SurfaceRecipe
 FARTHEST = 6.0  # range in u about the nominal state within which the second order is valid
 SHARE_FLOOR = 0.003  # cells that deviate on one good part and not on another
 SHARE_RELATIVE = 0.3  # uncertainty of a predicted share of deviating cells: size and form of real marks vary
+Acting = tuple[float | FloatArray, Tangents | None]
+"""Extents (…) of a cause, and the response of ln L to the inputs along it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +34,8 @@ class Evidence:
         learnt: scatter learnt from golden parts if the deviation is from their mean, or None.
         share_relative: relative standard uncertainty of a share of deviating cells that a signature predicts.
         share_floor: standard uncertainty of any such share.
+        pitch: by how much the pitch that was measured in the pictures is off, and its standard uncertainty, in the
+            unit of the cause "pitch"; None where it was not measured.
     """
 
     deviation: FloatArray
@@ -44,6 +48,7 @@ class Evidence:
     learnt: "Learnt | None" = None
     share_relative: float = SHARE_RELATIVE
     share_floor: float = SHARE_FLOOR
+    pitch: tuple[float, float] | None = None
 
     def share_variance(self, shares: FloatArray) -> FloatArray:
         """(E,) variances of the share against the (E,) shares that causes predict."""
@@ -55,11 +60,9 @@ class Evidence:
         stated = self.stated()
         return stated if self.learnt is None else self.learnt.applied(stated)
 
-    def stated(
-        self, source: str | None = None, extent: float | FloatArray = 0.0, tangents: Tangents | None = None
-    ) -> FloatArray:
+    def stated(self, sources: Collection[str] = (), causes: Sequence[Acting] = ()) -> FloatArray:
         """(…, P, P) covariance as the budget states it; arguments as for `Inputs.covariance`."""
-        return self.covariance if self.inputs is None else self.inputs.covariance(source, extent, tangents)
+        return self.covariance if self.inputs is None else self.inputs.covariance(sources, causes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,25 +147,25 @@ class Inputs:
     rest: FloatArray
     units: FloatArray
 
-    def covariance(
-        self, source: str | None = None, extent: float | FloatArray = 0.0, tangents: Tangents | None = None
-    ) -> FloatArray:
-        """(…, P, P) covariance of ln L where a cause has extents (…).
+    def covariance(self, sources: Collection[str] = (), causes: Sequence[Acting] = ()) -> FloatArray:
+        """(…, P, P) covariance of ln L where causes have extents (…).
 
         Args:
-            source: the input identical with the cause: it is shifted by the extent, and not uncertain itself.
-            extent: extents of the cause.
-            tangents: response of the part to the inputs at that extent; None: as of the good part, to second order.
+            sources: the inputs identical with a cause: they are shifted by its extent, and not uncertain themselves.
+            causes: extents (…) of every cause, and the response of the part to the inputs along it. Without a response
+                it is that of the good part, to second order.
         """
-        others = np.array([name != source for name in self.response.sources])
-        tangent = self.response.slope[:, others]
-        if tangents is not None:
-            slopes = tangents.change(extent, self.response.sources) * self.units
-            tangent = tangent + slopes[..., others]
-        elif source is not None:
-            k = self.response.sources.index(source)
-            z = np.clip(np.asarray(extent) / self.u[source], -FARTHEST, FARTHEST)
-            tangent = tangent + self.response.bend[:, others, k] * z[..., None, None]
+        others = np.array([name not in sources for name in self.response.sources])
+        tangent = self.response.slope
+        for extent, tangents in causes:
+            if tangents is not None:
+                tangent = tangent + tangents.change(extent, self.response.sources) * self.units
+                continue
+            for name in sources:
+                k = self.response.sources.index(name)
+                z = np.clip(np.asarray(extent) / self.u[name], -FARTHEST, FARTHEST)
+                tangent = tangent + self.response.bend[:, :, k] * z[..., None, None]
+        tangent = tangent[..., others]
         bend = self.response.bend[:, others][:, :, others]
         alone = self.rest + 0.5 * np.einsum("pab,qab->pq", bend, bend)
         return np.asarray(alone + tangent @ np.swapaxes(tangent, -1, -2))

@@ -8,19 +8,38 @@ be positive, the curvature at the best point is not sufficient, because a part m
 defect.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.diagnosis.evidence import Evidence
-from anisoscope.diagnosis.signatures import Signature
+from anisoscope.diagnosis.signatures import Signature, Signatures
 
 QUANTILE = 3.841458820694124
 """95 % of χ² with one degree of freedom."""
+PITCH = "pitch"
+"""The cause of which the extent is measured in the pictures."""
+OTHER_TEXTURE = 0.2
+"""Probability that a texture that was guessed is another one."""
+PLASTIC_SPREADS = {"roughness-along": 0.3, "roughness-across": 0.3, "colour": 0.5, "light-angle": 1.0}
+"""Standard deviations by which another plastic and another lamp differ: shares, and degrees."""
+FAMILY = 0.015
+"""Standard deviation of ln L of every pose that a lobe with a tail leaves of a real one."""
+_STEPS_OF_PLASTIC = 8
+Act = tuple[Signature, FloatArray]
+"""A cause and its (E,) extents."""
+Costs = tuple[FloatArray, FloatArray]
+"""(E,) χ² and (E,) −2 ln of a likelihood."""
 _COARSE = 6  # the coarse search takes every sixth extent of a signature's table
 _FINE = 17  # points between the best point's neighbours
 _NEAR, _NEAR_POINTS = 4.0, 25  # u to both sides of the best extent, and points there
+_PAIR_COARSE, _PAIR_FINE, _PAIR_ROUNDS = (
+    16,
+    9,
+    3,
+)  # of a pair: every 16th extent of the tables, then 9 × 9 closer ones
 
 
 @dataclass(frozen=True)
@@ -42,9 +61,7 @@ class Fitted:
 
 def nothing(evidence: Evidence) -> Fitted:
     """Fit of the hypothesis that the part is as predicted."""
-    chi2, cost = _chi2_and_cost(
-        evidence, evidence.good[None], np.zeros((1, len(evidence.deviation))), np.zeros(1)
-    )
+    chi2, cost = joint_costs((), evidence)
     return Fitted(0.0, 0.0, float(chi2[0]), float(cost[0]))
 
 
@@ -59,10 +76,8 @@ def unspecific(evidence: Evidence, spread: float) -> Fitted:
     covariance = evidence.good + spread**2 * np.eye(poses)
     chi2, size = _quadratic(covariance[None], evidence.deviation[None])
     cost = _minus_two_ln(chi2, evidence) + size
-    if evidence.share is not None:
-        variance = evidence.share_variance(np.zeros(1)) + (spread / 3.0) ** 2
-        off = (evidence.share - evidence.background) ** 2 / variance
-        chi2, cost = chi2 + off, cost + off + np.log(variance)
+    for off, more in (_share_costs(evidence, np.zeros(1), 0.0, spread / 3.0), _pitch_costs(evidence, 0.0)):
+        chi2, cost = chi2 + off, cost + more
     return Fitted(0.0, float("inf"), float(chi2[0]), float(cost[0]))
 
 
@@ -101,14 +116,26 @@ def _vertex(extents: FloatArray, cost: FloatArray, k: int) -> float:
 
 
 def _u(signature: Signature, evidence: Evidence, extent: float, *, as_input: bool) -> float:
-    at = np.array([extent])
-    change, share = signature.at(at)
-    covariance = _covariances(signature, evidence, at, change, as_input=as_input)[0]
-    slope, share_slope = signature.slope(extent)
-    curvature = float(_quadratic(covariance[None], slope[None])[0][0])
+    information = _information(((signature, extent),), evidence, as_input=as_input)[0, 0]
+    return float(1.0 / np.sqrt(information)) if information > 0.0 else float("inf")
+
+
+def _information(
+    acting: Sequence[tuple[Signature, float]], evidence: Evidence, *, as_input: bool
+) -> FloatArray:
+    """(K, K) information of the data about the extents of K causes, at their best ones."""
+    acts = [(signature, np.array([extent])) for signature, extent in acting]
+    _, shares, covariance = _joint(acts, evidence, as_input=as_input)
+    slopes = [signature.slope(extent) for signature, extent in acting]
+    change = np.stack([slope for slope, _ in slopes])
+    found = change @ np.linalg.pinv(covariance[0], hermitian=True) @ change.T
     if evidence.share is not None:
-        curvature += share_slope**2 / float(evidence.share_variance(share)[0])
-    return float(1.0 / np.sqrt(curvature)) if curvature > 0.0 else float("inf")
+        share = np.array([slope for _, slope in slopes])
+        found = found + np.outer(share, share) / float(evidence.share_variance(shares)[0])
+    if evidence.pitch is not None:
+        pitch = np.array([signature.cause.name == PITCH for signature, _ in acting], dtype=np.float64)
+        found = found + np.outer(pitch, pitch) / evidence.pitch[1] ** 2
+    return np.asarray(found)
 
 
 def interval(signature: Signature, evidence: Evidence, fit: Fitted) -> tuple[float | None, float | None]:
@@ -128,14 +155,90 @@ def interval(signature: Signature, evidence: Evidence, fit: Fitted) -> tuple[flo
         looked.append(fit.extent + fit.u * np.linspace(-_NEAR, _NEAR, _NEAR_POINTS))
     extents = np.unique(np.clip(np.concatenate(looked), low, high))
     _, cost = costs(signature, evidence, extents, as_input=True)
+    return _ends(extents, cost, signature.bounds)
+
+
+@dataclass(frozen=True)
+class FittedPair:
+    """Fit of two causes that act together.
+
+    Attributes:
+        extents: of both.
+        u: their standard uncertainties, from the curvature; infinite where the data do not determine them.
+        chi2: of the residual.
+        cost: −2 ln of the likelihood, up to a constant common to all causes.
+    """
+
+    extents: tuple[float, float]
+    u: tuple[float, float]
+    chi2: float
+    cost: float
+
+
+def fit_pair(pair: tuple[Signature, Signature], evidence: Evidence, *, as_input: bool = False) -> FittedPair:
+    """Best extents of two causes that act together, on grids that close in.
+
+    Args:
+        pair: the causes.
+        evidence: what was measured.
+        as_input: the covariance excludes the inputs of the prediction that are causes here.
+    """
+    axes = [np.unique(np.append(one.table[0][::_PAIR_COARSE], [*one.bounds, 0.0])) for one in pair]
+    for _ in range(_PAIR_ROUNDS + 1):
+        meshed = [axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")]
+        chi2, cost = joint_costs(tuple(zip(pair, meshed, strict=True)), evidence, as_input=as_input)
+        best = int(np.argmin(cost))
+        places = np.unravel_index(best, [len(axis) for axis in axes])
+        axes = [
+            np.linspace(axis[max(k - 1, 0)], axis[min(k + 1, len(axis) - 1)], _PAIR_FINE)
+            for axis, k in zip(axes, places, strict=True)
+        ]
+    extents = float(meshed[0][best]), float(meshed[1][best])
+    information = _information(tuple(zip(pair, extents, strict=True)), evidence, as_input=as_input)
+    u = (float("inf"),) * 2
+    if np.linalg.det(information) > 1e-12 * float(np.prod(np.diag(information))):
+        u = tuple(float(value) for value in np.sqrt(np.diag(np.linalg.inv(information))))
+    return FittedPair(extents, (u[0], u[1]), float(chi2[best]), float(cost[best]))
+
+
+def pair_interval(
+    pair: tuple[Signature, Signature], evidence: Evidence, fit: FittedPair, which: int
+) -> tuple[float | None, float | None]:
+    """Ends of the 95 % interval of one extent of two: the other one is at its likeliest (profile likelihood).
+
+    Args:
+        pair: the causes.
+        evidence: what was measured.
+        fit: the best extents.
+        which: 0 or 1, the extent.
+
+    Returns:
+        As of `interval`.
+    """
+    axes = []
+    for one, extent, u in zip(pair, fit.extents, fit.u, strict=True):
+        looked = [one.table[0][::_PAIR_COARSE], np.array([*one.bounds, extent])]
+        if u < np.inf:
+            looked.append(extent + u * np.linspace(-_NEAR, _NEAR, _NEAR_POINTS))
+        axes.append(np.unique(np.clip(np.concatenate(looked), *one.bounds)))
+    meshed = [axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")]
+    _, cost = joint_costs(tuple(zip(pair, meshed, strict=True)), evidence, as_input=True)
+    profile = cost.reshape(len(axes[0]), len(axes[1])).min(axis=1 - which)
+    return _ends(axes[which], profile, pair[which].bounds)
+
+
+def _ends(
+    extents: FloatArray, cost: FloatArray, bounds: tuple[float, float]
+) -> tuple[float | None, float | None]:
+    """Least and greatest extent that the likelihood ratio does not reject; None at the end of what was looked at."""
     limit = float(cost.min()) + QUANTILE
     within = np.flatnonzero(cost <= limit)
     first, last = int(within[0]), int(within[-1])
     return (
-        _crossing(extents, cost, first, first - 1, limit) if first else (0.0 if low == 0.0 else None),
+        _crossing(extents, cost, first, first - 1, limit) if first else (0.0 if bounds[0] == 0.0 else None),
         _crossing(extents, cost, last, last + 1, limit)
         if last + 1 < len(extents)
-        else (0.0 if high == 0.0 else None),
+        else (0.0 if bounds[1] == 0.0 else None),
     )
 
 
@@ -148,21 +251,83 @@ def costs(
     signature: Signature, evidence: Evidence, extents: FloatArray, *, as_input: bool
 ) -> tuple[FloatArray, FloatArray]:
     """(E,) χ² and (E,) −2 ln of the likelihood of (E,) extents, up to a constant common to all causes."""
-    changes, shares = signature.at(extents)
-    covariances = _covariances(signature, evidence, extents, changes, as_input=as_input)
-    return _chi2_and_cost(evidence, covariances, changes, shares)
+    return joint_costs(((signature, extents),), evidence, as_input=as_input)
 
 
-def _chi2_and_cost(
-    evidence: Evidence, covariances: FloatArray, changes: FloatArray, shares: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def joint_costs(acting: Sequence[Act], evidence: Evidence, *, as_input: bool = False) -> Costs:
+    """(E,) χ² and (E,) −2 ln of the likelihood of causes that act together, up to a constant common to all.
+
+    Args:
+        acting: every cause with its (E,) extents; none: the part is as predicted.
+        evidence: what was measured.
+        as_input: the covariance excludes the inputs of the prediction that are causes here.
+    """
+    changes, shares, covariances = _joint(acting, evidence, as_input=as_input)
     chi2, size = _quadratic(covariances, evidence.deviation - changes)
     cost = _minus_two_ln(chi2, evidence) + size
-    if evidence.share is not None:
-        variance = evidence.share_variance(shares)
-        off = (evidence.share - evidence.background - shares) ** 2 / variance
-        chi2, cost = chi2 + off, cost + off + np.log(variance)
+    guessed, percent = np.zeros(1), np.zeros(1)
+    for signature, extents in acting:
+        guessed = guessed + signature.cause.guessed * np.abs(extents)
+        percent = percent + (extents if signature.cause.name == PITCH else 0.0)
+    for off, more in (_share_costs(evidence, shares, guessed), _pitch_costs(evidence, percent)):
+        chi2, cost = chi2 + off, cost + more
     return chi2, cost
+
+
+def _joint(
+    acting: Sequence[Act], evidence: Evidence, *, as_input: bool
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(E, P) changes of ln L, (E,) shares of deviating cells, and (E, P, P) covariance of the deviation.
+
+    Changes and shares of causes that act together add.
+    """
+    poses = len(evidence.deviation)
+    changes, shares, doubted = np.zeros((1, poses)), np.zeros(1), np.zeros((1, poses))
+    for signature, extents in acting:
+        change, share = signature.at(extents)
+        changes, shares = changes + change, shares + share
+        doubted = doubted + (signature.cause.doubt * change) ** 2
+    inputs, learnt = evidence.inputs, evidence.learnt
+    own = {name for signature, _ in acting for name in signature.cause.sources}
+    own = own & set(inputs.u) if as_input and inputs is not None else set()
+    stated = evidence.stated(own, [(extents, signature.tangents) for signature, extents in acting])
+    if learnt is not None:
+        stated, doubted = learnt.applied(stated), doubted + (learnt.misfit * changes) ** 2
+    return changes, shares, np.asarray(stated + doubted[:, :, None] * np.eye(poses))
+
+
+def _share_costs(
+    evidence: Evidence, shares: FloatArray, guessed: float | FloatArray, spread: float = 0.0
+) -> Costs:
+    """(E,) −2 ln of the likelihood of the share of deviating cells, above its least, and with the normalisation.
+
+    The texture of a cause that was guessed may be another one: then the share is anything up to that of the area that
+    it touches, or as much again as predicted.
+    """
+    if evidence.share is None:
+        return np.zeros(1), np.zeros(1)
+    known = evidence.share_variance(shares) + spread**2
+    squared = (evidence.share - evidence.background - shares) ** 2
+    wide = known + np.asarray(guessed) ** 2 + shares**2
+    other = np.where(np.asarray(guessed) > 0.0, OTHER_TEXTURE, 0.0)
+
+    def density(square: FloatArray | float) -> FloatArray:
+        return np.asarray(
+            (1.0 - other) * np.exp(-0.5 * square / known) / np.sqrt(known)
+            + other * np.exp(-0.5 * square / wide) / np.sqrt(wide)
+        )
+
+    cost = -2.0 * np.log(np.maximum(density(squared), 1e-300))
+    return cost + 2.0 * np.log(density(0.0)), cost
+
+
+def _pitch_costs(evidence: Evidence, percent: float | FloatArray) -> Costs:
+    """(E,) χ² of the pitch that was measured in the pictures, twice."""
+    if evidence.pitch is None:
+        return np.zeros(1), np.zeros(1)
+    measured, u = evidence.pitch
+    chi2 = np.square((np.atleast_1d(percent) - measured) / u)
+    return chi2, chi2
 
 
 def _minus_two_ln(chi2: FloatArray, evidence: Evidence) -> FloatArray:
@@ -188,15 +353,76 @@ def _quadratic(covariances: FloatArray, off: FloatArray) -> tuple[FloatArray, Fl
     return chi2, 2.0 * np.sum(np.log(np.diagonal(root, axis1=1, axis2=2)), axis=1)
 
 
-def _covariances(
-    signature: Signature, evidence: Evidence, extents: FloatArray, changes: FloatArray, *, as_input: bool
-) -> FloatArray:
-    """(E, P, P) covariance of the deviation at every extent."""
-    source, inputs, learnt = signature.cause.source, evidence.inputs, evidence.learnt
-    alone = source if as_input and inputs is not None and source in inputs.u else None
-    stated = evidence.stated(alone, extents, signature.tangents)
-    doubt = np.square(signature.cause.doubt)
-    if learnt is not None:
-        stated, doubt = learnt.applied(stated), doubt + learnt.misfit**2
-    own = doubt * changes**2
-    return np.asarray(stated + own[:, :, None] * np.eye(own.shape[1]))
+@dataclass(frozen=True)
+class FittedPlastic:
+    """Fit of the hypothesis that another plastic or lamp than that of the prediction was looked at.
+
+    Attributes:
+        names: causes of which it is made up, the tail of the lobe last.
+        extents: their likeliest extents.
+        u: their standard uncertainties.
+        chi2: of the residual, priors included.
+        cost: −2 ln of the evidence, comparable with other costs.
+    """
+
+    names: tuple[str, ...]
+    extents: FloatArray
+    u: FloatArray
+    chi2: float
+    cost: float
+
+
+def another_plastic(known: Signatures, evidence: Evidence) -> FittedPlastic | None:
+    """Fit of another plastic or lamp; None where the tail of the lobe has no signature.
+
+    Roughnesses, albedo, light angle and tail of the lobe may all differ from the recipe, with normal priors of the
+    widths `PLASTIC_SPREADS` and equal ones for every tail. The integral over them is Laplace's about the likeliest
+    extents for each tail (MacKay 1992, Bayesian interpolation), so that a hypothesis of many extents is not preferred
+    for their number. What a family of lobes leaves of a real one is `FAMILY` in ln L of every pose.
+    """
+    tail = known.tail
+    acting = [one for one in known.found if one.cause.name in PLASTIC_SPREADS]
+    if tail is None or not acting:
+        return None
+    spread = np.array([PLASTIC_SPREADS[one.cause.name] for one in acting])
+    found = [_with_tail(acting, spread, tail, float(extent), evidence) for extent in tail.extents]
+    cost = np.array([one.cost for one in found])
+    best = found[int(np.argmin(cost))]
+    weight = np.exp(-0.5 * (cost - cost.min()))
+    mean = float(np.average(tail.extents, weights=weight))
+    u_tail = float(np.sqrt(np.average((tail.extents - mean) ** 2, weights=weight)))
+    integral = float(cost.min() - 2.0 * np.log(weight.mean()))
+    return FittedPlastic(
+        best.names, np.append(best.extents, mean), np.append(best.u, u_tail), best.chi2, integral
+    )
+
+
+def _with_tail(
+    acting: Sequence[Signature], spread: FloatArray, tail: Signature, longer: float, evidence: Evidence
+) -> FittedPlastic:
+    """The same for one tail of the lobe; extents without it."""
+    shift = tail.at(longer)[0]
+    poses = len(evidence.deviation)
+    base = evidence.good + np.diag((tail.cause.doubt * shift) ** 2) + FAMILY**2 * np.eye(poses)
+    extents, prior = np.zeros(len(acting)), np.diag(spread**-2.0)
+    for _ in range(_STEPS_OF_PLASTIC):
+        changes = np.stack([one.at(extent)[0] for one, extent in zip(acting, extents, strict=True)])
+        slopes = np.stack([one.slope(extent)[0] for one, extent in zip(acting, extents, strict=True)])
+        doubts = np.array([one.cause.doubt for one in acting])
+        covariance = base + np.diag(np.sum((doubts[:, None] * changes) ** 2, axis=0))
+        if evidence.learnt is not None:
+            covariance += np.diag((evidence.learnt.misfit * (shift + changes.sum(axis=0))) ** 2)
+        off = evidence.deviation - shift - changes.sum(axis=0)
+        weighted = slopes @ np.linalg.pinv(covariance, hermitian=True)
+        curvature = weighted @ slopes.T + prior
+        step = np.linalg.solve(curvature, weighted @ off - prior @ extents)
+        low, high = np.array([one.bounds for one in acting]).T
+        extents = np.clip(extents + np.clip(step, -spread, spread), low, high)
+    chi2, size = _quadratic(covariance[None], off[None])
+    left = float(chi2[0]) + float(extents @ prior @ extents)
+    cost = float(_minus_two_ln(np.array([left]), evidence)[0] + size[0])
+    cost += float(np.linalg.slogdet(curvature)[1]) + 2.0 * float(np.sum(np.log(spread)))
+    for off_share, more in (_share_costs(evidence, np.zeros(1), 0.0), _pitch_costs(evidence, 0.0)):
+        left, cost = left + float(off_share[0]), cost + float(more[0])
+    names = (*(one.cause.name for one in acting), tail.cause.name)
+    return FittedPlastic(names, extents, np.sqrt(np.diag(np.linalg.inv(curvature))), left, cost)

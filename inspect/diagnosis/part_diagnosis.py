@@ -13,11 +13,13 @@ from anisoscope.base.significance import p_value_text
 from anisoscope.decision.decision import Decision
 from anisoscope.decision.reference_parts import GoldenSet
 from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, CauseModel
-from anisoscope.diagnosis.discriminating_poses import advice_for, bare_title
+from anisoscope.diagnosis.discriminating_poses import advice_for
 from anisoscope.diagnosis.evidence import Evidence, against, background_of, covariance_of, inputs_of
-from anisoscope.diagnosis.ranking import NOTHING, Diagnosis, diagnose
+from anisoscope.diagnosis.likelihood import PITCH
+from anisoscope.diagnosis.ranking import NOTHING, PLASTIC, Diagnosis, bare_title, diagnose
 from anisoscope.diagnosis.signature_cache import cached_signatures
 from anisoscope.imaging.pose_radiance import Measured
+from anisoscope.imaging.quality_gates import measured_pitch
 from anisoscope.prediction.expectation import Expectation
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.schema import DiagnosisRecord
@@ -54,7 +56,10 @@ def explain(
     try:
         light_angle_deg = expected.convention.light_angle_deg
         known = cached_signatures(recipe, light_angle_deg, advance, causes)
-        found = diagnose(known, evidence_of(recipe, expected, measured, decision, golden))
+        evidence = evidence_of(recipe, expected, measured, decision, golden)
+        if any(one.cause.name == PITCH for one in known.found):
+            evidence = replace(evidence, pitch=measured_pitch(measured, recipe))
+        found = diagnose(known, evidence)
     except (AnisoscopeError, ArithmeticError, ValueError, np.linalg.LinAlgError) as problem:
         return DiagnosisRecord(says="not possible"), f"no diagnosis: {problem}"
     record = diagnosis_record(found, recipe.decision.alpha)
@@ -105,6 +110,11 @@ def _summary(found: Diagnosis, alpha: float, of: str) -> str:
         return f"none of the causes explains the {of} (p {p_value_text(found.unexplained_p)} for the best of them)"
     if best.cause == NOTHING:
         return f"nothing explains the {of} better than chance"
+    if best.cause == PLASTIC:
+        return (
+            f"{best.title}, not this {of} alone: calibrate the material (anisoscope calibrate material), check the "
+            "angle of the lamp, or collect golden parts"
+        )
     ties = [bare_title(one.title) for one in found.ties if one is not best]
     if not ties:
         return bare_title(best.title)

@@ -10,23 +10,51 @@ with the budget (`anisoscope.diagnosis.evidence.Learnt`).
 
 A position of part or lamp that the recipe bounds by a standard uncertainty u has a prior: Cauchy's distribution of
 scale u, whose tails allow a part that is not pressed home, but rank it behind a defect that explains the poses as
-well. Ties are by the likelihood alone. One more hypothesis, "something else", changes every pose by itself, normally
-with `SOMETHING_ELSE` in ln L: where it is likelier than all causes, none of them has a large weight.
+well. Ties are by the likelihood alone.
+
+Where no single cause explains the part, pairs of the likeliest ones are fitted together, with the penalty of two
+extents and the prior probability `PAIR_PRIOR` of two causes at once. Another plastic or lamp than the recipe's is one
+more hypothesis: roughnesses, albedo, light angle and tail of the lobe all differ somewhat
+(`anisoscope.diagnosis.likelihood.another_plastic`). So is "something else", which changes every pose by itself,
+normally with `SOMETHING_ELSE` in ln L: where it is likelier than all causes, none of them has a large weight. All
+causes together have no larger weight than the best of them is believable: 1 where what it leaves unexplained is
+likely, and in proportion to its probability below `BELIEVABLE`.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
 from anisoscope.diagnosis.evidence import Evidence
-from anisoscope.diagnosis.likelihood import Fitted, fit_extent, interval, nothing, unspecific
+from anisoscope.diagnosis.likelihood import (
+    Fitted,
+    FittedPair,
+    FittedPlastic,
+    another_plastic,
+    fit_extent,
+    fit_pair,
+    interval,
+    nothing,
+    pair_interval,
+    unspecific,
+)
 from anisoscope.diagnosis.signatures import Signature, Signatures
-from anisoscope.record.schema import CauseRecord
+from anisoscope.record.schema import CauseRecord, ComponentRecord
 
 NOTHING = "nothing"
 OTHER = "something-else"
+PLASTIC = "plastic-or-lamp"
 SOMETHING_ELSE = 0.3
 """Standard deviation of ln L in each pose by an unknown cause; of the share of deviating cells a third of it."""
+BELIEVABLE = 0.01
+"""Probability of what a cause leaves unexplained below which it is doubted."""
+PAIR_PRIOR = 0.1
+"""Probability of a second cause beside one."""
+PAIRED = 6
+"""The likeliest causes of which pairs are made."""
+PAIRS_SHOWN = 3
 TIE = 9.0  # 3σ in χ² for one parameter
 _SAME = 1e-9
 
@@ -49,6 +77,21 @@ class Diagnosis:
         return tuple(cause for cause in self.causes if cause.tie)
 
 
+@dataclass(frozen=True, eq=False)
+class _Hypothesis:
+    """A hypothesis with its fit: none, one or two causes, or another plastic.
+
+    ``cost`` is −2 ln of the likelihood, ``bic`` with the penalty of its extents and the prior, ``compared`` what ties
+    are counted by: the likelihood, and of a pair with the penalty of its second extent.
+    """
+
+    causes: tuple[Signature, ...]
+    fit: Fitted | FittedPair | FittedPlastic
+    bic: float
+    compared: float
+    extents: int
+
+
 def diagnose(known: Signatures, evidence: Evidence) -> Diagnosis:
     """Rank the causes.
 
@@ -59,47 +102,66 @@ def diagnose(known: Signatures, evidence: Evidence) -> Diagnosis:
     Returns:
         The diagnosis; without any deviation "nothing" comes first.
     """
-    data = len(evidence.deviation) + (evidence.share is not None)
-    rows: list[tuple[Signature | None, Fitted]] = [(None, nothing(evidence))]
-    rows += [(signature, _fitted(signature, evidence)) for signature in known.found]
-    bic = np.array([fit.cost + _penalty(one, fit, evidence, data) for one, fit in rows])
+    data = len(evidence.deviation) + (evidence.share is not None) + (evidence.pitch is not None)
+    good = nothing(evidence)
+    rows = [_Hypothesis((), good, good.cost, good.cost, 0)]
+    rows += [_single(signature, evidence, data) for signature in known.found]
+    rows.sort(key=lambda row: row.bic)
+    if _left(rows[0], data, evidence) < BELIEVABLE:
+        rows += _pairs(rows, evidence, data)
+    if (plastic := another_plastic(known, evidence)) is not None:
+        rows.append(_Hypothesis((), plastic, plastic.cost, plastic.cost, 0))
+    rows.sort(key=lambda row: row.bic)
+    bic = np.array([row.bic for row in rows])
     other = unspecific(evidence, SOMETHING_ELSE)
-    weight = np.exp(-0.5 * (np.append(bic, other.cost) - min(bic.min(), other.cost)))
+    left = _left(rows[0], data, evidence)
+    weight = np.exp(-0.5 * (np.append(bic, other.cost) - min(bic[0], other.cost)))
     weight /= weight.sum()
-    order = np.argsort(bic, kind="stable")
-    best, good = rows[order[0]], rows[0][1]
-    nearest = min((rows[k][1] for k in order), key=lambda fit: fit.cost)
-    causes = [_cause(rows[k], weight[k], best[1], nearest, good, evidence) for k in order]
+    weight[:-1] *= min(1.0, left / BELIEVABLE / max(weight[:-1].sum(), 1e-300))
+    weight[-1] = 1.0 - weight[:-1].sum()
+    nearest = min(row.compared for row in rows)
+    causes = [
+        _record(row, share, tie=_ties(row, rows[0], nearest, good.cost), known=known, evidence=evidence)
+        for row, share in zip(rows, weight[:-1], strict=True)
+    ]
     place = int(np.count_nonzero(bic <= other.cost))
-    causes.insert(max(place, 1), _something_else(other, weight[-1]))
-    dof = max(data - (best[0] is not None), 1)
-    return Diagnosis(tuple(causes), _chance(best[1].chi2, dof, evidence))
+    causes.insert(max(place, 1), _without_severity(OTHER, _OTHER_TITLE, weight[-1], other.chi2))
+    return Diagnosis(tuple(causes), left)
 
 
-def _penalty(signature: Signature | None, fit: Fitted, evidence: Evidence, data: int) -> float:
-    """Penalty of a free extent by BIC, and −2 ln of the prior of a position that the recipe bounds."""
-    if signature is None:
+_OTHER_TITLE = "something else: none of these causes"
+
+
+def _single(signature: Signature, evidence: Evidence, data: int) -> _Hypothesis:
+    fit = _fitted(signature, evidence)
+    bic = fit.cost + float(np.log(data)) + _prior_cost(signature, fit.extent, evidence)
+    return _Hypothesis((signature,), fit, bic, fit.cost, 1)
+
+
+def _pairs(rows: Sequence[_Hypothesis], evidence: Evidence, data: int) -> list[_Hypothesis]:
+    """The likeliest pairs of the best single causes, where none of these explains the part."""
+    single = [row.causes[0] for row in rows if row.causes][:PAIRED]
+    found = []
+    for pair in combinations(single, 2):
+        fit = fit_pair(pair, evidence)
+        second = float(np.log(data)) - 2.0 * float(np.log(PAIR_PRIOR))
+        bic = fit.cost + float(np.log(data)) + second
+        bic += sum(_prior_cost(one, extent, evidence) for one, extent in zip(pair, fit.extents, strict=True))
+        found.append(_Hypothesis(pair, fit, bic, fit.cost + second, 2))
+    return sorted(found, key=lambda row: row.bic)[:PAIRS_SHOWN]
+
+
+def _prior_cost(signature: Signature, extent: float, evidence: Evidence) -> float:
+    """−2 ln of the prior of a position that the recipe bounds."""
+    if signature.cause.group != "rig" or evidence.inputs is None:
         return 0.0
-    penalty = float(np.log(data))
-    if signature.cause.group == "rig" and evidence.inputs is not None:
-        u = evidence.inputs.u.get(signature.cause.source, 0.0)
-        penalty += 2.0 * float(np.log1p((fit.extent / u) ** 2)) if u > 0.0 else 0.0
-    return penalty
+    u = next((evidence.inputs.u.get(source, 0.0) for source in signature.cause.sources), 0.0)
+    return 2.0 * float(np.log1p((extent / u) ** 2)) if u > 0.0 else 0.0
 
 
-def _something_else(fit: Fitted, weight: float) -> CauseRecord:
-    return CauseRecord(
-        cause=OTHER,
-        title="something else: none of these causes",
-        unit="",
-        severity=0.0,
-        u=None,
-        interval=None,
-        weight=weight,
-        chi2=fit.chi2,
-        at_bound=False,
-        tie=False,
-    )
+def _left(row: _Hypothesis, data: int, evidence: Evidence) -> float:
+    """Probability that chance leaves more than a hypothesis does."""
+    return _chance(row.fit.chi2, max(data - row.extents, 1), evidence)
 
 
 def _chance(left: float, dof: int, evidence: Evidence) -> float:
@@ -108,23 +170,52 @@ def _chance(left: float, dof: int, evidence: Evidence) -> float:
 
     if evidence.learnt is None:
         return float(chi2.sf(left, dof))
-    free = evidence.learnt.freedom
+    free = max(evidence.learnt.freedom, float(dof))
     return float(f.sf(left * (free - dof + 1.0) / (free * dof), dof, free - dof + 1.0))
 
 
-def _cause(
-    row: tuple[Signature | None, Fitted],
-    weight: float,
-    first: Fitted,
-    nearest: Fitted,
-    good: Fitted,
-    evidence: Evidence,
+def _ties(row: _Hypothesis, best: _Hypothesis, nearest: float, good: float) -> bool:
+    """Whether the data separate a hypothesis from the best one.
+
+    A cause that fits no better than "nothing" is excluded, however little the best one explains.
+    """
+    return row is best or (row.compared - nearest < TIE and (not row.extents or good - row.compared > _SAME))
+
+
+def _record(
+    row: _Hypothesis, weight: float, *, tie: bool, known: Signatures, evidence: Evidence
 ) -> CauseRecord:
-    signature, fit = row
-    # a cause that fits no better than "nothing" is excluded, however little the best one explains
-    explains = signature is None or good.cost - fit.cost > _SAME
-    tie = fit is first or (fit.cost - nearest.cost < TIE and explains)
-    if signature is None:
+    fit = row.fit
+    if isinstance(fit, FittedPlastic):
+        titles = {
+            one.cause.name: one for one in (*known.found, *(() if known.tail is None else (known.tail,)))
+        }
+        parts = tuple(
+            _component(
+                titles[name], float(extent), float(u), (float(extent - 2.0 * u), float(extent + 2.0 * u))
+            )
+            for name, extent, u in zip(fit.names, fit.extents, fit.u, strict=True)
+        )
+        title = _PLASTIC_TITLE if evidence.learnt is None else _PLASTIC_OF_PARTS
+        return _without_severity(PLASTIC, title, weight, fit.chi2, tie=tie, components=parts)
+    if isinstance(fit, FittedPair):
+        one, other = row.causes
+        alone = fit_pair((one, other), evidence, as_input=True)
+        parts = tuple(
+            _component(
+                signature,
+                alone.extents[k],
+                alone.u[k],
+                pair_interval((one, other), evidence, alone, k),
+            )
+            for k, signature in enumerate(row.causes)
+        )
+        name, title = (
+            f"{one.cause.name}+{other.cause.name}",
+            " and ".join(bare_title(s.cause.title) for s in row.causes),
+        )
+        return _without_severity(name, title, weight, fit.chi2, tie=tie, components=parts)
+    if not row.causes:
         return CauseRecord(
             cause=NOTHING,
             title="as predicted",
@@ -137,6 +228,7 @@ def _cause(
             at_bound=False,
             tie=tie,
         )
+    signature = row.causes[0]
     return CauseRecord(
         cause=signature.cause.name,
         title=signature.cause.title,
@@ -151,10 +243,58 @@ def _cause(
     )
 
 
+_PLASTIC_TITLE = "the plastic or the lamp differs from the recipe"
+_PLASTIC_OF_PARTS = "the plastic or the lamp differs from that of the golden parts"
+
+
+def bare_title(title: str) -> str:
+    """Title of a cause without its severity."""
+    return title.removesuffix(" by").removesuffix(",")
+
+
+def _component(
+    signature: Signature, extent: float, u: float, within: tuple[float | None, float | None]
+) -> ComponentRecord:
+    cause = signature.cause
+    return ComponentRecord(
+        cause=cause.name,
+        title=cause.title,
+        unit=cause.unit,
+        severity=extent,
+        u=u if np.isfinite(u) else None,
+        interval=within,
+    )
+
+
+def _without_severity(
+    name: str,
+    title: str,
+    weight: float,
+    chi2: float,
+    *,
+    tie: bool = False,
+    components: tuple[ComponentRecord, ...] = (),
+) -> CauseRecord:
+    """A hypothesis that has no extent of its own."""
+    return CauseRecord(
+        cause=name,
+        title=title,
+        unit="",
+        severity=0.0,
+        u=None,
+        interval=None,
+        weight=weight,
+        chi2=chi2,
+        at_bound=False,
+        tie=tie,
+        components=components,
+    )
+
+
 def _fitted(signature: Signature, evidence: Evidence) -> Fitted:
-    """Likelihood with the full covariance, so that causes compare; extent without the input identical with it."""
+    """Likelihood with the full covariance, so that causes compare; extent without the inputs identical with it."""
     found = fit_extent(signature, evidence)
-    if evidence.inputs is None or signature.cause.source not in evidence.inputs.u:
+    if evidence.inputs is None or not set(signature.cause.sources) & set(evidence.inputs.u):
         return found
     alone = fit_extent(signature, evidence, as_input=True)
     return replace(found, extent=alone.extent, u=alone.u)

@@ -175,7 +175,7 @@ def _doubted(
     own = (signature.cause.doubt * changes) ** 2
     covariance = np.eye(len(whitener)) + np.einsum("ip,ep,jp->eij", whitener, own, whitener, optimize=True)
     if inputs is not None and signature.tangents is not None:
-        deviating = inputs.covariance(None, extents, signature.tangents)
+        deviating = inputs.covariance(causes=[(extents, signature.tangents)])
         covariance += whitener @ (deviating - inputs.covariance()) @ whitener.T
     root = np.linalg.cholesky(covariance)
     size = 2.0 * np.sum(np.log(np.diagonal(root, axis1=1, axis2=2)), axis=1)

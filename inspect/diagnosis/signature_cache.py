@@ -11,6 +11,7 @@ import numpy as np
 from anisoscope.base.cache import Cache
 from anisoscope.base.progress import Advance, silent
 from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, CauseModel
+from anisoscope.diagnosis.causes import TAILS, tail_cause
 from anisoscope.diagnosis.signatures import Signature, Signatures
 from anisoscope.diagnosis.tangents import Tangents
 from anisoscope.recipe.surface import SurfaceRecipe
@@ -60,14 +61,17 @@ def signature_key(
         "cells": None if recipe.area is None else recipe.area.cell_deviation,
         "light_angle_deg": light_angle_deg,
         "causes": [(one.name, one.extents, one.doubt) for one in causes.causes(recipe)],
+        "tails": TAILS,
         "light": recipe.light and recipe.light.model_dump(mode="json"),
     }
 
 
 def _packed(found: Signatures) -> bytes:
+    every = (*found.found, *(() if found.tail is None else (found.tail,)))
     header = {
-        "names": [one.cause.name for one in found.found],
-        "doubts": [one.cause.doubt for one in found.found],
+        "names": [one.cause.name for one in every],
+        "doubts": [one.cause.doubt for one in every],
+        "tail": found.tail is not None,
         "left_out": found.left_out,
         "share": found.share,
     }
@@ -75,7 +79,7 @@ def _packed(found: Signatures) -> bytes:
         "header": np.frombuffer(json.dumps(header).encode(), dtype=np.uint8),
         "radiance": found.radiance,
     }
-    for number, one in enumerate(found.found):
+    for number, one in enumerate(every):
         arrays |= {
             f"extents{number}": one.extents,
             f"change{number}": one.change,
@@ -89,10 +93,11 @@ def _packed(found: Signatures) -> bytes:
 
 
 def _unpacked(content: bytes, recipe: SurfaceRecipe, model: CauseModel) -> Signatures:
-    causes = {cause.name: cause for cause in model.causes(recipe)}
+    tail = tail_cause(recipe.material.material().tail)
+    causes = {cause.name: cause for cause in (*model.causes(recipe), tail)}
     with np.load(io.BytesIO(content), allow_pickle=False) as stored:
         header = json.loads(bytes(stored["header"]))
-        found = tuple(
+        found = [
             Signature(
                 replace(causes[name], doubt=doubt),
                 stored[f"extents{n}"],
@@ -101,6 +106,8 @@ def _unpacked(content: bytes, recipe: SurfaceRecipe, model: CauseModel) -> Signa
                 Tangents(stored[f"at{n}"], stored[f"tangents{n}"]) if f"at{n}" in stored else None,
             )
             for n, (name, doubt) in enumerate(zip(header["names"], header["doubts"], strict=True))
-        )
+        ]
         left_out = tuple((name, reason) for name, reason in header["left_out"])
-        return Signatures(recipe.poses.poses(), stored["radiance"], header["share"], found, left_out)
+        longer = found.pop() if header["tail"] else None
+        poses = recipe.poses.poses()
+        return Signatures(poses, stored["radiance"], header["share"], tuple(found), left_out, longer)

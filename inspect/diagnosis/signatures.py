@@ -20,7 +20,7 @@ import numpy.typing as npt
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError, ModelError
 from anisoscope.base.progress import Advance, silent
-from anisoscope.diagnosis.causes import EXTRUDED, PITCHES, Cause, all_causes
+from anisoscope.diagnosis.causes import EXTRUDED, PITCHES, TAIL, Cause, all_causes, tail_cause
 from anisoscope.diagnosis.tangents import Tangents, looked_at, slopes_of
 from anisoscope.imaging.deviation_map import cell_deviations
 from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH
@@ -105,6 +105,11 @@ class Signature:
         found = self._curve(np.clip(extent, *self.bounds))
         return found[..., :-1], found[..., -1]
 
+    def of(self, poses: Sequence[int]) -> "Signature":
+        """That of some of the poses, by their numbers."""
+        tangents = self.tangents and self.tangents.of(poses)
+        return replace(self, change=self.change[:, list(poses)], tangents=tangents)
+
     def slope(self, extent: float) -> tuple[FloatArray, float]:
         """(P,) derivative of the change and derivative of the share with respect to the extent."""
         found = self._curve(np.clip(extent, *self.bounds), 1)
@@ -121,6 +126,8 @@ class Signatures:
         share: share of cells that deviate on the good part.
         found: one a cause.
         left_out: causes impossible on this surface, with the reason.
+        tail: signature of a lobe with another tail, which is no cause but a sign of another plastic; None if not
+            computed.
     """
 
     poses: tuple[Pose, ...]
@@ -128,6 +135,7 @@ class Signatures:
     share: float
     found: tuple[Signature, ...]
     left_out: tuple[tuple[str, str], ...]
+    tail: Signature | None = None
 
     def of(self, poses: Sequence[int]) -> "Signatures":
         """Those of some of the poses, by their numbers."""
@@ -136,12 +144,8 @@ class Signatures:
             self,
             poses=tuple(self.poses[k] for k in selected),
             radiance=self.radiance[selected],
-            found=tuple(
-                replace(
-                    one, change=one.change[:, selected], tangents=one.tangents and one.tangents.of(selected)
-                )
-                for one in self.found
-            ),
+            found=tuple(one.of(selected) for one in self.found),
+            tail=self.tail and self.tail.of(selected),
         )
 
 
@@ -157,7 +161,7 @@ def signatures(
         recipe: the recipe.
         light_angle_deg: angle between light and camera.
         advance: called at every cause.
-        names: causes to compute; all of them if None.
+        names: causes to compute, "tail" for another tail of the lobe; all of them if None.
 
     Raises:
         HeightMapError: the recipe's height map cannot be read or used.
@@ -170,7 +174,7 @@ def signatures(
     design = recipe.surface.design
     causes = [
         cause
-        for cause in all_causes(None if design is None else design.ridge_angle_deg)
+        for cause in all_causes(None if design is None else design.ridge_angle_deg, recipe.surface.pitch_um)
         if names is None or cause.name in names
     ]
     found, left_out = [], []
@@ -180,8 +184,13 @@ def signatures(
             found.append(_signature(scene, cause, good, good_share))
         except (HeightMapError, ModelError) as problem:
             left_out.append((cause.name, str(problem)))
+    tail = None
+    asked = names is None or TAIL in names
+    if asked and recipe.material.material().second_lobe is None:
+        with contextlib.suppress(HeightMapError, ModelError):
+            tail = _signature(scene, tail_cause(recipe.material.material().tail), good, good_share)
     advance("signatures", len(causes), len(causes))
-    return Signatures(scene.poses, good, good_share, tuple(found), tuple(left_out))
+    return Signatures(scene.poses, good, good_share, tuple(found), tuple(left_out), tail)
 
 
 def _signature(scene: "_Scene", cause: Cause, good: FloatArray, good_share: float) -> Signature:
@@ -211,7 +220,8 @@ def _signature(scene: "_Scene", cause: Cause, good: FloatArray, good_share: floa
         shares.append(max(share - good_share, 0.0))
     if len(extents) < 2:
         raise ModelError(f"{cause.name}: the part would be black in some pose at every extent")
-    tangents = scene.tangents(cause, extents) if cause.doubt < DOUBTFUL else None
+    bends = cause.doubt < DOUBTFUL and cause.name != TAIL
+    tangents = scene.tangents(cause, extents) if bends else None
     return Signature(cause, np.array(extents), np.array(changes), np.array(shares), tangents)
 
 

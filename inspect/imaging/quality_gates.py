@@ -25,7 +25,10 @@ BLUR_PITCHES = 0.25
 BLACK_SHARE = 0.25
 PITCH_SHARE = 0.03
 DIRECTION_DEG = 5.0
-CLEAR_PEAK = 0.2
+CLEAR_PEAK, FAINT_PEAK = 0.2, 0.05
+PITCH_BINS = 0.05
+SCALE_SHARE = 0.001
+"""Relative standard uncertainty of the size of a pixel on the sample."""
 MIN_EXPECTED_SHARE = 0.01
 POINTS_A_PITCH = 6.0
 MAX_WINDOW = 512
@@ -291,6 +294,24 @@ def _refined(power: FloatArray, at: tuple[int, int], axis: int, frequencies: Flo
     bend = before - 2.0 * top + after
     shift = 0.5 * (before - after) / bend if bend < 0.0 else 0.0
     return float(frequencies[at[axis]] + np.clip(shift, -0.5, 0.5) / size)
+
+
+def measured_pitch(measured: Measured, recipe: SurfaceRecipe) -> tuple[float, float] | None:
+    """Relative deviation of the pitch in the aligned pictures from the recipe's, and its standard uncertainty, in %.
+
+    The wave of the ridges is found to `PITCH_BINS` of the resolution that the number of pitches gives.
+
+    Returns:
+        None where the ridges do not stand out, or are not resolved.
+    """
+    pitch_um, grid = recipe.surface.pitch_um, measured.grid
+    found = find_ridges(measured.aligned, grid.pixel_mm * 1000.0, pitch_um)
+    if found is None or not found.is_expected or found.share < FAINT_PEAK:
+        return None
+    pitches = grid.size_mm[0] * 1000.0 / pitch_um
+    return 100.0 * (found.pitch_um / pitch_um - 1.0), 100.0 * float(
+        np.hypot(PITCH_BINS / pitches, SCALE_SHARE)
+    )
 
 
 def check_ridges(aligned: tuple[Image, ...], grid: Grid, recipe: SurfaceRecipe) -> None:

@@ -8,7 +8,6 @@ from typing import Any
 
 from anisoscope.base.errors import RecordError
 from anisoscope.base.progress import Advance, silent
-from anisoscope.diagnosis.ranking import OTHER
 from anisoscope.inspection.folder import JOB
 from anisoscope.inspection.frames import read_frames
 from anisoscope.inspection.manifest import reopen
@@ -75,7 +74,7 @@ def recompute(folder: Path, on_progress: Advance = silent) -> Recomputed:
     unrecorded: set[str] = set()
     now = record.model_dump(mode="json", exclude=set(NOT_COMPARED))
     new = _recorded_fields(old, now, unrecorded)
-    if OTHER in _causes(now) and OTHER not in _causes(old):
+    if _causes(now) != _causes(old):
         unrecorded.add("diagnosis, which ranks another set of hypotheses now")
         new["diagnosis"] = old["diagnosis"]
     notes: tuple[str, ...] = ()
@@ -89,8 +88,9 @@ def recompute(folder: Path, on_progress: Advance = silent) -> Recomputed:
 
 
 def _causes(document: dict[str, Any]) -> set[str]:
-    """Names of the hypotheses of a diagnosis; "something else" is not among those of earlier versions."""
-    return {cause["cause"] for cause in (document.get("diagnosis") or {}).get("causes") or ()}
+    """Names of the hypotheses of a diagnosis, of which other versions rank others; pairs follow from the numbers."""
+    found = (document.get("diagnosis") or {}).get("causes") or ()
+    return {cause["cause"] for cause in found if "+" not in cause["cause"]}
 
 
 def _recorded_fields(old: Any, new: Any, unrecorded: set[str], name: str = "") -> Any:  # noqa: ANN401

@@ -10,7 +10,7 @@ import numpy as np
 
 from anisoscope.base.errors import HeightMapError
 from anisoscope.base.progress import Advance, silent
-from anisoscope.base.significance import log_basis
+from anisoscope.base.significance import log_basis, p_value_text
 from anisoscope.decision.consistency_test import contrast_scatter
 from anisoscope.decision.decision import Decision, decide
 from anisoscope.decision.design_vs_map import Predict, compare
@@ -34,7 +34,14 @@ from anisoscope.prediction.part_scatter import NamedDefect, PartScatter, named_d
 from anisoscope.prediction.propagation import RIDGE_ANGLE
 from anisoscope.quality.capability import recipe_tolerances
 from anisoscope.recipe.surface import SurfaceRecipe, check_lamp, check_material, read_surface_recipe
-from anisoscope.record.schema import DirectionRecord, GoldenRecord, MapPlaceRecord, Record, ShapeRecord
+from anisoscope.record.schema import (
+    DirectionRecord,
+    GoldenRecord,
+    MapPlaceRecord,
+    ReadingRecord,
+    Record,
+    ShapeRecord,
+)
 from anisoscope.record.surface_details import SurfaceDetails, surface_of
 from anisoscope.report.inspection_page import Pictures, Sections
 from anisoscope.rig.rigfile import RigFile
@@ -204,7 +211,7 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
         del sitting
         golden = cast("GoldenSet | None", usable(reference)) if decided.golden else None
         diagnosis, unexplained = explain(recipe, expected, measured, decided, advance, golden, self.causes)
-        comparisons, reading, lost = compare(recipe, expected, measured, self._predict(cached=cached))
+        compared = compare(recipe, expected, measured, self._predict(cached=cached))
         shape, unfitted = self.fit_shape(recipe, expected, measured)
         placed, unplaced = self.match_map(recipe, expected, measured)
         lacking = reference and reference.lacking
@@ -212,13 +219,14 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
         return Explanation(
             diagnosis,
             {
-                "comparisons": comparisons,
-                "reading": reading,
+                "comparisons": compared.comparisons,
+                "reading": compared.reading,
+                "readings": compared.readings,
                 "shape": shape,
                 "map_place": placed,
                 "golden": None if golden is None else golden_record(golden, measured, decided),
             },
-            tuple(note for note in (lacking, unlike, unexplained, lost, unfitted, unplaced) if note),
+            tuple(note for note in (lacking, unlike, unexplained, compared.note, unfitted, unplaced) if note),
         )
 
     def as_recorded(self, recipe: RecipeT, recorded: Mapping[str, Any]) -> RecipeT:
@@ -305,6 +313,7 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
         if found.between_tilts:
             tables.append(_tilt_table(record))
         lines = [] if found.reading is None else [f"design and height map: {found.reading}"]
+        lines += [f"  {one.says}{_chance_text(one)}" for one in found.readings]
         if record.verdict != "PASS":
             lines += [
                 f"{region.kind} at x {region.x:+.2f} mm, y {region.y:+.2f} mm: {region.area_share:.2%} of the area, "
@@ -312,6 +321,10 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
                 for region in found.regions[:MAX_REGIONS]
             ]
         return CommandOutput(content, tuple(tables), tuple(lines))
+
+
+def _chance_text(reading: ReadingRecord) -> str:
+    return "" if reading.p_value is None else f" (p {p_value_text(reading.p_value)})"
 
 
 MAX_REGIONS = 5

@@ -170,13 +170,25 @@ class RegionRecord(_Part):
     p_value: float
 
 
+class ComponentRecord(_Part):
+    """One of several extents that explain a part together; fields as of `CauseRecord`."""
+
+    cause: str
+    title: str
+    unit: str
+    severity: float
+    u: float | None
+    interval: tuple[float | None, float | None] | None = None
+
+
 class CauseRecord(_Part):
     """One cause and how well it explains the part; "nothing" is the part as predicted.
 
     ``u`` is the standard uncertainty of the severity, null where the data do not determine it. ``interval`` holds the
     severity with 95 %; null for an end that lies beyond what was looked at. ``weight`` is the share of the belief,
     exp(−BIC/2) over all causes, ``chi2`` what remains unexplained; ``at_bound`` if the fit ended at the end of what was
-    looked at, ``tie`` if no data separate the cause from the best one.
+    looked at, ``tie`` if no data separate the cause from the best one. Two causes that act together, and another
+    plastic or lamp than the recipe's, have ``components`` with a severity each, and none themselves.
     """
 
     cause: str
@@ -189,6 +201,7 @@ class CauseRecord(_Part):
     chi2: float
     at_bound: bool
     tie: bool
+    components: tuple[ComponentRecord, ...] = ()
 
 
 class DiagnosisRecord(_Part):
@@ -214,6 +227,33 @@ class ComparisonRecord(_Part):
     dof: int
     p_value: float
     agrees: bool
+
+
+class ReadingNumberRecord(_Part):
+    """A number of a reading: what was found, with its standard uncertainty, and what it is compared with."""
+
+    name: str
+    unit: str
+    value: float
+    u: float
+    expected: float
+
+
+class ReadingRecord(_Part):
+    """One of the four readings of a recipe with both surfaces: what was compared, whether it agrees, and in words.
+
+    ``reading`` is "measured-design", "measured-map", "map-design" (both predictions) or "geometry" (the ridges of the
+    map against the design). ``agrees`` is null, and ``p_value`` too, where it could not be read; ``says`` tells why.
+    """
+
+    reading: str
+    title: str
+    says: str
+    agrees: bool | None
+    d2: float | None
+    dof: int | None
+    p_value: float | None
+    numbers: tuple[ReadingNumberRecord, ...] = ()
 
 
 class EstimateRecord(_Part):

@@ -7,6 +7,7 @@ from anisoscope.record.schema import (
     ContrastRecord,
     GoldenRecord,
     MapPlaceRecord,
+    ReadingRecord,
     Record,
     RegionRecord,
     ShapeRecord,
@@ -25,6 +26,7 @@ class SurfaceDetails(Details):
     regions: tuple[RegionRecord, ...] = ()
     comparisons: tuple[ComparisonRecord, ...] = ()
     reading: str | None = None
+    readings: tuple[ReadingRecord, ...] = ()
     shape: ShapeRecord | None = None
     golden: GoldenRecord | None = None
     map_place: MapPlaceRecord | None = None

@@ -18,7 +18,7 @@ from anisoscope.report.peers import Lot, Peers
 from anisoscope.report.provenance import calibrations_of, files_of, groups_of
 from anisoscope.report.rule import PRECEDENCE
 from anisoscope.report.surface_view import Picture3D, SurfacePictures, SurfaceView, flat_drawings, viewer_of
-from anisoscope.report.wording import cause_range, cause_text, filters
+from anisoscope.report.wording import cause_range, cause_text, filters, severity_text, weight_text
 
 Image = npt.NDArray[np.float32]
 
@@ -136,6 +136,8 @@ def _content(
         "rule": record.recipe["decision"],
         "causes": causes,
         "cause_range": cause_range,
+        "severity_text": severity_text,
+        "weight_text": weight_text,
         "cause_text": "; or, not to be told apart: ".join(cause_text(c) for c in causes if c.tie),
         "fitted_too": sections.fitted_too,
         "unit": sections.unit,

@@ -1,11 +1,13 @@
 """Numbers, contrasts and causes as the report of an inspection words them."""
 
 from anisoscope.base.significance import p_value_text
-from anisoscope.record.schema import CauseRecord, Record
+from anisoscope.diagnosis.ranking import NOTHING, OTHER, PLASTIC
+from anisoscope.record.schema import CauseRecord, ComponentRecord, Record
 from anisoscope.record.surface_details import surface_of
 from anisoscope.report.page import Filters
 from anisoscope.report.provenance import when
 
+MOST_WEIGHT = 0.99
 U_LEGEND = "U = 2u: expanded uncertainty"
 
 
@@ -40,13 +42,30 @@ def contrast_name(from_deg: float, to_deg: float, tilt_deg: float) -> str:
 
 def cause_text(cause: CauseRecord) -> str:
     """A cause with its severity, such as ``ridge angle, off by −2.1° (95 %: −2.5° to −1.7°)``."""
-    if cause.cause == "nothing":
+    if cause.components:
+        together = " and ".join(_sized(one) for one in cause.components)
+        return f"{cause.title}: {together}" if cause.cause == PLASTIC else f"two causes together: {together}"
+    if cause.cause in {NOTHING, OTHER}:
         return cause.title
+    return _sized(cause)
+
+
+def _sized(cause: CauseRecord | ComponentRecord) -> str:
+    return f"{cause.title} {severity_text(cause)} ({cause_range(cause)})".replace("-", "−")
+
+
+def severity_text(cause: CauseRecord | ComponentRecord) -> str:
+    """The severity with its unit, such as ``−2.1°`` or ``5 µm``."""
     unit = cause.unit if cause.unit in {"", "°"} else f" {cause.unit}"
-    return f"{cause.title} {cause.severity:.3g}{unit} ({cause_range(cause)})".replace("-", "−")
+    return f"{cause.severity:.3g}{unit}".replace("-", "−")
 
 
-def cause_range(cause: CauseRecord) -> str:
+def weight_text(weight: float) -> str:
+    """A share of the belief; it is never all of it."""
+    return "over 99 %" if weight > MOST_WEIGHT else f"{100.0 * weight:.0f} %"
+
+
+def cause_range(cause: CauseRecord | ComponentRecord) -> str:
     """How well a severity is known: its 95 % interval, such as ``95 %: −2.5° to −1.7°``."""
     unit = cause.unit if cause.unit in {"", "°"} else f" {cause.unit}"
     if cause.interval is None:  # records of earlier versions

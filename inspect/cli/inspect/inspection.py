@@ -138,9 +138,9 @@ def explained(record: "Record") -> list[str]:
 
 
 def _cause_line(cause: "CauseRecord") -> str:
-    from anisoscope.report.wording import cause_text
+    from anisoscope.report.wording import cause_text, weight_text
 
-    return f"  {cause_text(cause)}, weight {cause.weight:.0%}"
+    return f"  {cause_text(cause)}, weight {weight_text(cause.weight)}"
 
 
 def _print(inspected: "Inspected") -> None:

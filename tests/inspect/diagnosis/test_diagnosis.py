@@ -232,7 +232,7 @@ def test_an_input_that_is_a_cause_is_fitted_without_its_own_uncertainty(recipe):
     inputs = inputs_of(recipe, expected, alone)
     source = "albedo of the plastic"
     V = covariance_of(expected.components + alone, recipe.uncertainty.scale_share, len(POSES))
-    reduced = inputs.covariance(source, 0.0)
+    reduced = inputs.covariance({source})
     k = expected.response.sources.index(source)
     rest = np.delete(np.arange(len(expected.response.sources)), k)
     slope = expected.response.slope[:, rest]

@@ -7,8 +7,8 @@ import pytest
 
 from anisoscope.diagnosis.causes import Cause
 from anisoscope.diagnosis.evidence import Evidence, Inputs, against, root_of
-from anisoscope.diagnosis.likelihood import fit_extent
-from anisoscope.diagnosis.ranking import NOTHING, OTHER, diagnose
+from anisoscope.diagnosis.likelihood import PITCH, fit_extent
+from anisoscope.diagnosis.ranking import BELIEVABLE, NOTHING, OTHER, diagnose
 from anisoscope.diagnosis.signatures import Signature, Signatures
 from anisoscope.prediction.second_order import Response
 from anisoscope.sim.light.geometry import Pose
@@ -119,7 +119,7 @@ def test_a_position_far_beyond_its_stated_uncertainty_ranks_behind_a_defect_that
     slope, stated = 0.3 * rng.normal(size=P), 0.01**2 * np.eye(P)
     defect = line(slope)
     seat = replace(
-        defect, cause=replace(defect.cause, name="seat", group="rig", source="seating tilt about x")
+        defect, cause=replace(defect.cause, name="seat", group="rig", sources=("seating tilt about x",))
     )
     response = Response(("seating tilt about x",), 0.01 * slope[:, None], np.zeros((P, 1, 1)))
     inputs = Inputs(response, {"seating tilt about x": 0.01}, stated, np.ones(1))
@@ -144,3 +144,84 @@ def test_where_no_cause_explains_the_part_none_has_a_large_weight():
     assert weights[OTHER] > 0.99
     assert strange.unexplained_p < 1e-6
     assert sum(weights.values()) == pytest.approx(1.0)
+
+
+def named(name, slope, **more):
+    one = line(slope)
+    return replace(one, cause=replace(one.cause, name=name, title=name, **more))
+
+
+def weights_of(found):
+    return {one.cause: one.weight for one in found.causes}
+
+
+def test_causes_have_no_larger_weight_than_what_the_best_leaves_permits():
+    """A part 3 % off the best cause, and far from good: the cause is first, and none of them is believed."""
+    rng = np.random.default_rng(13)
+    slope, stated = 0.3 * rng.normal(size=P), 0.01**2 * np.eye(P)
+    found = diagnose(known(line(slope)), Evidence(0.5 * slope + 0.03 * rng.normal(size=P), stated))
+    assert found.causes[0].cause == "a"
+    assert found.unexplained_p < BELIEVABLE
+    assert 1.0 - weights_of(found)[OTHER] == pytest.approx(found.unexplained_p / BELIEVABLE)
+
+
+@pytest.mark.parametrize("golden", [False, True])
+def test_two_causes_are_named_together_where_one_does_not_explain(golden):
+    rng = np.random.default_rng(14)
+    slopes, stated = 0.3 * rng.normal(size=(4, P)), 0.01**2 * np.eye(P)
+    causes = [named(name, slope) for name, slope in zip("abcd", slopes, strict=True)]
+    part = Evidence(0.5 * slopes[1] - 0.4 * slopes[3] + 0.01 * rng.normal(size=P), stated)
+    if golden:
+        part = against(part, 0.01 * rng.normal(size=(8, P)), 0.0)
+    found = diagnose(known(*causes), part)
+    best = found.causes[0]
+    assert best.cause in {"b+d", "d+b"}
+    assert found.unexplained_p > BELIEVABLE
+    sizes = {one.cause: one for one in best.components}
+    for name, truth in (("b", 0.5), ("d", -0.4)):
+        assert abs(sizes[name].severity - truth) < 4.0 * sizes[name].u
+        low, high = sizes[name].interval
+        assert low < truth < high
+        assert (high - low) / (4.0 * sizes[name].u) == pytest.approx(1.0, abs=0.2)
+    assert sum(weights_of(found).values()) == pytest.approx(1.0)
+
+
+def test_one_cause_that_explains_is_not_joined_by_another():
+    rng = np.random.default_rng(15)
+    slopes, stated = 0.3 * rng.normal(size=(3, P)), 0.01**2 * np.eye(P)
+    causes = [named(name, slope) for name, slope in zip("abc", slopes, strict=True)]
+    found = diagnose(known(*causes), Evidence(0.5 * slopes[0] + 0.01 * rng.normal(size=P), stated))
+    assert found.causes[0].cause == "a"
+    assert not any(one.components for one in found.causes)
+
+
+def test_cells_that_deviate_on_a_guessed_texture_are_no_reason_against_a_cause():
+    """Crests that were not filled are rough: a tenth of the cells deviates, which smooth ones would not explain."""
+    rng = np.random.default_rng(16)
+    slope, other, stated = 0.3 * rng.normal(size=P), 0.3 * rng.normal(size=P), 0.01**2 * np.eye(P)
+    marks = replace(named("marks", other), share=np.array([0.3, 0.15, 0.0, 0.15, 0.3]))
+    part = Evidence(0.5 * slope, stated, 0.1, 0.002, 0.005, 0.004)
+    for guessed in (0.0, 1.0):
+        found = diagnose(known(named("caps", slope, guessed=guessed), marks), part)
+        best = next(one for one in found.causes if one.cause == "caps")
+        if guessed:
+            assert found.causes[0] is best
+            assert found.unexplained_p > 0.05
+        else:
+            assert best.chi2 > 100.0
+    quiet = replace(part, share=0.004)
+    one, other = (diagnose(known(named("caps", slope, guessed=g)), quiet).causes[0].chi2 for g in (0.0, 1.0))
+    assert other == pytest.approx(one, abs=0.1)
+
+
+def test_the_pitch_in_the_pictures_decides_about_a_wrong_pitch():
+    rng = np.random.default_rng(17)
+    slope, stated = 0.3 * rng.normal(size=P), 0.01**2 * np.eye(P)
+    causes = known(named(PITCH, slope), named("b", slope))
+    part = Evidence(0.5 * slope, stated)
+    assert {one.cause for one in diagnose(causes, part).ties} == {PITCH, "b"}
+    agreeing = diagnose(causes, replace(part, pitch=(0.01, 0.02)))
+    assert [one.cause for one in agreeing.ties] == ["b"]
+    wrong = diagnose(causes, replace(part, pitch=(0.49, 0.02)))
+    assert [one.cause for one in wrong.ties] == [PITCH]
+    assert wrong.causes[0].u < 0.02

@@ -153,7 +153,7 @@ def evidence_of(recipe, change):
 def test_a_ridge_angle_is_fitted_without_its_own_spread(recipe, spread, turned):
     """As an albedo is: its severity is how far it is off in all, and what it is by chance is not added to its u."""
     angle = turned["ridge-angle"]
-    assert angle.cause.source == RIDGE_ANGLE
+    assert angle.cause.sources == (RIDGE_ANGLE,)
     change, _ = angle.at(1.2)
     alone, stated = (evidence_of(one, change) for one in (recipe, spread))
     assert stated.inputs.u[RIDGE_ANGLE] == SPREAD

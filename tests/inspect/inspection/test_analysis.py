@@ -173,10 +173,23 @@ def test_both_surfaces_read_together(make_recipe, tmp_path, agrees):
         (False, True): other,
         (False, False): design.radiance * np.array([1.0, 0.3, 3.0]),
     }[agrees]
-    found, reading, note = compare(recipe, design, seen(radiance), lambda *_: second)
-    assert tuple(one.agrees for one in found) == agrees
-    assert (reading, note) == (READINGS[agrees], None)
-    assert [one.decides for one in found] == [True, False]
+    found = compare(recipe, design, seen(radiance), lambda *_: second)
+    assert tuple(one.agrees for one in found.comparisons) == agrees
+    assert (found.reading, found.note) == (READINGS[agrees], None)
+    assert [one.decides for one in found.comparisons] == [True, False]
+    assert [one.reading for one in found.readings] == [
+        "measured-design",
+        "measured-map",
+        "map-design",
+        "geometry",
+    ]
+    assert tuple(one.agrees for one in found.readings) == (
+        *agrees,
+        all(agrees),
+        None,
+    )  # there is no map to measure
+    said = [one.says for one in found.readings]
+    assert [" not agree" in one for one in said[:2]] == [not one for one in agrees]
 
 
 def test_the_second_surface_is_predicted_once_for_all_parts_and_anew_to_recompute(virtual_rig, monkeypatch):
@@ -196,6 +209,11 @@ def test_the_second_surface_is_predicted_once_for_all_parts_and_anew_to_recomput
     for record in records:
         assert [one.surface for one in record.details.comparisons] == ["design", "height_map"]
     assert records[0].details.comparisons[1].predicted == records[1].details.comparisons[1].predicted
+    _, _, light, geometry = records[0].details.readings
+    assert light.agrees
+    assert geometry.agrees
+    ridge_angle = next(one for one in geometry.numbers if one.name == "ridge angle")
+    assert ridge_angle.value == pytest.approx(10.0, abs=0.05)
     last = rig.inspect("K-3").folder
     del predicted[:]
     assert recompute(last).differences == ()
@@ -205,9 +223,9 @@ def test_the_second_surface_is_predicted_once_for_all_parts_and_anew_to_recomput
 def test_a_surface_that_cannot_be_read_is_a_note(make_recipe, tmp_path):
     recipe = make_recipe(surface={"height_map": str(tmp_path / "none.x3p"), "compare": "design"})
     design = expectation(recipe, 10.0)
-    found, reading, note = compare(recipe, design, seen(design.radiance))
-    assert (len(found), reading) == (1, None)
-    assert note.startswith("no comparison with the height map: ")
+    found = compare(recipe, design, seen(design.radiance))
+    assert (len(found.comparisons), found.reading, found.readings) == (1, None, ())
+    assert found.note.startswith("no comparison with the height map: ")
 
 
 def test_the_fit_over_tilts_finds_the_ridge_angle_and_refuses_what_it_cannot(make_recipe):
