@@ -184,21 +184,28 @@ def fit_pair(pair: tuple[Signature, Signature], evidence: Evidence, *, as_input:
         as_input: the covariance excludes the inputs of the prediction that are causes here.
     """
     axes = [np.unique(np.append(one.table[0][::_PAIR_COARSE], [*one.bounds, 0.0])) for one in pair]
-    for _ in range(_PAIR_ROUNDS + 1):
-        meshed = [axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")]
-        chi2, cost = joint_costs(tuple(zip(pair, meshed, strict=True)), evidence, as_input=as_input)
-        best = int(np.argmin(cost))
-        places = np.unravel_index(best, [len(axis) for axis in axes])
-        axes = [
-            np.linspace(axis[max(k - 1, 0)], axis[min(k + 1, len(axis) - 1)], _PAIR_FINE)
-            for axis, k in zip(axes, places, strict=True)
-        ]
-    extents = float(meshed[0][best]), float(meshed[1][best])
+    extents, chi2, cost, axes = _best_of(pair, axes, evidence, as_input=as_input)
+    for _ in range(_PAIR_ROUNDS):
+        extents, chi2, cost, axes = _best_of(pair, axes, evidence, as_input=as_input)
     information = _information(tuple(zip(pair, extents, strict=True)), evidence, as_input=as_input)
-    u = (float("inf"),) * 2
+    u = np.full(2, np.inf)
     if np.linalg.det(information) > 1e-12 * float(np.prod(np.diag(information))):
-        u = tuple(float(value) for value in np.sqrt(np.diag(np.linalg.inv(information))))
-    return FittedPair(extents, (u[0], u[1]), float(chi2[best]), float(cost[best]))
+        u = np.sqrt(np.diag(np.linalg.inv(information)))
+    return FittedPair(extents, (float(u[0]), float(u[1])), chi2, cost)
+
+
+def _best_of(
+    pair: tuple[Signature, Signature], axes: Sequence[FloatArray], evidence: Evidence, *, as_input: bool
+) -> tuple[tuple[float, float], float, float, list[FloatArray]]:
+    """The best extents on a grid, their χ² and cost, and the axes of a closer grid about them."""
+    meshed = [axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")]
+    chi2, cost = joint_costs(tuple(zip(pair, meshed, strict=True)), evidence, as_input=as_input)
+    best = int(np.argmin(cost))
+    closer = []
+    for axis, k in zip(axes, divmod(best, len(axes[1])), strict=True):
+        closer.append(np.linspace(axis[max(k - 1, 0)], axis[min(k + 1, len(axis) - 1)], _PAIR_FINE))
+    extents = float(meshed[0][best]), float(meshed[1][best])
+    return extents, float(chi2[best]), float(cost[best]), closer
 
 
 def pair_interval(
@@ -402,27 +409,33 @@ def _with_tail(
 ) -> FittedPlastic:
     """The same for one tail of the lobe; extents without it."""
     shift = tail.at(longer)[0]
-    poses = len(evidence.deviation)
-    base = evidence.good + np.diag((tail.cause.doubt * shift) ** 2) + FAMILY**2 * np.eye(poses)
-    extents, prior = np.zeros(len(acting)), np.diag(spread**-2.0)
-    for _ in range(_STEPS_OF_PLASTIC):
+    base = evidence.good + np.diag((tail.cause.doubt * shift) ** 2) + FAMILY**2 * np.eye(len(shift))
+    prior, doubts = np.diag(spread**-2.0), np.array([one.cause.doubt for one in acting])
+    low, high = np.array([one.bounds for one in acting]).T
+
+    def at(extents: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """What is left of the deviation, its covariance, gradient and curvature of the extents."""
         changes = np.stack([one.at(extent)[0] for one, extent in zip(acting, extents, strict=True)])
         slopes = np.stack([one.slope(extent)[0] for one, extent in zip(acting, extents, strict=True)])
-        doubts = np.array([one.cause.doubt for one in acting])
         covariance = base + np.diag(np.sum((doubts[:, None] * changes) ** 2, axis=0))
+        change = shift + changes.sum(axis=0)
         if evidence.learnt is not None:
-            covariance += np.diag((evidence.learnt.misfit * (shift + changes.sum(axis=0))) ** 2)
-        off = evidence.deviation - shift - changes.sum(axis=0)
+            covariance = covariance + np.diag((evidence.learnt.misfit * change) ** 2)
+        left = evidence.deviation - change
         weighted = slopes @ np.linalg.pinv(covariance, hermitian=True)
-        curvature = weighted @ slopes.T + prior
-        step = np.linalg.solve(curvature, weighted @ off - prior @ extents)
-        low, high = np.array([one.bounds for one in acting]).T
+        return left, covariance, weighted @ left - prior @ extents, weighted @ slopes.T + prior
+
+    extents = np.zeros(len(acting))
+    for _ in range(_STEPS_OF_PLASTIC):
+        _, _, gradient, curvature = at(extents)
+        step = np.linalg.solve(curvature, gradient)
         extents = np.clip(extents + np.clip(step, -spread, spread), low, high)
-    chi2, size = _quadratic(covariance[None], off[None])
-    left = float(chi2[0]) + float(extents @ prior @ extents)
-    cost = float(_minus_two_ln(np.array([left]), evidence)[0] + size[0])
+    left, covariance, _, curvature = at(extents)
+    squared, size = _quadratic(covariance[None], left[None])
+    chi2 = float(squared[0]) + float(extents @ prior @ extents)
+    cost = float(_minus_two_ln(np.array([chi2]), evidence)[0] + size[0])
     cost += float(np.linalg.slogdet(curvature)[1]) + 2.0 * float(np.sum(np.log(spread)))
-    for off_share, more in (_share_costs(evidence, np.zeros(1), 0.0), _pitch_costs(evidence, 0.0)):
-        left, cost = left + float(off_share[0]), cost + float(more[0])
+    for off, more in (_share_costs(evidence, np.zeros(1), 0.0), _pitch_costs(evidence, 0.0)):
+        chi2, cost = chi2 + float(off[0]), cost + float(more[0])
     names = (*(one.cause.name for one in acting), tail.cause.name)
-    return FittedPlastic(names, extents, np.sqrt(np.diag(np.linalg.inv(curvature))), left, cost)
+    return FittedPlastic(names, extents, np.sqrt(np.diag(np.linalg.inv(curvature))), chi2, cost)
