@@ -92,12 +92,13 @@ class _Hypothesis:
     extents: int
 
 
-def diagnose(known: Signatures, evidence: Evidence) -> Diagnosis:
+def diagnose(known: Signatures, evidence: Evidence, *, together: bool = True) -> Diagnosis:
     """Rank the causes.
 
     Args:
         known: the signatures of the recipe's poses.
         evidence: what was measured.
+        together: consider two causes together; not where causes are so alike that two of them explain anything.
 
     Returns:
         The diagnosis; without any deviation "nothing" comes first.
@@ -107,7 +108,7 @@ def diagnose(known: Signatures, evidence: Evidence) -> Diagnosis:
     rows = [_Hypothesis((), good, good.cost, good.cost, 0)]
     rows += [_single(signature, evidence, data) for signature in known.found]
     rows.sort(key=lambda row: row.bic)
-    if _left(rows[0], data, evidence) < BELIEVABLE:
+    if together and _left(rows[0], data, evidence) < BELIEVABLE:
         rows += _pairs(rows, evidence, data)
     if (plastic := another_plastic(known, evidence)) is not None:
         rows.append(_Hypothesis((), plastic, plastic.cost, plastic.cost, 0))

@@ -188,14 +188,14 @@ def explain_print(
     found = None if decision.map is None else decision.map.record
     if found is None:
         known, evidence = known_causes(recipe, expected, decision.fit, 0), Evidence(logs, covariance)
-        return _alone(diagnose(known, evidence), known, evidence, sources)
+        return _alone(diagnose(known, evidence, together=False), known, evidence, sources)
     size = len(logs) + 1
     whole = np.zeros((size, size))
     whole[:-1, :-1], whole[-1, -1] = covariance, found.u_curl_deg**2
     curl = float(np.linalg.norm(found.curl_deg, 2))
     known = known_causes(recipe, expected, decision.fit, 1, np.array(found.curl_deg))
     evidence = Evidence(np.append(logs, curl), whole, found.share, found.u, _BACKGROUND, U_BACKGROUND)
-    return _alone(diagnose(known, evidence), known, evidence, sources)
+    return _alone(diagnose(known, evidence, together=False), known, evidence, sources)
 
 
 def _deviation(
