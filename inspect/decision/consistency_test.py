@@ -15,14 +15,17 @@ from anisoscope.base.significance import calibrated, hotelling, log_basis, mahal
 from anisoscope.decision.predictive_test import MAX_BIRGE, PredictiveTest, Scatter, predictive_test
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.prediction.expectation import Component, Expectation
+from anisoscope.prediction.lobe_doubt import LobeDoubt
 from anisoscope.prediction.part_scatter import PartScatter
 from anisoscope.prediction.profile_likelihood import Combined, nearest, nearest_anywhere
+from anisoscope.prediction.propagation import TAIL
 from anisoscope.prediction.second_order import Response
 
 DRAWS = 10000
 _SEED = 11
 _BLOCK = 1000
 _SINGULAR = 1e-9
+_TAILS = 9  # of the lobe, from which the search begins
 OF_THE_RIG = ("stray light", "linearity of the camera")
 """Sources of the measurement that all inspections on one rig share."""
 
@@ -43,11 +46,43 @@ def from_prediction(expected: Expectation, measured: Measured) -> tuple[float, i
             d2 = nearest_anywhere(Combined(expected.states, basis), off, own, expected.states.farthest)
             return d2, len(basis), float(chi2.sf(d2, len(basis)))
     alone = own_covariance(expected, measured)
+    if expected.lobes is not None and _regular(alone):
+        d2 = nearest_lobe(expected.lobes.within(basis), off, alone)
+        return d2, len(basis), float(chi2.sf(d2, len(basis)))
     if expected.response is not None and _regular(alone):
         d2 = float(nearest(expected.response.within(basis), off[None], alone[None])[0])
         return d2, len(basis), float(chi2.sf(d2, len(basis)))
     d2, dof = mahalanobis(off, _covariance(expected.components + measured.components, basis))
     return d2, dof, float(chi2.sf(d2, dof))
+
+
+def nearest_lobe(lobes: LobeDoubt, deviation: FloatArray, covariance: FloatArray) -> float:
+    """Squared distance of (m,) deviations from the nearest tail of the lobe and state of the other inputs.
+
+    min over τ and z of ((τ − τ₀)/u)² + |z|² + (d − f(τ, z))ᵀV⁻¹(d − f(τ, z)), τ within its range. Where every tail of
+    the range is as likely, the first term is nil: χ² with m degrees of freedom then states the distance of good parts
+    from above.
+
+    Args:
+        lobes: ln ratios over the tail.
+        deviation: (m,) from the prediction.
+        covariance: (m, m) of the independent errors, of full rank.
+    """
+    from scipy.optimize import minimize_scalar  # noqa: PLC0415 - start-up time
+
+    def distance(tail: float) -> float:
+        shift, response = lobes.at(tail)
+        rest = float(nearest(response, (deviation - shift)[None], covariance[None])[0])
+        return rest + lobes.penalty(tail)
+
+    grid = np.linspace(lobes.tails[0], lobes.tails[-1], _TAILS)
+    found = [distance(float(tail)) for tail in grid]
+    best = int(np.argmin(found))
+    ends = grid[max(best - 1, 0)], grid[min(best + 1, _TAILS - 1)]
+    near = minimize_scalar(
+        distance, bounds=ends, method="bounded", options={"xatol": 1e-4 * (ends[1] - ends[0])}
+    )
+    return min(float(near.fun), found[best])
 
 
 def from_golden(expected: Expectation, measured: Measured, golden: FloatArray) -> tuple[float, int, float]:
@@ -92,6 +127,7 @@ def _contrast_scatter(parts: PartScatter, errors: FloatArray) -> Scatter:
         parts.own,
         basis @ errors @ basis.T,
         {name: basis @ change for name, change in parts.defects.items()},
+        tuple(one.within(basis) for one in parts.lobes),
     )
 
 
@@ -125,8 +161,9 @@ def golden_test(
 
 
 def own_covariance(expected: Expectation, measured: Measured) -> FloatArray:
-    """(P − 1, P − 1) covariance of the contrasts from the components not covered by the response."""
-    return _covariance(expected.alone + measured.components, log_basis(len(expected.poses)))
+    """(P − 1, P − 1) covariance of the contrasts from the components not covered by the response or the lobes."""
+    alone = tuple(one for one in expected.alone if expected.lobes is None or one.source != TAIL)
+    return _covariance(alone + measured.components, log_basis(len(expected.poses)))
 
 
 def _covariance(components: tuple[Component, ...], basis: FloatArray) -> FloatArray:

@@ -47,6 +47,8 @@ class Scatter:
         own: (K,) standard deviations of what differs from part to part, likewise.
         errors: (m, m) covariance of the errors of one inspection.
         defects: (m,) change of the contrasts by every named defect at its smallest interesting size.
+        lobes: responses with every tail that the lobe may as likely have; all parts of a rig have the same. Without
+            any it is known, and ``response`` is that of its parts.
     """
 
     response: Response
@@ -54,13 +56,17 @@ class Scatter:
     own: FloatArray
     errors: FloatArray
     defects: Mapping[str, FloatArray]
+    lobes: tuple[Response, ...] = ()
 
     def drawn(self, shared: FloatArray, parts: int, rng: np.random.Generator) -> FloatArray:
-        """(N, parts, m) contrasts of good parts, for (N, K) states of what all parts share."""
+        """(N, parts, m) contrasts of good parts, for (N, K) states of what all parts share; the lobes take turns."""
         count, k = shared.shape
         states = shared[:, None] + self.own * rng.standard_normal((count, parts, k))
         errors = rng.standard_normal((count, parts, len(self.errors))) @ _root(self.errors).T
-        return np.asarray(self.response.change(states) + errors)
+        lobes = self.lobes or (self.response,)
+        for turn, lobe in enumerate(lobes):
+            errors[turn :: len(lobes)] += lobe.change(states[turn :: len(lobes)])
+        return np.asarray(errors)
 
     def shared(self, count: int, rng: np.random.Generator) -> FloatArray:
         """(N, K) states of what all parts share."""

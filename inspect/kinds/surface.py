@@ -230,12 +230,19 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
         )
 
     def as_recorded(self, recipe: RecipeT, recorded: Mapping[str, Any]) -> RecipeT:
-        """Direct light, and golden parts by their own scatter, of versions that knew nothing else."""
+        """Direct light, a known lobe, and golden parts by their own scatter, of versions that knew nothing else.
+
+        Uncertainties of the plastic are the recorded ones: their defaults were others.
+        """
         changes: dict[str, Any] = {}
         if "reflections" not in recorded.get("surface", {}):
             changes["surface"] = recipe.surface.model_copy(update={"reflections": "direct"})
         if "scatter" not in recorded:
             changes["scatter"] = None
+        stated = {"u_tail": 0.0} | recorded.get("material", {})
+        changes["material"] = recipe.material.model_copy(
+            update={name: stated[name] for name in ("u_tail", "u_alpha_share", "u_albedo") if name in stated}
+        )
         return recipe.model_copy(update=changes)
 
     def rename_in(self, record: dict[str, Any]) -> None:

@@ -17,6 +17,7 @@ import numpy as np
 
 from anisoscope.base.cache import Cache
 from anisoscope.prediction.expectation import PLASTIC, Component, Expectation, SurfaceOptics, expectation
+from anisoscope.prediction.lobe_doubt import LobeDoubt
 from anisoscope.prediction.second_order import Response
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.recipe.surface import SurfaceRecipe
@@ -95,6 +96,7 @@ def packed(found: Expectation) -> bytes:
         "origin": None if found.surface is None else found.surface.origin,
         "optics": found.optics,
         "turn_deg": found.turn_deg,
+        "tail_sources": None if found.lobes is None else found.lobes.responses[0].sources,
     }
     arrays = {
         "header": np.frombuffer(json.dumps(header).encode(), dtype=np.uint8),
@@ -104,6 +106,15 @@ def packed(found: Expectation) -> bytes:
     }
     if found.response is not None:
         arrays |= {"slope": found.response.slope, "bend": found.response.bend}
+    if found.lobes is not None:
+        doubt = found.lobes
+        arrays |= {
+            "tails": doubt.tails,
+            "tail_shifts": doubt.shifts,
+            "tail": np.array([doubt.nominal, doubt.u]),
+            "tail_slopes": np.array([one.slope for one in doubt.responses]),
+            "tail_bends": np.array([one.bend for one in doubt.responses]),
+        }
     if found.surface is not None:
         pixels = [found.surface.pixel_x_um, found.surface.pixel_y_um]
         arrays |= {"height_um": found.surface.height_um, "pixels_um": np.array(pixels)}
@@ -117,12 +128,19 @@ def _unpacked(
 ) -> Expectation:
     with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
         header = json.loads(bytes(arrays["header"]))
-        surface, response = None, None
+        surface, response, lobes = None, None, None
         if "height_um" in arrays:
             across, along = (float(size) for size in arrays["pixels_um"])
             surface = HeightMap(arrays["height_um"], across, along, header["origin"])
         if header["sources"] is not None:
             response = Response(tuple(header["sources"]), arrays["slope"], arrays["bend"])
+        if header["tail_sources"] is not None:
+            sources, (nominal, u) = tuple(header["tail_sources"]), arrays["tail"]
+            responses = tuple(
+                Response(sources, slope, bend)
+                for slope, bend in zip(arrays["tail_slopes"], arrays["tail_bends"], strict=True)
+            )
+            lobes = LobeDoubt(arrays["tails"], arrays["tail_shifts"], responses, float(nominal), float(u))
         components = tuple(
             Component(source, kind, relative, shared)
             for (source, kind, shared), relative in zip(header["components"], arrays["relative"], strict=True)
@@ -139,4 +157,5 @@ def _unpacked(
             header["optics"],
             optics.states(recipe, light_angle_deg),
             header["turn_deg"],
+            lobes,
         )

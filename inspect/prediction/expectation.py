@@ -8,6 +8,7 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import RecipeError
 from anisoscope.prediction.height_map_uncertainty import pixel_error
+from anisoscope.prediction.lobe_doubt import LobeDoubt, lobe_doubt
 from anisoscope.prediction.predict import Predicted
 from anisoscope.prediction.profile_likelihood import States
 from anisoscope.prediction.propagation import (
@@ -36,9 +37,14 @@ from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.sim.light.contrasts import contrasts
 from anisoscope.sim.light.geometry import Convention, Pose, directions
 
-_OF_THE_RECIPE = (*PLASTIC_AND_SEAT, TAIL, "zero of the tilt", RIDGE_ANGLE)
+_OF_THE_RECIPE = (*PLASTIC_AND_SEAT, "zero of the tilt", RIDGE_ANGLE)
 SECOND_ORDER = ", second order"
 EDGE_RADIUS = "edge radius"
+FAMILY = "family of the lobe"
+FAMILY_SHARE = 0.015
+"""What the best tail leaves of ln L of lobes of two scales: rms in a pose, independent of other poses."""
+UNMEASURED_TAIL = 0.5
+"""Tail over which ln L of a plastic with an unmeasured lobe is uncertain in budgets."""
 NEGLIGIBLE = 5e-4  # of ln L: a quarter of what cameras and lamps leave in a pose at best
 
 
@@ -81,6 +87,7 @@ class Expectation:
         optics: rays or waves, and why (`anisoscope.prediction.recipe_models.Models.optics`).
         states: ln L in any state of the uncertain inputs, where the model itself is evaluated; else None.
         turn_deg: azimuth on ``surface`` of the sample frame's x axis.
+        lobes: ln L over the tail of the lobe where that is uncertain, or None.
     """
 
     model: str
@@ -94,6 +101,7 @@ class Expectation:
     optics: dict[str, Any] | None = None
     states: States | None = None
     turn_deg: float = 0.0
+    lobes: LobeDoubt | None = None
 
     @property
     def outside_states(self) -> tuple[Component, ...]:
@@ -186,8 +194,8 @@ class PlasticOptics:
         """None: ln L is known to second order."""
 
     def omitted_if_zero(self, source: str) -> bool:
-        """A rig without tilt axis has no zero of the tilt, and a known lobe no doubt about its tail."""
-        return source in ("zero of the tilt", TAIL)
+        """A rig without tilt axis has no zero of the tilt."""
+        return source == "zero of the tilt"
 
     def source_name(self, source: str) -> str:
         """The name unchanged."""
@@ -224,7 +232,7 @@ def expectation(
             f"material: at {black[0].stage_deg:g}°, tilt {black[0].tilt_deg:g}°, no light of this part is predicted to "
             "reach the camera, so that no contrast is defined: correct albedo and roughness, or leave the pose out"
         )
-    inputs = recipe_uncertainty(recipe)
+    inputs = replace(recipe_uncertainty(recipe), tail=0.0)  # along its curve below
     budget = propagate(models.sampled, nominal, poses, convention, inputs, radiance=radiance)
     components = [
         Component(c.source, c.kind, c.absolute / radiance, shared=True)
@@ -234,6 +242,8 @@ def expectation(
     per_u = {c.source: c.relative for c in components if np.any(c.relative)}
     straight = {source: per_u[source] for source in known_inputs(tuple(per_u))}
     response = response_of(models.sampled, nominal, poses, convention, inputs, straight) if straight else None
+    lobes = _lobes(recipe, models, nominal, convention, inputs, straight, response)
+    components += _of_the_tail(recipe, lobes)
     components = [replace(c, source=optics.source_name(c.source)) for c in components]
     if response is not None:
         response = replace(response, sources=tuple(optics.source_name(name) for name in response.sources))
@@ -254,6 +264,7 @@ def expectation(
         models.optics,
         optics.states(recipe, light_angle_deg),
         models.turn_deg,
+        lobes,
     )
 
 
@@ -274,6 +285,34 @@ def predicted(expected: Expectation) -> Predicted:
         notes={} if expected.optics is None else {"optics": expected.optics},
         budget=Budget(expected.radiance, contributions, expected.per_degree * expected.radiance),
     )
+
+
+def _lobes(
+    recipe: SurfaceRecipe,
+    models: Models,
+    nominal: State,
+    convention: Convention,
+    inputs: InputUncertainty,
+    straight: dict[str, FloatArray],
+    response: Response | None,
+) -> LobeDoubt | None:
+    """Ln L over the tail of the lobe; by rays where waves, which know no tail, predict the rest."""
+    u = recipe.material.u_tail
+    if u == 0.0:
+        return None
+    surface, common = (models.sampled, None) if models.rays is None else (models.rays, response)
+    return lobe_doubt(surface, nominal, recipe.poses.poses(), convention, inputs, straight, u, common)
+
+
+def _of_the_tail(recipe: SurfaceRecipe, lobes: LobeDoubt | None) -> list[Component]:
+    """Uncertainty from the tail of the lobe, and of an unmeasured one from what no tail describes."""
+    if lobes is None:
+        return []
+    found = [Component(TAIL, "prediction", lobes.contribution(recipe_uncertainty(recipe).tail), shared=True)]
+    if recipe.material.u_tail is None:
+        share = np.full(len(recipe.poses.poses()), FAMILY_SHARE)
+        found.append(Component(FAMILY, "prediction", share, shared=False))
+    return found
 
 
 def nominal_shape(recipe: SurfaceRecipe) -> Shape:
@@ -322,7 +361,7 @@ def _of_the_calibration(
     ]
     if file.test is not None:
         share = np.full(len(poses), file.test.discrepancy_share)
-        found.append(Component("family of the lobe", "prediction", share, shared=False))
+        found.append(Component(FAMILY, "prediction", share, shared=False))
     return found
 
 
@@ -353,7 +392,7 @@ def recipe_uncertainty(recipe: SurfaceRecipe) -> InputUncertainty:
         alpha_share=part.u_alpha_share,
         albedo=part.u_albedo,
         index=part.u_index,
-        tail=part.u_tail,
+        tail=UNMEASURED_TAIL if part.u_tail is None else part.u_tail,
         light_angle_deg=rig.light_angle_deg,
         seating_tilt_deg=rig.seating_tilt_deg,
         tilt_zero_deg=rig.tilt_deg,

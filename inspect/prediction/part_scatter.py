@@ -17,6 +17,7 @@ from anisoscope.base.cache import Cache
 from anisoscope.base.errors import HeightMapError
 from anisoscope.prediction.cache import prediction_key
 from anisoscope.prediction.expectation import PLASTIC, SurfaceOptics, nominal_shape, recipe_uncertainty
+from anisoscope.prediction.lobe_doubt import likely_tails
 from anisoscope.prediction.propagation import RIDGE_ANGLE, propagate
 from anisoscope.prediction.recipe_models import read_surface
 from anisoscope.prediction.reflections import fitted_groove
@@ -33,12 +34,14 @@ class PartScatter:
 
     Attributes:
         response: to K inputs, each in the unit √(u² + s²) of its uncertainty and its scatter between parts.
+        lobes: the same with every tail that the lobe may as likely have; only the first one where it is known.
         common: (K,) u in that unit.
         own: (K,) s in that unit.
-        defects: (P,) change of ln L by every named defect at its smallest interesting size.
+        defects: (P,) change of ln L by every named defect at its smallest interesting size, the mean over the lobes.
     """
 
     response: Response
+    lobes: tuple[Response, ...]
     common: FloatArray
     own: FloatArray
     defects: Mapping[str, FloatArray]
@@ -92,18 +95,50 @@ def _computed(recipe: SurfaceRecipe, light_angle_deg: float, optics: SurfaceOpti
         seating_tilt_deg=own.seating_tilt_deg,
         ridge_angle_deg=own.ridge_angle_deg,
     )
-    radiance = evaluate(models.sampled, [nominal], poses, convention)[0]
+    # waves know no tail: of what they predict the scatter is that of the nominal lobe
+    tails = (
+        likely_tails(nominal.material.tail, recipe.material.u_tail)
+        if models.rays is None
+        else (nominal.material.tail,)
+    )
+    found = [
+        _with_lobe(models.sampled, recipe, _of_tail(nominal, tail), poses, convention, both)
+        for tail in (nominal.material.tail, *tails)
+    ]
+    known = [one for one in found if one is not None]
+    if len(known) < len(found):
+        return None
+    response, _ = known[0]
+    shares = np.array([_shares(source, common, own) for source in response.sources])
+    lobes = known[1:]
+    names = [name for name in lobes[0][1] if all(name in changes for _, changes in lobes)]
+    defects = {name: np.mean([changes[name] for _, changes in lobes], axis=0) for name in names}
+    return PartScatter(response, tuple(one for one, _ in lobes), shares[:, 0], shares[:, 1], defects)
+
+
+def _of_tail(nominal: State, tail: float) -> State:
+    return replace(nominal, material=replace(nominal.material, tail=tail))
+
+
+def _with_lobe(
+    surface: Surface,
+    recipe: SurfaceRecipe,
+    nominal: State,
+    poses: tuple[Pose, ...],
+    convention: Convention,
+    both: InputUncertainty,
+) -> tuple[Response, dict[str, FloatArray]] | None:
+    """Response to what differs and what is common, and changes by the defects, of one lobe; None where none is."""
+    radiance = evaluate(surface, [nominal], poses, convention)[0]
     if np.any(radiance <= DARK):
         return None
-    budget = propagate(models.sampled, nominal, poses, convention, both, radiance=radiance)
+    budget = propagate(surface, nominal, poses, convention, both, radiance=radiance)
     per_unit = {c.source: c.absolute / radiance for c in budget.contributions if np.any(c.absolute)}
     straight = {source: per_unit[source] for source in known_inputs(tuple(per_unit))}
-    response = response_of(models.sampled, nominal, poses, convention, both, straight) if straight else None
+    response = response_of(surface, nominal, poses, convention, both, straight) if straight else None
     if response is None:
         return None
-    shares = np.array([_shares(source, common, own) for source in response.sources])
-    defects = defect_changes(models.sampled, recipe, nominal, poses, convention, radiance)
-    return PartScatter(response, shares[:, 0], shares[:, 1], defects)
+    return response, defect_changes(surface, recipe, nominal, poses, convention, radiance)
 
 
 def with_design(recipe: SurfaceRecipe) -> SurfaceRecipe:
@@ -257,8 +292,8 @@ def _packed(found: PartScatter | None) -> bytes:
     }
     if found is not None:
         arrays |= {
-            "slope": found.response.slope,
-            "bend": found.response.bend,
+            "slope": np.array([one.slope for one in (found.response, *found.lobes)]),
+            "bend": np.array([one.bend for one in (found.response, *found.lobes)]),
             "common": found.common,
             "own": found.own,
             "changes": np.array(list(found.defects.values())),
@@ -273,6 +308,9 @@ def _unpacked(content: bytes) -> PartScatter | None:
         header = json.loads(bytes(arrays["header"]))
         if header["sources"] is None:
             return None
-        response = Response(tuple(header["sources"]), arrays["slope"], arrays["bend"])
+        response, *lobes = (
+            Response(tuple(header["sources"]), slope, bend)
+            for slope, bend in zip(arrays["slope"], arrays["bend"], strict=True)
+        )
         defects = dict(zip(header["defects"], arrays["changes"], strict=True))
-        return PartScatter(response, arrays["common"], arrays["own"], defects)
+        return PartScatter(response, tuple(lobes), arrays["common"], arrays["own"], defects)

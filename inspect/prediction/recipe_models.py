@@ -49,6 +49,7 @@ class Models:
     Attributes:
         model: the predictor.
         sampled: a cheaper one of the same surface, for sensitivities; of a design also of other ridge angles.
+        rays: the same by rays, for lobes that waves do not know; None where it is ``sampled``.
         surface: the levelled height map for the drawings; None for a design.
         name: "relief", "corrected" or "wave".
         optics: asked, model, reason, stated_error and the like, from `optics_selection.optics_note` and `error_note`.
@@ -67,6 +68,7 @@ class Models:
     numerical: float = 0.0
     indirect: Model | None = None
     turn_deg: float = 0.0
+    rays: Surface | None = None
 
 
 def models_of(recipe: SurfaceRecipe, poses: tuple[Pose, ...], convention: Convention) -> Models:
@@ -136,8 +138,14 @@ def with_reflections(direct: Models, source: Groove | Followed | None, rig: Rig)
         return source if direct.surface is not None else source.turned(shape.ridge_angle_deg)
 
     nominal = *directions(rig.poses, rig.convention), rig.material
-    sampled = sampled_with(direct.sampled, source, nominal, rig.optics, groove_of)
-    return replace(direct, model=model, sampled=sampled, optics=optics, indirect=indirect)
+
+    def cheap(surface: Surface) -> Surface:
+        return sampled_with(surface, source, nominal, rig.optics, groove_of)
+
+    rays = None if direct.rays is None else cheap(direct.rays)
+    return replace(
+        direct, model=model, sampled=cheap(direct.sampled), optics=optics, indirect=indirect, rays=rays
+    )
 
 
 def read_surface(recipe: SurfaceRecipe) -> HeightMap:
@@ -198,9 +206,8 @@ def _chosen(
             choice = by_rays_instead(choice, problem)
         else:
             turned = _turned(surface, found, rig, request)
-            return Models(
-                found, turned, drawn, "wave", optics_notes(choice, rig, request), numerical=NUMERICAL_ERROR
-            )
+            notes = optics_notes(choice, rig, request)
+            return Models(found, turned, drawn, "wave", notes, numerical=NUMERICAL_ERROR, rays=sampled)
     elif choice is not None and choice.model == "wave":
         choice = by_rays_instead(choice, "rays are asked for")
     else:

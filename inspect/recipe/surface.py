@@ -146,12 +146,17 @@ class SurfacePart(Part):
         )
 
 
+UNMEASURED_SHARE = 0.1
+"""Relative standard uncertainty of roughness and albedo of a plastic with an unmeasured lobe."""
+
+
 class MaterialPart(Part):
     """The plastic, with standard uncertainties: relative for the roughness, absolute for the rest.
 
     ``tail`` is that of the lobe, 0 for Beckmann's to 1.6, ``second_lobe`` weight and width of a Beckmann lobe mixed in
-    (`sim.light.material.Material`). Where nobody has measured the lobe of a plastic, ``u_tail`` = 0.5 covers what
-    plastics show; 0 says that it is known.
+    (`sim.light.material.Material`). ``u_tail`` = 0 says that the lobe is known. Where neither it nor a second lobe is
+    stated, the lobe is unmeasured: every tail from 0 to 1 is possible, and roughness and albedo are known to a
+    tenth where nothing else is stated (to 5 % and 0.01 of a lobe with ``u_tail``).
 
     ``file`` names a material file in place of the values and of their uncertainties, but for that of the index:
     ``material = "abs.toml"`` is short for it. ``calibrated`` is then its content.
@@ -166,7 +171,7 @@ class MaterialPart(Part):
     internal_reflection: Literal["nonlinear", "linear"] = "nonlinear"
     tail: Annotated[float, Field(ge=0.0, le=LONGEST_TAIL)] = 0.0
     second_lobe: tuple[Annotated[float, Field(gt=0.0, lt=1.0)], Positive] | None = None
-    u_tail: NotNegative = 0.0
+    u_tail: NotNegative | None = None
     u_alpha_share: Share = 0.05
     u_albedo: NotNegative = 0.01
     u_index: NotNegative = 0.01
@@ -187,6 +192,22 @@ class MaterialPart(Part):
         file = read_material_file(path)
         known = {"u_alpha_share": 0.0, "u_albedo": 0.0, "u_tail": 0.0}
         return {**found, **dict(file.material), **known, "file": str(path), "calibrated": file}
+
+    @model_validator(mode="before")
+    @classmethod
+    def _unmeasured(cls, table: Any) -> Any:  # noqa: ANN401
+        """A lobe that was not measured leaves roughness and albedo in doubt too; a second lobe was measured."""
+        if not isinstance(table, dict) or cls.model_fields["u_tail"].default is not None:
+            return table
+        if table.get("file") is not None or table.get("u_tail") is not None:
+            return table
+        if table.get("second_lobe") is not None:
+            return {**table, "u_tail": 0.0}
+        albedo = table.get("albedo")
+        doubt = {"u_alpha_share": UNMEASURED_SHARE}
+        if isinstance(albedo, int | float) and albedo >= 0.0:
+            doubt["u_albedo"] = UNMEASURED_SHARE * albedo
+        return {**doubt, **table}
 
     def material(self) -> Material:
         """The material of the reflectance model."""

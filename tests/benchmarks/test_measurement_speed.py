@@ -46,7 +46,7 @@ RECIPE = {
     "schema": 1,
     "product": "ridged test plate",
     "surface": {"pitch_um": 100.0, "design": {"ridge_angle_deg": 10.0}},
-    "material": {"alpha_along": 0.06, "alpha_across": 0.10, "albedo": 0.2},
+    "material": {"alpha_along": 0.06, "alpha_across": 0.10, "albedo": 0.2, "u_tail": 0.0},
     "acquisition": {"exposure_s": EXPOSURE_S, "frames_per_pose": 2, "dark_frames": 2},
     "region": {"size_mm": [2.2, 2.2]},
     "decision": {"tolerance": 0.25},

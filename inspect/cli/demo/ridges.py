@@ -18,6 +18,7 @@ PITCH_UM = 100.0
 RIDGE_ANGLE_DEG = 10.0
 LOBE = {"alpha_along": 0.055, "alpha_across": 0.095, "albedo": 0.2, "index": 1.5}
 TAIL = 0.5  # of Student's distribution with γ = 3, which the bench's path tracer has
+U_TAIL = 0.0  # as of a plastic whose lobe is calibrated: both give the same numbers
 RESOLVED_ALPHA = 0.03
 
 
@@ -71,7 +72,14 @@ def _recipe() -> dict[str, Any]:
         "schema": 1,
         "product": "ridged demo plate, pitch 100 µm, ridge angle 10°",
         "surface": {"height_map": "reference.x3p", "pitch_um": PITCH_UM},
-        "material": {**LOBE, "tail": TAIL, "u_alpha_share": 0.03, "u_albedo": 0.006, "u_index": 0.005},
+        "material": {
+            **LOBE,
+            "tail": TAIL,
+            "u_tail": U_TAIL,
+            "u_alpha_share": 0.03,
+            "u_albedo": 0.006,
+            "u_index": 0.005,
+        },
         "poses": {"angles_deg": [0.0, 90.0, 180.0]},
         "acquisition": {"exposure_s": 0.006, "frames_per_pose": 4, "dark_frames": 8, "settle_s": 0.0},
         "region": {"size_mm": [2.0, 2.0]},

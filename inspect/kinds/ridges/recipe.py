@@ -37,12 +37,16 @@ version = 1
 pitch_um = {pitch}  # of the ridges
 {surface}
 [material]  # of the plastic; `anisoscope fit` finds it from measured contrasts
+# The lobe of this plastic is unmeasured: without u_tail every tail of it from 0 (Beckmann) to 1 (GGX) is
+# possible, so that good parts of any plastic PASS and only large defects FAIL; golden parts make up for much of it.
+# `anisoscope calibrate material` measures the lobe: in place of this table, name its file above the first table,
+# material = "abs.toml".
 alpha_along = 0.06  # roughness of the facets along the ridges
 alpha_across = 0.10  # and across them
 albedo = 0.2  # share of the light that the plastic below the surface sends back
 index = 1.5  # refractive index
-u_alpha_share = 0.05  # standard uncertainties: relative of the roughness,
-u_albedo = 0.01  # absolute of the others
+u_alpha_share = 0.1  # standard uncertainties: relative of the roughness,
+u_albedo = 0.02  # absolute of the others
 u_index = 0.01
 
 [poses]

@@ -23,6 +23,7 @@ class WaferMaterial(MaterialPart):
     u_alpha_share: Share = 0.0
     u_albedo: NotNegative = 0.0
     u_index: NotNegative = 0.0
+    u_tail: NotNegative = 0.0
     reflectance: Annotated[float, Field(gt=0.0, le=1.0)]
 
 

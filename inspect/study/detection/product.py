@@ -172,6 +172,7 @@ def recipe_of(name: RecipeName, size: Size, *, stated: bool = False) -> RidgeRec
             "alpha_across": WHOLE.alpha_across,
             "albedo": WHOLE.albedo,
             "index": WHOLE.index,
+            "u_tail": 0.0,
             "u_alpha_share": 0.05,
             "u_albedo": 0.006,
             "u_index": 0.005,

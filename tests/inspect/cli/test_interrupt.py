@@ -36,7 +36,7 @@ RECIPE = {
     "schema": 1,
     "product": "ridged test plate",
     "surface": {"pitch_um": 100.0, "design": {"ridge_angle_deg": 10.0}},
-    "material": {"alpha_along": 0.06, "alpha_across": 0.10, "albedo": 0.2, "index": 1.5},
+    "material": {"alpha_along": 0.06, "alpha_across": 0.10, "albedo": 0.2, "index": 1.5, "u_tail": 0.0},
     "acquisition": {"exposure_s": EXPOSURE_S, "frames_per_pose": 2, "dark_frames": 2, "settle_s": 0.1},
     "region": {"size_mm": [1.0, 1.0]},
     "decision": {"tolerance": 0.3},

@@ -18,7 +18,7 @@ RECIPE = {
     "schema": 1,
     "product": "plate",
     "surface": {"pitch_um": 100.0, "design": {"ridge_angle_deg": 10.0}},
-    "material": {"alpha_along": 0.06, "alpha_across": 0.1, "albedo": 0.2},
+    "material": {"alpha_along": 0.06, "alpha_across": 0.1, "albedo": 0.2, "u_tail": 0.0},
     "acquisition": {"exposure_s": 0.01},
     "region": {"size_mm": [1.0, 1.0]},
     "decision": {"tolerance": [0.5, 0.7]},

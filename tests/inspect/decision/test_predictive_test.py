@@ -8,7 +8,7 @@ from scipy.stats import chi2
 
 from anisoscope.base.errors import MeasurementError
 from anisoscope.base.significance import log_basis
-from anisoscope.decision.consistency_test import contrast_scatter
+from anisoscope.decision.consistency_test import contrast_scatter, from_prediction
 from anisoscope.decision.predictive_test import (
     Scatter,
     birge_ratio,
@@ -16,7 +16,10 @@ from anisoscope.decision.predictive_test import (
     predictive_test,
     suggested_scatter,
 )
+from anisoscope.imaging.pose_radiance import Measured
+from anisoscope.imaging.registration.placement import Grid
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
+from anisoscope.prediction.expectation import Component, expectation
 from anisoscope.prediction.part_scatter import part_scatter
 from anisoscope.prediction.second_order import Response
 from anisoscope.profiles.ideal import RidgeDesign
@@ -33,9 +36,15 @@ LINEAR = Scatter(
     {"step": np.array([0.03, 0.0, -0.02])},
 )
 NOISE = 0.003
+LOBES = {
+    "Beckmann": {},
+    "Student": {"tail": 0.5},
+    "GGX": {"tail": 1.0},
+    "two scales": {"second_lobe": (0.15, 2.5)},
+}
 
 
-def recipe(tilts=(0.0, -10.0, 10.0), reflections=2):
+def recipe(tilts=(0.0, -10.0, 10.0), reflections=2, **material):
     return RidgeRecipe.model_validate(
         {
             "schema": 1,
@@ -48,7 +57,12 @@ def recipe(tilts=(0.0, -10.0, 10.0), reflections=2):
                 "design": {"ridge_angle_deg": 10.0},
                 "reflections": reflections,
             },
-            "material": {"alpha_along": 0.06, "alpha_across": 0.1, "albedo": 0.2, "u_alpha_share": 0.1},
+            "material": {
+                "alpha_along": 0.06,
+                "alpha_across": 0.1,
+                "albedo": 0.2,
+                **({"u_tail": 0.0, "u_alpha_share": 0.1} | material),
+            },
             "area": None,
         }
     )
@@ -61,7 +75,7 @@ def tilted():
     return contrast_scatter(part_scatter(rules, 10.0), NOISE), rules
 
 
-def made(count, rules, rng, rig=(0.0, 0.0), turned=0.0, lost=0.0, rougher=1.0):
+def made(count, rules, rng, rig=(0.0, 0.0), turned=0.0, lost=0.0, rougher=1.0, lobe=LOBES["Beckmann"]):
     """(count, P − 1) contrasts of parts of one rig, each from its own exact model: no surrogate, no propagation."""
     basis, poses = log_basis(len(rules.poses.poses())), rules.poses.poses()
     found = []
@@ -71,6 +85,7 @@ def made(count, rules, rng, rig=(0.0, 0.0), turned=0.0, lost=0.0, rougher=1.0):
             0.06 * (1 + rig[0] + 0.05 * z[0]),
             0.1 * rougher * (1 + rig[1] + 0.05 * z[1]),
             0.2 * (1 + 0.03 * z[2]),
+            **lobe,
         )
         seat = seating_rotation(0.1 * z[3], 0.1 * z[4])
         light, camera = (side @ seat for side in directions(poses, Convention(10.0)))
@@ -80,15 +95,29 @@ def made(count, rules, rng, rig=(0.0, 0.0), turned=0.0, lost=0.0, rougher=1.0):
     return (logs + NOISE * rng.normal(size=logs.shape)) @ basis.T
 
 
-def p_values(scatter, rules, rng, count, sets, parts, **defect):
+def p_values(scatter, rules, rng, count, sets, parts, lobe=LOBES["Beckmann"], **defect):
     found = []
     for _ in range(sets):
         rig = 0.1 * rng.normal(size=2)
-        golden = made(count, rules, rng, rig)
+        golden = made(count, rules, rng, rig, lobe=lobe)
         found += [
             predictive_test(scatter, golden, value, 0.01).p_value
-            for value in made(parts, rules, rng, rig, **defect)
+            for value in made(parts, rules, rng, rig, lobe=lobe, **defect)
         ]
+    return np.array(found)
+
+
+def p_predicted(rules, rng, parts, lobe=LOBES["Beckmann"], **defect):
+    """p values against the prediction, every part of a plastic of its own, roughness off by a tenth."""
+    expected, basis = expectation(rules, 10.0), log_basis(len(rules.poses.poses()))
+    noise = Component("noise", "measurement", np.full(len(expected.radiance), NOISE), shared=False)
+    grid = Grid((0.0, 0.0), 0.025, (4, 4))
+    found = []
+    for _ in range(parts):
+        (contrasts,) = made(1, rules, rng, 0.09 * rng.normal(size=2), lobe=lobe, **defect)
+        logs = np.linalg.pinv(basis) @ contrasts
+        part = Measured(np.exp(logs), (noise,), (), np.ones((len(logs), 1, 1)), 0.0 * logs, grid, None)
+        found.append(from_prediction(expected, part)[2])
     return np.array(found)
 
 
@@ -114,6 +143,40 @@ def test_level_and_power_over_many_golden_sets(count, tilts):
     assert 0.001 <= np.mean(good < 0.01) <= 0.03
     bad = p_values(scatter, rules, rng, count, sets=20, parts=5, lost=0.1)
     assert np.mean(bad < 0.01) >= 0.97
+
+
+@pytest.mark.statistics
+@pytest.mark.parametrize("lobe", LOBES)
+@pytest.mark.parametrize("tilts", [(0.0,), (0.0, -10.0, 10.0)])
+def test_good_parts_of_a_plastic_with_an_unmeasured_lobe_keep_the_level(lobe, tilts):
+    """Whatever the lobe: against the prediction, and against one golden part and three."""
+    rules = recipe(tilts, u_tail=None)
+    rng = np.random.default_rng(4)
+    assert np.mean(p_predicted(rules, rng, 60, LOBES[lobe]) < 0.01) <= 0.05
+    scatter = contrast_scatter(part_scatter(rules, 10.0), NOISE)
+    for count in (1, 3):
+        good = p_values(scatter, rules, rng, count, sets=30, parts=15, lobe=LOBES[lobe])
+        assert np.mean(good < 0.01) <= 0.05
+
+
+@pytest.mark.statistics
+def test_a_lobe_that_is_said_to_be_known_and_is_not_fails_good_parts():
+    rng = np.random.default_rng(4)
+    assert np.mean(p_predicted(recipe((0.0,)), rng, 40, LOBES["GGX"]) < 0.01) > 0.5
+    unmeasured = recipe((0.0,), u_tail=None)
+    assert np.mean(p_predicted(unmeasured, rng, 20, LOBES["GGX"], lost=0.1) < 0.01) > 0.9
+
+
+@pytest.mark.parametrize("lobe", ["Beckmann", "GGX"])
+def test_one_golden_part_serves_where_the_lobe_is_unmeasured(lobe):
+    rules = recipe((0.0,), u_tail=None)
+    scatter = contrast_scatter(part_scatter(rules, 10.0), NOISE)
+    assert len(scatter.lobes) == 3
+    rng = np.random.default_rng(1)
+    good = p_values(scatter, rules, rng, 1, sets=3, parts=2, lobe=LOBES[lobe])
+    assert np.all(good > 0.003)
+    bad = p_values(scatter, rules, rng, 1, sets=2, parts=1, lobe=LOBES[lobe], lost=0.2)
+    assert np.all(bad < 0.01)
 
 
 def test_many_golden_parts_of_a_linear_model_give_the_mahalanobis_distance():

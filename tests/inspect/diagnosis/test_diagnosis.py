@@ -65,7 +65,7 @@ def recipe():
             "schema": 1,
             "product": "plate",
             "surface": {"pitch_um": 100.0, "design": {"ridge_angle_deg": 10.0}},
-            "material": {"alpha_along": 0.06, "alpha_across": 0.1, "albedo": 0.2},
+            "material": {"alpha_along": 0.06, "alpha_across": 0.1, "albedo": 0.2, "u_tail": 0.0},
             "poses": {"angles_deg": [0.0, 90.0, 180.0], "tilts_deg": [0.0, 10.0]},
             "acquisition": {"exposure_s": 0.006},
             "region": {"size_mm": [2.0, 2.0]},

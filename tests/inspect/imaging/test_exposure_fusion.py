@@ -126,7 +126,7 @@ IDEAL_SENSOR = {
 
 def recipe(**acquisition):
     return {
-        "material": SHINY,
+        "material": {**SHINY, "u_tail": 0.0},
         "acquisition": acquisition,
         "decision": {"tolerance": 3.0, "remeasure": 0},
         "uncertainty": {"stray_radiance": 0.00003},

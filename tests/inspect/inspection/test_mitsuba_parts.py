@@ -69,7 +69,8 @@ def recipe(tilts, surface):
         "product": "ridges rendered by Mitsuba",
         "surface": {"pitch_um": 100.0, **surface},
         "material": {
-            "alpha_along": ALPHA, "alpha_across": ALPHA, "albedo": 0.1, "u_alpha_share": 0.05, "u_albedo": 0.003,
+            "alpha_along": ALPHA, "alpha_across": ALPHA, "albedo": 0.1,
+            "u_tail": 0.0, "u_alpha_share": 0.05, "u_albedo": 0.003,
         },
         "poses": {"angles_deg": [0.0, 90.0, 180.0], "tilts_deg": tilts},
         "acquisition": {"exposure_s": 0.001, "frames_per_pose": 2, "dark_frames": 2},

@@ -19,7 +19,7 @@ NARROW = {
     "surface": {"pitch_um": 12.0, "design": {"ridge_angle_deg": 4.0}},
     "region": {"size_mm": [1.0, 1.0]},
 }
-SMOOTH = {"alpha_along": 0.04, "alpha_across": 0.04}
+SMOOTH = {"alpha_along": 0.04, "alpha_across": 0.04, "u_tail": None}
 
 
 def narrow(make_recipe, optics="auto", angle_deg=4.0, **change):
@@ -70,6 +70,7 @@ def test_narrow_ridges_are_predicted_by_waves_as_predict_does_it(make_recipe, wa
     (numerical,) = (c for c in found.components if c.source == "numerical error of the wave model")
     assert numerical.relative == pytest.approx(NUMERICAL_ERROR)
     assert not numerical.shared
+    assert "tail of the lobe" in sources(found)  # by rays: waves know no tail
 
 
 def test_sensitivities_turn_the_ridges_of_a_design_by_rays_and_by_waves(make_recipe):

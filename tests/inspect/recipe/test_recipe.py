@@ -10,7 +10,7 @@ GOOD = {
     "schema": 1,
     "product": "plate",
     "surface": {"pitch_um": 100.0, "height_map": "${here}/map.x3p"},
-    "material": {"alpha_along": 0.06, "alpha_across": 0.1, "albedo": 0.2},
+    "material": {"alpha_along": 0.06, "alpha_across": 0.1, "albedo": 0.2, "u_tail": 0.0},
     "acquisition": {"exposure_s": 0.01},
     "region": {"size_mm": [2.0, 1.0]},
 }

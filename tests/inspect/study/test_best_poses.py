@@ -12,7 +12,7 @@ TABLE = {
     "acquisition": {"exposure_s": 0.01},
     "region": {"size_mm": [2.0, 2.0]},
     "surface": {"pitch_um": 100.0, "design": {"ridge_angle_deg": 10.0}},
-    "material": {"alpha_along": 0.06, "alpha_across": 0.1, "albedo": 0.2},
+    "material": {"alpha_along": 0.06, "alpha_across": 0.1, "albedo": 0.2, "u_tail": 0.0},
     "area": None,
 }
 PLUS, MINUS, ROUGHER = "ridge angle +0.5°", "ridge angle −0.5°", "roughness across the ridges +20%"

@@ -1,0 +1,131 @@
+"""ln L over the tail of the lobe where it is uncertain: from no tail on, along a curve.
+
+The tail of an unmeasured lobe lies anywhere between Beckmann's (0) and GGX (1), which changes ln L by tenths,
+more than any other input, and not in proportion. The response to the other inputs is therefore known at several tails,
+and interpolated between them in τ/(1 + τ), where ln L of ridges is a cubic within .003.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from anisoscope.base.arrays import FloatArray
+from anisoscope.prediction.second_order import Response, response_of
+from anisoscope.prediction.sensitivity import DARK, InputUncertainty, State, Surface, evaluate
+from anisoscope.sim.light.geometry import Convention, Pose
+from anisoscope.sim.light.material import LONGEST_TAIL
+
+UNKNOWN_TAILS = (0.0, 1.0)
+"""Shortest and longest tail of a plastic with an unmeasured lobe: Beckmann's and GGX."""
+LIKELY_TAILS = (0.0, 0.5, 1.0)
+"""Tails over which the scatter of such parts is averaged."""
+_PLACES = np.array([0.0, 0.25, 0.5, 1.0])  # of the known tails, as shares of the range
+_RANGE = 3.0  # standard uncertainties of a stated tail
+_EVENLY = float(np.sqrt(1.5))  # three equally likely values at −1, 0, 1 times this have a variance of 1
+
+
+@dataclass(frozen=True, eq=False)
+class LobeDoubt:
+    """ln L of P poses as a function of the tail of the lobe and of K other inputs.
+
+    Attributes:
+        tails: (T,) tails at which it is known, ascending.
+        shifts: (T, P) change of ln L from the nominal tail.
+        responses: T responses to the other inputs.
+        nominal: tail of the prediction.
+        u: its standard uncertainty; infinite where every tail between the first and the last is as likely.
+    """
+
+    tails: FloatArray
+    shifts: FloatArray
+    responses: tuple[Response, ...]
+    nominal: float
+    u: float
+
+    def at(self, tail: float) -> tuple[FloatArray, Response]:
+        """(P,) change of ln L at a tail between the first and the last, and the response to the other inputs there."""
+        place, nodes = tail / (1.0 + tail), self.tails / (1.0 + self.tails)
+        others = [np.delete(nodes, k) for k in range(len(nodes))]
+        weights = np.array(
+            [np.prod((place - rest) / (node - rest)) for node, rest in zip(nodes, others, strict=True)]
+        )
+        slopes, bends = ([getattr(one, name) for one in self.responses] for name in ("slope", "bend"))
+        response = Response(
+            self.responses[0].sources,
+            np.tensordot(weights, np.array(slopes), 1),
+            np.tensordot(weights, np.array(bends), 1),
+        )
+        return np.asarray(weights @ self.shifts), response
+
+    def penalty(self, tail: float) -> float:
+        """Squared distance of a tail from the nominal one in standard uncertainties."""
+        return 0.0 if np.isinf(self.u) else ((tail - self.nominal) / self.u) ** 2
+
+    def contribution(self, u: float) -> FloatArray:
+        """(P,) change of ln L over ``u`` of the tail: half of that to either side, or that to the only side."""
+        low, high = self.tails[0], self.tails[-1]
+        below, above = max(self.nominal - u, low), min(self.nominal + u, high)
+        return np.asarray(u * (self.at(above)[0] - self.at(below)[0]) / (above - below))
+
+    def within(self, basis: FloatArray) -> "LobeDoubt":
+        """The doubt of combinations (m, P) of ln L."""
+        responses = tuple(one.within(basis) for one in self.responses)
+        return replace(self, shifts=self.shifts @ basis.T, responses=responses)
+
+
+def likely_tails(nominal: float, u: float | None) -> tuple[float, ...]:
+    """Equally likely tails that stand for the doubt of a lobe; one where there is none.
+
+    Args:
+        nominal: tail of the prediction.
+        u: its standard uncertainty; None where it is unmeasured.
+    """
+    if u is None:
+        return LIKELY_TAILS
+    if u == 0.0:
+        return (nominal,)
+    return tuple(float(np.clip(nominal + u * z, 0.0, LONGEST_TAIL)) for z in (-_EVENLY, 0.0, _EVENLY))
+
+
+def lobe_doubt(
+    surface: Surface,
+    nominal: State,
+    poses: tuple[Pose, ...],
+    convention: Convention,
+    inputs: InputUncertainty,
+    straight: Mapping[str, FloatArray],
+    u: float | None,
+    common: Response | None = None,
+) -> LobeDoubt:
+    """Ln L over the tails that a recipe leaves possible.
+
+    Args:
+        surface: predictor of a shape for any lobe.
+        nominal: the state in which the prediction is made.
+        poses: P poses.
+        convention: how the angles are counted.
+        inputs: standard uncertainties of the other inputs.
+        straight: (P,) change of ln L per u of every other uncertain input.
+        u: standard uncertainty of the tail, above 0; None where it is unmeasured.
+        common: response that holds at every tail; None: it is determined at each.
+
+    Raises:
+        ModelError: a pose so close to the horizon that a probe leads below it.
+    """
+    tail = nominal.material.tail
+    low, high = UNKNOWN_TAILS if u is None else (tail - _RANGE * u, tail + _RANGE * u)
+    low, high = max(min(low, tail), 0.0), min(max(high, tail), LONGEST_TAIL)
+    tails = low + (high - low) * _PLACES
+    states = [replace(nominal, material=replace(nominal.material, tail=float(one))) for one in tails]
+    light = np.log(np.maximum(evaluate(surface, [nominal, *states], poses, convention), DARK))
+    count = len(straight)
+    slopes = np.column_stack([*straight.values()]) if straight else np.zeros((len(poses), 0))
+    linear = Response(tuple(straight), slopes, np.zeros((len(poses), count, count)))
+    responses = [
+        common
+        or (response_of(surface, state, poses, convention, inputs, dict(straight)) if straight else None)
+        or linear
+        for state in states
+    ]
+    return LobeDoubt(tails, light[1:] - light[0], tuple(responses), tail, np.inf if u is None else u)
