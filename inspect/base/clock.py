@@ -59,3 +59,8 @@ class VirtualClock:
 
 
 SYSTEM = SystemClock()
+
+
+def clock_of(time_scale: float) -> Clock:
+    """The clock of a simulated device whose motions are stretched so much; virtual where they end at once (0)."""
+    return VirtualClock() if time_scale == 0.0 else SYSTEM

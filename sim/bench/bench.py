@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.cache import Cache
+from anisoscope.base.clock import clock_of
 from anisoscope.base.errors import HeightMapError, RigFileError, UsageError
 from anisoscope.profiles.defects import burrs
 from anisoscope.profiles.files.load import read_height_map
@@ -268,11 +269,13 @@ class Bench:
     def __init__(self, file: BenchFile) -> None:
         self.file = file
         sample_rng, sensor_rng, light_rng = np.random.default_rng(file.seed).spawn(3)
-        self.axis = RotaryAxis(time_scale=file.stage.time_scale, backlash_deg=file.stage.backlash_deg)
+        scale = file.stage.time_scale
+        clock = clock_of(scale)
+        self.axis = RotaryAxis(time_scale=scale, backlash_deg=file.stage.backlash_deg, clock=clock)
         mounts = [Mount(self.axis, file.stage.address)]
         self.tilt_axis: RotaryAxis | None = None
         if file.tilt is not None:
-            self.tilt_axis = RotaryAxis(time_scale=file.stage.time_scale, backlash_deg=file.tilt.backlash_deg)
+            self.tilt_axis = RotaryAxis(time_scale=scale, backlash_deg=file.tilt.backlash_deg, clock=clock)
             mounts.append(Mount(self.tilt_axis, file.tilt.address))
         self.stage_firmware = build(
             file.stage.protocol, mounts, model=file.stage.model, faults=file.stage.faults

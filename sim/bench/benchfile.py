@@ -163,7 +163,8 @@ class StagePart(Part):
 
     ``protocol``, ``model`` and ``address`` say which device it is; "" is the usual one. ``zero_deg`` is its reading
     where the sample truly stands at 0°, ``turns`` the sense in which a growing reading truly turns the sample,
-    ``backlash_deg`` the play between motor and sample.
+    ``backlash_deg`` the play between motor and sample. ``time_scale`` stretches the time of motions; with 0 they end at
+    once, and who waits for the stage in the same process waits in virtual time.
     """
 
     protocol: Literal["elliptec", "zaber", "grbl", "apt", "smc100"] = "elliptec"

@@ -129,7 +129,7 @@ def test_serials_that_could_do_harm(anisoscope, job, serial):
 )
 def test_stage_in_trouble(anisoscope, job, fault, words):
     with (job / "bench" / "good" / "bench.toml").open("a", encoding="utf-8") as stream:
-        stream.write(f'\n[stage]\nfaults = ["{fault}"]\n')
+        stream.write(f'\n[stage]\ntime_scale = 0.0\nfaults = ["{fault}"]\n')
     done = inspect(anisoscope, job)
     assert_one_line(done, 69, *words)
     assert records(job) == []
@@ -137,7 +137,7 @@ def test_stage_in_trouble(anisoscope, job, fault, words):
 
 def test_a_noisy_line_is_borne_in_silence(anisoscope, job):
     with (job / "bench" / "good" / "bench.toml").open("a", encoding="utf-8") as stream:
-        stream.write('\n[stage]\nfaults = ["garbage"]\n')
+        stream.write('\n[stage]\ntime_scale = 0.0\nfaults = ["garbage"]\n')
     done = inspect(anisoscope, job)
     assert done.code == 0
     assert "damaged" not in done.err
@@ -156,7 +156,7 @@ def test_saturated_frames_are_invalid_and_recorded(anisoscope, job):
 
 def test_lens_cap_is_invalid(anisoscope, job):
     with (job / "bench" / "good" / "bench.toml").open("a", encoding="utf-8") as stream:
-        stream.write("\n[optics]\nlens_cap = true\n")
+        stream.write("\n[stage]\ntime_scale = 0.0\n[optics]\nlens_cap = true\n")
     done = inspect(anisoscope, job, "--json")
     assert done.code == 3
     assert "lens cap" in done.json["reasons"][0]
