@@ -193,7 +193,21 @@ def _best_fit(pair: "_Pair", start: FloatArray) -> "_Fit":
     except RegistrationError:
         return whole
     clear = inner.fixed is not None and not len(inner.fixed) and float(inner.u().max()) < CLEAR_PIXELS * pixel
-    return inner if clear else whole
+    return inner if clear else _without_trap(pair, whole)
+
+
+def _without_trap(pair: "_Pair", fit: "_Fit") -> "_Fit":
+    """A fit by edges, or that from where rejected points pull it to, if it agrees better.
+
+    Worn walls a pixel aside may all be rejected, and then nothing tells that they are aside.
+    """
+    pull = fit.unrejected_step(edges=True)
+    try:
+        other = _Fit(pair, fit.motion + pull / np.array([1.0, 1.0, pair.length, 1.0]), ROUNDS)
+    except RegistrationError:
+        return fit
+    sigma = min(fit.deviation(), other.deviation())
+    return other if other.disagreement(sigma) < fit.disagreement(sigma) else fit
 
 
 def _plane_numbers(surface: HeightMap, flat: HeightMap) -> FloatArray:
@@ -451,14 +465,19 @@ class _Fit:
                 "overlap more"
             )
         off, design = off[known], design[known]
-        pixel = np.array([self.two.pixel_x_um, self.two.pixel_y_um])
-        slope = np.hypot(design[:, 0] * pixel[0], design[:, 1] * pixel[1])
-        blur = between * np.maximum(slope - STEEP * float(np.median(slope)), 0.0)
+        blur = self._blur(design, between)
         sigma = max(MAD * float(np.median(np.abs(off - np.median(off)))), self.pair.floor)
         spread = np.hypot(sigma, blur)
         apart = off / (TUKEY * spread)
         weight = np.where(np.abs(apart) < 1.0, (1.0 - apart**2) ** 2, 0.0) * (sigma / spread) ** 2
         return off, design, weight, known, sigma
+
+    def _blur(self, design: FloatArray, between: float | None = None) -> FloatArray:
+        """Heights (n,) in µm that a displacement by ``between`` pixels makes where it is steeper than elsewhere."""
+        pixel = np.array([self.two.pixel_x_um, self.two.pixel_y_um])
+        slope = np.hypot(design[:, 0] * pixel[0], design[:, 1] * pixel[1])
+        steep = np.maximum(slope - STEEP * float(np.median(slope)), 0.0)
+        return np.asarray((self.between if between is None else between) * steep)
 
     def _settle(self) -> None:
         pixel = min(self.two.pixel_x_um, self.two.pixel_y_um)
@@ -519,6 +538,29 @@ class _Fit:
         least = LEAST_COST * float(np.std(self.z))
         return float(np.hypot(sigma, least)) / float(np.sqrt(np.mean(known)))
 
+    def deviation(self) -> float:
+        """Robust standard deviation of the heights against each other, at least the floor."""
+        return self._system()[4]
+
+    def disagreement(self, sigma: float) -> float:
+        """Mean of Tukey's function over the common points, 0 where they agree, 1 where they are rejected."""
+        off, design, _, _, _ = self._system()
+        apart = np.minimum(np.abs(off) / (TUKEY * np.hypot(sigma, self._blur(design))), 1.0)
+        return float(np.mean(1.0 - (1.0 - apart**2) ** 3))
+
+    def unrejected_step(self, *, edges: bool) -> FloatArray:
+        """How far (x, y, turn · length, scale) the fit would move if no point were rejected.
+
+        Args:
+            edges: whether steep places count like others.
+        """
+        off, design, _, _, sigma = self._system()
+        weight = np.ones(off.size) if edges else (sigma / np.hypot(sigma, self._blur(design))) ** 2
+        free = [0, 1, 2, 4, 5, 6]
+        part = design[:, free]
+        step = self._solve(part.T @ (weight[:, None] * part), -part.T @ (weight * off))
+        return np.append(step[:3], 0.0)
+
     def u(self) -> FloatArray:
         """Standard uncertainties (2,) of the shift in µm, of noise alone."""
         off, design, weight, known, _ = self._system()
@@ -534,6 +576,8 @@ class _Fit:
         fixed = self.fixed if self.fixed is not None else np.empty((0, 2))
         loose = [bool(len(fixed)) and bool(np.any(np.abs(fixed[:, k]) > 0.05)) for k in (0, 1)]
         u = np.sqrt(np.maximum(np.diag(covariance), 0.0) + by_interpolation**2)
+        # what has changed may pull at the fit by anything between nothing and the whole
+        u[:3] = np.hypot(u[:3], self.unrejected_step(edges=False)[:3] / np.sqrt(12.0))
         first, second = planes
         cos, sin = np.cos(self.motion[2]), np.sin(self.motion[2])
         # slopes of the second map's plane, along the axes of the first

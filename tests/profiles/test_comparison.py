@@ -5,6 +5,7 @@ import pytest
 
 from anisoscope.base.errors import RegistrationError, UsageError
 from anisoscope.profiles.comparison import compare_maps, turned_over
+from anisoscope.profiles.editing.registration import register
 from anisoscope.profiles.heightmap import HeightMap
 
 PITCH, FACET = 50.0, np.radians(10.0)
@@ -77,6 +78,18 @@ def test_worn_crests(radius, moved):
     mean = np.mean([ridge.radius_b_um.value for ridge in found.ridges])
     assert mean == pytest.approx(radius, rel=0.2)
     assert "lost" in repr(found)
+
+
+@pytest.mark.parametrize(("radius", "moved"), [(4.0, (3.5, 0.0)), (6.0, (-11.75, 2.2))])
+def test_worn_ridges_with_nothing_but_walls_to_tell_their_place_by(monkeypatch, radius, moved):
+    """Walls of 1.5 pixels: what shows their place shows their worn crests too, and the uncertainty says so."""
+    monkeypatch.setitem(globals(), "texture", lambda y, x: 0.0 * (y + x))
+    placed = register(ridged((60, 330)), ridged((60, 330), moved, radius, 2))
+    aside = placed.x_um - moved[0]
+    aside -= PITCH * np.round(aside / PITCH)
+    assert abs(aside) < 0.15
+    assert abs(aside) < 2.0 * placed.u_x_um < 0.7
+    assert placed.u_y_um is None
 
 
 def test_nothing_has_changed():
