@@ -135,6 +135,7 @@ def measure_frames(
         MeasurementError, CameraError: INVALID, with the reason.
     """
     job.calibrations.check_valid(when)
+    job.kind.check_valid(job.recipe, when)
     job.kind.check_filters(frames.filters, frames.camera, job.white.filters)
     views = views_of(job.viewing(), expected.poses, frames)
     sitting = Sitting(views, frames, job.calibrations, job.rig)

@@ -143,7 +143,9 @@ def inspect_part(
     """
     job = prepare(recipe_path, rig_path, serial)
     try:
-        job.calibrations.check_valid((methods or USUAL).now())
+        now = (methods or USUAL).now()
+        job.calibrations.check_valid(now)
+        job.kind.check_valid(job.recipe, now)
     except CalibrationError:
         return _refused(job, rig_path, out, particulars or Particulars(), on_progress, methods)
     plan = job.plan()

@@ -8,6 +8,7 @@ docs/own-kind.md.
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import datetime
 from pathlib import Path
 from typing import Any, Generic, Protocol, Self, TypeVar
 
@@ -248,6 +249,14 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
         """
         del rig_path
         check_poses(recipe.poses, rig.light.angle_deg, recipe_path)
+
+    def check_valid(self, recipe: RecipeT, at: datetime) -> None:
+        """Check that what the recipe names as calibrated is valid at a time; nothing by default.
+
+        Raises:
+            CalibrationError: it has expired: the inspection is INVALID.
+        """
+        del recipe, at
 
     def sources(self, recipe: RecipeT, rig: RigFile) -> Mapping[str, Path]:
         """Further files that the inspection starts from, by their role: they are copied and hashed."""

@@ -2,13 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from datetime import datetime
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from anisoscope.base.errors import HeightMapError
+from anisoscope.base.errors import CalibrationError, HeightMapError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.base.significance import log_basis, p_value_text
 from anisoscope.decision.consistency_test import contrast_scatter
@@ -30,7 +31,13 @@ from anisoscope.kinds.kind import Explanation, Kind, Reference, Results, Sitting
 from anisoscope.kinds.recipe_check import RecipeCheck
 from anisoscope.prediction.cache import cached_expectation
 from anisoscope.prediction.expectation import PLASTIC, Expectation, SurfaceOptics, expectation
-from anisoscope.prediction.part_scatter import NamedDefect, PartScatter, named_defects, part_scatter
+from anisoscope.prediction.part_scatter import (
+    NamedDefect,
+    PartScatter,
+    named_defects,
+    part_scatter,
+    with_design,
+)
 from anisoscope.prediction.propagation import RIDGE_ANGLE
 from anisoscope.quality.capability import recipe_tolerances
 from anisoscope.recipe.surface import SurfaceRecipe, check_lamp, check_material, read_surface_recipe
@@ -71,8 +78,26 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
     def check(self, recipe: RecipeT, rig: RigFile, recipe_path: Path, rig_path: Path) -> None:
         """Check that lamp and lens are those of the recipe's prediction and of its material."""
         check_lamp(recipe, rig, rig_path)
-        check_material(recipe, rig, recipe_path)
+        check_material(recipe, rig, recipe_path, self._facet_deg(recipe))
         super().check(recipe, rig, recipe_path, rig_path)
+
+    @staticmethod
+    def _facet_deg(recipe: SurfaceRecipe) -> float | None:
+        """Ridge angle of the design, or of the height map where a material file is compared with it; else None."""
+        if recipe.material.calibrated is None:
+            return None
+        try:
+            design = with_design(recipe.deciding()).surface.design
+        except HeightMapError:  # no ridges, or no map: the prediction gives the reason
+            return None
+        return None if design is None else design.ridge_angle_deg
+
+    def check_valid(self, recipe: RecipeT, at: datetime) -> None:
+        """Check that the material file has not expired."""
+        file = recipe.material.calibrated
+        reason = None if file is None else file.expired(at)
+        if reason is not None:
+            raise CalibrationError(reason)
 
     def sources(self, recipe: RecipeT, rig: RigFile) -> Mapping[str, Path]:
         """Height map and material file.
@@ -230,7 +255,7 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
         )
 
     def as_recorded(self, recipe: RecipeT, recorded: Mapping[str, Any]) -> RecipeT:
-        """Direct light, a known lobe, and golden parts by their own scatter, of versions that knew nothing else.
+        """Direct light, a known lobe, no test for wear, golden parts by their own scatter: all that versions knew.
 
         Uncertainties of the plastic are the recorded ones: their defaults were others.
         """
@@ -243,6 +268,8 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
         changes["material"] = recipe.material.model_copy(
             update={name: stated[name] for name in ("u_tail", "u_alpha_share", "u_albedo") if name in stated}
         )
+        if "wear_um" not in recorded.get("defects", {}):
+            changes["defects"] = recipe.defects.model_copy(update={"wear_um": None})
         return recipe.model_copy(update=changes)
 
     def rename_in(self, record: dict[str, Any]) -> None:

@@ -19,13 +19,13 @@ from anisoscope.prediction.cache import prediction_key
 from anisoscope.prediction.expectation import PLASTIC, SurfaceOptics, nominal_shape, recipe_uncertainty
 from anisoscope.prediction.lobe_doubt import likely_tails
 from anisoscope.prediction.propagation import RIDGE_ANGLE, propagate
-from anisoscope.prediction.recipe_models import read_surface
+from anisoscope.prediction.recipe_models import edge_radius_model, read_surface, rig_of
 from anisoscope.prediction.reflections import fitted_groove
 from anisoscope.prediction.relief_preparation import prepare_relief
 from anisoscope.prediction.second_order import Response, known_inputs, response_of
 from anisoscope.prediction.sensitivity import DARK, InputUncertainty, State, Surface, evaluate
 from anisoscope.recipe.surface import DesignPart, SurfaceRecipe
-from anisoscope.sim.light.geometry import Convention, Pose
+from anisoscope.sim.light.geometry import Convention, Pose, directions
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,7 +202,7 @@ class NamedDefect:
     Attributes:
         words: what it is, up to its size.
         size: in its unit.
-        unit: "°" or "%".
+        unit: "°", "%" or " µm".
     """
 
     words: str
@@ -229,6 +229,7 @@ def named_defects(recipe: SurfaceRecipe) -> tuple[NamedDefect, ...]:
         NamedDefect("height loss ", 100.0 * size.height_loss, "%"),
         NamedDefect("roughness along the ridges +", share, "%"),
         NamedDefect("roughness across the ridges +", share, "%"),
+        *(() if size.wear_um is None else (NamedDefect("edges worn to ", size.wear_um, " µm"),)),
     )
 
 
@@ -266,16 +267,37 @@ def defect_changes(
     step = size.ridge_angle_deg
     cut = replace(nominal, shape=replace(shape, height_loss=size.height_loss))
     made = (turned(step), turned(-step), cut, rougher("alpha_along"), rougher("alpha_across"))
-    states = dict(zip((one.name for one in named_defects(recipe)), made, strict=True))
+    states = dict(zip((one.name for one in named_defects(recipe)[: len(made)]), made, strict=True))
     if recipe.surface.design is None:
         states = {name: state for name, state in states.items() if state.shape == shape}
     found = evaluate(surface, list(states.values()), poses, convention)
-    changes = np.log(np.maximum(found, DARK) / radiance)
+    changes = dict(zip(states, np.log(np.maximum(found, DARK) / radiance), strict=True))
+    worn = _worn(recipe, nominal, poses, convention)
+    if worn is not None:
+        changes[named_defects(recipe)[-1].name] = worn
     return {
         name: change
-        for name, change in zip(states, changes, strict=True)
+        for name, change in changes.items()
         if np.ptp(change) > 1e-6  # a shape that this model cannot vary
     }
+
+
+def _worn(
+    recipe: SurfaceRecipe, nominal: State, poses: tuple[Pose, ...], convention: Convention
+) -> FloatArray | None:
+    """(P,) change of ln L of a design whose crests are worn to the size of interest, by rays; None without any."""
+    design, radius = recipe.surface.design, recipe.defects.wear_um
+    if design is None or radius is None or radius <= design.edge_radius_um:
+        return None
+    rig, sides = rig_of(recipe, poses, convention), directions(poses, convention)
+    try:
+        good, worn = (
+            edge_radius_model(recipe, edge, rig)(*sides, nominal.material)
+            for edge in (design.edge_radius_um, radius)
+        )
+    except HeightMapError:  # the radius leaves no facet
+        return None
+    return np.asarray(np.log(np.maximum(worn, DARK) / np.maximum(good, DARK)))
 
 
 def _packed(found: PartScatter | None) -> bytes:

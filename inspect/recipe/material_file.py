@@ -20,7 +20,7 @@ A covariance of a plastic that was not calibrated may be 0; ``light``, ``scan`` 
 import hashlib
 from collections.abc import Sequence
 from dataclasses import replace
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -230,10 +230,13 @@ class MaterialFile(Part):
 
     def expired(self, at: datetime) -> str | None:
         """Why this material no longer holds at a time, in one line, or None."""
-        if self.validity.until is None or at < self.validity.until:
+        until = self.validity.until
+        if until is not None and until.tzinfo is None:
+            until = until.replace(tzinfo=UTC)
+        if until is None or at < until:
             return None
         return (
-            f"the material {self.id} expired at {self.validity.until:%Y-%m-%d %H:%M} UTC: take a new one with "
+            f"the material {self.id} expired at {until:%Y-%m-%d %H:%M} UTC: take a new one with "
             "`anisoscope calibrate material`"
         )
 

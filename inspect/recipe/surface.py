@@ -275,6 +275,7 @@ class ScatterPart(Part):
 class DefectsPart(Part):
     """Smallest interesting size of the defects for which a part is tested separately.
 
+    ``wear_um`` is the radius to which crests are worn; None tests for none.
     ``power``: probability with which they must be found. Where it is given and the poses and golden parts do not reach
     it, a part that would pass is INCONCLUSIVE.
     """
@@ -282,6 +283,7 @@ class DefectsPart(Part):
     ridge_angle_deg: Positive = 0.5
     roughness_share: Annotated[float, Field(gt=0.0, le=2.0)] = 0.2
     height_loss: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.1
+    wear_um: Positive | None = 5.0
     power: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
 
 
@@ -381,14 +383,16 @@ def read_surface_recipe(path: Path, model: type[RecipeT]) -> RecipeT:
     return recipe
 
 
-def check_material(recipe: SurfaceRecipe, rig: RigFile, path: Path) -> None:
+def check_material(
+    recipe: SurfaceRecipe, rig: RigFile, path: Path, ridge_angle_deg: float | None = None
+) -> None:
     """Compare the material file of a recipe with lamp, lens and half angles of its poses.
 
     Args:
-        recipe: with a material file or without; facets of a height map alone have no known angle, so that half angles
-            are compared where there is a design.
+        recipe: with a material file or without.
         rig: the rig.
         path: of the recipe file, for the message.
+        ridge_angle_deg: of the facets; None: that of the design, and without one half angles are not compared.
 
     Raises:
         RecipeError: the material was measured with another lamp or lens, or not at such half angles.
@@ -405,10 +409,11 @@ def check_material(recipe: SurfaceRecipe, rig: RigFile, path: Path) -> None:
         aperture_half_angle_deg=lamp.aperture_half_angle_deg if stated else rig.camera.half_angle_deg,
     )
     reason = file.other_light(light)
-    design = recipe.surface.design
-    if reason is None and design is not None:
+    if ridge_angle_deg is None and recipe.surface.design is not None:
+        ridge_angle_deg = recipe.surface.design.ridge_angle_deg
+    if reason is None and ridge_angle_deg is not None:
         convention = Convention(rig.light.angle_deg, facet_azimuth_deg=recipe.poses.facet_azimuth_deg)
-        reason = file.uncovered(recipe.poses.poses(), convention, (design.ridge_angle_deg,))
+        reason = file.uncovered(recipe.poses.poses(), convention, (ridge_angle_deg,))
     if reason is not None:
         raise RecipeError(f"{path}: {reason}")
 

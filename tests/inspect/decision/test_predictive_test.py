@@ -20,9 +20,10 @@ from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.registration.placement import Grid
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
 from anisoscope.prediction.expectation import Component, expectation
-from anisoscope.prediction.part_scatter import part_scatter
+from anisoscope.prediction.part_scatter import named_defects, part_scatter
 from anisoscope.prediction.second_order import Response
 from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.recipe.surface import DefectsPart
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import Convention, directions, seating_rotation
 from anisoscope.sim.light.material import Material
@@ -36,6 +37,7 @@ LINEAR = Scatter(
     {"step": np.array([0.03, 0.0, -0.02])},
 )
 NOISE = 0.003
+MEAN = Material(0.06, 0.1, 0.2)
 LOBES = {
     "Beckmann": {},
     "Student": {"tail": 0.5},
@@ -221,7 +223,26 @@ def test_more_golden_parts_show_smaller_defects(tilted):
     scatter, _ = tilted
     one, three, many = (detectable(scatter, count, 0.01) for count in (1, 3, 25))
     assert all(one[name] > three[name] > many[name] for name in one)
-    assert set(one) >= {"ridge angle +0.5°", "roughness across the ridges +20%", "height loss 10%"}
+    names = {"ridge angle +0.5°", "roughness across the ridges +20%", "height loss 10%", "edges worn to 5 µm"}
+    assert set(one) >= names
+
+
+def test_worn_edges_are_a_direction_of_their_own(tilted):
+    """The change by wear is that of the exact model, and its directed test finds it."""
+    scatter, rules = tilted
+    sides = directions(rules.poses.poses(), Convention(10.0))
+    good, worn = (
+        np.log(corrected.radiance(*sides, RidgeDesign(100.0, 10.0, edge_radius_um=radius), MEAN, bounces=2))
+        for radius in (0.0, 5.0)
+    )
+    change = log_basis(len(good)) @ (worn - good)
+    np.testing.assert_allclose(scatter.defects["edges worn to 5 µm"], change, atol=2e-3)
+    rng = np.random.default_rng(6)
+    golden = made(5, rules, rng)
+    found = predictive_test(scatter, golden, golden.mean(axis=0) + change, 0.01)
+    assert found.strongest.defect == "edges worn to 5 µm"
+    small = recipe().model_copy(update={"defects": DefectsPart(wear_um=None)})
+    assert not any("worn" in one.name for one in named_defects(small))
 
 
 def test_scatter_between_golden_parts_is_estimated():

@@ -5,7 +5,10 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from anisoscope.base.errors import RecipeError
+from anisoscope.base.errors import CalibrationError, RecipeError
+from anisoscope.kinds.ridges.kind import RIDGES
+from anisoscope.profiles.files.load import write_height_map
+from anisoscope.profiles.ideal import RidgeDesign, ridges
 from anisoscope.recipe.material_file import (
     MaterialFile,
     MaterialLightPart,
@@ -15,6 +18,8 @@ from anisoscope.recipe.material_file import (
     read_material_file,
     write_material_file,
 )
+from anisoscope.recipe.surface import check_material
+from anisoscope.rig.rigfile import read_rig
 from anisoscope.sim.light.geometry import Convention, Pose, pose_grid
 from anisoscope.sim.light.material import Material
 
@@ -130,6 +135,16 @@ def test_another_lamp_or_lens_is_named_and_what_is_not_stated_is_not_compared():
 def test_a_material_expires():
     assert file().expired(datetime(2026, 12, 31, tzinfo=UTC)) is None
     assert "expired at 2027-01-01" in file().expired(datetime(2027, 1, 1, tzinfo=UTC))
+    by_hand = file(validity={"half_angle_deg": (5.0, 25.6), "until": "2027-01-01T00:00:00"})
+    assert by_hand.expired(datetime(2026, 12, 31, tzinfo=UTC)) is None
+    assert "expired" in by_hand.expired(datetime(2027, 1, 2, tzinfo=UTC))
+
+
+def test_an_inspection_with_an_expired_material_is_invalid(recipe_with):
+    recipe = recipe_with()
+    RIDGES.check_valid(recipe, datetime(2026, 12, 31, tzinfo=UTC))
+    with pytest.raises(CalibrationError, match="expired at 2027-01-01"):
+        RIDGES.check_valid(recipe, datetime(2027, 1, 1, tzinfo=UTC))
 
 
 @pytest.fixture
@@ -173,9 +188,6 @@ def test_a_recipe_with_a_wrong_material_file_is_one_line(recipe_with, table, wor
 
 
 def test_a_recipe_is_refused_whose_material_was_measured_elsewhere(recipe_with, virtual_rig):
-    from anisoscope.recipe.surface import check_material
-    from anisoscope.rig.rigfile import read_rig
-
     rig = read_rig(virtual_rig(rig={"light": {"wavelength_nm": 630.0}}).rig)
     same = read_rig(virtual_rig().rig)
     one = recipe_with()
@@ -185,6 +197,24 @@ def test_a_recipe_is_refused_whose_material_was_measured_elsewhere(recipe_with, 
     narrow = recipe_with(validity={"half_angle_deg": (5.0, 12.0)})
     with pytest.raises(RecipeError, match=r"5\.0° to 15\.0° in these poses"):
         check_material(narrow, same, "recipe.toml")
+    with pytest.raises(RecipeError, match=r"facets of 20° are seen"):
+        check_material(one, same, "recipe.toml", 20.0)
+
+
+def test_ridges_of_a_height_map_are_compared_with_the_half_angles(recipe_with, virtual_rig, tmp_path):
+    path = tmp_path / "map.x3p"
+    write_height_map(ridges(RidgeDesign(100.0, 20.0), (251, 501), (2.0, 1.0)), path)
+    rig = read_rig(virtual_rig().rig)
+    recipe = recipe_with()
+    surface = recipe.surface.model_copy(update={"design": None, "height_map": path})
+    with pytest.raises(RecipeError, match=r"facets of (20|19\.9)\S*° are seen at"):
+        RIDGES.check(
+            recipe.model_copy(update={"surface": surface}),
+            rig,
+            tmp_path / "recipe.toml",
+            tmp_path / "rig.toml",
+        )
+    RIDGES.check(recipe, rig, tmp_path / "recipe.toml", tmp_path / "rig.toml")
 
 
 def test_the_budget_of_a_prediction_is_that_of_the_correlated_material(recipe_with):

@@ -62,7 +62,7 @@ def test_what_cannot_be_chosen_is_one_clear_line():
     with pytest.raises(UsageError, match="poses of 4 that are allowed"):
         best_poses(rules, 10.0, 5, (0.0, 90.0), (0.0, 10.0))
     with pytest.raises(UsageError, match="no defect is left"):
-        best_poses(rules, 10.0, 3, (0.0, 90.0), (0.0, 10.0), ignored=("r", "h"))
+        best_poses(rules, 10.0, 3, (0.0, 90.0), (0.0, 10.0), ignored=("r", "h", "e"))
     with pytest.raises(UsageError, match="no defect begins with"):
         best_poses(rules, 10.0, 3, (0.0, 90.0), (0.0, 10.0), ignored=("zzz",))
     with pytest.raises(UsageError, match="between 0 and 1"):
