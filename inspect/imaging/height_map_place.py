@@ -12,6 +12,7 @@ result is informative: the verdict compares the means of region and map, which n
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -309,7 +310,12 @@ def _matched(
     if not place.resolved:
         return record, f"height map {place.words}"
     shared = _shared(pictures, rendered, place, pixel_um * factor, pitch_um)
-    return record.model_copy(update=shared), None
+    if recipe.surface.bounces != 1:
+        # what is reflected again is even over the map: that of the prediction is added to the rendered direct light
+        again = [expected.radiance[k] - float(one.mean()) for k, one in zip(chosen, rendered, strict=True)]
+        means = tuple(one + more for one, more in zip(shared.predicted, again, strict=True))
+        shared = shared._replace(predicted=means)
+    return record.model_copy(update=shared._asdict()), None
 
 
 def _reduced(picture: Image, factor: int) -> Image:
@@ -342,9 +348,15 @@ def _reduced_map(surface: HeightMap, pitch_um: float) -> HeightMap:
     )
 
 
+class _Shared(NamedTuple):
+    shared_share: float
+    measured: tuple[float, ...]
+    predicted: tuple[float, ...]
+
+
 def _shared(
     pictures: list[Image], rendered: list[Image], place: MapPlace, pixel_um: float, pitch_um: float
-) -> dict[str, object]:
+) -> _Shared:
     """Means of pictures and map over their common area, whole pitches across."""
     shape, size = pictures[0].shape, rendered[0].shape
     offset = (-place.y_um / pixel_um, place.x_um / pixel_um)
@@ -357,11 +369,11 @@ def _shared(
     (top, rows), (left, cols) = ranges
     measured = [_window(one, top, left, (rows, cols)) for one in pictures]
     rendered_map = [_window(one, top - offset[0], left - offset[1], (rows, cols)) for one in rendered]
-    return {
-        "shared_share": rows * cols / float(shape[0] * shape[1]),
-        "measured": tuple(float(one.mean()) for one in measured),
-        "predicted": tuple(float(one.mean()) for one in rendered_map),
-    }
+    return _Shared(
+        rows * cols / float(shape[0] * shape[1]),
+        tuple(float(one.mean()) for one in measured),
+        tuple(float(one.mean()) for one in rendered_map),
+    )
 
 
 def _window(picture: Image, top: float, left: float, shape: tuple[int, int]) -> Image:

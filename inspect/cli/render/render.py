@@ -55,6 +55,22 @@ class MicroscopeOptions:
     na: Annotated[float, Parameter(help="Numerical aperture at the sample; 0: no blur by the lens.")] = 0.1
     wavelength: Annotated[float, Parameter(help="Wavelength of the light in nm.")] = 550.0
     defocus: Annotated[float, Parameter(help="Distance from the plane in focus in µm.")] = 0.0
+    bounces: Annotated[
+        int | Literal["all"],
+        Parameter(
+            help="Reflections between facet and wall that are counted: 1 is direct light, or 'all'; spread evenly."
+        ),
+    ] = "all"
+
+    def reflections(self) -> int | None:
+        """Largest number of reflections; None counts all.
+
+        Raises:
+            UsageError: less than one.
+        """
+        if self.bounces != "all" and self.bounces < 1:
+            raise UsageError(f"--bounces must be 1 or more, or all, not {self.bounces}")
+        return None if self.bounces == "all" else self.bounces
 
     def lens(self) -> "Lens":
         """The lens of the options."""
@@ -110,21 +126,26 @@ def take_frames(
     poses: "tuple[Pose, ...]",
     convention: "Convention",
     views: "list[View]",
-    lens: "Lens",
+    microscope: MicroscopeOptions,
     advance: "Advance",
-) -> "tuple[list[Micrograph], list[float]]":
-    """A micrograph of every pose, and the mean radiance of all measured facets."""
+) -> "tuple[list[Micrograph], list[float], FloatArray]":
+    """A micrograph of every pose, the mean radiance of all measured facets, and how much of it is reflected again."""
+    from anisoscope.prediction.reflections import reflections_of_map
     from anisoscope.sim.light.geometry import directions
     from anisoscope.sim.light.micrograph import micrograph
     from anisoscope.sim.light.relief import radiance_maps
 
-    maps = radiance_maps(scene.relief, *directions(poses, convention), material)
+    sides, lens = directions(poses, convention), microscope.lens()
+    source = reflections_of_map(scene.relief, microscope.reflections())
+    again = np.zeros(len(poses)) if source is None else source.light(*sides, material)
+    maps = radiance_maps(scene.relief, *sides, material)
     pictures, means = [], []
-    for number, (facets, view) in enumerate(zip(maps, views, strict=True)):
+    for number, (direct, view) in enumerate(zip(maps, views, strict=True)):
         advance(f"stage {poses[number].stage_deg:g}°", number, len(poses))
+        facets = direct + direct.dtype.type(again[number])
         means.append(float(np.nanmean(facets, dtype=np.float64)))
         pictures.append(micrograph(facets, scene.facet_um, view, lens))
-    return pictures, means
+    return pictures, means, again
 
 
 class Shot:
@@ -146,13 +167,14 @@ class Shot:
         self.rig, self.microscope = rig or RigOptions(), microscope or MicroscopeOptions()
         picture.check(height_map)
         self.poses = tuple(Pose(angle, self.rig.tilt) for angle in parse_angles(stage, "--stage"))
-        self.convention, lens = self.rig.convention(), self.microscope.lens()
+        self.convention = self.rig.convention()
+        self.microscope.reflections()
         material = self.plastic.material()
         self.scene: Scene = (surface or SurfaceOptions()).scene(height_map)
         self.views = self.microscope.views(self.scene, self.poses, self.convention, picture.panel)
         with progress("render", quiet=picture.json_) as advance:
-            self.frames, self.means = take_frames(
-                self.scene, material, self.poses, self.convention, self.views, lens, advance
+            self.frames, self.means, self.again = take_frames(
+                self.scene, material, self.poses, self.convention, self.views, self.microscope, advance
             )
         self.pictures: list[FloatArray] = [p.radiance.astype(np.float64) for p in self.frames]
         self.white = picture.brightest(self.pictures, 99.5)
@@ -162,8 +184,13 @@ class Shot:
         what = self.scene.name + (f"; {self.scene.note}" if self.scene.note else "")
         missing = self.scene.relief.missing_share
         gaps = f" {100 * missing:.2g} % of the facets were not measured." if missing else ""
+        light = (
+            "direct light"
+            if self.microscope.bounces == 1
+            else f"{self.microscope.bounces} reflections, what is reflected again spread evenly"
+        )
         surface = (
-            f"{what}. Relief model, direct light; roughness below the map's resolution {self.plastic.alpha_along:g} "
+            f"{what}. Relief model, {light}; roughness below the map's resolution {self.plastic.alpha_along:g} "
             f"along and {self.plastic.alpha_across:g} across, albedo {self.plastic.albedo:g}.{gaps}"
         )
         return [
@@ -184,13 +211,17 @@ class Shot:
                 "stage_deg": pose.stage_deg,
                 "tilt_deg": pose.tilt_deg,
                 "mean_of_surface": mean,
+                "reflected_again": again,
                 "mean_of_picture": _mean(p),
                 "missing_pixels": float(p.missing.mean()),
             }
-            for pose, p, mean in zip(self.poses, self.frames, self.means, strict=True)
+            for pose, p, mean, again in zip(
+                self.poses, self.frames, self.means, map(float, self.again), strict=True
+            )
         ]
         found = {
             "model": "relief",
+            "bounces": self.microscope.bounces,
             **self.scene.as_json(),
             "convention": asdict(self.convention),
             "material": asdict(self.plastic.material()),

@@ -130,10 +130,13 @@ def test_frames_show_the_map_turned_with_its_gap(here, tmp_path, height_map):
     assert raw.shape == (3, 300, 300)
     assert found["pixel_um"] == pytest.approx(1.0)
     assert found["magnification"] == pytest.approx(3.45)
-    predicted = here("predict", height_map, "--bounces", 1, "--json").json
-    for panel, pose in zip(found["panels"], predicted["poses"], strict=True):
-        assert panel["mean_of_surface"] == pytest.approx(pose["radiance"], rel=0.01)
-        assert panel["mean_of_picture"] == pytest.approx(panel["mean_of_surface"], rel=0.01)
+    for bounces in ("all", 1):
+        predicted = here("predict", height_map, "--bounces", bounces, "--json").json
+        for panel, pose in zip(found["panels"], predicted["poses"], strict=True):
+            direct = 0.0 if bounces == "all" else panel["reflected_again"]
+            assert panel["mean_of_surface"] - direct == pytest.approx(pose["radiance"], rel=0.01)
+            assert panel["mean_of_picture"] == pytest.approx(panel["mean_of_surface"], rel=0.01)
+    assert max(panel["reflected_again"] / panel["mean_of_surface"] for panel in found["panels"]) > 0.1
     # the gap's middle stands 85 left of and 55 below the axis; a quarter turn brings it 55 right, 85 below
     png = cv2.imread(str(tmp_path / "f.png"))
     for panel, (x, y) in enumerate(((-85, -55), (55, -85), (85, 55))):
@@ -259,6 +262,7 @@ def test_beside_draws_heights_and_radiance_of_the_same_place(here, tmp_path, hei
         (["checkerboard", "--out", "o.png", "--white", "0"], 64, "--white"),
         (["checkerboard", "--out", "o.png", "--panel", "9"], 64, "--panel"),
         (["checkerboard", "--out", "o.png", "--tilt", "95"], 64, "horizon"),
+        (["frame", "--out", "o.png", "--ridge-angle", "10", "--bounces", "0"], 64, "--bounces"),
         (["frame", "--out", "o.png"], 64, "--ridge-angle"),
         (["frame", "map.x3p", "--ridge-angle", "5", "--out", "o.png"], 64, "--ridge-angle"),
         (["frame", "none.x3p", "--out", "o.png"], 65, "none.x3p"),
