@@ -34,6 +34,7 @@ SETTLED_PIXELS = 5e-4
 BETWEEN_POINTS, FAR_BETWEEN_POINTS, NO_EDGES = 0.1, 0.6, 10.0
 STEEP = 1.5
 CLEAR_PIXELS = 0.03
+TRAP_PIXELS = 1.5
 LEAST_COST, FLOOR = 2e-3, 1e-3
 CHANGED, CHANGE_POINTS = 1.5, 5
 TUKEY = 4.685
@@ -201,9 +202,10 @@ def _without_trap(pair: "_Pair", fit: "_Fit") -> "_Fit":
 
     Worn walls a pixel aside may all be rejected, and then nothing tells that they are aside.
     """
-    pull = fit.unrejected_step(edges=True)
+    pull = fit.unrejected_step(edges=True)[:2]
+    away = TRAP_PIXELS * min(pair.two.pixel_x_um, pair.two.pixel_y_um) / max(float(np.hypot(*pull)), 1e-300)
     try:
-        other = _Fit(pair, fit.motion + pull / np.array([1.0, 1.0, pair.length, 1.0]), ROUNDS)
+        other = _Fit(pair, fit.motion + np.append(max(away, 1.0) * pull, [0.0, 0.0]), ROUNDS)
     except RegistrationError:
         return fit
     sigma = min(fit.deviation(), other.deviation())

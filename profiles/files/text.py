@@ -255,7 +255,8 @@ def _check_noted_size(name: str, table: Table) -> None:
         refuse(name, "size", f"{found} where {noted[1]} × {noted[2]} are noted", "the file is truncated")
 
 
-GWYDDION_NOTE = re.compile(r"#\s*(Channel|Width|Height|Value units):\s*(.*)", re.IGNORECASE)
+GWYDDION_NOTE = re.compile(r"#\s*(Channel|Width|Height|Value units|Kanal|Breite|Höhe):\s*(.*)", re.IGNORECASE)
+IN_GERMAN = {"kanal": "channel", "breite": "width", "höhe": "height"}
 LENGTH = re.compile(r"([0-9.eE+-]+)\s*(\S+)")
 ROUNDED = 0.02
 
@@ -273,7 +274,7 @@ class _Stated:
 def _gwyddion_header(name: str, table: Table) -> _Stated | None:
     """Width, height and unit of the values that Gwyddion's text export notes; None where there is none of them."""
     found = (GWYDDION_NOTE.match(comment) for comment in table.comments)
-    notes = {note[1].lower(): note[2].strip() for note in found if note}
+    notes = {IN_GERMAN.get(note[1].lower(), note[1].lower()): note[2].strip() for note in found if note}
     if not {"width", "height", "value units"} & notes.keys():
         return None
     lengths = []

@@ -84,7 +84,7 @@ def test_worn_crests(radius, moved):
 def test_worn_ridges_with_nothing_but_walls_to_tell_their_place_by(monkeypatch, radius, moved):
     """Walls of 1.5 pixels: what shows their place shows their worn crests too, and the uncertainty says so."""
     monkeypatch.setitem(globals(), "texture", lambda y, x: 0.0 * (y + x))
-    placed = register(ridged((60, 330)), ridged((60, 330), moved, radius, 2))
+    placed = register(ridged((100, 330)), ridged((100, 330), moved, radius, 2))
     aside = placed.x_um - moved[0]
     aside -= PITCH * np.round(aside / PITCH)
     assert abs(aside) < 0.15

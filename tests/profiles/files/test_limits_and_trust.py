@@ -188,6 +188,11 @@ def test_the_header_of_gwyddions_text_is_read(tmp_path, unit, factor):
     np.testing.assert_allclose(found.height_um, wavy().height_um[::-1], rtol=1e-12)
     finer = read_height_map(tmp_path / "a.txt", pixel_um=(0.5003, 0.5003))
     assert finer.pixel_x_um == 0.5003
+    text = (tmp_path / "a.txt").read_text(encoding="utf-8")
+    for english, german in (("Channel:", "Kanal:"), ("Width:", "Breite:"), ("Height:", "Höhe:")):
+        text = text.replace(english, german)
+    (tmp_path / "a.txt").write_text(text, encoding="utf-8")
+    np.testing.assert_array_equal(read_height_map(tmp_path / "a.txt").height_um, found.height_um)
 
 
 def test_what_contradicts_the_header_of_gwyddions_text_is_refused(tmp_path):
