@@ -18,6 +18,8 @@ from anisoscope.prediction.expectation import PLASTIC, Expectation, SurfaceOptic
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.schema import BudgetRecord
 from anisoscope.sim.light.contrasts import contrasts
+from anisoscope.sim.light.relief import Relief
+from anisoscope.sim.light.unresolved import resolve
 
 TARGET_RATIO = 4.0
 
@@ -74,6 +76,7 @@ class SurfaceCheck(RecipeCheck):
         advice: what further tilts would add, the best first; only those that add something.
         lamps: second lamps that would add something, the nearest wavelength first, where they are tried.
         never: pairs of causes that neither these poses separate, nor any tilt or lamp that was tried.
+        roughness: of the whole plastic, by the height map and the recipe's lobe, in one line; None without a map.
     """
 
     contrast: str
@@ -83,6 +86,7 @@ class SurfaceCheck(RecipeCheck):
     advice: tuple[TiltAdvice, ...]
     lamps: tuple[LampAdvice, ...] = ()
     never: tuple[tuple[str, str], ...] = ()
+    roughness: str | None = None
 
     def tables(self) -> tuple[Table, ...]:
         """Contrasts, and their budget."""
@@ -118,7 +122,22 @@ class SurfaceCheck(RecipeCheck):
         lines += [f"{one.says} would tell {_apart(one.tells_apart)}" for one in self.lamps]
         if self.never:
             lines.append(f"nothing that was tried would tell {_apart(self.never)}")
+        if self.roughness is not None:
+            lines.append(self.roughness)
         return tuple(lines)
+
+
+def _roughness(recipe: SurfaceRecipe, expected: Expectation) -> str | None:
+    """Roughness that the height map resolves, and that of the whole plastic if the recipe states the rest."""
+    if expected.surface is None:
+        return None
+    relief = Relief(expected.surface, direction_deg=expected.turn_deg, turn_deg=expected.turn_deg)
+    shown, lobe = resolve(relief), recipe.material
+    whole = np.hypot(shown.along, lobe.alpha_along), np.hypot(shown.across, lobe.alpha_across)
+    return (
+        f"the height map resolves a roughness of {shown.along:.3f} along and {shown.across:.3f} across the ridges, and "
+        f"[material] states what it does not: a plastic of {whole[0]:.3f} along and {whole[1]:.3f} across in all"
+    )
 
 
 def check_recipe(
@@ -172,6 +191,7 @@ def check_recipe(
         budget=budget,
         causes=causes,
         left_out=known.left_out,
+        roughness=_roughness(recipe, expected) if optics is PLASTIC else None,
         advice=advice,
         complaints=_complaints(recipe, pairs),
         lamps=lamps,

@@ -1,5 +1,9 @@
 """What a recipe is said to tell."""
 
+import re
+from types import SimpleNamespace
+
+import numpy as np
 import pytest
 
 from anisoscope.base.progress import silent
@@ -7,6 +11,8 @@ from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, CauseModel, Option
 from anisoscope.diagnosis.signatures import signatures
 from anisoscope.kinds import surface_check as recipecheck
 from anisoscope.kinds.surface_check import check_recipe
+from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.sim.light.unresolved import resolve
 
 CAUSES = ("roughness-along", "light-angle")
 
@@ -34,6 +40,21 @@ def test_planned_contrasts_budget_and_causes(make_recipe):
         assert total == pytest.approx(pair.u, rel=1e-6)
     assert {cause.cause for cause in found.causes} == set(CAUSES)
     assert (found.advice, found.never) == ((), ())  # nothing was tried
+
+
+def test_the_roughness_of_the_whole_plastic_is_that_of_map_and_lobe(make_recipe, monkeypatch):
+    plain = ridges(RidgeDesign(100.0, 10.0), (101, 401), (2.0, 2.0))
+    rough = add_facet_roughness(plain, 0.04, 0.03, 16.0, np.random.default_rng(3))
+    monkeypatch.setattr(recipecheck, "resolve", lambda relief: seen.append(relief.surface) or resolve(relief))
+    seen = []
+    recipe = make_recipe()
+    line = recipecheck._roughness(recipe, SimpleNamespace(surface=rough, turn_deg=0.0))
+    assert seen == [rough]
+    numbers = [float(number) for number in re.findall(r"0\.\d+", line)]
+    assert numbers[:2] == pytest.approx([0.04, 0.03], rel=0.25)
+    lobe = np.array([recipe.material.alpha_along, recipe.material.alpha_across])
+    assert numbers[2:] == pytest.approx(np.hypot(numbers[:2], lobe), abs=0.001)
+    assert recipecheck._roughness(recipe, SimpleNamespace(surface=None)) is None
 
 
 def test_a_narrow_tolerance_and_none_are_said(make_recipe):
