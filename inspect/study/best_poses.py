@@ -18,7 +18,13 @@ from anisoscope.base.progress import Advance, silent
 from anisoscope.decision.consistency_test import contrast_scatter
 from anisoscope.decision.predictive_test import separating_areas, separations
 from anisoscope.prediction.expectation import PLASTIC, nominal_shape
-from anisoscope.prediction.part_scatter import defect_changes, part_scatter, scatter_of_inputs, with_design
+from anisoscope.prediction.part_scatter import (
+    PartScatter,
+    defect_changes,
+    part_scatter,
+    scatter_of_inputs,
+    with_design,
+)
 from anisoscope.prediction.propagation import propagate
 from anisoscope.prediction.sensitivity import DARK, State, evaluate
 from anisoscope.recipe.surface import SurfaceRecipe
@@ -29,6 +35,8 @@ FREE_LEVEL = 25.0
 REPEATED_DEG = 0.03
 """Standard uncertainty of stage and tilt between two parts, degrees."""
 MORE_PARTS = (1, 3, 10, 25)
+MOST_FRAMES = 256
+BRACKET, MOST_BRACKETS = 4, 4
 _ROUNDS = 6
 
 
@@ -61,6 +69,9 @@ class Suggestion:
         camera_share: relative standard uncertainty of a pose by camera and lamp that was assumed.
         power: required.
         golden: golden parts with which every defect is found with that power, or None where these poses never do.
+        frames: frames per pose that reach that power, by number of golden parts; None where no number of them does,
+            because parts differ as the defects do.
+        brackets: further exposures with which the darkest pose is exposed as the brightest one, within a factor of 4.
     """
 
     poses: tuple[tuple[float, float], ...]
@@ -68,6 +79,8 @@ class Suggestion:
     camera_share: float
     power: float
     golden: int | None
+    frames: dict[int, int | None]
+    brackets: tuple[float, ...]
 
 
 def best_poses(
@@ -89,7 +102,8 @@ def best_poses(
         count: number of poses, 3 or more.
         angles_deg: allowed stage angles.
         tilts_deg: allowed tilts.
-        camera_share: relative standard uncertainty of a pose by camera and lamp.
+        camera_share: relative standard uncertainty of a pose by camera and lamp with the recipe's frames per pose; it
+            falls with the root of their number.
         power: required probability of finding each defect.
         ignored: first words of names of defects that need not be shown, such as "roughness along".
         advance: called at every step.
@@ -113,7 +127,7 @@ def best_poses(
             f"{count} poses of {len(allowed)} that are allowed: choose 3 or more, and allow more than that"
         )
     advance("responses", 0, 2)
-    allowed, scatter, changes = _first_order(ideal, allowed, convention, camera_share)
+    allowed, radiance, scatter, changes = _first_order(ideal, allowed, convention, camera_share)
     for words in ignored:
         if not any(name.startswith(words) for name in changes):
             raise UsageError(f"no defect begins with {words!r}; there are {', '.join(changes)}")
@@ -125,9 +139,10 @@ def best_poses(
     advance("choice of poses", 1, 2)
     chosen = _chosen(allowed, scatter, np.array(list(wanted.values())), count)
     poses = _in_order([allowed[k] for k in chosen])
-    return _judged(
+    found = _judged(
         recipe, light_angle_deg, poses, scatter, changes, chosen, camera_share, power, tuple(wanted)
     )
+    return replace(found, brackets=_brackets(radiance[chosen]))
 
 
 def ideal_distances(
@@ -145,7 +160,7 @@ def ideal_distances(
     """
     ideal = with_design(recipe.deciding())
     convention = Convention(light_angle_deg, facet_azimuth_deg=recipe.poses.facet_azimuth_deg)
-    poses, scatter, changes = _first_order(ideal, recipe.poses.poses(), convention, camera_share)
+    poses, _, scatter, changes = _first_order(ideal, recipe.poses.poses(), convention, camera_share)
     found = _distances(scatter, np.array(list(changes.values())), range(len(poses)))
     return dict(zip(changes, found.tolist(), strict=True))
 
@@ -164,8 +179,8 @@ def _above_horizon(poses: tuple[Pose, ...], convention: Convention) -> tuple[Pos
 
 def _first_order(
     recipe: SurfaceRecipe, poses: tuple[Pose, ...], convention: Convention, camera_share: float
-) -> tuple[tuple[Pose, ...], FloatArray, dict[str, FloatArray]]:
-    """The poses with light, (P, P) covariance of ln L of good parts, and (P,) changes by the defects."""
+) -> tuple[tuple[Pose, ...], FloatArray, FloatArray, dict[str, FloatArray]]:
+    """The poses with light, their (P,) radiances, (P, P) covariance of ln L of good parts, and (P,) changes."""
     models = PLASTIC.models(recipe, poses, convention)
     nominal = State(recipe.material.material(), convention.light_angle_deg, shape=nominal_shape(recipe))
     radiance = evaluate(models.sampled, [nominal], poses, convention)[0]
@@ -176,7 +191,8 @@ def _first_order(
     budget = propagate(models.sampled, nominal, poses, convention, inputs, radiance=radiance)
     covariance = budget.covariance() / np.outer(radiance, radiance)
     covariance += FREE_LEVEL + camera_share**2 * np.eye(len(poses))
-    return poses, covariance, defect_changes(models.sampled, recipe, nominal, poses, convention, radiance)
+    changes = defect_changes(models.sampled, recipe, nominal, poses, convention, radiance)
+    return poses, radiance, covariance, changes
 
 
 def _distances(scatter: FloatArray, changes: FloatArray, chosen: Sequence[int]) -> FloatArray:
@@ -254,4 +270,30 @@ def _judged(
     ]
     enough = [n for n in MORE_PARTS if all(one.power[n] >= power for one in shown if one.defect in wanted)]
     shown.sort(key=lambda one: one.distance)
-    return Suggestion(poses, tuple(shown), camera_share, power, enough[0] if enough else None)
+    frames = _frames(parts, recipe, camera_share, power, wanted)
+    return Suggestion(poses, tuple(shown), camera_share, power, enough[0] if enough else None, frames, ())
+
+
+def _frames(
+    parts: PartScatter, recipe: SurfaceRecipe, camera_share: float, power: float, wanted: tuple[str, ...]
+) -> dict[int, int | None]:
+    """Fewest frames per pose, by doubling, with which every wanted defect is found, by number of golden parts."""
+    now, alpha = recipe.acquisition.frames_per_pose, recipe.decision.alpha
+    counts = [now * 2**k for k in range(MOST_FRAMES.bit_length()) if now * 2**k <= MOST_FRAMES]
+
+    def enough(share: float, golden: int) -> bool:
+        found = separations(contrast_scatter(parts, share), golden, alpha)
+        return all(one.power >= power for one in found if one.defect in wanted)
+
+    found: dict[int, int | None] = dict.fromkeys(MORE_PARTS)
+    for golden in reversed(MORE_PARTS):
+        if not enough(camera_share * float(np.sqrt(now / counts[-1])), golden):
+            break  # fewer golden parts find less
+        found[golden] = next(n for n in counts if enough(camera_share * float(np.sqrt(now / n)), golden))
+    return found
+
+
+def _brackets(radiance: FloatArray) -> tuple[float, ...]:
+    """Multiples of the exposure of the brightest pose, rising by 4, for the darkest one."""
+    ratio = float(radiance.max() / radiance.min())
+    return tuple(float(BRACKET**k) for k in range(1, MOST_BRACKETS + 1) if BRACKET**k <= ratio)

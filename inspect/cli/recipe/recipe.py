@@ -126,7 +126,10 @@ def suggest(
         Parameter(help="First words of a defect that need not be found; repeat the option for several."),
     ] = ("roughness along",),
     noise: Annotated[
-        float, Parameter(help="Relative standard uncertainty of a pose by camera and lamp.")
+        float,
+        Parameter(
+            help="Relative standard uncertainty of a pose by camera and lamp, with the recipe's frames."
+        ),
     ] = 0.003,
     power: Annotated[float, Parameter(help="Required probability of finding each defect.")] = 0.9,
     rig: Annotated[
@@ -173,13 +176,19 @@ def suggest(
     ]
     print_table(f"{file.name}: {poses} poses", columns, rows)
     listed = ", ".join(f"[{stage:g}, {tilt:g}]" for stage, tilt in found.poses)
+    reached = [(n, frames) for n, frames in sorted(found.frames.items()) if frames is not None]
     enough = (
-        f"every defect is found in {power:.0%} of parts from {found.golden} golden parts on"
-        if found.golden is not None
-        else f"some defect is found in fewer than {power:.0%} of parts with up to {counts[-1]} golden parts: allow "
-        "more poses, seat the parts better ([scatter] seating_tilt_deg), or accept a larger size ([defects])"
+        f"every defect is found in {power:.0%} of parts with "
+        + ", or ".join(f"{n} golden parts and {frames} frames per pose" for n, frames in reached)
+        if reached
+        else f"no exposure and no golden parts reach {power:.0%}: good parts differ as the defects do. Allow more "
+        "poses, seat the parts better ([scatter] seating_tilt_deg), or accept a larger size ([defects])"
     )
-    for line in (enough, "in the recipe:", "[poses]", f"stage_and_tilt_deg = [{listed}]"):
+    lines = [enough, "in the recipe:", "[poses]", f"stage_and_tilt_deg = [{listed}]"]
+    frames = reached[-1][1] if reached else recipe.acquisition.frames_per_pose
+    brackets = ", ".join(f"{factor:g}" for factor in found.brackets)
+    lines += ["[acquisition]", f"frames_per_pose = {frames}", f"brackets = [{brackets}]"]
+    for line in lines:
         console().print(line, markup=False, highlight=False, soft_wrap=True)
     return 0
 

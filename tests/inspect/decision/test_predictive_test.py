@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
+from scipy.stats import chi2, kstest
 
 from anisoscope.base.errors import MeasurementError
 from anisoscope.base.significance import log_basis
@@ -23,7 +23,7 @@ from anisoscope.prediction.expectation import Component, expectation
 from anisoscope.prediction.part_scatter import named_defects, part_scatter
 from anisoscope.prediction.second_order import Response
 from anisoscope.profiles.ideal import RidgeDesign
-from anisoscope.recipe.surface import DefectsPart
+from anisoscope.recipe.surface import DefectsPart, DesignPart
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import Convention, directions, seating_rotation
 from anisoscope.sim.light.material import Material
@@ -109,14 +109,17 @@ def p_values(scatter, rules, rng, count, sets, parts, lobe=LOBES["Beckmann"], **
     return np.array(found)
 
 
-def p_predicted(rules, rng, parts, lobe=LOBES["Beckmann"], **defect):
+def p_predicted(rules, rng, parts, lobe=LOBES["Beckmann"], off=0.09, without=None, **defect):
     """p values against the prediction, every part of a plastic of its own, roughness off by a tenth."""
     expected, basis = expectation(rules, 10.0), log_basis(len(rules.poses.poses()))
+    if without is not None:
+        left = tuple(one for one in expected.components if without not in one.source)
+        expected = replace(expected, components=left)
     noise = Component("noise", "measurement", np.full(len(expected.radiance), NOISE), shared=False)
     grid = Grid((0.0, 0.0), 0.025, (4, 4))
     found = []
     for _ in range(parts):
-        (contrasts,) = made(1, rules, rng, 0.09 * rng.normal(size=2), lobe=lobe, **defect)
+        (contrasts,) = made(1, rules, rng, off * rng.normal(size=2), lobe=lobe, **defect)
         logs = np.linalg.pinv(basis) @ contrasts
         part = Measured(np.exp(logs), (noise,), (), np.ones((len(logs), 1, 1)), 0.0 * logs, grid, None)
         found.append(from_prediction(expected, part)[2])
@@ -159,6 +162,22 @@ def test_good_parts_of_a_plastic_with_an_unmeasured_lobe_keep_the_level(lobe, ti
     for count in (1, 3):
         good = p_values(scatter, rules, rng, count, sets=30, parts=15, lobe=LOBES[lobe])
         assert np.mean(good < 0.01) <= 0.05
+
+
+@pytest.mark.statistics
+@pytest.mark.parametrize(("tilts", "mean"), [((0.0,), 0.4), ((0.0, -10.0, 10.0), 0.7)])
+def test_p_values_of_good_parts_of_a_known_plastic_are_uniform(tilts, mean):
+    """Where reflections are as modelled; what is stated for errors of their model makes p of tilted poses larger."""
+    rules = recipe(tilts, u_tail=0.0, u_alpha_share=0.05, u_albedo=0.006, u_index=0.0)
+    stated = rules.surface.model_copy(
+        update={"design": DesignPart(ridge_angle_deg=10.0, u_ridge_angle_deg=0.1)}
+    )
+    rig = rules.uncertainty.model_copy(update={"light_angle_deg": 0.0})
+    rules = rules.model_copy(update={"surface": stated, "uncertainty": rig})
+    found = p_predicted(rules, np.random.default_rng(3), 200, off=0.0, without="of the reflections")
+    assert kstest(found, "uniform").pvalue > 0.01
+    larger = p_predicted(rules, np.random.default_rng(3), 60, off=0.0)
+    assert np.mean(larger) > mean
 
 
 @pytest.mark.statistics

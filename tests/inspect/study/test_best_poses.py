@@ -1,9 +1,12 @@
 """Poses for named defects: distances against reference numbers of another model, and what the choice gains."""
 
+from itertools import pairwise
+
 import pytest
 
 from anisoscope.base.errors import UsageError
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
+from anisoscope.recipe.surface import DefectsPart
 from anisoscope.study.best_poses import best_poses, ideal_distances
 
 TABLE = {
@@ -53,8 +56,27 @@ def test_chosen_poses_show_all_defects_better_than_as_many_upright_ones():
     for one in found.shown:
         assert one.power[1] <= one.power[25] + 0.02
         assert one.area == pytest.approx(1.0, abs=0.5)
+    reached = [found.frames[n] for n in sorted(found.frames) if found.frames[n] is not None]
+    assert reached == sorted(reached, reverse=True)  # more golden parts need fewer frames
+    assert (found.golden is None) == (rules.acquisition.frames_per_pose not in reached)
     loss = next(one for one in found.shown if one.defect.startswith("height loss"))
     assert (loss.area, loss.power[1]) == (pytest.approx(1.0, abs=1e-3), pytest.approx(1.0, abs=0.01))
+
+
+def test_frames_and_brackets_follow_from_noise_and_light():
+    only = recipe(reflections="direct").model_copy(
+        update={"defects": DefectsPart(ridge_angle_deg=3.0, roughness_share=2.0, height_loss=0.2)}
+    )
+    options = (4, (0.0, 90.0, 180.0, 270.0), (0.0, 10.0))
+    noisy = best_poses(only, 10.0, *options, camera_share=0.05)
+    quiet = best_poses(only, 10.0, *options, camera_share=0.002)
+    assert quiet.frames[25] == only.acquisition.frames_per_pose
+    assert noisy.frames[25] is None or noisy.frames[25] > quiet.frames[25]
+    assert all(quiet.frames[n] is not None for n in (3, 10, 25))
+    tiny = only.model_copy(update={"defects": DefectsPart(ridge_angle_deg=0.05)})
+    assert set(best_poses(tiny, 10.0, *options).frames.values()) == {None}
+    assert quiet.brackets[:1] == (4.0,)  # 0.28 against 0.03 1/sr
+    assert all(later == 4.0 * before for before, later in pairwise(quiet.brackets))
 
 
 def test_what_cannot_be_chosen_is_one_clear_line():
