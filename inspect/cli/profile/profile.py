@@ -29,7 +29,11 @@ if TYPE_CHECKING:
     from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.cli.progress import progress
 
-app = App(name="profile", help="Read, measure, convert, make and spoil height maps.")
+app = App(
+    name="profile",
+    help="Read, measure, convert, make and spoil height maps.",
+    default_parameter=Parameter(json_list=False),  # a pattern such as [ab]*.x3p is no JSON
+)
 app.command("anisoscope.cli.profile.ridges:ridges")
 app.command("anisoscope.cli.profile.texture:texture")
 app.command("anisoscope.cli.profile.lines:lines")

@@ -112,6 +112,13 @@ def test_every_map_becomes_a_file_and_a_broken_one_a_row(anisoscope, lot, tmp_pa
     assert "--overwrite" in again.err
 
 
+def test_a_pattern_may_begin_with_a_bracket(anisoscope, lot, monkeypatch):
+    monkeypatch.chdir(lot)
+    done = anisoscope("profile", "info", "[p]art[01].x3p", "--json")
+    assert done.code == 0, done.err
+    assert [row["file"] for row in done.json] == ["part0.x3p", "part1.x3p"]
+
+
 def test_a_page_for_every_map(anisoscope, lot, tmp_path):
     table = tmp_path / "lot.html"
     files = [lot / "part0.x3p", lot / "part3.x3p"]
