@@ -516,6 +516,8 @@ Image = npt.NDArray[np.float32]
 
 BIN_UM = 4.0
 _BATCHES = 16
+ENOUGH = 1e-3
+"""Standard error of the light that is reflected more than once, in shares of direct light, that a picture may have."""
 EQUAL_ROWS = 48
 """Rows whose random points are drawn where all rows of a map are equal; the others repeat them."""
 
@@ -608,7 +610,8 @@ class PathTracer:
         """
         found = self.direct(to_light, to_camera)
         if self.reflections > 1:
-            found += self.indirect(to_light, to_camera).profile.astype(np.float32)
+            enough = ENOUGH * float(np.nanmean(found, dtype=float))
+            found += self.indirect(to_light, to_camera, enough).profile.astype(np.float32)
         return found
 
     def direct(self, to_light: FloatArray, to_camera: FloatArray) -> Image:
@@ -626,22 +629,32 @@ class PathTracer:
             out[first : first + rendered] = out[: min(rendered, rows - 1 - first)]
         return out
 
-    def indirect(self, to_light: FloatArray, to_camera: FloatArray) -> Indirect:
-        """Light of two to ``reflections`` reflections, by column; see `PathTracer.radiance`."""
+    def indirect(self, to_light: FloatArray, to_camera: FloatArray, enough: float = 0.0) -> Indirect:
+        """Light of two to ``reflections`` reflections, by column; see `PathTracer.radiance`.
+
+        Args:
+            to_light: as for `PathTracer.radiance`.
+            to_camera: likewise.
+            enough: standard error of the mean [1/sr] at which no more paths are traced.
+        """
         cells = self.surface.shape[1] - 1
         width = cells * self.surface.pixel_x_um
         bins = max(1, min(cells, round(width / BIN_UM)))
         sums = np.zeros((_BATCHES, bins))
         given = self._given(to_light, to_camera)
         batches = list(enumerate(_runs(self.paths, _BATCHES)))
+        counts = np.array([last - first for _, (first, last) in batches])
 
         def trace(batch: tuple[int, tuple[int, int]]) -> None:
             indirect(*given, self.reflections, self.seed, *batch[1], sums[batch[0]])
 
-        _in_threads(trace, batches)
-        counts = np.array([last - first for _, (first, last) in batches])
-        means = sums.sum(axis=1) / counts
-        by_bin = sums.sum(axis=0) * bins / self.paths
+        traced, error = 0, math.inf
+        while traced < _BATCHES and error > enough:
+            _in_threads(trace, batches[traced : traced + _BATCHES // 4])
+            traced += _BATCHES // 4
+            means = sums[:traced].sum(axis=1) / counts[:traced]
+            error = float(np.std(means, ddof=1) / np.sqrt(traced))
+        by_bin = sums.sum(axis=0) * bins / counts[:traced].sum()
         middles = (np.arange(cells) + 0.5) * bins / cells - 0.5
         if self.pitch_um is not None and width >= self.pitch_um:
             by_bin = _folded(by_bin, width / bins / self.pitch_um)
@@ -650,7 +663,7 @@ class PathTracer:
         if not self._varies_along_x:  # ridges along x: what columns show beyond their mean is chance
             profile = np.ones_like(profile)
         profile *= mean / max(float(profile.mean()), 1e-300)
-        return Indirect(profile, mean, float(np.std(means, ddof=1) / np.sqrt(_BATCHES)))
+        return Indirect(profile, mean, error)
 
     def _given(self, to_light: FloatArray, to_camera: FloatArray) -> tuple[Any, Any, Any, Any]:
         surface, plastic = self.surface, self.plastic
