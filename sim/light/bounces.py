@@ -71,9 +71,9 @@ def direction_grid(opening: float, material: Material) -> DirectionGrid:
     phi_weight = 0.5 * np.pi * (0.5 + 1.5 * x**2) * x_weight * np.cos(phi)
     sides = tuple(_fan(angle, phi, sign) for angle, sign in ((chi, 1.0), (np.pi - opening - chi, -1.0)))
     weight = np.outer(chi_weight, phi_weight).ravel()
-    from anisoscope.sim.light.bounces_kernels import brdf_square  # noqa: PLC0415 - numba when first needed
+    from anisoscope.sim.light.bounces_kernels import brdf_table  # noqa: PLC0415 - numba when first needed
 
-    first = brdf_square(sides[0], plastic_of(material))
+    first = brdf_table(sides[0], sides[0], plastic_of(material))
     # the second side's fan is the first one's, mirrored and with its angles in reverse
     second = first.reshape(ANGLES, ELEVATIONS, ANGLES, ELEVATIONS)[::-1, :, ::-1].reshape(first.shape)
     scatter = tuple(

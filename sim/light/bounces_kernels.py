@@ -6,53 +6,72 @@ elevation φ out of that plane. The lobes stand at fixed sin φ, whatever χ, so
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.sim.light.kernel_compilation import jit_kernel
 from anisoscope.sim.light.kernels import _fresnel, _table, density, shadowing
 from anisoscope.sim.light.relief_scatter import FAINT
 from anisoscope.sim.light.shine import Plastic
 
 
-@njit(cache=True)
-def _brdf(first: FloatArray, second: FloatArray, plastic: Plastic) -> float:
-    """BRDF [1/sr] of rough plastic between two directions (3,) in the frame of the side, as `facet_brdf`."""
-    if first[2] <= 0.0 or second[2] <= 0.0:
+class Ray(NamedTuple):
+    """A direction in the frame of a side, and what a BRDF needs of it alone: transmittance and Smith's Λ."""
+
+    along: float
+    up: float
+    normal: float
+    through: float
+    shadow: float
+
+
+@jit_kernel(inline="always")
+def _ray(along: float, up: float, normal: float, plastic: Plastic) -> Ray:
+    """The direction (along, up, normal); below the side it passes nothing on."""
+    if normal <= 0.0:
+        return Ray(along, up, normal, 0.0, 0.0)
+    slant = math.sqrt((plastic.alpha_u * along) ** 2 + (plastic.alpha_v * up) ** 2) / normal
+    return Ray(along, up, normal, _table(plastic.table, normal), shadowing(slant, plastic.lobe))
+
+
+@jit_kernel(inline="always")
+def _brdf(first: Ray, second: Ray, plastic: Plastic) -> float:
+    """BRDF [1/sr] of rough plastic between two directions, as `facet_brdf`."""
+    if first.normal <= 0.0 or second.normal <= 0.0:
         return 0.0
     alpha_u, alpha_v = plastic.alpha_u, plastic.alpha_v
-    value = plastic.diffuse * _table(plastic.table, first[2]) * _table(plastic.table, second[2])
-    hu, hv, hn = first[0] + second[0], first[1] + second[1], first[2] + second[2]
+    value = plastic.diffuse * first.through * second.through
+    hu, hv, hn = first.along + second.along, first.up + second.up, first.normal + second.normal
     exponent = ((hu / alpha_u) ** 2 + (hv / alpha_v) ** 2) / (hn * hn)
     if exponent < FAINT * plastic.lobe.reach:
         size = hu * hu + hv * hv + hn * hn
-        cos_d = min(1.0, (first[0] * hu + first[1] * hv + first[2] * hn) / math.sqrt(size))
+        cos_d = min(1.0, (first.along * hu + first.up * hv + first.normal * hn) / math.sqrt(size))
         lobe = _fresnel(cos_d, plastic.refraction) * density(exponent, plastic.lobe) * (size / (hn * hn)) ** 2
-        tan_1 = math.sqrt((alpha_u * first[0]) ** 2 + (alpha_v * first[1]) ** 2) / first[2]
-        tan_2 = math.sqrt((alpha_u * second[0]) ** 2 + (alpha_v * second[1]) ** 2) / second[2]
-        lobe /= 4.0 * math.pi * alpha_u * alpha_v * first[2] * second[2]
-        value += lobe / (1.0 + shadowing(tan_1, plastic.lobe) + shadowing(tan_2, plastic.lobe))
-    return float(value)
+        lobe /= 4.0 * math.pi * alpha_u * alpha_v * first.normal * second.normal
+        value += lobe / (1.0 + first.shadow + second.shadow)
+    return value
 
 
-@njit(cache=True)
+@jit_kernel()
+def _fill(first: FloatArray, second: FloatArray, rays: FloatArray, plastic: Plastic, out: FloatArray) -> None:
+    """Write the BRDF between directions (N, 3) and (M, 3) to (N, M); ``rays`` (M, 2) is room to work in."""
+    for m in range(len(second)):
+        ray = _ray(second[m, 0], second[m, 1], second[m, 2], plastic)
+        rays[m, 0], rays[m, 1] = ray.through, ray.shadow
+    for n in range(len(first)):
+        one = _ray(first[n, 0], first[n, 1], first[n, 2], plastic)
+        for m in range(len(second)):
+            other = Ray(second[m, 0], second[m, 1], second[m, 2], rays[m, 0], rays[m, 1])
+            out[n, m] = _brdf(one, other, plastic)
+
+
 def brdf_table(first: FloatArray, second: FloatArray, plastic: Plastic) -> FloatArray:
     """(N, M) BRDF [1/sr] between directions (N, 3) and (M, 3) in the frame of the side."""
     result = np.empty((len(first), len(second)))
-    for n in range(len(first)):
-        for m in range(len(second)):
-            result[n, m] = _brdf(first[n], second[m], plastic)
-    return result
-
-
-@njit(cache=True)
-def brdf_square(directions: FloatArray, plastic: Plastic) -> FloatArray:
-    """(N, N) BRDF [1/sr] among directions (N, 3) in the frame of the side; light and camera may change places."""
-    result = np.empty((len(directions), len(directions)))
-    for n in range(len(directions)):
-        for m in range(n + 1):
-            result[n, m] = result[m, n] = _brdf(directions[n], directions[m], plastic)
+    _fill(first, second, np.empty((len(second), 2)), plastic, result)
     return result
 
 
@@ -110,11 +129,13 @@ def _elevation_integral(
     for side in range(2):
         centre = math.asin(-light[0]) if side == 0 else math.asin(camera[0])
         cosine = max(0.02, math.cos(centre))
-        normal = light[2] if side == 0 else camera[2]
-        spread = plastic.alpha_u * (normal + cosine * math.sin(angles[side])) / cosine
+        upright = light[2] if side == 0 else camera[2]
+        spread = plastic.alpha_u * (upright + cosine * math.sin(angles[side])) / cosine
         place = _lay_panels(breaks, place, centre, spread, steps)
     breaks = np.sort(np.minimum(np.maximum(breaks, breaks[0]), breaks[1]))
-    out, back = np.empty(3), np.empty(3)
+    from_light = _ray(light[0], light[1], light[2], plastic)
+    to_camera = _ray(camera[0], camera[1], camera[2], plastic)
+    up, normal = (-math.cos(angles[0]), -math.cos(angles[1])), (math.sin(angles[0]), math.sin(angles[1]))
     total = 0.0
     for panel in range(len(breaks) - 1):
         half = 0.5 * (breaks[panel + 1] - breaks[panel])
@@ -123,9 +144,9 @@ def _elevation_integral(
         for node in range(rule.shape[1]):
             phi = breaks[panel] + half * (1.0 + rule[0, node])
             flat, rise = math.cos(phi), math.sin(phi)
-            out[0], out[1], out[2] = rise, -flat * math.cos(angles[0]), flat * math.sin(angles[0])
-            back[0], back[1], back[2] = -rise, -flat * math.cos(angles[1]), flat * math.sin(angles[1])
-            pair = _brdf(light, out, plastic) * _brdf(back, camera, plastic)
+            out = _ray(rise, flat * up[0], flat * normal[0], plastic)
+            back = _ray(-rise, flat * up[1], flat * normal[1], plastic)
+            pair = _brdf(from_light, out, plastic) * _brdf(back, to_camera, plastic)
             total += half * rule[1, node] * flat * flat * pair
     return total
 
