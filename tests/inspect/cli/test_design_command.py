@@ -154,5 +154,7 @@ def test_refinement_repeats_itself_and_ends_with_its_dot(anisoscope, page, folde
         )
         for _ in range(2)
     ]
-    assert runs[0]["error"] == runs[1]["error"] < runs[0]["start_error"]
+    # sums differ in their last digits with the place of an array in memory, and a polish carries them further
+    assert runs[0]["error"] == pytest.approx(runs[1]["error"], rel=1e-5)
+    assert runs[0]["error"] < runs[0]["start_error"]
     assert runs[0]["stopped"] == "generations"

@@ -91,7 +91,7 @@ def test_the_whole_covariance_is_that_of_material_drawn_from_its_uncertainty(mak
     recipe = make_recipe()
     part = recipe.material
     draws = []
-    for along, across, albedo, index in norm.ppf(qmc.Sobol(4, rng=3).random(64)):
+    for along, across, albedo, index in norm.ppf(qmc.Sobol(4, rng=3).random(32)):
         draws.append(
             log_ratios(
                 recipe,
@@ -105,7 +105,7 @@ def test_the_whole_covariance_is_that_of_material_drawn_from_its_uncertainty(mak
     stated = sum(
         c.covariance() for c in expectation(recipe, 10.0).components if c.source.startswith(of_material)
     )
-    np.testing.assert_allclose(np.sqrt(np.diag(PAIRS @ stated @ PAIRS.T)), np.std(draws, axis=0), rtol=0.1)
+    np.testing.assert_allclose(np.sqrt(np.diag(PAIRS @ stated @ PAIRS.T)), np.std(draws, axis=0), rtol=0.12)
 
 
 def test_the_change_per_degree_is_that_of_a_turned_stage(make_recipe):

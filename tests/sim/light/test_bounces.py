@@ -247,8 +247,10 @@ def test_the_compiled_brdf_is_the_material(lobe):
     np.testing.assert_allclose(shown, np.array(expected).T, rtol=1e-4 if lobe else 1e-6)
 
 
-@pytest.mark.parametrize(("wall", "angle"), [("perpendicular", 20.0), ("vertical", 20.0), ("vertical", 5.0)])
-@pytest.mark.parametrize("alpha", [0.02, 0.05, 0.2])
+@pytest.mark.parametrize(
+    ("wall", "angle", "alpha"),
+    [("perpendicular", 20.0, 0.02), ("vertical", 20.0, 0.05), ("vertical", 5.0, 0.2), ("vertical", 5.0, 0.02)],
+)
 @pytest.mark.parametrize(
     "lobe",
     [{}, {"tail": 0.3}, {"tail": 1.6}, {"second_lobe": (0.1, 3.0)}],
