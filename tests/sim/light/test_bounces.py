@@ -249,7 +249,12 @@ def test_the_compiled_brdf_is_the_material(lobe):
 
 @pytest.mark.parametrize(
     ("wall", "angle", "alpha"),
-    [("perpendicular", 20.0, 0.02), ("vertical", 20.0, 0.05), ("vertical", 5.0, 0.2), ("vertical", 5.0, 0.02)],
+    [
+        ("perpendicular", 20.0, 0.02),
+        ("vertical", 20.0, 0.05),
+        ("vertical", 5.0, 0.2),
+        ("vertical", 5.0, 0.02),
+    ],
 )
 @pytest.mark.parametrize(
     "lobe",
