@@ -648,7 +648,7 @@ class PathTracer:
         def trace(batch: tuple[int, tuple[int, int]]) -> None:
             indirect(*given, self.reflections, self.seed, *batch[1], sums[batch[0]])
 
-        traced, error = 0, math.inf
+        traced, error, means = 0, math.inf, np.zeros(1)
         while traced < _BATCHES and error > enough:
             _in_threads(trace, batches[traced : traced + _BATCHES // 4])
             traced += _BATCHES // 4
