@@ -21,15 +21,17 @@ EXTRUDED = ("ridge-angle", "wear", "incomplete-filling")
 """Defects that are the same all along a ridge."""
 ROUGHNESS_ALONG, ROUGHNESS_ACROSS = "roughness along the ridges", "roughness across the ridges"
 _STEPS = (0.05, 0.12, 0.25, 0.5, 1.0)
+_LOBE_STEPS = (0.05, 0.12, 0.25, 0.375, 0.5, 0.75, 1.0)
 _FINE_STEPS = (0.02, 0.05, 0.08, 0.12, 0.16, 0.2, 0.25, 0.32, 0.4, 0.5, 0.65, 0.8, 1.0)
 PITCHES = 24
 _MISSING = (1, 2, 4, 7, 10)  # of the ridges of the surface with defects
 # Relative uncertainty of the change of ln L. Marks: real ones vary in size and form. Missing ridges: which ones, and
 # their length within the region. Edges: a real crest differs from the model cut, and on rough facets the change differs
-# by 2 to 3 % of itself from that on smooth ones. Pitch: which flanks are cut by the ends of the region is not known.
+# by 2 to 3 % of itself from that on smooth ones; a worn one may reflect like a few chords or like an arc.
+# Pitch: which flanks are cut by the ends of the region is not known.
 _DOUBT = {
     "burrs": 0.3, "scratches": 0.3, "dust": 0.3, "missing-ridges": 0.2, "chatter": 0.2, "rough-facets": 0.1,
-    "wear": 0.1, "incomplete-filling": 0.03, "ridge-angle": 0.03, "pitch": 1.0,
+    "wear": 0.3, "incomplete-filling": 0.03, "ridge-angle": 0.03, "pitch": 1.0,
 }  # fmt: skip
 _DOUBT_OF_LOBES = 0.05
 _DOUBT_OF_TAIL = 0.1
@@ -179,7 +181,7 @@ def _finish() -> list[Cause]:
             "",
             "finish",
             "tooling: polish of the tool worn or renewed; moulding: other surface of the melt",
-            _both_ways(0.8),
+            _both_ways(0.8, steps=_LOBE_STEPS),
             along,
             _DOUBT_OF_LOBES,
             (ROUGHNESS_ALONG,),
@@ -190,7 +192,7 @@ def _finish() -> list[Cause]:
             "",
             "finish",
             "tooling: marks of the cutter; moulding: other surface of the melt",
-            _both_ways(0.8),
+            _both_ways(0.8, steps=_LOBE_STEPS),
             across,
             _DOUBT_OF_LOBES,
             (ROUGHNESS_ACROSS,),
@@ -201,10 +203,9 @@ def _finish() -> list[Cause]:
             "",
             "finish",
             "moulding: other surface of the melt, cold tool; tooling: blasted or corroded tool",
-            _both_ways(0.8),
+            _both_ways(0.8, steps=_LOBE_STEPS),
             both,
-            _DOUBT_OF_LOBES,
-            (ROUGHNESS_ALONG, ROUGHNESS_ACROSS),
+            _DOUBT_OF_LOBES,  # and the two of them differ as their own uncertainties say
         ),
         Cause(
             "colour",

@@ -220,7 +220,7 @@ def _signature(scene: "_Scene", cause: Cause, good: FloatArray, good_share: floa
         shares.append(max(share - good_share, 0.0))
     if len(extents) < 2:
         raise ModelError(f"{cause.name}: the part would be black in some pose at every extent")
-    bends = cause.doubt < DOUBTFUL and cause.name != TAIL
+    bends = (cause.doubt < DOUBTFUL or cause.name in EXTRUDED) and cause.name != TAIL
     tangents = scene.tangents(cause, extents) if bends else None
     return Signature(cause, np.array(extents), np.array(changes), np.array(shares), tangents)
 

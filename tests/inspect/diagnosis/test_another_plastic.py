@@ -5,17 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from anisoscope.diagnosis.causes import all_causes, tail_cause
 from anisoscope.diagnosis.evidence import Evidence, against, covariance_of, inputs_of
 from anisoscope.diagnosis.part_diagnosis import diagnosis_record
 from anisoscope.diagnosis.ranking import OTHER, PLASTIC, diagnose
-from anisoscope.diagnosis.signatures import Signature, Signatures, signatures
+from anisoscope.diagnosis.signatures import signatures
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
 from anisoscope.prediction.expectation import Component, expectation
 from anisoscope.prediction.sensitivity import State
-from anisoscope.profiles.ideal import RidgeDesign
-from anisoscope.sim.light import corrected
-from anisoscope.sim.light.geometry import Convention, directions
 
 LIGHT = 10.0
 CAUSES = ("ridge-angle", "roughness-along", "roughness-across", "roughness", "colour", "light-angle")
@@ -43,38 +39,18 @@ def poses(recipe):
     return recipe.poses.poses()
 
 
-def shown(poses, state, angle_deg=10.0):
-    """(P,) direct light of ideal ridges."""
-    sides = directions(poses, Convention(state.light_angle_deg))
-    return corrected.radiance(*sides, RidgeDesign(100.0, angle_deg), state.material, bounces=1)
-
-
 @pytest.fixture(scope="module")
 def nominal(recipe):
     return State(recipe.material.material(), LIGHT)
 
 
 @pytest.fixture(scope="module")
-def known(poses, nominal):
-    """Signatures by the closed form."""
-    good = shown(poses, nominal)
-
-    def signature(cause):
-        turned = [extent if cause.name == "ridge-angle" else 0.0 for extent in cause.extents]
-        states = [
-            nominal if turn else cause.change(None, nominal, e)[1]
-            for turn, e in zip(turned, cause.extents, strict=True)
-        ]
-        seen = [shown(poses, state, 10.0 + turn) for state, turn in zip(states, turned, strict=True)]
-        extents = np.array(cause.extents)
-        return Signature(cause, extents, np.log(np.array(seen) / good), np.zeros(len(extents)))
-
-    found = tuple(signature(cause) for cause in all_causes(10.0) if cause.name in CAUSES)
-    return Signatures(poses, good, 0.0, found, (), signature(tail_cause()))
+def known(recipe, by_closed_form):
+    return by_closed_form(recipe, CAUSES)
 
 
 @pytest.fixture(scope="module")
-def part(recipe, poses, nominal):
+def part(recipe, poses, nominal, shown_by):
     """``part(tail=1.0, alpha_along=0.07)`` is the evidence of a part of a plastic with these changes."""
     expected = expectation(recipe, LIGHT)
     own = (Component("own", "measurement", np.full(len(poses), NOISE), shared=False),)
@@ -84,7 +60,7 @@ def part(recipe, poses, nominal):
 
     def evidence(ridge_angle_deg=10.0, **changes):
         state = replace(nominal, material=replace(nominal.material, **changes))
-        radiance = shown(poses, state, ridge_angle_deg)
+        radiance = shown_by(poses, state, ridge_angle_deg)
         noise = NOISE * rng.standard_normal(len(radiance))
         return Evidence(np.log(radiance / expected.radiance) + noise, V, inputs=inputs)
 
