@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 
 import numpy as np
 
@@ -269,6 +270,15 @@ def _complaints(recipe: SurfaceRecipe, pairs: tuple[PlannedPair, ...]) -> tuple[
     found = []
     if recipe.decision.tolerance is None:
         found.append("no tolerance: every significant deviation fails the part (set one, or `recipe teach`)")
+    file = recipe.material.calibrated
+    expired = None if file is None else file.expired(datetime.now(UTC))
+    if expired is not None:
+        found.append(expired)
+    if recipe.material.u_tail is None:
+        found.append(
+            "the lobe of the plastic is unmeasured: without golden parts only large defects fail a part; measure it "
+            "with `anisoscope calibrate material`, or state material.u_tail"
+        )
     weak = [pair for pair in pairs if pair.ratio is not None and pair.ratio < TARGET_RATIO]
     if weak:
         least = min(weak, key=lambda pair: pair.ratio or 0.0)

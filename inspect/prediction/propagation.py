@@ -226,7 +226,8 @@ def calibrated_material(
 
     Its parameters are correlated, so that one source for each would state too much. The covariance is C = Σ_k v_k v_kᵀ
     with K orthogonal vectors; the covariance of ln L is J C Jᵀ = Σ_k (J v_k)(J v_k)ᵀ (JCGM 102:2011, 6.2), and every
-    J v_k is a central difference over v_k, which may be large, of a tenth of it.
+    J v_k is a central difference over v_k, which may be large, of a tenth of it. Where v_k leads below a tail of 0,
+    which no lobe has, it is the whole change over v_k to the side that there is: ln L is steepest at no tail.
 
     Args:
         surface: the predictor of a shape.
@@ -238,20 +239,22 @@ def calibrated_material(
     names, values = file.covariance.parameters, file.values()
     size, vectors = np.linalg.eigh(file.covariance.array())
     moves = (np.sqrt(np.maximum(size, 0.0)) * vectors).T
-    tail = names.index("tail") if "tail" in names else None
+    sides = np.tile([-_MATERIAL_SHARE, _MATERIAL_SHARE], (len(moves), 1))
+    if "tail" in names:
+        tail = names.index("tail")
+        longer = moves[:, tail]
+        moves = moves * np.where(longer < 0.0, -1.0, 1.0)[:, None]  # the sign of a vector is free
+        sides[values[tail] < np.abs(longer)] = 0.0, 1.0
 
-    def ends(move: FloatArray) -> list[State]:
-        found = []
-        for side in (-_MATERIAL_SHARE, _MATERIAL_SHARE):
-            moved = values + side * move
-            if tail is not None:
-                moved[tail] = np.clip(moved[tail], 0.0, LONGEST_TAIL)
-            found.append(replace(nominal, material=material_at(nominal.material, names, moved)))
-        return found
+    def at(moved: FloatArray) -> State:
+        if "tail" in names:
+            moved[tail] = np.clip(moved[tail], 0.0, LONGEST_TAIL)
+        return replace(nominal, material=material_at(nominal.material, names, moved))
 
-    light = evaluate(surface, [state for move in moves for state in ends(move)], poses, convention)
+    states = [at(values + side * move) for move, ends in zip(moves, sides, strict=True) for side in ends]
+    light = evaluate(surface, states, poses, convention)
     change = np.diff(np.log(np.maximum(light, DARK)).reshape(len(moves), 2, -1), axis=1)[:, 0]
-    return np.asarray(change / (2.0 * _MATERIAL_SHARE))
+    return np.asarray(change / np.diff(sides, axis=1))
 
 
 def _over_the_field(nominal: State, half_width_deg: float) -> list[State]:

@@ -7,6 +7,8 @@ import pytest
 
 from anisoscope.base.errors import CalibrationError, RecipeError
 from anisoscope.kinds.ridges.kind import RIDGES
+from anisoscope.prediction.propagation import calibrated_material
+from anisoscope.prediction.sensitivity import State, fixed
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.ideal import RidgeDesign, ridges
 from anisoscope.recipe.material_file import (
@@ -20,7 +22,8 @@ from anisoscope.recipe.material_file import (
 )
 from anisoscope.recipe.surface import check_material
 from anisoscope.rig.rigfile import read_rig
-from anisoscope.sim.light.geometry import Convention, Pose, pose_grid
+from anisoscope.sim.light import corrected
+from anisoscope.sim.light.geometry import Convention, Pose, directions, pose_grid
 from anisoscope.sim.light.material import Material
 
 NAMES = ("ln_alpha_along", "ln_alpha_across", "tail", "ln_albedo")
@@ -220,8 +223,6 @@ def test_ridges_of_a_height_map_are_compared_with_the_half_angles(recipe_with, v
 def test_the_budget_of_a_prediction_is_that_of_the_correlated_material(recipe_with):
     """J C Jᵀ by components equals that by an independent Jacobian; correlation cancels what the diagonal states."""
     from anisoscope.prediction.expectation import expectation
-    from anisoscope.sim.light import corrected
-    from anisoscope.sim.light.geometry import directions
 
     spread = np.diag([0.02, 0.02, 0.05, 0.02])
     correlation = np.full((4, 4), 0.9) + 0.1 * np.eye(4)
@@ -252,6 +253,22 @@ def test_the_budget_of_a_prediction_is_that_of_the_correlated_material(recipe_wi
     assert "tail of the lobe" not in [one.source for one in found.components]
 
 
+def test_a_calibrated_lobe_without_a_tail_may_only_have_a_longer_one(recipe_with):
+    """The whole change to a tail of one u, which is not in proportion, where a tail below 0 is no lobe."""
+    plain = CONTENT["material"] | {"tail": 0.0}
+    recipe = recipe_with(material=plain, **covariance([[0.1**2]], names=("tail",)))
+    nominal = State(recipe.material.material(), 10.0)
+    surface = fixed(lambda light, camera, material: corrected.radiance(light, camera, RIDGES_10, material))
+    (change,) = calibrated_material(surface, nominal, UPRIGHT, Convention(), recipe.material.calibrated)
+    good, longer = (
+        corrected.radiance(*directions(UPRIGHT, Convention()), RIDGES_10, Material(0.06, 0.1, 0.2, tail=tail))
+        for tail in (0.0, 0.1)
+    )
+    np.testing.assert_allclose(change, np.log(longer / good), atol=1e-9)
+    assert np.abs(change).max() > 0.03
+
+
+RIDGES_10 = RidgeDesign(100.0, 10.0)
 TEST = {
     "residual_over_noise": 1.0,
     "birge_ratio": 1.0,
