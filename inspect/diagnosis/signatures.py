@@ -26,6 +26,7 @@ from anisoscope.imaging.deviation_map import cell_deviations
 from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH
 from anisoscope.prediction.expectation import nominal_shape, recipe_uncertainty
 from anisoscope.prediction.height_map_uncertainty import best_band, relief_model
+from anisoscope.prediction.recipe_models import lobe_on
 from anisoscope.prediction.reflections import (
     LARGEST_ANGLE_DEG,
     LEAST_ANGLE_DEG,
@@ -242,6 +243,8 @@ class _Scene:
             else Relief(_ideal(self.design), self.pitch_um, max_missing_share=1.0)
         )
         self.surface = self.relief.surface
+        if self.design is None:
+            self.state = replace(self.state, material=lobe_on(self.relief, recipe))
         self.profile = None if self.design is None else _profile(self.design)
         self.groove, self._followed = self._reflections(recipe.surface.bounces)
         sides = directions(self.poses, Convention(light_angle_deg, facet_azimuth_deg=self.azimuth_deg))

@@ -22,6 +22,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import AnisoscopeError, RegistrationError
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.prediction.expectation import Expectation
+from anisoscope.prediction.recipe_models import lobe_on
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.schema import MapPlaceRecord
@@ -291,7 +292,7 @@ def _matched(
     rendered = render(
         surface,
         [expected.poses[k] for k in chosen],
-        recipe.material.material(),
+        lobe_on(Relief(expected.surface, direction_deg=expected.turn_deg), recipe),
         expected.convention,
         pixel_um * factor,
         pitch_um,

@@ -134,6 +134,13 @@ def _roughness(recipe: SurfaceRecipe, expected: Expectation) -> str | None:
         return None
     relief = Relief(expected.surface, direction_deg=expected.turn_deg, turn_deg=expected.turn_deg)
     shown, lobe = resolve(relief), recipe.material
+    if recipe.surface.roughness == "plastic":
+        left = shown.lobe(lobe.material())
+        used = " (nothing: its noise, or alpha is too small)" if shown.exhausts(lobe.material()) else ""
+        return (
+            f"the height map resolves a roughness of {shown.along:.3f} along and {shown.across:.3f} across the ridges, "
+            f"which leaves {left.alpha_along:.3f} and {left.alpha_across:.3f} of the plastic to its facets{used}"
+        )
     whole = np.hypot(shown.along, lobe.alpha_along), np.hypot(shown.across, lobe.alpha_across)
     return (
         f"the height map resolves a roughness of {shown.along:.3f} along and {shown.across:.3f} across the ridges, and "

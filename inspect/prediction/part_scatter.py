@@ -154,7 +154,11 @@ def with_design(recipe: SurfaceRecipe) -> SurfaceRecipe:
     relief, _ = prepare_relief(read_surface(recipe), recipe.surface.pitch_um)
     groove = fitted_groove(relief)
     design = DesignPart(ridge_angle_deg=groove.design.ridge_angle_deg, wall=groove.design.wall)
-    surface = recipe.surface.model_copy(update={"height_map": None, "compare": None, "design": design})
+    surface = recipe.surface.model_copy(
+        update={"height_map": None, "compare": None, "design": design, "roughness": "lobe"}
+    )
+    if recipe.surface.roughness == "plastic":
+        return recipe.model_copy(update={"surface": surface})
     material = recipe.material.model_copy(
         update={
             "alpha_along": float(np.hypot(recipe.material.alpha_along, groove.resolved[0])),

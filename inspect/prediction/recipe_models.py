@@ -38,6 +38,8 @@ from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import Convention, Pose, directions
 from anisoscope.sim.light.material import Material
 from anisoscope.sim.light.optics import POINT_LIKE, Optics, through
+from anisoscope.sim.light.relief import Relief
+from anisoscope.sim.light.unresolved import Resolved, resolve
 from anisoscope.sim.light.wave.choice import NUMERICAL_ERROR, OpticsChoice
 from anisoscope.sim.light.wave.reflectance import LightSpectrum
 
@@ -96,6 +98,47 @@ def models_of(recipe: SurfaceRecipe, poses: tuple[Pose, ...], convention: Conven
     surface = read_surface(recipe)
 
     relief, _ = prepare_relief(surface, recipe.surface.pitch_um)
+    if recipe.surface.roughness == "plastic":
+        resolved = resolve(relief)
+        found = _of_map(in_lobes(recipe), surface, relief, replace(rig, material=resolved.lobe(rig.material)))
+        return _of_plastic(found, resolved)
+    return _of_map(recipe, surface, relief, rig)
+
+
+def in_lobes(recipe: SurfaceRecipe) -> SurfaceRecipe:
+    """The recipe by rays, whose material is the lobe of the facets."""
+    surface = recipe.surface.model_copy(update={"roughness": "lobe", "optics": "geometric"})
+    return recipe.model_copy(update={"surface": surface})
+
+
+def _of_plastic(models: Models, resolved: Resolved) -> Models:
+    """Predictors that take the roughness of the whole plastic, from those that take the lobe's."""
+
+    def whole(model: Model) -> Model:
+        def predict(to_light: FloatArray, to_camera: FloatArray, material: Material) -> FloatArray:
+            return model(to_light, to_camera, resolved.lobe(material))
+
+        return predict
+
+    indirect = None if models.indirect is None else whole(models.indirect)
+    notes = {"resolved_alpha_along": resolved.along, "resolved_alpha_across": resolved.across}
+    return replace(
+        models,
+        model=whole(models.model),
+        sampled=lambda shape: whole(models.sampled(shape)),
+        indirect=indirect,
+        optics=models.optics | notes,
+    )
+
+
+def lobe_on(relief: Relief, recipe: SurfaceRecipe) -> Material:
+    """The material of a recipe as the lobe of the facets of a height map."""
+    material = recipe.material.material()
+    return resolve(relief).lobe(material) if recipe.surface.roughness == "plastic" else material
+
+
+def _of_map(recipe: SurfaceRecipe, surface: HeightMap, relief: Relief, rig: Rig) -> Models:
+    """Predictors of a height map whose facets have the material's lobe."""
 
     def by_rays() -> tuple[Model, Surface, HeightMap | None, str]:
         sampled = fixed(relief_model(best_band(relief), rig.optics))

@@ -73,7 +73,10 @@ class SurfacePart(Part):
     ``pitch_um`` is needed in all cases: means and the contrast map are taken over whole pitches. Of both surfaces,
     ``compare`` says which one decides; the other is compared with as well. ``optics`` says how light is predicted:
     "auto" takes rays or waves, whichever is right, "geometric" and "wave" insist. ``reflections`` says how often light
-    is followed from facet to wall and back: "all", a number, or "direct" for light that reflects once.
+    is followed from facet to wall and back: "all", a number, or "direct" for light that reflects once. ``roughness``
+    says of which the material's is with a height map: of the "lobe", what the map does not resolve, or of the whole
+    "plastic", from which the slopes that the map resolves are taken off. With a design it is always that of the whole
+    plastic.
     """
 
     pitch_um: Positive
@@ -84,6 +87,7 @@ class SurfacePart(Part):
     compare: Surface | None = None
     optics: AskedOptics = "auto"
     reflections: Reflections = "all"
+    roughness: Literal["lobe", "plastic"] = "lobe"
 
     @model_validator(mode="after")
     def _something_decides(self) -> Self:
@@ -95,6 +99,11 @@ class SurfacePart(Part):
             )
         if self.compare is not None and getattr(self, self.compare) is None:
             raise ValueError(f'compare = "{self.compare}", but there is no {self.compare}')
+        if self.roughness == "plastic" and (self.height_map is None or self.optics == "wave"):
+            raise ValueError(
+                'roughness = "plastic" takes the slopes of a height_map off, by rays: leave it out with a design alone '
+                'and with optics = "wave"'
+            )
         if self.compare == "height_map" and self.design is not None and self.design.u_ridge_angle_deg > 0.0:
             raise ValueError(
                 "design.u_ridge_angle_deg is the spread of ideal ridges, and cannot be given to those of a height_map "

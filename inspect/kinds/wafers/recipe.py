@@ -59,6 +59,7 @@ class WaferRecipe(SurfaceRecipe):
             ("scatter", self.scatter, ScatterPart()),
             ("defects", self.defects, DefectsPart()),
             ("surface.reflections", self.surface.reflections, "all"),
+            ("surface.roughness", self.surface.roughness, "lobe"),
             ("poses.stage_and_tilt_deg", self.poses.stage_and_tilt_deg, None),
         ):
             if given not in (usual, None):

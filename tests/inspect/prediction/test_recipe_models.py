@@ -10,9 +10,14 @@ from anisoscope.prediction import recipe_models as models
 from anisoscope.prediction.cache import _unpacked, packed
 from anisoscope.prediction.expectation import PLASTIC, expectation
 from anisoscope.prediction.optics_selection import OpticsRequest, Rig, predict_with_optics
-from anisoscope.prediction.predict import predict_design
+from anisoscope.prediction.part_scatter import with_design
+from anisoscope.prediction.predict import predict_design, predict_height_map
+from anisoscope.prediction.relief_preparation import prepare_relief
 from anisoscope.prediction.sensitivity import Shape
+from anisoscope.profiles.files.load import write_height_map
+from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
 from anisoscope.sim.light.geometry import Convention, directions
+from anisoscope.sim.light.unresolved import resolve
 from anisoscope.sim.light.wave.choice import NUMERICAL_ERROR
 
 NARROW = {
@@ -128,3 +133,48 @@ def test_the_choice_is_kept_with_the_prediction(make_recipe, waves):
     again = _unpacked(packed(found), recipe, 10.0, PLASTIC)
     assert again.optics == found.optics
     assert packed(replace(again, optics=None)) != packed(found)
+
+
+@pytest.fixture
+def textured(make_recipe, tmp_path):
+    """``textured(**surface)`` is the recipe of a map of rough ridges; its material is stated with one table."""
+    plain = ridges(RidgeDesign(100.0, 10.0), (161, 401), (2.0, 2.0))
+    rough = add_facet_roughness(plain, 0.03, 0.04, 16.0, np.random.default_rng(3))
+    write_height_map(rough, tmp_path / "map.npz")
+    table = {"height_map": str(tmp_path / "map.npz"), "design": None}
+    return rough, lambda **surface: make_recipe(surface={**table, **surface}, area=None)
+
+
+def test_the_roughness_of_a_plastic_is_shared_by_map_and_lobe_as_predict_shares_it(textured):
+    surface, recipe_with = textured
+    recipe = recipe_with(roughness="plastic")
+    found, of_lobe = expectation(recipe, 10.0), expectation(recipe_with(), 10.0)
+    poses, convention, material = recipe.poses.poses(), Convention(10.0), recipe.material.material()
+    wanted = predict_height_map(surface, material, poses, convention, pitch_um=100.0, roughness="plastic")
+    np.testing.assert_allclose(found.radiance, wanted.radiance, rtol=1e-9)
+    assert found.optics["resolved_alpha_across"] == pytest.approx(wanted.notes["resolved_alpha_across"])
+    assert np.abs(np.log(found.radiance / of_lobe.radiance)).max() > 0.03
+    # its uncertainty is that of the whole roughness
+    rougher = replace(material, alpha_across=1.03 * material.alpha_across)
+    changed = predict_height_map(surface, rougher, poses, convention, pitch_um=100.0, roughness="plastic")
+    (across,) = (c.relative for c in found.components if c.source == "roughness across the ridges")
+    np.testing.assert_allclose(across, np.log(changed.radiance / wanted.radiance), atol=0.003)
+
+
+def test_the_lobe_on_a_map_and_the_design_like_it_take_the_rest_and_the_whole(textured):
+    surface, recipe_with = textured
+    recipe = recipe_with(roughness="plastic")
+    relief, _ = prepare_relief(surface, 100.0)
+    lobe, material = models.lobe_on(relief, recipe), recipe.material.material()
+    assert lobe.alpha_across == pytest.approx(np.sqrt(0.1**2 - resolve(relief).across ** 2))
+    assert models.lobe_on(relief, recipe_with()) == material
+    assert with_design(recipe).material.material() == material
+    assert with_design(recipe_with()).material.alpha_across > material.alpha_across
+
+
+@pytest.mark.parametrize(
+    "change", [{"height_map": None, "design": {"ridge_angle_deg": 10.0}}, {"optics": "wave"}]
+)
+def test_a_design_and_waves_know_no_resolved_roughness(textured, change):
+    with pytest.raises(ValueError, match="takes the slopes of a height_map off, by rays"):
+        textured[1](roughness="plastic", **change)
