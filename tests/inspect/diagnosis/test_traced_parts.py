@@ -64,6 +64,7 @@ def recipe_of(tilts, reflections="all"):
             },
             "material": {
                 "alpha_along": ALPHA, "alpha_across": ALPHA, "albedo": ALBEDO, "u_alpha_share": 0.05, "u_albedo": 0.003,
+                "u_tail": 0.0,
             },
             "poses": {"angles_deg": [0.0, 90.0, 180.0], "tilts_deg": tilts},
             "acquisition": {"exposure_s": 0.001},
