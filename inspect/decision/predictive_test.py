@@ -15,7 +15,7 @@ the least probable counts, at a level shared by all of them.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -358,6 +358,7 @@ class _Null:
         )
 
 
+@lru_cache(maxsize=16)
 def _null_of(scatter: Scatter, count: int) -> _Null:
     """Draw golden sets and new parts from the stated scatter."""
     rng = np.random.default_rng(_SEED + count)

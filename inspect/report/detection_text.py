@@ -10,124 +10,165 @@ from anisoscope.base.errors import UsageError
 Results = dict[str, Any]
 
 BEGIN, END = "<!-- results: begin -->", "<!-- results: end -->"
-TARGET_AUC = 0.99
-ALARMS = {
-    "shipped": "D² against the prediction, as shipped",
-    "spread": "… with the spread of the ridge angle stated",
-    "golden": "T² from 25 golden parts, as shipped",
-    "normal": "T² by the normal theory",
-    "taught": "prediction shifted to 25 golden parts, its own budget",
-    "area share over its limit": "area over its limit",
-    "verdict FAIL": "verdict, means and area together",
+RULES = {
+    "plastic-0": "prediction, plastic never measured",
+    "calibrated-0": "prediction, plastic calibrated",
+    "spread-0": "… with the scatter of roughness and albedo",
+    "plastic-3": "3 golden parts, plastic never measured",
+    "calibrated-1": "1 golden part, plastic calibrated",
+    "calibrated-3": "3 golden parts",
+    "calibrated-10": "10 golden parts",
+    "calibrated-25": "25 golden parts",
 }
+POWERED = ("spread-0", "calibrated-1", "calibrated-3", "calibrated-25")
 COVERED = {
-    "measured contrast holds the true one (measurement alone)": "measured contrasts hold the true ones",
-    "predicted contrast (as shipped)": "predicted contrasts hold the measured ones",
-    "ridge_angle_deg, fitted over the tilts": "ridge angle, fitted over the tilts",
-    "alpha_along, fitted over the tilts": "roughness along the ridges, fitted",
-    "alpha_across, fitted over the tilts": "roughness across the ridges, fitted",
-}
-INTERVALS = {
-    "spread_stated": "the spread of the ridge angle stated",
-    "doubt_of_this_world": "the doubt as in this world",
+    "measured": "measured contrasts hold the true ones",
+    "plastic": "predicted contrasts, plastic never measured",
+    "calibrated": "predicted contrasts, plastic calibrated",
+    "spread": "… with the scatter of roughness and albedo",
 }
 
 
 def numbers_of(found: Results) -> Results:
     """Numbers of a study that its page shows, in a small table stored next to it."""
-    numbers: Results = {
-        "plan": {key: found["plan"][key] for key in ("parts", "defective", "seed")},
-        "cases": [],
-    }
+    cases = []
     for world, by in found["worlds"].items():
         for recipe, results in by.items():
-            good = results["good"]
-            numbers["cases"].append(
+            cases.append(
                 {
-                    "where": f"{world}, {recipe}",
-                    "alarms": {key: _rate(good["false_alarms"][key]) for key in ALARMS},
-                    "coverage": {
-                        key: _rate(good["coverage"][key]) for key in COVERED if key in good["coverage"]
-                    },
+                    "world": world,
+                    "recipe": recipe,
+                    "residual": round(results["calibration"]["residual_over_noise"], 1),
+                    "alarms": {key: _rate(results["false_alarms"][key]) for key in RULES},
+                    "uniform": {key: round(results["uniform"][key], 3) for key in RULES},
+                    "coverage": {key: _rate(results["coverage"][key]) for key in COVERED},
                     "classes": [_class(one) for one in results["classes"]],
                 }
             )
-    best = {name: _reaching(rows) for name, rows in found["outlook"].items()}
-    return {**numbers, "outlook": best}
+    size = found["plan"]["size"]
+    plan = {key: found["plan"][key] for key in ("rigs", "pictured", "seed")}
+    plan["worlds"] = found["plan"]["photographed"]
+    plan |= {key: size[key] for key in ("golden", "good", "bad")}
+    return {"plan": plan, "cases": cases, "rendered": found["rendered"]}
 
 
 def _rate(results: Results) -> list[float]:
-    """Rate and its interval, in per cent."""
+    """Rate and its interval, in per cent; empty where nothing was tried."""
+    if not results["of"]:
+        return []
     low, high = results["interval"]
     return [round(100.0 * value, 1) for value in (results["rate"] or 0.0, low, high)]
 
 
 def _class(one: Results) -> Results:
-    about, scores = one["diagnosis"], one["scores"]
-    best = max(("shipped+area", "golden+area"), key=lambda key: scores[key]["auc"])
-    numbers: Results = {}
-    if one["intervals"] is not None:
-        numbers = {key: _rate(one["intervals"][key]) for key in INTERVALS}
-        numbers["doubts"] = [
-            [round(doubt[key], 3) for key in ("change", "share")] for doubt in one["intervals"]["doubts"]
-        ]
+    about = one["diagnosis"]
+    keys = ("first", "tied", "wrong", "interval")
+    told = {} if about is None else {key: _rate(about[key]) for key in keys}
     return {
         "name": one["name"],
         "title": one["title"],
-        "fails": _rate(one["verdict_fail"])[0],
-        "auc": [round(scores[key]["auc"], 3) for key in ("shipped+area", "golden+area")],
-        "best": round(scores[best]["auc"], 3),
-        "sigmas": round(one["mean_shift_sigmas"], 1),
-        "limits": [[source, round(100.0 * share)] for source, share in one["limited_by"][:3]],
-        "separable": about["separable"],
-        "needed": about["told_apart_from"],
-        "first": _rate(about["right_first"])[0],
-        "tied": _rate(about["right_tied"])[0],
-        "wrong": _rate(about["confidently_wrong"])[0],
-        "golden_first": _rate(about["right_first_against_golden"])[0],
-        "extent": _rate(about["extent_interval_holds"])[0],
-        **numbers,
+        "power": {key: _rate(one["power"][key]) for key in RULES},
+        "area": _rate(one["area_over_limit"]),
+        "auc": _round(one["auc"]["value"]),
+        "ideal": _round(one["ideal"]["value"]),
+        "diagnosis": told,
     }
 
 
-def _reaching(rows: list[Results]) -> Results:
-    """Plans that reach the target area, the first three in the order of trial, and the best of all."""
-    short = [{**row, "sigmas": round(row["sigmas"], 1), "auc": round(row["auc"], 3)} for row in rows]
-    enough = [row for row in short if row["auc"] >= TARGET_AUC]
-    return {"enough": enough[:3], "best": max(short, key=lambda row: row["auc"])}
+def _round(value: float | None) -> float | None:
+    return None if value is None else round(value, 3)
 
 
 def block_of(numbers: Results) -> str:
     """Markdown of the results, from the stored numbers."""
     plan, cases = numbers["plan"], numbers["cases"]
-    where = [case["where"] for case in cases]
+    rigs = plan["rigs"]
     parts = [
-        *numbers.get("notes", []),
         (
-            f"{plan['parts']} good parts and {plan['defective']} of every class in each world, seed {plan['seed']}. "
-            "Per cent, with 95 % intervals; in bold what is separable by 3 σ."
-        ),
-        _table(
-            "good parts that are flagged at nominal 1 %",
-            where,
-            [[title, *(_interval(case["alarms"][key]) for case in cases)] for key, title in ALARMS.items()],
-        ),
-        _table(
-            "verdict FAIL as shipped / AUC as shipped / AUC with 25 golden parts", where, _detected(cases)
-        ),
-        _table(
-            "diagnosis: named first / among the ties / confidently wrong / first against golden parts",
-            where,
-            _diagnosed(cases),
-        ),
-        _table("95 % intervals that hold the truth", where, _covered(cases)),
-        _limits(cases, numbers["outlook"]),
+            f"{rigs} rigs in each world, each with {plan['golden']} golden parts, {plan['good']} good ones that are "
+            f"judged and {plan['bad']} of every class: {rigs * plan['good']} good parts and {rigs * plan['bad']} of a "
+            f"class, seed {plan['seed']}. Parts of {plan['pictured']} of them are photographed in the worlds "
+            f"{', '.join(plan['worlds'])}: area and local defects are those of {plan['pictured'] * plan['good']} and "
+            f"{plan['pictured'] * plan['bad']} parts. Per cent, with 95 % intervals in which parts of one rig count "
+            "together."
+        )
     ]
+    for recipe in dict.fromkeys(case["recipe"] for case in cases):
+        own = [case for case in cases if case["recipe"] == recipe]
+        worlds = [case["world"] for case in own]
+        parts.append(f"### Poses: {recipe}")
+        rows = [[title, *(_interval(case["alarms"][key]) for case in own)] for key, title in RULES.items()]
+        parts.append(_table("good parts flagged at nominal 1 %", worlds, rows))
+        rows = [
+            [title, *(_interval(case["coverage"][key]) for case in own)] for key, title in COVERED.items()
+        ]
+        rows.append(["calibration: residual over noise", *(f"{case['residual']:g}" for case in own)])
+        parts.append(_table("95 % intervals of contrasts that hold", worlds, rows))
+        parts.append(
+            _table(
+                "found by the means with " + " / ".join(_short(key) for key in POWERED), worlds, _power(own)
+            )
+        )
+        rows = _by_class(own, _areas)
+        parts.append(_table("AUC of the means, 25 golden parts / ideal observer", worlds, rows))
+        parts.append(
+            _table("area over its limit", worlds, _by_class(own, lambda one: _interval(one["area"])))
+        )
+        told = [case for case in own if any(one["diagnosis"] for one in case["classes"])]
+        if told:
+            title = "3 golden parts: right cause first / among the ties / confidently wrong / interval holds severity"
+            parts.append(_table(title, [case["world"] for case in told], _by_class(told, _diagnosed)))
+    if numbers["rendered"]:
+        parts.append(rendered_table(numbers["rendered"]))
     return "\n\n".join(parts)
 
 
+def rendered_table(rows: list[Results]) -> str:
+    """Table of the parts that Mitsuba rendered."""
+    columns = [
+        "good: PASS",
+        "least p of good",
+        "bad: FAIL",
+        "right cause first",
+        "among the ties",
+        "severity held",
+    ]
+    found = []
+    for row in rows:
+        low = row["pass_interval"][0]
+        good = f"{row['pass']} of {row['good']} (≥ {100.0 * low:.0f} %)"
+        least = f"{row['p_values'][0]:.2g}" if row["p_values"] else "–"
+        if "bad" in row:
+            of = f"of {row['bad']}"
+            told = [f"{len(row[key])} {of}" for key in ("fail", "first", "tied")]
+            told.append(f"{len(row['held'])} of {row['severities']}")
+        else:
+            told = ["–"] * 4
+        found.append([row["where"], good, least, *told])
+    missed = [
+        f"{row['where']}: passed {', '.join(name for name in _BAD if name not in row['fail'])}"
+        for row in rows
+        if "bad" in row and len(row["fail"]) < row["bad"]
+    ]
+    lines = [f"- {line}" for line in missed]
+    return "\n".join(
+        ["### Parts rendered by Mitsuba", "", _table("judged against", columns, found), "", *lines]
+    )
+
+
+_BAD = (
+    "angle-1", "angle-0.5", "angle+0.5", "angle+1", "rough+20", "rough+60", "height-loss", "wear-5", "wear-10",
+    "burrs-2", "burrs-10", "scratches",
+)  # fmt: skip
+
+
+def _short(rule: str) -> str:
+    count = rule.rpartition("-")[2]
+    return "the prediction" if count == "0" else f"{count} golden"
+
+
 def _interval(values: list[float]) -> str:
-    return f"{values[0]:g} ({values[1]:g}–{values[2]:g})"
+    return f"{values[0]:g} ({values[1]:g}–{values[2]:g})" if values else "–"
 
 
 def _table(first: str, columns: list[str], rows: list[list[str]]) -> str:
@@ -135,68 +176,28 @@ def _table(first: str, columns: list[str], rows: list[list[str]]) -> str:
     return "\n".join([*head, *(f"| {' | '.join(row)} |" for row in rows)])
 
 
-def _detected(cases: list[Results]) -> list[list[str]]:
-    rows = []
-    for number, one in enumerate(cases[0]["classes"]):
-        cells = [case["classes"][number] for case in cases]
-        rows.append(
-            [one["title"], *(f"{c['fails']:g} / {c['auc'][0]:.2f} / {c['auc'][1]:.2f}" for c in cells)]
-        )
-    return rows
-
-
-def _diagnosed(cases: list[Results]) -> list[list[str]]:
-    rows = []
-    for number, one in enumerate(cases[0]["classes"]):
-        cells = []
-        for case in cases:
-            c = case["classes"][number]
-            text = f"{c['first']:g} / {c['tied']:g} / {c['wrong']:g} / {c['golden_first']:g}"
-            cells.append(f"**{text}**" if c["separable"] else text)
-        rows.append([one["title"], *cells])
-    return rows
-
-
-def _covered(cases: list[Results]) -> list[list[str]]:
-    rows = [
-        [title, *(_interval(case["coverage"][key]) if key in case["coverage"] else "–" for case in cases)]
-        for key, title in COVERED.items()
+def _by_class(cases: list[Results], shown: Any) -> list[list[str]]:  # noqa: ANN401 - a function
+    return [
+        [one["title"], *(shown(case["classes"][number]) for case in cases)]
+        for number, one in enumerate(cases[0]["classes"])
     ]
-    for number, one in enumerate(cases[0]["classes"]):
-        cells = [case["classes"][number] for case in cases]
-        rows.append([f"extent of {one['title']}", *(f"{cell['extent']:g}" for cell in cells)])
-        for key, words in INTERVALS.items():
-            if any(key in cell for cell in cells):
-                results = (_interval(cell[key]) if key in cell else "–" for cell in cells)
-                rows.append([f"… {words}", *results])
-    return rows
 
 
-def _limits(cases: list[Results], outlook: Results) -> str:
-    lines = [
-        "What keeps an area under the curve below .99 (better of the two rules; shares of σ² of the means):",
-        "",
-    ]
-    for case in cases:
-        for one in case["classes"]:
-            if one["best"] < TARGET_AUC:
-                why = ", ".join(f"{source} {share:g} %" for source, share in one["limits"])
-                lines.append(
-                    f"- {one['title']} ({case['where']}): {one['best']:.3f} at {one['sigmas']:g} σ; {why}"
-                )
-    lines += ["", "What would reach .99 by the means alone, computed for D² against the prediction:", ""]
-    for name, results in outlook.items():
-        title = next(one["title"] for one in cases[0]["classes"] if one["name"] == name)
-        found = (
-            "; ".join(_option(row) for row in results["enough"])
-            or f"nothing tried; best: {_option(results['best'])}"
-        )
-        lines.append(f"- {title}: {found}")
-    return "\n".join(lines)
+def _power(cases: list[Results]) -> list[list[str]]:
+    return _by_class(cases, lambda one: " / ".join(_first(one["power"][key]) for key in POWERED))
 
 
-def _option(row: Results) -> str:
-    return f"{row['poses']}, {row['calibration']} ({row['sigmas']:g} σ, AUC {row['auc']:.3f})"
+def _first(values: list[float]) -> str:
+    return f"{values[0]:g}" if values else "–"
+
+
+def _diagnosed(one: Results) -> str:
+    told = one["diagnosis"]
+    return " / ".join(_first(told.get(key, [])) for key in ("first", "tied", "wrong", "interval"))
+
+
+def _areas(one: Results) -> str:
+    return "–" if one["auc"] is None else f"{one['auc']:.3f} / {one['ideal']:.3f}"
 
 
 def with_results(page: str, numbers: Results) -> str:

@@ -19,25 +19,58 @@ def detection_command(
     *,
     world: Annotated[
         tuple[
-            Literal["same", "ggx", "student", "two-scale", "reflections", "camera", "lamp", "other", "both"],
+            Literal[
+                "same",
+                "reflections",
+                "ggx",
+                "student",
+                "two-scale",
+                "camera",
+                "lamp",
+                "other",
+                "mitsuba",
+                "all",
+            ],
             ...,
         ],
         Parameter(
-            help="How parts are rendered, repeatable: as the predictor does (same); by a path tracer that shares "
-            "nothing with it, with other lobes and reflections (ggx, student, two-scale), with the predictor's lobe "
-            "and reflections, a non-linear camera or a near lamp (reflections, camera, lamp), or with GGX lobes and "
-            "all of these (other); both is same and other.",
+            help="How parts are rendered, repeatable; light reflects between facets and walls in all. By the "
+            "predictor's own model (same); by a path tracer that shares nothing with it, with the predictor's lobe "
+            "(reflections), other lobes (ggx, student, two-scale), a non-linear camera or a near lamp (camera, lamp), "
+            "or GGX lobes with both (other); mitsuba judges stored frames of parts that Mitsuba 3 rendered. "
+            "All leaves out other.",
             negative=(),
         ),
-    ] = ("both",),
-    parts: Annotated[int, Parameter(help="Good parts; 100 gives a quick look.")] = 2000,
-    defective: Annotated[
-        int | None, Parameter(help="Parts of every class of defects; 300, or 3 in 20 of fewer good parts.")
-    ] = None,
+    ] = ("all",),
+    rigs: Annotated[
+        int,
+        Parameter(
+            help="Rigs of every world, each with its own golden and judged parts; 2 give a quick look."
+        ),
+    ] = 24,
+    pictured: Annotated[
+        int,
+        Parameter(
+            help="Of these, how many are photographed (in the worlds same, reflections, ggx and two-scale): of the "
+            "others only the means of the poses are computed, which local defects need more than."
+        ),
+    ] = 4,
     recipe: Annotated[
-        Literal["standard", "tilted", "both"],
-        Parameter(help="Poses: 0/90/180° upright, the same at tilts of -10, 0 and 10°, or both."),
-    ] = "both",
+        Literal["standard", "tilted", "suggested", "all"],
+        Parameter(
+            help="Poses: 0/90/180° upright, the same at tilts of -10, 0 and 10°, six of quarter turns as suggested by "
+            "`recipe suggest`, or all three."
+        ),
+    ] = "all",
+    diagnose: Annotated[
+        bool, Parameter(help="Look for the causes of bad parts, too; takes half a minute a world longer.")
+    ] = False,
+    archive: Annotated[
+        Path | None,
+        Parameter(
+            help="Parts that Mitsuba rendered, for the world mitsuba; tests/data/mitsuba/parts.tar.xz."
+        ),
+    ] = None,
     jobs: JobsOption = None,
     scheduler: SchedulerOption = None,
     seed: Annotated[int, Parameter(help="Seed of parts, rigs and cameras.")] = 1,
@@ -51,23 +84,26 @@ def detection_command(
         Parameter(help="Markdown page with marks for the results; the numbers go beside it as JSON."),
     ] = None,
 ) -> int:
-    """Inspect thousands of good and bad parts on the virtual rig: false alarms, detection, diagnosis, coverage.
+    """Inspect thousands of good and bad parts on virtual rigs: false alarms, power, diagnosis, coverage.
 
-    Parts that are kept already are not made again: the same call goes on where it was stopped.
+    Rigs that are kept already are not simulated again: the same call goes on where it was stopped.
     """
     from anisoscope.report.detection_page import tables_of, write_detection_page
     from anisoscope.report.detection_text import write_results
+    from anisoscope.study.detection.mitsuba import ARCHIVE
+    from anisoscope.study.detection.product import RECIPES
     from anisoscope.study.detection.run import Plan, study_results
     from anisoscope.study.sweep import Workers
 
-    named = [name for one in world for name in (("same", "other") if one == "both" else (one,))]
-    worlds = cast("tuple[World, ...]", tuple(dict.fromkeys(named)))
-    recipes: tuple[RecipeName, ...] = ("standard", "tilted") if recipe == "both" else (recipe,)
-    count = defective if defective is not None else min(300, max(1, 3 * parts // 20))
+    usual = ("same", "reflections", "ggx", "student", "two-scale", "camera", "lamp", "mitsuba")
+    named = tuple(dict.fromkeys(name for one in world for name in (usual if one == "all" else (one,))))
+    worlds = cast("tuple[World, ...]", tuple(name for name in named if name != "mitsuba"))
+    recipes: tuple[RecipeName, ...] = RECIPES if recipe == "all" else (recipe,)
     folder_option: dict[str, Any] = {} if folder is None else {"folder": folder.resolve()}
-    plan = Plan(worlds, recipes, parts, count, seed, **folder_option)
+    plan = Plan(worlds, recipes, rigs, pictured, seed, diagnose, **folder_option)
+    rendered = (archive or ARCHIVE) if "mitsuba" in named else None
     with progress("detection", quiet=json_) as advance:
-        found = study_results(plan, Workers(jobs, scheduler), advance)
+        found = study_results(plan, Workers(jobs, scheduler), advance, rendered)
     if html is not None:
         write_detection_page(html, found)
     if markdown is not None:

@@ -1,13 +1,14 @@
-"""Chunk of the study: parts that share one camera, photographed, measured and decided as by ``inspect``.
+"""One rig of the study: its golden and judged parts, photographed and measured as by ``inspect``.
 
-Quantities that follow from radiances alone (significance, diagnosis) are computed at evaluation, from the stored
-radiances. A chunk depends only on the seed, the world, the class and its number. It is cached: an interrupted study
-resumes, and a larger one reuses the chunks of a smaller one.
+What follows from radiances alone (significance, diagnosis) is computed at evaluation, from the stored radiances. A rig
+depends only on the seed, the world and its number. It is cached: an interrupted study resumes, and a larger one reuses
+the rigs of a smaller one.
 
-A part is cut from its sheet, gets its own shape, lobe, seating and lamp, and is photographed through lens and sensor.
-A change that is uniform along the ridges acts on the radiance as on smooth ridges with the whole roughness in the lobe.
-It is applied as the ratio of one profile in this state to the nominal one, column by column, exactly for every part. A
-test compares this product with the radiance of the rough surface in that state.
+A part is cut from its sheet, gets its own shape, plastic and seating, and is photographed through the rig's lamp, lens
+and sensor. A change that is uniform along the ridges acts on the radiance as on smooth ridges with the whole roughness
+in the lobe. It is applied as the ratio of one profile in this state to the nominal one, column by column, from
+polynomials (`anisoscope.study.detection.surrogate`). A test compares this product with the radiance of the rough
+surface in that state.
 """
 
 import io
@@ -22,25 +23,22 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.cache import Cache, Entry
-from anisoscope.base.errors import MeasurementError
+from anisoscope.base.errors import MeasurementError, Saturated
 from anisoscope.calibration.white_reference import make_reference
-from anisoscope.decision.decision import Decision, decide
+from anisoscope.imaging.deviation_map import judge_area
 from anisoscope.imaging.linearisation import RadianceImage, Stack, WhiteReference, linearise, stack
-from anisoscope.imaging.pose_radiance import drift_error, measure
+from anisoscope.imaging.pose_radiance import Measured, drift_error, measure
 from anisoscope.imaging.registration.placement import Placement, View
-from anisoscope.profiles.defects_contact import edge_wear
-from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.profiles.ideal import RidgeDesign, ridges
 from anisoscope.rig.frame import Frame, FrameKind
 from anisoscope.sim.bench.lamp import Lamp
 from anisoscope.sim.bench.optics import image_of_surface, pixel_from_mm, vignette
 from anisoscope.sim.bench.sensor import Sensor
-from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_rotation
-from anisoscope.sim.light.relief import Relief, shine_maps
-from anisoscope.sim.pathtracer.tracer import PathTracer
-from anisoscope.study.detection.lobes import POINTS_A_PITCH, lobes_of, plastic_of, quick_shine
+from anisoscope.sim.light.geometry import Pose
 from anisoscope.study.detection.product import (
     BY_NAME,
+    CHOSEN,
+    EXPOSURE_S,
+    FRAMES,
     GOOD,
     LED_DISTANCE_MM,
     LIGHT_DEG,
@@ -48,15 +46,19 @@ from anisoscope.study.detection.product import (
     NONLINEARITY,
     PITCH_UM,
     RECIPES,
-    RIDGE_ANGLE_DEG,
+    SEEN,
+    VIEWS,
     WORLDS,
     RecipeName,
+    RigState,
     Size,
     Specimen,
     World,
     draw,
-    expected_of,
+    draw_rig,
     recipe_of,
+    whole_expectation,
+    whole_recipe,
 )
 from anisoscope.study.detection.sheets import (
     POINTS,
@@ -65,78 +67,26 @@ from anisoscope.study.detection.sheets import (
     sheet_of,
     sheets_of,
 )
+from anisoscope.study.detection.surrogate import (
+    UNITS,
+    Surrogate,
+    SurrogateTask,
+    bases_of,
+    state_of,
+    surrogate_of,
+)
 
 Image = npt.NDArray[np.float32]
+Bounces = tuple[tuple[str, tuple[float, ...]], ...]
+"""Radiances in 1/sr of light that reflects more than once, by class; empty takes those of smooth ridges."""
 
 TILE = 0.99
-TRACED_ROWS = 33
-_FLAT_FRAMES = 16
-
-
-@lru_cache(maxsize=1)
-def views_of_series() -> tuple[Pose, ...]:
-    """The poses of the tilted recipe, and the first of them once more at the end; the standard ones come first."""
-    poses = expected_of("tilted", Size()).poses
-    return (*poses, poses[0])
-
-
-def _profile(specimen: Specimen) -> HeightMap:
-    design = RidgeDesign(PITCH_UM, specimen.ridge_angle_deg, height_loss=specimen.height_loss)
-    rows = 2 if specimen.wear_um == 0.0 else 5
-    step = PITCH_UM / POINTS_A_PITCH
-    surface = ridges(design, (rows, 3 * POINTS_A_PITCH + 1), (PITCH_UM / POINTS, step))
-    return edge_wear(surface, specimen.wear_um) if specimen.wear_um > 0.0 else surface
-
-
-def profile_radiance(specimen: Specimen, world: World, *, stage_errors: bool = True) -> FloatArray:
-    """(V, POINTS) radiance over one pitch of the smooth ridges of a part in every view, 1/sr."""
-    errors = specimen.stage_deg if stage_errors else np.zeros_like(specimen.stage_deg)
-    poses = tuple(
-        Pose(pose.stage_deg + float(error), pose.tilt_deg)
-        for pose, error in zip(views_of_series(), errors, strict=True)
-    )
-    seat = seating_rotation(*specimen.seating_deg)
-    sides = [side @ seat for side in directions(poses, Convention(specimen.light_deg))]
-    material = specimen.plastic(lobes_of(world).smooth)
-    material = replace(material, albedo=min(material.albedo, 0.99))
-    middle = slice(POINTS_A_PITCH, 2 * POINTS_A_PITCH)  # the crests to both sides stand
-    if WORLDS[world].traced:
-        profile = _profile(specimen)
-        # many equal rows: whether a cell is lit and seen says a random point of it
-        middle_row = profile.height_um[len(profile.height_um) // 2]
-        profile = profile.with_height(np.tile(middle_row, (TRACED_ROWS, 1)))
-        tracer = PathTracer(profile, plastic_of(world, material), pitch_um=PITCH_UM, reflections=1)
-        lines = [tracer.direct(light, camera).mean(axis=0) for light, camera in zip(*sides, strict=True)]
-    else:
-        shines = [quick_shine(light, camera, material) for light, camera in zip(*sides, strict=True)]
-        radiance = list(shine_maps(Relief(_profile(specimen), PITCH_UM), shines))
-        lines = [view[len(view) // 2] for view in radiance]
-    return np.array([line[middle].reshape(POINTS, -1).mean(axis=1) for line in lines], dtype=np.float64)
-
-
-def nominal(views: int | None = None) -> Specimen:
-    """The part as designed on the rig as described."""
-    count = len(views_of_series()) if views is None else views
-    part = recipe_of("tilted", Size()).material
-    zero = np.zeros(count)
-    return Specimen(
-        RIDGE_ANGLE_DEG, 0.0, 0.0, 1.0, 1.0, part.albedo, part.index, np.zeros(2), LIGHT_DEG,
-        zero, zero + 1.0, 0.0, 0.0, np.zeros((count, 2)),
-    )  # fmt: skip
-
-
-@lru_cache(maxsize=8)
-def _nominal_profile(world: World) -> FloatArray:
-    return profile_radiance(nominal(), world)
-
-
-@lru_cache(maxsize=8)
-def _per_light_degree(world: World) -> FloatArray:
-    """(V, POINTS) change of ln L per degree of light angle."""
-    low, high = (
-        profile_radiance(replace(nominal(), light_deg=LIGHT_DEG + off), world) for off in (-0.5, 0.5)
-    )
-    return np.asarray(np.log(np.maximum(high, 1e-9) / np.maximum(low, 1e-9)))
+DARK = 1e-3
+"""Radiance in 1/sr of a shadow."""
+_FLAT_FRAMES, _DARK_FRAMES = 16, 8
+_LIGHT = 6  # of the state of a part
+FRAME_NOISE, LAMP_NOISE = 0.0003, 0.0005
+"""Relative noise of the mean of a pose by camera and photons, and by the flicker of the lamp, as pictures have it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,15 +133,14 @@ def new_cameras(size: Size, world: World, rng: np.random.Generator) -> dict[tupl
     if WORLDS[world].nonlinear:
         part = part.model_copy(update={"nonlinearity": NONLINEARITY})
     whole = Sensor(part, rng)
-    shapes = {size.window(pose.stage_deg) for pose in views_of_series()}
+    shapes = {size.window(pose.stage_deg) for pose in VIEWS}
     return {shape: _calibrated(whole, shape, size) for shape in sorted(shapes)}
 
 
 def _calibrated(whole: Sensor, shape: tuple[int, int], size: Size) -> Camera:
     sensor = Window(whole, shape)
     shade = vignette(size.optics, whole.part)[_middle(shape, _whole(size))]
-    acquisition = recipe_of("tilted", size).acquisition
-    exposure = acquisition.exposure_s
+    exposure = EXPOSURE_S
     cosine = float(np.cos(np.radians(LIGHT_DEG)))
     dark_scene = np.zeros(shade.shape)
     tile = TILE / np.pi * cosine * shade * size.optics.electrons * exposure
@@ -199,7 +148,7 @@ def _calibrated(whole: Sensor, shape: tuple[int, int], size: Size) -> Camera:
     def frames(kind: FrameKind, signal: FloatArray, count: int) -> Stack:
         return stack(_frame(sensor, signal, exposure, kind) for _ in range(count))
 
-    dark = frames("dark", dark_scene, acquisition.dark_frames)
+    dark = frames("dark", dark_scene, _DARK_FRAMES)
     reference = make_reference(
         frames("flat", np.asarray(tile, dtype=np.float64), _FLAT_FRAMES),
         frames("dark", dark_scene, _FLAT_FRAMES),
@@ -223,55 +172,79 @@ def _frame(
     )  # fmt: skip
 
 
+@lru_cache(maxsize=32)
+def _surrogate(task: SurrogateTask) -> Surrogate:
+    return surrogate_of(task)
+
+
 def radiance_of_part(
-    cut_out: npt.NDArray[np.float16], specimen: Specimen, world: World, bounces: FloatArray
+    cut_out: npt.NDArray[np.float16],
+    specimen: Specimen,
+    rig: RigState,
+    extent: float,
+    task: SurrogateTask,
+    bounces: FloatArray | None,
 ) -> tuple[list[Image], FloatArray]:
     """The part's radiance in every view, and (V,) its mean without errors of the stage: the true value.
 
     Args:
         cut_out: (P, rows, cols) piece of a sheet.
-        specimen: the part and its rig.
-        world: which world.
-        bounces: (P,) radiance of light that reflects more than once.
+        specimen: the part.
+        rig: its rig.
+        extent: of its defect.
+        task: world and class, as for `surrogate_of`; the extent is put in here.
+        bounces: (P,) radiance of light that reflects more than once on the nominal part, with the local defects of
+            the class; None takes that of smooth ridges.
     """
-    base = _nominal_profile(world)
-    ratio = profile_radiance(specimen, world) / base
-    ideal = profile_radiance(specimen, world, stage_errors=False) / base
+    good = _surrogate(SurrogateTask(task.world, GOOD, 0.0, task.folder))
+    base = extent if extent in bases_of(task.kind) else 0.0
+    own = good if base == 0.0 else _surrogate(SurrogateTask(task.world, task.kind, base, task.folder))
+    state = state_of(specimen, rig, base, task.kind if base else "")
+    ideal = state.copy()
+    ideal[:, -1] = 0.0
+    usual = np.maximum(good.radiance(0.0 * state), DARK)
+    ratio, true_ratio = own.radiance(state) / usual, own.radiance(ideal) / usual
+    reflected = own.reflected(state)
+    if bounces is not None:
+        reflected = reflected * bounces[[*range(len(SEEN)), 0]] / good.reflected(0.0 * state)
     views, truth = [], []
     inner_rows, inner_cols = slice(POINTS // 2, -(POINTS // 2) or None), slice(POINTS // 2, None)
-    for view in range(len(base)):
-        pose = view if view < len(cut_out) else 0
+    for view in range(len(VIEWS)):
+        pose = view if view < len(SEEN) else 0
         radiance = cut_out[pose].astype(np.float32)
         repeats = radiance.shape[1] // POINTS
-        columns = radiance[inner_rows].mean(axis=0, dtype=np.float64).reshape(repeats, POINTS) * ideal[view]
+        columns = radiance[inner_rows].mean(axis=0, dtype=np.float64).reshape(repeats, POINTS)
+        columns = columns * true_ratio[view]
         whole = columns.ravel()[inner_cols][: (repeats - 1) * POINTS]
-        truth.append(float(whole.mean()) + bounces[pose])
+        more = float(reflected[view])
+        truth.append(float(whole.mean()) + more)
         radiance *= np.tile(ratio[view].astype(np.float32), repeats)
-        radiance += np.float32(bounces[pose])
-        if WORLDS[world].near_lamp:
-            radiance *= _near_led(view, radiance.shape, world)
+        radiance += np.float32(more)
+        if WORLDS[task.world].near_lamp:
+            radiance *= _near_led(view, radiance.shape, good)
         views.append(radiance)
     return views, np.array(truth)
 
 
-@lru_cache(maxsize=32)
-def _near_led(view: int, shape: tuple[int, int], world: World) -> Image:
+@lru_cache(maxsize=64)
+def _near_led(view: int, shape: tuple[int, int], good: Surrogate) -> Image:
     """(rows, cols) factor of a lamp that stands so near that its angle varies over the part."""
-    pose = views_of_series()[view]
     step = PITCH_UM / 1000.0 / POINTS
     x = (np.arange(shape[1]) - (shape[1] - 1) / 2.0) * step
     y = (np.arange(shape[0]) - (shape[0] - 1) / 2.0) * step
-    turn = np.radians(pose.stage_deg)
+    turn = np.radians(VIEWS[view].stage_deg)
     toward = np.cos(turn) * x[None, :] - np.sin(turn) * y[:, None]  # mm toward the lamp, in the picture
     # a point nearer to the lamp sees it less aslant
     off_deg = -np.degrees(toward / LED_DISTANCE_MM)
-    slope = np.tile(_per_light_degree(world)[view], shape[1] // POINTS)
+    slope = np.where(good.dark[view], 0.0, good.direct[1 + _LIGHT, view] / UNITS[_LIGHT])
+    slope = np.tile(slope, shape[1] // POINTS)
     return np.asarray(np.exp(slope[None, :] * off_deg), dtype=np.float32)
 
 
 def photograph(
     radiance: list[Image],
     specimen: Specimen,
+    rig: RigState,
     cameras: dict[tuple[int, int], Camera],
     size: Size,
     rng: np.random.Generator,
@@ -280,33 +253,33 @@ def photograph(
 
     Args:
         radiance: radiance of the part in every view.
-        specimen: the part and its rig.
+        specimen: the part.
+        rig: its rig.
         cameras: the camera, by window.
         size: of the study.
         rng: scatter of the lamp.
     """
-    acquisition = recipe_of("tilted", size).acquisition
     optics = size.optics.model_copy(update={"lamp_drift_per_frame": specimen.drift})
     lamp = Lamp(optics, rng)
     lamp.level = 1.0
     step_um = PITCH_UM / POINTS
     found = []
-    for view, pose in enumerate(views_of_series()):
+    for view, pose in enumerate(VIEWS):
         camera = cameras[size.window(pose.stage_deg)]
         part = camera.sensor.part
         angle = pose.stage_deg + float(specimen.stage_deg[view])
         picture, _ = image_of_surface(radiance[view], (step_um, step_um), optics, part, angle, pose.tilt_deg)
-        light = (picture.astype(np.float64) + specimen.stray) * camera.shade * specimen.gain[view]
-        light *= optics.electrons * acquisition.exposure_s
+        light = (picture.astype(np.float64) + rig.stray) * camera.shade
+        light *= specimen.gain[view] * rig.linearity[view] * optics.electrons * EXPOSURE_S
         frames = stack(
             _frame(
                 camera.sensor,
                 np.maximum(light * lamp.brightness(), 0.0),
-                acquisition.exposure_s,
+                EXPOSURE_S,
                 "sample",
                 pose,
             )
-            for _ in range(acquisition.frames_per_pose)
+            for _ in range(FRAMES)
         )
         image: RadianceImage = linearise(frames, camera.dark, camera.white, camera.sensor.full_scale)
         matrix = pixel_from_mm(optics, part, angle, pose.tilt_deg)
@@ -335,40 +308,49 @@ MEASURED_SOURCES = (
 
 @dataclass(frozen=True)
 class ChunkTask:
-    """Which chunk: world, class, number, size, seed, and the folder of its cache."""
+    """Which rig.
+
+    Attributes:
+        world: the world.
+        number: of the rig.
+        size: of its parts.
+        seed: of everything random.
+        folder: of its cache.
+        bounces: light of many reflections by class.
+        pictured: its parts are photographed; otherwise only the means of their poses are computed.
+    """
 
     world: World
-    kind: str
     number: int
     size: Size
     seed: int
     folder: Path | None
-    bounces: tuple[float, ...]
+    bounces: Bounces
+    pictured: bool = True
 
     @property
     def entry(self) -> Entry:
         """Its place in the cache."""
-        given = [self.world, self.kind, self.number, self.seed, asdict(self.size), self.bounces]
-        return Cache(self.folder).entry("detection-chunks", given, __name__)
+        given = [self.world, self.number, self.seed, asdict(self.size), self.pictured]
+        return Cache(self.folder).entry("detection-rigs", given, __name__)
 
-    @property
-    def sheet(self) -> SheetTask:
-        """The sheet that its parts are cut from."""
-        local = self.kind in BY_NAME and BY_NAME[self.kind].local
-        kind = self.kind if local else GOOD
+    def sheet(self, kind: str) -> SheetTask:
+        """The sheet that parts of a kind are cut from."""
+        own = kind if kind in BY_NAME and BY_NAME[kind].local else GOOD
         return SheetTask(
-            self.world, kind, self.number % sheets_of(kind, self.size), self.size, self.seed, self.folder
+            self.world, own, self.number % sheets_of(own, self.size), self.size, self.seed, self.folder
         )
 
 
 def inspect_chunk(task: ChunkTask) -> Columns:
-    """Columns of a chunk, each (parts, …), computed unless cached."""
+    """Columns of a rig, each (parts, …), golden parts first, computed unless cached."""
     return task.entry.result(lambda: _simulated_chunk(task), _packed, _unpacked)
 
 
 def _simulated_chunk(task: ChunkTask) -> Columns:
     _one_thread()
-    return _columns([_flat(row) for row in _inspected(task)])
+    rows = _inspected(task) if task.pictured else _computed(task)
+    return _columns([_flat(row) for row in rows])
 
 
 def _packed(columns: Columns) -> bytes:
@@ -406,97 +388,152 @@ def _flat(row: Mapping[str, Any], before: str = "") -> dict[str, Any]:
 
 
 def _inspected(task: ChunkTask) -> list[Row]:
-    sheet = sheet_of(task.sheet)
-    worlds, kinds = list(WORLDS), (GOOD, *BY_NAME)
-    entropy = [task.seed, worlds.index(task.world), kinds.index(task.kind), task.number]
-    camera_rng, *parts = np.random.SeedSequence([7, *entropy]).spawn(1 + task.size.chunk)
-    cameras = new_cameras(task.size, task.world, np.random.default_rng(camera_rng))
-    kind = BY_NAME.get(task.kind)
-    rows = []
-    for child in parts:
-        rng = np.random.default_rng(child)
-        specimen, extent = draw(kind, len(views_of_series()), rng)
-        where = cut(sheet, task.kind, task.size, rng)
-        radiance, truth = radiance_of_part(
-            sheet.radiance[:, *where],
-            specimen,
-            task.world,
-            np.array(task.bounces or np.zeros(len(sheet.radiance))),
-        )
-        views = photograph(radiance, specimen, cameras, task.size, rng)
-        row: Row = {
-            "extent": extent,
-            "ridge_angle_deg": specimen.ridge_angle_deg,
-            "along": np.log(specimen.along),
-            "across": np.log(specimen.across),
-            "albedo": specimen.albedo,
-            "spoiled": float(sheet.spoiled[where].mean()),
-        }
-        for name in RECIPES:
-            row[name] = judge(views, truth, name, task.size)
-        rows.append(row)
+    size = task.size
+    entropy = [task.seed, list(WORLDS).index(task.world), task.number]
+    rig_rng, *parts = np.random.SeedSequence([7, *entropy]).spawn(1 + sum(size.counts.values()))
+    rng = np.random.default_rng(rig_rng)
+    rig, cameras = draw_rig(rng), new_cameras(size, task.world, rng)
+    rows: list[Row] = []
+    bounces = {kind: np.array(light) for kind, light in task.bounces}
+    for kind, count in size.counts.items():
+        sheet = sheet_of(task.sheet(kind))
+        light = bounces.get(kind, bounces.get(GOOD))
+        for _ in range(count):
+            rng = np.random.default_rng(parts[len(rows)])
+            specimen, extent = draw(BY_NAME.get(kind), rng)
+            where = cut(sheet, kind, size, rng)
+            own = SurrogateTask(task.world, kind, extent, task.folder)
+            radiance, truth = radiance_of_part(sheet.radiance[:, *where], specimen, rig, extent, own, light)
+            views = photograph(radiance, specimen, rig, cameras, size, rng)
+            rows.append(
+                {
+                    "kind": kind,
+                    "rig": task.number,
+                    "extent": extent,
+                    "ridge_angle_deg": specimen.ridge_angle_deg,
+                    "across": np.log(specimen.across),
+                    "spoiled": float(sheet.spoiled[where].mean()),
+                    **judge(views, truth, size),
+                }
+            )
     return rows
 
 
-def judge(views: list[View], truth: FloatArray, name: RecipeName, size: Size) -> Row:
-    """Stored results of one part under one recipe.
+def _mean_near_led(size: Size, good: Surrogate) -> FloatArray:
+    """(V, POINTS) mean over the region of the factor of a near lamp, to second order."""
+    turn = np.radians([pose.stage_deg for pose in VIEWS])
+    half = 0.5 * PITCH_UM / 1000.0 * np.hypot(np.cos(turn) * size.ridges, np.sin(turn) * size.pitches)
+    scatter = np.degrees(half / LED_DISTANCE_MM) / np.sqrt(3.0)
+    slope = np.where(good.dark, 0.0, good.direct[1 + _LIGHT] / UNITS[_LIGHT])
+    return np.asarray(1.0 + 0.5 * (slope * scatter[:, None]) ** 2)
+
+
+def _computed(task: ChunkTask) -> list[Row]:
+    """Rows of a rig whose parts have smooth ridges: the means of their poses, with the errors of a measurement.
+
+    Errors of single frames are drawn as the components of the measurement state them; the rest is put in as in
+    pictures. Local defects need pictures.
+    """
+    entropy = [task.seed, list(WORLDS).index(task.world), task.number]
+    rng = np.random.default_rng(np.random.SeedSequence([13, *entropy]))
+    rig, rows = draw_rig(rng), []
+    uncertainty, expected = recipe_of("tilted", task.size).uncertainty, whole_expectation(task.size)
+    full_well, electrons = task.size.sensor.full_well_e, task.size.optics.electrons * EXPOSURE_S
+    nan = {"share": np.nan, "u_share": np.nan, "cells": 0}
+    for kind, count in task.size.counts.items():
+        for _ in range(0 if kind in BY_NAME and BY_NAME[kind].local else count):
+            part, extent = draw(BY_NAME.get(kind), rng)
+            base = extent if extent in bases_of(kind) else 0.0
+            own = _surrogate(SurrogateTask(task.world, kind if base else GOOD, base, task.folder))
+            state = state_of(part, rig, base, kind if base else "")
+            light = own.radiance(state) + own.reflected(state)[:, None] + rig.stray
+            if WORLDS[task.world].nonlinear:
+                light *= 1.0 - NONLINEARITY * light * electrons / full_well
+            if WORLDS[task.world].near_lamp:
+                light *= _mean_near_led(task.size, own)
+            seen = light.mean(axis=1) * part.gain * rig.linearity
+            drift = abs(part.drift) * FRAMES * len(VIEWS)
+            seen *= 1.0 + np.linspace(0.0, part.drift * FRAMES * len(VIEWS), len(VIEWS))
+            seen *= 1.0 + np.hypot(FRAME_NOISE, LAMP_NOISE) * rng.standard_normal(len(VIEWS))
+            radiance = seen[:-1]
+            even = np.ones(len(SEEN))
+            components = {
+                "noise of camera and photons": FRAME_NOISE * even,
+                "flicker of the lamp": LAMP_NOISE * even,
+                "flat field": uncertainty.flat_share * even,
+                "linearity of the camera": uncertainty.linearity_share * even,
+                "drift of the lamp": drift / np.sqrt(12.0) * even,
+                "stray light": uncertainty.stray_radiance / radiance,
+                "stage angle": uncertainty.stage_deg * expected.per_degree,
+                "registration": 0.0 * even,
+            }
+            rows.append(
+                {
+                    "kind": kind,
+                    "rig": task.number,
+                    "extent": extent,
+                    "ridge_angle_deg": part.ridge_angle_deg,
+                    "across": np.log(part.across),
+                    "spoiled": 0.0,
+                    "valid": True,
+                    "reason": "",
+                    "log_radiance": np.log(radiance),
+                    "error": np.full(len(SEEN), np.nan),
+                    "own": np.array([components[source] for source in MEASURED_SOURCES]),
+                    "areas": dict.fromkeys(RECIPES, nan),
+                }
+            )
+    return rows
+
+
+def judge(views: list[View], truth: FloatArray, size: Size) -> Row:
+    """What is stored of one part: its radiances in all poses, and its area by every recipe.
 
     Args:
         views: of the whole series.
         truth: (V,) radiances of an ideal measurement.
-        name: of the recipe.
         size: of the study.
     """
-    recipe, expected = recipe_of(name, size), expected_of(name, size)
-    poses = len(expected.poses)
+    recipe = whole_recipe(size)
     try:
-        measured = measure(views[:poses], views[-1], recipe, expected, size.pixel_um)
-        invalid = drift_error(measured.drift, recipe.limits.drift) is not None
-        decision = decide(expected, measured, recipe)
-    except MeasurementError as error:
-        return {**_invalid_row(poses), "reason": str(error)}
-    deviation = np.log(measured.radiance / expected.radiance)
-    own = np.array([c.relative for c in measured.components])
+        measured = measure(views[:-1], views[-1], recipe, whole_expectation(size), size.pixel_um)
+        areas = {name: _area_of(measured, size, name) for name in RECIPES}
+    except (MeasurementError, Saturated) as error:
+        return _invalid_row(str(error))
+    invalid = drift_error(measured.drift, recipe.limits.drift) is not None
     assert tuple(c.source for c in measured.components) == MEASURED_SOURCES
     return {
         "valid": not invalid,
         "reason": "drift" if invalid else "",
-        "deviation": deviation,
-        "error": np.log(measured.radiance / truth[:poses]),
-        "own": own,
-        **_of_map(decision),
-        **_of_means(decision),
+        "log_radiance": np.log(measured.radiance),
+        "error": np.log(measured.radiance / truth[:-1]),
+        "own": np.array([c.relative for c in measured.components]),
+        "areas": areas,
     }
 
 
-def _of_means(decision: Decision) -> Row:
-    return {
-        "p_means": decision.p_value,
-        "pair_deviation": np.array([pair.deviation for pair in decision.contrasts]),
-        "pair_u": np.array([pair.u for pair in decision.contrasts]),
-    }
-
-
-def _of_map(decision: Decision) -> Row:
-    area, first = decision.area, next(iter(decision.regions), None)
+def _area_of(measured: Measured, size: Size, name: RecipeName) -> Row:
+    recipe, chosen = recipe_of(name, size), list(CHOSEN[name])
+    seen = replace(
+        measured,
+        radiance=measured.radiance[chosen],
+        cells=measured.cells[chosen],
+        cell_noise=measured.cell_noise[chosen],
+    )
+    area, _ = judge_area(seen, recipe.poses.poses(), recipe.area, recipe.decision.coverage)
     assert area is not None
-    return {
-        "share": area.share,
-        "u_share": area.u,
-        "share_fails": area.verdict == "FAIL",
-        "p_marks": 1.0 if first is None else first.p_value,
-        "mark_cells": max((region.cells for region in decision.regions), default=0),
-        "mark_kind": "" if first is None else first.kind,
-    }
+    return {"share": area.share, "u_share": area.u, "cells": area.cells}
 
 
-def _invalid_row(poses: int) -> Row:
+def _invalid_row(reason: str) -> Row:
     """Row of a part with an INVALID measurement."""
-    nan = np.full(poses, np.nan)
-    pairs = np.full(poses - poses // 3, np.nan)
-    own = np.full((len(MEASURED_SOURCES), poses), np.nan)
+    nan = np.full(len(SEEN), np.nan)
+    area = {"share": np.nan, "u_share": np.nan, "cells": 0}
     return {
-        "valid": False, "reason": "", "deviation": nan, "error": nan, "own": own,
-        "share": np.nan, "u_share": np.nan, "share_fails": False, "p_marks": np.nan, "mark_cells": 0,
-        "mark_kind": "", "p_means": np.nan, "pair_deviation": pairs, "pair_u": pairs,
-    }  # fmt: skip
+        "valid": False,
+        "reason": reason,
+        "log_radiance": nan,
+        "error": nan,
+        "own": np.full((len(MEASURED_SOURCES), len(SEEN)), np.nan),
+        "areas": dict.fromkeys(RECIPES, area),
+    }

@@ -17,12 +17,11 @@ from anisoscope.study.detection.product import (
     LIGHT_DEG,
     LOBE,
     PITCH_UM,
+    POSES,
     RIDGE_ANGLE_DEG,
     WHOLE,
     WORLDS,
-    Size,
     World,
-    expected_of,
 )
 
 _NODES = (0.8, 1.0, 1.3)
@@ -98,8 +97,7 @@ def plastic_of(world: World, material: Material) -> Plastic:
 def _matched(lobe: LobeName) -> Lobes:
     from scipy.optimize import least_squares  # noqa: PLC0415 - 0.3 s
 
-    poses = expected_of("tilted", Size()).poses
-    sides = directions(poses, Convention(LIGHT_DEG))
+    sides = directions(POSES["tilted"], Convention(LIGHT_DEG))
     design = RidgeDesign(PITCH_UM, RIDGE_ANGLE_DEG)
     target = np.log(corrected.radiance(*sides, design, WHOLE))
     surface = ridges(design, (FIT_ROWS, POINTS_A_PITCH + 1), (PITCH_UM, PITCH_UM / POINTS_A_PITCH))

@@ -1,57 +1,81 @@
-"""Product of the detection study: recipes, variation of good parts, defect classes, and the two worlds.
+"""Product of the detection study: recipes, variation of good parts and of rigs, defect classes, and the worlds.
 
-Every part is inspected on its own rig, drawn from the uncertainties that the recipe states. Rates are means over parts
-and rigs.
+A rig (light, zero of the tilt, linearity, stray light, camera) is drawn once for every set of golden parts; all parts
+of the set, golden and judged ones, meet it. What a part has of its own is its shape, its plastic within the batch, its
+seating, and the errors of one inspection.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
 from anisoscope.prediction.expectation import Expectation, expectation
+from anisoscope.recipe.material_file import MaterialFile
+from anisoscope.recipe.poses import PosesPart
 from anisoscope.sim.bench.benchfile import OpticsPart, SensorPart
+from anisoscope.sim.light.geometry import Pose, pose_grid
 from anisoscope.sim.light.material import Material
 
-World = Literal["same", "ggx", "student", "two-scale", "reflections", "camera", "lamp", "other"]
-RecipeName = Literal["standard", "tilted"]
-
-RECIPES: tuple[RecipeName, ...] = ("standard", "tilted")
+World = Literal["same", "reflections", "ggx", "student", "two-scale", "camera", "lamp", "other"]
+RecipeName = Literal["standard", "tilted", "suggested"]
+RECIPES: tuple[RecipeName, ...] = get_args(RecipeName)
 
 
 @dataclass(frozen=True)
 class WorldPart:
-    """What a world has that the prediction may not know.
+    """What a world has that the prediction may not know. Light reflects between facet and wall in all of them.
 
     Attributes:
         lobe: of the facets; its widths and albedo are those whose best Beckmann fit is the recipe's material.
         traced: rendered by the path tracer, which shares nothing with the prediction.
-        reflections: light is reflected more than once.
         nonlinear: the camera is not quite linear.
         near_lamp: the lamp stands near.
     """
 
     lobe: Literal["beckmann", "ggx", "student", "two-scale"] = "beckmann"
     traced: bool = True
-    reflections: bool = False
     nonlinear: bool = False
     near_lamp: bool = False
 
 
 WORLDS: dict[World, WorldPart] = {
     "same": WorldPart(traced=False),
-    "other": WorldPart("ggx", reflections=True, nonlinear=True, near_lamp=True),
-    "ggx": WorldPart("ggx", reflections=True),
-    "student": WorldPart("student", reflections=True),
-    "two-scale": WorldPart("two-scale", reflections=True),
-    "reflections": WorldPart(reflections=True),
+    "other": WorldPart("ggx", nonlinear=True, near_lamp=True),
+    "ggx": WorldPart("ggx"),
+    "student": WorldPart("student"),
+    "two-scale": WorldPart("two-scale"),
+    "reflections": WorldPart(),
     "camera": WorldPart(nonlinear=True),
     "lamp": WorldPart(near_lamp=True),
 }
-TILTS_DEG: dict[RecipeName, tuple[float, ...]] = {"standard": (0.0,), "tilted": (0.0, -10.0, 10.0)}
+
+
+def rendered_as(world: World) -> World:
+    """The first world whose surfaces send the same light: some differ in camera and lamp alone."""
+    own = WORLDS[world]
+    return next(name for name, part in WORLDS.items() if (part.lobe, part.traced) == (own.lobe, own.traced))
+
+
+STAGE_DEG = (0.0, 90.0, 180.0)
+POSES: dict[RecipeName, tuple[Pose, ...]] = {
+    "standard": pose_grid(STAGE_DEG, (0.0,)),
+    "tilted": pose_grid(STAGE_DEG, (0.0, -10.0, 10.0)),
+    # quarter turns, as `recipe suggest` finds them for ridge angle, roughness and height loss
+    "suggested": tuple(
+        Pose(*one)
+        for one in ((0.0, 0.0), (90.0, 0.0), (180.0, 0.0), (90.0, -15.0), (90.0, -5.0), (0.0, -10.0))
+    ),
+}
+SEEN = (*POSES["tilted"], *(pose for pose in POSES["suggested"] if pose not in POSES["tilted"]))
+"""All poses that are photographed; the first of them once more at the end (`VIEWS`)."""
+VIEWS = (*SEEN, SEEN[0])
+CHOSEN: dict[RecipeName, tuple[int, ...]] = {
+    name: tuple(SEEN.index(pose) for pose in poses) for name, poses in POSES.items()
+}
 LIGHT_DEG = 10.0
 PITCH_UM = 100.0
 RIDGE_ANGLE_DEG = 10.0
@@ -64,12 +88,20 @@ WHOLE = Material(
     LOBE.albedo,
     LOBE.index,
 )
-GOOD = "good"
+GOOD, GOLDEN = "good", "golden"
 BURRS_ON_GOOD = 0.002
 RIDGE_ANGLE_SPREAD_DEG = 0.1
+ALPHA_SPREAD, ALBEDO_SPREAD = 0.05, 0.03
+"""Relative standard deviations of roughness and albedo between good parts."""
+UNKNOWN_ALPHA_SHARE, UNKNOWN_ALBEDO_SHARE = 0.2, 0.1
+"""What is stated of a plastic that was not calibrated; its lobe is unmeasured (no `u_tail`)."""
+EXPOSURE_S, FRAMES = 0.0009, 2
 NONLINEARITY = 0.003
 LED_DISTANCE_MM = 150.0
 MARKER_ERROR_PX = 0.03
+
+
+TILT_ZERO_DEG = 0.05
 
 
 @dataclass(frozen=True)
@@ -80,16 +112,20 @@ class Size:
         ridges: ridges across the judged region.
         pitches: its length along the ridges, in pitches.
         pixel_um: of the camera on the part.
-        sheets: rendered surfaces of good parts; a quarter as many of every area defect.
-        chunk: parts that share a camera, a flat and dark frames.
+        sheets: rendered surfaces of good parts; there is one of every area defect.
+        golden: golden parts of a rig.
+        good: judged good parts of a rig.
+        bad: judged parts of every class of a rig.
         causes: causes that the diagnosis looks for, all if None.
     """
 
     ridges: int = 25
     pitches: int = 7
     pixel_um: float = 12.5
-    sheets: int = 8
-    chunk: int = 25
+    sheets: int = 2
+    golden: int = 25
+    good: int = 40
+    bad: int = 5
     causes: tuple[str, ...] | None = None
 
     @property
@@ -105,6 +141,11 @@ class Size:
             for pitches in (self.pitches, self.ridges)
         )
         return (across, along) if round(stage_deg / 90.0) % 2 else (along, across)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Parts of a rig by kind."""
+        return {GOLDEN: self.golden, GOOD: self.good, **{kind.name: self.bad for kind in CLASSES}}
 
     @property
     def optics(self) -> OpticsPart:
@@ -125,7 +166,6 @@ class DefectClass:
         extent: its extent in the unit of the diagnosis; the sign is random if `signed`.
         signed: half of the parts have the opposite sign.
         local: visible in the map; otherwise uniform over the surface.
-        values: further settings of `profiles.defect_injection`, for local ones.
     """
 
     name: str
@@ -134,7 +174,6 @@ class DefectClass:
     extent: float
     signed: bool = False
     local: bool = False
-    values: dict[str, float] = field(default_factory=dict)
 
 
 # densities such that scratches spoil 1 % and grains 2 % of the area: measured on the sheets, reported in the results
@@ -151,49 +190,77 @@ CLASSES = (
 BY_NAME = {kind.name: kind for kind in CLASSES}
 
 
-def recipe_of(name: RecipeName, size: Size, *, stated: bool = False) -> RidgeRecipe:
-    """The recipe: an ideal design, its material and the rig with the uncertainties that the parts are drawn from.
+def recipe_of(name: RecipeName, size: Size, material: MaterialFile | None = None) -> RidgeRecipe:
+    """The recipe of an ideal design on the rig that the parts are drawn for.
 
     Args:
         name: of the recipe.
         size: of the study.
-        stated: the recipe also states the spread of the ridge angle of good parts.
+        material: the calibrated plastic; None: about what it is made of, with the doubt of a plastic that was never
+            measured.
     """
-    design = {
-        "ridge_angle_deg": RIDGE_ANGLE_DEG,
-        "u_ridge_angle_deg": RIDGE_ANGLE_SPREAD_DEG if stated else 0.0,
+    plastic: dict[str, Any] = {
+        "alpha_along": WHOLE.alpha_along,
+        "alpha_across": WHOLE.alpha_across,
+        "albedo": WHOLE.albedo,
+        "index": WHOLE.index,
+        "u_alpha_share": UNKNOWN_ALPHA_SHARE,
+        "u_albedo": UNKNOWN_ALBEDO_SHARE * WHOLE.albedo,
+        "u_index": 0.005,
     }
+    if material is not None:
+        known = {"u_alpha_share": 0.0, "u_albedo": 0.0, "u_tail": 0.0, "u_index": 0.005}
+        plastic = {**dict(material.material), **known, "file": f"{material.id}.toml", "calibrated": material}
     table: dict[str, Any] = {
         "schema": 1,
         "product": "ridged plate of the detection study",
-        "surface": {"pitch_um": PITCH_UM, "design": design, "reflections": "direct"},
-        "material": {
-            "alpha_along": WHOLE.alpha_along,
-            "alpha_across": WHOLE.alpha_across,
-            "albedo": WHOLE.albedo,
-            "index": WHOLE.index,
-            "u_tail": 0.0,
-            "u_alpha_share": 0.05,
-            "u_albedo": 0.006,
-            "u_index": 0.005,
+        "surface": {
+            "pitch_um": PITCH_UM,
+            "design": {"ridge_angle_deg": RIDGE_ANGLE_DEG, "u_ridge_angle_deg": RIDGE_ANGLE_SPREAD_DEG},
         },
-        "poses": {"angles_deg": [0.0, 90.0, 180.0], "tilts_deg": list(TILTS_DEG[name])},
-        "acquisition": {"exposure_s": 0.0015, "frames_per_pose": 2, "dark_frames": 8},
+        "material": plastic,
+        "poses": {"stage_and_tilt_deg": [(pose.stage_deg, pose.tilt_deg) for pose in POSES[name]]},
+        "acquisition": {"exposure_s": EXPOSURE_S, "frames_per_pose": FRAMES, "dark_frames": 8},
         "region": {"size_mm": [size.ridges * PITCH_UM / 1000.0, size.pitches * PITCH_UM / 1000.0]},
-        "uncertainty": {"seating_tilt_deg": 0.1},
+        "uncertainty": {"seating_tilt_deg": 0.1, "tilt_deg": TILT_ZERO_DEG},
+        "scatter": {"alpha_share": ALPHA_SPREAD, "albedo_share": ALBEDO_SPREAD},
     }
     return RidgeRecipe.model_validate(table)
 
 
-@lru_cache(maxsize=8)
-def expected_of(name: RecipeName, size: Size, *, stated: bool = False) -> Expectation:
-    """Prediction of the recipe; arguments as for `recipe_of`."""
-    return expectation(recipe_of(name, size, stated=stated), LIGHT_DEG)
+def whole_recipe(size: Size) -> RidgeRecipe:
+    """The recipe with all poses that are photographed."""
+    recipe = recipe_of("tilted", size)
+    seen = tuple((pose.stage_deg, pose.tilt_deg) for pose in SEEN)
+    return recipe.model_copy(update={"poses": PosesPart(stage_and_tilt_deg=seen)})
+
+
+@lru_cache(maxsize=4)
+def whole_expectation(size: Size) -> Expectation:
+    """Prediction of all poses that are photographed, of the plastic that was never measured."""
+    return expectation(whole_recipe(size), LIGHT_DEG)
+
+
+@dataclass(frozen=True, eq=False)
+class RigState:
+    """True state of one rig.
+
+    Attributes:
+        light_deg: true light angle.
+        tilt_zero_deg: error of the zero of the tilt.
+        stray: stray light, 1/sr; dark frames do not contain it.
+        linearity: (V,) factor on the light in every view.
+    """
+
+    light_deg: float
+    tilt_zero_deg: float
+    stray: float
+    linearity: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class Specimen:
-    """True state of one part on one rig.
+    """True state of one part in one inspection.
 
     Attributes:
         ridge_angle_deg: of its ridges.
@@ -201,13 +268,10 @@ class Specimen:
         wear_um: radius of its crests.
         along: factor on the roughness along the ridges.
         across: factor on that across.
-        albedo: of the plastic.
-        index: of the plastic.
+        albedo: factor on the albedo of the plastic.
         seating_deg: (2,) tilt about x and y.
-        light_deg: true light angle.
         stage_deg: (V,) error of the stage angle in every view; the last view closes the series.
-        gain: (V,) factor on the light in every view: flat field and linearity.
-        stray: stray light, 1/sr; dark frames do not contain it.
+        gain: (V,) factor on the light in every view: flat field.
         drift: of the lamp, per frame.
         shift_px: (V, 2) error of the marker fit.
     """
@@ -218,53 +282,72 @@ class Specimen:
     along: float
     across: float
     albedo: float
-    index: float
     seating_deg: FloatArray
-    light_deg: float
     stage_deg: FloatArray
     gain: FloatArray
-    stray: float
     drift: float
     shift_px: FloatArray
 
-    def plastic(self, base: Material) -> Material:
-        """Material of the part, where that of a nominal one is ``base``."""
-        return replace(
-            base,
-            alpha_along=base.alpha_along * self.along,
-            alpha_across=base.alpha_across * self.across,
-            albedo=base.albedo * self.albedo / LOBE.albedo,
-            index=self.index,
-        )
 
-
-def draw(kind: DefectClass | None, views: int, rng: np.random.Generator) -> tuple[Specimen, float]:
-    """A part of a class (None: good) on a rig, and the extent of its defect (0 for good)."""
-    recipe = recipe_of("tilted", Size())
-    part, rig = recipe.material, recipe.uncertainty
+def draw_rig(rng: np.random.Generator) -> RigState:
+    """A rig within the uncertainties that the recipe states."""
+    rig = recipe_of("tilted", Size()).uncertainty
     normal = rng.standard_normal
-    linear, flat = rig.linearity_share, rig.flat_share
+    return RigState(
+        light_deg=LIGHT_DEG + rig.light_angle_deg * float(normal()),
+        tilt_zero_deg=rig.tilt_deg * float(normal()),
+        stray=rig.stray_radiance * float(normal()),
+        linearity=1.0 + rig.linearity_share * normal(len(VIEWS)),
+    )
+
+
+def draw(kind: DefectClass | None, rng: np.random.Generator) -> tuple[Specimen, float]:
+    """A part of a class (None: good), and the extent of its defect (0 for good)."""
+    rig = recipe_of("tilted", Size()).uncertainty
+    normal, views = rng.standard_normal, len(VIEWS)
     extent = 0.0 if kind is None else kind.extent
     if kind is not None and kind.signed:
         extent *= float(rng.choice([-1.0, 1.0]))
-    name = "" if kind is None else kind.name
-    found = Specimen(
-        ridge_angle_deg=RIDGE_ANGLE_DEG
-        + RIDGE_ANGLE_SPREAD_DEG * float(normal())
-        + (extent if name == "ridge-angle" else 0.0),
-        height_loss=extent if name == "height-loss" else 0.0,
-        wear_um=extent if name == "wear" else 0.0,
-        along=float(np.exp(part.u_alpha_share * normal())),
-        across=float(np.exp(part.u_alpha_share * normal()))
-        * (1.0 + (extent if name == "roughness" else 0.0)),
-        albedo=float(np.clip(part.albedo + part.u_albedo * normal(), 0.01, 0.99)),
-        index=float(part.index + part.u_index * normal()),
+    state = defective(nominal(), "" if kind is None else kind.name, extent)
+    found = replace(
+        state,
+        ridge_angle_deg=state.ridge_angle_deg + RIDGE_ANGLE_SPREAD_DEG * float(normal()),
+        along=state.along * float(np.exp(ALPHA_SPREAD * normal())),
+        across=state.across * float(np.exp(ALPHA_SPREAD * normal())),
+        albedo=state.albedo * float(np.exp(ALBEDO_SPREAD * normal())),
         seating_deg=rig.seating_tilt_deg * normal(2),
-        light_deg=LIGHT_DEG + rig.light_angle_deg * float(normal()),
         stage_deg=rig.stage_deg * normal(views),
-        gain=1.0 + np.hypot(linear, flat) * normal(views),
-        stray=rig.stray_radiance * float(normal()),
+        gain=1.0 + rig.flat_share * normal(views),
         drift=2e-4 * float(normal()),
         shift_px=MARKER_ERROR_PX * normal((views, 2)),
     )
     return found, extent
+
+
+def nominal() -> Specimen:
+    """The part as designed, inspected without error."""
+    zero = np.zeros(len(VIEWS))
+    return Specimen(
+        RIDGE_ANGLE_DEG,
+        0.0,
+        0.0,
+        1.0,
+        1.0,
+        1.0,
+        np.zeros(2),
+        zero,
+        zero + 1.0,
+        0.0,
+        np.zeros((len(VIEWS), 2)),
+    )
+
+
+def defective(state: Specimen, name: str, extent: float) -> Specimen:
+    """A part with a defect of its shape or roughness; local ones are in the sheets."""
+    if name == "ridge-angle":
+        return replace(state, ridge_angle_deg=state.ridge_angle_deg + extent)
+    if name == "roughness":
+        return replace(state, across=state.across * (1.0 + extent))
+    if name == "height-loss":
+        return replace(state, height_loss=extent)
+    return replace(state, wear_um=extent) if name == "wear" else state

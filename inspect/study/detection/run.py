@@ -1,159 +1,481 @@
-"""Detection study: rates of false alarms and misses of thousands of parts on the virtual rig, in several worlds.
+"""Detection study: rates of false alarms and misses of thousands of parts on virtual rigs, in several worlds.
 
-The same world renders with the predictor's own lobe and direct light. All others are rendered by a path tracer that
-shares nothing with the prediction: with other lobes, reflections, a slightly non-linear camera or a near lamp, or all
-of these (`other`). Claims rest on them.
+The same world renders with the predictor's own lobe and reflections. All others are rendered by a path tracer that
+shares nothing with the prediction: with its lobe or with others, with a slightly non-linear camera or a near lamp, or
+all of these (`other`). Claims rest on them. Every rig has a set of golden parts, and all its parts meet it.
 
-For shape defects that the means rarely detect, the study evaluates remedies: other poses, or smaller uncertainties. A
-class shifts ln L by δ. The D² of δ alone is its distance from the set of good parts (its Fisher information, along the
-curves of the uncertain inputs). D² of the parts is a noncentral χ² with this noncentrality, so that the area under the
-ROC curve follows without simulating a part.
+Judges by what is known of the plastic and the number n of golden parts:
+
+- `plastic-0`: against the prediction; of the plastic a usual lobe is stated, with the doubt of one never measured.
+- `calibrated-0`: against the prediction with the plastic calibrated on a flat coupon of the same world.
+- `spread-0`: the same, and roughness and albedo of good parts scatter as `[scatter]` states.
+- `plastic-3`, `calibrated-1`, `-3`, `-10`, `-25`: against n golden parts of the rig, by the predictive test.
 """
 
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.cache import Cache
 from anisoscope.base.errors import UsageError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.base.significance import log_basis
-from anisoscope.diagnosis.separability import planned_covariance
+from anisoscope.decision.consistency_test import OF_THE_RIG, contrast_scatter
+from anisoscope.decision.predictive_test import Scatter, predictive_test
+from anisoscope.diagnosis.evidence import Evidence, against, background_of, covariance_of, inputs_of
+from anisoscope.diagnosis.ranking import NOTHING, diagnose
+from anisoscope.diagnosis.signature_cache import cached_signatures
+from anisoscope.diagnosis.signatures import Signatures, signatures
+from anisoscope.fit.lobe import POSE_NOISE, Scan, coupon, coupon_poses, fit_lobe
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
-from anisoscope.prediction.expectation import Expectation, expectation
+from anisoscope.prediction.expectation import Component, Expectation, expectation
+from anisoscope.prediction.part_scatter import part_scatter
 from anisoscope.prediction.profile_likelihood import nearest
-from anisoscope.prediction.second_order import Response
-from anisoscope.profiles.ideal import RidgeDesign
-from anisoscope.sim.light import corrected
-from anisoscope.sim.light.geometry import directions
-from anisoscope.study.detection.chunk import ChunkTask, Columns, inspect_chunk
-from anisoscope.study.detection.evaluation import signatures_of
-from anisoscope.study.detection.lobes import lobes_of
+from anisoscope.prediction.propagation import TAIL
+from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.recipe.material_file import (
+    CovariancePart,
+    LobePart,
+    MaterialFile,
+    ResidualPart,
+    ValidityPart,
+)
+from anisoscope.sim.light.contrasts import consecutive_pairs
+from anisoscope.sim.light.geometry import Convention, directions
+from anisoscope.sim.pathtracer.tracer import PathTracer
+from anisoscope.study.detection.chunk import MEASURED_SOURCES, Bounces, ChunkTask, Columns, inspect_chunk
+from anisoscope.study.detection.evaluation import (
+    Area,
+    Rate,
+    area_under_curve,
+    ideal_scores,
+    rate,
+    true_extents,
+    uniformity,
+)
+from anisoscope.study.detection.lobes import lobes_of, plastic_of
+from anisoscope.study.detection.mitsuba import judged
 from anisoscope.study.detection.product import (
+    ALBEDO_SPREAD,
+    ALPHA_SPREAD,
+    BURRS_ON_GOOD,
     BY_NAME,
+    CHOSEN,
     CLASSES,
+    FRAMES,
+    GOLDEN,
     GOOD,
     LED_DISTANCE_MM,
     LIGHT_DEG,
     MARKER_ERROR_PX,
     NONLINEARITY,
     PITCH_UM,
-    RECIPES,
-    RIDGE_ANGLE_DEG,
+    RIDGE_ANGLE_SPREAD_DEG,
     WHOLE,
     WORLDS,
     RecipeName,
     Size,
     World,
-    expected_of,
     recipe_of,
+    rendered_as,
+    whole_recipe,
 )
-from anisoscope.study.detection.results import results_of
 from anisoscope.study.detection.sheets import bounces_of, prepare_sheet, sheet_tasks
+from anisoscope.study.detection.surrogate import SurrogateTask, bases_of, prepare_surrogate
 from anisoscope.study.sweep import Workers, sweep
 
-SHAPES = ("ridge-angle", "roughness")
-POWER = 0.99
-BETTER = 3.0
-POSES: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
-    "standard poses": ((0.0, 90.0, 180.0), (0.0,)),
-    "tilted poses": ((0.0, 90.0, 180.0), (0.0, -10.0, 10.0)),
-    "tilts to ±20°": ((0.0, 90.0, 180.0), (0.0, -20.0, -10.0, 10.0, 20.0)),
-    "every 45° upright": (tuple(np.arange(0.0, 360.0, 45.0)), (0.0,)),
-    "every 45°, tilts to ±10°": (tuple(np.arange(0.0, 360.0, 45.0)), (0.0, -10.0, 10.0)),
-}
-MATERIAL = ("roughness", "albedo", "refractive")
-PLACE = ("seating", "light angle")
-RIG = "measurement"
-CALIBRATIONS: dict[str, tuple[str, ...]] = {
-    "as it is": (),
-    "material known 3× better": MATERIAL,
-    "seating and lamp 3× better": PLACE,
-    "flat field, linearity, drift, stage 3× better": (RIG,),
-    "material, seating and lamp 3× better": (*MATERIAL, *PLACE),
-    "all of these 3× better": (*MATERIAL, *PLACE, RIG),
-}
+Results = dict[str, Any]
+
+COVERAGE = 1.959964
+LEVEL = 0.01
+RULES = (
+    "plastic-0",
+    "calibrated-0",
+    "spread-0",
+    "plastic-3",
+    "calibrated-1",
+    "calibrated-3",
+    "calibrated-10",
+    "calibrated-25",
+)
+DIAGNOSED_WITH = 3
+"""Golden parts of the diagnosis."""
+DIAGNOSED = 20
+"""Parts of a class that are diagnosed, at most."""
+SHARED_SOURCES = ("stray light",)
+TAILS = 17
+_SEED = 3
 
 
-def outlook() -> dict[str, list[dict[str, Any]]]:
-    """By class: poses, calibration, σ of the shift and area under the curve of D², in the order of `POSES`."""
-    found: dict[str, list[dict[str, Any]]] = {name: [] for name in SHAPES}
-    for poses, (angles, tilts) in POSES.items():
-        recipe = _recipe(angles, tilts)
-        expected = expectation(recipe, LIGHT_DEG)
-        shifts = {name: _shifts(name, expected) for name in SHAPES}
-        for calibration, better in CALIBRATIONS.items():
-            good = _good(recipe, expected, better)
-            for name in SHAPES:
-                sigmas = [_sigmas(shift, good) for shift in shifts[name]]
-                areas = [area_of(sigma, len(expected.poses) - 1) for sigma in sigmas]
-                row = {"poses": poses, "calibration": calibration}
-                found[name].append({**row, "sigmas": float(np.mean(sigmas)), "auc": float(np.mean(areas))})
-    return found
+@dataclass(frozen=True)
+class Calibration:
+    """A plastic calibrated on a coupon of one world, as ``calibrate material`` does.
 
-
-def _recipe(angles: tuple[float, ...], tilts: tuple[float, ...]) -> RidgeRecipe:
-    table = recipe_of("standard", Size(), stated=True).model_dump()
-    table["schema"] = 1
-    table.pop("schema_version", None)
-    table["poses"] |= {"angles_deg": angles, "tilts_deg": tilts}
-    return RidgeRecipe.model_validate(table)
-
-
-def _shifts(name: str, expected: Expectation) -> list[FloatArray]:
-    """(P,) changes of ln L of a class, of both its signs where it has two."""
-    kind = BY_NAME[name]
-    seen = directions(expected.poses, expected.convention)
-    found = []
-    for sign in (-1.0, 1.0) if kind.signed else (1.0,):
-        angle, material = RIDGE_ANGLE_DEG, WHOLE
-        if name == "ridge-angle":
-            angle += sign * kind.extent
-        else:
-            material = replace(WHOLE, alpha_across=WHOLE.alpha_across * (1.0 + kind.extent))
-        bad = corrected.radiance(*seen, RidgeDesign(PITCH_UM, angle), material)
-        found.append(np.asarray(np.log(bad / expected.radiance)))
-    return found
-
-
-def _good(recipe: RidgeRecipe, expected: Expectation, better: tuple[str, ...]) -> tuple[Response, FloatArray]:
-    """Scatter of good parts with some sources reduced by `BETTER`, in the basis of ln ratios.
-
-    Returns:
-        Response to the inputs, the ridge angle of good parts among them, and (P − 1, P − 1) covariance of the rest.
+    Attributes:
+        file: values and covariance.
+        residual_over_noise: 1 where the family of lobes fits.
     """
-    inputs = expected.response
-    assert inputs is not None
+
+    file: MaterialFile
+    residual_over_noise: float
+
+
+@lru_cache(maxsize=8)
+def calibration_of(world: World, seed: int) -> Calibration:
+    """Scan a flat coupon in the poses of ``calibrate material``, each with `POSE_NOISE`, and fit its lobe."""
+    world = rendered_as(world)
+    specimen, poses, convention = coupon(), coupon_poses(), Convention(LIGHT_DEG)
+    material = lobes_of(world).smooth
+    to_light, to_camera = directions(poses, convention)
+    if WORLDS[world].traced:
+        flat = HeightMap(np.zeros((3, 3)), 10.0, 10.0, {})
+        tracer = PathTracer(flat, plastic_of(world, material), reflections=1)
+        pairs = zip(to_light, to_camera, strict=True)
+        radiance = np.array([float(tracer.direct(*pair).mean(dtype=np.float64)) for pair in pairs])
+    else:
+        radiance = specimen.direct(to_light, to_camera, specimen.design, material)
+    rng = np.random.default_rng([seed, 23])
+    noisy = radiance * np.exp(POSE_NOISE * rng.standard_normal(len(poses)))
+    found = fit_lobe(Scan(poses, convention, noisy, np.zeros(len(poses))), specimen, WHOLE)
+    test = ResidualPart(
+        residual_over_noise=found.residual_over_noise,
+        birge_ratio=found.birge_ratio,
+        degrees_of_freedom=round(found.degrees_of_freedom),
+        rms_share=found.rms_share,
+        discrepancy_share=found.discrepancy_share,
+        family=found.family,
+    )
+    file = MaterialFile(
+        id=f"material-{world}",
+        name=f"plastic of the world {world}",
+        material=LobePart(**vars(found.material)),
+        covariance=CovariancePart(
+            parameters=found.information.lobe,
+            matrix=tuple(map(tuple, found.information.material_covariance.tolist())),
+        ),
+        validity=ValidityPart(half_angle_deg=found.half_angle_deg),
+        test=test,
+    )
+    return Calibration(file, found.residual_over_noise)
+
+
+def with_spread(recipe: RidgeRecipe) -> RidgeRecipe:
+    """The recipe of a calibrated plastic, whose roughness and albedo scatter between parts."""
+    part = recipe.material
+    spread = {"u_alpha_share": ALPHA_SPREAD, "u_albedo": ALBEDO_SPREAD * part.albedo}
+    return recipe.model_copy(update={"material": part.model_copy(update=spread)})
+
+
+@dataclass(frozen=True, eq=False)
+class Judge:
+    """One recipe in one world with what it predicts, and the parts as it sees them.
+
+    Attributes:
+        recipe: with the calibrated plastic.
+        expected: prediction by what is known of the plastic: "plastic", "calibrated", "spread".
+        scatters: of good parts, by "plastic" and "calibrated".
+        columns: of all parts.
+        chosen: its poses among those that were photographed.
+    """
+
+    recipe: RidgeRecipe
+    expected: dict[str, Expectation]
+    scatters: dict[str, Scatter]
+    columns: Columns
+    chosen: tuple[int, ...]
+
+    @property
+    def log_radiance(self) -> FloatArray:
+        """(N, P) of all parts."""
+        return np.asarray(self.columns["log_radiance"][:, list(self.chosen)])
+
+    @property
+    def own(self) -> FloatArray:
+        """(N, S, P) relative components of the measurement of all parts."""
+        return np.asarray(self.columns["own"][:, :, list(self.chosen)])
+
+    def numbers(self, kind: str) -> npt.NDArray[np.int_]:
+        """Rows of a kind of parts."""
+        return np.flatnonzero(self.columns["kind"] == kind)
+
+
+def judge_of(world: World, columns: Columns, name: RecipeName, size: Size, seed: int) -> Judge:
+    """The judge of a recipe in a world; parts with an INVALID measurement must be left out before."""
+    file = calibration_of(world, seed).file
+    recipe, plain = recipe_of(name, size, file), recipe_of(name, size)
+    recipes = {"plastic": plain, "calibrated": recipe, "spread": with_spread(recipe)}
+    chosen = CHOSEN[name]
+    own = columns["own"][:, :, list(chosen)]
+    single = [k for k, source in enumerate(MEASURED_SOURCES) if source not in OF_THE_RIG]
+    errors = np.sqrt(np.mean(np.sum(own[:, single] ** 2, axis=1), axis=0))
+    scatters = {}
+    for known, one in (("plastic", plain), ("calibrated", recipe)):
+        parts = part_scatter(one, LIGHT_DEG)
+        assert parts is not None
+        usual = contrast_scatter(parts, 1.0)
+        basis = log_basis(len(chosen))
+        scatters[known] = replace(usual, errors=np.asarray(basis @ np.diag(errors**2) @ basis.T))
+    expected = {known: expectation(one, LIGHT_DEG) for known, one in recipes.items()}
+    return Judge(recipe, expected, scatters, columns, chosen)
+
+
+def covariance_of_measurement(own: FloatArray) -> FloatArray:
+    """(N, P, P) covariances from the (N, S, P) components of the measurements."""
+    shared = np.array([source in SHARED_SOURCES for source in MEASURED_SOURCES])
+    alone = np.sum(own[:, ~shared] ** 2, axis=1)
+    together = np.einsum("nsi,nsj->nij", own[:, shared], own[:, shared])
+    return np.asarray(together + alone[:, :, None] * np.eye(own.shape[2]))
+
+
+def from_prediction(expected: Expectation, log_radiance: FloatArray, own: FloatArray) -> FloatArray:
+    """(N,) p values of parts as `consistency_test.from_prediction` gives them one by one.
+
+    The nearest tail of an unmeasured lobe is one of `TAILS`.
+    """
+    from scipy.stats import chi2  # noqa: PLC0415 - 1 s
+
     basis = log_basis(len(expected.poses))
-    scale = np.array([1.0 / BETTER if better and name.startswith(better) else 1.0 for name in inputs.sources])
-    response = Response(inputs.sources, inputs.slope * scale, inputs.bend * np.outer(scale, scale))
-    predicted = np.sum([c.covariance() for c in expected.components], axis=0)
-    alone = planned_covariance(recipe, expected) - predicted
-    alone = basis @ alone @ basis.T * (BETTER**-2.0 if RIG in better else 1.0)
-    return response.within(basis), np.asarray(alone)
+    known = [c for c in expected.alone if expected.lobes is None or c.source != TAIL]
+    alone = covariance_of_measurement(own) + np.sum([c.covariance() for c in known], axis=0)
+    within = basis @ alone @ basis.T
+    off = (log_radiance - np.log(expected.radiance)) @ basis.T
+    if expected.lobes is None:
+        assert expected.response is not None
+        d2 = nearest(expected.response.within(basis), off, within)
+    else:
+        lobes = expected.lobes.within(basis)
+        tails = np.linspace(lobes.tails[0], lobes.tails[-1], TAILS)
+        found = [(lobes.at(float(tail)), lobes.penalty(float(tail))) for tail in tails]
+        d2 = np.min([nearest(known, off - shift, within) + more for (shift, known), more in found], axis=0)
+    return np.asarray(chi2.sf(d2, len(basis)))
 
 
-def _sigmas(shift: FloatArray, good: tuple[Response, FloatArray]) -> float:
-    """Distance of a shifted part from the set of good parts, in σ."""
-    response, alone = good
-    off = log_basis(len(shift)) @ shift
-    return float(np.sqrt(nearest(response, off[None], alone[None])[0]))
+def golden_of(rig: int, part: int, count: int, of: int) -> npt.NDArray[np.int_]:
+    """Numbers of the ``count`` golden parts of ``of`` with which a part of a rig is compared: in turn, all of them."""
+    order = np.random.default_rng([_SEED, rig]).permutation(of)
+    first = part % max(of // count, 1) * count
+    return order[first : first + count]
 
 
-def area_of(sigmas: float, contrasts: int) -> float:
-    """Probability that D² of a part shifted by some σ exceeds that of a good one."""
-    from scipy.stats import chi2, ncx2  # noqa: PLC0415 - 1 s
+def p_values(rule: str, judge: Judge, kind: str) -> FloatArray:
+    """(N,) p values of the means of all parts of a kind by a rule."""
+    known, count = rule.split("-")
+    rows = judge.numbers(kind)
+    if count == "0":
+        return from_prediction(judge.expected[known], judge.log_radiance[rows], judge.own[rows])
+    basis = log_basis(len(judge.chosen))
+    values = judge.log_radiance @ basis.T
+    rigs, golden = judge.columns["rig"], judge.numbers(GOLDEN)
+    found = []
+    for number, row in enumerate(rows):
+        mates = golden[rigs[golden] == rigs[row]]
+        chosen = mates[golden_of(int(rigs[row]), number, int(count), len(mates))]
+        found.append(predictive_test(judge.scatters[known], values[chosen], values[row], LEVEL).p_value)
+    return np.array(found)
 
-    levels = (np.arange(2000) + 0.5) / 2000
-    return float(np.mean(ncx2.sf(chi2.ppf(levels, contrasts), contrasts, max(sigmas, 1e-6) ** 2)))
+
+def results_of(
+    world: World, columns: Columns, name: RecipeName, size: Size, seed: int, *, diagnosed: bool
+) -> Results:
+    """Results of one recipe in one world.
+
+    Args:
+        world: the world.
+        columns: of all parts.
+        name: of the recipe.
+        size: of the study.
+        seed: of the study.
+        diagnosed: whether causes are looked for.
+    """
+    valid = columns["valid"].astype(bool)
+    columns = {key: values[valid] for key, values in columns.items()}
+    judge = judge_of(world, columns, name, size, seed)
+    kinds = (GOOD, *BY_NAME)
+    p = {rule: {kind: p_values(rule, judge, kind) for kind in kinds} for rule in RULES}
+    rigs = {kind: columns["rig"][judge.numbers(kind)] for kind in kinds}
+    known = signatures_of(rendered_as(world), size, seed).of(CHOSEN[name]) if diagnosed else None
+    return {
+        "invalid": int(np.count_nonzero(~valid)),
+        "calibration": {
+            "residual_over_noise": calibration_of(world, seed).residual_over_noise,
+            "family": "second lobe" if judge.recipe.material.second_lobe else "tail",
+        },
+        "false_alarms": {rule: _rate(rate(p[rule][GOOD] < LEVEL, rigs[GOOD])) for rule in RULES},
+        "uniform": {rule: uniformity(p[rule][GOOD])[0] for rule in RULES},
+        "area_over_limit": _over_limit(judge, name, GOOD),
+        "coverage": _coverage(judge, rigs[GOOD]),
+        "classes": [_class(kind.name, judge, name, p, rigs, known) for kind in CLASSES],
+    }
 
 
-LEAST_PARTS = 20
+@lru_cache(maxsize=8)
+def signatures_of(world: World, size: Size, seed: int) -> Signatures:
+    """Signatures of the causes in all poses that are photographed, with the calibrated plastic."""
+    recipe = whole_recipe(size)
+    material = recipe_of("tilted", size, calibration_of(world, seed).file).material
+    recipe = recipe.model_copy(update={"material": material})
+    return (
+        cached_signatures(recipe, LIGHT_DEG)
+        if size.causes is None
+        else signatures(recipe, LIGHT_DEG, names=size.causes)
+    )
+
+
+def _rate(found: Rate) -> Results:
+    return {"rate": found.value, "count": found.count, "of": found.of, "interval": [found.low, found.high]}
+
+
+def _over_limit(judge: Judge, name: RecipeName, kind: str) -> Results:
+    """Parts whose area deviates by more than the recipe's limit, of those that were photographed."""
+    assert judge.recipe.area is not None
+    rows = judge.numbers(kind)
+    share = judge.columns[f"areas/{name}/share"][rows]
+    seen = np.isfinite(share)
+    return _rate(rate(share[seen] > judge.recipe.area.max_share, judge.columns["rig"][rows][seen]))
+
+
+def _coverage(judge: Judge, rigs: npt.NDArray[np.int_]) -> Results:
+    """Coverage of 95 % intervals of the contrasts of good parts."""
+    rows = judge.numbers(GOOD)
+    first, second = np.array(consecutive_pairs(judge.recipe.poses.poses())).T
+    own = covariance_of_measurement(judge.own[rows])
+    errors = judge.columns["error"][rows][:, list(judge.chosen)]
+    seen = np.isfinite(errors[:, 0])
+    found = {"measured": _held(errors[seen], own[seen], first, second, rigs[seen])}
+    for known, expected in judge.expected.items():
+        stated = own + np.sum([one.covariance() for one in expected.components], axis=0)
+        off = judge.log_radiance[rows] - np.log(expected.radiance)
+        found[known] = _held(off, stated, first, second, rigs)
+    return found
+
+
+def _held(
+    off: FloatArray,
+    covariance: FloatArray,
+    first: npt.NDArray[np.int_],
+    second: npt.NDArray[np.int_],
+    rigs: npt.NDArray[np.int_],
+) -> Results:
+    variance = (
+        covariance[:, first, first] + covariance[:, second, second] - 2.0 * covariance[:, first, second]
+    )
+    held = np.abs(off[:, first] - off[:, second]) <= COVERAGE * np.sqrt(variance)
+    return _rate(rate(held.ravel(), np.repeat(rigs, len(first))))
+
+
+def _class(
+    kind: str,
+    judge: Judge,
+    name: RecipeName,
+    p: dict[str, dict[str, FloatArray]],
+    rigs: dict[str, npt.NDArray[np.int_]],
+    known: Signatures | None,
+) -> Results:
+    area = _over_limit(judge, name, kind)
+    last = RULES[-1]
+    scores = {side: -np.log10(np.maximum(p[last][side], 1e-300)) for side in (kind, GOOD)}
+    unseen = Area(float("nan"), float("nan"))
+    some = len(scores[kind]) > 0
+    ours = area_under_curve(scores[kind], scores[GOOD]) if some else unseen
+    best = area_under_curve(*_ideal(judge, kind)) if some else unseen
+    return {
+        "name": kind,
+        "title": BY_NAME[kind].title,
+        "parts": len(p[last][kind]),
+        "power": {rule: _rate(rate(p[rule][kind] < LEVEL, rigs[kind])) for rule in RULES},
+        "area_over_limit": area,
+        "auc": {"value": ours.value, "u": ours.u},
+        "ideal": {"value": best.value, "u": best.u},
+        "diagnosis": None if known is None else _diagnosis(kind, judge, name, known, rigs[kind]),
+    }
+
+
+def _ideal(judge: Judge, kind: str) -> tuple[FloatArray, FloatArray]:
+    """Scores of the ideal observer of the means: he knows what good parts of every rig show on average."""
+    basis = log_basis(len(judge.chosen))
+    values, rigs = judge.log_radiance @ basis.T, judge.columns["rig"]
+    usual = np.isin(judge.columns["kind"], (GOOD, GOLDEN))
+    off = np.array(values)
+    for rig in np.unique(rigs):
+        off[rigs == rig] -= values[usual & (rigs == rig)].mean(axis=0)
+    bad = judge.numbers(kind)
+    signs = np.sign(judge.columns["extent"][bad]).astype(int)
+    return ideal_scores(off[bad], off[judge.numbers(GOOD)], signs)
+
+
+def evidence(judge: Judge, name: RecipeName, row: int, golden: Sequence[int] | None) -> Evidence:
+    """Evidence for the diagnosis of one part with the calibrated plastic, as in ``inspect``.
+
+    Args:
+        judge: recipe and parts.
+        name: of the recipe.
+        row: of the part.
+        golden: rows of the golden parts, whose mean is the reference; None: the prediction is.
+    """
+    recipe, expected = judge.recipe, judge.expected["calibrated"]
+    components = tuple(
+        Component(source, "measurement", relative, source in SHARED_SOURCES)
+        for source, relative in zip(MEASURED_SOURCES, judge.own[row], strict=True)
+    )
+    off = judge.log_radiance - np.log(expected.radiance)
+    scale = recipe.uncertainty.scale_share
+    covariance = covariance_of(expected.components + components, scale, off.shape[1])
+    assert recipe.area is not None
+    share, u_share = (float(judge.columns[f"areas/{name}/{key}"][row]) for key in ("share", "u_share"))
+    inputs = inputs_of(recipe, expected, components)
+    mean, u = background_of(recipe.area.max_share)
+    found = Evidence(off[row], covariance, inputs=inputs)
+    if np.isfinite(share):
+        found = replace(found, share=share, u_share=u_share, background=mean, u_background=u)
+    return found if golden is None else against(found, off[list(golden)], scale)
+
+
+def _diagnosis(
+    kind: str, judge: Judge, name: RecipeName, known: Signatures, rigs: npt.NDArray[np.int_]
+) -> Results:
+    """Causes of parts compared with three golden ones, and the interval of the true one."""
+    cause, rows = BY_NAME[kind].cause, judge.numbers(kind)[:DIAGNOSED]
+    golden, all_rigs = judge.numbers(GOLDEN), judge.columns["rig"]
+    truth = true_extents(kind, judge.columns, rows, Size())
+    first, tied, wrong, held = [], [], [], []
+    names: list[str] = []
+    for number, row in enumerate(rows):
+        mates = golden[all_rigs[golden] == all_rigs[row]]
+        chosen = mates[golden_of(int(all_rigs[row]), number, DIAGNOSED_WITH, len(mates))]
+        found = diagnose(known, evidence(judge, name, int(row), [int(one) for one in chosen]))
+        ties = {one.cause for one in found.ties}
+        names.append(found.causes[0].cause)
+        first.append(names[-1] == cause)
+        tied.append(cause in ties)
+        wrong.append(not ties & {cause, NOTHING} and found.unexplained_p >= LEVEL)
+        right = next((one for one in found.causes if one.cause == cause), None)
+        if right is not None and right.interval is not None:
+            low, high = right.interval
+            held.append(
+                not (low is not None and truth[number] < low)
+                and not (high is not None and truth[number] > high)
+            )
+    most, counts = np.unique(names, return_counts=True)
+    own = rigs[: len(rows)]
+    return {
+        "first": _rate(rate(np.array(first), own)),
+        "tied": _rate(rate(np.array(tied), own)),
+        "wrong": _rate(rate(np.array(wrong), own)),
+        "interval": _rate(rate(np.array(held, dtype=bool))),
+        "named": [[str(most[k]), int(counts[k])] for k in np.argsort(-counts)[:3]],
+    }
+
+
+LEAST_RIGS = 2
+PICTURED: tuple[World, ...] = ("same", "reflections", "ggx", "two-scale")
+"""Worlds in which some parts are photographed; local defects hardly depend on camera and lamp."""
 
 
 @dataclass(frozen=True)
@@ -162,67 +484,75 @@ class Plan:
 
     Attributes:
         worlds: rendered worlds.
-        recipes: applied to every part; all poses of the tilted recipe are photographed.
-        parts: number of good parts.
-        defective: number of parts of every class of defects.
+        recipes: applied to every part; the poses of all recipes are photographed.
+        rigs: number of rigs, each with its golden and judged parts.
+        pictured: number of them whose parts are photographed; of the others the means of the poses are computed.
         seed: of everything random.
+        diagnosed: whether the causes of bad parts are looked for; signatures take half a minute a world.
         size: of parts and frames.
-        folder: of cached sheets and chunks, without a limit of size; None is the user's cache.
+        folder: of cached sheets and rigs, without a limit of size; None is the user's cache.
     """
 
     worlds: tuple[World, ...]
     recipes: tuple[RecipeName, ...]
-    parts: int
-    defective: int
+    rigs: int
+    pictured: int
     seed: int = 1
+    diagnosed: bool = False
     size: Size = field(default_factory=Size)
     folder: Path | None = None
 
     def __post_init__(self) -> None:
-        if self.parts < 2 * LEAST_PARTS or self.defective < 1:
-            raise UsageError(
-                f"a study needs at least {2 * LEAST_PARTS} good parts and 1 of every class, not {self.parts} and "
-                f"{self.defective}"
-            )
-
-    @property
-    def counts(self) -> dict[str, int]:
-        """Parts of every class."""
-        return {GOOD: self.parts, **{kind.name: self.defective for kind in CLASSES}}
+        if self.rigs < LEAST_RIGS:
+            raise UsageError(f"a study needs at least {LEAST_RIGS} rigs, not {self.rigs}")
 
 
-def collect(plan: Plan, workers: Workers, advance: Advance = silent) -> dict[World, dict[str, Columns]]:
-    """Simulate all parts that are not cached, and return their columns, by world and class.
+def collect(plan: Plan, workers: Workers, advance: Advance = silent) -> dict[World, Columns]:
+    """Simulate all rigs that are not cached, and return the columns of their parts by world.
 
     Raises:
         RecordError: the plan's folder cannot be written.
         SweepError: a process failed.
     """
-    for name in RECIPES:
-        advance(f"signatures of the {name} recipe", 0, 1)
-        signatures_of(name, plan.size)
-        if "same" in plan.worlds:
-            signatures_of(name, plan.size, stated=True)
-    sheets = sheet_tasks(plan.worlds, plan.size, plan.seed, plan.folder)
-    sweep(prepare_sheet, sheets, workers, advance=advance, doing="surfaces")
-    bounces = {world: _bounces(plan, world, workers, advance) for world in plan.worlds}
-    tasks = chunk_tasks(plan, bounces)
-    chunks = dict(
-        zip(tasks, sweep(inspect_chunk, tasks, workers, advance=advance, doing="parts"), strict=True)
-    )
-    found: dict[World, dict[str, Columns]] = {world: {} for world in plan.worlds}
-    for world in plan.worlds:
-        for kind, count in plan.counts.items():
-            own = [task for task in tasks if (task.world, task.kind) == (world, kind)]
-            own.sort(key=lambda task: task.number)
-            found[world][kind] = _joined([chunks[task] for task in own], count)
-    return found
+    lit = tuple(dict.fromkeys(rendered_as(world) for world in plan.worlds))
+    kinds = [kind.name for kind in CLASSES if not kind.local]
+    for step in ([GOOD], kinds):  # a defect is the change of a good part
+        fits = [
+            SurrogateTask(world, kind, extent, plan.folder)
+            for world in lit
+            for kind in step
+            for extent in bases_of(kind)
+        ]
+        sweep(prepare_surrogate, fits, workers, advance=advance, doing="polynomials")
+    pictured = tuple(world for world in plan.worlds if world in PICTURED and plan.pictured > 0)
+    missing = [
+        task
+        for number in range(plan.pictured)
+        for world in pictured
+        if (task := _task(plan, world, number, ())).entry.read() is None
+    ]
+    if missing:  # kept rigs need no surfaces
+        sheets = sheet_tasks(pictured, plan.size, plan.seed, plan.folder)
+        sweep(prepare_sheet, sheets, workers, advance=advance, doing="surfaces")
+    bounces = {world: _bounces(plan, world, workers, advance) if missing else () for world in pictured}
+    tasks = [
+        _task(plan, world, number, bounces.get(world, ()))
+        for number in range(plan.rigs)
+        for world in plan.worlds
+    ]
+    rigs = dict(zip(tasks, sweep(inspect_chunk, tasks, workers, advance=advance, doing="rigs"), strict=True))
+    return {world: _joined([rigs[task] for task in tasks if task.world == world]) for world in plan.worlds}
 
 
-def _bounces(plan: Plan, world: World, workers: Workers, advance: Advance) -> dict[str, tuple[float, ...]]:
-    kinds = [GOOD, *(kind.name for kind in CLASSES)]
-    if not WORLDS[world].reflections:
-        return dict.fromkeys(kinds, ())
+def _task(plan: Plan, world: World, number: int, bounces: Bounces) -> ChunkTask:
+    pictured = world in PICTURED and number < plan.pictured
+    return ChunkTask(world, number, plan.size, plan.seed, plan.folder, bounces if pictured else (), pictured)
+
+
+def _bounces(plan: Plan, world: World, workers: Workers, advance: Advance) -> Bounces:
+    if not WORLDS[world].traced:
+        return ()
+    kinds = [GOOD, *(kind.name for kind in CLASSES if kind.local)]
 
     def traced() -> dict[str, tuple[float, ...]]:
         values = sweep(
@@ -230,7 +560,7 @@ def _bounces(plan: Plan, world: World, workers: Workers, advance: Advance) -> di
         )
         return {kind: tuple(float(one) for one in value) for kind, value in zip(kinds, values, strict=True)}
 
-    return (
+    found = (
         Cache(plan.folder)
         .entry("detection-reflections", [world, *kinds], bounces_of.__module__)
         .result(
@@ -239,27 +569,11 @@ def _bounces(plan: Plan, world: World, workers: Workers, advance: Advance) -> di
             lambda content: {kind: tuple(values) for kind, values in json.loads(content).items()},
         )
     )
+    return tuple(found.items())
 
 
-def chunk_tasks(plan: Plan, bounces: dict[World, dict[str, tuple[float, ...]]]) -> list[ChunkTask]:
-    """All chunks, in an order in which a study that is cut off has the same share of every class."""
-    tasks: list[tuple[float, ChunkTask]] = []
-    for world in plan.worlds:
-        for kind, count in plan.counts.items():
-            chunks = -(-count // plan.size.chunk)
-            tasks += [
-                (
-                    (number + 0.5) / chunks,
-                    ChunkTask(world, kind, number, plan.size, plan.seed, plan.folder, bounces[world][kind]),
-                )
-                for number in range(chunks)
-            ]
-    return [task for _, task in sorted(tasks, key=lambda pair: pair[0])]
-
-
-def _joined(chunks: Sequence[Columns], count: int) -> Columns:
-    names = [name for name in chunks[0] if all(name in chunk for chunk in chunks)]
-    return {name: np.concatenate([chunk[name] for chunk in chunks])[:count] for name in names}
+def _joined(rigs: Sequence[Columns]) -> Columns:
+    return {name: np.concatenate([rig[name] for rig in rigs]) for name in rigs[0]}
 
 
 def plan_table(plan: Plan) -> dict[str, Any]:
@@ -267,46 +581,42 @@ def plan_table(plan: Plan) -> dict[str, Any]:
     found = asdict(plan)
     del found["folder"]
     sensor = plan.size.sensor
-    return {**found, "frame": [sensor.rows, sensor.cols]}
+    photographed = [world for world in plan.worlds if world in PICTURED]
+    return {**found, "photographed": photographed, "frame": [sensor.rows, sensor.cols]}
 
 
-def study_results(plan: Plan, workers: Workers, advance: Advance = silent) -> dict[str, Any]:
+def study_results(
+    plan: Plan, workers: Workers, advance: Advance = silent, rendered: Path | None = None
+) -> dict[str, Any]:
     """Run the study and return all results as plain numbers.
+
+    Args:
+        plan: worlds, recipes, rigs.
+        workers: processes.
+        advance: progress.
+        rendered: archive of the parts that Mitsuba rendered, judged too; None leaves them out.
 
     Raises:
         RecordError: the folder cannot be written.
         SweepError: a process failed.
+        UsageError: the archive cannot be read.
     """
-    seen = collect(plan, workers, advance)
+    seen = collect(plan, workers, advance) if plan.worlds else {}
     found: dict[str, Any] = {"plan": plan_table(plan), "worlds": {}}
-    steps = [(world, name) for world in plan.worlds for name in plan.recipes]
-    tasks = [(world, seen[world], name, plan.size) for world, name in steps]
-    evaluated = sweep(_evaluated, tasks, workers, advance=advance, doing="evaluation")
-    for (world, name), results in zip(steps, evaluated, strict=True):
-        found["worlds"].setdefault(world, {})[name] = results
-    found["other_world"] = _of_other_world(plan, workers, advance)
-    found["outlook"] = outlook()
+    steps = [(world, seen[world], plan) for world in plan.worlds]
+    evaluated = sweep(_evaluated, steps, workers, advance=advance, doing="evaluation")
+    found["worlds"] = dict(zip(plan.worlds, evaluated, strict=True))
+    found["rendered"] = [] if rendered is None else judged(rendered, advance)
     found["notes"] = notes_of(plan)
     clean: dict[str, Any] = without_nan(found)
     return clean
 
 
-def _evaluated(task: tuple[World, dict[str, Columns], RecipeName, Size]) -> dict[str, Any]:
-    return results_of(*task)
-
-
-def _of_other_world(plan: Plan, workers: Workers, advance: Advance) -> dict[str, Any] | None:
-    if "other" not in plan.worlds:
-        return None
-    lobes = lobes_of("other")
-    reflected = _bounces(plan, "other", workers, advance)
-    share = np.array(reflected[GOOD]) / expected_of("tilted", plan.size).radiance
+def _evaluated(task: tuple[World, Columns, Plan]) -> dict[str, Any]:
+    world, columns, plan = task
     return {
-        "ggx": asdict(lobes.smooth),
-        "misfit_rms": lobes.misfit,
-        "reflections_share": [float(value) for value in share],
-        "nonlinearity": NONLINEARITY,
-        "led_distance_mm": LED_DISTANCE_MM,
+        name: results_of(world, columns, name, plan.size, plan.seed, diagnosed=plan.diagnosed)
+        for name in plan.recipes
     }
 
 
@@ -316,20 +626,18 @@ def notes_of(plan: Plan) -> list[str]:
     return [
         (
             f"Parts of {size.ridges} ridges, pitch {PITCH_UM:g} µm, {size.pitches * PITCH_UM / 1000.0:g} mm long; "
-            f"frames of {sensor.cols} × {sensor.rows} pixels of {size.pixel_um:g} µm, 2 a pose, of which the window "
-            f"that holds the part is read out; every {size.chunk} parts share a camera "
-            "with its own flat and dark frames, every part meets a rig of its own, drawn from the recipe's "
-            "uncertainties. Placement: as the markers would give it, with an error of "
-            f"{MARKER_ERROR_PX:g} px."
+            f"frames of {sensor.cols} × {sensor.rows} pixels of {size.pixel_um:g} µm, {FRAMES} a pose, of which the "
+            "window that holds the part is read out. A rig (light, zero of the tilt, stray light, linearity, camera "
+            f"with flat and dark frames) is drawn for every set of {size.golden} golden parts; all parts of the set "
+            f"meet it. Placement: as the markers would give it, with an error of {MARKER_ERROR_PX:g} px."
         ),
         (
-            "Good parts scatter (1 σ): ridge angle 0.1°, both roughnesses 5 %, albedo 3 %, seating 0.1° about both "
-            "axes; burrs on up to 0.2 % of the area."
+            f"Good parts scatter (1 σ): ridge angle {RIDGE_ANGLE_SPREAD_DEG:g}°, both roughnesses {ALPHA_SPREAD:.0%}, "
+            f"albedo {ALBEDO_SPREAD:.0%}, seating 0.1° about both axes; burrs on up to {BURRS_ON_GOOD:.1%} of the area."
         ),
         (
-            "Surfaces are cut from rendered sheets; what is alike all along the ridges is put in by the exact ratio of "
-            "smooth profiles. Intervals of rates of the contrast map take parts as independent; parts from one sheet "
-            "share some of their surface."
+            f"The camera of the worlds camera and other is {NONLINEARITY:.1%} non-linear at full well; the lamp of the "
+            f"worlds lamp and other stands {LED_DISTANCE_MM:g} mm away."
         ),
     ]
 

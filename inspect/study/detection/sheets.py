@@ -6,7 +6,7 @@ crests, roughness of the lobe, seating, lamp) are applied afterwards (`anisoscop
 """
 
 import io
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -31,21 +31,19 @@ from anisoscope.study.detection.product import (
     PITCH_UM,
     RESOLVED_ALPHA,
     RIDGE_ANGLE_DEG,
+    SEEN,
     WORLDS,
     Size,
     World,
-    expected_of,
+    rendered_as,
 )
 
 POINTS = 25  # a pitch, each way, of what is kept; facets are half as wide
 CORRELATION_UM = 8.0
 CHANGED_UM = 0.05
 PARTS_ACROSS, PARTS_ALONG = 2, 2
-_PATHS = 1 << 19
+_PATHS = 1 << 16
 _SETTINGS = {
-    "ridge-angle": ("ridge-angle", "delta_deg"),
-    "height-loss": ("incomplete-filling", "loss"),
-    "wear": ("wear", "radius_um"),
     "burrs": ("burrs", "coverage"),
     "scratches": ("scratches", "density_per_mm2"),
     "missing-ridges": ("missing-ridges", "share"),
@@ -80,14 +78,14 @@ class SheetTask:
     @property
     def entry(self) -> Entry:
         """Its place in the cache."""
-        given: list[object] = [self.world, self.kind, self.number, self.seed]
+        given: list[object] = [rendered_as(self.world), self.kind, self.number, self.seed]
         given += [self.size.ridges, self.size.pitches, self.size.sheets]
         return Cache(self.folder).entry("detection-sheets", given, __name__)
 
 
 def sheets_of(kind: str, size: Size) -> int:
     """Number of sheets of a class; shape defects are applied to the sheets of good parts."""
-    return size.sheets if kind == GOOD else max(1, size.sheets // 4)
+    return size.sheets if kind == GOOD else 1
 
 
 def sheet_tasks(worlds: tuple[World, ...], size: Size, seed: int, folder: Path | None) -> list[SheetTask]:
@@ -95,7 +93,7 @@ def sheet_tasks(worlds: tuple[World, ...], size: Size, seed: int, folder: Path |
     kinds = (GOOD, *(kind.name for kind in CLASSES if kind.local))
     return [
         SheetTask(world, kind, number, size, seed, folder)
-        for world in worlds
+        for world in dict.fromkeys(rendered_as(world) for world in worlds)
         for kind in kinds
         for number in range(sheets_of(kind, size))
     ]
@@ -149,7 +147,7 @@ def sheet_surface(task: SheetTask) -> tuple[HeightMap, npt.NDArray[np.bool_]]:
 
 def _spoiled(surface: HeightMap, task: SheetTask, rng: np.random.Generator) -> HeightMap:
     kind = BY_NAME[task.kind]
-    values = {**kind.values, _SETTINGS[task.kind][1]: kind.extent}
+    values = {_SETTINGS[task.kind][1]: kind.extent}
     if task.kind != "missing-ridges":
         return inject_defect(surface, task.kind, rng, values=values)
     # as many as stated in every part, none in the margins: parts of this class are cut at whole parts only
@@ -165,8 +163,7 @@ def _spoiled(surface: HeightMap, task: SheetTask, rng: np.random.Generator) -> H
 
 def _rendered(surface: HeightMap, world: World) -> list[npt.NDArray[np.float32]]:
     """Direct light of a surface in every pose: by the predictor's facets, or by the path tracer."""
-    expected = expected_of("tilted", Size())
-    sides = directions(expected.poses, Convention(LIGHT_DEG))
+    sides = directions(SEEN, Convention(LIGHT_DEG))
     material = lobes_of(world).textured
     if WORLDS[world].traced:
         tracer = PathTracer(surface, plastic_of(world, material), pitch_um=PITCH_UM, reflections=1)
@@ -191,21 +188,18 @@ def cut(sheet: Sheet, kind: str, size: Size, rng: np.random.Generator) -> tuple[
 
 
 def bounces_of(which: tuple[World, str]) -> FloatArray:
-    """(P,) radiance of light that reflects more than once on a class in a world, nominal material, 1/sr.
+    """(P,) radiance of light that reflects more than once on good parts or a local class in a traced world, 1/sr.
 
     Smooth over the picture: traced on a few ridges of the class.
     """
     world, kind = which
-    expected = expected_of("tilted", Size())
-    sides = directions(expected.poses, Convention(LIGHT_DEG))
+    sides = directions(SEEN, Convention(LIGHT_DEG))
     # the same piece of surface and the same paths for all, so that classes differ by their defect alone
-    surface, _ = sheet_surface(SheetTask("other", GOOD, 0, Size(ridges=24, pitches=4, sheets=1), 1))
+    surface, _ = sheet_surface(SheetTask(world, GOOD, 0, Size(ridges=24, pitches=4, sheets=1), 1))
     material = lobes_of(world).textured
-    if kind == "roughness":
-        material = replace(material, alpha_across=material.alpha_across * (1.0 + BY_NAME[kind].extent))
-    elif kind != GOOD:
+    if kind != GOOD:
         name, setting = _SETTINGS[kind]
-        values = {**BY_NAME[kind].values, setting: BY_NAME[kind].extent}
+        values = {setting: BY_NAME[kind].extent}
         surface = inject_defect(surface, name, np.random.default_rng(0), values=values)
     tracer = PathTracer(surface, plastic_of(world, material), pitch_um=PITCH_UM, paths=_PATHS)
     return np.array([tracer.indirect(light, camera).mean for light, camera in zip(*sides, strict=True)])

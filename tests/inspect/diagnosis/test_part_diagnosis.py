@@ -13,9 +13,18 @@ from anisoscope.diagnosis.part_diagnosis import evidence_of, explain
 from anisoscope.diagnosis.signatures import signatures
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.registration.placement import Grid
-from anisoscope.prediction.expectation import Component
-from anisoscope.study.detection.chunk import profile_radiance
-from anisoscope.study.detection.product import BY_NAME, LIGHT_DEG, Size, draw, expected_of, recipe_of
+from anisoscope.prediction.expectation import Component, expectation
+from anisoscope.study.detection.product import (
+    BY_NAME,
+    GOOD,
+    LIGHT_DEG,
+    WHOLE,
+    Size,
+    draw,
+    draw_rig,
+    recipe_of,
+)
+from anisoscope.study.detection.surrogate import SurrogateTask, direct_of, state_of
 
 GOLDEN, PARTS = 25, 5
 CAUSES = ("incomplete-filling", "wear", "ridge-angle", "seating-y", "colour")
@@ -24,12 +33,20 @@ CLASSES = ("height-loss", "wear")
 
 @pytest.fixture(scope="module")
 def recipe():
-    return recipe_of("tilted", Size()).model_copy(update={"area": None})
+    found = recipe_of("tilted", Size())
+    known = {"u_tail": 0.0, "u_alpha_share": 0.05, "u_albedo": 0.03 * WHOLE.albedo}
+    return found.model_copy(
+        update={
+            "area": None,
+            "material": found.material.model_copy(update=known),
+            "surface": found.surface.model_copy(update={"reflections": "direct"}),
+        }
+    )
 
 
 @pytest.fixture(scope="module")
-def expected():
-    return expected_of("tilted", Size())
+def expected(recipe):
+    return expectation(recipe, LIGHT_DEG)
 
 
 @pytest.fixture
@@ -44,13 +61,14 @@ def of_the_recipe(recipe):
 
 
 def shown(kind, count, seed, poses):
-    """(count, P) ln L of parts with GGX lobes, each on a rig of its own, as a camera without noise finds them."""
+    """(count, P) ln L of direct light of parts with GGX lobes, each on a rig of its own, by a camera without noise."""
     rng = np.random.default_rng(seed)
     found = []
     for _ in range(count):
-        specimen, _ = draw(None if kind is None else BY_NAME[kind], poses + 1, rng)
-        radiance = profile_radiance(specimen, "other")[:poses].mean(axis=1)
-        found.append(np.log((radiance + specimen.stray) * specimen.gain[:poses]))
+        rig, (specimen, extent) = draw_rig(rng), draw(BY_NAME.get(kind), rng)
+        state = state_of(specimen, rig, extent, kind or "")[0]
+        radiance = direct_of(SurrogateTask("other", kind or GOOD, extent), state)[:poses].mean(axis=1)
+        found.append(np.log((radiance + rig.stray) * specimen.gain[:poses]))
     return np.array(found)
 
 
