@@ -28,8 +28,6 @@ from anisoscope.prediction.expectation import nominal_shape, recipe_uncertainty
 from anisoscope.prediction.height_map_uncertainty import best_band, relief_model
 from anisoscope.prediction.recipe_models import lobe_on
 from anisoscope.prediction.reflections import (
-    LARGEST_ANGLE_DEG,
-    LEAST_ANGLE_DEG,
     Followed,
     Groove,
     StandIn,
@@ -38,6 +36,7 @@ from anisoscope.prediction.reflections import (
     reflections_of_map,
 )
 from anisoscope.prediction.relief_preparation import prepare_relief
+from anisoscope.prediction.ridge_edges import LARGEST_ANGLE_DEG, LEAST_ANGLE_DEG, ridge_edges
 from anisoscope.prediction.sensitivity import Model, Shape, State, Surface, evaluate, fixed
 from anisoscope.profiles.defect_injection import DEFECTS
 from anisoscope.profiles.files.load import read_height_map
@@ -256,7 +255,7 @@ class _Scene:
         """The groove of the good surface, or paths on it where there is none."""
         if self.design is not None:
             return groove_of_design(self.design, bounces), None
-        found = reflections_of_map(self.relief, bounces)
+        found = reflections_of_map(self.relief, bounces, ridge_edges(self.relief))
         return (None, found) if isinstance(found, Followed) else (found, None)
 
     def groove_with(self, cause: Cause, extent: float) -> Groove | None:

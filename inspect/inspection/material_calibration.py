@@ -44,6 +44,7 @@ from anisoscope.prediction.height_map_uncertainty import best_band, relief_model
 from anisoscope.prediction.recipe_models import read_surface
 from anisoscope.prediction.reflections import fitted_groove
 from anisoscope.prediction.relief_preparation import prepare_relief
+from anisoscope.prediction.ridge_edges import ridge_edges
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.recipe.material_file import (
     CovariancePart,
@@ -191,8 +192,9 @@ def _part(recipe: SurfaceRecipe, optics: Optics) -> Specimen:
         return ridged(recipe.surface.ridge_design(), optics, recipe.surface.bounces)
     surface = read_surface(recipe)
     relief, _ = prepare_relief(surface, recipe.surface.pitch_um)
-    rays = relief_model(best_band(relief), optics)
-    groove = replace(fitted_groove(relief).design, pitch_um=recipe.surface.pitch_um)
+    edges = ridge_edges(relief)
+    rays = relief_model(best_band(relief), optics, edges=edges)
+    groove = replace(fitted_groove(relief, edges=edges).design, pitch_um=recipe.surface.pitch_um)
 
     def direct(
         to_light: FloatArray, to_camera: FloatArray, _design: RidgeDesign, material: Material

@@ -255,13 +255,15 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
         )
 
     def as_recorded(self, recipe: RecipeT, recorded: Mapping[str, Any]) -> RecipeT:
-        """Direct light, a known lobe, no test for wear, golden parts by their own scatter: all that versions knew.
+        """Direct light, sampled walls, a known lobe, no test for wear, golden parts by their own scatter: as recorded.
 
         Uncertainties of the plastic are the recorded ones: their defaults were others.
         """
         changes: dict[str, Any] = {}
-        if "reflections" not in recorded.get("surface", {}):
-            changes["surface"] = recipe.surface.model_copy(update={"reflections": "direct"})
+        then = {"reflections": "direct", "walls": "sampled"}
+        unknown = {key: value for key, value in then.items() if key not in recorded.get("surface", {})}
+        if unknown:
+            changes["surface"] = recipe.surface.model_copy(update=unknown)
         if "scatter" not in recorded:
             changes["scatter"] = None
         stated = {"u_tail": 0.0} | recorded.get("material", {})

@@ -7,7 +7,7 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import RecipeError
-from anisoscope.prediction.height_map_uncertainty import pixel_error
+from anisoscope.prediction.height_map_uncertainty import edge_contributions, pixel_error
 from anisoscope.prediction.lobe_doubt import LobeDoubt, lobe_doubt
 from anisoscope.prediction.predict import Predicted
 from anisoscope.prediction.profile_likelihood import States
@@ -185,8 +185,17 @@ class PlasticOptics:
             ]
         found += _of_the_edges(recipe, nominal, convention)
         if models.surface is not None:
-            pixel = pixel_error(models.surface.pixel_x_um, recipe.surface.pitch_um, radiance, indirect)
-            share = np.hypot(recipe.uncertainty.height_map_share, pixel / radiance)
+            share = np.full(len(radiance), recipe.uncertainty.height_map_share)
+            if models.edges is None:
+                pixel = pixel_error(models.surface.pixel_x_um, recipe.surface.pitch_um, radiance, indirect)
+                share = np.hypot(share, pixel / radiance)
+            else:
+                sides = directions(recipe.poses.poses(), convention)
+                walls = edge_contributions(models.edges, sides, nominal.material, radiance, indirect)
+                found += [
+                    Component(c.source, c.kind, c.absolute / radiance, shared=c.correlation == "shared")
+                    for c in walls
+                ]
             found.append(Component("height map (noise, pixel size)", "prediction", share, shared=False))
         return found
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.progress import Advance, silent
+from anisoscope.prediction.ridge_edges import RidgeEdges
 from anisoscope.prediction.sensitivity import DARK, Contribution, InputUncertainty, Model, Shape, Surface
 from anisoscope.sim.light.material import Material
 from anisoscope.sim.light.optics import POINT_LIKE, Optics, through
@@ -27,11 +28,17 @@ def best_band(relief: Relief) -> Relief:
     return replace(relief, surface=band, max_missing_share=1.0)
 
 
-def relief_model(relief: Relief, optics: Optics = POINT_LIKE, on_progress: Advance = silent) -> Model:
-    """Predictor of one relief under given lamp and lens."""
+def relief_model(
+    relief: Relief,
+    optics: Optics = POINT_LIKE,
+    on_progress: Advance = silent,
+    edges: RidgeEdges | None = None,
+) -> Model:
+    """Predictor of one relief under given lamp and lens; with what its points miss of ``edges``."""
 
     def predict(to_light: FloatArray, to_camera: FloatArray, material: Material) -> FloatArray:
-        return relief_radiance(relief, to_light, to_camera, material, on_progress)
+        found = relief_radiance(relief, to_light, to_camera, material, on_progress)
+        return found if edges is None else np.asarray(found + edges.light(to_light, to_camera, material))
 
     return through(predict, optics)
 
@@ -56,6 +63,7 @@ def map_contributions(
     inputs: InputUncertainty | None,
     on_progress: Advance = silent,
     indirect: FloatArray | None = None,
+    edges: RidgeEdges | None = None,
 ) -> tuple[Contribution, ...]:
     """Contributions of the map itself, except those of its scale; none without ``inputs``.
 
@@ -67,12 +75,15 @@ def map_contributions(
         inputs: standard uncertainties.
         on_progress: called at every step.
         indirect: (P,) of the radiances what reflects twice and more; None for direct light alone.
+        edges: profile of walls and crests that was fitted to the map.
     """
     if inputs is None:
         return ()
     steps = REALISATIONS if inputs.height_noise_um > 0.0 else 0
     found = [Contribution("height map, overall", inputs.height_map_share * radiance, "independent")]
-    if relief.pitch_um is not None:
+    if edges is not None:
+        found += edge_contributions(edges, directions, material, radiance, indirect)
+    elif relief.pitch_um is not None:
         found.append(pixel_bias(relief.surface.pixel_x_um, relief.pitch_um, radiance, indirect))
     if steps:
         rng = np.random.default_rng(0)  # fixed seed: the same map always has the same uncertainty
@@ -81,6 +92,39 @@ def map_contributions(
         )
     scatter = ridge_scatter(relief, directions, material, inputs.ridges_seen, on_progress)
     return (*found, *(() if scatter is None else (scatter,)))
+
+
+EDGES = "walls and crests between the points"
+OF_FITTED, OF_FITTED_INDIRECT = 0.003, 0.03
+"""Of the radiance and of its indirect part: what a fitted profile leaves, in each pose (docs/wall_fit.py)."""
+
+
+def edge_contributions(
+    edges: RidgeEdges,
+    directions: tuple[FloatArray, FloatArray],
+    material: Material,
+    radiance: FloatArray,
+    indirect: FloatArray | None = None,
+) -> list[Contribution]:
+    """Contributions of the profile of walls and crests, as far as the points of the map leave it open.
+
+    Place, draft and radius of the fitted profile move by their principal standard deviations, each for all poses
+    together; what a fit leaves where they are known counts in each pose.
+
+    Args:
+        edges: the fitted profile.
+        directions: (P, 3) unit vectors to the light and to the camera.
+        material: the plastic, with the roughness that the map does not resolve.
+        radiance: (P,) all light in 1/sr.
+        indirect: (P,) of it what reflects twice and more; None for direct light alone.
+    """
+    within = np.zeros_like(radiance) if indirect is None else indirect
+    left = np.hypot(OF_FITTED * radiance, OF_FITTED_INDIRECT * within)
+    shifts = edges.uncertainty(*directions, material, indirect)
+    found = [
+        Contribution(f"{EDGES}, {number + 1}", shift) for number, shift in enumerate(shifts) if np.any(shift)
+    ]
+    return [*found, Contribution(f"{EDGES}, fit", left, "independent")]
 
 
 OF_PIXELS = 7.5

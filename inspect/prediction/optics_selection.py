@@ -21,6 +21,7 @@ from anisoscope.prediction.reflections import (
     sampled_with,
 )
 from anisoscope.prediction.relief_preparation import Levelling, prepare_relief
+from anisoscope.prediction.ridge_edges import ridge_edges
 from anisoscope.prediction.sensitivity import (
     Contribution,
     InputUncertainty,
@@ -233,7 +234,8 @@ def _by_waves(
         nominal = replace(nominal, shape=Shape(surface.ridge_angle_deg, surface.height_loss))
     else:
         of = fixed(_of_map(surface, rig, request, stepped, pitch_um, levelling))
-        source = reflections_of_map(prepare_relief(surface, pitch_um, levelling)[0], request.bounces)
+        relief, _ = prepare_relief(surface, pitch_um, levelling)
+        source = reflections_of_map(relief, request.bounces, ridge_edges(relief))
     sides = *directions(rig.poses, rig.convention), rig.material
     direct = of(nominal.shape)(*sides)
     radiance, additional = with_indirect(direct, source, sides, rig.inputs, rig.optics)

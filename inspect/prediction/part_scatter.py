@@ -22,6 +22,7 @@ from anisoscope.prediction.propagation import RIDGE_ANGLE, propagate
 from anisoscope.prediction.recipe_models import edge_radius_model, read_surface, rig_of
 from anisoscope.prediction.reflections import fitted_groove
 from anisoscope.prediction.relief_preparation import prepare_relief
+from anisoscope.prediction.ridge_edges import ridge_edges
 from anisoscope.prediction.second_order import Response, known_inputs, response_of
 from anisoscope.prediction.sensitivity import DARK, InputUncertainty, State, Surface, evaluate
 from anisoscope.recipe.surface import DesignPart, SurfaceRecipe
@@ -152,8 +153,11 @@ def with_design(recipe: SurfaceRecipe) -> SurfaceRecipe:
     if recipe.surface.design is not None:
         return recipe
     relief, _ = prepare_relief(read_surface(recipe), recipe.surface.pitch_um)
-    groove = fitted_groove(relief)
-    design = DesignPart(ridge_angle_deg=groove.design.ridge_angle_deg, wall=groove.design.wall)
+    groove = fitted_groove(relief, edges=ridge_edges(relief) if recipe.surface.walls == "fitted" else None)
+    fitted = groove.design
+    design = DesignPart(
+        ridge_angle_deg=fitted.ridge_angle_deg, wall=fitted.wall, edge_radius_um=fitted.edge_radius_um
+    )
     surface = recipe.surface.model_copy(
         update={"height_map": None, "compare": None, "design": design, "roughness": "lobe"}
     )

@@ -18,7 +18,6 @@ from anisoscope.prediction.height_map_uncertainty import (
 from anisoscope.prediction.monte_carlo import Drawn, MonteCarlo, draw
 from anisoscope.prediction.propagation import propagate
 from anisoscope.prediction.reflections import (
-    LARGEST_ANGLE_DEG,
     Followed,
     Groove,
     groove_of_design,
@@ -28,6 +27,7 @@ from anisoscope.prediction.reflections import (
     sampled_with,
 )
 from anisoscope.prediction.relief_preparation import Levelling, map_notes, prepare_relief
+from anisoscope.prediction.ridge_edges import LARGEST_ANGLE_DEG, check_one_direction, ridge_edges
 from anisoscope.prediction.sensitivity import (
     Budget,
     Contribution,
@@ -363,6 +363,7 @@ def predict_height_map(
             is none; "paths": of paths on the map.
     """
     relief, period = prepare_relief(surface, pitch_um, levelling, max_missing_share, facets)
+    check_one_direction(relief, period, material)
     on_progress("prediction", 0, 1)
     notes = map_notes(relief, period)
     resolved = resolve(relief, 0.0 if inputs is None else inputs.height_noise_um)
@@ -377,11 +378,12 @@ def predict_height_map(
             )
     to_light, to_camera = directions(poses, convention)
     sides = to_light, to_camera, lobe
-    direct = relief_model(relief, optics, on_progress)(*sides)
+    edges = ridge_edges(relief)
+    direct = relief_model(relief, optics, on_progress, edges)(*sides)
     source: Groove | Followed | None
     if bounces is None or bounces > 1:
         source = (
-            reflections_of_map(relief, bounces)
+            reflections_of_map(relief, bounces, edges)
             if reflect == "groove"
             else Followed(relief, bounces, "paths are asked for")
         )
@@ -390,7 +392,7 @@ def predict_height_map(
     radiance, of_reflections = with_indirect(direct, source, sides, inputs, optics)
     indirect = None if source is None else radiance - direct
     additional = map_contributions(
-        relief, (to_light, to_camera), lobe, radiance, inputs, on_progress, indirect
+        relief, (to_light, to_camera), lobe, radiance, inputs, on_progress, indirect, edges
     )
     additional = (*additional, *of_reflections)
     notes |= reflections_note(source)

@@ -29,6 +29,7 @@ from anisoscope.prediction.reflections import (
     sampled_with,
 )
 from anisoscope.prediction.relief_preparation import prepare_relief
+from anisoscope.prediction.ridge_edges import RidgeEdges, check_one_direction, ridge_edges
 from anisoscope.prediction.sensitivity import Model, Shape, Surface, fixed
 from anisoscope.profiles.files.load import read_height_map
 from anisoscope.profiles.heightmap import HeightMap
@@ -59,6 +60,7 @@ class Models:
         numerical: relative error of the waves; 0 of rays.
         indirect: the part of the predictor that reflects twice and more, always by rays; None for direct light alone.
         turn_deg: azimuth on ``surface`` of the sample frame's x axis.
+        edges: profile of walls and crests fitted to a height map; None where there is none.
     """
 
     model: Model
@@ -71,6 +73,7 @@ class Models:
     indirect: Model | None = None
     turn_deg: float = 0.0
     rays: Surface | None = None
+    edges: RidgeEdges | None = None
 
 
 def models_of(recipe: SurfaceRecipe, poses: tuple[Pose, ...], convention: Convention) -> Models:
@@ -97,7 +100,8 @@ def models_of(recipe: SurfaceRecipe, poses: tuple[Pose, ...], convention: Conven
         return with_reflections(direct, groove_of_design(design, recipe.surface.bounces), rig)
     surface = read_surface(recipe)
 
-    relief, _ = prepare_relief(surface, recipe.surface.pitch_um)
+    relief, period = prepare_relief(surface, recipe.surface.pitch_um)
+    check_one_direction(relief, period, rig.material)
     if recipe.surface.roughness == "plastic":
         resolved = resolve(relief)
         found = _of_map(in_lobes(recipe), surface, relief, replace(rig, material=resolved.lobe(rig.material)))
@@ -128,6 +132,7 @@ def _of_plastic(models: Models, resolved: Resolved) -> Models:
         sampled=lambda shape: whole(models.sampled(shape)),
         indirect=indirect,
         optics=models.optics | notes,
+        edges=None if models.edges is None else replace(models.edges, resolved=(0.0, 0.0)),
     )
 
 
@@ -139,15 +144,16 @@ def lobe_on(relief: Relief, recipe: SurfaceRecipe) -> Material:
 
 def _of_map(recipe: SurfaceRecipe, surface: HeightMap, relief: Relief, rig: Rig) -> Models:
     """Predictors of a height map whose facets have the material's lobe."""
+    edges = ridge_edges(relief) if recipe.surface.walls == "fitted" else None
 
     def by_rays() -> tuple[Model, Surface, HeightMap | None, str]:
         sampled = fixed(relief_model(best_band(relief), rig.optics))
-        return relief_model(relief, rig.optics), sampled, relief.surface, "relief"
+        return relief_model(relief, rig.optics, edges=edges), sampled, relief.surface, "relief"
 
-    direct = replace(_chosen(recipe, surface, rig, by_rays), turn_deg=relief.turn_deg)
+    direct = replace(_chosen(recipe, surface, rig, by_rays), turn_deg=relief.turn_deg, edges=edges)
     if recipe.surface.bounces == 1:
         return direct
-    return with_reflections(direct, reflections_of_map(relief, recipe.surface.bounces), rig)
+    return with_reflections(direct, reflections_of_map(relief, recipe.surface.bounces, edges), rig)
 
 
 def edge_radius_model(recipe: SurfaceRecipe, edge_radius_um: float, rig: Rig) -> Model:

@@ -16,10 +16,14 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
 from anisoscope.base.progress import Advance, silent
+from anisoscope.prediction.ridge_edges import (
+    LARGEST_ANGLE_DEG,
+    LEAST_ANGLE_DEG,
+    RidgeEdges,
+    measured_ridges,
+)
 from anisoscope.prediction.sensitivity import ALPHA_RANGE, DARK, Contribution, Model, Shape, Surface
 from anisoscope.profiles.ideal import RidgeDesign
-from anisoscope.profiles.metrology.ridgemeasurement import RidgeMeasurement
-from anisoscope.profiles.metrology.ridges import measure_ridges
 from anisoscope.sim.light.bounces import NODES, interreflection
 from anisoscope.sim.light.material import Material
 from anisoscope.sim.light.optics import Optics, through
@@ -35,11 +39,9 @@ AMPLITUDE = "amplitude of the reflections"
 MODEL_ERROR = "model of the reflections"
 UNIT_PITCH_UM = 100.0  # radiance does not depend on the size of a groove
 STAND_IN_NODES = 4  # off by less than 0.1 % of the indirect part
-LEAST_ANGLE_DEG, LARGEST_ANGLE_DEG = 0.2, 44.0
 STRAIGHT_SHARE = 0.6  # of the columns of a map that a facet takes at least
 STRAIGHT_SLOPE = 0.05
 WALL_MARGIN_DEG = 1.0
-MEASURABLE_POINTS = 16  # of a map, along and across
 
 
 @lru_cache(maxsize=512)
@@ -114,18 +116,26 @@ def groove_of_design(design: RidgeDesign, bounces: int | None) -> Groove | None:
     return None if bounces == 1 else Groove(design, bounces)
 
 
-def fitted_groove(relief: Relief, bounces: int | None = None) -> Groove:
-    """The groove of the ridges of a height map: ridge angle as measured, wall perpendicular where it is not resolved.
+def fitted_groove(relief: Relief, bounces: int | None = None, edges: RidgeEdges | None = None) -> Groove:
+    """The groove of the ridges of a height map: that of the profile fitted to it.
+
+    Where none is fitted, facets have the measured or the median slope, and the wall is perpendicular unless it is
+    seen to stand upright.
 
     Args:
         relief: the map, prepared.
         bounces: largest number of reflections; None follows all.
+        edges: profile of walls and crests that was fitted to the map.
 
     Raises:
         HeightMapError: no ridges with straight facets.
     """
-    measured = _measured(relief)
+    if edges is not None:
+        return Groove(edges.design, bounces, edges.lean_deg, edges.resolved)
+    measured = measured_ridges(relief)
     steepest, resolved, angle, lean = None, (0.0, 0.0), None, 0.0
+    if measured is not None and measured.second_direction_deg is not None:
+        raise HeightMapError("no groove can be fitted: the map has ridges of two directions")
     if measured is not None:
         angle, lean = measured.ridge_angle_deg.value, measured.lean_deg - relief.turn_deg
         steepest = measured.wall_angle_deg.value or measured.wall_angle_deg.at_least
@@ -140,17 +150,6 @@ def fitted_groove(relief: Relief, bounces: int | None = None) -> Groove:
     upright = steepest is not None and steepest > 90.0 - angle + WALL_MARGIN_DEG
     design = RidgeDesign(UNIT_PITCH_UM, float(angle), "vertical" if upright else "perpendicular")
     return Groove(design, bounces, 0.0 if np.cos(np.radians(lean)) > 0.0 else 180.0, resolved)
-
-
-def _measured(relief: Relief) -> RidgeMeasurement | None:
-    """The ridges of a map; None where it holds too little of them."""
-    if min(relief.surface.shape) < MEASURABLE_POINTS:
-        return None
-    try:
-        with np.errstate(divide="ignore", invalid="ignore"):  # maps without noise have no limit of outliers
-            return measure_ridges(relief.surface)
-    except HeightMapError:
-        return None
 
 
 def _median_facet(relief: Relief) -> tuple[float, float]:
@@ -248,12 +247,14 @@ class Followed:
         ).radiance
 
 
-def reflections_of_map(relief: Relief, bounces: int | None) -> Groove | Followed | None:
-    """Where the indirect light of a map comes from; None for direct light alone."""
+def reflections_of_map(
+    relief: Relief, bounces: int | None, edges: RidgeEdges | None = None
+) -> Groove | Followed | None:
+    """Where the indirect light of a map comes from; None for direct light alone. Arguments as for `fitted_groove`."""
     if bounces == 1:
         return None
     try:
-        return fitted_groove(relief, bounces)
+        return fitted_groove(relief, bounces, edges)
     except HeightMapError as problem:
         return Followed(relief, bounces, str(problem))
 

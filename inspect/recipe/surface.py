@@ -76,7 +76,8 @@ class SurfacePart(Part):
     is followed from facet to wall and back: "all", a number, or "direct" for light that reflects once. ``roughness``
     says of which the material's is with a height map: of the "lobe", what the map does not resolve, or of the whole
     "plastic", from which the slopes that the map resolves are taken off. With a design it is always that of the whole
-    plastic.
+    plastic. ``walls`` says whether walls and crests of a height map are "fitted" between its points, or taken as
+    "sampled".
     """
 
     pitch_um: Positive
@@ -88,6 +89,7 @@ class SurfacePart(Part):
     optics: AskedOptics = "auto"
     reflections: Reflections = "all"
     roughness: Literal["lobe", "plastic"] = "lobe"
+    walls: Literal["fitted", "sampled"] = "fitted"
 
     @model_validator(mode="after")
     def _something_decides(self) -> Self:

@@ -147,7 +147,7 @@ def _moved(before: Course, after: Course, grid: Grid) -> float:
 def _checked(period: Period, surface: HeightMap | None = None) -> Period:
     if period.is_periodic:
         return period
-    if surface is not None and len(parts := _directions_of_parts(surface)) > 1:
+    if surface is not None and len(parts := directions_of_parts(surface)) > 1:
         raise HeightMapError(
             f"ridges of more than one direction: {', '.join(f'{one:.1f}°' for one in parts)} in different parts of "
             "the map; crop it to one of them"
@@ -159,7 +159,7 @@ def _checked(period: Period, surface: HeightMap | None = None) -> Period:
     )
 
 
-def _directions_of_parts(surface: HeightMap) -> list[float]:
+def directions_of_parts(surface: HeightMap) -> list[float]:
     """Directions of the ridges in the quarters of a map, those that differ by more than 5°."""
     rows, cols = (n // 2 for n in surface.shape)
     found: list[float] = []

@@ -82,7 +82,7 @@ def test_options_reach_the_budget(anisoscope, height_map):
         "height noise, mean shift",
         "height noise, scatter",
         "height map, overall",
-        "pixel size against the walls",
+        "walls and crests between the points, fit",
         "scatter between ridges",
     } <= set(of_map)
 

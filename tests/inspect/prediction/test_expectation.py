@@ -127,7 +127,7 @@ def measured_map(tmp_path_factory):
 
 def test_a_height_map_is_one_more_source_of_uncertainty(make_recipe, measured_map):
     path, _ = measured_map
-    surface = {"pitch_um": 100.0, "height_map": str(path), "design": None}
+    surface = {"pitch_um": 100.0, "height_map": str(path), "design": None, "walls": "sampled"}
     recipe = make_recipe(surface=surface, uncertainty={"height_map_share": 0.02})
     found, ideal = expectation(recipe, 10.0), expectation(make_recipe(), 10.0)
     assert (found.model, ideal.model) == ("relief", "corrected")
@@ -145,6 +145,13 @@ def test_a_height_map_is_one_more_source_of_uncertainty(make_recipe, measured_ma
     stated = [{c.source: c.relative for c in e.components if c.source in names} for e in (found, ideal)]
     for name in names:  # roughness that the map resolves softens the lobe a little
         np.testing.assert_allclose(stated[0][name], stated[1][name], rtol=0.35, atol=2e-3)
+
+
+def test_walls_that_are_fitted_are_sources_of_their_own(make_recipe, measured_map):
+    table = {"pitch_um": 100.0, "height_map": str(measured_map[0]), "design": None}
+    found = expectation(make_recipe(surface=table), 10.0)
+    walls = [c for c in found.components if c.source.startswith("walls and crests between the points")]
+    assert [c.shared for c in walls] == [True, True, True, False]
 
 
 def test_missing_rows_at_the_edge_of_a_map_leave_the_uncertainty_known(make_recipe, measured_map, tmp_path):

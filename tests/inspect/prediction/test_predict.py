@@ -27,10 +27,10 @@ def test_design_and_height_map_agree_on_ideal_ridges(angle):
 @pytest.mark.parametrize("direction", [90.0, 180.0, -90.0])
 def test_quarter_turns_of_a_map_change_nothing(direction):
     design = RidgeDesign(100.0, 10.0)
-    turned = turned_ridges(design, (401, 401), 1.0, direction_deg=direction)
+    turned = turned_ridges(design, (401, 401), 1.0, direction_deg=direction, phase=0.2)
     found = predict_height_map(turned, MATERIAL, POSES, Convention(facet_azimuth_deg=30.0))
     ideal = predict_design(design, MATERIAL, POSES, Convention(facet_azimuth_deg=30.0))
-    np.testing.assert_allclose(found.radiance, ideal.radiance, rtol=0.002)
+    np.testing.assert_allclose(found.radiance, ideal.radiance, rtol=0.02)
     assert found.notes["facet_azimuth_on_map_deg"] == pytest.approx(direction, abs=0.01)
 
 
@@ -110,6 +110,6 @@ def test_the_limit_of_missing_points_can_be_moved():
     holed = surface.with_height(height)
     found = predict_height_map(holed, MATERIAL, POSES, Convention(), max_missing_share=0.6)
     whole = predict_height_map(surface, MATERIAL, POSES, Convention())
-    np.testing.assert_allclose(found.radiance, whole.radiance, rtol=1e-3)
+    np.testing.assert_allclose(found.radiance, whole.radiance, rtol=5e-3)
     with pytest.raises(HeightMapError, match="limit 5%"):
         predict_height_map(holed, MATERIAL, POSES, Convention(), max_missing_share=0.05)

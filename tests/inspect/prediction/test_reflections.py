@@ -131,7 +131,7 @@ def test_the_groove_added_to_a_map_agrees_with_paths_on_it():
     all_light = corrected.radiance(*SIDES, DESIGN, DARK_PLASTIC, bounces=None)
     paths = followed_paths(relief, *SIDES, DARK_PLASTIC).radiance
     np.testing.assert_allclose(
-        fitted_groove(relief).light(*SIDES, DARK_PLASTIC), paths, atol=0.012 * all_light.min()
+        fitted_groove(relief).light(*SIDES, DARK_PLASTIC), paths, atol=0.025 * all_light.min()
     )
 
 

@@ -1,0 +1,384 @@
+"""Walls and crests that fall between the points of a height map: their profile, fitted to the map, and its light.
+
+A wall is a pixel or two wide. Which points fall on it changes the light that a map seems to reflect, and the groove in
+which light is reflected between facet and wall. So the profile of the ridges, with its wall and its crest, is fitted to
+the points next to the walls; then
+
+    L = L(map) + [L(profile) − L(profile at the points of the map)],
+
+where the last two have the roughness of lobe and map together. What the points of the map do to crests and walls, and
+what is missing there, is the same in the first and the last term and drops out, wherever the ridges run on the grid.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+
+import numpy as np
+import numpy.typing as npt
+
+from anisoscope.base.arrays import FloatArray
+from anisoscope.base.errors import HeightMapError
+from anisoscope.prediction.sensitivity import ALPHA_RANGE
+from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.ideal import STEEPEST_DRAFT_DEG, RidgeDesign
+from anisoscope.profiles.metrology.ridgemeasurement import RidgeMeasurement
+from anisoscope.profiles.metrology.ridges import directions_of_parts, measure_ridges
+from anisoscope.profiles.period import MIN_SCORE, Period
+from anisoscope.sim.light import corrected
+from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.relief import Relief
+from anisoscope.sim.light.relief import radiance as relief_radiance
+
+LEAST_ANGLE_DEG, LARGEST_ANGLE_DEG = 0.2, 44.0
+MANY_PITCHES = 6.0  # in which ridges are found wherever they run
+MEASURABLE_POINTS = 16  # of a map, along and across
+
+DRAFT_U_DEG = 6.0
+"""Of a wall of which the map shows nothing, about the perpendicular one: walls stand within 0° and 20°."""
+RADIUS_UM, RADIUS_U_UM = 0.75, 0.75
+"""Of a crest of which the map shows nothing."""
+LARGEST_RADIUS = 0.2  # of the pitch
+
+WINDOW_PIXELS, WINDOW_SHARE = 6.0, 0.06  # points of the fit on either side of the wall; of the pitch at least
+BINS_A_PIXEL = 8
+MOST_POINTS = 200_000
+FEWEST_PLACES = 4
+PLACES, GRID, ZOOMS = 31, 11, 8  # of the grid of places, of drafts and radii; how often it is narrowed
+DEEP, SETTLED = (
+    14.0,
+    0.5,
+)  # of the posterior: −2 ln of what is left out; share of the grid that is not narrowed further
+STEEP_DEG, MOST_DRAFT_DEG = 25.0, 35.0
+LEAST_SIGMA, PLACE_SIGMA = 0.005, 0.03  # of a pixel: of heights in a bin, and of its place
+MISFIT = 0.08  # of the height of the ridges: rms of the heights about the fitted profile
+BAND_ROWS = 160
+PLAIN_ROWS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class RidgeEdges:
+    """Profile of the ridges of a map, with its uncertainty.
+
+    Attributes:
+        relief: the map, prepared.
+        design: pitch, ridge angle, wall and crest.
+        azimuth_deg: toward which the facets fall, on the map.
+        crest_um: place of a crest from the first point of the map, in that direction.
+        resolved: roughness along and across that the map resolves.
+        steps: (3, 3) principal standard deviations of place [µm], draft [°] and edge radius [µm], one a row.
+    """
+
+    relief: Relief
+    design: RidgeDesign
+    azimuth_deg: float
+    crest_um: float
+    resolved: tuple[float, float]
+    steps: FloatArray
+
+    @property
+    def lean_deg(self) -> float:
+        """Azimuth toward which the facets lean in the sample frame: 0, or 180 on a map that is not placed by them."""
+        return 0.0 if np.cos(np.radians(self.azimuth_deg - self.relief.turn_deg)) > 0.0 else 180.0
+
+    def stepped(self, number: int, sign: float) -> "RidgeEdges":
+        """The profile one principal standard deviation away."""
+        place, draft, radius = sign * self.steps[number]
+        assert not isinstance(self.design.wall, str)
+        design = _design(self.design, self.design.wall + draft, self.design.edge_radius_um + radius)
+        return replace(self, design=design, crest_um=self.crest_um + float(place))
+
+    def rougher(self, material: Material) -> Material:
+        """The plastic with the roughness of lobe and map together."""
+        return replace(
+            material,
+            alpha_along=min(float(np.hypot(material.alpha_along, self.resolved[0])), ALPHA_RANGE[1]),
+            alpha_across=min(float(np.hypot(material.alpha_across, self.resolved[1])), ALPHA_RANGE[1]),
+        )
+
+    def light(self, to_light: FloatArray, to_camera: FloatArray, material: Material) -> FloatArray:
+        """(P,) direct light in 1/sr that the points of the map miss (or, below 0, add), for (P, 3) unit vectors."""
+        rough, turn = self.rougher(material), self._turn
+        whole = corrected.radiance(to_light @ turn, to_camera @ turn, self.design, rough)
+        return np.asarray(whole - relief_radiance(self.sampled, to_light, to_camera, rough))
+
+    def indirect(
+        self, to_light: FloatArray, to_camera: FloatArray, material: Material, bounces: int | None
+    ) -> FloatArray:
+        """(P,) light in 1/sr that reflects twice and more between the fitted facet and wall."""
+        turn, rough = self._turn, self.rougher(material)
+        return corrected.indirect_radiance(to_light @ turn, to_camera @ turn, self.design, rough, bounces)
+
+    def uncertainty(
+        self, to_light: FloatArray, to_camera: FloatArray, material: Material, indirect: FloatArray | None
+    ) -> FloatArray:
+        """(3, P) changes of the radiance in 1/sr by one principal standard deviation of the profile each.
+
+        Args:
+            to_light: (P, 3) unit vectors.
+            to_camera: (P, 3) unit vectors.
+            material: the plastic, with the roughness that the map does not resolve.
+            indirect: (P,) light in 1/sr that reflects twice and more; None for direct light alone.
+        """
+        sides = to_light, to_camera, material
+
+        def light(edges: RidgeEdges) -> FloatArray:
+            direct = edges.light(*sides)
+            return direct if indirect is None else direct + edges.indirect(*sides, 2)
+
+        nominal = light(self)
+        found = []
+        for number in range(len(self.steps)):
+            up, down = (light(self.stepped(number, sign)) - nominal for sign in (1.0, -1.0))
+            found.append(np.where(np.abs(up) > np.abs(down), up, -down))
+        return np.array(found)
+
+    @property
+    def _turn(self) -> FloatArray:
+        return np.diag([-1.0, -1.0, 1.0]) if self.lean_deg else np.eye(3)
+
+    @cached_property
+    def sampled(self) -> Relief:
+        """The profile at the points of the map, missing where these are; on a band of rows that stands for all."""
+        surface = self.relief.surface
+        along_grid = abs(self.azimuth_deg - 90.0 * round(self.azimuth_deg / 90.0)) < 1e-9
+        known = np.isfinite(surface.height_um)
+        rows = slice(0, PLAIN_ROWS) if along_grid and known.all() else _band(known)
+        height = self.design.profile(_across(surface, self.azimuth_deg, rows) - self.crest_um)
+        height[~known[rows]] = np.nan
+        return replace(self.relief, surface=surface.with_height(height), max_missing_share=1.0)
+
+
+@lru_cache(maxsize=4)
+def measured_ridges(relief: Relief) -> RidgeMeasurement | None:
+    """The ridges of a map; None where it holds too little of them."""
+    if min(relief.surface.shape) < MEASURABLE_POINTS:
+        return None
+    try:
+        with np.errstate(divide="ignore", invalid="ignore"):  # maps without noise have no limit of outliers
+            return measure_ridges(relief.surface)
+    except HeightMapError:
+        return None
+
+
+def check_one_direction(relief: Relief, period: Period, material: Material) -> None:
+    """Refuse maps with ridges of several directions where the lobe is wider across the ridges than along them.
+
+    A lobe that is as wide along as across has no direction.
+
+    Raises:
+        HeightMapError: ridges of two directions; or a pitch is given, and many pitches of the map show no ridges.
+    """
+    if material.alpha_along == material.alpha_across:
+        return
+    surface, cure = (
+        relief.surface,
+        "crop the map to ridges of one direction, or give alpha_along = alpha_across",
+    )
+    if period.score >= MIN_SCORE:
+        found = measured_ridges(relief)
+        second = None if found is None else found.second_direction_deg
+        if second is not None:
+            assert found is not None
+            assert found.direction_deg.value is not None
+            apart = abs((second - found.direction_deg.value + 90.0) % 180.0 - 90.0)
+            raise HeightMapError(f"the height map has ridges of two directions, {apart:.0f}° apart: {cure}")
+        return
+    if period.is_periodic and min(surface.extent_um) >= MANY_PITCHES * period.pitch_um:
+        raise HeightMapError(
+            f"the height map shows no ridges of one direction {period.pitch_um:g} µm apart, along which a lobe of "
+            f"alpha_along {material.alpha_along:g} and alpha_across {material.alpha_across:g} could lie: {cure}"
+        )
+    parts = directions_of_parts(surface)
+    if len(parts) > 1:
+        named = ", ".join(f"{one:.0f}°" for one in parts)
+        raise HeightMapError(f"the height map has ridges of several directions, {named}: {cure}")
+
+
+@lru_cache(maxsize=4)
+def ridge_edges(relief: Relief) -> RidgeEdges | None:
+    """Fit the profile of the ridges of a map to the points next to its walls.
+
+    Pitch, ridge angle and direction are those measured. Place of the wall, its draft and the radius of the crest follow
+    from the median heights about the wall, as far as these show them; for the rest the wall is perpendicular within 6°
+    and the radius 0.75 ± 0.75 µm. A level top is taken from the measurement, where it fits better than a round one.
+
+    Args:
+        relief: the map, prepared.
+
+    Returns:
+        The profile; None where there are no ridges with straight facets, or their walls have another shape.
+    """
+    found = measured_ridges(relief)
+    if found is None or not found.straight or found.second_direction_deg is not None:
+        return None
+    pitch, angle = found.pitch_um.value, found.ridge_angle_deg.value
+    if pitch is None or angle is None or not LEAST_ANGLE_DEG <= angle <= LARGEST_ANGLE_DEG:
+        return None
+    loss = found.height_loss.value if found.plateau else None
+    tops = [RidgeDesign(pitch, angle, angle, one) for one in ((0.0,) if loss is None else (0.0, loss))]
+    direction = found.direction_deg.value
+    assert direction is not None
+    turned = np.cos(np.radians(found.lean_deg - direction)) < 0.0
+    azimuth = _snapped(relief, direction + (180.0 if turned else 0.0))
+    wall = next((one.position_um for one in found.ridges), None)
+    if wall is None:
+        return None
+    pixel = _step_um(relief.surface, azimuth)
+    place, height, sigma = _about_the_wall(relief.surface, azimuth, pitch, wall, pixel)
+    if place.size < FEWEST_PLACES:
+        return None
+    fits = [_fitted(place, height, sigma, one, pixel) for one in tops]
+    plain, (best, steps, misfit, _) = min(zip(tops, fits, strict=True), key=lambda one: one[1][3])
+    if misfit > MISFIT * plain.height_um:
+        return None
+    resolved = found.alpha_along.value or 0.0, found.alpha_across.value or 0.0
+    design = _design(plain, best[1], best[2])
+    return RidgeEdges(relief, design, azimuth, wall + float(best[0]), resolved, steps)
+
+
+def _snapped(relief: Relief, azimuth_deg: float) -> float:
+    """The direction itself, but that of the grid where nothing but rounding parts them over the map."""
+    quarter = 90.0 * round(azimuth_deg / 90.0)
+    reach = max(relief.surface.extent_um)
+    off = abs(np.radians(azimuth_deg - quarter)) * reach
+    return quarter if off < 0.02 * min(relief.pixels_um) else azimuth_deg
+
+
+def _design(design: RidgeDesign, draft_deg: float, radius_um: float) -> RidgeDesign:
+    """The ridges with another wall and crest, within what ridges can have."""
+    draft = float(np.clip(draft_deg, 0.0, STEEPEST_DRAFT_DEG))
+    radius = float(np.clip(radius_um, 0.0, LARGEST_RADIUS * design.pitch_um))
+    return replace(design, wall=draft, edge_radius_um=radius if design.height_loss == 0.0 else 0.0)
+
+
+def _step_um(surface: HeightMap, azimuth_deg: float) -> float:
+    """Distance across the ridges of neighbouring points, the smaller of row and column."""
+    cos, sin = abs(np.cos(np.radians(azimuth_deg))), abs(np.sin(np.radians(azimuth_deg)))
+    return float(min(surface.pixel_x_um / max(cos, 1e-9), surface.pixel_y_um / max(sin, 1e-9)))
+
+
+def _across(surface: HeightMap, azimuth_deg: float, rows: slice | npt.NDArray[np.intp]) -> FloatArray:
+    """(rows, cols) place in µm along an azimuth from the first point."""
+    angle = np.radians(azimuth_deg)
+    y = np.arange(surface.shape[0])[rows] * surface.pixel_y_um
+    along_x = np.cos(angle) * np.arange(surface.shape[1]) * surface.pixel_x_um
+    return np.asarray(np.add.outer(np.sin(angle) * y, along_x))
+
+
+def _band(known: npt.NDArray[np.bool_]) -> slice:
+    """Neighbouring rows in which about as many heights are missing as in the whole map."""
+    count = min(len(known), BAND_ROWS)
+    total = np.concatenate([[0], np.cumsum(known.sum(axis=1))])
+    share = (total[count:] - total[:-count]) / (count * known.shape[1])
+    start = int(np.argmin(np.abs(share - known.mean())))
+    return slice(start, start + count)
+
+
+def _about_the_wall(
+    surface: HeightMap, azimuth_deg: float, pitch: float, wall: float, pixel: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(n,) places about the wall in µm, median heights of all ridges there, and their standard deviations."""
+    rows, cols = surface.shape
+    step = max(1, -(-rows * cols // MOST_POINTS))
+    chosen = np.arange(0, rows, step)
+    offset = _across(surface, azimuth_deg, chosen) - wall
+    ridge = np.floor(offset / pitch + 0.5)
+    offset = offset - ridge * pitch
+    half = max(WINDOW_PIXELS * pixel, WINDOW_SHARE * pitch)
+    height = surface.height_um[chosen]
+    use = (np.abs(offset) <= half) & np.isfinite(height)
+    offset, height, ridge = offset[use], height[use], ridge[use]
+    index = np.floor((offset + half) * BINS_A_PIXEL / pixel).astype(np.intp)
+    order = np.lexsort((height, index))
+    offset, height, ridge, index = offset[order], height[order], ridge[order], index[order]
+    starts = np.flatnonzero(np.diff(index, prepend=-1))
+    counts = np.diff(np.append(starts, index.size))
+    place = np.add.reduceat(offset, starts) / counts
+    low, middle, high = (height[starts + (counts * share).astype(np.intp)] for share in (0.25, 0.5, 0.75))
+    even = counts % 2 == 0
+    before = height[starts + np.maximum(counts // 2 - 1, 0)]
+    median = np.where(even, 0.5 * (middle + before), middle)
+    ridges = np.unique(ridge).size
+    scatter = (high - low) / 1.349 / np.sqrt(np.minimum(counts, ridges))
+    usual = float(np.median(scatter))
+    median = np.asarray(median)
+    slope = np.gradient(median, place) if place.size > 1 else np.zeros(1)
+    sigma = np.sqrt(
+        np.maximum(scatter, usual) ** 2 + pixel**2 * (LEAST_SIGMA**2 + (PLACE_SIGMA * slope) ** 2)
+    )
+    return place, median, np.asarray(sigma)
+
+
+def _fitted(
+    place: FloatArray, height: FloatArray, sigma: FloatArray, plain: RidgeDesign, pixel: float
+) -> tuple[FloatArray, FloatArray, float, float]:
+    """(3,) mean of place, draft and radius; (3, 3) their principal standard deviations; of the best misfit in µm, χ².
+
+    The posterior is summed over a grid of all three, which is narrowed until it holds little else: a wall on which one
+    point or none falls has a posterior with edges, of which a least-squares fit knows nothing.
+    """
+    reach = max(2.0 * pixel, plain.wall_width_um)
+    largest = min(
+        LARGEST_RADIUS * plain.pitch_um, 0.5 * WINDOW_PIXELS * pixel + 0.5 * WINDOW_SHARE * plain.pitch_um
+    )
+    least = np.array([-reach, 0.0, 0.0])
+    most = np.array(
+        [reach, STEEPEST_DRAFT_DEG if plain.ridge_angle_deg > STEEP_DEG else MOST_DRAFT_DEG, largest]
+    )
+    grids = _axes(least, most)
+    grids[2] = largest * np.linspace(0.0, 1.0, GRID) ** 2
+    narrowed = 0
+    while True:
+        square, misfit = _squares(place, height, sigma, plain, grids)
+        at = np.unravel_index(int(square.argmin()), square.shape)
+        birge = max(1.0, float(misfit[at]) / max(place.size - 3, 1))
+        depth = (square - square.min()) / birge
+        ends, settled = [], True
+        for axis, grid in enumerate(grids):
+            profile = depth.min(axis=tuple(other for other in range(3) if other != axis))
+            inside = np.flatnonzero(profile < DEEP)
+            low, high = max(inside[0] - 1, 0), min(inside[-1] + 1, grid.size - 1)
+            settled &= bool(high - low >= SETTLED * (grid.size - 1))
+            ends.append((grid[low], grid[high]))
+        narrowed += 1
+        if settled or narrowed == ZOOMS:
+            break
+        grids = _axes(*(np.array(side) for side in zip(*ends, strict=True)))
+    widths = [np.gradient(grid) for grid in grids]
+    weight = np.exp(-0.5 * depth) * widths[0][:, None, None] * widths[1][:, None] * widths[2]
+    weight /= weight.sum()
+    points = np.stack(np.meshgrid(*grids, indexing="ij"), axis=-1).reshape(-1, 3)
+    mean = weight.ravel() @ points
+    covariance = (points - mean).T @ ((points - mean) * weight.reshape(-1, 1))
+    scale = np.array([pixel, DRAFT_U_DEG, RADIUS_U_UM])
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    steps = (vectors * np.sqrt(np.maximum(values, 0.0))).T * scale
+    best = [float(grid[index]) for grid, index in zip(grids, at, strict=True)]
+    left = height - _design(plain, best[1], best[2]).profile(place - best[0])
+    return mean, np.asarray(steps), float(np.std(left)), float(misfit.min())
+
+
+def _axes(least: FloatArray, most: FloatArray) -> list[FloatArray]:
+    """Grid of place, draft and radius between two corners."""
+    return [np.linspace(a, b, n) for a, b, n in zip(least, most, (PLACES, GRID, GRID), strict=True)]
+
+
+def _squares(
+    place: FloatArray, height: FloatArray, sigma: FloatArray, plain: RidgeDesign, grids: list[FloatArray]
+) -> tuple[FloatArray, FloatArray]:
+    """(places, drafts, radii) sums of squares with what is known before, and those of the heights alone.
+
+    Large misfits count linearly (pseudo-Huber), and the level of the heights is free.
+    """
+    places, drafts, radii = grids
+    heights = np.empty((places.size, drafts.size, radii.size))
+    offset = place - places[:, None]
+    for j, draft in enumerate(drafts):
+        for k, radius in enumerate(radii):
+            left = height - _design(plain, draft, radius).profile(offset)
+            left = (left - np.median(left, axis=1, keepdims=True)) / sigma
+            heights[:, j, k] = np.sum(2.0 * (np.sqrt(1.0 + left**2) - 1.0), axis=1)
+    before = ((drafts - plain.ridge_angle_deg) / DRAFT_U_DEG)[:, None] ** 2 + (
+        (radii - RADIUS_UM) / RADIUS_U_UM
+    ) ** 2
+    return heights + before, heights
