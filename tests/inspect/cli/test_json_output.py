@@ -150,8 +150,8 @@ wall_angle_deg wall_angle_deg.at_least wall_angle_deg.u wall_angle_deg.value
 TEXTURE = """
 bearing bearing.smc_10_um bearing.smc_80_um bearing.smr_mean core core.sk_um core.smr1 core.smr2
 core.spk_um core.svk_um core.top_um features form free heights heights.sa_um heights.sku heights.sp_um
-heights.sq_um heights.ssk heights.sv_um heights.sz_um hybrid hybrid.sdq hybrid.sdr l_filter_um
-missing_share s_filter_um spatial spatial.sal_um spatial.std_deg spatial.str spatial.str_is_bound ssw_um
+heights.sq_um heights.ssk heights.sv_um heights.sz_um hybrid hybrid.sdq hybrid.sdr l_filter l_filter_um
+missing_share s_filter s_filter_um spatial spatial.sal_um spatial.std_deg spatial.str spatial.str_is_bound ssw_um
 surface sxp_um volumes volumes.vmc_um volumes.vmp_um volumes.vvc_um volumes.vvv_um
 """
 OPTIMISE = """
