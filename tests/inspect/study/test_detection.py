@@ -23,6 +23,7 @@ from anisoscope.sim.light.geometry import Convention, directions, seating_rotati
 from anisoscope.sim.light.relief import Relief, shine_maps
 from anisoscope.sim.light.shine import shine_in
 from anisoscope.sim.pathtracer.tracer import PathTracer
+from anisoscope.study.detection import run as detection_run
 from anisoscope.study.detection import sheets as detection_sheets
 from anisoscope.study.detection import surrogate as detection_surrogate
 from anisoscope.study.detection.chunk import (
@@ -408,6 +409,7 @@ def test_the_true_extent_counts_what_good_parts_scatter_and_what_lies_within():
 
 def coarse(patch):
     """A study whose renderings are coarse: what it says is not looked at, but how it is made."""
+    patch.setattr(detection_run, "TAILS", 3)
     patch.setattr(detection_sheets, "_PATHS", 64)
     patch.setattr(detection_sheets, "PARTS_ACROSS", 1)
     patch.setattr(detection_sheets, "PARTS_ALONG", 1)
