@@ -27,12 +27,13 @@ from anisoscope.report.figures import (
     svg_uri,
 )
 from anisoscope.report.page import write_page
-from anisoscope.report.surface_view import Renderer
+from anisoscope.report.surface_view import Picture3D, Renderer, SceneScale, viewer_of
 
 PICTURE_POINTS = 900
 MARKED = 200
 LISTED = 30
 DRAWN = (0.001, 0.999)
+VIEW_POINTS, VIEW_EXAGGERATION = 400, 1000.0
 COLOURS = {"burr": RED, "spike": "#ffffff", "pit": ORANGE}
 NUMBERS = (
     ("Pitch", "pitch_um", "µm"),
@@ -254,3 +255,58 @@ def write_profile_page(surface: HeightMap, name: str, path: Path, on_progress: A
     filters = {"signed": lambda value, digits: f"{value:.{digits}f}".replace("-", "−")}
     write_page(path, "profile.html", content, filters)
     on_progress("done", 3, 3)
+
+
+def write_view_page(
+    surface: HeightMap, name: str, path: Path, exaggeration: float | None = None
+) -> Picture3D:
+    """Write a page with the whole map in 3-D, to be turned in the browser, and from above with its scale.
+
+    The plane is removed and the highest and lowest 0.1 % of the heights are cut; of a large map every n-th point is
+    drawn, 400 along a side at most. Without a renderer the page has the still picture from above alone, and says why.
+
+    Args:
+        surface: the map as read.
+        name: how the page calls it.
+        path: file to write.
+        exaggeration: factor on the heights; None for one that makes the relief 8 % of the width, at most 1000.
+
+    Returns:
+        What was drawn: no ``png`` where nothing could be drawn in 3-D, no ``scene`` where it cannot be turned; ``note``
+        says why.
+
+    Raises:
+        HeightMapError: nothing was measured.
+        RecordError: the file cannot be written.
+    """
+    levelled = level(surface)
+    heights = levelled.map.height_um
+    scale = SceneScale(max(surface.extent_um), VIEW_POINTS, exaggeration, VIEW_EXAGGERATION)
+    renderer = Renderer(
+        np.clip(heights, *np.nanquantile(heights, DRAWN)),
+        (surface.pixel_y_um, surface.pixel_x_um),
+        interactive=True,
+        scene=scale,
+    )
+    try:
+        above = map_picture(levelled.map)
+        view = renderer.result()
+    finally:
+        renderer.discard()
+    viewer = viewer_of(view.scene) if view.png and view.scene else None
+    step = -(-max(surface.shape) // VIEW_POINTS)
+    content = {
+        "name": name,
+        "surface": surface,
+        "levelled": levelled,
+        "amplitude": amplitude(levelled.map),
+        "picture": above,
+        "view": png_uri(view.png) if view.png else None,
+        "note": view.note,
+        "step": step,
+        "viewer": viewer,
+        "script_sources": viewer.script_sources if viewer else (),
+    }
+    filters = {"signed": lambda value, digits: f"{value:.{digits}f}".replace("-", "−")}
+    write_page(path, "view.html", content, filters)
+    return view

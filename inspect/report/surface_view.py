@@ -47,6 +47,23 @@ class Picture3D:
     scene: bytes | None = None
 
 
+@dataclass(frozen=True)
+class SceneScale:
+    """How much of a map is drawn in 3-D, and how large its heights.
+
+    Attributes:
+        field_um: sides of the part that is drawn, from the first point on.
+        most_points: along either side; larger maps are drawn with every n-th point.
+        exaggeration: factor on the heights; None for one that makes the relief 8 % of the width.
+        most_exaggeration: limit of that one.
+    """
+
+    field_um: float = FIELD_UM
+    most_points: int = MAX_POINTS
+    exaggeration: float | None = None
+    most_exaggeration: float = 5.0
+
+
 class Renderer:
     """Draws one height map in the background; ask for the ``result`` when it is needed.
 
@@ -54,14 +71,20 @@ class Renderer:
         height_um: (rows, cols), row index rising with +y; NaN where not measured.
         pixel_um: (y, x).
         interactive: also make the scene to turn.
+        scene: how much of the map is drawn, and how large its heights.
     """
 
     def __init__(
-        self, height_um: FloatArray, pixel_um: tuple[float, float], *, interactive: bool = False
+        self,
+        height_um: FloatArray,
+        pixel_um: tuple[float, float],
+        *,
+        interactive: bool = False,
+        scene: "SceneScale | None" = None,
     ) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="anisoscope-")
         self._process: subprocess.Popen[bytes] | None = None
-        source, self._note = _reduced(height_um, pixel_um)
+        source, self._note = _reduced(height_um, pixel_um, scene or SceneScale())
         self._formats = ("png", "zip") if interactive else ("png",)
         self._entries = _entries(source, self._formats)
         self._cached = {kind: entry.read() for kind, entry in self._entries.items()}
@@ -119,18 +142,20 @@ class Renderer:
         self._folder.cleanup()
 
 
-def _reduced(height_um: FloatArray, pixel_um: tuple[float, float]) -> tuple[bytes, str]:
+def _reduced(height_um: FloatArray, pixel_um: tuple[float, float], scene: SceneScale) -> tuple[bytes, str]:
     """Reduced map as packed bytes, and the note on the reduction."""
-    rows, cols = (max(2, min(n, round(FIELD_UM / p))) for n, p in zip(height_um.shape, pixel_um, strict=True))
+    rows, cols = (
+        max(2, min(n, round(scene.field_um / p))) for n, p in zip(height_um.shape, pixel_um, strict=True)
+    )
     part = height_um[:rows, :cols]
-    step = [max(1, -(-n // MAX_POINTS)) for n in part.shape]
+    step = [max(1, -(-n // scene.most_points)) for n in part.shape]
     part = part[:: step[0], :: step[1]]
     width = max((n - 1) * p for n, p in zip((rows, cols), pixel_um, strict=True))
     rise = max(float(np.nanmax(part) - np.nanmin(part)), 1e-6)
-    exaggeration = float(np.clip(0.08 * width / rise, 1.0, 5.0))
+    exaggeration = scene.exaggeration or float(np.clip(0.08 * width / rise, 1.0, scene.most_exaggeration))
     note = (
         f"{(cols - 1) * pixel_um[1]:.0f} × {(rows - 1) * pixel_um[0]:.0f} µm of the map in 3-D, "
-        f"heights drawn {exaggeration:.1f} times as large"
+        f"heights drawn {exaggeration:.3g} times as large"
     )
     stream = io.BytesIO()
     np.savez(stream, z=part, pixel=np.multiply(pixel_um, step), exaggeration=exaggeration)

@@ -74,16 +74,15 @@ class OutOptions(TableOptions):
     ] = None
 
     def targets(self, files: Sequence[Path], suffix: str) -> dict[Path, Path]:
-        """The new file of every map: the name of the map with another extension, in the folder.
+        """The new file of every map: the name of the map with another end, in the folder or, without one, with the map.
 
         Raises:
             UsageError: two maps would give one file, a map would be replaced, or a file exists.
         """
-        assert self.out_dir is not None
         found: dict[Path, Path] = {}
         sources = {path.resolve() for path in files}
         for path in files:
-            target = self.out_dir / (path.stem + suffix)
+            target = (self.out_dir or path.parent) / (path.stem + suffix)
             if target in found.values():
                 other = next(one for one, its in found.items() if its == target)
                 raise UsageError(
@@ -94,7 +93,8 @@ class OutOptions(TableOptions):
             if target.exists() and not self.overwrite:
                 raise UsageError(f"{target} exists; give another --out-dir, or --overwrite")
             found[path] = target
-        self.out_dir.mkdir(parents=True, exist_ok=True)
+        if self.out_dir is not None:
+            self.out_dir.mkdir(parents=True, exist_ok=True)
         return found
 
 

@@ -62,6 +62,7 @@ Role = Literal["part", "tool"]
 Rows = Literal["auto", "up", "down"]
 FilterType = Literal["gaussian", "robust", "spline"]
 Trust = Literal["checksum", "pixel-size", "heights"]
+VIEW_SUFFIX, MOST_EXAGGERATION = "-view.html", 1e6
 
 
 def parse_pixel(text: str | None) -> tuple[float, float] | None:
@@ -302,4 +303,62 @@ def report(
         surface = scales.read(chosen[0])
         write_profile_page(surface, chosen[0].name, out, advance)
     sys.stdout.write(f"{out}\n")
+    return 0
+
+
+@app.command
+def view(
+    *files: Path,
+    out: Annotated[
+        Path | None,
+        Parameter(help="HTML file to write, of one map; NAME-view.html with the map if not given."),
+    ] = None,
+    exaggerate: Annotated[
+        float | None,
+        Parameter(help="Factor on the heights; one that makes the relief 8 % of the width if not given."),
+    ] = None,
+    several: Annotated[OutOptions, Parameter(name="*", group="Several files")] = NO_TABLE,
+    json_: Annotated[
+        bool, Parameter(name="--json", negative="", help="Print JSON, of several maps.")
+    ] = False,
+    scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
+) -> int:
+    """Write one HTML page with each height map in 3-D, to be turned in the browser without network or program.
+
+    Args:
+        files: Height maps, or patterns.
+    """
+    from anisoscope.report.profile_page import write_view_page
+
+    if exaggerate is not None and not 0.0 < exaggerate <= MOST_EXAGGERATION:
+        raise UsageError(
+            f"--exaggerate takes a positive factor up to {MOST_EXAGGERATION:g}, not {exaggerate:g}"
+        )
+    chosen = expanded(files)
+    if len(chosen) > 1 or several.out_dir is not None or several.table is not None:
+        if out is not None:
+            raise UsageError(
+                "--out is the page of one map; give --out-dir, or no folder for pages with the maps"
+            )
+
+        def run(path: Path, target: Path) -> Values:
+            surface = scales.read(path)
+            drawn = write_view_page(surface, path.name, target, exaggerate)
+            return {**info_values(surface), "3-D": (float(drawn.scene is not None), "")}
+
+        return write_each(chosen, run, several, VIEW_SUFFIX, to_json=json_)
+    source = chosen[0]
+    target = out or source.with_name(source.stem + VIEW_SUFFIX)
+    if target.suffix.lower() not in (".html", ".htm"):
+        raise UsageError(f"--out {target}: a page is named *.html")
+    if target.exists() and not several.overwrite:
+        raise UsageError(f"{target} exists; give another --out, or --overwrite")
+    with progress(source.name) as advance:
+        advance("drawing", 0, 1)
+        drawn = write_view_page(scales.read(source), source.name, target, exaggerate)
+    if drawn.png is None:
+        sys.stderr.write(f"no 3-D view: {drawn.note}; the page has a still picture from above\n")
+    elif drawn.scene is None:
+        sys.stderr.write(f"no view to turn: {drawn.note}\n")
+    sys.stdout.write(f"{target}\n")
     return 0

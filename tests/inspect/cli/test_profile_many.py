@@ -7,10 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from anisoscope.base.errors import HeightMapError
+from anisoscope.base.errors import HeightMapError, UsageError
+from anisoscope.cli.profile.many import OutOptions
+from anisoscope.cli.profile.profile import view
 from anisoscope.profiles.files.load import read_height_map, write_height_map
 from anisoscope.profiles.ideal import RidgeDesign, ridges
 from anisoscope.profiles.limits import Limit, LimitsError, judge, read_limits
+from anisoscope.report import profile_page
+from anisoscope.report.surface_view import Picture3D, viewer_of
 
 
 @pytest.fixture(scope="module")
@@ -131,6 +135,57 @@ def test_a_page_for_every_map(anisoscope, lot, tmp_path):
     assert 'href="pages/part0.html"' in table.read_text(encoding="utf-8")
 
 
+class Drawn:
+    """A renderer without a process; ``PICTURE`` is what it found."""
+
+    PICTURE = Picture3D(b"png", "heights drawn 7 times as large", b"scene")
+
+    def __init__(self, height_um, _pixel_um, *, interactive, scene):
+        assert interactive
+        self.shape, self.scene = height_um.shape, scene
+
+    def result(self):
+        return self.PICTURE
+
+    def discard(self):
+        pass
+
+
+@pytest.fixture
+def renderer(monkeypatch):
+    monkeypatch.setattr(profile_page, "Renderer", Drawn)
+    return Drawn
+
+
+def test_a_page_to_turn_is_written_with_the_map_or_in_a_folder(lot, tmp_path, renderer, capsys):
+    source = tmp_path / "part.x3p"
+    source.write_bytes((lot / "part0.x3p").read_bytes())
+    assert view(source, exaggerate=7.0) == 0
+    page = (tmp_path / "part-view.html").read_text(encoding="utf-8")
+    assert renderer.PICTURE.note in page
+    assert ('id="viewer"' in page) == (viewer_of(b"scene") is not None)
+    with pytest.raises(UsageError, match="--overwrite"):
+        view(source)
+    assert view(source, several=OutOptions(overwrite=True)) == 0
+    capsys.readouterr()
+    pages = OutOptions(out_dir=tmp_path / "pages")
+    assert view(source, lot / "part3.x3p", several=pages, json_=True) == 65
+    good, bad = json.loads(capsys.readouterr().out)
+    assert good["written"] == str(tmp_path / "pages" / "part-view.html")
+    assert good["3-D"]["value"] == 1.0
+    assert "error" in bad
+
+
+def test_without_a_renderer_the_page_has_the_picture_from_above(lot, tmp_path, renderer, monkeypatch, capsys):
+    monkeypatch.setattr(renderer, "PICTURE", Picture3D(None, "it needs EGL"))
+    assert view(lot / "part0.x3p", out=tmp_path / "a.html") == 0
+    assert "no 3-D view: it needs EGL" in capsys.readouterr().err
+    page = (tmp_path / "a.html").read_text(encoding="utf-8")
+    assert "No 3-D view: it needs EGL" in page
+    assert 'id="map"' in page
+    assert "<iframe" not in page
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
@@ -148,6 +203,9 @@ def test_a_page_for_every_map(anisoscope, lot, tmp_path):
         (("convert", "{lot}/part0.x3p", "--out-dir", "{lot}/new", "--format", "doc"), 64, "written are x3p"),
         (("convert", "{lot}/part0.x3p", "b.gsf", "--table", "t.csv"), 64, "--out-dir"),
         (("report", "{lot}/part0.x3p"), 64, "--out PAGE.html"),
+        (("view", "{lot}/part0.x3p", "--out", "a.png"), 64, "named *.html"),
+        (("view", "{lot}/part0.x3p", "--exaggerate", "0"), 64, "positive factor"),
+        (("view", "{lot}/part0.x3p", "{lot}/part1.x3p", "--out", "a.html"), 64, "one map"),
         (("report", "{lot}/part0.x3p", "--out", "a.html", "--out-dir", "{lot}/new"), 64, "one of them"),
         (
             ("edit", "{lot}/part0.x3p", "{lot}/part1.x3p", "level", "--out", "a.x3p"),

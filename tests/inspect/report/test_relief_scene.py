@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from anisoscope.report import surface_view
-from anisoscope.report.surface_view import MAX_POINTS, Renderer
+from anisoscope.report.surface_view import MAX_POINTS, Renderer, SceneScale
 
 PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -50,7 +50,7 @@ def test_picture_and_scene_are_drawn_once_and_kept(ridges, monkeypatch, tmp_path
 
 
 def test_what_is_drawn_is_small_and_true(ridges):
-    packed, _ = surface_view._reduced(ridges, (1.0, 0.5))
+    packed, _ = surface_view._reduced(ridges, (1.0, 0.5), SceneScale())
     with np.load(io.BytesIO(packed)) as data:
         assert max(data["z"].shape) <= MAX_POINTS
         rows, cols = (round(step / pixel) for step, pixel in zip(data["pixel"], (1.0, 0.5), strict=True))
@@ -86,3 +86,17 @@ def test_a_discarded_renderer_leaves_nothing(ridges, monkeypatch, tmp_path):
     renderer.discard()
     assert list(tmp_path.iterdir()) == []
     assert renderer._process.poll() is not None
+
+
+def test_a_scene_of_the_whole_map_with_a_factor_of_choice(ridges):
+    whole = SceneScale(field_um=700.0, most_points=400, exaggeration=12.5)
+    packed, note = surface_view._reduced(ridges, (1.0, 0.5), whole)
+    with np.load(io.BytesIO(packed)) as data:
+        np.testing.assert_array_equal(data["z"], ridges[:, ::2])
+        np.testing.assert_array_equal(data["pixel"], [1.0, 1.0])
+        assert data["exaggeration"] == 12.5
+    assert "12.5 times" in note
+    flat = SceneScale(most_exaggeration=1000.0)
+    with np.load(io.BytesIO(surface_view._reduced(1e-2 * ridges, (1.0, 1.0), flat)[0])) as data:
+        rise = np.nanmax(data["z"]) - np.nanmin(data["z"])
+        assert data["exaggeration"] * rise == pytest.approx(0.08 * 599.0)

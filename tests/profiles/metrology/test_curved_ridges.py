@@ -77,7 +77,7 @@ def test_a_sinusoid_has_no_straight_flanks():
     noise = 0.01 * np.random.default_rng(0).normal(size=SHAPE)
     found = measure_ridges(HeightMap(3.0 * np.sin(2.0 * np.pi * X / 100.0) + noise, 1.0, 1.0))
     assert not found.straight
-    assert any("not straight" in remark for remark in found.remarks())
+    assert any("do not use ridge angle" in remark for remark in found.remarks())
     assert found.ridge_angle_deg.u > 0.1
 
 
