@@ -1,11 +1,13 @@
 """Areal surface texture parameters of ISO 25178-2 of a scale-limited surface."""
 
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError, UsageError
+from anisoscope.base.progress import Advance, silent
 from anisoscope.profiles.files.checks import check_heights
 from anisoscope.profiles.heightmap import HeightMap, known_mean, row_blocks
 from anisoscope.profiles.textures.bearing import Core, Volumes, bearing, core, volumes
@@ -204,3 +206,108 @@ def texture(
         ssw_um=dominant_wavelength(limited.map),
         features=None if pruning is None else features(limited.map, pruning),
     )
+
+
+MOST_SHARE = 0.2
+
+
+@dataclass(frozen=True)
+class MapUncertainty:
+    """Standard uncertainties of a height map.
+
+    Attributes:
+        height_noise_um: noise of a height in µm, independent from point to point.
+        height_scale: of the scale of the heights, relative.
+        pixel_size: of the pixel size, relative, both axes together.
+
+    Raises:
+        UsageError: one is negative or not finite, a relative one is beyond 0.2, or all are 0.
+    """
+
+    height_noise_um: float = 0.0
+    height_scale: float = 0.0
+    pixel_size: float = 0.0
+
+    def __post_init__(self) -> None:
+        limits = {"height_noise_um": np.inf, "height_scale": MOST_SHARE, "pixel_size": MOST_SHARE}
+        for name, most in limits.items():
+            value = getattr(self, name)
+            if not (np.isfinite(value) and 0.0 <= value <= most):
+                raise UsageError(f"the uncertainty {name} is a number from 0 to {most:g}, not {value:g}")
+        if not any(getattr(self, name) for name in limits):
+            raise UsageError(f"all uncertainties of the map are 0; give one of {', '.join(limits)}")
+
+
+@dataclass(frozen=True)
+class Spread:
+    """What the uncertainties of a map make of a parameter.
+
+    Attributes:
+        u: standard deviation of the draws: the standard uncertainty; NaN where fewer than two draws have a value.
+        shift: mean of the draws minus the value of the map: what one more portion of noise adds.
+    """
+
+    u: float
+    shift: float
+
+
+def texture_uncertainty(
+    surface: HeightMap,
+    evaluate: Callable[[HeightMap], Mapping[str, tuple[float, str]]],
+    inputs: MapUncertainty,
+    draws: int,
+    *,
+    seed: int = 0,
+    on_progress: Advance = silent,
+) -> dict[str, Spread]:
+    """Uncertainties of parameters of a map, by Monte Carlo (JCGM 101:2008, 7).
+
+    Each draw multiplies the heights by 1 + ``height_scale`` g and both pixel sizes by 1 + ``pixel_size`` g and adds
+    noise to every height, g and noise normal; everything is then evaluated anew, filters and form included.
+
+    Args:
+        surface: the map, (rows, cols) in µm.
+        evaluate: values and units by name, of a map; those in ° are directions, which repeat after 180°.
+        inputs: standard uncertainties of the map.
+        draws: how many, 2 or more.
+        seed: of the random numbers; the same seed gives the same uncertainties.
+        on_progress: called at every draw.
+
+    Raises:
+        UsageError: fewer than two draws.
+        HeightMapError: a drawn map cannot be evaluated.
+    """
+    if draws < 2:
+        raise UsageError(f"a Monte Carlo takes two draws or more, not {draws}")
+    nominal = evaluate(surface)
+    rng = np.random.default_rng(seed)
+    found: dict[str, list[float]] = {name: [] for name in nominal}
+    for number in range(draws):
+        on_progress("uncertainty", number, draws)
+        height_factor, pixel_factor = 1.0 + np.array([inputs.height_scale, inputs.pixel_size]) * (
+            rng.standard_normal(2)
+        )
+        height = surface.height_um * height_factor
+        if inputs.height_noise_um > 0.0:
+            height += inputs.height_noise_um * rng.standard_normal(height.shape)
+        drawn = replace(
+            surface.with_height(height),
+            pixel_x_um=surface.pixel_x_um * float(pixel_factor),
+            pixel_y_um=surface.pixel_y_um * float(pixel_factor),
+        )
+        for name, (value, _) in evaluate(drawn).items():
+            found.setdefault(name, []).append(value)
+    on_progress("uncertainty", draws, draws)
+    return {
+        name: _spread(np.array(found[name]) - value, direction=unit == "°")
+        for name, (value, unit) in nominal.items()
+    }
+
+
+def _spread(difference: FloatArray, *, direction: bool) -> Spread:
+    known = difference[np.isfinite(difference)]
+    if known.size < 2:
+        return Spread(float("nan"), float("nan"))
+    if direction:
+        known = (known + 90.0) % 180.0 - 90.0
+    return Spread(float(np.std(known, ddof=1)), float(np.mean(known)))

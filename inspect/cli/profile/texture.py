@@ -1,12 +1,15 @@
 """``anisoscope profile texture``: surface texture parameters of ISO 25178-2."""
 
 import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
+from anisoscope.base.progress import Advance, silent
 from anisoscope.cli.json_output import fields_of, print_json
 from anisoscope.cli.options import Json, parse_numbers
 from anisoscope.cli.profile.many import (
@@ -19,14 +22,81 @@ from anisoscope.cli.profile.many import (
     print_sheet,
 )
 from anisoscope.cli.profile.profile import AS_STATED, FilterType, Scales
+from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import print_table
 
 if TYPE_CHECKING:
+    from anisoscope.profiles.heightmap import HeightMap
     from anisoscope.profiles.textures.features import Features
-    from anisoscope.profiles.textures.texture import Texture
+    from anisoscope.profiles.textures.texture import MapUncertainty, Spread, Texture
 
 ParameterRow = tuple[str, float, str, str]
 """Name, value, unit and meaning of a parameter."""
+
+
+@dataclass(frozen=True)
+class UncertaintyOptions:
+    """Uncertainty of the values, by Monte Carlo."""
+
+    uncertainty: Annotated[
+        int | None,
+        Parameter(
+            help="Number of draws of noise, height scale and pixel size, such as 100: standard uncertainties of all "
+            "values; each draw takes as long as the measurement."
+        ),
+    ] = None
+    u_height_noise: Annotated[
+        float, Parameter("--u-height-noise", help="Noise of a height, standard deviation in µm.")
+    ] = 0.0
+    u_height_scale: Annotated[
+        float, Parameter("--u-height-scale", help="Of the scale of the heights, relative.")
+    ] = 0.0
+    u_pixel_size: Annotated[
+        float, Parameter("--u-pixel-size", help="Of the pixel size, relative, both axes together.")
+    ] = 0.0
+    seed: Annotated[int, Parameter(help="Of the draws.")] = 0
+
+    def check(self) -> None:
+        """Refuse what makes no sense before a map is read.
+
+        Raises:
+            UsageError: draws without an uncertainty of the map, or the other way round; a value out of range.
+        """
+        given = any((self.u_height_noise, self.u_height_scale, self.u_pixel_size))
+        if self.uncertainty is None:
+            if given:
+                raise UsageError(
+                    "--u-height-noise, --u-height-scale and --u-pixel-size take --uncertainty DRAWS"
+                )
+            return
+        if not given:
+            raise UsageError("--uncertainty takes --u-height-noise, --u-height-scale or --u-pixel-size")
+        if self.uncertainty < 2:
+            raise UsageError(f"--uncertainty takes two draws or more, not {self.uncertainty}")
+        if self.seed < 0:
+            raise UsageError(f"--seed takes a whole number from 0, not {self.seed}")
+        self.of_map()
+
+    def of_map(self) -> "MapUncertainty":
+        """Uncertainties of the map."""
+        from anisoscope.profiles.textures.texture import MapUncertainty
+
+        return MapUncertainty(self.u_height_noise, self.u_height_scale, self.u_pixel_size)
+
+    def spreads(
+        self, surface: "HeightMap", evaluate: "Callable[[HeightMap], Values]", on_progress: Advance = silent
+    ) -> "Mapping[str, Spread]":
+        """Uncertainty of every value by name; empty where none was chosen."""
+        from anisoscope.profiles.textures.texture import texture_uncertainty
+
+        if self.uncertainty is None:
+            return {}
+        return texture_uncertainty(
+            surface, evaluate, self.of_map(), self.uncertainty, seed=self.seed, on_progress=on_progress
+        )
+
+
+CERTAIN = UncertaintyOptions()
 
 
 def texture(
@@ -60,6 +130,7 @@ def texture(
         str | None, Parameter(help="Heights in µm from the mean, such as -0.5,0.5: Smr there.")
     ] = None,
     json_: Json = False,
+    doubt: Annotated[UncertaintyOptions, Parameter(name="*", group="Uncertainty")] = CERTAIN,
     many: Annotated[ManyOptions, Parameter(name="*", group="Several files")] = NONE,
     scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
 ) -> int:
@@ -74,10 +145,11 @@ def texture(
 
     check_picture(plot)
     free = _free(ratios, heights)
+    doubt.check()
 
-    def measured(path: Path) -> "Texture":
+    def measured(surface: "HeightMap") -> "Texture":
         return measure(
-            scales.read(path),
+            surface,
             form=form,
             s_filter_um=s_filter,
             l_filter_um=l_filter,
@@ -86,25 +158,76 @@ def texture(
             pruning=0.01 * pruning if features else None,
         )
 
+    def valued(surface: "HeightMap") -> Values:
+        return _values(measured(surface), free)
+
     chosen = expanded(files)
     if len(chosen) > 1 or many.table is not None:
         if plot is not None:
             raise UsageError("--plot draws one map; give one file and no --table")
-        return measure_each(chosen, lambda path: _values(measured(path), free), many, to_json=json_)
+
+        def with_uncertainty(path: Path) -> Values:
+            surface = scales.read(path)
+            values = valued(surface)
+            spreads = doubt.spreads(surface, valued)
+            return {**values, **{f"u({name})": (one.u, values[name][1]) for name, one in spreads.items()}}
+
+        return measure_each(chosen, with_uncertainty, many, to_json=json_)
     check_table(many)
-    found = measured(chosen[0])
+    surface = scales.read(chosen[0])
+    found = measured(surface)
+    with progress(chosen[0].name, quiet=doubt.uncertainty is None) as advance:
+        spreads = doubt.spreads(surface, valued, advance)
     if plot is not None:
         _draw(found, plot)
     sheet = sheet_of(many.limits, _values(found, free))
     if json_:
-        print_json(_as_json(found, free) | ({"sheet": sheet} if sheet else {}))
+        print_json(
+            _as_json(found, free) | _spreads_as_json(doubt, spreads) | ({"sheet": sheet} if sheet else {})
+        )
     else:
-        rows = [
-            [name, (_bound(found) if name == "Str" else "") + _number(value), unit, meaning]
-            for name, value, unit, meaning in _rows(found, free)
-        ]
-        print_table(chosen[0].name, ["parameter", "value", "unit", "meaning"], rows, caption=_caption(found))
+        _print(chosen[0].name, found, free, spreads)
     return print_sheet(sheet, silent=json_)
+
+
+def _spreads_as_json(doubt: UncertaintyOptions, spreads: "Mapping[str, Spread]") -> dict[str, Any]:
+    if not spreads:
+        return {}
+    return {
+        "u": {name: one.u for name, one in spreads.items()},
+        "shift": {name: one.shift for name, one in spreads.items()},
+        "uncertainty": fields_of(doubt.of_map()) | {"draws": doubt.uncertainty, "seed": doubt.seed},
+    }
+
+
+def _print(name: str, found: "Texture", free: "Free", spreads: "Mapping[str, Spread]") -> None:
+    def of(parameter: str) -> list[str]:
+        if not spreads:
+            return []
+        one = spreads[parameter]
+        return [
+            f"{one.u:.2g}" if math.isfinite(one.u) else "–",
+            f"{one.shift:+.1g}" if math.isfinite(one.shift) else "–",
+        ]
+
+    rows = [
+        [
+            parameter,
+            (_bound(found) if parameter == "Str" else "") + _number(value),
+            *of(parameter),
+            unit,
+            meaning,
+        ]
+        for parameter, value, unit, meaning in _rows(found, free)
+    ]
+    caption = _caption(found)
+    if spreads:
+        caption += (
+            "\nu: standard uncertainty (k = 1) from noise, height scale and pixel size; "
+            "shift: what as much noise again adds"
+        )
+    columns = ["parameter", "value", *(["u", "shift"] if spreads else []), "unit", "meaning"]
+    print_table(name, columns, rows, caption=caption)
 
 
 Free = tuple[tuple[float, ...], tuple[float, ...]]

@@ -1,5 +1,7 @@
 """``anisoscope profile texture`` as a user calls it."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -91,6 +93,10 @@ def test_a_flat_map_is_no_accident(anisoscope, tmp_path):
         (("--s-filter", 50, "--l-filter", 20), "below the L-filter"),
         (("--plot", "t.txt"), "*.png"),
         (("--form", "torus"), "torus"),
+        (("--u-pixel-size", 0.01), "--uncertainty DRAWS"),
+        (("--uncertainty", 9), "--u-height-noise"),
+        (("--uncertainty", 1, "--u-pixel-size", 0.01), "two draws"),
+        (("--uncertainty", 9, "--u-pixel-size", 0.5), "from 0 to 0.2"),
     ],
 )
 def test_bad_options_give_one_line(anisoscope, rough, options, word):
@@ -99,3 +105,28 @@ def test_bad_options_give_one_line(anisoscope, rough, options, word):
     assert word in done.err
     assert done.err.count("\n") == 1
     assert not done.out
+
+
+def test_uncertainty_of_every_value(anisoscope, tmp_path):
+    heights = np.random.default_rng(2).normal(size=(40, 50))
+    write_height_map(HeightMap(heights, 1.0, 1.0), tmp_path / "small.npz")
+    call = ("profile", "texture", tmp_path / "small.npz", "--uncertainty", 4, "--u-height-scale", 0.01)
+    done = anisoscope(*call, "--json")
+    assert done.code == 0, done.err
+    found = done.json
+    share = found["u"]["Sa"] / found["heights"]["sa_um"]
+    assert 0.001 < share < 0.03
+    assert found["u"]["Sz"] / found["heights"]["sz_um"] == pytest.approx(share)
+    assert found["u"]["Sal"] < 1e-6 * found["spatial"]["sal_um"]
+    assert found["uncertainty"] == {
+        "height_noise_um": 0.0,
+        "height_scale": 0.01,
+        "pixel_size": 0.0,
+        "draws": 4,
+        "seed": 0,
+    }
+    assert anisoscope(*call, "--json", "--seed", 1).json["u"]["Sa"] != found["u"]["Sa"]
+    assert " shift " in anisoscope(*call).out
+    anisoscope(*call, "--table", tmp_path / "t.json")
+    (row,) = json.loads((tmp_path / "t.json").read_text(encoding="utf-8"))
+    assert row["u(Sa)"] == {"value": pytest.approx(found["u"]["Sa"]), "unit": "µm"}
