@@ -80,4 +80,5 @@ def read_metropro(path: Path | str, given: Given | None = None) -> HeightMap:
     stated = None if lateral == 0 else (lateral * 1e6, lateral * 1e6)
     pixel = stated_or_given_pixel(name, stated, given.pixel_um if given else None)
     heights = scaled(raw, _factor_um(content), raw >= NOT_MEASURED)
-    return checked_map(name, heights, pixel, _origin(content))
+    intensity = {"not_read": [f"intensity layer, {width} × {height} points"]} if intensity_bytes else {}
+    return checked_map(name, heights, pixel, _origin(content) | intensity)

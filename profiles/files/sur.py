@@ -30,7 +30,9 @@ LAYOUT = "<12sHHHh30s30sHHHHHfIHiiiiIfff16s16s16s16s16s16s16s16s16sfffHHH12sHHHH
 HEADER_BYTES = struct.calcsize(LAYOUT)
 MOST_BLOCKS = 4096
 PC_ORDER = 0
-SURFACES = {2: "surface", 11: "surface with intensities", 13: "coloured surface", 16: "coloured surface"}
+WITH_INTENSITY = 11
+SURFACES = (2, WITH_INTENSITY, 13, 16)
+"""Kinds of object whose first layer is a surface: alone, with intensities, with colours (two kinds)."""
 OTHERS = {
     1: "a profile", 3: "a binary image", 4: "a series of profiles", 5: "a series of surfaces", 6: "a meridian disc",
     7: "a multilayer profile", 8: "a multilayer surface", 9: "a parallel disc", 10: "a grey image", 12: "an RGB image",
@@ -176,7 +178,7 @@ def _origin(content: Content, header: _Header) -> dict[str, Any]:
     if comment := content.text(HEADER_BYTES, min(header.comment_bytes, 200)):
         origin["comment"] = comment
     if header.kind != 2:
-        origin["layers"] = f"the first object of a {SURFACES[header.kind]}"
+        origin["not_read"] = ["intensity layer" if header.kind == WITH_INTENSITY else "colours of the points"]
     return origin
 
 

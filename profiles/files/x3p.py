@@ -319,6 +319,10 @@ ZIP_TROUBLE = (
 DAMAGED = "the file is damaged; copy or export it again"
 
 
+PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+MOST_PICTURES = 4
+
+
 class Container:
     """The entries of an x3p zip, found also below a top-level folder, and read within their limits."""
 
@@ -338,6 +342,14 @@ class Container:
         """The entry behind a link of ``main.xml``, or None."""
         link = link.replace("\\", "/").removeprefix("./").lstrip("/")
         return self.entries.get(self.folder + link, self.entries.get(link))
+
+    def pictures(self, mask: zipfile.ZipInfo | None) -> list[str]:
+        """Names of further pictures, such as a texture or a thumbnail, which are not of the standard."""
+        return [
+            "picture " + "".join(letter for letter in PurePosixPath(entry).name if letter.isprintable())[-60:]
+            for entry, info in self.entries.items()
+            if info is not mask and PurePosixPath(entry).suffix.lower() in PICTURES
+        ][:MOST_PICTURES]
 
     def capacity(self, info: zipfile.ZipInfo) -> float:
         """Bytes that an entry can deliver at most, whatever it claims."""
@@ -588,6 +600,7 @@ def read_x3p(path: Path | str, regions: Sequence[str] = ()) -> HeightMap:
             raw, valid = _listed(name, header) if header.datums else _binary(container, header)
             ulps = _ulps(container, raw["z"].size)
             link = container.find(header.fields.get("Record3/Mask/Link", "") or MASK)
+            pictures = container.pictures(link)
             if regions and link is None:
                 refuse(name, "mask", "the file has no mask.png", "leave --mask-from-x3p out")
             chosen, note = (
@@ -608,6 +621,8 @@ def read_x3p(path: Path | str, regions: Sequence[str] = ()) -> HeightMap:
         height[chosen.ravel()] = np.nan
     pixel = _pixel_um(name, header, raw)
     origin = {"format": "x3p", "checksum": checked, **header.metadata()}
+    if pictures:
+        origin["not_read"] = pictures
     if endless := int(np.count_nonzero(np.isinf(raw["z"]))):
         origin["corrected"] = [f"{endless} infinite heights are missing points"]
     if link is not None:

@@ -219,6 +219,7 @@ def _caption(origin: dict[str, Any]) -> str:
     instrument = " ".join(str(part) for part in origin.get("instrument", {}).values())
     lines += [f"measured {' '.join((instrument, str(origin.get('date', '')))).strip()}"] if instrument else []
     lines += [f"other channels: {', '.join(origin['other_channels'])}"] if "other_channels" in origin else []
+    lines += [f"not read: {', '.join(origin['not_read'])}"] if "not_read" in origin else []
     lines += [f"mask: {origin['mask']}"] if "mask" in origin else []
     lines += list(origin.get("corrected", []))
     return "\n".join(lines + [f"trusted by --trust: {text}" for text in origin.get("trusted", [])])
