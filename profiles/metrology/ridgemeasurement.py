@@ -125,9 +125,9 @@ class RidgeMeasurement:
         found = []
         if not self.straight:
             found.append(
-                "NO STRAIGHT FACETS: do not use ridge angle, wall angle, height loss and edge radius; the flanks "
-                f"leave a straight line by {self.facet_bow:.1%} of their rise (rms, limit {MOST_BOW:.0%}), as those "
-                "of a wave do, and the ridge angle is only that of the line fitted to them"
+                "NO STRAIGHT FACETS: do not use ridge angle, wall angle, ridge height, height loss, edge radius and "
+                f"alpha across; the flanks leave a straight line by {self.facet_bow:.1%} of their rise (rms, limit "
+                f"{MOST_BOW:.0%}), as those of a wave do, and the ridge angle is only that of the line fitted to them"
             )
         if self.second_direction_deg is not None:
             found.append(
