@@ -7,7 +7,7 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.diagnosis.tangents import Tangents
-from anisoscope.prediction.expectation import Component, Expectation, recipe_uncertainty
+from anisoscope.prediction.expectation import Component, Expectation, part_uncertainty
 from anisoscope.prediction.propagation import RIDGE_ANGLE
 from anisoscope.prediction.second_order import Response
 from anisoscope.recipe.surface import SurfaceRecipe
@@ -182,21 +182,21 @@ def inputs_of(recipe: SurfaceRecipe, expected: Expectation, measured: tuple[Comp
     """Uncertain inputs of a recipe's prediction; those that may be causes in the units of their extents."""
     if expected.response is None:
         return None
-    part, rig, sources = recipe.material, recipe.uncertainty, expected.response.sources
+    of_part, albedo, sources = part_uncertainty(recipe), recipe.material.albedo, expected.response.sources
     units = {
-        "roughness along the ridges": part.u_alpha_share,
-        "roughness across the ridges": part.u_alpha_share,
-        "albedo of the plastic": part.u_albedo,
-        "refractive index": part.u_index,
-        "seating tilt about x": rig.seating_tilt_deg,
-        "seating tilt about y": rig.seating_tilt_deg,
-        "light angle": rig.light_angle_deg,
-        RIDGE_ANGLE: recipe_uncertainty(recipe).ridge_angle_deg,
+        "roughness along the ridges": of_part.alpha_share,
+        "roughness across the ridges": of_part.alpha_share,
+        "albedo of the plastic": of_part.albedo,
+        "refractive index": of_part.index,
+        "seating tilt about x": of_part.seating_tilt_deg,
+        "seating tilt about y": of_part.seating_tilt_deg,
+        "light angle": of_part.light_angle_deg,
+        RIDGE_ANGLE: of_part.ridge_angle_deg,
     }
-    u = {**units, "albedo of the plastic": part.u_albedo / part.albedo if part.albedo > 0.0 else 0.0}
+    u = {**units, "albedo of the plastic": of_part.albedo / albedo if albedo > 0.0 else 0.0}
     del u["refractive index"]
     known = {source: value for source, value in u.items() if source in sources and value}
-    rest = covariance_of(expected.alone + measured, rig.scale_share, len(expected.poses))
+    rest = covariance_of(expected.alone + measured, recipe.uncertainty.scale_share, len(expected.poses))
     return Inputs(expected.response, known, rest, np.array([units.get(source, 0.0) for source in sources]))
 
 

@@ -13,7 +13,7 @@ from anisoscope.fit.identifiability import information
 from anisoscope.fit.parameters import PARAMETERS, checked_values
 from anisoscope.fit.problem import Problem, Readings, Scene, interface_alpha
 from anisoscope.imaging.pose_radiance import Measured
-from anisoscope.prediction.expectation import Expectation
+from anisoscope.prediction.expectation import SCATTER, Expectation
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.schema import EstimateRecord, ShapeRecord
 from anisoscope.sim.light.geometry import directions
@@ -54,7 +54,7 @@ def _problem(
     poses = len(expected.poses)
     basis = log_basis(poses)
     held = HELD if SEATING[0] in parameters else (*HELD, "seating tilt about x", "seating tilt about y")
-    prediction_components = [c for c in expected.components if c.source in held]
+    prediction_components = [c for c in expected.components if c.source.removeprefix(SCATTER) in held]
     total = np.sum([c.covariance() for c in (*prediction_components, *measured.components)], axis=0)
     dropped = parameters[: max(len(parameters) - (poses - 1), 0)]
     design, material = recipe.surface.design, recipe.material

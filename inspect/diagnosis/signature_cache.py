@@ -14,6 +14,7 @@ from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, CauseModel
 from anisoscope.diagnosis.causes import TAILS, tail_cause
 from anisoscope.diagnosis.signatures import Signature, Signatures
 from anisoscope.diagnosis.tangents import Tangents
+from anisoscope.prediction.expectation import part_uncertainty
 from anisoscope.recipe.surface import SurfaceRecipe
 
 
@@ -63,6 +64,7 @@ def signature_key(
         "causes": [(one.name, one.extents, one.doubt) for one in causes.causes(recipe)],
         "tails": TAILS,
         "light": recipe.light and recipe.light.model_dump(mode="json"),
+        "turning": part_uncertainty(recipe).ridge_angle_deg > 0.0,
     }
 
 

@@ -24,7 +24,7 @@ from anisoscope.diagnosis.causes import EXTRUDED, PITCHES, TAIL, Cause, all_caus
 from anisoscope.diagnosis.tangents import Tangents, looked_at, slopes_of
 from anisoscope.imaging.deviation_map import cell_deviations
 from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH
-from anisoscope.prediction.expectation import nominal_shape, recipe_uncertainty
+from anisoscope.prediction.expectation import nominal_shape, part_uncertainty
 from anisoscope.prediction.height_map_uncertainty import best_band, relief_model
 from anisoscope.prediction.recipe_models import lobe_on
 from anisoscope.prediction.reflections import (
@@ -235,7 +235,7 @@ class _Scene:
         self.azimuth_deg = recipe.poses.facet_azimuth_deg
         self.cell_deviation = None if recipe.area is None else recipe.area.cell_deviation
         self.design = None if recipe.surface.design is None else recipe.surface.ridge_design()
-        self.turning = recipe_uncertainty(recipe).ridge_angle_deg > 0.0
+        self.turning = part_uncertainty(recipe).ridge_angle_deg > 0.0
         self.relief = (
             _measured(recipe)
             if self.design is None

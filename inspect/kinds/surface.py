@@ -257,7 +257,8 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
     def as_recorded(self, recipe: RecipeT, recorded: Mapping[str, Any]) -> RecipeT:
         """Direct light, sampled walls, a known lobe, no test for wear, golden parts by their own scatter: as recorded.
 
-        Uncertainties of the plastic are the recorded ones: their defaults were others.
+        Uncertainties of the plastic are the recorded ones: their defaults were others. Scatter of parts that a record
+        states without `in_prediction` was of golden parts only.
         """
         changes: dict[str, Any] = {}
         then = {"reflections": "direct", "walls": "sampled"}
@@ -266,6 +267,8 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
             changes["surface"] = recipe.surface.model_copy(update=unknown)
         if "scatter" not in recorded:
             changes["scatter"] = None
+        elif recipe.scatter is not None and "in_prediction" not in (recorded["scatter"] or {}):
+            changes["scatter"] = recipe.scatter.model_copy(update={"in_prediction": False})
         stated = {"u_tail": 0.0} | recorded.get("material", {})
         changes["material"] = recipe.material.model_copy(
             update={name: stated[name] for name in ("u_tail", "u_alpha_share", "u_albedo") if name in stated}

@@ -10,13 +10,21 @@ import io
 import json
 import threading
 from collections import OrderedDict
+from dataclasses import asdict
 from functools import partial
 from typing import Any
 
 import numpy as np
 
 from anisoscope.base.cache import Cache
-from anisoscope.prediction.expectation import PLASTIC, Component, Expectation, SurfaceOptics, expectation
+from anisoscope.prediction.expectation import (
+    PLASTIC,
+    Component,
+    Expectation,
+    SurfaceOptics,
+    expectation,
+    part_uncertainty,
+)
 from anisoscope.prediction.lobe_doubt import LobeDoubt
 from anisoscope.prediction.second_order import Response
 from anisoscope.profiles.heightmap import HeightMap
@@ -81,6 +89,7 @@ def prediction_key(recipe: SurfaceRecipe, light_angle_deg: float, optics: Surfac
         "material": recipe.material.model_dump(mode="json"),
         "poses": recipe.poses.model_dump(mode="json"),
         "uncertainty": recipe.uncertainty.model_dump(mode="json"),
+        "part": asdict(part_uncertainty(recipe)),
         "light": recipe.light and recipe.light.model_dump(mode="json"),
         "light_angle_deg": light_angle_deg,
         "optics": [type(optics).__module__, type(optics).__qualname__, repr(getattr(optics, "__dict__", {}))],

@@ -37,6 +37,9 @@ from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.sim.light.contrasts import contrasts
 from anisoscope.sim.light.geometry import Convention, Pose, directions
 
+SCATTER = "scatter of parts: "
+"""Begin of the name of an input in the budget whose uncertainty is the scatter between good parts alone."""
+_SCATTERED = (*PLASTIC_AND_SEAT[:3], RIDGE_ANGLE)
 _OF_THE_RECIPE = (*PLASTIC_AND_SEAT, "zero of the tilt", RIDGE_ANGLE)
 SECOND_ORDER = ", second order"
 EDGE_RADIUS = "edge radius"
@@ -118,7 +121,9 @@ class Expectation:
             return self.components
         sources = self.response.sources
         return tuple(
-            c for c in self.components if c.source not in sources and not c.source.endswith(SECOND_ORDER)
+            c
+            for c in self.components
+            if c.source.removeprefix(SCATTER) not in sources and not c.source.endswith(SECOND_ORDER)
         )
 
 
@@ -241,7 +246,7 @@ def expectation(
             f"material: at {black[0].stage_deg:g}°, tilt {black[0].tilt_deg:g}°, no light of this part is predicted to "
             "reach the camera, so that no contrast is defined: correct albedo and roughness, or leave the pose out"
         )
-    inputs = replace(recipe_uncertainty(recipe), tail=0.0)  # along its curve below
+    inputs = replace(part_uncertainty(recipe), tail=0.0)  # along its curve below
     budget = propagate(models.sampled, nominal, poses, convention, inputs, radiance=radiance)
     components = [
         Component(c.source, c.kind, c.absolute / radiance, shared=True)
@@ -254,6 +259,10 @@ def expectation(
     lobes = _lobes(recipe, models, nominal, convention, inputs, straight, response)
     components += _of_the_tail(recipe, lobes)
     components = [replace(c, source=optics.source_name(c.source)) for c in components]
+    if _scatter_is_apart(recipe):
+        components = [
+            replace(c, source=SCATTER + c.source) if c.source in _SCATTERED else c for c in components
+        ]
     if response is not None:
         response = replace(response, sources=tuple(optics.source_name(name) for name in response.sources))
     components += _second_order(response)
@@ -393,7 +402,10 @@ def _second_order(response: Response | None) -> list[Component]:
 
 
 def recipe_uncertainty(recipe: SurfaceRecipe) -> InputUncertainty:
-    """The inputs' uncertainties that the recipe states; those of the stage belong to the measurement."""
+    """How well the inputs common to all parts are known; those of the stage belong to the measurement.
+
+    Ridge angle and seating are those of the recipe's own keys, although every part has its own.
+    """
     part, rig, design = recipe.material, recipe.uncertainty, recipe.surface.design
     none = InputUncertainty(stage_deg=0.0, stage_zero_deg=0.0, tilt_deg=0.0, tilt_zero_deg=0.0)
     return replace(
@@ -407,4 +419,36 @@ def recipe_uncertainty(recipe: SurfaceRecipe) -> InputUncertainty:
         tilt_zero_deg=rig.tilt_deg,
         ridge_angle_deg=0.0 if design is None else design.u_ridge_angle_deg,
         height_map_share=rig.height_map_share,
+    )
+
+
+def part_uncertainty(recipe: SurfaceRecipe) -> InputUncertainty:
+    """The inputs' uncertainties for a single part that is compared with the prediction, its scatter included once.
+
+    - Seating: `[scatter]`, where it states one, else ``uncertainty.seating_tilt_deg``: both are of one part.
+    - Ridge angle of a design: `[scatter]`, where it states one, else ``design.u_ridge_angle_deg``: the same spread.
+    - Roughness and albedo: ``u_alpha_share`` and ``u_albedo`` of a part's plastic hold its scatter. With a material
+      file, whose covariance is that of the mean of the plastic, `[scatter]` is added to it, and so is its
+      usual ridge angle where the design states none: V = B + W.
+    """
+    stated, scatter, design = recipe_uncertainty(recipe), recipe.scatter, recipe.surface.design
+    if scatter is None or not scatter.in_prediction:
+        return stated
+    apart = _scatter_is_apart(recipe)
+    own = apart or scatter.ridge_angle_deg is not None
+    return replace(
+        stated,
+        alpha_share=scatter.alpha_share if apart else stated.alpha_share,
+        albedo=scatter.albedo_share * recipe.material.albedo if apart else stated.albedo,
+        seating_tilt_deg=recipe.scattered_seating_deg,
+        ridge_angle_deg=recipe.scattered_ridge_angle_deg
+        if own and design is not None
+        else stated.ridge_angle_deg,
+    )
+
+
+def _scatter_is_apart(recipe: SurfaceRecipe) -> bool:
+    """Whether [scatter] is a source of its own: the file of a material states the mean of the plastic."""
+    return (
+        recipe.material.calibrated is not None and recipe.scatter is not None and recipe.scatter.in_prediction
     )

@@ -274,13 +274,14 @@ class ScatterPart(Part):
 
     ``ridge_angle_deg`` is that of the design (``surface.design.u_ridge_angle_deg``) where it is not given, 0.1 without
     one; ``seating_tilt_deg`` that of ``[uncertainty]``. Relative: ``alpha_share`` of both roughnesses, ``albedo_share``
-    of the albedo.
+    of the albedo. ``in_prediction`` = False leaves it to golden parts, as before it counted against the prediction too.
     """
 
     ridge_angle_deg: NotNegative | None = None
     alpha_share: Share = 0.05
     albedo_share: Share = 0.03
     seating_tilt_deg: NotNegative | None = None
+    in_prediction: bool = True
 
 
 class DefectsPart(Part):

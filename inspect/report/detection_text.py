@@ -12,8 +12,8 @@ Results = dict[str, Any]
 BEGIN, END = "<!-- results: begin -->", "<!-- results: end -->"
 RULES = {
     "plastic-0": "prediction, plastic never measured",
-    "calibrated-0": "prediction, plastic calibrated",
-    "spread-0": "… with the scatter of roughness and albedo",
+    "calibrated-0": "prediction, plastic calibrated, without `[scatter]`",
+    "spread-0": "… with `[scatter]`, as inspections",
     "plastic-3": "3 golden parts, plastic never measured",
     "calibrated-1": "1 golden part, plastic calibrated",
     "calibrated-3": "3 golden parts",
@@ -24,8 +24,8 @@ POWERED = ("spread-0", "calibrated-1", "calibrated-3", "calibrated-25")
 COVERED = {
     "measured": "measured contrasts hold the true ones",
     "plastic": "predicted contrasts, plastic never measured",
-    "calibrated": "predicted contrasts, plastic calibrated",
-    "spread": "… with the scatter of roughness and albedo",
+    "calibrated": "predicted contrasts, plastic calibrated, without `[scatter]`",
+    "spread": "… with `[scatter]`, as inspections",
 }
 
 

@@ -7,8 +7,9 @@ all of these (`other`). Claims rest on them. Every rig has a set of golden parts
 Judges by what is known of the plastic and the number n of golden parts:
 
 - `plastic-0`: against the prediction; of the plastic a usual lobe is stated, with the doubt of one never measured.
-- `calibrated-0`: against the prediction with the plastic calibrated on a flat coupon of the same world.
-- `spread-0`: the same, and roughness and albedo of good parts scatter as `[scatter]` states.
+- `calibrated-0`: against the prediction with the plastic calibrated on a flat coupon of the same world; `[scatter]` is
+  left to golden parts.
+- `spread-0`: the same with `[scatter]` in the budget, as in inspections.
 - `plastic-3`, `calibrated-1`, `-3`, `-10`, `-25`: against n golden parts of the rig, by the predictive test.
 """
 
@@ -166,11 +167,10 @@ def calibration_of(world: World, seed: int) -> Calibration:
     return Calibration(file, found.residual_over_noise)
 
 
-def with_spread(recipe: RidgeRecipe) -> RidgeRecipe:
-    """The recipe of a calibrated plastic, whose roughness and albedo scatter between parts."""
-    part = recipe.material
-    spread = {"u_alpha_share": ALPHA_SPREAD, "u_albedo": ALBEDO_SPREAD * part.albedo}
-    return recipe.model_copy(update={"material": part.model_copy(update=spread)})
+def without_scatter(recipe: RidgeRecipe) -> RidgeRecipe:
+    """The recipe of a calibrated plastic whose prediction leaves out how parts scatter."""
+    scatter = recipe.stated_scatter.model_copy(update={"in_prediction": False})
+    return recipe.model_copy(update={"scatter": scatter})
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,7 +210,7 @@ def judge_of(world: World, columns: Columns, name: RecipeName, size: Size, seed:
     """The judge of a recipe in a world; parts with an INVALID measurement must be left out before."""
     file = calibration_of(world, seed).file
     recipe, plain = recipe_of(name, size, file), recipe_of(name, size)
-    recipes = {"plastic": plain, "calibrated": recipe, "spread": with_spread(recipe)}
+    recipes = {"plastic": plain, "calibrated": without_scatter(recipe), "spread": recipe}
     chosen = CHOSEN[name]
     own = columns["own"][:, :, list(chosen)]
     single = [k for k, source in enumerate(MEASURED_SOURCES) if source not in OF_THE_RIG]
@@ -419,7 +419,7 @@ def evidence(judge: Judge, name: RecipeName, row: int, golden: Sequence[int] | N
         row: of the part.
         golden: rows of the golden parts, whose mean is the reference; None: the prediction is.
     """
-    recipe, expected = judge.recipe, judge.expected["calibrated"]
+    recipe, expected = judge.recipe, judge.expected["spread"]
     components = tuple(
         Component(source, "measurement", relative, source in SHARED_SOURCES)
         for source, relative in zip(MEASURED_SOURCES, judge.own[row], strict=True)

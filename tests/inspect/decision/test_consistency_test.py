@@ -9,9 +9,12 @@ from anisoscope.base.significance import calibrated, hotelling, log_basis, mahal
 from anisoscope.decision.consistency_test import from_golden, from_prediction, golden_chances
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.imaging.registration.placement import Grid
-from anisoscope.prediction.expectation import Component, Expectation
+from anisoscope.prediction.expectation import Component, Expectation, expectation
 from anisoscope.prediction.second_order import Response
-from anisoscope.sim.light.geometry import Convention, pose_grid
+from anisoscope.profiles.ideal import RidgeDesign
+from anisoscope.recipe.material_file import MaterialFile, material_at
+from anisoscope.sim.light import corrected
+from anisoscope.sim.light.geometry import Convention, directions, pose_grid, seating_rotation
 
 POSES = pose_grid((0.0, 90.0, 180.0), (0.0, 10.0))
 RADIANCE = np.array([0.3, 0.05, 0.04, 0.2, 0.07, 0.1])
@@ -99,3 +102,67 @@ def test_calibrated_chances_rise_and_have_no_floor(rng):
     assert (np.diff(found) > 0.0).all()
     np.testing.assert_allclose(found[2:6], p[2:6] ** (1.0 / 1.5), rtol=0.15)
     assert found[-1] == 1.0
+
+
+def calibrated_recipe(make_recipe, **scatter):
+    """A recipe of a calibrated plastic in direct light; its tail is exact, because every other one costs a table."""
+    lobe = ("ln_alpha_along", "ln_alpha_across", "ln_albedo")
+    u = np.array([0.007, 0.009, 0.009])
+    file = MaterialFile.model_validate(
+        {
+            "id": "plastic",
+            "name": "plastic",
+            "material": {"alpha_along": 0.06, "alpha_across": 0.1, "albedo": 0.2, "tail": 0.7},
+            "covariance": {"parameters": lobe, "matrix": np.diag(u**2).tolist()},
+            "validity": {"half_angle_deg": (0.0, 40.0)},
+        }
+    )
+    recipe = make_recipe(
+        surface={"reflections": "direct"},
+        poses={"angles_deg": [0.0, 90.0, 180.0], "tilts_deg": [0.0, -10.0, 10.0]},
+        uncertainty={"seating_tilt_deg": 0.1},
+        scatter=scatter,
+    )
+    known = {"u_alpha_share": 0.0, "u_albedo": 0.0, "u_tail": 0.0, "calibrated": file}
+    plastic = {**dict(file.material), **known}
+    return recipe.model_copy(update={"material": recipe.material.model_copy(update=plastic)})
+
+
+def plastic_part(recipe, rng):
+    """(P,) ln L of a part whose plastic, seating and ridges scatter, on a rig of its own, by the exact model."""
+    normal, part, file = rng.standard_normal, recipe.stated_scatter, recipe.material.calibrated
+    covariance = file.covariance.array()
+    mean = file.values() + rng.multivariate_normal(np.zeros(3), covariance)
+    moved = mean + np.array([part.alpha_share, part.alpha_share, part.albedo_share]) * normal(3)
+    index = {"index": recipe.material.index + recipe.material.u_index * normal()}
+    plastic = material_at(
+        recipe.material.model_copy(update=index).material(), file.covariance.parameters, moved
+    )
+    light = 10.0 + recipe.uncertainty.light_angle_deg * normal()
+    seat = seating_rotation(*(recipe.scattered_seating_deg * normal(2)))
+    design = RidgeDesign(100.0, 10.0 + recipe.scattered_ridge_angle_deg * normal())
+    to_light, to_camera = directions(recipe.poses.poses(), Convention(light))
+    return np.log(corrected.radiance(to_light @ seat, to_camera @ seat, design, plastic))
+
+
+@pytest.mark.parametrize(
+    ("parts", "most"), [(25, 0.05), pytest.param(3000, 0.014, marks=pytest.mark.statistics)]
+)
+def test_good_parts_of_a_calibrated_plastic_are_flagged_as_seldom_as_the_level_says(make_recipe, parts, most):
+    """The covariance of the file is of the plastic's mean: without [scatter] a large share of good parts fails."""
+    recipe, rng = calibrated_recipe(make_recipe), np.random.default_rng(9)
+    found, narrow = (
+        expectation(one, 10.0) for one in (recipe, calibrated_recipe(make_recipe, in_prediction=False))
+    )
+    noise = Component("noise", "measurement", np.full(9, 0.003), shared=False)
+    grid = Grid((0.0, 0.0), 0.025, (4, 4))
+    flagged = np.zeros((parts, 2), bool)
+    for row in flagged:
+        seen = np.exp(plastic_part(recipe, rng) + noise.relative * rng.standard_normal(9))
+        one = Measured(seen, (noise,), (), np.ones((9, 1, 1)), np.zeros(9), grid, None)
+        row[:] = [from_prediction(budget, one)[2] < 0.01 for budget in (found, narrow)]
+    good, false = flagged.mean(axis=0)
+    assert good < most
+    assert false > 0.15
+    if parts > 1000:
+        assert good > 0.004

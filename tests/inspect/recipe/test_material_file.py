@@ -20,7 +20,7 @@ from anisoscope.recipe.material_file import (
     read_material_file,
     write_material_file,
 )
-from anisoscope.recipe.surface import check_material
+from anisoscope.recipe.surface import ScatterPart, check_material
 from anisoscope.rig.rigfile import read_rig
 from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import Convention, Pose, directions, pose_grid
@@ -251,6 +251,54 @@ def test_the_budget_of_a_prediction_is_that_of_the_correlated_material(recipe_wi
     np.testing.assert_allclose(family.relative, 0.005)
     assert not family.shared
     assert "tail of the lobe" not in [one.source for one in found.components]
+
+
+def test_the_scatter_of_parts_of_a_calibrated_plastic_is_in_the_budget_once(recipe_with):
+    """V = B + W: terms of [scatter] beside the directions of the file; as large as those of the same plastic alone."""
+    from anisoscope.diagnosis.evidence import inputs_of
+    from anisoscope.prediction.expectation import SCATTER, expectation
+
+    scatter = ScatterPart(ridge_angle_deg=0.2, alpha_share=0.04, albedo_share=0.02, seating_tilt_deg=0.3)
+    recipe = recipe_with(**covariance(COVARIANCE)).model_copy(update={"scatter": scatter})
+    recipe = recipe.model_copy(
+        update={"surface": recipe.surface.model_copy(update={"reflections": "direct"})}
+    )
+    stated = {"u_alpha_share": 0.04, "u_albedo": 0.004, "u_tail": 0.0, "file": None, "calibrated": None}
+    alike = recipe.model_copy(update={"material": recipe.material.model_copy(update=stated)})
+    found, plain = expectation(recipe, 10.0), expectation(alike, 10.0)
+    terms = {one.source: one.relative for one in found.components}
+    own = [name for name in terms if name.startswith(SCATTER)]
+    assert [name.removeprefix(SCATTER) for name in own] == [
+        "roughness along the ridges",
+        "roughness across the ridges",
+        "albedo of the plastic",
+        "ridge angle of the design",
+    ]
+    for one in plain.components:
+        name = SCATTER + one.source if SCATTER + one.source in terms else one.source
+        np.testing.assert_allclose(terms[name], one.relative, rtol=1e-9, atol=1e-12)
+    assert not any(one.source in found.response.sources for one in found.alone)
+    assert not any(one.source.startswith(SCATTER) for one in found.alone)
+    assert [one.source for one in found.alone] == [
+        f"calibrated material, direction {k}" for k in (1, 2, 3, 4)
+    ]
+    inputs, without_file = inputs_of(recipe, found, ()), inputs_of(alike, plain, ())
+    assert inputs.u == pytest.approx(without_file.u)
+    assert inputs.u["seating tilt about x"] == 0.3
+    left = recipe.model_copy(update={"scatter": scatter.model_copy(update={"in_prediction": False})})
+    narrow = {one.source: one.relative for one in expectation(left, 10.0).components}
+    assert not any(name.startswith((SCATTER, "ridge angle")) for name in narrow)
+    np.testing.assert_array_equal(narrow["roughness along the ridges"], 0.0)
+
+
+def test_an_inspection_recorded_before_scatter_counted_is_computed_again_without_it(recipe_with):
+    recipe = recipe_with()
+    before = recipe.model_dump(mode="json")
+    del before["scatter"]["in_prediction"]
+    assert not RIDGES.as_recorded(recipe, before).scatter.in_prediction
+    assert RIDGES.as_recorded(recipe, recipe.model_dump(mode="json")).scatter.in_prediction
+    del before["scatter"]
+    assert RIDGES.as_recorded(recipe, before).scatter is None
 
 
 def test_a_calibrated_lobe_without_a_tail_may_only_have_a_longer_one(recipe_with):
