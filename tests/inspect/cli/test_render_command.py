@@ -134,7 +134,8 @@ def test_frames_show_the_map_turned_with_its_gap(here, tmp_path, height_map):
         predicted = here("predict", height_map, "--bounces", bounces, "--json").json
         for panel, pose in zip(found["panels"], predicted["poses"], strict=True):
             direct = 0.0 if bounces == "all" else panel["reflected_again"]
-            assert panel["mean_of_surface"] - direct == pytest.approx(pose["radiance"], rel=0.01)
+            # a prediction fits the walls, a picture shows them as they were sampled
+            assert panel["mean_of_surface"] - direct == pytest.approx(pose["radiance"], rel=0.03)
             assert panel["mean_of_picture"] == pytest.approx(panel["mean_of_surface"], rel=0.01)
     assert max(panel["reflected_again"] / panel["mean_of_surface"] for panel in found["panels"]) > 0.1
     # the gap's middle stands 85 left of and 55 below the axis; a quarter turn brings it 55 right, 85 below

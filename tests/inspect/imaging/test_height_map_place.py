@@ -79,7 +79,7 @@ def test_without_a_map_nothing_is_said_and_a_small_one_is_not_matched(recipe):
     assert match_map(recipe, replace(expected, surface=None), measured) == (None, None)
 
 
-@pytest.mark.parametrize("reflections", [True, False])
+@pytest.mark.parametrize("reflections", [True, pytest.param(False, marks=pytest.mark.soak)])
 def test_a_whole_inspection_tells_where_the_recipes_map_lies(virtual_rig, tmp_path, reflections):
     plain = ridges(RidgeDesign(PITCH_UM, 10.0), (301, 601), (4.0, 2.0))
     part = add_facet_roughness(plain, 0.08, 0.08, 20.0, np.random.default_rng(6))

@@ -60,7 +60,7 @@ def texts(page, selector):
 
 
 def number(text):
-    return float(text.replace("−", "-").split("±")[-1].split("≤")[-1].split()[0])
+    return float(text.replace("−", "-").split("±")[-1].split("≤")[-1].split()[0].rstrip("°"))
 
 
 def test_it_is_silent_self_contained_whole_and_small(shown, report):
@@ -84,10 +84,15 @@ def relief(shown, view):
     still = shown.screenshot(".relief")
     shown.evaluate("document.querySelector('#viewer').style.display = ''")
     assert poll(lambda: shown.screenshot(".relief") != still and settled(shown)), "nothing was drawn"
-    x, y, width, height = shown.evaluate(
+    return shown, middle_of(shown)
+
+
+def middle_of(page):
+    """Where the middle of the view is in the window now."""
+    x, y, width, height = page.evaluate(
         "(r => [r.x, r.y, r.width, r.height])(document.querySelector('#viewer').getBoundingClientRect())"
     )
-    return shown, (x + width / 2, y + height / 2)
+    return x + width / 2, y + height / 2
 
 
 def settled(page):
@@ -125,9 +130,9 @@ def test_the_wheel_scrolls_the_page_and_keys_turn_the_map(relief):
     assert poll(lambda: page.evaluate("scrollY") < top), "the page does not scroll"
     page.evaluate("document.querySelector('.relief').scrollIntoView({block: 'center'})")
     assert poll(lambda: settled(page)) == before, "the wheel moves the map"
-    page.drag((x, y), [])  # a click, which gives it the keys
 
-    def turned():  # pressed again where a busy machine gave the first one to the page
+    def turned():  # again where a busy machine had not scrolled back yet, or gave the key to the page
+        page.drag(middle_of(page), [])  # a click, which gives the map the keys
         page.call("Input.dispatchKeyEvent", type="keyDown", key="ArrowLeft", code="ArrowLeft")
         return (after := settled(page)) and after != before
 
