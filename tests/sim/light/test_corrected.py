@@ -168,7 +168,10 @@ def test_a_small_radius_is_a_sharp_crest_and_chords_do_not_matter():
     np.testing.assert_allclose(wide, narrow, rtol=1e-5)
 
 
-@pytest.mark.parametrize(("radius", "errors"), [(0.5, (0.002, 0.01, 0.01)), (10.0, (0.005, 0.025, 0.035))])
+@pytest.mark.parametrize(
+    ("radius", "errors"),
+    [pytest.param(0.5, (0.002, 0.01, 0.01), marks=pytest.mark.soak), (10.0, (0.005, 0.025, 0.035))],
+)
 def test_worn_crests_reflect_as_the_shortened_groove(radius, errors):
     """Direct light and paths on a fine map of the worn ridges against the profile's direct light and the groove."""
     design, material = RidgeDesign(100.0, 10.0, edge_radius_um=radius), Material(0.08, 0.08, 0.1)
