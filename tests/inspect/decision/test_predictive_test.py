@@ -154,14 +154,17 @@ def test_level_and_power_over_many_golden_sets(count, tilts):
 @pytest.mark.parametrize("lobe", LOBES)
 @pytest.mark.parametrize("tilts", [(0.0,), (0.0, -10.0, 10.0)])
 def test_good_parts_of_a_plastic_with_an_unmeasured_lobe_keep_the_level(lobe, tilts):
-    """Whatever the lobe: against the prediction, and against one golden part and three."""
+    """Whatever the lobe: against the prediction, and against one golden part and three.
+
+    Parts of one golden set count together: the rate of 30 sets of one part has a standard error of 2 %.
+    """
     rules = recipe(tilts, u_tail=None)
     rng = np.random.default_rng(4)
     assert np.mean(p_predicted(rules, rng, 60, LOBES[lobe]) < 0.01) <= 0.05
     scatter = contrast_scatter(part_scatter(rules, 10.0), NOISE)
-    for count in (1, 3):
+    for count, most in ((1, 0.07), (3, 0.05)):
         good = p_values(scatter, rules, rng, count, sets=30, parts=15, lobe=LOBES[lobe])
-        assert np.mean(good < 0.01) <= 0.05
+        assert np.mean(good < 0.01) <= most
 
 
 @pytest.mark.statistics
