@@ -173,8 +173,8 @@ def angle_chart(found: RidgeMeasurement) -> str:
                 axes.errorbar(
                     ridge.number, value, yerr=1.96 * u, fmt="o", color=BLUE, capsize=3, markersize=4
                 )
-        assert found.ridge_angle_deg.value is not None
-        axes.axhline(found.ridge_angle_deg.value, color=MUTED, linewidth=0.9, linestyle=":")
+        if found.ridge_angle_deg.value is not None:
+            axes.axhline(found.ridge_angle_deg.value, color=MUTED, linewidth=0.9, linestyle=":")
         axes.grid(axis="y")
         axes.set_xlabel("ridge")
         axes.set_ylabel("ridge angle [°]")
@@ -193,13 +193,14 @@ def _origin_lines(origin: dict[str, Any], prefix: str = "") -> list[tuple[str, s
     return lines
 
 
-def _ridge_part(found: RidgeMeasurement) -> dict[str, Any]:
+def _ridge_part(measured: RidgeMeasurement) -> dict[str, Any]:
+    found = measured.stated()
     return {
         "numbers": [(text, *as_text(getattr(found, key)), unit) for text, key, unit in NUMBERS],
         "remarks": found.remarks(),
         "ridge_chart": ridge_chart(found.mean_ridge),
         "slope_chart": slope_chart(found),
-        "angle_chart": angle_chart(found),
+        "angle_chart": angle_chart(found) if found.straight else None,
         "ridge_rows": [
             (
                 one.number,

@@ -434,7 +434,8 @@ OPERATIONS: dict[str, Operation] = {
             "filter",
             "Filter after ISO 16610.",
             (
-                Parameter("filter", "text", "", "gaussian (-21, -61), robust Gaussian (-31, -71), spline (-22), "
+                Parameter("filter", "text", "", "gaussian (-21, -61), robust Gaussian (-31, -71), spline (-22; "
+                          "xy: separable, along x and y), "
                           "morphological closing or opening (-85)", required=True,
                           choices=("gaussian", "robust", "spline", "closing", "opening")),
                 Parameter("cutoff", "number", "µm", "nesting index; radius of the ball or disk of closing and opening",

@@ -1,7 +1,7 @@
 """What is measured on the ridges of a map."""
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Self
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.notebook import axes_or_new, data_frame, html_table
@@ -13,6 +13,16 @@ if TYPE_CHECKING:
 
 
 MOST_BOW = 0.01
+OF_STRAIGHT_FACETS = (
+    "ridge_angle_deg",
+    "wall_angle_deg",
+    "height_um",
+    "height_loss",
+    "edge_radius_um",
+    "alpha_across",
+    "angle_variation_deg",
+    "height_variation_um",
+)
 
 
 @dataclass(frozen=True)
@@ -125,9 +135,9 @@ class RidgeMeasurement:
         found = []
         if not self.straight:
             found.append(
-                "NO STRAIGHT FACETS: do not use ridge angle, wall angle, ridge height, height loss, edge radius and "
-                f"alpha across; the flanks leave a straight line by {self.facet_bow:.1%} of their rise (rms, limit "
-                f"{MOST_BOW:.0%}), as those of a wave do, and the ridge angle is only that of the line fitted to them"
+                "NO STRAIGHT FACETS: ridge angle, wall angle, ridge height, height loss, edge radius and alpha across "
+                f"have no value; the flanks leave a straight line by {self.facet_bow:.1%} of their rise (rms, limit "
+                f"{MOST_BOW:.0%}), as those of a wave do"
             )
         if self.second_direction_deg is not None:
             found.append(
@@ -139,14 +149,24 @@ class RidgeMeasurement:
             )
         return tuple(found)
 
+    def stated(self) -> Self:
+        """What table, page and JSON state: no numbers of straight facets where there are none."""
+        if self.straight:
+            return self
+        none = Quantity(None)
+        ridges = tuple(replace(one, angle_deg=none, height_um=none) for one in self.ridges)
+        without: dict[str, Any] = dict.fromkeys(OF_STRAIGHT_FACETS, none)
+        return replace(self, ridges=ridges, **without)
+
     def quantities(self) -> dict[str, Quantity]:
         """All numbers that have an uncertainty, by name."""
         return {name: value for name, value in vars(self).items() if isinstance(value, Quantity)}
 
     def __repr__(self) -> str:
         """One line: pitch, ridge angle, height, how many ridges and burrs."""
+        found = self.stated()
         pitch, angle, height = (
-            " ± ".join(as_text(value)) for value in (self.pitch_um, self.ridge_angle_deg, self.height_um)
+            " ± ".join(as_text(value)) for value in (found.pitch_um, found.ridge_angle_deg, found.height_um)
         )
         return (
             f"RidgeMeasurement(pitch {pitch} µm, ridge angle {angle}°, height {height} µm, "
@@ -154,7 +174,7 @@ class RidgeMeasurement:
         )
 
     def _repr_html_(self) -> str:
-        rows = [(name, *as_text(value)) for name, value in self.quantities().items()]
+        rows = [(name, *as_text(value)) for name, value in self.stated().quantities().items()]
         title = f"{len(self.ridges)} ridges, {len(self.burrs)} burrs, {self.missing_share:.2%} missing"
         return html_table(title, ("quantity", "value", "u"), rows)
 
@@ -177,7 +197,7 @@ class RidgeMeasurement:
         Raises:
             UsageError: pandas is not installed.
         """
-        found = self.quantities()
+        found = self.stated().quantities()
         columns = {
             name: [getattr(one, name) for one in found.values()]
             for name in ("value", "u", "at_least", "at_most")

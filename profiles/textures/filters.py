@@ -218,7 +218,8 @@ def spline_mean(surface: HeightMap, cutoff_um: float, *, direction: Direction = 
     """Mean surface of the cubic spline filter (the long waves), (rows, cols) in µm; NaN where missing.
 
     The spline s minimises Σ(z − s)² + α⁴Σ(second difference of s)², α = 1/(2 sin(πΔ/λ)), its ends free: it follows
-    slopes and has no effect at the ends. Source: ISO 16610-22. "xy" smooths along x, then along y.
+    slopes and has no effect at the ends. Source: ISO 16610-22. "xy" smooths along x, then along y: a separable
+    spline, which passes less of oblique waves than an isotropic filter; it is not the areal spline of ISO 16610-62.
 
     Args:
         surface: the map.
@@ -302,8 +303,10 @@ def mean_surface(
 
 
 def standard_of(kind: Smoothing, direction: Direction = "xy") -> str:
-    """The part of ISO 16610 that defines a filter."""
-    areal, profile = {"gaussian": ("61", "21"), "robust": ("71", "31"), "spline": ("22", "22")}[kind]
+    """The part of ISO 16610 that defines a filter; the areal spline is that of profiles along both axes."""
+    if kind == "spline":
+        return "ISO 16610-22" + (" along x and y, separable" if direction == "xy" else "")
+    areal, profile = {"gaussian": ("61", "21"), "robust": ("71", "31")}[kind]
     return f"ISO 16610-{areal if direction == 'xy' else profile}"
 
 

@@ -1,6 +1,7 @@
 """``anisoscope profile compare``: maps of one part, or a tool and its parts."""
 
 import sys
+from collections.abc import Sequence
 from math import nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -65,7 +66,7 @@ def compare(
 
     check_picture(plot)
     shown = _line(line)
-    seconds = expanded(others)
+    seconds = _seconds(first, others)
     if len(seconds) > 1 or several.table is not None or several.out_dir is not None:
         if not out is difference is plot is None:
             raise UsageError("--out, --plot and --difference are of one second map; several take --out-dir")
@@ -100,6 +101,17 @@ def compare(
     else:
         _print(found, first, second, out)
     return 0
+
+
+def _seconds(first: Path, others: Sequence[Path]) -> list[Path]:
+    """The second maps; patterns are replaced by what they match.
+
+    Raises:
+        UsageError: none is given, or a pattern that matches none.
+    """
+    if not others:
+        raise UsageError(f"compare {first} with which map? name the second one after it")
+    return expanded(others)
 
 
 def _line(text: str | None) -> tuple[float, float, float, float] | None:

@@ -47,7 +47,11 @@ def _number(quantity: "Quantity") -> dict[str, float | None]:
 
 
 def measurement_as_json(found: "RidgeMeasurement") -> dict[str, Any]:
-    """The measurement as plain data; a number is {value, u}, with at_least or at_most where only a bound is known."""
+    """The measurement as plain data; a number is {value, u}, with at_least or at_most where only a bound is known.
+
+    Numbers of straight facets are null where there are none.
+    """
+    found = found.stated()
     numbers = {name: _number(getattr(found, name)) for name, _, _ in NAMES}
     ridges = [
         fields_of(ridge)
@@ -105,6 +109,7 @@ def ridges(
 def _values(found: "RidgeMeasurement") -> Values:
     """Values by the names of the JSON, u(...) their standard uncertainties; NaN where only a bound is known."""
     values: dict[str, tuple[float, str]] = {}
+    found = found.stated()
     for key, _, unit in NAMES:
         one = getattr(found, key)
         values[key] = (float("nan") if one.value is None else one.value, unit)
@@ -115,6 +120,7 @@ def _values(found: "RidgeMeasurement") -> Values:
 def _print(name: str, found: "RidgeMeasurement") -> None:
     from anisoscope.profiles.metrology.quantity import as_text
 
+    found = found.stated()
     low, high = found.bandwidth_um
     print_table(
         name,

@@ -108,7 +108,10 @@ def texture(
         float | None, Parameter(help="Nesting index of the L-filter in µm; removes longer waves.")
     ] = None,
     s_filter_type: Annotated[
-        FilterType, Parameter(help="S-filter of ISO 16610: gaussian (-61), robust (-71) or spline (-22).")
+        FilterType,
+        Parameter(
+            help="S-filter of ISO 16610: gaussian (-61), robust (-71) or spline (separable, -22 along x and y)."
+        ),
     ] = "gaussian",
     l_filter_type: Annotated[FilterType, Parameter(help="The same for the L-filter.")] = "gaussian",
     form: Annotated[

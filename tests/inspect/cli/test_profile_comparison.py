@@ -92,3 +92,9 @@ def test_one_line_says_what_is_wrong(anisoscope, maps, options, message):
     done = anisoscope("profile", "compare", maps / "new.x3p", maps / "worn.x3p", *words)
     assert done.code == 64
     assert message in done.err
+
+
+def test_one_map_alone_asks_for_the_second(anisoscope, maps):
+    done = anisoscope("profile", "compare", maps / "new.x3p", "--mirrored")
+    assert done.code == 64
+    assert f"compare {maps / 'new.x3p'} with which map? name the second one after it" in done.err

@@ -61,6 +61,7 @@ def test_a_flat_map_keeps_every_number(flat):
     assert plain.form_um == 0.0
     assert plain.remarks() == ()
     assert plain.straight
+    assert plain.stated() is plain
     assert plain.facet_bow < 0.005
 
 
@@ -77,8 +78,13 @@ def test_a_sinusoid_has_no_straight_flanks():
     noise = 0.01 * np.random.default_rng(0).normal(size=SHAPE)
     found = measure_ridges(HeightMap(3.0 * np.sin(2.0 * np.pi * X / 100.0) + noise, 1.0, 1.0))
     assert not found.straight
-    assert any("do not use ridge angle" in remark for remark in found.remarks())
     assert found.ridge_angle_deg.u > 0.1
+    stated = found.stated()
+    unknown = {name for name, one in stated.quantities().items() if not one.known}
+    assert unknown >= {"ridge_angle_deg", "wall_angle_deg", "height_um", "edge_radius_um", "alpha_across"}
+    assert not unknown & {"pitch_um", "direction_deg"}
+    assert not any(ridge.angle_deg.known or ridge.height_um.known for ridge in stated.ridges)
+    assert "ridge angle –" in repr(found)
 
 
 def test_ridges_that_cross_are_said():

@@ -81,6 +81,16 @@ def test_robust_filter_passes_by_deep_grooves():
     assert np.abs(plain).max() > 0.9
 
 
+def test_the_areal_spline_is_separable():
+    """A wave of the nesting index at 45° is one of √2 times that length along both axes: 0.8 · 0.8 of it pass."""
+    y, x = np.indices((240, 240))
+    surface = HeightMap(np.cos(2.0 * np.pi * (x + y) / (40.0 * np.sqrt(2.0))), 1.0, 1.0)
+    middle = slice(60, -60)
+    mean = spline_mean(surface, 40.0)[middle, middle]
+    wave = surface.height_um[middle, middle]
+    assert np.sum(mean * wave) / np.sum(wave * wave) == pytest.approx(0.64, abs=0.01)
+
+
 def test_spline_follows_a_slope_and_bridges_gaps():
     z = np.tile(0.3 * np.arange(100.0), (4, 1))
     z[1, 40:60] = np.nan
