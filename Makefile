@@ -9,11 +9,12 @@ SEED   ?= 1
 # one more than there are cores: many tests wait for simulated devices
 WORKERS ?= $(shell expr $$(getconf _NPROCESSORS_ONLN) + 1)
 
-.PHONY: demo test soak statistics types lint contracts benchmark lock clean help
+.PHONY: demo test soak statistics types lint contracts docs docs-check benchmark lock clean help
 
 help:
 	@echo "make demo       inspect three parts on the virtual rig; reports in demo-output/"
-	@echo "make test       formatting, lint, types, import contracts, tests"
+	@echo "make test       formatting, lint, types, import contracts, links of the docs, tests"
+	@echo "make docs       the docs as a site; open site/index.html"
 	@echo "make soak       the long test campaigns"
 	@echo "make statistics rates over many draws: coverage, false alarms, power of the studies"
 	@echo "make benchmark  speed against named alternatives"
@@ -22,7 +23,7 @@ help:
 demo: $(VENV)/.run
 	$(BIN)/anisoscope demo --out demo-output --seed $(SEED)
 
-test: lint contracts types
+test: lint contracts types docs-check
 	$(BIN)/python -Im pytest -n $(WORKERS) --dist worksteal
 
 # The long campaigns: hundreds of seeds, thousands of damaged files.
@@ -48,6 +49,15 @@ contracts: build/wheel
 
 types: build/wheel
 	MYPYPATH=build/wheel $(BIN)/mypy -p anisoscope
+
+# The docs as a site. Every warning is an error: missing links, anchors, pictures, pages without a place in the navigation.
+SPHINX = $(BIN)/python -Im sphinx -W --keep-going -q -d site/.doctrees
+docs: $(VENV)/.dev
+	$(SPHINX) -b html docs site
+
+# The same checks without writing a page.
+docs-check: $(VENV)/.dev
+	$(SPHINX) -b dummy docs site
 
 benchmark: $(VENV)/.dev
 	$(BIN)/pip install --quiet --disable-pip-version-check -e '.[benchmark]'
@@ -76,4 +86,4 @@ lock:
 	sh tools/lock.sh $(PYTHON)
 
 clean:
-	rm -rf $(VENV) build dist *.egg-info demo-output .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) build dist site docs/reference *.egg-info demo-output .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
