@@ -372,14 +372,15 @@ def calibrate_material(
             light_angle_deg=setup.convention.light_angle_deg,
             poses=tuple((pose.stage_deg, pose.tilt_deg) for pose in scan.poses),
         ),
-        test=_test_of(found),
+        test=residual_test(found),
         remarks=(*found.warnings(), *found.information.not_identified()),
     )
     named = content.model_copy(update={"id": f"material-{now:%Y%m%d}-{content.digest()[:8]}"})
     return write_material_file(named, out), found
 
 
-def _test_of(found: LobeFit) -> ResidualPart:
+def residual_test(found: LobeFit) -> ResidualPart:
+    """What the residuals of a fit say of its family of lobes, as a material file states it."""
     return ResidualPart(
         residual_over_noise=found.residual_over_noise,
         birge_ratio=found.birge_ratio,

@@ -36,22 +36,23 @@ GOLDEN = ("good-13", "good-14", "good-15")
 ALPHA, ALBEDO, RIDGE_ANGLE_DEG = 0.08, 0.1, 10.0
 RESOLVED_ALPHA = 0.03
 """Of the texture that lies in the mesh and so in the maps; a design has it in the lobe."""
+WHOLE_ALPHA = float(np.hypot(ALPHA, RESOLVED_ALPHA))
 MAP_UM, NM_PER_COUNT, ZERO = 2.0, 10.0, 1000
-CAUSES: dict[str, tuple[tuple[str, ...], float | None]] = {
-    "angle-1": (("ridge-angle",), None),
-    "angle-0.5": (("ridge-angle",), None),
-    "angle+0.5": (("ridge-angle",), None),
-    "angle+1": (("ridge-angle",), None),
-    "rough+20": (("roughness", "roughness-along", "roughness-across"), 0.2),
-    "rough+60": (("roughness", "roughness-along", "roughness-across"), 0.6),
-    "height-loss": (("incomplete-filling",), 0.1),
-    "wear-5": (("wear",), 5.0),
-    "wear-10": (("wear",), 10.0),
-    "burrs-2": (("burrs",), 0.02),
-    "burrs-10": (("burrs",), 0.1),
-    "scratches": (("scratches",), 40.0),
+CAUSES: dict[str, tuple[str, float | None]] = {
+    "angle-1": ("ridge-angle", None),
+    "angle-0.5": ("ridge-angle", None),
+    "angle+0.5": ("ridge-angle", None),
+    "angle+1": ("ridge-angle", None),
+    "rough+20": ("roughness", None),
+    "rough+60": ("roughness", None),
+    "height-loss": ("incomplete-filling", 0.1),
+    "wear-5": ("wear", 5.0),
+    "wear-10": ("wear", 10.0),
+    "burrs-2": ("burrs", 0.02),
+    "burrs-10": ("burrs", 0.1),
+    "scratches": ("scratches", 40.0),
 }
-"""By defective part: causes that are right, and their severity; of the ridge angle that of the part itself."""
+"""By defective part: its cause, and its severity in the unit of the cause; None where the truth of the part says it."""
 _ROWS = (
     ("design, upright", UPRIGHT, False, False),
     ("design, tilted", TILTED, False, False),
@@ -100,8 +101,13 @@ class Parts:
 
     def severity(self, name: str) -> float:
         """True severity of the defect of a part, in the unit of its cause."""
-        told = CAUSES[name][1]
-        return float(self.truth[name]["ridge_angle_deg"]) - RIDGE_ANGLE_DEG if told is None else told
+        cause, severity = CAUSES[name]
+        if severity is not None:
+            return severity
+        truth = self.truth[name]
+        if cause == "ridge-angle":
+            return float(truth["ridge_angle_deg"]) - RIDGE_ANGLE_DEG
+        return float(np.mean(np.hypot(truth["alpha"], truth["texture"]))) / WHOLE_ALPHA - 1.0
 
 
 class Inspector:
@@ -136,7 +142,7 @@ class Inspector:
     def _write(self, path: Path, surface: dict[str, Any]) -> None:
         import tomli_w  # noqa: PLC0415 - start-up time
 
-        alpha = ALPHA if self.own_map else float(np.hypot(ALPHA, RESOLVED_ALPHA))
+        alpha = ALPHA if self.own_map else WHOLE_ALPHA
         table = {
             "schema": 1,
             "product": "ridges rendered by Mitsuba",
@@ -229,13 +235,15 @@ def _row(parts: Parts, record: Callable[[str], Record], *, own_map: bool) -> dic
     row["first"], row["tied"], row["held"], row["severities"] = [], [], [], 0
     for name, one in bad.items():
         causes = () if one.diagnosis is None else one.diagnosis.causes
-        right = [cause for cause in causes if cause.cause in CAUSES[name][0]]
-        if causes and causes[0] in right:
+        right = next((cause for cause in causes if cause.cause == CAUSES[name][0]), None)
+        if right is None:
+            continue
+        if causes[0] is right:
             row["first"].append(name)
-        if any(cause.tie for cause in right):
+        if right.tie:
             row["tied"].append(name)
-        if right and right[0].interval is not None:
-            low, high = right[0].interval
+        if right.interval is not None:
+            low, high = right.interval
             truth = parts.severity(name)
             row["severities"] += 1
             if not (low is not None and truth < low) and not (high is not None and truth > high):

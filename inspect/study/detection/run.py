@@ -35,6 +35,7 @@ from anisoscope.diagnosis.ranking import NOTHING, diagnose
 from anisoscope.diagnosis.signature_cache import cached_signatures
 from anisoscope.diagnosis.signatures import Signatures, signatures
 from anisoscope.fit.lobe import POSE_NOISE, Scan, coupon, coupon_poses, fit_lobe
+from anisoscope.inspection.material_calibration import residual_test
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
 from anisoscope.prediction.expectation import Component, Expectation, expectation
 from anisoscope.prediction.part_scatter import part_scatter
@@ -45,7 +46,6 @@ from anisoscope.recipe.material_file import (
     CovariancePart,
     LobePart,
     MaterialFile,
-    ResidualPart,
     ValidityPart,
 )
 from anisoscope.sim.light.contrasts import consecutive_pairs
@@ -145,14 +145,6 @@ def calibration_of(world: World, seed: int) -> Calibration:
     rng = np.random.default_rng([seed, 23])
     noisy = radiance * np.exp(POSE_NOISE * rng.standard_normal(len(poses)))
     found = fit_lobe(Scan(poses, convention, noisy, np.zeros(len(poses))), specimen, WHOLE)
-    test = ResidualPart(
-        residual_over_noise=found.residual_over_noise,
-        birge_ratio=found.birge_ratio,
-        degrees_of_freedom=round(found.degrees_of_freedom),
-        rms_share=found.rms_share,
-        discrepancy_share=found.discrepancy_share,
-        family=found.family,
-    )
     file = MaterialFile(
         id=f"material-{world}",
         name=f"plastic of the world {world}",
@@ -162,7 +154,7 @@ def calibration_of(world: World, seed: int) -> Calibration:
             matrix=tuple(map(tuple, found.information.material_covariance.tolist())),
         ),
         validity=ValidityPart(half_angle_deg=found.half_angle_deg),
-        test=test,
+        test=residual_test(found),
     )
     return Calibration(file, found.residual_over_noise)
 
