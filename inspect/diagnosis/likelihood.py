@@ -35,11 +35,9 @@ Costs = tuple[FloatArray, FloatArray]
 _COARSE = 6  # the coarse search takes every sixth extent of a signature's table
 _FINE = 17  # points between the best point's neighbours
 _NEAR, _NEAR_POINTS = 4.0, 25  # u to both sides of the best extent, and points there
-_PAIR_COARSE, _PAIR_FINE, _PAIR_ROUNDS = (
-    16,
-    9,
-    3,
-)  # of a pair: every 16th extent of the tables, then 9 × 9 closer ones
+# The grid of a pair has the square of the extents of one cause: every 16th extent of the tables finds the valley that
+# two similar causes share, and three rounds of 9 × 9 points between neighbours narrow it to 1/64 of that step.
+_PAIR_COARSE, _PAIR_FINE, _PAIR_ROUNDS = 16, 9, 3
 
 
 @dataclass(frozen=True)
