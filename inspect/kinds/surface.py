@@ -258,17 +258,26 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
         """Direct light, sampled walls, a known lobe, no test for wear, golden parts by their own scatter: as recorded.
 
         Uncertainties of the plastic are the recorded ones: their defaults were others. Scatter of parts that a record
-        states without `in_prediction` was of golden parts only.
+        states without `in_prediction` was of golden parts only. Crests whose form a record does not name were arcs, and
+        sharp where no radius was given.
         """
         changes: dict[str, Any] = {}
         then = {"reflections": "direct", "walls": "sampled"}
-        unknown = {key: value for key, value in then.items() if key not in recorded.get("surface", {})}
+        surface = recorded.get("surface", {})
+        unknown: dict[str, Any] = {key: value for key, value in then.items() if key not in surface}
+        design = recipe.surface.design
+        if design is not None and "edge_form" not in (surface.get("design") or {}):
+            known = {"edge_radius_um": design.edge_radius_um or 0.0, "edge_form": "arc"}
+            unknown["design"] = design.model_copy(update=known)
         if unknown:
             changes["surface"] = recipe.surface.model_copy(update=unknown)
+        stated_scatter = recorded.get("scatter")
         if "scatter" not in recorded:
             changes["scatter"] = None
-        elif recipe.scatter is not None and "in_prediction" not in (recorded["scatter"] or {}):
-            changes["scatter"] = recipe.scatter.model_copy(update={"in_prediction": False})
+        elif recipe.scatter is not None:
+            lacking = {"in_prediction": False, "edge_radius_share": 0.0}
+            missing = {key: value for key, value in lacking.items() if key not in (stated_scatter or {})}
+            changes["scatter"] = recipe.scatter.model_copy(update=missing)
         stated = {"u_tail": 0.0} | recorded.get("material", {})
         changes["material"] = recipe.material.model_copy(
             update={name: stated[name] for name in ("u_tail", "u_alpha_share", "u_albedo") if name in stated}

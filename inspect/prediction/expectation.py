@@ -7,6 +7,7 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import RecipeError
+from anisoscope.prediction.crest_edges import crest_edges
 from anisoscope.prediction.height_map_uncertainty import edge_contributions, pixel_error
 from anisoscope.prediction.lobe_doubt import LobeDoubt, lobe_doubt
 from anisoscope.prediction.predict import Predicted
@@ -18,7 +19,7 @@ from anisoscope.prediction.propagation import (
     calibrated_material,
     propagate,
 )
-from anisoscope.prediction.recipe_models import Models, edge_radius_model, models_of, rig_of
+from anisoscope.prediction.recipe_models import Models, models_of
 from anisoscope.prediction.reflections import reflections_contributions
 from anisoscope.prediction.second_order import Response, known_inputs, response_of
 from anisoscope.prediction.sensitivity import (
@@ -42,7 +43,7 @@ SCATTER = "scatter of parts: "
 _SCATTERED = (*PLASTIC_AND_SEAT[:3], RIDGE_ANGLE)
 _OF_THE_RECIPE = (*PLASTIC_AND_SEAT, "zero of the tilt", RIDGE_ANGLE)
 SECOND_ORDER = ", second order"
-EDGE_RADIUS = "edge radius"
+EDGE_RADIUS, EDGE_FORM = "edge radius", "form of the edge"
 FAMILY = "family of the lobe"
 FAMILY_SHARE = 0.015
 """What the best tail leaves of ln L of lobes of two scales: rms in a pose, independent of other poses."""
@@ -340,16 +341,17 @@ def nominal_shape(recipe: SurfaceRecipe) -> Shape:
 
 
 def _of_the_edges(recipe: SurfaceRecipe, nominal: State, convention: Convention) -> list[Component]:
-    """Uncertainty from the edge radius of a design: half the change of ln L from r − u to r + u, by rays."""
-    design, poses = recipe.surface.design, recipe.poses.poses()
-    if design is None or design.edge_radius_um * design.u_edge_radius_share == 0.0:
+    """Uncertainty from radius and form of the crests of a design; a part's own radius with its scatter."""
+    edges = crest_edges(recipe, nominal.material, convention)
+    if edges is None:
         return []
-    rig, sides = rig_of(recipe, poses, convention), directions(poses, convention)
-    low, high = (
-        np.log(edge_radius_model(recipe, design.edge_radius_um * factor, rig)(*sides, nominal.material))
-        for factor in (1.0 - design.u_edge_radius_share, 1.0 + design.u_edge_radius_share)
-    )
-    return [Component(EDGE_RADIUS, "prediction", 0.5 * (high - low), shared=True)]
+    scatter = recipe.scatter
+    own = edges.scatter_um if scatter is not None and scatter.in_prediction else 0.0
+    found = [
+        Component(EDGE_RADIUS, "prediction", edges.per_um * float(np.hypot(edges.u_um, own)), shared=True),
+        Component(EDGE_FORM, "prediction", edges.form, shared=False),
+    ]
+    return [c for c in found if np.any(c.relative)]
 
 
 def _of_the_optics(models: Models, radiance: FloatArray) -> list[Component]:

@@ -16,17 +16,24 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.cache import Cache
 from anisoscope.base.errors import HeightMapError
 from anisoscope.prediction.cache import prediction_key
-from anisoscope.prediction.expectation import PLASTIC, SurfaceOptics, nominal_shape, recipe_uncertainty
+from anisoscope.prediction.crest_edges import CrestEdges, crest_edges, worn_edges
+from anisoscope.prediction.expectation import (
+    EDGE_RADIUS,
+    PLASTIC,
+    SurfaceOptics,
+    nominal_shape,
+    recipe_uncertainty,
+)
 from anisoscope.prediction.lobe_doubt import likely_tails
 from anisoscope.prediction.propagation import RIDGE_ANGLE, propagate
-from anisoscope.prediction.recipe_models import edge_radius_model, read_surface, rig_of
+from anisoscope.prediction.recipe_models import read_surface
 from anisoscope.prediction.reflections import fitted_groove
 from anisoscope.prediction.relief_preparation import prepare_relief
 from anisoscope.prediction.ridge_edges import ridge_edges
 from anisoscope.prediction.second_order import Response, known_inputs, response_of
 from anisoscope.prediction.sensitivity import DARK, InputUncertainty, State, Surface, evaluate
 from anisoscope.recipe.surface import DesignPart, SurfaceRecipe
-from anisoscope.sim.light.geometry import Convention, Pose, directions
+from anisoscope.sim.light.geometry import Convention, Pose
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,12 +116,12 @@ def _computed(recipe: SurfaceRecipe, light_angle_deg: float, optics: SurfaceOpti
     known = [one for one in found if one is not None]
     if len(known) < len(found):
         return None
-    response, _ = known[0]
-    shares = np.array([_shares(source, common, own) for source in response.sources])
+    response, _, edges = known[0]
+    shares = np.array([_shares(source, common, own, edges) for source in response.sources])
     lobes = known[1:]
-    names = [name for name in lobes[0][1] if all(name in changes for _, changes in lobes)]
-    defects = {name: np.mean([changes[name] for _, changes in lobes], axis=0) for name in names}
-    return PartScatter(response, tuple(one for one, _ in lobes), shares[:, 0], shares[:, 1], defects)
+    names = [name for name in lobes[0][1] if all(name in changes for _, changes, _ in lobes)]
+    defects = {name: np.mean([changes[name] for _, changes, _ in lobes], axis=0) for name in names}
+    return PartScatter(response, tuple(one for one, _, _ in lobes), shares[:, 0], shares[:, 1], defects)
 
 
 def _of_tail(nominal: State, tail: float) -> State:
@@ -128,8 +135,8 @@ def _with_lobe(
     poses: tuple[Pose, ...],
     convention: Convention,
     both: InputUncertainty,
-) -> tuple[Response, dict[str, FloatArray]] | None:
-    """Response to what differs and what is common, and changes by the defects, of one lobe; None where none is."""
+) -> tuple[Response, dict[str, FloatArray], CrestEdges | None] | None:
+    """Response to what differs and what is common, changes by the defects, and crests, of one lobe; None without."""
     radiance = evaluate(surface, [nominal], poses, convention)[0]
     if np.any(radiance <= DARK):
         return None
@@ -139,7 +146,11 @@ def _with_lobe(
     response = response_of(surface, nominal, poses, convention, both, straight) if straight else None
     if response is None:
         return None
-    return response, defect_changes(surface, recipe, nominal, poses, convention, radiance)
+    edges = crest_edges(recipe, nominal.material, convention)
+    if edges is not None:
+        unit_um = float(np.hypot(edges.u_um, edges.scatter_um))
+        response = response.with_linear(EDGE_RADIUS, edges.per_um * unit_um)
+    return response, defect_changes(surface, recipe, nominal, poses, convention, radiance), edges
 
 
 def with_design(recipe: SurfaceRecipe) -> SurfaceRecipe:
@@ -189,7 +200,9 @@ def scatter_of_inputs(recipe: SurfaceRecipe) -> InputUncertainty:
     )
 
 
-def _shares(source: str, common: InputUncertainty, own: InputUncertainty) -> tuple[float, float]:
+def _shares(
+    source: str, common: InputUncertainty, own: InputUncertainty, edges: CrestEdges | None
+) -> tuple[float, float]:
     """Uncertainty and scatter of an input, in the unit of the response."""
     if source in (RIDGE_ANGLE, "seating tilt about x", "seating tilt about y"):
         return 0.0, 1.0  # every part is seated, and has its own angle
@@ -197,6 +210,7 @@ def _shares(source: str, common: InputUncertainty, own: InputUncertainty) -> tup
         "roughness along the ridges": (common.alpha_share, own.alpha_share),
         "roughness across the ridges": (common.alpha_share, own.alpha_share),
         "albedo of the plastic": (common.albedo, own.albedo),
+        EDGE_RADIUS: (0.0, 0.0) if edges is None else (edges.u_um, edges.scatter_um),
     }
     u, s = pairs.get(source, (1.0, 0.0))
     unit = float(np.hypot(u, s))
@@ -280,7 +294,7 @@ def defect_changes(
         states = {name: state for name, state in states.items() if state.shape == shape}
     found = evaluate(surface, list(states.values()), poses, convention)
     changes = dict(zip(states, np.log(np.maximum(found, DARK) / radiance), strict=True))
-    worn = _worn(recipe, nominal, poses, convention)
+    worn = None if size.wear_um is None else worn_edges(recipe, material, convention, size.wear_um)
     if worn is not None:
         changes[named_defects(recipe)[-1].name] = worn
     return {
@@ -288,24 +302,6 @@ def defect_changes(
         for name, change in changes.items()
         if np.ptp(change) > 1e-6  # a shape that this model cannot vary
     }
-
-
-def _worn(
-    recipe: SurfaceRecipe, nominal: State, poses: tuple[Pose, ...], convention: Convention
-) -> FloatArray | None:
-    """(P,) change of ln L of a design whose crests are worn to the size of interest, by rays; None without any."""
-    design, radius = recipe.surface.design, recipe.defects.wear_um
-    if design is None or radius is None or radius <= design.edge_radius_um:
-        return None
-    rig, sides = rig_of(recipe, poses, convention), directions(poses, convention)
-    try:
-        good, worn = (
-            edge_radius_model(recipe, edge, rig)(*sides, nominal.material)
-            for edge in (design.edge_radius_um, radius)
-        )
-    except HeightMapError:  # the radius leaves no facet
-        return None
-    return np.asarray(np.log(np.maximum(worn, DARK) / np.maximum(good, DARK)))
 
 
 def _packed(found: PartScatter | None) -> bytes:

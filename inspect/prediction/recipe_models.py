@@ -156,21 +156,6 @@ def _of_map(recipe: SurfaceRecipe, surface: HeightMap, relief: Relief, rig: Rig)
     return with_reflections(direct, reflections_of_map(relief, recipe.surface.bounces, edges), rig)
 
 
-def edge_radius_model(recipe: SurfaceRecipe, edge_radius_um: float, rig: Rig) -> Model:
-    """Predictor of a design whose crests have another radius: by rays, with two reflections at most.
-
-    Raises:
-        HeightMapError: the radius leaves no facet.
-    """
-    design = recipe.surface.ridge_design(edge_radius_um)
-    groove = groove_of_design(design, 1 if recipe.surface.bounces == 1 else 2)
-
-    def direct(to_light: FloatArray, to_camera: FloatArray, material: Material) -> FloatArray:
-        return corrected.radiance(to_light, to_camera, design, material)
-
-    return through(added(direct, None if groove is None else groove.light), rig.optics)
-
-
 def with_reflections(direct: Models, source: Groove | Followed | None, rig: Rig) -> Models:
     """Predictors with the light that reflects twice and more, added to direct light.
 

@@ -62,6 +62,11 @@ class Response:
         """The response of combinations (m, P) of the values."""
         return Response(self.sources, basis @ self.slope, np.einsum("ip,pab->iab", basis, self.bend))
 
+    def with_linear(self, source: str, slope: FloatArray) -> "Response":
+        """The response with one input more, of slope (P,), which acts in proportion and alone."""
+        bend = np.pad(self.bend, ((0, 0), (0, 1), (0, 1)))
+        return Response((*self.sources, source), np.column_stack([self.slope, slope]), bend)
+
     def draw(self, covariance: FloatArray, count: int, rng: np.random.Generator) -> FloatArray:
         """(count, P) random errors: of normal inputs, plus independent ones with a covariance."""
         values, vectors = np.linalg.eigh(covariance)

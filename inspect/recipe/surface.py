@@ -54,14 +54,17 @@ Reflections = Literal["all", "direct"] | Annotated[int, Field(strict=True, ge=2,
 class DesignPart(Part):
     """Ideal ridges; ``u_ridge_angle_deg`` is the standard deviation of the angle of good parts.
 
-    ``edge_radius_um`` is the radius of the crests, 0 for sharp ones, known by ``u_edge_radius_share`` of it. ``wall``
-    may be the draft of the wall in degrees from the vertical.
+    ``edge_radius_um`` is the radius of the crests, 0 for sharp ones, known by ``u_edge_radius_share`` of it. Left out,
+    it is unmeasured: sharp crests are predicted, and any radius up to 1 µm is in the budget. ``edge_form`` says
+    whether rounded crests are known to be an "arc", or have "any" form, such as a few chords of one. ``wall`` may be
+    the draft of the wall in degrees from the vertical.
     """
 
     ridge_angle_deg: Annotated[float, Field(ge=0.0, lt=45.0)]
     u_ridge_angle_deg: NotNegative = 0.0
-    edge_radius_um: NotNegative = 0.0
+    edge_radius_um: NotNegative | None = None
     u_edge_radius_share: Share = 0.4
+    edge_form: Literal["any", "arc"] = "any"
     wall: Literal["perpendicular", "vertical"] | Annotated[float, Field(ge=0.0, le=STEEPEST_DRAFT_DEG)] = (
         "perpendicular"
     )
@@ -111,8 +114,8 @@ class SurfacePart(Part):
                 "design.u_ridge_angle_deg is the spread of ideal ridges, and cannot be given to those of a height_map "
                 'that decides: leave it out, or let the design decide (compare = "design")'
             )
-        if self.design is not None and self.design.edge_radius_um > 0.0:
-            part = self.design
+        part = self.design
+        if part is not None and part.edge_radius_um:
             try:
                 self.ridge_design(part.edge_radius_um * (1.0 + part.u_edge_radius_share))
             except HeightMapError as problem:
@@ -153,7 +156,7 @@ class SurfacePart(Part):
             pitch_um=self.pitch_um,
             ridge_angle_deg=part.ridge_angle_deg,
             wall=part.wall,
-            edge_radius_um=part.edge_radius_um if edge_radius_um is None else edge_radius_um,
+            edge_radius_um=(part.edge_radius_um or 0.0) if edge_radius_um is None else edge_radius_um,
         )
 
 
@@ -274,12 +277,14 @@ class ScatterPart(Part):
 
     ``ridge_angle_deg`` is that of the design (``surface.design.u_ridge_angle_deg``) where it is not given, 0.1 without
     one; ``seating_tilt_deg`` that of ``[uncertainty]``. Relative: ``alpha_share`` of both roughnesses, ``albedo_share``
-    of the albedo. ``in_prediction`` = False leaves it to golden parts, as before it counted against the prediction too.
+    of the albedo, ``edge_radius_share`` of the radius of the crests, 0.5 µm where that is unmeasured. ``in_prediction``
+    = False leaves it to golden parts, as before it counted against the prediction too.
     """
 
     ridge_angle_deg: NotNegative | None = None
     alpha_share: Share = 0.05
     albedo_share: Share = 0.03
+    edge_radius_share: Share = 0.2
     seating_tilt_deg: NotNegative | None = None
     in_prediction: bool = True
 

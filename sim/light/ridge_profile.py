@@ -149,6 +149,18 @@ def ridge_polyline(design: RidgeDesign) -> tuple[FloatArray, FloatArray]:
     return x[keep], z[keep]
 
 
+def chord_polyline(design: RidgeDesign, chords: int) -> tuple[FloatArray, FloatArray]:
+    """One period of a whole ridge whose rounded crest is not an arc but so many equal chords of it.
+
+    Returns:
+        x, z in µm, as of `ridge_polyline`.
+    """
+    arc, pitch = design.crest_arc(), design.pitch_um
+    crest = np.array([arc.at(turn) for turn in np.linspace(arc.first_rad, arc.last_rad, chords + 1)])
+    x = np.concatenate([[crest[-1, 0], design.facet_width_um], crest[:, 0] + pitch])
+    return np.maximum.accumulate(x), np.concatenate([[crest[-1, 1], 0.0], crest[:, 1]])
+
+
 def visible_shares(x_um: FloatArray, z_um: FloatArray, tangent: FloatArray | float) -> FloatArray:
     """Visible share of every segment of a periodic polyline, seen along one or several directions.
 

@@ -52,7 +52,7 @@ def merged(base, changes):
 RECIPE = {
     "schema": 1,
     "product": "ridged test plate",
-    "surface": {"pitch_um": 100.0, "design": {"ridge_angle_deg": 10.0}},
+    "surface": {"pitch_um": 100.0, "design": {"ridge_angle_deg": 10.0, "edge_radius_um": 0.0}},
     "material": {**LOBE, "u_tail": 0.0, "u_alpha_share": 0.03, "u_albedo": 0.006, "u_index": 0.005},
     "acquisition": {"exposure_s": EXPOSURE_S, "frames_per_pose": 2, "dark_frames": 2, "settle_s": 0.0},
     "region": {"size_mm": [1.0, 1.0]},

@@ -216,7 +216,11 @@ def recipe_of(name: RecipeName, size: Size, material: MaterialFile | None = None
         "product": "ridged plate of the detection study",
         "surface": {
             "pitch_um": PITCH_UM,
-            "design": {"ridge_angle_deg": RIDGE_ANGLE_DEG, "u_ridge_angle_deg": RIDGE_ANGLE_SPREAD_DEG},
+            "design": {
+                "ridge_angle_deg": RIDGE_ANGLE_DEG,
+                "u_ridge_angle_deg": RIDGE_ANGLE_SPREAD_DEG,
+                "edge_radius_um": 0.0,  # the crests of all parts are made sharp, but for worn ones
+            },
         },
         "material": plastic,
         "poses": {"stage_and_tilt_deg": [(pose.stage_deg, pose.tilt_deg) for pose in POSES[name]]},

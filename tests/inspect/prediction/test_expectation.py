@@ -8,6 +8,7 @@ from scipy.stats import norm, qmc
 
 from anisoscope.base.errors import RecipeError
 from anisoscope.prediction.expectation import expectation
+from anisoscope.prediction.part_scatter import part_scatter
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
 from anisoscope.sim.light import corrected
@@ -53,7 +54,7 @@ def test_every_component_is_the_spread_that_its_cause_makes(make_recipe, source)
 
 @pytest.mark.parametrize("optics", [1, None])
 def test_the_edge_radius_of_a_design_counts_with_its_uncertainty(make_recipe, optics):
-    """Crests of 2 ± 0.5 µm, in direct light and with all reflections."""
+    """Crests of 2 ± 0.5 µm, which scatter by a fifth, in direct light and with all reflections."""
     stated = {"edge_radius_um": 2.0, "u_edge_radius_share": 0.25}
     reflections = "all" if optics is None else "direct"
     recipe = make_recipe(surface={"design": stated, "reflections": reflections})
@@ -67,11 +68,47 @@ def test_the_edge_radius_of_a_design_counts_with_its_uncertainty(make_recipe, op
     np.testing.assert_allclose(expected.radiance, radiance(2.0), rtol=1e-6)
     (part,) = (c for c in expected.components if c.source == "edge radius")
     slope = 0.5 * (np.log(radiance(2.05)) - np.log(radiance(1.95))) / 0.05
-    np.testing.assert_allclose(part.relative, 0.5 * slope, rtol=0.05, atol=2e-4)
+    np.testing.assert_allclose(part.relative, np.hypot(0.5, 0.4) * slope, rtol=0.05, atol=2e-4)
     assert np.abs(part.relative).max() > 2e-3
     assert part.shared
     sharp = expectation(make_recipe(), 10.0)
-    assert not any(c.source == "edge radius" for c in sharp.components)
+    assert not any("edge" in c.source for c in sharp.components)
+
+
+def test_an_unmeasured_edge_is_in_the_budget_and_not_in_the_prediction(make_recipe):
+    """The radius is anything up to 1 µm, and the form that of a few chords, which may stand in the mirror direction."""
+    sharp, unmeasured = (
+        expectation(make_recipe(surface={"design": {"edge_radius_um": one}}), 10.0) for one in (0.0, None)
+    )
+    np.testing.assert_array_equal(unmeasured.radiance, sharp.radiance)
+    (radius,) = (c for c in unmeasured.components if c.source == "edge radius")
+    (form,) = (c for c in unmeasured.components if c.source == "form of the edge")
+    recipe = make_recipe()
+    sides, plastic = directions(recipe.poses.poses(), Convention(10.0)), recipe.material.material()
+
+    def radiance(radius_um):
+        return corrected.radiance(
+            *sides, RidgeDesign(100.0, 10.0, edge_radius_um=radius_um), plastic, bounces=None
+        )
+
+    half = np.log(radiance(0.5) / radiance(0.0))
+    np.testing.assert_allclose(radius.relative, half * np.sqrt(4.0 / 3.0 + 0.01), rtol=0.05, atol=2e-4)
+    assert 0.005 < half[2] < form.relative[2] < 0.03
+    assert radius.shared
+    assert not form.shared
+    flat = expectation(
+        make_recipe(surface={"design": {"ridge_angle_deg": 0.0, "edge_radius_um": None}}), 10.0
+    )
+    assert not any("edge" in c.source for c in flat.components)
+
+
+def test_edges_scatter_from_part_to_part(make_recipe):
+    """What is common to the parts is how far the radius is from measured; what differs is a fifth of it."""
+    parts = part_scatter(make_recipe(surface={"design": {"edge_radius_um": None}}), 10.0)
+    at = parts.response.sources.index("edge radius")
+    assert parts.common[at] / parts.own[at] == pytest.approx((1.0 / np.sqrt(3.0)) / (0.2 * 0.5))
+    assert not parts.response.bend[:, at].any()
+    assert "edge radius" not in part_scatter(make_recipe(), 10.0).response.sources
 
 
 def test_a_spread_that_is_not_stated_is_in_nothing(make_recipe):

@@ -291,6 +291,18 @@ def test_the_scatter_of_parts_of_a_calibrated_plastic_is_in_the_budget_once(reci
     np.testing.assert_array_equal(narrow["roughness along the ridges"], 0.0)
 
 
+def test_an_inspection_recorded_before_edges_counted_is_computed_again_with_sharp_ones(make_recipe):
+    recipe = make_recipe(surface={"design": {"edge_radius_um": None}})
+    before = recipe.model_dump(mode="json")
+    before["surface"]["design"] |= {"edge_radius_um": 0.0}
+    del before["surface"]["design"]["edge_form"], before["scatter"]["edge_radius_share"]
+    then = RIDGES.as_recorded(recipe, before)
+    assert then.surface.ridge_design() == recipe.surface.ridge_design()
+    assert (then.surface.design.edge_radius_um, then.scatter.edge_radius_share) == (0.0, 0.0)
+    assert then.scatter.in_prediction
+    assert RIDGES.as_recorded(recipe, recipe.model_dump(mode="json")) == recipe
+
+
 def test_an_inspection_recorded_before_scatter_counted_is_computed_again_without_it(recipe_with):
     recipe = recipe_with()
     before = recipe.model_dump(mode="json")
