@@ -465,7 +465,7 @@ def part_of_recipe(
         u_index=max(material.u_index, 1e-5),
         u_seating_deg=max(recipe.uncertainty.seating_tilt_deg, 1e-3),
         wall="perpendicular" if design is None else design.wall,
-        edge_radius_um=0.0 if design is None else design.edge_radius_um,
+        edge_radius_um=(design and design.edge_radius_um) or 0.0,
         facet_azimuth_deg=recipe.poses.facet_azimuth_deg,
         center_mm=recipe.region.center_mm,
         spot_mm=min(recipe.region.size_mm),
