@@ -3,7 +3,6 @@
 Commands import what they need when they run, so that ``--help`` answers at once.
 """
 
-import logging
 import os
 import signal
 import sys
@@ -14,50 +13,72 @@ from cyclopts import App, Group
 from cyclopts.exceptions import CycloptsError
 
 from anisoscope.base.errors import AnisoscopeError, UsageError
+from anisoscope.cli.help_page import asks_for_help, print_examples, usage_text
+from anisoscope.cli.log import listening, options_of, report
+from anisoscope.cli.old_spellings import of_today
 
 EXIT_INTERRUPTED = 130
 
 app = App(
     name="anisoscope",
-    help="Inspect engineered surfaces: turn them under a camera, compare the contrasts with the prediction, decide.",
+    help="Inspect engineered surfaces: photograph a part at several angles, compare the contrasts with the prediction, "
+    "decide.",
     version_flags=["--version"],
     help_flags=["--help", "-h"],
     result_action="return_value",
     suppress_keyboard_interrupt=False,
 )
-_jobs = Group.create_ordered("Jobs")
-app.command("anisoscope.cli.demo.demo:demo", group=_jobs)
-app.command("anisoscope.cli.inspect.inspection:inspect", group=_jobs)
-app.command("anisoscope.cli.inspect.batch:batch", group=_jobs)
-app.command("anisoscope.cli.inspect.watch:watch", group=_jobs)
-app.command("anisoscope.cli.inspect.codes:code", group=_jobs)
-app.command("anisoscope.cli.inspect.inspection:resume", group=_jobs)
-app.command("anisoscope.cli.inspect.inspection:recompute", group=_jobs)
-app.command("anisoscope.cli.inspect.inspection:verify", group=_jobs)
-app.command("anisoscope.cli.predict.predict:predict", group=_jobs)
-app.command("anisoscope.cli.render.render:app", name="render", group=_jobs)
-app.command("anisoscope.cli.experiment.experiment:app", name="experiment", group=_jobs)
-_results = Group.create_ordered("Results")
-app.command("anisoscope.cli.history.history:app", name="history", group=_results)
-app.command("anisoscope.cli.history.history:show", group=_results)
-app.command("anisoscope.cli.history.history:compare", group=_results)
-app.command("anisoscope.cli.history.history:export", group=_results)
-app.command("anisoscope.cli.statistics.spc:spc", group=_results)
-app.command("anisoscope.cli.statistics.msa:app", name="msa", group=_results)
-app.command("anisoscope.cli.statistics.camera:camera", group=_results)
-_research = Group.create_ordered("Models and materials")
-app.command("anisoscope.cli.fit.fit:app", name="fit", group=_research)
-app.command("anisoscope.cli.study.optimise:optimise", group=_research)
-app.command("anisoscope.cli.study.study:app", name="study", group=_research)
-app.command("anisoscope.cli.ink.ink:app", name="ink", group=_research)
-app.command("anisoscope.cli.design.design:app", name="design", group=_research)
-_parts = Group.create_ordered("Parts of the job")
-app.command("anisoscope.cli.recipe.recipe:app", name="recipe", group=_parts)
-app.command("anisoscope.cli.recipe.golden:app", name="golden", group=_parts)
-app.command("anisoscope.cli.profile.profile:app", name="profile", group=_parts)
-app.command("anisoscope.cli.rig.calibrate:app", name="calibrate", group=_parts)
-app.command("anisoscope.cli.rig.rig:app", name="rig", group=_parts)
-app.command("anisoscope.cli.cache.cache:app", name="cache", group=_parts)
+COMMANDS = {
+    "Inspect": {
+        "demo": "demo.demo:demo",
+        "inspect": "inspect.inspection:inspect",
+        "batch": "inspect.batch:batch",
+        "watch": "inspect.watch:watch",
+        "resume": "inspect.inspection:resume",
+        "read-code": "inspect.codes:read_code",
+    },
+    "Review": {
+        "show": "history.history:show",
+        "compare": "history.history:compare",
+        "history": "history.history:app",
+        "export": "history.history:export",
+        "spc": "statistics.spc:spc",
+        "msa": "statistics.msa:app",
+        "verify": "inspect.inspection:verify",
+        "recompute": "inspect.inspection:recompute",
+    },
+    "Set up the rig": {
+        "rig": "rig.rig:app",
+        "calibrate": "rig.calibrate:app",
+        "camera": "statistics.camera:camera",
+        "recipe": "recipe.recipe:app",
+        "golden": "recipe.golden:app",
+        "cache": "cache.cache:app",
+    },
+    "Predict and design": {
+        "predict": "predict.predict:predict",
+        "render": "render.render:app",
+        "profile": "profile.profile:app",
+        "optimise": "study.optimise:optimise",
+        "design": "design.design:app",
+        "ink": "ink.ink:app",
+        "fit": "fit.fit:app",
+    },
+    "Research": {"research": "study.study:app"},
+}
+"""Commands by the user who needs them, in the order of the help: name and the attribute that runs it."""
+
+for _flag in (*app.help_flags, *app.version_flags):
+    app[_flag].group = "Options"
+for _place, (_title, _commands) in enumerate(COMMANDS.items()):
+    _group = Group(_title, sort_key=_place)
+    for _number, (_name, _attribute) in enumerate(_commands.items()):
+        app.command(
+            f"anisoscope.cli.{_attribute}",
+            name=_name,
+            group=_group,
+            sort_key=_number,
+        )
 
 
 def _version() -> str:
@@ -74,7 +95,7 @@ def _terminate(_signal: int, _frame: FrameType | None) -> NoReturn:
 
 
 def _report(message: str, code: int) -> int:
-    print(f"anisoscope: {' '.join(message.split())}", file=sys.stderr)  # noqa: T201
+    report(message)
     return code
 
 
@@ -85,18 +106,6 @@ def _notes(error: BaseException | None) -> list[str]:
         found += [note for note in getattr(error, "__notes__", ()) if note not in found]
         error = error.__context__
     return found
-
-
-def _listen(debug: bool) -> None:
-    """Log kernel compilation to stderr; with --debug everything that the package logs."""
-    everything, compiled = logging.getLogger("anisoscope"), logging.getLogger("anisoscope.compiled")
-    for log in (everything, compiled):
-        log.handlers.clear()
-    handler = logging.StreamHandler()
-    handler.setFormatter(logging.Formatter("anisoscope: %(message)s"))
-    (everything if debug else compiled).addHandler(handler)
-    if not debug:
-        everything.addHandler(logging.NullHandler())
 
 
 def _crash(error: Exception, arguments: list[str]) -> str:
@@ -123,21 +132,32 @@ def run(arguments: list[str]) -> int:
 
     An error that no command foresaw ends with 70, never with the code of a verdict.
     """
-    debug = "--debug" in arguments
-    _listen(debug)
-    arguments = [token for token in arguments if token != "--debug"]
     try:
-        result = app(arguments, exit_on_error=False, print_error=False)
+        arguments, log_options = options_of(arguments)
+        with listening(log_options):
+            return _run(arguments, debug=log_options.debug)
+    except UsageError as error:  # a log file that cannot be written
+        return _report(str(error), error.exit_code)
+
+
+def _run(arguments: list[str], *, debug: bool) -> int:
+    arguments, remarks = of_today(arguments)
+    for remark in remarks:
+        _report(f"note: {remark}", 0)
+    try:
+        result = _call(arguments)
     except KeyboardInterrupt as interruption:
         return _report("; ".join(["interrupted", *_notes(interruption)]), EXIT_INTERRUPTED)
     except CycloptsError as error:
         if debug:
             raise
-        return _report(f"{error} (see anisoscope --help)", UsageError.exit_code)
+        return _report(usage_text(error, arguments), UsageError.exit_code)
     except AnisoscopeError as error:
         if debug:
             raise
-        return _report("; ".join([str(error), *_notes(error)]), error.exit_code)
+        command = " ".join(app.parse_commands(arguments)[0])
+        see = f" (see anisoscope {command} --help)" if type(error) is UsageError else ""
+        return _report("; ".join([str(error) + see, *_notes(error)]), error.exit_code)
     except BrokenPipeError:  # no fault: the reader of the output has ended
         raise
     except Exception as error:
@@ -145,6 +165,17 @@ def run(arguments: list[str]) -> int:
             raise
         return _report(_crash(error, arguments), AnisoscopeError.exit_code)
     return result if isinstance(result, int) else 0
+
+
+def _call(arguments: list[str]) -> object:
+    helps = asks_for_help(app, arguments)
+    if helps:
+        for name in app:  # the page shows the first sentence of every command
+            app[name]
+    result = app(arguments, exit_on_error=False, print_error=False)
+    if helps:
+        print_examples(app, arguments)
+    return result
 
 
 def main() -> NoReturn:

@@ -14,12 +14,16 @@ from anisoscope.cli.tables import console, print_table
 if TYPE_CHECKING:
     from anisoscope.base.cache import Stored
 
-app = App(name="cache", help="Results on disk that can be computed again.")
+app = App(name="cache", help="Show or clear the cache of results that can be computed again.")
 
 
 @app.command
 def info(*, json_: Json = False) -> int:
-    """Show folder, size, limit and content of the cache."""
+    """Show folder, size, limit and content of the cache.
+
+    Examples:
+        anisoscope cache info
+    """
     from anisoscope.base.cache import LIMIT_VARIABLE, VARIABLE, Cache, cache_folder, limit_bytes
 
     limit, entries, folder = limit_bytes(), Cache().stored(), cache_folder()
@@ -40,7 +44,11 @@ def info(*, json_: Json = False) -> int:
 
 @app.command
 def clear(*, json_: Json = False) -> int:
-    """Remove all results of the cache; whatever needs them computes them again."""
+    """Remove all results of the cache; whatever needs them computes them again.
+
+    Examples:
+        anisoscope cache clear
+    """
     from anisoscope.base.cache import Cache, cache_folder
 
     folder, gone = cache_folder(), Cache().clear()

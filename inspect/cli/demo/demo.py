@@ -53,10 +53,14 @@ def demo(
     seed: Annotated[int, Parameter(help="Seed of everything random on the virtual rig.")] = 1,
     json_: Json = False,
 ) -> int:
-    """Inspect good and defective parts on a virtual rig: ridges with burrs or a wrong angle; bad prints; wafers off.
+    """Inspect good and defective parts on a virtual rig; no hardware is needed.
 
     Takes a flat of a white tile, then photographs every part at 0°, 90° and 180° (prints and wafers at several tilts as
     well) and judges it. Ends with exit code 0 when every verdict is the expected one.
+
+    Examples:
+        anisoscope demo
+        anisoscope demo --kind prints --out print-demo --seed 7
     """
     from anisoscope.history.address import HISTORY_NAME
 

@@ -24,7 +24,7 @@ HtmlOption = Annotated[Path | None, Parameter(help="Write a self-contained HTML 
 OutOption = Annotated[Path | None, Parameter(help="Write the design *.toml.")]
 NameOption = Annotated[str | None, Parameter(help="Name of the design.")]
 
-app = App(name="design", help="Surfaces that reflect as wanted: steps, etch depths, dots, patterns, masks.")
+app = App(name="design", help="Design diffractive surfaces: step widths, etch depths, dots, patterns, masks.")
 app.command("anisoscope.cli.design.dots:refine")
 app.command("anisoscope.cli.design.dots:pattern")
 app.command("anisoscope.cli.design.masks:mask")
@@ -115,6 +115,9 @@ def lobe(
 
     The part of the target that no mixture reaches is printed. A lobe that the smallest feature or the source keep
     out of reach is refused, with what would help.
+
+    Examples:
+        anisoscope design lobe --sigma 0.04 --sigma-y 0.01 --name "wide x" --out wide.toml
     """
     from anisoscope.sim.design.lobe import LobeTask, design_lobe
     from anisoscope.sim.design.models import LobeModel
@@ -171,7 +174,11 @@ def antimirror(
     html: HtmlOption = None,
     json_: Json = False,
 ) -> int:
-    """Design a surface that reflects everywhere but in the mirror direction."""
+    """Design a surface that reflects everywhere but in the mirror direction.
+
+    Examples:
+        anisoscope design antimirror --arrangement 2,2 --width 2 --name hole --out hole.toml
+    """
     from anisoscope.sim.design.antimirror import AntiMirror
     from anisoscope.sim.design.depths import Depths
     from anisoscope.sim.design.models import AntiMirrorModel
@@ -224,7 +231,11 @@ def mixture(
     html: HtmlOption = None,
     json_: Json = False,
 ) -> int:
-    """Mix designs by shares of the area: their reflectances add."""
+    """Mix designs by shares of the area: their reflectances add.
+
+    Examples:
+        anisoscope design mixture wide.toml hole.toml --shares 0.7,0.3 --out both.toml
+    """
     from anisoscope.sim.design.designfile import mixed, read_design
 
     design = mixed([read_design(part) for part in parts], parse_numbers(shares, "--shares"), name)
@@ -244,7 +255,11 @@ def depths(
     seed: Annotated[int, Parameter(help="Seed of the global search.")] = 0,
     json_: Json = False,
 ) -> int:
-    """Find depths of etch passes whose levels have a zero mean phase, at one wavelength or over a band."""
+    """Find depths of etch passes whose levels have a zero mean phase, at one wavelength or over a band.
+
+    Examples:
+        anisoscope design depths --levels 4 --band 400,700
+    """
     from anisoscope.sim.design.depths import design_depths
 
     if not (coherence > 0.0 and width > 0.0):

@@ -56,6 +56,9 @@ def refine(
 
     Args:
         design: Lobe, *.toml.
+
+    Examples:
+        anisoscope design refine wide.toml --seconds 2 --dot 56 --out dot.npz --png dot.png
     """
     import numpy as np
 
@@ -152,6 +155,9 @@ def pattern(
 
     Args:
         image: Grey picture: labels, or shades with --dither.
+
+    Examples:
+        anisoscope design pattern disc.png --classes wide.toml,mirror --out disc.npz --html disc.html
     """
     import numpy as np
 

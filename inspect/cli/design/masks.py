@@ -32,6 +32,9 @@ def mask(
 
     Args:
         layout: Layout *.npz of ``design pattern`` or ``design refine``.
+
+    Examples:
+        anisoscope design mask disc.npz --out disc.gds --png classes.png
     """
     from anisoscope.sim.design.designfile import read_layout
     from anisoscope.sim.design.mask import FIRST_LAYER, write_gds, write_preview
@@ -82,6 +85,9 @@ def height(
 
     Args:
         source: Design *.toml, layout *.npz or masks *.gds.
+
+    Examples:
+        anisoscope design height disc.gds --size 60,40 --out masks.x3p
     """
     if out.exists() and not overwrite:
         raise UsageError(f"{out} exists; give another name, or --overwrite")

@@ -1,1 +1,1 @@
-"""``anisoscope experiment``."""
+"""``anisoscope research experiment`` and ``findings``."""

@@ -1,4 +1,4 @@
-"""``anisoscope experiment``: the published experiment as predicted, with the measured contrasts."""
+"""``anisoscope research experiment``: the published experiment as predicted, with the measured contrasts."""
 
 import csv
 import math
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from cyclopts import App, Parameter
+from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 
@@ -227,11 +227,8 @@ FrameOption = Annotated[
 ]
 HtmlOption = Annotated[Path | None, Parameter(help="Write a self-contained HTML page to this file.")]
 
-app = App(name="experiment", help="Repeat the published experiment on ridges.")
 
-
-@app.command
-def ridges(
+def experiment(
     *,
     model: ModelOption = "printed",
     measured: Annotated[
@@ -254,7 +251,12 @@ def ridges(
     ] = False,
     html: HtmlOption = None,
 ) -> int:
-    """Predict the contrasts of the ridge experiment and their marginal means (Luongo et al. 2017, Fig. 8)."""
+    """Predict the contrasts of the ridge experiment and their marginal means (Luongo et al. 2017, Fig. 8).
+
+    Examples:
+        anisoscope research experiment
+        anisoscope research experiment --measured table.csv --html fig8.html
+    """
     from anisoscope.experiment.experiment import Setup, run_experiment
     from anisoscope.experiment.measured_table import read_measured
     from anisoscope.sim.light.geometry import Convention
@@ -283,7 +285,6 @@ def ridges(
     return 0
 
 
-@app.command
 def findings(
     *,
     model: ModelOption = "printed",
@@ -302,6 +303,9 @@ def findings(
     """Map the roughnesses at which the published findings come out, for both planes of tilt.
 
     The grid is even in the logarithm. The corrected model takes about half a minute, the printed one a second.
+
+    Examples:
+        anisoscope research findings --model corrected
     """
     import numpy as np
 

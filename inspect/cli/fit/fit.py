@@ -153,7 +153,7 @@ FreeOption = Annotated[
     ),
 ]
 
-app = App(name="fit", help="Fit parameters of the reflectance models to measured values.")
+app = App(name="fit", help="Fit the parameters of the reflectance models to measured values.")
 
 
 @Parameter(name="*")
@@ -260,6 +260,10 @@ def ridges(
 
     Args:
         table: CSV: stage_deg,tilt_deg,value[,u] or from_deg,to_deg,tilt_deg,value[,u].
+
+    Examples:
+        anisoscope fit ridges table.csv
+        anisoscope fit ridges table.csv --free all --html fit.html
     """
     from anisoscope.fit.parameters import USUAL, parse_free
     from anisoscope.fit.problem import Problem, Scene
@@ -293,6 +297,9 @@ def experiment(
 
     Args:
         table: CSV: ridge_angle_deg,tilt_deg,from_deg,to_deg,contrast, as experiment ridges --measured reads it.
+
+    Examples:
+        anisoscope fit experiment measured.csv
     """
     from anisoscope.experiment.measured_table import read_measured
     from anisoscope.fit.parameters import parse_free
@@ -332,6 +339,9 @@ def brdf(
 
     Args:
         table: CSV: theta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg,value[,u][,wavelength_nm], in the sample's frame.
+
+    Examples:
+        anisoscope fit brdf brdf.csv --ridge-angle 8 --fit
     """
     from anisoscope.fit.parameters import parse_free
     from anisoscope.fit.problem import Problem, Scene

@@ -236,7 +236,7 @@ def _text_of(text: str | None) -> str:
     return "nothing" if text is None else text
 
 
-app = App(name="history", help="List past inspections; add, check and decide about them.")
+app = App(name="history", help="List past inspections; add and check them, record reviewers' decisions.")
 Selection = Annotated[Which, Parameter(name="*")]
 One = Annotated[str, Parameter(help="Serial number, id, or folder of an inspection.")]
 _LIMIT = 50
@@ -250,7 +250,12 @@ def history(
     place: Place = None,
     json_: Json = False,
 ) -> int:
-    """List past inspections, the oldest first. All filters that are given must hold."""
+    """List past inspections, the oldest first. All filters that are given must hold.
+
+    Examples:
+        anisoscope history --since 7d --verdict FAIL
+        anisoscope history --lot L42 --cavity 3 --limit 0
+    """
     filters = which.filters(limit)
     with opened(place) as found:
         rows = found.rows(filters)
@@ -269,6 +274,9 @@ def add(
     """Add finished inspections that are not in the history yet; those that are, are passed over.
 
     Exit codes: 0 all of them are in the history now, 1 a record is damaged, 64 and above nothing could be added.
+
+    Examples:
+        anisoscope history add inspections
     """
     from anisoscope.history.adding import add_folders
 
@@ -292,7 +300,11 @@ def dispose(
     place: Place = None,
     json_: Json = False,
 ) -> int:
-    """Write down what a reviewer decides about an inspection. Its verdict, and earlier decisions, stay as they are."""
+    """Write down what a reviewer decides about an inspection. Its verdict, and earlier decisions, stay as they are.
+
+    Examples:
+        anisoscope history dispose A-0002 accept --by "R. R." --comment "burrs are allowed here"
+    """
     from anisoscope.history.store import find
 
     with opened(place) as found:
@@ -315,6 +327,9 @@ def verify(
     """Compute the hash of every row again, and name the rows that were changed, exchanged or removed.
 
     Exit codes: 0 everything is as it was written, 1 not, 64 and above there is no history to be read.
+
+    Examples:
+        anisoscope history verify
     """
     if head is not None and not _is_hash(head):
         raise UsageError(
@@ -333,9 +348,13 @@ def _is_hash(text: str) -> bool:
 
 
 def show(inspection: One, /, *, place: Place = None, json_: Json = False) -> int:
-    """Show one inspection: verdict, numbers, what reviewers decided, and whether its folder still agrees.
+    """Show one inspection: verdict, numbers, reviewers' decisions, and whether its folder is unchanged.
 
     Of a part that was inspected several times, the latest. `id:7` and `serial:7` tell ids and serial numbers apart.
+
+    Examples:
+        anisoscope show A-0001
+        anisoscope show A-0001 --history inspections/history.sqlite --json
     """
     from anisoscope.history.store import find
 
@@ -346,7 +365,11 @@ def show(inspection: One, /, *, place: Place = None, json_: Json = False) -> int
 
 
 def compare(first: One, second: One, /, *, place: Place = None, json_: Json = False) -> int:
-    """Compare two inspections: contrasts side by side, and what changed in recipe, rig, calibrations and software."""
+    """Compare two inspections: contrasts side by side, and what changed in recipe, rig, calibrations and software.
+
+    Examples:
+        anisoscope compare A-0001 A-0002
+    """
     from anisoscope.history.comparing import compare as compared
     from anisoscope.history.store import find
 
@@ -367,7 +390,12 @@ def export(
     limit: Annotated[int, Parameter(help="At most so many, the latest ones; 0 for all.")] = 0,
     place: Place = None,
 ) -> int:
-    """Write past inspections for other programs, into one or several files. Filters are those of `history`."""
+    """Export past inspections as CSV, JSON or JUnit; the filters are those of `history`.
+
+    Examples:
+        anisoscope export --csv week.csv --since 7d
+        anisoscope export --junit results.xml --lot L42
+    """
     from anisoscope.base.atomic_write import write_text
     from anisoscope.history.export import to_csv, to_json, to_junit
 

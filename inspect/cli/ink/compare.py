@@ -50,6 +50,10 @@ def compare(
 
     Args:
         readings: CSV files theta_i_deg,theta_o_deg,wavelength_nm,value, one an ink; each is fitted first.
+
+    Examples:
+        anisoscope ink compare --synthetic
+        anisoscope ink compare red.csv green.csv blue.csv --png spheres.png
     """
     from anisoscope.sim.materials.spectra import find_illuminant
     from anisoscope.sim.proof.comparison import CONVENTION

@@ -60,6 +60,9 @@ def halftone(
 
     Args:
         image: The picture; its colour profile is applied.
+
+    Examples:
+        anisoscope ink halftone image.png --out dots.png --width 60 --dpi 300
     """
     from anisoscope.sim.materials.spectra import find_illuminant
     from anisoscope.sim.proof.halftone import halftone as place_dots

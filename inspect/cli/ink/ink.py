@@ -18,7 +18,7 @@ HtmlOption = Annotated[Path | None, Parameter(help="Write a self-contained HTML 
 
 HORIZON_DEG = 90.0
 
-app = App(name="ink", help="Structural-colour inks: fit, colours, halftones, soft proof.")
+app = App(name="ink", help="Fit, show, halftone and soft-proof structural-colour inks.")
 app.command("anisoscope.cli.ink.halftone:halftone")
 app.command("anisoscope.cli.ink.proof:proof")
 app.command("anisoscope.cli.ink.compare:compare")
@@ -63,6 +63,9 @@ def fit(
 
     Args:
         data: CSV: theta_i_deg,theta_o_deg,wavelength_nm,value; θo counts away from the light, θo = θi is the mirror.
+
+    Examples:
+        anisoscope ink fit red.csv --out red.toml --html red-fit.html
     """
     from anisoscope.ink.fitting import fit as fit_ink
     from anisoscope.ink.goniometer import read_goniometer, to_brdf
@@ -136,6 +139,10 @@ def show(
 
     Args:
         inks: Ink files *.toml, or synthetic-red, synthetic-green, synthetic-blue.
+
+    Examples:
+        anisoscope ink show synthetic-red synthetic-green synthetic-blue --png inks.png
+        anisoscope ink show red.toml --illuminant led-b3 --angles 0,30,60
     """
     from anisoscope.ink.appearance import ANGLES_DEG, show_inks
     from anisoscope.sim.materials.inks import SYNTHETIC, find_ink

@@ -103,6 +103,10 @@ def proof(
 
     Args:
         image: The picture to print.
+
+    Examples:
+        anisoscope ink proof image.png --out proof.html
+        anisoscope ink proof image.png --png proof.png --shape cylinder --illuminant a
     """
     from anisoscope.sim.materials.spectra import find_illuminant
     from anisoscope.sim.proof.halftone import coverage

@@ -55,13 +55,17 @@ def batch(
     history: HistoryOption = None,
     json_: Json = False,
 ) -> int:
-    """Inspect the parts of a tray list; one part's trouble does not stop the others.
+    """Inspect the parts of a tray list; a fault at one part does not stop the others.
 
     Before each part: Enter goes on, s skips it, q stops; a code that is scanned is compared with the list. Writes
     batch.json and batch.html, and an inspection folder a part.
 
     Exit codes: that of the first hardware fault (64 and above); else of the worst verdict: 3 INVALID, 1 FAIL,
     2 INCONCLUSIVE; 75 slots were left out; 0 all PASS.
+
+    Examples:
+        anisoscope batch tray.csv --recipe recipe.toml --rig rig.toml
+        anisoscope batch tray.csv --recipe recipe.toml --rig rig.toml --resume
     """
     from anisoscope.inspection.batch.first_pose import Look
     from anisoscope.inspection.batch.journal import BATCH_NAME, read_batch

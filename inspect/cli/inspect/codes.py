@@ -1,4 +1,4 @@
-"""``anisoscope code``: read the code on a part, from a picture or with the camera."""
+"""``anisoscope read-code``: read the code on a part, from a picture or with the camera."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from anisoscope.inspection.batch.codes import Code, Counts
 
 
-def code(
+def read_code(
     picture: Annotated[Path | None, Parameter(help="Picture to read (PNG, TIFF, JPEG).")] = None,
     /,
     *,
@@ -30,9 +30,13 @@ def code(
     code_kind: CodeKind = "any",
     json_: Json = False,
 ) -> int:
-    """Read a Data Matrix, Code 128 or QR code, turned, pale or small; GS1 codes give lot and serial number.
+    """Read the Data Matrix, Code 128 or QR code on a part; GS1 codes give lot and serial number.
 
     Exit codes: 0 one code, 3 none that can be read or several, 64 and above usage or hardware.
+
+    Examples:
+        anisoscope read-code picture.png
+        anisoscope read-code --rig rig.toml --recipe recipe.toml
     """
     from anisoscope.inspection.batch.codes import one_code, read_codes
 

@@ -46,9 +46,13 @@ def inspect(
     history: HistoryOption = None,
     json_: Json = False,
 ) -> int:
-    """Photograph a part at the recipe's angles, compare contrasts (of a print: colours) with the prediction, decide.
+    """Photograph a part, compare its contrasts (of a print: its colours) with the prediction, and decide.
 
     Exit codes: 0 PASS, 1 FAIL, 2 INCONCLUSIVE, 3 INVALID, 64 and above usage or hardware.
+
+    Examples:
+        anisoscope inspect --recipe recipe.toml --rig rig.toml --serial A-0001
+        anisoscope inspect --recipe recipe.toml --frames photographed --serial A-0002 --lot L42 --json
     """
     from anisoscope.inspection.replay import inspect_frames
     from anisoscope.inspection.run import inspect_part
@@ -165,9 +169,12 @@ Folder = Annotated[Path, Parameter(help="Folder of an inspection.")]
 
 
 def resume(folder: Folder, /, *, history: HistoryOption = None, json_: Json = False) -> int:
-    """Take up an inspection that was interrupted: photograph what is missing, judge, write record and report.
+    """Continue an interrupted inspection: photograph what is missing, judge, write record and report.
 
     Exit codes are those of `inspect`.
+
+    Examples:
+        anisoscope resume inspections/A-0001-20260115T101500Z
     """
     from anisoscope.inspection.run import resume_part
 
@@ -181,9 +188,12 @@ def resume(folder: Folder, /, *, history: HistoryOption = None, json_: Json = Fa
 
 
 def recompute(folder: Folder, /, *, json_: Json = False) -> int:
-    """Judge an inspection again from its raw frames, and compare with its record; nothing is written.
+    """Judge an inspection again from its raw frames and compare with its record; nothing is written.
 
     Exit codes: 0 the same verdict and numbers, 1 not, 64 and above the folder cannot be used.
+
+    Examples:
+        anisoscope recompute inspections/A-0001-20260115T101500Z
     """
     from anisoscope.inspection.recompute import recompute as again
 
@@ -207,9 +217,12 @@ def recompute(folder: Folder, /, *, json_: Json = False) -> int:
 
 
 def verify(folder: Folder, /, *, json_: Json = False) -> int:
-    """Hash every file of an inspection folder again, and name those that were changed, are missing, or were added.
+    """Check the hashes of an inspection folder: name files that were changed, removed or added.
 
     Exit codes: 0 everything is as it was, 1 not, 64 and above this is no inspection folder.
+
+    Examples:
+        anisoscope verify inspections/A-0001-20260115T101500Z
     """
     from anisoscope.inspection.integrity import verify as hashed
 

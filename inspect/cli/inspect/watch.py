@@ -52,12 +52,16 @@ def watch(
         bool, Parameter(name="--json", negative="", help="Print JSON, one line an event.")
     ] = False,
 ) -> int:
-    """Inspect every folder of frames that arrives, once; Ctrl-C or SIGTERM ends after the one at work.
+    """Inspect every folder of frames that another program writes; Ctrl-C ends after the present one.
 
     Serial number and lot stand in part.toml beside the frames, or in columns of frames.csv, or with --read-code in the
     code on the part; else the folder's name is the serial number.
 
     Exit codes: 0 when it was told to end; with --once that of the worst verdict (3, 1, 2, 0), 74 if folders were bad.
+
+    Examples:
+        anisoscope watch incoming --recipe recipe.toml
+        anisoscope watch incoming --recipe recipe.toml --once --json
     """
     from anisoscope.inspection.batch.watch import Watch, Watched
 

@@ -450,10 +450,15 @@ def predict(
     uncertainties: Annotated[UncertaintyOptions, Parameter(name="*", group=GROUP)] = DEFAULTS,
     json_: Json = False,
 ) -> int:
-    """Predict radiances and contrasts, with their uncertainty, of a height map or of an ideal ridge design.
+    """Predict contrasts and radiances, with uncertainty, of a design, a height map or a recipe's part.
 
     Args:
         height_map: File with a measured height map; leave it out and give --ridge-angle for an ideal design.
+
+    Examples:
+        anisoscope predict --ridge-angle 10 --tilts=-10,0,10
+        anisoscope predict part.x3p --pitch 100
+        anisoscope predict --recipe recipe.toml
     """
     if recipe is not None:
         given = locals()

@@ -58,6 +58,10 @@ def compare(
     Args:
         first: Map A: before wear, or the tool.
         others: Map B: after wear, or the part. Several maps or patterns make a table, with --out-dir a page each.
+
+    Examples:
+        anisoscope profile compare new.x3p worn.x3p --out wear.html
+        anisoscope profile compare tool.x3p part.x3p --mirrored
     """
     from anisoscope.profiles.comparison import compare_maps
     from anisoscope.profiles.files.load import write_height_map

@@ -52,6 +52,10 @@ def edit(
         words: A height map in a format of docs/height-maps.md, several or patterns with --out-dir; then steps such as
             level, form=poly2, crop=0,0,500,300, filter=gaussian,25,keep:short; parameters stand in the help of the
             command of the same name.
+
+    Examples:
+        anisoscope profile edit part.x3p level filter=gaussian,20 fill --out smooth.x3p
+        anisoscope profile edit 'lot/*.x3p' level crop=0,0,500,300 --format npz --out-dir edited
     """
     from anisoscope.profiles.editing.steps import Step
 
@@ -160,6 +164,20 @@ def _show(edited: "HeightMap", out: Path, *, as_json: bool) -> None:
     sys.stdout.write("".join(f"{line}\n" for line in lines))
 
 
+EXAMPLES = {
+    "level": "part.x3p --out level.x3p",
+    "form": "part.x3p sphere --out ball.x3p",
+    "filter": "part.x3p gaussian --cutoff 25 --out smooth.x3p",
+    "crop": "part.x3p 10 --y0 10 --x1 310 --y1 210 --out window.x3p",
+    "rotate": "part.x3p 0.8 --out turned.x3p",
+    "mask": "part.x3p mask.png --out masked.x3p",
+    "fill": "part.x3p --out filled.x3p",
+    "outliers": "part.x3p --out clean.x3p",
+    "resample": "part.x3p 2 --out coarse.x3p",
+    "subtract": "part.x3p reference.x3p --align --out difference.x3p",
+    "stitch": "left.x3p right.x3p --x 450 --align --out wide.x3p",
+}
+"""Arguments of one call of every command that an operation becomes."""
 TYPES = {"number": float, "count": int, "flag": bool, "text": str, "map": Path}
 
 
@@ -227,7 +245,8 @@ def command(name: str) -> Callable[..., int]:
         *other,
         *shared,
     ]
-    run.__name__, run.__doc__ = name, operation.meaning
+    run.__name__ = name
+    run.__doc__ = f"{operation.meaning}\n\nExamples:\n    anisoscope profile {name} {EXAMPLES[name]}"
     run.__signature__ = Signature(arguments)  # type: ignore[attr-defined]
     run.__annotations__ = {one.name: one.annotation for one in arguments}
     return run

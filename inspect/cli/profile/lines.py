@@ -64,6 +64,9 @@ def lines(
 
     Args:
         files: Height maps in a format of docs/height-maps.md, or patterns.
+
+    Examples:
+        anisoscope profile lines part.x3p --direction across --l-filter 250
     """
     from anisoscope.profiles.limits import sheet_of
     from anisoscope.profiles.lines import line_parameters

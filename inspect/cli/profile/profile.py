@@ -31,7 +31,7 @@ from anisoscope.cli.progress import progress
 
 app = App(
     name="profile",
-    help="Read, measure, convert, make and spoil height maps.",
+    help="Read, measure, edit, compare, convert and make height maps.",
     default_parameter=Parameter(json_list=False),  # a pattern such as [ab]*.x3p is no JSON
 )
 app.command("anisoscope.cli.profile.ridges:ridges")
@@ -151,6 +151,10 @@ def info(
     Args:
         files: Height maps in a format of docs/height-maps.md, or patterns.
         json_: Print JSON.
+
+    Examples:
+        anisoscope profile info part.x3p
+        anisoscope profile info 'lot/*.x3p' --table lot.csv
     """
     from anisoscope.profiles.limits import sheet_of
     from anisoscope.profiles.textures.amplitude import amplitude
@@ -244,6 +248,10 @@ def convert(
     Args:
         files: Source and target: x3p, sur, gwy, gsf, npz, npy, csv, txt, tif, png, stl or ply. With --out-dir: height
             maps, or patterns.
+
+    Examples:
+        anisoscope profile convert part.sur part.x3p
+        anisoscope profile convert 'lot/*.sur' --format x3p --out-dir x3p
     """
     from anisoscope.profiles.files.load import MESH_WRITERS, WRITERS, write_height_map
 
@@ -278,6 +286,9 @@ def report(
 
     Args:
         files: Height maps, or patterns; one without ridges gets a page without them.
+
+    Examples:
+        anisoscope profile report part.x3p --out report.html
     """
     from anisoscope.report.profile_page import write_profile_page
 
@@ -328,6 +339,9 @@ def view(
 
     Args:
         files: Height maps, or patterns.
+
+    Examples:
+        anisoscope profile view part.x3p --exaggerate 20
     """
     from anisoscope.report.profile_page import write_view_page
 

@@ -87,6 +87,10 @@ def ridges(
     Args:
         files: Height maps of at least four ridges, in any direction, or patterns.
         json_: Print JSON.
+
+    Examples:
+        anisoscope profile ridges part.x3p
+        anisoscope profile ridges 'lot/*.x3p' --table lot.csv
     """
     from anisoscope.profiles.limits import sheet_of
     from anisoscope.profiles.metrology.ridges import measure_ridges

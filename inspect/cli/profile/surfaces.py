@@ -97,6 +97,10 @@ def make(
 
     Args:
         pattern: What to make.
+
+    Examples:
+        anisoscope profile make ridges --pitch 100 --ridge-angle 10 --out part.x3p
+        anisoscope profile make ridges --size 300,600 --pitch 50 --alpha-along 0.04 --alpha-across 0.05 --out rough.x3p
     """
     import numpy as np
 
@@ -197,6 +201,10 @@ def spoil(
         file: Height map to spoil.
         defect: Name of the defect; see --list.
         parameters: Dimensions of the defect by name, such as --radius-um 5; see --list.
+
+    Examples:
+        anisoscope profile spoil part.x3p wear --severity 0.5 --out worn.x3p
+        anisoscope profile spoil --list
     """
     import numpy as np
 

@@ -141,6 +141,10 @@ def texture(
 
     Args:
         files: Height maps in a format of docs/height-maps.md, or patterns.
+
+    Examples:
+        anisoscope profile texture part.x3p --s-filter 3 --l-filter 250
+        anisoscope profile texture 'lot/*.x3p' --limits limits.toml --table lot.html
     """
     from anisoscope.profiles.limits import sheet_of
     from anisoscope.profiles.textures.texture import texture as measure

@@ -16,7 +16,7 @@ from anisoscope.cli.tables import console, print_output
 if TYPE_CHECKING:
     from anisoscope.kinds.kind import Reference
 
-app = App(name="golden", help="Parts or prints that are known to be good, kept beside their recipe.")
+app = App(name="golden", help="Manage the golden parts of a recipe: parts that are known to be good.")
 
 RecipeFile = Annotated[Path, Parameter(name=["--recipe", "-r"], help="Recipe file (TOML).")]
 
@@ -36,7 +36,11 @@ def add(
     recipe: RecipeFile,
     json_: Json = False,
 ) -> int:
-    """Add inspected parts that are known to be good; all of them or none."""
+    """Add inspected parts that are known to be good; all of them or none.
+
+    Examples:
+        anisoscope golden add --recipe recipe.toml inspections/GOOD-1-20260115T101500Z
+    """
     from anisoscope.decision.reference_parts import golden_path, write_golden
     from anisoscope.kinds.registry import kind_of
     from anisoscope.record.schema import read_record
@@ -73,7 +77,11 @@ def add(
 
 @app.command
 def remove(*serials: str, recipe: RecipeFile, json_: Json = False) -> int:
-    """Take parts out of the set, by serial number; an empty set is deleted."""
+    """Take parts out of the set, by serial number; an empty set is deleted.
+
+    Examples:
+        anisoscope golden remove --recipe recipe.toml GOOD-1
+    """
     from anisoscope.decision.reference_parts import golden_path, write_golden
     from anisoscope.kinds.registry import kind_of
 
@@ -104,7 +112,11 @@ def show(
     light_angle: Annotated[float, Parameter(help="Without --rig: angle of the light, degrees.")] = 10.0,
     json_: Json = False,
 ) -> int:
-    """List the golden parts, how much they vary, and which defects they can show."""
+    """List the golden parts, how much they vary, and which defects they can show.
+
+    Examples:
+        anisoscope golden show --recipe recipe.toml
+    """
     from anisoscope.decision.reference_parts import golden_path
     from anisoscope.kinds.registry import kind_of
     from anisoscope.rig.rigfile import read_rig

@@ -14,7 +14,7 @@ from anisoscope.cli.tables import console, print_output, print_table
 if TYPE_CHECKING:
     from anisoscope.recipe.teaching import Taught
 
-app = App(name="recipe", help="Recipes: what a part should look like, how it is photographed and judged.")
+app = App(name="recipe", help="Write, check and teach recipes: how a part is photographed and judged.")
 
 PRODUCT = "ridged part"
 File = Annotated[Path, Parameter(help="Recipe file (TOML).")]
@@ -58,6 +58,11 @@ def new(
 
     With --ridge-angle and --height-map the height map decides, and the design is compared with as well; with
     --u-ridge-angle besides the design decides. With --ink it is the recipe of a print.
+
+    Examples:
+        anisoscope recipe new --ridge-angle 10 --pitch 100 --product "plate 7" --out plate.toml
+        anisoscope recipe new --height-map good-part.x3p --out part.toml
+        anisoscope recipe new --ink synthetic-red --out print.toml
     """
     from anisoscope.kinds.kind import NewRecipe
     from anisoscope.kinds.registry import kind_of_new
@@ -94,6 +99,10 @@ def check(
     """Predict the poses of a recipe, their uncertainties, and which causes it can separate; nothing moves.
 
     With --frames also whether a part can be measured by these frames. One line says what is not checked then.
+
+    Examples:
+        anisoscope recipe check recipe.toml
+        anisoscope recipe check recipe.toml --rig rig.toml --try-tilts 10,20
     """
     from anisoscope.kinds.registry import kind_of
 
@@ -138,7 +147,11 @@ def suggest(
     light_angle: Annotated[float, Parameter(help="Without --rig: angle of the light, degrees.")] = 10.0,
     json_: Json = False,
 ) -> int:
-    """Choose poses that show the defects of a recipe ([defects]) best among good parts that differ ([scatter])."""
+    """Choose poses that show the defects of a recipe ([defects]) best among good parts that differ ([scatter]).
+
+    Examples:
+        anisoscope recipe suggest recipe.toml --poses 6 --tilts=-20:20:5
+    """
     from anisoscope.kinds.registry import kind_of
     from anisoscope.rig.rigfile import read_rig
     from anisoscope.study.best_poses import best_poses
@@ -223,6 +236,10 @@ def teach(
 
     With --frames by frames that exist already; the exposure is theirs then. With --golden the tolerances of a print
     alone, by its golden prints. The recipe becomes a new version; the old one is saved as NAME.v1.toml and so on.
+
+    Examples:
+        anisoscope recipe teach recipe.toml --rig rig.toml --serial GOOD-1
+        anisoscope recipe teach print.toml --rig rig.toml --golden
     """
     if golden == (serial is not None):
         raise UsageError(

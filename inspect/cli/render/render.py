@@ -434,7 +434,7 @@ def write_plate(
     picture.write(panels_png(panels, caption, bar), pictures)
 
 
-app = App(name="render", help="Pictures of ridged plates and of height maps under the rig's light.")
+app = App(name="render", help="Render pictures of ridged plates and of height maps under the rig's light.")
 
 
 @app.command
@@ -468,7 +468,12 @@ def checkerboard(
     plastic: PlasticOptions | None = None,
     rig: RigOptions | None = None,
 ) -> int:
-    """Render a plate of fields with two directions of ridges, turned on the stage."""
+    """Render a plate of fields with two directions of ridges, turned on the stage.
+
+    Examples:
+        anisoscope render checkerboard --out plate.png
+        anisoscope render checkerboard --pattern logo.png --size 20 --out logo-on-plastic.png
+    """
     from anisoscope.profiles.ideal import RidgeDesign
     from anisoscope.sim.light.geometry import Pose
     from anisoscope.sim.light.picture import Plate, plate_picture
@@ -547,6 +552,10 @@ def frame(
 
     Args:
         height_map: File with a measured height map; leave it out and give --ridge-angle for ideal ridges.
+
+    Examples:
+        anisoscope render frame part.x3p --stage 0,90,180 --out frames.png
+        anisoscope render frame --ridge-angle 10 --pitch 100 --out frames.png
     """
     from anisoscope.report.renderings import BEYOND_RGB, MISSING_RGB, Panel, panels_png, scale_bar
 
@@ -590,6 +599,9 @@ def beside(
 
     Args:
         height_map: File with a measured height map; leave it out and give --ridge-angle for ideal ridges.
+
+    Examples:
+        anisoscope render beside part.x3p --stage 0 --cut 40 --out beside.png
     """
     from anisoscope.report.renderings import BEYOND_RGB, MISSING_RGB, Panel, panels_png, scale_bar
 

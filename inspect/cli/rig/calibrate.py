@@ -16,7 +16,9 @@ if TYPE_CHECKING:
     from anisoscope.inspection.material_calibration import ScanPlan
     from anisoscope.recipe.material_file import MaterialFile
 
-app = App(name="calibrate", help="Calibrate the rig.")
+app = App(
+    name="calibrate", help="Calibrate the rig: white tile, dark frames, linearity, rotation centre, material."
+)
 
 _Rig = Annotated[Path, Parameter(name=["--rig", "-g"], help="Rig file (TOML).")]
 _Out = Annotated[Path, Parameter(help="File to write; picture (.tif) and record (.json) share its name.")]
@@ -46,6 +48,9 @@ def flat(
 
     Lay the tile on the stage so that it fills the picture, then run this; name the file in the rig file under
     [calibration] flat.
+
+    Examples:
+        anisoscope calibrate flat --rig rig.toml --exposure 0.006 --reflectance 0.99 --out flat.tif
     """
     from anisoscope.calibration.frames import Taking
     from anisoscope.calibration.pictures import calibrate_flat
@@ -81,6 +86,9 @@ def dark(
 
     Take it with the exposure and gain of the inspections. Exit code 0: fit; 3: light reaches the camera, or too many
     pixels are hot.
+
+    Examples:
+        anisoscope calibrate dark --rig rig.toml --exposure 0.004 --out dark.json
     """  # fmt: skip
     from anisoscope.calibration.frames import Taking
     from anisoscope.calibration.pictures import calibrate_dark
@@ -110,6 +118,9 @@ def stray(
     """Photograph black glass or a light trap under the lit lamp: stray light, which inspections then subtract.
 
     Needs the flat of the rig. A long exposure makes it exact.
+
+    Examples:
+        anisoscope calibrate stray --rig rig.toml --exposure 0.05 --out stray.json
     """
     from anisoscope.calibration.frames import Taking
     from anisoscope.calibration.pictures import calibrate_stray
@@ -139,6 +150,9 @@ def linearity(
     """Photograph a white tile with many exposures: gain, read noise, linearity and saturation after EMVA 1288.
 
     The exposures run from 2 % of full scale to clipping. Exit code 0: fit; 3: too bent to be corrected.
+
+    Examples:
+        anisoscope calibrate linearity --rig rig.toml --exposure 0.002 --out linearity.json
     """
     from anisoscope.calibration.frames import Taking
     from anisoscope.calibration.linearity import calibrate_linearity
@@ -168,6 +182,9 @@ def response(
 
     The scene needs dark and bright places, as a part in its fixture has. The exposures go down to a sixteenth. Name the
     file in the rig file under [camera.options] response, then take a new flat: both make the camera a linear one.
+
+    Examples:
+        anisoscope calibrate response --rig rig.toml --exposure 0.02 --out response.json
     """
     from anisoscope.calibration.frames import Taking
     from anisoscope.calibration.linearity import calibrate_response
@@ -204,6 +221,9 @@ def rotation(
     """Turn the fixture all round: rotation centre in the picture, size of a pixel, runout, tilt of the axis.
 
     The stage homes and turns: nothing may stand in its way. Exit code 0: fit; 3: out of limits.
+
+    Examples:
+        anisoscope calibrate rotation --rig rig.toml --exposure 0.004 --out rotation.json
     """
     from anisoscope.calibration.frames import Taking
     from anisoscope.calibration.rotation import calibrate_rotation
@@ -234,6 +254,10 @@ def check(
     """Measure a check standard, and compare it with its first measurement.
 
     Exit code 0: in limits; 3: out of limits, so that inspections are INVALID until the rig is put right.
+
+    Examples:
+        anisoscope calibrate check --rig rig.toml --recipe standard.toml --out check.json --teach --serial CHECK-1
+        anisoscope calibrate check --rig rig.toml --recipe standard.toml --out check.json
     """
     from anisoscope.inspection.check_standard import SERIAL, run_check, teach_check
 
@@ -290,6 +314,10 @@ def material(
 
     Prints how long it takes and what uncertainty follows, then scans. The stage homes and turns: nothing may stand in
     its way. Exit code 0: the lobe fits; 3: it does not, or the specimen cannot be used.
+
+    Examples:
+        anisoscope calibrate material --coupon --rig rig.toml --recipe recipe.toml --out abs.toml
+        anisoscope calibrate material --coupon --rig rig.toml --readings readings.csv --out abs.toml
     """
     from anisoscope.fit.lobe import Scan
     from anisoscope.inspection.material_calibration import (
@@ -415,6 +443,9 @@ def list_(*, rig: _Rig, json_: Json = False) -> int:
     """List the calibrations of a rig: which exist, until when they are valid, and which are missing.
 
     Exit code 0: inspections can use them; 3: one that the rig file names does not hold, or the flat is missing.
+
+    Examples:
+        anisoscope calibrate list --rig rig.toml
     """
     from anisoscope.calibration.corrections import list_calibrations
 

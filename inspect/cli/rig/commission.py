@@ -60,6 +60,10 @@ def commission(
 
     Lay the part on the stage, then run this. It turns the part all round, and under tilts where an axis tilts the arm;
     it needs neither sense nor zero of the rig file to be right. Exit code 0: done; what could not be told says so.
+
+    Examples:
+        anisoscope rig commission --rig rig.toml --part recipe.toml --html commissioning.html
+        anisoscope rig commission --rig rig.toml --ridge-angle 10 --pitch 100 --spot-mm 1.5 --exposure 0.006
     """  # fmt: skip
     from anisoscope.commissioning.angles import Assumed
     from anisoscope.commissioning.commissioning import commission as find
@@ -182,6 +186,9 @@ def check(
     """Test a rig at the start of a shift: stage, camera, light, markers, focus. Exit code 0: fit; 3: not fit.
 
     The stage homes and turns: nothing may stand in its way.
+
+    Examples:
+        anisoscope rig check --rig rig.toml --exposure 0.006 --out selftests
     """  # fmt: skip
     from anisoscope.commissioning.selftest import self_test
     from anisoscope.commissioning.selftest_record import Settings, write_self_test

@@ -44,6 +44,10 @@ def live(
 
     The stage's port stays closed: turn it from another terminal meanwhile. The light goes off at the end. With --web
     the first line is the address to open; it works on this machine only, and only for whoever knows it.
+
+    Examples:
+        anisoscope rig live --rig rig.toml --exposure 0.003
+        anisoscope rig live --rig rig.toml --exposure 0.003 --web
     """
     from anisoscope.rig.acquisition.opening import open_devices
     from anisoscope.rig.rigfile import read_rig

@@ -38,7 +38,11 @@ class _Moved:
 def home(
     *, which: Devices = NOTHING_NAMED, axis: Axis = "stage", yes: Yes = False, json_: Json = False
 ) -> int:
-    """Search the reference of an axis. It may turn a full turn: confirm, or give --yes."""
+    """Search the reference of an axis. It may turn a full turn: confirm, or give --yes.
+
+    Examples:
+        anisoscope rig home --rig rig.toml --yes
+    """
     from anisoscope.rig.acquisition.opening import open_devices
 
     file, part = which.axis(axis)
@@ -69,7 +73,12 @@ def move(
     yes: Yes = False,
     json_: Json = False,
 ) -> int:
-    """Move an axis to an angle. An axis that was not homed is homed first: confirm, or give --yes."""
+    """Move an axis to an angle. An axis that was not homed is homed first: confirm, or give --yes.
+
+    Examples:
+        anisoscope rig move 90 --sample --rig rig.toml --yes
+        anisoscope rig move 10 --rig rig.toml --axis tilt
+    """
     from anisoscope.base.errors import UsageError
     from anisoscope.rig.stage import check_limits
 
@@ -100,7 +109,11 @@ def jog(
     yes: Yes = False,
     json_: Json = False,
 ) -> int:
-    """Move an axis by an angle. An axis that was not homed is homed first: confirm, or give --yes."""
+    """Move an axis by an angle. An axis that was not homed is homed first: confirm, or give --yes.
+
+    Examples:
+        anisoscope rig jog 5 --rig rig.toml
+    """
 
     def go(stage: "RotationStage", _part: "AxisPart") -> None:
         stage.move_by(delta_deg)
@@ -113,6 +126,9 @@ def stop(*, which: Devices = NOTHING_NAMED, json_: Json = False) -> int:
 
     A port is open once. Where another anisoscope process has it, that process is interrupted as by Ctrl-C: it stops
     its axes, switches the light off, and ends.
+
+    Examples:
+        anisoscope rig stop --rig rig.toml
     """
     from anisoscope.rig.acquisition.opening import open_devices
 

@@ -14,7 +14,10 @@ from anisoscope.cli.json_output import print_json
 if TYPE_CHECKING:
     from anisoscope.rig.discovery import Answer, FoundPort
 
-app = App(name="rig", help="Look after the rig: ports, motion, live picture; simulated devices.")
+app = App(
+    name="rig",
+    help="Operate and check the rig: ports, motion, live picture, commissioning; simulated devices.",
+)
 _look = Group.create_ordered("Look")
 _move = Group.create_ordered("Move")
 _set_up = Group.create_ordered("Set up and check")
@@ -65,6 +68,10 @@ def ports(
         probe: open each port and ask who is there; opening resets some boards (Arduino).
         port: only this port, also one that is not listed; may be repeated.
         json: print a JSON list instead of lines.
+
+    Examples:
+        anisoscope rig ports
+        anisoscope rig ports --json
     """
     from anisoscope.rig.discovery import FoundPort, find_ports
     from anisoscope.rig.discovery import probe as ask

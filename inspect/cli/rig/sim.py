@@ -38,6 +38,10 @@ def device(
         address: bus address; the protocol's first if not given.
         time_scale: stretch of time; 1 is real time, 0 ends every move at once.
         fault: what is wrong with the device, as NAME or NAME:NUMBER; may be repeated.
+
+    Examples:
+        anisoscope rig sim elliptec --tcp 4001
+        anisoscope rig sim zaber --pty --fault stall:47.5
     """
     from anisoscope.sim.bench.firmware.axis import RotaryAxis
     from anisoscope.sim.bench.firmware.catalogue import Mount, build
@@ -83,6 +87,9 @@ def bench(
 
     The first line says where: serving bench on stage 127.0.0.1:4001, light 127.0.0.1:4002, camera 127.0.0.1:4003.
     A tilt axis is on the line of the stage. Only programs of this machine can connect.
+
+    Examples:
+        anisoscope rig sim bench bench.toml --tcp-base 4001 --write-rig rig.toml
     """
     import threading
 

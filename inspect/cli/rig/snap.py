@@ -41,6 +41,9 @@ def snap(
 
     Prints mean, saturated share and sharpness (Tenengrad; larger is sharper, for the same object). Of a colour camera
     the file holds the mosaic, unchanged; the preview is in colour.
+
+    Examples:
+        anisoscope rig snap --rig rig.toml --exposure 0.005 --out picture.tif
     """
     from anisoscope.rig.acquisition.opening import open_devices
     from anisoscope.rig.frame import write_frame

@@ -20,6 +20,10 @@ def status(*, which: Annotated[Which, Parameter(name="*")] = NOTHING_NAMED, json
     """Query identity and state of every device of the rig. Nothing moves.
 
     A device that does not answer does not hide the others; the exit code is then that of a hardware error.
+
+    Examples:
+        anisoscope rig status --rig rig.toml
+        anisoscope rig status --driver elliptec --port /dev/ttyUSB0
     """
     from anisoscope.rig.transport import shared_ports
 

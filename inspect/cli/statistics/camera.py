@@ -19,11 +19,14 @@ def camera(
     html: Html = None,
     json_: Json = False,
 ) -> int:
-    """Show what the linearity calibration found of a camera, as EMVA 1288 calls it.
+    """Show the properties of the camera after EMVA 1288, from its linearity calibration.
 
     Take the calibration with `anisoscope calibrate linearity`.
 
     Exit codes: 0 fit for measuring, 3 not.
+
+    Examples:
+        anisoscope camera rig.toml --html camera.html
     """
     from anisoscope.quality.camera import read_camera
     from anisoscope.report.camera_page import values_table, write_camera_page

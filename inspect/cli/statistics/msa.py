@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from anisoscope.quality.stability import Stability
     from anisoscope.report.statistics_sections import Grid
 
-app = App(name="msa", help="How good is the measuring? Gauge R&R, bias, linearity, stability.")
+app = App(name="msa", help="Measurement system analysis: gauge R&R, bias, linearity, stability.")
 
 REFERENCE = "reference"
 Reference = Annotated[float | None, Parameter(help="The value that the part is known to have.")]
@@ -58,6 +58,9 @@ def gauge(
     the appraisers.
 
     Exit codes: 0 the gauge is good or usable, 1 it is not good enough, 64 and above nothing could be analysed.
+
+    Examples:
+        anisoscope msa gauge --csv gauge.csv --tolerance 0.4
     """
     from anisoscope.quality.gauge import POOR_SHARE, gauge_data, gauge_study
     from anisoscope.report.msa_page import anova, components, write_gauge_page
@@ -89,6 +92,9 @@ def bias(
     The known value is --reference, or the column `reference` of the CSV file.
 
     Exit codes: 0 no bias is seen, 1 there is one, 64 and above nothing could be analysed.
+
+    Examples:
+        anisoscope msa bias --csv bias.csv --reference 6
     """
     from anisoscope.quality.bias import bias_study
     from anisoscope.report.msa_page import biases, write_bias_page
@@ -113,9 +119,12 @@ def linearity(
     html: Html = None,
     json_: Json = False,
 ) -> int:
-    """Linearity: parts of several known values; does the bias change with what is measured?
+    """Linearity: bias over parts of several known values.
 
     Exit codes: 0 no bias is seen over the whole range, 1 there is one, 64 and above nothing could be analysed.
+
+    Examples:
+        anisoscope msa linearity --csv linearity.csv
     """
     from anisoscope.quality.linearity import gauge_linearity
     from anisoscope.report.msa_page import biases, line_table, write_linearity_page
@@ -151,6 +160,9 @@ def stability(
     Of the history, choose the standard with --serial.
 
     Exit codes: 0 stable, 1 not stable or biased, 64 and above nothing could be analysed.
+
+    Examples:
+        anisoscope msa stability --serial CHECK-1 --number "ln 0-90"
     """
     from anisoscope.quality.control import Settings
     from anisoscope.quality.stability import stability_study

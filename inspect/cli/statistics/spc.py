@@ -78,13 +78,17 @@ def spc(
     html: Html = None,
     json_: Json = False,
 ) -> int:
-    """Is the process stable, and can it keep its limits? I-MR and EWMA charts, Nelson's rules, Cp and Cpk.
+    """Control charts and capability: I-MR, EWMA, Nelson's rules, Cp, Cpk.
 
     Without --number an overview of all numbers; the page of --html then shows the charts of the first one. --recipe
     takes a recipe file too: its tolerances are then the limits of good parts, and nothing is left out for it. Without
     it, and without --lower and --upper, the tolerances that the history remembers are used.
 
     Exit codes: 0 stable, 1 not stable, 64 and above nothing could be charted.
+
+    Examples:
+        anisoscope spc --number "ln 0-90" --recipe plate.toml --html spc.html
+        anisoscope spc --csv heights.csv --lower 9.8 --upper 10.2
     """
     from anisoscope.quality.capability import charted
 

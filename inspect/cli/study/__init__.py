@@ -1,1 +1,1 @@
-"""``anisoscope study`` and ``optimise``."""
+"""``anisoscope research`` and ``optimise``."""

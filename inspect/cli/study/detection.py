@@ -1,4 +1,4 @@
-"""``anisoscope study detection``: how often good parts fail and bad ones pass, on the virtual rig."""
+"""``anisoscope research detection``: how often good parts fail and bad ones pass, on the virtual rig."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
@@ -87,6 +87,9 @@ def detection_command(
     """Inspect thousands of good and bad parts on virtual rigs: false alarms, power, diagnosis, coverage.
 
     Rigs that are kept already are not simulated again: the same call goes on where it was stopped.
+
+    Examples:
+        anisoscope research detection --world same --rigs 2
     """
     from anisoscope.report.detection_page import tables_of, write_detection_page
     from anisoscope.report.detection_text import write_results

@@ -275,10 +275,15 @@ def optimise(
     html: HtmlOption = None,
     plot: PlotOption = None,
 ) -> int:
-    """Find the ridge design with the most contrast, by the corrected model in direct light.
+    """Find the ridge design with the most contrast, nominal or under tolerances, in direct light.
 
     The whole box of --vary is searched on a grid, and the highest hills are climbed. The pitch takes part only
     where something has an absolute size (--edge-radius, or a tolerance of it).
+
+    Examples:
+        anisoscope optimise --vary ridge_angle=3:20
+        anisoscope optimise --vary ridge_angle=3:20 --robust --tolerance ridge_angle=0.3,stage=0.2
+        anisoscope optimise --vary ridge_angle=3:20,alpha_across=.05:.2 --plot landscape.png
     """
     from anisoscope.report.study_page import check_picture, write_picture, write_study_page
     from anisoscope.sim.light.geometry import Convention, directions

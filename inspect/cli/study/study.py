@@ -1,4 +1,4 @@
-"""``anisoscope study``: effect of imperfect surfaces on the contrast, by simulation."""
+"""``anisoscope research``: published results repeated, and effects of imperfect surfaces by simulation."""
 
 import math
 from typing import TYPE_CHECKING, Any
@@ -222,7 +222,11 @@ AcrossOption = Annotated[float, Parameter(help="Beckmann roughness across the ri
 AlbedoOption = Annotated[float, Parameter(help="Diffuse albedo, 0 to 1.")]
 SeedOption = Annotated[int, Parameter(help="Seed of the random surfaces.")]
 
-app = App(name="study", help="What imperfect surfaces do to the contrast, by simulation.")
+app = App(
+    name="research", help="Repeat published results, and simulate how defects change contrasts and verdicts."
+)
+app.command("anisoscope.cli.experiment.experiment:experiment", name="experiment")
+app.command("anisoscope.cli.experiment.experiment:findings", name="findings")
 app.command("anisoscope.cli.study.detection:detection_command", name="detection")
 
 
@@ -248,7 +252,11 @@ def convergence_command(
     html: HtmlOption = None,
     plot: PlotOption = None,
 ) -> int:
-    """Follow how contrasts approach the ideal prediction as defects vanish, and at which order."""
+    """Follow how contrasts approach the ideal prediction as defects vanish, and at which order.
+
+    Examples:
+        anisoscope research convergence --plot convergence.png
+    """
     from anisoscope.profiles.ideal import RidgeDesign
     from anisoscope.report.study_page import check_picture
     from anisoscope.sim.light.material import Material
@@ -326,7 +334,11 @@ def best_angle_command(
     html: HtmlOption = None,
     plot: PlotOption = None,
 ) -> int:
-    """Test whether an imperfection moves the best ridge angle of the published experiment from 5° to 10°."""
+    """Test whether an imperfection moves the best ridge angle of the published experiment from 5° to 10°.
+
+    Examples:
+        anisoscope research best-angle --step 1
+    """
     from anisoscope.report.study_page import check_picture
     from anisoscope.sim.light.material import Material
     from anisoscope.study.best_angle import IMPERFECTIONS, best_angle

@@ -354,9 +354,9 @@ def test_code_reads_a_file_and_the_camera(start, rig, tmp_path):
     shutil.copytree(rig, place)
     bench["sample"]["code"] |= {"x_mm": 0.5, "y_mm": 0.5, "kind": "qr"}
     (place / "bench.toml").write_text(tomli_w.dumps(bench))
-    code, shown = start("code", "--rig", place / "rig.toml", "-r", place / "recipe.toml").finish()
+    code, shown = start("read-code", "--rig", place / "rig.toml", "-r", place / "recipe.toml").finish()
     assert (code, shown.strip()) == (0, "QR code: A17")
-    code, shown = start("code", rig / "flat.tif").finish()
+    code, shown = start("read-code", rig / "flat.tif").finish()
     assert code in {3, 74}
-    code, shown = start("code").finish()
+    code, shown = start("read-code").finish()
     assert (code, "name a picture, or a rig file" in shown) == (64, True)

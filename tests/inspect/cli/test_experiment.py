@@ -9,13 +9,13 @@ HEADER = "ridge_angle_deg,tilt_deg,from_deg,to_deg,contrast"
 
 @pytest.fixture(scope="module")
 def predicted_csv(anisoscope):
-    done = anisoscope("experiment", "ridges", "--csv")
+    done = anisoscope("research", "experiment", "--csv")
     assert done.code == 0, done.err
     return done.out
 
 
 def test_json_of_the_experiment(anisoscope):
-    done = anisoscope("experiment", "ridges", "--json")
+    done = anisoscope("research", "experiment", "--json")
     assert done.code == 0, done.err
     found = done.json
     assert found["model"] == "printed"
@@ -56,7 +56,7 @@ def test_options_reach_the_model(anisoscope):
         "--index",
         1.6,
     ]
-    found = anisoscope("experiment", "ridges", "--json", *arguments, "--light-angle", 12).json
+    found = anisoscope("research", "experiment", "--json", *arguments, "--light-angle", 12).json
     assert found["model"] == "corrected"
     assert "shadow_frame" not in found
     assert found["material"]["alpha_along"] == 0.1
@@ -72,7 +72,7 @@ def test_options_reach_the_model(anisoscope):
 
 def test_conventions_and_frames_change_the_result(anisoscope):
     found = [
-        anisoscope("experiment", "ridges", "--csv", *extra).out
+        anisoscope("research", "experiment", "--csv", *extra).out
         for extra in (
             [],
             ["--tilt-plane", "in-plane"],
@@ -86,7 +86,7 @@ def test_conventions_and_frames_change_the_result(anisoscope):
 def test_csv_fed_back_is_measured_perfectly(anisoscope, predicted_csv, tmp_path):
     path = tmp_path / "back.csv"
     path.write_text(predicted_csv, encoding="utf-8")
-    found = anisoscope("experiment", "ridges", "--measured", path, "--json").json
+    found = anisoscope("research", "experiment", "--measured", path, "--json").json
     assert found["k"] == 1.0
     assert found["rms_residual"] == 0.0
     assert all(row["contrast"] == row["measured"] for row in found["rows"])
@@ -100,20 +100,20 @@ def test_a_partial_table_is_enough(anisoscope, predicted_csv, tmp_path):
     path = tmp_path / "part.csv"
     scaled = [f"{line.rpartition(',')[0]},{4.0 * float(line.rpartition(',')[2])!r}" for line in lines[3:7]]
     path.write_text("\n".join([lines[0], *scaled]), encoding="utf-8")
-    found = anisoscope("experiment", "ridges", "--measured", path, "--json").json
+    found = anisoscope("research", "experiment", "--measured", path, "--json").json
     assert found["k"] == pytest.approx(4.0, rel=1e-12)
     assert sum("measured" in row for row in found["rows"]) == 4
     assert "measured_findings" not in found
     assert [m["measured_rows"] for m in found["means"]["ridge_angle"]] == [4, 0, 0, 0]
-    shown = anisoscope("experiment", "ridges", "--measured", path)
+    shown = anisoscope("research", "experiment", "--measured", path)
     assert "k = 4 (least squares), rms residual" in shown.out
-    both = anisoscope("experiment", "ridges", "--measured", path, "--csv").out.splitlines()
+    both = anisoscope("research", "experiment", "--measured", path, "--csv").out.splitlines()
     assert both[0] == HEADER + ",measured"
     assert sum(not line.endswith(",") for line in both[1:]) == 4
 
 
 def test_table_carries_units_convention_scale_and_findings(anisoscope):
-    done = anisoscope("experiment", "ridges")
+    done = anisoscope("research", "experiment")
     assert done.code == 0
     for word in (
         "[°]",
@@ -127,14 +127,14 @@ def test_table_carries_units_convention_scale_and_findings(anisoscope):
 
 
 def test_html_says_where_it_is(anisoscope, tmp_path):
-    done = anisoscope("experiment", "ridges", "--html", tmp_path / "page.html")
+    done = anisoscope("research", "experiment", "--html", tmp_path / "page.html")
     assert done.code == 0, done.err
     assert "page.html" in done.out
     assert (tmp_path / "page.html").read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
 
 
 def test_findings_on_a_grid(anisoscope, tmp_path):
-    grid = ("experiment", "findings", "--grid", 8)
+    grid = ("research", "findings", "--grid", 8)
     found = anisoscope(*grid, "--json").json
     default, in_plane = found["maps"]
     assert default["convention"]["tilt_plane"] == "perpendicular"
@@ -164,12 +164,12 @@ def test_the_picture_in_the_docs_is_made_by_the_command_in_the_docs(anisoscope, 
     """Its numbers too: they are parsed out of the text."""
     root = request.config.rootpath
     text = (root / "docs" / "experiment.md").read_text(encoding="utf-8")
-    assert "anisoscope experiment findings --svg docs/pictures/experiment-findings.svg" in text
-    done = anisoscope("experiment", "findings", "--json")
+    assert "anisoscope research findings --svg docs/pictures/experiment-findings.svg" in text
+    done = anisoscope("research", "findings", "--json")
     share, falling = (done.json["maps"][0][key] for key in ("share", "share_falling_too"))
     assert f"| all three | {share:.1%} | 0.0% |" in text
     assert f"| all three, and falling on both sides | {falling:.1%} | 0.0% |" in text
-    anisoscope("experiment", "findings", "--svg", tmp_path / "map.svg")
+    anisoscope("research", "findings", "--svg", tmp_path / "map.svg")
     kept = ET.parse(root / "docs" / "pictures" / "experiment-findings.svg").getroot()
     made = ET.parse(tmp_path / "map.svg").getroot()
     assert [e.tag for e in kept.iter()] == [e.tag for e in made.iter()]
@@ -178,18 +178,18 @@ def test_the_picture_in_the_docs_is_made_by_the_command_in_the_docs(anisoscope, 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["ridges", "--json", "--csv"], "--json and --csv exclude each other"),
-        (["ridges", "--csv", "--html", "x.html"], "--csv and --html exclude each other"),
-        (["ridges", "--model", "corrected", "--shadow-frame", "half-vector"], "printed model only"),
-        (["ridges", "--model", "relief"], "model"),
-        (["ridges", "--alpha-along", 0], "alpha along"),
-        (["ridges", "--albedo", "nan"], "albedo"),
-        (["ridges", "--facet-azimuth", "nan"], "--facet-azimuth"),
-        (["ridges", "--light-angle", 90], "light angle"),
-        (["ridges", "--light-angle", 75, "--tilt-plane", "in-plane"], "horizon"),
-        (["ridges", "--measured", "nowhere.csv"], "nowhere.csv"),
-        (["ridges", "--measured", "WRONG"], "line 3: the experiment has no ridge angle 6°"),
-        (["ridges", "--html", "nowhere/page.html"], "nowhere/page.html"),
+        (["experiment", "--json", "--csv"], "--json and --csv exclude each other"),
+        (["experiment", "--csv", "--html", "x.html"], "--csv and --html exclude each other"),
+        (["experiment", "--model", "corrected", "--shadow-frame", "half-vector"], "printed model only"),
+        (["experiment", "--model", "relief"], "model"),
+        (["experiment", "--alpha-along", 0], "alpha along"),
+        (["experiment", "--albedo", "nan"], "albedo"),
+        (["experiment", "--facet-azimuth", "nan"], "--facet-azimuth"),
+        (["experiment", "--light-angle", 90], "light angle"),
+        (["experiment", "--light-angle", 75, "--tilt-plane", "in-plane"], "horizon"),
+        (["experiment", "--measured", "nowhere.csv"], "nowhere.csv"),
+        (["experiment", "--measured", "WRONG"], "line 3: the experiment has no ridge angle 6°"),
+        (["experiment", "--html", "nowhere/page.html"], "nowhere/page.html"),
         (["findings", "--grid", 1], "--grid"),
         (["findings", "--alpha-from", 0.3, "--alpha-to", 0.1], "--alpha-from"),
         (["findings", "--alpha-to", 5], "alpha"),
@@ -199,7 +199,7 @@ def test_the_picture_in_the_docs_is_made_by_the_command_in_the_docs(anisoscope, 
 def test_wrong_usage_is_one_clear_line(anisoscope, tmp_path, arguments, words):
     wrong = tmp_path / "wrong.csv"
     wrong.write_text(f"{HEADER}\n5,0,0,90,1\n6,0,0,90,1\n", encoding="utf-8")
-    done = anisoscope("experiment", *[wrong if a == "WRONG" else a for a in arguments], cwd=tmp_path)
+    done = anisoscope("research", *[wrong if a == "WRONG" else a for a in arguments], cwd=tmp_path)
     assert 64 <= done.code < 128
     assert done.out == ""
     assert done.err.count("\n") == 1, done.err
@@ -208,7 +208,7 @@ def test_wrong_usage_is_one_clear_line(anisoscope, tmp_path, arguments, words):
 
 def test_json_is_strict(anisoscope):
     """Contrasts that vanish stay numbers."""
-    done = anisoscope("experiment", "ridges", "--alpha-along", 0.001, "--alpha-across", 0.001, "--json")
+    done = anisoscope("research", "experiment", "--alpha-along", 0.001, "--alpha-across", 0.001, "--json")
     assert done.code == 0, done.err
 
     def refuse(name):

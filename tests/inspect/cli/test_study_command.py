@@ -1,4 +1,4 @@
-"""``anisoscope study`` as a user calls it."""
+"""``anisoscope research`` as a user calls it."""
 
 import re
 
@@ -8,7 +8,7 @@ import pytest
 def test_convergence_with_page_and_picture(anisoscope, tmp_path):
     page, picture = tmp_path / "c.html", tmp_path / "c.svg"
     done = anisoscope(
-        "study", "convergence", "--defects", "height-loss,edge-rounding", "--quality", "quick", "--severities", 3,
+        "research", "convergence", "--defects", "height-loss,edge-rounding", "--quality", "quick", "--severities", 3,
         "--html", page, "--plot", picture, "--json",
     )  # fmt: skip
     assert done.code == 0, done.err
@@ -20,7 +20,7 @@ def test_convergence_with_page_and_picture(anisoscope, tmp_path):
 
 
 def test_best_angle_says_where_ten_degrees_overtakes_five(anisoscope):
-    done = anisoscope("study", "best-angle", "--imperfections", "roughness,height-loss", "--step", 1)
+    done = anisoscope("research", "best-angle", "--imperfections", "roughness,height-loss", "--step", 1)
     assert done.code == 0, done.err
     overtakes = re.search(r"10° overtakes 5° at ([0-9.]+)", done.out)
     assert float(overtakes[1]) == pytest.approx(0.095, abs=0.006)
@@ -40,7 +40,7 @@ def test_best_angle_says_where_ten_degrees_overtakes_five(anisoscope):
     ],
 )
 def test_mistakes_are_told_in_one_line(anisoscope, arguments, message):
-    done = anisoscope("study", *arguments)
+    done = anisoscope("research", *arguments)
     assert done.code not in (0, 1)
     assert message in done.err
     assert done.err.count("\n") == 1

@@ -1,0 +1,99 @@
+"""What help pages and usage errors say: examples of every command, everyday options first, the remedy of a mistake."""
+
+import re
+from collections.abc import Sequence
+
+from cyclopts import App, Group
+from cyclopts.exceptions import (
+    CycloptsError,
+    MissingArgumentError,
+    UnknownCommandError,
+    UnusedCliTokensError,
+)
+
+MORE = Group("More options", sort_key=50)
+"""Panel of the options that few users need; the panel above it holds at most twelve."""
+GLOBAL_OPTIONS = """Options of every command:
+  -v, --verbose    print more: tables behind an answer, device messages
+  -q, --quiet      print no progress
+  --log-file FILE  append what happens to a file, with times
+  --debug          print the traceback of an error"""
+_NEGATIVE_VALUE = re.compile(r"-[\d.]")
+
+
+def examples(command: App) -> list[str]:
+    """Command lines under a help page, at most three.
+
+    They are those in the section ``Examples:`` of the docstring; of a group the first ones of its commands.
+    """
+    import docstring_parser
+
+    if command.default_command is None:
+        flags = (*command.help_flags, *command.version_flags)
+        return [line for name in command if name not in flags for line in examples(command[name])[:1]][:3]
+    parsed = docstring_parser.parse(command.default_command.__doc__ or "")
+    return [line.strip() for one in parsed.examples for line in (one.description or "").splitlines() if line]
+
+
+def asks_for_help(app: App, arguments: Sequence[str]) -> bool:
+    """Whether a command line prints a help page: by a flag, or because it names no command that runs."""
+    own = arguments[: arguments.index("--")] if "--" in arguments else arguments
+    if any(flag in own for flag in app.help_flags):
+        return True
+    _, apps, unused = app.parse_commands(own)
+    return apps[-1].default_command is None and not unused
+
+
+def print_examples(app: App, arguments: Sequence[str]) -> None:
+    """Print what stands below a help page: the examples, in lines that can be copied."""
+    from anisoscope.cli.tables import console
+
+    flags = (*app.help_flags, *app.version_flags)
+    chain, apps, _ = app.parse_commands([token for token in arguments if token not in flags])
+    lines = ["Examples:", *(f"  {line}" for line in examples(apps[-1]))]
+    if not chain:
+        lines += ["", *GLOBAL_OPTIONS.splitlines()]
+    for line in lines:
+        console().print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def usage_text(error: CycloptsError, arguments: Sequence[str]) -> str:
+    """One line for a command line that cannot be understood: the mistake, the remedy, and where to read on.
+
+    Args:
+        error: from the parser.
+        arguments: the command line, without the program.
+    """
+    chain = " ".join(error.command_chain or ())
+    return f"{_mistake(error, arguments)} (see {' '.join(filter(None, ('anisoscope', chain, '--help')))})"
+
+
+def _mistake(error: CycloptsError, arguments: Sequence[str]) -> str:
+    if isinstance(error, MissingArgumentError) and error.argument is not None:
+        return _missing(error, arguments)
+    if isinstance(error, UnusedCliTokensError):
+        unused = error.unused_tokens or []
+        if all(len(token.strip("-")) <= 2 and _NEGATIVE_VALUE.match(token) for token in unused):
+            return f"{' '.join(unused)} is left over: a value that begins with a minus needs '=', as in --tilts=-10"
+        return f"too many arguments: {' '.join(unused)}"
+    if isinstance(error, UnknownCommandError) and error.command_chain:
+        return str(error).replace(
+            "Unknown command", f"Unknown command of {' '.join(error.command_chain)}:", 1
+        )
+    return str(error).removesuffix(".")
+
+
+def _missing(error: MissingArgumentError, arguments: Sequence[str]) -> str:
+    """What an option that has no value lacks: the option itself, its value, or the ``=`` before a minus."""
+    assert error.argument is not None
+    names = error.argument.names
+    given = next((k for k, token in enumerate(arguments) if token in names), None)
+    if given is None:
+        name = error.argument.name
+        what = f"{name} is missing" if name.startswith("-") else f"{name.upper()} is missing"
+        wrong = str(error).partition("Did you mean")
+        return f"{what}. Did you mean{wrong[2]}".removesuffix(".") if wrong[1] else what
+    following = arguments[given + 1] if given + 1 < len(arguments) else ""
+    if _NEGATIVE_VALUE.match(following):
+        return f"a value that begins with a minus needs '=': write {arguments[given]}={following}"
+    return f"{arguments[given]} needs a value" + (f", and {following} is an option" if following else "")

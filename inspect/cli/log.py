@@ -1,0 +1,137 @@
+"""What commands write besides their answer: options of every command, messages on stderr, the log file."""
+
+import logging
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from anisoscope.base.errors import UsageError
+
+LOG = logging.getLogger("anisoscope")
+
+
+@dataclass(frozen=True)
+class LogOptions:
+    """Options that every command takes, wherever they stand in the command line."""
+
+    verbose: bool = False
+    quiet: bool = False
+    debug: bool = False
+    file: Path | None = None
+    arguments: tuple[str, ...] = ()
+
+
+_present = LogOptions()
+
+
+def verbose() -> bool:
+    """Whether the present command prints the tables behind its answer."""
+    return _present.verbose
+
+
+def quiet() -> bool:
+    """Whether the present command prints no progress."""
+    return _present.quiet
+
+
+def options_of(arguments: Sequence[str]) -> tuple[list[str], LogOptions]:
+    """Split a command line into what the command gets, and the options of every command.
+
+    Args:
+        arguments: the command line, without the program; what follows ``--`` is left as it is.
+
+    Raises:
+        UsageError: --log-file without a file.
+    """
+    end = list(arguments).index("--") if "--" in arguments else len(arguments)
+    rest: list[str] = []
+    found = LogOptions(arguments=tuple(arguments))
+    waiting = False
+    for token in arguments[:end]:
+        if waiting:
+            found, waiting = replace(found, file=Path(token)), False
+        elif token in {"-v", "--verbose"}:
+            found = replace(found, verbose=True)
+        elif token in {"-q", "--quiet"}:
+            found = replace(found, quiet=True)
+        elif token == "--debug":
+            found = replace(found, debug=True)
+        elif token == "--log-file":
+            waiting = True
+        elif token.startswith("--log-file="):
+            found = replace(found, file=Path(token.partition("=")[2]))
+        else:
+            rest.append(token)
+    if waiting:
+        raise UsageError("--log-file needs the name of a file (see anisoscope --help)")
+    return [*rest, *arguments[end:]], found
+
+
+@contextmanager
+def listening(options: LogOptions) -> Iterator[None]:
+    """Send log messages where the options of every command want them, for the duration of one command.
+
+    Compilation of kernels goes to stderr always; with --verbose device messages too, with --debug everything.
+
+    Raises:
+        UsageError: the log file cannot be written.
+    """
+    global _present  # noqa: PLW0603 - one command a process
+    _present = options
+    compiled = logging.getLogger("anisoscope.compiled")
+    for log in (LOG, compiled):
+        log.handlers.clear()
+    everything = options.debug or options.verbose
+    handler = logging.StreamHandler()
+    handler.setFormatter(logging.Formatter("anisoscope: %(message)s"))
+    handler.setLevel(logging.DEBUG if options.debug else logging.INFO if options.verbose else logging.WARNING)
+    handler.addFilter(lambda record: record.name != PROGRESS.name)
+    (LOG if everything else compiled).addHandler(handler)
+    if not everything:
+        LOG.addHandler(logging.NullHandler())
+    LOG.setLevel(
+        logging.DEBUG if options.debug or options.file else logging.INFO if everything else logging.NOTSET
+    )
+    file = None if options.file is None else _log_file(options.file)
+    if file is not None:
+        LOG.addHandler(file)
+        LOG.info("anisoscope %s", " ".join(options.arguments))
+    began = time.monotonic()
+    try:
+        yield
+    finally:
+        if file is not None:
+            LOG.info("ended after %.1f s", time.monotonic() - began)
+            LOG.removeHandler(file)
+            file.close()
+        _present = LogOptions()
+
+
+PROGRESS = logging.getLogger("anisoscope.progress")
+
+
+def _log_file(path: Path) -> logging.Handler:
+    try:
+        found = logging.FileHandler(path, encoding="utf-8")
+    except OSError as error:
+        raise UsageError(
+            f"--log-file {path}: cannot be written ({error.strerror}); name another file"
+        ) from None
+    found.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+    return found
+
+
+def report(message: str) -> None:
+    """Print one line on stderr and write it into the log file.
+
+    Args:
+        message: any text; line breaks become spaces.
+    """
+    text = " ".join(message.split())
+    print(f"anisoscope: {text}", file=sys.stderr)  # noqa: T201
+    for handler in LOG.handlers:
+        if isinstance(handler, logging.FileHandler):
+            handler.handle(LOG.makeRecord(LOG.name, logging.ERROR, "", 0, text, (), None))
