@@ -90,7 +90,12 @@ def _version() -> str:
 app.version = _version
 
 
-def _terminate(_signal: int, _frame: FrameType | None) -> NoReturn:
+_signalled: list[int] = []
+"""Signals that have arrived: where one meets a callback of the compiler, its exception is lost."""
+
+
+def _terminate(signal_: int, _frame: FrameType | None) -> NoReturn:
+    _signalled.append(signal_)
     raise KeyboardInterrupt
 
 
@@ -161,6 +166,8 @@ def _run(arguments: list[str], *, debug: bool) -> int:
     except BrokenPipeError:  # no fault: the reader of the output has ended
         raise
     except Exception as error:
+        if _signalled:
+            return _report("; ".join(["interrupted", *_notes(error)]), EXIT_INTERRUPTED)
         if debug:
             raise
         return _report(_crash(error, arguments), AnisoscopeError.exit_code)
@@ -182,7 +189,7 @@ def main() -> NoReturn:
     """Entry point of the ``anisoscope`` command."""
     # SIGHUP: the terminal was closed; nohup ignores it, and Windows knows none.
     numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    for number in numbers:
+    for number in (signal.SIGINT, *numbers):
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _terminate)
     try:

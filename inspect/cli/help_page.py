@@ -1,9 +1,11 @@
 """What help pages and usage errors say: examples of every command, everyday options first, the remedy of a mistake."""
 
+import inspect
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Annotated, Any, TypeVar
 
-from cyclopts import App, Group
+from cyclopts import App, Group, Parameter
 from cyclopts.exceptions import (
     CycloptsError,
     MissingArgumentError,
@@ -19,6 +21,31 @@ GLOBAL_OPTIONS = """Options of every command:
   --log-file FILE  append what happens to a file, with times
   --debug          print the traceback of an error"""
 _NEGATIVE_VALUE = re.compile(r"-[\d.]")
+
+
+T = TypeVar("T", bound=Callable[..., Any])
+
+
+def everyday(*names: str) -> Callable[[T], T]:
+    """Decorator: show these options of a command first, and all others in the panel `MORE`.
+
+    Args:
+        names: parameters of a function, or fields of a class of options (then below ``@dataclass``).
+    """
+
+    def mark(command: T) -> T:
+        positional = {
+            one.name
+            for one in ([] if isinstance(command, type) else inspect.signature(command).parameters.values())
+            if one.kind is not one.KEYWORD_ONLY
+        }
+        rest: Any = Annotated
+        for name, kind in command.__annotations__.items():
+            if name not in {*names, *positional, "return"}:
+                command.__annotations__[name] = rest[kind, Parameter(group=MORE)]
+        return command
+
+    return mark
 
 
 def examples(command: App) -> list[str]:

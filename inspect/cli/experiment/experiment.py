@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
+from anisoscope.cli.help_page import everyday
 
 if TYPE_CHECKING:
     from anisoscope.experiment.findings_map import FindingsMap
@@ -228,6 +229,18 @@ FrameOption = Annotated[
 HtmlOption = Annotated[Path | None, Parameter(help="Write a self-contained HTML page to this file.")]
 
 
+@everyday(
+    "model",
+    "measured",
+    "alpha_along",
+    "alpha_across",
+    "albedo",
+    "index",
+    "tilt_plane",
+    "json_",
+    "csv_",
+    "html",
+)
 def experiment(
     *,
     model: ModelOption = "printed",

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from cyclopts import App, Parameter
+from cyclopts import App, Group, Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.progress import progress
@@ -144,6 +144,8 @@ def _print_parameters(fitted: "Fit") -> None:
         )
 
 
+MODEL = Group("Model and plastic", sort_key=20)
+POSE = Group("Light and camera angles", sort_key=21)
 HtmlOption = Annotated[Path | None, Parameter(help="Write a self-contained HTML page to this file.")]
 FreeOption = Annotated[
     str,
@@ -156,7 +158,7 @@ FreeOption = Annotated[
 app = App(name="fit", help="Fit the parameters of the reflectance models to measured values.")
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=MODEL)
 @dataclass(frozen=True)
 class ModelOptions:
     """Values of the parameters that stay fixed; of a free one it is where the search starts."""
@@ -221,7 +223,7 @@ class ModelOptions:
         }
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=POSE)
 @dataclass(frozen=True)
 class PoseOptions:
     """How the angles of a table are counted."""

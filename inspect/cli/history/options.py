@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from cyclopts import Parameter
+from cyclopts import Group, Parameter
 
 from anisoscope.base.errors import UsageError
 
@@ -26,6 +26,10 @@ Place = Annotated[
 _MOMENT = "2026-11-01, 2026-11-01T14:30, today, or how long ago: 12h, 7d, 2w."
 
 
+SELECTION = Group("Which inspections", sort_key=20)
+
+
+@Parameter(group=SELECTION)
 @dataclass(frozen=True)
 class Which:
     """Selection of inspections."""

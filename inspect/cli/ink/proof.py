@@ -4,9 +4,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from cyclopts import Parameter
+from cyclopts import Group, Parameter
 
 from anisoscope.base.errors import UsageError
+from anisoscope.cli.help_page import everyday
 from anisoscope.cli.ink.options import (
     AngleOption,
     GainOption,
@@ -41,8 +42,10 @@ BRIGHT = 0.9
 MOST_DOTS = 16384
 MOST_TURN = 1e6
 
+VIEW = Group("View and light", sort_key=20)
 
-@Parameter(name="*")
+
+@Parameter(name="*", group=VIEW)
 @dataclass(frozen=True, kw_only=True)
 class View:
     """How the page begins, and what ``--png`` shows."""
@@ -73,6 +76,9 @@ class View:
     ] = False
 
 
+@everyday(
+    "out", "png", "inks", "mesh", "photo", "illuminant", "separation", "angle", "dots", "overwrite", "json_"
+)
 def proof(
     image: Path,
     /,

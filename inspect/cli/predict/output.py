@@ -11,7 +11,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from anisoscope.cli.json_output import fields_of
-from anisoscope.cli.tables import print_table
+from anisoscope.cli.log import verbose
+from anisoscope.cli.tables import console, print_table
 
 if TYPE_CHECKING:
     from anisoscope.base.arrays import FloatArray
@@ -194,29 +195,65 @@ _IN_WORDS = {
 }
 
 
-def _caption(result: "Predicted") -> str:
+def _convention_text(result: "Predicted") -> str:
     convention = result.convention
-    caption = (
+    return (
         f"model {result.model}; light {convention.light_angle_deg:g}° from the camera, tilt plane "
         f"{convention.tilt_plane}, facets toward {convention.facet_azimuth_deg:g}°, stage turns "
         f"{convention.rotation_sense}; k = {result.k:g}"
     )
+
+
+def _source_of_u(result: "Predicted") -> str:
+    if result.budget is None:
+        return ""
+    source = "first order" if result.drawn is None else f"{len(result.drawn.radiance)} draws"
+    return f"; ± is the standard uncertainty (coverage factor 1), from {source}"
+
+
+def _details(result: "Predicted") -> str:
+    """Notes on model and surface that are no warnings."""
+    texts = []
     for name, value in result.notes.items():
         if name == "optics":
-            caption += f"; optics: {value['reason']}"
+            text = f"optics: {value['reason']}"
             if value["stated_error_per_sr"] is not None:
-                caption += f" (of the middle of a lobe: {value['stated_error_per_sr']:.2g} 1/sr)"
-            continue
-        if name in _IN_WORDS:
-            caption += "; " + _IN_WORDS[name].format(100.0 * value)
-            continue
-        text = f"{value:.4g}" if isinstance(value, float) else str(value)
-        caption += f"; {name.replace('_', ' ')}: {text}"
-    if result.budget is not None:
-        source = "first order" if result.drawn is None else f"{len(result.drawn.radiance)} draws"
-        caption += f"; ± is the standard uncertainty (coverage factor 1), from {source}"
-    warning = uncertainty_warning(result)
-    return caption if warning is None else f"{caption}; warning: {warning}"
+                text += f" (of the middle of a lobe: {value['stated_error_per_sr']:.2g} 1/sr)"
+            texts.append(text)
+        elif name not in _IN_WORDS and not name.endswith("warning"):
+            shown = f"{value:.4g}" if isinstance(value, float) else str(value)
+            texts.append(f"{name.replace('_', ' ')}: {shown}")
+    return "; ".join(texts)
+
+
+GRAZING_DEG = 75.0
+"""Angle between a beam and the normal of the sample beyond which a prediction is warned of."""
+
+
+def warnings_of(result: "Predicted") -> list[str]:
+    """What limits the use of a prediction, a line each."""
+    found = [str(value) for name, value in result.notes.items() if name.endswith("warning")]
+    found += [
+        text.format(100.0 * result.notes[name]) for name, text in _IN_WORDS.items() if name in result.notes
+    ]
+    found += [text for text in (_grazing(result), uncertainty_warning(result)) if text is not None]
+    return found
+
+
+def _grazing(result: "Predicted") -> str | None:
+    import numpy as np
+
+    from anisoscope.sim.light.geometry import directions
+
+    steepest = np.min([beam[:, 2] for beam in directions(result.poses, result.convention)], axis=0)
+    angles = np.degrees(np.arccos(np.clip(steepest, -1.0, 1.0)))
+    if not np.any(angles > GRAZING_DEG):
+        return None
+    worst = int(angles.argmax())
+    return (
+        f"at {pose_names(result)[worst]} light or camera is {angles[worst]:.0f}° from the normal of the sample: beyond "
+        f"{GRAZING_DEG:g}° a small error of an angle changes everything, and neither plastic nor model is tested there"
+    )
 
 
 def radiance_rows(result: "Predicted") -> list[list[str]]:
@@ -260,12 +297,27 @@ def columns_of(result: "Predicted") -> tuple[list[str], list[str]]:
 
 
 def print_prediction(result: "Predicted") -> None:
-    """Print radiances, contrasts and the budget."""
+    """Print contrasts and warnings; with --verbose radiances, details of the model and the budget as well."""
     radiance, contrast = columns_of(result)
-    print_table("Radiance per unit irradiance", radiance, radiance_rows(result))
-    print_table("Contrasts", contrast, contrast_rows(result), caption=_caption(result))
-    if result.budget is not None:
+    details = _details(result)
+    if verbose():
+        print_table("Radiance per unit irradiance", radiance, radiance_rows(result), caption=details or None)
+    caption = _convention_text(result) + _source_of_u(result)
+    print_table("Contrasts", contrast, contrast_rows(result), caption=caption)
+    _print_warnings(result)
+    if verbose() and result.budget is not None:
         _print_budget(result, result.budget)
+    elif not verbose():
+        _print_line("radiances, model and uncertainty budget: --verbose")
+
+
+def _print_warnings(result: "Predicted") -> None:
+    for text in warnings_of(result):
+        _print_line(f"warning: {text}")
+
+
+def _print_line(text: str) -> None:
+    console().print(text, markup=False, highlight=False, soft_wrap=True)
 
 
 def _print_budget(result: "Predicted", budget: "Budget") -> None:
@@ -298,7 +350,8 @@ def print_spectrum(results: "list[Predicted]", wavelengths_nm: tuple[float, ...]
     text = [f"{wavelength:g}" for wavelength in wavelengths_nm]
     for title, head, rows_of, caption in (
         ("Radiance per unit irradiance", radiance, radiance_rows, None),
-        ("Contrasts", contrast, contrast_rows, _caption(results[0])),
+        ("Contrasts", contrast, contrast_rows, _convention_text(results[0]) + _source_of_u(results[0])),
     ):
         rows = [[name, *row] for name, one in zip(text, results, strict=True) for row in rows_of(one)]
         print_table(title, [wavelength_head, *head], rows, caption=caption)
+    _print_warnings(results[0])

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Group, Parameter
 
 from anisoscope.base.errors import UsageError
+from anisoscope.cli.help_page import everyday
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
 
@@ -370,6 +371,10 @@ def optics_of(options: OpticsOptions) -> "Optics":
 DEFAULT_ALBEDO, DEFAULT_INDEX = 0.2, 1.5
 
 
+@everyday(
+    *("recipe", "ridge_angle", "pitch", "alpha_along", "alpha_across", "albedo", "index", "light_angle"),
+    *("angles", "tilts", "pixel", "json_", "waves", "sizes", "uncertainties"),
+)
 def predict(
     height_map: Path | None = None,
     /,

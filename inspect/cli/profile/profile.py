@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from cyclopts import App, Parameter
+from cyclopts import App, Group, Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.json_output import print_json
@@ -79,6 +79,10 @@ def parse_pixel(text: str | None) -> tuple[float, float] | None:
     return numbers[0], numbers[-1]
 
 
+FILE_FORMAT = Group("File format", help="For what the file of a height map does not say itself.", sort_key=60)
+
+
+@Parameter(group=FILE_FORMAT)
 @dataclass(frozen=True)
 class Scales:
     """Scales and role of a height map whose file does not state them."""

@@ -11,6 +11,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.progress import progress
 from anisoscope.cli.render.scene import (
+    MICROSCOPE,
     PictureOptions,
     PlasticOptions,
     RigOptions,
@@ -40,10 +41,12 @@ from typing import Literal
 
 from cyclopts import App
 
+from anisoscope.cli.help_page import everyday
+
 LEAST_PIXELS = 64
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=MICROSCOPE)
 @dataclass(frozen=True)
 class MicroscopeOptions:
     """The microscope."""
@@ -438,6 +441,18 @@ app = App(name="render", help="Render pictures of ridged plates and of height ma
 
 
 @app.command
+@everyday(
+    "picture",
+    "plastic",
+    "rig",
+    "ridge_angle",
+    "angles",
+    "fields",
+    "field_size",
+    "pattern",
+    "size",
+    "near_light",
+)
 def checkerboard(
     *,
     picture: PictureOptions,

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from cyclopts import Parameter
+from cyclopts import Group, Parameter
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.atomic_write import write_bytes
 from anisoscope.base.errors import RecordError, UsageError
+from anisoscope.cli.help_page import everyday
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
 
@@ -28,10 +29,13 @@ if TYPE_CHECKING:
 
 
 MAX_PANELS = 8
+PLASTIC = Group("Plastic", sort_key=20)
+LIGHT = Group("Light and camera angles", sort_key=21)
+MICROSCOPE = Group("Microscope", sort_key=22)
 RAW_SUFFIXES = (".npy", ".tif", ".tiff")
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=PLASTIC)
 @dataclass(frozen=True)
 class PlasticOptions:
     """The plastic."""
@@ -48,7 +52,7 @@ class PlasticOptions:
         return Material(self.alpha_along, self.alpha_across, self.albedo, self.index)
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=LIGHT)
 @dataclass(frozen=True)
 class RigOptions:
     """Light and camera."""
@@ -79,6 +83,7 @@ class RigOptions:
 
 @Parameter(name="*")
 @dataclass(frozen=True)
+@everyday("out", "json_")
 class PictureOptions:
     """The files, and how radiance is shown."""
 
@@ -239,6 +244,7 @@ ROUGHNESS_LENGTH_UM = 8.0
 
 @Parameter(name="*")
 @dataclass(frozen=True)
+@everyday("ridge_angle", "pitch", "region", "pixel")
 class SurfaceOptions:
     """The surface: a file, or ideal ridges."""
 

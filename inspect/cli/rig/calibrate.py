@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import App, Parameter
 
 from anisoscope.base.errors import UsageError
+from anisoscope.cli.help_page import everyday
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
 from anisoscope.cli.progress import progress
@@ -282,6 +283,20 @@ def check(
 
 
 @app.command
+@everyday(
+    "rig",
+    "out",
+    "coupon",
+    "part",
+    "recipe",
+    "readings",
+    "tilt",
+    "step",
+    "max_tilt",
+    "dry_run",
+    "operator",
+    "json_",
+)
 def material(
     *,
     rig: _Rig,

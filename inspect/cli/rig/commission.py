@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
+from anisoscope.cli.help_page import everyday
 from anisoscope.cli.options import Json, parse_numbers
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import console, print_table
@@ -19,6 +20,23 @@ if TYPE_CHECKING:
 _RigOption = Annotated[Path, Parameter(name=["--rig", "-g"], help="Rig file (TOML).")]
 
 
+@everyday(
+    *(
+        "rig",
+        "part",
+        "exposure",
+        "ridge_angle",
+        "pitch",
+        "roughness",
+        "alpha",
+        "spot_mm",
+        "tilts",
+        "out",
+        "html",
+        "write",
+        "json_",
+    ),
+)
 def commission(
     *,
     rig: _RigOption,

@@ -8,6 +8,7 @@ from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.base.progress import Advance
+from anisoscope.cli.help_page import everyday
 from anisoscope.cli.history.options import Place
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
@@ -33,6 +34,7 @@ LISTED = 20  # patterns in the terminal
 
 
 @dataclass(frozen=True)
+@everyday("by", "baseline", "lower", "upper")
 class Charting:
     """Chart type and rules for a series."""
 

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 from cyclopts import Parameter
 
+from anisoscope.cli.help_page import everyday
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
 from anisoscope.cli.progress import progress
@@ -15,6 +16,9 @@ if TYPE_CHECKING:
     from anisoscope.study.detection.product import RecipeName, World
 
 
+@everyday(
+    "world", "rigs", "recipe", "poses", "diagnose", "jobs", "seed", "folder", "json_", "html", "markdown"
+)
 def detection_command(
     *,
     world: Annotated[

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
+from anisoscope.cli.help_page import everyday
 from anisoscope.cli.options import parse_numbers
 from anisoscope.cli.progress import progress
 
@@ -215,6 +216,10 @@ HtmlOption = Annotated[Path | None, Parameter(help="Write a self-contained HTML 
 PlotOption = Annotated[Path | None, Parameter(help="Write the charts as a picture, *.png or *.svg.")]
 
 
+@everyday(
+    *("vary", "ridge_angle", "pitch", "contrast", "pair", "tilts", "robust", "tolerance", "recipe"),
+    *("json_", "html", "plot"),
+)
 def optimise(
     *,
     vary: Annotated[

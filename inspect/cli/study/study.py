@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import App, Parameter
 
 from anisoscope.base.errors import UsageError
+from anisoscope.cli.help_page import everyday
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
 from anisoscope.cli.progress import progress
@@ -231,6 +232,9 @@ app.command("anisoscope.cli.study.detection:detection_command", name="detection"
 
 
 @app.command(name="convergence")
+@everyday(
+    "defects", "ridge_angle", "recipe", "severities", "quality", "seed", "jobs", "json_", "html", "plot"
+)
 def convergence_command(
     *,
     defects: Annotated[

@@ -103,3 +103,18 @@ def test_a_log_file_gets_command_error_and_end(tmp_path, capsys):
     assert "ended after" in lines[2]
     assert run(["cache", "info", f"--log-file={tmp_path / 'no' / 'run.log'}"]) == 64
     assert "cannot be written" in capsys.readouterr().err
+
+
+def test_pages_begin_with_at_most_twelve_options():
+    for words, one in ALL.items():
+        if one.default_command is None:
+            continue
+        first = [
+            argument.name
+            for argument in one.assemble_argument_collection()
+            if argument.show
+            and argument.index is None
+            and argument.names != ("*",)
+            and any(getattr(group, "name", group) == "Parameters" for group in argument.parameter.group or ())
+        ]
+        assert len(first) <= 12, (words, first)

@@ -76,11 +76,23 @@ def test_surface_without_ridges_is_predicted_with_a_warning(anisoscope, tmp_path
     assert "no ridges" in done.json["warning"]
 
 
-def test_table_carries_units_and_the_convention(anisoscope):
-    done = anisoscope("predict", "--ridge-angle", 10)
+def test_contrasts_carry_units_and_the_convention_and_the_warnings_follow(anisoscope):
+    done = anisoscope(
+        "predict", "--ridge-angle", 10, "--model", "corrected", "--bounces", 1, "--tilts", "0,85"
+    )
     assert done.code == 0
-    for word in ("1/sr", "[°]", "ln ratio", "perpendicular", "k = 1"):
+    for word in (
+        "1/sr",
+        "[°]",
+        "ln ratio",
+        "perpendicular",
+        "k = 1",
+        "warning: direct light only",
+        "85° from the",
+    ):
         assert word in done.out
+    assert "Radiance per" not in done.out
+    assert "budget" not in done.out.replace("uncertainty budget: --verbose", "")
 
 
 def test_reflections_between_ridges_brighten_every_pose(anisoscope):
