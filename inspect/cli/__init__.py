@@ -153,25 +153,26 @@ def _run(arguments: list[str], *, debug: bool) -> int:
         result = _call(arguments)
     except KeyboardInterrupt as interruption:
         return _report("; ".join(["interrupted", *_notes(interruption)]), EXIT_INTERRUPTED)
-    except CycloptsError as error:
-        if debug:
-            raise
-        return _report(usage_text(error, arguments), UsageError.exit_code)
-    except AnisoscopeError as error:
-        if debug:
-            raise
-        command = " ".join(app.parse_commands(arguments)[0])
-        see = f" (see anisoscope {command} --help)" if type(error) is UsageError else ""
-        return _report("; ".join([str(error) + see, *_notes(error)]), error.exit_code)
     except BrokenPipeError:  # no fault: the reader of the output has ended
         raise
     except Exception as error:
-        if _signalled:
-            return _report("; ".join(["interrupted", *_notes(error)]), EXIT_INTERRUPTED)
-        if debug:
+        if debug and not _signalled:
             raise
-        return _report(_crash(error, arguments), AnisoscopeError.exit_code)
+        return _failed(error, arguments)
     return result if isinstance(result, int) else 0
+
+
+def _failed(error: Exception, arguments: list[str]) -> int:
+    """Report an error in one line, and return its exit code."""
+    if isinstance(error, CycloptsError):
+        return _report(usage_text(error, arguments), UsageError.exit_code)
+    if isinstance(error, AnisoscopeError):
+        command = " ".join(app.parse_commands(arguments)[0])
+        see = f" (see anisoscope {command} --help)" if type(error) is UsageError else ""
+        return _report("; ".join([str(error) + see, *_notes(error)]), error.exit_code)
+    if _signalled:
+        return _report("; ".join(["interrupted", *_notes(error)]), EXIT_INTERRUPTED)
+    return _report(_crash(error, arguments), AnisoscopeError.exit_code)
 
 
 def _call(arguments: list[str]) -> object:
