@@ -103,11 +103,6 @@ def joint_conformance(deviation: FloatArray, covariance: FloatArray, tolerances:
     return float(np.clip(found, 0.0, 1.0))
 
 
-def p_value_text(p_value: float) -> str:
-    """A probability after the word p, such as ``= 0.012``; one too small for a double is no certainty: ``< 1e-300``."""
-    return f"= {p_value:.2g}" if p_value >= 1e-300 else "< 1e-300"
-
-
 LEVELS = np.array([0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0])
 """Probabilities at which p values are counted."""
 

@@ -12,7 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.base.significance import holm, joint_conformance, p_value_text, two_sided
+from anisoscope.base.notation import contrast_name, p_value_text
+from anisoscope.base.significance import holm, joint_conformance, two_sided
 from anisoscope.decision.consistency_test import from_prediction, golden_test, scatter_of
 from anisoscope.decision.predictive_test import PredictiveTest
 from anisoscope.decision.reference_parts import GoldenSet, counted
@@ -291,7 +292,7 @@ def _combine(
         f"all contrasts together: p {p_value_text(p_value)} for a part {alike} (level {rule.alpha:g}{shared})"
     )
     if significant:
-        line += f", a significant deviation of {', '.join(where) or 'several together, of none by itself'}"
+        line += f", a significant deviation of {'; '.join(where) or 'several together, of none by itself'}"
     findings.append((Verdict.FAIL if fails else Verdict.PASS, line))
     order = [Verdict.FAIL, Verdict.INCONCLUSIVE, Verdict.PASS]
     findings.sort(key=lambda finding: order.index(finding[0]))
@@ -311,14 +312,14 @@ def _limit_of(area: AreaRecord) -> str:
 
 def _of_tolerance(pair: ContrastRecord, rule: DecisionPart) -> str:
     name = {"log_ratio": "ln ratio", "michelson": "Michelson contrast", "difference": "difference"}
-    where = f"{name[rule.contrast]} {pair.from_deg:g}°/{pair.to_deg:g}° at tilt {pair.tilt_deg:g}°"
+    where = f"{name[rule.contrast]} {contrast_name(pair.from_deg, pair.to_deg, pair.tilt_deg)}"
     return f"{where} deviates by {pair.deviation:+.3f} (tolerance ±{pair.tolerance:g}, guard band {pair.guard:.3f})"
 
 
 def _where(pairs: tuple[ContrastRecord, ...], alpha: float) -> tuple[str, ...]:
     """The individually significant pairs, at one level for all (Holm)."""
     return tuple(
-        f"{p.from_deg:g}°/{p.to_deg:g}° at tilt {p.tilt_deg:g}°"
+        contrast_name(p.from_deg, p.to_deg, p.tilt_deg)
         for p in pairs
         if p.p_value is not None and p.p_value < alpha
     )

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from anisoscope.base.errors import AnisoscopeError
+from anisoscope.base.notation import p_value_text
 from anisoscope.base.progress import Advance, silent
-from anisoscope.base.significance import p_value_text
 from anisoscope.decision.decision import Decision
 from anisoscope.decision.reference_parts import GoldenSet
 from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, CauseModel

@@ -165,7 +165,7 @@ def make_record(
     if results is not None:
         notes += results.notes
         details = results.details.model_copy(update=dict(explanation.details))
-    return Record(
+    record = Record(
         kind=job.kind.name,
         software=f"anisoscope {version('anisoscope')}",
         created_at=created_at.isoformat(timespec="seconds"),
@@ -202,6 +202,7 @@ def make_record(
         inputs=tuple(InputFile(name=copy.name, sha256=copy.sha256) for copy in manifest.inputs),
         frames=tuple(_frame_record(shot) for shot in frames.shots),
     )
+    return record.model_copy(update={"conclusion": job.kind.conclude(record)})
 
 
 def pose_records(

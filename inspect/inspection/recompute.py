@@ -17,8 +17,8 @@ from anisoscope.record.schema import Record, read_record
 TOLERANCE = 1e-8
 LEAST = 1e-9
 """Largest relative and absolute difference of equal numbers: a library picks its kernels by the processor."""
-NOT_COMPARED = frozenset({"software", "created_at", "files", "recipe", "rig"})
-"""Fields on the origin of a record and the paths of its files; their hashes are checked instead."""
+NOT_COMPARED = frozenset({"software", "created_at", "files", "recipe", "rig", "conclusion"})
+"""Origin of a record and paths of its files, whose hashes are checked instead; and words that follow from the rest."""
 
 
 @dataclass(frozen=True)

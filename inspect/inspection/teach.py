@@ -11,8 +11,8 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import MeasurementError, RigFileError, Saturated
+from anisoscope.base.notation import p_value_text
 from anisoscope.base.progress import Advance, silent
-from anisoscope.base.significance import p_value_text
 from anisoscope.base.toml_edits import with_values
 from anisoscope.decision.reference_parts import golden_path
 from anisoscope.imaging.registration.placement import Grid, Placement, locate, resample

@@ -9,6 +9,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Generic, Protocol, Self, TypeVar
 
@@ -16,10 +17,12 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import RecipeError, UsageError
+from anisoscope.base.notation import present_notation
 from anisoscope.base.progress import Advance, silent
 from anisoscope.base.toml_file import read_toml_model
 from anisoscope.calibration.corrections import Calibrations
 from anisoscope.decision.reference_parts import AnyReferenceSet, RadianceSet
+from anisoscope.diagnosis.cause_words import CauseWords
 from anisoscope.imaging.frames import AcquiredFrames
 from anisoscope.imaging.pose_radiance import drift_error
 from anisoscope.imaging.views import Guide, Views
@@ -30,8 +33,9 @@ from anisoscope.recipe.base import RecipeBase, check_region
 from anisoscope.recipe.poses import check_poses
 from anisoscope.recipe.teaching import Taught
 from anisoscope.record.details import Details
-from anisoscope.record.schema import BudgetRecord, DiagnosisRecord, Record
+from anisoscope.record.schema import BudgetRecord, ConclusionRecord, DiagnosisRecord, Record
 from anisoscope.record.verdict import Verdict
+from anisoscope.report.conclusion import OUTCOMES, concluded
 from anisoscope.report.inspection_page import Pictures, Sections
 from anisoscope.rig.rigfile import RigFile, check_arm, read_replay_rig
 from anisoscope.sim.light.geometry import Convention, Pose
@@ -248,6 +252,7 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
             RecipeError, RigFileError: they do not.
         """
         del rig_path
+        self.check_actions(recipe, recipe_path)
         check_poses(recipe.poses, rig.light.angle_deg, recipe_path)
 
     def check_valid(self, recipe: RecipeT, at: datetime) -> None:
@@ -365,6 +370,9 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
 
     def rename_in(self, record: dict[str, Any]) -> None:
         """Rename entries of a dumped record of an earlier version of this kind to the present names."""
+        record["reasons"] = [present_notation(reason) for reason in record["reasons"]]
+        if record.get("diagnosis"):
+            record["diagnosis"]["says"] = present_notation(record["diagnosis"]["says"])
 
     # ---- good parts -------------------------------------------------------------------------------------------
 
@@ -484,6 +492,7 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
         """
         recipe = self.read_recipe(path)
         if rig_path is None:
+            self.check_actions(recipe, path)
             check_poses(recipe.poses, light_angle_deg, path)
             return self.capability(recipe, None, light_angle_deg, tries, advance)
         rig = read_replay_rig(rig_path)
@@ -507,6 +516,39 @@ class Kind(ABC, Generic[RecipeT, ExpectedT, MeasuredT, DecidedT]):
         return RecipeCheck(product=recipe.product)
 
     # ---- report and terminal ----------------------------------------------------------------------------------
+
+    @property
+    def cause_words(self) -> Mapping[str, CauseWords]:
+        """Its causes in plain words, each with what to do next; a recipe overrides the latter in ``[actions]``."""
+        return {}
+
+    def finding(self, record: Record) -> str:
+        """What was found by numbers alone: a sentence with the size of the largest deviation, no full stop."""
+        return record.reasons[0] if record.reasons else ""
+
+    def nominal(self, record: Record) -> Mapping[str, float]:
+        """What the extent of a cause is added to, by cause, such as the ridge angle of the design."""
+        del record
+        return {}
+
+    def conclude(self, record: Record) -> ConclusionRecord:
+        """The verdict in plain words."""
+        return concluded(record, self.cause_words, self.finding(record), self.nominal(record))
+
+    def check_actions(self, recipe: RecipeBase, path: Path) -> None:
+        """Check that ``[actions]`` of a recipe names causes and outcomes of this kind.
+
+        Raises:
+            RecipeError: it names something else.
+        """
+        known = [*OUTCOMES, *self.cause_words]
+        for key in recipe.actions:
+            if key not in known:
+                near = get_close_matches(key, known, 1)
+                hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(known)}"
+                raise RecipeError(
+                    f"{path}: actions.{key}: no cause or outcome of {self.one} has this name; {hint}"
+                )
 
     def pictures(
         self, recipe: RecipeT, expected: ExpectedT, measured: MeasuredT, decided: DecidedT

@@ -10,14 +10,16 @@ from typing import Any, TypeVar, cast
 import numpy as np
 
 from anisoscope.base.errors import CalibrationError, HeightMapError
+from anisoscope.base.notation import p_value_text
 from anisoscope.base.progress import Advance, silent
-from anisoscope.base.significance import log_basis, p_value_text
+from anisoscope.base.significance import log_basis
 from anisoscope.decision.consistency_test import contrast_scatter
 from anisoscope.decision.decision import Decision, decide
 from anisoscope.decision.design_vs_map import Predict, compare
 from anisoscope.decision.predictive_test import MAX_BIRGE
 from anisoscope.decision.reference_parts import GoldenSet
 from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, CauseModel
+from anisoscope.diagnosis.cause_words import PLASTIC_WORDS, CauseWords
 from anisoscope.diagnosis.part_diagnosis import explain
 from anisoscope.imaging.area_limit import LEAST_PARTS
 from anisoscope.imaging.defect_regions import deviation_map
@@ -50,6 +52,7 @@ from anisoscope.record.schema import (
     ShapeRecord,
 )
 from anisoscope.record.surface_details import SurfaceDetails, surface_of
+from anisoscope.report.conclusion import surface_finding
 from anisoscope.report.inspection_page import Pictures, Sections
 from anisoscope.rig.rigfile import RigFile
 
@@ -287,7 +290,8 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
         return recipe.model_copy(update=changes)
 
     def rename_in(self, record: dict[str, Any]) -> None:
-        """Rename the sources of the budget of an earlier version."""
+        """Rename the sources of the budget of an earlier version, and its notation of contrasts."""
+        super().rename_in(record)
         for row in record["budget"]:
             row["source"] = self.optics.source_name(row["source"])
 
@@ -349,6 +353,23 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
         from anisoscope.report.surface_sections import surface_sections  # noqa: PLC0415 - draws
 
         return surface_sections(record, pictures)
+
+    @property
+    def cause_words(self) -> Mapping[str, CauseWords]:
+        """The causes of plastic parts in plain words."""
+        return PLASTIC_WORDS
+
+    def finding(self, record: Record) -> str:
+        """The contrast or area that is most off, by its limit."""
+        return surface_finding(record)
+
+    def nominal(self, record: Record) -> Mapping[str, float]:
+        """The ridge angle of design or height map."""
+        design = record.recipe["surface"].get("design")
+        angle = record.optics and record.optics.groove_angle_deg
+        if design is not None:
+            angle = design["ridge_angle_deg"]
+        return {} if angle is None else {"ridge-angle": angle}
 
     def summary(self, record: Record) -> CommandOutput:
         """Tables of the contrasts, and lines on the deviating regions."""

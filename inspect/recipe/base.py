@@ -106,6 +106,8 @@ class RecipeBase(Part):
     decision: DecisionBase = DecisionBase()
     limits: LimitsPart = LimitsPart()
     uncertainty: CommonUncertainty = CommonUncertainty()
+    actions: dict[str, Annotated[str, Field(min_length=1, max_length=300)]] = Field(default_factory=dict)
+    """What to do next in the shop's own words, by cause or outcome."""
 
     steps: ClassVar[str] = "cells"
     """Unit of which the region is a whole number, in the plural."""

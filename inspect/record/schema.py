@@ -216,6 +216,18 @@ class DiagnosisRecord(_Part):
     tells: str | None = None
 
 
+class ConclusionRecord(_Part):
+    """The verdict in plain words, for the shop.
+
+    ``finding`` names what was found with its size, ``action`` what to do next, ``follows_from`` the cause or outcome
+    to which the action belongs: the key by which ``[actions]`` of a recipe overrides it.
+    """
+
+    finding: str
+    action: str
+    follows_from: str
+
+
 class ComparisonRecord(_Part):
     """The measurement against one of the recipe's surfaces; predicted radiances in 1/sr."""
 
@@ -386,6 +398,7 @@ class Record(_Part):
     drift: float | None
     conformance_probability: float | None = None
     diagnosis: DiagnosisRecord | None = None
+    conclusion: ConclusionRecord | None = None
     details: SerializeAsAny[Details] | None = None
     rounds: int = 1
     notes: tuple[str, ...] = ()

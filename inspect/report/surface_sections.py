@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from anisoscope.base.notation import contrast_name, true_minus
 from anisoscope.record.schema import BudgetRecord, Record
 from anisoscope.record.surface_details import SurfaceDetails, surface_of
 from anisoscope.report import figures
@@ -12,7 +13,7 @@ from anisoscope.report.page import template_text
 from anisoscope.report.peers import Lot, Peers, among
 from anisoscope.report.rule import NAMES, UNITS, deviation_decides, level_of, rule_of
 from anisoscope.report.tilt_sections import tilt_parts
-from anisoscope.report.wording import contrast_name, labels_of
+from anisoscope.report.wording import labels_of
 
 MAX_REGIONS = 12
 TARGET_RATIO = 4.0
@@ -92,7 +93,7 @@ def _golden(record: Record, found: SurfaceDetails) -> Peers | None:
     if found.golden is None:
         return None
     first = record.poses[0].stage_deg
-    labels = [contrast_name(p.stage_deg, first, p.tilt_deg) for p in record.poses[1:]]
+    labels = [true_minus(contrast_name(p.stage_deg, first, p.tilt_deg)) for p in record.poses[1:]]
     known = np.array(found.golden.contrasts)
     return among(labels, known, found.golden.measured, "golden parts", "ln ratio [1]")
 

@@ -1,6 +1,6 @@
 """Numbers, contrasts and causes as the report of an inspection words them."""
 
-from anisoscope.base.significance import p_value_text
+from anisoscope.base.notation import contrast_name, p_value_text, percent_text, true_minus
 from anisoscope.diagnosis.ranking import NOTHING, OTHER, PLASTIC
 from anisoscope.record.schema import CauseRecord, ComponentRecord, Record
 from anisoscope.record.surface_details import surface_of
@@ -19,6 +19,8 @@ def filters() -> Filters:
         "number": lambda value, digits=3: f"{value:.{digits}g}".replace("-", "−"),
         "chance": lambda value: f"{value:.2g}" if value >= 1e-4 else "< 0.0001",
         "p_said": p_value_text,
+        "percent": percent_text,
+        "typeset": true_minus,
         "when": when,
     }
 
@@ -30,14 +32,8 @@ def signed(value: float, digits: int = 3) -> str:
 
 
 def labels_of(record: Record) -> list[str]:
-    """Names of the contrasts, such as ``0° / 90°, tilt 10°``."""
-    return [contrast_name(c.from_deg, c.to_deg, c.tilt_deg) for c in surface_of(record).contrasts]
-
-
-def contrast_name(from_deg: float, to_deg: float, tilt_deg: float) -> str:
-    """Label of a contrast by its stage angles, and its tilt if it has one."""
-    tilt = f", tilt {tilt_deg:g}°" if tilt_deg else ""
-    return f"{from_deg:g}° / {to_deg:g}°{tilt}".replace("-", "−")
+    """Names of the contrasts for pages, such as ``0° / 90°, tilt −10°``."""
+    return [true_minus(contrast_name(c.from_deg, c.to_deg, c.tilt_deg)) for c in surface_of(record).contrasts]
 
 
 def cause_text(cause: CauseRecord) -> str:

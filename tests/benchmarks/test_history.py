@@ -24,8 +24,8 @@ START = datetime(2024, 1, 1, tzinfo=UTC)
 VERDICTS = ("PASS",) * 47 + ("FAIL", "INCONCLUSIVE", "INVALID")
 PRODUCT = "ridged demo plate, pitch 100 µm, ridge angle 10°"
 REASONS = (
-    "ln ratio 0°/90° at tilt 0° deviates by -0.023 (tolerance ±0.25, guard band 0.084)",
-    "ln ratio 90°/180° at tilt 0° deviates by -0.018 (tolerance ±0.25, guard band 0.036)",
+    "ln ratio 0° / 90°, tilt 0° deviates by -0.023 (tolerance ±0.25, guard band 0.084)",
+    "ln ratio 90° / 180°, tilt 0° deviates by -0.018 (tolerance ±0.25, guard band 0.036)",
     "0.1% of the area deviates in the contrast map (limit 3.0%)",
 )
 

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from anisoscope.history.comparing import Compared, Comparison
     from anisoscope.history.dispositions import Disposition
     from anisoscope.history.rows import Row
+    from anisoscope.record.schema import ConclusionRecord
 from pathlib import Path
 from typing import Annotated
 
@@ -23,6 +24,7 @@ from cyclopts import App, Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.history.options import ALL, Place, Which, opened
+from anisoscope.cli.inspect.inspection import conclusion_lines
 from anisoscope.cli.progress import progress
 
 COLORS = {"PASS": "green", "FAIL": "red", "INCONCLUSIVE": "yellow", "INVALID": "magenta"}
@@ -134,11 +136,14 @@ def print_inspection(row: "Row", decided: "Sequence[Disposition]", *, json_: boo
     """Print one inspection with all its data in the history."""
     from anisoscope.history.export import with_dispositions
 
-    folder = _folder_state(row)
+    folder, conclusion = _folder_state(row)
     if json_:
-        print_json({**with_dispositions(row, decided), "folder_state": folder})
+        words = {} if conclusion is None else {"finding": conclusion.finding, "action": conclusion.action}
+        print_json({**with_dispositions(row, decided), **words, "folder_state": folder})
         return
     console().print(f"[bold {COLORS.get(row.verdict, '')}]{plain(row.verdict)}[/]")
+    for line in () if conclusion is None else conclusion_lines(conclusion):
+        write_line(line)
     for reason in row.reasons:
         write_line(f"  {reason}")
     details = {
@@ -160,19 +165,22 @@ def print_inspection(row: "Row", decided: "Sequence[Disposition]", *, json_: boo
         write_line(f"{_local(one.created_at)} {one.decision} by {one.reviewer}{comment}")
 
 
-def _folder_state(row: "Row") -> str:
+def _folder_state(row: "Row") -> "tuple[str, ConclusionRecord | None]":
+    """State of the folder, and what its record concludes; a record of an earlier version is read by its kind."""
     from pathlib import Path
 
-    from anisoscope.base.errors import RecordError
+    from anisoscope.base.errors import AnisoscopeError
     from anisoscope.history.comparing import record_of
+    from anisoscope.kinds.registry import kind_named
 
     if not Path(row.folder).is_dir():
-        return "gone"
+        return "gone", None
     try:
-        record_of(row)
-    except RecordError as error:
-        return str(error)
-    return "its record is the one in the history"
+        record = record_of(row)
+        conclusion = record.conclusion or kind_named(record.kind).conclude(record)
+    except AnisoscopeError as error:
+        return str(error), None
+    return "its record is the one in the history", conclusion
 
 
 def _number_rows(numbers: Mapping[str, float]) -> list[list[str]]:

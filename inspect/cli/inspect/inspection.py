@@ -16,7 +16,7 @@ from anisoscope.cli.tables import console, print_table
 
 if TYPE_CHECKING:
     from anisoscope.inspection.run import Inspected
-    from anisoscope.record.schema import CauseRecord, Record
+    from anisoscope.record.schema import CauseRecord, ConclusionRecord, Record
 
 
 def inspect(
@@ -105,6 +105,8 @@ def _as_json(inspected: "Inspected") -> dict[str, Any]:
     common = {
         "kind": record.kind,
         "verdict": record.verdict,
+        "finding": None if record.conclusion is None else record.conclusion.finding,
+        "action": None if record.conclusion is None else record.conclusion.action,
         "reasons": list(record.reasons),
         "d2": record.d2,
         "dof": record.dof,
@@ -126,6 +128,11 @@ def _as_json(inspected: "Inspected") -> dict[str, Any]:
     }
     own = kind_named(record.kind).summary(record).content
     return common | own | common | last  # a kind adds keys, and overwrites none
+
+
+def conclusion_lines(conclusion: "ConclusionRecord") -> tuple[str, str]:
+    """The verdict in plain words: what was found, and what to do next."""
+    return conclusion.finding, f"What to do next: {conclusion.action}"
 
 
 def explained(record: "Record") -> list[str]:
@@ -156,6 +163,9 @@ def _print(inspected: "Inspected") -> None:
     out = console()
     color = {"PASS": "green", "FAIL": "red", "INCONCLUSIVE": "yellow", "INVALID": "magenta"}[record.verdict]
     out.print(f"[bold {color}]{record.verdict}[/]")
+    if record.conclusion is not None:
+        for line in conclusion_lines(record.conclusion):
+            out.print(line, markup=False, highlight=False, soft_wrap=True)
     for reason in record.reasons:
         out.print(f"  {reason}", markup=False, highlight=False, soft_wrap=True)
     for line in explained(record):

@@ -8,13 +8,14 @@ The causes are those of the ink, each with the extents that are looked at. Each 
 (`anisoscope.kinds.prints.model.State`); what is wrong with the sheet (curl, spots) is not among them.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import ModelError
+from anisoscope.diagnosis.cause_words import CauseWords
 from anisoscope.diagnosis.causes import Cause, Group
 from anisoscope.diagnosis.evidence import Evidence
 from anisoscope.diagnosis.likelihood import fit_extent, interval
@@ -337,3 +338,51 @@ def _spots(scene: Scene) -> Signature:
     changes = [np.append(scene.log_channels(State(missing=0.5 * e)) - good, 0.0) for e in SHARES]
     cause = cause_of("spots", "spots, share of the area", "", "area", "press: dust, pinholes, clogged mesh")
     return Signature(cause, extents, np.array(changes), extents)
+
+
+_STOP = "Stop the press and set the print aside"
+PRINT_WORDS: Mapping[str, CauseWords] = {
+    "roughness": CauseWords(
+        "The flakes lie about {size} less flat than in a good print",
+        f"{_STOP}; check binder, drying and the batch of the ink",
+        "The flakes lie about {size} flatter than in a good print",
+    ),
+    MISSING_INK: CauseWords(
+        "About {size} of the ink is missing", f"{_STOP}; check ink supply, pressure and the screen"
+    ),
+    "brushing": CauseWords(
+        "The print is brushed: its roughness differs by about {size} between two directions",
+        f"{_STOP}; check angle and pressure of squeegee or roller",
+    ),
+    "lean": CauseWords(
+        "The flakes or the sheet lean by about {size}",
+        "Lay the sheet flat and inspect it again; if it fails again, set the print aside",
+    ),
+    "film-thickness": CauseWords(
+        "The colour is shifted by about {size} toward longer wavelengths",
+        f"{_STOP} and check the batch of the flakes",
+        "The colour is shifted by about {size} toward shorter wavelengths",
+    ),
+    "lobe-form": CauseWords(
+        "The flakes lie in another way than those of the ink file",
+        "Do not reject: set print.lobe of the recipe by a good print, then inspect again",
+    ),
+    "bright-ink": CauseWords(
+        "The print is about {size} too bright",
+        "Clean the white tile and take the flat again; then inspect again",
+    ),
+    "dot-gain": CauseWords(
+        "The dots carry about {size} too much ink", f"{_STOP}; check pressure and ink viscosity"
+    ),
+    "wrong-ink": CauseWords(
+        "About {size} of the ink is another one: {name}", f"{_STOP}; empty and clean ink pan and screen"
+    ),
+    "curl": CauseWords(
+        "The sheet is curled: its tilt changes by about {size} across the region",
+        "Hold the sheet down flat and inspect it again",
+    ),
+    "spots": CauseWords(
+        "Spots cover about {size} of the area", f"{_STOP}; clean the screen of dust and clogged mesh"
+    ),
+}
+"""Causes of prints in plain words."""

@@ -10,7 +10,8 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import MeasurementError
-from anisoscope.base.significance import mahalanobis, p_value_text
+from anisoscope.base.notation import p_value_text
+from anisoscope.base.significance import mahalanobis
 from anisoscope.kinds.kind import Results
 from anisoscope.kinds.prints.colour_map import PrintMap, map_of
 from anisoscope.kinds.prints.expectation import PrintExpectation, rig_sources

@@ -8,13 +8,14 @@ import numpy as np
 
 from anisoscope.base.errors import AnisoscopeError, MeasurementError
 from anisoscope.base.progress import Advance, silent
+from anisoscope.diagnosis.cause_words import CauseWords
 from anisoscope.diagnosis.part_diagnosis import diagnosis_record
 from anisoscope.imaging.pose_radiance import check_light, check_view
 from anisoscope.imaging.quality_gates import check_views
 from anisoscope.imaging.views import most_changed
 from anisoscope.kinds.command_output import CommandOutput, Table
 from anisoscope.kinds.kind import Explanation, Kind, NewRecipe, Reference, Results, Sitting, usable
-from anisoscope.kinds.prints.causes import explain_print
+from anisoscope.kinds.prints.causes import PRINT_WORDS, explain_print
 from anisoscope.kinds.prints.decision import PrintDecision, decide_print, nothing_wrong, print_results
 from anisoscope.kinds.prints.expectation import PrintExpectation
 from anisoscope.kinds.prints.lighting import (
@@ -247,6 +248,23 @@ class Prints(Kind[PrintRecipe, PrintExpectation, MeasuredPrint, PrintDecision]):
         from anisoscope.kinds.prints.report import print_sections
 
         return print_sections(record, pictures)
+
+    @property
+    def cause_words(self) -> Mapping[str, CauseWords]:
+        """The causes of prints in plain words."""
+        return PRINT_WORDS
+
+    def finding(self, record: Record) -> str:
+        """The quantity, or the area, that is most off, by its limit."""
+        found = print_of(record)
+        if found is None or not found.quantities:
+            return super().finding(record)
+        worst = max(found.quantities, key=lambda one: abs(one.deviation) / one.limit)
+        ratio = abs(worst.deviation) / worst.limit
+        if found.map is not None and found.map.share / found.map.max_share > max(ratio, 1.0):
+            limit = 100.0 * found.map.max_share
+            return f"{100.0 * found.map.share:.1f} % of the area deviates (limit {limit:g} %)"
+        return f"Largest deviation: {worst.title}, {ratio:.2g} times its limit"
 
     def summary(self, record: Record) -> CommandOutput:
         """Table of the judged quantities."""

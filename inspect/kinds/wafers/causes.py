@@ -11,7 +11,7 @@ Every option is weighted as `separability` weights the recipe's own poses: with 
 order in every input by itself. The scale of a second lamp is free, because no reflectance is known there.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +20,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import AnisoscopeError, ModelError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.diagnosis.cause_model import CauseModel, Option
+from anisoscope.diagnosis.cause_words import RIG_WORDS, CauseWords
 from anisoscope.diagnosis.causes import Cause, all_causes
 from anisoscope.diagnosis.separability import planned_covariance, separability
 from anisoscope.diagnosis.signatures import Signature, Signatures
@@ -432,3 +433,28 @@ def _lit(state: State, more: float) -> State:
 
 
 WAFER_CAUSES = CauseModel(lambda _recipe: wafer_causes(), wafer_signatures, wafer_options)
+
+_EITHER_DEPTH = "Etch depth is off by about {size}; the sign cannot be told from these poses"
+_EITHER_WIDTH = "Etched widths are off by about {size}; the sign cannot be told from these poses"
+_ETCH = "Reject the wafer and check time, gas and temperature of the etch passes against a step height"
+_WIDTHS = "Reject the wafer and measure line widths: exposure dose, focus and sideways etching set them"
+WAFER_WORDS: Mapping[str, CauseWords] = {
+    "over-etch": CauseWords(
+        "Etched about {size} too deep", _ETCH, opposite="under-etch", either=_EITHER_DEPTH
+    ),
+    "under-etch": CauseWords(
+        "Etched about {size} too shallow", _ETCH, opposite="over-etch", either=_EITHER_DEPTH
+    ),
+    "width-bias": CauseWords(
+        "Etched features are about {size} too wide", _WIDTHS, opposite="width-loss", either=_EITHER_WIDTH
+    ),
+    "width-loss": CauseWords(
+        "Etched features are about {size} too narrow", _WIDTHS, opposite="width-bias", either=_EITHER_WIDTH
+    ),
+    "scatter": CauseWords(
+        "The wafer scatters about {size} more of the light than it should",
+        "Clean the wafer and inspect it again; if it fails again, reject",
+    ),
+    **RIG_WORDS,
+}
+"""Causes of etched wafers in plain words."""

@@ -7,10 +7,11 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.decision.reference_parts import GoldenSet
+from anisoscope.diagnosis.cause_words import CauseWords
 from anisoscope.imaging.area_limit import MIN_PARTS
 from anisoscope.imaging.views import clipped_at_white
 from anisoscope.kinds.surface import SurfaceKind
-from anisoscope.kinds.wafers.causes import WAFER_CAUSES
+from anisoscope.kinds.wafers.causes import WAFER_CAUSES, WAFER_WORDS
 from anisoscope.kinds.wafers.etched import EtchedPredictor
 from anisoscope.kinds.wafers.lighting import moved_light, recipe_wafer
 from anisoscope.kinds.wafers.recipe import WaferRecipe, of_wafer, recognises
@@ -115,6 +116,11 @@ class Wafers(SurfaceKind[WaferRecipe]):
     optics = OPTICS
     causes = WAFER_CAUSES
     reference_set = WaferSet
+
+    @property
+    def cause_words(self) -> Mapping[str, CauseWords]:
+        """The causes of wafers in plain words."""
+        return WAFER_WORDS
 
     @property
     def recipe(self) -> type[WaferRecipe]:

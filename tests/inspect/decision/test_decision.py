@@ -202,7 +202,7 @@ def test_a_significant_deviation_within_the_tolerance_is_a_warning(make_recipe):
 
 
 def test_reasons_speak_of_what_decided(make_recipe):
-    assert all("0°/90°" in reason for reason in judge(make_recipe, OFF).reasons)
+    assert all("0° / 90°, tilt 0°" in reason for reason in judge(make_recipe, OFF).reasons)
     (reason,) = judge(make_recipe, 0.0, deviating_cells(0.25)).reasons
     assert reason.startswith("25.0% of the area")
 

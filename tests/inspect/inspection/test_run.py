@@ -114,7 +114,7 @@ def test_the_same_files_give_the_same_numbers(virtual_rig):
 
 
 DEFECTS = {
-    "angle": ({"ridge_angle_deg": 12.0}, "ln ratio 0°/90°"),
+    "angle": ({"ridge_angle_deg": 12.0}, "ln ratio 0° / 90°, tilt 0°"),
     "burrs": ({"burr_coverage": 0.1, "resolved_alpha": 0.0}, "of the area deviate"),
     "rough": ({"material": {"alpha_across": 0.2}}, "ln ratio"),
 }

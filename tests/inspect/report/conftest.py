@@ -285,6 +285,11 @@ RECORD = {
         ],
         "unexplained_p": 0.4,
     },
+    "conclusion": {
+        "finding": "Ridges are about 2.0° flatter than designed (8.0° ± 0.4°).",
+        "action": "Seat it again once; if it fails again, reject.",
+        "follows_from": "ridge-angle",
+    },
     "comparisons": [
         {"surface": name, "decides": name == "design", "model": "relief", "predicted": [0.3, 0.03, 0.02]}
         | {"d2": d2, "dof": 2, "p_value": p, "agrees": p > 0.01}

@@ -56,7 +56,7 @@ def poll(probe, seconds=180.0):
 
 
 def texts(page, selector):
-    return page.evaluate(f"[...document.querySelectorAll('{selector}')].map(e => e.innerText.trim())")
+    return page.evaluate(f"[...document.querySelectorAll('{selector}')].map(e => e.textContent.trim())")
 
 
 def number(text):
@@ -181,7 +181,9 @@ def test_it_says_why_and_how_to_check(shown, report):
     commands = texts(shown, "pre")[0]
     assert f"anisoscope verify {folder.name}" in commands
     assert f"anisoscope recompute {folder.name}" in commands
-    told = shown.evaluate("document.body.innerText")
+    assert texts(shown, "#finding") == [record.conclusion.finding]
+    assert texts(shown, "#action") == [f"What to do next: {record.conclusion.action}"]
+    told = shown.evaluate("document.body.textContent")
     for value in (*record.particulars.model_dump().values(), record.camera, record.stage, record.software):
         assert value in told
 

@@ -9,7 +9,7 @@ from anisoscope.report.peers import LotMate, among, lot_of
 from anisoscope.report.provenance import NOT_STATED, calibrations_of, files_of, groups_of
 from anisoscope.report.rule import rule_of
 from anisoscope.report.tilt_sections import MOST, listed_tilt_contrasts, tilt_parts, tilt_row
-from anisoscope.report.wording import cause_range, cause_text, contrast_name, filters
+from anisoscope.report.wording import cause_range, cause_text, filters
 
 
 def judged(*verdicts):
@@ -127,8 +127,6 @@ def test_words(make_report_record):
     assert [cause_range(one) for one in open_ends] == ["95 %: −2.44° or more", "95 %: −1.65° or less"]
     earlier = [one.model_copy(update={"interval": None}) for one in (ridge, seating)]
     assert [cause_range(one) for one in earlier] == ["± 0.2°", "not determined"]
-    assert contrast_name(0.0, 90.0, 0.0) == "0° / 90°"
-    assert contrast_name(0.0, 90.0, -10.0) == "0° / 90°, tilt −10°"
     told = filters()
     assert (told["short"](4e-5), told["short"](0.00123)) == ("< 0.0001", "0.0012")
     assert (told["signed"](-0.0004, 2), told["signed"](0.004, 2), told["signed"](0.005)) == (

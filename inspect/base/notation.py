@@ -1,0 +1,45 @@
+"""Notation of contrasts, probabilities and minus signs in text.
+
+Text that is pasted elsewhere (terminal, JSON, CSV) has ASCII minus signs; pages and drawings have true ones.
+"""
+
+import re
+
+LEAST_P = 1e-9
+"""Probabilities below are not stated: no model of a part is that exact."""
+_MINUS = re.compile(r"(?<![\w)\]°])-(?=[\d.])")
+_OLD_CONTRAST = re.compile(r"(-?[\d.]+)°/(-?[\d.]+)° at tilt (-?[\d.]+)°")
+_EXACT_P = re.compile(r"\bp (?:= (\d(?:\.\d+)?e-\d+)|< 1e-300)")
+
+
+def contrast_name(from_deg: float, to_deg: float, tilt_deg: float) -> str:
+    """A contrast by its stage angles and its tilt in degrees, such as ``0° / 90°, tilt 0°``."""
+    return f"{from_deg:g}° / {to_deg:g}°, tilt {tilt_deg:g}°"
+
+
+def p_value_text(p_value: float) -> str:
+    """A probability after the word p, such as ``= 0.012``; one too small to be meant literally: ``< 1e-9``."""
+    return f"= {p_value:.2g}" if p_value >= LEAST_P else f"< {LEAST_P:g}".replace("e-09", "e-9")
+
+
+def percent_text(probability: float) -> str:
+    """A probability in per cent; never all or nothing: ``> 99.9 %``, ``< 0.1 %``."""
+    if probability > 0.999:
+        return "> 99.9 %"
+    return "< 0.1 %" if probability < 0.001 else f"{100.0 * probability:.1f} %"
+
+
+def true_minus(text: str) -> str:
+    """Text for a page: minus signs of numbers are true ones; hyphens and dates stay."""
+    return _MINUS.sub("−", text)
+
+
+def present_notation(text: str) -> str:
+    """Text of a record of an earlier version with contrasts and probabilities as they are written now."""
+
+    def probability(found: re.Match[str]) -> str:
+        if found[1] is not None and float(found[1]) >= LEAST_P:
+            return found[0]
+        return f"p {p_value_text(0.0)}"
+
+    return _EXACT_P.sub(probability, _OLD_CONTRAST.sub(r"\1° / \2°, tilt \3°", text))

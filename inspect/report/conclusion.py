@@ -1,0 +1,172 @@
+"""The verdict in plain words: one sentence that names the finding with its size, and one line on what to do next.
+
+Both follow from the record and from the words that a kind of part has for its causes. A recipe may override the line on
+what to do in the shop's own words, by the name of the cause or outcome.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from anisoscope.base.notation import contrast_name, p_value_text
+from anisoscope.diagnosis.cause_words import CauseWords, words_of
+from anisoscope.diagnosis.ranking import NOTHING, OTHER
+from anisoscope.record.schema import CauseRecord, ComponentRecord, ConclusionRecord, ContrastRecord, Record
+from anisoscope.record.surface_details import surface_of
+
+OUTCOMES: Mapping[str, str] = {
+    "pass": "Accept the part",
+    "warning": "Accept the part; if the next parts deviate alike, check mould, material and lamp",
+    "inconclusive": "Inspect it again; if it stays undecided, have a reviewer decide (anisoscope history dispose)",
+    "invalid": "Put right what the reason names and inspect the part again; nothing is known about the part",
+    "unexplained": "Seat it again once; if it fails again, set it aside for a reviewer: no known cause explains it",
+}
+"""What to do next without a known cause; keys of the recipe's ``[actions]`` besides the names of causes."""
+
+
+def concluded(
+    record: Record, words: Mapping[str, CauseWords], measured: str, nominal: Mapping[str, float]
+) -> ConclusionRecord:
+    """Finding and action of an inspection.
+
+    Args:
+        record: the inspection.
+        words: of the causes of its kind.
+        measured: the finding by numbers alone, without a cause, as a sentence without full stop.
+        nominal: what the extent of a cause is added to, by cause, such as the ridge angle of the design.
+    """
+    key, finding = _of_verdict(record, words, measured, nominal)
+    shop = record.recipe.get("actions") or {}
+    general = OUTCOMES.get(key) or words[key].action
+    return ConclusionRecord(
+        finding=_sentence(finding), action=_sentence(str(shop.get(key, general))), follows_from=key
+    )
+
+
+def surface_finding(record: Record) -> str:
+    """The contrast or the area of a surface that is most off, by its limit or its uncertainty; no full stop."""
+    found = surface_of(record)
+    if not found.contrasts:
+        return record.reasons[0] if record.reasons else ""
+    worst = max(found.contrasts, key=_by_limit)
+    if found.area is not None and found.area.share / found.area.max_share > min(_by_limit(worst), 1.0):
+        area = found.area
+        return f"{100.0 * area.share:.1f} % of the area deviates (limit {100.0 * area.max_share:g} %)"
+    tilts = [one for one in found.between_tilts if one.p_value < record.recipe["decision"]["alpha"]]
+    if tilts and worst.tolerance is None:
+        most = min(
+            tilts, key=lambda one: (one.p_value, -abs(one.measured - one.predicted) / max(one.u, 1e-12))
+        )
+        off = most.measured - most.predicted
+        return (
+            f"Between tilt {most.from_tilt_deg:g}° and {most.to_tilt_deg:g}° at {most.stage_deg:g}° the brightness "
+            f"is off by a factor of {math.exp(abs(off)):.2g} (p {p_value_text(most.p_value)})"
+        )
+    return _contrast_finding(worst)
+
+
+def _by_limit(contrast: ContrastRecord) -> float:
+    if contrast.tolerance is not None:
+        return abs(contrast.deviation) / contrast.tolerance
+    return abs(contrast.deviation) / (6.0 * contrast.u) if contrast.u > 0.0 else 0.0
+
+
+def _contrast_finding(worst: ContrastRecord) -> str:
+    name = contrast_name(worst.from_deg, worst.to_deg, worst.tilt_deg)
+    unit = {"log_ratio": "", "michelson": "", "difference": "/sr"}.get(worst.kind, "")
+    limit = "no tolerance set" if worst.tolerance is None else f"tolerance ±{worst.tolerance:g}{unit}"
+    what = {"log_ratio": "ln ratio", "michelson": "Michelson contrast", "difference": "difference"}
+    noun = what.get(worst.kind, worst.kind)
+    return f"Largest deviation: {noun} {name} is off by {worst.deviation:+.2g} ± {2.0 * worst.u:.1g}{unit} ({limit})"
+
+
+def _of_verdict(
+    record: Record, words: Mapping[str, CauseWords], measured: str, nominal: Mapping[str, float]
+) -> tuple[str, str]:
+    """Key of the action, and the finding."""
+    reason = record.reasons[0] if record.reasons else "no reason is recorded"
+    if record.verdict == "INVALID":
+        return "invalid", f"The part was not judged: {reason}"
+    if record.verdict == "INCONCLUSIVE":
+        return "inconclusive", f"Too close to a limit to decide. {measured}"
+    named = _named(record, words)
+    finding = _finding(named, nominal, _sign_unknown(record, named))
+    if record.verdict == "FAIL":
+        return (named[0].key, finding) if named else ("unexplained", measured)
+    if reason.startswith("warning"):
+        return "warning", f"The part is within its limits, but deviates. {finding or measured}"
+    return "pass", f"The part is as it should be. {measured}"
+
+
+class _Named(NamedTuple):
+    """A cause with its words."""
+
+    cause: CauseRecord | ComponentRecord
+    key: str
+    words: CauseWords
+
+
+def _named(record: Record, words: Mapping[str, CauseWords]) -> tuple[_Named, ...]:
+    """The best cause, or the two that act together, if the kind has words for them; else none."""
+    diagnosis = record.diagnosis
+    if diagnosis is None or not diagnosis.causes or diagnosis.causes[0].cause in {NOTHING, OTHER}:
+        return ()
+    left = diagnosis.unexplained_p
+    if left is not None and left < record.recipe["decision"]["alpha"]:
+        return ()
+    best = diagnosis.causes[0]
+    causes = best.components if best.components and words_of(best.cause, words) is None else (best,)
+    found = tuple(_Named(one, *known) for one in causes if (known := words_of(one.cause, words)))
+    return found if len(found) == len(causes) else ()
+
+
+def _sign_unknown(record: Record, named: tuple[_Named, ...]) -> bool:
+    """Whether the cause of the opposite sign explains the part as well."""
+    if not named or record.diagnosis is None:
+        return False
+    return any(one.tie and one.cause == named[0].words.opposite for one in record.diagnosis.causes)
+
+
+def _finding(named: tuple[_Named, ...], nominal: Mapping[str, float], sign_unknown: bool) -> str:
+    if not named:
+        return ""
+    if sign_unknown:
+        return _one(named[0], named[0].words.either, None)
+    first, *more = (
+        _one(one, one.words.finding(one.cause.severity), nominal.get(one.cause.cause)) for one in named
+    )
+    return first if not more else f"Two findings together. {first}. {more[0]}"
+
+
+def _one(one: _Named, sentence: str, nominal: float | None) -> str:
+    cause = one.cause
+    if "{size}" not in sentence:
+        return sentence
+    scale, unit = (100.0, " %") if cause.unit == "" and one.words.percent else (1.0, cause.unit)
+    unit = unit if unit in {"", "°", " %"} else f" {unit}"
+    half = _half(cause, scale)
+    size = _rounded(abs(scale * cause.severity), half)
+    text = sentence.format(size=f"{size}{unit}", name=cause.cause.removeprefix(f"{one.key}-"))
+    total = "" if nominal is None else f"{_rounded(nominal + scale * cause.severity, half)}{unit}"
+    known = "" if half is None else f"± {_rounded(half, half)}{unit}"
+    bracket = f" ({f'{total} {known}'.strip()})" if total or known else ""
+    place = len(text) if ";" not in text else text.index(";")
+    return text[:place] + bracket + text[place:]
+
+
+def _half(cause: CauseRecord | ComponentRecord, scale: float) -> float | None:
+    """Half of the 95 % interval of an extent; None where an end of it is unknown."""
+    low, high = cause.interval or (None, None)
+    return None if low is None or high is None or not high > low else 0.5 * scale * (high - low)
+
+
+def _rounded(value: float, half: float | None) -> str:
+    """A value with the decimals that its 95 % interval deserves: the first figure of its half."""
+    if half is None:
+        return f"{value:.2g}" if value < 100.0 else f"{value:.0f}"
+    return f"{value:.{max(0, -math.floor(math.log10(half)))}f}"
+
+
+def _sentence(text: str) -> str:
+    text = text.strip()
+    return text if text.endswith((".", "!", "?")) else f"{text}."

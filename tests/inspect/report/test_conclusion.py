@@ -1,0 +1,94 @@
+"""Finding and action of a verdict in plain words, for every verdict, cause and kind."""
+
+import pytest
+
+from anisoscope.diagnosis.cause_words import PLASTIC_WORDS
+from anisoscope.diagnosis.causes import all_causes
+from anisoscope.kinds.registry import kind_named, kind_names
+from anisoscope.kinds.wafers.causes import WAFER_WORDS, wafer_causes
+from anisoscope.report.conclusion import OUTCOMES, concluded
+
+DESIGN = {"ridge-angle": 10.0}
+
+
+def row(name, severity, half, unit="°", **changes):
+    interval = None if half is None else (severity - half, severity + half)
+    base = {"cause": name, "title": name, "unit": unit, "severity": severity, "u": None, "interval": interval}
+    return base | {"weight": 0.5, "chi2": 1.0, "at_bound": False, "tie": True} | changes
+
+
+@pytest.fixture
+def conclude(make_report_record):
+    """``conclude(causes, verdict=…)``: finding and action of a part with these causes."""
+
+    def made(*causes, verdict="FAIL", words=PLASTIC_WORDS, nominal=DESIGN, actions=None, p=0.5, **changes):
+        record = make_report_record(
+            verdict=verdict, diagnosis={"says": "", "causes": causes, "unexplained_p": p}, **changes
+        )
+        recipe = record.recipe | ({} if actions is None else {"actions": actions})
+        return concluded(record.model_copy(update={"recipe": recipe}), words, "Contrast is off", nominal)
+
+    return made
+
+
+def test_the_finding_names_its_size_and_how_well_it_is_known(conclude):
+    found = conclude(row("ridge-angle", -1.83, 0.47), row("seating-y", -1.8, 0.4))
+    assert found.finding == "Ridges are about 1.8° flatter than designed (8.2° ± 0.5°)."
+    assert found.follows_from == "ridge-angle"
+    assert found.action == f"{PLASTIC_WORDS['ridge-angle'].action}."
+    shares = conclude(row("burrs", 0.069, 0.02, ""))
+    assert "7 % of the area (± 2 %)" in shares.finding
+
+
+def test_an_unknown_sign_is_one_finding_and_not_two_causes(conclude):
+    causes = [row(name, 22.0, 1.4, "nm") for name in ("over-etch", "under-etch")]
+    both = conclude(*causes, words=WAFER_WORDS)
+    assert (
+        both.finding == "Etch depth is off by about 22 nm (± 1 nm); the sign cannot be told from these poses."
+    )
+    assert "too deep" in conclude(causes[0], words=WAFER_WORDS).finding
+
+
+@pytest.mark.parametrize("verdict", ["PASS", "INCONCLUSIVE", "INVALID"])
+def test_every_verdict_has_its_action(conclude, verdict):
+    found = conclude(row("ridge-angle", -1.8, 0.5), verdict=verdict)
+    assert found.action == f"{OUTCOMES[found.follows_from]}."
+    assert found.follows_from == verdict.lower()
+    warned = conclude(row("ridge-angle", -1.8, 0.5), verdict="PASS", reasons=["warning: it deviates"])
+    assert (warned.follows_from, "flatter" in warned.finding) == ("warning", True)
+
+
+@pytest.mark.parametrize("causes", [(), (row("something-else", 0.0, None),), (row("unheard-of", 1.0, None),)])
+def test_without_a_known_cause_the_numbers_are_the_finding(conclude, causes):
+    assert conclude(*causes).finding == "Contrast is off."
+    assert conclude(*causes).follows_from == "unexplained"
+    assert conclude(row("ridge-angle", 1.0, 0.1), p=1e-5).follows_from == "unexplained"
+
+
+def test_a_recipe_has_the_last_word_on_what_to_do(conclude):
+    actions = {"ridge-angle": "Call the tool shop, extension -17", "pass": "Box 4"}
+    assert (
+        conclude(row("ridge-angle", 1.0, 0.1), actions=actions).action == "Call the tool shop, extension -17."
+    )
+    assert conclude(verdict="PASS", actions=actions).action == "Box 4."
+
+
+def test_two_causes_and_wrong_inks_have_words(conclude):
+    parts = [{k: v for k, v in row(n, 1.0, 0.1).items() if k in PART} for n in ("ridge-angle", "seating-x")]
+    both = conclude(row("ridge-angle+seating-x", 0.0, None, components=parts))
+    assert both.finding.startswith("Two findings together. Ridges are about 1.0° steeper")
+    ink = conclude(row("wrong-ink-synthetic-red", 0.05, 0.01, ""), words=kind_named("prints").cause_words)
+    assert "synthetic-red" in ink.finding
+    assert ink.follows_from == "wrong-ink"
+
+
+PART = {"cause", "title", "unit", "severity", "u", "interval"}
+
+
+def test_every_cause_of_every_kind_has_words():
+    assert {one.name for one in all_causes()} <= PLASTIC_WORDS.keys()
+    assert {one.name for one in wafer_causes()} <= WAFER_WORDS.keys()
+    for words in (kind_named(name).cause_words for name in kind_names()):
+        for one in words.values():
+            assert one.action
+            assert not one.opposite or (one.opposite in words and "{size}" in one.either)
