@@ -8,7 +8,7 @@ import re
 LEAST_P = 1e-9
 """Probabilities below are not stated: no model of a part is that exact."""
 _MINUS = re.compile(r"(?<![\w)\]°])-(?=[\d.])")
-_OLD_CONTRAST = re.compile(r"(-?[\d.]+)°/(-?[\d.]+)° at tilt (-?[\d.]+)°")
+_OLD_CONTRAST = re.compile(r"(-?[\d.]+)°/(-?[\d.]+)° at tilt (-?[\d.]+)°(, (?=-?[\d.]+°/))?")
 _EXACT_P = re.compile(r"\bp (?:= (\d(?:\.\d+)?e-\d+)|< 1e-300)")
 
 
@@ -42,4 +42,7 @@ def present_notation(text: str) -> str:
             return found[0]
         return f"p {p_value_text(0.0)}"
 
-    return _EXACT_P.sub(probability, _OLD_CONTRAST.sub(r"\1° / \2°, tilt \3°", text))
+    def contrast(found: re.Match[str]) -> str:
+        return f"{found[1]}° / {found[2]}°, tilt {found[3]}°" + ("; " if found[4] else "")
+
+    return _EXACT_P.sub(probability, _OLD_CONTRAST.sub(contrast, text))

@@ -140,9 +140,11 @@ def decide(
     )
     regions = _regions(cells, measured, recipe)
     number = 0 if golden is None else len(golden.parts)
-    where = _where(pairs, rule.alpha) or deviating_between_tilts(expected, measured, rule.alpha)
+    where = "; ".join(_where(pairs, rule.alpha)) or ", ".join(
+        deviating_between_tilts(expected, measured, rule.alpha)
+    )
     if predictive is not None and predictive.decides and (like := predictive.strongest) is not None:
-        where = (f"the kind that {like.defect} makes (score {like.score:.1f})",)
+        where = f"the kind that {like.defect} makes (score {like.score:.1f})"
     verdict, reasons = _combine(pairs, p_value, area, rule, number, where)
     if verdict is Verdict.PASS and (blind := _blind(predictive, recipe, number)):
         verdict, reasons = Verdict.INCONCLUSIVE, (blind, *reasons)
@@ -271,7 +273,7 @@ def _combine(
     area: AreaRecord | None,
     rule: DecisionPart,
     golden: int,
-    where: tuple[str, ...],
+    where: str,
 ) -> tuple[Verdict, tuple[str, ...]]:
     """Precedence FAIL > INCONCLUSIVE > PASS over all criteria, with a line for each that contributes.
 
@@ -292,7 +294,7 @@ def _combine(
         f"all contrasts together: p {p_value_text(p_value)} for a part {alike} (level {rule.alpha:g}{shared})"
     )
     if significant:
-        line += f", a significant deviation of {'; '.join(where) or 'several together, of none by itself'}"
+        line += f", a significant deviation of {where or 'several together, of none by itself'}"
     findings.append((Verdict.FAIL if fails else Verdict.PASS, line))
     order = [Verdict.FAIL, Verdict.INCONCLUSIVE, Verdict.PASS]
     findings.sort(key=lambda finding: order.index(finding[0]))

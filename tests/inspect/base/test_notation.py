@@ -37,6 +37,8 @@ def test_pages_have_true_minus_signs_and_hyphens_stay(text, shown):
 
 
 def test_texts_of_earlier_versions_read_as_those_of_today():
+    both = "of 0°/90° at tilt 0°, 90°/180° at tilt 0°, and more"
+    assert present_notation(both) == "of 0° / 90°, tilt 0°; 90° / 180°, tilt 0°, and more"
     then = "ln ratio 0°/90° at tilt -3° deviates by -0.1; p = 4.1e-11, p = 1e-05, p < 1e-300"
     assert (
         present_notation(then)
