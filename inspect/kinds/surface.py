@@ -366,7 +366,7 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
     def nominal(self, record: Record) -> Mapping[str, float]:
         """The ridge angle of design or height map."""
         design = record.recipe["surface"].get("design")
-        angle = record.optics and record.optics.groove_angle_deg
+        angle = None if record.optics is None else record.optics.groove_angle_deg
         if design is not None:
             angle = design["ridge_angle_deg"]
         return {} if angle is None else {"ridge-angle": angle}
