@@ -9,6 +9,9 @@ SEED   ?= 1
 # one more than there are cores: many tests wait for simulated devices
 WORKERS ?= $(shell expr $$(getconf _NPROCESSORS_ONLN) + 1)
 
+# Bytecode is kept: otherwise each of the tests' processes would compile the package and all tests for itself.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: demo test soak statistics types lint contracts docs docs-check benchmark lock clean help
 
 help:

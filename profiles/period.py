@@ -8,6 +8,7 @@ points weigh nothing.
 
 from copy import copy
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import numpy.typing as npt
@@ -315,6 +316,9 @@ def _thick_enough(surface: HeightMap) -> HeightMap:
     return HeightMap(height, surface.pixel_x_um / cols, surface.pixel_y_um / rows)
 
 
+_found: "WeakKeyDictionary[HeightMap, Period]" = WeakKeyDictionary()
+
+
 def find_period(surface: HeightMap) -> Period:
     """Pitch and direction of parallel ridges.
 
@@ -330,6 +334,12 @@ def find_period(surface: HeightMap) -> Period:
     Raises:
         HeightMapError: nothing was measured.
     """
+    if surface not in _found:  # maps do not change, and what is done with one often asks for its period again
+        _found[surface] = _period(surface)
+    return _found[surface]
+
+
+def _period(surface: HeightMap) -> Period:
     check_heights("height map", surface.height_um)
     none = Period(float("nan"), float("nan"), 0.0, False)
     if max(surface.shape) < MIN_POINTS:

@@ -27,7 +27,6 @@ InternalReflection = Literal["nonlinear", "linear"]
 
 TABLE_SIZE = 513
 _ACROSS, _ALONG = 32, 16  # Gauss-Legendre nodes for facet slopes in and across the plane of incidence
-_AT_ONCE = 32
 LONGEST_TAIL = 1.6  # the shadowing of a tail of 2 and more is infinite
 SHORTEST_TAIL = 1e-4  # a tail below it is none: the lobe is Beckmann's
 SHADOWING_ENDS = 0.005, 1000.0  # α·tan θ between which shadowing is tabulated
@@ -211,34 +210,14 @@ def lobe_albedo(cosine: FloatArray, alpha: float, index: float) -> FloatArray:
     with slopes x in the plane of incidence and y across it, up to the root x of μ·(1 + x² + y²) = 2·(μ − x·sin θ).
     Gauss-Legendre; seen to be exact to 1e-5. ``index`` < 1 gives the counterpart from inside.
     """
-    # a few cosines at a time stay in the processor's cache
-    return np.concatenate(
-        [
-            _lobe_albedo(cosine[n : n + _AT_ONCE], alpha, index)
-            for n in range(0, max(len(cosine), 1), _AT_ONCE)
-        ]
-    )
+    from anisoscope.sim.light.interface_kernels import lobe_albedos  # noqa: PLC0415 - numba when first needed
 
-
-def _lobe_albedo(cosine: FloatArray, alpha: float, index: float) -> FloatArray:
-    node, node_weight = _gauss_legendre(_ACROSS)
-    other, other_weight = _gauss_legendre(_ALONG)
-    reach = _STEEPEST * alpha
-    slope_y = 0.5 * reach * (other + 1.0)
-    mu = np.clip(cosine, 1e-4, 1.0)[:, None, None]
-    sine = np.sqrt(1.0 - mu**2)
-    grazing = (np.sqrt(np.maximum(sine**2 + mu**2 * (1.0 - slope_y**2), 0.0)) - sine) / mu  # (N, 1, y)
-    half = 0.5 * np.maximum(np.minimum(grazing, reach) + reach, 0.0)
-    slope_x = half * (node[:, None] + 1.0) - reach
-    spread = slope_x**2 + slope_y**2
-    weight = 2.0 * half * node_weight[:, None] * (0.5 * reach * other_weight)
-    weight = weight * np.exp(-spread / alpha**2) / (np.pi * alpha**2)
-    cos_half = 1.0 / np.sqrt(1.0 + spread)
-    dot = cos_half * (mu - slope_x * sine)
-    out = np.clip(2.0 * dot * cos_half - mu, 1e-9, 1.0)
-    shadow = 1.0 + smith_lambda(alpha * sine / mu) + smith_lambda(alpha * np.sqrt(1.0 - out**2) / out)
-    mirrored = fresnel(dot, index) * np.maximum(dot, 0.0) / (cos_half * mu * shadow)
-    return np.asarray(np.sum(mirrored * weight, axis=(1, 2)), dtype=np.float64)
+    cosines = np.array(cosine, dtype=np.float64)  # writeable: the kernel is compiled for one kind of array
+    albedos = np.empty_like(cosines)
+    nodes = _gauss_legendre(_ACROSS), _gauss_legendre(_ALONG)
+    scratch = np.empty((4, _ACROSS))
+    lobe_albedos(cosines, float(alpha), float(index), _STEEPEST, *nodes, scratch, albedos)
+    return albedos
 
 
 @cache
