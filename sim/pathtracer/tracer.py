@@ -437,18 +437,55 @@ def _chance(toward: Vector, onward: Vector, plastic: Interface) -> float:
 
 
 @_compiled
+def _balance(
+    at_start: Vector, onward: Vector, at_end: Vector, back: Vector, plastic: Interface, level: float
+) -> float:
+    """Weight of a path of two reflections drawn from one of its ends, by the balance heuristic (Veach 1995).
+
+    The same path may be drawn from the other end; either end starts evenly over the level plane.
+
+    Args:
+        at_start: direction to the end that it is drawn from, on the facet next to it.
+        onward: from there to the other facet.
+        at_end: direction to the other end, on the other facet.
+        back: from there to the first one.
+        plastic: of both.
+        level: cosine of the other end on the level plane over that of this one.
+    """
+    own = at_start[2] * _chance(at_start, onward, plastic) * back[2] * level
+    other = at_end[2] * _chance(at_end, back, plastic) * onward[2]
+    return own / (own + other)
+
+
+@_compiled
+def _lit(mesh: Mesh, plastic: Interface, light: Vector, hit: Hit, toward: Vector) -> tuple[float, Vector]:
+    """f·cos_i·cos_o of direct light at a point, 0 in shadow; and the direction to the lamp on its facet."""
+    to_light = _into(light, hit.sx, hit.sy)
+    value = _scattered(to_light, toward, plastic)
+    if value > 0.0 and blocked(mesh, hit.place, _way(mesh, light)):
+        value = 0.0
+    return value, to_light
+
+
+@_compiled
 def _path(
     mesh: Mesh,
     plastic: Interface,
     light: Vector,
     camera: Vector,
+    level: float,
     start: Vector,
     depth: int,
     state: np.uint64,
-) -> tuple[float, float]:
-    """Radiance that one path from the camera brings by two to ``depth`` reflections, and the column that it meets."""
+) -> tuple[float, float, float]:
+    """Radiance that one path from the camera brings by two to ``depth`` reflections, and the columns it meets first.
+
+    Two reflections are weighed against the same path from the lamp. ``level`` is the cosine of the lamp on the level
+    plane over that of the camera.
+    """
     place, back = start, camera
-    weight, total, at = 1.0, 0.0, 0.0
+    weight, total, at, second = 1.0, 0.0, 0.0, 0.0
+    earlier, went = camera, camera
     for reflection in range(depth):
         hit = first_hit(mesh, place, _way(mesh, (-back[0], -back[1], -back[2])))
         if not hit.met:
@@ -460,9 +497,12 @@ def _path(
         if reflection == 0:
             at = place[0]
         else:
-            value = _scattered(_into(light, hit.sx, hit.sy), toward, plastic)
-            if value > 0.0 and not blocked(mesh, place, _way(mesh, light)):
-                total += weight * value / toward[2]
+            value, to_light = _lit(mesh, plastic, light, hit, toward)
+            value *= weight / toward[2]
+            if reflection == 1:
+                second = place[0]
+                value *= _balance(earlier, went, to_light, toward, plastic, level) if value > 0.0 else 0.0
+            total += value
         if reflection == depth - 1:
             break
         onward, state = _next_way(toward, plastic, state)
@@ -475,9 +515,31 @@ def _path(
             weight *= 2.0 if stays < 0.5 else 0.0
         if weight == 0.0:
             break
+        earlier, went = toward, onward
         to = _out_of(onward, hit.sx, hit.sy)
         back = (-to[0], -to[1], -to[2])
-    return total, at
+    return total, at, second
+
+
+@_compiled
+def _start(mesh: Mesh, u: float, v: float, toward: Vector) -> Vector:
+    """Where a path from far away enters that meets the plane at half the height at a share (u, v) of the map."""
+    rows, cols = mesh.z.shape
+    rise = 0.5 * mesh.top / toward[2]
+    return (
+        u * (cols - 1) + rise * toward[0] / mesh.px,
+        v * (rows - 1) + rise * toward[1] / mesh.py,
+        mesh.top,
+    )
+
+
+@_compiled
+def _bin(mesh: Mesh, column: float, bins: int) -> int:
+    """Bin of a column; one beyond the edge of a map that repeats is inside."""
+    cells = mesh.z.shape[1] - 1
+    if mesh.period > 0:
+        column %= cells
+    return min(max(int(column / cells * bins), 0), bins - 1)
 
 
 @_compiled
@@ -495,21 +557,24 @@ def indirect(
     """Add the radiance of paths ``first`` to ``last`` with two to ``depth`` reflections to the bins of their columns.
 
     A path comes from the camera, and meets the plane at half the height evenly; at every point that it meets it is
-    continued by the lobe or by the base, and light comes in directly from the lamp.
+    continued by the lobe or by the base, and light comes in directly from the lamp. A narrow lobe hardly ever catches
+    the lamp that way: two reflections are followed from the lamp to the camera, too, and either way counts by how
+    likely it finds the path.
     """
-    rows, cols = mesh.z.shape
     shift_u, state = _mixed(np.uint64(seed))
     shift_v, state = _mixed(state)
-    rise = 0.5 * mesh.top / camera[2]
+    level = light[2] / camera[2]
+    bins = sums.shape[0]
     for number in range(first, last):
         # evenly over the map (R2 sequence, Roberts 2018)
-        u = (number * 0.7548776662466927 + shift_u) % 1.0 * (cols - 1)
-        v = (number * 0.5698402909980532 + shift_v) % 1.0 * (rows - 1)
-        start = (u + rise * camera[0] / mesh.px, v + rise * camera[1] / mesh.py, mesh.top)
+        u = (number * 0.7548776662466927 + shift_u) % 1.0
+        v = (number * 0.5698402909980532 + shift_v) % 1.0
         own = np.uint64(seed) + np.uint64(number) * np.uint64(0xA24BAED4963EE407)
-        total, at = _path(mesh, plastic, light, camera, start, depth, own)
-        place = int(at / (cols - 1) * sums.shape[0])
-        sums[min(max(place, 0), sums.shape[0] - 1)] += total
+        total, at, _ = _path(mesh, plastic, light, camera, level, _start(mesh, u, v, camera), depth, own)
+        sums[_bin(mesh, at, bins)] += total
+        own ^= np.uint64(0xD1342543DE82EF95)
+        total, _, at = _path(mesh, plastic, camera, light, 1.0 / level, _start(mesh, u, v, light), 2, own)
+        sums[_bin(mesh, at, bins)] += level * total
 
 
 Image = npt.NDArray[np.float32]

@@ -51,8 +51,10 @@ UNITS = np.array(
     [RIDGE_ANGLE_SPREAD_DEG, ALPHA_SPREAD, ALPHA_SPREAD, ALBEDO_SPREAD, 0.1, 0.1, 0.1, TILT_ZERO_DEG, 0.03]
 )
 """Standard deviations of the state: ridge angle, roughness along and across, albedo, seating, light, tilt, stage."""
-STATES, FEW, SPREAD = 136, 30, 1.5
-"""States to which polynomials of second and first order are fitted, and their standard deviation in that of parts."""
+STATES, FEW, MANY, SPREAD = 136, 30, 60, 1.5
+"""States to which polynomials of second and first order are fitted, and their standard deviation in that of parts.
+
+Light that is reflected more than once is followed by few paths: ``MANY`` states show its slopes on good ridges."""
 PATHS = 1 << 14
 _SQUARES = tuple((a, b) for a in range(len(UNITS)) for b in range(a + 1))
 _LEAST = 1e-9
@@ -163,9 +165,10 @@ def _fitted(task: SurrogateTask) -> Surrogate:
     last = [*range(len(SEEN)), 0]  # the closing view is the first once more
     states = _design()
     few, linear = states[:FEW], slice(None, 1 + len(UNITS))
-    # the paths are the same for every state, so that few states show the slopes
-    bounced = _log([reflected_of(task, state) for state in few])
-    indirect = _polynomial(_terms(few)[:, linear], bounced)[:, last]
+    bounced = states[: MANY if task.kind == GOOD else FEW]
+    # every state has its own paths: with the same ones the slopes would be those of the few that catch much light
+    light = _log([reflected_of(task, state, seed) for seed, state in enumerate(bounced, 1)])
+    indirect = _polynomial(_terms(bounced)[:, linear], light)[:, last]
     if task.kind == GOOD:
         seen = np.array([direct_of(task, state) for state in states])
         dark = _shadowed(seen)
@@ -242,13 +245,13 @@ def direct_of(task: SurrogateTask, state: FloatArray) -> FloatArray:
     return np.array([line.reshape(POINTS, -1).mean(axis=1) for line in lines], dtype=np.float64)
 
 
-def reflected_of(task: SurrogateTask, state: FloatArray) -> FloatArray:
-    """(P,) radiance of light that is reflected more than once, likewise."""
+def reflected_of(task: SurrogateTask, state: FloatArray, seed: int = 1) -> FloatArray:
+    """(P,) radiance of light that is reflected more than once, likewise; paths are drawn by a seed."""
     design, material, sides = _ridge(task, state)
     if not WORLDS[task.world].traced:
         return indirect_of_groove(task.kind, task.extent, design, material, sides)
     profile = _profile(task, design, FINE // 5)
-    tracer = PathTracer(profile, plastic_of(task.world, material), pitch_um=PITCH_UM, paths=PATHS)
+    tracer = PathTracer(profile, plastic_of(task.world, material), pitch_um=PITCH_UM, paths=PATHS, seed=seed)
     return np.array([tracer.indirect(light, camera).mean for light, camera in zip(*sides, strict=True)])
 
 
