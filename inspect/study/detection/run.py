@@ -16,7 +16,7 @@ Judges by what is known of the plastic and the number n of golden parts:
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -606,8 +606,15 @@ def study_results(
 
 def _evaluated(task: tuple[World, Columns, Plan]) -> dict[str, Any]:
     world, columns, plan = task
+    given = [plan.rigs, plan.pictured, plan.seed, plan.diagnosed, asdict(plan.size)]
+
+    def results(name: RecipeName) -> Results:
+        return results_of(world, columns, name, plan.size, plan.seed, diagnosed=plan.diagnosed)
+
     return {
-        name: results_of(world, columns, name, plan.size, plan.seed, diagnosed=plan.diagnosed)
+        name: Cache(plan.folder)
+        .entry("detection-results", [world, name, *given], __name__)
+        .result(partial(results, name), lambda found: json.dumps(found).encode(), json.loads)
         for name in plan.recipes
     }
 

@@ -117,7 +117,9 @@ def test_two_reflections_are_the_double_integral(alpha, albedo):
         assert found.mean == pytest.approx(
             both - direct, abs=4.0 * found.standard_error + 0.01 * (both - direct)
         )
-        assert found.standard_error < 0.02 * found.mean  # 0.06 where a narrow lobe has to catch the lamp by chance
+        assert (
+            found.standard_error < 0.02 * found.mean
+        )  # 0.06 where a narrow lobe has to catch the lamp by chance
 
 
 def test_light_and_camera_may_be_exchanged():
