@@ -422,6 +422,7 @@ def coarse(patch):
     patch.setattr(detection_surrogate, "PATHS", 1 << 10)
     patch.setattr(detection_surrogate, "STATES", 94)
     patch.setattr(detection_surrogate, "FEW", 12)
+    patch.setattr(detection_surrogate, "MANY", 24)
     patch.setattr(detection_surrogate, "FINE", 100)
     patch.setattr(detection_surrogate, "TRACED_ROWS", 3)
 
