@@ -1,6 +1,6 @@
 """The height map: a sampled surface with its scale."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Self
 
@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 PICTURE_POINTS = 600  # along the longer side, in a notebook
 
+
+Layer = npt.NDArray[np.float32]
 
 BLOCK_POINTS = 2**18  # two megabytes, which stay in the cache
 
@@ -69,6 +71,26 @@ def _owned(height_um: FloatArray) -> FloatArray:
     return np.array(given, dtype=np.float64, order="C")
 
 
+INTENSITY, COLOUR = "intensity", "colour"
+
+
+def _layers(given: Mapping[str, Layer], shape: tuple[int, ...]) -> dict[str, Layer]:
+    """Private read-only copies of layers; read-only float32 arrays are used unchanged."""
+    found: dict[str, Layer] = {}
+    for name, values in given.items():
+        layer = np.asarray(values)
+        due = {INTENSITY: shape, COLOUR: (*shape, 3)}.get(name)
+        if due is None:
+            raise HeightMapError(f"a height map has no layer {name!r}; it has {INTENSITY} and {COLOUR}")
+        if layer.shape != due:
+            raise HeightMapError(f"the {name} layer has shape {layer.shape} where {due} is due")
+        if layer.dtype != np.float32 or layer.flags.writeable:
+            layer = np.array(layer, dtype=np.float32, order="C")
+        layer.flags.writeable = False
+        found[name] = layer
+    return found
+
+
 @dataclass(frozen=True, eq=False)
 class HeightMap:
     """A surface sampled on a regular grid.
@@ -83,16 +105,19 @@ class HeightMap:
         pixel_y_um: distance of neighbouring rows in µm.
         origin: where the map comes from (file, instrument, date, what was corrected, ...), as plain
             JSON-compatible data that travels with the map.
+        layers: what the instrument stored besides the heights, in its own numbers, float32, NaN where missing:
+            ``"intensity"`` (rows, cols), ``"colour"`` (rows, cols, 3) red, green, blue.
 
     Raises:
-        HeightMapError: the array is not two-dimensional with at least 2 × 2 points, or a pixel size is
-            not a positive finite number.
+        HeightMapError: the array is not two-dimensional with at least 2 × 2 points, a pixel size is
+            not a positive finite number, or a layer has another name or shape.
     """
 
     height_um: FloatArray
     pixel_x_um: float
     pixel_y_um: float
     origin: dict[str, Any] = field(default_factory=dict)
+    layers: Mapping[str, Layer] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         height = _owned(self.height_um)
@@ -107,6 +132,7 @@ class HeightMap:
                 )
         height.flags.writeable = False
         object.__setattr__(self, "height_um", height)
+        object.__setattr__(self, "layers", _layers(self.layers, height.shape))
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -128,8 +154,12 @@ class HeightMap:
         return rows * self.pixel_y_um, cols * self.pixel_x_um
 
     def with_height(self, height_um: FloatArray, **origin: Any) -> Self:  # noqa: ANN401 - free-form provenance
-        """The same grid with other heights; ``origin`` entries are added to the provenance."""
-        return replace(self, height_um=height_um, origin={**self.origin, **origin})
+        """The same grid with other heights; ``origin`` entries are added to the provenance.
+
+        Layers stay, unless the heights have another shape.
+        """
+        layers = self.layers if np.shape(height_um) == self.shape else {}
+        return replace(self, height_um=height_um, layers=layers, origin={**self.origin, **origin})
 
     def __repr__(self) -> str:
         """One line: size, pixel, range of the heights, missing share."""
@@ -153,6 +183,7 @@ class HeightMap:
             ("pixel", f"{self.pixel_y_um:g} × {self.pixel_x_um:g} µm"),
             ("heights", heights),
             ("missing", f"{self.missing_share:.2%}"),
+            *([("layers", ", ".join(self.layers))] if self.layers else []),
         ]
 
     def plot(self, axes: "Axes | None" = None) -> "Axes":

@@ -1,7 +1,7 @@
 """Provenance of height maps, stored in the comment of their file.
 
 Design and seed of a synthetic map, its defects and the editing steps of any map are one line of JSON in the comment of
-an x3p, gsf or npz file. Other formats have no place for it.
+an x3p, gsf, npz or exr file. Other formats have no place for it.
 """
 
 import json
@@ -12,7 +12,7 @@ from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.heightmap import HeightMap
 
 MARK = "anisoscope made "
-SUFFIXES = (".x3p", ".npz", ".gsf")
+SUFFIXES = (".x3p", ".npz", ".gsf", ".exr")
 MAX_COMMENT_BYTES = 60_000
 LISTS = ("defects", "history")
 ENTRIES = ("made", *LISTS)

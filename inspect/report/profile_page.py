@@ -4,11 +4,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
 from anisoscope.base.progress import Advance, silent
-from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.heightmap import INTENSITY, HeightMap
 from anisoscope.profiles.level import level
 from anisoscope.profiles.metrology.burrlist import Outlier
 from anisoscope.profiles.metrology.quantity import as_text
@@ -34,6 +35,7 @@ MARKED = 200
 LISTED = 30
 DRAWN = (0.001, 0.999)
 VIEW_POINTS, VIEW_EXAGGERATION = 400, 1000.0
+MISSING_GREY = 200.0
 COLOURS = {"burr": RED, "spike": "#ffffff", "pit": ORANGE}
 NUMBERS = (
     ("Pitch", "pitch_um", "µm"),
@@ -258,8 +260,37 @@ def write_profile_page(surface: HeightMap, name: str, path: Path, on_progress: A
     on_progress("done", 3, 3)
 
 
+def layer_colours(surface: HeightMap, name: str) -> npt.NDArray[np.uint8]:
+    """A layer of a map as (rows, cols, 3) red, green and blue; missing points are light grey.
+
+    An intensity is drawn from its 0.5 % to its 99.5 % quantile.
+
+    Raises:
+        HeightMapError: the map has no such layer, or nothing of it is known.
+    """
+    layer = surface.layers.get(name)
+    if layer is None or not np.isfinite(layer).any():
+        known = " and ".join(surface.layers)
+        source = surface.origin.get("file", "the map")
+        raise HeightMapError(
+            f"{source}: layer: there is no {name}" + (f"; there is {known}" if known else "")
+        )
+    if name == INTENSITY:
+        low, high = np.nanpercentile(layer, [0.5, 99.5])
+        layer = np.repeat(255.0 * (layer - low)[..., None] / max(float(high - low), 1e-9), 3, axis=2)
+    return np.where(np.isfinite(layer), np.clip(layer, 0.0, 255.0), MISSING_GREY).astype(np.uint8)
+
+
+def _seen_from_above(colours: npt.NDArray[np.uint8]) -> str:
+    import cv2
+
+    step = -(-max(colours.shape[:2]) // PICTURE_POINTS)
+    picture = np.ascontiguousarray(colours[::step, ::step][::-1, :, ::-1])  # OpenCV's order: blue, green, red
+    return png_uri(cv2.imencode(".png", picture)[1].tobytes())
+
+
 def write_view_page(
-    surface: HeightMap, name: str, path: Path, exaggeration: float | None = None
+    surface: HeightMap, name: str, path: Path, exaggeration: float | None = None, layer: str | None = None
 ) -> Picture3D:
     """Write a page with the whole map in 3-D, to be turned in the browser, and from above with its scale.
 
@@ -271,15 +302,17 @@ def write_view_page(
         name: how the page calls it.
         path: file to write.
         exaggeration: factor on the heights; None for one that makes the relief 8 % of the width, at most 1000.
+        layer: "intensity" or "colour", which colours the relief; None for the heights.
 
     Returns:
         What was drawn: no ``png`` where nothing could be drawn in 3-D, no ``scene`` where it cannot be turned; ``note``
         says why.
 
     Raises:
-        HeightMapError: nothing was measured.
+        HeightMapError: nothing was measured, or the map has no such layer.
         RecordError: the file cannot be written.
     """
+    colours = None if layer is None else layer_colours(surface, layer)
     levelled = level(surface)
     heights = levelled.map.height_um
     scale = SceneScale(max(surface.extent_um), VIEW_POINTS, exaggeration, VIEW_EXAGGERATION)
@@ -288,6 +321,7 @@ def write_view_page(
         (surface.pixel_y_um, surface.pixel_x_um),
         interactive=True,
         scene=scale,
+        colours=colours,
     )
     try:
         above = map_picture(levelled.map)
@@ -302,6 +336,8 @@ def write_view_page(
         "levelled": levelled,
         "amplitude": amplitude(levelled.map),
         "picture": above,
+        "layer": layer,
+        "layer_picture": None if colours is None else _seen_from_above(colours),
         "view": png_uri(view.png) if view.png else None,
         "note": view.note,
         "step": step,

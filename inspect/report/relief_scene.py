@@ -26,7 +26,7 @@ def draw(source: Path, picture: Path, scene: Path | None = None) -> None:
     """Draw a map; files appear whole or not at all.
 
     Args:
-        source: npz with z in µm, pixel (y, x) in µm, and exaggeration.
+        source: npz with z in µm, pixel (y, x) in µm, exaggeration, and maybe the colours rgb of the points.
         picture: PNG to write.
         scene: zip to write, for the viewer that turns.
     """
@@ -34,21 +34,28 @@ def draw(source: Path, picture: Path, scene: Path | None = None) -> None:
 
     with np.load(source) as data:
         z, (pixel_y, pixel_x), exaggeration = data["z"], data["pixel"], float(data["exaggeration"])
+        colours = data.get("rgb")
     mesh = _mesh(z, (pixel_y, pixel_x), exaggeration)
     limits = [float(value) for value in np.percentile(mesh["height [µm]"], [0.0, 100.0])]
     plotter: Any = pyvista.Plotter(off_screen=True, window_size=[1100, 720])
     plotter.background_color = pyvista.Color("white")
-    plotter.add_mesh(
-        mesh, scalars="height [µm]", cmap="viridis", clim=limits, specular=0.2, show_scalar_bar=False
-    )
+    if colours is None:
+        plotter.add_mesh(
+            mesh, scalars="height [µm]", cmap="viridis", clim=limits, specular=0.2, show_scalar_bar=False
+        )
+    else:
+        mesh["colour"] = colours.reshape(-1, 3)
+        plotter.add_mesh(mesh, scalars="colour", rgb=True, specular=0.0, show_scalar_bar=False)
     extent = np.multiply(np.array(z.shape) - 1, (pixel_y, pixel_x))
-    _draw_bar(plotter)
+    if colours is None:
+        _draw_bar(plotter)
     _look_at(plotter, extent, 1.0, lower=0.08)
     stream = io.BytesIO()
     plotter.screenshot(stream)
     _write(picture, stream.getvalue())
     if scene is not None:
-        plotter.remove_scalar_bar()
+        if colours is None:
+            plotter.remove_scalar_bar()
         _look_at(plotter, extent, 0.8, lower=0.0)
         plotter.render()
         _write(scene, _packed(plotter))

@@ -24,6 +24,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.cache import Cache, Entry
@@ -72,6 +73,7 @@ class Renderer:
         pixel_um: (y, x).
         interactive: also make the scene to turn.
         scene: how much of the map is drawn, and how large its heights.
+        colours: (rows, cols, 3) of the points, red, green and blue; colours of the heights where not given.
     """
 
     def __init__(
@@ -81,10 +83,11 @@ class Renderer:
         *,
         interactive: bool = False,
         scene: "SceneScale | None" = None,
+        colours: npt.NDArray[np.uint8] | None = None,
     ) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="anisoscope-")
         self._process: subprocess.Popen[bytes] | None = None
-        source, self._note = _reduced(height_um, pixel_um, scene or SceneScale())
+        source, self._note = _reduced(height_um, pixel_um, scene or SceneScale(), colours)
         self._formats = ("png", "zip") if interactive else ("png",)
         self._entries = _entries(source, self._formats)
         self._cached = {kind: entry.read() for kind, entry in self._entries.items()}
@@ -142,14 +145,19 @@ class Renderer:
         self._folder.cleanup()
 
 
-def _reduced(height_um: FloatArray, pixel_um: tuple[float, float], scene: SceneScale) -> tuple[bytes, str]:
+def _reduced(
+    height_um: FloatArray,
+    pixel_um: tuple[float, float],
+    scene: SceneScale,
+    colours: npt.NDArray[np.uint8] | None = None,
+) -> tuple[bytes, str]:
     """Reduced map as packed bytes, and the note on the reduction."""
     rows, cols = (
         max(2, min(n, round(scene.field_um / p))) for n, p in zip(height_um.shape, pixel_um, strict=True)
     )
-    part = height_um[:rows, :cols]
-    step = [max(1, -(-n // scene.most_points)) for n in part.shape]
-    part = part[:: step[0], :: step[1]]
+    step = [max(1, -(-n // scene.most_points)) for n in (rows, cols)]
+    chosen = np.s_[: rows : step[0], : cols : step[1]]
+    part = height_um[chosen]
     width = max((n - 1) * p for n, p in zip((rows, cols), pixel_um, strict=True))
     rise = max(float(np.nanmax(part) - np.nanmin(part)), 1e-6)
     exaggeration = scene.exaggeration or float(np.clip(0.08 * width / rise, 1.0, scene.most_exaggeration))
@@ -158,7 +166,15 @@ def _reduced(height_um: FloatArray, pixel_um: tuple[float, float], scene: SceneS
         f"heights drawn {exaggeration:.3g} times as large"
     )
     stream = io.BytesIO()
-    np.savez(stream, z=part, pixel=np.multiply(pixel_um, step), exaggeration=exaggeration)
+    drawn = {} if colours is None else {"rgb": colours[chosen]}
+    np.savez(
+        stream,
+        allow_pickle=False,
+        z=part,
+        pixel=np.multiply(pixel_um, step),
+        exaggeration=exaggeration,
+        **drawn,
+    )
     return stream.getvalue(), note
 
 

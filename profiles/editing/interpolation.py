@@ -5,6 +5,7 @@ of linear interpolation, so that a gap keeps its size. The missing neighbours ar
 the measured ones; a plane with gaps is interpolated exactly.
 """
 
+from collections.abc import Callable
 from typing import Any, Literal
 
 import numpy as np
@@ -12,7 +13,7 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
-from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.heightmap import HeightMap, Layer
 from anisoscope.profiles.textures.forms import fit_form
 
 Mask = npt.NDArray[np.bool_]
@@ -112,6 +113,27 @@ class Interpolated:
         return np.asarray(np.where(inside, found, np.nan), dtype=np.float64)
 
 
+def carried(surface: HeightMap, move: Callable[[HeightMap], FloatArray]) -> dict[str, Layer]:
+    """Layers of a map on another grid.
+
+    Args:
+        surface: the map with its layers.
+        move: gives the numbers of a map, (rows, cols), on the other grid; every channel of a layer is one.
+    """
+    found = {}
+    for name, layer in surface.layers.items():
+        parts = []
+        for channel in np.dsplit(np.atleast_3d(layer), layer.shape[2] if layer.ndim == 3 else 1):
+            values = channel[..., 0].astype(np.float64)
+            known = np.isfinite(values).any()
+            part = move(
+                HeightMap(values if known else np.zeros_like(values), surface.pixel_x_um, surface.pixel_y_um)
+            )
+            parts.append(part if known else np.full_like(part, np.nan))
+        found[name] = (np.stack(parts, axis=2) if layer.ndim == 3 else parts[0]).astype(np.float32)
+    return found
+
+
 def averaged(surface: HeightMap, pixel_um: tuple[float, float]) -> HeightMap:
     """Means over larger cells, each of the measured points that at least half of it holds.
 
@@ -139,7 +161,8 @@ def averaged(surface: HeightMap, pixel_um: tuple[float, float]) -> HeightMap:
     at_y, at_x = (np.arange(count) for count in share.shape)
     middles = wide[0] + np.add.outer(wide[1] * at_y, wide[2] * at_x)
     height = np.where(enough, middles + total / np.maximum(share, EXACT), np.nan)
-    return HeightMap(height, pixel_um[1], pixel_um[0], surface.origin)
+    layers = carried(surface, lambda one: averaged(one, pixel_um).height_um)
+    return HeightMap(height, pixel_um[1], pixel_um[0], surface.origin, layers)
 
 
 def _plane(

@@ -6,7 +6,7 @@ none but ``fill`` gives a height where nothing was measured.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isfinite
 from pathlib import Path
 from typing import Any, Literal, cast
@@ -16,7 +16,7 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError, UsageError
 from anisoscope.profiles.editing.gaps import FillMethod, fill_gaps, outlier_mask, picture_mask, polygon_mask
-from anisoscope.profiles.editing.interpolation import Interpolated, averaged
+from anisoscope.profiles.editing.interpolation import Interpolated, averaged, carried
 from anisoscope.profiles.editing.registration import Placed, register, registered
 from anisoscope.profiles.files.checks import MAX_POINTS, PIXEL_LIMITS_UM, check_map
 from anisoscope.profiles.heightmap import HeightMap
@@ -179,7 +179,9 @@ def _crop(surface: HeightMap, values: Values, _read: Read) -> Result:
             )
         spans.append((first, last))
     (top, bottom), (left, right) = spans
-    cut = surface.with_height(surface.height_um[top : bottom + 1, left : right + 1])
+    part = np.s_[top : bottom + 1, left : right + 1]
+    layers = {name: layer[part] for name, layer in surface.layers.items()}
+    cut = replace(surface, height_um=surface.height_um[part], layers=layers)
     return check_map(cut, "crop"), {
         "first_row": top,
         "last_row": bottom,
@@ -195,7 +197,8 @@ def _rotate(surface: HeightMap, values: Values, _read: Read) -> Result:
         turned = np.rot90(surface.height_um, -round(quarter))
         pixels = (surface.pixel_x_um, surface.pixel_y_um)
         x, y = pixels if round(quarter) % 2 == 0 else pixels[::-1]
-        return HeightMap(turned, x, y, surface.origin), {"interpolation": "none"}
+        layers = {name: np.rot90(layer, -round(quarter)) for name, layer in surface.layers.items()}
+        return HeightMap(turned, x, y, surface.origin, layers), {"interpolation": "none"}
     angle = np.radians(values["angle"])
     rows, cols = surface.shape
     py, px = surface.pixel_y_um, surface.pixel_x_um
@@ -216,7 +219,8 @@ def _rotate(surface: HeightMap, values: Values, _read: Read) -> Result:
     source_y = at_y * np.cos(angle) - at_x * np.sin(angle) + 0.5 * height
     order: Literal[1, 3] = 3 if values["interpolation"] == "cubic" else 1
     turned = Interpolated(surface, order).at(source_y, source_x)
-    return _checked(surface.with_height(turned), "rotate"), {}
+    layers = carried(surface, lambda one: Interpolated(one, 1).at(source_y, source_x))
+    return _checked(replace(surface, height_um=turned, layers=layers), "rotate"), {}
 
 
 def _inner_rectangle(width: float, height: float, cos: float, sin: float) -> tuple[float, float]:
@@ -300,7 +304,8 @@ def _resample(surface: HeightMap, values: Values, _read: Read) -> Result:
             )
         order: Literal[1, 3] = 3 if values["interpolation"] == "cubic" else 1
         y, x = np.meshgrid(places[0], places[1], indexing="ij")
-        found = HeightMap(Interpolated(cells, order).at(y, x), new[1], new[0], surface.origin)
+        layers = carried(cells, lambda one: Interpolated(one, 1).at(y, x))
+        found = HeightMap(Interpolated(cells, order).at(y, x), new[1], new[0], surface.origin, layers)
     return _checked(found, "resample"), {"first_point_um": shift}
 
 
@@ -355,8 +360,9 @@ def _stitch(surface: HeightMap, values: Values, read: Read) -> Result:
         placed = Placed(*nominal, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     canvas, y, x = _canvas(surface, other, placed)
     added = Interpolated(other, 3).at(*placed.positions(y, x, other)) - placed.plane_um(y, x)
-    stitched = surface.with_height(_blended(canvas, added))
-    return _checked(stitched, "stitch"), _named(other) | (_facts(placed) if values["align"] else {})
+    stitched = replace(surface, height_um=_blended(canvas, added), layers={})
+    dropped = {"layers_left_out": list(surface.layers)} if surface.layers else {}
+    return _checked(stitched, "stitch"), _named(other) | (_facts(placed) if values["align"] else {}) | dropped
 
 
 def _canvas(

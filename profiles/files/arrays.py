@@ -1,4 +1,4 @@
-"""Height maps as numpy files: npy, and npz with one two-dimensional array.
+"""Height maps as numpy files: npy, and npz with one two-dimensional array and layers.
 
 The header of an npy file is compared with the size of the file before anything is allocated, and arrays of
 Python objects are never unpickled.
@@ -6,6 +6,7 @@ Python objects are never unpickled.
 
 import tokenize
 import zipfile
+from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
@@ -19,14 +20,18 @@ from anisoscope.profiles.files.checks import DEFLATE_LIMIT, check_claim, check_p
 from anisoscope.profiles.files.content import scaled
 from anisoscope.profiles.files.units import micrometres_per, require_pixel
 from anisoscope.profiles.files.x3p import DAMAGED, ZIP_TROUBLE
-from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.heightmap import COLOUR, INTENSITY, HeightMap
 
 MAX_ENTRY_BYTES = 2**31
+HEIGHT = "height_um.npy"
+LAYERS: dict[str, tuple[int, ...]] = {INTENSITY: (), COLOUR: (3,)}
 HEADER_TROUBLE = (*ZIP_TROUBLE, SyntaxError, TypeError, RecursionError, MemoryError, tokenize.TokenError)
 
 
-def _read_array(name: str, stream: BinaryIO, size: int, factor: float) -> FloatArray:
-    """The two-dimensional array of an npy stream of ``size`` bytes, as float64 times a factor."""
+def _read_array(
+    name: str, stream: BinaryIO, size: int, factor: float, channels: tuple[int, ...] = ()
+) -> FloatArray:
+    """The array (rows, cols, *channels) of an npy stream of ``size`` bytes, as float64 times a factor."""
     try:
         version = npy_format.read_magic(stream)
         read = {(1, 0): npy_format.read_array_header_1_0, (2, 0): npy_format.read_array_header_2_0}[version]
@@ -42,22 +47,36 @@ def _read_array(name: str, stream: BinaryIO, size: int, factor: float) -> FloatA
         )
     if dtype.kind not in "iuf":
         refuse(name, "data type", str(dtype)[:40], "integers or floating-point numbers are expected")
-    if len(shape) != 2:
+    if channels and shape[2:] != channels:
+        refuse(name, "shape", shape, f"a colour has {channels[0]} numbers for every point")
+    if len(shape) != 2 + len(channels):
         refuse(name, "shape", shape, "a height map has two dimensions: rows along y, columns along x")
-    check_claim(name, shape[0], shape[1], dtype.itemsize, size - stream.tell())
-    count = shape[0] * shape[1]
+    each = int(np.prod(channels, dtype=int))
+    check_claim(name, shape[0], shape[1], dtype.itemsize * each, size - stream.tell())
+    count = shape[0] * shape[1] * each
     raw = np.frombuffer(stream.read(count * dtype.itemsize), dtype, count)
     return scaled(raw.reshape(shape, order="F" if fortran else "C"), factor)
 
 
-def _npy(path: Path, factor: float) -> tuple[FloatArray, None, str]:
+@dataclass(frozen=True)
+class _Arrays:
+    """Heights, pixel (y, x) in µm where it is noted, comment, and layers by name."""
+
+    height: FloatArray
+    pixel: tuple[float, float] | None = None
+    comment: str = ""
+    layers: dict[str, FloatArray] = field(default_factory=dict)
+
+
+def _npy(path: Path, factor: float) -> _Arrays:
     with path.open("rb") as stream:
-        return _read_array(path.name, stream, path.stat().st_size, factor), None, ""
+        return _Arrays(_read_array(path.name, stream, path.stat().st_size, factor))
 
 
-def _npz(path: Path, factor: float) -> tuple[FloatArray, tuple[float, float] | None, str]:
-    """The only two-dimensional array of an archive, ``pixel_um`` (y, x) where it has one, and its comment."""
+def _npz(path: Path, factor: float) -> _Arrays:
+    """The array of heights of an archive, and with it ``pixel_um`` (y, x), ``intensity`` and ``colour``."""
     found: dict[str, FloatArray] = {}
+    layers: dict[str, FloatArray] = {}
     pixel: tuple[float, float] | None = None
     with zipfile.ZipFile(path) as archive:
         whole = sum(info.file_size for info in archive.infolist())
@@ -72,13 +91,15 @@ def _npz(path: Path, factor: float) -> tuple[FloatArray, tuple[float, float] | N
             if info.filename == "pixel_um.npy":
                 numbers = np.load(BytesIO(content), allow_pickle=False)
                 pixel = (float(numbers[0]), float(numbers[1]))
-            else:
-                found[info.filename] = _read_array(
-                    f"{path.name}/{info.filename}", BytesIO(content), len(content), factor
-                )
+                continue
+            key, name = info.filename.removesuffix(".npy"), f"{path.name}/{info.filename}"
+            layer = key in LAYERS and HEIGHT in archive.namelist()
+            into, scale = (layers, 1.0) if layer else (found, factor)
+            channels = LAYERS[key] if layer else ()
+            into[key] = _read_array(name, BytesIO(content), len(content), scale, channels)
     if len(found) != 1:
         refuse(path.name, "arrays", ", ".join(found)[:80] or "none", "one array of heights is expected")
-    return next(iter(found.values())), pixel, comment
+    return _Arrays(next(iter(found.values())), pixel, comment, layers)
 
 
 def read_array(
@@ -87,7 +108,8 @@ def read_array(
     """Read an npy or npz file: (rows, cols) heights, rows along y; NaN and infinity are missing.
 
     Args:
-        path: the file. An npz archive holds one array, and may hold ``pixel_um`` (y, x).
+        path: the file. An npz archive holds one array, and may hold ``pixel_um`` (y, x); with ``height_um`` it may hold
+            the layers ``intensity`` (rows, cols) and ``colour`` (rows, cols, 3) too.
         pixel_um: (y, x) pixel size in µm; needed for npy.
         z_unit: unit of the heights: um, nm, mm or m.
 
@@ -98,16 +120,16 @@ def read_array(
     factor = micrometres_per(z_unit)
     packed = _starts_with_zip(path)
     try:
-        height, noted, comment = _npz(path, factor) if packed else _npy(path, factor)
+        read = _npz(path, factor) if packed else _npy(path, factor)
     except HeightMapError:
         raise
     except HEADER_TROUBLE as error:
         refuse(path.name, "numpy file", f"cannot be read ({error or type(error).__name__})", DAMAGED)
-    pixel = require_pixel(path.name, pixel_um or noted)
+    pixel = require_pixel(path.name, pixel_um or read.pixel)
     origin = {"format": "npz" if packed else "npy", "z_unit": z_unit}
-    if comment:
-        origin["comment"] = comment
-    return checked_map(path.name, height, pixel, origin)
+    if read.comment:
+        origin["comment"] = read.comment
+    return checked_map(path.name, read.height, pixel, origin, layers=read.layers)
 
 
 def _starts_with_zip(path: Path) -> bool:
@@ -122,7 +144,7 @@ def _add_comment(stream: BinaryIO, comment: str) -> None:
 
 
 def write_array(surface: HeightMap, path: Path | str) -> None:
-    """Write the heights in µm: npz with ``height_um`` and ``pixel_um`` (y, x), or npy without a pixel size.
+    """Write the heights in µm: npz with ``height_um``, ``pixel_um`` (y, x) and layers, or npy with the heights alone.
 
     ``comment`` of the origin becomes the comment of the npz archive.
 
@@ -134,7 +156,8 @@ def write_array(surface: HeightMap, path: Path | str) -> None:
         with path.open("w+b") as stream:
             if path.suffix.lower() == ".npz":
                 pixel_um = np.array([surface.pixel_y_um, surface.pixel_x_um])
-                np.savez_compressed(stream, height_um=surface.height_um, pixel_um=pixel_um)
+                arrays = {"height_um": surface.height_um, "pixel_um": pixel_um, **surface.layers}
+                np.savez_compressed(stream, allow_pickle=False, **arrays)
                 _add_comment(stream, str(surface.origin.get("comment", "")))
             else:
                 np.save(stream, surface.height_um, allow_pickle=False)

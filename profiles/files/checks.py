@@ -6,7 +6,7 @@ than the factors of 1000 or 10⁶ by which unit mistakes go wrong. Nothing is co
 or it raises one line that names the file, the check, the value and the way out.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
-from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.heightmap import HeightMap, Layer
 
 PIXEL_LIMITS_UM = (0.01, 1000.0)
 MAX_FIELD_UM = 0.5e6
@@ -227,6 +227,7 @@ def checked_map(
     *,
     stage_height: bool = False,
     beyond_um: float = np.inf,
+    layers: Mapping[str, Layer] | None = None,
 ) -> HeightMap:
     """A map of heights whose pixel, field and heights have been checked.
 
@@ -241,9 +242,10 @@ def checked_map(
         origin: provenance of the map.
         stage_height: the format states its units and may count z from a stage's zero.
         beyond_um: heights as far from zero as this mark points that were not measured.
+        layers: of the map, (rows, cols) or (rows, cols, 3).
 
     Raises:
-        HeightMapError: a check failed.
+        HeightMapError: a check failed, or a layer does not fit the heights.
     """
     rows, cols = height_um.shape
     check_claim(name, rows, cols, 0, 0)
@@ -263,7 +265,10 @@ def checked_map(
     _check_range(name, lowest, highest)
     check_spread(name, lowest, highest)
     height_um.flags.writeable = False
-    return HeightMap(height_um, float(pixel_um[1]), float(pixel_um[0]), origin)
+    try:
+        return HeightMap(height_um, float(pixel_um[1]), float(pixel_um[0]), origin, layers or {})
+    except HeightMapError as error:
+        raise HeightMapError(f"{name}: {error}") from None
 
 
 def equidistant_step(name: str, axis: str, positions_um: FloatArray) -> float:

@@ -132,7 +132,8 @@ def decode(kind: str, path: Path, **request: object) -> tuple[dict[str, Any], np
     Memory is limited to 512 MiB and 40 times the size of the file, processor time to 4 s and 1 s for each MiB.
 
     Args:
-        kind: "library" (SurfaceTopography), "tiff", "png", or "colours" (of any picture, as numbers 0xRRGGBBAA).
+        kind: "library" (SurfaceTopography), "tiff", "png", "exr", "datx-intensity", or "colours" (of any
+            picture, as numbers 0xRRGGBBAA).
         path: the file.
         **request: what the decoder of that kind needs besides.
 

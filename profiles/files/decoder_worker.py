@@ -33,6 +33,14 @@ def _prepare(kind: str) -> str:
         import tifffile  # noqa: PLC0415 - only what the format needs
 
         return f"tifffile {tifffile.__version__}"
+    if kind == "exr":
+        import OpenEXR  # noqa: PLC0415 - an extra
+
+        return f"OpenEXR {OpenEXR.__version__}"
+    if kind == "datx-intensity":
+        import h5py  # noqa: PLC0415 - only what the format needs
+
+        return f"h5py {h5py.__version__}"
     import cv2  # noqa: PLC0415 - only what the format needs
 
     return f"OpenCV {cv2.__version__}"
@@ -94,6 +102,53 @@ def _library(request: dict[str, Any]) -> tuple[dict[str, Any], np.ndarray[Any, A
     return answer, heights.T
 
 
+def _datx_intensity(request: dict[str, Any]) -> tuple[dict[str, Any], np.ndarray[Any, Any]]:
+    """The first intensity picture of a datx file, NaN where there is none."""
+    import h5py  # noqa: PLC0415 - only what the format needs
+
+    with h5py.File(request["path"], "r") as file:
+        group = file.get("Data/Intensity")
+        picture = next(iter(group.values()), None) if isinstance(group, h5py.Group) else None
+        if picture is None:
+            return {"none": True}, np.zeros((1, 1))
+        if picture.ndim != 2 or picture.size > min(MAX_POINTS, request["max_points"]):
+            raise Unsuitable(f"claims {picture.shape} points")
+        values = picture[()].astype(np.float64)
+        return {}, np.where(values == _no_data(picture), np.nan, values)
+
+
+def _no_data(picture: Any) -> float:  # noqa: ANN401 - the library has no types
+    """The number of points without intensity; NaN where none is stated."""
+    stated = np.ravel(picture.attrs.get("No Data", np.nan))
+    return float(stated[0]) if stated.size else float("nan")
+
+
+def _exr(request: dict[str, Any]) -> tuple[dict[str, Any], np.ndarray[Any, Any]]:
+    """Channels of an OpenEXR file next to each other, and the texts of its header."""
+    import OpenEXR  # noqa: PLC0415 - an extra
+
+    header = OpenEXR.File(request["path"], header_only=True).header()
+    low, high = (np.array(corner, dtype=np.int64) for corner in header["dataWindow"])
+    cols, rows = (int(count) for count in high - low + 1)
+    if min(cols, rows) < 1 or rows * cols > min(MAX_POINTS, request["max_points"]):
+        raise Unsuitable(f"claims {rows} × {cols} points")
+    if isinstance(header.get("type"), OpenEXR.Storage) and header["type"] != OpenEXR.scanlineimage:
+        raise Unsuitable("tiles or deep data; save plain scan lines")
+    with OpenEXR.File(request["path"], separate_channels=True, num_threads=1) as file:
+        channels = file.channels()
+        names = request["channels"] or [one for one in ("Z", "Y") if one in channels][:1] or list(channels)
+        if len(names) != 1 and not request["channels"]:
+            raise Unsuitable(
+                f"channels {', '.join(names)[:60]}; the heights are looked for in Z or Y, or a single one"
+            )
+        if any(name not in channels or channels[name].pixels.shape != (rows, cols) for name in names):
+            raise Unsuitable(f"no channel {', '.join(names)} of {rows} × {cols} points")
+        texts = {key: header[key] for key in ("comments", "heightMap") if isinstance(header.get(key), str)}
+        raw, known = np.hstack([channels[name].pixels for name in names]), sorted(channels)
+    kept = raw.astype(np.float32) if raw.dtype == np.float16 else raw
+    return {**texts, "channels": known}, kept
+
+
 def _tiff(request: dict[str, Any]) -> tuple[dict[str, Any], np.ndarray[Any, Any]]:
     import tifffile  # noqa: PLC0415 - only what the format needs
 
@@ -143,7 +198,14 @@ def _colours(request: dict[str, Any]) -> tuple[dict[str, Any], np.ndarray[Any, A
     return {}, red << 24 | green << 16 | blue << 8 | opaque
 
 
-DECODERS = {"colours": _colours, "library": _library, "tiff": _tiff, "png": _png}
+DECODERS = {
+    "datx-intensity": _datx_intensity,
+    "exr": _exr,
+    "colours": _colours,
+    "library": _library,
+    "tiff": _tiff,
+    "png": _png,
+}
 
 
 def _limit(request: dict[str, Any]) -> None:

@@ -9,6 +9,8 @@ from pathlib import Path
 from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.files.arrays import read_array
 from anisoscope.profiles.files.checks import refuse
+from anisoscope.profiles.files.exr import MAGIC as EXR_MAGIC
+from anisoscope.profiles.files.exr import read_exr
 from anisoscope.profiles.files.gsf import MAGIC as GSF_MAGIC
 from anisoscope.profiles.files.gsf import read_gsf
 from anisoscope.profiles.files.gwy import MAGIC as GWY_MAGIC
@@ -95,6 +97,7 @@ OWN_FORMATS = (
     Format("matrix or points", (".csv", ".txt", ".asc"), _text, (), "scales"),
     Format("points", (".xyz",), _text, (), "scales"),
     Format("TIFF picture", (".tif", ".tiff"), read_image, ((0, b"II*\0"), (0, b"MM\0*")), "counts"),
+    Format("OpenEXR picture", (".exr",), read_exr, ((0, EXR_MAGIC),), "scales"),
     Format("PNG picture", (".png",), read_image, ((0, PNG_MAGIC),), "counts"),
 )  # fmt: skip
 FORMATS = OWN_FORMATS + tuple(

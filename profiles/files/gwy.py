@@ -7,6 +7,7 @@ value; a capital letter is an array with four bytes of length before it. Channel
 
 import re
 import struct
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
@@ -18,13 +19,14 @@ from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.files.checks import check_claim, checked_map, refuse
 from anisoscope.profiles.files.content import DAMAGED, Content, load_content, scaled
 from anisoscope.profiles.files.units import STATED_MICROMETRES_PER, Given
-from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.heightmap import COLOUR, INTENSITY, HeightMap, Layer
 
 MAGIC = b"GWYP"
 SIZES = {"b": 1, "c": 1, "i": 4, "q": 8, "d": 8}
 NUMBERS = {"i": "<i4", "q": "<i8", "d": "<f8", "c": "u1"}
 MOST_DEPTH = 16
 MOST_ITEMS = 20_000
+COLOURS = ("colour, red", "colour, green", "colour, blue")
 CHANNEL = re.compile(r"/(\d{1,6})/data")
 
 
@@ -149,8 +151,9 @@ def read_gwy(path: Path | str, given: Given | None = None) -> HeightMap:
 
     Returns:
         (rows, cols) heights in µm in the order of the file, first row at the top of the picture
-        (``origin["first_row"]``); points under the channel's mask are missing, and ``origin["mask"]`` says so. The
-        other channels are named in ``origin["other_channels"]``.
+        (``origin["first_row"]``); points under the channel's mask are missing, and ``origin["mask"]`` says so. Channels
+        of the same size with the titles that :func:`write_gwy` gives are layers, others are named in
+        ``origin["other_channels"]``.
 
     Raises:
         HeightMapError: no channel of heights (and why), damaged, or implausible.
@@ -176,8 +179,9 @@ def read_gwy(path: Path | str, given: Given | None = None) -> HeightMap:
     pixel = _length(name, field, "yreal") / rows * lateral, _length(name, field, "xreal") / cols * lateral
     titles = {n: str(items.get(f"/{n}/data/title", f"channel {n}"))[:100] for n, _ in channels}
     origin: dict[str, Any] = {"format": "gwy", "first_row": "top", "channel": titles.pop(number)}
-    if titles:
-        origin["other_channels"] = list(titles.values())
+    read = (INTENSITY, *COLOURS)
+    if others := [title for title in titles.values() if title.casefold() not in read]:
+        origin["other_channels"] = others
     missing = None
     if isinstance(mask := items.get(f"/{number}/mask"), _Thing):
         marked = _grid(name, mask)
@@ -185,7 +189,30 @@ def read_gwy(path: Path | str, given: Given | None = None) -> HeightMap:
             refuse(name, "mask", f"{marked.shape} points for {raw.shape}", DAMAGED)
         missing = marked > 0.5
         origin["mask"] = "points under the mask are missing"
-    return checked_map(name, scaled(raw, factor, missing), pixel, origin, stage_height=True)
+    layers = _layers(name, items, titles, raw.shape)
+    return checked_map(name, scaled(raw, factor, missing), pixel, origin, stage_height=True, layers=layers)
+
+
+def _layers(
+    name: str, items: Mapping[str, Any], titles: Mapping[int, str], shape: tuple[int, ...]
+) -> dict[str, FloatArray]:
+    """Layers from channels of the same size, by their titles; points under their masks are missing."""
+    numbers = {title.casefold(): number for number, title in titles.items()}
+
+    def channel(title: str) -> FloatArray | None:
+        number = numbers.get(title)
+        field = items.get(f"/{number}/data")
+        if not isinstance(field, _Thing) or (found := _grid(name, field)).shape != shape:
+            return None
+        mask = items.get(f"/{number}/mask")
+        if not isinstance(mask, _Thing) or (marked := _grid(name, mask)).shape != shape:
+            return found
+        return np.where(marked > 0.5, np.nan, found)
+
+    grey, colours = channel(INTENSITY), [channel(title) for title in COLOURS]
+    known = [one for one in colours if one is not None]
+    found = {} if grey is None else {INTENSITY: grey}
+    return found | ({COLOUR: np.stack(known, axis=2)} if len(known) == len(COLOURS) else {})
 
 
 def _item(name: str, code: str, value: bytes) -> bytes:
@@ -213,8 +240,29 @@ def _field(values: FloatArray, surface: HeightMap, unit: str) -> bytes:
     )
 
 
+def _channels(surface: HeightMap) -> list[tuple[str, Layer]]:
+    """Layers as channels with their titles."""
+    found = [(INTENSITY, surface.layers[INTENSITY])] if INTENSITY in surface.layers else []
+    if COLOUR in surface.layers:
+        found += [(title, surface.layers[COLOUR][..., k]) for k, title in enumerate(COLOURS)]
+    return found
+
+
+def _layer_items(number: int, title: str, values: FloatArray, surface: HeightMap) -> list[bytes]:
+    known = np.isfinite(values)
+    items = [
+        _item(f"/{number}/data", "o", _field(np.where(known, values, 0.0), surface, "")),
+        _item(f"/{number}/data/title", "s", title.encode() + b"\0"),
+    ]
+    if not known.all():
+        items.append(_item(f"/{number}/mask", "o", _field((~known).astype(np.float64), surface, "")))
+    return items
+
+
 def write_gwy(surface: HeightMap, path: Path | str) -> None:
     """Write a map as gwy: float64 metres; missing points have the mean height and lie under the mask.
+
+    Layers are channels of their own: "intensity", "colour, red", "colour, green", "colour, blue".
 
     Raises:
         HeightMapError: the file cannot be written.
@@ -232,6 +280,8 @@ def write_gwy(surface: HeightMap, path: Path | str) -> None:
     ]
     if not known.all():
         items.append(_item("/0/mask", "o", _field((~known).astype(np.float64), surface, "")))
+    for number, (title, values) in enumerate(_channels(surface), start=1):
+        items += _layer_items(number, title, values[::-1].astype(np.float64), surface)
     try:
         Path(path).write_bytes(MAGIC + _object("GwyContainer", *items))
     except OSError as error:

@@ -28,7 +28,7 @@ from anisoscope.profiles.files.checks import DEFLATE_LIMIT, check_claim, checked
 from anisoscope.profiles.files.content import DAMAGED, Content, load_content, scaled
 from anisoscope.profiles.files.decoder_process import decode
 from anisoscope.profiles.files.units import Given, micrometres_per, require_pixel
-from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.heightmap import COLOUR, HeightMap
 
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 GREY = 0
@@ -195,6 +195,37 @@ def write_png(surface: HeightMap, path: Path | str) -> None:
         Path(path).write_bytes(PNG_MAGIC + b"".join(parts))
     except OSError as error:
         raise HeightMapError(f"{path}: cannot be written ({error.strerror})") from None
+
+
+def write_layer(surface: HeightMap, name: str, path: Path | str) -> None:
+    """Write a layer of a map as a PNG, first row at the top, missing points 0.
+
+    Whole numbers up to 255 have 8 bits, up to 65535 16 bits; others are stretched from 1 to 65535. A colour has 8 bits.
+
+    Raises:
+        HeightMapError: the map has no such layer, or the file cannot be written.
+    """
+    import cv2  # noqa: PLC0415 - slow to import
+
+    if name not in surface.layers:
+        source, known = surface.origin.get("file", "the map"), " and ".join(surface.layers)
+        raise HeightMapError(
+            f"{source}: layer: there is no {name}" + (f"; there is {known}" if known else "")
+        )
+    values = surface.layers[name][::-1]
+    numbers = np.where(np.isfinite(values), values, 0.0)
+    most = float(numbers.max(initial=0.0))
+    if name == COLOUR:
+        picture = np.clip(np.rint(numbers), 0, 255).astype(np.uint8)[
+            ..., ::-1
+        ]  # OpenCV's order: blue, green, red
+    elif numbers.min(initial=0.0) < 0.0 or most > MOST_COUNTS or (numbers != np.rint(numbers)).any():
+        low, high = float(np.nanmin(values)), float(np.nanmax(values))
+        scale = (MOST_COUNTS - 1) / (high - low) if high > low else 0.0
+        picture = np.where(np.isfinite(values), 1.0 + np.rint((values - low) * scale), 0.0).astype(np.uint16)
+    else:
+        picture = numbers.astype(np.uint8 if most <= 255 else np.uint16)
+    _write(Path(path), cv2.imencode(".png", np.ascontiguousarray(picture))[1].tobytes())
 
 
 def write_tiff(surface: HeightMap, path: Path | str) -> None:

@@ -4,15 +4,25 @@ The library runs in the guarded process only, and what comes back passes the sam
 results. Which of its formats were tried on real files stands in ``docs/height-maps.md``.
 """
 
+import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from anisoscope.profiles.files.checks import checked_map
-from anisoscope.profiles.files.content import scaled
+import numpy.typing as npt
+
+from anisoscope.base.errors import HeightMapError
+from anisoscope.profiles.files.checks import check_packing, checked_map, refuse
+from anisoscope.profiles.files.content import Content, load_content, scaled
 from anisoscope.profiles.files.decoder_process import decode
 from anisoscope.profiles.files.units import Given, stated_micrometres_per, stated_or_given_pixel
-from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.heightmap import INTENSITY, HeightMap
+
+KEYENCE_MAGICS = (b"VK3_", b"VK4_")
+KEYENCE_MEMBER = "Vk4File"
+KEYENCE_LIGHT = 24
+KEYENCE_PALETTE_END = 7 * 4 + 768
+"""Place of the light picture in the table of places, and of its numbers behind its header (OSTI report 1419732)."""
 
 
 @dataclass(frozen=True)
@@ -77,4 +87,38 @@ def read_library(path: Path | str, given: Given | None = None, key: str | None =
     for entry in ("channel", "other_channels", "instrument", "date"):
         if answer.get(entry):
             origin[entry] = answer[entry]
-    return checked_map(name, scaled(raw, factor), pixel, origin, stage_height=True)
+    layers = {}
+    try:
+        if (values := _intensity(path, origin["format"])) is not None:
+            layers[INTENSITY] = values
+    except HeightMapError as error:  # the heights are read without it
+        origin["not_read"] = [f"intensity ({str(error).removeprefix(f'{name}: ')})"]
+    if layers and layers[INTENSITY].shape != raw.shape:
+        rows, cols = layers.pop(INTENSITY).shape
+        origin["not_read"] = [f"intensity of {rows} × {cols} points"]
+    return checked_map(name, scaled(raw, factor), pixel, origin, stage_height=True, layers=layers)
+
+
+def _intensity(path: Path, kind: str) -> npt.NDArray[Any] | None:
+    """(rows, cols) intensities in the order of the file; None where it has none."""
+    if kind == "datx":
+        answer, raw = decode("datx-intensity", path)
+        return None if answer.get("none") else raw
+    return _keyence_intensity(path) if kind == "vk" else None
+
+
+def _keyence_intensity(path: Path) -> npt.NDArray[Any] | None:
+    """The first light picture of a vk3, vk4, vk6 or vk7 file; the last two hold a vk4 in a zip archive."""
+    content = load_content(path)
+    if not content.data.startswith(KEYENCE_MAGICS):
+        with zipfile.ZipFile(path) as archive:
+            info = archive.getinfo(KEYENCE_MEMBER)
+            check_packing(path.name, KEYENCE_MEMBER, info.file_size, len(content))
+            content = Content(path.name, archive.read(info))
+    (start,) = content.numbers("<I", KEYENCE_LIGHT)
+    if not start:
+        return None
+    cols, rows, bits, packed, _size = content.numbers("<5I", start)
+    if bits not in (8, 16) or packed:
+        refuse(path.name, "picture", f"{bits} bits, compression {packed}", "8 or 16 plain bits are read")
+    return content.grid(f"<u{bits // 8}", rows, cols, start + KEYENCE_PALETTE_END)

@@ -11,6 +11,7 @@ import numpy as np
 from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.files.arrays import write_array
 from anisoscope.profiles.files.checks import Trust, refuse, trusting
+from anisoscope.profiles.files.exr import write_exr
 from anisoscope.profiles.files.formats import Format, find_format
 from anisoscope.profiles.files.gsf import write_gsf
 from anisoscope.profiles.files.gwy import write_gwy
@@ -35,8 +36,10 @@ WRITERS = {
     ".txt": write_text,
     ".tif": write_tiff,
     ".tiff": write_tiff,
+    ".exr": write_exr,
     ".png": write_png,
 }
+LAYER_SUFFIXES = (".npz", ".gwy", ".exr")
 MESH_WRITERS = {".stl": write_stl, ".ply": write_ply}
 
 
@@ -145,28 +148,31 @@ def _oriented(surface: HeightMap, role: str, rows: Rows) -> HeightMap:
     origin = provenance_of(dict(surface.origin))
     top_first = origin.pop("first_row", None) == "top"
     done = list(origin.pop("corrected", []))
-    height = surface.height_um
+    height, layers = surface.height_um, dict(surface.layers)
     if rows == "down" or (rows == "auto" and top_first):
         height = height[::-1]
+        layers = {key: layer[::-1] for key, layer in layers.items()}
         done.append("rows turned: the first of the file is the top of the picture")
     if role == "tool":
         height = -height[:, ::-1]
+        layers = {key: layer[:, ::-1] for key, layer in layers.items()}
         done.append("negated and mirrored, from the tool to the part")
     if not done:
         return surface if origin == surface.origin else HeightMap(
-            height, surface.pixel_x_um, surface.pixel_y_um, origin
+            height, surface.pixel_x_um, surface.pixel_y_um, origin, layers
         )  # fmt: skip
     turned = np.array(height, order="C")
     turned.flags.writeable = False
-    return HeightMap(turned, surface.pixel_x_um, surface.pixel_y_um, {**origin, "corrected": done})
+    return HeightMap(turned, surface.pixel_x_um, surface.pixel_y_um, {**origin, "corrected": done}, layers)
 
 
 def write_height_map(surface: HeightMap, path: Path | str) -> None:
-    """Write a map in the format of the extension: x3p, sur, gwy, gsf, npz, npy, csv or txt, tif, png, stl, ply.
+    """Write a map in the format of the extension: x3p, sur, gwy, gsf, npz, npy, csv or txt, tif, exr, png, stl, ply.
 
     x3p, npz and csv (a matrix) keep every float64 height, npy too but no pixel size; gwy keeps metres, sur 31 bits of
-    the largest height, gsf and tif 24 bits, png 16 bits of the range. stl and ply are meshes for other programs, and
-    not read again. x3p, npz and gsf keep the provenance: ``made``, ``defects`` and ``history`` of the origin.
+    the largest height, gsf, tif and exr 24 bits, png 16 bits of the range. stl and ply are meshes for other programs,
+    and not read again. x3p, npz, gsf and exr keep the provenance: ``made``, ``defects`` and ``history`` of the origin.
+    npz, gwy and exr keep the layers.
 
     Raises:
         HeightMapError: unknown extension, the file cannot be written, or the provenance is too long.

@@ -1,8 +1,9 @@
 """Read dat files of Zygo MetroPro.
 
-A big-endian header of 834 bytes (4096 in format 3), intensities, then the connected phase as int32, row after
-row. Height = phase · S · O · λ / R: interferometric scale factor, obliquity factor, wavelength and phase
-resolution (4096, 32768 or 131072 steps); phases of 2147483640 and above were not measured. Positions as in
+A big-endian header of 834 bytes (4096 in format 3), intensities (the first picture is read), then the connected phase
+as int32, row after row. Height = phase · S · O · λ / R: interferometric scale factor, obliquity factor, wavelength
+and phase resolution (4096, 32768 or 131072 steps). Phases of 2147483640 and above were not measured, intensities of
+65412 and above neither. Positions as in
 Gwyddion's ``metropro.c`` and SurfaceTopography's ``IO/MetroPro.py`` (MIT licence).
 """
 
@@ -11,15 +12,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from anisoscope.profiles.files.checks import checked_map, refuse
 from anisoscope.profiles.files.content import DAMAGED, Content, load_content, scaled
 from anisoscope.profiles.files.units import Given, stated_or_given_pixel
-from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.heightmap import INTENSITY, HeightMap, Layer
 
 MAGICS = {b"\x88\x1b\x03\x6f": 834, b"\x88\x1b\x03\x70": 834, b"\x88\x1b\x03\x71": 4096}
 STEPS = {0: 4096, 1: 32768, 2: 131072}
 NOT_MEASURED = 2147483640
+NO_INTENSITY = 65412
 WAVELENGTH_M = (1e-7, 2e-5)
 
 
@@ -71,8 +74,8 @@ def read_metropro(path: Path | str, given: Given | None = None) -> HeightMap:
     (header_bytes,) = content.numbers(">I", 6)
     if header_bytes != expected:
         refuse(name, "header size", header_bytes, f"{expected} is known; export x3p")
-    _x, _y, width, height, buckets, _range, intensity_bytes = content.numbers(">hhHHHhI", 48)
-    _x, _y, cols, rows, phase_bytes = content.numbers(">hhHHI", 64)
+    x, y, width, height, buckets, _range, intensity_bytes = content.numbers(">hhHHHhI", 48)
+    left, top, cols, rows, phase_bytes = content.numbers(">hhHHI", 64)
     if intensity_bytes != 2 * width * height * buckets or phase_bytes != 4 * rows * cols:
         refuse(name, "sizes", f"{intensity_bytes} and {phase_bytes} bytes do not fit the dimensions", DAMAGED)
     raw = content.grid(">i4", rows, cols, header_bytes + intensity_bytes).astype(np.int32)
@@ -80,5 +83,26 @@ def read_metropro(path: Path | str, given: Given | None = None) -> HeightMap:
     stated = None if lateral == 0 else (lateral * 1e6, lateral * 1e6)
     pixel = stated_or_given_pixel(name, stated, given.pixel_um if given else None)
     heights = scaled(raw, _factor_um(content), raw >= NOT_MEASURED)
-    intensity = {"not_read": [f"intensity layer, {width} × {height} points"]} if intensity_bytes else {}
-    return checked_map(name, heights, pixel, _origin(content) | intensity)
+    layers = {}
+    if intensity_bytes:
+        counts = content.grid(">u2", height, width, header_bytes)
+        layers[INTENSITY] = _placed(counts, (y - top, x - left), (rows, cols))
+    return checked_map(name, heights, pixel, _origin(content), layers=layers)
+
+
+def _placed(counts: npt.NDArray[Any], at: tuple[int, int], shape: tuple[int, int]) -> Layer:
+    """Intensities in the window of the heights: NaN where there are none.
+
+    Args:
+        counts: (height, width) as stored.
+        at: row and column of their first point in the window.
+        shape: (rows, cols) of the window.
+    """
+    found = np.full(shape, np.nan, dtype=np.float32)
+    spans = []
+    for start, count, limit in zip(at, counts.shape, shape, strict=True):
+        low, high = max(start, 0), min(start + count, limit)
+        spans.append((slice(low, max(low, high)), slice(low - start, max(low, high) - start)))
+    part = counts[spans[0][1], spans[1][1]]
+    found[spans[0][0], spans[1][0]] = np.where(part < NO_INTENSITY, part, np.nan)
+    return found

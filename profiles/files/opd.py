@@ -3,8 +3,8 @@
 Two bytes, then a directory of 24-byte entries (name, type, length, attribute), the first of which is the
 directory itself; the blocks follow in its order. Heights are an array block of (columns, rows): each column
 from the bottom of the picture up; times Wavelength nm over Mult. Pixel_size is mm, and Aspect times it along
-y. Structure as in Gwyddion's ``opdfile.c`` and SurfaceTopography's ``IO/OPD.py`` (MIT licence). Types other
-than arrays and plain numbers are passed over by their length.
+y. An array "Image" of bytes is the intensity. Structure as in Gwyddion's ``opdfile.c`` and SurfaceTopography's
+``IO/OPD.py`` (MIT licence). Types other than arrays and plain numbers are passed over by their length.
 """
 
 from dataclasses import dataclass
@@ -17,11 +17,12 @@ import numpy as np
 from anisoscope.profiles.files.checks import check_claim, checked_map, refuse
 from anisoscope.profiles.files.content import DAMAGED, Content, load_content, scaled
 from anisoscope.profiles.files.units import Given, stated_or_given_pixel
-from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.heightmap import INTENSITY, HeightMap
 
 ENTRY = "<16shlH"
 ENTRY_BYTES = 24
 ARRAY = 3
+PICTURE = "Image"
 HEIGHTS = ("RAW DATA", "RAW_DATA", "OPD", "Raw", "SAMPLE_DATA")
 KINDS = {1: "u1", 2: "<i2", 4: "<f4"}
 NOT_MEASURED = {2: 32766, 4: 1e38}
@@ -110,4 +111,12 @@ def read_opd(path: Path | str, given: Given | None = None) -> HeightMap:
     origin: dict[str, Any] = {"format": "opd", "array": key, "instrument": {"manufacturer": "Wyko"}}
     if date := _date(content, blocks):
         origin["date"] = date
-    return checked_map(name, scaled(raw, factor, missing), pixel, origin)
+    layers = {}
+    picture = blocks.get(PICTURE)
+    if picture is not None and picture.kind == ARRAY:
+        size = content.numbers("<HHH", picture.start)
+        if size == (cols, rows, 1) and picture.length >= 6 + rows * cols:
+            layers[INTENSITY] = content.grid("u1", cols, rows, picture.start + 6).T
+        else:
+            origin["not_read"] = [f"picture of {size[1]} × {size[0]} points, {size[2]} bytes each"]
+    return checked_map(name, scaled(raw, factor, missing), pixel, origin, layers=layers)

@@ -3,7 +3,7 @@
 nms, of µsurf confocal microscopes, version ``OM_MS_2.0``. Positions and meaning of the fields:
 https://github.com/drocheam/musurf-reader, an independent reader of this version. Steps are nanometres there;
 SurfaceTopography takes the same numbers for millimetres. Numbers below or above the range that the header names are
-points without a height; so are points without intensity.
+points without a height; so are points without intensity, which is a byte for each point after the heights.
 
 tmd, ``Binary TrueMap Data File v2.0``. After 32 bytes of magic come a comment that ends with NUL (24 bytes of TrueMap
 v6, a single NUL of GelSight), columns and rows, lengths and offsets in mm, and float32 heights in mm, row after row.
@@ -17,7 +17,7 @@ import numpy as np
 from anisoscope.profiles.files.checks import checked_map, refuse
 from anisoscope.profiles.files.content import DAMAGED, load_content, scaled
 from anisoscope.profiles.files.units import Given, stated_or_given_pixel
-from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.heightmap import INTENSITY, HeightMap
 
 HEADER_BYTES = 3468
 VERSION = "OM_MS_2.0"
@@ -47,8 +47,10 @@ def read_nms(path: Path | str, given: Given | None = None) -> HeightMap:
         )
     raw = content.grid("<u2", rows, cols, HEADER_BYTES)
     missing = (raw < low) | (raw > high)
+    layers = {}
     if content.numbers("<i", 1416)[0] > 0:
-        missing |= content.grid("u1", rows, cols, HEADER_BYTES + raw.nbytes) == 0
+        layers[INTENSITY] = content.grid("u1", rows, cols, HEADER_BYTES + raw.nbytes)
+        missing |= layers[INTENSITY] == 0
     per_count = (top - bottom) / (high - low)
     height = scaled(raw, per_count, missing)
     height += bottom - low * per_count
@@ -59,7 +61,7 @@ def read_nms(path: Path | str, given: Given | None = None) -> HeightMap:
         "instrument": {"manufacturer": "NanoFocus"},
         "corrected": ["steps read as nanometres, as the independent reader has them"],
     }
-    return checked_map(name, height, pixel, origin)
+    return checked_map(name, height, pixel, origin, layers=layers)
 
 
 TMD_MAGIC = b"Binary TrueMap Data File v2.0"

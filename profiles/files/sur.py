@@ -2,8 +2,9 @@
 
 A file is a sequence of objects: 512 bytes of header, comment, private zone, and heights as integers of 16 or 32 bits.
 ``DSCOMPRESSED`` objects have, instead of the integers, a directory (number of blocks, then the plain and the packed
-size of each) and the blocks, each a zlib stream. The first object is the surface; colours of a coloured surface follow
-as objects of their own. Height = integer · z step (step unit); zmin − 2 was not measured.
+size of each) and the blocks, each a zlib stream. The first object is the surface; its colours (red, green, blue) and
+intensities follow as grey images, objects of their own. Height = integer · z step (step unit);
+zmin − 2 was not measured.
 
 Source: the positions are those of Digital Surf's surface format as RosettaSciIO, SurfaceTopography and Gwyddion
 document them; compressed files of MountainsMap (RosettaSciIO's test data) were read with it.
@@ -11,6 +12,7 @@ document them; compressed files of MountainsMap (RosettaSciIO's test data) were 
 
 import struct
 import zlib
+from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,16 +25,16 @@ from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.files.checks import DEFLATE_LIMIT, check_claim, checked_map, refuse
 from anisoscope.profiles.files.content import DAMAGED, Content, load_content, scaled
 from anisoscope.profiles.files.units import Given, stated_micrometres_per
-from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.heightmap import COLOUR, INTENSITY, HeightMap
 
 PLAIN, PACKED = b"DIGITAL SURF", b"DSCOMPRESSED"
 LAYOUT = "<12sHHHh30s30sHHHHHfIHiiiiIfff16s16s16s16s16s16s16s16s16sfffHHH12sHHHHHHHfI6sHH128sfffff13s13s"
 HEADER_BYTES = struct.calcsize(LAYOUT)
 MOST_BLOCKS = 4096
 PC_ORDER = 0
-WITH_INTENSITY = 11
-SURFACES = (2, WITH_INTENSITY, 13, 16)
-"""Kinds of object whose first layer is a surface: alone, with intensities, with colours (two kinds)."""
+LAYERS = {11: (INTENSITY,), 13: (COLOUR,), 16: (COLOUR, INTENSITY)}
+SURFACES = (2, *LAYERS)
+"""Kinds of object whose first layer is a surface: alone, or with the layers named above."""
 OTHERS = {
     1: "a profile", 3: "a binary image", 4: "a series of profiles", 5: "a series of surfaces", 6: "a meridian disc",
     7: "a multilayer profile", 8: "a multilayer surface", 9: "a parallel disc", 10: "a grey image", 12: "an RGB image",
@@ -129,9 +131,7 @@ def _header(content: Content) -> _Header:
     if header.kind not in SURFACES:
         kind = OTHERS.get(header.kind, f"an object of type {header.kind}")
         refuse(name, "content", f"{kind}, no surface", "export the topography as a surface")
-    if header.bits not in (16, 32) or header.points != header.rows * header.cols:
-        size = f"{header.rows} × {header.cols} points of {header.bits} bits, {header.points} in all"
-        refuse(name, "header", size, DAMAGED)
+    _check_numbers(name, header)
     if header.spectral > 1:
         refuse(
             name, "content", f"{header.spectral} values at each point", "export the topography as a surface"
@@ -139,8 +139,14 @@ def _header(content: Content) -> _Header:
     return header
 
 
-def _unpacked(content: Content, start: int, size: int) -> bytes:
-    """The plain bytes of the blocks whose directory begins at ``start``; exactly ``size`` of them."""
+def _check_numbers(name: str, header: _Header) -> None:
+    if header.bits not in (16, 32) or header.points != header.rows * header.cols:
+        size = f"{header.rows} × {header.cols} points of {header.bits} bits, {header.points} in all"
+        refuse(name, "header", size, DAMAGED)
+
+
+def _unpacked(content: Content, start: int, size: int) -> tuple[bytes, int]:
+    """The plain bytes of the blocks whose directory begins at ``start``, exactly ``size`` of them, and their end."""
     name = content.name
     (count,) = content.numbers("<I", start)
     if not 1 <= count <= MOST_BLOCKS:
@@ -161,7 +167,7 @@ def _unpacked(content: Content, start: int, size: int) -> bytes:
             refuse(name, "compressed block", f"{len(part)} bytes where {due} are due", DAMAGED)
         parts.append(part)
         at += length
-    return b"".join(parts)
+    return b"".join(parts), at
 
 
 def _origin(content: Content, header: _Header) -> dict[str, Any]:
@@ -177,8 +183,6 @@ def _origin(content: Content, header: _Header) -> dict[str, Any]:
         pass
     if comment := content.text(HEADER_BYTES, min(header.comment_bytes, 200)):
         origin["comment"] = comment
-    if header.kind != 2:
-        origin["not_read"] = ["intensity layer" if header.kind == WITH_INTENSITY else "colours of the points"]
     return origin
 
 
@@ -196,21 +200,53 @@ def read_sur(path: Path | str, given: Given | None = None) -> HeightMap:
     if given and given.pixel_um is not None:
         refuse(name, "units", "a sur file states its own pixel", "leave the pixel size out")
     header = _header(content)
-    start = HEADER_BYTES + header.comment_bytes + header.private_bytes
-    if header.signature == PACKED:
-        capacity = DEFLATE_LIMIT * max(len(content) - start, 0)
-        check_claim(name, header.rows, header.cols, header.bits // 8, capacity)
-        content_of = Content(name, _unpacked(content, start, header.points * (header.bits // 8)))
-        raw = content_of.grid(f"<i{header.bits // 8}", header.rows, header.cols, 0)
-    else:
-        raw = content.grid(f"<i{header.bits // 8}", header.rows, header.cols, start)
+    raw, end = _numbers(content, header, 0)
+    origin = _origin(content, header)
+    layers = {}
+    if wanted := LAYERS.get(header.kind):
+        try:
+            layers = _layers(content, header, end, wanted)
+        except HeightMapError as error:  # the heights stand before them
+            origin["not_read"] = [f"{' and '.join(wanted)} ({str(error).removeprefix(f'{name}: ')})"]
     return checked_map(
         name,
         _heights(name, header, raw),
         _pixel_um(name, header),
-        _origin(content, header),
+        origin,
         stage_height=True,
+        layers=layers,
     )
+
+
+def _numbers(content: Content, header: _Header, at: int) -> tuple[npt.NDArray[Any], int]:
+    """(rows, cols) integers of the object that begins at a byte, and where the next one begins."""
+    start = at + HEADER_BYTES + header.comment_bytes + header.private_bytes
+    size = header.bits // 8
+    if header.signature == PACKED:
+        capacity = DEFLATE_LIMIT * max(len(content) - start, 0)
+        check_claim(content.name, header.rows, header.cols, size, capacity)
+        plain, end = _unpacked(content, start, header.points * size)
+        return Content(content.name, plain).grid(f"<i{size}", header.rows, header.cols, 0), end
+    return content.grid(f"<i{size}", header.rows, header.cols, start), start + header.points * size
+
+
+def _layers(content: Content, first: _Header, at: int, wanted: Sequence[str]) -> dict[str, npt.NDArray[Any]]:
+    """Layers from the grey images that follow the surface: one for an intensity, three for a colour."""
+    found = {}
+    for layer in wanted:
+        pictures = []
+        for _ in range(3 if layer == COLOUR else 1):
+            header = _Header(*content.numbers(LAYOUT, at))
+            if (header.signature, header.rows, header.cols) != (first.signature, first.rows, first.cols):
+                refuse(content.name, f"image of the {layer}", "is no object of the surface's size", DAMAGED)
+            _check_numbers(content.name, header)
+            raw, at = _numbers(content, header, at)
+            pictures.append(
+                scaled(raw, header.step_z, raw == header.lowest - 2 if header.special == 1 else None)
+            )
+        values = np.stack(pictures, axis=2) if layer == COLOUR else pictures[0]
+        found[layer] = _turned(values, first.inverted)
+    return found
 
 
 def _pixel_um(name: str, header: _Header) -> tuple[float, float]:
@@ -226,9 +262,14 @@ def _heights(name: str, header: _Header, raw: npt.NDArray[Any]) -> FloatArray:
         refuse(name, "step of the heights", f"{header.step_z:g}", DAMAGED)
     missing = raw == header.lowest - 2 if header.special == 1 else None
     height = scaled(raw, -factor if header.inverted else factor, missing)
-    if header.inverted in (MOSTLY_LEFT, UPSIDE):
-        height = np.ascontiguousarray(height[:, ::-1] if header.inverted == MOSTLY_LEFT else height[::-1])
-    return height
+    return np.ascontiguousarray(_turned(height, header.inverted))
+
+
+def _turned(values: npt.NDArray[Any], inverted: int) -> npt.NDArray[Any]:
+    """Numbers (rows, cols, ...) of an inverted surface as it was before."""
+    if inverted in (MOSTLY_LEFT, UPSIDE):
+        return values[:, ::-1] if inverted == MOSTLY_LEFT else values[::-1]
+    return values
 
 
 LARGEST = 2**31 - 8

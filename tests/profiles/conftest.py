@@ -1,5 +1,6 @@
 """Small files of every format, made from known heights, and the folder of real ones."""
 
+import importlib.util
 import os
 import struct
 import zipfile
@@ -315,6 +316,7 @@ MADE = {
     "tmd": own(".tmd", tmd, 80, missing=False, first_row="top"),
     "tmd-gelsight": own(".tmd", gelsight, 57, missing=False, first_row="top"),
     "gwyddion-text": own(".txt", gwyddion_text, 90, missing=False, first_row="top"),
+    **({"exr": own(".exr", by_suffix, 340)} if importlib.util.find_spec("OpenEXR") else {}),
     "al3d": library(".al3d", al3d, 450),
     "os3d": library(".os3d", os3d, 80),
     "bcr": library(".bcrf", bcr, 200),

@@ -21,7 +21,7 @@ from anisoscope.cli.profile.many import (
     write_each,
     written_suffix,
 )
-from anisoscope.cli.profile.profile import AS_STATED, Scales, info_values
+from anisoscope.cli.profile.profile import AS_STATED, Scales, info_values, note_lost_layers
 from anisoscope.cli.tables import print_table
 from anisoscope.profiles.editing import operations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 Out = Annotated[
     Path | None,
-    Parameter(help="File to write: x3p, npz or gsf (they keep the history), or another format."),
+    Parameter(help="File to write: x3p, npz, gsf or exr (they keep the history), or another format."),
 ]
 Format = Annotated[
     str, Parameter(name="--format", help="Format of the new files in --out-dir: an extension such as x3p.")
@@ -118,6 +118,7 @@ def _run(
         def work(path: Path, target: Path) -> Values:
             edited = edit_map(scales.read(path), steps, read=scales.read)
             write_height_map(edited, target)
+            note_lost_layers(edited, target)
             return info_values(edited)
 
         return write_each(files, work, several, suffix, to_json=as_json)
@@ -127,6 +128,7 @@ def _run(
     _check_target(out, [files[0], *others], overwrite=several.overwrite)
     edited = edit_map(scales.read(files[0]), steps, read=scales.read)
     write_height_map(edited, out)
+    note_lost_layers(edited, out)
     _show(edited, out, as_json=as_json)
     return 0
 
@@ -151,7 +153,7 @@ def _show(edited: "HeightMap", out: Path, *, as_json: bool) -> None:
         )
         return
     lines = [described(entry) for entry in history]
-    lines += [] if kept else [f"{out.suffix} has no place for this history; x3p, npz and gsf keep it"]
+    lines += [] if kept else [f"{out.suffix} has no place for this history; x3p, npz, gsf and exr keep it"]
     print_table(
         out.name,
         ["quantity", "value", "unit"],

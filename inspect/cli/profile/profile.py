@@ -3,7 +3,7 @@
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import App, Group, Parameter
 
@@ -61,6 +61,7 @@ Layout = Literal["auto", "matrix", "xyz"]
 Role = Literal["part", "tool"]
 Rows = Literal["auto", "up", "down"]
 FilterType = Literal["gaussian", "robust", "spline"]
+Layer = Literal["intensity", "colour"]
 Trust = Literal["checksum", "pixel-size", "heights"]
 VIEW_SUFFIX, MOST_EXAGGERATION = "-view.html", 1e6
 
@@ -181,6 +182,7 @@ def info(
             "sq_um": found.sq_um,
             "sz_um": found.sz_um,
             "field_um": list(surface.extent_um),
+            "layers": list(surface.layers),
             "origin": surface.origin,
         }
         print_json(result | ({"sheet": sheet} if sheet else {}))
@@ -199,7 +201,7 @@ def info(
             ["Sq", f"{found.sq_um:.6g}", "µm"],
             ["Sz", f"{found.sz_um:.6g}", "µm"],
         ],
-        caption=_caption(surface.origin),
+        caption=_caption(surface),
     )
     return print_sheet(sheet)
 
@@ -221,11 +223,13 @@ def info_values(surface: "HeightMap") -> Values:
     }
 
 
-def _caption(origin: dict[str, Any]) -> str:
-    """Origin of a map and its processing, in lines of text."""
+def _caption(surface: "HeightMap") -> str:
+    """Origin of a map, its layers and its processing, in lines of text."""
+    origin, layers = surface.origin, surface.layers
     lines = [f"format {origin['format']}, role {origin['role']}, reader {origin['reader']}"]
     instrument = " ".join(str(part) for part in origin.get("instrument", {}).values())
     lines += [f"measured {' '.join((instrument, str(origin.get('date', '')))).strip()}"] if instrument else []
+    lines += [f"layers: {', '.join(layers)}"] if layers else []
     lines += [f"other channels: {', '.join(origin['other_channels'])}"] if "other_channels" in origin else []
     lines += [f"not read: {', '.join(origin['not_read'])}"] if "not_read" in origin else []
     lines += [f"mask: {origin['mask']}"] if "mask" in origin else []
@@ -237,35 +241,48 @@ def _caption(origin: dict[str, Any]) -> str:
 def convert(
     *files: Path,
     format_: Annotated[
-        str,
-        Parameter(name="--format", help="Format of the new files in --out-dir: an extension such as x3p."),
-    ] = "x3p",
+        str | None,
+        Parameter(
+            name="--format", help="Format of the new files in --out-dir: an extension; x3p, of layers png."
+        ),
+    ] = None,
+    layer: Annotated[
+        Layer | None, Parameter(help="Write this layer of the map as PNG, instead of the heights.")
+    ] = None,
     several: Annotated[OutOptions, Parameter(name="*", group="Several files")] = NO_TABLE,
     json_: Annotated[bool, Parameter(name="--json", negative="", help="Print JSON, with --out-dir.")] = False,
     scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
 ) -> int:
     """Write height maps in another format: SOURCE TARGET by the extension, or any number of maps with --out-dir.
 
-    x3p, npz and csv keep every bit of the heights, gwy those of metres, sur 31 bits of the largest height, gsf and tif
-    24 bits, png 16 bits of the range. stl and ply are meshes in mm for other programs.
+    x3p, npz and csv keep every bit of the heights, gwy those of metres, sur 31 bits of the largest height, gsf, tif and
+    exr 24 bits, png 16 bits of the range. npz, gwy and exr keep intensity and colour. stl and ply are meshes in mm for
+    other programs.
 
     Args:
-        files: Source and target: x3p, sur, gwy, gsf, npz, npy, csv, txt, tif, png, stl or ply. With --out-dir: height
-            maps, or patterns.
+        files: Source and target: x3p, sur, gwy, gsf, npz, npy, csv, txt, tif, exr, png, stl or ply. With --out-dir:
+            height maps, or patterns.
 
     Examples:
         anisoscope profile convert part.sur part.x3p
         anisoscope profile convert 'lot/*.sur' --format x3p --out-dir x3p
+        anisoscope profile convert part.opd seen.png --layer intensity
     """
+    from anisoscope.profiles.files.images import write_layer
     from anisoscope.profiles.files.load import MESH_WRITERS, WRITERS, write_height_map
 
-    if several.out_dir is not None:
-        suffix = written_suffix(format_, (*WRITERS, *MESH_WRITERS))
-
-        def run(path: Path, target: Path) -> Values:
-            surface = scales.read(path)
+    def run(path: Path, target: Path) -> Values:
+        surface = scales.read(path)
+        if layer is not None:
+            write_layer(surface, layer, target)
+        else:
             write_height_map(surface, target)
-            return info_values(surface)
+            note_lost_layers(surface, target)
+        return info_values(surface)
+
+    if several.out_dir is not None:
+        known = (*WRITERS, *MESH_WRITERS) if layer is None else (".png",)
+        suffix = written_suffix(format_ or ("x3p" if layer is None else "png"), known)
 
         return write_each(expanded(files), run, several, suffix, to_json=json_)
     if len(files) != 2:
@@ -274,8 +291,22 @@ def convert(
     source, target = files
     if target.exists() and not several.overwrite:
         raise UsageError(f"{target} exists; give another name, or --overwrite")
-    write_height_map(scales.read(source), target)
+    if layer is not None and target.suffix.lower() != ".png":
+        raise UsageError(f"{target}: a layer is written as PNG; name it *.png")
+    run(source, target)
     return 0
+
+
+def note_lost_layers(surface: "HeightMap", target: Path) -> None:
+    """Say on standard error which layers the format of a file has no place for."""
+    from anisoscope.profiles.files.load import LAYER_SUFFIXES
+
+    if surface.layers and target.suffix.lower() not in LAYER_SUFFIXES:
+        lost = " and ".join(surface.layers)
+        sys.stderr.write(
+            f"{target.name}: heights alone, without {lost}; {', '.join(LAYER_SUFFIXES)} keep layers, "
+            "profile convert --layer writes a PNG\n"
+        )
 
 
 @app.command
@@ -333,6 +364,9 @@ def view(
         float | None,
         Parameter(help="Factor on the heights; one that makes the relief 8 % of the width if not given."),
     ] = None,
+    layer: Annotated[
+        Layer | None, Parameter(help="Layer of the map that colours the relief, instead of the heights.")
+    ] = None,
     several: Annotated[OutOptions, Parameter(name="*", group="Several files")] = NO_TABLE,
     json_: Annotated[
         bool, Parameter(name="--json", negative="", help="Print JSON, of several maps.")
@@ -362,7 +396,7 @@ def view(
 
         def run(path: Path, target: Path) -> Values:
             surface = scales.read(path)
-            drawn = write_view_page(surface, path.name, target, exaggerate)
+            drawn = write_view_page(surface, path.name, target, exaggerate, layer)
             return {**info_values(surface), "3-D": (float(drawn.scene is not None), "")}
 
         return write_each(chosen, run, several, VIEW_SUFFIX, to_json=json_)
@@ -374,7 +408,7 @@ def view(
         raise UsageError(f"{target} exists; give another --out, or --overwrite")
     with progress(source.name) as advance:
         advance("drawing", 0, 1)
-        drawn = write_view_page(scales.read(source), source.name, target, exaggerate)
+        drawn = write_view_page(scales.read(source), source.name, target, exaggerate, layer)
     if drawn.png is None:
         sys.stderr.write(f"no 3-D view: {drawn.note}; the page has a still picture from above\n")
     elif drawn.scene is None:

@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -140,8 +141,11 @@ class Drawn:
 
     PICTURE = Picture3D(b"png", "heights drawn 7 times as large", b"scene")
 
-    def __init__(self, height_um, _pixel_um, *, interactive, scene):
+    COLOURS = None
+
+    def __init__(self, height_um, _pixel_um, *, interactive, scene, colours):
         assert interactive
+        Drawn.COLOURS = colours
         self.shape, self.scene = height_um.shape, scene
 
     def result(self):
@@ -174,6 +178,20 @@ def test_a_page_to_turn_is_written_with_the_map_or_in_a_folder(lot, tmp_path, re
     assert good["written"] == str(tmp_path / "pages" / "part-view.html")
     assert good["3-D"]["value"] == 1.0
     assert "error" in bad
+
+
+def test_a_layer_colours_the_view(lot, tmp_path, renderer):
+    surface = read_height_map(lot / "part0.x3p")
+    seen = np.broadcast_to(np.arange(surface.shape[1], dtype=np.float32), surface.shape)
+    write_height_map(replace(surface, layers={"intensity": seen}), tmp_path / "seen.npz")
+    assert view(tmp_path / "seen.npz", layer="intensity") == 0
+    assert renderer.COLOURS.shape == (*surface.shape, 3)
+    assert list(renderer.COLOURS[0, [0, -1], 0]) == [0, 255]
+    page = (tmp_path / "seen-view.html").read_text(encoding="utf-8")
+    assert page.count("data:image/png;base64,") >= 2
+    assert 'id="layer"' in page
+    with pytest.raises(HeightMapError, match="no colour; there is intensity"):
+        view(tmp_path / "seen.npz", layer="colour", out=tmp_path / "b.html")
 
 
 def test_without_a_renderer_the_page_has_the_picture_from_above(lot, tmp_path, renderer, monkeypatch, capsys):

@@ -39,7 +39,7 @@ def test_made_file_gives_its_heights_pixel_and_gaps_with_y_rising(made, tmp_path
     assert surface.origin["missing_share"] == surface.missing_share
     assert surface.origin["reader"].startswith("SurfaceTopography" if made.library else "anisoscope")
     assert any("rows turned" in entry for entry in surface.origin.get("corrected", [])) == (
-        made.first_row == "top" or made.suffix in (".gsf", ".tif")
+        made.first_row == "top" or made.suffix in (".gsf", ".tif", ".exr")
     )
 
 
@@ -247,27 +247,6 @@ def test_a_note_of_the_pixel_that_is_no_number_is_no_note(tmp_path):
     tifffile.imwrite(tmp_path / "a.tif", np.eye(4, dtype=np.float32), description=note, metadata=None)
     with pytest.raises(HeightMapError, match="--pixel"):
         read_height_map(tmp_path / "a.tif")
-
-
-@pytest.mark.parametrize(("kind", "layer"), [(11, "intensity"), (13, "colours"), (16, "colours")])
-def test_layers_of_a_sur_surface_are_named_and_not_read(tmp_path, heights, made_files, kind, layer):
-    path = write(made_files["sur"], tmp_path / "a.sur", heights)
-    plain = read_height_map(path)
-    assert "not_read" not in plain.origin
-    data = bytearray(path.read_bytes())
-    struct.pack_into("<H", data, 18, kind)
-    path.write_bytes(data)
-    found = read_height_map(path)
-    (text,) = found.origin["not_read"]
-    assert layer in text
-    np.testing.assert_array_equal(found.height_um, plain.height_um)
-
-
-def test_the_intensities_of_metropro_are_named(tmp_path, heights, made_files):
-    (made,) = (one for one in made_files.values() if one.suffix == ".dat")
-    found = read_height_map(write(made, tmp_path / "a.dat", heights), **made.options)
-    (text,) = found.origin["not_read"]
-    assert "intensity" in text
 
 
 def test_pictures_in_an_x3p_container_are_named(tmp_path, heights):

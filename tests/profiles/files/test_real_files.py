@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from anisoscope.profiles.files.load import read_height_map
 from anisoscope.profiles.textures.amplitude import amplitude
@@ -42,6 +43,22 @@ FILES = [
 CURVED = [("sensofar_ground.plu", 0.01818, 1e-4), ("zygo_metropro.dat", 0.003911386, 1e-5)]
 
 pytestmark = pytest.mark.realdata
+
+
+@pytest.mark.parametrize("name", ["wyko.opd", "zygo_metropro.dat"])
+def test_the_intensity_lies_on_the_heights(name, real_file):
+    """Slopes reflect less light into the objective: the picture is darker there, in this orientation and no other."""
+    surface = read_height_map(real_file(name))
+    height = np.nan_to_num(surface.height_um, nan=float(np.nanmedian(surface.height_um)))
+    fine, light = (
+        ndimage.gaussian_filter(one, 1.5) - ndimage.gaussian_filter(one, 8.0)
+        for one in (height, surface.layers["intensity"].astype(float))
+    )
+    slope = np.hypot(*np.gradient(fine))
+    turns = (light, light[::-1], light[:, ::-1], light[::-1, ::-1])
+    right, *wrong = (float(np.corrcoef(slope.ravel(), turn.ravel())[0, 1]) for turn in turns)
+    assert right < -0.3
+    assert max(map(abs, wrong)) < 0.05
 
 
 @pytest.mark.parametrize(("name", "shape", "field", "missing", "sq", "reader"), FILES)
