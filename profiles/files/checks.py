@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError
-from anisoscope.profiles.heightmap import HeightMap, Layer
+from anisoscope.profiles.heightmap import HeightMap
 
 PIXEL_LIMITS_UM = (0.01, 1000.0)
 MAX_FIELD_UM = 0.5e6
@@ -227,7 +227,7 @@ def checked_map(
     *,
     stage_height: bool = False,
     beyond_um: float = np.inf,
-    layers: Mapping[str, Layer] | None = None,
+    layers: Mapping[str, npt.NDArray[Any]] | None = None,
 ) -> HeightMap:
     """A map of heights whose pixel, field and heights have been checked.
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from anisoscope.base.errors import HeightMapError
 from anisoscope.profiles.files.checks import checked_map, refuse
@@ -93,7 +94,7 @@ def write_exr(surface: HeightMap, path: Path | str) -> None:
         "heightMap": note,
         **({"comments": str(comment)} if (comment := surface.origin.get("comment")) else {}),
     }
-    grids = {"Z": surface.height_um}
+    grids: dict[str, npt.NDArray[Any]] = {"Z": surface.height_um}
     for layer, channels in LAYERS.items():
         if layer in surface.layers:
             values = surface.layers[layer].reshape(*surface.shape, -1)
