@@ -69,12 +69,15 @@ def edit(
 
 
 def _files_and_steps(words: Sequence[str]) -> tuple[list[Path], Sequence[str]]:
-    """Files come first: what has an extension, is a pattern or exists, and names no step; then the steps."""
+    """Files come first: what has the extension of a map, is a pattern or exists, and names no step; then the steps."""
+    from anisoscope.profiles.files.formats import FORMATS
+
+    suffixes = {suffix for one in FORMATS for suffix in one.suffixes}
     count = min(len(words), 1)
     while count < len(words):
         word = words[count]
         step = word.partition("=")[0] in operations.OPERATIONS
-        named = "=" not in word and (Path(word).suffix or "*" in word or "?" in word)
+        named = "=" not in word and (Path(word).suffix.lower() in suffixes or "*" in word or "?" in word)
         if step or not (named or Path(word).exists()):
             break
         count += 1

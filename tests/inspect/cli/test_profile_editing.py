@@ -70,7 +70,7 @@ def test_chain_in_one_command_and_its_text(anisoscope, part, tmp_path):
     ("arguments", "code", "message"),
     [
         (("edit", "{part}", "--out", "{new}"), 64, "at least one step"),
-        (("edit", "{part}", "polish", "--out", "{new}"), 64, "no step 'polish'"),
+        (("edit", "{part}", "form.poly2", "--out", "{new}"), 64, "no step 'form.poly2'"),
         (("edit", "{part}", "level", "--out", "{part}", "--overwrite"), 64, "never edited in place"),
         (("subtract", "{other}", "{part}", "--out", "{part}", "--overwrite"), 64, "never edited in place"),
         (("edit", "{part}", "level", "--out", "{other}"), 64, "exists"),
