@@ -13,7 +13,7 @@ from urllib.parse import quote
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, ValidationInfo
 from pydantic_core import ErrorDetails
 
-from anisoscope.base.errors import ConfigError, RigFileError
+from anisoscope.base.errors import ConfigError, RecipeError, RigFileError
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
 _FILES = {".csv", ".toml"}
@@ -75,6 +75,7 @@ def read_toml_model(
         ConfigError: as `error`; the file is missing, is no TOML, or does not hold what the model wants.
     """
     data = _load(path, error)
+    _check_not_swapped(path, data, error)
     try:
         filled = _substitute(data, substitutions or {}, ())
         text = json.dumps(filled, default=str)
@@ -83,6 +84,24 @@ def read_toml_model(
         raise error(f"{path}: {problem}") from None
     except ValidationError as problem:
         raise error(f"{path}: {one_line(problem, model)}") from problem
+
+
+_MARKS = {RecipeError: {"product", "acquisition"}, RigFileError: {"stage", "camera"}}
+"""Keys by which a file of each sort is recognised: the other sort has none of them."""
+_SORTS = {RecipeError: "recipe", RigFileError: "rig file"}
+
+
+def _check_not_swapped(path: Path, data: Mapping[str, Any], error: type[ConfigError]) -> None:
+    for other, marks in _MARKS.items():
+        if (
+            error in _MARKS
+            and other is not error
+            and marks <= data.keys()
+            and not _MARKS[error] & data.keys()
+        ):
+            raise error(
+                f"{path}: this is a {_SORTS[other]}, and a {_SORTS[error]} is needed here: are the two swapped?"
+            )
 
 
 def one_line(problem: ValidationError, model: type[BaseModel]) -> str:

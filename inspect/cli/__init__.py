@@ -16,6 +16,7 @@ from anisoscope.base.errors import AnisoscopeError, UsageError
 from anisoscope.cli.help_page import asks_for_help, print_examples, usage_text
 from anisoscope.cli.log import listening, options_of, report
 from anisoscope.cli.old_spellings import of_today
+from anisoscope.cli.setup.project_file import apply_project
 
 EXIT_INTERRUPTED = 130
 
@@ -27,10 +28,12 @@ app = App(
     help_flags=["--help", "-h"],
     result_action="return_value",
     suppress_keyboard_interrupt=False,
+    config=apply_project,
 )
 COMMANDS = {
     "Inspect": {
         "demo": "demo.demo:demo",
+        "init": "setup.init:init",
         "inspect": "inspect.inspection:inspect",
         "batch": "inspect.batch:batch",
         "watch": "inspect.watch:watch",
@@ -53,7 +56,6 @@ COMMANDS = {
         "camera": "statistics.camera:camera",
         "recipe": "recipe.recipe:app",
         "golden": "recipe.golden:app",
-        "cache": "cache.cache:app",
     },
     "Predict and design": {
         "predict": "predict.predict:predict",
@@ -65,6 +67,11 @@ COMMANDS = {
         "fit": "fit.fit:app",
     },
     "Research": {"research": "study.study:app"},
+    "This computer": {
+        "doctor": "setup.doctor:doctor",
+        "cache": "cache.cache:app",
+        "completion": "setup.completion:completion",
+    },
 }
 """Commands by the user who needs them, in the order of the help: name and the attribute that runs it."""
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from anisoscope.base.errors import CalibrationError, RigFileError, UsageError
 from anisoscope.calibration.corrections import Calibrations, read_calibrations
-from anisoscope.calibration.record import Kind
+from anisoscope.calibration.record import Kind, record_path
 from anisoscope.calibration.white_reference import read_reference
 from anisoscope.decision.reference_parts import golden_path
 from anisoscope.imaging.linearisation import WhiteReference
@@ -19,7 +19,7 @@ from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.schema import sha256_of
 from anisoscope.rig.acquisition.plan import Plan, Pose
 from anisoscope.rig.fixture import Fixture
-from anisoscope.rig.rigfile import RigFile, read_rig
+from anisoscope.rig.rigfile import CalibrationPart, RigFile, read_rig
 
 SERIAL = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._+#-]{0,63}")
 Role = str
@@ -123,6 +123,7 @@ def prepare(recipe_path: Path, rig_path: Path, serial: str, *, without: Kind | N
     recipe, rig = kind.read_recipe(recipe_path), read_rig(rig_path)
     white_path, fixture = flat_of(rig, rig_path), fixture_of(rig, rig_path)
     assert rig.calibration is not None
+    check_calibration_files(rig_path, rig.calibration, without)
     calibrations = read_calibrations(rig.calibration, without)
     white = read_reference(white_path)
     kind.check_filters(white.filters, f"camera {white.camera} of the flat", white.filters)
@@ -163,6 +164,27 @@ def sources_of(
 def _golden_file(recipe_path: Path) -> list[tuple[Role, Path]]:
     path = golden_path(recipe_path)
     return [("golden parts", path)] if path.is_file() else []
+
+
+def check_calibration_files(path: Path, part: CalibrationPart, without: Kind | None = None) -> None:
+    """Refuse a rig file whose calibrations are not where it says, as after it was moved alone.
+
+    Args:
+        path: the rig file.
+        part: its table ``calibration``.
+        without: a calibration that is not looked at.
+
+    Raises:
+        RigFileError: names all files that are missing.
+    """
+    named = {name: file for name, file in part if file is not None and name != without}
+    missing = [name for name, file in named.items() if not (file.exists() or record_path(file).exists())]
+    if missing:
+        listed = ", ".join(f"{name} = {named[name]}" for name in missing)
+        raise RigFileError(
+            f"{path}: [calibration] names files that do not exist: {listed}; paths count from the folder of the rig "
+            f"file: move them with it, or take them again (anisoscope calibrate {missing[0]})"
+        )
 
 
 def flat_of(rig: RigFile, path: Path) -> Path:

@@ -553,6 +553,11 @@ def gauge_data(readings: Readings, number: str | None = None) -> GaugeData:
         UsageError: no column of parts, a missing value, or a part that was not measured as often as the others.
     """
     _, values = readings.number(number)
+    if not {"part", "serial"} & readings.texts.keys():
+        raise UsageError(
+            f"{readings.source}: there is no column 'part': a gauge study needs a row for every measurement with the "
+            "columns part, appraiser and a number, such as part,appraiser,height"
+        )
     part = readings.column("part" if "part" in readings.texts else "serial")
     whom = next((readings.texts[name] for name in ("appraiser", "operator") if name in readings.texts), ())
     whom = tuple(name or ALONE for name in whom) or (ALONE,) * len(part)

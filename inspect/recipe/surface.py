@@ -1,5 +1,6 @@
 """Recipe of a part with a surface: reference surface, material, light, and decision rule."""
 
+import math
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
 
@@ -236,6 +237,10 @@ class MaterialPart(Part):
         )
 
 
+LARGEST_LN_RATIO = 3.0
+"""Largest tolerance of a ln ratio: a factor of 20."""
+
+
 class DecisionPart(DecisionBase):
     """Decision rule for the contrasts.
 
@@ -247,6 +252,17 @@ class DecisionPart(DecisionBase):
 
     contrast: ContrastKind = "log_ratio"
     tolerance: Positive | tuple[Positive, ...] | None = None
+
+    @model_validator(mode="after")
+    def _tolerance_is_of_its_contrast(self) -> Self:
+        values = self.tolerance if isinstance(self.tolerance, tuple) else (self.tolerance or 0.0,)
+        largest = max(values, default=0.0)
+        if self.contrast == "log_ratio" and largest > LARGEST_LN_RATIO:
+            raise ValueError(
+                f"tolerance {largest:g} of a ln ratio is a factor of {math.exp(min(largest, 700.0)):.2g}: a share of "
+                f"25 % is 0.25, and more than {LARGEST_LN_RATIO:g} passes everything"
+            )
+        return self
 
 
 class AreaPart(Part):

@@ -75,6 +75,7 @@ def records(job):
         ("pitch_um = 100.0", "pitch_um = -100.0", ("surface.pitch_um",)),
         ("alpha_along = 0.055", "alpha_along = 5.5", ("alpha along",)),
         ("schema = 1", "schema = 7", ("schema",)),
+        ("tolerance = 0.25", "tolerance = 25.0", ("ln ratio", "factor of 7.2e+10")),
         ("schema = 1", "schema = = 1", ("recipe.toml",)),
         ("reference.x3p", "nowhere.x3p", ("nowhere.x3p",)),
         ("pitch_um = 100.0", "pitch_um = 80.0", ("100", "80")),
@@ -162,11 +163,11 @@ def test_lens_cap_is_invalid(anisoscope, job):
     assert "lens cap" in done.json["reasons"][0]
 
 
-def test_missing_or_damaged_flat_is_invalid_before_anything_moves(anisoscope, job):
+def test_a_damaged_flat_is_invalid_and_a_missing_one_a_wrong_rig_file_before_anything_moves(anisoscope, job):
     (job / "flat.tif").write_bytes((job / "flat.tif").read_bytes()[:1000])
     assert_one_line(inspect(anisoscope, job), 3, "flat.tif", "calibrate flat")
     (job / "flat.tif").unlink()
-    assert_one_line(inspect(anisoscope, job), 3, "flat.tif", "calibrate flat")
+    assert_one_line(inspect(anisoscope, job), 78, "[calibration]", "flat.tif", "calibrate flat")
     assert records(job) == []
 
 

@@ -32,6 +32,8 @@ def test_examples_of_every_command_are_understood():
     for words, one in ALL.items():
         shown = examples(one)
         assert 1 <= len(shown) <= 3, words
+        if one.default_command is None:
+            continue  # a group shows those of its commands
         for line in shown:
             program, *arguments = shlex.split(line)
             assert program == "anisoscope"

@@ -1,0 +1,1 @@
+"""``anisoscope init``, ``doctor`` and ``completion``, and the project file."""

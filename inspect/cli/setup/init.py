@@ -1,0 +1,101 @@
+"""``anisoscope init``: a folder for a job, with recipe, rig file and project file."""
+
+from pathlib import Path
+from typing import Annotated
+
+import tomli_w
+from cyclopts import Parameter
+
+from anisoscope.base.errors import RecordError, UsageError
+from anisoscope.cli.setup.project_file import PROJECT_NAME
+from anisoscope.cli.tables import console
+
+RIG = """\
+# Devices of the rig. Ports of this machine: anisoscope rig ports. All keys: docs/recipe-and-rig.md.
+schema = 1
+name = "{station}"
+
+[stage]
+driver = "elliptec"              # or zaber, grbl, apt, smc100, manual
+port = "/dev/ttyUSB0"            # COM3, socket://host:port, sim://elliptec
+zero_deg = 0.0                   # stage reading at which the part stands at 0°: anisoscope rig commission
+
+[camera]
+driver = "uvc"                   # or basler, folder
+pixel_um = 4.0                   # size of a pixel on the part: anisoscope calibrate rotation
+
+[light]
+driver = "manual"                # asks the operator to switch; "serial" with a port switches by itself
+angle_deg = 10.0                 # between light and camera
+
+[geometry]
+tilt_deg = 0.0                   # the camera arm, fixed
+
+[calibration]
+flat = "flat.tif"                # anisoscope calibrate flat --exposure 0.006 --out flat.tif
+"""
+
+
+def init(
+    folder: Annotated[Path, Parameter(help="Folder of the job; made if it does not exist.")] = Path(),
+    /,
+    *,
+    kind: Annotated[
+        str | None,
+        Parameter(help="Kind of part by name, such as ridges or prints; else the other options decide."),
+    ] = None,
+    product: Annotated[str | None, Parameter(help="Name of the product.")] = None,
+    pitch: Annotated[float, Parameter(help="Pitch of the ridges in µm.")] = 100.0,
+    ridge_angle: Annotated[
+        float | None, Parameter(help="Ridge angle of the design in degrees; 10 where nothing else is named.")
+    ] = None,
+    height_map: Annotated[Path | None, Parameter(help="Height map of a good part or of the tool.")] = None,
+    ink: Annotated[str | None, Parameter(help="For a print: its ink, a file or one of the package.")] = None,
+    operator: Annotated[str | None, Parameter(help="Who inspects here; goes into the records.")] = None,
+    station: Annotated[str | None, Parameter(help="Where the rig stands.")] = None,
+) -> int:
+    """Write a job folder: recipe, rig file and anisoscope.toml, which names them for all commands.
+
+    Commands in this folder, and in the folders in it, then need no --recipe, --rig, --out, --operator and --station.
+    No file that exists is replaced.
+
+    Examples:
+        anisoscope init job --ridge-angle 10 --pitch 100
+        anisoscope init job --kind prints --ink synthetic-red --station "rig 2"
+    """
+    from anisoscope.kinds.kind import NewRecipe
+    from anisoscope.kinds.registry import kind_of_new
+
+    recipe, rig, project = (folder / name for name in ("recipe.toml", "rig.toml", PROJECT_NAME))
+    for path in (recipe, rig, project):
+        if path.exists():
+            raise UsageError(f"{path} exists already: name another folder")
+    if (ridge_angle, height_map, ink, kind) == (None, None, None, None):
+        ridge_angle = 10.0
+    requested = NewRecipe(product, pitch, ridge_angle, None, height_map, ink)
+    chosen = kind_of_new(requested, kind)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tables = chosen.new_recipe(recipe, requested)
+        rig.write_text(RIG.format(station=(station or "rig 1").replace('"', "'")), encoding="utf-8")
+        project.write_text(_project(operator, station), encoding="utf-8")
+    except OSError as error:
+        raise RecordError(f"{folder}: cannot be written: {error.strerror}") from error
+    for line in (
+        f"{recipe}: adapt {tables}, then: anisoscope recipe check {recipe}",
+        f"{rig}: name your devices; anisoscope rig ports lists the ports",
+        f"{project}: recipe and rig of all commands in this folder; anisoscope doctor says what is missing",
+    ):
+        console().print(line, markup=False, highlight=False, soft_wrap=True)
+    return 0
+
+
+def _project(operator: str | None, station: str | None) -> str:
+    values = {"recipe": "recipe.toml", "rig": "rig.toml", "out": "inspections"}
+    who = {"operator": operator, "station": station}
+    stated = tomli_w.dumps(values | {name: text for name, text in who.items() if text is not None})
+    missing = "".join(f'# {name} = ""\n' for name, text in who.items() if text is None)
+    return (
+        "# Options that commands in this folder take where they are left out; paths count from here.\n"
+        f'{stated}{missing}# history = "inspections/history.sqlite"\n'
+    )

@@ -1,0 +1,122 @@
+"""Project file ``anisoscope.toml``: what commands take where their command line leaves it out.
+
+The file is searched in the working folder and all folders above it; what it does not state is taken from the file
+``config.toml`` in the user's folder of settings. An option of the command line has precedence over both.
+"""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pydantic import Field
+
+from anisoscope.base.errors import ConfigError
+from anisoscope.base.toml_file import LocalPath, Part, read_toml_model
+from anisoscope.cli.log import LOG
+
+if TYPE_CHECKING:
+    from cyclopts import App, ArgumentCollection
+
+PROJECT_NAME = "anisoscope.toml"
+USER_NAME = "config.toml"
+ACQUIRE = (("inspect",), ("batch",), ("watch",))
+REVIEW = (("show",), ("compare",), ("history",), ("export",), ("spc",), ("msa",))
+COMMANDS: dict[str, tuple[tuple[str, ...], ...]] = {
+    "recipe": (*ACQUIRE, ("golden",)),
+    "rig": (("inspect",), ("batch",), ("rig",), ("calibrate",), ("recipe", "check"), ("recipe", "teach")),
+    "out": (*ACQUIRE, ("recipe", "teach")),
+    "operator": (("inspect",), ("batch",), ("calibrate",)),
+    "station": (("inspect",), ("batch",)),
+    "history": (*ACQUIRE, ("resume",), *REVIEW),
+}
+"""Key of the file -> commands that take it as an option; elsewhere an option of that name means something else."""
+INSTEAD = {"rig": ("--frames", "--driver"), "history": ("--csv",)}
+"""Key of the file -> options in whose presence it is left out, because they stand in its place."""
+
+
+class ProjectFile(Part):
+    """Keys of the project file; paths count from its folder."""
+
+    recipe: LocalPath | None = None
+    rig: LocalPath | None = None
+    out: LocalPath | None = None
+    history: str | None = Field(default=None, min_length=1)
+    operator: str | None = Field(default=None, min_length=1)
+    station: str | None = Field(default=None, min_length=1)
+
+
+@dataclass(frozen=True)
+class Default:
+    """A value and the file that states it."""
+
+    value: str
+    source: Path
+
+
+def project_path(folder: Path | None = None) -> Path | None:
+    """The project file of a folder or of the nearest folder above it; None without one.
+
+    Args:
+        folder: where the search begins; by default the working folder.
+    """
+    start = (folder or Path.cwd()).resolve()
+    return next(
+        (one / PROJECT_NAME for one in (start, *start.parents) if (one / PROJECT_NAME).is_file()), None
+    )
+
+
+def user_path() -> Path:
+    """The user's file of settings; it need not exist."""
+    from platformdirs import user_config_path
+
+    return user_config_path("anisoscope", appauthor=False) / USER_NAME
+
+
+def read_project(path: Path) -> dict[str, Default]:
+    """Values of one file.
+
+    Raises:
+        ConfigError: the file cannot be read, or has an unknown key.
+    """
+    found = read_toml_model(path, ProjectFile, error=ConfigError)
+    values = {name: value for name, value in found.model_dump().items() if value is not None}
+    if found.history is not None and found.history != "none" and "://" not in found.history:
+        values["history"] = path.resolve().parent / found.history
+    return {name: Default(str(value), path) for name, value in values.items()}
+
+
+def project_defaults() -> dict[str, Default]:
+    """Values of the project file, and of the user's file what that leaves out.
+
+    Raises:
+        ConfigError: one of the files cannot be read.
+    """
+    files = [path for path in (user_path(), project_path()) if path is not None and path.is_file()]
+    found: dict[str, Default] = {}
+    for path in files:
+        found |= read_project(path)
+    return found
+
+
+def apply_project(app: "App", commands: tuple[str, ...], arguments: "ArgumentCollection") -> None:
+    """Give options that the command line leaves out the values of the project file; a configuration of cyclopts."""
+    from cyclopts.config import Dict
+
+    known = project_defaults()
+    given = {name for one in arguments if one.tokens for name in one.names}
+    if "out" in known and "history" not in known and any(commands[: len(one)] == one for one in REVIEW):
+        known["history"] = known["out"]  # inspections enter the history of their folder
+    if os.environ.get("ANISOSCOPE_HISTORY", "").strip():
+        known.pop("history", None)
+    options = {name for one in arguments for name in one.names}
+    for key, default in known.items():
+        wanted = any(commands[: len(one)] == one for one in COMMANDS[key])
+        replaced = given & {f"--{key}", *INSTEAD.get(key, ())}
+        if wanted and not replaced and f"--{key}" in options:
+            LOG.info("%s: --%s %s", default.source, key, default.value)
+            table: dict[str, object] = {key: default.value}
+            for name in reversed(commands):
+                table = {name: table}
+            source = Dict(table, source=str(default.source))
+            source(app, commands, arguments)

@@ -1,0 +1,87 @@
+"""Job folder, project file, doctor and completion."""
+
+import json
+import subprocess
+
+import pytest
+
+from anisoscope.cli import app, run
+from anisoscope.cli.setup import project_file
+from anisoscope.kinds.registry import kind_of
+from anisoscope.rig.rigfile import read_rig
+
+
+@pytest.fixture
+def job(tmp_path, monkeypatch, capsys):
+    """A job folder as ``init`` writes it, with the user's settings out of reach; the working folder is inside it."""
+    monkeypatch.setattr(project_file, "user_path", lambda: tmp_path / "user.toml")
+    monkeypatch.delenv("ANISOSCOPE_HISTORY", raising=False)
+    folder = tmp_path / "job"
+    assert run(["init", str(folder), "--ridge-angle", "8", "--station", "rig 2"]) == 0
+    capsys.readouterr()
+    (folder / "in" / "it").mkdir(parents=True)
+    monkeypatch.chdir(folder / "in" / "it")
+    return folder
+
+
+def bound(*arguments):
+    """What a command gets from command line and project file."""
+    _, found, _ = app.parse_args(arguments, exit_on_error=False, print_error=False)
+    return found.arguments
+
+
+def test_init_writes_files_that_can_be_read_and_replaces_none(job, capsys):
+    assert kind_of(job / "recipe.toml").name == "ridges"
+    assert read_rig(job / "rig.toml").name == "rig 2"
+    assert run(["init", str(job)]) == 64
+    assert "exists already" in capsys.readouterr().err
+
+
+def test_commands_take_from_the_project_file_what_the_command_line_leaves_out(job):
+    found = bound("inspect", "--serial", "A")
+    assert (found["recipe"], found["rig"]) == (job / "recipe.toml", job / "rig.toml")
+    assert (found["out"], found["station"]) == (job / "inspections", "rig 2")
+    assert str(bound("inspect", "--recipe", "mine.toml")["recipe"]) == "mine.toml"
+    assert bound("rig", "status")["which"].rig == job / "rig.toml"
+    assert bound("show", "A")["place"] == str(job / "inspections")
+
+
+def test_an_option_of_the_same_name_with_another_meaning_gets_nothing(job):
+    assert "rig" not in bound("inspect", "--frames", "photographed", "--serial", "A")
+    assert (
+        "which" not in bound("rig", "status", "--driver", "zaber", "--port", "x")
+        or bound("rig", "status", "--driver", "zaber", "--port", "x")["which"].rig is None
+    )
+    assert "recipe" not in bound("predict", "--ridge-angle", "10")
+    assert "place" not in bound("spc", "--csv", "table.csv")
+
+
+def test_the_project_file_precedes_the_users_file_and_mistakes_name_the_file(job, tmp_path, capsys):
+    (tmp_path / "user.toml").write_text('operator = "U. S."\nstation = "home"\n')
+    found = bound("inspect", "--serial", "A")
+    assert (found["operator"], found["station"]) == ("U. S.", "rig 2")
+    (job / "anisoscope.toml").write_text('recipy = "recipe.toml"\n')
+    assert run(["inspect", "--serial", "A"]) == 78
+    assert "anisoscope.toml: recipy: unknown key; did you mean 'recipe'?" in capsys.readouterr().err
+
+
+def test_doctor_names_what_is_missing(job, capsys):
+    (job / "rig.toml").write_text((job / "rig.toml").read_text().replace("/dev/ttyUSB0", "/dev/ttyNOTHING"))
+    assert run(["doctor", "--json"]) == 69
+    found = {one["what"]: one for one in json.loads(capsys.readouterr().out)["findings"]}
+    assert {name for name, one in found.items() if one["state"] == "missing"} == {
+        "stage",
+        "calibration: flat",
+    }
+    assert "/dev/ttyNOTHING" in found["stage"]["text"]
+    assert found["packages"]["state"] == found["recipe"]["state"] == "ok"
+
+
+@pytest.mark.soak
+def test_completion_of_bash_knows_the_commands(tmp_path, capsys):
+    script = tmp_path / "completion"
+    assert run(["completion", "bash", "--install", "--out", str(script)]) == 0
+    line = f"source {script}; COMP_WORDS=(anisoscope pred); COMP_CWORD=1; _anisoscope; echo ${{COMPREPLY[@]}}"
+    done = subprocess.run(["bash", "-c", line], capture_output=True, text=True, check=True)
+    assert done.stdout == "predict\n"
+    assert run(["completion", "bash", "--out", "x"]) == 64
