@@ -13,9 +13,8 @@ from cyclopts import App, Group
 from cyclopts.exceptions import CycloptsError
 
 from anisoscope.base.errors import AnisoscopeError, UsageError
-from anisoscope.cli.help_page import asks_for_help, print_examples, usage_text
+from anisoscope.cli.help_page import asks_for_help, of_today, print_examples, usage_text
 from anisoscope.cli.log import listening, options_of, report
-from anisoscope.cli.old_spellings import of_today
 from anisoscope.cli.setup.project_file import apply_project
 
 EXIT_INTERRUPTED = 130

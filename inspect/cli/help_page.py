@@ -1,4 +1,4 @@
-"""What help pages and usage errors say: examples of every command, everyday options first, the remedy of a mistake."""
+"""What help pages and usage errors say: examples, everyday options first, remedies; and former words of commands."""
 
 import inspect
 import re
@@ -124,3 +124,41 @@ def _missing(error: MissingArgumentError, arguments: Sequence[str]) -> str:
     if _NEGATIVE_VALUE.match(following):
         return f"a value that begins with a minus needs '=': write {arguments[given]}={following}"
     return f"{arguments[given]} needs a value" + (f", and {following} is an option" if following else "")
+
+
+FORMER_COMMANDS = {
+    ("code",): ("read-code",),
+    ("experiment", "ridges"): ("research", "experiment"),
+    ("experiment", "findings"): ("research", "findings"),
+    ("experiment",): ("research",),
+    ("study",): ("research",),
+}
+"""Words of the version before -> words of today; the longer ones first."""
+FORMER_OPTIONS: dict[tuple[str, ...], dict[str, str]] = {}
+"""Command of today -> its options of the version before and of today."""
+
+
+def of_today(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
+    """A command line in the words of today, and a remark for every word that was replaced.
+
+    Args:
+        arguments: the command line, without the program.
+    """
+    found, remarks = list(arguments), []
+    for old, new in FORMER_COMMANDS.items():
+        if tuple(found[: len(old)]) == old:
+            found[: len(old)] = new
+            remarks.append(f"`{' '.join(old)}` is `{' '.join(new)}` now")
+            break
+    for command, options in FORMER_OPTIONS.items():
+        if tuple(found[: len(command)]) == command:
+            found = [_renamed(token, options, remarks) for token in found]
+    return found, remarks
+
+
+def _renamed(token: str, options: dict[str, str], remarks: list[str]) -> str:
+    name, equals, value = token.partition("=")
+    if name not in options:
+        return token
+    remarks.append(f"`{name}` is `{options[name]}` now")
+    return options[name] + equals + value

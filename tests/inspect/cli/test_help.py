@@ -5,8 +5,7 @@ import shlex
 import pytest
 
 from anisoscope.cli import COMMANDS, app, run
-from anisoscope.cli.help_page import examples
-from anisoscope.cli.old_spellings import of_today
+from anisoscope.cli.help_page import examples, of_today
 
 
 def commands(parent=app, words=()):
