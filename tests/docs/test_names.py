@@ -68,7 +68,7 @@ def stale(text):
     for name in sorted(set(DOTTED.findall(text)) - ENTRY_POINTS):
         first, _, rest = name.partition(".")
         if first == "anisoscope":
-            if not exists(name):
+            if rest not in FILES and not exists(name):
                 yield name
         elif first not in TABLES | OTHERS and rest.rpartition(".")[2] not in FILES:
             homes = [one for one in modules() if one.endswith(f".{first}")]
