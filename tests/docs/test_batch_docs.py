@@ -1,12 +1,9 @@
-"""The page about batches: its list, its tables and its commands are understood."""
+"""The page about batches: its list and its tables are understood."""
 
 import re
 import tomllib
 from pathlib import Path
 
-import pytest
-
-from anisoscope.cli import app
 from anisoscope.inspection.batch.tray import read_tray
 from anisoscope.inspection.batch.watch import PartFile
 from anisoscope.sim.bench.bench import printed
@@ -34,11 +31,3 @@ def test_the_tables_are_understood():
     sample = SamplePart.model_validate(code["sample"])
     assert printed(sample.code).shape[0] >= 10
     assert PartFile.model_validate(part).serial == "A17"
-
-
-@pytest.mark.parametrize("line", [line for block in blocks("sh") for line in block.splitlines()])
-def test_the_commands_are_understood(line):
-    words = line.split("#")[0].split()
-    assert words[0] == "anisoscope"
-    _, bound, _ = app.parse_args(words[1:], exit_on_error=False, print_error=False)
-    assert bound.arguments

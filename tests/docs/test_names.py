@@ -84,6 +84,9 @@ def test_stale_names_are_found():
 @pytest.mark.parametrize("folder", ["docs", "inspect", "profiles", "rig", "sim"])
 def test_names_in_backticks_exist(folder):
     paths = sorted((ROOT / folder).rglob("*.md" if folder == "docs" else "*.py"))
+    paths = [
+        path for path in paths if ROOT / "docs" / "reference" not in path.parents
+    ]  # written by make docs
     assert len(paths) > 20
     found = {str(path.relative_to(ROOT)): list(stale(path.read_text(encoding="utf-8"))) for path in paths}
     assert {path: names for path, names in found.items() if names} == {}

@@ -1,0 +1,64 @@
+"""Photograph the parts of the demo's reports that docs/tutorial.md shows; needs Debian's chromium.
+
+make demo
+python docs/tutorial_pictures.py demo-output docs/pictures
+"""
+
+import re
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from PIL import Image, ImageChops
+
+WIDTH, TALL = 1000, 2600
+COLOURS = 128
+SHOTS = {
+    "tutorial-verdict": ("DEMO-angle", ""),
+    "tutorial-contrasts": ("DEMO-angle", "Contrasts"),
+    "tutorial-map": ("DEMO-burrs", "Contrast map"),
+}
+"""Picture -> the part whose report is photographed, and how the heading of the section begins; "" is the top."""
+POLICY = re.compile(r"<meta[^>]*Content-Security-Policy[^>]*>")
+KEEP_ONE = """<script>
+let heading = "", wanted = %r;
+for (const child of document.querySelector("main").children) {
+  const title = child.matches("h2") ? child : child.querySelector("h2");
+  if (title) heading = title.textContent.trim();
+  if (wanted ? !heading.startsWith(wanted) : heading) child.style.display = "none";
+}
+</script>"""
+
+
+def photograph(report: Path, heading: str, picture: Path) -> None:
+    """One section of a report as a PNG with a palette, without the empty margin below.
+
+    Raises:
+        subprocess.CalledProcessError: chromium failed.
+    """
+    page = POLICY.sub("", report.read_text(encoding="utf-8")) + KEEP_ONE % heading
+    with tempfile.TemporaryDirectory() as folder:
+        copy, shot = Path(folder, "page.html"), Path(folder, "page.png")
+        copy.write_text(page, encoding="utf-8")
+        size = f"--window-size={WIDTH},{TALL}"
+        options = ["--headless", "--no-sandbox", "--hide-scrollbars", f"--screenshot={shot}", size]
+        subprocess.run(["chromium", *options, copy.as_uri()], check=True, capture_output=True)  # noqa: S607
+        whole = Image.open(shot).convert("RGB")
+    empty = Image.new("RGB", whole.size, whole.getpixel((0, whole.height - 1)))
+    box = ImageChops.difference(whole, empty).getbbox() or (0, 0, *whole.size)
+    end = min(box[3] + 12, whole.height)
+    whole.crop((0, 0, WIDTH, end)).quantize(COLOURS).save(picture, optimize=True)
+
+
+def main() -> None:
+    """Photograph all of them."""
+    demo, pictures = Path(sys.argv[1]), Path(sys.argv[2])
+    for name, (part, heading) in SHOTS.items():
+        folder = max((demo / "inspections").glob(f"{part}-*"))
+        photograph(folder / "report.html", heading, pictures / f"{name}.png")
+        sys.stdout.write(f"{name}.png\n")
+
+
+if __name__ == "__main__":
+    main()

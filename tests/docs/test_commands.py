@@ -1,0 +1,55 @@
+"""Every command that a page shows is one: its options exist and take these values."""
+
+import re
+import shlex
+from pathlib import Path
+
+from cyclopts.exceptions import CycloptsError
+
+from anisoscope.cli import app
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = [
+    ROOT / "README.md",
+    *sorted((ROOT / "docs").glob("*.md")),
+    *sorted((ROOT / "docs" / "start").glob("*.md")),
+]
+BLOCK = re.compile(r"^```sh\n(.*?)^```", re.MULTILINE | re.DOTALL)
+IN_LINE = re.compile(r"`(anisoscope [^`]+)`")
+OF_ALL = {"--verbose", "-v", "--quiet", "-q", "--debug"}
+"""Options of every command, which are taken off before a command sees them."""
+PLACEHOLDER = re.compile(r"…|\.\.\.|\bNAME\b")
+
+
+def commands(text):
+    """Command lines of the blocks of a page, and those in its start pages' tables."""
+    for block in BLOCK.findall(text):
+        for line in block.replace("\\\n", " ").splitlines():
+            if line.startswith("anisoscope "):
+                yield line
+    if "## Every day" in text or "## What you can do" in text:
+        yield from (line for line in IN_LINE.findall(text) if not PLACEHOLDER.search(line))
+
+
+def shown():
+    found = {}
+    for page in PAGES:
+        for line in commands(page.read_text(encoding="utf-8")):
+            found.setdefault(line, page.name)
+    return found
+
+
+def test_commands_of_the_pages_can_be_parsed():
+    wrong = {}
+    lines = shown()
+    assert len(lines) > 150
+    for line, page in lines.items():
+        words = shlex.split(line, comments=True)[1:]
+        words = words[: min((words.index(sign) for sign in "|>" if sign in words), default=len(words))]
+        try:
+            app.parse_args(
+                [word for word in words if word not in OF_ALL], exit_on_error=False, print_error=False
+            )
+        except CycloptsError as error:
+            wrong[f"{page}: {line}"] = str(error)
+    assert wrong == {}
