@@ -4,7 +4,7 @@ The rig's own world knows what the recipe knows. In the other one flakes lie oth
 seat and light differ from print to print within what the recipe states, the sensor is bent a little, and stray light
 is double; there one good print teaches the recipe the form of the lobe.
 
-ANISOSCOPE_WRITE_DOCS=1 writes the table of docs/prints.md anew.
+ANISOSCOPE_WRITE_DOCS=1 writes the table of docs/evidence/prints.md anew.
 """
 
 import os
@@ -16,7 +16,7 @@ import pytest
 
 from anisoscope.sim.materials.inks import synthetic_ink, write_ink
 
-PAGE = Path(__file__).parents[4] / "docs" / "prints.md"
+PAGE = Path(__file__).parents[4] / "docs" / "evidence" / "prints.md"
 SEEDS = (21, 22, 23)
 BEGIN, END = "<!-- table of the study: begin -->", "<!-- table of the study: end -->"
 

@@ -5,7 +5,7 @@ print), on a rig whose light, lens and sensor are a little off; prints differ in
 seat. Golden prints teach the limits of the recipe and that of the area; then further good prints come, and the listed
 defects.
 
-ANISOSCOPE_WRITE_DOCS=1 writes the line of docs/prints.md anew.
+ANISOSCOPE_WRITE_DOCS=1 writes the line of docs/evidence/prints.md anew.
 """
 
 import os
@@ -23,7 +23,7 @@ from anisoscope.kinds.prints.reference_prints import GoldenPrints
 from anisoscope.kinds.prints.tolerances import golden_tolerances
 from anisoscope.rig.rigfile import read_rig
 
-PAGE = Path(__file__).parents[4] / "docs" / "prints.md"
+PAGE = Path(__file__).parents[4] / "docs" / "evidence" / "prints.md"
 BEGIN, END = "<!-- taught limits: begin -->", "<!-- taught limits: end -->"
 GOLDEN, FURTHER = 3 * len(PARAMETERS), 30
 RIG = {

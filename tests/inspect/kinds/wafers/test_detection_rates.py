@@ -1,7 +1,7 @@
 """How often good wafers fail and wrong ones are found, without a camera between: the bench's radiances, weighed.
 
 Parts vary as the demo's recipe says: etching, lamp, lens, seating, zero of the tilt, light angle; pictures add 0.3 %.
-ANISOSCOPE_WRITE_DOCS=1 writes the table of docs/wafers.md anew.
+ANISOSCOPE_WRITE_DOCS=1 writes the table of docs/evidence/wafers.md anew.
 """
 
 import os
@@ -28,7 +28,7 @@ PICTURES = 0.003
 LAMP = 0.001  # what is left of the bench's lamp of 48 points, rms over poses and parts
 SEEDS = (3, 5)
 MANY, FEW = 60, 10
-PAGE = Path(__file__).parents[4] / "docs" / "wafers.md"
+PAGE = Path(__file__).parents[4] / "docs" / "evidence" / "wafers.md"
 BEGIN, END = "<!-- table of the soak test: begin -->", "<!-- table of the soak test: end -->"
 WRITING = os.environ.get("ANISOSCOPE_WRITE_DOCS") == "1"
 
