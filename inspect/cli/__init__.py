@@ -15,6 +15,7 @@ from cyclopts.exceptions import CycloptsError
 from anisoscope.base.errors import AnisoscopeError, UsageError
 from anisoscope.cli.help_page import asks_for_help, of_today, print_examples, usage_text
 from anisoscope.cli.log import listening, options_of, report
+from anisoscope.cli.recipe_options import apply_recipe
 from anisoscope.cli.setup.project_file import apply_project
 
 EXIT_INTERRUPTED = 130
@@ -27,7 +28,7 @@ app = App(
     help_flags=["--help", "-h"],
     result_action="return_value",
     suppress_keyboard_interrupt=False,
-    config=apply_project,
+    config=(apply_project, apply_recipe),
 )
 COMMANDS = {
     "Inspect": {

@@ -20,6 +20,7 @@ from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.help_page import everyday
+from anisoscope.cli.recipe_options import RecipeOption
 
 if TYPE_CHECKING:
     from anisoscope.experiment.findings_map import FindingsMap
@@ -230,6 +231,7 @@ HtmlOption = Annotated[Path | None, Parameter(help="Write a self-contained HTML 
 
 
 @everyday(
+    "recipe",
     "model",
     "measured",
     "alpha_along",
@@ -243,6 +245,7 @@ HtmlOption = Annotated[Path | None, Parameter(help="Write a self-contained HTML 
 )
 def experiment(
     *,
+    recipe: RecipeOption = None,
     model: ModelOption = "printed",
     measured: Annotated[
         Path | None,
@@ -275,6 +278,7 @@ def experiment(
     from anisoscope.sim.light.geometry import Convention
     from anisoscope.sim.light.material import Material
 
+    del recipe  # the plastic is in the other options by now
     _at_most_one({"--json": json_, "--csv": csv_, "--html": html is not None})
     _check_finite(facet_azimuth)
     setup = Setup(
@@ -298,8 +302,22 @@ def experiment(
     return 0
 
 
+@everyday(
+    "recipe",
+    "model",
+    "grid",
+    "alpha_from",
+    "alpha_to",
+    "albedo",
+    "index",
+    "light_angle",
+    "json_",
+    "html",
+    "svg",
+)
 def findings(
     *,
+    recipe: RecipeOption = None,
     model: ModelOption = "printed",
     grid: Annotated[int, Parameter(help="Roughnesses a side of the grid, 2 to 100.")] = 24,
     alpha_from: Annotated[float, Parameter(help="Smallest roughness of the grid.")] = 0.03,
@@ -327,6 +345,7 @@ def findings(
     from anisoscope.sim.light.geometry import Convention
     from anisoscope.sim.light.material import Material
 
+    del recipe  # the plastic is in the other options by now
     _at_most_one({"--json": json_, "--html": html is not None, "--svg": svg is not None})
     _check_finite(facet_azimuth)
     if not 2 <= grid <= 100:

@@ -16,6 +16,7 @@ from anisoscope.base.errors import RecordError, UsageError
 from anisoscope.cli.help_page import everyday
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
+from anisoscope.cli.recipe_options import RecipeOption
 
 if TYPE_CHECKING:
     from anisoscope.report.renderings import Rgb
@@ -40,6 +41,7 @@ RAW_SUFFIXES = (".npy", ".tif", ".tiff")
 class PlasticOptions:
     """The plastic."""
 
+    recipe: RecipeOption = None
     alpha_along: Annotated[float, Parameter(help="Beckmann roughness along the ridges.")] = 0.06
     alpha_across: Annotated[float, Parameter(help="Beckmann roughness across the ridges.")] = 0.10
     albedo: Annotated[float, Parameter(help="Diffuse albedo of the plastic, 0 to 1.")] = 0.2

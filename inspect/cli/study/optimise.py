@@ -22,6 +22,7 @@ from anisoscope.base.errors import UsageError
 from anisoscope.cli.help_page import everyday
 from anisoscope.cli.options import parse_numbers
 from anisoscope.cli.progress import progress
+from anisoscope.cli.recipe_options import RecipeOption
 
 if TYPE_CHECKING:
     from anisoscope.study.objective import Noise, Tolerances
@@ -222,6 +223,7 @@ PlotOption = Annotated[Path | None, Parameter(help="Write the charts as a pictur
 )
 def optimise(
     *,
+    recipe: RecipeOption = None,
     vary: Annotated[
         str, Parameter(help="NAME=FROM:TO,…; names: ridge_angle, pitch, alpha_along, alpha_across.")
     ] = "ridge_angle=3:20",
@@ -297,6 +299,7 @@ def optimise(
     from anisoscope.study.optimum import optimum
     from anisoscope.study.sweep import Workers
 
+    del recipe  # plastic and surface are in the other options by now
     check_picture(plot)
     if not robust and (tolerance is not None or quantile is not None):
         raise UsageError("--tolerance and --quantile belong to --robust")

@@ -17,6 +17,7 @@ from anisoscope.cli.help_page import everyday
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
 from anisoscope.cli.progress import progress
+from anisoscope.cli.recipe_options import RecipeOption
 from anisoscope.cli.study.optimise import HtmlOption, JobsOption, PlotOption, SchedulerOption
 from anisoscope.cli.tables import console, print_table
 
@@ -237,6 +238,7 @@ app.command("anisoscope.cli.study.detection:detection_command", name="detection"
 )
 def convergence_command(
     *,
+    recipe: RecipeOption = None,
     defects: Annotated[
         str,
         Parameter(help="Comma-separated: roughness, burrs, angle-error, height-loss, edge-rounding; or all."),
@@ -267,6 +269,7 @@ def convergence_command(
     from anisoscope.study.convergence import DEFECTS, PITCH_UM, QUALITIES, convergence
     from anisoscope.study.sweep import Workers
 
+    del recipe  # plastic and surface are in the other options by now
     check_picture(plot)
     if not 3 <= severities <= 10:
         raise UsageError(f"--severities takes 3 to 10, not {severities}")
@@ -319,6 +322,7 @@ def convergence_command(
 @app.command(name="best-angle")
 def best_angle_command(
     *,
+    recipe: RecipeOption = None,
     imperfections: Annotated[
         str,
         Parameter(
@@ -349,6 +353,7 @@ def best_angle_command(
     from anisoscope.study.convergence import QUALITIES
     from anisoscope.study.sweep import Workers
 
+    del recipe  # the plastic is in the other options by now
     check_picture(plot)
     if not 0.1 <= step <= 1.0:
         raise UsageError(f"--step takes 0.1 to 1 degree, not {step:g}")

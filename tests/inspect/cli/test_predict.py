@@ -1,6 +1,9 @@
+import json
+
 import numpy as np
 import pytest
 
+from anisoscope.cli import run
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.profiles.ideal import RidgeDesign, ridges
@@ -138,3 +141,10 @@ def test_wrong_usage_is_one_clear_line(anisoscope, tmp_path, arguments, words):
     assert done.out == ""
     assert done.err.count("\n") == 1, done.err
     assert words in done.err
+
+
+def test_a_recipe_is_predicted_as_its_inspections_expect_it(inspected_part, capsys):
+    rig, finished = inspected_part
+    assert run(["predict", "--recipe", str(rig.recipe), "--json"]) == 0
+    shown = [one["log_ratio"] for one in json.loads(capsys.readouterr().out)["contrasts"]]
+    assert shown == [one.predicted for one in finished.record.details.contrasts]

@@ -1,6 +1,7 @@
 """Job folder, project file, doctor and completion."""
 
 import json
+import re
 import subprocess
 
 import pytest
@@ -85,3 +86,28 @@ def test_completion_of_bash_knows_the_commands(tmp_path, capsys):
     done = subprocess.run(["bash", "-c", line], capture_output=True, text=True, check=True)
     assert done.stdout == "predict\n"
     assert run(["completion", "bash", "--out", "x"]) == 64
+
+
+def test_plastic_and_surface_of_a_recipe_are_options_of_other_commands(job, capsys):
+    recipe = str(job / "recipe.toml")
+    text = (job / "recipe.toml").read_text()
+    (job / "recipe.toml").write_text(
+        re.sub(r"^alpha_along = .*$", "alpha_along = 0.0712345678901234", text, flags=re.MULTILINE)
+    )
+    found = bound("optimise", "--recipe", recipe, "--albedo", "0.5")
+    assert (found["alpha_along"], found["albedo"], found["ridge_angle"]) == (0.0712345678901234, 0.5, 8.0)
+    drawn = bound("render", "frame", "--recipe", recipe, "--out", "x.png")
+    assert (drawn["plastic"].alpha_along, drawn["surface"].ridge_angle) == (0.0712345678901234, 8.0)
+    assert bound("research", "best-angle", "--recipe", recipe)["alpha_along"] == 0.0712345678901234
+    assert run(["optimise", "--recipe", str(job / "rig.toml")]) == 78
+    assert "are the two swapped?" in capsys.readouterr().err
+
+
+def test_a_recipe_with_a_height_map_is_rendered_as_its_map(job):
+    text = (job / "recipe.toml").read_text()
+    (job / "recipe.toml").write_text(
+        re.sub(r"^design = .*$", 'height_map = "part.x3p"', text, flags=re.MULTILINE)
+    )
+    drawn = bound("render", "frame", "--recipe", str(job / "recipe.toml"), "--out", "x.png")
+    assert drawn["height_map"] == job / "part.x3p"
+    assert drawn.get("surface") is None or drawn["surface"].ridge_angle is None
