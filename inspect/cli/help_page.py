@@ -134,7 +134,23 @@ FORMER_COMMANDS = {
     ("study",): ("research",),
 }
 """Words of the version before -> words of today; the longer ones first."""
-FORMER_OPTIONS: dict[tuple[str, ...], dict[str, str]] = {}
+_COUNT = {"--frames": "--count"}
+FORMER_OPTIONS: dict[tuple[str, ...], dict[str, str]] = {
+    ("calibrate", "rotation"): _COUNT | {"--angles": "--steps"},
+    **{("calibrate", kind): _COUNT for kind in ("flat", "dark", "stray", "linearity", "response")},
+    ("rig", "snap"): _COUNT | {"--stage": "--read-axes", "--no-stage": "--no-read-axes"},
+    ("rig", "live"): _COUNT | {"--port": "--web-port"},
+    ("rig", "commission"): _COUNT | {"--part": "--recipe"},
+    ("rig", "check"): _COUNT,
+    **{("msa", study): {"--alpha": "--significance"} for study in ("bias", "linearity", "stability")},
+    ("export",): {"--json": "--json-file"},
+    ("ink", "proof"): {"--pitch": "--pitch-angle"},
+    ("ink", "show"): {"--exposure": "--brightness"},
+    ("profile", "texture"): {"--uncertainty": "--draws"},
+    ("fit", "ridges"): {"--covariance": "--covariance-file"},
+    ("research", "detection"): {"--recipe": "--pose-set"},
+    ("research", "experiment"): {"--csv": "--as-csv"},
+}
 """Command of today -> its options of the version before and of today."""
 
 

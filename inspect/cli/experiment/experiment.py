@@ -263,7 +263,7 @@ def experiment(
     shadow_frame: FrameOption = "pitch-normal",
     json_: Json = False,
     csv_: Annotated[
-        bool, Parameter(name="--csv", negative="", help="Print CSV, as --measured reads it.")
+        bool, Parameter(name="--as-csv", negative="", help="Print CSV, as --measured reads it.")
     ] = False,
     html: HtmlOption = None,
 ) -> int:
@@ -279,7 +279,7 @@ def experiment(
     from anisoscope.sim.light.material import Material
 
     del recipe  # the plastic is in the other options by now
-    _at_most_one({"--json": json_, "--csv": csv_, "--html": html is not None})
+    _at_most_one({"--json": json_, "--as-csv": csv_, "--html": html is not None})
     _check_finite(facet_azimuth)
     setup = Setup(
         model,

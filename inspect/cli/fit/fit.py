@@ -250,7 +250,8 @@ def ridges(
         Parameter(help="Contrasts that share a photograph: correlated, or independent."),
     ] = "shared",
     covariance: Annotated[
-        Path | None, Parameter(help="CSV without header: N × N covariance, in place of u.")
+        Path | None,
+        Parameter(name="--covariance-file", help="CSV without header: N × N covariance, in place of u."),
     ] = None,
     ridge_angle: Annotated[float, Parameter(help="Ridge angle in degrees, where it is not free.")] = 10.0,
     options: ModelOptions | None = None,

@@ -391,7 +391,7 @@ def export(
     *,
     which: Selection = ALL,
     csv: Annotated[Path | None, Parameter(help="Write a table (CSV, UTF-8).")] = None,
-    json: Annotated[Path | None, Parameter(name="--json", help="Write JSON.")] = None,
+    json: Annotated[Path | None, Parameter(name="--json-file", help="Write JSON.")] = None,
     junit: Annotated[
         Path | None, Parameter(help="Write JUnit XML, for servers of continuous integration.")
     ] = None,

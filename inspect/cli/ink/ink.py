@@ -123,7 +123,10 @@ def show(
     ] = "goniochromatic",
     exposure: Annotated[
         float | None,
-        Parameter(help="Factor on XYZ before it is shown; else the brightest channel becomes 1."),
+        Parameter(
+            name="--brightness",
+            help="Factor on XYZ before it is shown; else the brightest channel becomes 1.",
+        ),
     ] = None,
     adapt: Annotated[
         bool, Parameter(negative="", help="Adapt the light's white to that of sRGB (Bradford).")

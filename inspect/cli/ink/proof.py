@@ -54,7 +54,9 @@ class View:
         Literal["sphere", "cylinder", "plane", "mesh"] | None, Parameter(help="What is printed on.")
     ] = None
     yaw: Annotated[float, Parameter(help="Turn about the upright axis, degrees.")] = 0.0
-    pitch: Annotated[float, Parameter(help="Tilt about the horizontal axis, degrees.")] = 0.0
+    pitch: Annotated[
+        float, Parameter(name="--pitch-angle", help="Tilt about the horizontal axis, degrees.")
+    ] = 0.0
     azimuth: Annotated[
         float, Parameter(help="Azimuth of the light, counter-clockwise from the right, degrees.")
     ] = 135.0
@@ -135,7 +137,7 @@ def proof(
     if not 0 <= dots <= 16384 or not 16 <= size <= 4096 or not illuminant:
         raise UsageError("--dots takes 0 to 16384, --size 16 to 4096, --illuminant a light or more")
     if not (abs(shown.pitch) <= 90.0 and abs(shown.elevation) <= 90.0):
-        raise UsageError("--pitch and --elevation take degrees from -90 to 90")
+        raise UsageError("--pitch-angle and --elevation take degrees from -90 to 90")
     if not (abs(shown.yaw) < MOST_TURN and abs(shown.azimuth) < MOST_TURN):
         raise UsageError("--yaw and --azimuth take finite degrees")
     chosen = three_inks(inks)

@@ -41,8 +41,9 @@ class UncertaintyOptions:
     uncertainty: Annotated[
         int | None,
         Parameter(
+            name="--draws",
             help="Number of draws of noise, height scale and pixel size, such as 100: standard uncertainties of all "
-            "values; each draw takes as long as the measurement."
+            "values; each draw takes as long as the measurement.",
         ),
     ] = None
     u_height_noise: Annotated[
@@ -65,14 +66,12 @@ class UncertaintyOptions:
         given = any((self.u_height_noise, self.u_height_scale, self.u_pixel_size))
         if self.uncertainty is None:
             if given:
-                raise UsageError(
-                    "--u-height-noise, --u-height-scale and --u-pixel-size take --uncertainty DRAWS"
-                )
+                raise UsageError("--u-height-noise, --u-height-scale and --u-pixel-size take --draws NUMBER")
             return
         if not given:
-            raise UsageError("--uncertainty takes --u-height-noise, --u-height-scale or --u-pixel-size")
+            raise UsageError("--draws takes --u-height-noise, --u-height-scale or --u-pixel-size")
         if self.uncertainty < 2:
-            raise UsageError(f"--uncertainty takes two draws or more, not {self.uncertainty}")
+            raise UsageError(f"--draws takes two draws or more, not {self.uncertainty}")
         if self.seed < 0:
             raise UsageError(f"--seed takes a whole number from 0, not {self.seed}")
         self.of_map()

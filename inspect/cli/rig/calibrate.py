@@ -25,7 +25,7 @@ _Rig = Annotated[Path, Parameter(name=["--rig", "-g"], help="Rig file (TOML).")]
 _Out = Annotated[Path, Parameter(help="File to write; picture (.tif) and record (.json) share its name.")]
 _Exposure = Annotated[float, Parameter(help="Exposure in seconds.")]
 _Gain = Annotated[float, Parameter(help="Gain of the camera, as a factor.")]
-_Frames = Annotated[int, Parameter(help="Frames to average.")]
+_Frames = Annotated[int, Parameter(name="--count", help="Frames to average.")]
 _Days = Annotated[float | None, Parameter(help="Days for which it holds; else what is usual for its kind.")]
 _Operator = Annotated[str | None, Parameter(help="Who takes it; goes into the record.")]
 _Temperature = Annotated[float | None, Parameter(help="Temperature of the day in °C; goes into the record.")]
@@ -142,7 +142,9 @@ def linearity(
     ],
     gain: _Gain = 1.0,
     steps: Annotated[int, Parameter(help="Exposures of the series.")] = 24,
-    frames: Annotated[int, Parameter(help="Frames of the stacks for the fixed pattern.")] = 16,
+    frames: Annotated[
+        int, Parameter(name="--count", help="Frames of the stacks for the fixed pattern.")
+    ] = 16,
     valid_days: _Days = None,
     operator: _Operator = None,
     temperature: _Temperature = None,
@@ -173,7 +175,7 @@ def response(
         float, Parameter(help="Longest exposure in seconds: the brightest places just clip at it.")
     ],
     gain: _Gain = 1.0,
-    frames: Annotated[int, Parameter(help="Frames to average, at every exposure.")] = 4,
+    frames: Annotated[int, Parameter(name="--count", help="Frames to average, at every exposure.")] = 4,
     white_level: Annotated[
         int | None, Parameter(help="Counts at which the camera clips, such as 235; else full scale.")
     ] = None,
@@ -212,8 +214,8 @@ def rotation(
     out: _Out,
     exposure: _Exposure,
     gain: _Gain = 1.0,
-    angles: Annotated[int, Parameter(help="Stage angles over one turn.")] = 12,
-    frames: Annotated[int, Parameter(help="Frames at every angle.")] = 2,
+    angles: Annotated[int, Parameter(name="--steps", help="Stage angles over one turn.")] = 12,
+    frames: Annotated[int, Parameter(name="--count", help="Frames at every angle.")] = 2,
     valid_days: _Days = None,
     operator: _Operator = None,
     temperature: _Temperature = None,

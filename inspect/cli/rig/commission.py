@@ -41,7 +41,7 @@ def commission(
     *,
     rig: _RigOption,
     part: Annotated[
-        Path | None, Parameter(name=["--part", "-r"], help="Recipe of the part on the stage.")
+        Path | None, Parameter(name=["--recipe", "-r"], help="Recipe of the part on the stage.")
     ] = None,
     exposure: Annotated[float | None, Parameter(help="Exposure in seconds; else the recipe's.")] = None,
     gain: Annotated[float, Parameter(help="Gain of the camera, as a factor.")] = 1.0,
@@ -59,7 +59,7 @@ def commission(
     tilts: Annotated[
         str, Parameter(help="How far the tilt axis goes from its present zero.")
     ] = "-20,-10,10,20",
-    frames: Annotated[int, Parameter(help="Frames a pose.")] = 2,
+    frames: Annotated[int, Parameter(name="--count", help="Frames a pose.")] = 2,
     settle: Annotated[float, Parameter(help="Seconds to wait after every move.")] = 0.1,
     bounces: Annotated[
         int | Literal["all"],
@@ -80,7 +80,7 @@ def commission(
     it needs neither sense nor zero of the rig file to be right. Exit code 0: done; what could not be told says so.
 
     Examples:
-        anisoscope rig commission --rig rig.toml --part recipe.toml --html commissioning.html
+        anisoscope rig commission --rig rig.toml --recipe recipe.toml --html commissioning.html
         anisoscope rig commission --rig rig.toml --ridge-angle 10 --pitch 100 --spot-mm 1.5 --exposure 0.006
     """  # fmt: skip
     from anisoscope.commissioning.angles import Assumed
@@ -97,7 +97,7 @@ def commission(
     recipe = None if part is None else read_recipe(part)
     if exposure is None:
         if recipe is None:
-            raise UsageError("give --exposure SECONDS, or --part RECIPE whose exposure is taken")
+            raise UsageError("give --exposure SECONDS, or --recipe FILE whose exposure is taken")
         exposure = recipe.acquisition.exposure_s
     known = _part(part, ridge_angle, u_ridge_angle, pitch, alpha, u_alpha, spot_mm)
     series = Series(
@@ -152,7 +152,7 @@ def _part(
     if recipe_path is not None:
         known = part_of_recipe(read_recipe(recipe_path), ridge_angle, u_ridge_angle)
     elif ridge_angle is None or pitch is None or spot_mm is None:
-        raise UsageError("say what lies on the stage: --part RECIPE, or --ridge-angle, --pitch and --spot-mm")
+        raise UsageError("say what lies on the stage: --recipe FILE, or --ridge-angle, --pitch and --spot-mm")
     else:
         known = RidgedPart(pitch, ridge_angle, u_ridge_angle_deg=u_ridge_angle, spot_mm=spot_mm)
     changes: dict[str, float] = {}
@@ -194,7 +194,7 @@ def check(
     commissioned: Annotated[
         Path | None, Parameter(help="Record of the commissioning; else that beside the rig file.")
     ] = None,
-    frames: Annotated[int, Parameter(help="Frames to watch the lamp over.")] = 20,
+    frames: Annotated[int, Parameter(name="--count", help="Frames to watch the lamp over.")] = 20,
     tile: Annotated[
         bool, Parameter(negative="", help="The white tile lies on the stage: compare its shading.")
     ] = False,

@@ -34,10 +34,12 @@ def live(
     gain: Gain = 1.0,
     light: LightState = "on",
     focus: Annotated[Literal["tenengrad", "laplacian"], Parameter(help="Focus measure.")] = "tenengrad",
-    frames: Annotated[int | None, Parameter(help="End after so many frames.")] = None,
+    frames: Annotated[int | None, Parameter(name="--count", help="End after so many frames.")] = None,
     fps: Annotated[float, Parameter(help="Frames per second at most.")] = 10.0,
     web: Annotated[bool, Parameter(negative="", help="Show the picture on a page for the browser.")] = False,
-    port: Annotated[int, Parameter(help="With --web: TCP port of 127.0.0.1; 0 takes any free one.")] = 0,
+    port: Annotated[
+        int, Parameter(name="--web-port", help="With --web: TCP port of 127.0.0.1; 0 takes any free one.")
+    ] = 0,
     json_: Json = False,
 ) -> int:
     """Show focus (of the best seen), saturation, mean, histogram and ridge direction, until Ctrl-C or q and Enter.
@@ -53,7 +55,7 @@ def live(
     from anisoscope.rig.rigfile import read_rig
 
     if frames is not None and frames < 1:
-        raise UsageError(f"--frames must be 1 or more, not {frames}")
+        raise UsageError(f"--count must be 1 or more, not {frames}")
     if not 0.0 < fps <= 1000.0:
         raise UsageError(f"--fps must lie above 0 and up to 1000, not {fps:g}")
     file = read_rig(rig)

@@ -25,13 +25,15 @@ def snap(
     out: Annotated[Path, Parameter(help="File to write (.tif): 16 bits, with our metadata.")],
     exposure: Exposure,
     gain: Gain = 1.0,
-    frames: Annotated[int, Parameter(help="Frames to average, rounded to counts.")] = 1,
+    frames: Annotated[int, Parameter(name="--count", help="Frames to average, rounded to counts.")] = 1,
     light: LightState = "on",
     preview: Annotated[bool, Parameter(negative="", help="Also write a PNG to look at, beside it.")] = False,
     stage: Annotated[
         bool,
         Parameter(
-            negative="--no-stage", help="Read the axes, so that the file says at which angle it was taken."
+            name="--read-axes",
+            negative="--no-read-axes",
+            help="Read the axes, so that the file says at which angle it was taken.",
         ),
     ] = True,
     overwrite: Annotated[bool, Parameter(negative="", help="Replace files that exist.")] = False,
@@ -52,7 +54,7 @@ def snap(
     picture = out.with_suffix(".png") if preview else None
     _check_files(out, picture, overwrite=overwrite)
     if not 1 <= frames <= 10_000:
-        raise UsageError(f"--frames must lie between 1 and 10000, not {frames}")
+        raise UsageError(f"--count must lie between 1 and 10000, not {frames}")
     file = read_rig(rig)
     axes = {"stage": file.stage} | ({} if file.tilt is None else {"tilt": file.tilt})
     with open_devices(axes if stage else {}, file.camera, file.light) as devices:

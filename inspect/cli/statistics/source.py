@@ -25,7 +25,9 @@ Number = Annotated[
     Parameter(name=["--number", "-n"], help="Which number, such as 'ln 0-90'; else the first one."),
 ]
 Limit = Annotated[int, Parameter(help="At most so many, the latest ones; 0 for all.")]
-Alpha = Annotated[float, Parameter(help="Significance of the tests; intervals cover the rest.")]
+Alpha = Annotated[
+    float, Parameter(name="--significance", help="Significance of the tests; intervals cover the rest.")
+]
 Selection = Annotated[Which, Parameter(name="*")]
 EVERYTHING = ALL
 

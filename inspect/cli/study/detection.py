@@ -62,8 +62,9 @@ def detection_command(
     recipe: Annotated[
         Literal["standard", "tilted", "suggested", "all"],
         Parameter(
+            name="--pose-set",
             help="Poses: 0/90/180° upright, the same at tilts of -10, 0 and 10°, six of quarter turns as suggested by "
-            "`recipe suggest`, or all three."
+            "`recipe suggest`, or all three.",
         ),
     ] = "all",
     diagnose: Annotated[

@@ -320,6 +320,10 @@ def convergence_command(
 
 
 @app.command(name="best-angle")
+@everyday(
+    *("recipe", "imperfections", "alpha_along", "alpha_across", "albedo", "step", "quality", "seed"),
+    *("json_", "html", "plot"),
+)
 def best_angle_command(
     *,
     recipe: RecipeOption = None,

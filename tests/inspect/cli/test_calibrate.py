@@ -39,7 +39,7 @@ def test_the_calibrations_of_a_rig_one_after_the_other(anisoscope, small, tmp_pa
 
     lit = small("lit", {"kind": "white-tile"}, named)
     done = anisoscope(
-        "calibrate", "dark", "-g", lit, "--out", tmp_path / "dark.tif", "--exposure", 0.01, "--frames", 4
+        "calibrate", "dark", "-g", lit, "--out", tmp_path / "dark.tif", "--exposure", 0.01, "--count", 4
     )
     assert done.code == 0, done.err
 
@@ -82,7 +82,7 @@ def test_rotation_and_linearity_print_what_was_found(anisoscope, small, tmp_path
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
-        (("dark", "--exposure", "0.01", "--frames", "1"), 64, "2 frames"),
+        (("dark", "--exposure", "0.01", "--count", "1"), 64, "2 frames"),
         (("dark", "--exposure", "0.01", "--valid-days", "0"), 64, "--valid-days"),
         (("flat", "--exposure", "0.004", "--reflectance", "2"), 64, "reflectance"),
         (("linearity", "--exposure", "0.002", "--steps", "2"), 64, "steps"),
@@ -111,7 +111,7 @@ def test_an_inspection_with_an_expired_calibration_is_invalid(anisoscope, virtua
     rig = virtual_rig("part")
     own = tmp_path / "dark.tif"
     taken = anisoscope(
-        *("calibrate", "dark", "-g", rig.rig, "--out", own, "--exposure", 0.01, "--frames", 2),
+        *("calibrate", "dark", "-g", rig.rig, "--out", own, "--exposure", 0.01, "--count", 2),
         *("--valid-days", 1e-9),
     )
     assert taken.code == 0, taken.err

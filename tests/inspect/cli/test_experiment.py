@@ -9,7 +9,7 @@ HEADER = "ridge_angle_deg,tilt_deg,from_deg,to_deg,contrast"
 
 @pytest.fixture(scope="module")
 def predicted_csv(anisoscope):
-    done = anisoscope("research", "experiment", "--csv")
+    done = anisoscope("research", "experiment", "--as-csv")
     assert done.code == 0, done.err
     return done.out
 
@@ -72,7 +72,7 @@ def test_options_reach_the_model(anisoscope):
 
 def test_conventions_and_frames_change_the_result(anisoscope):
     found = [
-        anisoscope("research", "experiment", "--csv", *extra).out
+        anisoscope("research", "experiment", "--as-csv", *extra).out
         for extra in (
             [],
             ["--tilt-plane", "in-plane"],
@@ -107,7 +107,7 @@ def test_a_partial_table_is_enough(anisoscope, predicted_csv, tmp_path):
     assert [m["measured_rows"] for m in found["means"]["ridge_angle"]] == [4, 0, 0, 0]
     shown = anisoscope("research", "experiment", "--measured", path)
     assert "k = 4 (least squares), rms residual" in shown.out
-    both = anisoscope("research", "experiment", "--measured", path, "--csv").out.splitlines()
+    both = anisoscope("research", "experiment", "--measured", path, "--as-csv").out.splitlines()
     assert both[0] == HEADER + ",measured"
     assert sum(not line.endswith(",") for line in both[1:]) == 4
 
@@ -178,8 +178,8 @@ def test_the_picture_in_the_docs_is_made_by_the_command_in_the_docs(anisoscope, 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["experiment", "--json", "--csv"], "--json and --csv exclude each other"),
-        (["experiment", "--csv", "--html", "x.html"], "--csv and --html exclude each other"),
+        (["experiment", "--json", "--as-csv"], "--json and --as-csv exclude each other"),
+        (["experiment", "--as-csv", "--html", "x.html"], "--as-csv and --html exclude each other"),
         (["experiment", "--model", "corrected", "--shadow-frame", "half-vector"], "printed model only"),
         (["experiment", "--model", "relief"], "model"),
         (["experiment", "--alpha-along", 0], "alpha along"),

@@ -100,7 +100,7 @@ def test_page(anisoscope, example, tmp_path):
 def test_the_experiment(anisoscope, tmp_path):
     path = tmp_path / "measured.csv"
     path.write_text(
-        anisoscope("research", "experiment", "--csv", "--alpha-along", 0.05).out, encoding="utf-8"
+        anisoscope("research", "experiment", "--as-csv", "--alpha-along", 0.05).out, encoding="utf-8"
     )
     found = parameters(anisoscope("fit", "experiment", path, "--model", "printed", "--json"))
     assert found["alpha_along"]["value"] == pytest.approx(0.05, rel=1e-3)

@@ -1,8 +1,12 @@
 """Help of every command: a sentence, examples that work, few options first; and what usage errors say."""
 
 import shlex
+from collections import defaultdict
+from pathlib import Path
+from typing import get_args
 
 import pytest
+from cyclopts import Parameter
 
 from anisoscope.cli import COMMANDS, app, run
 from anisoscope.cli.help_page import examples, of_today
@@ -93,6 +97,13 @@ def test_words_of_the_version_before_are_understood():
     assert of_today(["study", "detection"])[0] == ["research", "detection"]
     assert of_today(["code", "picture.png"]) == (["read-code", "picture.png"], ["`code` is `read-code` now"])
     assert of_today(["inspect", "code"]) == (["inspect", "code"], [])
+    assert of_today(["rig", "live", "--frames=3", "--rig", "r"])[0] == [
+        "rig",
+        "live",
+        "--count=3",
+        "--rig",
+        "r",
+    ]
 
 
 def test_a_log_file_gets_command_error_and_end(tmp_path, capsys):
@@ -104,6 +115,26 @@ def test_a_log_file_gets_command_error_and_end(tmp_path, capsys):
     assert "ended after" in lines[2]
     assert run(["cache", "info", f"--log-file={tmp_path / 'no' / 'run.log'}"]) == 64
     assert "cannot be written" in capsys.readouterr().err
+
+
+def sort_of(hint):
+    """Flag, file, or another value."""
+    inner = [
+        sort_of(one)
+        for one in get_args(hint)
+        if one is not type(None) and not isinstance(one, str | Parameter)
+    ]
+    return {bool: "flag", Path: "file"}.get(hint) or next((one for one in inner if one != "value"), "value")
+
+
+def test_an_option_is_a_flag_in_all_commands_or_in_none_and_so_is_a_file():
+    found = defaultdict(set)
+    for one in ALL.values():
+        for argument in one.assemble_argument_collection() if one.default_command else ():
+            for name in argument.names:
+                found[name].add(sort_of(argument.hint))
+    # --recipe of the commands that filter inspections names one as the history shows it
+    assert {name for name, sorts in found.items() if name.startswith("-") and len(sorts) > 1} <= {"--recipe"}
 
 
 def test_pages_begin_with_at_most_twelve_options():

@@ -94,7 +94,7 @@ def test_colours_against_angle(anisoscope):
         (("show", "none.toml"), 78, "no such file"),
         (("show", "synthetic-red", "--illuminant", "d50"), 64, "known: d65"),
         (("show", "synthetic-red", "--angles", "0,95"), 64, "between 0 and 90"),
-        (("show", "synthetic-red", "--exposure", "-1"), 64, "above 0"),
+        (("show", "synthetic-red", "--brightness", "-1"), 64, "above 0"),
         (("show", "synthetic-red", "--png", "x.gif"), 64, "*.png or *.svg"),
         (("show", "synthetic-red", "--angles", "30", "--off-mirror", "nan"), 64, "--off-mirror takes"),
         (("show", "synthetic-red", "--off-mirror", "95"), 64, "--off-mirror takes"),

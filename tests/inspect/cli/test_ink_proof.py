@@ -70,7 +70,7 @@ def test_mistakes_are_told_in_one_line(anisoscope, folder):
         (["--png", "p.png", "--dots", "-1"], "--dots takes"),
         (["--png", folder / "print.png"], "is an input"),
         (["--png", "p.png", "--photo", folder / "photo.jpg"], "needs --out"),
-        (["--png", "p.png", "--pitch", "nan"], "--pitch and --elevation"),
+        (["--png", "p.png", "--pitch-angle", "nan"], "--pitch-angle and --elevation"),
         (["--png", "p.png", "--azimuth", "inf"], "--yaw and --azimuth"),
         (["--out", "p.html", "--dots", "16384", "--size", "9000"], "--size 16 to"),
         (["--png", "p.png", "--mesh", folder / "none.obj"], "cannot be read"),

@@ -93,10 +93,10 @@ def test_a_flat_map_is_no_accident(anisoscope, tmp_path):
         (("--s-filter", 50, "--l-filter", 20), "below the L-filter"),
         (("--plot", "t.txt"), "*.png"),
         (("--form", "torus"), "torus"),
-        (("--u-pixel-size", 0.01), "--uncertainty DRAWS"),
-        (("--uncertainty", 9), "--u-height-noise"),
-        (("--uncertainty", 1, "--u-pixel-size", 0.01), "two draws"),
-        (("--uncertainty", 9, "--u-pixel-size", 0.5), "from 0 to 0.2"),
+        (("--u-pixel-size", 0.01), "--draws NUMBER"),
+        (("--draws", 9), "--u-height-noise"),
+        (("--draws", 1, "--u-pixel-size", 0.01), "two draws"),
+        (("--draws", 9, "--u-pixel-size", 0.5), "from 0 to 0.2"),
     ],
 )
 def test_bad_options_give_one_line(anisoscope, rough, options, word):
@@ -110,7 +110,7 @@ def test_bad_options_give_one_line(anisoscope, rough, options, word):
 def test_uncertainty_of_every_value(anisoscope, tmp_path):
     heights = np.random.default_rng(2).normal(size=(40, 50))
     write_height_map(HeightMap(heights, 1.0, 1.0), tmp_path / "small.npz")
-    call = ("profile", "texture", tmp_path / "small.npz", "--uncertainty", 4, "--u-height-scale", 0.01)
+    call = ("profile", "texture", tmp_path / "small.npz", "--draws", 4, "--u-height-scale", 0.01)
     done = anisoscope(*call, "--json")
     assert done.code == 0, done.err
     found = done.json

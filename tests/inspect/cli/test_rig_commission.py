@@ -50,7 +50,7 @@ def rig(tmp_path):
 
 
 def test_commission_finds_and_writes_and_check_agrees(anisoscope, rig, tmp_path):
-    before = anisoscope("rig", "check", "--rig", rig, "--exposure", "0.0015", "--frames", "8")
+    before = anisoscope("rig", "check", "--rig", rig, "--exposure", "0.0015", "--count", "8")
     assert before.code == 3, before.err
     assert "NOT fit" in before.out
     assert "turns the other way" in " ".join(before.out.split())
@@ -73,7 +73,7 @@ def test_commission_finds_and_writes_and_check_agrees(anisoscope, rig, tmp_path)
         rig,
         "--exposure",
         "0.0015",
-        "--frames",
+        "--count",
         "8",
         "--json",
         "--out",

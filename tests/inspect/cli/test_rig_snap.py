@@ -65,7 +65,7 @@ def test_many_frames_are_averaged(command, virtual_rig, tmp_path):
         pair = []
         for name in "ab":
             out = tmp_path / f"{frames}{name}.tif"
-            assert command(*snap(rig, out, "--light", "off", "--frames", frames))[0] == 0
+            assert command(*snap(rig, out, "--light", "off", "--count", frames))[0] == 0
             assert read_frame(out).kind == "dark"
             pair.append(read_frame(out).counts.astype(float))
         spread.append(np.std(pair[0] - pair[1]))
@@ -81,7 +81,7 @@ def test_a_colour_camera_gives_its_mosaic_and_a_preview_in_colour(command, virtu
     green, blue, red = (frame.counts[row::2, col::2].mean() for row, col in ((0, 0), (0, 1), (1, 0)))
     assert green > red > blue
     assert cv2.imread(str(tmp_path / "a.png"), cv2.IMREAD_UNCHANGED).shape == (*frame.counts.shape, 3)
-    code, out, _ = command(*live(rig, "--frames", 1, "--json"))
+    code, out, _ = command(*live(rig, "--count", 1, "--json"))
     assert (code, json.loads(out)["ridge_deg"]) == (0, None)
     code, printed, _ = command("rig", "status", "-g", rig.rig)
     assert (code, "colour filters gbrg" in printed) == (0, True)
@@ -99,7 +99,7 @@ def test_without_the_stage_no_angle_is_claimed(command, rig, tmp_path):
     out = tmp_path / "a.tif"
     assert command(*snap(rig, out))[0] == 69
     assert not out.exists()
-    code, printed, err = command(*snap(rig, out, "--no-stage", "--json"))
+    code, printed, err = command(*snap(rig, out, "--no-read-axes", "--json"))
     assert (code, err) == (0, "")
     assert json.loads(printed)["angle_deg"] is None
     assert np.isnan(read_frame(out).stage_deg)
@@ -108,7 +108,7 @@ def test_without_the_stage_no_angle_is_claimed(command, rig, tmp_path):
 @pytest.mark.parametrize(
     ("more", "complaint"),
     [
-        (["--frames", 0], "--frames must lie between 1 and 10000"),
+        (["--count", 0], "--count must lie between 1 and 10000"),
         (["--out", "a.jpg"], "name it .tif"),
         (["--exposure", 100], "exposure must lie between"),
         (["--gain", 0], "gain must lie between"),
@@ -143,7 +143,7 @@ def live(rig, *more):
 
 
 def test_without_a_terminal_live_prints_lines(command, rig):
-    code, out, _ = command(*live(rig, "--frames", 3))
+    code, out, _ = command(*live(rig, "--count", 3))
     lines = out.splitlines()
     assert code == 0
     assert [line.split("  ")[0] for line in lines] == ["frame 1", "frame 2", "frame 3"]
@@ -153,7 +153,7 @@ def test_without_a_terminal_live_prints_lines(command, rig):
 
 
 def test_live_in_the_dark_knows_nothing(command, rig):
-    code, out, _ = command(*live(rig, "--frames", 2, "--light", "off", "--json"))
+    code, out, _ = command(*live(rig, "--count", 2, "--light", "off", "--json"))
     for line in out.splitlines():
         row = json.loads(line)
         assert row["relative_focus"] is None
@@ -212,7 +212,7 @@ def test_blocks_show_small_shares():
     assert blocks((0.0, 0.0)) == "  "
 
 
-@pytest.mark.parametrize("more", [["--frames", 0], ["--fps", 0], ["--web", "--port", 99999]])
+@pytest.mark.parametrize("more", [["--count", 0], ["--fps", 0], ["--web", "--web-port", 99999]])
 def test_live_options_that_make_no_sense(command, rig, more):
     code, out, err = command("rig", "live", "-g", rig.rig, "--exposure", 0.001, *more)
     assert code in {64, 69}
