@@ -31,7 +31,7 @@ def progress(label: str, *, quiet: bool = False) -> Iterator[Advance]:
         with _bar(label) as bar, _logged(label, bar) as advance:
             yield advance
     else:
-        lines = Lines(label)
+        lines = Lines(label, PATIENCE_S, GAP_S)
         try:
             with _logged(label, lines) as advance:
                 yield advance
@@ -48,7 +48,7 @@ class Lines:
         gap_s: least time between two lines, in s.
     """
 
-    def __init__(self, label: str, patience_s: float = PATIENCE_S, gap_s: float = GAP_S) -> None:
+    def __init__(self, label: str, patience_s: float, gap_s: float) -> None:
         self._label, self._step, self._printed = label, "", ""
         self._gap_s, self._next = gap_s, time.monotonic() + patience_s
         self._lock = threading.Lock()

@@ -14,7 +14,7 @@ product over all directions, the same at every place.
 """
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cache, lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -267,12 +267,18 @@ def panel_steps(material: Material) -> FloatArray:
     return steps
 
 
+@cache
+def _rule(nodes: int) -> FloatArray:
+    """(2, nodes) nodes and weights of a Gauss-Legendre rule."""
+    return np.stack(np.polynomial.legendre.leggauss(nodes))
+
+
 def _twice(light: _Sides, camera: _Sides, opening: float, material: Material, nodes: int) -> FloatArray:
     """(P,) light after exactly two reflections, in µm/sr; ``opening`` between the sides in radians."""
     from anisoscope.sim.light.bounces_kernels import two_reflections  # noqa: PLC0415 - numba when first needed
 
     plastic, steps = plastic_of(material), panel_steps(material)
-    rule = np.stack(np.polynomial.legendre.leggauss(nodes))
+    rule = _rule(nodes)
     total = np.zeros(len(light.local[0]))
     for pose in range(len(total)):
         for first in (0, 1):

@@ -271,7 +271,7 @@ def anisoscope():
 
     ``path`` are folders in which other packages are installed.
     """
-    server = ForkServer()
+    server = ForkServer(Path(os.environ["ANISOSCOPE_TEST_RUN"]))
     yield lambda *arguments, cwd=None, timeout=400, path=(): Done(*server.run(arguments, cwd, timeout, path))
     server.close()
 

@@ -1,13 +1,14 @@
 """Runs the real command line in a process of its own without importing everything each time.
 
-A server imports the package once and then forks; every child runs ``anisoscope`` from its entry point to what is to
-be done at exit, in the folder and with the environment of the one who asks. What a command does at its very start
-(imports, variables that libraries read when they are imported) is not what is seen here; nor is how the interpreter
-takes all its modules apart at the very end, which takes longer than most commands.
+A server, one for all workers of a run, imports the package once and then forks; every child runs ``anisoscope`` from
+its entry point to what is to be done at exit, in the folder and with the environment of the one who asks. What a
+command does at its very start (imports, variables that libraries read when they are imported) is not what is seen
+here; nor is how the interpreter takes all its modules apart at the very end, which takes longer than most commands.
 """
 
 import atexit
 import contextlib
+import fcntl
 import gc
 import importlib
 import importlib.util
@@ -15,7 +16,9 @@ import json
 import os
 import pkgutil
 import select
+import selectors
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -46,6 +49,10 @@ PACKAGES = (
 )  # each a folder of its own
 # threads and forks do not mix; and there are as many test workers as cores
 ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+FIRST_CLIENT_S = 60.0
+A_RUN_S = (
+    3600.0  # on a busy machine any command may last until lines of progress would be due: none are printed
+)
 SIDE_BY_SIDE = Path(__file__).parents[1] / "sidebyside.py"
 
 
@@ -60,7 +67,10 @@ def _load() -> None:
         importlib.import_module(name)
     from numba.core.registry import cpu_target
 
+    from anisoscope.cli import progress
     from anisoscope.sim.light import material
+
+    progress.PATIENCE_S = A_RUN_S
 
     cpu_target.typing_context.refresh()
     cpu_target.target_context.refresh()
@@ -68,8 +78,11 @@ def _load() -> None:
         material._gauss_legendre(nodes)
 
 
-def serve() -> None:
-    """Answer every line on standard input with the child's number and, at its end, with its exit code."""
+def serve(address: str) -> None:
+    """Run a command for every line that a client sends: answers its process number, and at its end its exit code.
+
+    Ends when the last client has left.
+    """
     from anisoscope.cli import main
 
     _load()
@@ -80,14 +93,54 @@ def serve() -> None:
         sidebyside.share()
     gc.collect()
     gc.freeze()  # nothing of this is looked at again, least of all at every child's end
-    for line in sys.stdin:
-        order = json.loads(line)
-        child = os.fork()
-        if child == 0:
-            _become(order)
-            _end(_code_of(main))
-        os.write(1, b"%d\n" % child)
-        os.write(1, b"%d\n" % os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+    with socket.socket(socket.AF_UNIX) as listener, selectors.DefaultSelector() as ready:
+        Path(address).unlink(missing_ok=True)
+        listener.bind(address)
+        listener.listen()
+        ready.register(listener, selectors.EVENT_READ)
+        os.write(1, b"ready\n")
+        while chosen := ready.select(None if len(ready.get_map()) > 1 else FIRST_CLIENT_S):
+            for key, _ in chosen:
+                if key.fileobj is listener:
+                    client = listener.accept()[0]
+                    ready.register(client, selectors.EVENT_READ, client.makefile("rb", buffering=0))
+                elif isinstance(key.fileobj, socket.socket):
+                    _take_order(key, ready, main)
+                else:
+                    _report_end(key, ready)
+            if len(ready.get_map()) == 1:
+                return
+
+
+def _take_order(key: selectors.SelectorKey, ready: selectors.BaseSelector, main) -> None:
+    """Start what a client orders; a client that has left is forgotten."""
+    line = key.data.readline()
+    if not line:
+        ready.unregister(key.fileobj)
+        key.data.close()
+        key.fileobj.close()
+        return
+    child = os.fork()
+    if child == 0:
+        for other in list(ready.get_map().values()):
+            if isinstance(other.fileobj, socket.socket):
+                os.close(other.fd)  # a command that goes on would hold it open
+            else:
+                os.close(other.fileobj)
+        _become(json.loads(line))
+        _end(_code_of(main))
+    key.fileobj.sendall(b"%d\n" % child)
+    ready.register(os.pidfd_open(child), selectors.EVENT_READ, (child, key.fileobj))
+
+
+def _report_end(key: selectors.SelectorKey, ready: selectors.BaseSelector) -> None:
+    """Send the exit code of a process that has ended to the client that ordered it."""
+    child, client = key.data
+    ready.unregister(key.fileobj)
+    os.close(key.fileobj)
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    with contextlib.suppress(OSError):  # the client has left
+        client.sendall(b"%d\n" % code)
 
 
 def _become(order: dict) -> None:
@@ -132,13 +185,24 @@ def _end(code: int) -> None:
 
 
 class ForkServer:
-    """The one who asks; start it once for many commands."""
+    """A client of the one server of a run, which the first client starts."""
 
-    def __init__(self) -> None:
-        environment = os.environ | ONE_THREAD
-        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-        command = [sys.executable, "-I", __file__]
-        self._process = subprocess.Popen(command, env=environment, bufsize=0, **pipes)
+    def __init__(self, folder: Path) -> None:
+        """Connect to the server of a run.
+
+        Args:
+            folder: of the run, which all its clients share.
+        """
+        self._socket = socket.socket(socket.AF_UNIX)
+        address = str(folder / "forkserver")
+        with Path(f"{address}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            try:
+                self._socket.connect(address)
+            except OSError:
+                _start(address)
+                self._socket.connect(address)
+        self._answers = self._socket.makefile("rb", buffering=0)
 
     def run(self, arguments, cwd=None, timeout=400.0, path=()) -> tuple[int, str, str]:
         """Run ``anisoscope`` with arguments: exit code, what it printed, what it printed on standard error.
@@ -159,22 +223,30 @@ class ForkServer:
             words = [str(argument) for argument in arguments]
             order = {"arguments": words, "out": str(out), "err": str(err), "environment": dict(os.environ)}
             order |= {"folder": str(cwd or Path.cwd()), "path": [str(one) for one in path]}
-            self._process.stdin.write(json.dumps(order).encode() + b"\n")
-            child = int(self._process.stdout.readline())
-            if not select.select([self._process.stdout], [], [], timeout)[0]:
+            self._socket.sendall(json.dumps(order).encode() + b"\n")
+            child = int(self._answers.readline())
+            if not select.select([self._socket], [], [], timeout)[0]:
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(child, signal.SIGKILL)
-                self._process.stdout.readline()
+                self._answers.readline()
                 raise subprocess.TimeoutExpired(words, timeout)
-            code = int(self._process.stdout.readline())
+            code = int(self._answers.readline())
             return code, *(path.read_bytes().decode("utf-8").replace("\r\n", "\n") for path in (out, err))
 
     def close(self) -> None:
-        """End the server."""
-        self._process.stdin.close()
-        self._process.wait(60)
-        self._process.stdout.close()
+        """Leave the server, which ends with its last client."""
+        self._answers.close()
+        self._socket.close()
+
+
+def _start(address: str) -> None:
+    """Start a server, and wait until it answers."""
+    command = [sys.executable, "-I", __file__, address]
+    how = {"env": os.environ | ONE_THREAD, "stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE}
+    with subprocess.Popen(command, **how) as server:
+        assert server.stdout.readline() == b"ready\n"
+        server.returncode = 0  # it outlives the worker that starts it: nobody waits for it
 
 
 if __name__ == "__main__":
-    serve()
+    serve(sys.argv[1])
