@@ -17,7 +17,7 @@ from anisoscope.base.significance import holm, joint_conformance, two_sided
 from anisoscope.decision.consistency_test import from_prediction, golden_test, scatter_of
 from anisoscope.decision.predictive_test import PredictiveTest
 from anisoscope.decision.reference_parts import GoldenSet, counted
-from anisoscope.imaging.defect_regions import deviation_map, find_regions
+from anisoscope.imaging.defect_regions import deviation_map, find_regions, threshold_map
 from anisoscope.imaging.deviation_map import CellMap, cell_map, judge_area
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.prediction.expectation import Component, Expectation
@@ -194,7 +194,7 @@ def _blind(predictive: PredictiveTest | None, recipe: SurfaceRecipe, golden: int
 def _regions(cells: CellMap | None, measured: Measured, recipe: SurfaceRecipe) -> tuple[RegionRecord, ...]:
     if cells is None or recipe.area is None:
         return ()
-    return find_regions(deviation_map(cells), recipe.area, measured.grid)
+    return find_regions(deviation_map(cells), threshold_map(cells), measured.grid)
 
 
 def _budget(components: tuple[Component, ...], variances: list[FloatArray]) -> tuple[BudgetRecord, ...]:

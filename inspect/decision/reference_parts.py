@@ -348,7 +348,7 @@ class GoldenPart(ReferenceRow):
 
     log_radiance: tuple[float, ...]
     area_share: float | None
-    cell_deviation: float | None = None
+    cell_deviation: float | Literal["auto"] | None = None
     cells: int | None = None
     verdict: str
 
@@ -479,7 +479,7 @@ class GoldenSet(RadianceSet[SurfaceRecipe]):
 
     def judged_text(self, rule: Any) -> str:  # noqa: ANN401 - of the kind
         """With the threshold of the rule."""
-        return f"at cell_deviation {rule.cell_deviation:g}"
+        return f"at cell_deviation {rule.cell_deviation}"
 
 
 def counted(count: int, what: str) -> str:

@@ -22,7 +22,7 @@ from anisoscope.base.errors import HeightMapError, ModelError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.diagnosis.causes import EXTRUDED, PITCHES, TAIL, Cause, all_causes, tail_cause
 from anisoscope.diagnosis.tangents import Tangents, looked_at, slopes_of
-from anisoscope.imaging.deviation_map import cell_deviations
+from anisoscope.imaging.deviation_map import CellMap, cell_deviations, cell_thresholds
 from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH
 from anisoscope.prediction.expectation import nominal_shape, part_uncertainty
 from anisoscope.prediction.height_map_uncertainty import best_band, relief_model
@@ -385,8 +385,9 @@ class _Scene:
         assert self.cell_deviation is not None
         safe = np.maximum(cells, 1e-6)
         ratios = np.stack([np.log(safe[i] / safe[j]) for i, j in consecutive_pairs(self.poses)])
-        off = np.abs(cell_deviations(ratios, self.cell_deviation)).max(axis=0)
-        return float(np.mean(off > self.cell_deviation))
+        thresholds = cell_thresholds(ratios, self.cell_deviation)
+        found = CellMap(ratios, cell_deviations(ratios, thresholds), thresholds)
+        return float(np.mean(found.deviating()))
 
 
 def _profile(design: RidgeDesign) -> HeightMap:

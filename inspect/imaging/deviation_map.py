@@ -1,6 +1,7 @@
 """Deviation map: the cells of the contrast map that deviate from their flank, and the decision on their area."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -10,7 +11,7 @@ from anisoscope.base.errors import MeasurementError
 from anisoscope.base.significance import holm
 from anisoscope.imaging.area_limit import KnownShares
 from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH, Measured
-from anisoscope.recipe.surface import AreaPart
+from anisoscope.recipe.surface import MOST_DEVIATION, AreaPart
 from anisoscope.record.schema import AreaRecord
 from anisoscope.record.verdict import Verdict
 from anisoscope.sim.light.contrasts import consecutive_pairs
@@ -21,34 +22,69 @@ MAX_CELL_NOISE = 0.25
 
 @dataclass(frozen=True, eq=False)
 class CellMap:
-    """The contrast map: (pairs, cell rows, cell cols) ln ratios, and the deviation of every cell from its flank."""
+    """The contrast map of a part.
+
+    Attributes:
+        ratios: (pairs, cell rows, cell cols) ln ratios.
+        off: the same shape, the deviation of every cell from its flank.
+        thresholds: (pairs,) ln ratios beyond which a cell deviates.
+    """
 
     ratios: FloatArray
     off: FloatArray
+    thresholds: FloatArray
+
+    def deviating(self, shift: float = 0.0) -> npt.NDArray[np.bool_]:
+        """(cell rows, cell cols) True where a cell deviates in some pair, by thresholds that are larger by a shift."""
+        return np.asarray(np.any(np.abs(self.off) > self.thresholds[:, None, None] + shift, axis=0))
 
 
 NEIGHBOURS = 6  # ridges to each side with which a line of cells is compared
 MIN_NEIGHBOURS = 3
+SCATTERS = 5.0  # robust standard deviations by which a cell may be off its flank
+LEAST_DEVIATION = 0.05  # what registration and the edges of cells leave
 
 
-def cell_deviations(ratios: FloatArray, cell_deviation: float) -> FloatArray:
+def cell_thresholds(
+    ratios: FloatArray, cell_deviation: float | Literal["auto"], noise: float = 0.0
+) -> FloatArray:
+    """(pairs,) ln ratios beyond which a cell deviates.
+
+    "auto" is five times what the cells of a pair scatter by about their flanks (from the median of the absolute
+    deviations), at least four times their noise and `LEAST_DEVIATION`, at most `MOST_DEVIATION`: a mark moves a cell
+    by no more than the contrast that it spoils, and stands out in the pair whose good cells are most alike.
+
+    Args:
+        ratios: (pairs, cell rows, cell cols) ln ratios.
+        cell_deviation: of the recipe.
+        noise: standard uncertainty of the ln ratio of a cell from noise.
+    """
+    if cell_deviation != "auto":
+        return np.full(len(ratios), cell_deviation)
+    off = np.abs(ratios - np.median(ratios, axis=1, keepdims=True)).reshape(len(ratios), -1)
+    scatter = 1.4826 * np.median(off, axis=1)  # of normal values: their standard deviation
+    least = max(LEAST_DEVIATION, noise / MAX_CELL_NOISE)
+    return np.asarray(np.minimum(np.maximum(SCATTERS * scatter, least), MOST_DEVIATION))
+
+
+def cell_deviations(ratios: FloatArray, thresholds: FloatArray | float) -> FloatArray:
     """Deviation of every cell from the value expected at its place.
 
     Each line of cells (a column) runs along one flank of one ridge, so its median is the value of that flank, and
-    marks stand out against it. A whole line that differs by more than ``cell_deviation`` from the same flank of the
+    marks stand out against it. A whole line that differs by more than its threshold from the same flank of the
     neighbouring ridges belongs to a missing or deformed ridge: all of it deviates. Smaller differences between lines
     come from where the raster cuts the flanks, and are ignored.
 
     Args:
         ratios: (pairs, cell rows, cell cols) ln ratios, `CELLS_PER_PITCH` columns a pitch.
-        cell_deviation: threshold.
+        thresholds: (pairs,), or one of all.
 
     Returns:
         The same shape.
     """
     lines = np.median(ratios, axis=1)
     off_lines = lines - _same_flank(lines)
-    whole = np.where(np.abs(off_lines) > cell_deviation, off_lines, 0.0)
+    whole = np.where(np.abs(off_lines) > np.reshape(thresholds, (-1, 1)), off_lines, 0.0)
     return np.asarray(ratios - lines[:, None, :] + whole[:, None, :])
 
 
@@ -86,7 +122,14 @@ def cell_log_ratios(measured: Measured, poses: tuple[Pose, ...]) -> FloatArray:
 def cell_map(measured: Measured, poses: tuple[Pose, ...], rule: AreaPart) -> CellMap:
     """The contrast map of a part, with a recipe's threshold."""
     ratios = cell_log_ratios(measured, poses)
-    return CellMap(ratios, cell_deviations(ratios, rule.cell_deviation))
+    thresholds = cell_thresholds(ratios, rule.cell_deviation, _noise(measured, poses))
+    return CellMap(ratios, cell_deviations(ratios, thresholds), thresholds)
+
+
+def _noise(measured: Measured, poses: tuple[Pose, ...]) -> float:
+    """Standard uncertainty of the ln ratio of a cell from noise, of the noisiest pair."""
+    noise = measured.cell_noise
+    return float(max(np.hypot(noise[i], noise[j]) for i, j in consecutive_pairs(poses)))
 
 
 def judge_area(
@@ -122,22 +165,20 @@ def judge_area(
     if rule is None:
         return None, None
     found = cell_map(measured, poses, rule) if cells is None else cells
-    off = np.abs(found.off).max(axis=0)
-    noise = float(
-        max(np.hypot(measured.cell_noise[i], measured.cell_noise[j]) for i, j in consecutive_pairs(poses))
-    )
-    if noise > MAX_CELL_NOISE * rule.cell_deviation:
+    over, noise, least = found.deviating(), _noise(measured, poses), float(found.thresholds.min())
+    if noise > (1.0 + 1e-9) * MAX_CELL_NOISE * least:
         raise MeasurementError(
             f"the ln ratio of a cell is uncertain by {noise:.3f}, too much to tell deviations of "
-            f"{rule.cell_deviation:g} (limit {MAX_CELL_NOISE * rule.cell_deviation:.3f}): "
+            f"{least:g} (limit {MAX_CELL_NOISE * least:.3f}): "
             "take more frames_per_pose, a longer exposure_s, or brackets (acquisition.brackets)"
         )
-    share, at_low, at_high = (
-        float(np.mean(off > rule.cell_deviation + shift)) for shift in (0.0, -noise, noise)
-    )
-    u = float(np.hypot(0.5 * (at_low - at_high), 0.5 / off.size))
+    share, at_low, at_high = (float(np.mean(found.deviating(shift))) for shift in (0.0, -noise, noise))
+    u = float(np.hypot(0.5 * (at_low - at_high), 0.5 / over.size))
+    each = tuple(map(float, found.thresholds)) if rule.cell_deviation == "auto" else None
     if known is not None:
-        return _limit_by_golden(share, u, known, alpha, p_means), off > rule.cell_deviation
+        return _limit_by_golden(share, u, known, alpha, p_means).model_copy(
+            update={"cell_deviations": each}
+        ), over
     limit, guard = rule.max_share, coverage * u
     verdict = Verdict.INCONCLUSIVE
     if share <= limit - guard:
@@ -145,8 +186,8 @@ def judge_area(
     elif share >= limit + guard:
         verdict = Verdict.FAIL
     return AreaRecord(
-        share=share, u=u, max_share=limit, cells=off.size, verdict=verdict
-    ), off > rule.cell_deviation
+        share=share, u=u, max_share=limit, cells=over.size, verdict=verdict, cell_deviations=each
+    ), over
 
 
 def _limit_by_golden(share: float, u: float, known: KnownShares, alpha: float, p_means: float) -> AreaRecord:

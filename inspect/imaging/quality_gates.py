@@ -14,7 +14,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import CalibrationError, MeasurementError, RegistrationError
 from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH, Measured
 from anisoscope.imaging.registration.placement import Grid, View, angle_between
-from anisoscope.recipe.surface import SurfaceRecipe
+from anisoscope.recipe.surface import MOST_DEVIATION, SurfaceRecipe
 
 Image = npt.NDArray[np.float32]
 
@@ -33,7 +33,6 @@ MIN_EXPECTED_SHARE = 0.01
 POINTS_A_PITCH = 6.0
 MAX_WINDOW = 512
 STILL_CELLS = 8.0
-DEFAULT_CELL_DEVIATION = 0.3
 UNLIKE, LIKE = 1.6, 1.4  # factors in brightness: what is beyond the part, and what is the part
 THINNEST = 2.0  # cells
 SOLID_PART, MOST_LIKE = (
@@ -114,7 +113,9 @@ def check_part(views: list[View], measured: Measured, recipe: SurfaceRecipe) -> 
     """
     check_edges(measured, recipe)
     check_ridges(measured.aligned, measured.grid, recipe)
-    rule = recipe.area.cell_deviation if recipe.area is not None else DEFAULT_CELL_DEVIATION
+    rule = MOST_DEVIATION if recipe.area is None else recipe.area.cell_deviation
+    if rule == "auto":
+        rule = MOST_DEVIATION
     check_dirt(views, measured, 0.5 * rule)
 
 

@@ -265,14 +265,19 @@ class DecisionPart(DecisionBase):
         return self
 
 
+MOST_DEVIATION = 0.3
+"""Deviation of a cell (ln ratio) that a recipe has unless it says otherwise, and that "auto" never exceeds."""
+
+
 class AreaPart(Part):
     """Decision rule for the contrast map: cells a quarter of a pitch wide, against the median along their flank.
 
     A cell deviates if its ln ratio differs by more than ``cell_deviation``; the part fails if more than
-    ``max_share`` of the area does.
+    ``max_share`` of the area does. "auto" takes for every pair of angles what its cells scatter by
+    (`anisoscope.imaging.deviation_map.cell_thresholds`), at most `MOST_DEVIATION`.
     """
 
-    cell_deviation: Positive = 0.3
+    cell_deviation: Positive | Literal["auto"] = MOST_DEVIATION
     max_share: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.03
 
 

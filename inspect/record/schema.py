@@ -121,7 +121,8 @@ class TiltContrastRecord(_Part):
 class AreaRecord(_Part):
     """The contrast map judged: share of its cells that deviate, and the standard uncertainty of that share.
 
-    ``learnt`` if the limit is that of golden parts, ``p_value`` the chance that a part like them shows as much.
+    ``learnt`` if the limit is that of golden parts, ``p_value`` the chance that a part like them shows as much;
+    ``cell_deviations`` what "auto" of the recipe is for each pair, None where the recipe gives one number.
     """
 
     share: float
@@ -131,6 +132,7 @@ class AreaRecord(_Part):
     verdict: Verdict
     learnt: bool = False
     p_value: float | None = None
+    cell_deviations: tuple[float, ...] | None = None
 
 
 class CalibrationUse(InputFile):

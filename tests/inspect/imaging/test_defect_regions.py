@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from anisoscope.imaging.defect_regions import chance_of_a_cell, chance_of_a_group, find_regions, kind_of
-from anisoscope.imaging.deviation_map import cell_deviations
+from anisoscope.imaging.deviation_map import cell_deviations, cell_thresholds
 from anisoscope.imaging.registration.placement import Grid
 from anisoscope.recipe.surface import AreaPart
 
@@ -25,13 +25,13 @@ def deviation(ratios):
 
 
 def test_a_good_part_has_no_regions():
-    assert find_regions(deviation(pattern()), RULE, GRID) == ()
+    assert find_regions(deviation(pattern()), RULE.cell_deviation, GRID) == ()
 
 
 def test_a_missing_ridge_is_one_region_over_the_whole_length():
     ratios = pattern()
     ratios[:, 40:44] = 0.1
-    regions = find_regions(deviation(ratios), RULE, GRID)
+    regions = find_regions(deviation(ratios), RULE.cell_deviation, GRID)
     assert [region.kind for region in regions] == ["missing ridge"]
     region = regions[0]
     assert region.area_share == pytest.approx(4 / COLS, rel=0.3)
@@ -43,7 +43,7 @@ def test_a_missing_ridge_is_one_region_over_the_whole_length():
 def test_marks_are_found_where_they_are():
     ratios = pattern()
     ratios[10:12, 20:22] -= 1.0
-    regions = find_regions(deviation(ratios), RULE, GRID)
+    regions = find_regions(deviation(ratios), RULE.cell_deviation, GRID)
     assert [region.kind for region in regions] == ["spot"]
     assert regions[0].cells == 4
     assert regions[0].x == pytest.approx(0.5 + (20.5 - (COLS - 1) / 2) * 0.025)
@@ -55,7 +55,7 @@ def test_places_turn_with_the_raster():
     ratios = pattern()
     ratios[10:12, 20:22] -= 1.0
     plain, turned = (
-        find_regions(deviation(ratios), RULE, Grid((0.0, 0.0), 0.005, GRID.shape, turn))[0]
+        find_regions(deviation(ratios), RULE.cell_deviation, Grid((0.0, 0.0), 0.005, GRID.shape, turn))[0]
         for turn in (0.0, 90.0)
     )
     assert (turned.x, turned.y) == pytest.approx((-plain.y, plain.x))
@@ -78,7 +78,7 @@ def test_compact_marks(height, width, kind):
 def test_one_flank_along_the_whole_length_is_no_missing_ridge():
     ratios = pattern()
     ratios[:, 41] += 0.8
-    assert [region.kind for region in find_regions(deviation(ratios), RULE, GRID)] == ["flank"]
+    assert [region.kind for region in find_regions(deviation(ratios), RULE.cell_deviation, GRID)] == ["flank"]
 
 
 def test_small_differences_between_lines_do_not_count():
@@ -115,3 +115,11 @@ def test_the_chance_of_a_cell_is_the_tail_of_the_scatter():
     assert chance_of_a_cell(np.zeros((5, 5)), 0.2) == 0.0
     assert chance_of_a_group(3, 400, 0.0) == 0.0
     assert chance_of_a_group(40, 400, 0.9) == 1.0
+
+
+def test_cells_of_every_pair_are_judged_by_their_own_scatter(rng):
+    scatter = np.array([0.004, 0.02, 0.3])
+    ratios = scatter[:, None, None] * rng.standard_normal((3, 80, 40))
+    assert cell_thresholds(ratios, 0.25).tolist() == [0.25, 0.25, 0.25]
+    assert cell_thresholds(ratios, "auto") == pytest.approx([0.05, 0.1, 0.3], rel=0.05)
+    assert cell_thresholds(ratios, "auto", noise=0.05) == pytest.approx([0.2, 0.2, 0.3])
