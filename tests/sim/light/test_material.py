@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from anisoscope.base.errors import ModelError
+from anisoscope.sim.light.interface_kernels import UNSHADOWED, _beckmann_lambda
 from anisoscope.sim.light.material import (
     Material,
     diffuse_scale,
@@ -104,6 +105,12 @@ def test_smith_lambda_is_the_shadowing_of_gaussian_slopes():
     assert smith_lambda(np.array(alpha * tangent)) == pytest.approx(
         np.trapezoid((slope * tangent - 1) * density, slope), rel=1e-6
     )
+
+
+def test_shadowing_from_tables_is_that_of_the_closed_form():
+    a = np.append(np.geomspace(1e-3, UNSHADOWED, 300), [np.nextafter(UNSHADOWED, 0.0), 30.0])
+    tabulated = np.array([_beckmann_lambda(float(one)) for one in a])
+    np.testing.assert_allclose(1.0 + tabulated, 1.0 + smith_lambda(1.0 / a), rtol=5e-15)
 
 
 @pytest.mark.parametrize("alpha", [0.05, 0.1, 0.3])
