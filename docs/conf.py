@@ -25,6 +25,7 @@ myst_heading_anchors = 4
 html_theme = "furo"
 html_title = "anisoscope"
 html_show_sphinx = False
+html_show_copyright = False
 html_copy_source = False
 
 
