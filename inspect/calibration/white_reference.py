@@ -141,6 +141,33 @@ def read_reference(path: Path) -> WhiteReference:
         raise CalibrationError(f"the flat {path} cannot be read ({error}): {advice}") from error
 
 
+def exposure_for(path: Path, radiance: float, level: float, gain: float = 1.0) -> float:
+    """Exposure in seconds at which a radiance reaches a share of the camera's full scale.
+
+    Args:
+        path: of the white reference, which states how far the tile reached at its own exposure.
+        radiance: in 1/sr.
+        level: share of full scale.
+        gain: of the camera.
+
+    Raises:
+        CalibrationError: as for `read_reference`, or an early one that does not state its level.
+    """
+    import tifffile  # noqa: PLC0415 - start-up time
+
+    white = read_reference(path)
+    with tifffile.TiffFile(path) as file:
+        meta = json.loads(file.pages.first.description)
+    try:
+        reached = float(meta["level"]) / (float(meta["exposure_s"]) * float(meta["gain"]))
+    except KeyError:
+        raise CalibrationError(
+            f"the flat {path} does not state how bright the tile was: take it again with `anisoscope calibrate flat`"
+        ) from None
+    usual = usual_of_filters(white.signal, white.filters)  # the level is that of the darkest filter
+    return float(level / (reached * usual.max() / usual.min() * gain * radiance / white.radiance))
+
+
 @dataclass(frozen=True)
 class Tile:
     """Properties of the tile itself, measured with the flat.

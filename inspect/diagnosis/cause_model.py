@@ -1,11 +1,12 @@
 """Cause model of one kind of part: causes, their signatures, and measurements that separate them."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.base.progress import Advance
-from anisoscope.diagnosis.causes import Cause, all_causes
-from anisoscope.diagnosis.signatures import Signatures, signatures
+from anisoscope.diagnosis.causes import Cause
+from anisoscope.diagnosis.signatures import Signatures, causes_of, changes_at, signatures
 from anisoscope.recipe.surface import SurfaceRecipe
 
 
@@ -42,16 +43,14 @@ class CauseModel:
         signatures: their signatures, by recipe, the rig's light angle, progress, and names of causes (None: all).
         options: measurements that separate causes of these names, by recipe, light angle, names, and progress; None if
             not computed.
+        changes: change of ln L of every pose by causes of given extents, by recipe and light angle; None where
+            `options` say what separates causes, or nothing does.
     """
 
     causes: Callable[[SurfaceRecipe], tuple[Cause, ...]]
     signatures: Callable[[SurfaceRecipe, float, Advance, Sequence[str] | None], Signatures]
     options: Callable[[SurfaceRecipe, float, Sequence[str], Advance], tuple[Option, ...]] | None = None
+    changes: Callable[[SurfaceRecipe, float, Mapping[str, float]], dict[str, FloatArray]] | None = None
 
 
-def _of_plastic(recipe: SurfaceRecipe) -> tuple[Cause, ...]:
-    design = recipe.surface.design
-    return all_causes(None if design is None else design.ridge_angle_deg, recipe.surface.pitch_um)
-
-
-PLASTIC_CAUSES = CauseModel(_of_plastic, signatures)
+PLASTIC_CAUSES = CauseModel(causes_of, signatures, changes=changes_at)

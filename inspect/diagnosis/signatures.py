@@ -9,7 +9,7 @@ by wear and by incomplete filling, rougher with its facets; unchanged by local d
 """
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -171,12 +171,7 @@ def signatures(
     good, good_share = scene.look(scene.surface, scene.state, scene.groove, with_map=True)
     if np.isnan(good_share):  # a recipe without limit of the area has no map
         good_share = 0.0
-    design = recipe.surface.design
-    causes = [
-        cause
-        for cause in all_causes(None if design is None else design.ridge_angle_deg, recipe.surface.pitch_um)
-        if names is None or cause.name in names
-    ]
+    causes = [cause for cause in causes_of(recipe) if names is None or cause.name in names]
     found, left_out = [], []
     for number, cause in enumerate(causes):
         advance(f"signature of {cause.name}", number, len(causes))
@@ -193,7 +188,42 @@ def signatures(
     return Signatures(scene.poses, good, good_share, tuple(found), tuple(left_out), tail)
 
 
-def _signature(scene: "_Scene", cause: Cause, good: FloatArray, good_share: float) -> Signature:
+def causes_of(recipe: SurfaceRecipe) -> tuple[Cause, ...]:
+    """All causes considered for the part of a recipe."""
+    design = recipe.surface.design
+    return all_causes(None if design is None else design.ridge_angle_deg, recipe.surface.pitch_um)
+
+
+def changes_at(
+    recipe: SurfaceRecipe, light_angle_deg: float, extents: Mapping[str, float]
+) -> dict[str, FloatArray]:
+    """(P,) change of ln L by causes of given extents, without their signatures; those impossible are left out.
+
+    Args:
+        recipe: with the poses.
+        light_angle_deg: angle between light and camera.
+        extents: by name of the cause.
+
+    Raises:
+        HeightMapError: the recipe's height map cannot be read or used.
+    """
+    recipe = recipe.deciding()
+    scene = _Scene(recipe, light_angle_deg)
+    found = {}
+    for cause in causes_of(recipe):
+        if cause.name not in extents:
+            continue
+        one = replace(cause, extents=(0.0, extents[cause.name]))
+        with contextlib.suppress(HeightMapError, ModelError):
+            good, _ = scene.look(scene.surface, scene.state, scene.groove, with_map=False)
+            found[cause.name] = _signature(scene, one, good, 0.0, bare=True).change[-1]
+    return found
+
+
+def _signature(
+    scene: "_Scene", cause: Cause, good: FloatArray, good_share: float, *, bare: bool = False
+) -> Signature:
+    """Signature of a cause; ``bare`` without the share of deviating cells and the response to the inputs."""
     extents, changes, shares = [], [], []
     profile = scene.profile if cause.name in EXTRUDED else None
     if profile is None and cause.name in EXTRUDED and cause.name != "ridge-angle":
@@ -210,7 +240,10 @@ def _signature(scene: "_Scene", cause: Cause, good: FloatArray, good_share: floa
         else:
             surface, state = cause.change(scene.surface, scene.state, extent)
             radiance, share = scene.look(
-                surface, state, scene.groove_with(cause, extent), with_map=cause.group in ("shape", "area")
+                surface,
+                state,
+                scene.groove_with(cause, extent),
+                with_map=not bare and cause.group in ("shape", "area"),
             )
             share = good_share if np.isnan(share) else share
         if np.any(radiance <= 0.0):
@@ -221,7 +254,7 @@ def _signature(scene: "_Scene", cause: Cause, good: FloatArray, good_share: floa
     if len(extents) < 2:
         raise ModelError(f"{cause.name}: the part would be black in some pose at every extent")
     bends = (cause.doubt < DOUBTFUL or cause.name in EXTRUDED) and cause.name != TAIL
-    tangents = scene.tangents(cause, extents) if bends else None
+    tangents = scene.tangents(cause, extents) if bends and not bare else None
     return Signature(cause, np.array(extents), np.array(changes), np.array(shares), tangents)
 
 

@@ -77,6 +77,9 @@ def recompute(folder: Path, on_progress: Advance = silent) -> Recomputed:
     if _causes(now) != _causes(old):
         unrecorded.add("diagnosis, which ranks another set of hypotheses now")
         new["diagnosis"] = old["diagnosis"]
+    elif (old.get("diagnosis") or {}).get("tells", "") is None and now["diagnosis"]["tells"] is not None:
+        unrecorded.add("diagnosis.tells, which was not computed then")
+        new["diagnosis"]["tells"] = None
     notes: tuple[str, ...] = ()
     if recorded.software != record.software:
         notes = (f"recorded by {recorded.software}, recomputed by {record.software}",)

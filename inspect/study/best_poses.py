@@ -72,6 +72,7 @@ class Suggestion:
         frames: frames per pose that reach that power, by number of golden parts; None where no number of them does,
             because parts differ as the defects do.
         brackets: further exposures with which the darkest pose is exposed as the brightest one, within a factor of 4.
+        brightest: predicted radiance of the brightest pose in 1/sr.
     """
 
     poses: tuple[tuple[float, float], ...]
@@ -81,6 +82,7 @@ class Suggestion:
     golden: int | None
     frames: dict[int, int | None]
     brackets: tuple[float, ...]
+    brightest: float = 0.0
 
 
 def best_poses(
@@ -142,7 +144,7 @@ def best_poses(
     found = _judged(
         recipe, light_angle_deg, poses, scatter, changes, chosen, camera_share, power, tuple(wanted)
     )
-    return replace(found, brackets=_brackets(radiance[chosen]))
+    return replace(found, brackets=_brackets(radiance[chosen]), brightest=float(radiance[chosen].max()))
 
 
 def ideal_distances(

@@ -13,6 +13,7 @@ from anisoscope.cli.tables import console, print_output, print_table
 
 if TYPE_CHECKING:
     from anisoscope.recipe.teaching import Taught
+    from anisoscope.rig.rigfile import RigFile
 
 app = App(name="recipe", help="Write, check and teach recipes: how a part is photographed and judged.")
 
@@ -162,7 +163,8 @@ def suggest(
         raise UsageError(
             f"{file}: poses are chosen where a recipe states how good parts differ ([scatter]), not for {kind.one}"
         )
-    angle = light_angle if rig is None else read_rig(rig).light.angle_deg
+    rig_file = None if rig is None else read_rig(rig)
+    angle = light_angle if rig_file is None else rig_file.light.angle_deg
     allowed = parse_range(angles, "--angles"), parse_range(tilts, "--tilts")
     with progress(file.name, quiet=json_) as advance:
         found = best_poses(recipe, angle, poses, *allowed, noise, power, ignore, advance)
@@ -201,9 +203,25 @@ def suggest(
     frames = reached[-1][1] if reached else recipe.acquisition.frames_per_pose
     brackets = ", ".join(f"{factor:g}" for factor in found.brackets)
     lines += ["[acquisition]", f"frames_per_pose = {frames}", f"brackets = [{brackets}]"]
+    lines.append(_exposure_line(rig_file, found.brightest, recipe.acquisition.gain))
     for line in lines:
         console().print(line, markup=False, highlight=False, soft_wrap=True)
     return 0
+
+
+def _exposure_line(rig: "RigFile | None", brightest: float, gain: float) -> str:
+    """Exposure of the brightest pose, as the white reference of the rig says; how to find it where there is none."""
+    from anisoscope.calibration.white_reference import exposure_for
+    from anisoscope.inspection.teach import LEVEL
+
+    flat = None if rig is None or rig.calibration is None else rig.calibration.flat
+    if flat is None:
+        return "# exposure_s: with --rig, from the white reference of the rig file; or by `anisoscope recipe teach`"
+    try:
+        seconds = exposure_for(flat, brightest, LEVEL, gain)
+    except CalibrationError as problem:
+        return f"# exposure_s: {problem}; or by `anisoscope recipe teach`"
+    return f"exposure_s = {seconds:.2g}  # predicted: the brightest pose reaches {LEVEL:.0%} of full scale on average"
 
 
 @app.command

@@ -5,7 +5,12 @@ import pytest
 import tifffile
 
 from anisoscope.base.errors import CalibrationError, RecordError, RigError, UsageError
-from anisoscope.calibration.white_reference import make_reference, read_reference, write_reference
+from anisoscope.calibration.white_reference import (
+    exposure_for,
+    make_reference,
+    read_reference,
+    write_reference,
+)
 from anisoscope.imaging.linearisation import Stack
 
 SHAPE = (30, 40)
@@ -32,6 +37,20 @@ def test_round_trip(tmp_path):
     assert found.radiance == pytest.approx(0.9 * 0.94 / np.pi)
     assert (found.camera, found.reflectance) == ("CAM-7", 0.9)
     assert [path.name for path in (tmp_path / "new").iterdir()] == ["flat.tif"]
+
+
+def test_the_exposure_of_a_radiance_follows_from_the_tile(tmp_path):
+    """2000 of 4095 counts above black, in 0.5 s at gain 2."""
+    path = tmp_path / "flat.tif"
+    write_reference(path, make(level(2064.0)))
+    tile = 0.9 * 0.94 / np.pi
+    assert exposure_for(path, tile, 2000.0 / 4095.0, gain=2.0) == pytest.approx(0.5)
+    assert exposure_for(path, 4.0 * tile, 1000.0 / 4095.0) == pytest.approx(0.125)
+    old = make(level(2064.0))
+    del old["meta"]["level"]
+    write_reference(path, old)
+    with pytest.raises(CalibrationError, match="does not state how bright"):
+        exposure_for(path, tile, 0.7)
 
 
 def test_a_hot_pixel_of_the_flat_is_filled_with_a_plausible_signal():
