@@ -10,7 +10,7 @@ import tomllib
 import uuid
 from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -42,6 +42,7 @@ from anisoscope.imaging.linearisation import WhiteReference
 from anisoscope.imaging.registration.placement import check_fixture
 from anisoscope.profiles.files.load import read_height_map
 from anisoscope.profiles.metrology.ridges import measure_ridges
+from anisoscope.recipe.material_file import MaterialFile
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.schema import sha256_of
 from anisoscope.rig.rigfile import AxisPart, RigFile, read_rig
@@ -419,13 +420,17 @@ class Commissioned:
     part: RidgedPart
 
 
+_LOBE = ("ln_alpha_along", "ln_alpha_across", "ln_albedo", "tail")
+
+
 def part_of_recipe(
     recipe: SurfaceRecipe, ridge_angle_deg: float | None, u_ridge_angle_deg: float
 ) -> RidgedPart:
     """The ridged part that a recipe describes; the spot is the largest circle in its region.
 
-    A recipe's roughness is what its height map does not resolve. Where it has a map, ridge angle and resolved
-    roughness are measured there, and the two roughnesses add in quadrature.
+    With a material file the roughness, albedo and tail are known as well as its covariance says, and as parts of the
+    plastic scatter. A recipe's roughness is what its height map does not resolve. Where it has a map, ridge angle and
+    resolved roughness are measured there, and the two roughnesses add in quadrature.
 
     Args:
         recipe: the recipe.
@@ -452,7 +457,7 @@ def part_of_recipe(
             angle, u_ridge_angle_deg = found.ridge_angle_deg.value, float(found.ridge_angle_deg.u or 0.1)
     if angle is None:
         raise UsageError("the height map of the recipe shows no ridge angle: give --ridge-angle")
-    return RidgedPart(
+    part = RidgedPart(
         pitch_um=recipe.surface.pitch_um,
         ridge_angle_deg=angle,
         alpha_along=along,
@@ -469,6 +474,39 @@ def part_of_recipe(
         facet_azimuth_deg=recipe.poses.facet_azimuth_deg,
         center_mm=recipe.region.center_mm,
         spot_mm=min(recipe.region.size_mm),
+        tail=material.tail,
+        u_tail=material.u_tail or 0.0,
+        second_lobe=material.second_lobe,
+        internal_reflection=material.internal_reflection,
+    )
+    return part if material.calibrated is None else _calibrated(part, recipe, material.calibrated)
+
+
+def _calibrated(part: RidgedPart, recipe: SurfaceRecipe, file: MaterialFile) -> RidgedPart:
+    """A part of a calibrated plastic, known as its mean is, and as parts of it scatter.
+
+    Correlations of roughness with tail and albedo are left out, which states too much, never too little.
+    """
+    names, scatter, own = file.covariance.parameters, recipe.stated_scatter, recipe.material
+    covariance = dict.fromkeys(((a, b) for a in _LOBE for b in _LOBE), 0.0)
+    known = file.covariance.array()
+    covariance |= {(a, b): float(known[i, j]) for i, a in enumerate(names) for j, b in enumerate(names)}
+    lobe = (
+        ("ln_alpha_along", own.alpha_along, part.alpha_along),
+        ("ln_alpha_across", own.alpha_across, part.alpha_across),
+    )
+    total = np.array([[covariance[a, b] for b, _, _ in lobe] for a, _, _ in lobe])
+    # of the slopes that a map resolves nothing is unknown here
+    share = np.array([(value / whole) ** 2 for _, value, whole in lobe])
+    total = np.outer(share, share) * (total + scatter.alpha_share**2 * np.eye(2))
+    u_albedo = part.albedo * float(
+        np.hypot(np.sqrt(covariance["ln_albedo", "ln_albedo"]), scatter.albedo_share)
+    )
+    return replace(
+        part,
+        alpha_covariance=((total[0, 0], total[0, 1]), (total[1, 0], total[1, 1])),
+        u_albedo=max(u_albedo, 1e-5),
+        u_tail=float(np.sqrt(covariance["tail", "tail"])),
     )
 
 

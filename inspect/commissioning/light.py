@@ -23,11 +23,18 @@ from anisoscope.base.errors import MeasurementError
 from anisoscope.commissioning.model import RigModel
 from anisoscope.commissioning.part import RidgedPart
 from anisoscope.prediction.reflections import AMPLITUDE_U, OF_INDIRECT
+from anisoscope.sim.light.material import LONGEST_TAIL
 
 Model = Callable[[dict[str, float]], FloatArray]
 
-_HELD = frozenset({"log_mean", "log_ratio", "index", "albedo", "tilt_zero_deg", "seat_x_deg", "reflections"})
-_SLOW = ("log_mean", "index")  # every new value makes a table of the interface: their slopes are taken once
+_HELD = frozenset(
+    {"log_mean", "log_ratio", "index", "albedo", "tail", "tilt_zero_deg", "seat_x_deg", "reflections"}
+)
+_SLOW = (
+    "log_mean",
+    "index",
+    "tail",
+)  # every new value makes a table of the interface: their slopes are taken once
 
 
 @dataclass(frozen=True)
@@ -241,13 +248,15 @@ def _known(part: RidgedPart, radiances: Radiances, light_deg: float, bounces: in
         Known("azimuth_deg", "light azimuth [°]", 0.0, None, 1.0, (-60.0, 60.0)),
         Known("tilt_zero_deg", "zero of the tilt [°]", 0.0, max(radiances.u_tilt_deg, 1e-3), 0.1),
         Known("ridge_deg", "ridge angle [°]", part.ridge_angle_deg, part.u_ridge_angle_deg, 0.1, (0.1, 44.9)),
-        Known("log_mean", "ln √(α along·α across)", mean, part.u_alpha_share / np.sqrt(2.0), 0.05, (-6.0, -0.5)),
-        Known("log_ratio", "ln (α across/α along)", ratio, part.u_alpha_share * np.sqrt(2.0), 0.05, (-2.0, 2.0)),
+        Known("log_mean", "ln √(α along·α across)", mean, part.u_log_mean, 0.05, (-6.0, -0.5)),
+        Known("log_ratio", "ln (α across/α along)", ratio, part.u_log_ratio, 0.05, (-2.0, 2.0)),
         Known("albedo", "albedo", part.albedo, part.u_albedo, 0.01, (0.0, 1.0)),
         Known("index", "refractive index", part.index, part.u_index, 0.01, (1.05, 3.9)),
         Known("seat_x_deg", "seating about x [°]", 0.0, part.u_seating_deg, 0.1, (-5.0, 5.0)),
         Known("seat_y_deg", "seating about y [°]", 0.0, part.u_seating_deg, 0.1, (-5.0, 5.0)),
     ]  # fmt: skip
+    if part.u_tail > 0.0:
+        known.append(Known("tail", "tail of the lobe", part.tail, part.u_tail, 0.05, (0.0, LONGEST_TAIL)))
     if bounces == 1:
         return known
     return [*known, Known("reflections", "amplitude of the reflections", 1.0, AMPLITUDE_U, 0.1, (0.0, 5.0))]

@@ -92,7 +92,15 @@ class RigModel:
             RidgeDesign(
                 self.part.pitch_um, p["ridge_deg"], self.part.wall, edge_radius_um=self.part.edge_radius_um
             ),
-            Material(along, across, p["albedo"], p["index"]),
+            Material(
+                along,
+                across,
+                p["albedo"],
+                p["index"],
+                self.part.internal_reflection,
+                p.get("tail", self.part.tail),
+                self.part.second_lobe,
+            ),
         )
 
     def _indirect(

@@ -2,8 +2,11 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from anisoscope.base.errors import UsageError
 from anisoscope.profiles.ideal import Wall
+from anisoscope.sim.light.material import InternalReflection
 
 
 @dataclass(frozen=True)
@@ -14,6 +17,11 @@ class RidgedPart:
         pitch_um: pitch of the ridges.
         ridge_angle_deg, u_ridge_angle_deg: ridge angle.
         alpha_along, alpha_across, u_alpha_share: roughness and its relative standard uncertainty.
+        alpha_covariance: of ln α along and ln α across, where they were measured together; u_alpha_share of each
+            otherwise.
+        tail, u_tail: tail of the lobe.
+        second_lobe: weight and width of a second lobe, as in `sim.light.material.Material`.
+        internal_reflection: as there.
         albedo, u_albedo: albedo of the plastic.
         index, u_index: its refractive index.
         u_seating_deg: standard uncertainty of its seating about either axis.
@@ -37,6 +45,11 @@ class RidgedPart:
     u_seating_deg: float = 0.1
     wall: Wall = "perpendicular"
     edge_radius_um: float = 0.0
+    alpha_covariance: tuple[tuple[float, float], tuple[float, float]] | None = None
+    tail: float = 0.0
+    u_tail: float = 0.0
+    second_lobe: tuple[float, float] | None = None
+    internal_reflection: InternalReflection = "nonlinear"
     facet_azimuth_deg: float = 0.0
     center_mm: tuple[float, float] = (0.0, 0.0)
     spot_mm: float = 1.0
@@ -49,3 +62,20 @@ class RidgedPart:
             )
         if not self.spot_mm > 2.0 * self.pitch_um / 1000.0:
             raise UsageError(f"the spot must span at least two pitches, not {self.spot_mm:g} mm")
+
+    @property
+    def u_log_mean(self) -> float:
+        """Standard uncertainty of ln √(α along · α across)."""
+        ((along, both), (_, across)) = self._alpha_covariance
+        return float(0.5 * np.sqrt(along + across + 2.0 * both))
+
+    @property
+    def u_log_ratio(self) -> float:
+        """Standard uncertainty of ln (α across/α along)."""
+        ((along, both), (_, across)) = self._alpha_covariance
+        return float(np.sqrt(along + across - 2.0 * both))
+
+    @property
+    def _alpha_covariance(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        each = self.u_alpha_share**2
+        return self.alpha_covariance or ((each, 0.0), (0.0, each))

@@ -155,13 +155,13 @@ def _part(
         raise UsageError("say what lies on the stage: --recipe FILE, or --ridge-angle, --pitch and --spot-mm")
     else:
         known = RidgedPart(pitch, ridge_angle, u_ridge_angle_deg=u_ridge_angle, spot_mm=spot_mm)
-    changes: dict[str, float] = {}
+    changes: dict[str, float | None] = {}
     if pitch is not None:
         changes["pitch_um"] = pitch
     if spot_mm is not None:
         changes["spot_mm"] = spot_mm
     if u_alpha is not None:
-        changes["u_alpha_share"] = u_alpha
+        changes |= {"u_alpha_share": u_alpha, "alpha_covariance": None}
     if alpha is not None:
         values = parse_numbers(alpha, "--alpha")
         if len(values) not in (1, 2) or min(values) <= 0.0:

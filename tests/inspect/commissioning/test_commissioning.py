@@ -23,18 +23,19 @@ from anisoscope.commissioning.commissioning import (
 from anisoscope.commissioning.exposure import proof_on, sentence
 from anisoscope.commissioning.light import Radiances, fit_light
 from anisoscope.commissioning.markers import Fix, find_fixture
-from anisoscope.commissioning.model import lab_directions
+from anisoscope.commissioning.model import RigModel, lab_directions
 from anisoscope.commissioning.part import RidgedPart
 from anisoscope.commissioning.record import read_commissioning, write_commissioning
 from anisoscope.commissioning.series import Series, turn_readings
 from anisoscope.commissioning.turning import fit_centre, fit_foreshortening, fit_turning, wrapped
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.recipe.material_file import MaterialFile
 from anisoscope.report.commission_page import write_commission_page
 from anisoscope.rig.acquisition.opening import open_rig
 from anisoscope.rig.rigfile import read_rig
 from anisoscope.sim.light.corrected import radiance
-from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_rotation
+from anisoscope.sim.light.geometry import Convention, Pose, directions, pose_grid, seating_rotation
 from anisoscope.sim.light.material import Material
 
 EXPOSURE_S = 0.0015
@@ -376,6 +377,52 @@ def test_readings_stay_within_the_reach_of_the_stage():
 def test_the_part_of_a_recipe(make_recipe):
     part = part_of_recipe(make_recipe(), None, 0.2)
     assert (part.ridge_angle_deg, part.u_ridge_angle_deg, part.spot_mm) == (10.0, 0.2, 1.0)
+
+
+def test_a_calibrated_plastic_is_as_uncertain_as_its_file_and_its_parts_say(make_recipe):
+    """Not exactly known, as its u_alpha_share of 0 in the recipe would mean, and with its own tail."""
+    matrix = np.array([[0.0004, 0.0003, 0.0], [0.0003, 0.0009, 0.0], [0.0, 0.0, 0.0016]])
+    file = MaterialFile.model_validate(
+        {
+            "id": "plastic",
+            "name": "plastic",
+            "material": {"alpha_along": 0.06, "alpha_across": 0.1, "albedo": 0.2, "tail": 0.7},
+            "covariance": {
+                "parameters": ("ln_alpha_across", "ln_alpha_along", "tail"),
+                "matrix": matrix.tolist(),
+            },
+            "validity": {"half_angle_deg": (0.0, 40.0)},
+        }
+    )
+    known = {**dict(file.material), "u_alpha_share": 0.0, "u_albedo": 0.0, "u_tail": 0.0, "calibrated": file}
+    recipe = make_recipe(scatter={"alpha_share": 0.05, "albedo_share": 0.03})
+    part = part_of_recipe(
+        recipe.model_copy(update={"material": recipe.material.model_copy(update=known)}), None, 0.1
+    )
+    across, along = 0.0004 + 0.0025, 0.0009 + 0.0025
+    assert part.u_log_mean == pytest.approx(0.5 * np.sqrt(along + across + 0.0006))
+    assert part.u_log_ratio == pytest.approx(np.sqrt(along + across - 0.0006))
+    assert (part.tail, part.u_tail, part.u_albedo) == (0.7, pytest.approx(0.04), pytest.approx(0.006))
+    plain = replace(part, alpha_covariance=None, u_alpha_share=0.1)
+    assert (plain.u_log_mean, plain.u_log_ratio) == pytest.approx((0.1 / np.sqrt(2.0), 0.1 * np.sqrt(2.0)))
+    model = RigModel(part, np.zeros(2), np.zeros(2), 1)
+    values = {
+        "log_scale": 0.0,
+        "light_deg": 10.0,
+        "azimuth_deg": 0.0,
+        "tilt_zero_deg": 0.0,
+        "ridge_deg": 10.0,
+    }
+    values |= {
+        "log_mean": np.log(0.1 * 0.06) / 2,
+        "log_ratio": np.log(0.1 / 0.06),
+        "albedo": 0.2,
+        "index": 1.5,
+    }
+    values |= {"seat_x_deg": 0.0, "seat_y_deg": 0.0}
+    sides = directions(pose_grid((0.0, 0.0)), Convention(10.0))
+    expected = radiance(*sides, RidgeDesign(100.0, 10.0), file.material.material())
+    np.testing.assert_allclose(np.exp(model(values)), expected, rtol=1e-9)
 
 
 def test_the_height_map_of_a_recipe_is_measured_and_its_roughness_adds(make_recipe, tmp_path, rng):
