@@ -17,7 +17,7 @@ MORE = Group("More options", sort_key=50)
 """Panel of the options that few users need; the panel above it holds at most twelve."""
 GLOBAL_OPTIONS = """Options of every command:
   -v, --verbose    print more: tables behind an answer, device messages
-  -q, --quiet      print no progress
+  -q, --quiet      print no progress, as with ANISOSCOPE_QUIET=1
   --log-file FILE  append what happens to a file, with times
   --debug          print the traceback of an error"""
 _NEGATIVE_VALUE = re.compile(r"-[\d.]")

@@ -1,6 +1,7 @@
 """What commands write besides their answer: options of every command, messages on stderr, the log file."""
 
 import logging
+import os
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -33,8 +34,8 @@ def verbose() -> bool:
 
 
 def quiet() -> bool:
-    """Whether the present command prints no progress."""
-    return _present.quiet
+    """Whether the present command prints no progress: by --quiet, or by the environment variable ANISOSCOPE_QUIET."""
+    return _present.quiet or bool(os.environ.get("ANISOSCOPE_QUIET"))
 
 
 def options_of(arguments: Sequence[str]) -> tuple[list[str], LogOptions]:
