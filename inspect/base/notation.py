@@ -29,6 +29,11 @@ def percent_text(probability: float) -> str:
     return "< 0.1 %" if probability < 0.001 else f"{100.0 * probability:.1f} %"
 
 
+def ratio_text(ratio: float) -> str:
+    """T/U to one decimal; beyond 20 the number says nothing more."""
+    return f"{ratio:.1f}" if ratio < 20.0 else "> 20"
+
+
 def true_minus(text: str) -> str:
     """Text for a page: minus signs of numbers are true ones; hyphens and dates stay."""
     return _MINUS.sub("−", text)

@@ -84,7 +84,7 @@ def place_rendered(
         RegistrationError: the ridges of the map are not visible.
     """
     pitch = pitch_um / pixel_um
-    phase = _phase(aligned, rendered, pitch)
+    phase = ridge_phase(aligned, rendered, pitch)
     best, second, (across, along) = _features(aligned, rendered, phase, pitch)
     ratio = best / max(second, 1e-6)
     x_um, y_um = across * pixel_um, along * pixel_um
@@ -160,7 +160,7 @@ def _wave(picture: Image, pitch: float) -> complex:
     return complex(np.mean(profile * np.exp(-2j * np.pi * across[inside] / pitch)))
 
 
-def _phase(aligned: Sequence[Image], rendered: Sequence[Image], pitch: float) -> float:
+def ridge_phase(aligned: Sequence[Image], rendered: Sequence[Image], pitch: float) -> float:
     """Shift of the map's centre within ± half a pitch, in pixels; poses weighted by the amplitude of their ridges.
 
     The amplitude is that of the radiance: poses near the mirror direction lead, where reflections add little.
@@ -284,8 +284,8 @@ def _matched(
     chosen = [k for k, pose in enumerate(expected.poses) if pose.tilt_deg == expected.poses[0].tilt_deg]
     pixel_um = measured.grid.pixel_mm * 1000.0
     factor = max(1, int(pitch_um / pixel_um / POINTS_A_PITCH))
-    pictures = [_reduced(measured.aligned[k], factor) for k in chosen]
-    surface = _reduced_map(expected.surface, pitch_um)
+    pictures = [reduced_picture(measured.aligned[k], factor) for k in chosen]
+    surface = reduced_map(expected.surface, pitch_um)
     sizes = [n * size for n, size in zip(surface.shape, surface_pixels(surface), strict=True)]
     if min(sizes) < pitch_um + pixel_um * factor:
         raise RegistrationError("it is smaller than one pitch")
@@ -319,7 +319,7 @@ def _matched(
     return record.model_copy(update=shared._asdict()), None
 
 
-def _reduced(picture: Image, factor: int) -> Image:
+def reduced_picture(picture: Image, factor: int) -> Image:
     """Block means about the centre, at most `MAX_POINTS` per side."""
     rows, cols = (min(size // factor, MAX_POINTS) for size in picture.shape)
     top, left = ((size - n * factor) / 2.0 for size, n in zip(picture.shape, (rows, cols), strict=True))
@@ -332,7 +332,7 @@ def _reduced(picture: Image, factor: int) -> Image:
     return np.asarray(small, dtype=np.float32)
 
 
-def _reduced_map(surface: HeightMap, pitch_um: float) -> HeightMap:
+def reduced_map(surface: HeightMap, pitch_um: float) -> HeightMap:
     """The centre of a map, a few pitches wide, with a few points per pitch."""
     steps, cuts = [], []
     for size, pixel in zip(surface.shape, surface_pixels(surface), strict=True):

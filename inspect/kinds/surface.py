@@ -9,6 +9,7 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import CalibrationError, HeightMapError
 from anisoscope.base.notation import p_value_text
 from anisoscope.base.progress import Advance, silent
@@ -25,6 +26,7 @@ from anisoscope.imaging.area_limit import LEAST_PARTS
 from anisoscope.imaging.defect_regions import deviation_map
 from anisoscope.imaging.deviation_map import cell_log_ratios
 from anisoscope.imaging.pose_radiance import Measured, mean_of, measure, region_grid
+from anisoscope.imaging.predicted_cells import even_cells
 from anisoscope.imaging.quality_gates import check_views
 from anisoscope.imaging.registration.placement import View, resample
 from anisoscope.imaging.views import most_changed
@@ -52,7 +54,7 @@ from anisoscope.record.schema import (
     ShapeRecord,
 )
 from anisoscope.record.surface_details import SurfaceDetails, surface_of
-from anisoscope.report.conclusion import surface_finding
+from anisoscope.report.conclusion import named_regions, surface_finding
 from anisoscope.report.inspection_page import Pictures, Sections
 from anisoscope.rig.rigfile import RigFile
 
@@ -336,11 +338,14 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
     def pictures(
         self, recipe: RecipeT, expected: Expectation, measured: Measured, decided: Decision
     ) -> Pictures:
-        """The aligned photographs and the maps."""
-        del recipe
+        """The aligned photographs, what they should look like, and the maps."""
         cells = decided.cells
+        predicted, caption = self.predicted_cells(recipe, expected, measured)
         return Pictures(
             aligned=measured.aligned,
+            cells=measured.cells,
+            predicted=predicted,
+            predicted_text=caption,
             size_mm=measured.grid.size_mm,
             ratios=cell_log_ratios(measured, expected.poses) if cells is None else cells.ratios,
             deviating=decided.deviating,
@@ -348,11 +353,18 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
             surface=expected.surface,
         )
 
+    def predicted_cells(
+        self, recipe: SurfaceRecipe, expected: Expectation, measured: Measured
+    ) -> tuple[FloatArray, str]:
+        """Predicted radiance of every cell of the region in each pose, and what it is: by default the mean."""
+        del recipe
+        return even_cells(expected, measured), "the predicted mean radiance of each pose, the same everywhere"
+
     def sections(self, record: Record, pictures: Pictures) -> Sections:
         """Contrasts, maps, comparisons and budget."""
         from anisoscope.report.surface_sections import surface_sections  # noqa: PLC0415 - draws
 
-        return surface_sections(record, pictures)
+        return surface_sections(record, pictures, self.cause_words)
 
     @property
     def cause_words(self) -> Mapping[str, CauseWords]:
@@ -385,9 +397,8 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
         lines += [f"  {one.says}{_chance_text(one)}" for one in found.readings]
         if record.verdict != "PASS":
             lines += [
-                f"{region.kind} at x {region.x:+.2f} mm, y {region.y:+.2f} mm: {region.area_share:.2%} of the area, "
-                f"p = {region.p_value:.2g}"
-                for region in found.regions[:MAX_REGIONS]
+                f"{word} at x {region.x:+.2f} mm, y {region.y:+.2f} mm: {100.0 * region.area_share:.2f} % of the area"
+                for region, word in named_regions(record, self.cause_words)[:MAX_REGIONS]
             ]
         return CommandOutput(content, tuple(tables), tuple(lines))
 

@@ -11,8 +11,16 @@ from typing import NamedTuple
 from anisoscope.base.notation import contrast_name, p_value_text
 from anisoscope.diagnosis.cause_words import CauseWords, words_of
 from anisoscope.diagnosis.ranking import NOTHING, OTHER
-from anisoscope.record.schema import CauseRecord, ComponentRecord, ConclusionRecord, ContrastRecord, Record
+from anisoscope.record.schema import (
+    CauseRecord,
+    ComponentRecord,
+    ConclusionRecord,
+    ContrastRecord,
+    Record,
+    RegionRecord,
+)
 from anisoscope.record.surface_details import surface_of
+from anisoscope.record.verdict import Verdict
 
 OUTCOMES: Mapping[str, str] = {
     "pass": "Accept the part",
@@ -41,6 +49,25 @@ def concluded(
     return ConclusionRecord(
         finding=_sentence(finding), action=_sentence(str(shop.get(key, general))), follows_from=key
     )
+
+
+LIKELY = 0.05
+"""Probability on a good part from which on a region of a single cell is no finding."""
+
+
+def named_regions(record: Record, words: Mapping[str, CauseWords]) -> tuple[tuple[RegionRecord, str], ...]:
+    """Regions of the deviation map worth a line, with what they are.
+
+    Single cells that good parts show as well are left out. Where the area fails, the largest come first. A region is
+    called by the cause that the diagnosis names, where that leaves regions, and otherwise by its shape.
+    """
+    details = surface_of(record)
+    found = [one for one in details.regions if one.cells > 1 or one.p_value < LIKELY]
+    if details.area is not None and details.area.verdict == Verdict.FAIL:
+        found.sort(key=lambda one: -one.cells)
+    named = _named(record, words)
+    word = named[0].words.region if len(named) == 1 else ""
+    return tuple((one, word or one.kind) for one in found)
 
 
 def surface_finding(record: Record) -> str:

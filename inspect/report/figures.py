@@ -16,6 +16,7 @@ from anisoscope.base.arrays import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.colors import ListedColormap
     from matplotlib.figure import Figure
     from matplotlib.patches import PathPatch
 
@@ -136,6 +137,46 @@ def photograph(radiance: Image, white: float) -> str:
     return png_uri(data.tobytes())
 
 
+CELLS_ACROSS = 4
+"""Cells per pitch."""
+
+
+def pitch_means(cells: FloatArray) -> FloatArray:
+    """(rows, cols) radiance of cells, each averaged with those around it across one pitch; the region's ends join.
+
+    Predictions are of means over whole pitches: within one, the pattern of the flanks is no deviation.
+    """
+    before = CELLS_ACROSS // 2
+    wide = np.pad(cells, ((0, 0), (before, CELLS_ACROSS - 1 - before)), mode="wrap")
+    return np.asarray(np.mean([wide[:, k : k + cells.shape[1]] for k in range(CELLS_ACROSS)], axis=0))
+
+
+def enlarged(cells: FloatArray, side: int = 240) -> FloatArray:
+    """Cells as squares of several pixels, so that browsers do not blur them."""
+    factor = max(1, -(-side // max(cells.shape)))
+    return np.asarray(np.repeat(np.repeat(cells, factor, axis=0), factor, axis=1))
+
+
+def difference_picture(relative: FloatArray, reach: float) -> str:
+    """Cells brighter (orange) and darker (violet) than predicted; the colours end at ± ``reach``."""
+    from matplotlib import colormaps
+
+    colours = colormaps["PuOr_r"](np.clip(0.5 + 0.5 * enlarged(relative) / reach, 0.0, 1.0))
+    done, data = cv2.imencode(".png", np.asarray(255.0 * colours[..., 2::-1] + 0.5, dtype=np.uint8))
+    assert done
+    return png_uri(data.tobytes())
+
+
+def outline_path(mask: npt.NDArray[np.bool_]) -> str:
+    """SVG path around groups of two or more touching cells, in units of cells; single cells are left out."""
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
+    large = np.array([False, *(stats[k, cv2.CC_STAT_AREA] > 1 for k in range(1, count))])[labels]
+    padded = np.pad(large, 1)
+    upright = np.argwhere(padded[1:-1, 1:] != padded[1:-1, :-1])
+    level = np.argwhere(padded[1:, 1:-1] != padded[:-1, 1:-1])
+    return "".join([f"M{col} {row}v1" for row, col in upright] + [f"M{col} {row}h1" for row, col in level])
+
+
 @dataclass(frozen=True)
 class MapFrame:
     """Frame of a map: its centre from the rotation axis, in mm along its own axes, and the names of these."""
@@ -181,30 +222,38 @@ def deviation_map(
     deviating: npt.NDArray[np.bool_] | None,
     places: Sequence[tuple[float, float]],
     size_mm: tuple[float, float],
+    limit: float,
     frame: MapFrame = MapFrame(),
 ) -> str:
-    """By how much every cell is off, with the regions outlined and numbered from 1.
+    """By how much every cell is off, with the regions outlined and numbered from 1; pale within the limit.
 
     Args:
         deviation: (cell rows, cell cols) ln ratio, first row at the top.
         deviating: same shape, or None.
         places: (x, y) of the middle of every numbered region in mm from the rotation axis, along the map's axes.
         size_mm: (height, width) of the region.
+        limit: ln ratio beyond which a cell deviates; the scale ends at twice that.
         frame: where it lies.
     """
     from matplotlib.patheffects import withStroke
 
-    reach = max(float(np.percentile(np.abs(deviation), 99.5)), 0.05)
     with new_map_figure(size_mm) as (figure, axes, bar):
         extent = frame.label(axes, size_mm)
-        shown = axes.imshow(deviation, cmap="PuOr", vmin=-reach, vmax=reach, extent=extent)
+        shown = axes.imshow(deviation, cmap=_calm(), vmin=-2.0 * limit, vmax=2.0 * limit, extent=extent)
         if deviating is not None:
             axes.add_artist(_outline(deviating, size_mm, frame.middle_mm))
-        for number, (x, y) in enumerate(places, start=1):
+        points = [
+            (MAP_POINTS * (x - extent[0]) / size_mm[1], MAP_POINTS * (y - extent[2]) / size_mm[1])
+            for x, y in places
+        ]
+        offsets = label_offsets(points, (MAP_POINTS, MAP_POINTS * size_mm[0] / size_mm[1]))
+        for number, ((x, y), offset) in enumerate(zip(places, offsets, strict=True), start=1):
             label = axes.annotate(
                 str(number),
                 (x, y),
-                xytext=(7, 7),
+                xytext=offset,
+                ha="center",
+                va="center",
                 textcoords="offset points",
                 fontsize=9,
                 fontweight="bold",
@@ -212,8 +261,53 @@ def deviation_map(
                 arrowprops={"arrowstyle": "-", "color": INK, "linewidth": 0.7},
             )
             label.set_path_effects([withStroke(linewidth=2.5, foreground="white")])
-        figure.colorbar(shown, cax=bar, label="ln ratio off")
+        ends = [-2.0 * limit, -limit, 0.0, limit, 2.0 * limit]
+        figure.colorbar(shown, cax=bar, label="ln ratio off; pale: within the limit", ticks=ends)
         return svg_uri(figure)
+
+
+MAP_POINTS = 0.64 * 4.6 * 72.0
+"""Width of a map in points."""
+
+
+def label_offsets(
+    points: Sequence[tuple[float, float]], size: tuple[float, float]
+) -> tuple[tuple[float, float], ...]:
+    """Offsets in points from places to their labels, such that labels neither overlap nor leave the map.
+
+    Args:
+        points: places in points from the lower left corner.
+        size: (width, height) of the map in points.
+    """
+    taken: list[tuple[float, float]] = []
+    found = []
+    tries = [
+        (radius * np.cos(turn), radius * np.sin(turn))
+        for radius in (12.0, 20.0, 30.0, 42.0, 56.0)
+        for turn in np.radians(np.arange(45.0, 405.0, 30.0))
+    ]
+    for x, y in points:
+        free = (
+            (dx, dy)
+            for dx, dy in tries
+            if 7.0 <= x + dx <= size[0] - 7.0
+            and 6.0 <= y + dy <= size[1] - 6.0
+            and all(abs(x + dx - a) > 15.0 or abs(y + dy - b) > 11.0 for a, b in taken)
+        )
+        offset = next(free, tries[0])
+        taken.append((x + offset[0], y + offset[1]))
+        found.append(offset)
+    return tuple(found)
+
+
+def _calm() -> "ListedColormap":
+    """Colours from violet to orange, pale in the middle half."""
+    from matplotlib import colormaps
+    from matplotlib.colors import ListedColormap
+
+    place = np.linspace(-1.0, 1.0, 256)
+    strength = np.where(np.abs(place) < 0.5, 0.36 * np.abs(place), 0.4 + 1.2 * (np.abs(place) - 0.5))
+    return ListedColormap(colormaps["PuOr_r"](0.5 + 0.5 * np.sign(place) * strength))
 
 
 def _outline(

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from anisoscope.base.arrays import FloatArray
 from anisoscope.calibration.record import CalibrationRecord, Kind
 from anisoscope.profiles.heightmap import HeightMap
-from anisoscope.record.schema import CauseRecord, Record
+from anisoscope.record.schema import CauseRecord, PoseRecord, Record
 from anisoscope.report import figures
 from anisoscope.report.page import ready_template, write_page
 from anisoscope.report.peers import Lot, Peers
@@ -24,6 +24,10 @@ Image = npt.NDArray[np.float32]
 
 REPORT_NAME = "report.html"
 TEMPLATE = "inspection.html"
+MOST_POSES = 6
+"""Poses on page 1; further ones are folded."""
+DIFFERENCE_SCALE = 0.5
+"""Relative difference from the predicted mean at which the colours of a difference picture end."""
 INVALID_RULE = "what makes a measurement unfit goes before all that was measured, and never fails a part"
 MEANING = {
     "PASS": "The part is as predicted, within the tolerance.",
@@ -40,6 +44,9 @@ class Pictures:
     Attributes:
         aligned: one picture a pose on the sample's raster, radiance in 1/sr.
         size_mm: (height, width) of the region.
+        cells: (P, cell rows, cell cols) mean radiance of the cells in 1/sr.
+        predicted: the same shape, predicted.
+        predicted_text: what the predicted pictures are, in words.
         ratios: (pairs, cell rows, cell cols) ln ratio of the contrast map.
         deviating: (cell rows, cell cols) cells that deviate.
         deviation: (cell rows, cell cols) ln ratio by which a cell is off.
@@ -52,6 +59,9 @@ class Pictures:
 
     aligned: tuple[Image, ...] = ()
     size_mm: tuple[float, float] = (1.0, 1.0)
+    cells: FloatArray | None = None
+    predicted: FloatArray | None = None
+    predicted_text: str = ""
     ratios: FloatArray | None = None
     deviating: npt.NDArray[np.bool_] | None = None
     surface: HeightMap | None = None
@@ -69,6 +79,7 @@ class Sections:
     Attributes:
         rule: the rule that decided, in one sentence; without one the page names none, except of an INVALID part.
         reasons: further lines below the verdict: name and text.
+        first: source of what follows the photographs on page 1.
         before, after: sources of the sections before and after the diagnosis.
         budget: source of the uncertainty budget.
         fitted_too: what causes are fitted to beside the poses, such as " and to the share of the area that deviates".
@@ -79,6 +90,7 @@ class Sections:
 
     rule: str = ""
     reasons: tuple[tuple[str, str], ...] = ()
+    first: str = ""
     before: str = ""
     after: str = ""
     budget: str = ""
@@ -118,7 +130,12 @@ def write_report(
         RecordError: the folder cannot be written.
     """
     path, sections = folder / REPORT_NAME, sections or Sections()
-    parts = {"before": sections.before, "after": sections.after, "budget": sections.budget}
+    parts = {
+        "first": sections.first,
+        "before": sections.before,
+        "after": sections.after,
+        "budget": sections.budget,
+    }
     write_page(path, TEMPLATE, _content(record, pictures, folder, view, sections), filters(), parts)
     return path
 
@@ -154,16 +171,45 @@ def _content(
 
 
 def _photographs(record: Record, pictures: Pictures) -> dict[str, Any]:
-    white = max((float(np.nanpercentile(p, 99.0)) for p in pictures.aligned), default=1.0)
+    shown = tuple(
+        _photographed(pose, k, pictures)
+        for k, (pose, _) in enumerate(zip(record.poses, pictures.aligned, strict=False))
+    )
     return {
-        "white": white,
         "size_mm": pictures.size_mm,
-        "photographs": [
-            (pose, figures.photograph(picture, white))
-            for pose, picture in zip(record.poses, pictures.aligned, strict=False)
-        ],
+        "photographs": shown[:MOST_POSES],
+        "more_photographs": shown[MOST_POSES:],
+        "predicted_text": pictures.predicted_text,
+        "difference_scale": DIFFERENCE_SCALE,
+        "outline": None if pictures.deviating is None else figures.outline_path(pictures.deviating),
+        "outline_size": (1, 1) if pictures.deviating is None else pictures.deviating.shape,
         "raw": [(name, figures.photograph(image, _top(image))) for name, image in pictures.raw],
     }
+
+
+@dataclass(frozen=True)
+class Photographed:
+    """One pose in pictures: measured, predicted and difference as data URIs; the latter two None without cells."""
+
+    pose: PoseRecord
+    white: float
+    measured: str
+    predicted: str | None
+    difference: str | None
+
+
+def _photographed(pose: PoseRecord, number: int, pictures: Pictures) -> Photographed:
+    """Pictures of a pose; measured and predicted have one scale, which is that of this pose."""
+    aligned = pictures.aligned[number]
+    white = float(np.nanpercentile(aligned, 99.0))
+    predicted = difference = None
+    if pictures.cells is not None and pictures.predicted is not None:
+        wanted = pictures.predicted[number]
+        white = max(white, 1.05 * float(wanted.max()))
+        predicted = figures.photograph(figures.enlarged(wanted).astype(np.float32), white)
+        relative = figures.pitch_means(pictures.cells[number]) / float(wanted.mean()) - 1.0
+        difference = figures.difference_picture(relative, DIFFERENCE_SCALE)
+    return Photographed(pose, white, figures.photograph(aligned, white), predicted, difference)
 
 
 def _causes(record: Record) -> tuple[CauseRecord, ...]:

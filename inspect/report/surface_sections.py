@@ -1,13 +1,16 @@
 """What the report shows of a surface that reflects: contrasts, maps, comparisons, golden parts, and the budget."""
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from anisoscope.base.notation import contrast_name, true_minus
-from anisoscope.record.schema import BudgetRecord, Record
+from anisoscope.diagnosis.cause_words import CauseWords
+from anisoscope.record.schema import BudgetRecord, Record, RegionRecord
 from anisoscope.record.surface_details import SurfaceDetails, surface_of
 from anisoscope.report import figures
+from anisoscope.report.conclusion import named_regions
 from anisoscope.report.inspection_page import Pictures, Sections
 from anisoscope.report.page import template_text
 from anisoscope.report.peers import Lot, Peers, among
@@ -21,29 +24,32 @@ SMALL_SHARE = 0.01
 SURFACES = {"design": "ideal design", "height_map": "height map"}
 
 
-def surface_sections(record: Record, pictures: Pictures) -> Sections:
-    """The sections of the report of a part whose contrasts were judged."""
+def surface_sections(record: Record, pictures: Pictures, words: Mapping[str, CauseWords]) -> Sections:
+    """The sections of the report of a part whose contrasts were judged; ``words`` of its causes name regions."""
     found = surface_of(record)
     unit = UNITS.get(found.contrasts[0].kind, "1") if found.contrasts else "1"
     large, small = _budget(record, found)
+    regions = named_regions(record, words)[:MAX_REGIONS]
     content = {
         "found": found,
         "deviation_decides": deviation_decides(record),
         "level": level_of(record),
         "kind": NAMES.get(found.contrasts[0].kind, "") if found.contrasts else "",
         "surfaces": SURFACES,
-        "regions": found.regions[:MAX_REGIONS],
+        "regions": regions,
+        "unlisted": len(found.regions) - len(regions),
         "narrow": [c for c in found.contrasts if c.tolerance_ratio and c.tolerance_ratio < TARGET_RATIO],
         "budget_rows": large,
         "small_budget": small,
         "budget_top": max((max(row.contributions, default=0.0) for row in record.budget), default=0.0),
         "golden": _golden(record, found),
-        **_maps(record, found, pictures),
+        **_maps(record, found, pictures, [one for one, _ in regions]),
         **tilt_parts(record),
     }
     return Sections(
         rule=rule_of(record),
         reasons=(("Design and height map", found.reading),) if found.reading else (),
+        first=template_text("inspection_surface_map.html"),
         before=template_text("inspection_surface.html"),
         after=template_text("inspection_surface_causes.html"),
         budget=template_text("inspection_surface_budget.html"),
@@ -54,13 +60,16 @@ def surface_sections(record: Record, pictures: Pictures) -> Sections:
     )
 
 
-def _maps(record: Record, found: SurfaceDetails, pictures: Pictures) -> dict[str, Any]:
+def _maps(
+    record: Record, found: SurfaceDetails, pictures: Pictures, regions: Sequence[RegionRecord]
+) -> dict[str, Any]:
     labels = labels_of(record)
     maps: dict[str, Any] = {"labels": labels, "maps": [], "chart": None, "deviation_map": None}
     if pictures.deviation is not None:
-        places = [_on_map(record, (region.x, region.y)) for region in found.regions[:MAX_REGIONS]]
+        places = [_on_map(record, (region.x, region.y)) for region in regions]
+        limit = max((found.area and found.area.cell_deviations) or (record.recipe["area"]["cell_deviation"],))
         maps["deviation_map"] = figures.deviation_map(
-            pictures.deviation, pictures.deviating, places, pictures.size_mm, _frame(record)
+            pictures.deviation, pictures.deviating, places, pictures.size_mm, limit, _frame(record)
         )
     if pictures.ratios is not None:
         maps["maps"] = [

@@ -25,6 +25,7 @@ class TiltRow:
         tilts: both tilts in degrees.
         numbers: measured, U, predicted, U, deviation, U.
         chance: p of the deviation.
+        deviates: whether it deviates by itself, at the recipe's level.
     """
 
     kind: str
@@ -33,9 +34,10 @@ class TiltRow:
     tilts: str
     numbers: tuple[str, ...]
     chance: str
+    deviates: bool = False
 
 
-def tilt_row(one: TiltContrastRecord) -> TiltRow:
+def tilt_row(one: TiltContrastRecord, alpha: float = 0.0) -> TiltRow:
     """A contrast between tilts in words."""
     pairs = (
         (one.measured, one.u_measured),
@@ -45,7 +47,7 @@ def tilt_row(one: TiltContrastRecord) -> TiltRow:
     numbers = tuple(text for value, u in pairs for text in (signed(value), f"{COVERAGE * u:.3f}"))
     chance = f"{one.p_value:.2g}" if one.p_value >= 1e-4 else "< 0.0001"
     stage, tilts = f"{one.stage_deg:g}", f"{one.from_tilt_deg:g} / {one.to_tilt_deg:g}"
-    return TiltRow(one.kind, _label(one), _minus(stage), _minus(tilts), numbers, chance)
+    return TiltRow(one.kind, _label(one), _minus(stage), _minus(tilts), numbers, chance, one.p_value < alpha)
 
 
 def listed_tilt_contrasts(
@@ -66,7 +68,7 @@ def tilt_parts(record: Record) -> dict[str, Any]:
     listed_rows, folded = listed_tilt_contrasts(record)
     if not listed_rows:
         return {"tilt_rows": (), "tilt_folded": (), "tilt_chart": None, "u_said": U_LEGEND}
-    kind = listed_rows[0].kind
+    kind, alpha = listed_rows[0].kind, record.recipe["decision"]["alpha"]
     chart = figures.contrast_chart(
         [_label(one) for one in listed_rows],
         [one.measured - one.predicted for one in listed_rows],
@@ -75,8 +77,8 @@ def tilt_parts(record: Record) -> dict[str, Any]:
         NAMES[kind],
     )
     return {
-        "tilt_rows": tuple(map(tilt_row, listed_rows)),
-        "tilt_folded": tuple(map(tilt_row, folded)),
+        "tilt_rows": tuple(tilt_row(one, alpha) for one in listed_rows),
+        "tilt_folded": tuple(tilt_row(one, alpha) for one in folded),
         "tilt_chart": chart,
         "u_said": U_LEGEND,
     }

@@ -1,6 +1,6 @@
 """Numbers, contrasts and causes as the report of an inspection words them."""
 
-from anisoscope.base.notation import contrast_name, p_value_text, percent_text, true_minus
+from anisoscope.base.notation import contrast_name, p_value_text, percent_text, ratio_text, true_minus
 from anisoscope.diagnosis.ranking import NOTHING, OTHER, PLASTIC
 from anisoscope.record.schema import CauseRecord, ComponentRecord, Record
 from anisoscope.record.surface_details import surface_of
@@ -20,6 +20,7 @@ def filters() -> Filters:
         "chance": lambda value: f"{value:.2g}" if value >= 1e-4 else "< 0.0001",
         "p_said": p_value_text,
         "percent": percent_text,
+        "ratio": ratio_text,
         "typeset": true_minus,
         "when": when,
     }

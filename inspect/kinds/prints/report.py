@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.notation import percent_text, ratio_text
 from anisoscope.kinds.prints.decision import PrintDecision
 from anisoscope.kinds.prints.expectation import PrintExpectation
 from anisoscope.kinds.prints.measurement import MeasuredPrint
@@ -216,7 +217,7 @@ def quantity_row(one: QuantityRecord) -> QuantityRow:
         return text.replace("-", "−")
 
     limit = f"±{100 * one.limit:g} %" if share else f"{'±' if signed else '≤ '}{one.limit:g}{one.unit}"
-    ratio = "–" if one.u == 0.0 else f"{one.limit / (2.0 * one.u):.1f}"
+    ratio = "–" if one.u == 0.0 else ratio_text(one.limit / (2.0 * one.u))
     return QuantityRow(
         one.title.replace("-", "−") if one.name == "delta_e" else one.title,
         number(one.value),
@@ -226,7 +227,7 @@ def quantity_row(one: QuantityRecord) -> QuantityRow:
         limit,
         off(one.guard),
         ratio,
-        f"{100 * one.conformance_probability:.1f} %",
+        percent_text(one.conformance_probability),
         one.verdict,
     )
 

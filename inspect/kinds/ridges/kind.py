@@ -2,9 +2,11 @@
 
 from pathlib import Path
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.diagnosis.shape_fit import fit_shape
 from anisoscope.imaging.height_map_place import match_map
 from anisoscope.imaging.pose_radiance import Measured
+from anisoscope.imaging.predicted_cells import predicted_cells
 from anisoscope.imaging.quality_gates import check_part
 from anisoscope.imaging.registration.placement import View
 from anisoscope.kinds.kind import NewRecipe
@@ -43,6 +45,12 @@ class Ridges(SurfaceKind[RidgeRecipe]):
     ) -> tuple[ShapeRecord | None, str | None]:
         """Ideal ridges fitted over the tilts."""
         return fit_shape(recipe, expected, measured)
+
+    def predicted_cells(
+        self, recipe: SurfaceRecipe, expected: Expectation, measured: Measured
+    ) -> tuple[FloatArray, str]:
+        """Predicted radiance of every cell, which follows the flanks of the ridges."""
+        return predicted_cells(recipe, expected, measured)
 
     def match_map(
         self, recipe: SurfaceRecipe, expected: Expectation, measured: Measured

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from anisoscope.diagnosis.cause_words import PLASTIC_WORDS
 from anisoscope.report.inspection_page import Pictures, start_renderer, write_report
 from anisoscope.report.peers import Lot, LotPart
 from anisoscope.report.surface_sections import surface_sections
@@ -35,7 +36,7 @@ def report(tmp_path_factory, make_report_record, report_pictures, view):
     folder = tmp_path_factory.mktemp("A-17-20260304T050607Z")
     record = make_report_record()
     pictures = replace(report_pictures, lot=LOT)
-    write_report(record, pictures, folder, view, surface_sections(record, pictures))
+    write_report(record, pictures, folder, view, surface_sections(record, pictures, PLASTIC_WORDS))
     return folder, record
 
 
@@ -181,6 +182,11 @@ def test_it_says_why_and_how_to_check(shown, report):
     commands = texts(shown, "pre")[0]
     assert f"anisoscope verify {folder.name}" in commands
     assert f"anisoscope recompute {folder.name}" in commands
+    poses = shown.evaluate(
+        "[...document.querySelectorAll('.pose')].map(p => p.querySelectorAll('img').length)"
+    )
+    assert poses == [3] * len(record.poses)  # measured, predicted, difference
+    assert shown.evaluate("document.querySelectorAll('.pose .marked svg use').length") == len(record.poses)
     assert texts(shown, "#finding") == [record.conclusion.finding]
     assert texts(shown, "#action") == [f"What to do next: {record.conclusion.action}"]
     told = shown.evaluate("document.body.textContent")
@@ -225,7 +231,9 @@ def test_text_stands_out_from_its_ground(page, tmp_path, make_report_record, sch
     """WCAG 2.2, 1.4.3: 4.5 to 1, for large text 3 to 1."""
     contrasts = [c.model_dump() | {"verdict": verdict} for c in make_report_record().details.contrasts]
     record = make_report_record(verdict=verdict, contrasts=contrasts)
-    path = write_report(record, Pictures(), tmp_path, None, surface_sections(record, Pictures()))
+    path = write_report(
+        record, Pictures(), tmp_path, None, surface_sections(record, Pictures(), PLASTIC_WORDS)
+    )
     try:
         page.prefer(scheme)
         page.open(path.as_uri())
@@ -305,7 +313,7 @@ def test_texts_stay_texts(page, tmp_path, make_report_record, report_pictures):
     raw = tuple((EVIL, picture) for picture in report_pictures.aligned[:1])
     lot = Lot(EVIL, (LotPart(EVIL, EVIL, ()),))
     pictures = replace(report_pictures, surface=None, raw=raw, lot=lot)
-    path = write_report(record, pictures, tmp_path, None, surface_sections(record, pictures))
+    path = write_report(record, pictures, tmp_path, None, surface_sections(record, pictures, PLASTIC_WORDS))
     page.open(path.as_uri())
     assert page.complaints() == []
     assert page.requests() == [path.as_uri()]

@@ -177,14 +177,14 @@ def test_map_and_table_count_from_the_rotation_axis(
     record = make_report_record(recipe=recipe, regions=[region | {"deviation": 0.4, "p_value": 0.001}])
     drawn = {}
 
-    def keep(_deviation, _mask, places, size_mm, frame):
+    def keep(_deviation, _mask, places, size_mm, _limit, frame):
         with figures.new_map_figure(size_mm) as (_, axes, _bar):
             drawn.update(ends=frame.label(axes, size_mm), names=(axes.get_xlabel(), axes.get_ylabel()))
         drawn["places"] = places
         return ""
 
     monkeypatch.setattr(figures, "deviation_map", keep)
-    surface_sections._maps(record, record.details, report_pictures)
+    surface_sections._maps(record, record.details, report_pictures, record.details.regions)
     (place,), (left, right, low, high) = drawn["places"], drawn["ends"]
     height, width = report_pictures.size_mm
     assert (right - left, high - low) == pytest.approx((width, height))
@@ -193,3 +193,22 @@ def test_map_and_table_count_from_the_rotation_axis(
     assert (0.5 * (left + right), 0.5 * (low + high)) == pytest.approx(turned(5.0, 2.0))
     assert "from the rotation axis [mm]" in drawn["names"][0]
     assert drawn["names"][0].startswith("x " if azimuth == 0.0 else "across the ridges ")
+
+
+def test_labels_of_regions_are_apart_and_inside():
+    rng = np.random.default_rng(1)
+    points = [(float(x), float(y)) for x, y in rng.uniform(80.0, 130.0, (12, 2))]
+    points += [(1.0, 1.0), (199.0, 199.0)]
+    offsets = figures.label_offsets(points, (200.0, 200.0))
+    places = np.add(points, offsets)
+    assert np.all((places > 5.0) & (places < 195.0))
+    apart = np.abs(places[:, None] - places[None]) > (15.0, 11.0)
+    assert np.all(apart.any(axis=2) | np.eye(len(places), dtype=bool))
+
+
+def test_a_difference_knows_no_pattern_within_a_pitch_and_outlines_no_single_cell():
+    pattern = np.tile([1.0, 2.0, 3.0, 2.0], (6, 5))
+    assert figures.pitch_means(pattern) == pytest.approx(np.full((6, 20), 2.0))
+    mask = np.zeros((4, 5), dtype=bool)
+    mask[0, 0] = mask[2, 2] = mask[3, 3] = True
+    assert figures.outline_path(mask).count("M") == 8  # two cells that touch at a corner
