@@ -12,22 +12,33 @@ WORKERS ?= $(shell expr $$(getconf _NPROCESSORS_ONLN) + 1)
 # Bytecode is kept: otherwise each of the tests' processes would compile the package and all tests for itself.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test soak statistics types lint contracts docs docs-check benchmark lock clean help
+.PHONY: demo test test-all fast soak statistics types lint contracts docs docs-check benchmark lock clean help
 
 help:
 	@echo "make demo       inspect three parts on the virtual rig; reports in demo-output/"
 	@echo "make test       formatting, lint, types, import contracts, links of the docs, tests"
 	@echo "make docs       the docs as a site; open site/index.html"
+	@echo "make test-all   the same, then the fast tests on Python 3.12 and 3.13"
 	@echo "make soak       the long test campaigns"
 	@echo "make statistics rates over many draws: coverage, false alarms, power of the studies"
 	@echo "make benchmark  speed against named alternatives"
 	@echo "make clean      remove what make made"
 
-demo: $(VENV)/.run
+demo: $(VENV)/.warm
 	$(BIN)/anisoscope demo --out demo-output --seed $(SEED)
 
-test: lint contracts types docs-check
+test: $(VENV)/.warm lint contracts types docs-check
 	$(BIN)/python -Im pytest -n $(WORKERS) --dist worksteal
+
+# The tests without commands and pages, on the other versions of Python: PYTHONS="python3.12 /opt/py/bin/python3.13".
+PYTHONS ?= python3.12 python3.13
+test-all: test
+	@for python in $(PYTHONS); do \
+	  $(MAKE) fast PYTHON=$$python VENV=.venv-$$(basename $$python) || exit 1; \
+	done
+
+fast: $(VENV)/.dev
+	$(BIN)/python -Im pytest -n $(WORKERS) --dist worksteal tests/profiles tests/rig tests/sim
 
 # The long campaigns: hundreds of seeds, thousands of damaged files.
 soak: $(VENV)/.dev
@@ -75,13 +86,18 @@ $(VENV)/.venv:
 	@touch $@
 
 $(VENV)/.run: $(VENV)/.venv requirements.lock pyproject.toml
-	$(BIN)/pip install --quiet --disable-pip-version-check -r requirements.lock
+	@echo "Installing packages into $(VENV) (1.6 GB on disk, about a minute) ..."
+	$(BIN)/pip install --quiet --disable-pip-version-check --no-compile -r requirements.lock
 	rm -rf anisoscope.egg-info # of an earlier build: its list of plug-ins would count in this folder
 	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps -e .
 	@touch $@
 
+$(VENV)/.warm: $(VENV)/.run
+	$(BIN)/anisoscope warm
+	@touch $@
+
 $(VENV)/.dev: $(VENV)/.run requirements-dev.lock
-	$(BIN)/pip install --quiet --disable-pip-version-check -r requirements-dev.lock
+	$(BIN)/pip install --quiet --disable-pip-version-check --no-compile -r requirements-dev.lock
 	@touch $@
 
 # Resolves the newest versions within the ranges of pyproject.toml, in environments of their own.

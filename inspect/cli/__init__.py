@@ -69,6 +69,7 @@ COMMANDS = {
     "Research": {"research": "study.study:app"},
     "This computer": {
         "doctor": "setup.doctor:doctor",
+        "warm": "cache.warm:warm",
         "cache": "cache.cache:app",
         "completion": "setup.completion:completion",
     },

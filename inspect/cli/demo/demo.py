@@ -31,6 +31,7 @@ class _Scene(Protocol):
     """What a module of a kind of demo offers: the parts with the verdicts that they should get, and their files."""
 
     PARTS: dict[str, str]
+    MEGABYTES: int
 
     @staticmethod
     def lay_out(out: Path, seed: int, advance: Advance) -> Path:
@@ -65,6 +66,13 @@ def demo(
     from anisoscope.history.address import HISTORY_NAME
 
     scene = cast("_Scene", import_module(f"anisoscope.cli.demo.{SCENES[kind]}"))
+    if not json_:
+        console().print(
+            f"{len(scene.PARTS)} parts on the virtual rig: flat field, photographs, verdicts, reports; about "
+            f"{scene.MEGABYTES} MB in {out}. The first run renders the scenes and may take two minutes, later ones "
+            "take less than half a minute.",
+            highlight=False,
+        )
     with progress("demo", quiet=json_) as advance:
         folder = scene.lay_out(out, seed, advance)
         found = [(name, expected, _inspect(folder, name, advance)) for name, expected in scene.PARTS.items()]

@@ -11,6 +11,8 @@ from anisoscope.calibration.pictures import take_flat
 from anisoscope.cli.demo.folder import FIXTURE, begin, write_bench
 
 PARTS = {"good": "PASS", "brushed": "FAIL", "wrong-ink": "FAIL", "spot": "FAIL"}
+MEGABYTES = 300
+"""Size of the folder of one demo."""
 
 INK = "synthetic-green"
 LAMP = "led-white"

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from anisoscope.sim.design.designfile import DesignFile
 
 PARTS = {"good": "PASS", "over-etched": "FAIL", "wide": "FAIL"}
+MEGABYTES = 350
+"""Size of the folder of one demo."""
 
 WAVELENGTH_NM = 520.0
 COHERENCE_UM = 40.0
