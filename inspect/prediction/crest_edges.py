@@ -16,7 +16,7 @@ from anisoscope.prediction.reflections import added, groove_of_design
 from anisoscope.prediction.sensitivity import DARK, Model
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.sim.light import corrected
-from anisoscope.sim.light.geometry import Convention, directions
+from anisoscope.sim.light.geometry import Convention, Pose, directions
 from anisoscope.sim.light.material import Material
 from anisoscope.sim.light.optics import through
 from anisoscope.sim.light.ridge_profile import chord_polyline
@@ -116,13 +116,17 @@ def crest_edges(recipe: SurfaceRecipe, material: Material, convention: Conventio
 
 
 def worn_edges(
-    recipe: SurfaceRecipe, material: Material, convention: Convention, radius_um: float
+    recipe: SurfaceRecipe,
+    material: Material,
+    poses: tuple[Pose, ...],
+    convention: Convention,
+    radius_um: float,
 ) -> FloatArray | None:
     """(P,) change of ln L of a design whose crests are worn to a radius; None where it is none, or leaves no facet."""
     design = recipe.surface.design
     if design is None or radius_um <= (design.edge_radius_um or 0.0):
         return None
-    sides = directions(recipe.poses.poses(), convention)
+    sides = directions(poses, convention)
     try:
         good, worn = (
             edge_radius_model(recipe, edge, convention)(*sides, material)

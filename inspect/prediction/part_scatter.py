@@ -294,7 +294,7 @@ def defect_changes(
         states = {name: state for name, state in states.items() if state.shape == shape}
     found = evaluate(surface, list(states.values()), poses, convention)
     changes = dict(zip(states, np.log(np.maximum(found, DARK) / radiance), strict=True))
-    worn = None if size.wear_um is None else worn_edges(recipe, material, convention, size.wear_um)
+    worn = None if size.wear_um is None else worn_edges(recipe, material, poses, convention, size.wear_um)
     if worn is not None:
         changes[named_defects(recipe)[-1].name] = worn
     return {
