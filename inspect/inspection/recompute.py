@@ -17,6 +17,9 @@ from anisoscope.record.schema import Record, read_record
 TOLERANCE = 1e-8
 LEAST = 1e-9
 """Largest relative and absolute difference of equal numbers: a library picks its kernels by the processor."""
+SEARCHED = {"d2": 2e-3, "p_value": 0.02}
+"""Largest relative difference of numbers that a search finds: it ends where a step gains less than 1e-4, and roundoff,
+which differs between processors, decides after which step."""
 NOT_COMPARED = frozenset({"software", "created_at", "files", "recipe", "rig", "conclusion"})
 """Origin of a record and paths of its files, whose hashes are checked instead; and words that follow from the rest."""
 
@@ -115,19 +118,22 @@ def _recorded_fields(old: Any, new: Any, unrecorded: set[str], name: str = "") -
 
 
 def differences(old: Any, new: Any, name: str = "") -> Iterator[str]:  # noqa: ANN401 - what JSON can hold
-    """One line for every value of two JSON documents that differs; numbers within `TOLERANCE` are the same."""
+    """One line for every value of two JSON documents that differs; numbers within `TOLERANCE` are the same.
+
+    Those of a search are the same within `SEARCHED`.
+    """
     if isinstance(old, dict) and isinstance(new, dict):
         for key in sorted(old.keys() | new.keys()):
             yield from differences(old.get(key), new.get(key), f"{name}.{key}".removeprefix("."))
     elif isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
         for number, (before, after) in enumerate(zip(old, new, strict=True)):
             yield from differences(before, after, f"{name}[{number}]")
-    elif not _same(old, new):
+    elif not _same(old, new, SEARCHED.get(name.rpartition(".")[2], TOLERANCE)):
         yield f"{name}: recorded {old!r}, recomputed {new!r}"
 
 
-def _same(old: object, new: object) -> bool:
+def _same(old: object, new: object, tolerance: float) -> bool:
     numbers = isinstance(old, int | float) and isinstance(new, int | float)
     if numbers and not (isinstance(old, bool) or isinstance(new, bool)):
-        return math.isclose(float(old), float(new), rel_tol=TOLERANCE, abs_tol=LEAST)  # type: ignore[arg-type]
+        return math.isclose(float(old), float(new), rel_tol=tolerance, abs_tol=LEAST)  # type: ignore[arg-type]
     return old == new

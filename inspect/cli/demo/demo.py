@@ -83,6 +83,7 @@ def demo(
             "serial": inspected.record.serial,
             "expected": expected,
             "verdict": inspected.record.verdict,
+            "finding": _finding(inspected),
             "report": str(inspected.report),
         }
         for _, expected, inspected in found
@@ -91,7 +92,7 @@ def demo(
     if json_:
         print_json({"parts": parts})
     else:
-        _print(parts, found, right)
+        _print(parts, right)
     return 0 if right else 1
 
 
@@ -107,24 +108,21 @@ def _inspect(folder: Path, name: str, advance: Advance) -> "Inspected":
     )
 
 
-def _print(parts: list[dict[str, Any]], found: "list[tuple[str, str, Inspected]]", right: bool) -> None:
+def _finding(inspected: "Inspected") -> str:
+    """What was found, in a sentence; notes on the measurement stand in the report."""
+    conclusion = inspected.record.conclusion
+    return inspected.record.reasons[0] if conclusion is None else conclusion.finding
+
+
+def _print(parts: list[dict[str, Any]], right: bool) -> None:
     print_table(
         "Verdicts",
-        ["part", "expected", "verdict", "why"],
-        [
-            [part["serial"], part["expected"], part["verdict"], inspected.record.reasons[0]]
-            for part, (_, _, inspected) in zip(parts, found, strict=True)
-        ],
+        ["part", "expected", "verdict", "finding"],
+        [[part["serial"], part["expected"], part["verdict"], part["finding"]] for part in parts],
     )
     out = console()
     for part in parts:
         out.print(f"report of {part['serial']}: {part['report']}", highlight=False, soft_wrap=True)
-    serials_by_note: dict[str, list[str]] = {}
-    for part, (_, _, inspected) in zip(parts, found, strict=True):
-        for note in inspected.notes:
-            serials_by_note.setdefault(note, []).append(part["serial"])
-    for note, serials in serials_by_note.items():
-        out.print(f"note on {', '.join(serials)}: {note}", markup=False, highlight=False, soft_wrap=True)
     out.print(
         "Every verdict is the expected one." if right else "[bold]A verdict is not the expected one.[/bold]"
     )

@@ -25,12 +25,14 @@ UNITS = {"alpha_along": 0.06, "alpha_across": 0.10, "albedo": 1.0, "index": 1.0}
 
 @pytest.fixture(scope="module")
 def recipe():
-    """Roughness and index are known, and light is direct, so that a part is computed in a millisecond."""
+    """Roughness, index and sharp edges are known, and light is direct, so that a part is computed in a millisecond."""
     return RidgeRecipe.model_validate(
         {
             "schema": 1,
             "product": "plate",
-            "surface": {"pitch_um": 100.0, "design": {"ridge_angle_deg": 10.0}, "reflections": "direct"},
+            "surface": {
+                "pitch_um": 100.0, "design": {"ridge_angle_deg": 10.0, "edge_radius_um": 0.0}, "reflections": "direct",
+            },
             "material": {
                 "alpha_along": 0.06, "alpha_across": 0.1, "albedo": 0.2,
                 "u_tail": 0.0, "u_alpha_share": 0.0, "u_index": 0.0,
