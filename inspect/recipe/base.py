@@ -93,6 +93,14 @@ class CommonUncertainty(Part):
     stray_radiance: NotNegative = 0.0003
 
 
+class ReportPart(Part):
+    """Lines of the report in the shop's own words; ``reviewer`` adds a line to be signed."""
+
+    company: Annotated[str, Field(max_length=80)] = ""
+    drawing: Annotated[str, Field(max_length=80)] = ""
+    reviewer: Annotated[str, Field(max_length=80)] = ""
+
+
 class RecipeBase(Part):
     """Common tables of the recipes of all kinds; a kind adds its own tables, and may narrow these."""
 
@@ -108,6 +116,7 @@ class RecipeBase(Part):
     uncertainty: CommonUncertainty = CommonUncertainty()
     actions: dict[str, Annotated[str, Field(min_length=1, max_length=300)]] = Field(default_factory=dict)
     """What to do next in the shop's own words, by cause or outcome."""
+    report: ReportPart = ReportPart()
 
     steps: ClassVar[str] = "cells"
     """Unit of which the region is a whole number, in the plural."""

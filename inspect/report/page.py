@@ -58,3 +58,8 @@ def _environment(_template: str) -> "jinja2.Environment":
     return jinja2.Environment(
         loader=jinja2.PackageLoader("anisoscope.report"), autoescape=True, undefined=jinja2.StrictUndefined
     )
+
+
+def css_string(text: str) -> str:
+    """A string of a style sheet, in quotation marks; other characters than letters and digits are escaped."""
+    return '"' + "".join(c if c.isalnum() or c in " -._" else f"\\{ord(c):06x}" for c in text) + '"'

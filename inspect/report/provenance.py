@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from datetime import UTC, datetime, tzinfo
 from pathlib import Path
 
 from anisoscope.calibration.record import CalibrationRecord, Kind
@@ -30,9 +31,10 @@ class CalibrationRow:
     sha256: str
 
 
-def when(text: str) -> str:
-    """A time for people: UTC, to the second."""
-    return text.replace("T", " ").partition("+")[0].partition(".")[0] + " UTC"
+def when(text: str, zone: tzinfo | None = None) -> str:
+    """A time for people, to the second, in a zone that it names; that of this computer if none is given."""
+    time = datetime.fromisoformat(text)
+    return f"{(time if time.tzinfo else time.replace(tzinfo=UTC)).astimezone(zone):%Y-%m-%d %H:%M:%S %Z}"
 
 
 def turn_text(value: float) -> str:

@@ -4,7 +4,7 @@ from anisoscope.base.notation import contrast_name, p_value_text, percent_text, 
 from anisoscope.diagnosis.ranking import NOTHING, OTHER, PLASTIC
 from anisoscope.record.schema import CauseRecord, ComponentRecord, Record
 from anisoscope.record.surface_details import surface_of
-from anisoscope.report.page import Filters
+from anisoscope.report.page import Filters, css_string
 from anisoscope.report.provenance import when
 
 MOST_WEIGHT = 0.99
@@ -23,6 +23,7 @@ def filters() -> Filters:
         "ratio": ratio_text,
         "typeset": true_minus,
         "when": when,
+        "css_string": css_string,
     }
 
 

@@ -1,12 +1,15 @@
 """What the report of an inspection says: rules, peers, provenance, words."""
 
+from zoneinfo import ZoneInfo
+
 import numpy as np
 import pytest
 
 from anisoscope.record.schema import sha256_of
 from anisoscope.report import figures, surface_sections
+from anisoscope.report.page import css_string
 from anisoscope.report.peers import LotMate, among, lot_of
-from anisoscope.report.provenance import NOT_STATED, calibrations_of, files_of, groups_of
+from anisoscope.report.provenance import NOT_STATED, calibrations_of, files_of, groups_of, when
 from anisoscope.report.rule import rule_of
 from anisoscope.report.tilt_sections import MOST, listed_tilt_contrasts, tilt_parts, tilt_row
 from anisoscope.report.wording import cause_range, cause_text, filters
@@ -99,7 +102,7 @@ def test_a_lot_is_the_last_of_every_other_part(make_report_record):
 def test_provenance_says_who_what_with_what(make_report_record):
     told = {name: value for group in groups_of(make_report_record()) for name, value in group.rows}
     assert told["lot"] == "L7"
-    assert told["inspected"] == "2026-03-04 05:06:07 UTC"
+    assert told["inspected"] == when("2026-03-04T05:06:07+00:00")
     assert told["frames"] == "1 in 2 rounds"
     assert "f5" * 32 in told["recipe"]
     assert "21" * 32 in told["rig"]
@@ -110,10 +113,22 @@ def test_provenance_says_who_what_with_what(make_report_record):
     assert silent["alignment"] == "–"
 
 
+def test_times_are_local_and_name_their_zone():
+    winter, summer = "2026-01-04T23:30:00+00:00", "2026-07-04T23:30:00.123456"
+    copenhagen = ZoneInfo("Europe/Copenhagen")
+    assert when(winter, copenhagen) == "2026-01-05 00:30:00 CET"
+    assert when(summer, copenhagen) == "2026-07-05 01:30:00 CEST"
+
+
+def test_a_serial_cannot_leave_its_string_in_a_style_sheet():
+    assert css_string("A-1 ü") == '"A-1 ü"'
+    assert css_string('a";}</style>') == '"a\\000022\\00003b\\00007d\\00003c\\00002fstyle\\00003e"'
+
+
 def test_calibrations_and_files(make_report_record, tmp_path):
     record = make_report_record()
     (white,) = calibrations_of(record, {})
-    assert (white.taken, white.valid_until, white.sha256) == ("2026-03-01 00:00:00 UTC", "–", "b6" * 32)
+    assert (white.taken, white.valid_until, white.sha256) == (when("2026-03-01"), "–", "b6" * 32)
     assert files_of(record, tmp_path) == record.inputs
     (tmp_path / "frames.jsonl").write_text("{}\n")
     assert files_of(record, tmp_path)[-1].sha256 == sha256_of(tmp_path / "frames.jsonl")
