@@ -30,7 +30,13 @@ from anisoscope.kinds.recipe_check import RecipeCheck
 from anisoscope.recipe.base import RecipeBase
 from anisoscope.recipe.teaching import Taught
 from anisoscope.record.details import Details
-from anisoscope.record.schema import BudgetRecord, CauseRecord, DiagnosisRecord, Record
+from anisoscope.record.schema import (
+    BudgetRecord,
+    CauseRecord,
+    ConclusionRecord,
+    DiagnosisRecord,
+    Record,
+)
 from anisoscope.record.verdict import Verdict
 from anisoscope.report.inspection_page import Pictures, Sections
 from anisoscope.rig.rigfile import RigFile
@@ -41,6 +47,7 @@ __all__ = [
     "BudgetRecord",
     "CalibrationError",
     "CauseRecord",
+    "ConclusionRecord",
     "CauseWords",
     "CommandOutput",
     "Convention",

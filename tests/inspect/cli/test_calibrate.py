@@ -65,7 +65,7 @@ def test_rotation_and_linearity_print_what_was_found(anisoscope, small, tmp_path
     part = small("part", {"size_mm": 0.6})
     done = anisoscope(
         *("calibrate", "rotation", "-g", part, "--out", tmp_path / "rotation.json"),
-        *("--exposure", 0.006, "--angles", 6, "--operator", "ada", "--json"),
+        *("--exposure", 0.006, "--steps", 6, "--operator", "ada", "--json"),
     )
     assert done.code == 0, done.err
     assert done.json["operator"] == "ada"
@@ -86,7 +86,7 @@ def test_rotation_and_linearity_print_what_was_found(anisoscope, small, tmp_path
         (("dark", "--exposure", "0.01", "--valid-days", "0"), 64, "--valid-days"),
         (("flat", "--exposure", "0.004", "--reflectance", "2"), 64, "reflectance"),
         (("linearity", "--exposure", "0.002", "--steps", "2"), 64, "steps"),
-        (("rotation", "--exposure", "0.002", "--angles", "3"), 64, "angles"),
+        (("rotation", "--exposure", "0.002", "--steps", "3"), 64, "angles"),
         (("check", "--recipe", "none.toml", "--serial", "K-1"), 64, "--teach"),
         (("dark", "--exposure", "0.01"), 78, "no such file"),
     ],

@@ -128,7 +128,8 @@ def test_files_are_replaced_only_on_demand(anisoscope, folder, tmp_path, argumen
     kept.write_text("mine")
     refused = anisoscope("ink", *arguments, kept, cwd=folder)
     assert (refused.code, refused.out) == (64, "")
-    assert refused.err == f"anisoscope: {kept} exists; give another name, or --overwrite\n"
+    page = f"(see anisoscope ink {arguments[0]} --help)"
+    assert refused.err == f"anisoscope: {kept} exists; give another name, or --overwrite {page}\n"
     assert kept.read_text() == "mine"
     if again:
         done = anisoscope("ink", *arguments, kept, "--overwrite", cwd=folder)

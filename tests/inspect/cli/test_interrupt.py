@@ -226,7 +226,7 @@ def test_the_real_command_says_what_became_of_rig_and_frames(guarded_rig, stage_
 
 def test_an_interruption_without_a_rig_speaks_of_none():
     command = [sys.executable, "-Im", "anisoscope", "demo", "--out", "/dev/null/none"]
-    code = "import sys; from anisoscope import cli; cli.app = lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt)"
+    code = "import sys; from anisoscope import cli; cli._call = lambda *_: (_ for _ in ()).throw(KeyboardInterrupt)"
     done = subprocess.run(
         [*command[:1], "-Ic", f"{code}; sys.exit(cli.run([]))"], capture_output=True, text=True, check=False
     )

@@ -60,7 +60,7 @@ def test_the_roughness_of_the_whole_plastic_is_that_of_map_and_lobe(make_recipe,
 def test_a_narrow_tolerance_and_none_are_said(make_recipe):
     (line,) = check_recipe(make_recipe(decision={"tolerance": 0.01}), 10.0, model=FEW).complaints
     assert line.startswith("T/U is ")
-    (line,) = check_recipe(
+    line, *_ = check_recipe(
         make_recipe(material={"u_tail": None}, decision={"tolerance": 3.0}), 10.0, model=FEW
     ).complaints
     assert "lobe of the plastic is unmeasured" in line

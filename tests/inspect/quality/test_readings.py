@@ -106,7 +106,7 @@ def test_serials_and_operators_serve_as_parts_and_appraisers(made):
         (GAUGE + "P1,B,9\n", "part P1 was measured 2 times by A, others 3"),
         (GAUGE.replace("P2,B,4\n", "P2,B,\n"), "part P2 by B has a missing value"),
         (GAUGE.replace("P2,B", "P3,B"), "part P2 was measured 0 times by B"),
-        ("x\n1\n2\n", "no column 'serial'"),
+        ("x\n1\n2\n", "no column 'part'"),
     ],
 )
 def test_a_gauge_study_with_holes_is_refused(made, text, word):

@@ -132,14 +132,13 @@ def test_the_advice_names_the_first_of_every_kind_that_tells_both_ways(recipe, m
         )
 
 
-def test_there_is_nothing_to_advise_without_a_tie_or_an_explanation(recipe, make_recipe, monkeypatch):
+def test_there_is_nothing_to_advise_without_a_tie_or_an_explanation(recipe, monkeypatch):
     monkeypatch.setattr(advice, "cached_options", lambda *_: pytest.fail("was computed"))
     assert advice_for(recipe, 0.0, tie(("a", 5.0)), causes=WAFER_CAUSES) is None
     assert advice_for(recipe, 0.0, tie(("a", 5.0), ("nothing", 0.0)), causes=WAFER_CAUSES) is None
     assert (
         advice_for(recipe, 0.0, tie(("a", 5.0), ("b", 5.0), unexplained_p=1e-5), causes=WAFER_CAUSES) is None
     )
-    assert advice_for(make_recipe(), 10.0, tie(("a", 5.0), ("b", 5.0))) is None
 
 
 def test_options_are_kept_and_belong_to_their_recipe(recipe, options, tmp_path, monkeypatch):
