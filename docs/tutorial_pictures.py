@@ -1,4 +1,4 @@
-"""Photograph the parts of the demo's reports that docs/tutorial.md shows; needs Debian's chromium.
+"""Photograph the parts of the demo's reports that README.md and docs/tutorial.md show; needs Debian's chromium.
 
 make demo
 python docs/tutorial_pictures.py demo-output docs/pictures
@@ -15,29 +15,31 @@ from PIL import Image, ImageChops
 WIDTH, TALL = 1000, 2600
 COLOURS = 128
 SHOTS = {
-    "tutorial-verdict": ("DEMO-angle", ""),
-    "tutorial-contrasts": ("DEMO-angle", "Contrasts"),
-    "tutorial-map": ("DEMO-burrs", "Contrast map"),
+    "tutorial-verdict": ("DEMO-angle", "", "Measured"),
+    "tutorial-contrasts": ("DEMO-angle", "Contrasts", "Contrasts"),
+    "tutorial-map": ("DEMO-burrs", "Measured", "Deviation"),
 }
-"""Picture -> the part whose report is photographed, and how the heading of the section begins; "" is the top."""
+"""Picture -> the part whose report is photographed, and how the headings of its first and last section begin; "" is
+the top."""
 POLICY = re.compile(r"<meta[^>]*Content-Security-Policy[^>]*>")
-KEEP_ONE = """<script>
-let heading = "", wanted = %r;
+KEEP = """<script>
+let heading = "", on = false, over = false;
 for (const child of document.querySelector("main").children) {
   const title = child.matches("h2") ? child : child.querySelector("h2");
-  if (title) heading = title.textContent.trim();
-  if (wanted ? !heading.startsWith(wanted) : heading) child.style.display = "none";
+  if (title) { if (on && heading.startsWith(%(last)r)) over = true; heading = title.textContent.trim(); }
+  if (heading.startsWith(%(first)r)) on = true;
+  if (!on || over) child.style.display = "none";
 }
 </script>"""
 
 
-def photograph(report: Path, heading: str, picture: Path) -> None:
-    """One section of a report as a PNG with a palette, without the empty margin below.
+def photograph(report: Path, first: str, last: str, picture: Path) -> None:
+    """Sections of a report as a PNG with a palette, without the empty margin below.
 
     Raises:
         subprocess.CalledProcessError: chromium failed.
     """
-    page = POLICY.sub("", report.read_text(encoding="utf-8")) + KEEP_ONE % heading
+    page = POLICY.sub("", report.read_text(encoding="utf-8")) + KEEP % {"first": first, "last": last}
     with tempfile.TemporaryDirectory() as folder:
         copy, shot = Path(folder, "page.html"), Path(folder, "page.png")
         copy.write_text(page, encoding="utf-8")
@@ -54,9 +56,9 @@ def photograph(report: Path, heading: str, picture: Path) -> None:
 def main() -> None:
     """Photograph all of them."""
     demo, pictures = Path(sys.argv[1]), Path(sys.argv[2])
-    for name, (part, heading) in SHOTS.items():
+    for name, (part, first, last) in SHOTS.items():
         folder = max((demo / "inspections").glob(f"{part}-*"))
-        photograph(folder / "report.html", heading, pictures / f"{name}.png")
+        photograph(folder / "report.html", first, last, pictures / f"{name}.png")
         sys.stdout.write(f"{name}.png\n")
 
 
