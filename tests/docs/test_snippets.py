@@ -119,5 +119,5 @@ def test_defaults_that_the_docs_show_are_the_defaults(copied):
 def test_links_of_all_pages_lead_somewhere():
     for page in [DOCS.parent / "README.md", DOCS.parent / "CONTRIBUTING.md", *DOCS.rglob("*.md")]:
         for target in re.findall(r"\]\(([^)#]+)", page.read_text(encoding="utf-8")):
-            if not target.startswith("reference/"):  # made when the site is built, which checks its links
+            if "reference/" not in target:  # made when the site is built, which checks its links
                 assert (page.parent / target).exists(), (page, target)
