@@ -71,11 +71,11 @@ def records(job):
     [
         ("exposure_s = 0.006", 'exposure_s = "6 ms"', ("acquisition.exposure_s", "number")),
         ("exposure_s = 0.006", "exposure_ms = 6", ("exposure_ms",)),
-        ("tolerance = 0.25", "tolerence = 0.25", ("tolerence", "tolerance")),
+        ("tolerance = 0.4", "tolerence = 0.4", ("tolerence", "tolerance")),
         ("pitch_um = 100.0", "pitch_um = -100.0", ("surface.pitch_um",)),
         ("alpha_along = 0.055", "alpha_along = 5.5", ("alpha along",)),
         ("schema = 1", "schema = 7", ("schema",)),
-        ("tolerance = 0.25", "tolerance = 25.0", ("ln ratio", "factor of 7.2e+10")),
+        ("tolerance = 0.4", "tolerance = 25.0", ("ln ratio", "factor of 7.2e+10")),
         ("schema = 1", "schema = = 1", ("recipe.toml",)),
         ("reference.x3p", "nowhere.x3p", ("nowhere.x3p",)),
         ("pitch_um = 100.0", "pitch_um = 80.0", ("100", "80")),

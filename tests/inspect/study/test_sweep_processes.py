@@ -58,10 +58,9 @@ def test_what_no_module_holds_travels_both_ways():
 
 
 def test_idle_processes_serve_the_next_sweep():
-    first = set(sweep(own_pid(), range(8), TWO))
-    again = set(sweep(own_pid(), range(8), TWO))
-    assert first & again
-    assert len(first | again) <= 2
+    """New processes would be three or more; one of two may take all tasks of a sweep."""
+    seen = {pid for _ in range(3) for pid in sweep(own_pid(), range(8), TWO)}
+    assert len(seen) <= 2
 
 
 @pytest.mark.parametrize("noticed", [True, False])
