@@ -15,14 +15,15 @@ PLACE = re.compile(r"(<!-- steps: .*? -->\n).*?(<!-- end of steps -->)", re.DOTA
 
 
 def table():
-    lines = ["| step | does | values |", "|---|---|---|"]
+    """Steps with the names of their values, units and defaults; `--help` of each step has the meanings."""
+    lines = ["| step | purpose | values (default) |", "|---|---|---|"]
     for operation in OPERATIONS.values():
         values = []
         for one in operation.parameters:
             unit = f" [{one.unit}]" if one.unit else ""
-            default = {None: "", True: "; yes", False: "; no"}.get(one.default, f"; {one.default}")
-            values.append(f"`{one.name}`{unit}: {one.meaning}{default}")
-        lines.append(f"| `{operation.name}` | {operation.meaning} | {'<br>'.join(values)} |")
+            default = {None: "", True: " (yes)", False: " (no)"}.get(one.default, f" ({one.default})")
+            values.append(f"`{one.name}`{unit}{default}")
+        lines.append(f"| `{operation.name}` | {operation.meaning} | {', '.join(values)} |")
     return "".join(f"{line}\n" for line in lines)
 
 

@@ -116,8 +116,8 @@ def test_without_the_package_its_name_is_unknown(tmp_path):
     assert "there is no stage driver 'turntable'; installed: apt" in done.stdout
 
 
-def test_the_page_shows_the_files_as_they_are():
+def test_what_the_page_shows_is_in_the_files():
     page = (DOCS / "own-driver.md").read_text(encoding="utf-8")
     for language, name in (("python", "turntable.py"), ("toml", "pyproject.toml")):
-        shown = re.findall(rf"```{language}\n(.*?)```", page, re.DOTALL)
-        assert (EXAMPLE / name).read_text(encoding="utf-8") in shown, name
+        (shown,) = re.findall(rf"```{language}\n(.*?)```", page, re.DOTALL)
+        assert shown in (EXAMPLE / name).read_text(encoding="utf-8"), name

@@ -287,11 +287,11 @@ def test_a_recipe_may_name_its_kind(virtual_rig):
     assert kind_of(virtual_rig("unsaid").recipe).name == "ridges"
 
 
-def test_the_page_shows_the_files_as_they_are():
+def test_what_the_page_shows_is_in_the_files():
     page = (DOCS / "own-kind.md").read_text(encoding="utf-8")
     for language, name in (("python", "cards.py"), ("toml", "pyproject.toml")):
-        shown = re.findall(rf"```{language}\n(.*?)```", page, re.DOTALL)
-        assert (EXAMPLE / name).read_text(encoding="utf-8") in shown, name
+        (shown,) = re.findall(rf"```{language}\n(.*?)```", page, re.DOTALL)
+        assert shown in (EXAMPLE / name).read_text(encoding="utf-8"), name
 
 
 def test_the_example_imports_the_public_names_of_plug_ins_and_nothing_else():

@@ -1,4 +1,4 @@
-"""The lines of the light controller, as docs/lights.md has them; the sketch, built for this machine, says the same."""
+"""Lines of the light controller as in docs/protocols.md; the sketch, built for this machine, gives the same answers."""
 
 import shutil
 import subprocess
