@@ -34,6 +34,16 @@ def even_cells(expected: Expectation, measured: Measured) -> FloatArray:
     return np.broadcast_to(expected.radiance[:, None, None], measured.cells.shape)
 
 
+def pitch_means(cells: FloatArray) -> FloatArray:
+    """(P, rows, cols) radiances of cells, each averaged with those around it across one pitch; the region's ends join.
+
+    Predictions are of means over whole pitches: within one, the pattern of the flanks is no deviation.
+    """
+    before, cols = CELLS_PER_PITCH // 2, cells.shape[2]
+    wide = np.pad(cells, ((0, 0), (0, 0), (before, CELLS_PER_PITCH - 1 - before)), mode="wrap")
+    return np.asarray(np.mean([wide[:, :, k : k + cols] for k in range(CELLS_PER_PITCH)], axis=0))
+
+
 def predicted_cells(
     recipe: SurfaceRecipe, expected: Expectation, measured: Measured
 ) -> tuple[FloatArray, str]:

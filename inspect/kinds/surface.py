@@ -26,7 +26,7 @@ from anisoscope.imaging.area_limit import LEAST_PARTS
 from anisoscope.imaging.defect_regions import deviation_map
 from anisoscope.imaging.deviation_map import cell_log_ratios
 from anisoscope.imaging.pose_radiance import Measured, mean_of, measure, region_grid
-from anisoscope.imaging.predicted_cells import even_cells
+from anisoscope.imaging.predicted_cells import even_cells, pitch_means
 from anisoscope.imaging.quality_gates import check_views
 from anisoscope.imaging.registration.placement import View, resample
 from anisoscope.imaging.views import most_changed
@@ -341,11 +341,13 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
         """The aligned photographs, what they should look like, and the maps."""
         cells = decided.cells
         predicted, caption = self.predicted_cells(recipe, expected, measured)
+        means, averaged = self.comparable_means(measured)
         return Pictures(
             aligned=measured.aligned,
-            cells=measured.cells,
             predicted=predicted,
             predicted_text=caption,
+            differences=means / expected.radiance[:, None, None] - 1.0,
+            difference_text=averaged,
             size_mm=measured.grid.size_mm,
             ratios=cell_log_ratios(measured, expected.poses) if cells is None else cells.ratios,
             deviating=decided.deviating,
@@ -359,6 +361,10 @@ class SurfaceKind(Kind[RecipeT, Expectation, Measured, Decision]):
         """Predicted radiance of every cell of the region in each pose, and what it is: by default the mean."""
         del recipe
         return even_cells(expected, measured), "the predicted mean radiance of each pose, the same everywhere"
+
+    def comparable_means(self, measured: Measured) -> tuple[FloatArray, str]:
+        """(P, rows, cols) measured radiances of the smallest areas whose mean is predicted, and what they are."""
+        return pitch_means(measured.cells), "averaged across one pitch"
 
     def sections(self, record: Record, pictures: Pictures) -> Sections:
         """Contrasts, maps, comparisons and budget."""

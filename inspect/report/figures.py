@@ -137,20 +137,6 @@ def photograph(radiance: Image, white: float) -> str:
     return png_uri(data.tobytes())
 
 
-CELLS_ACROSS = 4
-"""Cells per pitch."""
-
-
-def pitch_means(cells: FloatArray) -> FloatArray:
-    """(rows, cols) radiance of cells, each averaged with those around it across one pitch; the region's ends join.
-
-    Predictions are of means over whole pitches: within one, the pattern of the flanks is no deviation.
-    """
-    before = CELLS_ACROSS // 2
-    wide = np.pad(cells, ((0, 0), (before, CELLS_ACROSS - 1 - before)), mode="wrap")
-    return np.asarray(np.mean([wide[:, k : k + cells.shape[1]] for k in range(CELLS_ACROSS)], axis=0))
-
-
 def enlarged(cells: FloatArray, side: int = 240) -> FloatArray:
     """Cells as squares of several pixels, so that browsers do not blur them."""
     factor = max(1, -(-side // max(cells.shape)))
@@ -162,6 +148,14 @@ def difference_picture(relative: FloatArray, reach: float) -> str:
     from matplotlib import colormaps
 
     colours = colormaps["PuOr_r"](np.clip(0.5 + 0.5 * enlarged(relative) / reach, 0.0, 1.0))
+    done, data = cv2.imencode(".png", np.asarray(255.0 * colours[..., 2::-1] + 0.5, dtype=np.uint8))
+    assert done
+    return png_uri(data.tobytes())
+
+
+def limit_picture(over_limit: FloatArray) -> str:
+    """Differences over their limit, one pixel a cell: pale up to 1, full colour at 2; as a data URI."""
+    colours = _calm()(np.clip(0.5 + 0.25 * over_limit, 0.0, 1.0))
     done, data = cv2.imencode(".png", np.asarray(255.0 * colours[..., 2::-1] + 0.5, dtype=np.uint8))
     assert done
     return png_uri(data.tobytes())

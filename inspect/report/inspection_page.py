@@ -44,9 +44,10 @@ class Pictures:
     Attributes:
         aligned: one picture a pose on the sample's raster, radiance in 1/sr.
         size_mm: (height, width) of the region.
-        cells: (P, cell rows, cell cols) mean radiance of the cells in 1/sr.
-        predicted: the same shape, predicted.
+        predicted: (P, cell rows, cell cols) predicted mean radiance of the cells in 1/sr.
         predicted_text: what the predicted pictures are, in words.
+        differences: (P, rows, cols) measured over predicted radiance, less 1, or None where there is none to show.
+        difference_text: of what the differences are, in words.
         ratios: (pairs, cell rows, cell cols) ln ratio of the contrast map.
         deviating: (cell rows, cell cols) cells that deviate.
         deviation: (cell rows, cell cols) ln ratio by which a cell is off.
@@ -59,9 +60,10 @@ class Pictures:
 
     aligned: tuple[Image, ...] = ()
     size_mm: tuple[float, float] = (1.0, 1.0)
-    cells: FloatArray | None = None
     predicted: FloatArray | None = None
     predicted_text: str = ""
+    differences: FloatArray | None = None
+    difference_text: str = ""
     ratios: FloatArray | None = None
     deviating: npt.NDArray[np.bool_] | None = None
     surface: HeightMap | None = None
@@ -180,6 +182,7 @@ def _photographs(record: Record, pictures: Pictures) -> dict[str, Any]:
         "photographs": shown[:MOST_POSES],
         "more_photographs": shown[MOST_POSES:],
         "predicted_text": pictures.predicted_text,
+        "difference_text": pictures.difference_text,
         "difference_scale": DIFFERENCE_SCALE,
         "outline": None if pictures.deviating is None else figures.outline_path(pictures.deviating),
         "outline_size": (1, 1) if pictures.deviating is None else pictures.deviating.shape,
@@ -189,7 +192,7 @@ def _photographs(record: Record, pictures: Pictures) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Photographed:
-    """One pose in pictures: measured, predicted and difference as data URIs; the latter two None without cells."""
+    """One pose in pictures, as data URIs; without a prediction the measured one alone."""
 
     pose: PoseRecord
     white: float
@@ -203,12 +206,11 @@ def _photographed(pose: PoseRecord, number: int, pictures: Pictures) -> Photogra
     aligned = pictures.aligned[number]
     white = float(np.nanpercentile(aligned, 99.0))
     predicted = difference = None
-    if pictures.cells is not None and pictures.predicted is not None:
+    if pictures.differences is not None and pictures.predicted is not None:
         wanted = pictures.predicted[number]
         white = max(white, 1.05 * float(wanted.max()))
         predicted = figures.photograph(figures.enlarged(wanted).astype(np.float32), white)
-        relative = figures.pitch_means(pictures.cells[number]) / float(wanted.mean()) - 1.0
-        difference = figures.difference_picture(relative, DIFFERENCE_SCALE)
+        difference = figures.difference_picture(pictures.differences[number], DIFFERENCE_SCALE)
     return Photographed(pose, white, figures.photograph(aligned, white), predicted, difference)
 
 

@@ -20,6 +20,7 @@ from anisoscope.kinds.prints.record import (
     RELATIVE,
     ColourRecord,
     GoldenPrintsRecord,
+    PrintDetails,
     QuantityRecord,
     SpotRecord,
     print_of,
@@ -35,6 +36,7 @@ from anisoscope.report.figures import (
     ZONE,
     ZONE_EDGE,
     _outline,
+    limit_picture,
     new_figure,
     new_map_figure,
     png_uri,
@@ -45,6 +47,9 @@ from anisoscope.report.peers import among
 from anisoscope.sim.light.colour.spaces import hexadecimal
 
 UNSURE = 0.01
+DARKEST = 1e-7
+"""Radiance in 1/sr below which a channel is noise."""
+USUAL_DELTA_E = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +58,7 @@ class PrintPictures:
 
     Attributes:
         cell_colours: one picture a pose, (cell rows, cell cols, 3) encoded sRGB, first row at the top.
+        differences: (P, cell rows, cell cols) CIEDE2000 of the cells against the predicted colour.
         measured, predicted: (P, 3) encoded sRGB of the region.
         size_mm: (height, width) of the region.
         center_mm: its middle.
@@ -62,6 +68,7 @@ class PrintPictures:
     """
 
     cell_colours: tuple[FloatArray, ...]
+    differences: FloatArray
     measured: FloatArray
     predicted: FloatArray
     size_mm: tuple[float, float]
@@ -78,10 +85,13 @@ def print_pictures(
     """Pictures for the report of a print: cells in the colours of the eye, and the maps."""
     eye, found = expected.eye, decision.map
     cells = np.moveaxis(measured.cells, 1, -1)
+    wanted = np.stack([one.wanted for one in decision.colours])
+    visible = np.maximum(cells, DARKEST)
     return PrintPictures(
         cell_colours=tuple(eye.srgb(one) for one in cells),
+        differences=eye.difference(visible, np.broadcast_to(wanted[:, None, None], cells.shape)),
         measured=eye.srgb(measured.channels),
-        predicted=eye.srgb(np.stack([one.wanted for one in decision.colours])),
+        predicted=eye.srgb(wanted),
         size_mm=measured.grid.size_mm,
         center_mm=measured.grid.center_mm,
         local=None if found is None else found.local,
@@ -93,12 +103,13 @@ def print_pictures(
 
 @dataclass(frozen=True)
 class Patch:
-    """One pose in colour: its cells, and the two colours as hexadecimal."""
+    """One pose: its cells in colour and their difference as data URIs, and the two colours as hexadecimal."""
 
     colour: ColourRecord
     cells: str
     measured: str
     predicted: str
+    difference: str
 
 
 @dataclass(frozen=True)
@@ -129,10 +140,11 @@ class SourceRow:
 def print_sections(record: Record, pictures: Pictures) -> Sections:
     """The sections of the report of a print."""
     found = pictures.of_kind if isinstance(pictures.of_kind, PrintPictures) else None
-    source = (files("anisoscope.kinds.prints") / "templates" / "inspection_print.html").read_text(
-        encoding="utf-8"
+    first, before = (
+        (files("anisoscope.kinds.prints") / "templates" / name).read_text(encoding="utf-8")
+        for name in ("inspection_print_colours.html", "inspection_print.html")
     )
-    return Sections(rule=print_rule(record), before=source, content=print_parts(record, found))
+    return Sections(rule=print_rule(record), first=first, before=before, content=print_parts(record, found))
 
 
 def print_parts(record: Record, pictures: PrintPictures | None) -> Mapping[str, Any]:
@@ -143,7 +155,8 @@ def print_parts(record: Record, pictures: PrintPictures | None) -> Mapping[str, 
     fitted = [one for one in found.quantities if one.name not in ("delta_e", "curl")]
     content: dict[str, Any] = {
         "found": found,
-        "patches": () if pictures is None else _patches(found.colours, pictures),
+        "patches": () if pictures is None else _patches(found.colours, pictures, _pale(found)),
+        "pale_delta_e": _pale(found),
         "tilts": sorted({one.tilt_deg for one in found.colours}),
         "quantity_rows": tuple(map(quantity_row, found.quantities)),
         "sources": _sources(record, fitted),
@@ -167,11 +180,23 @@ def _golden_strip(golden: GoldenPrintsRecord) -> str:
     return among(names, known, mine, "golden prints", "in their standard deviations").strip
 
 
-def _patches(colours: tuple[ColourRecord, ...], pictures: PrintPictures) -> tuple[Patch, ...]:
-    rows = zip(colours, pictures.cell_colours, pictures.measured, pictures.predicted, strict=True)
+def _pale(found: PrintDetails) -> float:
+    """CIEDE2000 up to which differences are drawn pale: the limit of a cell, or that of the region."""
+    if found.map is not None:
+        return found.map.cell_delta_e
+    return next((one.limit for one in found.quantities if one.name == "delta_e"), USUAL_DELTA_E)
+
+
+def _patches(colours: tuple[ColourRecord, ...], pictures: PrintPictures, pale: float) -> tuple[Patch, ...]:
     return tuple(
-        Patch(one, cells_picture(cells), hexadecimal(measured), hexadecimal(predicted))
-        for one, cells, measured, predicted in rows
+        Patch(
+            colours[k],
+            cells_picture(pictures.cell_colours[k]),
+            hexadecimal(pictures.measured[k]),
+            hexadecimal(pictures.predicted[k]),
+            limit_picture(pictures.differences[k] / pale),
+        )
+        for k in range(len(colours))
     )
 
 

@@ -9,6 +9,8 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.decision.reference_parts import GoldenSet
 from anisoscope.diagnosis.cause_words import CauseWords
 from anisoscope.imaging.area_limit import MIN_PARTS
+from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH, Measured
+from anisoscope.imaging.predicted_cells import even_cells
 from anisoscope.imaging.views import clipped_at_white
 from anisoscope.kinds.surface import SurfaceKind
 from anisoscope.kinds.wafers.causes import WAFER_CAUSES, WAFER_WORDS
@@ -16,7 +18,7 @@ from anisoscope.kinds.wafers.etched import EtchedPredictor
 from anisoscope.kinds.wafers.lighting import moved_light, recipe_wafer
 from anisoscope.kinds.wafers.recipe import WaferRecipe, of_wafer, recognises
 from anisoscope.kinds.wafers.states import BEYOND, DEPTH, SCATTER, WIDTH, WaferStates
-from anisoscope.prediction.expectation import NEGLIGIBLE, Component
+from anisoscope.prediction.expectation import NEGLIGIBLE, Component, Expectation
 from anisoscope.prediction.optics_selection import optics_for
 from anisoscope.prediction.recipe_models import Models, optics_notes, optics_request_of, rig_of
 from anisoscope.prediction.sensitivity import State, evaluate, fixed
@@ -104,6 +106,17 @@ class WaferSet(GoldenSet):
     area_parts = MIN_PARTS
 
 
+def tile_means(cells: FloatArray) -> FloatArray:
+    """(P, tile rows, tile cols) mean radiance of every tile; the orders say nothing of a smaller area.
+
+    Args:
+        cells: (P, cell rows, cell cols) radiance of quarters of a tile, whole tiles both ways.
+    """
+    poses, rows, cols = cells.shape
+    side = CELLS_PER_PITCH
+    return np.asarray(cells.reshape(poses, rows // side, side, cols // side, side).mean(axis=(2, 4)))
+
+
 class Wafers(SurfaceKind[WaferRecipe]):
     """Mirrors with steps: their contrasts under rotation and tilt, predicted by waves.
 
@@ -126,6 +139,20 @@ class Wafers(SurfaceKind[WaferRecipe]):
     def recipe(self) -> type[WaferRecipe]:
         """The model of its recipe."""
         return WaferRecipe
+
+    def predicted_cells(
+        self, recipe: SurfaceRecipe, expected: Expectation, measured: Measured
+    ) -> tuple[FloatArray, str]:
+        """Predicted mean of each pose: the grain of a tile depends on where the tile is, which no mark says."""
+        del recipe
+        caption = (
+            "the mean radiance of each pose, the same everywhere; the grain of the tiles is not predicted"
+        )
+        return even_cells(expected, measured), caption
+
+    def comparable_means(self, measured: Measured) -> tuple[FloatArray, str]:
+        """The mean of every tile, whose diffraction orders are predicted."""
+        return tile_means(measured.cells), "the mean of every tile that repeats"
 
     def recognises(self, table: Mapping[str, Any]) -> bool:
         """What is reflected, whatever the angle, only a mirror states."""

@@ -368,9 +368,10 @@ def report_pictures():
     return Pictures(
         aligned=tuple((level * rng.random((120, 160))).astype(np.float32) for level in (0.8, 0.08, 0.06)),
         size_mm=(0.6, 0.8),
-        cells=np.stack([level * (1.0 + 0.1 * rng.random((rows, cols))) for level in (0.41, 0.038, 0.031)]),
         predicted=np.broadcast_to(np.array([0.26, 0.031, 0.028])[:, None, None], (3, rows, cols)),
         predicted_text="the mean",
+        differences=np.stack([level + 0.1 * rng.random((rows, cols)) for level in (0.58, 0.23, 0.11)]),
+        difference_text="averaged",
         ratios=2.0 + 0.1 * rng.standard_normal((2, rows, cols)),
         deviating=rng.random((rows, cols)) < 0.05,
         deviation=0.1 * rng.standard_normal((rows, cols)),

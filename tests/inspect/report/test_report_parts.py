@@ -221,9 +221,7 @@ def test_labels_of_regions_are_apart_and_inside():
     assert np.all(apart.any(axis=2) | np.eye(len(places), dtype=bool))
 
 
-def test_a_difference_knows_no_pattern_within_a_pitch_and_outlines_no_single_cell():
-    pattern = np.tile([1.0, 2.0, 3.0, 2.0], (6, 5))
-    assert figures.pitch_means(pattern) == pytest.approx(np.full((6, 20), 2.0))
+def test_single_cells_are_not_outlined():
     mask = np.zeros((4, 5), dtype=bool)
     mask[0, 0] = mask[2, 2] = mask[3, 3] = True
     assert figures.outline_path(mask).count("M") == 8  # two cells that touch at a corner

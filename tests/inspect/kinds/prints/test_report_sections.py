@@ -112,7 +112,7 @@ def page(sheet, tmp_path):
 def test_a_failed_print_is_explained(page):
     text, record = page(State(ratio=np.log(1.15)), spot=(slice(3, 6), slice(3, 7), 0.6))
     assert 'class="verdict bg-FAIL"' in text
-    for heading in ("Colours: measured beside predicted", "What was judged", "The lobe", "Maps", "Diagnosis"):
+    for heading in ("Measured, predicted, difference", "What was judged", "The lobe", "Maps", "Diagnosis"):
         assert f"<h2>{heading}</h2>" in text
     assert "outside the limit by more than the guard band (ISO 14253-1)" in text
     assert print_rule(record) in text
