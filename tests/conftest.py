@@ -42,6 +42,7 @@ def pytest_configure(config):
     # a shell ignores Ctrl-C for what runs in the background, and all that the tests start and interrupt would, too
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    os.environ["LC_ALL"] = "C.UTF-8"  # messages are in English whatever the locale of the machine
     os.environ.setdefault("ANISOSCOPE_QUIET", "1")  # progress comes by the clock, and a machine may be slow
     gc.disable()  # until all tests are collected: what they import stays, and is looked through again and again
     if hasattr(config, "workerinput"):

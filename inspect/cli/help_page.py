@@ -19,6 +19,7 @@ GLOBAL_OPTIONS = """Options of every command:
   -v, --verbose    print more: tables behind an answer, device messages
   -q, --quiet      print no progress, as with ANISOSCOPE_QUIET=1
   --log-file FILE  append what happens to a file, with times
+  --lang LANGUAGE  en, de or da: messages and page 1 of reports; else that of the locale
   --debug          print the traceback of an error"""
 _NEGATIVE_VALUE = re.compile(r"-[\d.]")
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from anisoscope.base.errors import UsageError
+from anisoscope.base.language import LANGUAGES, of_locale, speaking, translated
 
 LOG = logging.getLogger("anisoscope")
 
@@ -22,6 +23,7 @@ class LogOptions:
     quiet: bool = False
     debug: bool = False
     file: Path | None = None
+    lang: str | None = None
     arguments: tuple[str, ...] = ()
 
 
@@ -45,30 +47,46 @@ def options_of(arguments: Sequence[str]) -> tuple[list[str], LogOptions]:
         arguments: the command line, without the program; what follows ``--`` is left as it is.
 
     Raises:
-        UsageError: --log-file without a file.
+        UsageError: --log-file without a file, or --lang without a language of ours.
     """
     end = list(arguments).index("--") if "--" in arguments else len(arguments)
     rest: list[str] = []
     found = LogOptions(arguments=tuple(arguments))
-    waiting = False
+    waiting = ""
     for token in arguments[:end]:
-        if waiting:
-            found, waiting = replace(found, file=Path(token)), False
+        if waiting or token.partition("=")[0] in VALUED:
+            name, equals, value = (waiting, "=", token) if waiting else token.partition("=")
+            waiting = "" if equals else name
+            found = _valued(found, name, value) if equals else found
         elif token in {"-v", "--verbose"}:
             found = replace(found, verbose=True)
         elif token in {"-q", "--quiet"}:
             found = replace(found, quiet=True)
         elif token == "--debug":
             found = replace(found, debug=True)
-        elif token == "--log-file":
-            waiting = True
-        elif token.startswith("--log-file="):
-            found = replace(found, file=Path(token.partition("=")[2]))
         else:
             rest.append(token)
     if waiting:
-        raise UsageError("--log-file needs the name of a file (see anisoscope --help)")
+        what = "the name of a file" if waiting == "--log-file" else f"a language: {', '.join(LANGUAGES)}"
+        raise UsageError(f"{waiting} needs {what} (see anisoscope --help)")
     return [*rest, *arguments[end:]], found
+
+
+VALUED = ("--log-file", "--lang")
+"""Options of every command that take a value."""
+
+
+def _valued(found: LogOptions, name: str, value: str) -> LogOptions:
+    if name == "--log-file":
+        return replace(found, file=Path(value))
+    if value not in LANGUAGES:
+        raise UsageError(f"--lang {value}: there is no such language; name one of {', '.join(LANGUAGES)}")
+    return replace(found, lang=value)
+
+
+def chosen_language() -> str | None:
+    """The language that the command line names, or None."""
+    return _present.lang
 
 
 @contextmanager
@@ -102,7 +120,8 @@ def listening(options: LogOptions) -> Iterator[None]:
         LOG.info("anisoscope %s", " ".join(options.arguments))
     began = time.monotonic()
     try:
-        yield
+        with speaking(options.lang or of_locale()):
+            yield
     finally:
         if file is not None:
             LOG.info("ended after %.1f s", time.monotonic() - began)
@@ -132,7 +151,7 @@ def report(message: str) -> None:
         message: any text; line breaks become spaces.
     """
     text = " ".join(message.split())
-    print(f"anisoscope: {text}", file=sys.stderr)  # noqa: T201
+    print(f"anisoscope: {translated(text)}", file=sys.stderr)  # noqa: T201
     for handler in LOG.handlers:
         if isinstance(handler, logging.FileHandler):
             handler.handle(LOG.makeRecord(LOG.name, logging.ERROR, "", 0, text, (), None))

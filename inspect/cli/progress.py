@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from anisoscope.base.language import translated
 from anisoscope.base.progress import Advance, silent
 from anisoscope.cli import log
 from anisoscope.cli.tables import console
@@ -77,7 +78,7 @@ class Lines:
             self._next = time.monotonic() + self._gap_s
             if self._step != self._printed:
                 self._printed = self._step
-                print(f"{self._label}: {self._step}", file=sys.stderr, flush=True)  # noqa: T201
+                print(f"{self._label}: {translated(self._step)}", file=sys.stderr, flush=True)  # noqa: T201
 
     def close(self) -> None:
         """End without a further line."""
@@ -116,6 +117,6 @@ def _bar(label: str) -> Iterator[Advance]:
         task = bar.add_task("", total=None, label=escape(label))
 
         def advance(doing: str, done: int, total: int) -> None:
-            bar.update(task, description=escape(doing), completed=done, total=total)
+            bar.update(task, description=escape(translated(doing)), completed=done, total=total)
 
         yield advance

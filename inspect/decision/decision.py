@@ -289,12 +289,11 @@ def _combine(
     significant = bool(holm(np.array(tests))[0] < rule.alpha)
     fails = significant and (pairs[0].tolerance is None or rule.deviation == "fail")
     alike = f"like the {counted(golden, 'golden part')}" if golden else "as predicted"
-    shared = ", shared with the area" if len(tests) > 1 else ""
-    line = (
-        f"all contrasts together: p {p_value_text(p_value)} for a part {alike} (level {rule.alpha:g}{shared})"
-    )
+    level = f"level {rule.alpha:g}, shared with the area" if len(tests) > 1 else f"level {rule.alpha:g}"
+    line = f"all contrasts together: p {p_value_text(p_value)} for a part {alike} ({level})"
     if significant:
-        line += f", a significant deviation of {where or 'several together, of none by itself'}"
+        off = where or "several together, of none by itself"
+        line = f"{line}, a significant deviation of {off}"
     findings.append((Verdict.FAIL if fails else Verdict.PASS, line))
     order = [Verdict.FAIL, Verdict.INCONCLUSIVE, Verdict.PASS]
     findings.sort(key=lambda finding: order.index(finding[0]))

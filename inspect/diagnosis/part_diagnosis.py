@@ -118,5 +118,7 @@ def _summary(found: Diagnosis, alpha: float, of: str) -> str:
     ties = [bare_title(one.title) for one in found.ties if one is not best]
     if not ties:
         return bare_title(best.title)
-    more = f" and {len(ties) - MAX_LISTED_TIES} more" if len(ties) > MAX_LISTED_TIES else ""
-    return f"{bare_title(best.title)}; or, not to be told apart: {', '.join(ties[:MAX_LISTED_TIES])}{more}"
+    others, count = ", ".join(ties[:MAX_LISTED_TIES]), len(ties) - MAX_LISTED_TIES
+    if count > 0:
+        others = f"{others} and {count} more"
+    return f"{bare_title(best.title)}; or, not to be told apart: {others}"

@@ -101,10 +101,12 @@ def _by_limit(contrast: ContrastRecord) -> float:
 def _contrast_finding(worst: ContrastRecord) -> str:
     name = contrast_name(worst.from_deg, worst.to_deg, worst.tilt_deg)
     unit = {"log_ratio": "", "michelson": "", "difference": "/sr"}.get(worst.kind, "")
-    limit = "no tolerance set" if worst.tolerance is None else f"tolerance ±{worst.tolerance:g}{unit}"
+    tolerance = "" if worst.tolerance is None else f"{worst.tolerance:g}{unit}"
+    limit = f"tolerance ±{tolerance}" if tolerance else "no tolerance set"
     what = {"log_ratio": "ln ratio", "michelson": "Michelson contrast", "difference": "difference"}
-    noun = what.get(worst.kind, worst.kind)
-    return f"Largest deviation: {noun} {name} is off by {worst.deviation:+.2g} ± {2.0 * worst.u:.1g}{unit} ({limit})"
+    contrast = " ".join((what.get(worst.kind, worst.kind), name))
+    extent = "".join((f"{worst.deviation:+.2g}", " ± ", f"{2.0 * worst.u:.1g}", unit))
+    return f"Largest deviation: {contrast} is off by {extent} ({limit})"
 
 
 def _of_verdict(

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.language import decimal, message, translated
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -181,8 +182,10 @@ class MapFrame:
 
     def label(self, axes: "Axes", size_mm: tuple[float, float]) -> tuple[float, float, float, float]:
         """Name the axes of a map of (height, width), and return its (left, right, lower, upper) ends in mm."""
-        axes.set_xlabel(f"{self.across} from the rotation axis [mm]")
-        axes.set_ylabel(f"{self.along} [mm]")
+        axes.set_xlabel(message("{direction} from the rotation axis [mm]", direction=self.across))
+        axes.set_ylabel(f"{translated(self.along)} [mm]")
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_formatter(lambda value, _: decimal(f"{value:g}").replace("-", "−"))
         (x, y), (height, width) = self.middle_mm, size_mm
         return x - width / 2, x + width / 2, y - height / 2, y + height / 2
 
@@ -256,7 +259,8 @@ def deviation_map(
             )
             label.set_path_effects([withStroke(linewidth=2.5, foreground="white")])
         ends = [-2.0 * limit, -limit, 0.0, limit, 2.0 * limit]
-        figure.colorbar(shown, cax=bar, label="ln ratio off; pale: within the limit", ticks=ends)
+        figure.colorbar(shown, cax=bar, label=message("ln ratio off; pale: within the limit"), ticks=ends)
+        bar.yaxis.set_major_formatter(lambda value, _: decimal(f"{value:.3g}").replace("-", "−"))
         return svg_uri(figure)
 
 

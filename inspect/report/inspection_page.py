@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.language import message
 from anisoscope.calibration.record import CalibrationRecord, Kind
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.record.schema import CauseRecord, PoseRecord, Record
@@ -149,7 +150,7 @@ def _content(
     return {
         "record": record,
         "meaning": MEANING[record.verdict],
-        "rule_text": sections.rule or (INVALID_RULE if record.verdict == "INVALID" else ""),
+        "rule_text": sections.rule or (message(INVALID_RULE) if record.verdict == "INVALID" else ""),
         "reasons": sections.reasons,
         "precedence": PRECEDENCE,
         "rule": record.recipe["decision"],
@@ -157,7 +158,7 @@ def _content(
         "cause_range": cause_range,
         "severity_text": severity_text,
         "weight_text": weight_text,
-        "cause_text": "; or, not to be told apart: ".join(cause_text(c) for c in causes if c.tie),
+        "cause_text": message("; or, not to be told apart: ").join(cause_text(c) for c in causes if c.tie),
         "fitted_too": sections.fitted_too,
         "unit": sections.unit,
         "lot": pictures.lot,

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from anisoscope.base.atomic_write import write_text
+from anisoscope.base.language import decimal, language, message, translated
 
 if TYPE_CHECKING:
     import jinja2
@@ -55,9 +56,11 @@ def _environment(_template: str) -> "jinja2.Environment":
     """An environment of its own for every template, because each brings filters of its own."""
     import jinja2
 
-    return jinja2.Environment(
+    environment = jinja2.Environment(
         loader=jinja2.PackageLoader("anisoscope.report"), autoescape=True, undefined=jinja2.StrictUndefined
     )
+    environment.globals.update(_=message, said=translated, decimal=decimal, language=language)
+    return environment
 
 
 def css_string(text: str) -> str:

@@ -1,5 +1,6 @@
 """Which rule gave a verdict, in one sentence."""
 
+from anisoscope.base.language import message, translated
 from anisoscope.record.schema import Record
 from anisoscope.record.surface_details import surface_of
 
@@ -29,38 +30,51 @@ def level_of(record: Record) -> float:
 def rule_of(record: Record) -> str:
     """The rule that decided."""
     if record.verdict == "INVALID":
-        return "what makes a measurement unfit goes before all that was measured, and never fails a part"
+        return message(
+            "what makes a measurement unfit goes before all that was measured, and never fails a part"
+        )
     broken = _decisive(record, "FAIL")
     if record.verdict == "FAIL":
-        return f"{_listed(broken)}; FAIL goes before every verdict but INVALID"
+        return message("{criteria}; FAIL goes before every verdict but INVALID", criteria=_listed(broken))
     if record.verdict == "INCONCLUSIVE":
         near = _decisive(record, "INCONCLUSIVE")
-        return f"no limit is broken for certain, but {_listed(near)}"
-    return "every quantity lies within its limit by more than its guard band (ISO 14253-1)"
+        return message("no limit is broken for certain, but {criteria}", criteria=_listed(near))
+    return message("every quantity lies within its limit by more than its guard band (ISO 14253-1)")
 
 
 def _decisive(record: Record, verdict: str) -> list[str]:
     """Criteria that lead to this verdict."""
     level, found, details = level_of(record), [], surface_of(record)
     limited = [c for c in details.contrasts if c.verdict == verdict and c.tolerance is not None]
-    side = "outside" if verdict == "FAIL" else "on one side or the other of"
+    outside = verdict == "FAIL"
     if limited:
-        noun = "contrast lies" if len(limited) == 1 else "contrasts lie"
-        found.append(
-            f"{len(limited)} {noun} {side} the tolerance by {_band(verdict)} the guard band (ISO 14253-1)"
-        )
+        found.append(message(CONTRASTS[outside, len(limited) == 1], count=len(limited)))
     if details.area is not None and details.area.verdict == verdict:
+        found.append(message(AREA_OUTSIDE if outside else AREA_NEAR))
+    if outside and deviation_decides(record) and (record.p_value or 0.0) < level:
         found.append(
-            f"the deviating area lies {side} its limit by {_band(verdict)} the guard band (ISO 14253-1)"
+            message("all contrasts together deviate significantly (p below {level})", level=f"{level:g}")
         )
-    if verdict == "FAIL" and deviation_decides(record) and (record.p_value or 0.0) < level:
-        found.append(f"all contrasts together deviate significantly (p below {level:g})")
     return found
 
 
-def _band(verdict: str) -> str:
-    return "more than" if verdict == "FAIL" else "less than"
+CONTRASTS = {
+    (True, True): "1 contrast lies outside the tolerance by more than the guard band (ISO 14253-1)",
+    (True, False): "{count} contrasts lie outside the tolerance by more than the guard band (ISO 14253-1)",
+    (False, True): "1 contrast lies on one side or the other of the tolerance by less than the guard band "
+    "(ISO 14253-1)",
+    (
+        False,
+        False,
+    ): "{count} contrasts lie on one side or the other of the tolerance by less than the guard band "
+    "(ISO 14253-1)",
+}
+"""Messages by whether contrasts are outside, and whether it is a single one."""
+AREA_OUTSIDE = "the deviating area lies outside its limit by more than the guard band (ISO 14253-1)"
+AREA_NEAR = (
+    "the deviating area lies on one side or the other of its limit by less than the guard band (ISO 14253-1)"
+)
 
 
 def _listed(found: list[str]) -> str:
-    return "; ".join(found) if found else "see the reasons above"
+    return "; ".join(found) if found else translated("see the reasons above")

@@ -1,5 +1,6 @@
 """Numbers, contrasts and causes as the report of an inspection words them."""
 
+from anisoscope.base.language import decimal, message, translated
 from anisoscope.base.notation import contrast_name, p_value_text, percent_text, ratio_text, true_minus
 from anisoscope.diagnosis.ranking import NOTHING, OTHER, PLASTIC
 from anisoscope.record.schema import CauseRecord, ComponentRecord, Record
@@ -41,38 +42,44 @@ def labels_of(record: Record) -> list[str]:
 def cause_text(cause: CauseRecord) -> str:
     """A cause with its severity, such as ``ridge angle, off by −2.1° (95 %: −2.5° to −1.7°)``."""
     if cause.components:
-        together = " and ".join(_sized(one) for one in cause.components)
-        return f"{cause.title}: {together}" if cause.cause == PLASTIC else f"two causes together: {together}"
+        together = message("{one} and {other}", **_both(cause.components))
+        title = translated(cause.title) if cause.cause == PLASTIC else message("two causes together")
+        return f"{title}: {together}"
     if cause.cause in {NOTHING, OTHER}:
-        return cause.title
+        return translated(cause.title)
     return _sized(cause)
 
 
+def _both(components: tuple[ComponentRecord, ...]) -> dict[str, str]:
+    *first, last = (_sized(one) for one in components)
+    return {"one": ", ".join(first), "other": last}
+
+
 def _sized(cause: CauseRecord | ComponentRecord) -> str:
-    return f"{cause.title} {severity_text(cause)} ({cause_range(cause)})".replace("-", "−")
+    return f"{translated(cause.title)} {severity_text(cause)} ({cause_range(cause)})".replace("-", "−")
 
 
 def severity_text(cause: CauseRecord | ComponentRecord) -> str:
     """The severity with its unit, such as ``−2.1°`` or ``5 µm``."""
     unit = cause.unit if cause.unit in {"", "°"} else f" {cause.unit}"
-    return f"{cause.severity:.3g}{unit}".replace("-", "−")
+    return decimal(f"{cause.severity:.3g}{unit}").replace("-", "−")
 
 
 def weight_text(weight: float) -> str:
     """A share of the belief; it is never all of it."""
-    return "over 99 %" if weight > MOST_WEIGHT else f"{100.0 * weight:.0f} %"
+    return message("over 99 %") if weight > MOST_WEIGHT else f"{100.0 * weight:.0f} %"
 
 
 def cause_range(cause: CauseRecord | ComponentRecord) -> str:
     """How well a severity is known: its 95 % interval, such as ``95 %: −2.5° to −1.7°``."""
     unit = cause.unit if cause.unit in {"", "°"} else f" {cause.unit}"
     if cause.interval is None:  # records of earlier versions
-        return "not determined" if cause.u is None else f"± {cause.u:.2g}{unit}"
+        return message("not determined") if cause.u is None else decimal(f"± {cause.u:.2g}{unit}")
     low, high = (None if end is None else f"{end:.3g}{unit}" for end in cause.interval)
     if low is None and high is None:
-        return "not determined"
+        return message("not determined")
     if high is None:
-        return f"95 %: {low} or more".replace("-", "−")
+        return message("95 %: {low} or more", low=low).replace("-", "−")
     if low is None:
-        return f"95 %: {high} or less".replace("-", "−")
-    return f"95 %: {low} to {high}".replace("-", "−")
+        return message("95 %: {high} or less", high=high).replace("-", "−")
+    return message("95 %: {low} to {high}", low=low, high=high).replace("-", "−")

@@ -5,6 +5,7 @@ import sys
 from collections.abc import Callable
 
 from anisoscope.base.errors import LimitExceeded, NotConnected, RigError
+from anisoscope.base.language import translated
 
 Prompt = Callable[[str], None]
 
@@ -15,7 +16,7 @@ def prompt_in_terminal(request: str) -> None:
     Raises:
         RigError: standard input ended before the Enter key came.
     """
-    sys.stderr.write(f"{request} and press Enter: ")
+    sys.stderr.write(translated(f"{request} and press Enter:") + " ")
     sys.stderr.flush()
     if not sys.stdin.readline():
         raise RigError(f"nobody answered the request '{request}': standard input has ended")

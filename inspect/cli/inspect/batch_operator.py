@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Literal
 
 from anisoscope.base.errors import UsageError
+from anisoscope.base.language import message, translated
 from anisoscope.base.progress import Advance
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import console
@@ -35,7 +36,7 @@ class Terminal:
     def say(self, text: str) -> None:
         """Print a line, unless the output is JSON."""
         if not self.quiet:
-            console(stderr=True).print(text, markup=False, highlight=False, soft_wrap=True)
+            console(stderr=True).print(translated(text), markup=False, highlight=False, soft_wrap=True)
 
     def place(self, slot: "SlotResult", *, again: bool, needs_serial: bool) -> "Answer":
         """Have a part placed: Enter, s, q, or its code."""
@@ -44,12 +45,12 @@ class Terminal:
 
         if not self.interactive:
             return Answer()
-        back = "put back" if again else "place"
+        what = f"put back {_part(slot)}" if again else f"place {_part(slot)}"
         keys = (
             "scan its code or type its serial number" if needs_serial else "Enter goes on (or scan its code)"
         )
         while True:
-            text = _line(f"slot {slot.slot}: {back} {_part(slot)}; {keys}, s skips, q stops: ")
+            text = _line(f"slot {slot.slot}: {what}; {keys}, s skips, q stops: ")
             if text is None or text.strip() == "q":
                 return Answer("stop")
             if text.strip() == "s":
@@ -100,8 +101,15 @@ class Terminal:
     def finished(self, batch: "BatchFile", number: int) -> None:
         """One line a slot."""
         slot = batch.slots[number]
-        why = f": {slot.reason}" if slot.reason and slot.word != "PASS" else ""
-        self.say(f"{number + 1}/{len(batch.slots)} slot {slot.slot}, {_name(slot)}: {slot.word}{why}")
+        text = message(
+            "{number}/{count} slot {slot}, {name}: {verdict}",
+            number=number + 1,
+            count=len(batch.slots),
+            slot=slot.slot,
+            name=_name(slot),
+            verdict=slot.word,
+        )
+        self.say(f"{text}: {translated(slot.reason)}" if slot.reason and slot.word != "PASS" else text)
 
 
 def ask_serial(lot: str | None) -> tuple[str, str | None]:
@@ -158,7 +166,7 @@ def _duration(seconds: float) -> str:
 
 def _line(prompt: str) -> str | None:
     """One line of standard input without its end; None where it is closed."""
-    print(prompt, end="", file=sys.stderr, flush=True)  # noqa: T201
+    print(_prompt(prompt), end="", file=sys.stderr, flush=True)  # noqa: T201
     text = sys.stdin.readline() if sys.stdin is not None else ""
     if not text:
         print(file=sys.stderr)  # noqa: T201
@@ -166,5 +174,10 @@ def _line(prompt: str) -> str | None:
     return text.rstrip("\r\n")
 
 
+def _prompt(text: str) -> str:
+    """A prompt in the present language; the space behind it is none of the message."""
+    return translated(text.rstrip()) + text[len(text.rstrip()) :]
+
+
 def _print_line(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)  # noqa: T201
+    print(translated(text), file=sys.stderr, flush=True)  # noqa: T201

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
+from anisoscope.base.language import message, translated
 from anisoscope.cli.inspect.batch_operator import ask_serial
 from anisoscope.cli.inspect.history_entry import HistoryOption, history_place, remember
 from anisoscope.cli.inspect.lot_mates import lot_mates
@@ -132,7 +133,7 @@ def _as_json(inspected: "Inspected") -> dict[str, Any]:
 
 def conclusion_lines(conclusion: "ConclusionRecord") -> tuple[str, str]:
     """The verdict in plain words: what was found, and what to do next."""
-    return conclusion.finding, f"What to do next: {conclusion.action}"
+    return translated(conclusion.finding), f"{message('What to do next')}: {translated(conclusion.action)}"
 
 
 def explained(record: "Record") -> list[str]:
@@ -142,16 +143,18 @@ def explained(record: "Record") -> list[str]:
     lines = []
     diagnosis = record.diagnosis
     if diagnosis is not None and diagnosis.causes:
-        lines.append(f"cause: {diagnosis.says}")
+        lines.append(message("cause: {cause}", cause=diagnosis.says))
         lines += [_cause_line(cause) for cause in diagnosis.causes if cause.tie and cause.cause != "nothing"]
-        lines += [f"what would tell them apart: {diagnosis.tells}"] if diagnosis.tells else []
-    return [*lines, *kind_named(record.kind).summary(record).lines]
+        lines += (
+            [message("what would tell them apart: {what}", what=diagnosis.tells)] if diagnosis.tells else []
+        )
+    return [*lines, *map(translated, kind_named(record.kind).summary(record).lines)]
 
 
 def _cause_line(cause: "CauseRecord") -> str:
     from anisoscope.report.wording import cause_text, weight_text
 
-    return f"  {cause_text(cause)}, weight {weight_text(cause.weight)}"
+    return f"  {cause_text(cause)}, {message('weight')} {weight_text(cause.weight)}"
 
 
 def _print(inspected: "Inspected") -> None:
@@ -159,20 +162,22 @@ def _print(inspected: "Inspected") -> None:
 
     record = inspected.record
     for table in kind_named(record.kind).summary(record).tables:
-        print_table(table.title, table.columns, table.rows, table.caption)
+        cells = [[translated(cell) for cell in row] for row in table.rows]
+        caption = table.caption and translated(table.caption)
+        print_table(translated(table.title), [translated(one) for one in table.columns], cells, caption)
     out = console()
     color = {"PASS": "green", "FAIL": "red", "INCONCLUSIVE": "yellow", "INVALID": "magenta"}[record.verdict]
-    out.print(f"[bold {color}]{record.verdict}[/]")
+    out.print(f"[bold {color}]{message(record.verdict)}[/]")
     if record.conclusion is not None:
         for line in conclusion_lines(record.conclusion):
             out.print(line, markup=False, highlight=False, soft_wrap=True)
     for reason in record.reasons:
-        out.print(f"  {reason}", markup=False, highlight=False, soft_wrap=True)
+        out.print(f"  {translated(reason)}", markup=False, highlight=False, soft_wrap=True)
     for line in explained(record):
         out.print(f"  {line}", markup=False, highlight=False, soft_wrap=True)
     for note in inspected.notes:
-        out.print(f"note: {note}", markup=False, highlight=False, soft_wrap=True)
-    out.print(f"report: {inspected.report}", markup=False, highlight=False, soft_wrap=True)
+        out.print(message("note: {note}", note=note), markup=False, highlight=False, soft_wrap=True)
+    out.print(f"{message('report')}: {inspected.report}", markup=False, highlight=False, soft_wrap=True)
 
 
 Folder = Annotated[Path, Parameter(help="Folder of an inspection.")]

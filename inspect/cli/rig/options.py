@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
+from anisoscope.base.language import message, translated
 
 if TYPE_CHECKING:
     from anisoscope.rig.rigfile import AxisPart, RigFile
@@ -94,7 +95,7 @@ def _pair(text: str) -> "tuple[str, str | int | float | bool]":
 
 def write_line(text: str) -> None:
     """Write a line for the operator to stderr."""
-    print(text, file=sys.stderr, flush=True)  # noqa: T201
+    print(translated(text), file=sys.stderr, flush=True)  # noqa: T201
 
 
 def confirm(what: str, *, yes: bool) -> None:
@@ -108,6 +109,6 @@ def confirm(what: str, *, yes: bool) -> None:
         return
     if sys.stdin is None or not sys.stdin.isatty():
         raise UsageError(f"{what}; there is no terminal to ask in whether it may: say so with --yes")
-    print(f"{what}. Go on? [y/N] ", end="", file=sys.stderr, flush=True)  # noqa: T201
-    if sys.stdin.readline().strip().lower() not in {"y", "yes"}:
+    print(f"{translated(what)}. {message('Go on? [y/N]')} ", end="", file=sys.stderr, flush=True)  # noqa: T201
+    if sys.stdin.readline().strip().lower() not in {"y", "yes", message("yes"), message("yes")[0]}:
         raise UsageError("nothing was moved: nobody said yes")

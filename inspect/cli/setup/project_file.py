@@ -7,13 +7,14 @@ The file is searched in the working folder and all folders above it; what it doe
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
 
 from anisoscope.base.errors import ConfigError
+from anisoscope.base.language import use
 from anisoscope.base.toml_file import LocalPath, Part, read_toml_model
-from anisoscope.cli.log import LOG
+from anisoscope.cli.log import LOG, chosen_language
 
 if TYPE_CHECKING:
     from cyclopts import App, ArgumentCollection
@@ -44,6 +45,7 @@ class ProjectFile(Part):
     history: str | None = Field(default=None, min_length=1)
     operator: str | None = Field(default=None, min_length=1)
     station: str | None = Field(default=None, min_length=1)
+    lang: Literal["en", "de", "da"] | None = None
 
 
 @dataclass(frozen=True)
@@ -104,6 +106,9 @@ def apply_project(app: "App", commands: tuple[str, ...], arguments: "ArgumentCol
     from cyclopts.config import Dict
 
     known = project_defaults()
+    lang = known.pop("lang", None)
+    if lang is not None and chosen_language() is None:
+        use(lang.value)
     given = {name for one in arguments if one.tokens for name in one.names}
     if "out" in known and "history" not in known and any(commands[: len(one)] == one for one in REVIEW):
         known["history"] = known["out"]  # inspections enter the history of their folder

@@ -6,6 +6,7 @@ import subprocess
 
 import pytest
 
+from anisoscope.base.language import language
 from anisoscope.cli import app, run
 from anisoscope.cli.setup import project_file
 from anisoscope.kinds.registry import kind_of
@@ -111,3 +112,19 @@ def test_a_recipe_with_a_height_map_is_rendered_as_its_map(job):
     drawn = bound("render", "frame", "--recipe", str(job / "recipe.toml"), "--out", "x.png")
     assert drawn["height_map"] == job / "part.x3p"
     assert drawn.get("surface") is None or drawn["surface"].ridge_angle is None
+
+
+def test_the_command_line_names_the_language_before_the_project_file(job, capsys):
+    project = job / "anisoscope.toml"
+    project.write_text(project.read_text(encoding="utf-8") + '\nlang = "da"\n', encoding="utf-8")
+    seen = []
+    app.command(lambda: seen.append(language()), name="speak")
+    try:
+        assert [run(["speak"]), run(["speak", "--lang", "de"]), run(["--lang=en", "speak"])] == [0, 0, 0]
+    finally:
+        del app["speak"]
+    assert seen == ["da", "de", "en"]
+    assert language() == "en"
+    assert run(["doctor", "--lang", "fr"]) == 64
+    assert run(["doctor", "--lang"]) == 64
+    assert "en, de, da" in capsys.readouterr().err

@@ -5,8 +5,10 @@ from zoneinfo import ZoneInfo
 import numpy as np
 import pytest
 
+from anisoscope.base.language import speaking
 from anisoscope.record.schema import sha256_of
 from anisoscope.report import figures, surface_sections
+from anisoscope.report.inspection_page import Pictures, write_report
 from anisoscope.report.page import css_string
 from anisoscope.report.peers import LotMate, among, lot_of
 from anisoscope.report.provenance import NOT_STATED, calibrations_of, files_of, groups_of, when
@@ -50,6 +52,21 @@ def test_the_rule_that_decided_is_said(make_report_record, changes, words, not_w
     said = rule_of(make_report_record(**changes))
     assert all(word in said for word in words), said
     assert not any(word in said for word in not_words), said
+
+
+@pytest.mark.parametrize(("language", "verdict"), [("de", "nicht bestanden"), ("da", "afvist")])
+def test_page_1_is_in_the_language_of_the_operator(make_report_record, tmp_path, parsed, language, verdict):
+    record = make_report_record(verdict="FAIL", contrasts=judged("FAIL", "PASS"))
+    with speaking(language):
+        page = parsed(write_report(record, Pictures(), tmp_path))
+    marks = {attributes.get("id"): attributes for _, attributes in page.found}
+    assert [attributes["lang"] for tag, attributes in page.found if tag == "html"] == [language]
+    assert marks["verdict"]["data-verdict"] == "FAIL"
+    assert verdict in page.text
+    assert "What to do next" not in page.text
+    assert [
+        attributes["lang"] for tag, attributes in page.found if tag == "div" and "lang" in attributes
+    ] == ["en"]
 
 
 @pytest.mark.parametrize("how", ["no tolerance", "recipe"])

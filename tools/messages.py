@@ -1,0 +1,200 @@
+"""Messages of the operator's path: brings the catalogues up to date and compiles them.
+
+A message is what a template writes as ``_("…")``, what `message` is called with, an entry of the tables of causes,
+actions and verdicts, and the sentences of the definitions in `SENTENCES`, whose f-strings become patterns with named
+places. ``python tools/messages.py`` adds new messages to the catalogues without translation, drops those that have
+gone, and compiles. A test finds what has no translation.
+"""
+
+import ast
+import io
+import re
+import sys
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+
+from babel.messages.catalog import Catalog
+from babel.messages.mofile import write_mo
+from babel.messages.pofile import read_po, write_po
+
+from anisoscope.diagnosis.causes import all_causes
+from anisoscope.diagnosis.ranking import bare_title
+from anisoscope.kinds.registry import kind_named
+from anisoscope.kinds.wafers.causes import wafer_causes
+from anisoscope.report import rule
+from anisoscope.report.conclusion import OUTCOMES
+from anisoscope.report.inspection_page import INVALID_RULE, MEANING
+
+ROOT = Path(__file__).resolve().parents[1]
+LOCALE = ROOT / "inspect" / "base" / "locale"
+LANGUAGES = ("de", "da")
+TEMPLATES = (
+    "inspect/report/templates/inspection.html",
+    "inspect/report/templates/inspection_surface_map.html",
+)
+CALLS = (
+    *("inspect/report", "inspect/cli/inspect", "inspect/cli/rig"),
+    *("inspect/kinds",),
+)
+"""Folders whose calls of `message` are messages."""
+ERRORS = {"MeasurementError", "CalibrationError", "RegistrationError"}
+SENTENCES = {
+    "inspect/report/conclusion.py": ("_of_verdict", "surface_finding", "_contrast_finding", "_finding"),
+    "inspect/decision/decision.py": ("_combine", "_blind", "_of_tolerance", "_limit_of"),
+    "inspect/diagnosis/part_diagnosis.py": ("_summary",),
+    "inspect/imaging/pose_radiance.py": ERRORS,
+    "inspect/imaging/quality_gates.py": ERRORS,
+    "inspect/imaging/views.py": ERRORS,
+    "inspect/imaging/registration/placement.py": ERRORS,
+    "inspect/imaging/deviation_map.py": ERRORS,
+    "inspect/imaging/predicted_cells.py": ("predicted_cells",),
+    "inspect/kinds/surface.py": ("predicted_cells", "summary"),
+    "inspect/cli/inspect/batch_operator.py": ("place", "serial_of", "trouble", "_part"),
+    "inspect/cli/rig/motion.py": {"confirm"},
+    "inspect/inspection/run.py": {"advance"},
+    "inspect/diagnosis/signatures.py": {"advance"},
+    "rig/acquisition/runner.py": {"_report"},
+    "rig/stages/manual.py": {"_prompt"},
+    "rig/lights/manual.py": {"_prompt"},
+}
+"""File -> names of definitions whose texts, or of functions whose first argument, are messages."""
+FURTHER = (
+    *("PASS", "FAIL", "INCONCLUSIVE", "INVALID"),
+    *("ln ratio {contrast}", "Michelson contrast {contrast}", "difference {contrast}"),
+    *("company", "drawing", "lot", "cavity", "operator", "station", "reviewed by", "date, signature"),
+    *("{request} and press Enter:", "stage", "tilt axis", "sample", "dark", "flat"),
+    *("across the ridges", "along the ridges", "contrast", "from [°]", "to [°]", "tilt [°]", "measured"),
+    *("predicted", "deviation", "tolerance", "at [°]", "tilts [°]", "the same stage angle at two tilts"),
+    *("as predicted", "see the reasons above", "{stage}° / {other}°, tilt {tilt}°"),
+    *("the height map", "the ideal design"),
+    *("missing ridge", "flank", "scratch", "spot", "patch", "{count} golden parts", "1 golden part"),
+)
+"""Names that reach the page or the console from data."""
+HEADER = (
+    "# Messages of the operator's path; `python tools/messages.py` brings them up to date and compiles them."
+)
+_IN_TEMPLATE = re.compile(r'_\("((?:[^"\\]|\\.)*)"')
+_PLACE = re.compile(r"\{(\w+)\}")
+
+
+def found_messages(root: Path = ROOT) -> dict[str, str]:
+    """All messages, each with the file that it comes from."""
+    found: dict[str, str] = {}
+    for name in TEMPLATES:
+        for text in _IN_TEMPLATE.findall((root / name).read_text(encoding="utf-8")):
+            found.setdefault(text, name)
+    for folder in CALLS:
+        for path in sorted((root / folder).rglob("*.py")):
+            for text in _texts(path, {"message"}):
+                found.setdefault(text, str(path.relative_to(root)))
+    for name, definitions in SENTENCES.items():
+        for text in _texts(root / name, set(definitions)):
+            found.setdefault(text.rstrip(), name)
+    for text in (*_tables(), *FURTHER):
+        found.setdefault(text, "tables")
+    return found
+
+
+def _texts(path: Path, names: set[str]) -> Iterator[str]:
+    """Texts of the definitions of these names, and first arguments of calls of functions of these names."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.FunctionDef) and node.name in names:
+            for statement in node.body[1:]:
+                yield from _sentences(statement)
+        elif isinstance(node, ast.Call) and _name(node.func) in names and node.args:
+            yield from filter(None, [_text(node.args[0])])
+
+
+def _sentences(statement: ast.AST) -> Iterator[str]:
+    """Texts of a statement with a blank in them."""
+    inner = {
+        id(part) for node in ast.walk(statement) if isinstance(node, ast.JoinedStr) for part in node.values
+    }
+    for node in ast.walk(statement):
+        if id(node) not in inner and isinstance(node, (ast.JoinedStr, ast.Constant)):
+            text = _text(node)
+            if text is not None and " " in text and re.search(r"[a-z]{3}", _PLACE.sub("", text)):
+                yield text
+
+
+def _text(node: ast.expr) -> str | None:
+    """A text as a message: places of an f-string get the last name in their expression."""
+    if isinstance(node, ast.Constant):
+        return node.value if isinstance(node.value, str) else None
+    if not isinstance(node, ast.JoinedStr):
+        return None
+    seen: dict[str, str] = {}
+    parts: list[str] = []
+    for part in node.values:
+        if isinstance(part, ast.Constant):
+            parts.append(str(part.value))
+        elif isinstance(part, ast.FormattedValue):
+            expression = ast.unparse(part.value)
+            name = (
+                re.findall(r"[a-z_]\w*", re.sub(r"'[^']*'", "", expression), re.IGNORECASE)[-1]
+                .lower()
+                .strip("_")
+            )
+            while seen.setdefault(name, expression) != expression:
+                name += "_"
+            parts.append("{" + name + "}")
+    return "".join(parts)
+
+
+def _name(function: ast.expr) -> str:
+    return (
+        function.attr
+        if isinstance(function, ast.Attribute)
+        else function.id
+        if isinstance(function, ast.Name)
+        else ""
+    )
+
+
+def _tables() -> Iterator[str]:
+    """Texts of the tables of the package."""
+    yield from (*OUTCOMES.values(), *MEANING.values(), INVALID_RULE, *rule.CONTRASTS.values())
+    yield from (rule.AREA_OUTSIDE, rule.AREA_NEAR)
+    for name in ("ridges", "wafers", "prints"):
+        for words in kind_named(name).cause_words.values():
+            yield from filter(None, (words.more, words.less, words.either, words.action, words.region))
+    for cause in (*all_causes(10.0), *wafer_causes()):
+        yield from dict.fromkeys((cause.title, bare_title(cause.title)))
+
+
+def catalogue(language: str) -> Catalog:
+    """The catalogue of a language."""
+    with (LOCALE / language / "LC_MESSAGES" / "anisoscope.po").open("rb") as file:
+        return read_po(file, locale=language)
+
+
+def compiled(found: Catalog) -> bytes:
+    """A catalogue as gettext reads it."""
+    stream = io.BytesIO()
+    write_mo(stream, found)
+    return stream.getvalue()
+
+
+def update(language: str, messages: dict[str, str]) -> int:
+    """Bring a catalogue up to date and compile it; returns how many messages have no translation."""
+    folder = LOCALE / language / "LC_MESSAGES"
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / "anisoscope.po"
+    known = {one.id: one.string for one in catalogue(language) if one.id} if path.is_file() else {}
+    found = Catalog(locale=language, project="anisoscope", version="", header_comment=HEADER, fuzzy=False)
+    found.msgid_bugs_address = found.last_translator = found.language_team = ""
+    found.creation_date = found.revision_date = datetime(2026, 1, 1, tzinfo=UTC)  # no change without a change
+    for text, source in messages.items():
+        found.add(text, known.get(text, ""), auto_comments=[source])
+    with path.open("wb") as file:
+        write_po(file, found, width=120, omit_header=False)
+    path.with_suffix(".mo").write_bytes(compiled(found))
+    return sum(not one.string for one in found if one.id)
+
+
+if __name__ == "__main__":
+    everything = found_messages()
+    missing = {language: update(language, everything) for language in LANGUAGES}
+    print(f"{len(everything)} messages; without translation: {missing}")  # noqa: T201
+    sys.exit(any(missing.values()))
