@@ -32,6 +32,7 @@ LANGUAGES = ("de", "da")
 TEMPLATES = (
     "inspect/report/templates/inspection.html",
     "inspect/report/templates/inspection_surface_map.html",
+    "inspect/kinds/prints/templates/inspection_print_colours.html",
 )
 CALLS = (
     *("inspect/report", "inspect/cli/inspect", "inspect/cli/rig"),
@@ -49,7 +50,8 @@ SENTENCES = {
     "inspect/imaging/registration/placement.py": ERRORS,
     "inspect/imaging/deviation_map.py": ERRORS,
     "inspect/imaging/predicted_cells.py": ("predicted_cells",),
-    "inspect/kinds/surface.py": ("predicted_cells", "summary"),
+    "inspect/kinds/surface.py": ("predicted_cells", "comparable_means", "summary"),
+    "inspect/kinds/wafers/kind.py": ("predicted_cells", "comparable_means"),
     "inspect/cli/inspect/batch_operator.py": ("place", "serial_of", "trouble", "_part"),
     "inspect/cli/rig/motion.py": {"confirm"},
     "inspect/inspection/run.py": {"advance"},
