@@ -124,8 +124,8 @@ def _looked_up(text: str) -> str | None:
         match = pattern.expression.fullmatch(text)
         if match is not None:
             places = {name: _in_place(name, value) for name, value in match.groupdict().items()}
-            found = pattern.translation.format(**places)
-            return found if AS_WRITTEN & places.keys() else decimal(found)
+            filled = pattern.translation.format(**places)
+            return filled if AS_WRITTEN & places.keys() else decimal(filled)
     if text.endswith("."):
         found = _looked_up(text[:-1])
         return None if found is None else f"{found}."
