@@ -1,6 +1,7 @@
 """Expected pose radiances of a part, with the components of their model uncertainty (V_model)."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -33,10 +34,12 @@ from anisoscope.prediction.sensitivity import (
     fixed,
 )
 from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.recipe.material_file import MaterialFile, material_at
 from anisoscope.recipe.poses import check_poses
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.sim.light.contrasts import contrasts
 from anisoscope.sim.light.geometry import Convention, Pose, directions
+from anisoscope.sim.light.material import Material
 
 SCATTER = "scatter of parts: "
 """Begin of the name of an input in the budget whose uncertainty is the scatter between good parts alone."""
@@ -316,18 +319,30 @@ def _lobes(
     response: Response | None,
 ) -> LobeDoubt | None:
     """Ln L over the tail of the lobe; by rays where waves, which know no tail, predict the rest."""
-    u = recipe.material.u_tail
+    file, u = recipe.material.calibrated, recipe.material.u_tail
+    along = None
+    if file is not None and u == 0.0:
+        u = file.covariance.u().get("tail", 0.0)
+        along = partial(_calibrated_at, file, nominal.material)
     if u == 0.0:
         return None
     surface, common = (models.sampled, None) if models.rays is None else (models.rays, response)
-    return lobe_doubt(surface, nominal, recipe.poses.poses(), convention, inputs, straight, u, common)
+    return lobe_doubt(surface, nominal, recipe.poses.poses(), convention, inputs, straight, u, common, along)
+
+
+def _calibrated_at(file: MaterialFile, material: Material, tail: float) -> Material:
+    """A calibrated material whose other parameters follow their regression on another tail."""
+    slope, _ = file.covariance.given_tail()
+    values = file.values() + slope * (tail - material.tail)
+    return material_at(material, file.covariance.parameters, values)
 
 
 def _of_the_tail(recipe: SurfaceRecipe, lobes: LobeDoubt | None) -> list[Component]:
     """Uncertainty from the tail of the lobe, and of an unmeasured one from what no tail describes."""
     if lobes is None:
         return []
-    found = [Component(TAIL, "prediction", lobes.contribution(recipe_uncertainty(recipe).tail), shared=True)]
+    u = UNMEASURED_TAIL if np.isinf(lobes.u) else lobes.u
+    found = [Component(TAIL, "prediction", lobes.contribution(u), shared=True)]
     if recipe.material.u_tail is None:
         share = np.full(len(recipe.poses.poses()), FAMILY_SHARE)
         found.append(Component(FAMILY, "prediction", share, shared=False))
@@ -369,7 +384,7 @@ def _of_the_optics(models: Models, radiance: FloatArray) -> list[Component]:
 def _of_the_calibration(
     recipe: SurfaceRecipe, models: Models, nominal: State, convention: Convention
 ) -> list[Component]:
-    """Uncertainty of a calibrated material: directions of its covariance, and what its family of lobes leaves."""
+    """Uncertainty of a calibrated material at its tail: directions of the covariance; what its family leaves."""
     file, poses = recipe.material.calibrated, recipe.poses.poses()
     if file is None:
         return []

@@ -3,9 +3,12 @@
 The tail of an unmeasured lobe lies anywhere between Beckmann's (0) and GGX (1), which changes ln L by tenths,
 more than any other input, and not in proportion. The response to the other inputs is therefore known at several tails,
 and interpolated between them in τ/(1 + τ), where ln L of ridges is a cubic within .003.
+
+A calibrated tail is correlated with the roughness and the albedo. The curve is then that of the material whose other
+parameters follow their regression on the tail, and what the covariance leaves at a given tail is independent of it.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +17,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.prediction.second_order import Response, response_of
 from anisoscope.prediction.sensitivity import DARK, InputUncertainty, State, Surface, evaluate
 from anisoscope.sim.light.geometry import Convention, Pose
-from anisoscope.sim.light.material import LONGEST_TAIL
+from anisoscope.sim.light.material import LONGEST_TAIL, Material
 
 UNKNOWN_TAILS = (0.0, 1.0)
 """Shortest and longest tail of a plastic with an unmeasured lobe: Beckmann's and GGX."""
@@ -97,6 +100,7 @@ def lobe_doubt(
     straight: Mapping[str, FloatArray],
     u: float | None,
     common: Response | None = None,
+    along: Callable[[float], Material] | None = None,
 ) -> LobeDoubt:
     """Ln L over the tails that a recipe leaves possible.
 
@@ -109,6 +113,7 @@ def lobe_doubt(
         straight: (P,) change of ln L per u of every other uncertain input.
         u: standard uncertainty of the tail, above 0; None where it is unmeasured.
         common: response that holds at every tail; None: it is determined at each.
+        along: the material at a tail; None: that of ``nominal`` with another tail.
 
     Raises:
         ModelError: a pose so close to the horizon that a probe leads below it.
@@ -117,7 +122,8 @@ def lobe_doubt(
     low, high = UNKNOWN_TAILS if u is None else (tail - _RANGE * u, tail + _RANGE * u)
     low, high = max(min(low, tail), 0.0), min(max(high, tail), LONGEST_TAIL)
     tails = low + (high - low) * _PLACES
-    states = [replace(nominal, material=replace(nominal.material, tail=float(one))) for one in tails]
+    of_tail = along or (lambda one: replace(nominal.material, tail=one))
+    states = [replace(nominal, material=of_tail(float(one))) for one in tails]
     light = np.log(np.maximum(evaluate(surface, [nominal, *states], poses, convention), DARK))
     count = len(straight)
     slopes = np.column_stack([*straight.values()]) if straight else np.zeros((len(poses), 0))

@@ -45,6 +45,7 @@ _TAIL_STEP = (
 _FIELD_NODE = np.sqrt(0.6)  # three-point Gauss-Legendre rule on −1…1, weights 5/18, 8/18, 5/18
 _STAGE = "stage"
 _MATERIAL_SHARE = 0.1  # of the standard uncertainty
+_ROUNDING = 1e-9  # of the largest eigenvalue of a covariance
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,12 +223,12 @@ def calibrated_material(
     convention: Convention,
     file: MaterialFile,
 ) -> FloatArray:
-    """(K, P) changes of ln L, independent of each other, that the covariance of a calibrated material leaves.
+    """(K, P) changes of ln L, independent of each other, that a calibrated material leaves at its tail.
 
-    Its parameters are correlated, so that one source for each would state too much. The covariance is C = Σ_k v_k v_kᵀ
-    with K orthogonal vectors; the covariance of ln L is J C Jᵀ = Σ_k (J v_k)(J v_k)ᵀ (JCGM 102:2011, 6.2), and every
-    J v_k is a central difference over v_k, which may be large, of a tenth of it. Where v_k leads below a tail of 0,
-    which no lobe has, it is the whole change over v_k to the side that there is: ln L is steepest at no tail.
+    Its parameters are correlated, so that one source for each would state too much. Their covariance at a given tail is
+    C = Σ_k v_k v_kᵀ with K orthogonal vectors; the covariance of ln L is J C Jᵀ = Σ_k (J v_k)(J v_k)ᵀ (JCGM 102:2011,
+    6.2), and every J v_k is a central difference over v_k, which may be large, of a tenth of it. The tail itself, with
+    what follows it on average, is a source of its own along its curve (`lobe_doubt`).
 
     Args:
         surface: the predictor of a shape.
@@ -237,24 +238,20 @@ def calibrated_material(
         file: the material with its covariance.
     """
     names, values = file.covariance.parameters, file.values()
-    size, vectors = np.linalg.eigh(file.covariance.array())
-    moves = (np.sqrt(np.maximum(size, 0.0)) * vectors).T
-    sides = np.tile([-_MATERIAL_SHARE, _MATERIAL_SHARE], (len(moves), 1))
-    if "tail" in names:
-        tail = names.index("tail")
-        longer = moves[:, tail]
-        moves = moves * np.where(longer < 0.0, -1.0, 1.0)[:, None]  # the sign of a vector is free
-        sides[values[tail] < np.abs(longer)] = 0.0, 1.0
+    _, covariance = file.covariance.given_tail()
+    size, vectors = np.linalg.eigh(covariance)
+    moves = (np.sqrt(np.maximum(size, 0.0)) * vectors).T[size > _ROUNDING * size[-1]]
+    moves[:, [name == "tail" for name in names]] = 0.0
 
     def at(moved: FloatArray) -> State:
-        if "tail" in names:
-            moved[tail] = np.clip(moved[tail], 0.0, LONGEST_TAIL)
         return replace(nominal, material=material_at(nominal.material, names, moved))
 
-    states = [at(values + side * move) for move, ends in zip(moves, sides, strict=True) for side in ends]
-    light = evaluate(surface, states, poses, convention)
+    ends = [at(values + side * move) for move in moves for side in (-_MATERIAL_SHARE, _MATERIAL_SHARE)]
+    if not ends:
+        return np.zeros((0, len(poses)))
+    light = evaluate(surface, ends, poses, convention)
     change = np.diff(np.log(np.maximum(light, DARK)).reshape(len(moves), 2, -1), axis=1)[:, 0]
-    return np.asarray(change / np.diff(sides, axis=1))
+    return np.asarray(change / (2.0 * _MATERIAL_SHARE))
 
 
 def _over_the_field(nominal: State, half_width_deg: float) -> list[State]:

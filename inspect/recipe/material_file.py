@@ -99,6 +99,18 @@ class CovariancePart(Part):
             zip(self.parameters, np.sqrt(np.maximum(np.diag(self.array()), 0.0)).tolist(), strict=True)
         )
 
+    def given_tail(self) -> tuple[FloatArray, FloatArray]:
+        """(n,) mean of the parameters per unit of the tail (regression on it), and (n, n) covariance at a given tail.
+
+        Where the tail has no uncertainty the mean does not move, and the covariance is the whole one.
+        """
+        whole = self.array()
+        tail = self.parameters.index("tail") if "tail" in self.parameters else None
+        if tail is None or whole[tail, tail] <= 0.0:
+            return np.zeros(len(whole)), whole
+        slope = whole[tail] / whole[tail, tail]
+        return slope, whole - np.outer(slope, whole[tail])
+
 
 class ValidityPart(Part):
     """Where and until when the values hold: angles between half vector and facet normal that the scan spans."""

@@ -1,14 +1,16 @@
 """Material files: written, read, refused; where a material holds."""
 
+from dataclasses import replace
 from datetime import UTC, datetime
 
 import numpy as np
 import pytest
 
 from anisoscope.base.errors import CalibrationError, RecipeError
+from anisoscope.diagnosis.evidence import inputs_of
 from anisoscope.kinds.ridges.kind import RIDGES
-from anisoscope.prediction.propagation import calibrated_material
-from anisoscope.prediction.sensitivity import State, fixed
+from anisoscope.prediction.expectation import SCATTER, expectation
+from anisoscope.prediction.propagation import TAIL
 from anisoscope.profiles.files.load import write_height_map
 from anisoscope.profiles.ideal import RidgeDesign, ridges
 from anisoscope.recipe.material_file import (
@@ -222,8 +224,6 @@ def test_ridges_of_a_height_map_are_compared_with_the_half_angles(recipe_with, v
 
 def test_the_budget_of_a_prediction_is_that_of_the_correlated_material(recipe_with):
     """J C Jᵀ by components equals that by an independent Jacobian; correlation cancels what the diagonal states."""
-    from anisoscope.prediction.expectation import expectation
-
     spread = np.diag([0.02, 0.02, 0.05, 0.02])
     correlation = np.full((4, 4), 0.9) + 0.1 * np.eye(4)
     matrix = spread @ correlation @ spread
@@ -232,8 +232,8 @@ def test_the_budget_of_a_prediction_is_that_of_the_correlated_material(recipe_wi
         update={"surface": recipe.surface.model_copy(update={"reflections": "direct"})}
     )
     found = expectation(recipe, 10.0)
-    own = [one for one in found.components if one.source.startswith("calibrated material")]
-    assert len(own) == 4
+    own = [one for one in found.components if one.source.startswith(("calibrated material", TAIL))]
+    assert [one.source for one in own] == [TAIL, *(f"calibrated material, direction {k}" for k in (1, 2, 3))]
     total = np.sum([one.covariance() for one in own], axis=0)
     nominal, design = recipe.material.material(), recipe.surface.ridge_design()
     values = parameter_values(nominal, NAMES)
@@ -250,14 +250,10 @@ def test_the_budget_of_a_prediction_is_that_of_the_correlated_material(recipe_wi
     (family,) = [one for one in found.components if one.source == "family of the lobe"]
     np.testing.assert_allclose(family.relative, 0.005)
     assert not family.shared
-    assert "tail of the lobe" not in [one.source for one in found.components]
 
 
 def test_the_scatter_of_parts_of_a_calibrated_plastic_is_in_the_budget_once(recipe_with):
     """V = B + W: terms of [scatter] beside the directions of the file; as large as those of the same plastic alone."""
-    from anisoscope.diagnosis.evidence import inputs_of
-    from anisoscope.prediction.expectation import SCATTER, expectation
-
     scatter = ScatterPart(ridge_angle_deg=0.2, alpha_share=0.04, albedo_share=0.02, seating_tilt_deg=0.3)
     recipe = recipe_with(**covariance(COVARIANCE)).model_copy(update={"scatter": scatter})
     recipe = recipe.model_copy(
@@ -280,7 +276,8 @@ def test_the_scatter_of_parts_of_a_calibrated_plastic_is_in_the_budget_once(reci
     assert not any(one.source in found.response.sources for one in found.alone)
     assert not any(one.source.startswith(SCATTER) for one in found.alone)
     assert [one.source for one in found.alone] == [
-        f"calibrated material, direction {k}" for k in (1, 2, 3, 4)
+        TAIL,
+        *(f"calibrated material, direction {k}" for k in (1, 2, 3)),
     ]
     inputs, without_file = inputs_of(recipe, found, ()), inputs_of(alike, plain, ())
     assert inputs.u == pytest.approx(without_file.u)
@@ -313,22 +310,33 @@ def test_an_inspection_recorded_before_scatter_counted_is_computed_again_without
     assert RIDGES.as_recorded(recipe, before).scatter is None
 
 
-def test_a_calibrated_lobe_without_a_tail_may_only_have_a_longer_one(recipe_with):
-    """The whole change to a tail of one u, which is not in proportion, where a tail below 0 is no lobe."""
-    plain = CONTENT["material"] | {"tail": 0.0}
-    recipe = recipe_with(material=plain, **covariance([[0.1**2]], names=("tail",)))
-    nominal = State(recipe.material.material(), 10.0)
-    surface = fixed(lambda light, camera, material: corrected.radiance(light, camera, RIDGES_10, material))
-    (change,) = calibrated_material(surface, nominal, UPRIGHT, Convention(), recipe.material.calibrated)
-    good, longer = (
-        corrected.radiance(*directions(UPRIGHT, Convention()), RIDGES_10, Material(0.06, 0.1, 0.2, tail=tail))
-        for tail in (0.0, 0.1)
+@pytest.mark.parametrize("tail", [0.0, 0.05, 0.7])
+def test_a_calibrated_lobe_is_in_doubt_along_the_regression_on_its_tail(recipe_with, tail):
+    """At 2 u of the tail the plastic has the roughness and the albedo that are to be expected there; none below 0."""
+    plain = CONTENT["material"] | {"tail": tail}
+    spread = np.array([0.03, 0.05, 0.05, 0.03])
+    matrix = spread[:, None] * spread * (np.full((4, 4), -0.7) + 1.7 * np.eye(4))
+    matrix[np.ix_([0, 1, 3], [0, 1, 3])] = np.diag(spread[[0, 1, 3]] ** 2) * 2.0
+    recipe = recipe_with(material=plain, **covariance(matrix))
+    recipe = recipe.model_copy(
+        update={"surface": recipe.surface.model_copy(update={"reflections": "direct"})}
     )
-    np.testing.assert_allclose(change, np.log(longer / good), atol=1e-9)
-    assert np.abs(change).max() > 0.03
+    found, names = expectation(recipe, 10.0), recipe.material.calibrated.covariance.parameters
+    k = names.index("tail")
+    values = recipe.material.calibrated.values() + 2.0 * matrix[k] / np.sqrt(matrix[k, k])
+    followed = material_at(recipe.material.material(), names, values)
+    alone = replace(recipe.material.material(), tail=followed.tail)
+    sides, design = directions(recipe.poses.poses(), Convention()), recipe.surface.ridge_design()
+    off, other = (
+        np.log(corrected.radiance(*sides, design, one) / found.radiance) for one in (followed, alone)
+    )
+    curve, _ = found.lobes.at(followed.tail)
+    np.testing.assert_allclose(curve, off, atol=5e-4)
+    assert np.abs(other - off).max() > 0.02
+    assert found.lobes.penalty(followed.tail) == pytest.approx(4.0)
+    assert found.lobes.tails[0] == max(tail - 0.15, 0.0)
 
 
-RIDGES_10 = RidgeDesign(100.0, 10.0)
 TEST = {
     "residual_over_noise": 1.0,
     "birge_ratio": 1.0,
