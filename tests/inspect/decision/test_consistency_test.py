@@ -106,7 +106,7 @@ def test_calibrated_chances_rise_and_have_no_floor(rng):
 
 
 def calibrated_recipe(make_recipe, tail=0.7, u_tail=0.0, **scatter):
-    """A recipe of a calibrated plastic in direct light; an exact tail is fast, because every other one costs a table."""
+    """A recipe of a calibrated plastic in direct light; an exact tail is fast: others cost tables."""
     lobe = ("ln_alpha_along", "ln_alpha_across", "ln_albedo")
     u = np.array([0.007, 0.009, 0.009])
     if u_tail:
