@@ -384,3 +384,28 @@ def conclude(
     advance(record.verdict, 1, 1)
     lost = (f"no 3-D view in the report: {view.note}",) if view is not None and view.png is None else ()
     return Inspected(record, folder, report, (*record.notes, *lost))
+
+
+def report_again(folder: Path, record: Record, path: Path, advance: Advance = silent) -> None:
+    """Make the report of a finished inspection again; its numbers are those of the record.
+
+    Pictures and prediction are computed from the frames and from the copies of the inputs. The comparison with the lot
+    is left out: it was that of its time.
+
+    Args:
+        folder: the inspection folder, which is not changed.
+        record: its record.
+        path: file to write.
+        advance: progress.
+
+    Raises:
+        RecordError: a file of the folder is missing, or the page cannot be written.
+    """
+    manifest, job = reopen(folder.resolve())
+    job = replace(job, recipe=job.kind.as_recorded(job.recipe, record.recipe))
+    with expecting(job, advance) as ready:
+        frames = read_frames(folder, manifest)
+        _, pictures = judge(manifest, job, ready.expected, frames, advance, diagnose=lambda *_: Explanation())
+        view = ready.renderer.result() if ready.renderer is not None else None
+    pictures = replace(pictures, calibrations=job.calibrations.records)
+    write_report(record, pictures, folder, view, job.kind.sections(record, pictures), path)

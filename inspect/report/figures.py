@@ -124,17 +124,21 @@ def _for_both_lights(svg: str) -> str:
     return svg.replace("<defs>", f"<defs>{style}", 1)
 
 
-def photograph(radiance: Image, white: float) -> str:
+def photograph(radiance: Image, white: float, *, jpeg: bool = False) -> str:
     """A radiance picture as the eye would see it: sRGB encoded, ``white`` is full brightness.
 
     Args:
-        radiance: (rows, cols), first row at the top.
+        radiance: (rows, cols), first row at the top, or (rows, cols, 3) of blue, green, red.
         white: radiance shown as white.
+        jpeg: compress, where nothing is read off the picture.
     """
     linear = np.clip(np.nan_to_num(radiance) / white, 0.0, 1.0)
     encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    done, data = cv2.imencode(".png", np.asarray(255.0 * encoded + 0.5, dtype=np.uint8))
+    shown = np.asarray(255.0 * encoded + 0.5, dtype=np.uint8)
+    done, data = cv2.imencode(".jpg" if jpeg else ".png", shown)
     assert done
+    if jpeg:
+        return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode("ascii")
     return png_uri(data.tobytes())
 
 

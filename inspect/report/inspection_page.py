@@ -119,8 +119,9 @@ def write_report(
     folder: Path,
     view: Picture3D | None = None,
     sections: Sections | None = None,
+    path: Path | None = None,
 ) -> Path:
-    """Write ``report.html`` into an inspection folder, all or nothing.
+    """Write the report of an inspection, all or nothing.
 
     Args:
         record: the inspection.
@@ -128,11 +129,12 @@ def write_report(
         folder: the inspection folder.
         view: the height map in 3-D, or None.
         sections: what the kind of part shows of it.
+        path: file to write; ``report.html`` in the folder where it is not given.
 
     Raises:
-        RecordError: the folder cannot be written.
+        RecordError: the file cannot be written.
     """
-    path, sections = folder / REPORT_NAME, sections or Sections()
+    path, sections = path or folder / REPORT_NAME, sections or Sections()
     parts = {
         "first": sections.first,
         "before": sections.before,

@@ -247,6 +247,7 @@ def _text_of(text: str | None) -> str:
 app = App(name="history", help="List past inspections; add and check them, record reviewers' decisions.")
 Selection = Annotated[Which, Parameter(name="*")]
 One = Annotated[str, Parameter(help="Serial number, id, or folder of an inspection.")]
+Page = Annotated[Path | None, Parameter(name="--html", help="Write a page for the browser to this file.")]
 _LIMIT = 50
 
 
@@ -256,19 +257,29 @@ def history(
     which: Selection = ALL,
     limit: Annotated[int, Parameter(help="At most so many, the latest ones; 0 for all.")] = _LIMIT,
     place: Place = None,
+    html: Page = None,
     json_: Json = False,
 ) -> int:
     """List past inspections, the oldest first. All filters that are given must hold.
 
+    The page of --html has thumbnails, findings, links to the reports, and filters of its own.
+
     Examples:
         anisoscope history --since 7d --verdict FAIL
         anisoscope history --lot L42 --cavity 3 --limit 0
+        anisoscope history --since 7d --html week.html
     """
     filters = which.filters(limit)
     with opened(place) as found:
         rows = found.rows(filters)
         decided = found.dispositions_of([row.id for row in rows])
         total = found.count(filters) if len(rows) == limit else len(rows)
+        source = f"history {found.address}"
+    if html is not None:
+        from anisoscope.inspection.past_pages import history_page
+
+        with progress("history", quiet=json_) as advance:
+            history_page(html, rows, decided, total, source, advance)
     print_history(rows, decided, total, json_=json_)
     return 0
 
@@ -355,34 +366,67 @@ def _is_hash(text: str) -> bool:
     return len(text) == 64 and not set(text.lower()) - set("0123456789abcdef")
 
 
-def show(inspection: One, /, *, place: Place = None, json_: Json = False) -> int:
+def show(
+    inspection: One,
+    /,
+    *,
+    place: Place = None,
+    html: Page = None,
+    refresh: Annotated[
+        bool, Parameter(help="With --html: make the report again from the frames, as this version writes it.")
+    ] = False,
+    json_: Json = False,
+) -> int:
     """Show one inspection: verdict, numbers, reviewers' decisions, and whether its folder is unchanged.
 
     Of a part that was inspected several times, the latest. `id:7` and `serial:7` tell ids and serial numbers apart.
+    --html writes its report; where that is missing or was changed, it is made again from the frames.
 
     Examples:
         anisoscope show A-0001
+        anisoscope show A-0001 --html A-0001.html
         anisoscope show A-0001 --history inspections/history.sqlite --json
     """
     from anisoscope.history.store import find
 
+    if refresh and html is None:
+        raise UsageError("--refresh goes with --html FILE")
     with opened(place) as found:
         row = find(found, inspection)
-        print_inspection(row, found.dispositions(row.id), json_=json_)
+        decided = found.dispositions(row.id)
+    origin = None
+    if html is not None:
+        from anisoscope.inspection.past_pages import inspection_page
+
+        with progress("report", quiet=json_) as advance:
+            origin = inspection_page(html, row, refresh=refresh, advance=advance)
+    print_inspection(row, decided, json_=json_)
+    if origin is not None and not json_:
+        write_line(f"report, {origin}: {html}")
     return 0
 
 
-def compare(first: One, second: One, /, *, place: Place = None, json_: Json = False) -> int:
+def compare(
+    first: One, second: One, /, *, place: Place = None, html: Page = None, json_: Json = False
+) -> int:
     """Compare two inspections: contrasts side by side, and what changed in recipe, rig, calibrations and software.
+
+    The page of --html has the photographs of both, pose by pose.
 
     Examples:
         anisoscope compare A-0001 A-0002
+        anisoscope compare A-0001 A-0002 --html compared.html
     """
     from anisoscope.history.comparing import compare as compared
     from anisoscope.history.store import find
 
     with opened(place) as found:
         comparison = compared(find(found, first), find(found, second))
+        decided = found.dispositions_of([comparison.first.id, comparison.second.id])
+    if html is not None:
+        from anisoscope.inspection.past_pages import compared_page
+
+        compared_page(html, comparison, decided)
     print_comparison(comparison, json_=json_)
     return 0
 

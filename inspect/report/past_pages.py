@@ -1,0 +1,160 @@
+"""Pages of past inspections: the history as a table that filters itself, and two inspections side by side."""
+
+import base64
+import hashlib
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import quote
+
+from anisoscope.base.notation import contrast_name, true_minus
+from anisoscope.history.comparing import Compared, Comparison
+from anisoscope.history.rows import Row
+from anisoscope.record.schema import ConclusionRecord
+from anisoscope.report.inspection_page import REPORT_NAME
+from anisoscope.report.page import template_text, write_page
+from anisoscope.report.provenance import when
+
+_CONTRAST = re.compile(r"(ln|Michelson|difference) (-?[\d.]+)-(-?[\d.]+)(?: @(-?[\d.]+))?$")
+_KINDS = {"ln": "ln ratio", "Michelson": "Michelson contrast", "difference": "difference [1/sr]"}
+
+
+@dataclass(frozen=True)
+class Past:
+    """One inspection of the history as a page shows it.
+
+    Attributes:
+        row: its row.
+        conclusion: finding and action, or None where its record is gone.
+        disposition: the last decision of a reviewer, or None.
+        thumbnail: the part at the first pose as a data URI, or None.
+        has_report: whether the report is in its folder.
+    """
+
+    row: Row
+    conclusion: ConclusionRecord | None = None
+    disposition: str | None = None
+    thumbnail: str | None = None
+    has_report: bool = False
+
+    @property
+    def finding(self) -> str:
+        """The finding, or the first reason where no record is left."""
+        if self.conclusion is not None:
+            return self.conclusion.finding
+        return self.row.reasons[0] if self.row.reasons else ""
+
+    @property
+    def cause(self) -> str:
+        """The cause or outcome from which the conclusion follows, in words."""
+        return "" if self.conclusion is None else self.conclusion.follows_from.replace("-", " ")
+
+    @property
+    def day(self) -> str:
+        """The day of the inspection, local time."""
+        return f"{self.row.created_at.astimezone():%Y-%m-%d}"
+
+    @property
+    def time(self) -> str:
+        """The time of the inspection with its zone, local time."""
+        return when(self.row.created_at.isoformat())
+
+
+@dataclass(frozen=True)
+class PosePair:
+    """One pose of two inspections: its name, and both photographs as data URIs; None where one has none."""
+
+    name: str
+    first: str | None
+    second: str | None
+
+
+def report_link(row: Row, page: Path) -> str:
+    """Address of an inspection's report, relative to a page."""
+    report = Path(row.folder) / REPORT_NAME
+    try:
+        return quote(Path(os.path.relpath(report, page.resolve().parent)).as_posix(), safe="/.")
+    except ValueError:  # another drive
+        return report.as_uri()
+
+
+def write_history_page(path: Path, inspections: Sequence[Past], total: int, source: str) -> None:
+    """Write the table of inspections, atomically; it filters itself without a server.
+
+    Args:
+        path: file to write; links to reports are relative to it.
+        inspections: the oldest first; the page begins with the latest.
+        total: number of inspections that the selection lets through.
+        source: of the inspections, in words.
+
+    Raises:
+        RecordError: the file cannot be written.
+    """
+    script = template_text("history.js")
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    content = {
+        "title": "Inspections",
+        "source": source,
+        "total": total,
+        "inspections": [
+            (one, report_link(one.row, path) if one.has_report else None) for one in reversed(inspections)
+        ],
+        "verdicts": sorted({one.row.verdict for one in inspections}),
+        "recipes": sorted({one.row.recipe for one in inspections}),
+        "details": [
+            name
+            for name in ("lot", "cavity", "station", "operator")
+            if any(getattr(one.row, name) for one in inspections)
+        ],
+        "reviewed": any(one.disposition for one in inspections),
+        "script": script,
+        "script_hash": f"sha256-{digest}",
+    }
+    write_page(path, "history.html", content, {"typeset": true_minus})
+
+
+def write_compared_page(
+    path: Path, found: Comparison, sides: tuple[Past, Past], pairs: Sequence[PosePair]
+) -> None:
+    """Write the page of two inspections, atomically.
+
+    Args:
+        path: file to write; links to reports are relative to it.
+        found: their comparison.
+        sides: both inspections.
+        pairs: photographs of their poses.
+
+    Raises:
+        RecordError: the file cannot be written.
+    """
+    content = {
+        "title": f"{found.second.serial} against {found.first.serial}",
+        "found": found,
+        "sides": [(one, report_link(one.row, path) if one.has_report else None) for one in sides],
+        "pairs": pairs,
+        "contrasts": [(number_name(one.label), _cells(one)) for one in found.contrasts],
+        "numbers": [(number_name(one.label), _cells(one)) for one in found.numbers],
+    }
+    write_page(path, "compared.html", content, {"typeset": true_minus})
+
+
+def number_name(label: str) -> str:
+    """A number of the history for people: ``ln 0-90 @10`` becomes ``ln ratio 0° / 90°, tilt 10°``."""
+    found = _CONTRAST.match(label)
+    if found is None:
+        return label
+    name = contrast_name(float(found[2]), float(found[3]), float(found[4] or 0.0))
+    return true_minus(f"{_KINDS[found[1]]} {name}")
+
+
+def _cells(one: Compared) -> tuple[str, ...]:
+    forms = (
+        (one.first, ".4g"),
+        (one.second, ".4g"),
+        (one.difference, "+.3g"),
+        (one.u, ".2g"),
+        (one.ratio, "+.1f"),
+    )
+    return tuple("–" if value is None else true_minus(format(value, form)) for value, form in forms)
