@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +14,7 @@ from anisoscope.history.filters import Filters
 from anisoscope.history.schema import inspections, layouts
 from anisoscope.history.statements import chosen
 
-TEXTS = ("serial", "verdict", "product", "recipe", "lot", "cavity", "station", "operator")
+TEXTS = ("serial", "verdict", "product", "recipe", "lot", "cavity", "station", "operator", "folder")
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,15 +25,17 @@ class Columns:
         times: (n,) when their records were made, UTC, datetime64[us].
         texts: n words by the names of `TEXTS`; "" where nothing was said. The recipe is product and digits, as in rows.
         numbers: (n,) by label; NaN where an inspection does not have the number.
+        base: folder that relative folders of inspections are in.
     """
 
     times: npt.NDArray[np.datetime64]
     texts: Mapping[str, tuple[str, ...]]
     numbers: Mapping[str, npt.NDArray[np.float64]]
+    base: Path = Path()
 
 
-def read_columns(connection: Connection, filters: Filters) -> Columns:
-    """Read the columns of the selected inspections.
+def read_columns(connection: Connection, filters: Filters, base: Path = Path()) -> Columns:
+    """Read the columns of the selected inspections; ``base`` as of the columns.
 
     Raises:
         UsageError: a filter that makes no sense.
@@ -46,6 +49,7 @@ def read_columns(connection: Connection, filters: Filters) -> Columns:
         np.array(moments, dtype=np.int64).astype("datetime64[us]"),
         dict(zip(TEXTS, texts, strict=True)),
         _numbers(connection, kinds, data),
+        base,
     )
 
 

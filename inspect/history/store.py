@@ -171,7 +171,8 @@ class History:
             UsageError, HistoryError: as for `rows`.
         """
         with self._database.reading() as connection:
-            return read_columns(connection, filters)
+            place = self.address.path
+            return read_columns(connection, filters, Path() if place is None else place.parent)
 
     def labels(self, filters: Filters = EVERYTHING) -> tuple[str, ...]:
         """Labels of all numbers that some of these inspections have, each once.

@@ -20,7 +20,7 @@ from anisoscope.base.errors import UsageError
 from anisoscope.base.json_fields import LEFT_OUT, in_json, json_field
 from anisoscope.base.notebook import axes_or_new, data_frame, html_table
 from anisoscope.quality.capability import GOOD, POOR, Capability, Specification, capability
-from anisoscope.quality.individuals import BoolArray, Limits, given_limits, limits_of, moving_range
+from anisoscope.quality.individuals import BoolArray, Limits, Period, given_limits, limits_of, moving_range
 from anisoscope.quality.nelson import Flag, flags
 
 if TYPE_CHECKING:
@@ -170,6 +170,7 @@ class Settings:
         weight: lambda of the EWMA.
         width: L of the EWMA.
         center, sigma: known mean and short-term standard deviation, in place of a baseline; both or neither.
+        period: whose values the limits rest on, in place of a baseline.
     """
 
     baseline: int | None = None
@@ -177,6 +178,7 @@ class Settings:
     width: float = WIDTH
     center: float | None = None
     sigma: float | None = None
+    period: Period | None = None
 
     def limits(self, values: FloatArray) -> Limits:
         """Limits of a series.
@@ -186,11 +188,15 @@ class Settings:
         """
         if (self.center is None) != (self.sigma is None):
             raise UsageError("a known mean and a known sigma go together: give both or neither")
+        if self.period is not None and (self.baseline, self.center) != (None, None):
+            raise UsageError(
+                "limits rest on a reference period, on a baseline or on a known mean and sigma: name one of them"
+            )
         if self.center is not None and self.sigma is not None:
             if self.baseline is not None:
                 raise UsageError("a known mean and sigma take the place of a baseline: leave one of them out")
             return given_limits(self.center, self.sigma)
-        return limits_of(values, self.baseline)
+        return limits_of(values, self.baseline, self.period)
 
 
 @dataclass(frozen=True)
@@ -379,7 +385,7 @@ def capable_words(found: Capability, stable: bool) -> str:
         word = "not capable"
     outside = f"{found.outside} of {found.count} outside"
     text = f"{word}: Ppk {index.value:.2f} ({index.low:.2f} to {index.high:.2f}), {outside}"
-    return text if stable else text + "; of a process that is not stable this foretells nothing"
+    return text if stable else text + "; capability is meaningless until the process is stable"
 
 
 def control_study(

@@ -32,6 +32,8 @@ class Limits:
         range_center: mean moving range.
         baseline: measured values that the limits rest on; 0 if they were given.
         ranges: moving ranges among them.
+        first, last: places of the first and last of these values, from 0; last is -1 if the limits were given.
+        period: of the reference, in words; "" where none was named.
     """
 
     center: float
@@ -39,6 +41,9 @@ class Limits:
     range_center: float
     baseline: int
     ranges: int = field(metadata=LEFT_OUT)
+    first: int = field(default=0, metadata=LEFT_OUT)
+    last: int = field(default=-1, metadata=LEFT_OUT)
+    period: str = field(default="", metadata=LEFT_OUT)
 
     @property
     @in_json()
@@ -66,16 +71,28 @@ def moving_range(values: FloatArray) -> FloatArray:
     return ranges
 
 
-def limits_of(values: FloatArray, baseline: int | None = None) -> Limits:
-    """Limits from the first measured values of a series.
+@dataclass(frozen=True, eq=False)
+class Period:
+    """A reference period: its name, and (N,) which values of a series belong to it."""
+
+    name: str
+    inside: BoolArray
+
+
+def limits_of(values: FloatArray, baseline: int | None = None, period: Period | None = None) -> Limits:
+    """Limits from the first measured values of a series, or from those of a reference period.
 
     Args:
         values: (N,) in the order in which they were measured; NaN is missing.
-        baseline: measured values to use; None for all.
+        baseline: measured values to use, counted from the start; None for all.
+        period: in place of a baseline.
 
     Raises:
         UsageError: too few values, or a baseline that does not vary.
     """
+    name = "baseline" if period is None else f"reference period {period.name}"
+    if period is not None:
+        values = np.where(period.inside, values, np.nan)
     measured = np.flatnonzero(~np.isnan(values))
     if baseline is not None and baseline > len(measured):
         raise UsageError(
@@ -83,18 +100,23 @@ def limits_of(values: FloatArray, baseline: int | None = None) -> Limits:
         )
     count = len(measured) if baseline is None else baseline
     if count < MIN_BASELINE:
-        raise UsageError(f"a control chart needs at least {MIN_BASELINE} measured values, not {count}")
-    used = values[: measured[count - 1] + 1]
+        where = "" if period is None else f" in the {name}"
+        raise UsageError(f"a control chart needs at least {MIN_BASELINE} measured values{where}, not {count}")
+    first, last = int(measured[0]), int(measured[count - 1])
+    used = values[: last + 1]
     ranges = moving_range(used)
     ranges = ranges[~np.isnan(ranges)]
     if len(ranges) == 0:
-        raise UsageError("no two measured values of the baseline follow each other: there is no moving range")
+        raise UsageError(f"no two measured values of the {name} follow each other: there is no moving range")
     mean_range = float(ranges.mean())
     if mean_range == 0.0:
         raise UsageError(
-            "all values of the baseline are the same: there is nothing to draw limits from; is the number rounded?"
+            f"all values of the {name} are the same: there is nothing to draw limits from; is the number rounded?"
         )
-    return Limits(float(np.nanmean(used)), mean_range / D2, mean_range, count, len(ranges))
+    words = "" if period is None else period.name
+    return Limits(
+        float(np.nanmean(used)), mean_range / D2, mean_range, count, len(ranges), first, last, words
+    )
 
 
 def given_limits(center: float, sigma: float) -> Limits:

@@ -4,6 +4,7 @@ import csv
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from datetime import UTC, datetime, tzinfo
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from anisoscope.history.filters import Filters
 from anisoscope.history.store import open_history
 
 GROUPS = ("product", "recipe", "lot", "cavity", "station", "operator")
-TEXTS = ("time", "serial", *GROUPS, "verdict", "part", "appraiser", "trial")
+TEXTS = ("time", "serial", *GROUPS, "verdict", "part", "appraiser", "trial", "folder")
 MISSING = {"", "nan", "na", "-", "missing", "invalid"}
 INVALID = "INVALID"
 
@@ -30,11 +31,15 @@ class Readings:
         source: where they come from, for messages and titles.
         texts: columns of words: some of ``TEXTS``.
         numbers: columns of numbers, NaN where there is none.
+        zone: of the times; None for that of this computer.
+        base: folder that relative folders of inspections are in.
     """
 
     source: str
     texts: Mapping[str, tuple[str, ...]]
     numbers: Mapping[str, FloatArray]
+    zone: tzinfo | None = None
+    base: Path = Path()
 
     def __len__(self) -> int:
         return len(next(iter(self.numbers.values()), ()))
@@ -47,6 +52,20 @@ class Readings:
                 names = self.texts[column]
                 return tuple(name or f"#{k}" for k, name in enumerate(names, start=1))
         return tuple(f"#{k}" for k in range(1, len(self) + 1))
+
+    def moment(self, place: int) -> datetime | None:
+        """Time of a reading in the zone of this computer; None where there is none that can be read."""
+        text = self.texts["time"][place] if "time" in self.texts else ""
+        try:
+            found = datetime.fromisoformat(text)
+        except ValueError:
+            return None
+        return (found if found.tzinfo or self.zone is None else found.replace(tzinfo=self.zone)).astimezone()
+
+    def folder(self, place: int) -> str:
+        """Inspection folder of a reading; "" where none is named."""
+        text = self.texts["folder"][place] if "folder" in self.texts else ""
+        return str(self.base / text) if text else ""
 
     def number(self, name: str | None) -> tuple[str, FloatArray]:
         """Name and values of a number; the first one for None.
@@ -108,6 +127,8 @@ class Readings:
             self.source,
             {name: tuple(column[k] for k in places) for name, column in self.texts.items()},
             {name: column[places] for name, column in self.numbers.items()},
+            self.zone,
+            self.base,
         )
 
 
@@ -137,7 +158,7 @@ def read_readings(path: Path) -> Readings:
     numbers = {
         name: _numbers(path, name, column, lines) for name, column in fields.items() if name not in TEXTS
     }
-    return Readings(str(path), texts, without_invalid(texts, numbers))
+    return Readings(str(path), texts, without_invalid(texts, numbers), base=path.parent)
 
 
 def without_invalid(
@@ -208,8 +229,8 @@ def readings_of(found: Columns, source: str) -> Readings:
         source: where they come from, for messages.
     """
     texts = {"time": _written(found.times)}
-    texts |= {name: found.texts[name] for name in ("serial", "verdict", *GROUPS)}
-    return Readings(source, texts, without_invalid(texts, found.numbers))
+    texts |= {name: found.texts[name] for name in ("serial", "verdict", *GROUPS, "folder")}
+    return Readings(source, texts, without_invalid(texts, found.numbers), UTC, found.base)
 
 
 def _written(times: npt.NDArray[np.datetime64]) -> tuple[str, ...]:

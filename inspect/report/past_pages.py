@@ -71,9 +71,9 @@ class PosePair:
     second: str | None
 
 
-def report_link(row: Row, page: Path) -> str:
-    """Address of an inspection's report, relative to a page."""
-    report = Path(row.folder) / REPORT_NAME
+def report_link(folder: str, page: Path) -> str:
+    """Address of the report in the folder of an inspection, relative to a page."""
+    report = Path(folder) / REPORT_NAME
     try:
         return quote(Path(os.path.relpath(report, page.resolve().parent)).as_posix(), safe="/.")
     except ValueError:  # another drive
@@ -99,7 +99,8 @@ def write_history_page(path: Path, inspections: Sequence[Past], total: int, sour
         "source": source,
         "total": total,
         "inspections": [
-            (one, report_link(one.row, path) if one.has_report else None) for one in reversed(inspections)
+            (one, report_link(one.row.folder, path) if one.has_report else None)
+            for one in reversed(inspections)
         ],
         "verdicts": sorted({one.row.verdict for one in inspections}),
         "recipes": sorted({one.row.recipe for one in inspections}),
@@ -132,7 +133,7 @@ def write_compared_page(
     content = {
         "title": f"{found.second.serial} against {found.first.serial}",
         "found": found,
-        "sides": [(one, report_link(one.row, path) if one.has_report else None) for one in sides],
+        "sides": [(one, report_link(one.row.folder, path) if one.has_report else None) for one in sides],
         "pairs": pairs,
         "contrasts": [(number_name(one.label), _cells(one)) for one in found.contrasts],
         "numbers": [(number_name(one.label), _cells(one)) for one in found.numbers],

@@ -9,18 +9,23 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.quality.control import ControlStudy
 from anisoscope.quality.individuals import BoolArray
 from anisoscope.quality.nelson import flagged
-from anisoscope.report.figures import BLUE, GREEN, INK, MUTED, ORANGE, RED, new_figure, svg_uri
+from anisoscope.report.figures import BLUE, GREEN, INK, MUTED, ORANGE, RED, ZONE, new_figure, svg_uri
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from anisoscope.quality.capability import Capability, Index
 from anisoscope.quality.nelson import MEANING
+from anisoscope.quality.readings import Readings
+from anisoscope.report.inspection_page import REPORT_NAME
 from anisoscope.report.page import write_page
-from anisoscope.report.statistics_sections import Grid, Picture, chance, number
+from anisoscope.report.past_pages import report_link
+from anisoscope.report.statistics_sections import Grid, Mark, Picture, chance, number
 
 IntArray = npt.NDArray[np.int64]
 BUCKETS = 1200
@@ -74,11 +79,43 @@ SINGLE = 400  # values up to which each of them gets its own dot
 NAMED = 30  # flags up to which the chart names their rules
 MANY = 2500  # marks beyond which they are drawn as pixels
 BINS = 60
+TICKS = 7
+TICK_LETTERS = 16
 
 
-def control_picture(study: ControlStudy) -> str:
-    """Values, moving range and EWMA over each other, with their limits, as a data URI."""
-    with new_figure(9.4, 7.2) as (figure, whole):
+@dataclass(frozen=True, eq=False)
+class Points:
+    """The readings of a series; their times, and addresses of their reports relative to a page.
+
+    Attributes:
+        readings: of the series, in its order.
+        page: file that links to the reports.
+    """
+
+    readings: Readings
+    page: Path
+
+    @property
+    def linked(self) -> bool:
+        """Whether the readings name folders of inspections."""
+        return any(self.readings.texts.get("folder", ()))
+
+    def time(self, place: int) -> datetime | None:
+        """Local time of a reading."""
+        return self.readings.moment(place)
+
+    def link(self, place: int) -> str | None:
+        """Address of the report of a reading; None where there is none."""
+        folder = self.readings.folder(place)
+        return report_link(folder, self.page) if folder and (Path(folder) / REPORT_NAME).is_file() else None
+
+
+WIDTH, HEIGHT = 9.4, 7.4
+
+
+def control_picture(study: ControlStudy, points: Points | None = None) -> tuple[str, tuple[Mark, ...]]:
+    """Values, moving range and EWMA over each other, with their limits, as a data URI; and marks on the values."""
+    with new_figure(WIDTH, HEIGHT) as (figure, whole):
         whole.remove()
         values, ranges, average = figure.subplots(3, 1, sharex=True, height_ratios=(3.0, 1.6, 2.0))
         figure.set_dpi(150)
@@ -88,23 +125,73 @@ def control_picture(study: ControlStudy) -> str:
         for side in (-2.0, -1.0, 1.0, 2.0):
             values.axhline(limits.center + side * limits.sigma, color=MUTED, linewidth=0.5, linestyle=":")
         if 0 < limits.baseline < study.count:
-            end = float(np.flatnonzero(~np.isnan(study.values))[limits.baseline - 1]) + 1.5
-            values.axvline(end, color=MUTED, linewidth=1.0, linestyle="--")
-            values.annotate("baseline ", (end, 1.0), xycoords=("data", "axes fraction"), ha="right", va="top",
-                            fontsize=8, color=INK)  # fmt: skip
+            _reference(values, limits.first + 0.5, limits.last + 1.5, len(study.values))
         _name_rules(values, study)
         _line(ranges, study.ranges, study.wide)
         _levels(ranges, limits.range_center, None, limits.range_upper)
         _line(average, study.average.average, study.average.outside)
-        points = outline(study.average.upper)
+        ends = outline(study.average.upper)
         for edge in (study.average.lower, study.average.upper):
-            average.plot(points + 1, edge[points], color=RED, linewidth=1.0, linestyle="--")
+            average.plot(ends + 1, edge[ends], color=RED, linewidth=1.0, linestyle="--")
         average.axhline(limits.center, color=GREEN, linewidth=1.0, zorder=2.5)
         for axes, name in zip((values, ranges, average), ("value", "moving range", "EWMA"), strict=True):
             axes.set_ylabel(name)
-        average.set_xlabel("measurement")
         average.set_xlim(0.3, len(study.values) + 0.7)
-        return svg_uri(figure)
+        _name_places(average, study, points)
+        uri = svg_uri(figure)
+        return uri, _marks(study, points, values)
+
+
+def _reference(axes: "Axes", begin: float, end: float, count: int) -> None:
+    """Shade the reference period and name it where there is room."""
+    axes.axvspan(begin, end, color=ZONE, linewidth=0.0, zorder=0.5)
+    right = begin > 0.6 * count
+    axes.annotate("reference period", (end if right else begin, 1.0), xycoords=("data", "axes fraction"),
+                  xytext=(-3 if right else 3, 3), textcoords="offset points", ha="right" if right else "left",
+                  va="bottom", fontsize=8, color=INK)  # fmt: skip
+
+
+def _name_places(axes: "Axes", study: ControlStudy, points: Points | None) -> None:
+    """Serial number and time of a few values below the chart."""
+    count = len(study.values)
+    places = np.unique(np.linspace(0, count - 1, min(count, TICKS)).round().astype(np.int64))
+    axes.set_xticks(places + 1, [_tick(study, points, place) for place in places.tolist()], fontsize=8)
+    timed = points is not None and points.time(0) is not None
+    axes.set_xlabel(
+        f"{count} measurements in their order; serial number{' and local time' if timed else ''} of some"
+    )
+
+
+def _tick(study: ControlStudy, points: Points | None, place: int) -> str:
+    label = study.labels[place]
+    short = label if len(label) <= TICK_LETTERS else f"{label[: TICK_LETTERS - 1]}…"
+    time = None if points is None else points.time(place)
+    return short if time is None else f"{short}\n{time:%Y-%m-%d}\n{time:%H:%M}"
+
+
+def _marks(study: ControlStudy, points: Points | None, axes: "Axes") -> tuple[Mark, ...]:
+    """Marks on the values, or on the flagged ones of many; the figure must have been drawn."""
+    places = np.flatnonzero(~np.isnan(study.values))
+    if len(places) > SINGLE:
+        places = places[flagged(study.flags, len(study.values))[places]][:SINGLE]
+    if not len(places):
+        return ()
+    at = axes.transData.transform(np.stack([places + 1.0, study.values[places]], axis=1))
+    size = axes.figure.bbox.size
+    rules: dict[int, list[str]] = {}
+    for flag in study.flags:
+        for place in range(flag.first, flag.last + 1):
+            rules.setdefault(place, []).append(str(flag.rule))
+    found = []
+    for place, (x, y) in zip(places.tolist(), at / size, strict=True):
+        time = None if points is None else points.time(place)
+        words = [study.labels[place], number(float(study.values[place]))]
+        words += [f"{time:%Y-%m-%d %H:%M %Z}"] if time is not None else []
+        words += [f"rule {', '.join(dict.fromkeys(rules[place]))}"] if place in rules else []
+        found.append(
+            Mark(float(x), 1.0 - float(y), " · ".join(words), None if points is None else points.link(place))
+        )
+    return tuple(found)
 
 
 def _line(axes: "Axes", values: FloatArray, marked: BoolArray) -> None:
@@ -166,8 +253,9 @@ def spread_picture(study: ControlStudy) -> str:
             for level, name in ((limits.lower, "lower limit"), (limits.upper, "upper limit")):
                 if level is not None:
                     axes.axvline(level, color=RED, linewidth=1.4, linestyle="--")
-                    axes.annotate(f" {name}", (level, 0.98), xycoords=("data", "axes fraction"), va="top",
-                                  rotation=90, fontsize=8, color=INK)  # fmt: skip
+                    axes.annotate(name, (level, 0.98), xycoords=("data", "axes fraction"), va="top",
+                                  xytext=(3, 0), textcoords="offset points", rotation=90, fontsize=8,
+                                  color=INK)  # fmt: skip
         axes.set_ylim(0.0, 1.12 * float(np.max(heights)))
         axes.set_xlabel(study.name)
         axes.set_ylabel("parts")
@@ -185,7 +273,7 @@ def write_spc_page(
     title: str,
     source: str,
     studies: Sequence[ControlStudy],
-    detailed: Sequence[ControlStudy],
+    detailed: Sequence[tuple[ControlStudy, Points | None]],
     notes: Sequence[str] = (),
 ) -> None:
     """Write the page, atomically.
@@ -195,7 +283,7 @@ def write_spc_page(
         title: heading.
         source: where the values come from.
         studies: all, for the overview.
-        detailed: those that get charts; the first 12 do.
+        detailed: those that get charts, with their values; the first 12 do.
         notes: what else the reader should know.
 
     Raises:
@@ -207,7 +295,7 @@ def write_spc_page(
         "title": title,
         "source": source,
         "overview": overview(studies),
-        "studies": [study_content(one) for one in detailed[:DETAILED]],
+        "studies": [study_content(*one) for one in detailed[:DETAILED]],
         "notes": [*notes, *more],
     }
     write_page(path, "spc.html", content)
@@ -231,7 +319,7 @@ def overview(studies: Sequence[ControlStudy]) -> Grid:
     return Grid("Overview", "All series at a glance", columns, rows, "overview")
 
 
-def study_content(study: ControlStudy) -> dict[str, Any]:
+def study_content(study: ControlStudy, points: Points | None = None) -> dict[str, Any]:
     """Content of the template for one series."""
     normality = study.normality
     words = (
@@ -243,7 +331,7 @@ def study_content(study: ControlStudy) -> dict[str, Any]:
         "name": study.name,
         "verdict": study.verdict,
         "good": study.stable and (study.capability is None or study.capability.ppk.value >= 1.0),
-        "pictures": [_chart(study), _spread(study)],
+        "pictures": [_chart(study, points), _spread(study)],
         "tables": tables(study),
         "notes": [*words, *study.notes],
     }
@@ -260,7 +348,7 @@ def interval(index: Index) -> str:
     return f"{index.value:.2f} ({index.low:.2f} to {index.high:.2f})".replace("-", "−")
 
 
-def _chart(study: ControlStudy) -> Picture:
+def _chart(study: ControlStudy, points: Points | None) -> Picture:
     limits = study.limits
     alt = (
         f"Control charts of {study.name}: {study.count} values about {number(limits.center)} with limits "
@@ -271,11 +359,14 @@ def _chart(study: ControlStudy) -> Picture:
     caption = (
         "Values, moving range and exponentially weighted moving average (EWMA) in the order of measurement. Green: "
         "centre. Red dashes: limits. Red squares: values that belong to a pattern, with the number of the rule where "
-        "they are few."
+        "they are few. Point at a value for its serial number and time"
     )
+    linked = points is not None and points.linked
+    caption += "; click it for the report of the part." if linked else "."
     if len(study.values) > 2400:
         caption += " Of this many values the outline is drawn, and every flagged one."
-    return Picture(control_picture(study), alt, caption)
+    uri, marks = control_picture(study, points)
+    return Picture(uri, alt, caption, marks, WIDTH / HEIGHT)
 
 
 def _spread(study: ControlStudy) -> Picture:
@@ -300,9 +391,21 @@ def _limits(study: ControlStudy) -> Grid:
             number(limits.center + reach),
         ),
     )
-    origin = "given" if limits.baseline == 0 else f"from the first {limits.baseline} measured values"
-    title = f"Limits, {origin}; sigma {number(limits.sigma)}"
+    title = f"Limits {_origin(study)}; sigma {number(limits.sigma)}"
     return Grid("Limits", title, ("chart", "lower", "center", "upper"), rows, "limits")
+
+
+def _origin(study: ControlStudy) -> str:
+    """The values that the limits rest on, in words."""
+    limits = study.limits
+    if limits.baseline == 0:
+        return "as given"
+    ends = f"{study.labels[limits.first]} to {study.labels[limits.last]}"
+    if limits.period:
+        return f"from the reference period {limits.period}: {limits.baseline} values, {ends}"
+    if limits.baseline == study.count:
+        return f"from all {study.count} measured values"
+    return f"from the first {limits.baseline} measured values, {ends}"
 
 
 def _capability(found: Capability) -> Grid:

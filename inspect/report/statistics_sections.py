@@ -5,12 +5,30 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
+class Mark:
+    """A place of a picture that shows a text when it is pointed at, and may lead to a page.
+
+    Attributes:
+        x, y: from the upper left corner, in units of the picture's size.
+        text: of the place.
+        link: address, or None.
+    """
+
+    x: float
+    y: float
+    text: str
+    link: str | None = None
+
+
+@dataclass(frozen=True)
 class Picture:
-    """Picture as a data URI, with alternative text and caption."""
+    """Picture as a data URI, with alternative text and caption, and marks on it; ``aspect`` is width over height."""
 
     uri: str
     alt: str
     caption: str
+    marks: tuple[Mark, ...] = ()
+    aspect: float = 1.0
 
 
 @dataclass(frozen=True)

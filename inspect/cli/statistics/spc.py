@@ -1,9 +1,11 @@
 """``anisoscope spc``: control charts and capability of measured series."""
 
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
@@ -28,13 +30,14 @@ from anisoscope.cli.statistics.source import (
 if TYPE_CHECKING:
     from anisoscope.quality.capability import Specification
     from anisoscope.quality.control import ControlStudy, Settings
+    from anisoscope.quality.individuals import Period
     from anisoscope.quality.readings import Readings
 
 LISTED = 20  # patterns in the terminal
 
 
 @dataclass(frozen=True)
-@everyday("by", "baseline", "lower", "upper")
+@everyday("by", "baseline", "period", "lower", "upper")
 class Charting:
     """Chart type and rules for a series."""
 
@@ -48,6 +51,13 @@ class Charting:
             name="--baseline", help="Limits from this many measured values at the start; else from all."
         ),
     ] = None
+    period: Annotated[
+        str | None,
+        Parameter(
+            name="--period",
+            help="Limits from the values of this reference period, such as 2026-11-01..2026-11-07 or 14d..7d.",
+        ),
+    ] = None
     weight: Annotated[float, Parameter(name="--lambda", help="Weight of the newest value in the EWMA.")] = 0.2
     width: Annotated[float, Parameter(name="--width", help="Limits of the EWMA, in its sigma (L).")] = 3.0
     center: Annotated[
@@ -59,11 +69,38 @@ class Charting:
     lower: Annotated[float | None, Parameter(name="--lower", help="Lower limit of good parts.")] = None
     upper: Annotated[float | None, Parameter(name="--upper", help="Upper limit of good parts.")] = None
 
-    def settings(self) -> "Settings":
-        """Options as settings of the chart."""
+    def settings(self, readings: "Readings") -> "Settings":
+        """Options as settings of the chart of some readings.
+
+        Raises:
+            UsageError: a period that is none, or readings without times.
+        """
         from anisoscope.quality.control import Settings
 
-        return Settings(self.baseline, self.weight, self.width, self.center, self.sigma)
+        period = None if self.period is None else period_of(readings, self.period)
+        return Settings(self.baseline, self.weight, self.width, self.center, self.sigma, period)
+
+
+def period_of(readings: "Readings", text: str) -> "Period":
+    """The readings of a period, such as ``2026-11-01..2026-11-07``; either end may be missing.
+
+    Raises:
+        UsageError: it is no period, or the readings have no times.
+    """
+    from anisoscope.history.filters import parse_moment
+    from anisoscope.quality.individuals import Period
+
+    begin, dots, end = text.partition("..")
+    if not dots or not (begin or end):
+        raise UsageError(f"--period takes FROM..TO, such as 2026-11-01..2026-11-07, not {text!r}")
+    moments = [readings.moment(place) for place in range(len(readings))]
+    if not any(moments):
+        raise UsageError(f"{readings.source}: no reading has a time, which --period needs")
+    now = datetime.now(UTC)
+    first = parse_moment(begin, "--period", now=now) if begin else datetime.min.replace(tzinfo=UTC)
+    last = parse_moment(end, "--period", now=now, at_end=True) if end else datetime.max.replace(tzinfo=UTC)
+    inside = np.array([one is not None and first <= one <= last for one in moments], dtype=np.bool_)
+    return Period(f"{begin or 'the beginning'} to {end or 'the end'}", inside)
 
 
 USUAL = Charting()
@@ -90,11 +127,11 @@ def spc(
 
     Examples:
         anisoscope spc --number "ln 0-90" --recipe plate.toml --html spc.html
+        anisoscope spc -n "ln 0-90" --by cavity --period 2026-11-01..2026-11-07 --html spc.html
         anisoscope spc --csv heights.csv --lower 9.8 --upper 10.2
     """
     from anisoscope.quality.capability import charted
 
-    settings = charting.settings()
     tolerances = _tolerances(which.recipe)
     chosen = which if tolerances is None else replace(which, recipe=None)
     readings = readings_from(csv, place, chosen, limit)
@@ -103,34 +140,45 @@ def spc(
         raise UsageError(f"{readings.source}: there is no number to chart")
     if number is None and len(names) > 1 and (charting.lower, charting.upper, charting.center) != (None,) * 3:
         raise UsageError("limits and known means belong to one number: name it with --number")
-    studies, skipped = [], []
+    charts, skipped = [], []
     with progress("control charts", quiet=json_) as advance:
-        for name, group, study in _all(readings, names, charting, settings, tolerances, advance):
-            if isinstance(study, str):
-                skipped.append(f"{_title(name, group)}: {study}")
+        for one in _all(readings, names, charting, tolerances, advance):
+            if isinstance(one, str):
+                skipped.append(one)
             else:
-                studies.append((name, study))
-    if not studies:
+                charts.append(one)
+    if not charts:
         raise UsageError(skipped[0])
-    _deliver(readings, studies, skipped, html, json_=json_)
-    return 0 if all(study.stable for _, study in studies) else 1
+    _deliver(readings, charts, charting.by, skipped, html, json_=json_)
+    return 0 if all(one.study.stable for one in charts) else 1
+
+
+@dataclass(frozen=True, eq=False)
+class _Chart:
+    """A control study of a number, with the readings that it is of."""
+
+    number: str
+    readings: "Readings"
+    study: "ControlStudy"
 
 
 def _deliver(
     readings: "Readings",
-    studies: "list[tuple[str, ControlStudy]]",
+    charts: list[_Chart],
+    by: str | None,
     skipped: list[str],
     html: Path | None,
     *,
     json_: bool,
 ) -> None:
     """Write the page, with charts of the first number, and print."""
-    found = [study for _, study in studies]
-    first = [study for name, study in studies if name == studies[0][0]]
+    found, number = [one.study for one in charts], charts[0].number
+    title = number if by is None else f"{number}, by {by}"
     if html is not None:
-        from anisoscope.report.spc_page import write_spc_page
+        from anisoscope.report.spc_page import Points, write_spc_page
 
-        write_spc_page(html, f"Control charts: {first[0].name}", _source(readings), found, first, skipped)
+        first = [(one.study, Points(one.readings, html)) for one in charts if one.number == number]
+        write_spc_page(html, f"Control charts: {title}", _source(readings), found, first, skipped)
     if json_:
         content = {
             "source": readings.source,
@@ -141,7 +189,7 @@ def _deliver(
         return
     _show(readings, found, skipped, alone=len(found) == 1 and not skipped)
     if html is not None:
-        write_lines(f"{html}: charts of {first[0].name}")
+        write_lines(f"{html}: charts of {title}")
 
 
 def _tolerances(recipe: str | None) -> dict[str, float] | None:
@@ -160,35 +208,37 @@ def _all(
     readings: "Readings",
     names: tuple[str, ...],
     charting: Charting,
-    settings: "Settings",
     tolerances: dict[str, float] | None,
     advance: Advance,
-) -> "list[tuple[str, str, ControlStudy | str]]":
-    """Control study of every number in every group, or the reason for its absence."""
+) -> list[_Chart | str]:
+    """Chart of every number in every group, or the reason for its absence."""
     from anisoscope.quality.control import control_study
     from anisoscope.quality.readings import GROUPS
 
     if charting.by is not None and charting.by not in GROUPS:
         raise UsageError(f"--by takes {', '.join(GROUPS)}, not {charting.by!r}")
     groups = readings.grouped(charting.by)
-    found: list[tuple[str, str, ControlStudy | str]] = []
+    found: list[_Chart | str] = []
     for name in names:
         for group, part in groups.items():
-            advance(_title(name, group), len(found), len(names) * len(groups))
+            title = _title(name, charting.by, group)
+            advance(title, len(found), len(names) * len(groups))
             values = part.numbers[name]
             try:
                 limits = _specification(part, name, charting, tolerances)
-                chart = control_study(_title(name, group), values, part.labels, settings, limits)
-                found.append((name, group, chart))
+                study = control_study(title, values, part.labels, charting.settings(part), limits)
+                found.append(_Chart(name, part, study))
             except UsageError as error:
                 if len(names) * len(groups) == 1:
                     raise
-                found.append((name, group, str(error)))
+                found.append(f"{title}: {error}")
     return found
 
 
-def _title(name: str, group: str) -> str:
-    return f"{name}, {group}" if group else name
+def _title(name: str, by: str | None, group: str) -> str:
+    if by is None:
+        return name
+    return f"{name}, {by} {group}" if group else f"{name}, {by} not stated"
 
 
 def _specification(
@@ -202,8 +252,9 @@ def _specification(
 
 
 def _source(readings: "Readings") -> str:
-    times = readings.texts.get("time", ())
-    period = f", {min(times)} to {max(times)}" if times and all(times) else ""
+    first, last = readings.moment(0), readings.moment(-1)
+    known = first is not None and last is not None
+    period = f", {first:%Y-%m-%d %H:%M} to {last:%Y-%m-%d %H:%M %Z}" if known else ""
     return f"{readings.source}: {len(readings)} readings{period}"
 
 

@@ -96,12 +96,26 @@ def test_spc_without_a_number_is_an_overview_and_by_lot_is_stable(done, place):
     assert "u ln 0-90" not in out.replace("deviation", "")
     code, out, _ = done("spc", "--history", place, "-n", "ln 0-90", "--by", "lot", "--json")
     content = json.loads(out)
-    assert [one["name"] for one in content["studies"]] == ["ln 0-90, L0", "ln 0-90, L1"]
+    assert [one["name"] for one in content["studies"]] == ["ln 0-90, lot L0", "ln 0-90, lot L1"]
     centers = [one["limits"]["center"] for one in content["studies"]]
     assert centers == [pytest.approx(1.0, abs=0.02), pytest.approx(1.1, abs=0.02)]
     code, out, _ = done("spc", "--history", place, "-n", "ln 0-90", "--lot", "L0", "--json")
     (study,) = json.loads(out)["studies"]
     assert (study["measured"], code) == (40, 0 if study["stable"] else 1)
+
+
+def test_limits_from_a_reference_period_are_named(done, tmp_path):
+    lines = [f"2026-11-{day:02d} 12:00,{1.0 + 0.1 * (day % 3) + (day > 10)}" for day in range(1, 21)]
+    path = tmp_path / "values.csv"
+    path.write_text("\n".join(["time,x", *lines]) + "\n")
+    _, out, _ = done("spc", "--csv", path, "--period", "2026-11-01..2026-11-10", "--json")
+    assert json.loads(out)["studies"][0]["limits"]["baseline"] == 10
+    assert json.loads(out)["studies"][0]["limits"]["center"] == pytest.approx(1.1)
+    _, out, _ = done("spc", "--csv", path, "--period", "2026-11-01..2026-11-10")
+    assert "2026-11-01 to 2026-11-10" in out
+    for wrong in ("2026-11-01", "..", "2026-12-01..", "yesterday..2026-13-01"):
+        assert done("spc", "--csv", path, "--period", wrong)[0] == 64
+    assert done("spc", "--csv", path, "--period", "2026-11-01..", "--baseline", 5)[0] == 64
 
 
 def test_a_recipe_file_gives_the_limits(done, place, tmp_path):

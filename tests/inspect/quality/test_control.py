@@ -28,7 +28,7 @@ def test_a_steady_process_is_stable_and_judged():
     found = study(steady(60), limits=Specification(-8.0, 8.0))
     assert found.stable
     assert found.verdict.startswith("stable: nothing unusual among 60 values; capable: Ppk ")
-    assert "foretells nothing" not in found.verdict
+    assert "meaningless until" not in found.verdict
     assert "not capable" in study(steady(60), limits=Specification(-1.0, 1.0)).verdict
 
 
@@ -39,7 +39,7 @@ def test_a_shift_after_the_baseline_is_found_and_named():
     assert found.limits.baseline == 60
     assert abs(found.limits.center) < 0.5
     assert min(flag.seen_at for flag in found.flags) in range(60, 70)
-    assert "foretells nothing" in found.verdict
+    assert "meaningless until" in found.verdict
     assert f"first at {LABELS[found.flags[0].seen_at]}" in found.verdict
 
 

@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from anisoscope.report.spc_page import BUCKETS, distinct_on_paper, outline
+from anisoscope.quality.control import Settings, control_study
+from anisoscope.quality.readings import Readings
+from anisoscope.report.spc_page import BUCKETS, Points, control_picture, distinct_on_paper, outline
 
 
 def test_few_values_are_all_drawn():
@@ -50,3 +52,25 @@ def test_few_flags_are_all_kept(rng):
     values = rng.normal(size=100_000)
     marked = np.abs(values) > 3.2
     np.testing.assert_array_equal(distinct_on_paper(values, marked), np.flatnonzero(marked))
+
+
+def test_marks_stand_at_the_values_and_lead_to_their_reports(tmp_path):
+    values = np.array([1.0, 2.0, 1.5, np.nan, 1.2, 1.8, 1.4, 1.1])
+    folder = tmp_path / "A5"
+    folder.mkdir()
+    (folder / "report.html").touch()
+    texts = {
+        "time": tuple(f"2026-11-0{k + 1} 06:00+00:00" for k in range(8)),
+        "folder": tuple("A5" if k == 5 else "gone" for k in range(8)),
+    }
+    readings = Readings("a file", texts, {"x": values}, base=tmp_path)
+    study = control_study("x", values, tuple(f"A{k}" for k in range(8)), Settings())
+    _, marks = control_picture(study, Points(readings, tmp_path / "spc.html"))
+    measured = values[~np.isnan(values)]
+    assert [mark.link for mark in marks] == [None, None, None, None, "A5/report.html", None, None]
+    slope = np.polyfit(measured, [mark.y for mark in marks], 1)
+    assert [mark.y for mark in marks] == pytest.approx(np.polyval(slope, measured))
+    assert slope[0] < 0.0
+    assert np.all(np.diff([mark.x for mark in marks]) > 0.0)
+    assert "A5" in marks[4].text
+    assert f"{readings.moment(5):%Y-%m-%d %H:%M}" in marks[4].text

@@ -98,7 +98,12 @@ def pages(studies, tmp_path_factory):
     folder = tmp_path_factory.mktemp("pages")
     for name in ("spc", "many"):
         write_spc_page(
-            folder / f"{name}.html", "Control charts", "history", studies[name], studies[name], [NASTY]
+            folder / f"{name}.html",
+            "Control charts",
+            "history",
+            studies[name],
+            [(one, None) for one in studies[name]],
+            [NASTY],
         )
     write_gauge_page(folder / "gauge.html", "Gauge R&R", NASTY, studies["gauge"])
     write_bias_page(folder / "bias.html", "Bias", "file", *studies["bias"])
