@@ -26,7 +26,6 @@ from anisoscope.imaging.deviation_map import CellMap, cell_deviations, cell_thre
 from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH
 from anisoscope.prediction.expectation import nominal_shape, part_uncertainty
 from anisoscope.prediction.height_map_uncertainty import best_band, relief_model
-from anisoscope.prediction.recipe_models import lobe_on
 from anisoscope.prediction.reflections import (
     Followed,
     Groove,
@@ -47,6 +46,7 @@ from anisoscope.sim.light.contrasts import consecutive_pairs
 from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_rotation
 from anisoscope.sim.light.material import Material
 from anisoscope.sim.light.relief import Relief, radiance_maps
+from anisoscope.sim.light.unresolved import resolve
 
 if TYPE_CHECKING:
     from scipy.interpolate import PchipInterpolator
@@ -275,12 +275,11 @@ class _Scene:
             else Relief(_ideal(self.design), self.pitch_um, max_missing_share=1.0)
         )
         self.surface = self.relief.surface
-        if self.design is None:
-            self.state = replace(self.state, material=lobe_on(self.relief, recipe))
+        self.resolved = resolve(self.relief) if recipe.surface.roughness == "plastic" else None
         self.profile = None if self.design is None else _profile(self.design)
         self.groove, self._followed = self._reflections(recipe.surface.bounces)
         sides = directions(self.poses, Convention(light_angle_deg, facet_azimuth_deg=self.azimuth_deg))
-        nominal = *sides, self.state.material
+        nominal = *sides, self._lobe(self.state.material)
         self._stand_in = None if self.groove is None else StandIn(self.groove, *nominal)
         self._constant = None if self._followed is None else self._followed.light(*nominal)
 
@@ -311,12 +310,17 @@ class _Scene:
             return replace(groove, resolved=(float(rougher[0]), float(rougher[1])))
         return groove
 
+    def _lobe(self, material: Material) -> Material:
+        """The material of the facets: a plastic's without the slopes that the map resolves."""
+        return material if self.resolved is None else self.resolved.lobe(material)
+
     def _with_reflections(self, direct: Model, groove: Groove | None) -> Model:
-        """Predictor of the light that a surface and its groove reflect."""
+        """Predictor of the light that a surface and its groove reflect, as a function of the recipe's material."""
+        model = direct
         if groove is not None:
             assert self._stand_in is not None
-            return added(direct, self._stand_in.of(groove))
-        return direct
+            model = added(direct, self._stand_in.of(groove))
+        return lambda to_light, to_camera, material: model(to_light, to_camera, self._lobe(material))
 
     def look_along(self, profile: HeightMap, groove: Groove | None) -> FloatArray:
         """(P,) radiances of ridges that are uniform along their length."""
@@ -390,10 +394,10 @@ class _Scene:
         indirect = np.zeros(len(self.poses)) if self._constant is None else self._constant
         if groove is not None:
             assert self._stand_in is not None
-            indirect = self._stand_in.of(groove)(to_light, to_camera, state.material)
-        weights = relief.column_weights()
+            indirect = self._stand_in.of(groove)(to_light, to_camera, self._lobe(state.material))
+        weights, material = relief.column_weights(), self._lobe(state.material)
         means, cells = [], []
-        maps = radiance_maps(relief, to_light, to_camera, state.material)
+        maps = radiance_maps(relief, to_light, to_camera, material)
         for radiance, reflected in zip(maps, indirect, strict=True):
             column = np.nanmean(radiance, axis=0, dtype=np.float64)
             means.append(float(np.sum(column * weights) / np.sum(weights)) + float(reflected))
