@@ -17,6 +17,7 @@ from anisoscope.base.progress import Advance, silent
 from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, CauseModel, Option
 from anisoscope.diagnosis.ranking import NOTHING, Diagnosis, bare_title
 from anisoscope.diagnosis.separability import SIGMAS, planned_covariance
+from anisoscope.diagnosis.signature_cache import cached_changes
 from anisoscope.prediction.cache import cached_expectation
 from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.record.schema import CauseRecord
@@ -146,11 +147,10 @@ def further_pose(
     covariance = planned_covariance(wide, cached_expectation(wide, light_angle_deg))
     given = _given_own(covariance, len(own))
     best, *others = tied[:MOST_TIES]
-    changes = causes.changes and causes.changes(
-        wide, light_angle_deg, {one.cause: one.severity for one in (best, *others)}
-    )
+    extents = {one.cause: one.severity for one in (best, *others)}
+    changes = cached_changes(wide, light_angle_deg, extents, causes)
     doubts = {cause.name: cause.doubt for cause in causes.causes(recipe)}
-    apart = {one.cause: _separated(best, one, changes or {}, doubts, given) for one in others}
+    apart = {one.cause: _separated(best, one, changes, doubts, given) for one in others}
     by_words: dict[str, list[str]] = {}
     remaining = list(others)
     while remaining:

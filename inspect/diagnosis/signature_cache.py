@@ -3,11 +3,13 @@
 import hashlib
 import io
 import json
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.base.cache import Cache
 from anisoscope.base.progress import Advance, silent
 from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, CauseModel
@@ -47,6 +49,42 @@ def cached_signatures(
             lambda content: _unpacked(content, recipe, causes),
         )
     )
+
+
+def cached_changes(
+    recipe: SurfaceRecipe, light_angle_deg: float, extents: Mapping[str, float], causes: CauseModel
+) -> dict[str, FloatArray]:
+    """Cached (P,) changes of ln L by causes of given extents, by name; errors as for `CauseModel.changes`.
+
+    Args:
+        recipe: with the poses.
+        light_angle_deg: of the rig.
+        extents: by name of the cause.
+        causes: of the kind of part.
+    """
+    changes = causes.changes
+    if changes is None:
+        return {}
+    key = {
+        **signature_key(recipe.deciding(), light_angle_deg, causes),
+        "extents": dict(sorted(extents.items())),
+    }
+    return (
+        Cache()
+        .entry("changes", key, __name__, changes.__module__)
+        .result(lambda: changes(recipe, light_angle_deg, extents), _packed_changes, _unpacked_changes)
+    )
+
+
+def _packed_changes(found: dict[str, FloatArray]) -> bytes:
+    buffer = io.BytesIO()
+    np.savez(buffer, **found)  # type: ignore[arg-type]
+    return buffer.getvalue()
+
+
+def _unpacked_changes(content: bytes) -> dict[str, FloatArray]:
+    with np.load(io.BytesIO(content), allow_pickle=False) as stored:
+        return {name: stored[name] for name in stored.files}
 
 
 def signature_key(

@@ -11,7 +11,8 @@ by wear and by incomplete filling, rougher with its facets; unchanged by local d
 import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -442,10 +443,18 @@ def _ideal(design: RidgeDesign) -> HeightMap:
 
 
 def _measured(recipe: SurfaceRecipe) -> Relief:
-    assert recipe.surface.height_map is not None
-    measured = read_height_map(
-        recipe.surface.height_map, pixel_um=recipe.surface.pixel_um, role=recipe.surface.role
-    )
-    relief, _ = prepare_relief(measured, recipe.surface.pitch_um)
+    part = recipe.surface
+    assert part.height_map is not None
+    try:
+        written_ns = part.height_map.stat().st_mtime_ns
+    except OSError:
+        written_ns = 0  # the reader states what is wrong
+    return _measured_map(part.height_map.resolve(), written_ns, part.pixel_um, part.role, part.pitch_um)
+
+
+@lru_cache(maxsize=2)
+def _measured_map(path: Path, _written_ns: int, pixel_um: float | None, role: str, pitch_um: float) -> Relief:
+    """The map of a file, prepared and cropped: one object for one file, so that its ridges are measured once."""
+    relief, _ = prepare_relief(read_height_map(path, pixel_um=pixel_um, role=role), pitch_um)
     cut = relief.surface.with_height(relief.surface.height_um[:MAX_ROWS, :MAX_COLS])
     return replace(relief, surface=cut, max_missing_share=1.0)

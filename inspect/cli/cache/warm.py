@@ -9,7 +9,9 @@ from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from time import perf_counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
 
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
@@ -20,7 +22,11 @@ if TYPE_CHECKING:
     from anisoscope.profiles.heightmap import HeightMap
 
 
-def warm(*, json_: Json = False) -> int:
+def warm(
+    *,
+    demo: Annotated[bool, Parameter(negative="", help="Only the kernels of `anisoscope demo`.")] = False,
+    json_: Json = False,
+) -> int:
     """Compile the kernels of all models for this machine, once: later commands start without that delay.
 
     About a minute on two cores after an installation or an update, a few seconds where all are compiled. `make` does it
@@ -28,12 +34,14 @@ def warm(*, json_: Json = False) -> int:
 
     Examples:
         anisoscope warm
+        anisoscope warm --demo
     """
     start = perf_counter()
-    names = list(JOBS)
+    names = [name for name in JOBS if not demo or name in OF_DEMO]
     seconds: dict[str, float] = {}
     if not json_:
-        console().print("Compiling kernels for this machine, about a minute; it is done once.")
+        some = " of the demo" if demo else ""
+        console().print(f"Compiling kernels{some} for this machine, about a minute; it is done once.")
     context = get_context("spawn")  # a fork would inherit the threads of the progress bar
     with (
         progress("warm", quiet=json_) as advance,
@@ -186,3 +194,5 @@ JOBS: dict[str, Callable[[], None]] = {
     "dots": _dots,
 }
 """By what they prepare, the longest first."""
+OF_DEMO = ("predictions of height maps", "pictures of height maps", "ridges on height maps", "virtual rig")
+"""What the demo with ridges calls."""
