@@ -453,7 +453,9 @@ def _measured(recipe: SurfaceRecipe) -> Relief:
 
 
 @lru_cache(maxsize=2)
-def _measured_map(path: Path, _written_ns: int, pixel_um: float | None, role: str, pitch_um: float) -> Relief:
+def _measured_map(
+    path: Path, _written_ns: int, pixel_um: tuple[float, float] | None, role: str, pitch_um: float
+) -> Relief:
     """The map of a file, prepared and cropped: one object for one file, so that its ridges are measured once."""
     relief, _ = prepare_relief(read_height_map(path, pixel_um=pixel_um, role=role), pitch_um)
     cut = relief.surface.with_height(relief.surface.height_um[:MAX_ROWS, :MAX_COLS])
