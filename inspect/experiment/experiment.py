@@ -64,7 +64,7 @@ class Findings:
     Attributes:
         max_at_zero_tilt: the mean contrast at zero tilt is larger than at every other tilt.
         falls_on_both_sides: it also falls from each tilt to the next, away from zero.
-        first_pair_larger: the mean of 0°/90° exceeds that of 90°/180°.
+        first_pair_larger: the mean of 0° / 90° exceeds that of 90° / 180°.
         best_ridge_angle_deg: ridge angle of the largest mean contrast; None where two tie.
     """
 

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.csv_table import Table, read_table, read_text
 from anisoscope.base.errors import UsageError
+from anisoscope.base.notation import contrast_name
 from anisoscope.experiment.experiment import PAIRS_DEG, RIDGE_ANGLES_DEG, STAGE_DEG, TILTS_DEG, combinations
 from anisoscope.fit.problem import RATIOS, Kind, Problem, Readings, Scene
 from anisoscope.sim.light.contrasts import consecutive_pairs
@@ -120,7 +121,7 @@ def _incidence(first: npt.NDArray[np.intp], second: npt.NDArray[np.intp], size: 
 
 
 def _pair_label(first: Pose, second: Pose) -> str:
-    return f"{first.stage_deg:g}°/{second.stage_deg:g}° @ {first.tilt_deg:g}°"
+    return contrast_name(first.stage_deg, second.stage_deg, first.tilt_deg)
 
 
 def _contrasts(
@@ -200,7 +201,7 @@ def experiment_problem(
     for (a, t, p), (angle, tilt, start, end) in combinations():
         if np.isfinite(measured[a, t, p]):
             first.append((a * len(TILTS_DEG) + t) * len(STAGE_DEG) + STAGE_DEG.index(PAIRS_DEG[p][0]))
-            labels.append(f"{angle:g}°: {start:g}°/{end:g}° @ {tilt:g}°")
+            labels.append(f"{angle:g}°: {contrast_name(start, end, tilt)}")
             value.append(measured[a, t, p])
     index, contrast = np.array(first), np.array(value)
     scale = float(np.mean(contrast**2)) or 1.0

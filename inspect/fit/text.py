@@ -13,8 +13,8 @@ SUSPICIOUS = 0.01  # p-value below which the model does not describe the data
 
 
 def number(value: float) -> str:
-    """A number with a typographic minus."""
-    return f"{value:.5g}".replace("-", "−")
+    """A number to five digits."""
+    return f"{value:.5g}"
 
 
 def value_texts(estimate: Estimate) -> tuple[str, str, str]:
@@ -27,7 +27,7 @@ def value_texts(estimate: Estimate) -> tuple[str, str, str]:
 
     def rounded(value: float) -> str:
         text = f"{value:.{places}f}" if places >= 0 else f"{round(value, places):.0f}"
-        return (text if float(text) else text.lstrip("-")).replace("-", "−")
+        return text if float(text) else text.lstrip("-")
 
     ends = f"{rounded(estimate.low95)} … {rounded(estimate.high95)}"
     return rounded(estimate.value), rounded(estimate.u), ends

@@ -159,7 +159,7 @@ class Predicted:
     def __repr__(self) -> str:
         """One line: model, how many poses, and the contrasts."""
         values = ", ".join(
-            f"ln {one.from_deg:g}°/{one.to_deg:g}° {one.log_ratio:+.3f}" for one in self.contrasts[:4]
+            f"ln {one.from_deg:g}° / {one.to_deg:g}° {one.log_ratio:+.3f}" for one in self.contrasts[:4]
         )
         more = f" and {len(self.contrasts) - 4} more" if len(self.contrasts) > 4 else ""
         return f"Predicted({self.model}, {len(self.poses)} poses: {values or 'no contrast'}{more})"

@@ -24,15 +24,15 @@ LACKING = (
     ("all three hold, falling on both sides", GREEN),
     ("all three hold", "#9ccbab"),
     ("maximum not at zero tilt", ORANGE),
-    ("90°/180° not below 0°/90°", RED),
+    ("90° / 180° not below 0° / 90°", RED),
     ("5° not the best ridge angle", BLUE),
     ("more than one fails", GRID),
 )
 
 
 def level_text(level_deg: Sequence[float]) -> str:
-    """Level as text: "-20°", or "0°/90°" for a pair."""
-    return "/".join(f"{value:g}°" for value in level_deg).replace("-", "−")
+    """Level as text: "-20°", or "0° / 90°" for a pair."""
+    return " / ".join(f"{value:g}°" for value in level_deg).replace("-", "−")
 
 
 def convention_text(convention: Convention) -> str:

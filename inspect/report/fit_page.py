@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from anisoscope.base.notation import true_minus
 from anisoscope.fit.fitting import Fit
 from anisoscope.fit.parameters import PARAMETERS
 from anisoscope.fit.text import fixed, notes, number, quality, setup_text, unit_text, value_texts
@@ -65,9 +66,7 @@ def _name_rows(axes: "Axes", labels: tuple[str, ...]) -> None:
     if len(labels) > NAMED:
         axes.set_xlabel("row")
         return
-    axes.set_xticks(
-        range(len(labels)), [label.replace("-", "−") for label in labels], rotation=90, fontsize=7
-    )
+    axes.set_xticks(range(len(labels)), [true_minus(label) for label in labels], rotation=90, fontsize=7)
 
 
 def write_fit_page(fit: Fit, title: str, path: Path, extra_notes: tuple[str, ...] = ()) -> None:
@@ -99,7 +98,7 @@ def write_fit_page(fit: Fit, title: str, path: Path, extra_notes: tuple[str, ...
         "left_out": max(len(fit.z) - LISTED, 0),
         "fixed": [(PARAMETERS[name].words, number(value)) for name, value in fixed(fit).items()],
     }
-    write_page(path, "fit.html", content)
+    write_page(path, "fit.html", content, {"typeset": true_minus})
 
 
 def _parameters(fit: Fit) -> list[tuple[str, str, str, str, str, bool]]:
@@ -118,7 +117,7 @@ def _rows(fit: Fit) -> list[tuple[str, str, str, str, str, bool]]:
         order = np.sort(np.argsort(-np.abs(fit.z), kind="stable")[:LISTED])
     return [
         (
-            readings.labels[n].replace("-", "−"),
+            true_minus(readings.labels[n]),
             number(readings.value[n]),
             f"{fit.u_value[n]:.2g}",
             number(fit.fitted[n]),

@@ -42,7 +42,7 @@ def test_the_example_is_what_the_command_prints(example):
         values = []
         for kind in ("difference", "michelson", "log_ratio"):
             values += [getattr(pair, kind), contrast_u(example, kind)[number]]
-        assert_quoted(f"| {pair.from_deg:g}°/{pair.to_deg:g}° | # ± # | # ± # | # ± # |", *values)
+        assert_quoted(f"| {pair.from_deg:g}° / {pair.to_deg:g}° | # ± # | # ± # | # ± # |", *values)
 
 
 def test_the_sources_that_lead_are_those_of_the_budget(example):

@@ -105,7 +105,7 @@ def _best(found: "Findings") -> str:
 def _findings_text(found: "Findings") -> str:
     return (
         f"largest at zero tilt: {_yes(found.max_at_zero_tilt)} (falling on both sides: "
-        f"{_yes(found.falls_on_both_sides)}); 0°/90° larger than 90°/180°: {_yes(found.first_pair_larger)}; "
+        f"{_yes(found.falls_on_both_sides)}); 0° / 90° larger than 90° / 180°: {_yes(found.first_pair_larger)}; "
         f"best ridge angle: {_best(found)}"
     )
 
@@ -191,7 +191,7 @@ def print_maps(maps: "list[FindingsMap]") -> None:
     extents = [m.extent or (None, None) for m in maps]
     rows = [
         ["mean contrast is largest at zero tilt", *(f"{m.max_at_zero_tilt.mean():.1%}" for m in maps)],
-        ["0°/90° exceeds 90°/180°", *(f"{m.first_pair_larger.mean():.1%}" for m in maps)],
+        ["0° / 90° exceeds 90° / 180°", *(f"{m.first_pair_larger.mean():.1%}" for m in maps)],
         ["5° is the best ridge angle", *(f"{m.best_at_five.mean():.1%}" for m in maps)],
         ["all three", *(f"{m.share:.1%}" for m in maps)],
         ["  within alpha along", *(_range(along) for along, _ in extents)],

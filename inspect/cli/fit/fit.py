@@ -102,7 +102,7 @@ def _print(fitted: "Fit", title: str, brdf: "tuple[BrdfTable, Reciprocity] | Non
                 number(fitted.problem.readings.value[n]),
                 f"{fitted.u_value[n]:.2g}",
                 number(fitted.fitted[n]),
-                f"{fitted.z[n]:+.2f}".replace("-", "−"),
+                f"{fitted.z[n]:+.2f}",
             ]
             for n in order
         ],

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from anisoscope.base.notation import contrast_name
 from anisoscope.cli.json_output import fields_of
 from anisoscope.cli.log import verbose
 from anisoscope.cli.tables import console, print_table
@@ -30,8 +31,8 @@ def pose_names(result: "Predicted") -> list[str]:
     return [f"{pose.stage_deg:g}°, tilt {pose.tilt_deg:g}°" for pose in result.poses]
 
 
-def contrast_names(result: "Predicted") -> list[str]:
-    """Short names of the contrasts."""
+def contrast_keys(result: "Predicted") -> list[str]:
+    """Labels of the contrasts in JSON, which stay as they were."""
     return [f"{c.from_deg:g}°/{c.to_deg:g}°, tilt {c.tilt_deg:g}°" for c in result.contrasts]
 
 
@@ -95,7 +96,7 @@ def _covariances(result: "Predicted") -> dict[str, Any]:
     matrices = {"radiance": result.covariance} | {kind: result.contrast_covariance(kind) for kind in KINDS}
     for name, matrix in matrices.items():
         assert matrix is not None
-        labels = pose_names(result) if name == "radiance" else contrast_names(result)
+        labels = pose_names(result) if name == "radiance" else contrast_keys(result)
         found[name] = {"labels": labels, "matrix": matrix}
     return found
 
@@ -277,9 +278,7 @@ def contrast_rows(result: "Predicted") -> list[list[str]]:
     digits = {"difference": 5, "michelson": 4, "log_ratio": 4}
     return [
         [
-            f"{c.from_deg:g}",
-            f"{c.to_deg:g}",
-            f"{c.tilt_deg:g}",
+            contrast_name(c.from_deg, c.to_deg, c.tilt_deg),
             *(_with_u(getattr(c, kind), u[kind][n], digits[kind], "+") for kind in KINDS),
         ]
         for n, c in enumerate(result.contrasts)
@@ -292,8 +291,7 @@ def columns_of(result: "Predicted") -> tuple[list[str], list[str]]:
     radiance = ["stage [°]", "tilt [°]", f"radiance{pm} [1/sr]"]
     if result.drawn is not None:
         radiance += ["u first order [1/sr]", "u Monte Carlo [1/sr]", "mean of draws [1/sr]"]
-    contrast = [f"difference{pm} [1/sr]", f"Michelson{pm}", f"ln ratio{pm}"]
-    return radiance, ["from [°]", "to [°]", "tilt [°]", *contrast]
+    return radiance, ["contrast", f"difference{pm} [1/sr]", f"Michelson{pm} [1]", f"ln ratio{pm} [1]"]
 
 
 def print_prediction(result: "Predicted") -> None:

@@ -41,7 +41,7 @@ CONTRAST_UNITS = {"difference": "1/sr", "michelson": "1", "log_ratio": "1"}
 
 def scoring_text(scoring: "Scoring") -> str:
     """Objective in words."""
-    pairs = ", ".join(f"{a:g}°/{b:g}°" for a, b in scoring.pairs_deg)
+    pairs = ", ".join(f"{a:g}° / {b:g}°" for a, b in scoring.pairs_deg)
     tilts = ", ".join(f"{t:g}°" for t in scoring.tilts_deg)
     text = f"{scoring.over} |{scoring.contrast}| [{CONTRAST_UNITS[scoring.contrast]}], pairs {pairs}, tilts {tilts}"
     if scoring.score == "snr":

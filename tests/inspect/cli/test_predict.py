@@ -86,7 +86,7 @@ def test_contrasts_carry_units_and_the_convention_and_the_warnings_follow(anisos
     assert done.code == 0
     for word in (
         "1/sr",
-        "[°]",
+        "° / ",
         "ln ratio",
         "perpendicular",
         "k = 1",

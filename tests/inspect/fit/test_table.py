@@ -52,7 +52,7 @@ def test_contrasts_of_exposures_carry_the_covariance_of_a_simulation(table, kind
     np.testing.assert_allclose(found.value, many.mean(axis=0), rtol=1e-3)
     np.testing.assert_allclose(found.covariance, np.cov(many.T), rtol=0.06)
     assert found.covariance[0, 1] < 0.0
-    assert found.labels == ("0°/90° @ 0°", "90°/180° @ 0°")
+    assert found.labels == ("0° / 90°, tilt 0°", "90° / 180°, tilt 0°")
 
 
 def test_contrasts_that_share_a_photograph_share_half_of_their_variance(table):
