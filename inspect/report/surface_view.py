@@ -91,7 +91,8 @@ class Renderer:
         self._formats = ("png", "zip") if interactive else ("png",)
         self._entries = _entries(source, self._formats)
         self._cached = {kind: entry.read() for kind, entry in self._entries.items()}
-        if None not in self._cached.values():
+        self._missing = importlib.util.find_spec("pyvista") is None
+        if self._missing or None not in self._cached.values():
             return
         folder = Path(self._folder.name)
         (folder / "map.npz").write_bytes(source)
@@ -131,6 +132,8 @@ class Renderer:
             self.discard()
 
     def _result(self, found: dict[str, bytes | None], code: int) -> Picture3D:
+        if found["png"] is None and self._missing:
+            return Picture3D(None, "pyvista is not installed (pip install pyvista trame-vtk)")
         if found["png"] is None:
             return Picture3D(None, f"the renderer ended with code {code}; {NEEDS}")
         scene = found.get("zip")
