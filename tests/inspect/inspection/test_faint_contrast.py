@@ -43,7 +43,7 @@ def test_local_defects_are_found_where_the_contrast_is_small(
             "surface": {"pitch_um": PITCH_UM, "design": {"ridge_angle_deg": ANGLE_DEG, "u_ridge_angle_deg": 0.1}},
             "material": {"alpha_along": whole, "alpha_across": whole, **plastic},
             "area": {"cell_deviation": threshold},
-            "decision": {"tolerance": 5.0},
+            "decision": {"tolerance": 3.0},
         },
         bench={
             "sample": {
