@@ -278,6 +278,7 @@ class _Scene:
         self.surface = self.relief.surface
         self.resolved = resolve(self.relief) if recipe.surface.roughness == "plastic" else None
         self.profile = None if self.design is None else _profile(self.design)
+        self._slopes_of_good: dict[bool, FloatArray | None] = {}
         self.groove, self._followed = self._reflections(recipe.surface.bounces)
         sides = directions(self.poses, Convention(light_angle_deg, facet_azimuth_deg=self.azimuth_deg))
         nominal = *sides, self._lobe(self.state.material)
@@ -347,21 +348,33 @@ class _Scene:
 
     def tangents(self, cause: Cause, extents: Sequence[float]) -> Tangents | None:
         """Response to the inputs along a cause; None where they cannot be varied on the good part."""
-        convention = Convention(self.state.light_angle_deg, facet_azimuth_deg=self.azimuth_deg)
-        found: dict[float, FloatArray] = {}
-        for extent in looked_at(extents):
-            spoiled, state = self._spoiled(cause, extent)
-            with contextlib.suppress(ModelError):  # a step would lead below the horizon
-                slopes = slopes_of(spoiled, state, self.poses, convention, turning=self.turning)
-                if slopes is not None:
-                    found[extent] = slopes
-        if 0.0 not in found or len(found) < 2:
+        found = {extent: self._slopes(cause, extent) for extent in looked_at(extents)}
+        known = {extent: slopes for extent, slopes in found.items() if slopes is not None}
+        if 0.0 not in known or len(known) < 2:
             return None
-        return Tangents(np.array(list(found)), np.array(list(found.values())))
+        return Tangents(np.array(list(known)), np.array(list(known.values())))
+
+    def _slopes(self, cause: Cause, extent: float) -> FloatArray | None:
+        """Response to the inputs with a cause; that of the good part is computed once for all causes."""
+        along = self._is_uniform(cause)
+        if extent == 0.0 and along in self._slopes_of_good:
+            return self._slopes_of_good[along]
+        spoiled, state = self._spoiled(cause, extent)
+        convention = Convention(self.state.light_angle_deg, facet_azimuth_deg=self.azimuth_deg)
+        slopes = None
+        with contextlib.suppress(ModelError):  # a step would lead below the horizon
+            slopes = slopes_of(spoiled, state, self.poses, convention, turning=self.turning)
+        if extent == 0.0:
+            self._slopes_of_good[along] = slopes
+        return slopes
+
+    def _is_uniform(self, cause: Cause) -> bool:
+        """Whether a cause leaves the ridges of a design uniform along their length."""
+        return self.profile is not None and (cause.name in EXTRUDED or cause.group in ("finish", "rig"))
 
     def _spoiled(self, cause: Cause, extent: float) -> tuple[Surface, State]:
         """Predictor of the surface with a cause as a function of the good shape, and its state."""
-        along = self.profile is not None and (cause.name in EXTRUDED or cause.group in ("finish", "rig"))
+        along = self._is_uniform(cause)
         predictor = self._along if along else self._band
         base = self.profile if along else self.surface
         assert base is not None

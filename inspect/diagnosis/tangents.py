@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 INPUTS = (*PLASTIC_AND_SEAT, RIDGE_ANGLE)
 """Inputs that are moved on spoiled surfaces."""
-A_SIDE = 4
+A_SIDE = 3
 """Extents to either side of nil at which the inputs are looked at."""
 _UNIT = InputUncertainty(
     alpha_share=1.0,
