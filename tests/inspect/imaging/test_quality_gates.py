@@ -219,7 +219,7 @@ def test_what_differs_in_one_pose_alone_is_a_defect():
 
 
 @pytest.mark.parametrize("case", ["two corners", "allowed", "markers"])
-def test_a_region_that_leaves_the_part_is_invalid(virtual_rig, case):
+def test_a_region_that_leaves_the_part_is_invalid(virtual_rig, undiagnosed, case):
     region = {"size_mm": [1.0, 1.0], "center_mm": [0.2, 0.0]}
     if case == "markers":
         rig = virtual_rig(recipe={"region": {"size_mm": [3.2, 3.2]}})
@@ -227,7 +227,7 @@ def test_a_region_that_leaves_the_part_is_invalid(virtual_rig, case):
             rig.inspect()
         return
     limits = {"beyond_part_um": 150.0} if case == "allowed" else {}
-    record = virtual_rig(recipe={"region": region, "limits": limits}).inspect().record
+    record = virtual_rig(recipe={"region": region, "limits": limits}).inspect(methods=undiagnosed).record
     if case == "allowed":
         assert record.verdict == "FAIL"
         return

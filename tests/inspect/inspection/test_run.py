@@ -420,11 +420,12 @@ TILTS = {
 }
 
 
-def test_a_recipe_with_several_tilts_on_a_second_axis_of_the_same_cable(virtual_rig, tmp_path):
+def test_a_recipe_with_several_tilts_on_a_second_axis_of_the_same_cable(virtual_rig, undiagnosed, tmp_path):
     tile = virtual_rig("tile", rig={"tilt": TILT}, bench={**TILTED_BENCH, "sample": {"kind": "white-tile"}})
     take_flat(tile.rig, tmp_path / "flat.tif", exposure_s=0.0015, frames=4)
     rig = {"tilt": TILT, "calibration": {"flat": str(tmp_path / "flat.tif")}}
-    record = virtual_rig("part", recipe=TILTS, bench=TILTED_BENCH, rig=rig).inspect().record
+    part = virtual_rig("part", recipe=TILTS, bench=TILTED_BENCH, rig=rig)
+    record = part.inspect(methods=undiagnosed).record
     assert record.verdict == "PASS", record.reasons
     assert [(pose.stage_deg, pose.tilt_deg) for pose in record.poses] == [
         (stage, tilt) for tilt in (0.0, 10.0) for stage in (0.0, 90.0, 180.0)
@@ -436,7 +437,7 @@ def test_a_recipe_with_several_tilts_on_a_second_axis_of_the_same_cable(virtual_
     assert ", " in record.stage
 
 
-def test_a_tilt_set_by_hand(virtual_rig, monkeypatch):
+def test_a_tilt_set_by_hand(virtual_rig, undiagnosed, monkeypatch):
     rig = virtual_rig(recipe=TILTS, rig={"tilt": {"driver": "manual"}})
     asked = []
 
@@ -449,6 +450,6 @@ def test_a_tilt_set_by_hand(virtual_rig, monkeypatch):
 
     monkeypatch.setattr(manual, "_need_a_terminal", lambda _: None)
     monkeypatch.setattr(manual, "prompt_in_terminal", ask)
-    record = rig.inspect().record
+    record = rig.inspect(methods=undiagnosed).record
     assert record.verdict == "PASS", record.reasons
     assert asked == [f"set the tilt to {tilt}°" for tilt in (0, 10, 0)]
