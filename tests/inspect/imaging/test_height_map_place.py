@@ -80,7 +80,7 @@ def test_without_a_map_nothing_is_said_and_a_small_one_is_not_matched(recipe):
 
 
 @pytest.mark.parametrize("reflections", [True, pytest.param(False, marks=pytest.mark.soak)])
-def test_a_whole_inspection_tells_where_the_recipes_map_lies(virtual_rig, undiagnosed, tmp_path, reflections):
+def test_a_whole_inspection_tells_where_the_recipes_map_lies(virtual_rig, tmp_path, reflections):
     plain = ridges(RidgeDesign(PITCH_UM, 10.0), (301, 601), (4.0, 2.0))
     part = add_facet_roughness(plain, 0.08, 0.08, 20.0, np.random.default_rng(6))
     write_height_map(part, tmp_path / "part.x3p")
@@ -105,7 +105,7 @@ def test_a_whole_inspection_tells_where_the_recipes_map_lies(virtual_rig, undiag
             }
         },
     )
-    record = rig.inspect(methods=undiagnosed).record
+    record = rig.inspect().record
     found = record.details.map_place
     assert (found.resolved, found.ratio > 2.0) == (True, True)
     np.testing.assert_allclose([found.x_um, found.y_um], [(280 - 300) * 2.0, (159 - 150) * 4.0], atol=2.0)
