@@ -28,7 +28,8 @@ help:
 demo: $(VENV)/.warm-demo
 	$(BIN)/anisoscope demo --out demo-output --seed $(SEED)
 	@test -e $(VENV)/.warm || { echo "Compiling the kernels of the other commands in the background, about a minute."; \
-	  (nohup nice $(BIN)/anisoscope warm --quiet && touch $(VENV)/.warm) >/dev/null 2>&1 </dev/null & }
+	  (nohup nice $(BIN)/anisoscope warm --quiet && touch $(VENV)/.warm) >/dev/null 2>&1 </dev/null & \
+	  echo $$! >$(VENV)/.warming; }
 
 test: $(VENV)/.warm lint contracts types docs-check
 	$(BIN)/python -Im pytest -n $(WORKERS) --dist worksteal
@@ -99,8 +100,10 @@ $(VENV)/.warm-demo: $(VENV)/.run
 	$(BIN)/anisoscope warm --demo
 	@touch $@
 
+# Where `make demo` still compiles in the background, it is waited for.
 $(VENV)/.warm: $(VENV)/.run
-	$(BIN)/anisoscope warm
+	@while test -e $(VENV)/.warming && kill -0 $$(cat $(VENV)/.warming) 2>/dev/null; do sleep 1; done
+	@test -e $@ || $(BIN)/anisoscope warm
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.run requirements-dev.lock
