@@ -9,6 +9,7 @@ by wear and by incomplete filling, rougher with its facets; unchanged by local d
 """
 
 import contextlib
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -47,6 +48,7 @@ from anisoscope.sim.light.contrasts import consecutive_pairs
 from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_rotation
 from anisoscope.sim.light.material import Material
 from anisoscope.sim.light.relief import Relief, radiance_maps
+from anisoscope.sim.light.threads import each
 from anisoscope.sim.light.unresolved import resolve
 
 if TYPE_CHECKING:
@@ -161,7 +163,7 @@ def signatures(
     Args:
         recipe: the recipe.
         light_angle_deg: angle between light and camera.
-        advance: called at every cause.
+        advance: called when a cause is begun; causes are computed by several threads.
         names: causes to compute, "tail" for another tail of the lobe; all of them if None.
 
     Raises:
@@ -173,20 +175,25 @@ def signatures(
     if np.isnan(good_share):  # a recipe without limit of the area has no map
         good_share = 0.0
     causes = [cause for cause in causes_of(recipe) if names is None or cause.name in names]
-    found, left_out = [], []
-    for number, cause in enumerate(causes):
-        advance(f"signature of {cause.name}", number, len(causes))
+    begun = itertools.count()
+
+    def signature_of(cause: Cause) -> Signature | str:
+        advance(f"signature of {cause.name}", next(begun), len(causes))
         try:
-            found.append(_signature(scene, cause, good, good_share))
+            return _signature(scene, cause, good, good_share)
         except (HeightMapError, ModelError) as problem:
-            left_out.append((cause.name, str(problem)))
+            return str(problem)
+
+    computed = list(zip(causes, each(signature_of, causes), strict=True))
+    found = tuple(one for _, one in computed if isinstance(one, Signature))
+    left_out = tuple((cause.name, one) for cause, one in computed if isinstance(one, str))
     tail = None
     asked = names is None or TAIL in names
     if asked and recipe.material.material().second_lobe is None:
         with contextlib.suppress(HeightMapError, ModelError):
             tail = _signature(scene, tail_cause(recipe.material.material().tail), good, good_share)
     advance("signatures", len(causes), len(causes))
-    return Signatures(scene.poses, good, good_share, tuple(found), tuple(left_out), tail)
+    return Signatures(scene.poses, good, good_share, found, left_out, tail)
 
 
 def causes_of(recipe: SurfaceRecipe) -> tuple[Cause, ...]:

@@ -151,7 +151,7 @@ def _elevation_integral(
     return total
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def two_reflections(
     light: FloatArray,
     camera: FloatArray,
