@@ -80,7 +80,7 @@ def of_locale(environment: Mapping[str, str] | None = None) -> str:
     return short if short in LANGUAGES else "en"
 
 
-def message(text: str, **places: object) -> str:
+def message(text: str, /, **places: object) -> str:
     """A message of ours in the present language.
 
     Args:

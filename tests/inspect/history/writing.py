@@ -36,8 +36,10 @@ def row(worker, number):
     )
 
 
-def write(place, worker, count, tell=None):
+def write(place, worker, count, tell=None, start=None):
     with open_history(place) as history:
+        if start is not None:
+            os.read(start, 1)  # ends when all have been started
         for number in range(count):
             seal = history.append(row(worker, number)).seal
             if tell is not None:
@@ -46,12 +48,15 @@ def write(place, worker, count, tell=None):
 
 def add(place, workers, count):
     children = []
+    start, started = os.pipe()
     for worker in range(workers):
         child = os.fork()
         if child == 0:
-            write(place, worker, count)
+            os.close(started)
+            write(place, worker, count, start=start)
             os._exit(0)
         children.append(child)
+    os.close(started)
     codes = [os.waitpid(child, 0)[1] for child in children]
     sys.exit(max(codes) != 0)
 

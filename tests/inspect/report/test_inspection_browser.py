@@ -161,7 +161,7 @@ def test_tables_say_what_the_record_says(shown, report):
         assert (row[0], number(row[1])) == (c.title, pytest.approx(c.severity, rel=5e-3))
         assert row[2] == cause_range(c)
     for row, r in zip(rows["regions"], record.details.regions, strict=True):
-        x, y = (number(part) for part in row[2].split(", "))
+        x, y = (number(part) for part in row[2].split("; "))
         assert (row[1], x, y) == (r.kind, pytest.approx(r.x, abs=5.1e-3), pytest.approx(r.y, abs=5.1e-3))
     assert [number(row[1]) for row in rows["shape"][:1]] == pytest.approx([8.9])
     assert [row[3:] for row in rows["comparisons"]] == [["no", "yes"], ["yes", "no"]]
