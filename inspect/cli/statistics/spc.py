@@ -99,6 +99,8 @@ def period_of(readings: "Readings", text: str) -> "Period":
     now = datetime.now(UTC)
     first = parse_moment(begin, "--period", now=now) if begin else datetime.min.replace(tzinfo=UTC)
     last = parse_moment(end, "--period", now=now, at_end=True) if end else datetime.max.replace(tzinfo=UTC)
+    if last < first:
+        raise UsageError(f"--period {text} ends before it begins: write the earlier day first")
     inside = np.array([one is not None and first <= one <= last for one in moments], dtype=np.bool_)
     return Period(f"{begin or 'the beginning'} to {end or 'the end'}", inside)
 

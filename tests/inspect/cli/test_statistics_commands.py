@@ -115,6 +115,8 @@ def test_limits_from_a_reference_period_are_named(done, tmp_path):
     assert "2026-11-01 to 2026-11-10" in out
     for wrong in ("2026-11-01", "..", "2026-12-01..", "yesterday..2026-13-01"):
         assert done("spc", "--csv", path, "--period", wrong)[0] == 64
+    code, _, err = done("spc", "--csv", path, "--period", "2026-11-10..2026-11-01")
+    assert (code, "ends before it begins" in err) == (64, True)
     assert done("spc", "--csv", path, "--period", "2026-11-01..", "--baseline", 5)[0] == 64
 
 
