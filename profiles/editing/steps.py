@@ -7,7 +7,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from anisoscope.base.errors import UsageError
+from anisoscope.base.errors import HeightMapError, UsageError
 from anisoscope.profiles.editing.operations import OPERATIONS, Operation, Read, Value
 from anisoscope.profiles.files.load import read_height_map
 from anisoscope.profiles.heightmap import HeightMap
@@ -76,6 +76,11 @@ class Step:
             UsageError: values that do not go together.
         """
         edited, found = self.operation.run(surface, self.values, read)
+        if not np.isfinite(edited.height_um).any():
+            measured = int(np.count_nonzero(np.isfinite(surface.height_um)))
+            raise HeightMapError(
+                f"{self.operation.name}: no measured point is left of {measured}; take values that keep some"
+            )
         entry: dict[str, Any] = {"step": self.operation.name, "values": self._plain()}
         if found:
             entry["found"] = found

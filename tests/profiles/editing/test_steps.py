@@ -1,6 +1,7 @@
 """Steps of editing: texts, values, history, and what each does to points, gaps and scale."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from anisoscope.base.errors import HeightMapError, RegistrationError, UsageError
 from anisoscope.profiles.editing.operations import OPERATIONS
 from anisoscope.profiles.editing.steps import Step, described, edit_map
 from anisoscope.profiles.files.load import read_height_map, write_height_map
-from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.heightmap import INTENSITY, HeightMap
 from anisoscope.profiles.ideal import RidgeDesign, ridges
 
 PIXEL = 2.0, 3.0  # x, y in µm
@@ -334,6 +335,23 @@ def check_points(step, surface, found, entry):
         assert after.all(), step
 
 
+def check_layers(step, surface, found, entry):
+    """What a step may do to the intensities of the points: they move with them, and are between those that were."""
+    name = step["step"]
+    assert set(found.layers) == (set() if name == "stitch" else set(surface.layers)), step
+    for kind, layer in found.layers.items():
+        old = surface.layers[kind]
+        if name == "crop":
+            part = entry["found"]
+            rows = slice(part["first_row"], part["last_row"] + 1)
+            np.testing.assert_array_equal(layer, old[rows, part["first_col"] : part["last_col"] + 1])
+        elif name in ("rotate", "resample"):
+            seen = layer[np.isfinite(layer)]
+            assert np.all((seen >= np.nanmin(old) - 1e-3) & (seen <= np.nanmax(old) + 1e-3)), step
+        else:
+            np.testing.assert_array_equal(layer, old)
+
+
 def run_chain(seed):
     """A chain of random steps: after each one points, scale, units and missing points agree with its history."""
     rng = np.random.default_rng(seed)
@@ -341,6 +359,8 @@ def run_chain(seed):
     z = rng.standard_normal(shape).cumsum(axis=int(rng.integers(2)))
     z[rng.random(shape) < rng.choice([0.0, 0.1, 0.5])] = np.nan
     surface = HeightMap(z, *rng.uniform(0.5, 4.0, 2)) if np.isfinite(z).any() else plane()
+    if rng.random() < 0.5:
+        surface = replace(surface, layers={INTENSITY: rng.uniform(10.0, 200.0, surface.shape)})
     done = 0
     for _ in range(4):
         step = random_step(rng, surface)
@@ -358,8 +378,16 @@ def run_chain(seed):
         assert not np.isinf(found.height_um).any()
         json.dumps(entry, allow_nan=False)
         check_points(step, surface, found, entry)
+        check_layers(step, surface, found, entry)
         surface = found
     return done
+
+
+def test_a_step_that_leaves_no_measured_point_is_refused():
+    z = np.full((8, 4), np.nan)
+    z[1, 1], z[1, 2] = 0.0, 1.0
+    with pytest.raises(HeightMapError, match="outliers: no measured point is left of 2"):
+        edit_map(HeightMap(z, 0.7, 1.5), ["outliers=0.54"])
 
 
 def test_random_chains_of_steps_keep_points_units_and_gaps():
