@@ -56,6 +56,7 @@ def explain(
     try:
         light_angle_deg = expected.convention.light_angle_deg
         known = cached_signatures(recipe, light_angle_deg, advance, causes)
+        known = known.by_thresholds(None if decision.area is None else decision.area.cell_deviations)
         evidence = evidence_of(recipe, expected, measured, decision, golden)
         if any(one.cause.name == PITCH for one in known.found):
             evidence = replace(evidence, pitch=measured_pitch(measured, recipe))

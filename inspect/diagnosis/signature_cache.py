@@ -14,6 +14,7 @@ from anisoscope.base.cache import Cache
 from anisoscope.base.progress import Advance, silent
 from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES, CauseModel
 from anisoscope.diagnosis.causes import TAILS, tail_cause
+from anisoscope.diagnosis.cell_levels import CellLevels
 from anisoscope.diagnosis.signatures import Signature, Signatures
 from anisoscope.diagnosis.tangents import Tangents
 from anisoscope.prediction.expectation import part_uncertainty
@@ -119,7 +120,10 @@ def _packed(found: Signatures) -> bytes:
         "header": np.frombuffer(json.dumps(header).encode(), dtype=np.uint8),
         "radiance": found.radiance,
     }
+    if found.levels is not None:
+        arrays |= _packed_levels("levels", (found.levels,))
     for number, one in enumerate(every):
+        arrays |= _packed_levels(f"levels{number}", one.levels or ())
         arrays |= {
             f"extents{number}": one.extents,
             f"change{number}": one.change,
@@ -128,8 +132,27 @@ def _packed(found: Signatures) -> bytes:
         if one.tangents is not None:
             arrays |= {f"tangents{number}": one.tangents.slope, f"at{number}": one.tangents.extents}
     buffer = io.BytesIO()
-    np.savez(buffer, **arrays)  # type: ignore[arg-type]
+    np.savez_compressed(buffer, **arrays)  # type: ignore[arg-type]
     return buffer.getvalue()
+
+
+def _packed_levels(name: str, levels: tuple[CellLevels, ...]) -> dict[str, np.ndarray]:
+    """Levels of several surfaces in three arrays; none for none."""
+    if not levels:
+        return {}
+    return {
+        name: np.concatenate([one.levels for one in levels]),
+        f"{name}-count": np.concatenate([one.count for one in levels]),
+        f"{name}-size": np.array([len(one.count) for one in levels]),
+    }
+
+
+def _unpacked_levels(name: str, stored: Mapping[str, np.ndarray]) -> tuple[CellLevels, ...] | None:
+    if name not in stored:
+        return None
+    ends = np.cumsum(stored[f"{name}-size"])[:-1]
+    levels, counts = np.split(stored[name], ends), np.split(stored[f"{name}-count"], ends)
+    return tuple(CellLevels(one, count) for one, count in zip(levels, counts, strict=True))
 
 
 def _unpacked(content: bytes, recipe: SurfaceRecipe, model: CauseModel) -> Signatures:
@@ -144,10 +167,12 @@ def _unpacked(content: bytes, recipe: SurfaceRecipe, model: CauseModel) -> Signa
                 stored[f"change{n}"],
                 stored[f"share{n}"],
                 Tangents(stored[f"at{n}"], stored[f"tangents{n}"]) if f"at{n}" in stored else None,
+                _unpacked_levels(f"levels{n}", stored),
             )
             for n, (name, doubt) in enumerate(zip(header["names"], header["doubts"], strict=True))
         ]
         left_out = tuple((name, reason) for name, reason in header["left_out"])
         longer = found.pop() if header["tail"] else None
         poses = recipe.poses.poses()
-        return Signatures(poses, stored["radiance"], header["share"], tuple(found), left_out, longer)
+        (of_good,) = _unpacked_levels("levels", stored) or (None,)
+        return Signatures(poses, stored["radiance"], header["share"], tuple(found), left_out, longer, of_good)

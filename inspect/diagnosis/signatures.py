@@ -23,6 +23,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError, ModelError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.diagnosis.causes import EXTRUDED, PITCHES, TAIL, Cause, all_causes, tail_cause
+from anisoscope.diagnosis.cell_levels import CellLevels
 from anisoscope.diagnosis.tangents import Tangents, looked_at, slopes_of
 from anisoscope.imaging.deviation_map import CellMap, cell_deviations, cell_thresholds
 from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH
@@ -78,6 +79,8 @@ class Signature:
         change: (S, P) ln L − ln L of the good part.
         share: (S,) share of the cells of the contrast map that deviate, beyond those of the good part.
         tangents: response to the inputs of the prediction along the cause; None: as on the good part.
+        levels: of the cells of the contrast map at every extent; None where the recipe states its threshold, or where
+            no map was predicted.
     """
 
     cause: Cause
@@ -85,6 +88,7 @@ class Signature:
     change: FloatArray
     share: FloatArray
     tangents: Tangents | None = None
+    levels: tuple[CellLevels, ...] | None = None
 
     @cached_property
     def _curve(self) -> "PchipInterpolator":
@@ -111,7 +115,14 @@ class Signature:
     def of(self, poses: Sequence[int]) -> "Signature":
         """That of some of the poses, by their numbers."""
         tangents = self.tangents and self.tangents.of(poses)
-        return replace(self, change=self.change[:, list(poses)], tangents=tangents)
+        return replace(self, change=self.change[:, list(poses)], tangents=tangents, levels=None)
+
+    def by_thresholds(self, good_share: float, thresholds: Sequence[float]) -> "Signature":
+        """The same with the shares that (pairs,) thresholds of a part give, beyond that of the good part."""
+        if self.levels is None:
+            return self
+        shares = [max(one.share(thresholds) - good_share, 0.0) for one in self.levels]
+        return replace(self, share=np.array(shares))
 
     def slope(self, extent: float) -> tuple[FloatArray, float]:
         """(P,) derivative of the change and derivative of the share with respect to the extent."""
@@ -131,6 +142,7 @@ class Signatures:
         left_out: causes impossible on this surface, with the reason.
         tail: signature of a lobe with another tail, which is no cause but a sign of another plastic; None if not
             computed.
+        levels: of the cells of the good part; None where the recipe states its threshold.
     """
 
     poses: tuple[Pose, ...]
@@ -139,6 +151,15 @@ class Signatures:
     found: tuple[Signature, ...]
     left_out: tuple[tuple[str, str], ...]
     tail: Signature | None = None
+    levels: CellLevels | None = None
+
+    def by_thresholds(self, thresholds: Sequence[float] | None) -> "Signatures":
+        """The same with the shares that (pairs,) thresholds of a part give, unless the recipe states a threshold."""
+        if self.levels is None or thresholds is None:
+            return self
+        share = self.levels.share(thresholds)
+        found = tuple(one.by_thresholds(share, thresholds) for one in self.found)
+        return replace(self, share=share, found=found)
 
     def of(self, poses: Sequence[int]) -> "Signatures":
         """Those of some of the poses, by their numbers."""
@@ -149,6 +170,7 @@ class Signatures:
             radiance=self.radiance[selected],
             found=tuple(one.of(selected) for one in self.found),
             tail=self.tail and self.tail.of(selected),
+            levels=None,
         )
 
 
@@ -171,16 +193,14 @@ def signatures(
     """
     recipe = recipe.deciding()
     scene = _Scene(recipe, light_angle_deg)
-    good, good_share = scene.look(scene.surface, scene.state, scene.groove, with_map=True)
-    if np.isnan(good_share):  # a recipe without limit of the area has no map
-        good_share = 0.0
+    good = scene.look(scene.surface, scene.state, scene.groove, with_map=True)
     causes = [cause for cause in causes_of(recipe) if names is None or cause.name in names]
     begun = itertools.count()
 
     def signature_of(cause: Cause) -> Signature | str:
         advance(f"signature of {cause.name}", next(begun), len(causes))
         try:
-            return _signature(scene, cause, good, good_share)
+            return _signature(scene, cause, good)
         except (HeightMapError, ModelError) as problem:
             return str(problem)
 
@@ -191,9 +211,10 @@ def signatures(
     asked = names is None or TAIL in names
     if asked and recipe.material.material().second_lobe is None:
         with contextlib.suppress(HeightMapError, ModelError):
-            tail = _signature(scene, tail_cause(recipe.material.material().tail), good, good_share)
+            tail = _signature(scene, tail_cause(recipe.material.material().tail), good)
     advance("signatures", len(causes), len(causes))
-    return Signatures(scene.poses, good, good_share, found, left_out, tail)
+    share = 0.0 if good.share is None else good.share
+    return Signatures(scene.poses, good.radiance, share, found, left_out, tail, good.levels)
 
 
 def causes_of(recipe: SurfaceRecipe) -> tuple[Cause, ...]:
@@ -223,47 +244,47 @@ def changes_at(
             continue
         one = replace(cause, extents=(0.0, extents[cause.name]))
         with contextlib.suppress(HeightMapError, ModelError):
-            good, _ = scene.look(scene.surface, scene.state, scene.groove, with_map=False)
-            found[cause.name] = _signature(scene, one, good, 0.0, bare=True).change[-1]
+            good = scene.look(scene.surface, scene.state, scene.groove, with_map=False)
+            found[cause.name] = _signature(scene, one, good, bare=True).change[-1]
     return found
 
 
-def _signature(
-    scene: "_Scene", cause: Cause, good: FloatArray, good_share: float, *, bare: bool = False
-) -> Signature:
+@dataclass(frozen=True, eq=False)
+class _Look:
+    """(P,) radiances of a surface, and of its contrast map the share and the levels of its cells, where predicted."""
+
+    radiance: FloatArray
+    share: float | None = None
+    levels: CellLevels | None = None
+
+
+def _signature(scene: "_Scene", cause: Cause, good: _Look, *, bare: bool = False) -> Signature:
     """Signature of a cause; ``bare`` without the share of deviating cells and the response to the inputs."""
-    extents, changes, shares = [], [], []
     profile = scene.profile if cause.name in EXTRUDED else None
     if profile is None and cause.name in EXTRUDED and cause.name != "ridge-angle":
         cause = replace(cause, doubt=DOUBT_ON_MAPS)
-    base = good if profile is None else scene.look_along(profile, scene.groove)
-    for extent in cause.extents:
-        share = good_share
+    base = good if profile is None else _Look(scene.look_along(profile, scene.groove))
+    with_map = not bare and cause.group in ("shape", "area")
+
+    def seen(extent: float) -> _Look:
         if extent == 0.0:
-            radiance = base
-        elif profile is not None:
-            radiance = scene.look_along(
-                cause.change(profile, scene.state, extent)[0], scene.groove_with(cause, extent)
-            )
-        else:
-            surface, state = cause.change(scene.surface, scene.state, extent)
-            radiance, share = scene.look(
-                surface,
-                state,
-                scene.groove_with(cause, extent),
-                with_map=not bare and cause.group in ("shape", "area"),
-            )
-            share = good_share if np.isnan(share) else share
-        if np.any(radiance <= 0.0):
-            continue
-        extents.append(extent)
-        changes.append(np.log(radiance / base))
-        shares.append(max(share - good_share, 0.0))
-    if len(extents) < 2:
+            return base
+        groove = scene.groove_with(cause, extent)
+        if profile is not None:
+            return _Look(scene.look_along(cause.change(profile, scene.state, extent)[0], groove))
+        return scene.look(*cause.change(scene.surface, scene.state, extent), groove, with_map=with_map)
+
+    looks = {extent: look for extent in cause.extents if np.all((look := seen(extent)).radiance > 0.0)}
+    if len(looks) < 2:
         raise ModelError(f"{cause.name}: the part would be black in some pose at every extent")
     bends = (cause.doubt < DOUBTFUL or cause.name in EXTRUDED) and cause.name != TAIL
-    tangents = scene.tangents(cause, extents) if bends and not bare else None
-    return Signature(cause, np.array(extents), np.array(changes), np.array(shares), tangents)
+    tangents = scene.tangents(cause, list(looks)) if bends and not bare else None
+    changes = [np.log(look.radiance / base.radiance) for look in looks.values()]
+    own = good.share or 0.0
+    shares = [max((own if look.share is None else look.share) - own, 0.0) for look in looks.values()]
+    known = tuple(look.levels for look in looks.values() if look.levels is not None)
+    levels = known if len(known) == len(looks) else None
+    return Signature(cause, np.array(list(looks)), np.array(changes), np.array(shares), tangents, levels)
 
 
 class _Scene:
@@ -400,16 +421,14 @@ class _Scene:
 
         return shaped, state
 
-    def look(
-        self, surface: HeightMap, state: State, groove: Groove | None, *, with_map: bool
-    ) -> tuple[FloatArray, float]:
-        """(P,) radiances, and the share of deviating cells (NaN without map)."""
+    def look(self, surface: HeightMap, state: State, groove: Groove | None, *, with_map: bool) -> _Look:
+        """The surface in all poses, with its contrast map where the recipe has a limit of the area."""
         relief = replace(self.relief, surface=surface)
         convention = Convention(state.light_angle_deg, facet_azimuth_deg=self.azimuth_deg)
         if not with_map or self.cell_deviation is None:
             model = fixed(self._with_reflections(relief_model(relief), groove))
             found = evaluate(model, [state], self.poses, convention)[0]
-            return found if self._constant is None else found + self._constant, float("nan")
+            return _Look(found if self._constant is None else found + self._constant)
         seat = seating_rotation(*state.seating_deg)
         to_light, to_camera = (side @ seat for side in directions(self.poses, convention))
         indirect = np.zeros(len(self.poses)) if self._constant is None else self._constant
@@ -423,7 +442,7 @@ class _Scene:
             column = np.nanmean(radiance, axis=0, dtype=np.float64)
             means.append(float(np.sum(column * weights) / np.sum(weights)) + float(reflected))
             cells.append(self._cells(radiance, surface) + reflected)
-        return np.array(means), self._deviating(np.array(cells))
+        return _Look(np.array(means), *self._deviating(np.array(cells)))
 
     def _cells(self, radiance: npt.NDArray[np.float32], surface: HeightMap) -> FloatArray:
         """Means over cells a quarter of a pitch wide, as in the contrast map."""
@@ -439,13 +458,15 @@ class _Scene:
         count = np.bincount(index[known], minlength=size)
         return np.asarray((total / np.maximum(count, 1)).reshape(shape))
 
-    def _deviating(self, cells: FloatArray) -> float:
+    def _deviating(self, cells: FloatArray) -> tuple[float, CellLevels | None]:
+        """Share of deviating cells, and their levels where the thresholds are those of every part."""
         assert self.cell_deviation is not None
         safe = np.maximum(cells, 1e-6)
         ratios = np.stack([np.log(safe[i] / safe[j]) for i, j in consecutive_pairs(self.poses)])
         thresholds = cell_thresholds(ratios, self.cell_deviation)
         found = CellMap(ratios, cell_deviations(ratios, thresholds), thresholds)
-        return float(np.mean(found.deviating()))
+        levels = CellLevels.of(ratios) if self.cell_deviation == "auto" else None
+        return float(np.mean(found.deviating())), levels
 
 
 def _profile(design: RidgeDesign) -> HeightMap:

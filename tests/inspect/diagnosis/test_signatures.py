@@ -25,6 +25,6 @@ def test_a_rougher_plastic_is_rougher_as_a_whole_not_its_lobe(make_recipe, tmp_p
     model = models_of(recipe, recipe.poses.poses(), convention).model
     sides = directions(recipe.poses.poses(), convention)
     for extent in (0.0, 0.2):
-        seen, _ = scene.look(*cause.change(scene.surface, scene.state, extent), None, with_map=False)
+        seen = scene.look(*cause.change(scene.surface, scene.state, extent), None, with_map=False).radiance
         rougher = replace(material, alpha_across=material.alpha_across * (1.0 + extent))
         np.testing.assert_allclose(np.log(seen / model(*sides, rougher)), 0.0, atol=2e-3)

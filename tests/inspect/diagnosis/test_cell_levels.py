@@ -1,0 +1,102 @@
+"""Local defects where the thresholds of the contrast map are those of every part (``area.cell_deviation = "auto"``)."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from anisoscope.decision.decision import decide
+from anisoscope.diagnosis.cause_model import PLASTIC_CAUSES
+from anisoscope.diagnosis.cell_levels import CellLevels
+from anisoscope.diagnosis.part_diagnosis import explain
+from anisoscope.diagnosis.signature_cache import cached_signatures
+from anisoscope.diagnosis.signatures import signatures
+from anisoscope.imaging.deviation_map import CellMap, cell_deviations
+from anisoscope.imaging.pose_radiance import Measured
+from anisoscope.imaging.registration.placement import Grid
+from anisoscope.prediction.expectation import Component, expectation
+from anisoscope.profiles.defect_injection import inject_defect
+from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness, ridges
+from anisoscope.sim.light.geometry import Convention, directions
+from anisoscope.sim.light.relief import Relief, radiance_maps
+from anisoscope.study.detection.product import LIGHT_DEG, Size, recipe_of
+
+ALPHA, TEXTURE, ANGLE_DEG, PITCH_UM, PIXEL_UM = 0.095, 0.03, 15.0, 100.0, 2.5
+CELL_ROWS, CELL_COLS, CELL_POINTS = 32, 80, 10
+COVERAGE = 0.05
+
+
+@pytest.fixture(scope="module")
+def recipe():
+    """A pale plastic with steep ridges: ln ratios of 0.4 at most."""
+    found = recipe_of("standard", Size())
+    design = found.surface.design.model_copy(update={"ridge_angle_deg": ANGLE_DEG})
+    pale = {"albedo": 0.25, "alpha_along": ALPHA, "alpha_across": ALPHA, "u_tail": 0.0}
+    return found.model_copy(
+        update={
+            "surface": found.surface.model_copy(update={"design": design, "reflections": "direct"}),
+            "material": found.material.model_copy(update=pale),
+            "area": found.area.model_copy(update={"cell_deviation": "auto"}),
+        }
+    )
+
+
+@pytest.fixture(scope="module")
+def few(recipe):
+    """The causes of the plastic, of which burrs are looked for, from the cache."""
+    known = signatures(recipe, LIGHT_DEG, names=("burrs",))
+    causes = replace(PLASTIC_CAUSES, signatures=lambda *_: known)
+    cached_signatures(recipe, LIGHT_DEG, causes=causes)
+    return replace(PLASTIC_CAUSES, signatures=lambda *_: pytest.fail("stored before"))
+
+
+def cells_of_part(recipe, coverage):
+    """(P, rows, cols) cells of a rough part; the texture is no part of its lobe."""
+    rng = np.random.default_rng(1)
+    shape = CELL_ROWS * CELL_POINTS + 1, CELL_COLS * CELL_POINTS + 1
+    surface = ridges(RidgeDesign(PITCH_UM, ANGLE_DEG), shape, (PIXEL_UM, PIXEL_UM))
+    surface = add_facet_roughness(surface, TEXTURE, TEXTURE, 8.0, rng)
+    if coverage:
+        surface = inject_defect(surface, "burrs", rng, values={"coverage": coverage})
+    alone = float(np.sqrt(ALPHA**2 - TEXTURE**2))
+    lobe = replace(recipe.material.material(), alpha_along=alone, alpha_across=alone)
+    sides = directions(recipe.poses.poses(), Convention(LIGHT_DEG))
+    maps = np.array(list(radiance_maps(Relief(surface, PITCH_UM, max_missing_share=1.0), *sides, lobe)))
+    blocks = maps.reshape(len(maps), CELL_ROWS, CELL_POINTS, CELL_COLS, CELL_POINTS)
+    return blocks.mean(axis=(2, 4), dtype=np.float64)
+
+
+def measured(cells, radiance):
+    """Such a part; the means are those of a part whose texture is in its lobe, and of its burrs."""
+    component = Component("flat field", "measurement", np.full(len(radiance), 0.004), shared=False)
+    grid = Grid((0.0, 0.0), 0.025, (4, 4))
+    return Measured(radiance, (component,), (), cells, np.full(len(radiance), 0.005), grid, 0.0)
+
+
+def test_burrs_are_named_with_the_thresholds_of_the_part(recipe, few):
+    expected = expectation(recipe, LIGHT_DEG)
+    good, burred = (cells_of_part(recipe, coverage) for coverage in (0.0, COVERAGE))
+    means = [cells.mean(axis=(1, 2)) for cells in (good, burred)]
+    told = []
+    for cells, mean in zip((good, burred), means, strict=True):
+        seen = measured(cells, expected.radiance * mean / means[0])
+        decided = decide(expected, seen, recipe)
+        found, note = explain(recipe, expected, seen, decided, causes=few)
+        assert note is None
+        told.append((decided.verdict, found))
+    (of_good, nothing), (of_burred, found) = told
+    assert (of_good, of_burred) == ("PASS", "FAIL")
+    assert nothing.causes == ()
+    first = found.causes[0]
+    assert first.cause == "burrs"
+    assert abs(first.severity - COVERAGE) < 2.0 * first.u
+
+
+def test_levels_give_the_share_of_every_threshold(rng):
+    ratios = rng.normal(0.0, 0.06, (3, 8, 40))
+    ratios[1, :, 17] += 0.2  # a line off its neighbours
+    levels = CellLevels.of(ratios)
+    for thresholds in ((0.3, 0.05, 0.125), (0.1, 0.3, 0.2), (0.05, 0.05, 0.05)):
+        each = np.array(thresholds)
+        direct = CellMap(ratios, cell_deviations(ratios, each), each).deviating()
+        assert levels.share(thresholds) == pytest.approx(direct.mean())
