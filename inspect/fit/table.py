@@ -55,7 +55,9 @@ def read_readings(
     if table.columns[:3] == EXPOSURES:
         return _exposures(table, kind, given)
     if kind not in ("difference", "michelson", "log_ratio"):
-        raise UsageError(f"{path} holds contrasts: say which with --kind difference, michelson or log_ratio")
+        raise UsageError(
+            f"{path} holds contrasts: say which with --quantity difference, michelson or log_ratio"
+        )
     return _contrasts(table, kind, errors, given)
 
 

@@ -153,7 +153,7 @@ def scan_setup(
     step = step_deg if step_deg is not None else (2.5 if name == "coupon" else 10.0)
     if not (0.0 < tilt_deg <= 60.0 and 0.5 <= step <= tilt_deg):
         raise UsageError(
-            f"--tilt {tilt_deg:g} and --step {step:g}: a tilt of up to 60° and steps from 0.5° to it"
+            f"--max-tilt {tilt_deg:g} and --step {step:g}: a tilt of up to 60° and steps from 0.5° to it"
         )
     scanned = poses or (coupon_poses if name == "coupon" else part_poses)(tilt_deg, step)
     check_poses_suffice(scanned)

@@ -6,7 +6,7 @@ none but ``fill`` gives a height where nothing was measured.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import isfinite
 from pathlib import Path
 from typing import Any, Literal, cast
@@ -103,12 +103,14 @@ class Operation:
         meaning: what it does, in one sentence.
         parameters: in the order in which they are given.
         run: turns a map, checked values and a reader of further maps into a new map and what was found.
+        former: names of parameters in the version before, which histories of maps hold, and today's.
     """
 
     name: str
     meaning: str
     parameters: tuple[Parameter, ...]
     run: Callable[[HeightMap, Values, Read], Result]
+    former: Mapping[str, str] = field(default_factory=dict)
 
     def checked(self, given: Values) -> dict[str, Value]:
         """All values by name, defaults where they are not given.
@@ -116,6 +118,7 @@ class Operation:
         Raises:
             UsageError: an unknown name, a missing value, or one of the wrong type.
         """
+        given = {self.former.get(name, name): value for name, value in given.items()}
         known = {one.name for one in self.parameters}
         if unknown := sorted(set(given) - known):
             names = ", ".join(one.name for one in self.parameters)
@@ -204,7 +207,7 @@ def _rotate(surface: HeightMap, values: Values, _read: Read) -> Result:
     py, px = surface.pixel_y_um, surface.pixel_x_um
     width, height = (cols - 1) * px, (rows - 1) * py
     cos, sin = abs(np.cos(angle)), abs(np.sin(angle))
-    if values["field"] == "full":
+    if values["extent"] == "full":
         size = width * cos + height * sin, width * sin + height * cos
     else:
         size = _inner_rectangle(width, height, cos, sin)
@@ -212,7 +215,7 @@ def _rotate(surface: HeightMap, values: Values, _read: Read) -> Result:
         int(np.floor(length / pixel + ROUNDING)) + 1 for length, pixel in zip(size, (px, py), strict=True)
     )
     if min(n, m) < 2 or n * m > MAX_POINTS:
-        raise HeightMapError(f"rotate: {m} × {n} points would be left; take field full, or a larger map")
+        raise HeightMapError(f"rotate: {m} × {n} points would be left; take extent full, or a larger map")
     at_x = (np.arange(n) - 0.5 * (n - 1)) * px
     at_y = ((np.arange(m) - 0.5 * (m - 1)) * py)[:, None]
     source_x = at_x * np.cos(angle) + at_y * np.sin(angle) + 0.5 * width
@@ -448,7 +451,7 @@ OPERATIONS: dict[str, Operation] = {
                           required=True),
                 Parameter("keep", "text", "", "waves that stay: those longer or those shorter than the cutoff", "long",
                           choices=("long", "short")),
-                Parameter("direction", "text", "", "xy: areal; x or y: profiles along that axis", "xy",
+                Parameter("direction", "text", "", "direction of the profiles, x or y; xy: areal", "xy",
                           choices=("xy", "x", "y")),
                 Parameter("order", "count", "", "of the regression of Gaussian filters, 0 to 2; 0 for gaussian and 2 "
                           "for robust where it is not given"),
@@ -472,11 +475,12 @@ OPERATIONS: dict[str, Operation] = {
             (
                 Parameter("angle", "number", "°", "by how much; multiples of 90° move points without interpolation",
                           required=True),
-                Parameter("field", "text", "", "inside: the largest rectangle within the turned field; full: all of "
+                Parameter("extent", "text", "", "inside: the largest rectangle within the turned field; full: all of "
                           "it, missing points around", "inside", choices=("inside", "full")),
                 _INTERPOLATION,
             ),
             _rotate,
+            {"field": "extent"},
         ),
         Operation(
             "mask",
@@ -534,7 +538,7 @@ OPERATIONS: dict[str, Operation] = {
                 Parameter("map", "map", "", "the other map", required=True),
                 Parameter("x", "number", "µm", "where its first point lies along x in the first map, about", 0.0),
                 Parameter("y", "number", "µm", "the same along y", 0.0),
-                Parameter("align", "flag", "", "search the exact place within a quarter of the field; else x and y are "
+                Parameter("align", "flag", "", "register it within a quarter of the field; else x and y are "
                           "exact", default=True),
             ),
             _stitch,

@@ -92,7 +92,7 @@ def test_the_command_over_a_history_of_a_hundred_thousand_inspections(tmp_path):
     page = tmp_path / "page.html"
     took = min(command("spc", "-n", "ln 0-90", "--history", place, "--html", page) for _ in range(3))
     bare = min(command("spc", "--csv", few, "--html", page) for _ in range(3))
-    rows = command("export", "--history", place, "--csv", tmp_path / "all.csv", "--limit", 0)
+    rows = command("export", "--history", place, "--csv-file", tmp_path / "all.csv", "--limit", 0)
     print(
         f"\nspc --html over a history of {COUNT}: {took:.2f} s of one core, {bare:.2f} s of which "
         f"a page over 50 values takes as well; to export the rows as CSV takes {rows:.2f} s"

@@ -36,7 +36,7 @@ app.command("anisoscope.cli.design.masks:height")
 class Fabrication:
     """Light and fabrication."""
 
-    wavelength: Annotated[float, Parameter(help="Of the light that the design is made for, nm.")] = 500.0
+    wavelength: Annotated[float, Parameter(help="Wavelength that the design is made for, nm.")] = 500.0
     coherence: Annotated[
         float, Parameter(help="Coherence length of the source, λ/Δa, µm; 16 is a lamp of 1.8°.")
     ] = 16.0

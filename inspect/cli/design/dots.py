@@ -40,7 +40,7 @@ def refine(
     ] = None,
     dot: DotOption = 112.0,
     population: Annotated[int, Parameter(help="Dots that the genetic search keeps.")] = 6,
-    method: Annotated[
+    search: Annotated[
         Literal["both", "genetic", "polish"],
         Parameter(help="Genetic search with polish, or one of them alone."),
     ] = "both",
@@ -66,7 +66,7 @@ def refine(
     from anisoscope.sim.design.models import LobeModel
     from anisoscope.sim.design.pattern import dot_task
     from anisoscope.sim.design.refine import Limits
-    from anisoscope.sim.design.refine import refine as search
+    from anisoscope.sim.design.refine import refine as refined
 
     check_seed(seed)
     _check_written(out, png, html)
@@ -78,9 +78,9 @@ def refine(
         raise UsageError(f"{design}: a {chosen.model.kind} has no widths to draw from: refine takes a lobe")
     side = round(dot / chosen.grid_um) * chosen.grid_um
     with progress("refine", quiet=json_) as advance:
-        found = search(
+        found = refined(
             dot_task(chosen, chosen.model, side), np.random.default_rng(seed), Limits(seconds, generations, good),
-            method=method, population=population, on_progress=advance,
+            method=search, population=population, on_progress=advance,
         )  # fmt: skip
     layout = _one_dot(chosen, found)
     _write(layout, (chosen,), out, None)
@@ -96,7 +96,7 @@ def refine(
         print_json(
             {
                 "design": chosen.name, "error": found.error, "start_error": found.start_error,
-                "generations": found.generations, "stopped": found.stopped, "method": method, "seed": seed,
+                "generations": found.generations, "stopped": found.stopped, "method": search, "seed": seed,
                 "seconds": found.history[-1][0], "dot_um": side, "history": [list(one) for one in found.history],
             }
         )  # fmt: skip
@@ -137,7 +137,7 @@ def pattern(
         Parameter(help="Designs *.toml from dark to bright, comma-separated; mirror is the bare wafer."),
     ],
     out: Annotated[Path | None, Parameter(help="Write the layout *.npz.")] = None,
-    size: Annotated[
+    plate_size: Annotated[
         str | None, Parameter(help="Size W,H in mm; a dot for every pixel of the picture if not given.")
     ] = None,
     dot: DotOption = 112.0,
@@ -167,7 +167,7 @@ def pattern(
     _check_written(out, png, html)
     _check_dot(dot)
     designs = _designs(classes)
-    labels = classes_of(_picture(image, size, dot), len(designs), dither=dither)
+    labels = classes_of(_picture(image, plate_size, dot), len(designs), dither=dither)
     with progress("pattern", quiet=json_) as advance:
         layout = make_layout(
             labels, designs, np.random.default_rng(seed), PatternOptions(dot, tiles, refine, dither), advance
@@ -238,12 +238,14 @@ def _picture(image: Path, size: str | None, dot: float) -> "npt.NDArray[np.uint8
         raise UsageError(f"{image}: not a picture; give a PNG, TIFF or JPEG")
     if size is None:
         return np.asarray(grey, dtype=np.uint8)
-    wide = parse_numbers(size, "--size")
+    wide = parse_numbers(size, "--plate-size")
     if len(wide) not in (1, 2) or min(wide) <= 0.0:
-        raise UsageError(f"--size takes one or two positive numbers of mm, not {size!r}")
+        raise UsageError(f"--plate-size takes one or two positive numbers of mm, not {size!r}")
     cols, rows = (max(1, round(1e3 * side / dot)) for side in (wide[0], wide[-1]))
     if rows * cols > 10**7:
-        raise UsageError(f"--size {size} mm with --dot {dot:g} µm are {rows * cols} dots: take larger dots")
+        raise UsageError(
+            f"--plate-size {size} mm with --dot {dot:g} µm are {rows * cols} dots: take larger dots"
+        )
     nearest = cv2.resize(grey, (cols, rows), interpolation=cv2.INTER_NEAREST)
     return np.asarray(nearest, dtype=np.uint8)
 

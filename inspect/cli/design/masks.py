@@ -70,14 +70,16 @@ def height(
     *,
     out: Annotated[Path, Parameter(help="Map to write: x3p or npz; npy row by row, for any size.")],
     corner: Annotated[str, Parameter(help="Lower left corner X,Y of the window, µm.")] = "0,0",
-    size: Annotated[str | None, Parameter(help="Size W,H of the window, µm; all if not given.")] = None,
+    window_size: Annotated[
+        str | None, Parameter(help="Size W,H of the window, µm; all if not given.")
+    ] = None,
     dots: Annotated[int, Parameter(help="Dots along each side, of a design *.toml.")] = 4,
     dot: Annotated[float, Parameter(help="Side of a dot, µm, of a design *.toml.")] = 112.0,
     seed: Annotated[int, Parameter(help="Seed, of a design *.toml.")] = 0,
     depths: Annotated[
         str | None, Parameter(help="Depth of every pass in nm, of a GDSII that does not say.")
     ] = None,
-    grid: Annotated[float | None, Parameter(help="Pixel in µm, of a GDSII.")] = None,
+    pixel: Annotated[float | None, Parameter(help="Pixel size in µm, of a GDSII.")] = None,
     overwrite: Annotated[bool, Parameter(negative="", help="Replace the map if it exists.")] = False,
     json_: Json = False,
 ) -> int:
@@ -87,7 +89,7 @@ def height(
         source: Design *.toml, layout *.npz or masks *.gds.
 
     Examples:
-        anisoscope design height disc.gds --size 60,40 --out masks.x3p
+        anisoscope design height disc.gds --window-size 60,40 --out masks.x3p
     """
     if out.exists() and not overwrite:
         raise UsageError(f"{out} exists; give another name, or --overwrite")
@@ -95,22 +97,22 @@ def height(
         raise UsageError(f"{out}: there is no folder {out.parent}; make it first")
     check_seed(seed)
     at = parse_numbers(corner, "--corner")
-    extent = None if size is None else parse_numbers(size, "--size")
+    extent = None if window_size is None else parse_numbers(window_size, "--window-size")
     if len(at) != 2 or (extent is not None and (len(extent) not in (1, 2) or min(extent) <= 0.0)):
-        raise UsageError("--corner takes X,Y in µm, --size one or two positive numbers of µm")
+        raise UsageError("--corner takes X,Y in µm, --window-size one or two positive numbers of µm")
     # Options are X,Y; windows of a layout count rows (y) first.
     low, window = (at[1], at[0]), None if extent is None else (extent[-1], extent[0])
     kind = source.suffix.lower()
-    if kind not in GDS and (depths is not None or grid is not None):
-        raise UsageError(f"--depths and --grid are for GDSII files; {source.name} says its own")
+    if kind not in GDS and (depths is not None or pixel is not None):
+        raise UsageError(f"--depths and --pixel are for GDSII files; {source.name} says its own")
     if kind in GDS:
         from anisoscope.sim.design.maskreading import read_gds
 
         passes = None if depths is None else parse_numbers(depths, "--depths")
-        if grid is not None and not grid > 0.0:
-            raise UsageError(f"--grid must be positive, not {grid:g} µm")
+        if pixel is not None and not pixel > 0.0:
+            raise UsageError(f"--pixel must be positive, not {pixel:g} µm")
         return _deliver(
-            read_gds(source, corner_um=low, size_um=window, grid_um=grid, passes_nm=passes),
+            read_gds(source, corner_um=low, size_um=window, grid_um=pixel, passes_nm=passes),
             out,
             as_json=json_,
         )
@@ -155,7 +157,7 @@ def _stream(layout: "Layout", out: Path, *, as_json: bool) -> int:
     needed, free = 4 * rows * cols, disk_usage(out.resolve().parent).free
     if needed > free:
         raise UsageError(
-            f"{rows} × {cols} heights take {needed / 1e9:.1f} GB, {free / 1e9:.1f} GB are free: give --size"
+            f"{rows} × {cols} heights take {needed / 1e9:.1f} GB, {free / 1e9:.1f} GB are free: give --window-size"
         )
     header = {"descr": "<f4", "fortran_order": False, "shape": (rows, cols)}
     try:

@@ -305,7 +305,7 @@ def experiment(
 @everyday(
     "recipe",
     "model",
-    "grid",
+    "grid_points",
     "alpha_from",
     "alpha_to",
     "albedo",
@@ -319,7 +319,7 @@ def findings(
     *,
     recipe: RecipeOption = None,
     model: ModelOption = "printed",
-    grid: Annotated[int, Parameter(help="Roughnesses a side of the grid, 2 to 100.")] = 24,
+    grid_points: Annotated[int, Parameter(help="Roughnesses a side of the grid, 2 to 100.")] = 24,
     alpha_from: Annotated[float, Parameter(help="Smallest roughness of the grid.")] = 0.03,
     alpha_to: Annotated[float, Parameter(help="Largest roughness of the grid.")] = 0.3,
     albedo: AlbedoOption = 0.2,
@@ -348,12 +348,12 @@ def findings(
     del recipe  # the plastic is in the other options by now
     _at_most_one({"--json": json_, "--html": html is not None, "--svg": svg is not None})
     _check_finite(facet_azimuth)
-    if not 2 <= grid <= 100:
-        raise UsageError(f"--grid takes 2 to 100, not {grid}")
+    if not 2 <= grid_points <= 100:
+        raise UsageError(f"--grid-points takes 2 to 100, not {grid_points}")
     if not 0.0 < alpha_from < alpha_to:
         raise UsageError(f"--alpha-from {alpha_from} must lie above 0 and below --alpha-to {alpha_to}")
     Material(alpha_from, alpha_to)
-    alphas = np.geomspace(alpha_from, alpha_to, grid)
+    alphas = np.geomspace(alpha_from, alpha_to, grid_points)
     alphas[[0, -1]] = alpha_from, alpha_to
     maps = [
         findings_share(

@@ -240,7 +240,7 @@ def ridges(
     table: Path,
     /,
     *,
-    kind: Annotated[
+    quantity: Annotated[
         Literal["exposure", "difference", "michelson", "log_ratio"] | None,
         Parameter(help="What the values are; of an exposure table: which contrasts are formed and fitted."),
     ] = None,
@@ -275,7 +275,7 @@ def ridges(
 
     options, angles = options or ModelOptions(), angles or PoseOptions()
     _at_most_one(json_, html)
-    poses, readings = read_readings(table, kind, errors, covariance)
+    poses, readings = read_readings(table, quantity, errors, covariance)
     convention = Convention(angles.light_angle, angles.tilt_plane, angles.facet_azimuth)
     scene = Scene(*directions(poses, convention), poses=poses, convention=convention, **options.optics())
     chosen = tuple(n for n in USUAL if readings.scaled or n != "k") if free is None else parse_free(free)

@@ -314,7 +314,7 @@ def dispose(
     decision: Annotated[str, Parameter(help="accept, reject, rework, remeasure or hold.")],
     /,
     *,
-    reviewer: Annotated[str, Parameter(name=["--by", "--reviewer"], help="Who decides.")],
+    reviewer: Annotated[str, Parameter(name="--reviewer", help="Who decides.")],
     comment: Annotated[str, Parameter(name=["--comment", "-m"], help="Why.")] = "",
     place: Place = None,
     json_: Json = False,
@@ -322,7 +322,7 @@ def dispose(
     """Write down what a reviewer decides about an inspection. Its verdict, and earlier decisions, stay as they are.
 
     Examples:
-        anisoscope history dispose A-0002 accept --by "R. R." --comment "burrs are allowed here"
+        anisoscope history dispose A-0002 accept --reviewer "R. R." --comment "burrs are allowed here"
     """
     from anisoscope.history.store import find
 
@@ -434,7 +434,7 @@ def compare(
 def export(
     *,
     which: Selection = ALL,
-    csv: Annotated[Path | None, Parameter(help="Write a table (CSV, UTF-8).")] = None,
+    csv: Annotated[Path | None, Parameter(name="--csv-file", help="Write a table (CSV, UTF-8).")] = None,
     json: Annotated[Path | None, Parameter(name="--json-file", help="Write JSON.")] = None,
     junit: Annotated[
         Path | None, Parameter(help="Write JUnit XML, for servers of continuous integration.")
@@ -445,7 +445,7 @@ def export(
     """Export past inspections as CSV, JSON or JUnit; the filters are those of `history`.
 
     Examples:
-        anisoscope export --csv week.csv --since 7d
+        anisoscope export --csv-file week.csv --since 7d
         anisoscope export --junit results.xml --lot L42
     """
     from anisoscope.base.atomic_write import write_text
@@ -454,7 +454,7 @@ def export(
     targets = [(csv, to_csv), (json, to_json), (junit, to_junit)]
     files = [(path, make) for path, make in targets if path is not None]
     if not files:
-        raise UsageError("name a file: --csv FILE, --json FILE or --junit FILE")
+        raise UsageError("name a file: --csv-file FILE, --json-file FILE or --junit FILE")
     with opened(place) as found:
         rows = found.rows(which.filters(limit))
         decided = found.dispositions_of([row.id for row in rows])

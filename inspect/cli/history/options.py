@@ -38,7 +38,9 @@ class Which:
     until: Annotated[
         str | None, Parameter(name="--until", help="Not later than this; a date includes its day.")
     ] = None
-    serial: Annotated[str | None, Parameter(name=["--serial", "-s"], help="Of this part.")] = None
+    serial: Annotated[
+        str | None, Parameter(name=["--serial", "-s"], help="Of the part with this serial number.")
+    ] = None
     product: Annotated[str | None, Parameter(name="--product", help="Of this product.")] = None
     recipe: Annotated[
         str | None,
@@ -53,7 +55,7 @@ class Which:
         str | None, Parameter(name="--verdict", help="PASS, FAIL, INCONCLUSIVE or INVALID.")
     ] = None
     station: Annotated[str | None, Parameter(name="--station", help="Of this station.")] = None
-    operator: Annotated[str | None, Parameter(name="--operator", help="By this operator.")] = None
+    operator: Annotated[str | None, Parameter(name="--operator", help="Of this operator.")] = None
 
     def filters(self, limit: int | None = None) -> "Filters":
         """Selection as filters.

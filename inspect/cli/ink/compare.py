@@ -28,17 +28,21 @@ def compare(
     synthetic: Annotated[
         bool, Parameter(negative="", help="Compare on made-up readings of the three synthetic inks.")
     ] = False,
-    seed: Annotated[int, Parameter(help="Of the noise of made-up readings.")] = 1,
+    seed: Annotated[int, Parameter(help="Seed of the noise of made-up readings.")] = 1,
     values: Annotated[
         Literal["factor", "brdf"],
         Parameter(help="Values are ratios to the white reference, or BRDF in 1/sr."),
     ] = "factor",
-    white: Annotated[float | None, Parameter(help="Reflectance of the white reference; else 0.99.")] = None,
+    reflectance: Annotated[
+        float | None, Parameter(help="Reflectance of the white reference; else 0.99.")
+    ] = None,
     alpha: Annotated[
         float | None, Parameter(help="Roughness to show the models with, in place of the fitted one.")
     ] = None,
-    illuminant: Annotated[str, Parameter(help="d65, a, led-b3 …, or CSV wavelength_nm,power.")] = "d65",
-    size: Annotated[int, Parameter(help="Side of the pictures in pixels.")] = 512,
+    illuminant: Annotated[
+        str, Parameter(help="Illuminant: d65, a, led-b3 …, or CSV wavelength_nm,power.")
+    ] = "d65",
+    picture_size: Annotated[int, Parameter(help="Side of the pictures in pixels.")] = 512,
     png: Annotated[
         Path | None,
         Parameter(help="Write the spheres to this *.png: a row an ink; readings, then the models."),
@@ -61,16 +65,18 @@ def compare(
 
     check_suffix(png, "--png", ".png")
     check_new((png,), overwrite=overwrite)
-    if not size <= MOST_SIZE or seed < 0:
-        raise UsageError(f"--size takes pixels up to {MOST_SIZE}, --seed 0 or more")
+    if not picture_size <= MOST_SIZE or seed < 0:
+        raise UsageError(f"--picture-size takes pixels up to {MOST_SIZE}, --seed 0 or more")
     if bool(readings) == synthetic:
         raise UsageError("ink compare needs readings (CSV files), or --synthetic in their place")
-    if values == "brdf" and white is not None:
-        raise UsageError("--white needs --values factor: a BRDF has no white reference")
+    if values == "brdf" and reflectance is not None:
+        raise UsageError("--reflectance needs --values factor: a BRDF has no white reference")
     lamp = find_illuminant(illuminant)
     found, warnings = [], []
     sets = (
-        _synthetic_sets(seed) if synthetic else [(path.stem, _read(path, values, white)) for path in readings]
+        _synthetic_sets(seed)
+        if synthetic
+        else [(path.stem, _read(path, values, reflectance)) for path in readings]
     )
     with progress("compare", quiet=json_) as advance:
         for done, (name, (read, measured)) in enumerate(sets):
@@ -82,13 +88,13 @@ def compare(
             ink = fitted.ink(name, "fitted to the readings")
             # A given roughness replaces the fitted one only in the models, not in the readings they are compared with.
             ink = ink if alpha is None else replace(ink, alpha=alpha)
-            found.append(run(measured, ink, illuminant=lamp, size=size))
+            found.append(run(measured, ink, illuminant=lamp, size=picture_size))
     if png is not None:
         _write_png(found, png)
     if json_:
         print_json({"synthetic": synthetic, "convention": CONVENTION, "inks": found, "warnings": warnings})
         return 0
-    _print(found, synthetic, size)
+    _print(found, synthetic, picture_size)
     for warning in warnings:
         print_line(f"warning: {warning}")
     print_line(f"Convention: {CONVENTION}.")

@@ -38,7 +38,8 @@ def halftone(
     out: Annotated[Path, Parameter(help="PNG of all dots; the films stand beside it as NAME-INK.png.")],
     inks: InksOption = None,
     method: Annotated[
-        Literal["mask", "diffusion"], Parameter(help="Void-and-cluster mask, or vector error diffusion.")
+        Literal["mask", "diffusion"],
+        Parameter(help="How the dots are placed: void-and-cluster mask, or vector error diffusion."),
     ] = "mask",
     separation: Annotated[
         Literal["match", "channels"],
@@ -46,8 +47,10 @@ def halftone(
     ] = "match",
     illuminant: IlluminantOption = "d65",
     angle: AngleOption = 20.0,
-    gain: GainOption = 1.0,
-    width: Annotated[float | None, Parameter(help="Width of the print in mm; else one dot a pixel.")] = None,
+    image_gain: GainOption = 1.0,
+    print_width: Annotated[
+        float | None, Parameter(help="Width of the print in mm; else one dot a pixel.")
+    ] = None,
     dpi: Annotated[float, Parameter(help="Dots per inch, written into the files.")] = 300.0,
     negative: Annotated[
         bool,
@@ -62,7 +65,7 @@ def halftone(
         image: The picture; its colour profile is applied.
 
     Examples:
-        anisoscope ink halftone image.png --out dots.png --width 60 --dpi 300
+        anisoscope ink halftone image.png --out dots.png --print-width 60 --dpi 300
     """
     from anisoscope.sim.materials.spectra import find_illuminant
     from anisoscope.sim.proof.halftone import halftone as place_dots
@@ -72,16 +75,18 @@ def halftone(
     check_target(out, "--out", (image,), ".png")
     if not 1.0 <= dpi <= 20000.0:
         raise UsageError(f"--dpi takes 1 to 20000, not {dpi:g}")
-    if width is not None and not 0.0 < width < np.inf:
-        raise UsageError(f"--width takes millimetres above 0, not {width:g}")
+    if print_width is not None and not 0.0 < print_width < np.inf:
+        raise UsageError(f"--print-width takes millimetres above 0, not {print_width:g}")
     chosen = three_inks(inks)
     films = _films(out, chosen)
     for film in films:
         check_target(film, "the film", (image,), ".png")
     check_new((out, *films), overwrite=overwrite)
-    plan = plan_separation(chosen, find_illuminant(illuminant), way=separation, angle_deg=angle, gain=gain)
+    plan = plan_separation(
+        chosen, find_illuminant(illuminant), way=separation, angle_deg=angle, gain=image_gain
+    )
     picture = read_image(image)
-    dots = picture.srgb.shape[1] if width is None else round(width / MM_AN_INCH * dpi)
+    dots = picture.srgb.shape[1] if print_width is None else round(print_width / MM_AN_INCH * dpi)
     with progress("halftone", quiet=json_) as advance:
         found = place_dots(to_dots(picture, dots), plan, method, advance=advance)
     written = _write(found, plan, out, films, dpi, negative)

@@ -29,14 +29,14 @@ def fit(
     data: Path,
     /,
     *,
-    method: Annotated[
+    fit_method: Annotated[
         Literal["joint", "paper"], Parameter(help="All parameters at once, or the published two steps.")
     ] = "joint",
     values: Annotated[
         Literal["factor", "brdf"],
         Parameter(help="Values are ratios to the white reference, or BRDF in 1/sr."),
     ] = "factor",
-    white: Annotated[
+    reflectance: Annotated[
         float | None, Parameter(help="Reflectance of the white reference; 0.99 where it is not given.")
     ] = None,
     white_table: Annotated[
@@ -49,7 +49,9 @@ def fit(
         Path | None,
         Parameter(help="CSV as DATA: readings of the reference, where values are not divided yet."),
     ] = None,
-    noise: Annotated[float, Parameter(help="Relative noise of a reading, for the weights.")] = 0.03,
+    u_reading: Annotated[
+        float, Parameter(help="Relative standard uncertainty of a reading, for the weights.")
+    ] = 0.03,
     floor: Annotated[
         float | None, Parameter(help="Noise floor in 1/sr; readings up to 3 times as large are dropped.")
     ] = None,
@@ -72,13 +74,13 @@ def fit(
     from anisoscope.ink.text import fit_as_json, summary
     from anisoscope.sim.materials.inks import write_ink
 
-    if values == "brdf" and white is not None:
-        raise UsageError("--white needs --values factor: a BRDF has no white reference")
+    if values == "brdf" and reflectance is not None:
+        raise UsageError("--reflectance needs --values factor: a BRDF has no white reference")
     check_suffix(out, "--out", ".toml")
     check_suffix(html, "--html", ".html", ".htm")
     check_new((out, html), overwrite=overwrite)
-    readings = to_brdf(read_goniometer(data), values, _white(white, white_table, white_readings))
-    found = fit_ink(readings, method, noise=noise, floor=floor)
+    readings = to_brdf(read_goniometer(data), values, _white(reflectance, white_table, white_readings))
+    found = fit_ink(readings, fit_method, noise=u_reading, floor=floor)
     ink = found.ink(name or data.stem, f"fitted to {data.name} ({summary(found)})")
     if out is not None:
         write_ink(ink, out)
@@ -113,12 +115,14 @@ def show(
     illuminant: Annotated[
         str,
         Parameter(
-            help="d65, a, led-b1 … led-b5, led-bh1, led-rgb1, led-v1, led-v2, or CSV wavelength_nm,power."
+            help="Illuminant: d65, a, led-b1 … led-b5, led-bh1, led-rgb1, led-v1, led-v2, or CSV wavelength_nm,power."
         ),
     ] = "d65",
-    angles: Annotated[str | None, Parameter(help="Angles of the light in degrees, comma-separated.")] = None,
+    light_angles: Annotated[
+        str | None, Parameter(help="Angles of the light to the normal in degrees, comma-separated.")
+    ] = None,
     off_mirror: Annotated[float, Parameter(help="Eye beside the mirror direction, in degrees.")] = 0.0,
-    model: Annotated[
+    ink_model: Annotated[
         Literal["goniochromatic", "schlick", "tio2"], Parameter(help="The ink model, or a standard one.")
     ] = "goniochromatic",
     exposure: Annotated[
@@ -145,7 +149,7 @@ def show(
 
     Examples:
         anisoscope ink show synthetic-red synthetic-green synthetic-blue --png inks.png
-        anisoscope ink show red.toml --illuminant led-b3 --angles 0,30,60
+        anisoscope ink show red.toml --illuminant led-b3 --light-angles 0,30,60
     """
     from anisoscope.ink.appearance import ANGLES_DEG, show_inks
     from anisoscope.sim.materials.inks import SYNTHETIC, find_ink
@@ -159,13 +163,13 @@ def show(
     usual = tuple(angle for angle in ANGLES_DEG if abs(angle + off_mirror) < HORIZON_DEG)
     if not usual:
         raise UsageError(f"--off-mirror takes degrees between -90 and 90, not {off_mirror:g}")
-    theta = usual if angles is None else parse_numbers(angles, "--angles")
+    theta = usual if light_angles is None else parse_numbers(light_angles, "--light-angles")
     shown = show_inks(
         [find_ink(text) for text in inks],
         find_illuminant(illuminant),
         theta_deg=theta,
         off_mirror_deg=off_mirror,
-        model=model,
+        model=ink_model,
         exposure=exposure,
         adapt=adapt,
     )

@@ -22,7 +22,9 @@ InksOption = Annotated[
 ]
 IlluminantOption = Annotated[
     str,
-    Parameter(help="Light for which the image is separated: d65, a, led-b3 …, or CSV wavelength_nm,power."),
+    Parameter(
+        help="Illuminant for which the image is separated: d65, a, led-b3 …, or CSV wavelength_nm,power."
+    ),
 ]
 AngleOption = Annotated[
     float,

@@ -62,7 +62,7 @@ class View:
     ] = 135.0
     elevation: Annotated[float, Parameter(help="Elevation of the light above the picture, degrees.")] = 45.0
     second: Annotated[bool, Parameter(help="A second light, half as bright, from the right.")] = True
-    model: Annotated[
+    ink_model: Annotated[
         Literal["goniochromatic", "schlick", "tio2"], Parameter(help="The ink model, or a standard one.")
     ] = "goniochromatic"
     process: Annotated[
@@ -93,16 +93,18 @@ def proof(
     illuminant: Annotated[
         tuple[str, ...],
         Parameter(
-            help="Lights: names or CSV files; the first is that of the separation and the picture.",
+            help="Illuminants: names or CSV files; the first is that of the separation and the picture.",
             negative="",
         ),
     ] = ("d65", "a", "led-b1", "led-b3", "led-b5", "led-rgb1", "led-v1"),
     method: Annotated[Literal["mask", "diffusion"], Parameter(help="How the dots are placed.")] = "mask",
-    separation: Annotated[Literal["match", "channels"], Parameter(help="As for ink halftone.")] = "match",
+    separation: Annotated[
+        Literal["match", "channels"], Parameter(help="Coverages as for ink halftone.")
+    ] = "match",
     angle: AngleOption = 20.0,
-    gain: GainOption = 1.0,
+    image_gain: GainOption = 1.0,
     dots: Annotated[int, Parameter(help="Dots across the print; 0: one a pixel of the image.")] = 768,
-    size: Annotated[int, Parameter(help="Side of the picture of --png in pixels.")] = 1024,
+    picture_size: Annotated[int, Parameter(help="Side of the picture of --png in pixels.")] = 1024,
     view: View | None = None,
     overwrite: OverwriteOption = False,
     json_: Json = False,
@@ -134,8 +136,8 @@ def proof(
         raise UsageError("--photo shows a photograph on the page: it needs --out proof.html")
     if shown.shape == "mesh" and mesh is None:
         raise UsageError("--shape mesh needs --mesh FILE.obj")
-    if not 0 <= dots <= 16384 or not 16 <= size <= 4096 or not illuminant:
-        raise UsageError("--dots takes 0 to 16384, --size 16 to 4096, --illuminant a light or more")
+    if not 0 <= dots <= 16384 or not 16 <= picture_size <= 4096 or not illuminant:
+        raise UsageError("--dots takes 0 to 16384, --picture-size 16 to 4096, --illuminant a light or more")
     if not (abs(shown.pitch) <= 90.0 and abs(shown.elevation) <= 90.0):
         raise UsageError("--pitch-angle and --elevation take degrees from -90 to 90")
     if not (abs(shown.yaw) < MOST_TURN and abs(shown.azimuth) < MOST_TURN):
@@ -143,7 +145,7 @@ def proof(
     chosen = three_inks(inks)
     lamps = [find_illuminant(text) for text in illuminant]
     solid = None if mesh is None else read_obj(mesh)
-    plan = plan_separation(chosen, lamps[0], way=separation, angle_deg=angle, gain=gain)
+    plan = plan_separation(chosen, lamps[0], way=separation, angle_deg=angle, gain=image_gain)
     picture = read_image(image)
     pixels = to_dots(picture, dots or picture.srgb.shape[1])
     # The page holds all dots in one WebGL texture, whose side is limited; a PNG has no such limit.
@@ -157,7 +159,7 @@ def proof(
     work = _Work(chosen, lamps, found, coverage(pixels, plan), solid, shown)
     exposure = work.exposure()
     if png is not None:
-        work.write_png(png, size, exposure)
+        work.write_png(png, picture_size, exposure)
     if out is not None:
         from anisoscope.report.proof_page import write_proof_page
 
@@ -229,7 +231,7 @@ class _Work:
         where = surface(self.scene, size, size)
         extras = PHOTO if view.match else None
         cover = printed(where, self.tones)
-        return proof_picture(where, inks, lights, cover, model=view.model, extras=extras)
+        return proof_picture(where, inks, lights, cover, model=view.ink_model, extras=extras)
 
     def exposure(self) -> float:
         """Factor at which 99 % of the print are below 0.9."""
@@ -320,8 +322,8 @@ def _start(work: _Work, photo: bool) -> dict[str, Any]:
         "second": view.second,
         "exposure": 0,
         "adapt": False,
-        "model": view.model,
-        "beside": "schlick" if view.model != "schlick" else "goniochromatic",
+        "model": view.ink_model,
+        "beside": "schlick" if view.ink_model != "schlick" else "goniochromatic",
         "roughness": view.process or "file",
         "alpha": work.inks[0].alpha,
         "match": view.match,

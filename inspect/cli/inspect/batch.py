@@ -39,7 +39,7 @@ def batch(
         Parameter(
             name=["--yes", "-y"],
             negative="",
-            help="Ask nobody: the tray fills itself, or the rig is virtual.",
+            help="Without asking: the tray fills itself, or the rig is virtual.",
         ),
     ] = False,
     read_code: Annotated[
@@ -50,8 +50,8 @@ def batch(
         float | None,
         Parameter(help="Exposure in seconds for the picture of the code; by default the recipe's."),
     ] = None,
-    operator: Annotated[str | None, Parameter(help="Who inspects; goes into the records.")] = None,
-    station: Annotated[str | None, Parameter(help="Where the rig stands.")] = None,
+    operator: Annotated[str | None, Parameter(help="Operator who inspects; goes into the records.")] = None,
+    station: Annotated[str | None, Parameter(help="Station where the rig stands.")] = None,
     history: HistoryOption = None,
     json_: Json = False,
 ) -> int:

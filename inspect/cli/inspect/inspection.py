@@ -40,10 +40,10 @@ def inspect(
         float, Parameter(help="With --frames: reflectance of the white tile in its flat frames.")
     ] = 0.99,
     out: Annotated[Path, Parameter(help="Folder that receives the inspection folder.")] = Path("inspections"),
-    operator: Annotated[str | None, Parameter(help="Who inspects; goes into the record.")] = None,
+    operator: Annotated[str | None, Parameter(help="Operator who inspects; goes into the record.")] = None,
     lot: Annotated[str | None, Parameter(help="Lot of the part.")] = None,
     cavity: Annotated[str | None, Parameter(help="Cavity of the mould.")] = None,
-    station: Annotated[str | None, Parameter(help="Where the rig stands.")] = None,
+    station: Annotated[str | None, Parameter(help="Station where the rig stands.")] = None,
     history: HistoryOption = None,
     json_: Json = False,
 ) -> int:

@@ -37,7 +37,9 @@ def watch(
     ] = None,
     out: Annotated[Path, Parameter(help="Folder that receives the inspections.")] = Path("inspections"),
     reflectance: Annotated[float, Parameter(help="Reflectance of the white tile in flat frames.")] = 0.99,
-    settle: Annotated[float, Parameter(help="Seconds for which a folder must have kept still.")] = 2.0,
+    stable_for: Annotated[
+        float, Parameter(help="Seconds without a change after which a folder is complete.")
+    ] = 2.0,
     poll: Annotated[float, Parameter(help="Seconds between looks.")] = 1.0,
     read_code: Annotated[
         bool,
@@ -65,8 +67,10 @@ def watch(
     """
     from anisoscope.inspection.batch.watch import Watch, Watched
 
-    if not (settle >= 0.0 and poll > 0.0):
-        raise UsageError(f"--settle must be 0 s or more and --poll above 0 s, not {settle:g} and {poll:g}")
+    if not (stable_for >= 0.0 and poll > 0.0):
+        raise UsageError(
+            f"--stable-for must be 0 s or more and --poll above 0 s, not {stable_for:g} and {poll:g}"
+        )
     place = history_place(history, out)
     what = Watched(
         folder.resolve(),
@@ -74,7 +78,7 @@ def watch(
         recipe,
         rig,
         reflectance,
-        settle,
+        stable_for,
         poll,
         code_kind if read_code else None,
         lambda lot: lot_mates(place, lot),

@@ -51,7 +51,9 @@ GROUP = Group(
 class UncertaintyOptions:
     """The options; names and meaning of the inputs as in `anisoscope.prediction.sensitivity.InputUncertainty`."""
 
-    u_alpha: Annotated[float, Parameter("--u-alpha", help="Of both roughnesses, relative.")] = 0.05
+    u_alpha: Annotated[float, Parameter("--u-alpha", help="Of the roughness along and across, relative.")] = (
+        0.05
+    )
     u_albedo: Annotated[float, Parameter("--u-albedo", help="Of the albedo.")] = 0.01
     u_index: Annotated[float, Parameter("--u-index", help="Of the refractive index.")] = 0.01
     u_light_angle: Annotated[float, Parameter("--u-light-angle", help="Of the light angle, degrees.")] = 0.1
@@ -109,7 +111,7 @@ class UncertaintyOptions:
             "--monte-carlo", help="Draw all inputs this often; their scatter is then the u that is stated."
         ),
     ] = None
-    seed: Annotated[int, Parameter("--seed", help="Of the Monte Carlo.")] = 0
+    seed: Annotated[int, Parameter("--seed", help="Seed of the Monte Carlo.")] = 0
     covariance: Annotated[
         bool, Parameter("--covariance", negative="", help="JSON: covariances of radiances and contrasts too.")
     ] = False
@@ -426,7 +428,7 @@ def predict(
     model: Annotated[
         Model | None,
         Parameter(
-            help="Default auto: rays or waves, as the surface needs. Rays are corrected for a design, relief for a map."
+            help="Model; auto: rays or waves, as the surface needs. Rays are corrected for a design, relief for a map."
         ),
     ] = None,
     pixel: Annotated[

@@ -40,7 +40,7 @@ def lines(
     *files: Path,
     direction: Annotated[
         Literal["across", "along", "x", "y"],
-        Parameter(help="Direction: across or along the ridges, or x or y."),
+        Parameter(help="Direction of the profiles: across or along the ridges, or x or y."),
     ] = "across",
     s_filter: Annotated[
         float | None,

@@ -9,7 +9,7 @@ from cyclopts import App, Group, Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.json_output import print_json
-from anisoscope.cli.options import parse_numbers
+from anisoscope.cli.options import Json, parse_numbers
 from anisoscope.cli.profile.many import (
     NO_TABLE,
     NONE,
@@ -147,7 +147,7 @@ AS_STATED = Scales()
 @app.command
 def info(
     *files: Path,
-    json_: Annotated[bool, Parameter(name="--json", negative="")] = False,
+    json_: Json = False,
     many: Annotated[ManyOptions, Parameter(name="*", group="Several files")] = NONE,
     scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
 ) -> int:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from anisoscope.cli.json_output import fields_of, print_json
+from anisoscope.cli.options import Json
 from anisoscope.cli.profile.many import (
     NONE,
     ManyOptions,
@@ -78,7 +79,7 @@ def measurement_as_json(found: "RidgeMeasurement") -> dict[str, Any]:
 
 def ridges(
     *files: Path,
-    json_: Annotated[bool, Parameter(name="--json", negative="")] = False,
+    json_: Json = False,
     many: Annotated[ManyOptions, Parameter(name="*", group="Several files")] = NONE,
     scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
 ) -> int:

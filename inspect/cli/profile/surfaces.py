@@ -23,22 +23,24 @@ MAX_POINTS = 100_000_000
 class RidgeOptions:
     """Ridges, alone or on a checkerboard, and V-grooves."""
 
-    pitch: Annotated[float, Parameter(help="Distance of ridges or grooves in µm.")] = 100.0
-    ridge_angle: Annotated[float, Parameter(help="Slope of the large facets in degrees.")] = 10.0
+    pitch: Annotated[float, Parameter(help="Pitch of ridges or grooves in µm.")] = 100.0
+    ridge_angle: Annotated[float, Parameter(help="Ridge angle: slope of the large facets, in degrees.")] = (
+        10.0
+    )
     wall: Annotated[Literal["perpendicular", "vertical"], Parameter(help="Wall of the ridges.")] = (
         "perpendicular"
     )
     height_loss: Annotated[float, Parameter(help="Share of the height missing at the crest.")] = 0.0
-    direction: Annotated[
-        float, Parameter(help="Direction of the lines in degrees, counter-clockwise from +y.")
+    lay: Annotated[
+        float, Parameter(help="Direction of ridges or grooves in degrees, counter-clockwise from +y.")
     ] = 0.0
     phase: Annotated[float, Parameter(help="Place of the first crest or groove as a share of the pitch.")] = (
         0.0
     )
-    second_direction: Annotated[
-        float, Parameter(help="Direction of every second field of a checkerboard.")
+    second_lay: Annotated[
+        float, Parameter(help="Direction of the ridges in every second square of a checkerboard.")
     ] = -90.0
-    field: Annotated[float, Parameter(help="Side of a field of a checkerboard in µm.")] = 250.0
+    square: Annotated[float, Parameter(help="Side of a square of a checkerboard in µm.")] = 250.0
     flank: Annotated[float, Parameter(help="Slope of both flanks of V-grooves in degrees.")] = 45.0
     land: Annotated[float, Parameter(help="Flat land between V-grooves in µm.")] = 0.0
 
@@ -49,7 +51,7 @@ class StairOptions:
     """Staircases."""
 
     levels: Annotated[int, Parameter(help="Number of levels, evenly spaced.")] = 2
-    step: Annotated[float, Parameter(help="Height between two levels in nm.")] = 127.3
+    step_height: Annotated[float, Parameter(help="Height between two levels in nm.")] = 127.3
     passes: Annotated[
         str | None,
         Parameter(help="Depths of etch passes in nm, comma-separated: 2ⁿ levels instead of --levels."),
@@ -70,7 +72,7 @@ class RoughOptions:
         float,
         Parameter(help="Beckmann roughness along the ridges or grooves (along +y where there are none)."),
     ] = 0.0
-    alpha_across: Annotated[float, Parameter(help="Beckmann roughness across them.")] = 0.0
+    alpha_across: Annotated[float, Parameter(help="Beckmann roughness across the ridges or grooves.")] = 0.0
     correlation: Annotated[float, Parameter(help="Mean correlation length in µm.")] = 8.0
 
 
@@ -112,10 +114,10 @@ def make(
     rng = np.random.default_rng(seed)
     surface = _pattern(pattern, *_grid(size, pixel), lines, stairs, rng)
     roughness = rough.alpha_along, rough.alpha_across, rough.correlation, rng
-    first = add_facet_roughness(surface, *roughness, 0.0 if pattern == "flat" else lines.direction)
+    first = add_facet_roughness(surface, *roughness, 0.0 if pattern == "flat" else lines.lay)
     if pattern == "checkerboard":  # each field along its own ridges
-        second = add_facet_roughness(surface, *roughness, lines.second_direction)
-        fields = second_fields(surface.shape, (surface.pixel_y_um, surface.pixel_x_um), lines.field)
+        second = add_facet_roughness(surface, *roughness, lines.second_lay)
+        fields = second_fields(surface.shape, (surface.pixel_y_um, surface.pixel_x_um), lines.square)
         first = first.with_height(np.where(fields, second.height_um, first.height_um))
     surface = first
     origin = {**surface.origin, "seed": seed}
@@ -149,15 +151,15 @@ def _pattern(
     if pattern == "flat":
         return patterns.flat(shape, pixel_um)
     if pattern == "staircase":
-        return _staircase(shape, pixel_um, stairs, lines.direction, rng)
+        return _staircase(shape, pixel_um, stairs, lines.lay, rng)
     if pattern == "v-grooves":
         grooves = patterns.GrooveDesign(lines.pitch, lines.flank, lines.land)
-        return patterns.v_grooves(grooves, shape, pixel_um, direction_deg=lines.direction, phase=lines.phase)
+        return patterns.v_grooves(grooves, shape, pixel_um, direction_deg=lines.lay, phase=lines.phase)
     design = RidgeDesign(lines.pitch, lines.ridge_angle, lines.wall, lines.height_loss)
     if pattern == "checkerboard":
-        both = (lines.direction, lines.second_direction)
-        return patterns.checkerboard(design, shape, pixel_um, lines.field, directions_deg=both)
-    return patterns.turned_ridges(design, shape, pixel_um, direction_deg=lines.direction, phase=lines.phase)
+        both = (lines.lay, lines.second_lay)
+        return patterns.checkerboard(design, shape, pixel_um, lines.square, directions_deg=both)
+    return patterns.turned_ridges(design, shape, pixel_um, direction_deg=lines.lay, phase=lines.phase)
 
 
 def _staircase(
@@ -170,7 +172,7 @@ def _staircase(
     from anisoscope.profiles import patterns
 
     if stairs.passes is None:
-        levels = patterns.even_levels(stairs.levels, 1e-3 * stairs.step)
+        levels = patterns.even_levels(stairs.levels, 1e-3 * stairs.step_height)
     else:
         levels = patterns.etched_levels([1e-3 * depth for depth in parse_numbers(stairs.passes, "--passes")])
     if stairs.random:

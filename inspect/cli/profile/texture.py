@@ -55,7 +55,7 @@ class UncertaintyOptions:
     u_pixel_size: Annotated[
         float, Parameter("--u-pixel-size", help="Of the pixel size, relative, both axes together.")
     ] = 0.0
-    seed: Annotated[int, Parameter(help="Of the draws.")] = 0
+    seed: Annotated[int, Parameter(help="Seed of the draws.")] = 0
 
     def check(self) -> None:
         """Refuse what makes no sense before a map is read.

@@ -47,7 +47,7 @@ def new(
     ] = None,
     u_ridge_angle: Annotated[
         float | None,
-        Parameter(help="How much the ridge angle of good parts spreads, a standard deviation in degrees."),
+        Parameter(help="Standard deviation of the ridge angle of good parts, degrees."),
     ] = None,
     height_map: Annotated[Path | None, Parameter(help="Height map of a good part or of the tool.")] = None,
     ink: Annotated[
@@ -135,7 +135,7 @@ def suggest(
         tuple[str, ...],
         Parameter(help="First words of a defect that need not be found; repeat the option for several."),
     ] = ("roughness along",),
-    noise: Annotated[
+    u_pose: Annotated[
         float,
         Parameter(
             help="Relative standard uncertainty of a pose by camera and lamp, with the recipe's frames."
@@ -167,7 +167,7 @@ def suggest(
     angle = light_angle if rig_file is None else rig_file.light.angle_deg
     allowed = parse_range(angles, "--angles"), parse_range(tilts, "--tilts")
     with progress(file.name, quiet=json_) as advance:
-        found = best_poses(recipe, angle, poses, *allowed, noise, power, ignore, advance)
+        found = best_poses(recipe, angle, poses, *allowed, u_pose, power, ignore, advance)
     if json_:
         print_json(found)
         return 0

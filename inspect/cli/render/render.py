@@ -332,7 +332,7 @@ def plate_cells(
     """Cells with the second direction, and the side of a cell in mm."""
     from anisoscope.sim.light.picture import checkerboard as board
 
-    for name, value in (("--size", size_mm), ("--field-size", field_mm)):
+    for name, value in (("--plate-width", size_mm), ("--field-size", field_mm)):
         if not 0.0 < value <= 10_000.0:
             raise UsageError(f"{name} takes a length above 0 and up to 10000 mm, not {value:g}")
     if pattern is None:
@@ -450,7 +450,7 @@ app = App(name="render", help="Render pictures of ridged plates and of height ma
     "fields",
     "field_size",
     "pattern",
-    "size",
+    "plate_width",
     "near_light",
 )
 def checkerboard(
@@ -470,7 +470,7 @@ def checkerboard(
     pattern: Annotated[
         Path | None, Parameter(help="Image of two levels in place of the checkerboard: dark is the second.")
     ] = None,
-    size: Annotated[float, Parameter(help="Width of the plate with --pattern in mm.")] = 40.0,
+    plate_width: Annotated[float, Parameter(help="Width of the plate with --pattern in mm.")] = 40.0,
     near_light: Annotated[
         float | None, Parameter(help="Distance of the light in mm; default: parallel light.")
     ] = None,
@@ -487,7 +487,7 @@ def checkerboard(
 
     Examples:
         anisoscope render checkerboard --out plate.png
-        anisoscope render checkerboard --pattern logo.png --size 20 --out logo-on-plastic.png
+        anisoscope render checkerboard --pattern logo.png --plate-width 20 --out logo-on-plastic.png
     """
     from anisoscope.profiles.ideal import RidgeDesign
     from anisoscope.sim.light.geometry import Pose
@@ -496,7 +496,7 @@ def checkerboard(
     plastic, rig = plastic or PlasticOptions(), rig or RigOptions()
     picture.check(pattern)
     turns = parse_angles(angles, "--angles")
-    second, cell_mm = plate_cells(pattern, size, fields, field_size)
+    second, cell_mm = plate_cells(pattern, plate_width, fields, field_size)
     design = RidgeDesign(100.0, ridge_angle, wall=wall, height_loss=height_loss)
     plate = Plate(second, 1000.0 * cell_mm, design, plastic.material(), two_directions(ridge_directions))
     if near_light is not None and not 0.0 < near_light < float("inf"):
@@ -557,7 +557,7 @@ def frame(
     /,
     *,
     picture: PictureOptions,
-    stage: Annotated[str, Parameter(help="Stage angles in degrees, one panel each.")] = "0,90,180",
+    angles: Annotated[str, Parameter(help="Stage angles in degrees, one panel each.")] = "0,90,180",
     surface: SurfaceOptions | None = None,
     microscope: MicroscopeOptions | None = None,
     plastic: PlasticOptions | None = None,
@@ -569,12 +569,12 @@ def frame(
         height_map: File with a measured height map; leave it out and give --ridge-angle for ideal ridges.
 
     Examples:
-        anisoscope render frame part.x3p --stage 0,90,180 --out frames.png
+        anisoscope render frame part.x3p --angles 0,90,180 --out frames.png
         anisoscope render frame --ridge-angle 10 --pitch 100 --out frames.png
     """
     from anisoscope.report.renderings import BEYOND_RGB, MISSING_RGB, Panel, panels_png, scale_bar
 
-    shot = Shot(height_map, picture, stage, surface, microscope, plastic, rig)
+    shot = Shot(height_map, picture, angles, surface, microscope, plastic, rig)
     panels = [
         Panel(
             painted(p.radiance, shot.white, picture.transfer, ~p.covered, p.missing),

@@ -27,7 +27,7 @@ _Exposure = Annotated[float, Parameter(help="Exposure in seconds.")]
 _Gain = Annotated[float, Parameter(help="Gain of the camera, as a factor.")]
 _Frames = Annotated[int, Parameter(name="--count", help="Frames to average.")]
 _Days = Annotated[float | None, Parameter(help="Days for which it holds; else what is usual for its kind.")]
-_Operator = Annotated[str | None, Parameter(help="Who takes it; goes into the record.")]
+_Operator = Annotated[str | None, Parameter(help="Operator who takes it; goes into the record.")]
 _Temperature = Annotated[float | None, Parameter(help="Temperature of the day in °C; goes into the record.")]
 
 
@@ -141,7 +141,7 @@ def linearity(
         float, Parameter(help="Exposure in seconds at which the tile is neither dark nor clipped.")
     ],
     gain: _Gain = 1.0,
-    steps: Annotated[int, Parameter(help="Exposures of the series.")] = 24,
+    steps: Annotated[int, Parameter(help="Number of exposures of the series.")] = 24,
     frames: Annotated[
         int, Parameter(name="--count", help="Frames of the stacks for the fixed pattern.")
     ] = 16,
@@ -214,7 +214,7 @@ def rotation(
     out: _Out,
     exposure: _Exposure,
     gain: _Gain = 1.0,
-    angles: Annotated[int, Parameter(name="--steps", help="Stage angles over one turn.")] = 12,
+    angles: Annotated[int, Parameter(name="--steps", help="Number of stage angles over one turn.")] = 12,
     frames: Annotated[int, Parameter(name="--count", help="Frames at every angle.")] = 2,
     valid_days: _Days = None,
     operator: _Operator = None,
@@ -247,9 +247,10 @@ def check(
         bool, Parameter(negative="", help="Keep the contrasts of now as those it must have.")
     ] = False,
     serial: Annotated[
-        str | None, Parameter(name=["--serial", "-s"], help="With --teach: which part it is.")
+        str | None,
+        Parameter(name=["--serial", "-s"], help="Serial number of the check standard, with --teach."),
     ] = None,
-    limit: Annotated[float, Parameter(help="Largest deviation of an ln ratio.")] = 0.02,
+    max_deviation: Annotated[float, Parameter(help="Largest deviation of an ln ratio.")] = 0.02,
     valid_days: _Days = None,
     operator: _Operator = None,
     json_: Json = False,
@@ -279,7 +280,13 @@ def check(
             )
         else:
             record = run_check(
-                rig, recipe, out, limit=limit, valid_days=valid_days, operator=operator, on_progress=advance
+                rig,
+                recipe,
+                out,
+                limit=max_deviation,
+                valid_days=valid_days,
+                operator=operator,
+                on_progress=advance,
             )
     return _show(record, out, json_=json_)
 
@@ -292,9 +299,8 @@ def check(
     "part",
     "recipe",
     "readings",
-    "tilt",
-    "step",
     "max_tilt",
+    "step",
     "dry_run",
     "operator",
     "json_",
@@ -314,7 +320,7 @@ def material(
     readings: Annotated[
         Path | None, Parameter(help="Instead of a scan: CSV stage_deg,tilt_deg,value[,u].")
     ] = None,
-    tilt: Annotated[float, Parameter(help="Largest tilt of the scan in degrees.")] = 20.0,
+    max_tilt: Annotated[float, Parameter(help="Largest tilt of the scan in degrees.")] = 20.0,
     step: Annotated[
         float | None, Parameter(help="Step of the tilt in degrees; 2.5 for a coupon, 10 for a part.")
     ] = None,
@@ -356,7 +362,7 @@ def material(
     read = None if readings is None else read_scan(readings)
     specimen: Literal["coupon", "part"] = "coupon" if coupon else "part"
     setup = scan_setup(
-        rig, recipe, specimen, tilt_deg=tilt, step_deg=step, poses=None if read is None else read[0]
+        rig, recipe, specimen, tilt_deg=max_tilt, step_deg=step, poses=None if read is None else read[0]
     )
     if dry_run or not json_:
         plan = plan_scan(setup)

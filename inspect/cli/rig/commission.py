@@ -46,18 +46,22 @@ def commission(
     exposure: Annotated[float | None, Parameter(help="Exposure in seconds; else the recipe's.")] = None,
     gain: Annotated[float, Parameter(help="Gain of the camera, as a factor.")] = 1.0,
     ridge_angle: Annotated[float | None, Parameter(help="Ridge angle of the part in degrees.")] = None,
-    u_ridge_angle: Annotated[float, Parameter(help="Its standard uncertainty in degrees.")] = 0.1,
+    u_ridge_angle: Annotated[
+        float, Parameter(help="Standard uncertainty of the ridge angle, degrees.")
+    ] = 0.1,
     pitch: Annotated[float | None, Parameter(help="Pitch of the ridges in µm.")] = None,
     alpha: Annotated[
         str | None, Parameter(help="Roughness along and across the ridges, such as 0.06,0.1.")
     ] = None,
-    u_alpha: Annotated[float | None, Parameter(help="Its relative standard uncertainty.")] = None,
+    u_alpha: Annotated[
+        float | None, Parameter(help="Relative standard uncertainty of the roughness.")
+    ] = None,
     spot_mm: Annotated[
         float | None, Parameter(help="Diameter of the spot on the part; else the recipe's region.")
     ] = None,
     step: Annotated[float, Parameter(help="Step of the stage over one turn, degrees.")] = 15.0,
     tilts: Annotated[
-        str, Parameter(help="How far the tilt axis goes from its present zero.")
+        str, Parameter(help="Tilts from the present zero of the tilt axis, degrees.")
     ] = "-20,-10,10,20",
     frames: Annotated[int, Parameter(name="--count", help="Frames a pose.")] = 2,
     settle: Annotated[float, Parameter(help="Seconds to wait after every move.")] = 0.1,

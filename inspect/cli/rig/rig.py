@@ -10,6 +10,7 @@ from cyclopts import App, Group, Parameter
 
 from anisoscope.base.errors import UsageError
 from anisoscope.cli.json_output import print_json
+from anisoscope.cli.options import Json
 
 if TYPE_CHECKING:
     from anisoscope.rig.discovery import Answer, FoundPort
@@ -59,16 +60,18 @@ app.command(
 @app.command(group=_look)
 def ports(
     *,
-    probe: Annotated[bool, Parameter(negative="")] = False,
-    port: tuple[str, ...] = (),
-    json: Annotated[bool, Parameter(negative="")] = False,
+    probe: Annotated[
+        bool,
+        Parameter(
+            negative="", help="Open each port and identify the device; opening resets some boards (Arduino)."
+        ),
+    ] = False,
+    port: Annotated[
+        tuple[str, ...], Parameter(help="Only this port, also one that is not listed; may be repeated.")
+    ] = (),
+    json: Json = False,
 ) -> None:
     """List the serial ports of this machine and what may hang on them, without opening any.
-
-    Args:
-        probe: open each port and ask who is there; opening resets some boards (Arduino).
-        port: only this port, also one that is not listed; may be repeated.
-        json: print a JSON list instead of lines.
 
     Examples:
         anisoscope rig ports

@@ -22,22 +22,23 @@ def device(
     name: Annotated[str, Parameter(help="Protocol: elliptec, zaber, grbl, apt or smc100; or light.")],
     /,
     *,
-    pty: Annotated[bool, Parameter(negative="")] = False,
-    tcp: int | None = None,
-    model: str = "",
-    address: str = "",
-    time_scale: float = 1.0,
-    fault: Annotated[tuple[str, ...], Parameter(negative="")] = (),
+    pty: Annotated[bool, Parameter(negative="", help="Pseudo terminals: serve on a new one.")] = False,
+    tcp: Annotated[
+        int | None, Parameter(help="Serve on this TCP port of 127.0.0.1; 0 takes any free one.")
+    ] = None,
+    device_type: Annotated[
+        str, Parameter(help="Device of the protocol, such as KDC101; the usual one if not given.")
+    ] = "",
+    address: Annotated[str, Parameter(help="Bus address; the protocol's first if not given.")] = "",
+    time_scale: Annotated[
+        float, Parameter(help="Stretch of time; 1 is real time, 0 ends every move at once.")
+    ] = 1.0,
+    fault: Annotated[
+        tuple[str, ...],
+        Parameter(negative="", help="Fault of the device, as NAME or NAME:NUMBER; may be repeated."),
+    ] = (),
 ) -> int:
     """Serve a simulated stage or light until Ctrl-C; the first line gives its port.
-
-    Args:
-        pty: serve on a new pseudo terminal.
-        tcp: serve on this TCP port of 127.0.0.1; 0 takes any free one.
-        model: which device of the protocol; the usual one if not given.
-        address: bus address; the protocol's first if not given.
-        time_scale: stretch of time; 1 is real time, 0 ends every move at once.
-        fault: what is wrong with the device, as NAME or NAME:NUMBER; may be repeated.
 
     Examples:
         anisoscope rig sim elliptec --tcp 4001
@@ -51,7 +52,9 @@ def device(
         raise UsageError(f"rig sim {name}: give exactly one of --pty and --tcp PORT")
     if not 0.0 <= time_scale < float("inf"):
         raise UsageError(f"rig sim {name}: --time-scale must be a number, 0 or more")
-    firmware = build(name, [Mount(RotaryAxis(time_scale=time_scale), address)], model=model, faults=fault)
+    firmware = build(
+        name, [Mount(RotaryAxis(time_scale=time_scale), address)], model=device_type, faults=fault
+    )
     return _serve(name, PtyServer(firmware) if tcp is None else TcpServer(firmware, tcp))
 
 

@@ -51,8 +51,10 @@ def init(
     ] = None,
     height_map: Annotated[Path | None, Parameter(help="Height map of a good part or of the tool.")] = None,
     ink: Annotated[str | None, Parameter(help="For a print: its ink, a file or one of the package.")] = None,
-    operator: Annotated[str | None, Parameter(help="Who inspects here; goes into the records.")] = None,
-    station: Annotated[str | None, Parameter(help="Where the rig stands.")] = None,
+    operator: Annotated[
+        str | None, Parameter(help="Operator who inspects here; goes into the records.")
+    ] = None,
+    station: Annotated[str | None, Parameter(help="Station where the rig stands.")] = None,
 ) -> int:
     """Write a job folder: recipe, rig file and anisoscope.toml, which names them for all commands.
 

@@ -59,12 +59,16 @@ class Charting:
         ),
     ] = None
     weight: Annotated[float, Parameter(name="--lambda", help="Weight of the newest value in the EWMA.")] = 0.2
-    width: Annotated[float, Parameter(name="--width", help="Limits of the EWMA, in its sigma (L).")] = 3.0
+    width: Annotated[float, Parameter(name="--ewma-limit", help="Limits of the EWMA, in its sigma (L).")] = (
+        3.0
+    )
     center: Annotated[
-        float | None, Parameter(name="--center", help="Known mean, in place of a baseline; with --sigma.")
+        float | None,
+        Parameter(name="--known-mean", help="Known mean, in place of a baseline; with --known-sigma."),
     ] = None
     sigma: Annotated[
-        float | None, Parameter(name="--sigma", help="Known short-term standard deviation; with --center.")
+        float | None,
+        Parameter(name="--known-sigma", help="Known short-term standard deviation; with --known-mean."),
     ] = None
     lower: Annotated[float | None, Parameter(name="--lower", help="Lower limit of good parts.")] = None
     upper: Annotated[float | None, Parameter(name="--upper", help="Upper limit of good parts.")] = None

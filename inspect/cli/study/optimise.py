@@ -218,7 +218,7 @@ PlotOption = Annotated[Path | None, Parameter(help="Write the charts as a pictur
 
 
 @everyday(
-    *("vary", "ridge_angle", "pitch", "contrast", "pair", "tilts", "robust", "tolerance", "recipe"),
+    *("vary", "ridge_angle", "pitch", "contrast", "pair", "tilts", "robust", "scatter", "recipe"),
     *("json_", "html", "plot"),
 )
 def optimise(
@@ -258,7 +258,7 @@ def optimise(
         Parameter(help="Noise of a measured radiance: floor=1/sr,share=of it (floor=1e-4,share=.005)."),
     ] = None,
     robust: Annotated[bool, Parameter(negative="", help="Maximise under tolerances.")] = False,
-    tolerance: Annotated[
+    scatter: Annotated[
         str | None,
         Parameter(
             help="Standard deviations NAME=SD,…: ridge_angle [°], alpha [share], height_loss [share], edge_radius "
@@ -270,7 +270,7 @@ def optimise(
         float | None, Parameter(help="The robust score is this quantile of the contrast instead, up to 0.5.")
     ] = None,
     samples: Annotated[int, Parameter(help="Parts in the sample of tolerances, a power of two.")] = 64,
-    seed: Annotated[int, Parameter(help="Seed of that sample.")] = 1,
+    seed: Annotated[int, Parameter(help="Seed of the sample.")] = 1,
     light_angle: Annotated[float, Parameter(help="Angle between light and camera in degrees.")] = 10.0,
     tilt_plane: Annotated[
         Literal["perpendicular", "in-plane"], Parameter(help="Plane in which camera and light tilt.")
@@ -289,7 +289,7 @@ def optimise(
 
     Examples:
         anisoscope optimise --vary ridge_angle=3:20
-        anisoscope optimise --vary ridge_angle=3:20 --robust --tolerance ridge_angle=0.3,stage=0.2
+        anisoscope optimise --vary ridge_angle=3:20 --robust --scatter ridge_angle=0.3,stage=0.2
         anisoscope optimise --vary ridge_angle=3:20,alpha_across=.05:.2 --plot landscape.png
     """
     from anisoscope.report.study_page import check_picture, write_picture, write_study_page
@@ -301,8 +301,8 @@ def optimise(
 
     del recipe  # plastic and surface are in the other options by now
     check_picture(plot)
-    if not robust and (tolerance is not None or quantile is not None):
-        raise UsageError("--tolerance and --quantile belong to --robust")
+    if not robust and (scatter is not None or quantile is not None):
+        raise UsageError("--scatter and --quantile belong to --robust")
     part = Part(ridge_angle, pitch, alpha_along, alpha_across, edge_radius, height_loss, albedo, index, wall)
     scoring = Scoring(
         contrast,
@@ -312,7 +312,7 @@ def optimise(
         Convention(light_angle, tilt_plane, facet_azimuth),
         score,
         _noise(noise),
-        _tolerances(tolerance or TOLERANCES) if robust else None,
+        _tolerances(scatter or TOLERANCES) if robust else None,
         z,
         quantile,
         samples,
@@ -399,4 +399,4 @@ def _tolerances(text: str) -> "Tolerances":
     from anisoscope.study.objective import Tolerances
 
     known = [one.name for one in fields(Tolerances)]
-    return Tolerances(**_known(_pairs_of(text, "--tolerance", "NAME=SD,…"), known, "--tolerance"))
+    return Tolerances(**_known(_pairs_of(text, "--scatter", "NAME=SD,…"), known, "--scatter"))

@@ -295,7 +295,18 @@ def lay_in(arriving, root):
 
 
 def watching(rig, root, out, *more):
-    job = ("watch", root, "-r", rig / "recipe.toml", "-g", rig / "rig.toml", "--out", out, "--settle", 0.1)
+    job = (
+        "watch",
+        root,
+        "-r",
+        rig / "recipe.toml",
+        "-g",
+        rig / "rig.toml",
+        "--out",
+        out,
+        "--stable-for",
+        0.1,
+    )
     return (*job, "--poll", 0.05, "--history", out / "history.sqlite", *more)
 
 

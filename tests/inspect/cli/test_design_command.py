@@ -105,9 +105,9 @@ def test_a_whole_layout_is_streamed(anisoscope, page, folder):
         ("pattern none.png --classes wide-x.toml", "cannot be read"),
         ("mask wide-x.toml --out a.gds", "not a layout"),
         ("mask disc.npz --out a.png", r"\*\.gds"),
-        ("height disc.npz --out w.x3p --corner 99999,0 --size 10,10", "choose a window inside"),
+        ("height disc.npz --out w.x3p --corner 99999,0 --window-size 10,10", "choose a window inside"),
         ("height disc.png --out p.x3p", "give a design"),
-        ("height wide-x.toml --out q.x3p --grid 1", "GDSII files"),
+        ("height wide-x.toml --out q.x3p --pixel 1", "GDSII files"),
         ("mixture wide-x.toml hole.toml --shares 0.5,0.6", "add up to 1"),
         ("antimirror --wavelength 0.5", "100 to 20000 nm"),
         ("antimirror --coherence=-5", "--coherence must be"),
@@ -121,8 +121,8 @@ def test_a_whole_layout_is_streamed(anisoscope, page, folder):
         ("refine wide-x.toml --dot 100000", "smaller dot"),
         ("refine wide-x.toml --dot nan", "--dot must be"),
         ("height disc.npz --out none/all.npy", "no folder"),
-        ("height disc.gds --out f.x3p --size 10,10 --grid 0.2", "whole part"),
-        ("height disc.gds --out f.x3p --size 10,10 --depths=-5", "positive depth"),
+        ("height disc.gds --out f.x3p --window-size 10,10 --pixel 0.2", "whole part"),
+        ("height disc.gds --out f.x3p --window-size 10,10 --depths=-5", "positive depth"),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_line(anisoscope, page, folder, command, words):

@@ -134,7 +134,7 @@ def test_html_says_where_it_is(anisoscope, tmp_path):
 
 
 def test_findings_on_a_grid(anisoscope, tmp_path):
-    grid = ("research", "findings", "--grid", 8)
+    grid = ("research", "findings", "--grid-points", 8)
     found = anisoscope(*grid, "--json").json
     default, in_plane = found["maps"]
     assert default["convention"]["tilt_plane"] == "perpendicular"
@@ -190,7 +190,7 @@ def test_the_picture_in_the_docs_is_made_by_the_command_in_the_docs(anisoscope, 
         (["experiment", "--measured", "nowhere.csv"], "nowhere.csv"),
         (["experiment", "--measured", "WRONG"], "line 3: the experiment has no ridge angle 6°"),
         (["experiment", "--html", "nowhere/page.html"], "nowhere/page.html"),
-        (["findings", "--grid", 1], "--grid"),
+        (["findings", "--grid-points", 1], "--grid-points"),
         (["findings", "--alpha-from", 0.3, "--alpha-to", 0.1], "--alpha-from"),
         (["findings", "--alpha-to", 5], "alpha"),
         (["findings", "--json", "--svg", "x.svg"], "--json and --svg exclude each other"),

@@ -71,7 +71,7 @@ def test_options_fix_what_is_not_free(anisoscope, example):
 
 
 def test_the_table_says_what_was_fitted_and_how(anisoscope, example):
-    done = anisoscope("fit", "ridges", example, "--kind", "difference")
+    done = anisoscope("fit", "ridges", example, "--quantity", "difference")
     assert done.code == 0, done.err
     for words in (
         "ridge angle",
@@ -143,7 +143,7 @@ def test_a_brdf_compared_and_fitted(anisoscope, tmp_path):
     ("arguments", "words"),
     [
         (["--free", "pitch"], "--free knows ridge_angle"),
-        (["--kind", "log_ratio", "--free", "k"], "k cancels"),
+        (["--quantity", "log_ratio", "--free", "k"], "k cancels"),
         (["--model", "printed", "--free", "k,index"], "--free index is refused"),
         (["--bounces", "0"], "--bounces must be 1 or more"),
         (["--model", "printed", "--bounces", "2"], "needs --model corrected"),

@@ -1,5 +1,6 @@
 """Help of every command: a sentence, examples that work, few options first; and what usage errors say."""
 
+import re
 import shlex
 from collections import defaultdict
 from pathlib import Path
@@ -9,7 +10,7 @@ import pytest
 from cyclopts import Parameter
 
 from anisoscope.cli import COMMANDS, app, run
-from anisoscope.cli.help_page import examples, of_today
+from anisoscope.cli.help_page import FORMER_OPTIONS, examples, of_today
 
 
 def commands(parent=app, words=()):
@@ -104,6 +105,15 @@ def test_words_of_the_version_before_are_understood():
         "--rig",
         "r",
     ]
+    ink = ["ink", "proof", "a.png", "--size", "64", "--gain=2"]
+    assert of_today(ink)[0] == ["ink", "proof", "a.png", "--picture-size", "64", "--image-gain=2"]
+
+
+def test_former_options_are_gone_and_those_of_today_exist():
+    for words, options in FORMER_OPTIONS.items():
+        names = {name for one in ALL[words].assemble_argument_collection() for name in one.names}
+        assert set(options.values()) <= names, words
+        assert not names & set(options), words
 
 
 def test_a_log_file_gets_command_error_and_end(tmp_path, capsys):
@@ -127,14 +137,83 @@ def sort_of(hint):
     return {bool: "flag", Path: "file"}.get(hint) or next((one for one in inner if one != "value"), "value")
 
 
-def test_an_option_is_a_flag_in_all_commands_or_in_none_and_so_is_a_file():
-    found = defaultdict(set)
-    for one in ALL.values():
+SAME_QUANTITY = {
+    "--align": "register",
+    "--alpha": "roughness",
+    "--alpha-across": "roughness across",
+    "--alpha-along": "roughness along",
+    "--angles": "stage angles",
+    "--band": "wavelengths",
+    "--bounces": "reflections",
+    "--count": "frames",
+    "--csv": "csv file",  # readings to study
+    "--depths": "depth of every",
+    "--direction": "direction of the profiles",
+    "--dot": "side of a dot",
+    "--dots": "dots a",  # along or across
+    "--dpi": "dots.* per inch",
+    "--facet-azimuth": "azimuth toward which",
+    "--format": "format of the new files",
+    "--height-loss": "share of the .*missing",
+    "--html": "page",
+    "--index": "refractive index",
+    "--jobs": "processes",
+    "--keep": "that stay",  # waves or points of a map
+    "--kind": "kind",
+    "--l-filter": "l-filter",
+    "--layer": "layer of the map",
+    "--level": "height map is levelled",
+    "--levels": "levels",
+    "--light-angle": "angle (of the light|between light)",
+    "--method": "how the dots are placed",
+    "--model": "model",  # of the reflected light
+    "--out": "file|folder|page|record|write|png",  # the command's own product
+    "--overwrite": "replace",
+    "--picture-size": "side of the picture",
+    "--pixel": "pixel size",
+    "--plot": "picture",
+    "--png": "picture|spheres",
+    "--port": "port",
+    "--pty": "pseudo terminals",
+    "--read-code": "code on every part",
+    "--recipe": "recipe",
+    "--rig": "rig file",
+    "--role": "map of the part",
+    "--s-filter": "s-filter",
+    "--s-filter-type": "s-filter",
+    "--separation": "coverages",
+    "--step": "step of the",  # angle, in degrees
+    "--steps": "number of",
+    "--tilts": "tilts",
+    "--u-alpha": "roughness",
+    "--u-height-noise": "noise of a height",
+    "--u-height-scale": "scale of the heights",
+    "--u-pixel-size": "pixel size",
+    "--u-ridge-angle": "of the ridge angle",
+    "--width": "width of (a|the) step",
+    "--yes": "without asking",
+}
+"""Option of several commands -> the quantity that all its help texts name, where it is not the option's own name."""
+
+
+def test_an_option_names_one_quantity_in_all_commands():
+    found = defaultdict(lambda: defaultdict(set))
+    for words, one in ALL.items():
         for argument in one.assemble_argument_collection() if one.default_command else ():
             for name in argument.names:
-                found[name].add(sort_of(argument.hint))
+                if name.startswith("--"):
+                    found[name][sort_of(argument.hint), argument.parameter.help or ""].add(" ".join(words))
+    several = {name: texts for name, texts in found.items() if len(texts) > 1}
+    wrong = [
+        (name, text, sorted(where))
+        for name, texts in several.items()
+        for (_, text), where in texts.items()
+        if not re.search(SAME_QUANTITY.get(name, name.strip("-").replace("-", ".")), text, re.IGNORECASE)
+    ]
+    assert not wrong, "\n".join(map(str, wrong))
+    assert set(SAME_QUANTITY) <= set(several)  # no entry outlives its option
     # --recipe of the commands that filter inspections names one as the history shows it
-    assert {name for name, sorts in found.items() if name.startswith("-") and len(sorts) > 1} <= {"--recipe"}
+    assert {name for name, texts in several.items() if len({sort for sort, _ in texts}) > 1} <= {"--recipe"}
 
 
 def test_pages_begin_with_at_most_twelve_options():

@@ -141,7 +141,9 @@ def test_markup_and_control_characters_are_printed_as_text(place, said):
 
 
 def test_one_inspection(place, said):
-    assert said("history", "dispose", "A2", "accept", "--by", "R. R.", "-m", "burrs are allowed")[0] == 0
+    assert (
+        said("history", "dispose", "A2", "accept", "--reviewer", "R. R.", "-m", "burrs are allowed")[0] == 0
+    )
     for name in ("A2", "3", "id:3", "serial:A2"):
         code, out, _ = said("show", name)
         assert code == 0
@@ -156,13 +158,13 @@ def test_one_inspection(place, said):
 
 
 def test_a_decision_shows_in_the_list_and_leaves_the_verdict(place, said):
-    said("history", "dispose", "A2", "hold", "--by", "Q")
-    said("history", "dispose", "A2", "rework", "--by", "R")
+    said("history", "dispose", "A2", "hold", "--reviewer", "Q")
+    said("history", "dispose", "A2", "rework", "--reviewer", "R")
     line = next(line for line in said("history")[1].splitlines() if " A2 " in line)
     assert "FAIL" in line
     assert "rework" in line
-    assert said("history", "dispose", "A2", "burn", "--by", "Q")[0] == 64
-    assert said("history", "dispose", "nobody", "accept", "--by", "Q")[0] == 64
+    assert said("history", "dispose", "A2", "burn", "--reviewer", "Q")[0] == 64
+    assert said("history", "dispose", "nobody", "accept", "--reviewer", "Q")[0] == 64
 
 
 def test_two_inspections(place, said):
@@ -194,7 +196,7 @@ def test_export(place, said, tmp_path):
     root = ET.parse(files["junit"]).getroot()
     assert [root.get(name) for name in ("tests", "failures", "errors")] == ["3", "1", "1"]
     assert said("export")[0] == 64
-    code, _, err = said("export", "--csv", tmp_path / "none" / "out.csv")
+    code, _, err = said("export", "--csv-file", tmp_path / "none" / "out.csv")
     assert (code, err.count("\n")) == (74, 1)
 
 

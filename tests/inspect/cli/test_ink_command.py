@@ -61,14 +61,14 @@ def test_json_of_a_fit(anisoscope, folder):
 
 
 def test_the_table_of_a_fit_says_scale_and_warnings(anisoscope, folder):
-    done = anisoscope("ink", "fit", folder / "red.csv", "--floor", "0.01", "--white", "0.95")
+    done = anisoscope("ink", "fit", folder / "red.csv", "--floor", "0.01", "--reflectance", "0.95")
     assert done.code == 0, done.err
     assert "BRDF = 0.95/π × ratio" in done.out
     assert re.search(r"warning: \d+ readings dropped: \d+ near the noise floor", done.out)
 
 
 def test_colours_against_angle(anisoscope):
-    done = anisoscope("ink", "show", "synthetic-red", "synthetic-blue", "--angles", "0,60", "--json")
+    done = anisoscope("ink", "show", "synthetic-red", "synthetic-blue", "--light-angles", "0,60", "--json")
     found = done.json
     assert [one["name"] for one in found["inks"]] == ["synthetic red", "synthetic blue"]
     for one in found["inks"]:
@@ -81,7 +81,9 @@ def test_colours_against_angle(anisoscope):
         int(code[i : i + 2], 16) for one in found["inks"] for code in one["srgb"] for i in (1, 3, 5)
     )
     assert brightest == 255
-    plain = anisoscope("ink", "show", "synthetic-red", "--angles", "0,60", "--illuminant", "a", "--adapt").out
+    plain = anisoscope(
+        "ink", "show", "synthetic-red", "--light-angles", "0,60", "--illuminant", "a", "--adapt"
+    ).out
     assert "Bradford" in plain
     assert "not measured" in plain
 
@@ -93,16 +95,16 @@ def test_colours_against_angle(anisoscope):
         (("show", "crimson"), 64, "known: synthetic-red"),
         (("show", "none.toml"), 78, "no such file"),
         (("show", "synthetic-red", "--illuminant", "d50"), 64, "known: d65"),
-        (("show", "synthetic-red", "--angles", "0,95"), 64, "between 0 and 90"),
+        (("show", "synthetic-red", "--light-angles", "0,95"), 64, "between 0 and 90"),
         (("show", "synthetic-red", "--brightness", "-1"), 64, "above 0"),
         (("show", "synthetic-red", "--png", "x.gif"), 64, "*.png or *.svg"),
-        (("show", "synthetic-red", "--angles", "30", "--off-mirror", "nan"), 64, "--off-mirror takes"),
+        (("show", "synthetic-red", "--light-angles", "30", "--off-mirror", "nan"), 64, "--off-mirror takes"),
         (("show", "synthetic-red", "--off-mirror", "95"), 64, "--off-mirror takes"),
         (("show", "synthetic-red", "--html", "x.png"), 64, "--html writes *.html"),
         (("fit", "red.csv", "--out", "red.csv"), 64, "--out writes *.toml"),
         (("fit", "red.csv", "--html", "red.csv"), 64, "--html writes *.html"),
         (("fit", "none.csv"), 64, "cannot read none.csv"),
-        (("fit", "red.csv", "--values", "brdf", "--white", "0.9"), 64, "--values factor"),
+        (("fit", "red.csv", "--values", "brdf", "--reflectance", "0.9"), 64, "--values factor"),
         (("fit", "red.csv", "--white-table", "red.csv"), 64, "the header must read"),
     ],
 )
@@ -116,11 +118,11 @@ def test_bad_input_is_one_line(anisoscope, folder, arguments, code, words):
 @pytest.mark.parametrize(
     ("arguments", "name", "again"),
     [
-        (("fit", "red.csv", "--method", "paper", "--out"), "kept.toml", True),
+        (("fit", "red.csv", "--fit-method", "paper", "--out"), "kept.toml", True),
         (("fit", "red.csv", "--html"), "kept.html", False),
         (("show", "synthetic-red", "--html"), "kept.html", False),
         (("show", "synthetic-red", "--png"), "kept.svg", False),  # with --overwrite: on the page
-        (("compare", "--synthetic", "--size", "32", "--png"), "kept.png", True),
+        (("compare", "--synthetic", "--picture-size", "32", "--png"), "kept.png", True),
     ],
 )
 def test_files_are_replaced_only_on_demand(anisoscope, folder, tmp_path, arguments, name, again):

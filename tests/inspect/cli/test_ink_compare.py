@@ -24,7 +24,9 @@ def readings(tmp_path_factory):
 
 
 def test_our_model_comes_first_on_a_file_of_readings(anisoscope, readings, tmp_path):
-    done = anisoscope("ink", "compare", readings, "--size", 96, "--png", tmp_path / "spheres.png", "--json")
+    done = anisoscope(
+        "ink", "compare", readings, "--picture-size", 96, "--png", tmp_path / "spheres.png", "--json"
+    )
     assert done.code == 0, done.err
     (one,) = done.json["inks"]
     assert one["ink"] == "green"
@@ -40,14 +42,14 @@ def test_our_model_comes_first_on_a_file_of_readings(anisoscope, readings, tmp_p
 
 
 def test_what_the_fit_warns_of_is_said(anisoscope, readings):
-    arguments = ("ink", "compare", readings, "--size", 32)
+    arguments = ("ink", "compare", readings, "--picture-size", 32)
     (warning,) = anisoscope(*arguments, "--json").json["warnings"]
     assert warning.startswith("green: residuals of")  # the readings have a lobe that no model here has
     assert "warning: green: residuals of" in anisoscope(*arguments).out
 
 
 def test_made_up_readings_are_called_so(anisoscope):
-    done = anisoscope("ink", "compare", "--synthetic", "--size", 64)
+    done = anisoscope("ink", "compare", "--synthetic", "--picture-size", 64)
     assert done.code == 0, done.err
     for words in (
         "made-up readings",
@@ -65,11 +67,11 @@ def test_mistakes_are_told_in_one_line(anisoscope, readings, tmp_path):
     for arguments, message in (
         ([], "needs readings"),
         ([readings, "--synthetic"], "needs readings"),
-        ([readings, "--values", "brdf", "--white", "0.9"], "no white reference"),
+        ([readings, "--values", "brdf", "--reflectance", "0.9"], "no white reference"),
         ([holes], "every wavelength at every place"),
         ([readings, "--png", "x.jpg"], "--png writes *.png"),
-        ([readings, "--size", "8"], "32 pixels"),
-        ([readings, "--size", "30000"], "--size takes"),
+        ([readings, "--picture-size", "8"], "32 pixels"),
+        ([readings, "--picture-size", "30000"], "--picture-size takes"),
         (["--synthetic", "--seed", "-1"], "--seed 0 or more"),
     ):
         done = anisoscope("ink", "compare", *arguments)

@@ -19,7 +19,7 @@ def image(tmp_path_factory):
 
 def test_halftone_writes_dots_and_a_film_an_ink(anisoscope, image, tmp_path):
     done = anisoscope(
-        "ink", "halftone", image, "--out", tmp_path / "dots.png", "--width", 10, "--dpi", 508, "--json"
+        "ink", "halftone", image, "--out", tmp_path / "dots.png", "--print-width", 10, "--dpi", 508, "--json"
     )
     assert done.code == 0, done.err
     told = done.json
@@ -59,7 +59,7 @@ def test_halftone_says_what_was_lost(anisoscope, image, tmp_path):
         (["--out", "x.tif"], "--out writes *.png"),
         (["--out", "IMAGE"], "is an input"),
         (["--out", "x.png", "--dpi", "0"], "--dpi takes"),
-        (["--out", "x.png", "--width", "-3"], "--width takes"),
+        (["--out", "x.png", "--print-width", "-3"], "--print-width takes"),
         (["--out", "x.png", "--inks", "synthetic-red"], "three inks"),
         (["--out", "x.png", "--inks", "synthetic-red,synthetic-red,synthetic-blue"], "too much alike"),
         (["--out", "x.png", "--angle", "88"], "0 to 85"),

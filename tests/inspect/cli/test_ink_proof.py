@@ -24,8 +24,8 @@ def folder(tmp_path_factory):
 
 def test_page_and_picture(anisoscope, folder, tmp_path):
     done = anisoscope("ink", "proof", folder / "print.png", "--out", tmp_path / "p.html", "--png", tmp_path / "p.png",
-                      "--mesh", folder / "roof.obj", "--photo", folder / "photo.jpg", "--dots", 120, "--size", 64,
-                      "--process", "binder-mixed", "--match", "--json")  # fmt: skip
+                      "--mesh", folder / "roof.obj", "--photo", folder / "photo.jpg", "--dots", 120,
+                      "--picture-size", 64, "--process", "binder-mixed", "--match", "--json")  # fmt: skip
     assert done.code == 0, done.err
     assert done.json["dots"] == [80, 120]
     text = (tmp_path / "p.html").read_text(encoding="utf-8")
@@ -50,11 +50,11 @@ def test_page_and_picture(anisoscope, folder, tmp_path):
 def test_pictures_follow_their_options(anisoscope, folder, tmp_path):
     shown = {}
     for name, options in {
-        "plain": [], "turned": ["--yaw", 40], "schlick": ["--model", "schlick"], "one-light": ["--no-second"],
+        "plain": [], "turned": ["--yaw", 40], "schlick": ["--ink-model", "schlick"], "one-light": ["--no-second"],
         "a": ["--illuminant", "a"], "sphere": ["--shape", "sphere"],
     }.items():  # fmt: skip
         path = tmp_path / f"{name}.png"
-        done = anisoscope("ink", "proof", folder / "print.png", "--png", path, "--size", 32, *options)
+        done = anisoscope("ink", "proof", folder / "print.png", "--png", path, "--picture-size", 32, *options)
         assert done.code == 0, done.err
         assert "written" in done.out
         shown[name] = np.array(PIL.Image.open(path)).astype(int)
@@ -72,7 +72,7 @@ def test_mistakes_are_told_in_one_line(anisoscope, folder):
         (["--png", "p.png", "--photo", folder / "photo.jpg"], "needs --out"),
         (["--png", "p.png", "--pitch-angle", "nan"], "--pitch-angle and --elevation"),
         (["--png", "p.png", "--azimuth", "inf"], "--yaw and --azimuth"),
-        (["--out", "p.html", "--dots", "16384", "--size", "9000"], "--size 16 to"),
+        (["--out", "p.html", "--dots", "16384", "--picture-size", "9000"], "--picture-size 16 to"),
         (["--png", "p.png", "--mesh", folder / "none.obj"], "cannot be read"),
         (["--png", "p.png", "--illuminant", "moon"], "no illuminant is named"),
     ):
@@ -83,7 +83,7 @@ def test_mistakes_are_told_in_one_line(anisoscope, folder):
 
 
 def test_files_are_replaced_only_on_demand(anisoscope, folder, tmp_path):
-    arguments = ("ink", "proof", folder / "print.png", "--size", 16, "--dots", 60)
+    arguments = ("ink", "proof", folder / "print.png", "--picture-size", 16, "--dots", 60)
     for option, name in (("--out", "p.html"), ("--png", "p.png")):
         kept = tmp_path / name
         kept.write_text("mine")

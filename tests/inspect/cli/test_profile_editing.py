@@ -18,7 +18,7 @@ SINGLE = {
     "form": ("poly2",),
     "filter": ("robust", "--cutoff", 12, "--order", 0, "--keep", "short"),
     "crop": (5, "--y1", 20),
-    "rotate": (30, "--field", "full"),
+    "rotate": (30, "--extent", "full"),
     "mask": ("--polygon", "0 0; 30 0; 30 30; 0 30", "--keep", "outside"),
     "fill": ("nearest", "--border"),
     "outliers": (4, "--window", 7),

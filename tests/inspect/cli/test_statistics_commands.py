@@ -147,7 +147,7 @@ def test_a_recipe_file_gives_the_limits(done, place, tmp_path):
         (("--recipe", "none.toml"), "there is no file none.toml"),
         (("--limit", "3"), "at least 5 measured values"),
         (("--csv", "x.csv"), "name one of them"),
-        (("-n", "ln 0-90", "--center", "1"), "go together"),
+        (("-n", "ln 0-90", "--known-mean", "1"), "go together"),
     ],
 )
 def test_spc_refuses_in_one_line(done, place, arguments, word):

@@ -15,7 +15,7 @@ LATER = (
     "profile make staircase --size 20 --pixel 0.1 --out steps.npz",
     "predict steps.npz --model wave --wavelengths 500",
     "ink show synthetic-red --png ink.png",
-    "ink halftone frame.png --out dots.png --width 2",
+    "ink halftone frame.png --out dots.png --print-width 2",
     "design lobe --sigma 0.04 --out lobe.toml",
     "design refine lobe.toml --seconds 0.1 --out dot.npz",
 )

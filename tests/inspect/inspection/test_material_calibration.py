@@ -77,7 +77,7 @@ def test_a_coupon_on_the_virtual_rig_becomes_a_material(plastic_rig, anisoscope,
     out = tmp_path / "abs.toml"
     done = anisoscope(
         *("calibrate", "material", "--coupon", "-g", plastic_rig.rig, "-r", plastic_rig.recipe, "--out", out),
-        *("--tilt", 15, "--step", 5, "--lobe", "tail", "--operator", "ada", "--json"),
+        *("--max-tilt", 15, "--step", 5, "--lobe", "tail", "--operator", "ada", "--json"),
     )
     assert done.code == 0, done.err
     found = read_material_file(out)

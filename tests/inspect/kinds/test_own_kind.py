@@ -229,7 +229,7 @@ def test_a_kind_with_nothing_but_what_it_must_give(virtual_rig, run, installed, 
     assert 'id="rule"' not in page
     shown = run("show", found["folder"], "--history", history, "--json", path=path)
     assert shown.code == 0, shown.out + shown.err
-    exported = run("export", "--csv", tmp_path / "all.csv", "--history", history, path=path)
+    exported = run("export", "--csv-file", tmp_path / "all.csv", "--history", history, path=path)
     assert exported.code == 0, exported.out + exported.err
     assert "P-1" in (tmp_path / "all.csv").read_text(encoding="utf-8")
     refused = run("spc", "--recipe", part.recipe, "--history", history, path=path)

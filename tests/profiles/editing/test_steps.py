@@ -138,6 +138,7 @@ def test_quarter_turns_move_points_and_swap_pixels():
     assert (turned.shape, turned.pixel_x_um, turned.pixel_y_um) == ((40, 30), 3.0, 2.0)
     # what points along +x points along +y afterwards
     np.testing.assert_array_equal(turned.height_um[:, -1], surface.height_um[0])
+    assert edit_map(surface, ["rotate=90,field:full"]).shape == turned.shape  # the word of the version before
     back = edit_map(turned, ["rotate=270"])
     np.testing.assert_array_equal(back.height_um, surface.height_um)
     assert (back.pixel_x_um, back.pixel_y_um) == PIXEL
@@ -146,10 +147,10 @@ def test_quarter_turns_move_points_and_swap_pixels():
 
 
 @pytest.mark.parametrize("interpolation", ["linear", "cubic"])
-@pytest.mark.parametrize("field", ["inside", "full"])
-def test_a_plane_turns_into_the_turned_plane(interpolation, field):
+@pytest.mark.parametrize("extent", ["inside", "full"])
+def test_a_plane_turns_into_the_turned_plane(interpolation, extent):
     surface = plane((50, 60), 0.05)
-    turned = edit_map(surface, [f"rotate=30,field:{field},interpolation:{interpolation}"])
+    turned = edit_map(surface, [f"rotate=30,extent:{extent},interpolation:{interpolation}"])
     a = np.radians(30.0)
     rows, cols = turned.shape
     y, x = np.mgrid[:rows, :cols]
@@ -159,7 +160,7 @@ def test_a_plane_turns_into_the_turned_plane(interpolation, field):
     left = np.abs(turned.height_um - expected)
     assert np.nanmax(left) < (1e-9 if interpolation == "linear" else 0.2)
     assert np.nanmedian(left) < 1e-5
-    if field == "inside":
+    if extent == "inside":
         assert turned.missing_share == pytest.approx(surface.missing_share, abs=0.02)
     else:
         area = turned.shape[0] * turned.shape[1] * (1.0 - turned.missing_share)
@@ -331,7 +332,7 @@ def check_points(step, surface, found, entry):
         assert np.count_nonzero(after) == np.count_nonzero(before)
     elif name == "stitch":
         assert np.count_nonzero(after) >= np.count_nonzero(before)
-    elif before.all() and not (name == "rotate" and step.get("field") == "full"):
+    elif before.all() and not (name == "rotate" and step.get("extent") == "full"):
         assert after.all(), step
 
 
