@@ -14,6 +14,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import CalibrationError, MeasurementError, RegistrationError
 from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH, Measured
 from anisoscope.imaging.registration.placement import Grid, View, angle_between
+from anisoscope.recipe.base import RecipeBase
 from anisoscope.recipe.surface import MOST_DEVIATION, SurfaceRecipe
 
 Image = npt.NDArray[np.float32]
@@ -111,7 +112,7 @@ def check_part(views: list[View], measured: Measured, recipe: SurfaceRecipe) -> 
         MeasurementError: the region reaches beyond the part; the ridges are not those of the recipe, or run elsewhere.
         CalibrationError: a deviation is stationary in the picture while the part turns.
     """
-    check_edges(measured, recipe)
+    check_edges(measured.cells, measured.grid, recipe)
     check_ridges(measured.aligned, measured.grid, recipe)
     rule = MOST_DEVIATION if recipe.area is None else recipe.area.cell_deviation
     if rule == "auto":
@@ -137,7 +138,12 @@ def overhangs(cells: FloatArray, grid: Grid) -> tuple[Overhang, ...]:
     Args:
         cells: (P, rows, cols) mean radiance of cells, four in a pitch.
         grid: raster of the aligned pictures.
+
+    Returns:
+        The corners; none where there are too few cells to say.
     """
+    if min(cells.shape[1:]) < CELLS_PER_PITCH:
+        return ()
     cell_um = 1000.0 * grid.pixel_mm * grid.shape[1] / cells.shape[2]
     found = []
     for down in (1, -1):
@@ -189,21 +195,31 @@ def _off_median(values: FloatArray) -> FloatArray:
     return np.asarray(logs - np.median(logs, axis=(1, 2), keepdims=True))
 
 
-def check_edges(measured: Measured, recipe: SurfaceRecipe) -> None:
-    """Check that no corner of the region lies beyond the part."""
-    beyond = [
-        one
-        for one in overhangs(measured.cells, measured.grid)
-        if one.beyond_um > recipe.limits.beyond_part_um
-    ]
+def check_edges(cells: FloatArray, grid: Grid, recipe: RecipeBase) -> None:
+    """Check that no corner of the region lies beyond the part; cells as for `overhangs`."""
+    found = beyond_part(cells, grid, recipe)
+    if found is not None:
+        raise MeasurementError(found)
+
+
+def beyond_part(cells: FloatArray, grid: Grid, recipe: RecipeBase) -> str | None:
+    """Which corners of the region lie beyond the part by more than the recipe allows; None if none does.
+
+    Args:
+        cells: as for `overhangs`.
+        grid: of the region.
+        recipe: with the limit.
+    """
+    limit_um = recipe.limits.beyond_part_um
+    beyond = [one for one in overhangs(cells, grid) if one.beyond_um > limit_um]
     if not beyond:
-        return
+        return None
     count = f"at {len(beyond)} corners" if len(beyond) > 1 else "at a corner"
     places = ", ".join(
         f"{one.beyond_um:.0f} µm at x {one.at_mm[0]:+.2f} mm, y {one.at_mm[1]:+.2f} mm" for one in beyond
     )
-    raise MeasurementError(
-        f"the region reaches beyond the part {count}: {places} (limit {recipe.limits.beyond_part_um:g} µm, "
+    return (
+        f"the region reaches beyond the part {count}: {places} (limit {limit_um:g} µm, "
         "limits.beyond_part_um): make region.size_mm smaller, correct region.center_mm, or seat the part properly; is "
         "the part whole there?"
     )

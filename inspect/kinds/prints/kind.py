@@ -11,7 +11,7 @@ from anisoscope.base.progress import Advance, silent
 from anisoscope.diagnosis.cause_words import CauseWords
 from anisoscope.diagnosis.part_diagnosis import diagnosis_record
 from anisoscope.imaging.pose_radiance import check_light, check_view
-from anisoscope.imaging.quality_gates import check_views
+from anisoscope.imaging.quality_gates import beyond_part, check_views
 from anisoscope.imaging.views import most_changed
 from anisoscope.kinds.command_output import CommandOutput, Table
 from anisoscope.kinds.kind import Explanation, Kind, NewRecipe, Reference, Results, Sitting, usable
@@ -152,18 +152,28 @@ class Prints(Kind[PrintRecipe, PrintExpectation, MeasuredPrint, PrintDecision]):
         *,
         cached: bool = False,
     ) -> Explanation:
-        """The causes, or a note where no diagnosis is possible."""
+        """The causes; notes where the region leaves the sheet, and where no diagnosis is possible.
+
+        Missing ink at a corner looks like what is beyond the sheet, so that the verdict stands.
+        """
         del reference, cached
         advance("causes", 0, 1)
         recipe = sitting.calibrations.applied_to(recipe)
         alpha = recipe.decision.alpha
         if nothing_wrong(decided, alpha):
             return Explanation(DiagnosisRecord(says="nothing: the print is as it should be"))
+        brightness = measured.cells.mean(axis=(0, 1))[
+            None
+        ]  # a dark ink differs from a plate in some poses only
+        edges = beyond_part(brightness, measured.grid, recipe)
+        notes = () if edges is None else (edges,)
         try:
             found = explain_print(recipe, expected, measured, decided)
         except (AnisoscopeError, ArithmeticError, ValueError, np.linalg.LinAlgError) as problem:
-            return Explanation(DiagnosisRecord(says="not possible"), notes=(f"no diagnosis: {problem}",))
-        return Explanation(diagnosis_record(found, alpha, "print"))
+            return Explanation(
+                DiagnosisRecord(says="not possible"), notes=(*notes, f"no diagnosis: {problem}")
+            )
+        return Explanation(diagnosis_record(found, alpha, "print"), notes=notes)
 
     def read_reference(
         self, path: Path, recipe: PrintRecipe, rig: RigFile | None = None

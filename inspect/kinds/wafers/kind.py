@@ -11,6 +11,8 @@ from anisoscope.diagnosis.cause_words import CauseWords
 from anisoscope.imaging.area_limit import MIN_PARTS
 from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH, Measured
 from anisoscope.imaging.predicted_cells import even_cells
+from anisoscope.imaging.quality_gates import check_edges
+from anisoscope.imaging.registration.placement import View
 from anisoscope.imaging.views import clipped_at_white
 from anisoscope.kinds.surface import SurfaceKind
 from anisoscope.kinds.wafers.causes import WAFER_CAUSES, WAFER_WORDS
@@ -117,10 +119,22 @@ def tile_means(cells: FloatArray) -> FloatArray:
     return np.asarray(cells.reshape(poses, rows // side, side, cols // side, side).mean(axis=(2, 4)))
 
 
+def without_grain(cells: FloatArray) -> FloatArray:
+    """Cells by the median of the cells at their place in all tiles; of one tile alone they are all 1.
+
+    Args:
+        cells: (P, cell rows, cell cols) radiance of quarters of a tile, whole tiles both ways.
+    """
+    poses, rows, cols = cells.shape
+    side = CELLS_PER_PITCH
+    tiles = np.maximum(cells, 1e-6).reshape(poses, rows // side, side, cols // side, side)
+    return np.asarray((tiles / np.median(tiles, axis=(1, 3), keepdims=True)).reshape(cells.shape))
+
+
 class Wafers(SurfaceKind[WaferRecipe]):
     """Mirrors with steps: their contrasts under rotation and tilt, predicted by waves.
 
-    A tile that repeats is at no one place, and its grain is alike everywhere: nothing is matched, fitted or gated.
+    A tile that repeats is at no one place, and its grain is alike everywhere: nothing is matched or fitted.
     """
 
     name = "wafers"
@@ -139,6 +153,11 @@ class Wafers(SurfaceKind[WaferRecipe]):
     def recipe(self) -> type[WaferRecipe]:
         """The model of its recipe."""
         return WaferRecipe
+
+    def check_part(self, views: list[View], measured: Measured, recipe: SurfaceRecipe) -> None:
+        """Check that the region does not leave the wafer, whose tiles are all alike."""
+        del views
+        check_edges(without_grain(measured.cells), measured.grid, recipe)
 
     def predicted_cells(
         self, recipe: SurfaceRecipe, expected: Expectation, measured: Measured

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import shutil
+import tomllib
 
 import numpy as np
 import pytest
@@ -177,3 +178,16 @@ def test_the_prediction_of_a_wafer_is_kept(wafers, monkeypatch):
     first = cached_expectation(recipe, 0.0, OPTICS)
     monkeypatch.setattr("anisoscope.prediction.cache.expectation", lambda *_: pytest.fail("predicted again"))
     assert cached_expectation(recipe, 0.0, OPTICS) is first
+
+
+def test_a_region_that_leaves_the_wafer_is_invalid(wafers, plain):
+    """A quarter of the region on the plate; the contrasts of the rest are those of a good wafer."""
+    table = tomllib.loads((wafers / "recipe.toml").read_text())
+    table["region"]["center_mm"] = [0.2, 0.0]
+    (wafers / "shifted.toml").write_text(tomli_w.dumps(table))
+    rig = wafers / "bench" / "good" / "rig.toml"
+    record = inspect_part(
+        wafers / "shifted.toml", rig, "W-shifted", wafers / "inspections", methods=plain
+    ).record
+    assert record.verdict == "INVALID"
+    assert "the region reaches beyond the part at 2 corners: " in record.reasons[0]
