@@ -9,16 +9,34 @@ import sys
 from types import FrameType
 from typing import NoReturn
 
-from cyclopts import App, Group
+from cyclopts import App, ArgumentCollection, Group
 from cyclopts.exceptions import CycloptsError
 
 from anisoscope.base.errors import AnisoscopeError, UsageError
-from anisoscope.cli.help_page import asks_for_help, of_today, print_examples, usage_text
+from anisoscope.cli.help_page import (
+    FIRST_EXAMPLES,
+    GLOBAL_OPTIONS,
+    asks_for_help,
+    command_of,
+    examples,
+    of_today,
+    print_below,
+    usage_text,
+)
 from anisoscope.cli.log import listening, options_of, report
 from anisoscope.cli.recipe_options import apply_recipe
-from anisoscope.cli.setup.project_file import apply_project
+from anisoscope.cli.setup.project_place import project_files
 
 EXIT_INTERRUPTED = 130
+
+
+def _apply_project(app: App, commands: tuple[str, ...], arguments: ArgumentCollection) -> None:
+    """What a project file states, where there is one: only then is the library loaded that reads it."""
+    if project_files():
+        from anisoscope.cli.setup.project_file import apply_project
+
+        apply_project(app, commands, arguments)
+
 
 app = App(
     name="anisoscope",
@@ -28,59 +46,166 @@ app = App(
     help_flags=["--help", "-h"],
     result_action="return_value",
     suppress_keyboard_interrupt=False,
-    config=(apply_project, apply_recipe),
+    config=(_apply_project, apply_recipe),
 )
 COMMANDS = {
     "Inspect": {
-        "demo": "demo.demo:demo",
-        "init": "setup.init:init",
-        "inspect": "inspect.inspection:inspect",
-        "batch": "inspect.batch:batch",
-        "watch": "inspect.watch:watch",
-        "resume": "inspect.inspection:resume",
-        "read-code": "inspect.codes:read_code",
+        "demo": (
+            "demo.demo:demo",
+            "Inspect good and defective parts on a virtual rig; no hardware is needed.",
+        ),
+        "init": (
+            "setup.init:init",
+            "Write a job folder: recipe, rig file and anisoscope.toml, which names them for all commands.",
+        ),
+        "inspect": (
+            "inspect.inspection:inspect",
+            "Photograph a part, compare its contrasts (of a print: its colours) with the prediction, and decide.",
+        ),
+        "batch": (
+            "inspect.batch:batch",
+            "Inspect the parts of a tray list; a fault at one part does not stop the others.",
+        ),
+        "watch": (
+            "inspect.watch:watch",
+            "Inspect every folder of frames that another program writes; Ctrl-C ends after the present one.",
+        ),
+        "resume": (
+            "inspect.inspection:resume",
+            "Continue an interrupted inspection: photograph what is missing, judge, write record and report.",
+        ),
+        "read-code": (
+            "inspect.codes:read_code",
+            "Read the Data Matrix, Code 128 or QR code on a part; GS1 codes give lot and serial number.",
+        ),
     },
     "Review": {
-        "show": "history.history:show",
-        "compare": "history.history:compare",
-        "history": "history.history:app",
-        "export": "history.history:export",
-        "spc": "statistics.spc:spc",
-        "msa": "statistics.msa:app",
-        "verify": "inspect.inspection:verify",
-        "recompute": "inspect.inspection:recompute",
+        "show": (
+            "history.history:show",
+            "Show one inspection: verdict, numbers, reviewers' decisions, and whether its folder is unchanged.",
+        ),
+        "compare": (
+            "history.history:compare",
+            (
+                "Compare two inspections: contrasts side by side, and what changed in recipe, rig, calibrations "
+                "and software."
+            ),
+        ),
+        "history": (
+            "history.history:app",
+            "List past inspections; add and check them, record reviewers' decisions.",
+        ),
+        "export": (
+            "history.history:export",
+            "Export past inspections as CSV, JSON or JUnit; the filters are those of history.",
+        ),
+        "spc": ("statistics.spc:spc", "Control charts and capability: I-MR, EWMA, Nelson's rules, Cp, Cpk."),
+        "msa": ("statistics.msa:app", "Measurement system analysis: gauge R&R, bias, linearity, stability."),
+        "verify": (
+            "inspect.inspection:verify",
+            "Check the hashes of an inspection folder: name files that were changed, removed or added.",
+        ),
+        "recompute": (
+            "inspect.inspection:recompute",
+            "Judge an inspection again from its raw frames and compare with its record; nothing is written.",
+        ),
     },
     "Set up the rig": {
-        "rig": "rig.rig:app",
-        "calibrate": "rig.calibrate:app",
-        "camera": "statistics.camera:camera",
-        "recipe": "recipe.recipe:app",
-        "golden": "recipe.golden:app",
+        "rig": (
+            "rig.rig:app",
+            "Operate and check the rig: ports, motion, live picture, commissioning; simulated devices.",
+        ),
+        "calibrate": (
+            "rig.calibrate:app",
+            "Calibrate the rig: white tile, dark frames, linearity, rotation centre, material.",
+        ),
+        "camera": (
+            "statistics.camera:camera",
+            "Show the properties of the camera after EMVA 1288, from its linearity calibration.",
+        ),
+        "recipe": (
+            "recipe.recipe:app",
+            "Write, check and teach recipes: how a part is photographed and judged.",
+        ),
+        "golden": (
+            "recipe.golden:app",
+            "Manage the golden parts of a recipe: parts that are known to be good.",
+        ),
     },
     "Predict and design": {
-        "predict": "predict.predict:predict",
-        "render": "render.render:app",
-        "profile": "profile.profile:app",
-        "optimise": "study.optimise:optimise",
-        "design": "design.design:app",
-        "ink": "ink.ink:app",
-        "fit": "fit.fit:app",
+        "predict": (
+            "predict.predict:predict",
+            "Predict contrasts and radiances, with uncertainty, of a design, a height map or a recipe's part.",
+        ),
+        "render": (
+            "render.render:app",
+            "Render pictures of ridged plates and of height maps under the rig's light.",
+        ),
+        "profile": ("profile.profile:app", "Read, measure, edit, compare, convert and make height maps."),
+        "optimise": (
+            "study.optimise:optimise",
+            "Find the ridge design with the most contrast, nominal or under tolerances, in direct light.",
+        ),
+        "design": (
+            "design.design:app",
+            "Design diffractive surfaces: step widths, etch depths, dots, patterns, masks.",
+        ),
+        "ink": ("ink.ink:app", "Fit, show, halftone and soft-proof structural-colour inks."),
+        "fit": ("fit.fit:app", "Fit the parameters of the reflectance models to measured values."),
     },
-    "Research": {"research": "study.study:app"},
+    "Research": {
+        "research": (
+            "study.study:app",
+            "Repeat published results, and simulate how defects change contrasts and verdicts.",
+        ),
+    },
     "This computer": {
-        "doctor": "setup.doctor:doctor",
-        "warm": "cache.warm:warm",
-        "cache": "cache.cache:app",
-        "completion": "setup.completion:completion",
+        "doctor": (
+            "setup.doctor:doctor",
+            (
+                "Say what is installed, compiled, reachable and calibrated on this machine; nothing moves, no "
+                "device is opened."
+            ),
+        ),
+        "warm": (
+            "cache.warm:warm",
+            "Compile the kernels of all models for this machine, once: later commands start without that delay.",
+        ),
+        "cache": ("cache.cache:app", "Show or clear the cache of results that can be computed again."),
+        "completion": (
+            "setup.completion:completion",
+            "Print or install the script by which bash, zsh, fish or PowerShell complete commands and options.",
+        ),
     },
 }
-"""Commands by the user who needs them, in the order of the help: name and the attribute that runs it."""
+"""Commands by the user who needs them, in the order of the help: name, the attribute that runs it, and the first
+sentence of its help, for the page of `anisoscope --help` shows it without the import of the command."""
+
+
+def _first_page() -> App:
+    """The page of ``anisoscope --help`` as a program without commands that run: nothing is imported for it."""
+    page = App(
+        name=app.name[0],
+        help=app.help,
+        version_flags=app.version_flags,
+        help_flags=app.help_flags,
+        help_format="plaintext",
+        result_action="return_value",
+    )
+    for flag in (*page.help_flags, *page.version_flags):
+        page[flag].group = "Options"
+    for place, (title, commands) in enumerate(COMMANDS.items()):
+        group = Group(title, sort_key=place)
+        for number, (name, (_, sentence)) in enumerate(commands.items()):
+            page.command(App(name=name, help=sentence, group=group, sort_key=number))
+    return page
+
 
 for _flag in (*app.help_flags, *app.version_flags):
     app[_flag].group = "Options"
 for _place, (_title, _commands) in enumerate(COMMANDS.items()):
     _group = Group(_title, sort_key=_place)
-    for _number, (_name, _attribute) in enumerate(_commands.items()):
+    for _number, (_name, (_attribute, _)) in enumerate(_commands.items()):
         app.command(
             f"anisoscope.cli.{_attribute}",
             name=_name,
@@ -185,12 +310,13 @@ def _failed(error: Exception, arguments: list[str]) -> int:
 
 def _call(arguments: list[str]) -> object:
     helps = asks_for_help(app, arguments)
-    if helps:
-        for name in app:  # the page shows the first sentence of every command
-            app[name]
+    if helps and not set(arguments) - {*app.help_flags, "--"}:
+        _first_page()(app.help_flags[:1])
+        print_below(FIRST_EXAMPLES, GLOBAL_OPTIONS)
+        return 0
     result = app(arguments, exit_on_error=False, print_error=False)
     if helps:
-        print_examples(app, arguments)
+        print_below(examples(command_of(app, arguments)))
     return result
 
 

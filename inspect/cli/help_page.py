@@ -21,6 +21,12 @@ GLOBAL_OPTIONS = """Options of every command:
   --log-file FILE  append what happens to a file, with times
   --lang LANGUAGE  en, de or da: messages and page 1 of reports; else that of the locale
   --debug          print the traceback of an error"""
+FIRST_EXAMPLES = (
+    "anisoscope demo",
+    "anisoscope init job --ridge-angle 10 --pitch 100",
+    "anisoscope inspect --recipe recipe.toml --rig rig.toml --serial A-0001",
+)
+"""Examples of the first page: those of its first commands, stated here so that the page imports none of them."""
 _NEGATIVE_VALUE = re.compile(r"-[\d.]")
 
 
@@ -72,16 +78,21 @@ def asks_for_help(app: App, arguments: Sequence[str]) -> bool:
     return apps[-1].default_command is None and not unused
 
 
-def print_examples(app: App, arguments: Sequence[str]) -> None:
-    """Print what stands below a help page: the examples, in lines that can be copied."""
+def command_of(app: App, arguments: Sequence[str]) -> App:
+    """The command, or the group of commands, that a command line names."""
+    flags = (*app.help_flags, *app.version_flags)
+    return app.parse_commands([token for token in arguments if token not in flags])[1][-1]
+
+
+def print_below(shown: Sequence[str], further: str = "") -> None:
+    """Print what is below a help page: the examples, in lines that can be copied, and further lines."""
     from anisoscope.cli.tables import console
 
-    flags = (*app.help_flags, *app.version_flags)
-    chain, apps, _ = app.parse_commands([token for token in arguments if token not in flags])
-    lines = ["Examples:", *(f"  {line}" for line in examples(apps[-1]))]
-    if not chain:
-        lines += ["", *GLOBAL_OPTIONS.splitlines()]
-    for line in lines:
+    for line in (
+        "Examples:",
+        *(f"  {one}" for one in shown),
+        *(["", *further.splitlines()] if further else []),
+    ):
         console().print(line, markup=False, highlight=False, soft_wrap=True)
 
 

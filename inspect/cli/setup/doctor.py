@@ -13,7 +13,8 @@ from cyclopts import Parameter
 from anisoscope.base.errors import AnisoscopeError, RigError
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
-from anisoscope.cli.setup.project_file import PROJECT_NAME, Default, project_defaults, project_path
+from anisoscope.cli.setup.project_file import Default, project_defaults
+from anisoscope.cli.setup.project_place import PROJECT_NAME, project_path
 from anisoscope.cli.tables import console
 
 State = Literal["ok", "note", "missing"]

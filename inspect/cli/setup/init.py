@@ -7,7 +7,7 @@ import tomli_w
 from cyclopts import Parameter
 
 from anisoscope.base.errors import RecordError, UsageError
-from anisoscope.cli.setup.project_file import PROJECT_NAME
+from anisoscope.cli.setup.project_place import PROJECT_NAME
 from anisoscope.cli.tables import console
 
 RIG = """\

@@ -15,12 +15,11 @@ from anisoscope.base.errors import ConfigError
 from anisoscope.base.language import use
 from anisoscope.base.toml_file import LocalPath, Part, read_toml_model
 from anisoscope.cli.log import LOG, chosen_language
+from anisoscope.cli.setup.project_place import project_files
 
 if TYPE_CHECKING:
     from cyclopts import App, ArgumentCollection
 
-PROJECT_NAME = "anisoscope.toml"
-USER_NAME = "config.toml"
 ACQUIRE = (("inspect",), ("batch",), ("watch",))
 REVIEW = (("show",), ("compare",), ("history",), ("export",), ("spc",), ("msa",))
 COMMANDS: dict[str, tuple[tuple[str, ...], ...]] = {
@@ -56,25 +55,6 @@ class Default:
     source: Path
 
 
-def project_path(folder: Path | None = None) -> Path | None:
-    """The project file of a folder or of the nearest folder above it; None without one.
-
-    Args:
-        folder: where the search begins; by default the working folder.
-    """
-    start = (folder or Path.cwd()).resolve()
-    return next(
-        (one / PROJECT_NAME for one in (start, *start.parents) if (one / PROJECT_NAME).is_file()), None
-    )
-
-
-def user_path() -> Path:
-    """The user's file of settings; it need not exist."""
-    from platformdirs import user_config_path
-
-    return user_config_path("anisoscope", appauthor=False) / USER_NAME
-
-
 def read_project(path: Path) -> dict[str, Default]:
     """Values of one file.
 
@@ -94,9 +74,8 @@ def project_defaults() -> dict[str, Default]:
     Raises:
         ConfigError: one of the files cannot be read.
     """
-    files = [path for path in (user_path(), project_path()) if path is not None and path.is_file()]
     found: dict[str, Default] = {}
-    for path in files:
+    for path in project_files():
         found |= read_project(path)
     return found
 

@@ -10,7 +10,7 @@ import pytest
 from cyclopts import Parameter
 
 from anisoscope.cli import COMMANDS, app, run
-from anisoscope.cli.help_page import FORMER_OPTIONS, examples, of_today
+from anisoscope.cli.help_page import FIRST_EXAMPLES, FORMER_OPTIONS, examples, of_today
 
 
 def commands(parent=app, words=()):
@@ -29,7 +29,13 @@ ALL = commands()
 def test_every_command_has_a_sentence():
     lines = {" ".join(words): one.help.strip().split("\n")[0] for words, one in ALL.items()}
     assert {name: line for name, line in lines.items() if not line.endswith(".") or len(line) > 120} == {}
-    assert {words[0] for words in ALL} == {name for group in COMMANDS.values() for name in group}
+
+
+def test_the_first_page_has_the_sentences_and_examples_of_the_commands():
+    shown = {name: sentence for group in COMMANDS.values() for name, (_, sentence) in group.items()}
+    assert shown == {name: app[name].help.strip().split("\n")[0].replace("`", "") for name in shown}
+    assert {words[0] for words in ALL} == set(shown)
+    assert list(FIRST_EXAMPLES) == examples(app)
 
 
 def test_examples_of_every_command_are_understood():

@@ -8,7 +8,7 @@ import pytest
 
 from anisoscope.base.language import language
 from anisoscope.cli import app, run
-from anisoscope.cli.setup import project_file
+from anisoscope.cli.setup import project_place
 from anisoscope.kinds.registry import kind_of
 from anisoscope.rig.rigfile import read_rig
 
@@ -16,7 +16,7 @@ from anisoscope.rig.rigfile import read_rig
 @pytest.fixture
 def job(tmp_path, monkeypatch, capsys):
     """A job folder as ``init`` writes it, with the user's settings out of reach; the working folder is inside it."""
-    monkeypatch.setattr(project_file, "user_path", lambda: tmp_path / "user.toml")
+    monkeypatch.setattr(project_place, "user_path", lambda: tmp_path / "user.toml")
     monkeypatch.delenv("ANISOSCOPE_HISTORY", raising=False)
     folder = tmp_path / "job"
     assert run(["init", str(folder), "--ridge-angle", "8", "--station", "rig 2"]) == 0
