@@ -6,11 +6,12 @@ from typing import Any, cast
 
 import numpy as np
 
+from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import AnisoscopeError, MeasurementError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.diagnosis.cause_words import CauseWords
 from anisoscope.diagnosis.part_diagnosis import diagnosis_record
-from anisoscope.imaging.pose_radiance import check_light, check_view
+from anisoscope.imaging.pose_radiance import CELLS_PER_PITCH, check_light, check_view
 from anisoscope.imaging.quality_gates import beyond_part, check_views
 from anisoscope.imaging.views import most_changed
 from anisoscope.kinds.command_output import CommandOutput, Table
@@ -37,6 +38,15 @@ from anisoscope.report.inspection_page import Pictures, Sections
 from anisoscope.rig.rigfile import RigFile
 
 # matplotlib comes with the report's sections, which are imported on demand
+
+
+def _brightness(measured: MeasuredPrint) -> FloatArray:
+    """(1, rows, cols) mean of all poses and channels, each cell as wide as a pitch of ridges.
+
+    A dark ink is as dark as a plate in some poses.
+    """
+    mean = measured.cells.mean(axis=(0, 1))[None]
+    return np.asarray(mean.repeat(CELLS_PER_PITCH, axis=1).repeat(CELLS_PER_PITCH, axis=2))
 
 
 class Prints(Kind[PrintRecipe, PrintExpectation, MeasuredPrint, PrintDecision]):
@@ -162,10 +172,7 @@ class Prints(Kind[PrintRecipe, PrintExpectation, MeasuredPrint, PrintDecision]):
         alpha = recipe.decision.alpha
         if nothing_wrong(decided, alpha):
             return Explanation(DiagnosisRecord(says="nothing: the print is as it should be"))
-        brightness = measured.cells.mean(axis=(0, 1))[
-            None
-        ]  # a dark ink differs from a plate in some poses only
-        edges = beyond_part(brightness, measured.grid, recipe)
+        edges = beyond_part(_brightness(measured), measured.grid, recipe)
         notes = () if edges is None else (edges,)
         try:
             found = explain_print(recipe, expected, measured, decided)
