@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.csv_style import CsvReader
 from anisoscope.base.errors import UsageError
 
 Columns = tuple[str, ...]
@@ -49,7 +50,7 @@ def read_table(
     """Read a CSV file of numbers; blank lines are passed over.
 
     Args:
-        path: the file, UTF-8, comma-separated.
+        path: the file, UTF-8; commas and decimal points, or semicolons and decimal commas.
         headers: the accepted forms of the header.
         optional: columns that may follow, in any order.
         above_zero: columns whose numbers must lie above 0.
@@ -59,13 +60,14 @@ def read_table(
     Raises:
         UsageError: the file cannot be read, or a line of it cannot be used; the line is named.
     """
-    reader = csv.reader(read_text(path).splitlines())
+    reader = CsvReader(read_text(path), path)
     rows, lines = [], []
     try:
         columns = tuple(name.strip() for name in next(reader, []))
         _check_header(columns, headers, optional, path)
         for fields in reader:
             if any(field.strip() for field in fields):
+                fields = [reader.with_point(field) for field in fields]  # noqa: PLW2901
                 numbers = _numbers(fields, columns, f"{path}, line {reader.line_num}")
                 _check_signs(
                     numbers, fields, columns, (above_zero, not_negative), f"{path}, line {reader.line_num}"

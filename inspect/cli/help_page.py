@@ -20,6 +20,7 @@ GLOBAL_OPTIONS = """Options of every command:
   -q, --quiet      print no progress, as with ANISOSCOPE_QUIET=1
   --log-file FILE  append what happens to a file, with times
   --lang LANGUAGE  en, de or da: messages and page 1 of reports; else that of the locale
+  --csv-style STYLE  comma (1.5,2), or semicolon (1,5;2) for European spreadsheets: CSV files that are written
   --debug          print the traceback of an error"""
 FIRST_EXAMPLES = (
     "anisoscope demo",

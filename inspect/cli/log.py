@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from anisoscope.base.csv_style import COMMA, STYLES, writing
 from anisoscope.base.errors import UsageError
 from anisoscope.base.language import LANGUAGES, of_locale, speaking, translated
 
@@ -24,6 +25,7 @@ class LogOptions:
     debug: bool = False
     file: Path | None = None
     lang: str | None = None
+    csv_style: str | None = None
     arguments: tuple[str, ...] = ()
 
 
@@ -47,7 +49,7 @@ def options_of(arguments: Sequence[str]) -> tuple[list[str], LogOptions]:
         arguments: the command line, without the program; what follows ``--`` is left as it is.
 
     Raises:
-        UsageError: --log-file without a file, or --lang without a language of ours.
+        UsageError: --log-file without a file, or --lang or --csv-style without one of ours.
     """
     end = list(arguments).index("--") if "--" in arguments else len(arguments)
     rest: list[str] = []
@@ -67,21 +69,33 @@ def options_of(arguments: Sequence[str]) -> tuple[list[str], LogOptions]:
         else:
             rest.append(token)
     if waiting:
-        what = "the name of a file" if waiting == "--log-file" else f"a language: {', '.join(LANGUAGES)}"
-        raise UsageError(f"{waiting} needs {what} (see anisoscope --help)")
+        raise UsageError(f"{waiting} needs {VALUED[waiting]} (see anisoscope --help)")
     return [*rest, *arguments[end:]], found
 
 
-VALUED = ("--log-file", "--lang")
-"""Options of every command that take a value."""
+VALUED = {
+    "--log-file": "the name of a file",
+    "--lang": f"a language: {', '.join(LANGUAGES)}",
+    "--csv-style": f"a style: {' or '.join(STYLES)}",
+}
+"""Options of every command that take a value, and what they take."""
 
 
 def _valued(found: LogOptions, name: str, value: str) -> LogOptions:
     if name == "--log-file":
         return replace(found, file=Path(value))
+    if name == "--csv-style":
+        if value not in STYLES:
+            raise UsageError(f"--csv-style {value}: there is no such style; name {' or '.join(STYLES)}")
+        return replace(found, csv_style=value)
     if value not in LANGUAGES:
         raise UsageError(f"--lang {value}: there is no such language; name one of {', '.join(LANGUAGES)}")
     return replace(found, lang=value)
+
+
+def chosen_csv_style() -> str | None:
+    """The style of CSV files that the command line names, or None."""
+    return _present.csv_style
 
 
 def chosen_language() -> str | None:
@@ -120,7 +134,7 @@ def listening(options: LogOptions) -> Iterator[None]:
         LOG.info("anisoscope %s", " ".join(options.arguments))
     began = time.monotonic()
     try:
-        with speaking(options.lang or of_locale()):
+        with speaking(options.lang or of_locale()), writing(options.csv_style or COMMA):
             yield
     finally:
         if file is not None:

@@ -1,6 +1,5 @@
 """Data for a fit: exposures, contrasts and BRDF tables from CSV files, and the published experiment."""
 
-import csv
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.csv_style import CsvReader
 from anisoscope.base.csv_table import Table, read_table, read_text
 from anisoscope.base.errors import UsageError
 from anisoscope.base.notation import contrast_name
@@ -63,7 +63,8 @@ def read_readings(
 
 def _read_covariance(path: Path, size: int) -> FloatArray:
     try:
-        found = np.array([[float(x) for x in row] for row in csv.reader(read_text(path).splitlines()) if row])
+        reader = CsvReader(read_text(path), path)
+        found = np.array([[float(reader.with_point(x)) for x in row] for row in reader if row])
     except ValueError:
         raise UsageError(f"{path}: {size} lines of {size} numbers expected") from None
     if found.shape != (size, size) or not np.isfinite(found).all():

@@ -1,13 +1,12 @@
 """The history for other programs: CSV, JSON, and JUnit XML as servers of continuous integration read it."""
 
-import csv
-import io
 import json
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 from xml.etree import ElementTree as ET
 
+from anisoscope.base.csv_style import csv_text, number_text
 from anisoscope.base.json_fields import as_json, fields_of
 from anisoscope.history.dispositions import Disposition
 from anisoscope.history.rows import Row, utc_text
@@ -38,17 +37,15 @@ def to_csv(rows: Sequence[Row], dispositions: Dispositions) -> str:
     """
     labels = list(dict.fromkeys(label for row in rows for label in row.numbers))
     columns = ("id", "created_at", *_TEXTS, "reasons", *_LATER, "disposition", "reviewer", "comment")
-    text = io.StringIO(newline="")
-    table = csv.writer(text)
-    table.writerow([*columns, *map(_cell, labels)])
+    table: list[list[object]] = [[*columns, *map(_cell, labels)]]
     for row in rows:
         last = (dispositions.get(row.id) or (None,))[-1]
         decided = ("", "", "") if last is None else (last.decision, last.reviewer, last.comment)
         texts = [getattr(row, name) or "" for name in _TEXTS]
         texts += ["; ".join(row.reasons), *(getattr(row, name) for name in _LATER), *decided]
-        numbers = [repr(row.numbers[label]) if label in row.numbers else "" for label in labels]
-        table.writerow([row.id, utc_text(row.created_at), *map(_cell, texts), *numbers])
-    return text.getvalue()
+        numbers = [number_text(repr(row.numbers[label])) if label in row.numbers else "" for label in labels]
+        table.append([row.id, utc_text(row.created_at), *map(_cell, texts), *numbers])
+    return csv_text(table, line_end="\r\n")
 
 
 def _cell(text: str) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.csv_style import CsvReader
 from anisoscope.base.csv_table import read_text
 from anisoscope.base.errors import UsageError
 from anisoscope.history.column_wise import Columns
@@ -135,13 +136,15 @@ class Readings:
 def read_readings(path: Path) -> Readings:
     """Read a CSV file: a header, then one reading a line, in the order in which they were measured.
 
+    Columns are separated by commas, or by semicolons, and numbers then have a decimal comma.
+
     Columns named as in ``TEXTS`` hold words, all others numbers. An empty field, ``nan``, ``invalid`` or ``-`` is a
     missing number; where there is a column ``verdict``, so are the numbers of a line that says INVALID.
 
     Raises:
         UsageError: the file cannot be read, or a line of it cannot be used; line and column are named.
     """
-    reader = csv.reader(read_text(path).splitlines())
+    reader = CsvReader(read_text(path), path)
     try:
         columns = _columns(path, next(reader, []))
         rows = [(reader.line_num, row) for row in reader if any(field.strip() for field in row)]
@@ -156,7 +159,9 @@ def read_readings(path: Path) -> Readings:
     fields = dict(zip(columns, zip(*(row for _, row in rows), strict=True), strict=True))
     texts = {name: tuple(text.strip() for text in column) for name, column in fields.items() if name in TEXTS}
     numbers = {
-        name: _numbers(path, name, column, lines) for name, column in fields.items() if name not in TEXTS
+        name: _numbers(path, name, [reader.with_point(text) for text in column], lines)
+        for name, column in fields.items()
+        if name not in TEXTS
     }
     return Readings(str(path), texts, without_invalid(texts, numbers), base=path.parent)
 

@@ -1,11 +1,11 @@
 """``anisoscope research experiment``: the published experiment as predicted, with the measured contrasts."""
 
-import csv
 import math
 import sys
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+from anisoscope.base.csv_style import csv_text, number_text
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
 from anisoscope.cli.tables import console, print_table
@@ -83,15 +83,15 @@ def print_csv(result: "Experiment") -> None:
     """Print one line a combination."""
     from anisoscope.experiment.experiment import COLUMNS, combinations
 
-    writer = csv.writer(sys.stdout, lineterminator="\n")
     with_measured = result.measured is not None
-    writer.writerow([*COLUMNS, "measured"] if with_measured else COLUMNS)
+    rows: list[list[str]] = [[*COLUMNS, *["measured"][:with_measured]]]
     for place, row in combinations():
         values = [*(f"{value:g}" for value in row), repr(float(result.predicted[place]))]
         if result.measured is not None:
             mean = float(result.measured[place])
             values.append(repr(mean) if math.isfinite(mean) else "")
-        writer.writerow(values)
+        rows.append([number_text(value) for value in values])
+    sys.stdout.write(csv_text(rows, file=False))
 
 
 def _yes(value: bool) -> str:

@@ -1,7 +1,5 @@
 """Several files in one command: one table, in which a file that cannot be read, measured or written is a row too."""
 
-import csv
-import io
 import json
 import math
 import os
@@ -15,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from anisoscope.base.atomic_write import write_text
+from anisoscope.base.csv_style import csv_text, number_text
 from anisoscope.base.errors import AnisoscopeError, UsageError
 from anisoscope.cli.json_output import as_json, print_json
 from anisoscope.cli.progress import progress
@@ -295,22 +294,20 @@ def write_table(rows: Sequence[Row], path: Path) -> None:
         write_text(path, json.dumps(as_json([_plain(row) for row in rows]), indent=2, allow_nan=False) + "\n")
         return
     if path.suffix.lower() == ".csv":
-        stream = io.StringIO()
-        writer = csv.writer(stream, lineterminator="\n")
         # "written" only where files are
         new = ["written"] if any(row.written for row in rows) else []
-        writer.writerow(["file", "verdict", "error", *new, *heads])
-        writer.writerows(
+        table = [["file", "verdict", "error", *new, *heads]]
+        table += [
             [
                 str(row.file),
                 row.verdict,
                 row.error,
                 *[str(row.written or "")][: len(new)],
-                *_cells(row, columns, 12),
+                *map(number_text, _cells(row, columns, 12)),
             ]
             for row in rows
-        )
-        write_text(path, stream.getvalue())
+        ]
+        write_text(path, csv_text(table))
         return
     from anisoscope.report.page import write_page
 

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
 
+from anisoscope.base.csv_style import use_style
 from anisoscope.base.errors import ConfigError
 from anisoscope.base.language import use
 from anisoscope.base.toml_file import LocalPath, Part, read_toml_model
-from anisoscope.cli.log import LOG, chosen_language
+from anisoscope.cli.log import LOG, chosen_csv_style, chosen_language
 from anisoscope.cli.setup.project_place import project_files
 
 if TYPE_CHECKING:
@@ -45,6 +46,7 @@ class ProjectFile(Part):
     operator: str | None = Field(default=None, min_length=1)
     station: str | None = Field(default=None, min_length=1)
     lang: Literal["en", "de", "da"] | None = None
+    csv_style: Literal["comma", "semicolon"] | None = None
 
 
 @dataclass(frozen=True)
@@ -88,6 +90,9 @@ def apply_project(app: "App", commands: tuple[str, ...], arguments: "ArgumentCol
     lang = known.pop("lang", None)
     if lang is not None and chosen_language() is None:
         use(lang.value)
+    style = known.pop("csv_style", None)
+    if style is not None and chosen_csv_style() is None:
+        use_style(style.value)
     given = {name for one in arguments if one.tokens for name in one.names}
     if "out" in known and "history" not in known and any(commands[: len(one)] == one for one in REVIEW):
         known["history"] = known["out"]  # inspections enter the history of their folder

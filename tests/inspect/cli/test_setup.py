@@ -128,3 +128,18 @@ def test_the_command_line_names_the_language_before_the_project_file(job, capsys
     assert run(["doctor", "--lang", "fr"]) == 64
     assert run(["doctor", "--lang"]) == 64
     assert "en, de, da" in capsys.readouterr().err
+
+
+def test_the_command_line_names_the_style_of_csv_before_the_project_file(job, capsys):
+    project = job / "anisoscope.toml"
+    plain = ["research", "experiment", "--as-csv"]
+    assert run(plain) == 0
+    usual = capsys.readouterr().out
+    project.write_text(project.read_text(encoding="utf-8") + '\ncsv_style = "semicolon"\n', encoding="utf-8")
+    assert run([*plain, "--csv-style", "comma"]) == 0
+    assert capsys.readouterr().out == usual
+    assert run([*plain, "--lang", "en"]) == 0
+    assert capsys.readouterr().out == usual.replace(",", ";").replace(".", ",")
+    assert run(["doctor", "--csv-style", "tab"]) == 64
+    assert run(["doctor", "--csv-style"]) == 64
+    assert capsys.readouterr().err.count("comma or semicolon") == 2
