@@ -14,6 +14,9 @@ Counts = npt.NDArray[np.uint16]
 
 AUTOMATIC_LEVEL = 0.4
 MANY = 25.0  # electrons; below it Poisson numbers are drawn as such, which takes four times as long
+FAR = 7.0  # standard deviations: arrivals that stay as far below the full well never reach it
+RARE = 0.5  # electrons; fewer arrivals a pixel are drawn as a whole and spread over the pixels
+ROWS = 64
 
 
 class Sensor:
@@ -45,44 +48,75 @@ class Sensor:
         Returns:
             (rows, cols) counts, right-justified.
         """
-        expected = signal_e * self._response
-        noise = self._dark_e_s * exposure_s
-        expected += noise
-        np.maximum(expected, 0.0, out=expected)
-        collected = self._arrivals(expected)
-        np.minimum(collected, self.part.full_well_e, out=collected)
-        if self.part.nonlinearity:
-            collected *= 1.0 - self.part.nonlinearity * collected / self.part.full_well_e
-        self._rng.standard_normal(out=noise)
-        noise *= self.part.read_noise_e
-        noise += self._offset_e
-        collected += noise
-        collected *= gain
-        collected /= self.part.gain_e_per_dn
-        counts = self._bent(collected)
-        counts += self.part.black_level
-        np.rint(counts, out=counts)
-        np.clip(counts, 0, self.full_scale, out=counts)
-        return counts.astype(np.uint16)
+        counts: Counts = np.empty(signal_e.shape, dtype=np.uint16)
+        for first in range(0, len(counts), ROWS):  # few rows at a time stay in the processor's cache
+            rows = slice(first, first + ROWS)
+            expected = signal_e[rows] * self._response[rows]
+            expected += self._dark_e_s[rows] * exposure_s
+            np.maximum(expected, 0.0, out=expected)
+            signal = self._read(expected, self._offset_e[rows])
+            signal *= gain / self.part.gain_e_per_dn
+            bent = self._bent(signal)
+            bent += self.part.black_level
+            np.rint(bent, out=bent)
+            np.clip(bent, 0, self.full_scale, out=bent)
+            counts[rows] = bent
+        return counts
+
+    def _read(self, expected: FloatArray, offset: FloatArray) -> FloatArray:
+        """Electrons that are read where these numbers are expected: arrivals up to the full well, and read noise."""
+        part = self.part
+        largest = float(expected.max())
+        linear = part.nonlinearity == 0.0 and largest + FAR * largest**0.5 < part.full_well_e
+        if linear and float(expected.min()) >= MANY:
+            found = self._near_normal(expected, part.read_noise_e**2)
+        else:
+            found = self._arrivals(expected)
+            np.minimum(found, part.full_well_e, out=found)
+            if part.nonlinearity:
+                found *= 1.0 - part.nonlinearity * found / part.full_well_e
+            found += part.read_noise_e * self._rng.standard_normal(expected.shape)
+        found += offset
+        return found
 
     def _arrivals(self, expected: FloatArray) -> FloatArray:
-        """Poisson numbers about ``expected``; from MANY on, their Cornish-Fisher expansion: λ + √λ z + (z² − 1) / 6.
-
-        It has the mean and the skewness of a Poisson number, and a variance that is larger by 1/18.
-        """
+        """Poisson numbers about ``expected``; from MANY on, numbers of the same mean, variance and skewness."""
         few = expected < MANY
-        if few.all():
-            return self._rng.poisson(expected).astype(np.float64)
+        arrivals = np.empty(expected.shape)
+        arrivals[few] = self._rare(expected[few])
+        arrivals[~few] = self._near_normal(expected[~few], 0.0)
+        return arrivals
+
+    def _near_normal(self, expected: FloatArray, noise: float) -> FloatArray:
+        """Poisson numbers λ from MANY on with normal noise of variance ν: λ + s z + λ (z² − 1) / (6 s²), s² = λ + ν.
+
+        The Cornish-Fisher expansion of their sum: its mean, its skewness, and a variance larger by 1/18 at most.
+        """
         normal = self._rng.standard_normal(expected.shape)
-        arrivals: FloatArray = np.sqrt(expected)
-        arrivals *= normal
-        arrivals += expected
+        variance = expected + noise
+        found: FloatArray = np.sqrt(variance)
+        found *= normal
+        found += expected
         normal *= normal
         normal -= 1.0
+        normal *= expected
+        normal /= variance
         normal /= 6.0
-        arrivals += normal
-        if few.any():
-            arrivals[few] = self._rng.poisson(expected[few])
+        found += normal
+        return found
+
+    def _rare(self, expected: FloatArray) -> FloatArray:
+        """Poisson numbers of (n,) pixels; what all pixels expect alike is drawn as one number and spread over them.
+
+        A dark frame expects .1 electrons in all but its hot pixels. A sum of Poisson numbers is a Poisson number.
+        """
+        common = float(expected.min(initial=RARE))
+        if common >= RARE:
+            return self._rng.poisson(expected).astype(np.float64)
+        struck = self._rng.integers(expected.size, size=self._rng.poisson(common * expected.size))
+        arrivals: FloatArray = np.bincount(struck, minlength=expected.size).astype(np.float64)
+        above = np.flatnonzero(expected > common)
+        arrivals[above] += self._rng.poisson(expected[above] - common)
         return arrivals
 
     def automatic_exposure_s(self, signal_e: FloatArray) -> float:
