@@ -18,6 +18,7 @@ from babel.messages.catalog import Catalog
 from babel.messages.mofile import write_mo
 from babel.messages.pofile import read_po, write_po
 
+from anisoscope.commissioning.selftest import STEPS
 from anisoscope.diagnosis.causes import all_causes
 from anisoscope.diagnosis.ranking import bare_title
 from anisoscope.kinds.registry import kind_named
@@ -32,10 +33,12 @@ LANGUAGES = ("de", "da")
 TEMPLATES = (
     "inspect/report/templates/inspection.html",
     "inspect/report/templates/inspection_surface_map.html",
+    "inspect/report/templates/history.html",
+    "inspect/report/templates/compared.html",
     "inspect/kinds/prints/templates/inspection_print_colours.html",
 )
 CALLS = (
-    *("inspect/report", "inspect/cli/inspect", "inspect/cli/rig"),
+    *("inspect/report", "inspect/cli/inspect", "inspect/cli/rig", "inspect/cli/demo"),
     *("inspect/kinds",),
 )
 """Folders whose calls of `message` are messages."""
@@ -70,6 +73,20 @@ FURTHER = (
     *("predicted", "deviation", "tolerance", "at [°]", "tilts [°]", "the same stage angle at two tilts"),
     *("as predicted", "see the reasons above", "{stage}° / {other}°, tilt {tilt}°"),
     *("the height map", "the ideal design"),
+    *(
+        "check",
+        "value",
+        "limit",
+        "unit",
+        "outcome",
+        "WARN",
+        "SKIPPED",
+        "set by hand",
+        "camera",
+        "light",
+        "tilt",
+        "rig",
+    ),
     *("missing ridge", "flank", "scratch", "spot", "patch", "{count} golden parts", "1 golden part"),
 )
 """Names that reach the page or the console from data."""
@@ -157,6 +174,8 @@ def _name(function: ast.expr) -> str:
 def _tables() -> Iterator[str]:
     """Texts of the tables of the package."""
     yield from (*OUTCOMES.values(), *MEANING.values(), INVALID_RULE, *rule.CONTRASTS.values())
+    for names, _ in STEPS:
+        yield from (words for _, words in names)
     yield from (rule.AREA_OUTSIDE, rule.AREA_NEAR)
     for name in ("ridges", "wafers", "prints"):
         for words in kind_named(name).cause_words.values():

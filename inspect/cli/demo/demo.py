@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, cast
 
 from cyclopts import Parameter
 
+from anisoscope.base.language import message, translated
 from anisoscope.base.progress import Advance
 from anisoscope.cli.inspect.history_entry import remember
 from anisoscope.cli.json_output import print_json
@@ -116,13 +117,19 @@ def _finding(inspected: "Inspected") -> str:
 
 def _print(parts: list[dict[str, Any]], right: bool) -> None:
     print_table(
-        "Verdicts",
-        ["part", "expected", "verdict", "finding"],
-        [[part["serial"], part["expected"], part["verdict"], part["finding"]] for part in parts],
+        message("Verdicts"),
+        [message("part"), message("expected"), message("verdict"), message("finding")],
+        [
+            [part["serial"], *(translated(part[key]) for key in ("expected", "verdict", "finding"))]
+            for part in parts
+        ],
     )
     out = console()
     for part in parts:
-        out.print(f"report of {part['serial']}: {part['report']}", highlight=False, soft_wrap=True)
+        line = message("report of {name}: {path}", name=part["serial"], path=part["report"])
+        out.print(line, highlight=False, soft_wrap=True)
     out.print(
-        "Every verdict is the expected one." if right else "[bold]A verdict is not the expected one.[/bold]"
+        message("Every verdict is the expected one.")
+        if right
+        else f"[bold]{message('A verdict is not the expected one.')}[/bold]"
     )

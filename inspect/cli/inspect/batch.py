@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
+from anisoscope.base.language import message, translated
 from anisoscope.cli.inspect.batch_operator import Terminal, table_of
 from anisoscope.cli.inspect.history_entry import HistoryOption, history_place, remember
 from anisoscope.cli.inspect.lot_mates import lot_mates
@@ -115,7 +116,7 @@ def _show(found: "BatchFile", folder: Path, page: Path, *, json_: bool) -> None:
     out = console()
     out.print(table_of(found))
     for line in (
-        ", ".join(f"{number} {word}" for word, number in found.counts.items() if number),
-        f"page: {page}",
+        ", ".join(f"{number} {translated(word)}" for word, number in found.counts.items() if number),
+        message("page: {path}", path=page),
     ):
         out.print(line, markup=False, highlight=False, soft_wrap=True)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Literal
 
 from anisoscope.base.errors import UsageError
-from anisoscope.base.language import message, translated
+from anisoscope.base.language import decimal, message, translated
 from anisoscope.base.progress import Advance
 from anisoscope.cli.progress import progress
 from anisoscope.cli.tables import console
@@ -135,17 +135,17 @@ def table_of(batch: "BatchFile") -> "Table":
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(title="Batch", title_justify="left")
-    for column in ("slot", "serial", "verdict", "first reason"):
+    table = Table(title=message("Batch"), title_justify="left")
+    for column in (message("slot"), message("serial"), message("verdict"), message("first reason")):
         table.add_column(column, overflow="fold")
-    table.add_column("took", justify="right")
+    table.add_column(message("duration"), justify="right")
     for slot in batch.slots:
         table.add_row(
             Text(slot.slot),
             Text(_name(slot)),
-            Text(slot.word, style=COLOURS.get(slot.word, "")),
-            Text(slot.reason or ""),
-            Text("" if slot.seconds is None else f"{slot.seconds:.1f} s"),
+            Text(translated(slot.word), style=COLOURS.get(slot.word, "")),
+            Text(translated(slot.reason or "")),
+            Text("" if slot.seconds is None else decimal(f"{slot.seconds:.1f} s")),
         )
     return table
 

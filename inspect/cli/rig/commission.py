@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
+from anisoscope.base.language import decimal, message, translated
 from anisoscope.cli.help_page import everyday
 from anisoscope.cli.options import Json, parse_numbers
 from anisoscope.cli.progress import progress
@@ -229,16 +230,28 @@ def check(
 def _show_checks(result: "SelfTest", written_to: Path | None) -> None:
 
     rows = [
-        [one.words, _short(one.value), _short(one.limit), one.unit or "1", one.outcome]
+        [
+            translated(one.words),
+            decimal(_short(one.value)),
+            decimal(_short(one.limit)),
+            one.unit or "1",
+            translated(one.outcome),
+        ]
         for one in result.checks
     ]
-    print_table(f"Self test of {result.rig}", ["check", "value", "limit", "unit", "outcome"], rows)
+    columns = [message(one) for one in ("check", "value", "limit", "unit", "outcome")]
+    print_table(message("Self test of {name}", name=result.rig), columns, rows)
     for one in result.checks:
         if one.remark:
-            console().print(f"{one.words}: {one.remark}", markup=False, highlight=False)
-    words = "the rig is fit" if result.fit else "the rig is NOT fit: what it measures is INVALID"
+            console().print(
+                f"{translated(one.words)}: {translated(one.remark)}", markup=False, highlight=False
+            )
+    fit = result.fit
+    words = message("the rig is fit") if fit else message("the rig is NOT fit: what it measures is INVALID")
     console().print(
-        words if written_to is None else f"{words}; record: {written_to}", markup=False, highlight=False
+        words if written_to is None else f"{words}; {message('record: {path}', path=written_to)}",
+        markup=False,
+        highlight=False,
     )
 
 

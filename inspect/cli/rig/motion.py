@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from anisoscope.base.errors import AnisoscopeError, NotConnected, RigError
+from anisoscope.base.language import decimal, message
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
 from anisoscope.cli.rig.options import NOTHING_NAMED, AxisName, Which, Yes, confirm, write_line
@@ -144,7 +145,7 @@ def stop(*, which: Devices = NOTHING_NAMED, json_: Json = False) -> int:
         print_json({"interrupted": interruptions, "axes": rows})
         return 0
     for table, (name, at) in found.items():
-        print(f"{table} {name}: stopped, is at {_degrees(at)}")  # noqa: T201
+        print(message("{axis} {name}: stopped, is at {after}", axis=table, name=name, after=_degrees(at)))  # noqa: T201
     return 0
 
 
@@ -222,12 +223,20 @@ def _show(moved: _Moved, file: "RigFile | None", part: "AxisPart", *, json_: boo
             }
         )
         return 0
-    whose = "sample" if moved.axis == "stage" else "arm"
+    whose = message("part") if moved.axis == "stage" else message("arm")
     after = "" if file is None else f" ({whose} {_degrees(angle(moved.after_deg))})"
     before = _degrees(moved.before_deg)
-    print(f"{moved.axis} {moved.device}: was at {before}, is at {_degrees(moved.after_deg)}{after}")  # noqa: T201
+    print(  # noqa: T201
+        message(
+            "{axis} {name}: was at {before}, is at {after}",
+            axis=moved.axis,
+            name=moved.device,
+            before=before,
+            after=_degrees(moved.after_deg) + after,
+        )
+    )
     return 0
 
 
 def _degrees(angle_deg: float | None) -> str:
-    return "an unknown angle" if angle_deg is None else f"{angle_deg:.3f}°"
+    return message("an unknown angle") if angle_deg is None else decimal(f"{angle_deg:.3f}°")

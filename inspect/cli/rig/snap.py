@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from anisoscope.base.errors import UsageError
+from anisoscope.base.language import decimal, message
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
 from anisoscope.cli.rig.options import Exposure, Gain, LightState, RigPath, write_line
@@ -154,16 +155,26 @@ def _judge(frame: "Frame", info: Any, saturated: float, picture: Path | None) ->
 
 
 def _print(out: Path, picture: Path | None, found: dict[str, Any]) -> None:
-    sharp = "too dark to tell" if math.isnan(found["sharpness"]) else f"{found['sharpness']:.3g}"
-    at = "" if math.isnan(found["angle_deg"]) else f" at {found['angle_deg']:.3f}°"
+    dark = math.isnan(found["sharpness"])
+    sharp = message("not measurable, too dark") if dark else f"{found['sharpness']:.3g}"
+    at = "" if math.isnan(found["angle_deg"]) else decimal(f", {found['angle_deg']:.3f}°")
     print(  # noqa: T201
-        f"{out}: {found['rows']} × {found['cols']}{at}, {found['exposure_s']:g} s, gain {found['gain']:g}; mean "
-        f"{found['mean_counts']:.1f} counts ({found['mean']:.1%} of full scale), saturated "
-        f"{found['saturated_share']:.3%}, sharpness {sharp}"
+        message(
+            "{path}: {size}, {exposure} s, gain {gain}; mean {mean} counts ({level} of full scale), saturated {share}, "
+            "sharpness {sharpness}",
+            path=out,
+            size=f"{found['rows']} × {found['cols']}{at}",
+            exposure=f"{found['exposure_s']:g}",
+            gain=f"{found['gain']:g}",
+            mean=f"{found['mean_counts']:.1f}",
+            level=f"{found['mean']:.1%}",
+            share=f"{found['saturated_share']:.3%}",
+            sharpness=sharp,
+        )
     )
     if found["filters"] != "mono":
-        print(f"{out}: the mosaic as the sensor saw it, filters {found['filters']}")  # noqa: T201
+        print(message("{path}: raw mosaic, filters {name}", path=out, name=found["filters"]))  # noqa: T201
     if picture is not None:
-        print(f"{picture}: preview")  # noqa: T201
+        print(message("{path}: preview", path=picture))  # noqa: T201
     if found["saturated_share"] > SATURATED_SHARE:
-        write_line("too many saturated pixels to measure anything: expose shorter")
+        write_line(message("too many saturated pixels to measure anything: expose shorter"))

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from anisoscope.base.errors import AnisoscopeError, RigError
+from anisoscope.base.language import decimal, message, translated
 from anisoscope.cli.json_output import print_json
 from anisoscope.cli.options import Json
 from anisoscope.cli.rig.options import NOTHING_NAMED, Which
@@ -105,38 +106,55 @@ def _light(part: "LightPart", stack: contextlib.ExitStack) -> dict[str, Any]:
 
 def _print(found: dict[str, Any]) -> None:
     if found["rig"] is not None:
-        print(f"rig     {found['rig']}")  # noqa: T201
+        print(f"{message('rig'):<9} {found['rig']}")  # noqa: T201
     for table in ("stage", "tilt", "camera", "light"):
         if table in found:
-            print(f"{table:<7} {_line(table, found[table])}")  # noqa: T201
+            print(f"{translated(table):<9} {_line(table, found[table])}")  # noqa: T201
+
+
+def _name(device: str) -> str:
+    return message("set by hand") if device == "set by hand" else device
 
 
 def _line(table: str, device: dict[str, Any]) -> str:
     if "error" in device:
         return f"{device['driver']}: {device['error']}"
-    words = [device["device"]]
+    words = [_name(device["device"])]
     if "position_deg" in device:
         low, high = device["limits_deg"]
-        whose = "sample" if table == "stage" else "arm"
-        angle = f" ({whose} {device['angle_deg']:.3f}°)" if "angle_deg" in device else ""
+        whose = message("part") if table == "stage" else message("arm")
+        angle = f" ({whose} {decimal(format(device['angle_deg'], '.3f'))}°)" if "angle_deg" in device else ""
         words += [
-            f"at {device['position_deg']:.3f}°{angle}",
-            "homed" if device["homed"] else "not homed since it was connected",
-            f"reaches {low:g}°…{high:g}°",
-            f"steps of {device['resolution_deg']:.2g}°",
+            message("at {angle}°", angle=format(device["position_deg"], ".3f")) + angle,
+            message("homed") if device["homed"] else message("not homed since it was connected"),
+            message("reaches {low}°…{high}°", low=f"{low:g}", high=f"{high:g}"),
+            message("steps of {step}°", step=format(device["resolution_deg"], ".2g")),
         ]
     elif table == "camera":
         words += [
-            f"{device['rows']} × {device['cols']} pixels of {device['pixel_um']:g} µm on the sample",
-            f"{device['bit_depth']} bits, black at {device['black_level']:g}",
-            *([] if device["filters"] == "mono" else [f"colour filters {device['filters']}"]),
-            "linear" if device["linear"] else "not linear",
+            message(
+                "{rows} × {cols} pixels of {size} µm on the sample",
+                rows=device["rows"],
+                cols=device["cols"],
+                size=format(device["pixel_um"], "g"),
+            ),
+            message(
+                "{depth} bits, black at {black}",
+                depth=device["bit_depth"],
+                black=format(device["black_level"], "g"),
+            ),
             *(
-                ["UNCALIBRATED: no response curve (anisoscope calibrate response)"]
+                []
+                if device["filters"] == "mono"
+                else [message("colour filters {name}", name=device["filters"])]
+            ),
+            message("linear") if device["linear"] else message("not linear"),
+            *(
+                [message("UNCALIBRATED: no response curve (anisoscope calibrate response)")]
                 if device["uncalibrated"]
                 else []
             ),
         ]
     elif table == "light":
-        words.append(f"{device['angle_deg']:g}° from the camera")
+        words.append(message("{angle}° from the camera", angle=format(device["angle_deg"], "g")))
     return ", ".join(words)

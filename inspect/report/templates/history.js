@@ -12,7 +12,7 @@ function apply() {
     row.hidden = !fits;
     count += fits;
   });
-  shown.textContent = `${count} of ${rows.length} shown`;
+  shown.textContent = shown.dataset.text.replace("{shown}", count).replace("{total}", rows.length);
 }
 form.hidden = false;
 form.addEventListener("input", apply);
