@@ -85,7 +85,7 @@ def test_status_tells_all_and_moves_nothing(command, line, rig_file):
 def test_status_for_people(command, line, rig_file):
     code, out, _ = command("rig", "status", "-g", rig_file(line()[0]))
     assert code == 69
-    assert "at 0.000° (sample -10.000°), not homed since it was connected, reaches 0°…360°" in out
+    assert "at 0.000° (part -10.000°), not homed since it was connected, reaches 0°…360°" in out
 
 
 def test_status_of_a_stage_alone_knows_no_sample(command):
@@ -120,7 +120,7 @@ def test_sample_angles_turn_the_other_way_where_the_rig_file_says_so(command, li
     code, out, _ = command("rig", "move", -40, "--sample", "-g", rig_file(url, turns="cw"), "--yes")
     assert code == 0
     assert axis.position() == pytest.approx(50.0, abs=0.01)
-    assert out == "stage ELL14 11400517: was at 0.000°, is at 50.000° (sample -40.000°)\n"
+    assert out == "stage ELL14 11400517: was at 0.000°, is at 50.000° (part -40.000°)\n"
 
 
 def test_the_tilt_axis_moves_and_the_stage_does_not(command, line, rig_file):

@@ -90,7 +90,7 @@ def test_status_names_the_devices_of_the_third_party(anisoscope):
 def test_its_stage_keeps_the_motion_rules(anisoscope):
     rig = EXAMPLE / "rig.toml"
     done = anisoscope("rig", "move", "30", "--sample", "-g", rig, "--yes")
-    assert done.stdout == "stage turntable at COM3: was at 0.000°, is at 35.000° (sample 30.000°)\n", (
+    assert done.stdout == "stage turntable at COM3: was at 0.000°, is at 35.000° (part 30.000°)\n", (
         done.stderr
     )
     done = anisoscope("rig", "move", "355", "-g", rig, "--yes")
