@@ -91,7 +91,7 @@ def test_status_for_people(command, line, rig_file):
 def test_status_of_a_stage_alone_knows_no_sample(command):
     code, out, _ = command("rig", "status", "--driver", "elliptec", "--port", "sim://elliptec?time_scale=0")
     assert code == 0
-    assert out.startswith("stage   ELL14 11400517, at 0.000°, not homed")
+    assert out.startswith("stage     ELL14 11400517, at 0.000°, not homed")
 
 
 @pytest.mark.parametrize(

@@ -75,7 +75,7 @@ def test_many_frames_are_averaged(command, virtual_rig, tmp_path):
 def test_a_colour_camera_gives_its_mosaic_and_a_preview_in_colour(command, virtual_rig, tmp_path):
     rig = virtual_rig(bench={"sample": {"kind": "white-tile"}, "sensor": {"filters": "gbrg"}})
     code, printed, _ = command(*snap(rig, tmp_path / "a.tif", "--preview"))
-    assert (code, "the mosaic as the sensor saw it, filters gbrg" in printed) == (0, True)
+    assert (code, "raw mosaic, filters gbrg" in printed) == (0, True)
     frame = read_frame(tmp_path / "a.tif")
     assert frame.filters == "gbrg"
     green, blue, red = (frame.counts[row::2, col::2].mean() for row, col in ((0, 0), (0, 1), (1, 0)))
