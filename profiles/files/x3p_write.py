@@ -8,13 +8,13 @@ other programs ignore and :func:`~anisoscope.profiles.files.x3p.read_x3p` adds. 
 
 import contextlib
 import hashlib
+import html
 import zipfile
 import zlib
 from datetime import datetime
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
-from xml.sax.saxutils import escape  # escapes our own text; nothing is parsed
 
 import numpy as np
 
@@ -80,7 +80,7 @@ def _element(tag: str, *content: str) -> str:
 
 def _text(tag: str, value: object) -> str:
     printable = "".join(letter if letter.isprintable() else " " for letter in str(value))
-    return _element(tag, escape(" ".join(printable.split())))
+    return _element(tag, html.escape(" ".join(printable.split()), quote=False))
 
 
 def _axes(surface: HeightMap) -> str:

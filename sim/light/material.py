@@ -36,8 +36,11 @@ _STEEPEST = 4.6  # slopes in units of alpha beyond which less than 1e-9 of the f
 
 @cache
 def _gauss_legendre(nodes: int) -> tuple[FloatArray, FloatArray]:
-    """Nodes and weights on −1…1; finding them takes longer than most tables that use them."""
-    return np.polynomial.legendre.leggauss(nodes)
+    """Nodes and weights on −1…1, from a tridiagonal matrix: numpy's rule of 256 nodes solves a full one in 0.25 s."""
+    from scipy.special import roots_legendre  # noqa: PLC0415 - loaded with the error function of the lobe
+
+    node, weight = roots_legendre(nodes)
+    return node, weight
 
 
 @dataclass(frozen=True)
