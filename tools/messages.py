@@ -44,6 +44,7 @@ CALLS = (
 """Folders whose calls of `message` are messages."""
 ERRORS = {"MeasurementError", "CalibrationError", "RegistrationError"}
 SENTENCES = {
+    "inspect/base/notation.py": ("quantity_name",),
     "inspect/report/conclusion.py": ("_of_verdict", "surface_finding", "_contrast_finding", "_finding"),
     "inspect/decision/decision.py": ("_combine", "_blind", "_of_tolerance", "_limit_of"),
     "inspect/diagnosis/part_diagnosis.py": ("_summary",),

@@ -17,6 +17,12 @@ def contrast_name(from_deg: float, to_deg: float, tilt_deg: float) -> str:
     return f"{from_deg:g}° / {to_deg:g}°, tilt {tilt_deg:g}°"
 
 
+def quantity_name(kind: str, from_deg: float, to_deg: float, tilt_deg: float) -> str:
+    """A contrast with its quantity, such as ``ln ratio 0° / 90°, tilt 0°``."""
+    names = {"log_ratio": "ln ratio", "michelson": "Michelson contrast", "difference": "difference"}
+    return " ".join((names.get(kind, kind), contrast_name(from_deg, to_deg, tilt_deg)))
+
+
 def p_value_text(p_value: float) -> str:
     """A probability after the word p, such as ``= 0.012``; one too small to be meant literally: ``< 1e-9``."""
     return f"= {p_value:.2g}" if p_value >= LEAST_P else f"< {LEAST_P:g}".replace("e-09", "e-9")

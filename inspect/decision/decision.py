@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.base.notation import contrast_name, p_value_text
+from anisoscope.base.notation import contrast_name, p_value_text, quantity_name
 from anisoscope.base.significance import holm, joint_conformance, two_sided
 from anisoscope.decision.consistency_test import from_prediction, golden_test, scatter_of
 from anisoscope.decision.predictive_test import PredictiveTest
@@ -312,8 +312,7 @@ def _limit_of(area: AreaRecord) -> str:
 
 
 def _of_tolerance(pair: ContrastRecord, rule: DecisionPart) -> str:
-    name = {"log_ratio": "ln ratio", "michelson": "Michelson contrast", "difference": "difference"}
-    where = f"{name[rule.contrast]} {contrast_name(pair.from_deg, pair.to_deg, pair.tilt_deg)}"
+    where = quantity_name(rule.contrast, pair.from_deg, pair.to_deg, pair.tilt_deg)
     return f"{where} deviates by {pair.deviation:+.3f} (tolerance ±{pair.tolerance:g}, guard band {pair.guard:.3f})"
 
 

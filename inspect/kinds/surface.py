@@ -11,7 +11,7 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import CalibrationError, HeightMapError
-from anisoscope.base.notation import p_value_text
+from anisoscope.base.notation import p_value_text, quantity_name
 from anisoscope.base.progress import Advance, silent
 from anisoscope.base.significance import log_basis
 from anisoscope.decision.consistency_test import contrast_scatter
@@ -548,9 +548,6 @@ def golden_record(golden: GoldenSet, measured: Measured, decided: Decision) -> G
 def _contrast_table(record: Record, found: SurfaceDetails) -> Table:
     columns = [
         "contrast",
-        "from [°]",
-        "to [°]",
-        "tilt [°]",
         "measured",
         "predicted",
         "deviation",
@@ -559,10 +556,7 @@ def _contrast_table(record: Record, found: SurfaceDetails) -> Table:
     ]
     rows: Sequence[Sequence[str]] = [
         [
-            one.kind,
-            f"{one.from_deg:g}",
-            f"{one.to_deg:g}",
-            f"{one.tilt_deg:g}",
+            quantity_name(one.kind, one.from_deg, one.to_deg, one.tilt_deg),
             f"{one.measured:+.4f}",
             f"{one.predicted:+.4f}",
             f"{one.measured - one.predicted:+.4f}",

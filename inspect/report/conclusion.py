@@ -8,7 +8,7 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from anisoscope.base.notation import contrast_name, p_value_text
+from anisoscope.base.notation import p_value_text, quantity_name
 from anisoscope.diagnosis.cause_words import CauseWords, words_of
 from anisoscope.diagnosis.ranking import NOTHING, OTHER
 from anisoscope.record.schema import (
@@ -99,12 +99,10 @@ def _by_limit(contrast: ContrastRecord) -> float:
 
 
 def _contrast_finding(worst: ContrastRecord) -> str:
-    name = contrast_name(worst.from_deg, worst.to_deg, worst.tilt_deg)
     unit = {"log_ratio": "", "michelson": "", "difference": "/sr"}.get(worst.kind, "")
     tolerance = "" if worst.tolerance is None else f"{worst.tolerance:g}{unit}"
     limit = f"tolerance ±{tolerance}" if tolerance else "no tolerance set"
-    what = {"log_ratio": "ln ratio", "michelson": "Michelson contrast", "difference": "difference"}
-    contrast = " ".join((what.get(worst.kind, worst.kind), name))
+    contrast = quantity_name(worst.kind, worst.from_deg, worst.to_deg, worst.tilt_deg)
     extent = "".join((f"{worst.deviation:+.2g}", " ± ", f"{2.0 * worst.u:.1g}", unit))
     return f"Largest deviation: {contrast} is off by {extent} ({limit})"
 
