@@ -74,15 +74,6 @@ def history(place):
         yield found
 
 
-def quickest(work, repeats=5):
-    times = []
-    for _ in range(repeats):
-        begun = time.perf_counter()
-        work()
-        times.append(time.perf_counter() - begun)
-    return min(times)
-
-
 QUESTIONS = {
     "the latest 50": Filters(limit=50),
     "one part": Filters(serial="PART-012345", limit=50),
@@ -97,23 +88,28 @@ QUESTIONS = {
 
 
 @pytest.mark.parametrize("question", QUESTIONS)
-def test_filters(history, question):
-    rows = history.rows(QUESTIONS[question])
-    took = quickest(lambda: history.rows(QUESTIONS[question]))
-    print(f"\n{question}: {len(rows)} rows in {1000 * took:.0f} ms")
-    assert took <= 0.3
+def test_filters(bench, history, question):
+    found = bench.compare(
+        f"{COUNT} inspections, {question}", {"rows": lambda: history.rows(QUESTIONS[question])}
+    )
+    bench.note(f"{len(found['rows'].result)} rows")
+    assert min(found["rows"].wall_s) <= 0.3
 
 
-def test_a_series_of_everything_against_its_rows(history):
-    found = history.series(Filters(), "ln 0-90")
-    assert len(found) == COUNT
-    took = quickest(lambda: history.series(Filters(), "ln 0-90"))
-    alternative = quickest(lambda: [row.numbers["ln 0-90"] for row in history.rows()], 1)
-    print(f"\nseries of {COUNT}: {took:.2f} s; from whole rows {alternative:.2f} s")
-    assert took <= alternative
+def test_a_series_of_everything_against_its_rows(bench, history):
+    found = bench.compare(
+        f"a number of {COUNT} inspections",
+        {
+            "series": lambda: history.series(Filters(), "ln 0-90"),
+            "from whole rows": lambda: [row.numbers["ln 0-90"] for row in history.rows()],
+        },
+        rounds=2,
+    )
+    assert len(found["series"].result) == COUNT
+    assert found.ratio("from whole rows", "series") >= 1.0
 
 
-def test_growth_is_linear_and_a_row_weighs_less_than_a_kilobyte(history, place, tmp_path):
+def test_growth_is_linear_and_a_row_weighs_less_than_a_kilobyte(bench, history, place, tmp_path):
     draws = np.zeros(1)
     with open_history(tmp_path / "small.sqlite") as small:
         small.append_all([new_row(number, draws) for number in range(COUNT // 10)])
@@ -123,14 +119,13 @@ def test_growth_is_linear_and_a_row_weighs_less_than_a_kilobyte(history, place, 
             connection.exec_driver_sql("COMMIT")
             connection.exec_driver_sql("PRAGMA wal_checkpoint(TRUNCATE)")
         weights.append(path.stat().st_size / count)
-    print(f"\nbytes a row, indexes included: {weights[0]:.0f} of 10 000, {weights[1]:.0f} of 100 000")
+    bench.note(f"bytes a row, indexes included: {weights[0]:.0f} of 10 000, {weights[1]:.0f} of 100 000")
     assert max(weights) <= 1024
     assert weights[1] <= 1.05 * weights[0]
 
 
-def test_verifying(history):
-    took = quickest(history.verify_chain, 1)
-    print(f"\nevery hash of {COUNT} again: {took:.1f} s")
+def test_verifying(bench, history):
+    bench.compare(f"every hash of {COUNT} again", {"verify": history.verify_chain}, rounds=1, warm=False)
     assert history.count() == COUNT
 
 
@@ -147,23 +142,29 @@ def server(postgresql_server):
     engine.dispose()
 
 
-def test_postgresql(server):
+def test_postgresql(bench, server):
     draws = np.random.default_rng(1).normal(0.0, 0.03, 997)
     with open_history(server) as found:
         begun = time.perf_counter()
         for start in range(0, COUNT, AT_ONCE):
             found.append_all([new_row(number, draws) for number in range(start, start + AT_ONCE)])
-        print(f"\nPostgreSQL, {COUNT} inspections added in {time.perf_counter() - begun:.1f} s")
-        took = {}
-        for question, filters in QUESTIONS.items():
-            took[question] = quickest(lambda filters=filters: found.rows(filters), 3)
-            print(f"PostgreSQL, {question}: {1000 * took[question]:.0f} ms")
-        series = quickest(lambda: found.series(Filters(), "ln 0-90"), 2)
-        alternative = quickest(lambda: [row.numbers["ln 0-90"] for row in found.rows()], 1)
-        print(f"PostgreSQL, series of {COUNT}: {series:.2f} s; from whole rows {alternative:.2f} s")
+        added = time.perf_counter() - begun
+        works = {
+            question: (lambda filters=filters: found.rows(filters)) for question, filters in QUESTIONS.items()
+        }
+        took = bench.compare(f"PostgreSQL, {COUNT} inspections", works, rounds=3)
+        series = bench.compare(
+            f"PostgreSQL, a number of {COUNT} inspections",
+            {
+                "series": lambda: found.series(Filters(), "ln 0-90"),
+                "from whole rows": lambda: [row.numbers["ln 0-90"] for row in found.rows()],
+            },
+            rounds=2,
+        )
         with found._database.reading() as connection:
             size = connection.scalar(text("SELECT pg_total_relation_size('inspections')"))
-        print(f"PostgreSQL, bytes a row, indexes included: {size / COUNT:.0f}")
-    assert max(took.values()) <= 0.3
-    assert series <= alternative
+        bench.note(f"PostgreSQL, {COUNT} inspections added in {added:.1f} s")
+        bench.note(f"PostgreSQL, bytes a row, indexes included: {size / COUNT:.0f}")
+    assert max(min(one.wall_s) for one in took.timings.values()) <= 0.3
+    assert series.wall_ratio("from whole rows", "series") >= 1.0
     assert size / COUNT <= 1024

@@ -195,28 +195,29 @@ def scene():
     return expected, *frames(expected, np.random.default_rng(1))
 
 
-def test_from_frames_to_a_verdict(scene):
+def test_from_frames_to_a_verdict(bench, scene):
     expected, acquired, flat = scene
-    measured, decision = judged(acquired, flat, expected)  # what is compiled or loaded once
-    times, busy = timed(acquired, flat, expected)
     first = {s.pose.stage_deg: s.frame.counts for s in acquired.shots if s.frame.kind == "sample"}
     places = {angle: locate((counts - 64.0).astype(np.float32), MARKERS) for angle, counts in first.items()}
+    recipe = RidgeRecipe.model_validate(RECIPE)
     with Peak() as theirs:
-        start, worked = time.perf_counter(), time.process_time()
-        radiance, _ = plain(acquired, flat, RidgeRecipe.model_validate(RECIPE), places)
-        plainly, plainly_busy = time.perf_counter() - start, time.process_time() - worked
-    print(
-        f"\n10 frames of {COLS} × {ROWS}: {times.min():.2f} s at best, {np.median(times):.2f} s usually, "
-        f"{busy.min():.2f} s of processor\n"
-        f"plain numpy: {plainly:.2f} s, {plainly_busy:.2f} s of processor, peak {theirs.mb:.0f} MB; "
-        f"{plainly / np.median(times):.1f} times slower, {plainly_busy / np.median(busy):.1f} times the work"
+        plain(acquired, flat, recipe, places)
+    found = bench.compare(
+        f"10 frames of {COLS} × {ROWS} in memory to the verdict",
+        {
+            "measure and decide": lambda: judged(acquired, flat, expected),
+            "plain numpy": lambda: plain(acquired, flat, recipe, places),
+        },
     )
+    measured, decision = found["measure and decide"].result
+    radiance, _ = found["plain numpy"].result
+    bench.note(f"peak of plain numpy {theirs.mb:.0f} MB")
     assert decision.verdict.value in {"PASS", "FAIL"}
     assert measured.radiance == pytest.approx(radiance[:3], rel=1e-4)
 
 
 @pytest.mark.parametrize("shots", [1, 2])
-def test_memory_from_frames_to_a_verdict(scene, tmp_path, shots):
+def test_memory_from_frames_to_a_verdict(bench, scene, tmp_path, shots):
     _, acquired, flat = scene
     np.save(tmp_path / "flat.npy", flat.signal)
     for number, one in enumerate(some(acquired, shots)):
@@ -227,8 +228,8 @@ def test_memory_from_frames_to_a_verdict(scene, tmp_path, shots):
         [sys.executable, "-I", __file__, str(tmp_path)], capture_output=True, text=True, check=True
     )
     found = json.loads(done.stdout)
-    print(
-        f"\n{shots} a pose, {found['frames']} frames: {found['wall_s']:.2f} s, {found['busy_s']:.2f} s of processor; "
+    bench.note(
+        f"{shots} a pose, {found['frames']} frames: {found['wall_s']:.2f} s, {found['busy_s']:.2f} s of processor; "
         f"peak {found['peak_mb']:.0f} MB, of which {found['before_mb']:.0f} MB program and frames"
     )
     assert found["verdict"] in {"PASS", "FAIL"}

@@ -6,7 +6,6 @@ to it is timed apart.
 """
 
 import struct
-import time
 import warnings
 import zipfile
 
@@ -26,7 +25,6 @@ from anisoscope.profiles.heightmap import HeightMap
 
 pytestmark = pytest.mark.benchmark
 ROWS, COLS = 1500, 2000
-REPEATS = 15
 PIXEL = (0.5, 0.5)
 RATIO = 2.0
 
@@ -106,50 +104,62 @@ CASES = {
 }
 
 
-def best(*works):
-    """Shortest time of each; they take turns, so that other load hits all of them."""
-    spans = [[] for _ in works]
-    for _ in range(REPEATS):
-        for span, work in zip(spans, works, strict=True):
-            start = time.perf_counter()
-            work()
-            span.append(time.perf_counter() - start)
-    return [min(span) for span in spans]
+def by_library(path, key):
+    """What SurfaceTopography does from path to array."""
+    from SurfaceTopography.IO import lookup_reader_by_format
 
-
-def library_time(path, key):
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        from SurfaceTopography.IO import lookup_reader_by_format
-
-        def work():
+    def work():
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
             with lookup_reader_by_format[key](path) as reader:
                 return np.ma.filled(np.ma.asarray(reader.topography().heights()), np.nan)
 
-        return best(work)[0]
+    return work
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_own_readers_against_the_bare_work_and_the_library(case, tmp_path):
+def test_own_readers_against_the_bare_work_and_the_library(bench, case, tmp_path):
     suffix, write, read, bare = CASES[case]
     path = tmp_path / f"a{suffix}"
     height = heights()
     write(HeightMap(height, *PIXEL) if write is write_height_map else path, *(
         [path] if write is write_height_map else [height]))  # fmt: skip
-    floor, ours = best(lambda: bare(path), lambda: read(path))
     options = {"pixel_um": PIXEL} if case == "npy" else {}
-    (whole,) = best(lambda: read_height_map(path, **options))
-    theirs = "none" if case in ("gsf", "npy") else f"{1e3 * library_time(path, case):.1f} ms"
-    print(
-        f"\n{case}, {ROWS} × {COLS}: bare {1e3 * floor:.1f} ms, reader {1e3 * ours:.1f} ms ({ours / floor:.2f} times), "
-        f"with sha256 and rows turned {1e3 * whole:.1f} ms, SurfaceTopography {theirs}"
-    )
-    assert ours < RATIO * floor
+    works = {
+        "reader": lambda: read(path),
+        "bare": lambda: bare(path),
+        "with sha256 and rows turned": lambda: read_height_map(path, **options),
+    }
+    if case not in ("gsf", "npy"):
+        works["SurfaceTopography"] = by_library(path, case)
+    found = bench.compare(f"{case}, {ROWS} × {COLS}", works, rounds=10)
+    assert found.wall_ratio("reader", "bare") < RATIO
 
 
-def test_what_the_guarded_process_costs(tmp_path):
+def test_what_the_guarded_process_costs(bench, tmp_path):
     path = tmp_path / "a.plu"
     plu(path, heights())
-    read_library(path, key="plu")
-    (guarded,), alone = best(lambda: read_library(path, key="plu")), library_time(path, "plu")
-    print(f"\nplu through the guarded process {1e3 * guarded:.1f} ms, in this process {1e3 * alone:.1f} ms")
+    bench.compare(
+        f"plu, {ROWS} × {COLS}, read by SurfaceTopography",
+        {"guarded process": lambda: read_library(path, key="plu"), "this process": by_library(path, "plu")},
+    )
+
+
+def test_x3p_of_ten_million_points(bench, tmp_path):
+    rng, path = np.random.default_rng(1), tmp_path / "a.x3p"
+
+    def surface(side):
+        return HeightMap(np.round(rng.normal(0.0, 3.0, (side, side)), 3), *PIXEL)
+
+    maps = {side**2: surface(side) for side in (1000, 3163)}
+    bench.growth(
+        "writing x3p",
+        "points",
+        {size: lambda one=one: write_height_map(one, path) for size, one in maps.items()},
+    )
+    paths = {size: tmp_path / f"{size}.x3p" for size in maps}
+    for size, one in maps.items():
+        write_height_map(one, paths[size])
+    bench.growth(
+        "reading x3p", "points", {size: lambda one=one: read_height_map(one) for size, one in paths.items()}
+    )

@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from anisoscope.sim.light.material import Material, diffuse_scale, fresnel, smit
 from anisoscope.sim.light.relief import Relief, radiance
 
 pytestmark = pytest.mark.benchmark
-REPEATS = 3
 
 
 def plain_shares(z, pixel, tangent):
@@ -54,29 +52,20 @@ def plain_radiance(z, pixel, light, camera, material):
     return float(np.mean(np.where(front, share * (lobe + base) * size / camera[2], 0.0)))
 
 
-def best(function):
-    times = []
-    for _ in range(REPEATS):
-        start = time.perf_counter()
-        result = function()
-        times.append(time.perf_counter() - start)
-    return result, min(times)
-
-
-def test_relief_against_plain_numpy():
-    surface = ridges(RidgeDesign(100.0, 10.0), (1000, 1000), 1.0)
-    surface = add_facet_roughness(surface, 0.05, 0.05, 6.0, np.random.default_rng(1))
+def test_relief_against_plain_numpy(bench):
+    surface = rough(1000)
     relief, material = Relief(surface), Material()
     to_light, to_camera = directions(pose_grid((0.0, 180.0)), Convention())
-    radiance(relief, to_light, to_camera, material)  # compile
-    ours, fast = best(lambda: radiance(relief, to_light, to_camera, material))
     poses = list(zip(to_light, to_camera, strict=True))
-    plain, slow = best(lambda: [plain_radiance(surface.height_um, 1.0, i, o, material) for i, o in poses])
-    np.testing.assert_allclose(
-        ours, plain, rtol=0.1
-    )  # plain numpy does not split facets that straddle an edge
-    print(f"\n1000 × 1000 facets, per pose: relief {fast / 2:.3f} s, plain numpy {slow / 2:.3f} s")
-    print(f"ratio {slow / fast:.1f}")
+    found = bench.compare(
+        "1000 × 1000 facets, two poses",
+        {
+            "relief": lambda: radiance(relief, to_light, to_camera, material),
+            "plain numpy": lambda: [plain_radiance(surface.height_um, 1.0, i, o, material) for i, o in poses],
+        },
+    )
+    # plain numpy does not split facets that straddle an edge
+    np.testing.assert_allclose(found["relief"].result, found["plain numpy"].result, rtol=0.1)
 
 
 def rough(side):
@@ -84,29 +73,22 @@ def rough(side):
     return add_facet_roughness(surface, 0.05, 0.05, 6.0, np.random.default_rng(1))
 
 
-def seconds(surface, poses):
+def work(surface, poses):
     to_light, to_camera = directions(poses, Convention())
-    return best(lambda: radiance(Relief(surface), to_light, to_camera, Material()))[1]
+    return lambda: radiance(Relief(surface), to_light, to_camera, Material())
 
 
-def test_poses_share_the_work_and_pixels_cost_alike():
+def test_poses_share_the_work_and_pixels_cost_alike(bench):
     tilts = (-20.0, -10.0, 0.0, 10.0, 20.0)
     sets = {1: pose_grid((0.0,)), 3: pose_grid((0.0, 90.0, 180.0)), 15: pose_grid((0.0, 90.0, 180.0), tilts)}
     sets[60] = pose_grid(tuple(np.arange(12) * 30.0), tilts)
     surface = rough(1000)
-    seconds(surface, sets[1])  # compile
-    print()
-    for count, poses in sets.items():
-        taken = seconds(surface, poses)
-        print(f"1000 × 1000 points, {count} poses: {taken:.3f} s, {1e3 * taken / count:.1f} ms a pose")
-    for side in (500, 1000, 2000):
-        taken = seconds(rough(side), sets[15])
-        print(
-            f"{side} × {side} points, 15 poses: {taken:.3f} s, {1e9 * taken / side**2 / 15:.2f} ns a facet and pose"
-        )
+    bench.growth("1000 × 1000 points", "poses", {n: work(surface, poses) for n, poses in sets.items()})
+    sizes = {side**2: work(rough(side), sets[15]) for side in (500, 1000, 2000, 4000)}
+    bench.growth("15 poses", "points", sizes)
 
 
-def test_the_march_against_the_speed_of_memory():
+def test_the_march_against_the_speed_of_memory(bench):
     """One march reads heights and writes shares once: 8 bytes a facet, against a copy of arrays as large."""
     from anisoscope.sim.light.horizon_kernels import march
 
@@ -114,18 +96,19 @@ def test_the_march_against_the_speed_of_memory():
     z = np.random.default_rng(0).random((side + 1, side + 1), dtype=np.float32)
     out, other = np.empty((side, side), np.float32), np.empty((side + 1, side + 1), np.float32)
     out[:], other[:] = 0.0, 0.0
-    rates = {}
-    for name, function in {
-        "copy": lambda: np.copyto(other, z),
-        "march along an axis": lambda: march(z, 1.0, 0.2, 0.0, False, 5, 0, 0, out),
-        "slanting march": lambda: march(z, 1.0, 0.2, 0.5, False, 5, 0, 0, out),
-    }.items():
-        function()
-        rates[name] = 8.0 * side**2 / best(function)[1] / 1e9
-    print("\n" + ", ".join(f"{name} {rate:.1f} GB/s" for name, rate in rates.items()))
+    found = bench.compare(
+        "4000 × 4000 heights",
+        {
+            "march along an axis": lambda: march(z, 1.0, 0.2, 0.0, False, 5, 0, 0, out),
+            "slanting march": lambda: march(z, 1.0, 0.2, 0.5, False, 5, 0, 0, out),
+            "copy": lambda: np.copyto(other, z),
+        },
+    )
+    rates = {name: 8.0 * side**2 / min(one.wall_s) / 1e9 for name, one in found.timings.items()}
+    bench.note(", ".join(f"{name} {rate:.1f} GB/s" for name, rate in rates.items()))
 
 
-def test_a_map_of_4096_squared_in_bounded_memory():
+def test_a_map_of_4096_squared_in_bounded_memory(bench):
     """In a process of its own: peak memory with 15 and with 60 poses, beside that of the map itself."""
     script = """
 import resource, sys, time
@@ -147,6 +130,8 @@ peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 taken = time.perf_counter() - start
 print(f"4096 × 4096 points, {len(poses)} poses: {taken:.1f} s, peak {peak:.0f} MiB, {before:.0f} MiB before")
 """
-    print()
     for count in ("3", "12"):
-        subprocess.run([sys.executable, "-c", script, count], check=True)
+        done = subprocess.run(
+            [sys.executable, "-c", script, count], check=True, capture_output=True, text=True
+        )
+        bench.note(done.stdout.strip())
