@@ -7,8 +7,8 @@ the radiance per macroscopic area, under a directional light of unit irradiance.
 `nonlinear`. Mitsuba's depth D is D − 1 reflections.
 """
 
-import os
-import time
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -37,13 +37,26 @@ pytestmark = [
 ]
 MARGIN = 60
 PICTURE = 64  # pixels a side: shares the work among the cores, and shows the scatter
-VARIANT = "scalar_rgb"
+SCALAR, COMPILED = "scalar_rgb", "llvm_ad_rgb"
+OLDEST_LLVM = 16  # older ones abort the process: they lack the instruction fminimum on x86
 MATERIAL = Material(0.1, 0.1, 0.2)
 POSES = pose_grid((0.0, 90.0, 180.0), (-20.0, -10.0, 0.0, 10.0, 20.0))
 TO_LIGHT, TO_CAMERA = directions(POSES, Convention())
 DEPTH = 6
 OUR_PATHS = 16384  # standard error below half of Mitsuba's: both are compared at an error of one size
 REPEATS = 3
+
+
+def llvm_version():
+    """The newest LLVM of the system, which Dr.Jit loads; 0 where there is none."""
+    names = [
+        path.name for folder in ("/usr/lib", "/usr/local/lib") for path in Path(folder).rglob("libLLVM*.so*")
+    ]
+    found = [int(match[1]) for name in names if (match := re.search(r"LLVM(?:-|\.so\.)(\d+)", name))]
+    return max(found, default=0)
+
+
+VARIANTS = (SCALAR, COMPILED) if llvm_version() >= OLDEST_LLVM else (SCALAR,)
 
 
 @pytest.fixture(scope="module")
@@ -129,66 +142,66 @@ def camera_of(surface, to_camera):
     }
 
 
-def traced(surface, material, samples, depth, build=mesh_of):
-    """(P,) radiances by Mitsuba and their standard errors, and the seconds to build and to trace.
+class Traced:
+    """A scene in Mitsuba that is built once; poses move its lamp and its camera."""
 
-    Each picture is the mean of two, whose difference shows the error without the variation over the map.
-    """
-    mitsuba.set_variant(VARIANT)
-    start = time.perf_counter()
-    shape = build(surface, material)
-    integrator = {"type": "path", "max_depth": depth, "rr_depth": depth + 1}
-    scene, built, values, errors = None, 0.0, [], []
-    for seed, (light, camera) in enumerate(zip(TO_LIGHT, TO_CAMERA, strict=True)):
-        lamp = {
-            "type": "directional",
-            "direction": (-light).tolist(),
-            "irradiance": {"type": "rgb", "value": 1.0},
+    def __init__(self, surface, material, depth, build=None, variant=SCALAR):
+        self.surface, self.variant = surface, variant
+        mitsuba.set_variant(variant)
+        integrator = {"type": "path", "max_depth": depth, "rr_depth": depth + 1}
+        parts = {
+            "mesh": (build or mesh_of)(surface, material),
+            "lamp": lamp_to(TO_LIGHT[0]),
+            "integrator": integrator,
         }
-        if scene is None:
-            parts = {"mesh": shape, "lamp": lamp, "integrator": integrator}
-            scene = mitsuba.load_dict({"type": "scene", **parts})
-            built = time.perf_counter() - start
-        else:
-            parameters = mitsuba.traverse(scene)
-            parameters["lamp.to_world"] = mitsuba.load_dict(lamp).world_transform()
+        self.scene = mitsuba.load_dict({"type": "scene", **parts})
+
+    def poses(self, samples):
+        """(P,) radiances and their standard errors.
+
+        Each picture is the mean of two, whose difference shows the error without the variation over the map.
+        """
+        mitsuba.set_variant(self.variant)
+        values, errors = [], []
+        for seed, (light, camera) in enumerate(zip(TO_LIGHT, TO_CAMERA, strict=True)):
+            parameters = mitsuba.traverse(self.scene)
+            parameters["lamp.to_world"] = mitsuba.load_dict(lamp_to(light)).world_transform()
             parameters.update()
-        sensor = mitsuba.load_dict(camera_of(surface, camera))
-        halves = [
-            np.array(
-                mitsuba.render(scene, sensor=sensor, spp=samples // 2, seed=2 * seed + half), dtype=np.float64
-            )
-            for half in (0, 1)
-        ]
-        values.append(float(np.mean(halves)))
-        errors.append(float(np.std(halves[0] - halves[1])) / (2.0 * PICTURE))
-    return np.array(values), np.array(errors), built, time.perf_counter() - start - built
+            sensor = mitsuba.load_dict(camera_of(self.surface, camera))
+            halves = [
+                np.array(
+                    mitsuba.render(self.scene, sensor=sensor, spp=samples // 2, seed=2 * seed + half),
+                    dtype=np.float64,
+                )
+                for half in (0, 1)
+            ]
+            values.append(float(np.mean(halves)))
+            errors.append(float(np.std(halves[0] - halves[1])) / (2.0 * PICTURE))
+        return np.array(values), np.array(errors)
 
 
-def best(function):
-    """The result, and the shortest of a few times."""
-    times = []
-    for _ in range(REPEATS):
-        start = time.perf_counter()
-        result = function()
-        times.append(time.perf_counter() - start)
-    return result, min(times)
+def lamp_to(light):
+    return {
+        "type": "directional",
+        "direction": (-light).tolist(),
+        "irradiance": {"type": "rgb", "value": 1.0},
+    }
 
 
 def rms(deviation):
     return float(np.sqrt(np.mean(np.square(deviation))))
 
 
-def enough_samples(surface, depth, error):
+def enough_samples(scene, error):
     """Even number of samples a pixel at which Mitsuba's standard error, rms over the poses, is ``error``."""
-    values, errors, *_ = traced(surface, MATERIAL, 4, depth)
+    values, errors = scene.poses(4)
     return max(2, 2 * int(np.ceil(2.0 * (rms(errors / values) / error) ** 2)))
 
 
 @pytest.mark.parametrize(("alpha", "albedo"), [(0.05, 0.5), (0.1, 0.2), (0.2, 0.5)])
 def test_the_plastic_is_the_same(alpha, albedo):
     """Point by point up to 60° from the normal; nearer the horizon the two shadow rough interfaces differently."""
-    mitsuba.set_variant(VARIANT)
+    mitsuba.set_variant(SCALAR)
     material = Material(alpha, alpha, albedo)
     bsdf, context = mitsuba.load_dict(plastic(material)), mitsuba.BSDFContext()
     deviations = []
@@ -208,77 +221,65 @@ def test_the_plastic_is_the_same(alpha, albedo):
 
 
 @pytest.mark.parametrize(("depth", "goal", "error"), [(2, 0.003, 0.0044), (DEPTH, 0.01, 0.0044)])
-def test_relief_against_mitsuba(surface, depth, goal, error):
-    def ours():
-        relief = relief_of(surface)
+def test_relief_against_mitsuba(bench, surface, depth, goal, error):
+    def predicted(relief):
         total = radiance(relief, TO_LIGHT, TO_CAMERA, MATERIAL)
         if depth > 2:
             indirect = interreflection(relief, TO_LIGHT, TO_CAMERA, MATERIAL, depth - 1, OUR_PATHS)
             total = total + indirect.radiance
         return total
 
-    ours()  # compile
-    found, seconds = best(ours)
-    exact, spread, *_ = traced(surface, MATERIAL, 256, depth)
-    accuracy, noise = rms(found / exact - 1.0), rms(spread / exact)
-    samples = enough_samples(surface, depth, error)
-    (values, errors, built, tracing), _ = min(
-        (
-            (run, run[2] + run[3])
-            for run in (traced(surface, MATERIAL, samples, depth) for _ in range(REPEATS))
-        ),
-        key=lambda run: run[1],
-    )
-    theirs = built + tracing
+    kept, scenes = relief_of(surface), {v: Traced(surface, MATERIAL, depth, variant=v) for v in VARIANTS}
+    samples = enough_samples(scenes[SCALAR], error)
+    works = {
+        "relief, map to radiances": lambda: predicted(relief_of(surface)),
+        "relief, prepared map": lambda: predicted(kept),
+    }
+    for variant, scene in scenes.items():
+        works[f"Mitsuba {variant}, scene kept"] = lambda one=scene: one.poses(samples)
+        works[f"Mitsuba {variant}, map to radiances"] = lambda v=variant: Traced(
+            surface, MATERIAL, depth, variant=v
+        ).poses(samples)
     kind = "direct light" if depth == 2 else f"up to {depth - 1} reflections"
-    print(
-        f"\n{kind}, {len(POSES)} poses, {surface.shape[0]} × {surface.shape[1]} points, {os.cpu_count()} cores"
+    found = bench.compare(
+        f"{kind}, {len(POSES)} poses, {surface.shape[0]} × {surface.shape[1]} points", works, rounds=REPEATS
     )
-    greatest = np.max(np.abs(found / exact - 1.0))
-    print(f"deviation rms {accuracy:.2%}, greatest {greatest:.2%}; of it Mitsuba's noise {noise:.2%}")
-    print(
-        f"relief {seconds:.2f} s; Mitsuba ({VARIANT}, {samples * PICTURE**2} samples a pose) {theirs:.2f} s,"
+    exact, spread = scenes[SCALAR].poses(256)
+    deviation = found["relief, map to radiances"].result / exact - 1.0
+    values, errors = found[f"Mitsuba {SCALAR}, scene kept"].result
+    bench.note(
+        f"deviation rms {rms(deviation):.2%}, greatest {np.max(np.abs(deviation)):.2%}, of it Mitsuba's noise "
+        f"{rms(spread / exact):.2%}; standard error of Mitsuba in the comparison {rms(errors / values):.2%}"
     )
-    print(f"of which mesh and tree {built:.2f} s; its standard error {rms(errors / values):.2%}")
-    print(f"load of the machine {os.getloadavg()[0]:.1f}")
-    print(f"ratio {theirs / seconds:.1f}, without building {tracing / seconds:.1f}")
-    assert accuracy < goal
+    assert rms(deviation) < goal
 
 
-def test_the_published_table_against_mitsuba():
+def test_the_published_table_against_mitsuba(bench):
     """60 poses of ideal ridges, direct light; the surface is only the rectangle that the camera sees."""
     angles, error = (5.0, 10.0, 15.0, 20.0), 0.0044
     surface = ridges(RidgeDesign(100.0, angles[-1]), (1001, 1001), 1.0)
     designs = [RidgeDesign(100.0, angle) for angle in angles]
-
-    def ours():
-        return np.array([corrected.radiance(TO_LIGHT, TO_CAMERA, design, MATERIAL) for design in designs])
-
-    start = time.perf_counter()
-    ours()
-    first = time.perf_counter() - start
-    found, seconds = best(ours)
+    scenes = [Traced(surface, MATERIAL, 2, lambda _, m, one=one: ideal_mesh(one, m)) for one in designs]
 
     def theirs(samples):
-        runs = [
-            traced(surface, MATERIAL, samples, 2, lambda _, m, design=design: ideal_mesh(design, m))
-            for design in designs
-        ]
-        return [np.array([run[n] for run in runs]) for n in range(4)]
+        runs = [scene.poses(samples) for scene in scenes]
+        return np.array([run[0] for run in runs]), np.array([run[1] for run in runs])
 
-    exact, spread, *_ = theirs(256)
-    values, errors, *_ = theirs(4)
+    values, errors = theirs(4)
     samples = max(2, 2 * int(np.ceil(2.0 * (rms(errors / values) / error) ** 2)))
-    values, errors, built, tracing = theirs(samples)
-    total = float(np.sum(built) + np.sum(tracing))
-    accuracy = rms(found / exact - 1.0)
-    print(
-        f"\nthe published table, 60 poses: corrected {1e3 * seconds:.1f} ms, with a new plastic {1e3 * first:.1f} ms"
+    found = bench.compare(
+        "the published table, 60 poses, ideal ridges",
+        {
+            "closed form": lambda: np.array(
+                [corrected.radiance(TO_LIGHT, TO_CAMERA, design, MATERIAL) for design in designs]
+            ),
+            f"Mitsuba {SCALAR}, scene kept": lambda: theirs(samples),
+        },
+        rounds=REPEATS,
     )
-    print(f"Mitsuba {total:.2f} s, standard error {rms(errors / values):.2%}; deviation rms {accuracy:.2%}")
-    print(
-        f"of it Mitsuba's noise {rms(spread / exact):.2%}; ratio {total / seconds:.0f}, new plastic {total / first:.0f}"
-    )
+    exact, spread = theirs(256)
+    accuracy = rms(found["closed form"].result / exact - 1.0)
+    bench.note(f"deviation rms {accuracy:.2%}, of it Mitsuba's noise {rms(spread / exact):.2%}")
     assert accuracy < 0.003
 
 
@@ -297,7 +298,7 @@ def test_the_path_tracer_of_the_virtual_rig(surface, kind, lobe):
     plastic = Plastic(0.08, 0.08, 0.1, 1.5, lobe)
     tracer = PathTracer(made, plastic, reflections=DEPTH - 1, paths=1 << 18)
     for depth in (2, DEPTH):
-        theirs, spread, *_ = traced(made, plastic, 128, depth)
+        theirs, spread = Traced(made, plastic, depth).poses(128)
         values, errors = [], []
         for light, camera in zip(TO_LIGHT, TO_CAMERA, strict=True):
             value, error = float(np.mean(tracer.direct(light, camera), dtype=float)), 0.0
