@@ -12,7 +12,7 @@ WORKERS ?= $(shell expr $$(getconf _NPROCESSORS_ONLN) + 1)
 # Bytecode is kept: otherwise each of the tests' processes would compile the package and all tests for itself.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-all fast soak statistics types lint contracts docs docs-check benchmark lock clean help
+.PHONY: demo test test-all fast soak statistics types lint contracts docs docs-check benchmark benchmark-record lock clean help
 
 help:
 	@echo "make demo       inspect three parts on the virtual rig; reports in demo-output/"
@@ -78,8 +78,14 @@ docs-check: $(VENV)/.dev
 	$(SPHINX) -b dummy docs site
 
 benchmark: $(VENV)/.dev
-	$(BIN)/pip install --quiet --disable-pip-version-check -e '.[benchmark]'
-	$(BIN)/python -Im pytest tests/benchmarks -s -m benchmark
+	# prysm is built from source; without PEP 517 its setup reads the environment and fails
+	$(BIN)/pip install --quiet --disable-pip-version-check --use-pep517 -e '.[benchmark]'
+	ANISOSCOPE_BENCHMARK_RESULTS=$(CURDIR)/.benchmarks/latest.json $(BIN)/python -Im pytest tests/benchmarks -s -m benchmark
+	$(BIN)/python tools/benchmark_page.py compare .benchmarks/latest.json
+
+# Adds the last run of `make benchmark` to the trend and writes its page.
+benchmark-record:
+	$(BIN)/python tools/benchmark_page.py record .benchmarks/latest.json
 
 $(VENV)/.venv:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
