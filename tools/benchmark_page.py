@@ -19,6 +19,15 @@ SLOWER = 1.2
 LAST = 3
 GROWTH = "exponent"
 
+HEAD = """# Benchmarks
+
+Written by `make benchmark && make benchmark-record`. Alternatives run in turn (A B A B) in one process, after one call
+that compiles and fills caches. Every cell gives the minimum and the median of all rounds. Processor time counts all
+threads and finished children; the ratio is that of the minima of processor time to the first line of each table. Ratios
+hold under load and on other machines; seconds do not. The trend of all ratios is `docs/evidence/benchmark-trend.csv`;
+`make benchmark` names what is more than 20 % slower than the median of the last three runs on record.
+"""
+
 Run = dict[str, Any]
 Key = tuple[str, str]
 
@@ -95,17 +104,10 @@ def page(run: Run) -> Iterator[str]:
     """The lines of the page."""
     machine = run["machine"]
     libraries = ", ".join(f"{name} {version}" for name, version in machine["libraries"].items())
-    yield "# Benchmarks"
-    yield ""
-    yield "Written by `make benchmark && make benchmark-record`. Alternatives run in turn (A B A B) in one process, after one"
-    yield "call that compiles and fills caches. Every cell gives the minimum and the median of all rounds. Processor time"
-    yield "counts all threads and finished children; the ratio is that of the minima of processor time to the first line of"
-    yield "each table. Ratios hold under load and on other machines; seconds do not. The trend of all ratios is"
-    yield "`docs/evidence/benchmark-trend.csv`; `make benchmark` says what is more than 20 % slower than the median of the last"
-    yield "three runs on record."
-    yield ""
-    yield f"Run of {machine['at'][:10]} at `{machine['commit']}`: {machine['processor']}, {machine['cores']} cores, Python"
-    yield f"{machine['python']}, {libraries}; load at the start {machine['load_start']:.1f}."
+    yield HEAD
+    yield f"Run of {machine['at'][:10]} at `{machine['commit']}`:"
+    yield f"{machine['processor']}, {machine['cores']} cores, load at the start {machine['load_start']:.1f};"
+    yield f"Python {machine['python']}, {libraries}."
     yield ""
     yield from growth_laws(run)
     for name, comparisons in by_file(run).items():
