@@ -15,6 +15,20 @@ def log_basis(poses: int) -> FloatArray:
     return np.asarray(np.hstack([-np.ones((poses - 1, 1)), np.eye(poses - 1)]))
 
 
+def chi2_tail(d2: FloatArray | float, dof: float) -> FloatArray:
+    """P values of squared distances by χ²; by the special function, as importing scipy.stats takes a second."""
+    from scipy.special import chdtrc  # noqa: PLC0415 - start-up time
+
+    return np.asarray(chdtrc(dof, d2))
+
+
+def f_tail(ratio: FloatArray | float, m: float, freedom: float) -> FloatArray:
+    """P values of ratios ≥ 0 by the F distribution with m and ``freedom`` degrees of freedom."""
+    from scipy.special import fdtrc  # noqa: PLC0415 - start-up time
+
+    return np.asarray(fdtrc(m, freedom, ratio))
+
+
 def mahalanobis(deviation: FloatArray, covariance: FloatArray) -> tuple[float, int]:
     """Squared distance dᵀV⁺d within the range of V, and the rank of V.
 
@@ -51,8 +65,6 @@ def hotelling(value: FloatArray, sample: FloatArray) -> tuple[float, float]:
     Raises:
         MeasurementError: too few earlier parts, or they do not vary in every direction.
     """
-    from scipy.stats import f  # noqa: PLC0415 - 1 s
-
     n, m = sample.shape
     if n <= m:
         raise MeasurementError(
@@ -65,7 +77,7 @@ def hotelling(value: FloatArray, sample: FloatArray) -> tuple[float, float]:
         )
     off = value - sample.mean(axis=0)
     t2 = n / (n + 1.0) * float(off @ np.linalg.solve(scatter, off))
-    return t2, float(f.sf(t2 * (n - m) / (m * (n - 1.0)), m, n - m))
+    return t2, float(f_tail(t2 * (n - m) / (m * (n - 1.0)), m, n - m))
 
 
 def holm(p_values: FloatArray) -> FloatArray:
@@ -92,15 +104,48 @@ def joint_conformance(deviation: FloatArray, covariance: FloatArray, tolerances:
         covariance: (m, m) of them.
         tolerances: (m,) largest allowed ones.
     """
-    from scipy.stats import multivariate_normal  # noqa: PLC0415 - 1 s
-
     if not np.any(covariance):
         return float(np.all(np.abs(deviation) <= tolerances))
     low, high = -tolerances - deviation, tolerances - deviation
+    if deviation.size <= 2 and np.all(np.diag(covariance) > 0.0):
+        scale = np.sqrt(np.diag(covariance))
+        rho = float(covariance[0, -1] / (scale[0] * scale[-1])) if deviation.size == 2 else 0.0
+        if abs(rho) < _NEARLY_ONE:
+            return _rectangle(*np.clip([low / scale, high / scale], -_FAR, _FAR), rho)
+    from scipy.stats import multivariate_normal  # noqa: PLC0415 - 1 s
+
     found = multivariate_normal.cdf(
         high, mean=np.zeros_like(deviation), cov=covariance, allow_singular=True, lower_limit=low, rng=0
     )
     return float(np.clip(found, 0.0, 1.0))
+
+
+_NEARLY_ONE, _FAR = 1.0 - 1e-9, 40.0
+
+
+def _rectangle(low: FloatArray, high: FloatArray, rho: float) -> float:
+    """Probability that one or two standard normal numbers of correlation ρ lie between limits."""
+    from scipy.special import ndtr  # noqa: PLC0415 - start-up time
+
+    if low.size == 1:
+        return float(ndtr(high[0]) - ndtr(low[0]))
+    found = _below(high[0], high[1], rho) + _below(low[0], low[1], rho)
+    found -= _below(low[0], high[1], rho) + _below(high[0], low[1], rho)
+    return float(np.clip(found, 0.0, 1.0))
+
+
+def _below(h: float, k: float, rho: float) -> float:
+    """Φ₂(h, k; ρ) by Owen's T function (Owen 1956, equation 3.6), |ρ| < 1."""
+    from scipy.special import ndtr, owens_t  # noqa: PLC0415 - start-up time
+
+    if h == 0.0 and k == 0.0:
+        return float(0.25 + np.arcsin(rho) / (2.0 * np.pi))
+    root = np.sqrt(1.0 - rho * rho)
+    found = 0.5 * (ndtr(h) + ndtr(k))
+    for one, other in ((h, k), (k, h)):
+        slope = (other - rho * one) / (one * root) if one else np.copysign(np.inf, other)
+        found -= owens_t(one, slope)
+    return float(found - (0.5 if h * k < 0.0 or (h * k == 0.0 and h + k < 0.0) else 0.0))
 
 
 LEVELS = np.array([0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0])

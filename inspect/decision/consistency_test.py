@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.base.significance import calibrated, hotelling, log_basis, mahalanobis
+from anisoscope.base.significance import calibrated, chi2_tail, f_tail, hotelling, log_basis, mahalanobis
 from anisoscope.decision.predictive_test import MAX_BIRGE, PredictiveTest, Scatter, predictive_test
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.prediction.expectation import Component, Expectation
@@ -36,24 +36,22 @@ def from_prediction(expected: Expectation, measured: Measured) -> tuple[float, i
     Raises:
         MeasurementError: no uncertainty is stated, so that no distance is defined.
     """
-    from scipy.stats import chi2  # noqa: PLC0415 - 1 s
-
     basis = log_basis(len(expected.poses))
     off = basis @ np.log(measured.radiance / expected.radiance)
     if expected.states is not None:
         own = _covariance(expected.outside_states + measured.components, basis)
         if _regular(own):
             d2 = nearest_anywhere(Combined(expected.states, basis), off, own, expected.states.farthest)
-            return d2, len(basis), float(chi2.sf(d2, len(basis)))
+            return d2, len(basis), float(chi2_tail(d2, len(basis)))
     alone = own_covariance(expected, measured)
     if expected.lobes is not None and _regular(alone):
         d2 = nearest_lobe(expected.lobes.within(basis), off, alone)
-        return d2, len(basis), float(chi2.sf(d2, len(basis)))
+        return d2, len(basis), float(chi2_tail(d2, len(basis)))
     if expected.response is not None and _regular(alone):
         d2 = float(nearest(expected.response.within(basis), off[None], alone[None])[0])
-        return d2, len(basis), float(chi2.sf(d2, len(basis)))
+        return d2, len(basis), float(chi2_tail(d2, len(basis)))
     d2, dof = mahalanobis(off, _covariance(expected.components + measured.components, basis))
-    return d2, dof, float(chi2.sf(d2, dof))
+    return d2, dof, float(chi2_tail(d2, dof))
 
 
 def nearest_lobe(lobes: LobeDoubt, deviation: FloatArray, covariance: FloatArray) -> float:
@@ -189,8 +187,6 @@ def golden_chances(response: Response, covariance: FloatArray, count: int) -> Fl
     Returns:
         (DRAWS,) p values, ascending; uniform where the response is linear.
     """
-    from scipy.stats import f  # noqa: PLC0415 - 1 s
-
     rng = np.random.default_rng(_SEED)
     pool, parts = (response.draw(covariance, DRAWS, rng) for _ in range(2))
     m = covariance.shape[0]
@@ -204,4 +200,4 @@ def golden_chances(response: Response, covariance: FloatArray, count: int) -> Fl
         off = parts[block] - mean
         t2[block] = np.einsum("ni,ni->n", off, np.linalg.solve(scatter, off[..., None])[..., 0])
     t2 *= count / (count + 1.0)
-    return np.sort(f.sf(t2 * (count - m) / (m * (count - 1.0)), m, count - m))
+    return np.sort(f_tail(t2 * (count - m) / (m * (count - 1.0)), m, count - m))

@@ -12,7 +12,7 @@ import numpy as np
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import AnisoscopeError, HeightMapError
-from anisoscope.base.significance import log_basis, mahalanobis
+from anisoscope.base.significance import chi2_tail, log_basis, mahalanobis
 from anisoscope.decision.consistency_test import from_prediction
 from anisoscope.imaging.pose_radiance import Measured
 from anisoscope.prediction.expectation import Component, Expectation, expectation
@@ -262,9 +262,7 @@ def _with_u(number: ReadingNumberRecord) -> str:
 
 
 def _chance(d2: float, dof: int) -> float:
-    from scipy.stats import chi2  # noqa: PLC0415 - 1 s
-
-    return float(chi2.sf(d2, dof))
+    return float(chi2_tail(d2, dof))
 
 
 def _one(

@@ -253,7 +253,7 @@ def suggested_scatter(scatter: Scatter, golden: FloatArray) -> tuple[SuggestedSc
     Raises:
         MeasurementError: fewer than three golden parts.
     """
-    from scipy.stats import chi2  # noqa: PLC0415 - 1 s
+    from scipy.special import chdtri  # noqa: PLC0415 - start-up time
 
     count = len(golden)
     if count < 3:
@@ -272,7 +272,7 @@ def suggested_scatter(scatter: Scatter, golden: FloatArray) -> tuple[SuggestedSc
         ratio, freedom = float(np.sqrt(variance[k])), float(known[k])
         low, high = 0.0, float("inf")
         if freedom > _DETERMINED:
-            low, high = (ratio * float(np.sqrt(freedom / chi2.ppf(tail, freedom))) for tail in (0.975, 0.025))
+            low, high = (ratio * float(np.sqrt(freedom / chdtri(freedom, tail))) for tail in (0.025, 0.975))
         found.append(SuggestedScatter(scatter.response.sources[place], ratio, low, high))
     return tuple(found)
 

@@ -27,6 +27,7 @@ from itertools import combinations
 
 import numpy as np
 
+from anisoscope.base.significance import chi2_tail, f_tail
 from anisoscope.diagnosis.evidence import Evidence
 from anisoscope.diagnosis.likelihood import (
     Fitted,
@@ -167,12 +168,10 @@ def _left(row: _Hypothesis, data: int, evidence: Evidence) -> float:
 
 def _chance(left: float, dof: int, evidence: Evidence) -> float:
     """Probability of a greater distance: χ², or Hotelling's T² if golden parts estimate the covariance."""
-    from scipy.stats import chi2, f  # noqa: PLC0415 - 1 s
-
     if evidence.learnt is None:
-        return float(chi2.sf(left, dof))
+        return float(chi2_tail(left, dof))
     free = max(evidence.learnt.freedom, float(dof))
-    return float(f.sf(left * (free - dof + 1.0) / (free * dof), dof, free - dof + 1.0))
+    return float(f_tail(left * (free - dof + 1.0) / (free * dof), dof, free - dof + 1.0))
 
 
 def _ties(row: _Hypothesis, best: _Hypothesis, nearest: float, good: float) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import CalibrationError, UsageError
 from anisoscope.base.progress import Advance, silent
-from anisoscope.base.significance import log_basis, mahalanobis
+from anisoscope.base.significance import chi2_tail, log_basis, mahalanobis
 from anisoscope.calibration.record import (
     CalibrationRecord,
     CameraRecord,
@@ -169,11 +169,9 @@ def _compared(
     contrasts: FloatArray, covariance: FloatArray, standard: Standard, limit: float
 ) -> dict[str, Any]:
     """Comparison of the measured contrasts with those of the standard, as the calibration record holds it."""
-    from scipy.stats import chi2  # noqa: PLC0415 - 1 s
-
     off, both = contrasts - np.array(standard.contrasts), covariance + np.array(standard.covariance)
     d2, dof = mahalanobis(off, both)
-    p_value, largest = float(chi2.sf(d2, dof)), float(np.abs(off).max())
+    p_value, largest = float(chi2_tail(d2, dof)), float(np.abs(off).max())
     remarks = []
     if largest > limit:
         remarks.append(f"the check standard deviates by {largest:.3f} in an ln ratio (limit {limit:g})")

@@ -11,7 +11,7 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import MeasurementError
 from anisoscope.base.notation import p_value_text
-from anisoscope.base.significance import mahalanobis
+from anisoscope.base.significance import chi2_tail, mahalanobis
 from anisoscope.kinds.kind import Results
 from anisoscope.kinds.prints.colour_map import PrintMap, map_of
 from anisoscope.kinds.prints.expectation import PrintExpectation, rig_sources
@@ -156,10 +156,8 @@ def _from_prediction(
     expected: PrintExpectation, logs: FloatArray, covariance: FloatArray
 ) -> tuple[float, int, float]:
     """Squared Mahalanobis distance of ln of all channels from the prediction, how many they are, and its p value."""
-    from scipy.stats import chi2  # noqa: PLC0415 - 1 s
-
     d2, dof = mahalanobis(logs - np.log(expected.channels).ravel(), covariance)
-    return d2, dof, float(chi2.sf(d2, dof))
+    return d2, dof, float(chi2_tail(d2, dof))
 
 
 def _together(p_value: float, comparison: GoldenComparison | None, recipe: PrintRecipe) -> tuple[bool, str]:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.significance import chi2_tail
 from anisoscope.decision.decision import guarded
 from anisoscope.diagnosis.ranking import Diagnosis
 from anisoscope.kinds.prints.expectation import PrintExpectation, sources_at
@@ -178,14 +179,12 @@ def _chance(
     expected: PrintExpectation, measured: MeasuredPrint, recipe: PrintRecipe, missing: float, chi2: float
 ) -> float:
     """Probability of as much for such a sheet: of χ², or of how bright the sheet is, which χ² alone would hide."""
-    from scipy.stats import chi2 as chi2_distribution  # noqa: PLC0415 - 1 s
-
     state, logs = State(missing=missing), np.log(measured.channels).ravel()
     covariance, bare = _of_sheet(expected, measured, recipe, state)
     weighed = np.linalg.solve(covariance, bare)
     z = float(weighed @ (logs - expected.scene.log_channels(state)) / np.sqrt(weighed @ bare))
-    of_level = float(chi2_distribution.sf(z * z, 1))
-    return min(1.0, 2.0 * min(float(chi2_distribution.sf(chi2, logs.size - 1)), of_level))
+    of_level = float(chi2_tail(z * z, 1))
+    return min(1.0, 2.0 * min(float(chi2_tail(chi2, logs.size - 1)), of_level))
 
 
 def _of_sheet(

@@ -27,7 +27,7 @@ from anisoscope.base.arrays import FloatArray
 from anisoscope.base.cache import Cache
 from anisoscope.base.errors import UsageError
 from anisoscope.base.progress import Advance, silent
-from anisoscope.base.significance import log_basis
+from anisoscope.base.significance import chi2_tail, log_basis
 from anisoscope.decision.consistency_test import OF_THE_RIG, contrast_scatter
 from anisoscope.decision.predictive_test import Scatter, predictive_test
 from anisoscope.diagnosis.evidence import Evidence, against, background_of, covariance_of, inputs_of
@@ -231,8 +231,6 @@ def from_prediction(expected: Expectation, log_radiance: FloatArray, own: FloatA
 
     The nearest tail of the lobe is that of a parabola through the least of `TAILS` distances and its neighbours.
     """
-    from scipy.stats import chi2  # noqa: PLC0415 - 1 s
-
     basis = log_basis(len(expected.poses))
     known = [c for c in expected.alone if expected.lobes is None or c.source != TAIL]
     alone = covariance_of_measurement(own) + np.sum([c.covariance() for c in known], axis=0)
@@ -248,7 +246,7 @@ def from_prediction(expected: Expectation, log_radiance: FloatArray, own: FloatA
         d2 = least_of(
             np.array([nearest(known, off - shift, within) + more for (shift, known), more in found])
         )
-    return np.asarray(chi2.sf(d2, len(basis)))
+    return chi2_tail(d2, len(basis))
 
 
 def least_of(values: FloatArray) -> FloatArray:

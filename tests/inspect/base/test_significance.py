@@ -6,6 +6,8 @@ from scipy.stats import chi2, f, multivariate_normal, norm
 
 from anisoscope.base.errors import MeasurementError
 from anisoscope.base.significance import (
+    chi2_tail,
+    f_tail,
     holm,
     hotelling,
     joint_conformance,
@@ -100,3 +102,24 @@ def test_joint_conformance_of_deviations_that_move_together():
     share = np.mean((np.abs(draws) <= tolerance).all(axis=1))
     assert joint_conformance(deviation, covariance, tolerance) == pytest.approx(share, abs=0.004)
     assert joint_conformance(deviation, np.zeros((2, 2)), tolerance) == 1.0
+
+
+def test_tails_are_those_of_the_distributions():
+    at = np.array([0.0, 0.3, 2.0, 30.0, 900.0])
+    np.testing.assert_allclose(chi2_tail(at, 3), chi2.sf(at, 3), rtol=1e-12)
+    np.testing.assert_allclose(f_tail(at, 2.0, 7.5), f.sf(at, 2.0, 7.5), rtol=1e-12)
+
+
+@pytest.mark.parametrize("rho", [-0.999, -0.4, 0.0, 0.7, 0.999999])
+@pytest.mark.parametrize("deviation", [(0.0, 0.0), (0.25, -0.1), (0.2, 0.25), (-0.6, 0.3)])
+def test_two_contrasts_conform_as_the_integral_says(rho, deviation):
+    """P = ∫ φ(z)·[Φ((b − ρz)/√(1 − ρ²)) − Φ((a − ρz)/√(1 − ρ²))] dz, by quadrature."""
+    scale, tolerance = np.array([0.1, 0.2]), np.array([0.25, 0.25])
+    found = joint_conformance(
+        np.array(deviation), np.outer(scale, scale) * np.array([[1.0, rho], [rho, 1.0]]), tolerance
+    )
+    low, high = (-tolerance - deviation) / scale, (tolerance - deviation) / scale
+    z = np.linspace(low[0], high[0], 400_001)
+    root = np.sqrt(1.0 - rho * rho)
+    inner = norm.cdf((high[1] - rho * z) / root) - norm.cdf((low[1] - rho * z) / root)
+    assert found == pytest.approx(np.trapezoid(norm.pdf(z) * inner, z), abs=1e-7)
