@@ -111,7 +111,8 @@ def joint_conformance(deviation: FloatArray, covariance: FloatArray, tolerances:
         scale = np.sqrt(np.diag(covariance))
         rho = float(covariance[0, -1] / (scale[0] * scale[-1])) if deviation.size == 2 else 0.0
         if abs(rho) < _NEARLY_ONE:
-            return _rectangle(*np.clip([low / scale, high / scale], -_FAR, _FAR), rho)
+            low, high = (np.clip(limits / scale, -_FAR, _FAR) for limits in (low, high))
+            return _rectangle(low, high, rho)
     from scipy.stats import multivariate_normal  # noqa: PLC0415 - 1 s
 
     found = multivariate_normal.cdf(
