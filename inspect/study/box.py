@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.base.errors import HeightMapError, ModelError, UsageError
-from anisoscope.study.objective import Part, Scoring, score
+from anisoscope.base.errors import UsageError
+from anisoscope.study.objective import Part, Scoring, scores
 
 Bounds = Mapping[str, tuple[float, float]]
 
@@ -70,12 +70,9 @@ def check_bounds(bounds: Bounds, part: Part, scoring: Scoring) -> None:
 
 def value_of(part: Part, scoring: Scoring) -> float:
     """Score, or −inf for a part that cannot be manufactured."""
-    try:
-        return score(part, scoring).score
-    except (ModelError, HeightMapError):
-        return -np.inf
+    return float(scores((part,), scoring)[0])
 
 
-def score_of_task(task: tuple[Part, Scoring]) -> float:
-    """The same for one task of a sweep."""
-    return value_of(*task)
+def scores_of_task(task: tuple[tuple[Part, ...], Scoring]) -> FloatArray:
+    """Scores of some parts, for one task of a sweep."""
+    return scores(*task)

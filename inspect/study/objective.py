@@ -5,7 +5,9 @@ it becomes a sample: every design meets the same quasi-random errors (common ran
 smooth function of the design and can be repeated.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -16,7 +18,7 @@ from anisoscope.base.errors import UsageError
 from anisoscope.profiles.ideal import RidgeDesign, Wall
 from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_rotation
 from anisoscope.sim.light.material import Material
-from anisoscope.study.ridges import ridge_radiance
+from anisoscope.study.ridges import RidgedParts, ridge_radiances, rounded_polyline
 
 Kind = Literal["difference", "michelson", "log_ratio"]
 Over = Literal["mean", "worst"]
@@ -236,73 +238,134 @@ def score(part: Part, scoring: Scoring) -> Scored:
     Raises:
         AnisoscopeError: the part is outside what the model means.
     """
-    if scoring.tolerances is None:
-        errors: dict[str, FloatArray] = {}
-        radiance = _radiance(part, scoring, {}, 0)[None, :]
-    else:
+    value, mean, sd = _scored((part,), scoring)
+    if np.isnan(value[0]):
+        _explain(part, scoring)
+    return Scored(float(value[0]), float(mean[0]), float(sd[0]))
+
+
+def scores(parts: Sequence[Part], scoring: Scoring) -> FloatArray:
+    """(D,) scores of parts that differ in numbers only; −inf for one that cannot be manufactured.
+
+    Raises:
+        AnisoscopeError: a part is outside what the model means.
+    """
+    value, _, _ = _scored(parts, scoring)
+    return np.where(np.isnan(value), -np.inf, value)
+
+
+@lru_cache(maxsize=8)
+def _sample(scoring: Scoring) -> tuple[dict[str, FloatArray], FloatArray, FloatArray]:
+    """Errors of the sample, and directions to light and camera, (S, P, 3); without tolerances S is 1."""
+    errors: dict[str, FloatArray] = {}
+    if scoring.tolerances is not None:
         errors = errors_sample(scoring.tolerances, len(scoring.poses), scoring.samples, scoring.seed)
-        count = scoring.samples if errors else 1
-        radiance = np.stack([_radiance(part, scoring, errors, number) for number in range(count)])
-    return _summary(radiance, scoring)
+    aimed = [_aimed(scoring, errors, number) for number in range(scoring.samples if errors else 1)]
+    to_light, to_camera = (np.array(ways) for ways in zip(*aimed, strict=True))
+    return errors, to_light, to_camera
 
 
-def _summary(radiance: FloatArray, scoring: Scoring) -> Scored:
+def _aimed(scoring: Scoring, errors: dict[str, FloatArray], number: int) -> tuple[FloatArray, FloatArray]:
+    """Directions to light and camera, (P, 3), with the errors of stage, rig and seating of one of the sample."""
+    poses, convention = scoring.poses, scoring.convention
+    if "stage" in errors:
+        turned = zip(poses, errors["stage"][number], strict=True)
+        poses = tuple(Pose(pose.stage_deg + float(turn), pose.tilt_deg) for pose, turn in turned)
+    if "light" in errors:
+        light = convention.light_angle_deg + float(errors["light"][number, 0])
+        convention = replace(convention, light_angle_deg=light)
+    to_light, to_camera = directions(poses, convention)
+    if "seating" in errors:
+        seat = seating_rotation(*map(float, errors["seating"][number]))
+        to_light, to_camera = to_light @ seat, to_camera @ seat
+    return to_light, to_camera
+
+
+def _scored(parts: Sequence[Part], scoring: Scoring) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Score, mean contrast and standard deviation of D parts, (D,) each; NaN where no part can be manufactured."""
+    return _summary(_radiance(parts, *_sample(scoring)), scoring)
+
+
+def _summary(radiance: FloatArray, scoring: Scoring) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The same from (D, S, P) radiances."""
     i, j = scoring.pair_indices
-    first, second = radiance[:, i], radiance[:, j]
+    first, second = radiance[..., i], radiance[..., j]
     signed = contrast_values(first, second, scoring.contrast)
     contrast = np.abs(signed)
     if scoring.over == "mean":
-        weight = np.full_like(contrast, 1.0 / contrast.shape[1])
+        weight = np.full_like(contrast, 1.0 / contrast.shape[-1])
     else:
-        weight = (contrast == contrast.min(axis=1, keepdims=True)).astype(np.float64)
-        weight /= weight.sum(axis=1, keepdims=True)
-    sample = (weight * contrast).sum(axis=1)
+        weight = (contrast == contrast.min(axis=-1, keepdims=True)).astype(np.float64)
+        weight /= np.maximum(weight.sum(axis=-1, keepdims=True), 1.0)
+    sample = (weight * contrast).sum(axis=-1)
     by_first, by_second = contrast_slopes(first, second, scoring.contrast)
     slope = np.zeros_like(radiance)
     for pair, (one, other) in enumerate(zip(i, j, strict=True)):
-        turned = np.sign(signed[:, pair]) * weight[:, pair]
-        slope[:, one] += turned * by_first[:, pair]
-        slope[:, other] += turned * by_second[:, pair]
+        turned = np.sign(signed[..., pair]) * weight[..., pair]
+        slope[..., one] += turned * by_first[..., pair]
+        slope[..., other] += turned * by_second[..., pair]
     noise = scoring.noise
-    by_noise = (slope**2 * (noise.floor**2 + (noise.share * radiance) ** 2)).sum(axis=1)
-    mean = float(sample.mean())
-    spread = float(sample.var(ddof=1)) if sample.size > 1 else 0.0
-    sd = float(np.sqrt(spread + by_noise.mean()))
+    by_noise = (slope**2 * (noise.floor**2 + (noise.share * radiance) ** 2)).sum(axis=-1)
+    mean = sample.mean(axis=-1)
+    spread = sample.var(axis=-1, ddof=1) if sample.shape[-1] > 1 else np.zeros_like(mean)
+    sd = np.sqrt(spread + by_noise.mean(axis=-1))
     if scoring.score == "snr":
-        value = mean / max(sd, 1e-12)
+        value = mean / np.maximum(sd, 1e-12)
     elif scoring.quantile is not None and scoring.tolerances is not None:
-        value = float(np.quantile(sample, scoring.quantile))
+        value = np.quantile(sample, scoring.quantile, axis=-1)
     elif scoring.tolerances is not None:
         value = mean - scoring.z * sd
     else:
         value = mean
-    return Scored(value, mean, sd)
+    return value, mean, sd
 
 
-def _radiance(part: Part, scoring: Scoring, errors: dict[str, FloatArray], number: int) -> FloatArray:
-    """(P,) radiances of one part out of the sample."""
+def _spoiled(parts: Sequence[Part], errors: dict[str, FloatArray], sample: int) -> RidgedParts:
+    """Every part with every error of the sample: D·S parts, the sample runs fastest.
 
-    def error(name: str, place: int = 0) -> float:
-        return float(errors[name][number, place]) if name in errors else 0.0
+    Raises:
+        AnisoscopeError: a nominal part is outside what the model means.
+    """
+    plastic = {Material(albedo=one.albedo, index=one.index) for one in parts}
+    wall = {one.wall for one in parts}
+    if len(plastic) > 1 or len(wall) > 1:
+        raise UsageError("parts that are scored together share albedo, index and wall")
 
-    angle = float(np.clip(part.ridge_angle + error("ridge_angle"), *_ANGLE_RANGE))
-    loss = min(abs(part.height_loss + error("height_loss")), _LARGEST_LOSS)
-    along, across = (
-        float(np.clip(alpha * np.exp(error("alpha", place)), *_ALPHA_RANGE))
-        for place, alpha in enumerate((part.alpha_along, part.alpha_across))
+    def nominal(name: str) -> FloatArray:
+        return np.array([getattr(part, name) for part in parts], dtype=np.float64)[:, None]
+
+    def error(name: str, place: int = 0) -> FloatArray | float:
+        return errors[name][:, place] if name in errors else 0.0
+
+    alphas = (
+        np.clip(nominal(name) * np.exp(error("alpha", place)), *_ALPHA_RANGE)
+        for place, name in enumerate(("alpha_along", "alpha_across"))
     )
-    poses = scoring.poses
-    if "stage" in errors:
-        turned = zip(poses, errors["stage"][number], strict=True)
-        poses = tuple(Pose(pose.stage_deg + float(turn), pose.tilt_deg) for pose, turn in turned)
-    convention = scoring.convention
-    if "light" in errors:
-        convention = replace(convention, light_angle_deg=convention.light_angle_deg + error("light"))
-    to_light, to_camera = directions(poses, convention)
-    if "seating" in errors:
-        seat = seating_rotation(error("seating", 0), error("seating", 1))
-        to_light, to_camera = to_light @ seat, to_camera @ seat
-    design = RidgeDesign(part.pitch, angle, part.wall, loss)
-    radius = abs(part.edge_radius + error("edge_radius"))
-    material = Material(along, across, part.albedo, part.index)
-    return ridge_radiance(to_light, to_camera, design, radius, material)
+    columns = (
+        nominal("pitch"),
+        np.clip(nominal("ridge_angle") + error("ridge_angle"), *_ANGLE_RANGE),
+        np.minimum(np.abs(nominal("height_loss") + error("height_loss")), _LARGEST_LOSS),
+        np.abs(nominal("edge_radius") + error("edge_radius")),
+        *alphas,
+    )
+    for pitch in {one.pitch for one in parts}:
+        RidgeDesign(pitch, 1.0)  # refuses a pitch that is none
+    shape = len(parts), sample
+    return RidgedParts(*(np.broadcast_to(one, shape).ravel() for one in columns), wall.pop(), plastic.pop())
+
+
+def _radiance(
+    parts: Sequence[Part], errors: dict[str, FloatArray], to_light: FloatArray, to_camera: FloatArray
+) -> FloatArray:
+    """(D, S, P) radiances of every part with every error of the sample."""
+    sample, poses, _ = to_light.shape
+    light, camera = (np.tile(one, (len(parts), 1, 1)) for one in (to_light, to_camera))
+    return ridge_radiances(light, camera, _spoiled(parts, errors, sample)).reshape(len(parts), sample, poses)
+
+
+def _explain(part: Part, scoring: Scoring) -> None:
+    """Raise the error of the first one of a part's sample that cannot be manufactured."""
+    errors, to_light, _ = _sample(scoring)
+    all_ = _spoiled((part,), errors, len(to_light))
+    for angle, loss, radius in zip(all_.ridge_angle_deg, all_.height_loss, all_.edge_radius_um, strict=True):
+        rounded_polyline(RidgeDesign(part.pitch, float(angle), part.wall, float(loss)), float(radius))

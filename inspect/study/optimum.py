@@ -6,6 +6,7 @@ has kinks where a contrast changes sign, and the worst of several has them elsew
 how precisely each parameter has to be met, other samples of the same tolerances how well the optimum is known.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -14,7 +15,7 @@ import numpy as np
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import AnisoscopeError, UsageError
 from anisoscope.base.progress import Advance, silent
-from anisoscope.study.box import LIMITS, Bounds, Box, check_bounds, score_of_task, value_of
+from anisoscope.study.box import LIMITS, Bounds, Box, check_bounds, scores_of_task, value_of
 from anisoscope.study.objective import Part, Scored, Scoring, score
 from anisoscope.study.sweep import Workers, sweep
 
@@ -23,6 +24,7 @@ COST_SHARE = 0.01  # the interval of a parameter is where the score loses at mos
 SLICE_POINTS = 49
 _AT_BOUND = 1e-3  # of the range
 _HALVINGS = 12
+_TOGETHER = 16  # parts that are scored in one task
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,14 @@ class Landscape:
     scores: FloatArray
 
 
+def _scored(
+    parts: Sequence[Part], scoring: Scoring, workers: Workers, advance: Advance, doing: str
+) -> FloatArray:
+    """Scores of many parts, some at a time."""
+    blocks = [(tuple(parts[first : first + _TOGETHER]), scoring) for first in range(0, len(parts), _TOGETHER)]
+    return np.concatenate(sweep(scores_of_task, blocks, workers, advance=advance, doing=doing))
+
+
 def slices_at(
     box: Box,
     scoring: Scoring,
@@ -75,9 +85,9 @@ def slices_at(
     top, unit, _ = best
     limit = top - COST_SHARE * abs(top)
     fine = np.linspace(0.0, 1.0, SLICE_POINTS)
-    moved = [(box.at((*unit[:k], float(u), *unit[k + 1 :])), scoring) for k in range(len(unit)) for u in fine]
+    moved = [box.at((*unit[:k], float(u), *unit[k + 1 :])) for k in range(len(unit)) for u in fine]
     doing = "looking around the optimum"
-    rows = np.reshape(sweep(score_of_task, moved, workers, advance=advance, doing=doing), (len(unit), -1))
+    rows = np.reshape(_scored(moved, scoring, workers, advance, doing), (len(unit), -1))
     sides = [(k, side) for k in range(len(unit)) for side in (-1, 1)]
     brackets = [_bracket(fine, rows[k], unit[k], side, limit) for k, side in sides]
     crossing_tasks = [
@@ -223,8 +233,8 @@ def optimum(
     box = Box(part, names, tuple(bounds[n][0] for n in names), tuple(bounds[n][1] for n in names))
     steps = (GRID if scoring.tolerances is None else ROBUST_GRID)[len(names)]
     units = np.linspace(0.0, 1.0, steps)
-    tasks = [(box.at(point), scoring) for point in product(units, repeat=len(names))]
-    values = sweep(score_of_task, tasks, workers, advance=advance, doing="searching the grid")
+    points = [box.at(point) for point in product(units, repeat=len(names))]
+    values = _scored(points, scoring, workers, advance, "searching the grid")
     grid = np.reshape(values, (steps,) * len(names))
     if not np.isfinite(grid).any():
         _explain(box, scoring)
@@ -253,7 +263,7 @@ def optimum(
             np.where(np.isfinite(grid), grid, np.nan),
         ),
         tuple(climb[0] for climb in climbs),
-        len(tasks) + sum(climb[2] for climb in climbs) + again,
+        len(points) + sum(climb[2] for climb in climbs) + again,
     )
 
 

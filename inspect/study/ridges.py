@@ -1,23 +1,271 @@
-"""Direct light from ridges whose crests are rounded: the corrected model on a polyline.
+"""Direct light from many ridged parts at once, whose crests may be rounded: the corrected model on polylines.
 
 A ball of the edge radius rolls inside the material along the profile, and material beyond its reach is missing: melt
 does not fill the sharp bottom of a groove of the tool, where the crest of the part forms; the feet of the part are
 copied from cut edges and stay sharp. Height loss cuts that profile at its height. Visibility of every segment is
-exact (`sim.light.corrected`). With a radius of 0 this is the corrected model.
+exact, as in `sim.light.corrected`; with a radius of 0 this is the corrected model. All parts of a sample are evaluated
+together in arrays (parts, poses, segments).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import ModelError
-from anisoscope.profiles.ideal import RidgeDesign
-from anisoscope.sim.light.material import Material, facet_brdf
-from anisoscope.sim.light.ridge_profile import ridge_polyline, visible_shares
+from anisoscope.profiles.ideal import RidgeDesign, Wall
+from anisoscope.sim.light.material import (
+    TABLE_SIZE,
+    Material,
+    diffuse_scale,
+    fresnel,
+    slope_density,
+    smith_lambda,
+    transmittance_table,
+)
 
 ARC_SEGMENTS = 24
 TABLES_PER_E_FOLD = 8  # interface tables; between two of them the radiance is interpolated
+_BLOCK = (
+    200_000  # parts × poses × segments that are evaluated together: arrays that fit the processor's cache
+)
+
+
+@dataclass(frozen=True, eq=False)
+class RidgedParts:
+    """N ridged parts; numbers that all share may be given once.
+
+    Attributes:
+        pitch_um: (N,) distance of the crests.
+        ridge_angle_deg: (N,) slope of the facets.
+        height_loss: (N,) share of the height that is missing at the crests.
+        edge_radius_um: (N,) radius of the crests; 0 is sharp.
+        alpha_along: (N,) roughness along the ridges.
+        alpha_across: (N,) roughness across.
+        wall: of all ridges.
+        plastic: albedo, index and shape of the lobe of all parts.
+    """
+
+    pitch_um: FloatArray
+    ridge_angle_deg: FloatArray
+    height_loss: FloatArray
+    edge_radius_um: FloatArray
+    alpha_along: FloatArray
+    alpha_across: FloatArray
+    wall: Wall = "perpendicular"
+    plastic: Material = field(default_factory=Material)
+
+    @classmethod
+    def of(cls, design: RidgeDesign, edge_radius_um: float, material: Material) -> "RidgedParts":
+        """One part."""
+        numbers = (design.pitch_um, design.ridge_angle_deg, design.height_loss, edge_radius_um)
+        alphas = material.alpha_along, material.alpha_across
+        return cls(*(np.array([one], dtype=np.float64) for one in (*numbers, *alphas)), design.wall, material)
+
+    def block(self, rows: slice) -> "RidgedParts":
+        """Some of the parts."""
+        return replace(self, **{one.name: getattr(self, one.name)[rows] for one in fields(self)[:6]})
+
+
+def rounded_polyline(design: RidgeDesign, edge_radius_um: float) -> tuple[FloatArray, FloatArray]:
+    """One period of the profile, foot to foot: wall, crest arc, facet; truncated by the lost height.
+
+    Args:
+        design: the ridges.
+        edge_radius_um: radius of the crest.
+
+    Returns:
+        x, z in µm, both (K + 1,), x not falling; the last point is the first one shifted by the pitch. Points may
+        coincide.
+
+    Raises:
+        ModelError: a negative radius, or one so large that no facet is left.
+    """
+    x, z, possible = _profiles(RidgedParts.of(design, edge_radius_um, Material()))
+    if not possible.all():
+        if not (edge_radius_um >= 0.0 and np.isfinite(edge_radius_um)):
+            raise ModelError(f"the edge radius must be 0 µm or more, not {edge_radius_um:g}")
+        raise ModelError(
+            f"an edge radius of {edge_radius_um:g} µm leaves no facet at a pitch of {design.pitch_um:g} µm and a ridge "
+            f"angle of {design.ridge_angle_deg:g}°"
+        )
+    return x[0], z[0]
+
+
+def _profiles(parts: RidgedParts) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
+    """Profiles x and z in µm, (N, K + 1), and whether the radius leaves a facet, (N,); else the crest is sharp."""
+    angle = np.radians(parts.ridge_angle_deg)
+    facet = _facet_width(parts, angle)
+    full = facet * np.tan(angle)
+    wall = parts.pitch_um - facet
+    if np.any(parts.edge_radius_um != 0.0):
+        x, z, possible = _rounded_crests(angle, wall, full, parts)
+    else:
+        x = np.stack([-wall, np.zeros_like(wall), facet], axis=-1)
+        z = np.stack([np.zeros_like(full), full, np.zeros_like(full)], axis=-1)
+        possible = np.ones(len(x), dtype=bool)
+    if np.any(parts.height_loss > 0.0):
+        x, z = _cut(x, z, (1.0 - parts.height_loss) * full)
+    return x, z, possible
+
+
+def _facet_width(parts: RidgedParts, angle: FloatArray) -> FloatArray:
+    """(N,) widths of the facets, as `RidgeDesign.facet_width_um`."""
+    if parts.wall == "vertical":
+        return parts.pitch_um * np.ones_like(angle)
+    if parts.wall == "perpendicular":
+        return np.asarray(parts.pitch_um * np.cos(angle) ** 2)
+    return np.asarray(parts.pitch_um / (1.0 + np.tan(angle) * np.tan(np.radians(float(parts.wall)))))
+
+
+def _rounded_crests(
+    angle: FloatArray, wall_width: FloatArray, full: FloatArray, parts: RidgedParts
+) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
+    """Foot at x = −wall width, crest at x = 0, next foot at the facet width."""
+    radius = parts.edge_radius_um
+    down = np.stack([np.cos(angle), -np.sin(angle)])  # along the facet, from the crest
+    inward = np.stack([-np.sin(angle), -np.cos(angle)])
+    foot = np.stack([-wall_width, -full])
+    wall = np.maximum(np.hypot(*foot), 1e-300)
+    length = (parts.pitch_um - wall_width) / np.cos(angle)
+    corner = np.arccos(np.clip((down * foot).sum(axis=0) / wall, -1.0, 1.0))  # inner angle at the crest
+    reach = radius / np.tan(0.5 * corner)  # distance of the tangent points from the crest
+    at_foot = reach > wall  # the ball no longer touches the wall, only its foot
+    along, deep = (down * foot).sum(axis=0), (inward * foot).sum(axis=0)
+    reach = np.where(at_foot, along + np.sqrt(np.maximum(radius**2 - (radius - deep) ** 2, 0.0)), reach)
+    possible = (radius >= 0.0) & (reach < length)
+    radius, reach = np.where(possible, radius, 0.0), np.where(possible, reach, 0.0)
+    centre = reach * down + radius * inward
+    touch = np.where(at_foot & possible, foot, foot / wall * reach)
+    from_centre, to_centre = touch - centre, reach * down - centre
+    first, last = np.arctan2(from_centre[1], from_centre[0]), np.arctan2(to_centre[1], to_centre[0])
+    turn = first[:, None] + (last - first)[:, None] * np.linspace(0.0, 1.0, ARC_SEGMENTS + 1)
+    # vertices outside the arc by half the sagitta keep the area beneath it
+    stretch = radius * (1.0 + (turn[:, 1] - turn[:, 0]) ** 2 / 12.0)
+    size = np.repeat(stretch[:, None], ARC_SEGMENTS + 1, axis=1)
+    size[:, 0] = size[:, -1] = radius
+    x = np.hstack([foot[0, :, None], centre[0, :, None] + size * np.cos(turn), foot[0, :, None]])
+    z = np.hstack([foot[1, :, None], centre[1, :, None] + size * np.sin(turn), foot[1, :, None]])
+    x[:, -1] += parts.pitch_um
+    return np.maximum.accumulate(x, axis=1), z + full[:, None], possible
+
+
+def _cut(x: FloatArray, z: FloatArray, height: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Profiles cut by planes at heights (N,); each rises to one crest, which becomes two points, and falls."""
+    rows, points = np.arange(len(x))[:, None], x.shape[1]
+    top = np.argmax(z, axis=1)[:, None]
+    place = np.arange(points + 1)
+    place = place - (place > top)
+    x, z = x[rows, place], z[rows, place]
+    level, falls = height[:, None], np.arange(points + 1) > top
+    above = z > level
+
+    def crossing(one: FloatArray, other: FloatArray) -> FloatArray:
+        """Where the line crosses the level, between the points (N, 1) below it and above it."""
+        low, high = z[rows, one], z[rows, other]
+        part = (level - low) / np.where(high > low, high - low, 1.0)
+        return np.asarray(x[rows, one] + (x[rows, other] - x[rows, one]) * part)
+
+    left = np.argmax(above, axis=1)[:, None]
+    right = points - np.argmax(above[:, ::-1], axis=1)[:, None]
+    ends = np.where(
+        falls,
+        crossing(np.minimum(right + 1, points), right),
+        crossing(np.maximum(left - 1, 0), left),
+    )
+    return np.where(above, ends, x), np.minimum(z, level)
+
+
+def ridge_radiances(to_light: FloatArray, to_camera: FloatArray, parts: RidgedParts) -> FloatArray:
+    """Direct radiance [1/sr] per unit irradiance perpendicular to the beam, (N, P).
+
+    The transmittance of the rough interface is tabulated for few mean roughnesses: radiances of the two next to
+    the one asked for are interpolated in its logarithm. That makes thousands of materials cheap, and the radiance
+    a continuous function of the roughness; the error is below 10⁻⁴ of the radiance.
+
+    Args:
+        to_light: (P, 3) or (N, P, 3) unit vectors in the sample frame, above the horizon.
+        to_camera: likewise.
+        parts: the ridges and their plastic.
+
+    Returns:
+        NaN for a part whose edge radius leaves no facet.
+    """
+    x, z, possible = _profiles(parts)
+    count, poses = len(x), to_light.shape[-2]
+    interface = _Interface(parts)
+    found = np.empty((count, poses))
+    step = max(1, _BLOCK // (poses * x.shape[1]))
+    for start in range(0, count, step):
+        rows = slice(start, start + step)
+        light, camera = (np.broadcast_to(one, (count, poses, 3))[rows] for one in (to_light, to_camera))
+        found[rows] = _radiances(light, camera, x[rows], z[rows], parts.block(rows), interface.block(rows))
+    return np.where(possible[:, None], found, np.nan)
+
+
+def _radiances(
+    to_light: FloatArray,
+    to_camera: FloatArray,
+    x: FloatArray,
+    z: FloatArray,
+    parts: RidgedParts,
+    interface: "_Interface",
+) -> FloatArray:
+    """(N, P) radiances of one block; directions (N, P, 3), profiles (N, K + 1)."""
+    size = np.hypot(np.diff(x), np.diff(z))
+    whole = np.where(size > 0.0, size, 1.0)
+    flat, up = (np.diff(x) / whole)[:, None], (np.diff(z) / whole)[:, None]
+
+    def across(vector: FloatArray) -> FloatArray:
+        return np.asarray(flat * vector[..., :1] + up * vector[..., 2:])
+
+    def normal(vector: FloatArray) -> FloatArray:
+        return np.asarray(flat * vector[..., 2:] - up * vector[..., :1])
+
+    half = to_light + to_camera
+    half /= np.linalg.norm(half, axis=-1, keepdims=True)
+    mirror = fresnel(np.sum(to_light * half, axis=-1), parts.plastic.index)[..., None]
+    along_u, across_v = parts.alpha_along[:, None, None], parts.alpha_across[:, None, None]
+    cos_i, cos_o, cos_h = normal(to_light), normal(to_camera), normal(half)
+    front = (cos_i > 0.0) & (cos_o > 0.0)
+    slope = (half[..., 1:2] / along_u) ** 2 + (across(half) / across_v) ** 2
+    safe = np.where(cos_h > 1e-6, cos_h, 1.0)
+    lobe = slope_density(slope / safe**2, parts.plastic) / (np.pi * along_u * across_v * safe**4)
+    lobe = np.where(cos_h > 1e-6, lobe, 0.0) * mirror
+
+    def shadowing(vector: FloatArray, cosine: FloatArray) -> FloatArray:
+        spread = np.hypot(along_u * vector[..., 1:2], across_v * across(vector))
+        return smith_lambda(spread / np.maximum(cosine, 1e-9), parts.plastic.tail, parts.plastic.second_lobe)
+
+    # f·cos_i·cos_o, so that the lobe's denominator is a number
+    lobe = 0.25 * lobe / (1.0 + shadowing(to_light, cos_i) + shadowing(to_camera, cos_o))
+    cos_i, cos_o = np.maximum(cos_i, 0.0), np.maximum(cos_o, 0.0)
+    value = np.where(front, lobe + interface.base(cos_i, cos_o) * cos_i * cos_o, 0.0)
+    slant_i, slant_o = (one[..., 0] / one[..., 2] for one in (to_light, to_camera))
+    lit, seen = _visible_shares(x, z, slant_i), _visible_shares(x, z, slant_o)
+    same = ((slant_i >= 0.0) == (slant_o >= 0.0))[..., None]
+    share = np.where(same, np.minimum(lit, seen), np.maximum(0.0, lit + seen - 1.0))
+    total = np.sum(value * share * size[:, None], axis=-1)
+    return np.asarray(total / ((x[:, -1] - x[:, 0])[:, None] * to_camera[..., 2]))
+
+
+def _visible_shares(x: FloatArray, z: FloatArray, tangent: FloatArray) -> FloatArray:
+    """(N, P, K) visible shares of the segments of periodic polylines (N, K + 1) along directions with (N, P) tangents.
+
+    As `ridge_profile.visible_shares`; of all periods ahead only the next one can hide more than those after it.
+    """
+    period = (x[:, -1] - x[:, 0])[:, None, None]
+    sheared = x[:, None] - tangent[..., None] * z[:, None]
+    left = (tangent < 0.0)[..., None]
+    sheared = np.where(left, -sheared[..., ::-1], sheared)
+    start, end = sheared[..., :-1], sheared[..., 1:]
+    limit = np.minimum.accumulate(end[..., ::-1], axis=-1)[..., ::-1]
+    limit = np.minimum(limit, limit[..., :1] + period)
+    length = end - start
+    facing = length > 1e-12 * period
+    share = np.where(facing, np.clip((limit - start) / np.where(facing, length, 1.0), 0.0, 1.0), 0.0)
+    return np.where(left, share[..., ::-1], share)
 
 
 @dataclass(frozen=True)
@@ -31,112 +279,49 @@ class _Tabulated(Material):
         return self.interface_alpha
 
 
-def rounded_polyline(design: RidgeDesign, edge_radius_um: float) -> tuple[FloatArray, FloatArray]:
-    """One period of the profile, foot to foot: wall, crest arc, facet; truncated by the lost height.
+class _Interface:
+    """Light that enters and leaves through the rough interfaces of N parts, between the tabulated roughnesses."""
 
-    Args:
-        design: the ridges.
-        edge_radius_um: radius of the crest.
+    def __init__(self, parts: RidgedParts) -> None:
+        place = 0.5 * np.log(parts.alpha_along * parts.alpha_across) * TABLES_PER_E_FOLD
+        low = np.floor(place)
+        numbers = np.unique(np.concatenate([low, low + 1.0]))
+        plastics = [self._tabulated(parts.plastic, float(number)) for number in numbers]
+        self._tables = np.array([transmittance_table(one) for one in plastics])
+        self._scales = np.array([diffuse_scale(one) for one in plastics])
+        self._first, self._weight = np.searchsorted(numbers, low), place - low
 
-    Returns:
-        x, z in µm, both (K + 1,), x not falling; the last point is the first one shifted by the pitch.
+    @staticmethod
+    def _tabulated(plastic: Material, number: float) -> Material:
+        given = {one.name: getattr(plastic, one.name) for one in fields(Material)}
+        return _Tabulated(**given, interface_alpha=float(np.exp(number / TABLES_PER_E_FOLD)))
 
-    Raises:
-        ModelError: a negative radius, or one so large that no facet is left.
-    """
-    if not (edge_radius_um >= 0.0 and np.isfinite(edge_radius_um)):
-        raise ModelError(f"the edge radius must be 0 µm or more, not {edge_radius_um:g}")
-    if edge_radius_um == 0.0 or design.full_height_um == 0.0:
-        return ridge_polyline(design)
-    x, z = _rounded_crest(design, edge_radius_um)
-    return _cut(x, z, design.height_um)
+    def block(self, rows: slice) -> "_Interface":
+        """That of some of the parts."""
+        found = object.__new__(_Interface)
+        found._tables, found._scales = self._tables, self._scales
+        found._first, found._weight = self._first[rows], self._weight[rows]
+        return found
 
-
-def _rounded_crest(design: RidgeDesign, radius: float) -> tuple[FloatArray, FloatArray]:
-    """Foot at x = −wall width, crest at x = 0, next foot at the facet width."""
-    angle = np.radians(design.ridge_angle_deg)
-    down = np.array([np.cos(angle), -np.sin(angle)])  # along the facet, from the crest
-    inward = np.array([-np.sin(angle), -np.cos(angle)])
-    foot = np.array([-design.wall_width_um, -design.full_height_um])
-    wall = float(np.hypot(*foot))
-    length = design.facet_width_um / np.cos(angle)
-    corner = float(np.arccos(np.clip(down @ foot / wall, -1.0, 1.0)))  # inner angle at the crest
-    reach = radius / np.tan(0.5 * corner)  # distance of the tangent points from the crest
-    at_foot = reach > wall  # the ball no longer touches the wall, only its foot
-    if at_foot:
-        along, deep = float(foot @ down), float(foot @ inward)
-        reach = along + np.sqrt(radius**2 - (radius - deep) ** 2)
-    if reach >= length:
-        raise ModelError(
-            f"an edge radius of {radius:g} µm leaves no facet at a pitch of {design.pitch_um:g} µm and a ridge angle "
-            f"of {design.ridge_angle_deg:g}°"
-        )
-    centre = reach * down + radius * inward
-    touch = foot if at_foot else foot / wall * reach
-    from_centre, to_centre = touch - centre, reach * down - centre
-    first, last = np.arctan2(from_centre[1], from_centre[0]), np.arctan2(to_centre[1], to_centre[0])
-    turn = np.linspace(first, last, ARC_SEGMENTS + 1)
-    # vertices outside the arc by half the sagitta keep the area beneath it
-    stretch = 1.0 + (turn[1] - turn[0]) ** 2 / 12.0
-    factor = np.r_[1.0, np.full(ARC_SEGMENTS - 1, stretch), 1.0]
-    arc = centre + radius * factor[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
-    end = foot + np.array([design.pitch_um, 0.0])
-    points = np.vstack([foot, arc[1:] if at_foot else arc, end])
-    points[:, 0] = np.maximum.accumulate(points[:, 0])
-    return points[:, 0], points[:, 1] + design.full_height_um
-
-
-def _cut(x: FloatArray, z: FloatArray, height: float) -> tuple[FloatArray, FloatArray]:
-    """The profile cut by a plane at a height; it rises to one crest and falls."""
-    if z.max() <= height:
-        return x, z
-    above = np.flatnonzero(z > height)
-    left, right = above[0], above[-1]
-
-    def crossing(i: int, j: int) -> float:
-        return float(x[i] + (x[j] - x[i]) * (height - z[i]) / (z[j] - z[i]))
-
-    ends = [crossing(left - 1, left), crossing(right + 1, right)]
-    return (
-        np.concatenate([x[:left], ends, x[right + 1 :]]),
-        np.concatenate([z[:left], [height, height], z[right + 1 :]]),
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class _Lighting:
-    """Orientation of S segments of a profile to P poses; directions (S, P, 3) are along, across and normal."""
-
-    to_light: FloatArray
-    to_camera: FloatArray
-    weight: FloatArray
-
-    def radiance(self, material: Material) -> FloatArray:
-        """(P,) in 1/sr."""
-        along, across, normal = np.eye(3)
-        brdf = facet_brdf(self.to_light, self.to_camera, along, across, normal, material)
-        return np.asarray((brdf * self.weight).sum(axis=0))
-
-
-def _lighting(to_light: FloatArray, to_camera: FloatArray, x: FloatArray, z: FloatArray) -> _Lighting:
-    size = np.hypot(np.diff(x), np.diff(z))
-    nonzero = size > 0.0
-    size = size[nonzero, None]
-    flat, up = np.diff(x)[nonzero, None] / size, np.diff(z)[nonzero, None] / size
-
-    def local(directions: FloatArray) -> FloatArray:
-        ux, uy, uz = directions.T
-        parts = np.broadcast_arrays(uy, flat * ux + up * uz, flat * uz - up * ux)
-        return np.stack(parts, axis=-1)
-
-    light, camera = local(to_light), local(to_camera)
-    light_tangent, camera_tangent = to_light[:, 0] / to_light[:, 2], to_camera[:, 0] / to_camera[:, 2]
-    lit = np.stack([visible_shares(x, z, t)[nonzero] for t in light_tangent], axis=-1)
-    visible = np.stack([visible_shares(x, z, t)[nonzero] for t in camera_tangent], axis=-1)
-    same = (light_tangent >= 0) == (camera_tangent >= 0)
-    share = np.where(same, np.minimum(lit, visible), np.maximum(0.0, lit + visible - 1.0))
-    cosines = np.maximum(light[..., 2], 0.0) * np.maximum(camera[..., 2], 0.0)
-    return _Lighting(light, camera, share * cosines * size / ((x[-1] - x[0]) * to_camera[:, 2]))
+    def base(self, cos_i: FloatArray, cos_o: FloatArray) -> FloatArray:
+        """(N, …) radiance of the base per irradiance of the facet [1/sr] for cosines (N, …) within 0 and 1."""
+        shape = (len(cos_i),) + (1,) * (cos_i.ndim - 1)
+        places = []
+        for cosine in (cos_i, cos_o):
+            place = np.minimum(cosine, 1.0) * (TABLE_SIZE - 1)
+            cell = np.minimum(place.astype(np.intp), TABLE_SIZE - 2)
+            places.append((cell, place - cell))
+        total = np.zeros_like(cos_i)
+        flat = self._tables.ravel()
+        for step, weight in ((0, 1.0 - self._weight), (1, self._weight)):
+            table = self._first + step
+            both = (weight * self._scales[table]).reshape(shape)
+            for cell, part in places:
+                at = cell + (table * TABLE_SIZE).reshape(shape)
+                lower = flat[at]
+                both = both * (lower + (flat[at + 1] - lower) * part)
+            total += both
+        return total
 
 
 def ridge_radiance(
@@ -146,37 +331,12 @@ def ridge_radiance(
     edge_radius_um: float,
     material: Material,
 ) -> FloatArray:
-    """Direct radiance [1/sr] per unit irradiance perpendicular to the beam, (P,).
-
-    The transmittance of the rough interface is tabulated for few mean roughnesses: radiances of the two next to
-    the one asked for are interpolated in its logarithm. That makes thousands of materials cheap, and the radiance
-    a continuous function of the roughness; the error is below 10⁻⁴ of the radiance.
-
-    Args:
-        to_light: (P, 3) unit vectors in the sample frame, above the horizon.
-        to_camera: (P, 3) unit vectors in the sample frame, above the horizon.
-        design: the ridges.
-        edge_radius_um: radius of the crest; 0 is sharp.
-        material: the plastic.
+    """Direct radiance [1/sr] of one part, (P,): `ridge_radiances` of it alone.
 
     Raises:
         ModelError: a radius that leaves no facet.
     """
-    lighting = _lighting(to_light, to_camera, *rounded_polyline(design, edge_radius_um))
-    place = np.log(material.alpha_mean) * TABLES_PER_E_FOLD
-    low = float(np.floor(place))
-    total = np.zeros(len(to_light))
-    for number, weight in ((low, 1.0 - (place - low)), (low + 1.0, place - low)):
-        plastic = _Tabulated(
-            material.alpha_along,
-            material.alpha_across,
-            material.albedo,
-            material.index,
-            material.internal_reflection,
-            material.tail,
-            material.second_lobe,
-            interface_alpha=float(np.exp(number / TABLES_PER_E_FOLD)),
-        )
-        if weight > 0.0:
-            total += weight * lighting.radiance(plastic)
-    return total
+    found = ridge_radiances(to_light, to_camera, RidgedParts.of(design, edge_radius_um, material))[0]
+    if np.isnan(found).any():
+        rounded_polyline(design, edge_radius_um)  # says what is wrong
+    return np.asarray(found)
