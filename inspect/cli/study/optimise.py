@@ -276,7 +276,9 @@ def optimise(
         Literal["perpendicular", "in-plane"], Parameter(help="Plane in which camera and light tilt.")
     ] = "perpendicular",
     facet_azimuth: Annotated[float, Parameter(help="Azimuth toward which the facets lean at 0°.")] = 0.0,
-    jobs: JobsOption = None,
+    jobs: Annotated[
+        int, Parameter(help="Processes on this machine; more than one help with many poses or samples.")
+    ] = 1,
     scheduler: SchedulerOption = None,
     json_: Json = False,
     html: HtmlOption = None,

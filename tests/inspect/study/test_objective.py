@@ -8,7 +8,8 @@ import pytest
 from anisoscope.base.errors import UsageError
 from anisoscope.prediction.predict import predict_design
 from anisoscope.profiles.ideal import RidgeDesign
-from anisoscope.sim.light.geometry import Convention, pose_grid
+from anisoscope.sim.light import corrected
+from anisoscope.sim.light.geometry import Convention, Pose, directions, pose_grid, seating_rotation
 from anisoscope.sim.light.material import Material
 from anisoscope.study.objective import (
     Noise,
@@ -19,6 +20,7 @@ from anisoscope.study.objective import (
     contrast_values,
     errors_sample,
     score,
+    scores,
 )
 
 
@@ -110,6 +112,38 @@ def test_every_tolerance_spreads_the_contrast(name):
     part = Part(ridge_angle=8.0, edge_radius=5.0, height_loss=0.1)
     asked = Scoring(tilts_deg=(-5.0,), tolerances=Tolerances(**{name: 0.05}), samples=16)
     assert score(part, asked).sd > 0.0
+
+
+@pytest.mark.parametrize("radius", [0.0, 4.0])
+def test_parts_of_a_sample_are_those_that_are_predicted_one_by_one(radius):
+    """Ridge angle, roughness, height loss and directions of every part, by the corrected model of a single design."""
+    tolerances = Tolerances(ridge_angle=0.4, alpha=0.1, height_loss=0.03, seating=0.5, stage=0.3, light=0.2)
+    asked = Scoring(
+        "log_ratio", ((0.0, 90.0), (90.0, 180.0)), (-10.0, 10.0), tolerances=tolerances, samples=8
+    )
+    part, errors = Part(ridge_angle=8.0, edge_radius=radius), errors_sample(tolerances, 6, 8, 1)
+    contrasts = []
+    for number in range(8):
+        one = {name: float(values[number, 0]) for name, values in errors.items()}
+        poses = [
+            Pose(pose.stage_deg + turn, pose.tilt_deg)
+            for pose, turn in zip(asked.poses, errors["stage"][number], strict=True)
+        ]
+        ways = directions(tuple(poses), Convention(10.0 + one["light"]))
+        seat = seating_rotation(*errors["seating"][number])
+        along, across = np.array([0.06, 0.10]) * np.exp(errors["alpha"][number])
+        design = RidgeDesign(
+            100.0, 8.0 + one["ridge_angle"], height_loss=abs(one["height_loss"]), edge_radius_um=radius
+        )
+        radiance = corrected.radiance(*(way @ seat for way in ways), design, Material(along, across))
+        log = np.abs(np.diff(np.log(radiance).reshape(2, 3), axis=1))
+        contrasts.append(log.mean())
+    mean, sd = np.mean(contrasts), np.std(contrasts, ddof=1)
+    found = score(part, asked)
+    assert (found.mean, found.sd) == (pytest.approx(mean, rel=2e-3), pytest.approx(sd, rel=2e-3))
+    assert scores((Part(), part, Part(edge_radius=900.0, ridge_angle=5.0)), asked) == pytest.approx(
+        [score(Part(), asked).score, found.score, -np.inf]
+    )
 
 
 def test_sample_has_unit_spread_and_can_be_repeated():

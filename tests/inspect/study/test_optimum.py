@@ -47,7 +47,11 @@ def test_two_parameters_against_a_fine_grid_of_the_worst_contrast():
     assert found.scored.score >= max(fine) * (1.0 - 1e-6)
 
 
-def synthetic(part, scoring):
+def synthetic(parts, scoring):
+    return np.array([hills(part, scoring).score for part in parts])
+
+
+def hills(part, scoring):
     """A high narrow hill beside a broad low one, and a parameter that hardly matters."""
     narrow = np.exp(-(((part.ridge_angle - 17.3) / 0.6) ** 2))
     broad = 0.9 * np.exp(-(((part.ridge_angle - 7.0) / 4.0) ** 2))
@@ -56,8 +60,8 @@ def synthetic(part, scoring):
 
 
 def test_a_narrow_higher_hill_is_not_missed(monkeypatch):
-    for module in (box, search):
-        monkeypatch.setattr(module, "score", synthetic)
+    monkeypatch.setattr(box, "scores", synthetic)
+    monkeypatch.setattr(search, "score", hills)
     bounds = {"ridge_angle": (2.0, 25.0), "alpha_across": (0.05, 0.2)}
     found = optimum(Part(), bounds, Scoring(), Workers())
     assert found.part.ridge_angle == pytest.approx(17.3, abs=1e-2)
