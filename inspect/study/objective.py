@@ -337,21 +337,24 @@ def _spoiled(parts: Sequence[Part], errors: dict[str, FloatArray], sample: int) 
     def error(name: str, place: int = 0) -> FloatArray | float:
         return errors[name][:, place] if name in errors else 0.0
 
-    alphas = (
-        np.clip(nominal(name) * np.exp(error("alpha", place)), *_ALPHA_RANGE)
-        for place, name in enumerate(("alpha_along", "alpha_across"))
-    )
-    columns = (
-        nominal("pitch"),
-        np.clip(nominal("ridge_angle") + error("ridge_angle"), *_ANGLE_RANGE),
-        np.minimum(np.abs(nominal("height_loss") + error("height_loss")), _LARGEST_LOSS),
-        np.abs(nominal("edge_radius") + error("edge_radius")),
-        *alphas,
-    )
+    def column(values: FloatArray) -> FloatArray:
+        return np.broadcast_to(values, (len(parts), sample)).ravel()
+
+    def alpha(name: str, place: int) -> FloatArray:
+        return column(np.clip(nominal(name) * np.exp(error("alpha", place)), *_ALPHA_RANGE))
+
     for pitch in {one.pitch for one in parts}:
         RidgeDesign(pitch, 1.0)  # refuses a pitch that is none
-    shape = len(parts), sample
-    return RidgedParts(*(np.broadcast_to(one, shape).ravel() for one in columns), wall.pop(), plastic.pop())
+    return RidgedParts(
+        pitch_um=column(nominal("pitch")),
+        ridge_angle_deg=column(np.clip(nominal("ridge_angle") + error("ridge_angle"), *_ANGLE_RANGE)),
+        height_loss=column(np.minimum(np.abs(nominal("height_loss") + error("height_loss")), _LARGEST_LOSS)),
+        edge_radius_um=column(np.abs(nominal("edge_radius") + error("edge_radius"))),
+        alpha_along=alpha("alpha_along", 0),
+        alpha_across=alpha("alpha_across", 1),
+        wall=wall.pop(),
+        plastic=plastic.pop(),
+    )
 
 
 def _radiance(

@@ -59,9 +59,10 @@ class RidgedParts:
     @classmethod
     def of(cls, design: RidgeDesign, edge_radius_um: float, material: Material) -> "RidgedParts":
         """One part."""
-        numbers = (design.pitch_um, design.ridge_angle_deg, design.height_loss, edge_radius_um)
-        alphas = material.alpha_along, material.alpha_across
-        return cls(*(np.array([one], dtype=np.float64) for one in (*numbers, *alphas)), design.wall, material)
+        numbers = design.pitch_um, design.ridge_angle_deg, design.height_loss, edge_radius_um
+        pitch, angle, loss, radius = (np.array([float(one)]) for one in numbers)
+        along, across = np.array([material.alpha_along]), np.array([material.alpha_across])
+        return cls(pitch, angle, loss, radius, along, across, wall=design.wall, plastic=material)
 
     def block(self, rows: slice) -> "RidgedParts":
         """Some of the parts."""
