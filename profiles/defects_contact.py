@@ -15,8 +15,8 @@ MAX_BALL_PIXELS = 60
 STRIP_POINTS = 20_000
 
 
-def _ball(radius_um: float, surface: HeightMap) -> list[tuple[int, int, float]]:
-    """Offsets (i, j) in pixels within a ball and its height there above its rim plane, in µm."""
+def _ball(radius_um: float, surface: HeightMap) -> list[tuple[int, list[tuple[int, float]]]]:
+    """Quarter of a ball: for every row i ≥ 0 its offsets j ≥ 0, in pixels, with its height above its rim plane in µm."""
     reach_i = int(radius_um / surface.pixel_y_um)
     reach_j = int(radius_um / surface.pixel_x_um)
     if max(reach_i, reach_j) > MAX_BALL_PIXELS:
@@ -24,24 +24,34 @@ def _ball(radius_um: float, surface: HeightMap) -> list[tuple[int, int, float]]:
             f"a radius of {radius_um:g} µm is more than {MAX_BALL_PIXELS} pixels; take a smaller one, or larger pixels"
         )
     ball = []
-    for i in range(-reach_i, reach_i + 1):
-        for j in range(-reach_j, reach_j + 1):
-            rest = radius_um**2 - (i * surface.pixel_y_um) ** 2 - (j * surface.pixel_x_um) ** 2
-            if rest >= 0.0:
-                ball.append((i, j, float(np.sqrt(rest))))
+    for i in range(reach_i + 1):
+        rest = [
+            radius_um**2 - (i * surface.pixel_y_um) ** 2 - (j * surface.pixel_x_um) ** 2
+            for j in range(reach_j + 1)
+        ]
+        ball.append((i, [(j, float(np.sqrt(one))) for j, one in enumerate(rest) if one >= 0.0]))
     return ball
 
 
-def _least(field: FloatArray, ball: list[tuple[int, int, float]], shape: tuple[int, int]) -> FloatArray:
-    """Least of the windows of a shape into a field, each at an offset and less a height."""
-    found = np.full(shape, np.inf)
-    rows = max(1, STRIP_POINTS // shape[1])
-    for top in range(0, shape[0], rows):  # a strip stays in the processor's cache while the ball passes
-        strip = found[top : top + rows]
+def _least(field: FloatArray, ball: list[tuple[int, list[tuple[int, float]]]]) -> FloatArray:
+    """Least of the heights of a field under a ball, less those of the ball; as far as the whole ball is on the field.
+
+    The ball is the same to all four sides, so that one subtraction serves four points.
+    """
+    reach_i, reach_j = len(ball) - 1, max(j for _, row in ball for j, _ in row)
+    rows, cols = field.shape[0] - 2 * reach_i, field.shape[1] - 2 * reach_j
+    found = np.full((rows, cols), np.inf)
+    height = max(1, STRIP_POINTS // field.shape[1])
+    for top in range(0, rows, height):  # a strip stays in the processor's cache while the ball passes
+        strip = found[top : top + height]
         part = np.empty_like(strip)
-        for i, j, height in ball:
-            window = field[top + i : top + i + strip.shape[0], j : j + shape[1]]
-            np.minimum(strip, np.subtract(window, height, out=part), out=strip)
+        for i, row in ball:
+            above, below = (field[top + at :][: len(strip)] for at in (reach_i + i, reach_i - i))
+            nearer = np.minimum(above, below) if i else above
+            for j, rise in row:
+                right, left = (nearer[:, at : at + cols] for at in (reach_j + j, reach_j - j))
+                np.subtract(np.minimum(right, left, out=part), rise, out=part)
+                np.minimum(strip, part, out=strip)
     return found
 
 
@@ -64,21 +74,18 @@ def edge_wear(surface: HeightMap, radius_um: float) -> HeightMap:
     if not radius_um >= 0.0:
         raise HeightMapError(f"the radius of worn edges must not be negative, not {radius_um} µm")
     ball = _ball(radius_um, surface)
-    if len(ball) == 1:
+    reach_i, reach_j = len(ball) - 1, max(j for _, row in ball for j, _ in row)
+    if reach_i == reach_j == 0:
         return surface
-    reach_i, reach_j = max(i for i, _, _ in ball), max(j for _, j, _ in ball)
-    rows, cols = surface.shape
     known = np.isfinite(surface.height_um)
     free: FloatArray = np.pad(
         np.where(known, surface.height_um, np.inf),
         ((2 * reach_i, 2 * reach_i), (2 * reach_j, 2 * reach_j)),
         constant_values=np.inf,
     )
-    # centres of the ball, up to a radius beyond the field
-    ball = [(reach_i + i, reach_j + j, height) for i, j, height in ball]
-    centre = _least(free, ball, (rows + 2 * reach_i, cols + 2 * reach_j))
+    centre = _least(free, ball)  # of the ball, up to a radius beyond the field
     centre[np.isinf(centre)] = -np.inf
-    opened = -_least(-centre, ball, (rows, cols))  # the greatest, with heights added
+    opened = -_least(-centre, ball)  # the greatest, with heights added
     # the ball touches most points; rounding must not lift them
     worn = np.where(known, np.minimum(opened, surface.height_um), np.nan)
     return surface.with_height(worn)
