@@ -307,6 +307,7 @@ class _Scene:
         self.resolved = resolve(self.relief) if recipe.surface.roughness == "plastic" else None
         self.profile = None if self.design is None else _profile(self.design)
         self._slopes_of_good: dict[bool, FloatArray | None] = {}
+        self._good_band = best_band(self.relief)
         self.groove, self._followed = self._reflections(recipe.surface.bounces)
         sides = directions(self.poses, Convention(light_angle_deg, facet_azimuth_deg=self.azimuth_deg))
         nominal = *sides, self._lobe(self.state.material)
@@ -372,7 +373,12 @@ class _Scene:
 
     def _band(self, surface: HeightMap) -> Model:
         """Predictor of the band of a surface that sensitivities need."""
-        return relief_model(best_band(replace(self.relief, surface=surface)))
+        band = self._good_band if surface is self.surface else best_band(self._relief_of(surface))
+        return relief_model(band)
+
+    def _relief_of(self, surface: HeightMap) -> Relief:
+        """A surface as the recipe's is prepared; the recipe's own is one object, which knows its slopes and shadows."""
+        return self.relief if surface is self.surface else replace(self.relief, surface=surface)
 
     def tangents(self, cause: Cause, extents: Sequence[float]) -> Tangents | None:
         """Response to the inputs along a cause; None where they cannot be varied on the good part."""
@@ -423,7 +429,7 @@ class _Scene:
 
     def look(self, surface: HeightMap, state: State, groove: Groove | None, *, with_map: bool) -> _Look:
         """The surface in all poses, with its contrast map where the recipe has a limit of the area."""
-        relief = replace(self.relief, surface=surface)
+        relief = self._relief_of(surface)
         convention = Convention(state.light_angle_deg, facet_azimuth_deg=self.azimuth_deg)
         if not with_map or self.cell_deviation is None:
             model = fixed(self._with_reflections(relief_model(relief), groove))

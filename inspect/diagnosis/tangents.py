@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from anisoscope.base.arrays import FloatArray
-from anisoscope.prediction.propagation import PLASTIC_AND_SEAT, RIDGE_ANGLE, propagate
+from anisoscope.prediction.propagation import PLASTIC_AND_SEAT, RIDGE_ANGLE, input_slopes
 from anisoscope.prediction.sensitivity import DARK, InputUncertainty, State, Surface
 from anisoscope.sim.light.geometry import Convention, Pose
 
@@ -91,9 +91,9 @@ def slopes_of(
         convention: how the angles are counted.
         turning: the ridge angle of the good surface is uncertain too; else its column is 0.
     """
-    budget = propagate(surface, state, poses, convention, replace(_UNIT, ridge_angle_deg=float(turning)))
-    if np.any(budget.radiance <= DARK):
+    inputs = replace(_UNIT, ridge_angle_deg=float(turning))
+    radiance, slopes = input_slopes(surface, state, poses, convention, inputs)
+    if np.any(radiance <= DARK):
         return None
-    by_name = {one.source: one.absolute for one in budget.contributions}
     nil = np.zeros(len(poses))
-    return np.column_stack([by_name.get(source, nil) / budget.radiance for source in INPUTS])
+    return np.column_stack([slopes.get(source, nil) for source in INPUTS])

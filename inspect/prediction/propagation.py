@@ -108,11 +108,11 @@ def _probe(nominal: State, name: str) -> _Probe:
         ends = _ends(value, step, SHAPE_RANGE[name])
         low, high = (replace(nominal, shape=replace(nominal.shape, **{name: end})) for end in ends)
         return _Probe(low, high, value - ends[0], ends[1] - value)
-    h, light = _ANGLE_STEP, nominal.light_angle_deg
+    h, light, (x, y) = _ANGLE_STEP, nominal.light_angle_deg, nominal.seating_deg
     changes: dict[str, tuple[State, State]] = {
         "light": (replace(nominal, light_angle_deg=light - h), replace(nominal, light_angle_deg=light + h)),
-        "seating_x": (replace(nominal, seating_deg=(-h, 0.0)), replace(nominal, seating_deg=(h, 0.0))),
-        "seating_y": (replace(nominal, seating_deg=(0.0, -h)), replace(nominal, seating_deg=(0.0, h))),
+        "seating_x": (replace(nominal, seating_deg=(x - h, y)), replace(nominal, seating_deg=(x + h, y))),
+        "seating_y": (replace(nominal, seating_deg=(x, y - h)), replace(nominal, seating_deg=(x, y + h))),
         _STAGE: (replace(nominal, stage_deg=-h), replace(nominal, stage_deg=h)),
         "tilt": (replace(nominal, tilt_deg=-h), replace(nominal, tilt_deg=h)),
     }
@@ -214,6 +214,30 @@ def propagate(
         contributions.append(Contribution("light angle over the field", shift))
     per_degree = _slope(probes[_STAGE], found[_STAGE], middle, meant)
     return Budget(meant, (*contributions, *additional), per_degree)
+
+
+def input_slopes(
+    surface: Surface,
+    nominal: State,
+    poses: tuple[Pose, ...],
+    convention: Convention,
+    inputs: InputUncertainty,
+) -> tuple[FloatArray, dict[str, FloatArray]]:
+    """(P,) radiances, and by source the (P,) change of ln L by one standard uncertainty, without a budget.
+
+    Arguments and steps as for `propagate`; only sources with an uncertainty cost anything. Of dark poses the changes
+    mean nothing.
+    """
+    sources = [source for source in _sources(nominal, inputs) if source.u != 0.0]
+    probes = {source.probe: _probe(nominal, source.probe) for source in sources}
+    states = [nominal, *(end for probe in probes.values() for end in (probe.low, probe.high))]
+    middle, *ends = evaluate(surface, states, poses, convention)
+    pairs = {name: np.array(ends[2 * k : 2 * k + 2]) for k, name in enumerate(probes)}
+    lit = np.maximum(middle, DARK)
+    slopes = {
+        one.name: _slope(probes[one.probe], pairs[one.probe], middle, middle) * one.u / lit for one in sources
+    }
+    return middle, slopes
 
 
 def calibrated_material(

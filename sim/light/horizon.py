@@ -14,6 +14,7 @@ Floats = npt.NDArray[np.float32]
 LOWEST = 1e-3  # cosine from the normal at which a direction counts as grazing
 MILD = 0.999  # rise along a ray below which, in single precision too, nothing hides anything
 CACHED_DIRECTIONS = 10  # directions whose shares are kept
+CACHED_POINTS = 8_000_000  # points of all shares that are kept with a surface, for maps of which these are many
 
 
 class Ground(Protocol):
@@ -47,6 +48,35 @@ class Ground(Protocol):
         """Columns after which the surface repeats; 0 if it does not."""
 
 
+class SharesOfSmallMap:
+    """Visible shares of a small map by direction, for all threads, as long as the map is in use.
+
+    Predictions move one input after the other, so that most directions of a map return with the next material.
+
+    Args:
+        points: number of points of the map.
+    """
+
+    def __init__(self, points: int) -> None:
+        self._most = CACHED_POINTS // max(points, 1)
+        self._shares: OrderedDict[bytes, Floats] = OrderedDict()
+
+    @property
+    def is_useful(self) -> bool:
+        """Whether it holds clearly more directions than a `Horizon` does by itself."""
+        return self._most >= 2 * CACHED_DIRECTIONS
+
+    def get(self, key: bytes) -> Floats | None:
+        """Shares from a direction, if they are known."""
+        return self._shares.get(key)
+
+    def add(self, key: bytes, shares: Floats) -> None:
+        """Keep the shares from a direction; the oldest go. Every step is atomic, so that threads need no lock."""
+        self._shares[key] = shares
+        if len(self._shares) > self._most:
+            self._shares.popitem(last=False)
+
+
 class Horizon:
     """Visible shares of all facets from many directions.
 
@@ -55,10 +85,12 @@ class Horizon:
 
     Args:
         ground: the surface.
+        shared: shares of the same surface that are common to several horizons.
     """
 
-    def __init__(self, ground: Ground) -> None:
+    def __init__(self, ground: Ground, shared: SharesOfSmallMap | None = None) -> None:
         self.ground = ground
+        self._shared = shared if shared is not None and shared.is_useful else None
         self._cache: OrderedDict[bytes, Floats] = OrderedDict()
         self._transposed: Floats | None = None
         self._all: Floats | None = None
@@ -91,10 +123,20 @@ class Horizon:
                 self._all = np.ones((rows - 1, cols - 1), dtype=np.float32)
             return self._all
         key = np.round(direction[:2] / direction[2], 12).tobytes()
+        if self._shared is not None:
+            return self._shared_shares(self._shared, key, direction)
         if key not in self._cache:
             self._cache[key] = self._march(direction, self._room())
         self._cache.move_to_end(key)
         return self._cache[key]
+
+    def _shared_shares(self, shared: SharesOfSmallMap, key: bytes, direction: FloatArray) -> Floats:
+        known = shared.get(key)
+        if known is None:
+            rows, cols = self.ground.rows_first.shape
+            known = self._march(direction, np.empty((rows - 1, cols - 1), dtype=np.float32))
+            shared.add(key, known)
+        return known
 
     def _room(self) -> Floats:
         if len(self._cache) >= CACHED_DIRECTIONS:

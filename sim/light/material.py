@@ -108,8 +108,11 @@ class Material:
 
     @property
     def alpha_mean(self) -> float:
-        """√(α_u·α_v), the isotropic roughness used for the transmittance of the interface."""
-        return float(np.sqrt(self.alpha_along * self.alpha_across))
+        """√(α_u·α_v), the isotropic roughness used for the transmittance of the interface.
+
+        Rounded to 12 digits, so that a table is computed once for all pairs with the same product.
+        """
+        return float(f"{np.sqrt(self.alpha_along * self.alpha_across):.12g}")
 
 
 def fresnel(cosine: FloatArray, index: float) -> FloatArray:

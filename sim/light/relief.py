@@ -26,7 +26,7 @@ from anisoscope.sim.light.census import (
     node_spacing,
     take_census,
 )
-from anisoscope.sim.light.horizon import Horizon
+from anisoscope.sim.light.horizon import Horizon, SharesOfSmallMap
 from anisoscope.sim.light.material import Material
 from anisoscope.sim.light.shine import Shine, shine_in, turn_of
 
@@ -137,6 +137,11 @@ class Relief:
         """(cols, rows) heights above the middle."""
         return np.ascontiguousarray(self.rows_first.T)
 
+    @cached_property
+    def shares(self) -> SharesOfSmallMap:
+        """Visible shares that are known already."""
+        return SharesOfSmallMap(self.surface.height_um.size)
+
     def census(self, material: Material) -> Census:
         """The facets counted by slope, on a grid fine enough for the roughness of a material."""
         spacing = node_spacing(material, self.direction_deg)
@@ -197,7 +202,7 @@ def shine_maps(relief: Relief, shines: Iterable[Shine]) -> Iterator[ShareArray]:
     from anisoscope.sim.light.kernels import facet_radiance  # noqa: PLC0415 - start-up time
 
     z = np.ascontiguousarray(relief.surface.height_um, dtype=np.float64)
-    horizon = Horizon(relief)
+    horizon = Horizon(relief, relief.shares)
     for shine in shines:
         lit, seen = horizon.shares(np.array(shine.light)), horizon.shares(np.array(shine.camera))
         shown = np.empty(lit.shape, dtype=np.float32)
@@ -247,7 +252,7 @@ def radiance(
     """
     census = relief.census(material)
     relief.columns_first  # noqa: B018 - prepared once, before threads share it
-    idle = [Horizon(relief) for _ in range(min(threads.count(), len(to_light)))]
+    idle = [Horizon(relief, relief.shares) for _ in range(min(threads.count(), len(to_light)))]
     lock, done = Lock(), 0
 
     def predict(pose: tuple[FloatArray, FloatArray]) -> float:
