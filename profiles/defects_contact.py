@@ -16,7 +16,7 @@ STRIP_POINTS = 20_000
 
 
 def _ball(radius_um: float, surface: HeightMap) -> list[tuple[int, list[tuple[int, float]]]]:
-    """Quarter of a ball: for every row i ≥ 0 its offsets j ≥ 0, in pixels, with its height above its rim plane in µm."""
+    """Quarter of a ball: for every row i ≥ 0 its offsets j ≥ 0, and the height there above its rim plane in µm."""
     reach_i = int(radius_um / surface.pixel_y_um)
     reach_j = int(radius_um / surface.pixel_x_um)
     if max(reach_i, reach_j) > MAX_BALL_PIXELS:

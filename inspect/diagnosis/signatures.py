@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.errors import HeightMapError, ModelError
@@ -48,7 +47,7 @@ from anisoscope.recipe.surface import SurfaceRecipe
 from anisoscope.sim.light.contrasts import consecutive_pairs
 from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_rotation
 from anisoscope.sim.light.material import Material
-from anisoscope.sim.light.relief import Relief, radiance_maps
+from anisoscope.sim.light.relief import Relief, radiance_maps, radiance_of_cells
 from anisoscope.sim.light.threads import each
 from anisoscope.sim.light.unresolved import resolve
 
@@ -441,28 +440,10 @@ class _Scene:
         if groove is not None:
             assert self._stand_in is not None
             indirect = self._stand_in.of(groove)(to_light, to_camera, self._lobe(state.material))
-        weights, material = relief.column_weights(), self._lobe(state.material)
-        means, cells = [], []
-        maps = radiance_maps(relief, to_light, to_camera, material)
-        for radiance, reflected in zip(maps, indirect, strict=True):
-            column = np.nanmean(radiance, axis=0, dtype=np.float64)
-            means.append(float(np.sum(column * weights) / np.sum(weights)) + float(reflected))
-            cells.append(self._cells(radiance, surface) + reflected)
-        return _Look(np.array(means), *self._deviating(np.array(cells)))
-
-    def _cells(self, radiance: npt.NDArray[np.float32], surface: HeightMap) -> FloatArray:
-        """Means over cells a quarter of a pitch wide, as in the contrast map."""
         side = self.pitch_um / CELLS_PER_PITCH
-        rows, cols = radiance.shape
-        row = (np.arange(rows) * surface.pixel_y_um / side).astype(int)
-        col = (np.arange(cols) * surface.pixel_x_um / side).astype(int)
-        shape = row[-1] + 1, col[-1] + 1
-        index = (row[:, None] * shape[1] + col[None, :]).ravel()
-        known = np.isfinite(radiance).ravel()
-        size = shape[0] * shape[1]
-        total = np.bincount(index[known], weights=radiance.ravel()[known], minlength=size)
-        count = np.bincount(index[known], minlength=size)
-        return np.asarray((total / np.maximum(count, 1)).reshape(shape))
+        material = self._lobe(state.material)
+        means, cells = radiance_of_cells(relief, to_light, to_camera, material, side)
+        return _Look(means + indirect, *self._deviating(cells + indirect[:, None, None]))
 
     def _deviating(self, cells: FloatArray) -> tuple[float, CellLevels | None]:
         """Share of deviating cells, and their levels where the thresholds are those of every part."""

@@ -156,11 +156,30 @@ def _around(cells: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
 
 def mean_radiance(census: Census, shine: Shine, horizon: Horizon) -> float:
     """Mean radiance [1/sr] of the surface in one pose, whose shadows ``horizon`` knows."""
+    return _mean(census, shine, horizon, _at_nodes(census, shine))
+
+
+def _at_nodes(census: Census, shine: Shine) -> FloatArray:
+    """(N,) what the nodes of the grid shine, all of it lit and seen."""
+    from anisoscope.sim.light.census_kernels import shine_at  # noqa: PLC0415 - start-up time
+
+    values = np.empty(len(census.nodes))
+    shine_at(census.nodes, shine, values)
+    return values
+
+
+def _sky(census: Census, at_nodes: FloatArray) -> Floats:
+    """The values of the nodes on the whole grid, zero elsewhere."""
+    sky = np.zeros(census.shape, dtype=np.float32)
+    sky.ravel()[census.where] = at_nodes
+    return sky
+
+
+def _mean(census: Census, shine: Shine, horizon: Horizon, at_nodes: FloatArray) -> float:
+    """Mean radiance of the surface from what the nodes shine."""
     from anisoscope.sim.light import census_kernels as kernels  # noqa: PLC0415 - start-up time
 
     light, camera = np.array(shine.light), np.array(shine.camera)
-    at_nodes = np.empty(len(census.nodes))
-    kernels.shine_at(census.nodes, shine, at_nodes)
     total = float(census.weight @ at_nodes)
     shadowed = not (horizon.whole(light) and horizon.whole(camera))
     if not shadowed and not len(census.apart[0]):
@@ -169,10 +188,43 @@ def mean_radiance(census: Census, shine: Shine, horizon: Horizon) -> float:
     same_side = float(light[:2] @ camera[:2]) >= 0.0
     total += kernels.apart_shine(*census.apart, census.weights, *shares, same_side, shine)
     if shadowed:
-        sky = np.zeros(census.shape, dtype=np.float32)
-        sky.ravel()[census.where] = at_nodes
-        shown = census.weights, census.grid, sky, *shares
+        shown = census.weights, census.grid, _sky(census, at_nodes), *shares
         total -= kernels.hidden(census.u, census.v, *shown, same_side)
         where, slopes = census.edges
         total -= kernels.hidden_edges(where, slopes, *shown, shine.light, shine.camera)
     return float(total / census.total)
+
+
+def cell_radiance(
+    census: Census,
+    shine: Shine,
+    horizon: Horizon,
+    places: tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]],
+) -> tuple[float, FloatArray]:
+    """Mean radiance [1/sr] of the surface in one pose, and that of coarse cells; 0 where no height of a cell is known.
+
+    Args:
+        census: of the map.
+        shine: the pose.
+        horizon: of the same map.
+        places: (rows,) and (C,) cell of every row and column of facets, ascending from 0.
+    """
+    from anisoscope.sim.light import census_kernels as kernels  # noqa: PLC0415 - start-up time
+
+    light, camera = np.array(shine.light), np.array(shine.camera)
+    at_nodes = _at_nodes(census, shine)
+    mean = _mean(census, shine, horizon, at_nodes)
+    shares = horizon.shares(light), horizon.shares(camera)
+    same_side = float(light[:2] @ camera[:2]) >= 0.0
+    rows, cols = places
+    known = ~np.isnan(census.v[: len(rows)])
+    by_row = np.add.reduceat(known, np.flatnonzero(np.diff(rows, prepend=-1)), axis=0, dtype=np.int64)
+    count = np.add.reduceat(by_row, np.flatnonzero(np.diff(cols, prepend=-1)), axis=1)
+    total = np.zeros(count.shape)
+    kernels.counted_in_cells(
+        census.u, census.v, census.grid, _sky(census, at_nodes), *shares, same_side, *places, total
+    )
+    part = len(rows) / len(census.u)
+    for where, slopes in (census.edges, census.apart):
+        kernels.left_in_cells(where, slopes, part, *shares, same_side, shine, *places, total)
+    return mean, np.asarray(total / np.maximum(count, 1))

@@ -313,6 +313,64 @@ def hidden_edges(
 
 
 @jit_kernel(nogil=True, error_model="numpy")
+def counted_in_cells(
+    u: Floats,
+    v: Floats,
+    grid: FloatArray,
+    shine: Floats,
+    lit: Floats,
+    seen: Floats,
+    same_side: bool,
+    cell_row: Indices,
+    cell_col: Indices,
+    cells: FloatArray,
+) -> None:
+    """Add what the counted facets show to coarse cells; arguments as for `hidden`.
+
+    ``cell_row`` (rows,) and ``cell_col`` (C,) are the places in ``cells`` of the rows and columns of facets.
+    """
+    rows, cols = lit.shape
+    part = rows / u.shape[0]
+    for r in range(rows):
+        light, sight, cell = lit[r], seen[r], cells[cell_row[r]]
+        for c in range(cols):
+            share = visible(light[c], sight[c], same_side)
+            if share <= 0.0:
+                continue
+            for row in range(r, u.shape[0], rows):
+                if not math.isnan(u[row, c]):
+                    cell[cell_col[c]] += part * share * _between(shine, grid, u[row, c], v[row, c])
+
+
+@jit_kernel(nogil=True, error_model="numpy")
+def left_in_cells(
+    where: Indices,
+    slopes: FloatArray,
+    part: float,
+    lit: Floats,
+    seen: Floats,
+    same_side: bool,
+    shine: Shine,
+    cell_row: Indices,
+    cell_col: Indices,
+    cells: FloatArray,
+) -> None:
+    """The same for the facets that are not counted, one by one; ``part`` is the share of a cell of the map of each."""
+    for n in range(len(where)):
+        r, c = where[n, 0], where[n, 1]
+        before, after, first, gy = slopes[n, 0], slopes[n, 1], slopes[n, 2], slopes[n, 3]
+        if first < 1.0:
+            shares = split_shares(
+                (before, after, first), gy, lit[r, c], seen[r, c], shine.light, shine.camera
+            )
+        else:
+            shares = visible(lit[r, c], seen[r, c], same_side), 0.0
+        for slope, share in ((before, shares[0]), (after, shares[1])):
+            if share > 0.0:
+                cells[cell_row[r], cell_col[c]] += part * share * shine_of(slope, gy, shine)
+
+
+@jit_kernel(nogil=True, error_model="numpy")
 def apart_shine(
     where: Indices,
     slopes: FloatArray,

@@ -14,7 +14,9 @@ Floats = npt.NDArray[np.float32]
 LOWEST = 1e-3  # cosine from the normal at which a direction counts as grazing
 MILD = 0.999  # rise along a ray below which, in single precision too, nothing hides anything
 CACHED_DIRECTIONS = 10  # directions whose shares are kept
-CACHED_POINTS = 8_000_000  # points of all shares that are kept with a surface, for maps of which these are many
+CACHED_POINTS = (
+    8_000_000  # points of all shares that are kept with a surface, for maps of which these are many
+)
 
 
 class Ground(Protocol):

@@ -22,6 +22,7 @@ from anisoscope.sim.light.census import (
     FACETS,
     Census,
     Facets,
+    cell_radiance,
     mean_radiance,
     node_spacing,
     take_census,
@@ -267,3 +268,37 @@ def radiance(
 
     sides = relief.on_map(to_light), relief.on_map(to_camera)
     return np.array(threads.each(predict, zip(*sides, strict=True)))
+
+
+def radiance_of_cells(
+    relief: Relief, to_light: FloatArray, to_camera: FloatArray, material: Material, side_um: float
+) -> tuple[FloatArray, FloatArray]:
+    """Mean radiance [1/sr] of the surface, and of square cells that are larger than its points.
+
+    Both from the count of slopes, to a few 1e-5 of the lobe's peak, in a fraction of the time of `radiance_maps`.
+
+    Args:
+        relief: the surface.
+        to_light: (P, 3) unit vectors in the frame of the sample.
+        to_camera: (P, 3) unit vectors in the frame of the sample.
+        material: the plastic, with the roughness that the map does *not* resolve.
+        side_um: side of a cell.
+
+    Returns:
+        (P,) means as of `radiance`; (P, cell rows, cell cols), 0 where no height of a cell is known.
+
+    Raises:
+        ModelError: light or camera stands at or below the horizon of the sample.
+    """
+    census, horizon = relief.census(material), Horizon(relief, relief.shares)
+    pixel_x, pixel_y = relief.pixels_um
+    rows, cols = relief.surface.shape
+    places = (
+        (np.arange(rows - 1) * pixel_y / side_um).astype(np.int64),
+        (np.arange(cols - 1) * pixel_x / side_um).astype(np.int64),
+    )
+    found = [
+        cell_radiance(census, shine_in(*pose, material, relief.direction_deg), horizon, places)
+        for pose in zip(relief.on_map(to_light), relief.on_map(to_camera), strict=True)
+    ]
+    return np.array([mean for mean, _ in found]), np.array([cells for _, cells in found])

@@ -9,7 +9,7 @@ from anisoscope.sim.light import corrected
 from anisoscope.sim.light.geometry import Convention, directions, pose_grid
 from anisoscope.sim.light.horizon import Horizon
 from anisoscope.sim.light.material import Material, diffuse_scale, facet_brdf, fresnel, transmittance
-from anisoscope.sim.light.relief import Relief, radiance, radiance_maps
+from anisoscope.sim.light.relief import Relief, radiance, radiance_maps, radiance_of_cells
 from anisoscope.sim.light.ridge_profile import ridge_polyline
 
 RIDGE_ANGLES = (5.0, 10.0, 15.0, 20.0)
@@ -192,16 +192,23 @@ def rough_ridges(rows=90, cols=301, missing=0.0):
     ],
 )
 def test_counting_by_slope_equals_facet_by_facet(facets, alpha, tail, second_lobe):
-    """The mean over the census against the mean of the maps, which know nothing of it."""
+    """Means over the census, of the map and of its cells, against those of the maps, which know nothing of it."""
     relief = Relief(rough_ridges(missing=0.02), 100.0, facets=facets)
     material = Material(alpha, 1.5 * alpha, tail=tail, second_lobe=second_lobe)
     to_light, to_camera = directions(pose_grid((0, 40, 90, 180), (-20, 10)), Convention())
     found = radiance(relief, to_light, to_camera, material)
+    also, cells = radiance_of_cells(relief, to_light, to_camera, material, 20.0)
+    np.testing.assert_allclose(also, found, rtol=1e-12)
     weights = relief.column_weights()
-    for value, shown in zip(found, radiance_maps(relief, to_light, to_camera, material), strict=True):
+    for value, cell, shown in zip(
+        found, cells, radiance_maps(relief, to_light, to_camera, material), strict=True
+    ):
         known = np.isfinite(shown)
         mean = np.nansum(shown, axis=0, dtype=float) @ weights / (known.sum(axis=0) @ weights)
         assert value == pytest.approx(mean, rel=2e-4)
+        first = shown[25:50, 280:300]  # rows 0.8 µm apart
+        assert cell.shape == (4, 15)
+        assert cell[1, 14] == pytest.approx(float(np.nanmean(first, dtype=float)), rel=2e-3, abs=2e-4 * mean)
 
 
 @pytest.mark.parametrize("second_lobe", [None, (0.3, 2.0)])
