@@ -25,7 +25,7 @@ from anisoscope.prediction.ridge_edges import (
 from anisoscope.prediction.sensitivity import ALPHA_RANGE, DARK, Contribution, Model, Shape, Surface
 from anisoscope.profiles.ideal import RidgeDesign
 from anisoscope.sim.light.bounces import NODES, interreflection
-from anisoscope.sim.light.material import Material
+from anisoscope.sim.light.material import SHORTEST_TAIL, Material
 from anisoscope.sim.light.optics import Optics, through
 from anisoscope.sim.light.relief import Relief
 from anisoscope.sim.light.relief_paths import interreflection as followed_paths
@@ -38,7 +38,8 @@ OF_RADIANCE, OF_INDIRECT = 0.005, 0.05
 AMPLITUDE = "amplitude of the reflections"
 MODEL_ERROR = "model of the reflections"
 UNIT_PITCH_UM = 100.0  # radiance does not depend on the size of a groove
-STAND_IN_NODES = 4  # off by less than 0.1 % of the indirect part
+STAND_IN_NODES, STAND_IN_NODES_OF_TAIL = 4, 3
+"""Off by less than 0.1 % of the indirect part; the panels about a lobe with a tail are narrower."""
 STRAIGHT_SHARE = 0.6  # of the columns of a map that a facet takes at least
 STRAIGHT_SLOPE = 0.05
 WALL_MARGIN_DEG = 1.0
@@ -181,8 +182,9 @@ def added(direct: Model, indirect: Model | None) -> Model:
     return predict
 
 
-def _twice(groove: Groove) -> Groove:
-    return replace(groove, bounces=2, nodes=STAND_IN_NODES)
+def _twice(groove: Groove, material: Material) -> Groove:
+    nodes = STAND_IN_NODES if material.tail < SHORTEST_TAIL else STAND_IN_NODES_OF_TAIL
+    return replace(groove, bounces=2, nodes=nodes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,13 +207,12 @@ class StandIn:
     def _ratio(self) -> tuple[FloatArray, FloatArray]:
         """(P,) ratio of all to two reflections, and (P,) light of all where two do not reach the camera."""
         sides = self.to_light, self.to_camera, self.material
-        two, found = _twice(self.groove).light(*sides), self.groove.light(*sides)
+        two, found = _twice(self.groove, self.material).light(*sides), self.groove.light(*sides)
         lit = two > DARK
         return np.where(lit, found, 1.0) / np.where(lit, two, 1.0), np.where(lit, 0.0, found)
 
     def of(self, groove: Groove) -> Model:
         """Predictor of a groove of similar shape."""
-        twice = _twice(groove)
 
         def predict(to_light: FloatArray, to_camera: FloatArray, material: Material) -> FloatArray:
             ratio, rest = self._ratio
@@ -219,7 +220,8 @@ class StandIn:
                 np.hstack(sides) for sides in ((self.to_light, self.to_camera), (to_light, to_camera))
             )
             nearest = np.argmin(((looked[:, None] - nominal) ** 2).sum(axis=-1), axis=1)
-            return np.asarray(twice.light(to_light, to_camera, material) * ratio[nearest] + rest[nearest])
+            twice = _twice(groove, material).light(to_light, to_camera, material)
+            return np.asarray(twice * ratio[nearest] + rest[nearest])
 
         return predict
 

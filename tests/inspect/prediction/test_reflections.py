@@ -11,6 +11,8 @@ from anisoscope.cli import run
 from anisoscope.prediction.expectation import expectation
 from anisoscope.prediction.height_map_uncertainty import pixel_error
 from anisoscope.prediction.reflections import (
+    STAND_IN_NODES,
+    STAND_IN_NODES_OF_TAIL,
     Followed,
     Groove,
     StandIn,
@@ -85,6 +87,16 @@ def test_two_reflections_stand_in_for_all_of_them_nearby():
     steeper = Groove(RidgeDesign(100.0, 10.2))
     found = stand_in.of(steeper)(*SIDES, rougher)
     np.testing.assert_allclose(found, steeper.light(*SIDES, rougher), rtol=0.004, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("tail", "nodes"), [(0.0, STAND_IN_NODES), (0.5, STAND_IN_NODES_OF_TAIL), (1.4, STAND_IN_NODES_OF_TAIL)]
+)
+def test_the_rule_of_the_stand_in_is_off_by_less_than_a_thousandth(tail, nodes):
+    plastic = replace(DARK_PLASTIC, tail=tail)
+    exact = Groove(DESIGN, bounces=2, nodes=10).light(*SIDES, plastic)
+    found = Groove(DESIGN, bounces=2, nodes=nodes).light(*SIDES, plastic)
+    np.testing.assert_allclose(found, exact, rtol=1e-3, atol=1e-6)
 
 
 def test_the_light_of_a_groove_does_not_depend_on_its_size_and_turns_with_its_facets():
