@@ -106,7 +106,9 @@ CASES = {
 
 def by_library(path, key):
     """What SurfaceTopography does from path to array."""
-    from SurfaceTopography.IO import lookup_reader_by_format
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        from SurfaceTopography.IO import lookup_reader_by_format
 
     def work():
         with warnings.catch_warnings():
