@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.cache import Cache
 from anisoscope.base.errors import UsageError
 from anisoscope.profiles.ideal import RidgeDesign, Wall
 from anisoscope.sim.light.geometry import Convention, Pose, directions, seating_rotation
@@ -210,21 +211,35 @@ def contrast_slopes(first: FloatArray, second: FloatArray, kind: Kind) -> tuple[
     return 1.0 / np.maximum(first, _DARK), -1.0 / np.maximum(second, _DARK)
 
 
+def _sobol_points(dimensions: int, samples: int, seed: int) -> FloatArray:
+    """(samples, dimensions) points of a scrambled Sobol sequence within 0 and 1, cached.
+
+    They follow from numpy and scipy alone; importing `scipy.stats` takes longer than scoring a whole grid.
+    """
+
+    def compute() -> FloatArray:
+        from scipy.stats import qmc  # noqa: PLC0415 - start-up time
+
+        return np.asarray(qmc.Sobol(dimensions, rng=np.random.default_rng(seed)).random(samples), dtype="<f8")
+
+    entry = Cache().entry("sobol-points", [dimensions, samples, seed], libraries=("numpy", "scipy"))
+    found = entry.result(compute, np.ndarray.tobytes, lambda content: np.frombuffer(content, dtype="<f8"))
+    return np.asarray(found, dtype=np.float64).reshape(samples, dimensions)
+
+
 def errors_sample(tolerances: Tolerances, poses: int, samples: int, seed: int) -> dict[str, FloatArray]:
     """Errors in units of their standard deviation, (samples, how many), from a scrambled Sobol sequence.
 
     Tolerances of 0 take no dimension. The scrambled points keep away from 0 and 1, so that the errors are finite.
     """
     from scipy.special import ndtri  # noqa: PLC0415 - slow to import
-    from scipy.stats import qmc  # noqa: PLC0415 - start-up time
 
     width = {"alpha": 2, "seating": 2, "stage": poses}
     used = [(one.name, width.get(one.name, 1)) for one in fields(tolerances) if getattr(tolerances, one.name)]
     if not used:
         return {}
     total = sum(count for _, count in used)
-    sobol = qmc.Sobol(total, rng=np.random.default_rng(seed)).random(samples)
-    normal = ndtri(np.clip(sobol, 1e-6, 1.0 - 1e-6))
+    normal = ndtri(np.clip(_sobol_points(total, samples, seed), 1e-6, 1.0 - 1e-6))
     ends = np.cumsum([count for _, count in used])
     return {
         name: normal[:, end - count : end] * getattr(tolerances, name)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import norm, qmc
 
 from anisoscope.base.errors import UsageError
 from anisoscope.prediction.predict import predict_design
@@ -159,6 +160,20 @@ def test_sample_has_unit_spread_and_can_be_repeated():
         assert values.mean(axis=0) == pytest.approx(0.0, abs=0.05 * getattr(tolerances, name))
         assert (values == errors_sample(tolerances, 3, 256, 4)[name]).all()
     assert errors_sample(Tolerances(), 3, 16, 1) == {}
+
+
+def test_cached_sample_is_the_computed_one(tmp_path, monkeypatch):
+    monkeypatch.setenv("ANISOSCOPE_CACHE", str(tmp_path))
+    tolerances = Tolerances(ridge_angle=0.5, seating=2.0)
+    points = qmc.Sobol(3, rng=np.random.default_rng(7)).random(16)
+    computed, cached = (errors_sample(tolerances, 2, 16, 7) for _ in range(2))
+    assert len(list(tmp_path.glob("sobol-points/*.entry"))) == 1
+    for sample in (computed, cached):
+        assert np.hstack([sample["ridge_angle"] / 0.5, sample["seating"] / 2.0]) == pytest.approx(
+            norm.ppf(points)
+        )
+    other = errors_sample(tolerances, 2, 16, 8)
+    assert not np.allclose(other["seating"], cached["seating"])
 
 
 @pytest.mark.parametrize(
