@@ -115,15 +115,20 @@ BINS = 64
 
 
 def directional_albedo(
-    ink: Ink, theta_i_deg: float, model: Model = "goniochromatic", *, shares: int = 48, azimuths: int = 64
+    ink: Ink,
+    theta_i_deg: FloatArray | float,
+    model: Model = "goniochromatic",
+    *,
+    shares: int = 48,
+    azimuths: int = 64,
 ) -> FloatArray:
-    """(W,) share of the light from one inclination, azimuth 0, that is sent back into the hemisphere.
+    """(…, W) share of the light from (…) inclinations, azimuth 0, that is sent back into the hemisphere.
 
     ∫ f cosθo dω_o over half vectors (dω_o = 4 (ω_i·h) dω_h), placed where the lobe has its weight.
 
     Args:
         ink: the ink.
-        theta_i_deg: inclination of the light, below 90.
+        theta_i_deg: inclinations of the light, below 90.
         model: of the BRDF.
         shares: nodes over the inclination of the half vector.
         azimuths: nodes over its azimuth.
@@ -134,25 +139,30 @@ def directional_albedo(
     node, weight = _nodes(shares)
     azimuth = (np.arange(azimuths) + 0.5) * 2.0 * np.pi / azimuths
     share, turn = np.meshgrid(0.5 * (node + 1.0), azimuth, indexing="ij")
-    local = normals_by_share(share, turn, ink.alpha, ink.across, ink.distribution)
-    light = ink.in_brush_frame(in_plane(np.array(theta_i_deg)))
-    facing = local @ light
+    local = normals_by_share(share.ravel(), turn.ravel(), ink.alpha, ink.across, ink.distribution)
+    each = (np.repeat(0.5 * weight / azimuths, azimuths) * 4.0) / (
+        density(local, ink.alpha, ink.across, ink.distribution) * local[:, 2]
+    )
+    light = ink.in_brush_frame(in_plane(np.ravel(theta_i_deg)))[:, None]  # (N, 1, 3)
+    facing = light[:, 0] @ local.T
     camera = 2.0 * facing[..., None] * local - light
     reached = (facing > 0.0) & (camera[..., 2] > 0.0)
-    solid = 4.0 * facing / (density(local, ink.alpha, ink.across, ink.distribution) * local[..., 2])
-    part = np.where(reached, solid * camera[..., 2], 0.0) * (0.5 * weight / azimuths)[:, None]
-    lit, seen = part[reached], camera[reached]
-    value, argument = lobe(ink, _brush_to_surface(ink, light), _brush_to_surface(ink, seen), model)
-    return _over_bins(lit * value, argument) @ spectral_term(ink, np.linspace(0.0, 1.0, BINS), model)
+    camera = np.where(reached[..., None], camera, [0.0, 0.0, 1.0])
+    value, argument = lobe(ink, _brush_to_surface(ink, light), _brush_to_surface(ink, camera), model)
+    lit = np.where(reached, each * facing * camera[..., 2] * value, 0.0)
+    found = _over_bins(lit, argument) @ spectral_term(ink, np.linspace(0.0, 1.0, BINS), model)
+    return np.asarray(found.reshape(*np.shape(theta_i_deg), -1))
 
 
 def _over_bins(weight: FloatArray, argument: FloatArray) -> FloatArray:
-    """Weights at any arguments in 0 to 1 as weights at ``BINS`` even ones, which spares most exponentials."""
+    """(N, K) weights at any arguments in 0 to 1 as (N, BINS) weights at even ones, which spares most exponentials."""
     position = np.clip(argument, 0.0, 1.0) * (BINS - 1)
     index = np.minimum(position.astype(np.intp), BINS - 2)
     share = position - index
-    low = np.bincount(index, weight * (1.0 - share), BINS)
-    return np.asarray(low + np.bincount(index + 1, weight * share, BINS))
+    index += BINS * np.arange(len(index))[:, None]
+    size, flat = BINS * len(index), index.ravel()
+    low = np.bincount(flat, (weight * (1.0 - share)).ravel(), size)
+    return np.asarray(low + np.bincount(flat + 1, (weight * share).ravel(), size)).reshape(-1, BINS)
 
 
 @cache
@@ -169,9 +179,7 @@ def _brush_to_surface(ink: Ink, vectors: FloatArray) -> FloatArray:
 
 def albedo_warning(ink: Ink, model: Model = "goniochromatic") -> str | None:
     """Where the albedo exceeds 1 for light at up to 80°; None where it does not."""
-    found = np.stack(
-        [directional_albedo(ink, float(angle), model, shares=16, azimuths=24) for angle in WATCHED_DEG]
-    )
+    found = directional_albedo(ink, np.array(WATCHED_DEG, dtype=np.float64), model, shares=16, azimuths=24)
     if found.max() <= 1.0:
         return None
     begin = WATCHED_DEG[int(np.argmax(found.max(axis=1) > 1.0))]
