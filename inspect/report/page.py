@@ -1,7 +1,7 @@
 """Rendering of pages: templates that extend ``page.html``, strict about undefined names."""
 
 from collections.abc import Callable, Mapping
-from functools import cache
+from functools import cache, lru_cache
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -35,7 +35,7 @@ def write_page(
         RecordError: the file cannot be written.
     """
     ready = ready_template(template, filters)
-    included = {name: ready.environment.from_string(source) for name, source in (parts or {}).items()}
+    included = {name: _part(template, source) for name, source in (parts or {}).items()}
     write_text(path, ready.render(**content, **included))
 
 
@@ -61,6 +61,12 @@ def _environment(_template: str) -> "jinja2.Environment":
     )
     environment.globals.update(_=message, said=translated, decimal=decimal, language=language)
     return environment
+
+
+@lru_cache(maxsize=64)
+def _part(template: str, source: str) -> "jinja2.Template":
+    """A part that a template includes, translated once a process; filters are looked up when it is shown."""
+    return _environment(template).from_string(source)
 
 
 def css_string(text: str) -> str:

@@ -12,6 +12,7 @@ import base64
 import hashlib
 import importlib.util
 import io
+import json
 import os
 import re
 import subprocess
@@ -28,6 +29,7 @@ import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
 from anisoscope.base.cache import Cache, Entry
+from anisoscope.base.language import language
 from anisoscope.profiles.heightmap import HeightMap
 from anisoscope.report import figures
 
@@ -35,6 +37,7 @@ TIMEOUT_S = 60.0
 MAX_POINTS = 256
 FIELD_UM = 600.0
 DRAWS = DRAWN_BY = "anisoscope.report.relief_scene"
+FLAT_BY = "anisoscope.report.figures"
 DRAWN_WITH = ("anisoscope", "vtk", "pyvista", "trame-vtk")
 NEEDS = "it needs EGL (Debian: apt-get install libegl1 libgl1-mesa-dri)"
 
@@ -209,13 +212,22 @@ class SurfacePictures(Picture3D):
 
 
 def flat_drawings(surface: HeightMap) -> tuple[str, str]:
-    """The map seen from above, and its middle row, as data URIs."""
-    line = surface.height_um[surface.shape[0] // 2]
-    count = min(line.size, round(PROFILE_UM / surface.pixel_x_um))
-    return (
-        figures.height_picture(surface.height_um, (surface.pixel_y_um, surface.pixel_x_um)),
-        figures.profile_chart(np.arange(count) * surface.pixel_x_um, line[:count]),
-    )
+    """The map seen from above, and its middle row, as data URIs; cached for the map and the language."""
+    pixel = surface.pixel_y_um, surface.pixel_x_um
+
+    def draw() -> tuple[str, str]:
+        line = surface.height_um[surface.shape[0] // 2]
+        count = min(line.size, round(PROFILE_UM / surface.pixel_x_um))
+        return (
+            figures.height_picture(surface.height_um, pixel),
+            figures.profile_chart(np.arange(count) * surface.pixel_x_um, line[:count]),
+        )
+
+    heights = hashlib.sha256(np.ascontiguousarray(surface.height_um)).hexdigest()
+    key = [heights, surface.shape, *pixel, language()]
+    entry = Cache().entry("height-map-drawings", key, FLAT_BY, libraries=("numpy", "matplotlib"))
+    above, profile = entry.result(draw, lambda found: json.dumps(found).encode(), json.loads)
+    return above, profile
 
 
 class SurfaceView:
