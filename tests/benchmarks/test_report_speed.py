@@ -1,109 +1,82 @@
-"""From the verdict to the written report in the real command, with the height map drawn beside the photographing.
+"""Five-megapixel frames on disk to a sealed record, and to the report, in a running process as in a batch.
 
-The alternative draws the same pictures when the verdict is there, one after the other. Every run is a process of its
-own on the virtual rig of the demo; of the height map nothing is kept from before, unless it says so.
+Three poses of two frames, the first pose once more, two dark frames, judged against a height map with a 3-D view. The
+frames are those of the virtual rig. Copying and hashing them belongs to an inspection; decoding them is stated alone.
 """
 
-import json
-import os
 import shutil
-import subprocess
-import sys
+import tomllib
 
 import pytest
+import tomli_w
 
 from anisoscope.base.progress import silent
+from anisoscope.calibration.pictures import take_flat
 from anisoscope.cli.demo.ridges import lay_out
+from anisoscope.inspection.replay import inspect_frames
+from anisoscope.inspection.run import Methods, inspect_part
+from anisoscope.report.inspection_page import REPORT_NAME, Sections
+from anisoscope.rig.frame import read_frame
+from anisoscope.rig.framefolder import write_frame_folder
 
 pytestmark = pytest.mark.benchmark
-REPEATS = 2
-WANTED_S = 2.0
-PROGRAM = """
-import contextlib, json, sys, time
-from anisoscope import cli, inspection
-from anisoscope.cli import inspection as command
+SENSOR = {"rows": 2048, "cols": 2448}
+PIXEL_UM = 2.0
 
-moments, judge, start = {}, inspection.judge, inspection.start_renderer
 
-@contextlib.contextmanager
-def noting(label, quiet=False):
-    yield lambda doing, done, total: moments.update({doing: time.perf_counter()})
+def one_line(record, _pictures, folder, *_):
+    (folder / REPORT_NAME).write_text(record.verdict)
+    return folder / REPORT_NAME
 
-def judged(*arguments, **options):
-    found = judge(*arguments, **options)
-    moments["verdict"] = time.perf_counter()
-    return found
 
-class Late:
-    def __init__(self, surface):
-        self.surface, self.view = surface, None
+NO_REPORT = Methods(start_renderer=lambda _: None, sections=lambda *_: Sections(), write_report=one_line)
 
-    def result(self):
-        self.view = start(self.surface)
-        return self.view.result()
 
-    def discard(self):
-        if self.view is not None:
-            self.view.discard()
-
-command.progress, inspection.judge = noting, judged
-if sys.argv[1] == "in sequence":
-    inspection.start_renderer = Late
-code = cli.run(sys.argv[2:])
-written = max(moments.values())
-print(json.dumps({"code": code, "seconds": written - moments["verdict"]}), file=sys.stderr)
-"""
+def changed(path, change):
+    table = tomllib.loads(path.read_text(encoding="utf-8"))
+    change(table)
+    path.write_text(tomli_w.dumps(table), encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
-def rig(tmp_path_factory):
-    return lay_out(tmp_path_factory.mktemp("demo"), 1, silent)
+def frames(tmp_path_factory):
+    """Folder of the demo with a larger sensor, and the folder of the frames of its good part."""
+    folder = lay_out(tmp_path_factory.mktemp("demo"), 1, silent)
+    for name in ("good", "white-tile"):
+        place = folder / "bench" / name
+        changed(place / "bench.toml", lambda t: t.update(sensor=SENSOR, optics={"pixel_um": PIXEL_UM}))
+        changed(place / "rig.toml", lambda t: t["camera"].update(pixel_um=PIXEL_UM))
+    changed(folder / "recipe.toml", lambda t: t["acquisition"].update(frames_per_pose=2, dark_frames=2))
+    rig = folder / "bench" / "white-tile" / "rig.toml"
+    take_flat(rig, folder / "flat.tif", exposure_s=0.006, frames=8, reflectance=0.99)
+    rig = folder / "bench" / "good" / "rig.toml"
+    taken = inspect_part(folder / "recipe.toml", rig, "A1", folder / "out", methods=NO_REPORT)
+    shots = [read_frame(taken.folder / entry.name) for entry in taken.record.frames]
+    write_frame_folder(folder / "frames", shots, [entry.again for entry in taken.record.frames])
+    return folder, folder / "frames"
 
 
-def one(rig, out, how, cache):
-    """Seconds from the verdict to the written record, which comes after the report; and its size in bytes."""
-    job = [
-        "inspect",
-        "-r",
-        rig / "recipe.toml",
-        "-g",
-        rig / "bench" / "good" / "rig.toml",
-        "-s",
-        "A1",
-        "--out",
-        out,
-    ]
-    done = subprocess.run(
-        [sys.executable, "-Ic", PROGRAM, how, *map(str, job), "--history", "none"],
-        capture_output=True,
-        text=True,
-        check=False,
-        env=os.environ | {"ANISOSCOPE_CACHE": str(cache)},
+def test_frames_on_disk_to_record_and_report(bench, frames, tmp_path):
+    folder, taken = frames
+    rig, pictures = folder / "bench" / "good" / "rig.toml", sorted(taken.glob("*.tif"))
+
+    def judged(methods):
+        def work():
+            shutil.rmtree(tmp_path / "out", ignore_errors=True)
+            return inspect_frames(
+                taken, folder / "recipe.toml", "A1", tmp_path / "out", rig_path=rig, methods=methods
+            )
+
+        return work
+
+    found = bench.compare(
+        f"{len(pictures)} frames of {SENSOR['cols']} × {SENSOR['rows']} on disk",
+        {
+            "verdict and sealed record": judged(NO_REPORT),
+            "verdict, report and sealed record": judged(None),
+            "decoding of the frames": lambda: [read_frame(path) for path in pictures],
+        },
     )
-    assert done.returncode == 0, done.stderr
-    found = json.loads(done.stderr.splitlines()[-1])
-    assert found["code"] == 0, done.stdout
-    (report,) = out.glob("*/report.html")
-    assert b'id="state"' in report.read_bytes() or b"srcdoc" in report.read_bytes()  # the 3-D view is in it
-    return found["seconds"], report.stat().st_size
-
-
-def test_the_report_is_there_soon_after_the_verdict(rig, tmp_path):
-    cache = tmp_path / "cache"
-    one(rig, tmp_path / "first", "beside", cache)  # causes of this recipe are computed once
-    took, size = {}, 0
-    for how in ("in sequence", "beside", "kept"):
-        times = []
-        for number in range(REPEATS):
-            if how != "kept":
-                shutil.rmtree(cache / "height-map-pictures", ignore_errors=True)
-            seconds, size = one(rig, tmp_path / f"{how} {number}", how, cache)
-            times.append(seconds)
-        took[how] = min(times)
-    print(
-        f"\nverdict to report and record on disk: {took['beside']:.2f} s (wanted {WANTED_S:g} s), {took['kept']:.2f} s "
-        f"with the map's pictures kept from the part before; drawn after the verdict {took['in sequence']:.2f} s, "
-        f"{took['in sequence'] / took['beside']:.1f} times as long; {size / 1e6:.1f} MB"
-    )
-    assert took["beside"] < took["in sequence"]
-    assert took["beside"] < WANTED_S
+    both = [found[label].result.record.verdict for label in list(found.timings)[:2]]
+    bench.note(f"verdicts {', '.join(both)}; the report is written before the record, which seals it")
+    assert both[0] == both[1]
