@@ -76,7 +76,7 @@ class Frame:
 
 
 @dataclass(frozen=True)
-class _Header:
+class Header:
     """The metadata of a frame, as they stand in the file."""
 
     anisoscope_frame: Literal[1]
@@ -93,7 +93,7 @@ class _Header:
     filters: Filters = "mono"
 
 
-_HEADER = TypeAdapter(_Header)
+_HEADER = TypeAdapter(Header)
 _NAMES = tuple(field.name for field in fields(Frame) if field.name != "counts")
 
 
@@ -153,13 +153,22 @@ def read_frame(path: Path) -> Frame:
     return Frame(counts=counts, **{name: getattr(header, name) for name in _NAMES})
 
 
-def filters_in_header(path: Path) -> str | None:
-    """The colour filters that a frame of ours names in its metadata; None where it is no frame of ours."""
+def header_of(path: Path) -> Header | None:
+    """What a frame of ours says of itself in its metadata, without its picture; None where it is no frame of ours."""
     try:
         with quiet_tifffile(), tifffile.TiffFile(path) as tiff:
-            return _HEADER.validate_json(getattr(tiff.pages[0], "description", "")).filters
+            page = tiff.pages[0]
+            if page.dtype != np.uint16:
+                return None
+            return _HEADER.validate_json(getattr(page, "description", ""))
     except Exception:  # noqa: BLE001 - a foreign picture, in any format
         return None
+
+
+def filters_in_header(path: Path) -> str | None:
+    """The colour filters that a frame of ours names in its metadata; None where it is no frame of ours."""
+    header = header_of(path)
+    return None if header is None else header.filters
 
 
 def _picture_and_words(path: Path) -> tuple[npt.NDArray[np.uint16], str]:

@@ -19,7 +19,7 @@ packed bits) is refused.
 import csv
 import io
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeGuard, get_args
@@ -30,7 +30,7 @@ import tifffile
 
 from anisoscope.base.atomic_write import write_text
 from anisoscope.base.errors import RecordError, UsageError
-from anisoscope.rig.frame import Frame, FrameKind, filters_in_header, quiet_tifffile, read_frame, write_frame
+from anisoscope.rig.frame import Frame, FrameKind, filters_in_header, header_of, quiet_tifffile, write_frame
 from anisoscope.rig.framefolderline import COLUMNS, OPTIONAL, Line, find_inside, read_lines
 
 Counts = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
@@ -197,11 +197,7 @@ class FrameEntry:
         """
         counts = as_frame_counts(read_counts(self.path), self.bit_depth, self.path)
         commanded_deg, captured_at, camera = self.stage_deg, "", "unknown"
-        try:
-            ours = read_frame(self.path)
-        except RecordError:  # a foreign picture
-            pass
-        else:
+        if (ours := header_of(self.path)) is not None:
             captured_at, camera = ours.captured_at, ours.camera
             commanded_deg = ours.commanded_deg if ours.stage_deg == self.stage_deg else self.stage_deg
         return Frame(
@@ -318,17 +314,34 @@ def same_pose(a: FrameEntry, b: FrameEntry) -> bool:
     return abs(turned) <= POSE_TOLERANCE_DEG and abs(a.tilt_deg - b.tilt_deg) <= POSE_TOLERANCE_DEG
 
 
+def frame_entries(folder: Path) -> tuple[FrameEntry, ...]:
+    """The frames that the table of a folder lists, in its order; their pictures are not read.
+
+    Raises:
+        RecordError: the table cannot be used, or a file is missing; the line is named.
+    """
+    table = folder / TABLE
+    lines, _ = read_lines(table)
+    return tuple(entry for _, entry in _entries(lines, folder, table))
+
+
+def _entries(lines: list[Line], folder: Path, table: Path) -> Iterator[tuple[Line, FrameEntry]]:
+    seen: dict[Path, int] = {}
+    for line in lines:
+        entry = _entry(line, folder, table)
+        if (first := seen.setdefault(entry.path, line.number)) != line.number:
+            place = f"{table}, line {line.number}"
+            raise RecordError(f"{place}: {line.file} stands already in line {first}; each frame has one line")
+        yield line, entry
+
+
 def _checked_entries(
     lines: list[Line], folder: Path, table: Path
 ) -> tuple[list[FrameEntry], tuple[int, int]]:
     entries: list[FrameEntry] = []
-    seen: dict[Path, int] = {}
     shape: tuple[int, int] | None = None
-    for line in lines:
-        entry = _entry(line, folder, table)
+    for line, entry in _entries(lines, folder, table):
         place = f"{table}, line {line.number}"
-        if (first := seen.setdefault(entry.path, line.number)) != line.number:
-            raise RecordError(f"{place}: {line.file} stands already in line {first}; each frame has one line")
         found = _checked_shape(entry, place)
         if shape is not None and found != shape:
             raise RecordError(

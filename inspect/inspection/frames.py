@@ -10,7 +10,7 @@ from anisoscope.record.schema import InputFile
 from anisoscope.rig.acquisition.journal import FrameLine, Journal, read_journal
 from anisoscope.rig.acquisition.writer import FRAMES
 from anisoscope.rig.frame import Frame, read_frame
-from anisoscope.rig.framefolder import read_frame_folder
+from anisoscope.rig.framefolder import frame_entries
 
 NOT_USED = "not used"
 REPLAYED = "as the table of the frames says"
@@ -67,7 +67,7 @@ def _loader(folder: Path, manifest: Manifest) -> Callable[[str], Frame]:
     """What reads a frame by its name; frames of a replay are described by their table."""
     if manifest.origin == "rig":
         return lambda name: read_frame(folder / name)
-    entries = {entry.path: entry for entry in read_frame_folder(folder / FRAMES).entries}
+    entries = {entry.path: entry for entry in frame_entries(folder / FRAMES)}
 
     def load(name: str) -> Frame:
         entry = entries.get((folder / name).resolve())
