@@ -223,7 +223,7 @@ def flat_drawings(surface: HeightMap) -> tuple[str, str]:
             figures.profile_chart(np.arange(count) * surface.pixel_x_um, line[:count]),
         )
 
-    heights = hashlib.sha256(np.ascontiguousarray(surface.height_um)).hexdigest()
+    heights = hashlib.sha256(np.ascontiguousarray(surface.height_um).data).hexdigest()
     key = [heights, surface.shape, *pixel, language()]
     entry = Cache().entry("height-map-drawings", key, FLAT_BY, libraries=("numpy", "matplotlib"))
     above, profile = entry.result(draw, lambda found: json.dumps(found).encode(), json.loads)
