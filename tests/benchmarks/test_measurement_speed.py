@@ -26,6 +26,7 @@ from anisoscope.imaging.registration.placement import locate, resample
 from anisoscope.inspection.job import Job
 from anisoscope.inspection.manifest import Manifest
 from anisoscope.inspection.pipeline import measure_frames
+from anisoscope.kinds.ridges.kind import RIDGES
 from anisoscope.kinds.ridges.recipe import RidgeRecipe
 from anisoscope.prediction.expectation import expectation
 from anisoscope.rig.acquisition.plan import Pose
@@ -173,7 +174,7 @@ def judged(acquired, flat, expected):
     recipe = RidgeRecipe.model_validate(RECIPE)
     for name in ("unlit", "radiance_per_signal"):
         flat.__dict__.pop(name, None)  # every inspection starts with a flat just read
-    job = Job("B", recipe, RigFile.model_validate(RIG), MARKERS, flat, ())
+    job = Job("B", RIDGES, recipe, RigFile.model_validate(RIG), MARKERS, flat, ())
     _, measured, _ = measure_frames(MADE.began, job, expected, acquired)
     return measured, decide(expected, measured, recipe)
 
