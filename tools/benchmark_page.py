@@ -37,7 +37,11 @@ def main(arguments: list[str]) -> int:
     if len(arguments) != 2 or arguments[0] not in {"record", "compare"}:
         sys.stderr.write((__doc__ or "").splitlines()[0] + "\n")
         return 64
-    run = json.loads(Path(arguments[1]).read_text(encoding="utf-8"))
+    try:
+        run = json.loads(Path(arguments[1]).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as problem:
+        sys.stderr.write(f"{arguments[1]}: no results of `make benchmark`: {problem}\n")
+        return 74
     if arguments[0] == "record":
         record(run)
         return 0

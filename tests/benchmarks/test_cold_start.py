@@ -33,9 +33,9 @@ def process(folder, *arguments):
 @pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
 def test_cold_start(bench, tmp_path, command):
     write_height_map(ridges(RidgeDesign(100.0, 10.0), (1000, 1000), 1.0), tmp_path / "map.x3p")
-    libraries = f"python -c '{IMPORT[1]}'"
+    libraries = f"`python -c '{IMPORT[1]}'`"
     found = bench.compare(
-        f"anisoscope {' '.join(command)}",
+        f"`anisoscope {' '.join(command)}`",
         {"command": process(tmp_path, "-m", "anisoscope", *command), libraries: process(tmp_path, *IMPORT)},
     )
     if command == ("--help",):
