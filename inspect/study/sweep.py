@@ -58,7 +58,7 @@ class Workers:
 
     def __post_init__(self) -> None:
         if self.jobs is not None and self.jobs < 1:
-            raise UsageError(f"--jobs takes 1 or more, not {self.jobs}; leave it out for one for every core")
+            raise UsageError(f"--jobs takes 1 or more, not {self.jobs}")
 
 
 @dataclass(frozen=True)

@@ -343,6 +343,22 @@ def counted_in_cells(
 
 
 @jit_kernel(nogil=True, error_model="numpy")
+def _facet_shine(slope: FloatArray, lit: float, seen: float, same_side: bool, shine: Shine) -> float:
+    """What one facet sends to the camera; its slope (before, after, first, gy) may change at an edge."""
+    before, after, first, gy = slope[0], slope[1], slope[2], slope[3]
+    if first < 1.0:
+        shares = split_shares((before, after, first), gy, lit, seen, shine.light, shine.camera)
+    else:
+        shares = visible(lit, seen, same_side), 0.0
+    total = 0.0
+    if shares[0] > 0.0:
+        total += shares[0] * shine_of(before, gy, shine)
+    if shares[1] > 0.0:
+        total += shares[1] * shine_of(after, gy, shine)
+    return total
+
+
+@jit_kernel(nogil=True, error_model="numpy")
 def left_in_cells(
     where: Indices,
     slopes: FloatArray,
@@ -358,16 +374,9 @@ def left_in_cells(
     """The same for the facets that are not counted, one by one; ``part`` is the share of a cell of the map of each."""
     for n in range(len(where)):
         r, c = where[n, 0], where[n, 1]
-        before, after, first, gy = slopes[n, 0], slopes[n, 1], slopes[n, 2], slopes[n, 3]
-        if first < 1.0:
-            shares = split_shares(
-                (before, after, first), gy, lit[r, c], seen[r, c], shine.light, shine.camera
-            )
-        else:
-            shares = visible(lit[r, c], seen[r, c], same_side), 0.0
-        for slope, share in ((before, shares[0]), (after, shares[1])):
-            if share > 0.0:
-                cells[cell_row[r], cell_col[c]] += part * share * shine_of(slope, gy, shine)
+        cells[cell_row[r], cell_col[c]] += part * _facet_shine(
+            slopes[n], lit[r, c], seen[r, c], same_side, shine
+        )
 
 
 @jit_kernel(nogil=True, error_model="numpy")
@@ -384,14 +393,5 @@ def apart_shine(
     total = 0.0
     for n in range(len(where)):
         r, c = where[n, 0], where[n, 1]
-        before, after, first, gy = slopes[n, 0], slopes[n, 1], slopes[n, 2], slopes[n, 3]
-        if first < 1.0:
-            shares = split_shares(
-                (before, after, first), gy, lit[r, c], seen[r, c], shine.light, shine.camera
-            )
-        else:
-            shares = visible(lit[r, c], seen[r, c], same_side), 0.0
-        for slope, share in ((before, shares[0]), (after, shares[1])):
-            if share > 0.0:
-                total += weights[c] * share * shine_of(slope, gy, shine)
+        total += weights[c] * _facet_shine(slopes[n], lit[r, c], seen[r, c], same_side, shine)
     return float(total)
