@@ -342,7 +342,7 @@ def counted_in_cells(
                     cell[cell_col[c]] += part * share * _between(shine, grid, u[row, c], v[row, c])
 
 
-@jit_kernel(nogil=True, error_model="numpy")
+@jit_kernel(inline="always")
 def _facet_shine(slope: FloatArray, lit: float, seen: float, same_side: bool, shine: Shine) -> float:
     """What one facet sends to the camera; its slope (before, after, first, gy) may change at an edge."""
     before, after, first, gy = slope[0], slope[1], slope[2], slope[3]
