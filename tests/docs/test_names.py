@@ -1,4 +1,4 @@
-"""Names of modules, and of what is in them, that pages and docstrings put between backticks exist."""
+"""Modules, what is in them, and files of the repository that pages and docstrings name exist."""
 
 import re
 from functools import cache
@@ -14,6 +14,7 @@ PLACES = {
     "anisoscope/sim": "sim",
 }
 DOTTED = re.compile(r"(?<!`)`~?([a-z_]\w*(?:\.\w+)+)`(?!`)")
+REPOSITORY_FILE = re.compile(r"(?<![\w./-])(?:tests|tools|docs)/[\w./-]*\.(?:py|sh|md|toml|csv|json)\b")
 ENTRY_POINTS = {f"anisoscope.{group}" for group in ("cameras", "lights", "stages", "serial_handlers")}
 FILES = ("csv", "html", "json", "jsonl", "npz", "png", "py", "sqlite", "tif", "toml", "typed")
 TABLES = {
@@ -90,3 +91,16 @@ def test_names_in_backticks_exist(folder):
     assert len(paths) > 20
     found = {str(path.relative_to(ROOT)): list(stale(path.read_text(encoding="utf-8"))) for path in paths}
     assert {path: names for path, names in found.items() if names} == {}
+
+
+def test_files_of_the_repository_that_are_named_exist():
+    texts = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")]
+    texts += [path for place in PLACES.values() for path in (ROOT / place).rglob("*.py")]
+    named = {
+        (str(path.relative_to(ROOT)), name)
+        for path in texts
+        if ROOT / "docs" / "reference" not in path.parents
+        for name in REPOSITORY_FILE.findall(path.read_text(encoding="utf-8"))
+    }
+    assert len({name for _, name in named}) > 20
+    assert sorted((where, name) for where, name in named if not (ROOT / name).exists()) == []
