@@ -6,6 +6,7 @@ prints what the processes had been told was saved, as a JSON list of seals.
 """
 
 import json
+import multiprocessing
 import os
 import random
 import signal
@@ -36,27 +37,24 @@ def row(worker, number):
     )
 
 
-def write(place, worker, count, tell=None, start=None):
+def write(place, worker, count, tell=None, together=None):
     with open_history(place) as history:
-        if start is not None:
-            os.read(start, 1)  # ends when all have been started
         for number in range(count):
+            if together is not None:
+                together.wait()  # or one of them may have written all before the next one is given the processor
             seal = history.append(row(worker, number)).seal
             if tell is not None:
                 os.write(tell, bytes.fromhex(seal))
 
 
 def add(place, workers, count):
-    children = []
-    start, started = os.pipe()
+    children, together = [], multiprocessing.get_context("fork").Barrier(workers, timeout=300.0)
     for worker in range(workers):
         child = os.fork()
         if child == 0:
-            os.close(started)
-            write(place, worker, count, start=start)
+            write(place, worker, count, together=together)
             os._exit(0)
         children.append(child)
-    os.close(started)
     codes = [os.waitpid(child, 0)[1] for child in children]
     sys.exit(max(codes) != 0)
 

@@ -5,14 +5,22 @@ import time
 
 import pytest
 
-from anisoscope.base.errors import LimitExceeded, MotionTimeout, NotConnected, NotHomed, RigError, Stalled
+from anisoscope.base.errors import (
+    LimitExceeded,
+    MotionTimeout,
+    NotConnected,
+    NotHomed,
+    ProtocolError,
+    RigError,
+    Stalled,
+)
 from anisoscope.base.plugins import installed
 from anisoscope.rig.drivers import STAGES
 from anisoscope.rig.stage import RotationStage
 from anisoscope.sim.bench.firmware import catalogue
 from anisoscope.sim.bench.firmware.faults import FaultKind
 
-PATIENT_S = 0.6
+PATIENT_S = 5.0
 """For an answer that surely comes, from a server's thread that may have to wait for its turn."""
 
 
@@ -106,7 +114,7 @@ def test_a_fault_ends_in_its_error_within_its_time(served, case, fault, clock):
             assert stage.move_to(90.0) == pytest.approx(90.0, abs=stage.rules.tolerance_deg + 1e-9)
         return
     error, pattern = expected
-    patience = {} if error is NotConnected else {"timeout_s": PATIENT_S}
+    patience = {} if error in {NotConnected, ProtocolError} else {"timeout_s": PATIENT_S}
     start, limit_s = clock(), 60.0
     with pytest.raises(error, match=pattern) as caught, case.open(port, **patience) as stage:
         limit_s += 3.0 * stage.rules.timeout_s(360.0)
