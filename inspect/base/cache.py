@@ -35,7 +35,7 @@ from anisoscope.base.errors import RecordError, UsageError
 
 OWN = "anisoscope"
 DATA_FOLDERS = ("data", "templates")
-"""Folders beside a module whose files it may read: they count like its source."""
+"""Data folders next to a module: their files count like its source."""
 _FORMAT = 1
 _LOADED_AT = time.time()
 """When this process began to load code that is cached: modules that cache import this one before they compute."""

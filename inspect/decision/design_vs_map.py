@@ -24,7 +24,7 @@ from anisoscope.record.schema import ComparisonRecord, ReadingNumberRecord, Read
 from anisoscope.sim.light.contrasts import consecutive_pairs
 
 Predict = Callable[[SurfaceRecipe, float], Expectation]
-"""Predicts a recipe by the rig's light angle: anew, or by what is kept."""
+"""Function that predicts a recipe at the rig's light angle, computed or from the cache."""
 
 HEIGHT_SCALE_SHARE, PIXEL_SIZE_SHARE = 0.005, 0.002
 """Relative standard uncertainties of the height and length scales of a calibrated profilometer."""

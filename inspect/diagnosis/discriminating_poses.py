@@ -122,7 +122,7 @@ MOST_TIES = 5
 def further_pose(
     recipe: SurfaceRecipe, light_angle_deg: float, tied: Sequence[CauseRecord], causes: CauseModel
 ) -> str:
-    """The pose, beside those of the recipe, in which tied causes of the fitted severities differ most.
+    """Further pose, not in the recipe, in which tied causes of the fitted severities differ most.
 
     In a further pose the causes predict ln L that differ, beyond the difference that follows from the recipe's poses.
     Those leave a variance of ln L there (given them, in the covariance of the prediction and a planned measurement),

@@ -52,7 +52,7 @@ SOMETHING_ELSE = 0.3
 BELIEVABLE = 0.01
 """Probability of what a cause leaves unexplained below which it is doubted."""
 PAIR_PRIOR = 0.1
-"""Probability of a second cause beside one."""
+"""Prior probability that a second cause acts together with a first one."""
 PAIRED = 6
 """The likeliest causes of which pairs are made."""
 PAIRS_SHOWN = 3

@@ -23,7 +23,7 @@ POINTS = 161
 REACH = 0.2
 DOT_UM = 112.0
 BRIGHTEST = 99.7
-"""Percentile of the brightness that is shown as white: a spike may burn out, the lobe must not vanish beside it."""
+"""Percentile of the brightness that is shown as white: a spike may saturate, the lobe must remain visible."""
 
 
 @dataclass(frozen=True, eq=False)

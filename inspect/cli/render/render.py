@@ -610,7 +610,7 @@ def beside(
     plastic: PlasticOptions | None = None,
     rig: RigOptions | None = None,
 ) -> int:
-    """Render a height map in colours beside its microscope picture, in the same orientation and scale.
+    """Render a height map in colours and its microscope picture side by side, in the same orientation and scale.
 
     Args:
         height_map: File with a measured height map; leave it out and give --ridge-angle for ideal ridges.

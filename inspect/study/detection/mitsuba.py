@@ -35,7 +35,7 @@ GOOD = tuple(f"good-{n:02d}" for n in range(1, 13))
 GOLDEN = ("good-13", "good-14", "good-15")
 ALPHA, ALBEDO, RIDGE_ANGLE_DEG = 0.08, 0.1, 10.0
 RESOLVED_ALPHA = 0.03
-"""Of the texture that lies in the mesh and so in the maps; a design has it in the lobe."""
+"""Roughness of the texture that the mesh resolves, and so do the maps; a design has it in the lobe."""
 WHOLE_ALPHA = float(np.hypot(ALPHA, RESOLVED_ALPHA))
 MAP_UM, NM_PER_COUNT, ZERO = 2.0, 10.0, 1000
 CAUSES: dict[str, tuple[str, float | None]] = {

@@ -81,7 +81,7 @@ PITCH_UM = 100.0
 RIDGE_ANGLE_DEG = 10.0
 LOBE = Material(0.055, 0.095, 0.2, 1.5)
 RESOLVED_ALPHA = 0.03
-"""Roughness that lies in the surfaces themselves; the recipe knows the sum of both."""
+"""Roughness resolved by the surfaces; the recipe states the sum of both."""
 WHOLE = Material(
     float(np.hypot(LOBE.alpha_along, RESOLVED_ALPHA)),
     float(np.hypot(LOBE.alpha_across, RESOLVED_ALPHA)),

@@ -31,7 +31,7 @@ ComplexArray = npt.NDArray[np.complexfloating]
 Bands = npt.NDArray[np.complex64]
 
 REACH = 1.25
-"""Frequencies that are kept, in cycles per µm: half vectors to 0.3 at 500 nm, mirrors tilted by 18°."""
+"""Largest frequency of the stored orders, in cycles per µm: half vectors to 0.3 at 500 nm, mirrors tilted by 18°."""
 
 CHORDS = 64
 ROUND = 1.02
