@@ -27,9 +27,10 @@ def beside(name):
     return module
 
 
-# What takes a minute to make and serves many tests. Each begins the share of another worker, with the tests that need
-# it behind it, so that none waits for it while another one makes it.
-LONG = ("studied", "demo")
+# Fixtures that take a minute to make and serve many tests, and that of the tests which interrupt real commands on a
+# terminal and mostly wait. Each begins the share of another worker, with the tests that need it behind it: none waits
+# for it while another one makes it, and no minute of waiting is left for the end of the run.
+LONG = ("studied", "demo", "start")
 
 CACHE = "ANISOSCOPE_CACHE"
 RUN = "ANISOSCOPE_TEST_RUN"
