@@ -7,7 +7,9 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 FIRST_LINE = re.compile(r'^\s*r?"""(?P<text>[^"\n]+)', re.MULTILINE)
-WORDS = re.compile(r"\b(beside|kept|told|tells?|nobody|somebody|anybody|asked|unfit|whoever)\b", re.IGNORECASE)
+WORDS = re.compile(
+    r"\b(beside|kept|told|tells?|nobody|somebody|anybody|asked|unfit|whoever)\b", re.IGNORECASE
+)
 
 
 def talk(source):
