@@ -289,7 +289,8 @@ def predict(
     """
     from anisoscope.base.errors import UsageError
     from anisoscope.prediction.optics_selection import OpticsRequest, Rig, predict_with_optics
-    from anisoscope.prediction.predict import predict_design, predict_height_map
+    from anisoscope.prediction.predict import predict_design
+    from anisoscope.prediction.region_prediction import predict_map
     from anisoscope.prediction.sensitivity import InputUncertainty
     from anisoscope.profiles.heightmap import HeightMap
     from anisoscope.profiles.ideal import RidgeDesign
@@ -310,7 +311,7 @@ def predict(
 
     def by_rays(advance: "Advance") -> "Predicted":
         if isinstance(surface, HeightMap):
-            return predict_height_map(
+            return predict_map(
                 surface,
                 rig.material,
                 poses,

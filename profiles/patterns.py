@@ -142,7 +142,8 @@ def checkerboard(
 ) -> HeightMap:
     """Square fields of ridges with two directions in turn; the field at the first point has the first.
 
-    Ridges start anew in every field: a crest passes through its corner with the least x and y.
+    All fields are the same square of ridges along y, a crest on its side of least x, turned about its middle. So the
+    board looks the same when it is turned by the difference of its directions, also where fields end within a ridge.
 
     Args:
         design: the shape of the ridges.
@@ -160,8 +161,10 @@ def checkerboard(
     x, y = np.arange(shape[1]) * pixel_x, np.arange(shape[0]) * pixel_y
     second = second_fields(shape, pixel_um, field_um)
     turns = [_sine_cosine(direction) for direction in directions_deg]
+    half = 0.5 * field_um
     profiles = [
-        design.profile(np.add.outer((y % field_um) * sine, (x % field_um) * cosine)) for sine, cosine in turns
+        design.profile(np.add.outer((y % field_um - half) * sine, (x % field_um - half) * cosine) + half)
+        for sine, cosine in turns
     ]
     return pattern_map(
         np.where(second, profiles[1], profiles[0]),

@@ -70,7 +70,7 @@ def prepare_relief(
     lean = facet_azimuth(prepared, period) if period.is_periodic else 0.0
     if placed:
         quarters = round(lean / 90.0)
-        prepared, lean = _turned(prepared, quarters), lean - 90.0 * quarters
+        prepared, lean = turned_clockwise(prepared, quarters), lean - 90.0 * quarters
     width = (prepared.shape[1] - 1) * prepared.pixel_x_um
     if pitch_um is not None and pitch_um > width * (1.0 + 1e-6):
         raise HeightMapError(
@@ -114,7 +114,7 @@ def facet_azimuth(surface: HeightMap, period: Period) -> float:
     return across - 180.0 if across > 0.0 else across + 180.0
 
 
-def _turned(surface: HeightMap, quarters: int) -> HeightMap:
+def turned_clockwise(surface: HeightMap, quarters: int) -> HeightMap:
     """The map turned clockwise by quarter turns, as seen with y up."""
     if quarters % 4 == 0:
         return surface

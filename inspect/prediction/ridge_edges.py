@@ -55,6 +55,10 @@ BAND_ROWS = 160
 PLAIN_ROWS = 3
 
 
+class SeveralDirectionsError(HeightMapError):
+    """Ridges of several directions on one map, which no single frame of a lobe fits."""
+
+
 @dataclass(frozen=True, eq=False)
 class RidgeEdges:
     """Profile of the ridges of a map, with its uncertainty.
@@ -166,7 +170,8 @@ def check_one_direction(relief: Relief, period: Period, material: Material) -> N
     A lobe that is as wide along as across has no direction.
 
     Raises:
-        HeightMapError: ridges of two directions; or a pitch is given, and many pitches of the map show no ridges.
+        SeveralDirectionsError: ridges of two directions; or a pitch is given, and many pitches of the map show no
+            ridges.
     """
     if material.alpha_along == material.alpha_across:
         return
@@ -181,17 +186,19 @@ def check_one_direction(relief: Relief, period: Period, material: Material) -> N
             assert found is not None
             assert found.direction_deg.value is not None
             apart = abs((second - found.direction_deg.value + 90.0) % 180.0 - 90.0)
-            raise HeightMapError(f"the height map has ridges of two directions, {apart:.0f}° apart: {cure}")
+            raise SeveralDirectionsError(
+                f"the height map has ridges of two directions, {apart:.0f}° apart: {cure}"
+            )
         return
     if period.is_periodic and min(surface.extent_um) >= MANY_PITCHES * period.pitch_um:
-        raise HeightMapError(
+        raise SeveralDirectionsError(
             f"the height map shows no ridges of one direction {period.pitch_um:g} µm apart, along which a lobe of "
             f"alpha_along {material.alpha_along:g} and alpha_across {material.alpha_across:g} could lie: {cure}"
         )
     parts = directions_of_parts(surface)
     if len(parts) > 1:
         named = ", ".join(f"{one:.0f}°" for one in parts)
-        raise HeightMapError(f"the height map has ridges of several directions, {named}: {cure}")
+        raise SeveralDirectionsError(f"the height map has ridges of several directions, {named}: {cure}")
 
 
 @lru_cache(maxsize=4)

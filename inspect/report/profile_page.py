@@ -1,5 +1,6 @@
 """Page of one height map: appearance, ridges, and origin."""
 
+import io
 from pathlib import Path
 from typing import Any
 
@@ -7,12 +8,14 @@ import numpy as np
 import numpy.typing as npt
 
 from anisoscope.base.arrays import FloatArray
+from anisoscope.base.atomic_write import write_bytes
 from anisoscope.base.errors import HeightMapError
 from anisoscope.base.progress import Advance, silent
 from anisoscope.profiles.heightmap import INTENSITY, HeightMap
 from anisoscope.profiles.level import level
 from anisoscope.profiles.metrology.burrlist import Outlier
 from anisoscope.profiles.metrology.quantity import as_text
+from anisoscope.profiles.metrology.regions import DirectionRegions
 from anisoscope.profiles.metrology.ridgemeasurement import MeanRidge, RidgeMeasurement
 from anisoscope.profiles.metrology.ridges import measure_ridges
 from anisoscope.profiles.textures.amplitude import amplitude
@@ -95,6 +98,53 @@ def map_picture(surface: HeightMap, burrs: tuple[Outlier, ...] = ()) -> str:
         axes.set_ylim(0.0, height)
         figure.colorbar(image, cax=bar, label="height [µm]")
         return svg_uri(figure)
+
+
+def write_region_picture(path: Path, regions: DirectionRegions) -> None:
+    """Write a PNG: heights in grey, regions coloured by their direction, outlined, and numbered.
+
+    Raises:
+        RecordError: the file cannot be written.
+    """
+    from matplotlib.figure import Figure
+
+    surface = regions.surface
+    step = max(1, -(-max(surface.shape) // PICTURE_POINTS))
+    height, width = (1e-3 * one for one in surface.extent_um)
+    extent = (0.0, width, 0.0, height)
+    figure = Figure(figsize=(6.0, 6.0 * min(max(height / width, 0.3), 3.0)), layout="constrained")
+    axes = figure.add_subplot()
+    heights = np.ma.masked_invalid(surface.height_um[::step, ::step])
+    axes.imshow(heights, origin="lower", cmap="gray", extent=extent)
+    classes = np.zeros(len(regions.regions) + 1)
+    for one in regions.regions:
+        classes[one.number] = one.direction_class + 1.0
+    labels = regions.labels[::step, ::step]
+    shown = np.ma.masked_equal(classes[labels], 0.0)
+    most = max(len(regions.azimuths_deg), 2)
+    axes.imshow(
+        shown,
+        origin="lower",
+        cmap="tab10",
+        alpha=0.35,
+        extent=extent,
+        vmin=0.5,
+        vmax=10.5 if most <= 10 else most + 0.5,
+    )
+    border = np.zeros(labels.shape, dtype=bool)
+    border[:, 1:] |= labels[:, 1:] != labels[:, :-1]
+    border[1:] |= labels[1:] != labels[:-1]
+    axes.imshow(
+        np.ma.masked_equal(border, False), origin="lower", cmap="gray", extent=extent, vmin=0.0, vmax=2.0
+    )
+    for one in regions.regions:
+        x, y = (1e-3 * place for place in one.centre_um)
+        label = f"{one.number}\n{one.direction_deg:.0f}°"
+        axes.text(x, y, label, ha="center", va="center", fontsize=7, color="black")
+    axes.set(xlabel="x [mm]", ylabel="y [mm]", title="direction of the ridges from +y")
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=150)
+    write_bytes(path, buffer.getvalue())
 
 
 def ridge_chart(mean: MeanRidge) -> str:

@@ -221,7 +221,7 @@ def _details(result: "Predicted") -> str:
             if value["stated_error_per_sr"] is not None:
                 text += f" (of the middle of a lobe: {value['stated_error_per_sr']:.2g} 1/sr)"
             texts.append(text)
-        elif name not in _IN_WORDS and not name.endswith("warning"):
+        elif name not in {*_IN_WORDS, "regions"} and not name.endswith("warning"):
             shown = f"{value:.4g}" if isinstance(value, float) else str(value)
             texts.append(f"{name.replace('_', ' ')}: {shown}")
     return "; ".join(texts)
@@ -302,11 +302,37 @@ def print_prediction(result: "Predicted") -> None:
         print_table("Radiance per unit irradiance", radiance, radiance_rows(result), caption=details or None)
     caption = _convention_text(result) + _source_of_u(result)
     print_table("Contrasts", contrast, contrast_rows(result), caption=caption)
+    if "regions" in result.notes:
+        _print_regions(result)
     _print_warnings(result)
     if verbose() and result.budget is not None:
         _print_budget(result, result.budget)
     elif not verbose():
         _print_line("radiances, model and uncertainty budget: --verbose")
+
+
+def _print_regions(result: "Predicted") -> None:
+    """Radiances of the regions of a map with ridges of several directions."""
+    rows = [
+        [
+            f"{one['direction_deg']:.1f}",
+            f"{one['facet_azimuth_on_map_deg']:.1f}",
+            f"{one['regions']}",
+            f"{one['share']:.1%}",
+            *(
+                _with_u(value, None if one["u"] is None else one["u"][number], 5)
+                for number, value in enumerate(one["radiance"])
+            ),
+        ]
+        for one in result.notes["regions"]
+    ]
+    columns = ["ridges at [°]", "facets toward [°]", "regions", "share"]
+    print_table(
+        "Regions of one direction",
+        [*columns, *(f"radiance at {name} [1/sr]" for name in pose_names(result))],
+        rows,
+        caption="each in the frame of its own ridges; the contrasts above are of the mean over the area",
+    )
 
 
 def _print_warnings(result: "Predicted") -> None:

@@ -472,7 +472,8 @@ def predict(
         _check_recipe_alone({name: given[name] for name in _defaults()})
         return _predict_recipe(recipe, light_angle, as_json=json_, covariance=uncertainties.covariance)
     from anisoscope.prediction.optics_selection import Rig, predict_with_optics
-    from anisoscope.prediction.predict import predict_design, predict_height_map
+    from anisoscope.prediction.predict import predict_design
+    from anisoscope.prediction.region_prediction import predict_map
     from anisoscope.profiles.heightmap import HeightMap
     from anisoscope.profiles.ideal import RidgeDesign
     from anisoscope.sim.light.geometry import Convention, pose_grid
@@ -504,17 +505,17 @@ def predict(
         surface = subject = read_height_map(height_map, pixel_um=parse_pixel(pixel), role=role)
 
         def of(plastic: Material, advance: "Advance") -> "Predicted":
-            return predict_height_map(
+            return predict_map(
                 surface,
                 plastic,
                 poses,
                 convention,
                 pitch,
-                level,
-                max_missing,
-                inputs,
-                draws,
-                advance,
+                levelling=level,
+                max_missing_share=max_missing,
+                inputs=inputs,
+                monte_carlo=draws,
+                on_progress=advance,
                 bounces=count,
                 optics=optics,
                 facets=facets,

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+from anisoscope.base.errors import HeightMapError, UsageError
 from anisoscope.cli.json_output import fields_of, print_json
 from anisoscope.cli.options import Json
 from anisoscope.cli.profile.many import (
@@ -20,6 +21,7 @@ from anisoscope.cli.profile.profile import AS_STATED, Scales
 from anisoscope.cli.tables import print_table
 
 if TYPE_CHECKING:
+    from anisoscope.profiles.heightmap import HeightMap
     from anisoscope.profiles.metrology.burrlist import Outlier
     from anisoscope.profiles.metrology.quantity import Quantity
     from anisoscope.profiles.metrology.ridgemeasurement import RidgeMeasurement
@@ -79,11 +81,16 @@ def measurement_as_json(found: "RidgeMeasurement") -> dict[str, Any]:
 
 def ridges(
     *files: Path,
+    picture: Annotated[
+        Path | None, Parameter(help="PNG of a map of several directions, its regions outlined and numbered.")
+    ] = None,
     json_: Json = False,
     many: Annotated[ManyOptions, Parameter(name="*", group="Several files")] = NONE,
     scales: Annotated[Scales, Parameter(name="*")] = AS_STATED,
 ) -> int:
     """Measure pitch, direction, angles, heights, roughness and burrs of ridged height maps, with uncertainties.
+
+    A map with ridges of several directions is divided into regions of one direction each, and these are listed.
 
     Args:
         files: Height maps of at least four ridges, in any direction, or patterns.
@@ -92,6 +99,7 @@ def ridges(
     Examples:
         anisoscope profile ridges part.x3p
         anisoscope profile ridges 'lot/*.x3p' --table lot.csv
+        anisoscope profile ridges checkerboard.npz --picture regions.png
     """
     from anisoscope.profiles.limits import sheet_of
     from anisoscope.profiles.metrology.ridges import measure_ridges
@@ -102,13 +110,78 @@ def ridges(
             chosen, lambda path: _values(measure_ridges(scales.read(path))), many, to_json=json_
         )
     check_table(many)
-    found = measure_ridges(scales.read(chosen[0]))
+    surface = scales.read(chosen[0])
+    try:
+        found = measure_ridges(surface)
+    except HeightMapError:
+        if not many.limits and _regions(chosen[0].name, surface, picture, as_json=json_):
+            return 0
+        raise
+    if picture is not None:
+        raise UsageError(
+            "--picture shows the regions of a map with several directions; for this one take profile view"
+        )
     sheet = sheet_of(many.limits, _values(found))
     if json_:
         print_json(measurement_as_json(found) | ({"sheet": sheet} if sheet else {}))
     else:
         _print(chosen[0].name, found)
     return print_sheet(sheet, silent=json_)
+
+
+def _regions(name: str, surface: "HeightMap", picture: Path | None, *, as_json: bool) -> bool:
+    """List the regions of a map of several directions; False for other maps."""
+    from anisoscope.profiles.metrology.quantity import as_text
+    from anisoscope.profiles.metrology.regions import direction_regions
+
+    regions = direction_regions(surface)
+    if len(regions.azimuths_deg) < 2:
+        return False
+    ridges_of = [regions.ridges(one) for one in regions.regions]
+    if picture is not None:
+        from anisoscope.report.profile_page import write_region_picture
+
+        write_region_picture(picture, regions)
+    if as_json:
+        rows = [
+            {
+                "number": one.number,
+                "direction_deg": one.direction_deg,
+                "facet_azimuth_deg": one.azimuth_deg,
+                "ridge_angle_deg": _number(ridges.ridge_angle_deg),
+                "pitch_um": ridges.pitch_um,
+                "share": one.share,
+                "centre_um": one.centre_um,
+            }
+            for one, ridges in zip(regions.regions, ridges_of, strict=True)
+        ]
+        azimuths = regions.azimuths_deg
+        print_json({"facet_azimuths_deg": azimuths, "class_shares": regions.areas, "regions": rows})
+        return True
+    columns = ["region", "direction from +y [°]", "facets fall toward [°]", "ridge angle [°]", "u [°]"]
+    columns += ["pitch [µm]", "share", "centre x, y [µm]"]
+    print_table(
+        f"{name}: regions of one direction",
+        columns,
+        [
+            [
+                str(one.number),
+                f"{one.direction_deg:.1f}",
+                f"{one.azimuth_deg:.1f}",
+                *as_text(ridges.ridge_angle_deg),
+                "–" if ridges.pitch_um is None else f"{ridges.pitch_um:.2f}",
+                f"{one.share:.2%}",
+                f"{one.centre_um[0]:.0f}, {one.centre_um[1]:.0f}",
+            ]
+            for one, ridges in zip(regions.regions, ridges_of, strict=True)
+        ],
+        caption="; ".join(
+            f"facets toward {azimuth:.1f}°: {area:.1%} of the map"
+            for azimuth, area in zip(regions.azimuths_deg, regions.areas, strict=True)
+        )
+        + "; the pitch needs four ridges in a region",
+    )
+    return True
 
 
 def _values(found: "RidgeMeasurement") -> Values:

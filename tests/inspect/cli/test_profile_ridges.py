@@ -107,3 +107,28 @@ def test_a_report_is_html(anisoscope, folder):
     done = anisoscope("profile", "report", folder / "ridged.x3p", "--out", folder / "page.pdf")
     assert done.code == 64
     assert "*.html" in done.err
+
+
+def test_a_map_of_several_directions_is_listed_and_drawn_by_regions(anisoscope, tmp_path):
+    board, picture = tmp_path / "board.npz", tmp_path / "regions.png"
+    made = anisoscope(
+        "profile", "make", "checkerboard", "--size", "1200", "--pixel", "4", "--square", "600", "--out", board
+    )
+    assert made.code == 0, made.err
+    done = anisoscope("profile", "ridges", board, "--json", "--picture", picture)
+    assert done.code == 0, done.err
+    assert sorted(done.json["facet_azimuths_deg"]) == pytest.approx([-90.0, 0.0], abs=0.1)
+    assert len(done.json["regions"]) == 4
+    for one in done.json["regions"]:
+        assert one["ridge_angle_deg"]["value"] == pytest.approx(10.0, abs=0.05)
+        assert one["pitch_um"] == pytest.approx(100.0, rel=0.01)
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    table = anisoscope("profile", "ridges", board)
+    assert "regions of one direction" in table.out
+
+
+def test_a_picture_of_regions_needs_several_of_them(anisoscope, folder, tmp_path):
+    done = anisoscope("profile", "ridges", folder / "ridged.x3p", "--picture", tmp_path / "one.png")
+    assert done.code == 64
+    assert "--picture shows the regions of a map with several directions" in done.err
+    assert not (tmp_path / "one.png").exists()

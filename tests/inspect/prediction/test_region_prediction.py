@@ -1,0 +1,92 @@
+"""Maps of several ridge directions: each region is predicted in the frame of its own ridges."""
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from anisoscope.base.errors import HeightMapError
+from anisoscope.prediction.monte_carlo import MonteCarlo
+from anisoscope.prediction.predict import predict_design
+from anisoscope.prediction.region_prediction import predict_map
+from anisoscope.prediction.sensitivity import InputUncertainty
+from anisoscope.profiles.ideal import RidgeDesign, ridges
+from anisoscope.profiles.patterns import checkerboard
+from anisoscope.sim.light.geometry import Convention, Pose
+from anisoscope.sim.light.material import Material
+
+BOARDS = Path(__file__).resolve().parents[2] / "profiles" / "metrology" / "boards.py"
+SPEC = importlib.util.spec_from_file_location("boards", BOARDS)
+boards = importlib.util.module_from_spec(SPEC)
+SPEC.loader.exec_module(boards)
+turned_board = boards.turned_board
+
+PLASTIC = Material(0.06, 0.10, 0.2)
+POSES = tuple(Pose(angle) for angle in (0.0, 90.0, 180.0))
+DESIGN = RidgeDesign(100.0, 10.0)
+
+
+def test_a_board_of_two_directions_is_as_bright_after_a_quarter_turn():
+    """Small fields, facet by facet: one direction at 0° is the other at 90°, within .5 %."""
+    surface = checkerboard(DESIGN, (501, 501), 2.0, 250.0)
+    found = predict_map(surface, PLASTIC, POSES, Convention())
+    first, second = found.notes["regions"]
+    assert first["predicted_regions"] == second["predicted_regions"] == 0
+    assert first["radiance"][0] == pytest.approx(second["radiance"][1], rel=0.005)
+    assert first["radiance"][1] == pytest.approx(second["radiance"][0], rel=0.005)
+    shares = [one["share"] for one in (first, second)]
+    mean = np.average([first["radiance"], second["radiance"]], axis=0, weights=shares)
+    np.testing.assert_allclose(found.radiance, mean, rtol=1e-12)
+
+
+def test_fields_of_four_ridges_are_predicted_alike_in_any_orientation_of_the_map():
+    truth = [
+        predict_design(DESIGN, PLASTIC, POSES, Convention(facet_azimuth_deg=turn)).radiance
+        for turn in (0.0, -90.0)
+    ]
+    by_turn = []
+    for turn_deg in (0.0, 37.0):
+        surface, _ = turned_board(turn_deg, 560, 2.0, 560.0)
+        found = predict_map(surface, PLASTIC, POSES, Convention())
+        regions = sorted(found.notes["regions"], key=lambda one: -one["facet_azimuth_deg"])
+        assert [one["facet_azimuth_deg"] for one in regions] == pytest.approx([0.0, -90.0], abs=0.2)
+        assert min(one["predicted_regions"] for one in regions) > 0
+        by_turn.append([one["radiance"] for one in regions])
+        np.testing.assert_allclose(by_turn[-1], truth, rtol=0.02)
+    np.testing.assert_allclose(by_turn[0], by_turn[1], rtol=0.01)
+
+
+def test_one_direction_is_predicted_as_before_and_has_no_regions():
+    surface = ridges(DESIGN, (40, 801), (1.0, 1.0))
+    found = predict_map(surface, PLASTIC, POSES, Convention())
+    assert "regions" not in found.notes
+    truth = predict_design(DESIGN, PLASTIC, POSES, Convention()).radiance
+    np.testing.assert_allclose(found.radiance, truth, rtol=0.02)
+
+
+def test_the_seat_of_a_plate_moves_both_directions_and_its_budget_says_so():
+    """By symmetry the uncertainties of the directions are the same after a quarter turn."""
+    surface = checkerboard(DESIGN, (400, 400), 3.0, 250.0)
+    inputs = InputUncertainty()
+    found = predict_map(surface, PLASTIC, POSES, Convention(), inputs=inputs)
+    first, second = (np.array(one["u"]) for one in found.notes["regions"])
+    np.testing.assert_allclose(first[:2], second[1::-1], rtol=0.05)
+    assert found.budget is not None
+    seat = {one.source: one.absolute for one in found.budget.contributions}
+    about_x, about_y = seat["seating tilt about x"], seat["seating tilt about y"]
+    # at 0° the bright fields lean toward +x, at 90° the bright ones lean toward −y
+    assert abs(about_y[0]) > 3.0 * abs(about_x[0])
+    assert abs(about_x[1]) > 3.0 * abs(about_y[1])
+
+
+def test_what_cannot_be_predicted_by_regions_is_refused():
+    surface = checkerboard(DESIGN, (400, 400), 3.0, 250.0)
+    with pytest.raises(HeightMapError, match="without Monte Carlo"):
+        predict_map(
+            surface, PLASTIC, POSES, Convention(), inputs=InputUncertainty(), monte_carlo=MonteCarlo(20)
+        )
+    height = surface.height_um.copy()
+    height[:200] = np.nan
+    with pytest.raises(HeightMapError, match=r"50\.0% of the heights of this map are missing"):
+        predict_map(surface.with_height(height), PLASTIC, POSES, Convention())

@@ -1,0 +1,77 @@
+"""Regions of one ridge direction: where they are, which way they run, and how steep they are."""
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from anisoscope.profiles.heightmap import HeightMap
+from anisoscope.profiles.ideal import RidgeDesign, add_facet_roughness
+from anisoscope.profiles.metrology.regions import direction_regions
+from anisoscope.profiles.patterns import GrooveDesign, flat, turned_ridges, v_grooves
+
+SPEC = importlib.util.spec_from_file_location("boards", Path(__file__).with_name("boards.py"))
+boards = importlib.util.module_from_spec(SPEC)
+SPEC.loader.exec_module(boards)
+turned_board = boards.turned_board
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 37.0, 90.0])
+def test_fields_of_a_board_are_found_however_it_lies_on_the_grid(turn_deg):
+    surface, second = turned_board(turn_deg, 500, 4.0, 500.0)
+    found = direction_regions(surface)
+    assert len(found.azimuths_deg) == 2
+    expected = [(turn_deg + one + 180.0) % 360.0 - 180.0 for one in (0.0, -90.0)]
+    np.testing.assert_allclose(sorted(found.azimuths_deg), sorted(expected), atol=0.1)
+    of_second = int(np.argmin(np.abs(np.array(found.azimuths_deg) - expected[1])))
+    classes = np.array([-1, *(one.direction_class for one in found.regions)])[found.labels]
+    assert np.mean((classes == of_second) == second) > 0.985
+    assert {one.number for one in found.regions} == set(np.unique(found.labels)) - {0}
+
+
+def test_opposite_leans_are_two_directions_and_angles_are_those_of_each():
+    shape, gentle, steep = (240, 480), RidgeDesign(100.0, 6.0), RidgeDesign(100.0, 14.0)
+    right = turned_ridges(gentle, shape, 4.0).height_um
+    left = turned_ridges(steep, shape, 4.0, direction_deg=180.0).height_um
+    height = np.where(np.arange(shape[1]) < 240, right, left)
+    rng = np.random.default_rng(1)
+    found = direction_regions(HeightMap(height + 0.05 * rng.standard_normal(shape), 4.0, 4.0))
+    assert len(found.regions) == 2
+    first, second = sorted(found.regions, key=lambda one: one.centre_um[0])
+    assert abs(first.azimuth_deg) < 0.5
+    assert abs(abs(second.azimuth_deg) - 180.0) < 0.5
+    for region, design in ((first, gentle), (second, steep)):
+        ridges = found.ridges(region)
+        assert ridges.ridge_angle_deg.value == pytest.approx(design.ridge_angle_deg, abs=0.3)
+        assert ridges.pitch_um == pytest.approx(100.0, rel=0.01)
+        assert region.share == pytest.approx(0.5, abs=0.01)
+
+
+def test_rough_ridges_of_one_direction_are_one_region():
+    surface = add_facet_roughness(
+        turned_ridges(RidgeDesign(100.0, 10.0), (300, 300), 4.0, direction_deg=20.0),
+        alpha_along=0.06,
+        alpha_across=0.06,
+        correlation_um=12.0,
+        rng=np.random.default_rng(3),
+    )
+    found = direction_regions(surface)
+    assert len(found.regions) == 1
+    assert found.azimuths_deg[0] == pytest.approx(20.0, abs=2.0)
+
+
+def test_grooves_have_a_direction_without_lean_and_a_plane_has_none():
+    found = direction_regions(v_grooves(GrooveDesign(100.0, 12.0), (300, 300), 4.0, direction_deg=30.0))
+    assert not found.one_sided
+    assert found.regions[0].direction_deg == pytest.approx(30.0, abs=1.0)
+    assert direction_regions(flat((100, 100), 4.0)).regions == ()
+
+
+def test_missing_points_belong_to_no_region():
+    surface, _ = turned_board(0.0, 400, 4.0, 800.0)
+    height = surface.height_um.copy()
+    height[:60, :90] = np.nan
+    found = direction_regions(surface.with_height(height))
+    assert (found.labels[:60, :90] == 0).all()
+    assert len(found.azimuths_deg) == 2
