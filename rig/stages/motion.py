@@ -103,9 +103,18 @@ class StageBase(ABC):
         return self._homed
 
     def position_deg(self) -> float:
-        """Read the angle in degrees; during a move of another thread this waits for its end."""
+        """Read the angle in degrees; during a move of another thread this waits for its end.
+
+        Raises:
+            NotHomed: the reference was lost since it was searched: the device says so, or it does not stand where the
+                last motion left it, by more than ten times its tolerance. The reading means nothing then.
+        """
         with self._motion, self._bus:
-            return self._read_deg()
+            referenced = self._homed  # some devices say with the reading that they have lost it
+            now_deg = self._read_deg()
+            if referenced:
+                self._check_reference(now_deg)
+            return now_deg
 
     def home(self) -> float:
         """Search the reference and return the angle read back, in degrees."""

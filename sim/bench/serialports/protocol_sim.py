@@ -1,13 +1,15 @@
 """pyserial's handler for ``sim://…``: a simulated device in this process, without a port.
 
 ``sim://zaber?address=2&time_scale=0.1&fault=stall:30&model=X-RSW60A`` is a stage on its own;
-``sim://elliptec?bench=/path/bench.toml`` is the line to the stage of a virtual rig, shared with its camera.
-Values are percent-decoded; ``fault`` may be given several times.
+``sim://elliptec?bench=/path/bench.toml`` is the line to the stage of a virtual rig, shared with its camera; the bench
+file states all else. Values are percent-decoded; ``fault`` may be given several times. An option that would have no
+effect is refused.
 """
 
 import errno
 import math
 import threading
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, ClassVar
 from urllib.parse import unquote
 
@@ -164,13 +166,33 @@ def device_of_url(url: str) -> Firmware:
     options = {key: unquote(value) for key, value in pairs}
     if unknown := options.keys() - OPTIONS:
         raise ValueError(f"unknown option '{min(unknown)}'; known: {', '.join(sorted(OPTIONS))}")
+    keys = [key for key, _ in pairs]
+    if repeated := [key for key in keys if key != "fault" and keys.count(key) > 1]:
+        raise ValueError(f"option '{repeated[0]}' is given twice; give it once")
     if "bench" in options:
         from anisoscope.sim.bench.bench import shared_bench  # noqa: PLC0415 - heavy, and needs light
 
+        if further := sorted(options.keys() - {"bench"}):
+            raise ValueError(
+                f"option '{further[0]}' has no effect with bench=; state it in {options['bench']}, table [stage]"
+            )
         return shared_bench(options["bench"]).device(name)
     return build(
         name,
-        [Mount(RotaryAxis(time_scale=float(options.get("time_scale", "1"))), options.get("address", ""))],
+        [Mount(RotaryAxis(time_scale=_time_scale(options)), options.get("address", ""))],
         model=options.get("model", ""),
         faults=[unquote(value) for key, value in pairs if key == "fault"],
     )
+
+
+def _time_scale(options: Mapping[str, str]) -> float:
+    text = options.get("time_scale", "1")
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (0.0 <= value < math.inf):
+        raise ValueError(
+            f"time_scale={text}: give a number of at least 0, such as 0.1 for a tenth of the time"
+        )
+    return value

@@ -242,3 +242,12 @@ def test_ctrl_c_stops_the_stage(line, rig_file):
     assert process.returncode == 130
     assert "the stage is stopped" in said
     assert not axis.busy()
+
+
+@pytest.mark.parametrize("driver", ["apt", "elliptec", "grbl", "smc100", "zaber"])
+def test_a_stage_that_loses_its_reference_after_the_move_is_no_success(command, driver):
+    port = f"sim://{driver}?fault=lost-homing&time_scale=0"
+    code, out, err = command("rig", "move", 90, "--driver", driver, "--port", port, "--yes")
+    assert (code, out) == (69, "")
+    assert err.endswith("home it again\n")
+    assert len(err.splitlines()) == 2  # the announcement of homing is the other

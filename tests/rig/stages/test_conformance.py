@@ -129,6 +129,15 @@ def test_a_fault_ends_in_its_error_within_its_time(served, case, fault, clock):
     assert set(threading.enumerate()) <= threads
 
 
+def test_a_reading_without_reference_is_an_error(in_process, case, clock):
+    with case.open(in_process(case.firmware("lost-homing", time_scale=0.0, clock=clock))) as stage:
+        stage.home()
+        with pytest.raises(NotHomed, match="home it again"):  # at the latest with the reading after the move
+            assert stage.move_to(90.0) == pytest.approx(90.0, abs=half_step(stage))
+            stage.position_deg()
+        assert not stage.is_homed
+
+
 def test_after_a_fault_the_next_connection_works(in_process, case, fault, clock):
     firmware = case.firmware(fault, time_scale=0.02, clock=clock)
     port = in_process(firmware)

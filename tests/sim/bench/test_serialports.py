@@ -61,6 +61,22 @@ def test_options_of_the_url():
         assert port.read(20) == b"3GS08\r\n"
 
 
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ("bench=rig/bench.toml&fault=stall", "'fault' has no effect with bench=; state it in rig/bench.toml"),
+        ("bench=rig/bench.toml&time_scale=0", "'time_scale' has no effect with bench="),
+        ("address=1&address=2", "'address' is given twice"),
+        ("time_scale=fast", "time_scale=fast: give a number of at least 0"),
+        ("time_scale=-1", "time_scale=-1: give a number of at least 0"),
+        ("colour=red", "unknown option 'colour'"),
+    ],
+)
+def test_options_without_effect_are_refused(options, message):
+    with pytest.raises(serial.SerialException, match=message):
+        serial.serial_for_url(f"sim://elliptec?{options}")
+
+
 def test_opening_twice_is_an_error():
     with serial.serial_for_url(URL) as port, pytest.raises(serial.SerialException):
         port.open()
